@@ -16,6 +16,8 @@ import pytest
 from sightline import errors
 from sightline.frame.check import check_frame
 from sightline.frame.model import Frame
+from sightline.planning.bone_checks import MEASURES
+from sightline.planning.procedures.rules import CHECKS
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -50,6 +52,7 @@ def check_names() -> frozenset[str]:
     # The plan's three bounds are made in one loop over their names, the robot's clearances in one over obstacles.
     named_in_a_loop = {"entry error", "end error", "direction error"}
     named_in_a_loop |= {"wire entry error", "wire end error", "wire direction error"}  # those of the robot's target
+    named_in_a_loop |= set(CHECKS) - set(MEASURES)  # metrics of the implant that a procedure's file names
     named_in_a_loop |= {f"{obstacle} clearance" for obstacle in ("patient", "table", "C-arm")}
     return frozenset(named_in_a_loop).union(*(names_in(file) for file in (ROOT / "src" / "sightline").rglob("*.py")))
 

@@ -24,6 +24,7 @@ from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import NAMES
 from sightline.errors import CaseError, LinkError, RobotRefusedError, UnusableInputError, WireRefusedError
 from sightline.frame import Frame
+from sightline.planning import kind
 
 
 class _Planning(Planning):
@@ -54,7 +55,7 @@ def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[
         images={"pa": 1, "lateral": 2}, side="right", serial="1", kind="hip-screw", mirrored={}, document=dict
     )
     decisions.mark = lambda name: None
-    known: Any = SimpleNamespace(plan=SimpleNamespace(trajectory=stub), decisions=decisions)
+    known: Any = SimpleNamespace(plan=SimpleNamespace(trajectory=stub, kind=kind("hip-screw")), decisions=decisions)
     case: Any = SimpleNamespace(number="C", last=1, record=record)
     planning: Any = _Planning(case, known)
     age: Any = SimpleNamespace(now_s=1.0)

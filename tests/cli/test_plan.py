@@ -223,7 +223,7 @@ def test_a_hip_screw_that_is_wrong_in_its_bone_is_no_go(run, beads_csv: Path, wi
         (["--landmark", "patella pa:500,500 lateral:500,500"], "lesser-trochanter"),
         (["--landmark", "lesser-trochanter pa:500,500"], "--landmark"),
         (["--side", "middle"], "side"),
-        (["--kind", "tunnel"], "kind"),
+        (["--kind", "tunnel"], "unknown procedure 'tunnel'"),
     ],
 )
 def test_aids_that_cannot_be_read_are_refused(run, beads_csv: Path, wire_px, options: list[str], words: str) -> None:

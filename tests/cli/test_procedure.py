@@ -70,7 +70,7 @@ def test_files_of_the_users_folder_are_listed_with_what_is_wrong(run, tmp_path, 
 def _old(content: dict[str, Any]) -> dict[str, Any]:
     """A planned entry as versions recorded it whose procedures were not files."""
     old = json.loads(json.dumps(content))
-    del old["procedure"], old["asked"]["procedure"]
+    del old["procedure"], old["implant"], old["asked"]["procedure"]
     old["kind"] = old["asked"]["kind"] = "interlocking"
     return old
 

@@ -258,7 +258,7 @@ def show(output: Output, planned: "Plan") -> None:
     if not errors:
         contradicted = "the gap of a point contradicts it" if path.points.gap_failed.any() else "a view's is unknown"
         output.say(f"No error is stated: {contradicted}.")
-    for sentence in (*planned.along_sentences(), *planned.kind.sentences()):
+    for sentence in planned.sentences():
         output.say(sentence)
 
 

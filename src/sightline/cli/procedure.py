@@ -51,7 +51,7 @@ def list_all(*, json: Json = False, quiet: Quiet = False) -> None:
 
 @app.command("show", epilog=example("sightline procedure show hip-screw"))
 def show(procedure: ProcedureSource, *, json: Json = False, quiet: Quiet = False) -> None:
-    """Show a procedure: views, wires, points, limits, checks, and their sources."""
+    """Show points, limits, checks and their sources."""
     with Output(json=json, quiet=quiet) as out:
         from sightline.planning.procedures.files import document_of
         from sightline.planning.procedures.procedure import fingerprint

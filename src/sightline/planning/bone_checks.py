@@ -10,8 +10,8 @@ from sightline.checks import Check
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.anatomy import NOT_PLACED, Anatomy
 from sightline.planning.directions import ANTERIOR, MEDIAL, caudal
-from sightline.planning.metrics import tip_depth
-from sightline.planning.procedures.rules import HEAD_CENTRE, LESSER, CheckRule
+from sightline.planning.metrics import metric, tip_depth
+from sightline.planning.procedures.rules import CHECKS, HEAD_CENTRE, LESSER, CheckRule
 from sightline.planning.results import Verdict
 
 _LATERAL = -MEDIAL
@@ -83,6 +83,7 @@ def judge_in_bone(
     if "wire" in found.at:
         entry, end = found.part("wire").reshape(2, 3)
         checks += [measure.check(entry, end) for measure in measures(found, rules, side, landmarks_mm)]
+        checks += _of_metrics(_Bone(found, side, landmarks_mm), rules)
     if "head" not in found.at and found.absent["head"] != NOT_PLACED["head"]:
         checks.append(Check("head", False, None, None, "", f"The head is not known: {found.absent['head']}."))
     return Verdict(tuple(checks), missing)
@@ -94,7 +95,44 @@ def measures(
     """Return all measures of the wire that the rules ask for and for which the bone is known well enough."""
     bone = _Bone(found, side, landmarks_mm)
     asked = [rule for rule in rules if not bone.exchanged or rule.check in ("entry and end", "side")]
-    return tuple(measure for rule in asked for measure in MEASURES[rule.check](bone, rule))
+    return tuple(measure for rule in asked if rule.check in MEASURES for measure in MEASURES[rule.check](bone, rule))
+
+
+def _of_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
+    """Return the checks of metrics of the implant: the 95 % interval must lie within the limits."""
+    out = []
+    for rule in rules:
+        name, unit = rule.check, CHECKS[rule.check].unit
+        if name in MEASURES or bone.exchanged or bone.side is None or _undrawn(bone.found, rule):
+            continue
+        known = metric(bone.found, name, bone.side)
+        low, high = rule.range
+        if known.value is None or known.sd is None:
+            why = known.sentence if known.value is None else "Not known: the error of a view is not stated."
+            out.append(Check(name, False, None, rule.high, unit, f"The {name} cannot be judged. {why}"))
+            continue
+        error = TWO_SIDED_95 * known.sd
+        passed = low <= known.value - error and known.value + error <= high
+        limit = high if not np.isfinite(low) or known.value + error > high else low
+        sentence = f"The {name} is {known.value:.1f} mm, with 95 % probability within {error:.1f} mm"
+        advice = (
+            f"with its error it must lie {_within(low, high)}: move the end point, or draw the aids more accurately"
+        )
+        sentence += "." if passed else f"; {advice}."
+        out.append(Check(name, passed, known.value, float(limit), unit, sentence))
+    return out
+
+
+def _within(low: float, high: float) -> str:
+    if not np.isfinite(low):
+        return f"below {high:g} mm"
+    return f"above {low:g} mm" if not np.isfinite(high) else f"between {low:g} and {high:g} mm"
+
+
+def _undrawn(found: Anatomy, rule: CheckRule) -> list[str]:
+    """Return the aids that a check needs and that are not drawn, of the first of its alternatives."""
+    (needs, *_) = (*CHECKS[rule.check].needs, frozenset())
+    return sorted(part for part in needs if part in NOT_PLACED and found.absent.get(part) == NOT_PLACED[part])
 
 
 def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float | None, float | None]:
@@ -139,8 +177,12 @@ def _missing(
             "The entry cannot be checked: it may lie at the lateral cortex or inside the neck. Pick the tip of the "
             "lesser trochanter in both images, or draw the shaft axis and click on the lateral cortex."
         )
-    if "wire to shaft" in required and found.absent.get("shaft") == NOT_PLACED["shaft"]:
-        wanted["wire to shaft"] = f"The wire's angle to the shaft cannot be checked: {found.absent['shaft']}."
+    for rule in rules:
+        if rule.required and (rule.check == "wire to shaft" or rule.check not in MEASURES):
+            lacking = [found.absent[part] for part in _undrawn(found, rule)]
+            lacking += ["the side is not given"] if side is None and rule.check not in MEASURES else []
+            if lacking:
+                wanted[rule.check] = f"The {rule.check} cannot be checked: {'; '.join(lacking)}."
     return tuple(Check(name, False, None, None, "", sentence) for name, sentence in wanted.items())
 
 
@@ -294,6 +336,28 @@ def _length(rule: CheckRule) -> Measure:
     )
 
 
+def _between_views(found: Anatomy, low: float) -> Measure:
+    """Return the measure of the angle between the beams of the first two views at the wire's middle, at most 90°."""
+    focal = found.part("focal").reshape(2, 3)
+
+    def value(entry: np.ndarray, end: np.ndarray) -> np.ndarray:
+        first, second = ((entry + end) / 2 - one for one in focal)
+        cosine = np.abs((first * second).sum(axis=-1)) / (
+            np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
+        )
+        return np.rad2deg(np.arccos(np.clip(cosine, 0.0, 1.0)))
+
+    return Measure(
+        "angle between views",
+        value,
+        low,
+        np.inf,
+        "°",
+        "The beams of the two views meet at {}",
+        f"the procedure wants views at {low:.0f}° or more: acquire one of them again from the direction it states",
+    )
+
+
 def _distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.linalg.norm(a - b, axis=-1)
 
@@ -329,4 +393,5 @@ MEASURES: dict[str, _Make] = {
         )
     ),
     "wire length": lambda bone, rule: [_length(rule)],
+    "angle between views": lambda bone, rule: [_between_views(bone.found, rule.range[0])],
 }

@@ -72,6 +72,12 @@ def metrics(found: Anatomy, side: str) -> tuple[Metric, ...]:
     return (*made, *(_position(found, name, side) for name in ("AP", "lateral")))
 
 
+def metric(found: Anatomy, name: str, side: str) -> Metric:
+    """Return one metric of an implant by its name. Raises UnusableInputError for an unknown side."""
+    caudal(side)
+    return _metric(found, next(one for one in _DEFINITIONS if one.name == name), side)
+
+
 def _metric(found: Anatomy, definition: _Definition, side: str) -> Metric:
     unit, end = definition.unit, (definition.source, definition.low, definition.high)
     missing = next((part for part in definition.needs if part not in found.at), None)

@@ -15,6 +15,7 @@ from sightline.planning.aids import Aids
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.bone_checks import judge_in_bone, measures, noticed_beyond_mm
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
+from sightline.planning.implant import Implant, fitting
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick, stack
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
@@ -106,6 +107,18 @@ class Plan(Plotted):
                 draw.marks(panel, view.project(self.seen.xyz_mm[2:]), "+", draw.RED, "landmarks")
             draw.legend(panel)
 
+    @property
+    def implant(self) -> Implant | None:
+        """The implant of the procedure's catalogue that fits the wire; None where the catalogue does not tell."""
+        catalogue = self.kind.document.catalogue
+        length_mm = self.trajectory.length_mm
+        return None if catalogue is None else fitting(catalogue, length_mm, self.anatomy, self.side)
+
+    def sentences(self) -> list[str]:
+        """Return what else a reader must know: errors that no check shows, other wires, and the implant that fits."""
+        fits = self.implant
+        return [*self.along_sentences(), *self.kind.sentences(), *([] if fits is None else [fits.sentence])]
+
     def along_sentences(self) -> list[str]:
         """Return for entry and end a sentence on errors along their lines of sight that no check would show."""
         return [
@@ -124,6 +137,7 @@ class Plan(Plotted):
             **self.verdict_document(),
             "trajectory": self.trajectory.document(),
             "landmarks": self.landmarks_document(),
+            "implant": None if self.implant is None else vars(self.implant),
         }
 
     def verdict_document(self) -> dict[str, Any]:

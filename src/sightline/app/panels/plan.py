@@ -148,7 +148,7 @@ def metrics_html(tab: Tab) -> Markup:
         rows += _gaps(tab)
     said = [markup.note(why, kind="bad", testid="figures-refused") for why in _refused(known)]
     if known.plan is not None:
-        said += [markup.note(sentence, kind="quiet", testid="along") for sentence in known.plan.along_sentences()]
+        said += [markup.note(sentence, kind="quiet", testid="along") for sentence in known.plan.sentences()]
     if tab.planning.decisions.side is None:
         said.insert(0, markup.note(texts.SIDE_FOR_METRICS, kind="warn"))
     for metric in known.metrics:

@@ -102,8 +102,9 @@ class DrillingWorkflow:
 
         Raises RobotRefusedError if the plan has changed since, LinkError, CaseError."""
         planning, session = self._planning, self._running()
-        same = known is planning.planned and known.kind.fingerprint == kind_of(known.decisions.kind).fingerprint
-        if not same or known.plan is None or not self._readiness.can_send:
+        plan = known.plan if known is planning.planned else None
+        now = kind_of(known.decisions.kind).fingerprint
+        if plan is None or plan.kind.fingerprint != now or not self._readiness.can_send:
             raise RobotRefusedError(
                 "check the step Plan and send again: the plan changed after you confirmed it, or it is not GO"
             )
@@ -115,13 +116,13 @@ class DrillingWorkflow:
             side=decisions.side or "",
             frame_serial=decisions.serial or "",
             go=self._readiness.can_send,
-            kind=known.kind.key,
+            kind=plan.kind.key,
             frame=planning.frame.fingerprint,
         )
-        target = session.target_for(known.plan, identity, time.monotonic() - age_s)
+        target = session.target_for(plan, identity, time.monotonic() - age_s)
         limit = _depth_limit(known, target)
         views = [entry_of(case, seen) for seen in map(planning.seen, NAMES) if seen is not None]
-        made = record_planned(case, (views[0], views[1]), plan_input(decisions), known.plan, by=Actor.SURGEON)
+        made = record_planned(case, (views[0], views[1]), plan_input(decisions), plan, by=Actor.SURGEON)
         # From here on the robot may hold this plan, even after an error; the earlier one must not be drilled.
         planning.sent = planning.drilled = None
         await session.send(target, limit)
@@ -130,8 +131,8 @@ class DrillingWorkflow:
             {
                 "plan": identity.plan,
                 "decisions": decisions.document(),
-                "procedure": known.kind.fingerprint,
-                "trajectory": known.plan.trajectory.document(),
+                "procedure": now,
+                "trajectory": plan.trajectory.document(),
                 "joints": target.q,
                 "error_95_mm": [target.entry_error_95_mm, target.end_error_95_mm],
                 "depth_limit_mm": limit,

@@ -97,7 +97,7 @@ class Recomputed:
         then, made = entry.content, self.plan(entry)
         now = plain(contents.planned(PlanRequest.of(then["asked"]), made))
         if "procedure" not in then:  # procedures were not files, and some had other keys
-            del now["procedure"]
+            del now["procedure"], now["implant"]
             now |= {key: then[key] for key in ("asked", "kind") if key in then}
         if "verdict" in then:
             return now

@@ -102,7 +102,6 @@ UNSEEN = (
 
 
 def _notes(report: Report) -> Iterable[str]:
-    yield from report.plan.kind.sentences()
     yield UNSEEN
     yield (
         "All coordinates are in CFCS, the coordinates of the calibration frame. The error of registering a robot is "
@@ -115,7 +114,7 @@ def _notes(report: Report) -> Iterable[str]:
             f"plate {sd.plate_mm:g} mm and {sd.plate_rad * 1e3:g} mrad, arm {sd.arm_mm:g} mm and {sd.arm_rad * 1e3:g} "
             "mrad). Measure your frame: the bounds are only as good as these tolerances."
         )
-    yield " ".join(report.plan.along_sentences())
+    yield from report.plan.sentences()
     for image in report.images:
         if image.view.mirrored:
             yield f"The {spoken(image.name)} image is a mirror image of the frame; it was used unchanged."

@@ -112,9 +112,13 @@ class CorridorAsked(Strict):
 
 
 class Catalogue(Strict):
-    """Implants: lengths and diameters, mm, length of the thread, and angles of plates, ° (empty without plates)."""
+    """Implants: lengths and diameters, mm, length of the thread, and angles of plates, ° (empty without plates).
+
+    `along_wire`: whether an implant reaches from the entry to the end point, so that its length follows from the wire.
+    """
 
     implants: Name
+    along_wire: bool
     lengths_mm: Annotated[tuple[Millimetres, ...], Field(min_length=1, max_length=100)]
     diameters_mm: Annotated[tuple[Millimetres, ...], Field(min_length=1, max_length=20)]
     thread_mm: Millimetres | None = None

@@ -48,12 +48,19 @@ CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
         "wire to shaft": _known("low high", "°", "shaft"),
         "entry below cortex": _known("high", "mm", "head shaft cortex", f"{HEAD_CENTRE} shaft cortex"),
         "wire length": _known("low high", "mm"),
+        "angle between views": _known("low", "°"),
+        "tip-apex distance": _known("low high", "mm", "head neck"),
+        "calcar tip-apex distance": _known("high", "mm", "head neck calcar"),
+        "tip to bone along wire": _known("low high", "mm", "head"),
+        "tip to bone nearest": _known("low", "mm", "head"),
     }
 )
 
 
 class CheckRule(Strict):
     """One check of the wire against the bone: its name in CHECKS, its limits, and their source.
+
+    The checks named like a metric of the implant judge the metric's 95 % interval, which must lie within the limits.
 
     `required`: without what it needs the plan is incomplete; otherwise the check is left out. `of`: what the limits are
     those of, in the sentence of a wire's length.
