@@ -29,23 +29,18 @@ class Sight:
     project: Project
 
 
-def outline(nail: DistalNail, sight: Sight, side: int) -> np.ndarray:
-    """Return points (N, 3) where rays graze the nail on one side (0 or 1), at OUTLINE_MM along it."""
+def outline(nail: DistalNail, sight: Sight, side: int, s_mm: np.ndarray = OUTLINE_MM) -> np.ndarray:
+    """Return points (N, 3) where rays graze the nail on one side (0 or 1), at places (N,) along it."""
     angle = np.linspace(-np.pi, np.pi, 73)
-    facing = _facing(nail, sight, np.tile(OUTLINE_MM, len(angle)), np.repeat(angle, len(OUTLINE_MM)))
-    facing = facing.reshape(len(angle), -1)
-    rising = (facing[:-1] < 0) != (facing[1:] < 0)
-    out = []
-    for k in range(len(OUTLINE_MM)):
-        cells = np.flatnonzero(rising[:, k])
-        up = [c for c in cells if (facing[c + 1, k] > facing[c, k]) == bool(side)]
-        out.append((angle[up[0]], angle[up[0] + 1]))
-    a, b = np.array(out).T
+    facing = _facing(nail, sight, np.tile(s_mm, len(angle)), np.repeat(angle, len(s_mm))).reshape(len(angle), -1)
+    turns = ((facing[:-1] < 0) != (facing[1:] < 0)) & ((facing[1:] > facing[:-1]) == bool(side))
+    first = turns.argmax(axis=0)
+    a, b = angle[first], angle[first + 1]
     for _ in range(40):
         middle = (a + b) / 2
-        same = (_facing(nail, sight, OUTLINE_MM, middle) < 0) == (_facing(nail, sight, OUTLINE_MM, a) < 0)
+        same = (_facing(nail, sight, s_mm, middle) < 0) == (_facing(nail, sight, s_mm, a) < 0)
         a, b = np.where(same, middle, a), np.where(same, b, middle)
-    return _surface(nail, OUTLINE_MM, a)
+    return _surface(nail, s_mm, a)
 
 
 def rim(nail: DistalNail, hole: int, end: int) -> np.ndarray:
@@ -158,3 +153,9 @@ def scored(hole: Hole, nail: DistalNail, time_s: float = 0.0) -> Trial:
     return Trial(
         float(off), float(np.rad2deg(np.arcsin(np.linalg.norm(np.cross(axis, hole.direction))))), square, time_s
     )
+
+
+def ends_of_outlines(nail: DistalNail, sight: Sight, reach_mm: float) -> np.ndarray:
+    """Return the pixels (2, 2, 2) of both outlines, `reach_mm` to either side of the first hole."""
+    at = np.array([-reach_mm, reach_mm])
+    return np.stack([sight.project(outline(nail, sight, side, at)) for side in (0, 1)])

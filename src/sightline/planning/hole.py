@@ -20,7 +20,7 @@ from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_999, ellipsoid_factor
 from sightline.geometry.lines import nearest_approach
 from sightline.planning.directions import across, unit
-from sightline.planning.hole_result import Hole, Nail
+from sightline.planning.hole_result import Hole, HolePose, Nail
 from sightline.planning.results import error_unknown
 from sightline.planning.sights import Sights
 
@@ -93,16 +93,22 @@ class HoleSeen:
         return (*self.outlines, self.entry, self.exit)
 
 
-def fit_hole(views: Sequence[CalibratedView], seen: Sequence[HoleSeen], nail: Nail | None = None) -> Hole:
+def fit_hole(
+    views: Sequence[CalibratedView],
+    seen: Sequence[HoleSeen],
+    nail: Nail | None = None,
+    start: HolePose | None = None,
+) -> Hole:
     """Return the axis of a hole from its edges in two or more views (`seen`, in the order of the views).
 
+    `start`: about where it is; by default from the edges.
     Raises UnusableInputError; ErrorUnknownError where a view's error is unknown; OutsideRegionError; and
     ReconstructionRefusedError for views less than 20° apart, one rim only, holes of another nail, and a nail that is
     bent beyond the model.
     """
     nail = nail or Nail()
     points = _Points.of(views, seen)
-    kept, solved = _without_outliers(points, _fitted(points, _start(points, nail), nail), nail)
+    kept, solved = _without_outliers(points, _fitted(points, _start(points, nail, start), nail), nail)
     _refuse_one_rim(points, kept)
     _refuse_another(solved, nail)
     ends, by_parameters = _ends(solved.state)
@@ -111,7 +117,8 @@ def fit_hole(views: Sequence[CalibratedView], seen: Sequence[HoleSeen], nail: Na
         entry_mm=ends[:3],
         exit_mm=ends[3:],
         covariance_mm2=by_parameters @ solved.covariance @ by_parameters.T,
-        nail_direction=unit(solved.state[_ALONG]),
+        nail_mm=solved.state[_NAIL],
+        nail_direction=solved.state[_ALONG],
         given=counts,
         kept=points.counts(kept),
         checks=(
@@ -380,7 +387,7 @@ def _anchored(state: np.ndarray) -> np.ndarray:
     return out
 
 
-def _start(points: _Points, nail: Nail) -> np.ndarray:
+def _start(points: _Points, nail: Nail, pose: HolePose | None) -> np.ndarray:
     """Return a first state (17,). Raises ReconstructionRefusedError for views that determine none."""
     focal_mm, on_plane_mm = points.rays(points.measured)
     rays = unit(on_plane_mm - focal_mm)
@@ -392,14 +399,6 @@ def _start(points: _Points, nail: Nail) -> np.ndarray:
             f"the views are {np.rad2deg(apart[i, j]):.0f}° apart (at least {np.rad2deg(MIN_ANGLE_RAD):.0f}° is needed "
             "for the direction of a hole); turn the C-arm further for one of them"
         )
-    planes = np.array([_middle_plane(points, rays, v) for v in (i, j)])
-    along = np.cross(*planes)
-    if np.linalg.norm(along) < np.sin(MIN_ANGLE_RAD) / 2:
-        raise ReconstructionRefusedError(
-            "the nail lies in the plane of both beams, where two images do not determine its axis; turn the C-arm "
-            "around the nail, not along it"
-        )
-    along = unit(along)
     rims = points.kind >= _ENTRY
     everything = np.ones(len(rims), dtype=bool)
     for name, shown in zip(points.names, points.counts(everything)[:, _ENTRY:].sum(axis=1), strict=True):
@@ -409,31 +408,46 @@ def _start(points: _Points, nail: Nail) -> np.ndarray:
                 "needed): the beam crosses the hole too obliquely, or metal hides it; turn the C-arm towards the hole"
             )
     _refuse_one_rim(points, everything)
+    sizes = np.array([nail.hole_mm, nail.diameter_mm, nail.diameter_mm]) / 2
+    if pose is not None:
+        return _anchored(np.concatenate([pose.nail_mm, pose.along, pose.hole_mm, pose.axis, np.zeros(2), sizes]))
+    focal = focal_mm[[np.flatnonzero(points.view == v)[0] for v in (i, j)]]
     middles = [unit(rays[rims & (points.view == v)].mean(axis=0)) for v in (i, j)]
-    focal = [focal_mm[points.view == v][0] for v in (i, j)]
     middle = nearest_approach(focal[0], middles[0], focal[1], middles[1]).middle_mm
-    on_planes = np.linalg.solve(
-        np.vstack([planes, along]), [*(planes * np.array(focal)).sum(axis=1), float(along @ middle)]
-    )
+    outlines = [[rays[(points.view == v) & (points.kind == kind)] for kind in (0, 1)] for v in (i, j)]
+    on_nail, along = nail_line(focal, outlines, middle)
     first = unit(across(beams[0], along))
     angle = np.deg2rad(np.arange(-90.0, 90.0, 5.0))[:, None]  # the entry is towards the first view's source
     axes = np.cos(angle) * first + np.sin(angle) * np.cross(along, first)
-    sizes = np.array([nail.hole_mm, nail.diameter_mm, nail.diameter_mm]) / 2
     states = np.zeros((len(axes), 17))
-    states[:, _NAIL] = states[:, _HOLE] = on_planes
+    states[:, _NAIL] = states[:, _HOLE] = on_nail
     states[:, _ALONG], states[:, _AXIS], states[:, _SIZES] = along, axes, sizes
     return states[
         int(np.median(np.abs(_residuals(states, focal_mm, on_plane_mm, points.kind)[:, rims]), axis=1).argmin())
     ]
 
 
-def _middle_plane(points: _Points, rays: np.ndarray, view: int) -> np.ndarray:
-    """Return the unit normal (3,) of the plane through a focal point and the nail's axis, halfway between outlines."""
-    normals = []
-    for kind in (0, 1):
-        own = (points.view == view) & (points.kind == kind)
-        normals.append(np.linalg.svd(rays[own])[2][2])
-    return unit(normals[0] + np.sign(normals[0] @ normals[1]) * normals[1])
+def nail_line(
+    focal_mm: np.ndarray, outlines: Sequence[Sequence[np.ndarray]], near_mm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the point (3,) of a nail's axis level with `near_mm` (3,), and the unit vector (3,) along it.
+
+    From the unit rays (M, 3) of both outlines in two views, with focal points (2, 3): the plane halfway between two
+    outlines contains the axis. Raises ReconstructionRefusedError where the planes do not determine it.
+    """
+    planes = []
+    for both in outlines:
+        first, second = (np.linalg.svd(rays)[2][2] for rays in both)
+        planes.append(unit(first + np.sign(first @ second) * second))
+    along = np.cross(*planes)
+    if np.linalg.norm(along) < np.sin(MIN_ANGLE_RAD) / 2:
+        raise ReconstructionRefusedError(
+            "the nail lies in the plane of both beams, where two images do not determine its axis; turn the C-arm "
+            "around the nail, not along it"
+        )
+    along = unit(along)
+    offsets = [*(np.array(planes) * focal_mm).sum(axis=1), float(along @ near_mm)]
+    return np.linalg.solve(np.vstack([*planes, along]), offsets), along
 
 
 def _ends(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -36,19 +36,33 @@ class Nail:
             raise UnusableInputError("a nail is of 'titanium' or 'steel', and its sizes have a positive s.d.")
 
 
+@dataclass(frozen=True, eq=False)
+class HolePose:
+    """Where a hole and its nail are, CFCS: a point (3,) and a unit vector (3,) of each axis.
+
+    The hole's axis points away from the X-ray source of the first view.
+    """
+
+    nail_mm: np.ndarray
+    along: np.ndarray
+    hole_mm: np.ndarray
+    axis: np.ndarray
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Hole(Shown):
     """The axis of a hole, CFCS. Look at `checks` before you use it.
 
     `entry_mm`, `exit_mm` (3,): where the axis crosses the nail's surface; the entry is nearer to the X-ray source of
-    the first view. `covariance_mm2` (6, 6): of (entry, exit). `nail_direction` (3,): unit vector along the nail at the
-    hole. `given`, `kept` (V, 4) int: for each view the points of both outlines, entry rim and exit rim, and how many of
-    them the fit kept.
+    the first view. `covariance_mm2` (6, 6): of (entry, exit). `nail_mm`, `nail_direction` (3,): the point of the nail's
+    axis nearest to the hole's, and the unit vector along it there. `given`, `kept` (V, 4) int: for each view the points
+    of both outlines, entry rim and exit rim, and how many of them the fit kept.
     """
 
     entry_mm: np.ndarray
     exit_mm: np.ndarray
     covariance_mm2: np.ndarray
+    nail_mm: np.ndarray
     nail_direction: np.ndarray
     given: np.ndarray
     kept: np.ndarray
@@ -63,6 +77,11 @@ class Hole(Shown):
     def direction(self) -> np.ndarray:
         """(3,) unit vector from entry to exit."""
         return unit(self.exit_mm - self.entry_mm)
+
+    @property
+    def pose(self) -> HolePose:
+        """Both axes, without their errors."""
+        return HolePose(self.nail_mm, self.nail_direction, self.middle_mm, self.direction)
 
     @property
     def passed(self) -> bool:

@@ -1,0 +1,229 @@
+"""Edges of a metal tube and of a hole through it, sub-pixel: the known shape of the metal is shifted to fit profiles.
+
+The light beyond an edge follows from the length in metal, so that an edge is where the metal begins, wherever the light
+falls most steeply.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d, map_coordinates
+
+from sightline.errors import UnusableInputError, WireRefusedError
+from sightline.imaging import Radiograph
+
+# Attenuation at 40, 50 and 60 keV, 1/mm, and the energies' shares behind 20 cm of tissue, as in wire_model.py
+# [physics.md, C-arm; calc].
+PER_MM = {"steel": (3.03, 1.60, 1.01), "titanium": (0.941, 0.527, 0.328)}
+_SHARE = np.array([0.22, 0.39, 0.39])
+_BLURS_PX = (0.7, 1.0, 1.5, 2.2)  # s.d. of detector and focal spot that are tried
+_STEP_PX = 0.5  # of samples along a profile
+# S.d. of errors that the points of one edge share, from blur and scatter that differ from the model, px [twin].
+OUTLINE_COMMON_PX, RIM_COMMON_PX = 0.15, 0.2
+_MODEL_PX = 0.1  # s.d. of each point without noise: structure beside the edge [twin]
+# Variance of a fit over that of independent samples, 0.5 px apart: of an outline's piece, and of a rim's point [twin].
+_CORRELATED, _CORRELATED_RIM = 4.0, 10.0
+_OUTLINE_REACH, _OUTLINE_WINDOW = 8.0, 8.0  # px: how far a stroke may be off, and what is fitted to either side
+_PIECE_PX = 16.0  # length of edge for each point
+_MIN_PIECES = 5
+_FAR_OFF = 4.0  # s.d. from the parabola through an outline's points
+_RIM_WINDOW_PX = 6.0
+_CONTRAST = (0.4, 2.0)  # of a rim's point, over the median of all
+_MAX_SHIFT_PX = 5.0
+_TANGENTIAL_PX = (-1.0, 0.0, 1.0)  # profiles beside each other that are averaged
+
+
+@dataclass(frozen=True, eq=False)
+class MetalEdge:
+    """Points of one edge: `uv_px` (N, 2), `variance_px2` (N,) across it; `common_px`: s.d. of what all points share."""
+
+    uv_px: np.ndarray
+    variance_px2: np.ndarray
+    common_px: float
+
+
+@dataclass(frozen=True)
+class Tube:
+    """A tube as an image shows it: outer diameter and bore, px; scale, mm/px; "titanium" or "steel"."""
+
+    diameter_px: float
+    bore_px: float
+    mm_per_px: float
+    material: str
+
+
+class RimsExpected(Protocol):
+    """Points of rims in an image, and the lengths in metal on profiles across them."""
+
+    @property
+    def uv_px(self) -> np.ndarray:
+        """(N, 2)."""
+        ...
+
+    @property
+    def normal(self) -> np.ndarray:
+        """(N, 2) unit vectors, towards metal."""
+        ...
+
+    @property
+    def metal_mm(self) -> np.ndarray:
+        """(N, M) at offsets along the normal."""
+        ...
+
+
+def transmission(metal_mm: np.ndarray, material: str) -> np.ndarray:
+    """Return the share (...) of the primary light behind lengths (...) of metal. Raises UnusableInputError."""
+    if material not in PER_MM:
+        raise UnusableInputError(f"there is no metal {material!r}; there are: {', '.join(PER_MM)}")
+    out = np.zeros(np.shape(metal_mm))
+    for per_mm, share in zip(PER_MM[material], _SHARE, strict=True):
+        out += share * np.exp(-per_mm * metal_mm)
+    return out
+
+
+def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray, tube: Tube) -> MetalEdge:
+    """Return the edge of a tube along a stroke of two clicks (2, 2), at most 8 px away; the tube lies towards
+    `inside_px` (2,).
+
+    Raises UnusableInputError; WireRefusedError where there is no edge.
+    """
+    first, last = np.asarray(stroke_px, dtype=np.float64)
+    length = float(np.linalg.norm(last - first))
+    pieces = int(length / _PIECE_PX)
+    if not np.isfinite(length) or pieces < _MIN_PIECES:
+        raise UnusableInputError(
+            f"a stroke along the nail is {length:.0f} px long (at least {_MIN_PIECES * _PIECE_PX:.0f} px are needed); "
+            "draw it longer"
+        )
+    along = (last - first) / length
+    normal = np.array([-along[1], along[0]])
+    normal *= np.sign((np.asarray(inside_px) - first) @ normal)
+    s = (np.arange(pieces) + 0.5) * length / pieces
+    reach = _OUTLINE_REACH + _OUTLINE_WINDOW + 2.0
+    t = np.arange(-reach, reach + _STEP_PX / 2, _STEP_PX)
+    beside = np.arange(-_PIECE_PX / 2 + 0.5, _PIECE_PX / 2)
+    at = first + (s[:, None] + beside)[:, :, None, None] * along + t[:, None] * normal
+    profiles = _light(image, at).mean(axis=1)
+    offset, variance = min((_outline_offsets(profiles, t, tube, blur) for blur in _BLURS_PX), key=lambda o: o[2])[:2]
+    kept = np.isfinite(offset)
+    for _ in range(3):
+        if kept.sum() < _MIN_PIECES:
+            raise WireRefusedError("no edge of a nail lies along a stroke; draw it along the edge, within 8 px")
+        rest = offset - np.polynomial.Polynomial.fit(s[kept], offset[kept], 2)(s)
+        spread = max(1.4826 * float(np.median(np.abs(rest[kept]))), _MODEL_PX)
+        kept = np.isfinite(offset) & (np.abs(rest) < _FAR_OFF * spread)
+    variance = np.maximum(variance, spread**2)[kept]
+    uv = first + s[kept, None] * along + offset[kept, None] * normal
+    return MetalEdge(uv, variance, OUTLINE_COMMON_PX)
+
+
+def find_rims(image: Radiograph, expected: RimsExpected, offsets_px: np.ndarray, material: str) -> "RimsFound":
+    """Return the expected rims where the image shows them, at most 5 px away; points that it does not show are NaN."""
+    uv, normal = expected.uv_px, expected.normal
+    if not len(uv):
+        return RimsFound(uv, np.zeros(0))
+    tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
+    beside = np.array(_TANGENTIAL_PX)[:, None, None, None] * tangent[:, None]
+    seen = _light(image, uv[:, None] + offsets_px[:, None] * normal[:, None] + beside).mean(axis=0)
+    sharp = transmission(expected.metal_mm, material)
+    window = np.abs(offsets_px) <= _RIM_WINDOW_PX
+    shift, variance, _ = min((_rim_shifts(seen, sharp, offsets_px, window, blur) for blur in _BLURS_PX), key=_badness)
+    return RimsFound(uv + shift[:, None] * normal, variance)
+
+
+@dataclass(frozen=True, eq=False)
+class RimsFound:
+    """`uv_px` (N, 2), NaN where not seen; `variance_px2` (N,) across the rim."""
+
+    uv_px: np.ndarray
+    variance_px2: np.ndarray
+
+    def edge(self, chosen: np.ndarray) -> MetalEdge:
+        """Return the points that are `chosen` (N,) and seen."""
+        kept = chosen & np.isfinite(self.uv_px[:, 0])
+        return MetalEdge(self.uv_px[kept], self.variance_px2[kept], RIM_COMMON_PX)
+
+
+def agreement(image: Radiograph, uv_px: np.ndarray, metal_mm: np.ndarray, material: str) -> np.ndarray:
+    """Return the correlation (K,) of the light at pixels (..., 2) with that behind lengths in metal (K, ...)."""
+    seen = _light(image, uv_px).ravel()
+    model = transmission(metal_mm, material).reshape(len(metal_mm), -1)
+    seen, model = seen - seen.mean(), model - model.mean(axis=1, keepdims=True)
+    return model @ seen / np.maximum(np.linalg.norm(model, axis=1) * np.linalg.norm(seen), 1e-12)
+
+
+def _light(image: Radiograph, uv_px: np.ndarray) -> np.ndarray:
+    """Return the stored values (...) at pixels (..., 2), bilinear; the border repeats."""
+    low = np.clip(np.floor(uv_px.reshape(-1, 2).min(axis=0)).astype(int) - 1, 0, None)
+    high = np.ceil(uv_px.reshape(-1, 2).max(axis=0)).astype(int) + 2
+    part = image.pixels[low[1] : high[1], low[0] : high[0]].astype(np.float64)
+    if min(part.shape) < 2:
+        raise UnusableInputError("a click lies outside the image; click the nail again")
+    at = np.moveaxis(uv_px - low, -1, 0)[::-1]
+    return map_coordinates(part, at, order=1, mode="nearest")
+
+
+def _outline_offsets(profiles: np.ndarray, t: np.ndarray, tube: Tube, blur_px: float) -> tuple[np.ndarray, ...]:
+    """Return offsets (P,) of the edge in profiles (P, T), NaN where there is none, their variance, and a cost."""
+    half = round(_OUTLINE_WINDOW / _STEP_PX)
+    u = _STEP_PX * np.arange(-half, half + 1)
+    fine = np.arange(-_OUTLINE_WINDOW - 8.0, _OUTLINE_WINDOW + 8.0, 0.1)
+    inside = np.clip(fine, 0.0, None)
+    chord = 2 * np.sqrt(np.maximum(inside * (tube.diameter_px - inside), 0.0))
+    deep = np.clip(inside - (tube.diameter_px - tube.bore_px) / 2, 0.0, None)
+    chord -= 2 * np.sqrt(np.maximum(deep * (tube.bore_px - deep), 0.0))
+    blurred = gaussian_filter1d(transmission(chord * tube.mm_per_px, tube.material), blur_px / 0.1)
+    model, slope = (np.interp(u, fine, column) for column in (blurred, np.gradient(blurred, 0.1)))
+    basis = np.stack([np.ones_like(u), model, u * model], axis=-1)
+    away = np.eye(len(u)) - basis @ np.linalg.pinv(basis)
+    starts = np.arange(len(t) - len(u) + 1)
+    windows = profiles[:, starts[:, None] + np.arange(len(u))]
+    cost = ((windows @ away) ** 2).sum(axis=-1)
+    light = windows @ np.linalg.pinv(basis)[1]
+    falls = light > 0.3 * np.median(light.max(axis=1))
+    best = np.where(falls, cost, np.inf).argmin(axis=1)
+    found = np.isfinite(np.where(falls, cost, np.inf).min(axis=1))
+    middle = t[starts + half][best]
+    full = np.column_stack([basis, -slope])
+    solver = np.linalg.pinv(full)
+    offset = middle
+    for _ in range(3):
+        own = np.stack([np.interp(o + u, t, row) for o, row in zip(offset, profiles, strict=True)])
+        fit = own @ solver.T
+        step = np.clip(fit[:, 3] / np.where(np.abs(fit[:, 1]) > 1e-9, fit[:, 1], 1e-9), -1.0, 1.0)
+        offset = offset + step
+    rest = ((own - fit @ full.T) ** 2).sum(axis=1)
+    variance = _CORRELATED * rest / (len(u) - 4) * (solver[3] ** 2).sum() / np.maximum(fit[:, 1] ** 2, 1e-12)
+    found &= np.abs(offset - middle) < 2.0
+    return (
+        np.where(found, offset, np.nan),
+        variance + _MODEL_PX**2,
+        float(np.median(rest[found])) if found.any() else np.inf,
+    )
+
+
+def _rim_shifts(
+    seen: np.ndarray, sharp: np.ndarray, offsets_px: np.ndarray, window: np.ndarray, blur_px: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return shifts (N,) of profiles of light against those of the model, NaN where they disagree, and variances."""
+    model = gaussian_filter1d(sharp, blur_px / (offsets_px[1] - offsets_px[0]), axis=1, mode="nearest")
+    shift = np.zeros(len(seen))
+    for _ in range(3):
+        moved = np.stack([np.interp(offsets_px - d, offsets_px, row) for d, row in zip(shift, model, strict=True)])
+        slope = np.gradient(moved, offsets_px, axis=1)
+        basis = np.stack([np.ones_like(moved), moved, -slope], axis=-1)[:, window]
+        normal = np.swapaxes(basis, 1, 2) @ basis + 1e-9 * np.eye(3)
+        inverse = np.linalg.inv(normal)
+        fit = np.einsum("nij,nmj,nm->ni", inverse, basis, seen[:, window])
+        light = np.where(np.abs(fit[:, 1]) > 1e-9, fit[:, 1], 1e-9)
+        shift = shift + np.clip(fit[:, 2] / light, -1.5, 1.5)
+    rest = ((seen[:, window] - np.einsum("nmj,nj->nm", basis, fit)) ** 2).sum(axis=1)
+    variance = _CORRELATED_RIM * rest / (window.sum() - 3) * inverse[:, 2, 2] / light**2 + _MODEL_PX**2
+    usual = float(np.median(light)) if len(light) else 1.0
+    shown = (light > _CONTRAST[0] * usual) & (light < _CONTRAST[1] * usual) & (np.abs(shift) < _MAX_SHIFT_PX)
+    return np.where(shown, shift, np.nan), variance, float(np.median(rest)) if len(rest) else 0.0
+
+
+def _badness(fit: tuple[np.ndarray, np.ndarray, float]) -> float:
+    return fit[2]

@@ -1,0 +1,122 @@
+"""From clicks in images to the hole of a nail: outlines along strokes, then both rims about a click in each image."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.calibration import CalibratedView
+from sightline.detection.metal_edges import MetalEdge, Tube, agreement, find_outline, find_rims
+from sightline.errors import ReconstructionRefusedError, UnusableInputError
+from sightline.geometry.lines import nearest_approach
+from sightline.imaging import Radiograph
+from sightline.planning import Hole, HoleSeen, Nail, fit_hole
+from sightline.planning.directions import unit
+from sightline.planning.hole import nail_line
+from sightline.planning.hole_expected import (
+    OFFSETS_PX,
+    LocalCamera,
+    expected_rims,
+    hole_candidates,
+    metals_mm,
+    patch_px,
+)
+from sightline.planning.hole_result import HolePose
+
+_ROUNDS = 2  # of expected rims, edges and fit
+_MIN_AGREEMENT = 0.5  # correlation of the best candidate with the images [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class FoundNail:
+    """A nail's outlines found in two images, and its axis: a point (3,) and a unit vector (3,), CFCS."""
+
+    views: tuple[CalibratedView, ...]
+    images: tuple[Radiograph, ...]
+    nail: Nail
+    outlines: tuple[tuple[MetalEdge, MetalEdge], ...]
+    cameras: tuple[LocalCamera, ...]
+    point_mm: np.ndarray
+    along: np.ndarray
+
+
+def find_nail(
+    views: Sequence[CalibratedView],
+    images: Sequence[Radiograph],
+    strokes_px: np.ndarray,
+    nail: Nail | None = None,
+) -> FoundNail:
+    """Return a nail's outlines along strokes (2, 2, 2, 2): for each of two views, for each edge, two clicks (u, v).
+
+    The strokes are at most 8 px from the edges, and both reach past the hole that is clicked next. Raises
+    UnusableInputError, WireRefusedError, ReconstructionRefusedError, OutsideRegionError.
+    """
+    nail, strokes = nail or Nail(), np.asarray(strokes_px, dtype=np.float64)
+    if len(views) != 2 or len(images) != 2 or strokes.shape != (2, 2, 2, 2) or not np.isfinite(strokes).all():
+        raise UnusableInputError(
+            "a nail is found in two views with their images and finite strokes of the shape (2, 2, 2, 2); got "
+            f"{len(views)} views, {len(images)} images and {strokes.shape}"
+        )
+    lines = [view.lines_of_sight(own.mean(axis=(0, 1))[None]) for view, own in zip(views, strokes, strict=True)]
+    middle = nearest_approach(
+        lines[0].focal_point_mm, lines[0].directions[0], lines[1].focal_point_mm, lines[1].directions[0]
+    ).middle_mm
+    cameras = tuple(LocalCamera.of(view, middle) for view in views)
+    outlines = tuple(_outlines(*one, nail, middle) for one in zip(images, strokes, cameras, strict=True))
+    focal = np.array([camera.focal_mm for camera in cameras])
+    rays = [[camera.rays(edge.uv_px) for edge in both] for camera, both in zip(cameras, outlines, strict=True)]
+    point, along = nail_line(focal, rays, middle)
+    return FoundNail(tuple(views), tuple(images), nail, outlines, cameras, point, along)
+
+
+def find_hole(found: FoundNail, clicks_px: np.ndarray) -> Hole:
+    """Return the hole of a nail near a click (u, v) in each view, (2, 2), a few pixels off.
+
+    Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError, ErrorUnknownError.
+    """
+    clicks = np.asarray(clicks_px, dtype=np.float64)
+    if clicks.shape != (2, 2) or not np.isfinite(clicks).all():
+        raise UnusableInputError(f"give one finite click (u, v) in each of two views; got the shape {clicks.shape}")
+    pose = _best(found, hole_candidates(found.cameras, found.point_mm, found.along, clicks))
+    for _ in range(_ROUNDS):
+        seen = [_seen(found, v, pose) for v in range(2)]
+        hole = fit_hole(found.views, seen, found.nail, pose)
+        pose = hole.pose
+    return hole
+
+
+def _outlines(
+    image: Radiograph, strokes: np.ndarray, camera: LocalCamera, nail: Nail, at_mm: np.ndarray
+) -> tuple[MetalEdge, MetalEdge]:
+    ray = unit(at_mm - camera.focal_mm)
+    aside = np.linalg.svd(ray[None])[2][1]
+    px_per_mm = float(np.linalg.norm(camera.project(at_mm + aside) - camera.project(at_mm)))
+    tube = Tube(nail.diameter_mm * px_per_mm, nail.bore_mm * px_per_mm, 1 / px_per_mm, nail.material)
+    first, second = strokes
+    return (
+        find_outline(image, first, second.mean(axis=0), tube),
+        find_outline(image, second, first.mean(axis=0), tube),
+    )
+
+
+def _best(found: FoundNail, candidates: list[HolePose]) -> HolePose:
+    """Return the candidate that looks most like the images. Raises ReconstructionRefusedError."""
+    middle = candidates[len(candidates) // 2].hole_mm
+    total = np.zeros(len(candidates))
+    for camera, image in zip(found.cameras, found.images, strict=True):
+        uv = patch_px(camera, middle, found.nail)
+        metal = metals_mm(camera.focal_mm, camera.rays(uv), candidates, found.nail)
+        total += agreement(image, uv, metal, found.nail.material) / len(found.images)
+    if total.max() < _MIN_AGREEMENT:
+        raise ReconstructionRefusedError(
+            f"the images do not look like a hole near the clicks (correlation {total.max():.2f}, at least "
+            f"{_MIN_AGREEMENT} is needed): the beams cross the hole too obliquely, or there is none; click the middle "
+            "of the bright lens, or turn the C-arm towards the hole"
+        )
+    return candidates[int(total.argmax())]
+
+
+def _seen(found: FoundNail, v: int, pose: HolePose) -> HoleSeen:
+    expected = expected_rims(found.cameras[v], pose, found.nail)
+    rims = find_rims(found.images[v], expected, OFFSETS_PX, found.nail.material)
+    return HoleSeen(found.outlines[v], rims.edge(~expected.is_exit), rims.edge(expected.is_exit))

@@ -1,0 +1,175 @@
+"""What a nail with a hole should look like in an image, near a point: lengths in metal, and the rims of the open lens.
+
+Near a point every view is a perspective camera: its matrix is fitted to the projections of points around it, so that
+many rays cost little.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.calibration.view import CalibratedView
+from sightline.errors import ReconstructionRefusedError
+from sightline.geometry.lines import nearest_approach
+from sightline.planning.directions import across, unit
+from sightline.planning.hole_result import HolePose, Nail
+
+_CUBE_MM = 8.0  # half the side of the cube around a point in which a camera is fitted [ours]
+_AROUND = 30  # points of each rim, 4 px apart
+OFFSETS_PX = np.arange(-9.0, 9.25, 0.5)  # samples across a rim
+_ROLLS_RAD = np.deg2rad(np.arange(-40.0, 41.0, 5.0))  # of the hole about the nail, from the mean beam
+_ALONG_MM = np.array([-0.6, 0.0, 0.6])  # of the hole along the nail, from the clicks
+_PATCH = 1.3  # half the side of the patch that is compared, hole radii
+_PATCH_CELLS = 17
+MAX_CLICK_MM = 2.0  # between the hole's places along the nail in the two views: holes are 25 mm apart [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class LocalCamera:
+    """A view near a point: pixels (u w, v w, w) = `matrix` (3, 4) times (x, y, z, 1)."""
+
+    matrix: np.ndarray
+
+    @staticmethod
+    def of(view: CalibratedView, at_mm: np.ndarray) -> "LocalCamera":
+        """Return the camera that a view is near a point (3,). Raises OutsideRegionError."""
+        grid = np.stack(np.meshgrid(*3 * [[-1.0, 0.0, 1.0]], indexing="ij"), axis=-1).reshape(-1, 3)
+        uv = view.project(at_mm + _CUBE_MM * grid)
+        middle, scale = uv.mean(axis=0), uv.std()
+        x = np.column_stack([grid, np.ones(len(grid))])
+        rows = np.zeros((2 * len(grid), 12))
+        rows[::2, :4] = rows[1::2, 4:8] = x
+        rows[::2, 8:], rows[1::2, 8:] = (-x * column[:, None] for column in ((uv - middle) / scale).T)
+        own = np.linalg.svd(rows)[2][-1].reshape(3, 4)
+        own = own * np.sign(own[2, 3])
+        to_grid = np.vstack([np.column_stack([np.eye(3), -at_mm]) / _CUBE_MM, [0.0, 0.0, 0.0, 1.0]])
+        to_pixels = np.array([[scale, 0.0, middle[0]], [0.0, scale, middle[1]], [0.0, 0.0, 1.0]])
+        return LocalCamera(to_pixels @ own @ to_grid)
+
+    @property
+    def focal_mm(self) -> np.ndarray:
+        """(3,) where the rays meet."""
+        return -np.linalg.solve(self.matrix[:, :3], self.matrix[:, 3])
+
+    def project(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Return the pixels (..., 2) of points (..., 3)."""
+        out = xyz_mm @ self.matrix[:, :3].T + self.matrix[:, 3]
+        return out[..., :2] / out[..., 2:]
+
+    def rays(self, uv_px: np.ndarray) -> np.ndarray:
+        """Return the unit vectors (..., 3) of the rays of pixels (..., 2), away from the source."""
+        inverse = np.linalg.inv(self.matrix[:, :3])
+        return unit(uv_px @ inverse[:, :2].T + inverse[:, 2])
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedRims:
+    """Points of both rims that bound the open lens in an image.
+
+    `uv_px` (N, 2); `normal` (N, 2): unit vectors away from the lens; `is_exit` (N,) bool; `metal_mm` (N, M): lengths in
+    metal on the rays at OFFSETS_PX (M,) along the normal.
+    """
+
+    uv_px: np.ndarray
+    normal: np.ndarray
+    is_exit: np.ndarray
+    metal_mm: np.ndarray
+
+
+def expected_rims(camera: LocalCamera, pose: HolePose, nail: Nail) -> ExpectedRims:
+    """Return the boundary of the lens that a view should show."""
+    points, outward = (np.concatenate(both) for both in zip(*(_rim(pose, nail, s) for s in (-1.0, 1.0)), strict=True))
+    is_exit = np.repeat([False, True], _AROUND)
+    open_there = metal_mm(camera.focal_mm, unit(points - 0.02 * outward - camera.focal_mm), pose, nail) < 1e-6
+    points, outward, is_exit = points[open_there], outward[open_there], is_exit[open_there]
+    uv = camera.project(points)
+    tangent = unit(camera.project(points + 0.01 * np.cross(pose.axis, outward)) - uv)
+    normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
+    normal *= np.sign((normal * (camera.project(points + 0.01 * outward) - uv)).sum(axis=1))[:, None]
+    across_px = uv[:, None] + OFFSETS_PX[:, None] * normal[:, None]
+    return ExpectedRims(uv, normal, is_exit, metal_mm(camera.focal_mm, camera.rays(across_px), pose, nail))
+
+
+def metal_mm(focal_mm: np.ndarray, rays: np.ndarray, pose: HolePose, nail: Nail) -> np.ndarray:
+    """Return the lengths (...) in the nail's metal on rays (..., 3): its tube, less its hole."""
+    return metals_mm(focal_mm, rays, [pose], nail)[0]
+
+
+def metals_mm(focal_mm: np.ndarray, rays: np.ndarray, poses: Sequence[HolePose], nail: Nail) -> np.ndarray:
+    """Return `metal_mm` (K, ...) of K poses of one nail."""
+    outer, bore = (
+        _span(focal_mm, rays, (poses[0].nail_mm, poses[0].along), d / 2) for d in (nail.diameter_mm, nail.bore_mm)
+    )
+    whole = _length(outer) - _length(bore)
+    out = np.empty((len(poses), *whole.shape))
+    for k, pose in enumerate(poses):
+        hole = _span(focal_mm, rays, (pose.hole_mm, pose.axis), nail.hole_mm / 2)
+        out[k] = whole - _length(outer, hole) + _length(bore, hole)
+    return out
+
+
+def hole_candidates(
+    cameras: Sequence[LocalCamera], nail_mm: np.ndarray, along: np.ndarray, clicks_px: Sequence[np.ndarray]
+) -> list[HolePose]:
+    """Return poses of a hole near a click in each view, with any roll about the nail that shows a lens.
+
+    Raises ReconstructionRefusedError where the clicks are on two holes.
+    """
+    rays = [camera.rays(np.asarray(uv)) for camera, uv in zip(cameras, clicks_px, strict=True)]
+    on_nail = [
+        nearest_approach(nail_mm, along, camera.focal_mm, ray).first_mm
+        for camera, ray in zip(cameras, rays, strict=True)
+    ]
+    places = np.array([(point - nail_mm) @ along for point in on_nail])
+    if np.ptp(places) > MAX_CLICK_MM:
+        raise ReconstructionRefusedError(
+            f"the clicks are {np.ptp(places):.1f} mm apart along the nail (at most {MAX_CLICK_MM:.0f} mm): they are on "
+            "two different holes; click the same hole in all images"
+        )
+    first = unit(across(np.sum(rays, axis=0), along))
+    axes = np.cos(_ROLLS_RAD)[:, None] * first + np.sin(_ROLLS_RAD)[:, None] * np.cross(along, first)
+    points = nail_mm + (places.mean() + _ALONG_MM)[:, None] * along
+    return [HolePose(point, along, point, axis) for point in points for axis in axes]
+
+
+def patch_px(camera: LocalCamera, at_mm: np.ndarray, nail: Nail) -> np.ndarray:
+    """Return a square grid of pixels (n, n, 2) that contains the hole at a point (3,)."""
+    middle = camera.project(at_mm)
+    aside = np.linalg.svd(camera.rays(middle)[None])[2][1]
+    reach = _PATCH * float(np.linalg.norm(camera.project(at_mm + nail.hole_mm / 2 * aside) - middle))
+    steps = np.linspace(-reach, reach, _PATCH_CELLS)
+    return middle + np.stack(np.meshgrid(steps, steps), axis=-1)
+
+
+def _rim(pose: HolePose, nail: Nail, side: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return points of the entry (-1) or exit (1) rim, and directions away from the hole's axis, (_AROUND, 3) each."""
+    angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    first = unit(across(pose.along, pose.axis))
+    outward = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * np.cross(pose.axis, first)
+    start = pose.hole_mm + nail.hole_mm / 2 * outward
+    axes = np.broadcast_to(pose.axis, start.shape)
+    near, far = _span(start, axes, (pose.nail_mm, pose.along), nail.diameter_mm / 2)
+    return start + (far if side > 0 else near)[:, None] * pose.axis, outward
+
+
+def _span(
+    origin_mm: np.ndarray, rays: np.ndarray, line: tuple[np.ndarray, np.ndarray], radius_mm: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where rays (..., 3) enter and leave a cylinder about a line, mm from their origin; enter > leave: not."""
+    point, along = line
+    start = origin_mm - point
+    cosine, beside = rays @ along, start @ along
+    a, b = 1 - cosine**2, (rays * start).sum(-1) if start.ndim > 1 else rays @ start
+    b = b - cosine * beside
+    inside = b * b - a * ((start * start).sum(-1) - beside**2 - radius_mm**2)
+    root = np.sqrt(np.maximum(inside, 0.0))
+    return np.where(inside > 0, (-b - root) / a, 1e9), np.where(inside > 0, (-b + root) / a, -1e9)
+
+
+def _length(*spans: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return the length (...) that all spans have in common."""
+    first, last = spans[0]
+    for near, far in spans[1:]:
+        first, last = np.maximum(first, near), np.minimum(last, far)
+    return np.maximum(last - first, 0.0)
