@@ -293,7 +293,7 @@ def test_a_plan_rests_on_two_calibrated_views(copied: Path) -> None:
         entry = case.entry(9)
         again = Recomputed(case)
         pair = case.entry(4), case.entry(3)
-        with pytest.raises(CaseError, match="two calibrated views, not on calibrated and labelled"):
+        with pytest.raises(CaseError, match="two calibrated views or more, not on calibrated and labelled"):
             stages.record_planned(case, pair, PlanRequest.of(entry.content["asked"]), again.plan(entry), by=Actor.APP)
 
 

@@ -7,31 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from tests.three import BLOCK, draw_three
 
 import sightline as sl
 from sightline.calibration import BeadView
 from sightline.calibration.together import calibrate_together
-from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan, reconstruct
 from sightline.studies.scenes import measure
-from sightline.twin import SetUp, draw_setup
+from sightline.twin import SetUp
 from sightline.twin.carm import BEAMS
 
-BLOCK = Frame.load("block60")
-# About the middle of the hip: entry, end and three landmarks.
-POINTS_MM = np.array(
-    [[24.8, 19.2, -7.2], [-17.6, -20.8, 8.8], [-20.0, -12.0, 9.0], [14.0, 22.0, -11.0], [8.0, -19.0, 16.0]]
-)
 BALL_PX, PICK_PX, SHIFT_MM, OFF_MM = 0.1, 0.5, 2.0, 1.0
 
 
 def _scene(rng: np.random.Generator) -> tuple[SetUp, tuple[BeadView, ...], np.ndarray]:
     """A set-up with three views, their calibration, and the points (5, 3)."""
-    while True:
-        setup = draw_setup(rng, BLOCK, views=BEAMS)
-        xyz = setup.hip_mm + POINTS_MM
-        if all(view.in_field(view.project(xyz), 10.0).all() for view in setup.views.values()):
-            break
+    setup, xyz = draw_three(rng)
     seen = measure(rng, setup, BALL_PX)
     chain = next(iter(setup.views.values())).intensifier.chain
     c_arm = sl.CArm(chain.sdd_mm, chain.field_mm / chain.shape[1])

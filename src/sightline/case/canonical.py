@@ -3,6 +3,7 @@
 from dataclasses import fields, is_dataclass
 from hashlib import sha256
 from json import dumps
+from math import isnan
 from typing import Any
 
 from sightline.errors import CaseError
@@ -36,3 +37,13 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     to_list = getattr(value, "tolist", None)  # numpy arrays and scalars have it
     return value if to_list is None else to_list()
+
+
+def with_null(value: Any) -> Any:
+    """Return `plain(value)` with None for NaN, as of a pick in an image that does not show the point."""
+    value = plain(value)
+    if isinstance(value, dict):
+        return {name: with_null(one) for name, one in value.items()}
+    if isinstance(value, list):
+        return [with_null(one) for one in value]
+    return None if isinstance(value, float) and isnan(value) else value

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.case.canonical import digest, plain
+from sightline.case.canonical import digest, plain, with_null
 from sightline.case.documents import check_document, view_document
 from sightline.case.views import CalibratedImage
 from sightline.checks import Limits
@@ -20,16 +20,17 @@ from sightline.planning.check_start import Landmarks
 from sightline.planning.procedures.files import kept
 
 Pair = tuple[CalibratedImage, CalibratedImage]
+Images = tuple[CalibratedImage, ...]  # of a plan: PA, lateral, and the third where there is one
 
 
 @dataclass(frozen=True, eq=False)
 class PlanRequest:
-    """The inputs of a plan besides its views.
+    """The inputs of a plan besides its V views.
 
-    `entry_uv_px`, `end_uv_px`: (2, 2) picks, one row per view. `landmarks_uv_px`: (2, L, 2) or None, with L
-    `landmark_names` or none. `kind`: the key of a procedure, None for a free wire; `procedure`: the content of its
-    file where that is not shipped. `limits`: set where they replace those of the procedure. See `planning.plan` for
-    the others.
+    `entry_uv_px`, `end_uv_px`: (V, 2) picks, one row per view. `landmarks_uv_px`: (V, L, 2) or None, with L
+    `landmark_names` or none; NaN where a view does not show a point. `kind`: the key of a procedure, None for a free
+    wire; `procedure`: the content of its file where that is not shipped. `limits`: set where they replace those of the
+    procedure. See `planning.plan` for the others.
     """
 
     entry_uv_px: np.ndarray
@@ -57,19 +58,22 @@ class PlanRequest:
             return replace(request, kind=None, landmark_names=())
         return request if request.aids is None else replace(request, aids=Aids.of(document["aids"]))
 
-    def plan(self, views: Pair) -> Plan:
-        """Make the plan on both calibrated images, PA first. Raises what `planning.plan` raises."""
+    def plan(self, views: Sequence[CalibratedImage]) -> Plan:
+        """Make the plan on the calibrated images, PA first. Raises what `planning.plan` raises."""
         return self.plan_on([image.view for image in views])
 
     def plan_on(self, views: Sequence[CalibratedView], curve: Callable[..., MatchingCurve] = matching_curve) -> Plan:
-        """Make the plan on two calibrated views, PA first. Raises what `planning.plan` raises."""
+        """Make the plan on calibrated views, PA first. Raises what `planning.plan` raises."""
+        landmarks = self.landmarks_uv_px
         return plan(
             views,
-            np.asarray(self.entry_uv_px),
-            np.asarray(self.end_uv_px),
+            np.array(self.entry_uv_px, dtype=np.float64),
+            np.array(self.end_uv_px, dtype=np.float64),
             pick_sd_px=self.pick_sd_px,
             snapped=self.snapped,
-            landmarks_uv_px=None if self.landmarks_uv_px is None else np.reshape(self.landmarks_uv_px, (2, -1, 2)),
+            landmarks_uv_px=None
+            if landmarks is None
+            else np.array(landmarks, dtype=np.float64).reshape(len(views), -1, 2),
             landmark_names=self.landmark_names,
             kind=self.known_kind,
             side=self.side,
@@ -97,7 +101,7 @@ class CheckRequest:
         before, after = (np.reshape(known[key], (2, -1, 2)) for key in ("planned_uv_px", "checked_uv_px"))
         return CheckRequest(document["wire_mm"], Landmarks(before, after, known["sd_px"]))
 
-    def shot(self, made: Plan, planned: Pair, checked: Pair) -> CheckShot:
+    def shot(self, made: Plan, planned: Sequence[CalibratedImage], checked: Sequence[CalibratedImage]) -> CheckShot:
         """Find the wire in both check images and compare it with the plan.
 
         Raises CaseError if a check view is a table of beads, and what `find_planned_wire` and `check_shot` raise.
@@ -150,9 +154,9 @@ def calibrated(image: CalibratedImage) -> dict[str, Any]:
 
 def planned(asked: PlanRequest, made: Plan) -> dict[str, Any]:
     """Return the content of a planned entry: the request, the picks as they were used, and the plan."""
-    used = [[pick.uv_px for pick in point] for point in made.picks]
+    used = [[with_null(pick.uv_px) for pick in point] for point in made.picks]
     return {
-        "asked": asked,
+        "asked": with_null(asked),
         "used_uv_px": {"entry": used[0], "end": used[1]},
         **made.document(),
         "checks": [check_document(check) for check in made.verdict.checks],

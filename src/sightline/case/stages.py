@@ -9,7 +9,7 @@ from sightline.bounded import read_bounded
 from sightline.case import contents
 from sightline.case.contents import CheckRequest, PlanRequest
 from sightline.case.journal import Actor, Case, Entry, Kind
-from sightline.case.views import CalibratedImage
+from sightline.case.views import NAMES, CalibratedImage, stated_view
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError
 from sightline.frame import Frame
@@ -136,16 +136,16 @@ def record_seen(case: Case, acquired: Entry, image: CalibratedImage, *, frame_re
     return record_calibrated(case, labelled, image, by=by)
 
 
-def record_planned(case: Case, views: tuple[Entry, Entry], asked: PlanRequest, made: Plan, *, by: Actor) -> Entry:
+def record_planned(case: Case, views: Sequence[Entry], asked: PlanRequest, made: Plan, *, by: Actor) -> Entry:
     """Record a plan that `asked.plan` made on the calibrated views, PA first. Raises CaseError."""
     kinds = [view.kind for view in views]
-    if kinds != [Kind.CALIBRATED, Kind.CALIBRATED]:
-        raise CaseError(f"a plan rests on two calibrated views, not on {' and '.join(kinds)}")
+    if set(kinds) != {Kind.CALIBRATED} or len(kinds) < len(NAMES):
+        raise CaseError(f"a plan rests on two calibrated views or more, not on {' and '.join(kinds)}")
     return case.record(Kind.PLANNED, contents.planned(asked, made), by=by, rests_on=[view.number for view in views])
 
 
 def record_verified(
-    case: Case, plan: Entry, views: tuple[Entry, Entry], asked: CheckRequest, found: CheckShot | str, *, by: Actor
+    case: Case, plan: Entry, views: Sequence[Entry], asked: CheckRequest, found: CheckShot | str, *, by: Actor
 ) -> Entry:
     """Record the check shot that `asked.shot` measured in two more calibrated views, PA first, or why it was refused.
 
@@ -164,6 +164,14 @@ def acquired_of(case: Case, entry: Entry) -> Entry:
     while entry.kind is not Kind.ACQUIRED:
         entry = case.entry(entry.rests_on[0])
     return entry
+
+
+def view_of_acquired(case: Case, acquired: Entry, image: Radiograph) -> str | None:
+    """Return the view that an acquired image was labelled as last, else what its file states (`stated_view`)."""
+    for entry in reversed(case.entries(Kind.LABELLED, acquired.number)):
+        if acquired_of(case, entry).number == acquired.number:
+            return str(entry.content["view"])
+    return stated_view(image)
 
 
 def calibrated_of(case: Case, acquired: int) -> Entry:

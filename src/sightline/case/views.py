@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from math import acos, cos, radians, sin
 from pathlib import Path
 
 from sightline.calibration import BeadView, CArm
@@ -10,12 +11,34 @@ from sightline.case.journal.originals import anonymous_name
 from sightline.detection import Detections, Observations
 from sightline.detection.detections_csv import are_detections, label_csv
 from sightline.detection.files import read_observations
-from sightline.errors import ObservationsError, UnusableInputError
+from sightline.errors import FrameError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, read_image
 from sightline.pipeline import find_beads, known_arm, label_beads, view_of
 
 NAMES = ("pa", "lateral")  # every pair of views is in this order
+OBLIQUE = "oblique"  # a third image, after the pair
+ALL_NAMES = (*NAMES, OBLIQUE)
+
+
+# A beam this near to an axis of the patient is called by it; farther from both than _OBLIQUE_RAD it is oblique [ours].
+_NEAR_RAD, _OBLIQUE_RAD = radians(25.0), radians(30.0)
+
+
+def stated_view(image: Radiograph) -> str | None:
+    """Return the view that the C-arm's angles in the image's file name; None where they are missing or between two.
+
+    Plates tell their view; an image of a solid does not, so that this name or a person's is needed.
+    """
+    primary, secondary = image.tags.primary_angle_deg, image.tags.secondary_angle_deg
+    if primary is None:
+        return None
+    to_left, tilt = radians(primary), cos(radians(secondary or 0.0))
+    off = {"pa": acos(min(1.0, abs(tilt * cos(to_left)))), "lateral": acos(min(1.0, abs(tilt * sin(to_left))))}
+    nearest = min(off, key=lambda name: off[name])
+    if off[nearest] <= _NEAR_RAD:
+        return nearest
+    return OBLIQUE if off[nearest] >= _OBLIQUE_RAD else None
 
 
 def spoken(view: str) -> str:
@@ -46,7 +69,7 @@ class CalibratedImage:
 
     @property
     def name(self) -> str:
-        """ "pa" or "lateral"."""
+        """ "pa", "lateral" or "oblique"."""
         return self.view.name
 
 
@@ -105,6 +128,27 @@ def see_pair(pa: Path, lateral: Path, frame: Frame, *, invert: bool = False) -> 
     )
 
 
+def takes_oblique(frame: Frame) -> bool:
+    """Return True if the frame can be seen in a third image: plates are seen in the images of their own views only."""
+    return frame.solid is not None or OBLIQUE in frame.views
+
+
+def see_oblique(path: Path, frame: Frame, *, invert: bool = False) -> ObservedView:
+    """Observe the third image of a set-up, or its observations in CSV.
+
+    Raises FrameError for a frame with plates for two views, and what reading raises.
+    """
+    if not takes_oblique(frame):
+        raise FrameError(
+            f"a third image cannot be calibrated with frame {frame.name!r}, whose plates are for the views "
+            f"{' and '.join(frame.views)} only; plan on two images, or use a block such as block60, which every image "
+            "shows"
+        )
+    return (
+        _from_csv(path, OBLIQUE, frame) if path.suffix.lower() == ".csv" else see(path, frame, OBLIQUE, invert=invert)
+    )
+
+
 def calibrated(
     seen: ObservedView,
     frame: Frame,
@@ -119,22 +163,31 @@ def calibrated(
 
 
 def calibrate_pair(
-    pair: Sequence[ObservedView],
+    pair: Sequence[ObservedView], frame: Frame, method: Method, mirrored: Collection[str] = (), **known: float | None
+) -> tuple[CalibratedImage, CalibratedImage]:
+    """Calibrate both views as `calibrate_images` does."""
+    first, second = calibrate_images(pair, frame, method, mirrored, **known)
+    return first, second
+
+
+def calibrate_images(
+    seen: Sequence[ObservedView],
     frame: Frame,
     method: Method,
     mirrored: Collection[str] = (),
     *,
     source_detector_mm: float | None = None,
     pixel_mm: float | None = None,
-) -> tuple[CalibratedImage, CalibratedImage]:
-    """Calibrate both views, each from its own beads.
+) -> tuple[CalibratedImage, ...]:
+    """Calibrate views, each from its own beads.
 
     `mirrored`: the views whose display a person saw to be mirrored. `source_detector_mm`, `pixel_mm`: of the C-arm; see
     `known_arm`. Raises UnusableInputError, and what `calibrate` raises.
     """
-    if unknown := sorted(set(mirrored) - set(NAMES)):
-        raise UnusableInputError(f"{unknown[0]!r} is not a view; name pa or lateral as mirrored")
-    first, second = (
+    names = [one.observations.view for one in seen]
+    if unknown := sorted(set(mirrored) - set(names)):
+        raise UnusableInputError(f"{unknown[0]!r} is not a view; name {' or '.join(names)} as mirrored")
+    return tuple(
         calibrated(
             s,
             frame,
@@ -142,6 +195,5 @@ def calibrate_pair(
             known_arm(s.image, source_detector_mm, pixel_mm),
             mirrored_display=s.observations.view in mirrored or None,
         )
-        for s in pair
+        for s in seen
     )
-    return first, second

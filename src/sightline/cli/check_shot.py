@@ -10,7 +10,7 @@ from sightline.checks import failed
 from sightline.cli.calibrate import PixelSize, Sid
 from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet, example
-from sightline.cli.plan import Mirrored, both_or_none, image_numbers, pair_of
+from sightline.cli.plan import Mirrored, both_or_none, image_numbers, images_of
 from sightline.cli.points import CHECK_VIEWS, FoundAgain, parse_found_again
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def check_shot(
         points = [parse_found_again(text) for text in landmark or ()]
         from sightline.case.contents import CheckRequest
         from sightline.case.journal import Actor, Case, Kind
-        from sightline.case.pairs import record_pair
+        from sightline.case.pairs import record_images
         from sightline.case.replay import Recomputed
         from sightline.case.stages import frame_of, record_verified
         from sightline.case.views import calibrate_pair
@@ -77,10 +77,10 @@ def check_shot(
             again = Recomputed(opened)
             made, planned = again.plan(entry), again.images(entry)
         with output.step("finding and labelling the beads"):
-            pair = pair_of(output, opened, files, frame, invert=invert, after=entry.number)
+            taken = images_of(output, opened, files, frame, invert=invert, after=entry.number)
         with output.step("calibrating both views (smooth)"):
-            images = calibrate_pair(pair.seen, frame, "smooth", mirrored or (), source_detector_mm=sid, pixel_mm=pixel)
-        views = record_pair(opened, pair, images, frame, by=Actor.COMMAND)
+            images = calibrate_pair(taken.seen, frame, "smooth", mirrored or (), source_detector_mm=sid, pixel_mm=pixel)
+        views = record_images(opened, taken, images, frame, by=Actor.COMMAND)
         check = CheckRequest(made.kind.wire_mm, landmarks)
         try:
             with output.step("finding the wire"):
@@ -100,14 +100,17 @@ def check_shot(
 
 
 def _landmarks(points: list[FoundAgain], names: list[str], picked: Any, sd_px: float) -> "Landmarks":
-    """Return landmarks found again; `names`, `picked` (2, L, 2): those of the plan. Raises UnusableInputError."""
+    """Return landmarks found again; `names`, `picked` (V, L, 2): those of the plan, of which the first two views count.
+
+    Raises UnusableInputError.
+    """
     import numpy as np
 
     from sightline.errors import UnusableInputError
     from sightline.planning.check_start import Landmarks
 
-    before = np.reshape(picked if picked is not None else [], (2, -1, 2))
-    known = {name: before[:, k] for k, name in enumerate(names) if name}
+    before = np.array([[], []] if picked is None else picked[:2], dtype=np.float64).reshape(2, -1, 2)
+    known = {name: before[:, k] for k, name in enumerate(names) if name and np.isfinite(before[:, k]).all()}
     for point in points:
         if point.planned is None and point.name not in known:
             raise UnusableInputError(

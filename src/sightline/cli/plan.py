@@ -1,5 +1,6 @@
-"""`sightline plan`: from two images and four picks to a trajectory, its error, and GO or NO-GO."""
+"""`sightline plan`: from two or three images and their picks to a trajectory, its error, and GO or NO-GO."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,13 +11,13 @@ from sightline.checks import failed
 from sightline.cli.calibrate import PixelSize, Sid
 from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet, example
-from sightline.cli.points import VIEWS, all_depths, parse_head, parse_landmark, parse_point, pixels
+from sightline.cli.points import OBLIQUE, VIEWS, Point, all_depths, parse_head, parse_landmark, parse_point, pixels
 
 if TYPE_CHECKING:
+    from sightline.case.contents import Images
     from sightline.case.journal import Case, Entry
-    from sightline.case.pairs import SeenPair
+    from sightline.case.pairs import SeenImages
     from sightline.case.report.content import Report
-    from sightline.case.views import CalibratedImage
     from sightline.frame import Frame
     from sightline.planning import Plan
 
@@ -24,7 +25,7 @@ Side = Literal["right", "left"]
 MethodName = Literal["smooth", "localized", "polynomial"]
 Mirrored = Annotated[
     list[str] | None,
-    typer.Option(help="View, pa or lateral, whose image is shown mirrored: writing in it reads backwards."),
+    typer.Option(help="View, such as pa, whose image is shown mirrored: writing in it reads backwards."),
 ]
 SAID = {
     "go": "GO: every check passed; a person decides",
@@ -33,7 +34,7 @@ SAID = {
 }
 PICK_HELP = (
     "In pixels: 'pa:U,V lateral:U,V'. Instead of the lateral pixel, 'depth:MM' is a point on the image-matching "
-    "curve, in mm from the PA plate towards the X-ray source."
+    "curve, in mm from the PA plate towards the X-ray source. With --oblique also 'oblique:U,V', if it shows the point."
 )
 
 
@@ -57,11 +58,19 @@ def plan(
     *,
     entry: Annotated[str, typer.Option(help=f"Entry point. {PICK_HELP}")],
     end: Annotated[str, typer.Option(help="End point, the tip of the wire; written like the entry point.")],
+    oblique: Annotated[
+        Path | None,
+        typer.Option(
+            help="A third image, taken last, from between the others: it shows movements of the patient that no pair "
+            "shows. Needs a block, and two landmarks or more picked in all images.",
+            show_default=False,
+        ),
+    ] = None,
     case: Annotated[
         Path | None,
         typer.Option(
             help="Folder of a case: record images and plan in it. Without images, plan on its newest PA and lateral "
-            "image.",
+            "image, and on its newest oblique one where picks name it.",
             show_default=False,
         ),
     ] = None,
@@ -69,7 +78,8 @@ def plan(
         list[str] | None,
         typer.Option(
             help="A point of the bone picked freely in both views: 'NAME pa:U,V lateral:U,V'. Two or more show whether "
-            "the patient moved; snapped picks do not. Names for a hip screw: head-centre, lesser-trochanter, "
+            "the patient moved; snapped picks do not. With a third image add 'oblique:U,V'; one of the three may "
+            "be left out. Names for a hip screw: head-centre, lesser-trochanter, "
             "greater-trochanter; a landmark without a name shows movement only.",
             show_default=False,
         ),
@@ -110,25 +120,26 @@ def plan(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Plan a wire on two images.
+    """Plan a wire on two images, or on three.
 
     Gives the trajectory, its 95 % error bounds and the verdict: GO, or NO-GO or INCOMPLETE (exit code 3).
     """
     with Output(json=json, quiet=quiet) as output, ExitStack() as stack:
         points = [parse_point(entry, "--entry"), parse_point(end, "--end")]
         names, landmarks = zip(*map(parse_landmark, landmark or []), strict=True) if landmark else ((), ())
+        views = _views(oblique, [*points, *landmarks], pa)
         circles = None if head is None else parse_head(head)
         snapped = snap or all_depths(points)
-        files = both_or_none(pa, lateral)
+        files = both_or_none(pa, lateral, oblique)
         if files is None and case is None:
             raise typer.BadParameter("give the PA and the lateral image, or --case", param_hint="PA LATERAL")
         import numpy as np
 
         from sightline.case.contents import PlanRequest
         from sightline.case.journal import Actor, Case
-        from sightline.case.pairs import record_pair
+        from sightline.case.pairs import record_images
         from sightline.case.stages import frame_in_use, frame_of, record_planned
-        from sightline.case.views import calibrate_pair
+        from sightline.case.views import calibrate_images
         from sightline.frame import Frame
         from sightline.planning import Aids, Circle, kind
         from sightline.planning.procedures.files import keeping
@@ -138,10 +149,10 @@ def plan(
         in_use = None if opened is None or frame is not None else frame_in_use(opened)
         known_frame = Frame.load(frame or "gamma") if opened is None or in_use is None else frame_of(opened, in_use)
         with output.step("finding and labelling the beads"):
-            pair = pair_of(output, opened, files, known_frame, invert=invert)
-        with output.step(f"calibrating both views ({method})"):
-            images = calibrate_pair(
-                pair.seen, known_frame, method, mirrored or (), source_detector_mm=sid, pixel_mm=pixel
+            taken = images_of(output, opened, files, known_frame, views, invert=invert)
+        with output.step(f"calibrating the views ({method})"):
+            images = calibrate_images(
+                taken.seen, known_frame, method, mirrored or (), source_detector_mm=sid, pixel_mm=pixel
             )
         with output.step("planning"):
             entry_px, end_px = (pixels(point, [image.view for image in images], pick_sd) for point in points)
@@ -151,7 +162,9 @@ def plan(
                 end_px,
                 pick_sd,
                 snapped,
-                landmarks_uv_px=np.reshape(landmarks, (-1, 2, 2)).swapaxes(0, 1),
+                landmarks_uv_px=np.reshape(
+                    [[point.get(view, (np.nan, np.nan)) for point in landmarks] for view in views], (len(views), -1, 2)
+                ),
                 landmark_names=names,
                 kind=known.key,
                 procedure=keeping(known),
@@ -162,9 +175,10 @@ def plan(
         document = plan_document(planned, images)
         if case is not None:
             opened = opened or stack.enter_context(Case.create(case, exist_ok=True))  # now that there is a plan
-            views = record_pair(opened, pair, images, known_frame, by=Actor.COMMAND)
-            kept = record_planned(opened, views, asked, planned, by=Actor.COMMAND)
-            document["case"] = {"number": opened.number, "entry": kept.number, "images": image_numbers(opened, views)}
+            made_on = record_images(opened, taken, images, known_frame, by=Actor.COMMAND)
+            kept = record_planned(opened, made_on, asked, planned, by=Actor.COMMAND)
+            document["case"] = {"number": opened.number, "entry": kept.number}
+            document["case"] |= {"images": image_numbers(opened, made_on, views)}
         if out is not None:
             picks = f"entry {entry}; end {end}; {pick_sd:g} px{', snapped' if snapped else ''}"
             picks += "".join(f"; landmark {text}" for text in landmark or [])
@@ -179,16 +193,33 @@ def plan(
         output.result(document, planned.verdict.checks)
 
 
-def both_or_none(pa: Path | None, lateral: Path | None) -> tuple[Path, Path] | None:
-    """Return the files of both views, or None where neither is given. Raises BadParameter where one is missing."""
+def both_or_none(pa: Path | None, lateral: Path | None, oblique: Path | None = None) -> tuple[Path, ...] | None:
+    """Return the files of both views, and of a third where it is given; None where neither of both is given.
+
+    Raises BadParameter where one of both is missing.
+    """
     if pa is not None and lateral is not None:
-        return pa, lateral
+        return (pa, lateral) if oblique is None else (pa, lateral, oblique)
     if pa is not None:
         raise typer.BadParameter("the lateral image is missing; give both images", param_hint="LATERAL")
     return None
 
 
-def case_of(stack: ExitStack, folder: Path, files: tuple[Path, Path] | None) -> "Case | None":
+def _views(oblique: Path | None, picked: Sequence[Point], pa: Path | None) -> tuple[str, ...]:
+    """Return the names of the views to plan on: a third where its image or a pick in it is given.
+
+    Raises BadParameter where one is given without the other images, or picked without its image.
+    """
+    if oblique is not None and pa is None:
+        raise typer.BadParameter("give the PA and the lateral image with it", param_hint="--oblique")
+    if all(OBLIQUE not in point for point in picked):
+        return VIEWS if oblique is None else (*VIEWS, OBLIQUE)
+    if oblique is None and pa is not None:
+        raise typer.BadParameter("points are picked in an oblique image; give its file", param_hint="--oblique")
+    return (*VIEWS, OBLIQUE)
+
+
+def case_of(stack: ExitStack, folder: Path, files: tuple[Path, ...] | None) -> "Case | None":
     """Return the case in a folder, open until the stack ends; None where files are given and there is none yet.
 
     Raises CaseError.
@@ -198,38 +229,40 @@ def case_of(stack: ExitStack, folder: Path, files: tuple[Path, Path] | None) -> 
     return stack.enter_context(Case.open(folder)) if files is None or Case.exists(folder) else None
 
 
-def pair_of(
+def images_of(
     output: Output,
     case: "Case | None",
-    files: tuple[Path, Path] | None,
+    files: tuple[Path, ...] | None,
     frame: "Frame",
+    views: Sequence[str] = VIEWS,
     *,
     invert: bool,
     after: int = 0,
-) -> "SeenPair":
-    """Return the images of the files, or the newest of the case after entry `after`; say which were skipped.
+) -> "SeenImages":
+    """Return the images of the files, or the newest of these views in the case after entry `after`; say which were
+    skipped.
 
-    Raises what `given_pair` and `newest_pair` raise.
+    Raises what `given_images` and `newest_images` raise.
     """
-    from sightline.case.pairs import given_pair, newest_pair
+    from sightline.case.pairs import given_images, newest_images
 
     if files is not None:
-        return given_pair(files, frame, invert=invert)
+        return given_images(files, frame, invert=invert)
     assert case is not None  # noqa: S101 - without files there is a case
-    pair = newest_pair(case, frame, after=after, invert=invert)
-    for line in pair.skipped:
+    taken = newest_images(case, frame, views, after=after, invert=invert)
+    for line in taken.skipped:
         output.note(line)
-    return pair
+    return taken
 
 
-def image_numbers(case: "Case", views: "tuple[Entry, Entry]", names: tuple[str, str] = VIEWS) -> dict[str, int]:
-    """Return the numbers of the entries that acquired the images of two calibrated views, by name."""
+def image_numbers(case: "Case", views: "Sequence[Entry]", names: Sequence[str]) -> dict[str, int]:
+    """Return the numbers of the entries that acquired the images of calibrated views, by name."""
     from sightline.case.stages import acquired_of
 
     return {name: acquired_of(case, view).number for name, view in zip(names, views, strict=True)}
 
 
-def plan_document(planned: "Plan", images: "tuple[CalibratedImage, CalibratedImage]") -> dict[str, Any]:
+def plan_document(planned: "Plan", images: "Images") -> dict[str, Any]:
     """Return the plan as JSON types."""
     from sightline.case.documents import view_document
 
@@ -267,7 +300,7 @@ def _called(key: str, name: str) -> str:
     return key if name == f"{key} point" else f"{key} ({name})"
 
 
-def _report(planned: "Plan", images: "tuple[CalibratedImage, CalibratedImage]", frame: "Frame", picks: str) -> "Report":
+def _report(planned: "Plan", images: "Images", frame: "Frame", picks: str) -> "Report":
     from sightline.case.report import exposures
     from sightline.case.report.content import Report
 

@@ -1,4 +1,4 @@
-"""Points and circles as people write them on the command line: 'pa:U,V lateral:U,V'."""
+"""Points and circles as people write them on the command line: 'pa:U,V lateral:U,V', with a third image oblique:U,V."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,10 +10,11 @@ if TYPE_CHECKING:
 
 Point = dict[str, tuple[float, ...]]
 VIEWS, CHECK_VIEWS = ("pa", "lateral"), ("check-pa", "check-lateral")
+OBLIQUE = "oblique"  # a third image
 
 
 def parse_point(text: str, option: str) -> Point:
-    """Return the numbers of 'pa:U,V lateral:U,V' or 'pa:U,V depth:MM' by name.
+    """Return the numbers of 'pa:U,V lateral:U,V' or 'pa:U,V depth:MM' by name; of a third image also 'oblique:U,V'.
 
     The depth, mm, is counted along the line of sight from the PA view's XRII plate towards the X-ray source.
     Raises UnusableInputError.
@@ -21,10 +22,11 @@ def parse_point(text: str, option: str) -> Point:
     from sightline.errors import UnusableInputError
 
     out = _numbers(text)
-    if _lengths(out) not in ({"pa": 2, "lateral": 2}, {"pa": 2, "depth": 1}):
+    third = dict.fromkeys({OBLIQUE} & out.keys(), 2)
+    if _lengths(out) not in ({"pa": 2, "lateral": 2} | third, {"pa": 2, "depth": 1} | third):
         raise UnusableInputError(
             f"{option} {text!r} is not a point; write 'pa:U,V lateral:U,V' in pixels (for example "
-            "'pa:512.3,401.8 lateral:498.0,377.2'), or 'pa:U,V depth:MM'"
+            "'pa:512.3,401.8 lateral:498.0,377.2'), or 'pa:U,V depth:MM'; of a third image add 'oblique:U,V'"
         )
     return out
 
@@ -41,17 +43,23 @@ def parse_head(text: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return found["pa"], found["lateral"]
 
 
-def parse_landmark(text: str) -> tuple[str, list[tuple[float, ...]]]:
-    """Return the name of 'NAME pa:U,V lateral:U,V', "" without one, and both pixels. Raises UnusableInputError."""
+def parse_landmark(text: str) -> tuple[str, Point]:
+    """Return the name of 'NAME pa:U,V lateral:U,V', "" without one, and its pixels by view.
+
+    With a third image, 'oblique:U,V', one of the three may be left out. Raises UnusableInputError.
+    """
     from sightline.errors import UnusableInputError
 
     name, rest = _named(text)
+    point = _numbers(rest)
+    if OBLIQUE in point and len(point) == 2 and _lengths(point) == dict.fromkeys({*VIEWS, OBLIQUE} & point.keys(), 2):
+        return name, point
     point = parse_point(rest, "--landmark")
     if "depth" in point:
         raise UnusableInputError(
             f"--landmark {text!r} states a depth; a landmark is picked freely in both views: 'pa:U,V lateral:U,V'"
         )
-    return name, [point["pa"], point["lateral"]]
+    return name, point
 
 
 @dataclass(frozen=True)
@@ -95,7 +103,7 @@ def all_depths(points: Sequence[Point]) -> bool:
 
 
 def pixels(point: Point, views: "Sequence[CalibratedView]", pick_sd_px: float) -> Any:
-    """Return the pixels (2, 2) of a point, a row for each view.
+    """Return the pixels (V, 2) of a point, a row for each view; NaN in a third one that does not show it.
 
     A depth (`MatchingCurve.depth_mm`) is replaced by the lateral pixel of the image-matching curve at that depth.
     Raises UnusableInputError for a depth outside the curve, and what `matching_curve` raises.
@@ -105,9 +113,9 @@ def pixels(point: Point, views: "Sequence[CalibratedView]", pick_sd_px: float) -
     from sightline.errors import UnusableInputError
     from sightline.planning import Pick, matching_curve
 
-    first = np.array(point["pa"])
+    first, third = np.array(point["pa"]), [point.get(view.name, (np.nan, np.nan)) for view in views[2:]]
     if "lateral" in point:
-        return np.array([first, point["lateral"]])
+        return np.array([first, point["lateral"], *third])
     pick = Pick.free(first, pick_sd_px)
     curve = matching_curve(views[0], pick.uv_px, views[1], pick.covariance_px2)
     depth, (low, high) = point["depth"][0], (curve.depth_mm[0], curve.depth_mm[-1])
@@ -116,7 +124,7 @@ def pixels(point: Point, views: "Sequence[CalibratedView]", pick_sd_px: float) -
             f"give a depth from {low:.0f} to {high:.0f} mm, counted from the PA view's XRII plate towards the X-ray "
             f"source; {depth:g} mm is outside the lateral view"
         )
-    return np.array([first, [np.interp(depth, curve.depth_mm, curve.uv_px[:, k]) for k in range(2)]])
+    return np.array([first, [np.interp(depth, curve.depth_mm, curve.uv_px[:, k]) for k in range(2)], *third])
 
 
 def _named(text: str) -> tuple[str, str]:

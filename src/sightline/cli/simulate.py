@@ -49,6 +49,9 @@ def simulate(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 1,
     frame: Annotated[str, typer.Option(help="A frame file, gamma, biplane, stereo or block60.")] = "gamma",
+    oblique: Annotated[
+        bool, typer.Option("--oblique", help="Add a third image between PA and lateral; needs a block.")
+    ] = False,
     side: Annotated[SideName, typer.Option(help="Side of the hip.")] = "right",
     dose: Annotated[DoseName, typer.Option(help="1, 8 or 32 frames of fluoroscopy.")] = "medium",
     at: Annotated[
@@ -113,7 +116,7 @@ def simulate(
         stated = tags if tags is not None else designed.solid is not None
         chain = chain_called(preset or chain_for(designed))
         as_made = None if frame_errors is None else with_errors(designed, np.random.default_rng(frame_errors))
-        machine = SetUpSpec(designed, side, chain.name, as_made)
+        machine = SetUpSpec(designed, side, chain.name, as_made, oblique)
         place = None if at is None else np.array(_place(at))
         rng = np.random.default_rng(seed)
         with output.step("drawing the set-up"):

@@ -33,6 +33,12 @@ if TYPE_CHECKING:
 
 _DRAWN_POINTS = 21  # [ours] along the wire: it bends with the image's distortion
 
+# Of two images; with a third the check "movement" says which movements it does not show.
+_PAIR = (
+    "No two images show a movement of the bone in the plane of both beams: take a third, oblique image, which "
+    "shows it. It needs a block, since plates are seen in two views only."
+)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Plotted):
@@ -116,8 +122,8 @@ class Plan(Plotted):
 
     def sentences(self) -> list[str]:
         """Return what else a reader must know: errors that no check shows, other wires, and the implant that fits."""
-        fits = self.implant
-        return [*self.along_sentences(), *self.kind.sentences(), *([] if fits is None else [fits.sentence])]
+        fits, pair = self.implant, [_PAIR] if len(self.views) == 2 else []
+        return [*self.along_sentences(), *pair, *self.kind.sentences(), *([] if fits is None else [fits.sentence])]
 
     def along_sentences(self) -> list[str]:
         """Return for entry and end a sentence on errors along their lines of sight that no check would show."""
@@ -130,6 +136,20 @@ class Plan(Plotted):
             for name, reach, picks in zip(("entry", "end"), self.noticed_mm, self.picks, strict=True)
             if np.isfinite([pick.uv_px[0] for pick in picks]).sum() == 2  # a third pick shows such an error by its gap
         ]
+
+    @property
+    def residuals_px(self) -> np.ndarray:
+        """(V, N, 2): in each view the picks of entry, end and landmarks less the projections of the points, px.
+
+        NaN where a view does not show a point."""
+        ends, landmarks = [[p.uv_px for p in point] for point in self.picks], self.arguments["landmarks_uv_px"]
+        out = np.array(ends).swapaxes(0, 1)
+        out = out if landmarks is None else np.concatenate([out, landmarks], axis=1)
+        for k, view in enumerate(adjusted_together(self.views)):
+            uv, shown = view.project_seen(self.seen.xyz_mm)
+            out[k, shown] -= uv
+            out[k, ~shown] = np.nan
+        return out
 
     def document(self) -> dict[str, Any]:
         """Return verdict, limits, trajectory and landmarks as JSON types, without the checks."""
@@ -159,9 +179,13 @@ class Plan(Plotted):
         }
 
     def landmarks_document(self) -> list[dict[str, Any]]:
-        """Return the landmarks as JSON types: place (CFCS, mm), gap; `gap_sigma` is null where an error is unknown."""
+        """Return the landmarks as JSON types: place (CFCS, mm), gap; `gap_sigma` is null where an error is unknown.
+
+        With more than two views also `residual_px` by view, null where it does not show the landmark.
+        """
         seen = self.seen
         sigma = None if seen.gap_sigma is None else seen.gap_sigma.tolist()
+        residual_px = self.residuals_px
         return [
             {
                 "name": self.landmark_names[k - len(self.picks)] or None,
@@ -169,6 +193,7 @@ class Plan(Plotted):
                 "gap_mm": float(seen.gap_mm[k]),
                 "gap_sigma": None if sigma is None else sigma[k],
             }
+            | (_by_view(self.views, residual_px[:, k]) if len(self.views) > 2 else {})
             for k in range(len(self.picks), len(seen.xyz_mm))
         ]
 
@@ -254,6 +279,11 @@ def plan(
             "method": method,
         },
     )
+
+
+def _by_view(views: Sequence[CalibratedView], residual_px: np.ndarray) -> dict[str, Any]:
+    named = zip(views, residual_px, strict=True)
+    return {"residual_px": {view.name: None if np.isnan(one).any() else one.tolist() for view, one in named}}
 
 
 def _names(kind: Procedure, landmark_names: Sequence[str], count: int) -> tuple[str, ...]:

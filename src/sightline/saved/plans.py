@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration import BeadView
 from sightline.calibration.exchange.reading import array
-from sightline.case.canonical import plain
+from sightline.case.canonical import plain, with_null
 from sightline.case.interop.bundle import bundle
 from sightline.checks import Limits
 from sightline.errors import UnusableInputError
@@ -82,22 +82,13 @@ def plan_written(plan: Plan) -> dict[str, Any]:
         "views": [_view_written(one) for one in views_of],
         "checks": plan.verdict.checks,
         "asked": {
-            **{name: _null(one) for name, one in plan.arguments.items()},
+            **with_null(dict(plan.arguments)),
             "kind": plan.kind.key,
             "procedure": keeping(plan.kind),
             "limits": limits,
         },
         **geometry,
     }
-
-
-def _null(given: Any) -> Any:
-    """Return an array with None for NaN (a pick in an image that does not show the point), others unchanged."""
-    if not isinstance(given, np.ndarray):
-        return given
-    out = given.astype(object)
-    out[np.isnan(given)] = None
-    return out
 
 
 def _view_written(view: Any) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph
 from sightline.twin.bone_scene import BONES, BoneKind, bone_document, draw_origin, placed_bone
-from sightline.twin.carm import SetUp, ViewTruth, draw_setup
+from sightline.twin.carm import BEAMS, SetUp, ViewTruth, draw_setup
 from sightline.twin.ct import ct_volumes, read_ct
 from sightline.twin.femur import Femur, draw_femur, to_cfcs
 from sightline.twin.meshes import KINDS, read_mesh
@@ -45,7 +45,8 @@ class SetUpSpec:
     `chain_for(frame)`).
 
     `made`: the frame as manufactured, whose beads deviate from those of `frame`; None: drawn for each set-up.
-    `bone`: the bone whose views are taken; None: those of a hip.
+    `bone`: the bone whose views are taken; None: those of a hip. `oblique`: with a third image of a solid, midway
+    between PA and lateral of a hip.
     """
 
     frame: Frame
@@ -53,6 +54,7 @@ class SetUpSpec:
     chain: str | None = None
     made: Frame | None = None
     bone: BoneKind | None = None
+    oblique: bool = False
 
     def draw(self, rng: np.random.Generator, points_mm: np.ndarray) -> tuple[SetUp, bool]:
         """Draw up to ATTEMPTS set-ups; return the first that shows all points (N, 3), from `SetUp.hip_mm`, in all
@@ -68,10 +70,13 @@ class SetUpSpec:
                 return setup, shown
 
     def _drawn(self, rng: np.random.Generator) -> SetUp:
+        if self.bone is not None and self.oblique:
+            raise UnusableInputError("the third image lies between the PA and the lateral view of a hip; leave it out")
         draw = draw_setup if self.bone is None else self.bone.setup
+        views = {"views": BEAMS} if self.oblique else {}
         if self.made is None:
-            return draw(rng, self.frame, side=self.side, chain=self.chain)
-        setup = draw(rng, self.made, side=self.side, chain=self.chain, frame_errors=False)
+            return draw(rng, self.frame, side=self.side, chain=self.chain, **views)
+        setup = draw(rng, self.made, side=self.side, chain=self.chain, frame_errors=False, **views)
         return replace(setup, frame=self.frame)
 
 

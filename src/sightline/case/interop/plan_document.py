@@ -113,7 +113,7 @@ class PlanDocument(_Part):
     checks: Annotated[list[CheckPart], Field(max_length=200)]
     landmarks: Annotated[list[LandmarkPart], Field(max_length=200)] = []
     frame: PlanFramePart | None = None
-    views: Annotated[list[ViewPart], Field(max_length=2)] = []
+    views: Annotated[list[ViewPart], Field(max_length=3)] = []
     plates: dict[str, dict[str, Any]] | None = None
     lines_of_sight: Annotated[list[SightPart], Field(max_length=200)] = []
     drawn: dict[str, DrawnPart] | None = None

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 from sightline.calibration import CArm
 from sightline.case import contents
 from sightline.case.canonical import plain
-from sightline.case.contents import CheckRequest, Pair, PlanRequest
+from sightline.case.contents import CheckRequest, Images, PlanRequest
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.journal.originals import short
 from sightline.case.stages import TABLE, frame_of, image_of
@@ -60,10 +60,9 @@ class Recomputed:
         """Return the plan of a planned entry."""
         return self._once(entry, lambda: PlanRequest.of(entry.content["asked"]).plan(self.images(entry)))
 
-    def images(self, entry: Entry) -> Pair:
-        """Return both calibrated images of a planned entry, PA first."""
-        first, second = (self.calibrated(self._case.entry(number)) for number in entry.rests_on)
-        return first, second
+    def images(self, entry: Entry) -> Images:
+        """Return the calibrated images of a planned entry, PA first."""
+        return tuple(self.calibrated(self._case.entry(number)) for number in entry.rests_on)
 
     def shot(self, entry: Entry) -> CheckShot | str:
         """Return the check shot of a verified entry that holds its request, or why it is refused."""

@@ -16,15 +16,15 @@ from sightline.planning import Plan
 class Report:
     """The content of the report of one plan.
 
-    `images`: PA and lateral, with the views that `plan` was made on. `localized`: both views calibrated with the
-    paper's method, for its triangles. `compared`, `truth`: only if the truth is known. `drilled`: once a robot has
+    `images`: PA, lateral and any third, with the views that `plan` was made on. `localized`: both views calibrated with
+    the paper's method, for its triangles. `compared`, `truth`: only if the truth is known. `drilled`: once a robot has
     carried out the plan. `exposures`: the known exposures of the procedure. `provenance`: how to reproduce the report,
     in words.
     """
 
     title: str
     frame: Frame
-    images: tuple[CalibratedImage, CalibratedImage]
+    images: Sequence[CalibratedImage]
     plan: Plan
     exposures: Sequence[KeptExposure]
     provenance: dict[str, str]

@@ -114,6 +114,10 @@ class LandmarkDocument(_Open):
     xyz_mm: Point
     gap_mm: float
     gap_sigma: float | None
+    residual_px: dict[str, tuple[float, float] | None] | None = Field(
+        default=None,
+        description="With three views: by view the pick less the landmark's projection; null where it was not picked.",
+    )
 
 
 class ExposureDocument(_Open):
@@ -142,7 +146,7 @@ class ReportDocument(_Open):
     versions: dict[str, str]
     provenance: dict[str, str]
     frame: FrameNamed
-    views: tuple[CalibratedViewDocument, CalibratedViewDocument]
+    views: tuple[CalibratedViewDocument, ...]
     go: bool
     verdict: State
     missing: tuple[str, ...]

@@ -13,6 +13,7 @@ from sightline.case.report.drawing.budget import budget
 from sightline.case.report.tables import POINTS, bars, budget_rows
 from sightline.case.views import CalibratedImage, spoken
 from sightline.detection import RejectedCandidate
+from sightline.planning import Pick
 
 TICK_MM = 10  # depth between ticks of an image-matching curve, as planning samples it
 BEYOND_MM = 40.0  # the close-up shows lines of sight this far to both sides of the wire
@@ -42,13 +43,14 @@ def _figure(drawing: str, caption: str) -> dict[str, Any]:
 
 
 def _plan_figures(report: Report) -> list[dict[str, Any]]:
-    """Draw the wire in both images, and the image-matching curves in the lateral one."""
+    """Draw the wire in all images, and the image-matching curves in the lateral one."""
     out = []
     for k, image in enumerate(report.images):
         if image.seen.image is None:
             continue
         words = f"{spoken(image.name)} image with the planned wire and its picks"
-        words += ", and the image-matching curves of entry and tip with their uncertainty bands" if k else ""
+        words += ", and the image-matching curves of entry and tip with their uncertainty bands" if k == 1 else ""
+        words += ", and the landmarks, each with a line to its projection" if k == 2 else ""
         drawing = radiographs.radiograph(image.seen.image, image.name, _plan_marks(report, k), words)
         out.append(_figure(drawing, _capital(words) + "."))
     return out
@@ -57,11 +59,19 @@ def _plan_figures(report: Report) -> list[dict[str, Any]]:
 def _plan_marks(report: Report, k: int) -> list[str]:
     """Return the marks of the plan in image `k`."""
     curves = (report.plan.entry_curve, report.plan.end_curve)
-    marks = [plan_marks.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)] if k else []
+    marks = [plan_marks.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)] if k == 1 else []
     marks.append(plan_marks.wire(report.images[k].view, report.plan.trajectory))
     if report.truth is not None:
         marks.append(plan_marks.truth(report.truth.uv_px[k]))
-    return marks + [plan_marks.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
+    if k == 2:
+        marks.append(plan_marks.landmarks(report.plan, k))
+    return marks + [plan_marks.pick(pair[k], name) for pair, name in _picked(report, k)]
+
+
+def _picked(report: Report, k: int) -> list[tuple[tuple[Pick, ...], str]]:
+    """Return the picks of entry and tip with their names, of those that image `k` shows."""
+    named = zip(report.plan.picks, POINTS, strict=True)
+    return [(picks, name) for picks, name in named if np.isfinite(picks[k].uv_px).all()]
 
 
 def _near_figures(report: Report) -> list[dict[str, Any]]:
@@ -70,7 +80,7 @@ def _near_figures(report: Report) -> list[dict[str, Any]]:
     for k, image in enumerate(report.images):
         if image.seen.image is None:
             continue
-        for pair, name in zip(report.plan.picks, POINTS, strict=True):
+        for pair, name in _picked(report, k):
             words = f"{spoken(image.name)} image around the {name}"
             drawing = radiographs.closeup(image.name, pair[k].uv_px, _plan_marks(report, k), words)
             out.append(_figure(drawing, _capital(words) + "."))
@@ -193,8 +203,9 @@ def _whole(report: Report) -> Iterable[scene.Shape]:
 
 def _near(report: Report) -> Iterable[scene.Shape]:
     for image in report.images:
-        focal = image.view.focal_point_mm
-        for on_plate, point in zip(_lines(report, image), report.plan.trajectory.points.xyz_mm, strict=True):
+        focal, k = image.view.focal_point_mm, list(report.images).index(image)
+        shown = [np.isfinite(picks[k].uv_px).all() for picks in report.plan.picks]
+        for on_plate, point in zip(_lines(report, image), report.plan.trajectory.points.xyz_mm[shown], strict=True):
             along = (on_plate - focal) / np.linalg.norm(on_plate - focal)
             nearest = focal + ((point - focal) @ along) * along
             yield scene.line(
@@ -207,8 +218,8 @@ def _near(report: Report) -> Iterable[scene.Shape]:
 
 def _lines(report: Report, image: CalibratedImage) -> np.ndarray:
     """Return the points (2, 3) at which the lines of sight of entry and tip meet the view's reference plane."""
-    k = report.images.index(image)
-    uv = np.array([pair[k].uv_px for pair in report.plan.picks])
+    k = list(report.images).index(image)
+    uv = np.array([pair[k].uv_px for pair, _ in _picked(report, k)]).reshape(-1, 2)
     return image.view.lines_of_sight(uv).points_mm
 
 

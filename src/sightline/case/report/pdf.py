@@ -90,7 +90,7 @@ def _drilled(page: Figure, section: dict[str, Any], y: float) -> float:
 
 def _images(report: Report) -> Figure:
     page = Figure(figsize=_A4_IN)
-    height = (_RIGHT - _LEFT) * _A4_IN[0] / _A4_IN[1] * 0.64
+    height = (_RIGHT - _LEFT) * _A4_IN[0] / _A4_IN[1] * 0.64 * min(1.0, 2 / len(report.images))
     for k, image in enumerate(report.images):
         top = _TOP - k * (height + 0.065)
         _say(page, f"{spoken(image.name)} image".capitalize() if k else f"{spoken(image.name)} image", _LEFT, top, 12)
@@ -100,7 +100,7 @@ def _images(report: Report) -> Figure:
         "Rings: beads that the calibration used. Line with dots: the planned wire from entry (large dot) to tip. "
         "Thin lines: image-matching curves of the two points."
     )
-    _lines(page, [caption], _TOP - 2 * (height + 0.065), colour=_MUTED)
+    _lines(page, [caption], _TOP - len(report.images) * (height + 0.065), colour=_MUTED)
     return page
 
 
@@ -115,6 +115,8 @@ def _image(axes: Axes, report: Report, image: CalibratedImage, k: int) -> None:
         for curve in (report.plan.entry_curve, report.plan.end_curve):
             axes.plot(*curve.uv_px.T, color=_CURVE, linewidth=0.7)
     wire = np.array([point[k].uv_px for point in report.plan.picks])
+    if np.isnan(wire).any():  # not picked in this image
+        wire = image.view.project(report.plan.trajectory.points.xyz_mm)
     axes.plot(*wire.T, color=_WIRE, linewidth=1.4)
     axes.scatter(*wire.T, s=(34, 12), color=_WIRE, zorder=3)
     if seen.image is None:

@@ -9,7 +9,7 @@ from sightline.case.report import drilled, exposures
 from sightline.case.report.comparison import Compared, Refused
 from sightline.case.report.content import Report
 from sightline.case.report.drawing.budget import Bar
-from sightline.case.views import NAMES, spoken
+from sightline.case.views import spoken
 from sightline.checks import Check, failed
 
 POINTS = ("entry", "tip")
@@ -31,6 +31,7 @@ def tables(report: Report) -> dict[str, Any]:
         "tiles": _tiles(report),
         "notes": list(_notes(report)),
         "points": _points(report),
+        "third": spoken(report.images[2].name) if len(report.images) > 2 else None,
         "comparison": _comparison(report),
         "drilled": drilled.section(report.drilled),
         "exposures": report.exposures,
@@ -41,12 +42,11 @@ def tables(report: Report) -> dict[str, Any]:
 
 def _subtitle(report: Report) -> str:
     serial = f", serial {report.frame.serial}" if report.frame.serial else ""
-    pa, lateral = report.images
-    sources = pa.seen.source if pa.seen.source == lateral.seen.source else f"{pa.seen.source} and {lateral.seen.source}"
+    sources = " and ".join(dict.fromkeys(image.seen.source for image in report.images))
     procedure = f"{report.plan.kind.name} ({report.plan.kind.fingerprint})"
     return (
-        f"Frame {report.frame.name}{serial}; {sources}; calibrated with the method {pa.view.method}; procedure: "
-        f"{procedure}"
+        f"Frame {report.frame.name}{serial}; {sources}; calibrated with the method {report.images[0].view.method}; "
+        f"procedure: {procedure}"
     )
 
 
@@ -122,7 +122,7 @@ def _notes(report: Report) -> Iterable[str]:
 
 def _points(report: Report) -> list[dict[str, Any]]:
     """Return the rows of entry, tip and landmarks."""
-    space = report.plan.seen
+    space, residual_px = report.plan.seen, np.linalg.norm(report.plan.residuals_px[-1], axis=1)
     names = [*POINTS, *(f"landmark {k + 1}" for k in range(len(space.xyz_mm) - len(POINTS)))]
     out = []
     for i, name in enumerate(names):
@@ -135,6 +135,7 @@ def _points(report: Report) -> list[dict[str, Any]]:
                 "xyz": list(zip(space.xyz_mm[i], sds, strict=True)),
                 "gap": f"{space.gap_mm[i]:.2f}{sigma}" if tested else "not tested",
                 "how": "free" if tested else "snapped to the image-matching curve",
+                "residual": "not picked" if np.isnan(residual_px[i]) else f"{residual_px[i]:.2f}",
             }
         )
     return out
@@ -198,7 +199,7 @@ def _row(one: Compared | Refused, report: Report) -> dict[str, Any]:
 
 def _checks(report: Report) -> list[dict[str, Any]]:
     """Return the checks by subject: each view after calibration, the plan, the drilling."""
-    views = {name: image.view.checks for name, image in zip(NAMES, report.images, strict=True)}
+    views = {image.name: image.view.checks for image in report.images}
     of_views = [check for checks in views.values() for check in checks]
     blocks = [(f"Calibration of the {spoken(name)} view", checks) for name, checks in views.items()]
     blocks.append(("The plan", tuple(c for c in report.plan.verdict.checks if c not in of_views)))

@@ -5,7 +5,7 @@ import numpy as np
 from sightline.calibration import CalibratedView
 from sightline.case.report.drawing import svg
 from sightline.geometry.covariance import ellipsoid_factor
-from sightline.planning import MatchingCurve, Pick, Trajectory
+from sightline.planning import MatchingCurve, Pick, Plan, Trajectory
 
 LABEL_EVERY_MM = 50.0  # depth between labelled ticks [ours]
 TICK_PX = 6.0
@@ -38,6 +38,21 @@ def pick(chosen: Pick, name: str) -> str:
     u, v = chosen.uv_px
     path = f"M{u - 14:.2f} {v:.2f}h9m10 0h9M{u:.2f} {v - 14:.2f}v9m0 10v9"
     return svg.element("path", svg.hint(f"pick: {name}"), d=path, class_="pick")
+
+
+def landmarks(plan: Plan, k: int) -> str:
+    """Draw the landmarks picked in view `k`: the pick, and a line to where all views together put the landmark.
+
+    The line's hint states its length. It is drawn to scale, so a good one is hardly visible."""
+    uv, residual = np.array(plan.arguments["landmarks_uv_px"])[k], plan.residuals_px[k, len(plan.picks) :]
+    named = zip(uv, residual, plan.landmark_names, strict=True)
+    parts = []
+    for n, ((u, v), (du, dv), name) in enumerate(named, 1):
+        if np.isfinite([u, du]).all():
+            said = svg.hint(f"{name or f'landmark {n}'}: {np.hypot(du, dv):.2f} px from its projection")
+            parts.append(svg.element("circle", said, cx=u, cy=v, r=6.0))
+            parts.append(svg.element("line", x1=u, y1=v, x2=u - du, y2=v - dv))
+    return svg.group(parts, class_="landmarks")
 
 
 def truth(uv_px: np.ndarray) -> str:

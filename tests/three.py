@@ -1,0 +1,31 @@
+"""Three images of a block on the twin's panel: PA, lateral, oblique; for tests of several rooms."""
+
+import numpy as np
+
+from sightline.frame import Frame
+from sightline.imaging import Radiograph
+from sightline.twin import SetUp, draw_setup, render
+from sightline.twin.carm import BEAMS
+from sightline.twin.specimens import tagged
+from sightline.twin.things import frame_scene
+
+BLOCK = Frame.load("block60")
+# About the middle of the hip: entry, end and three landmarks.
+POINTS_MM = np.array(
+    [[24.8, 19.2, -7.2], [-17.6, -20.8, 8.8], [-20.0, -12.0, 9.0], [14.0, 22.0, -11.0], [8.0, -19.0, 16.0]]
+)
+
+
+def draw_three(rng: np.random.Generator, chain: str | None = None) -> tuple[SetUp, np.ndarray]:
+    """A set-up with three views, and the points (5, 3), which all of them show."""
+    while True:
+        setup = draw_setup(rng, BLOCK, chain=chain, views=BEAMS)
+        xyz = setup.hip_mm + POINTS_MM
+        if all(view.in_field(view.project(xyz), 10.0).all() for view in setup.views.values()):
+            return setup, xyz
+
+
+def three_images(setup: SetUp, rng: np.random.Generator) -> dict[str, Radiograph]:
+    """The images of the block alone, with the tags that a panel writes."""
+    scene = frame_scene(setup.true_frame)
+    return {name: tagged(setup, name, render(setup, name, scene, rng)) for name in setup.views}
