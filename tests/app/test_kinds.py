@@ -37,7 +37,7 @@ def hands(server: Server, open_page: Callable[..., Page]) -> Hands:
 
 def _choose(hands: Hands, kind: str) -> None:
     hands.see("kind").click()
-    hands.page.get_by_role("option", name=kind).click()
+    hands.page.get_by_role("option", name=kind, exact=True).click()
     expect(hands.see("kind")).to_contain_text(kind)
 
 

@@ -12,7 +12,7 @@ from tests.planning import bone
 from tests.planning.standin import stand_in
 
 from sightline.app.plan.decisions import Decisions, Mark
-from sightline.app.plan.marks import END, ENTRY
+from sightline.app.plan.marks import END, ENTRY, marks_of
 from sightline.app.plan.planner import planned
 from sightline.app.session import drilling_workflow as module
 from sightline.app.session.drilling_workflow import DrillingWorkflow
@@ -24,7 +24,8 @@ from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import NAMES
 from sightline.errors import CaseError, LinkError, RobotRefusedError, UnusableInputError, WireRefusedError
 from sightline.frame import Frame
-from sightline.planning import kind
+from sightline.planning import PROCEDURES, kind
+from sightline.planning.procedures.document import LOCATED
 
 
 class _Planning(Planning):
@@ -90,6 +91,14 @@ def test_a_plan_that_the_robot_may_hold_gets_no_order_meant_for_the_one_before(
         asyncio.run(drilling.align())
 
 
+def test_a_plan_of_a_procedure_whose_file_changed_is_not_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    drilling, planning = _drilling(monkeypatch, _taken, lambda *_, **__: None)
+    planning.known.plan.kind = kind("free-wire")  # what the decisions' key named when the plan was made
+    with pytest.raises(RobotRefusedError, match="the plan changed after you confirmed it"):
+        asyncio.run(drilling.send(planning.known))
+    assert not planning.sent_is_current
+
+
 def test_a_check_shot_that_is_refused_is_recorded_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """A report repeats the last entry, which must not be that of the shot before."""
     planning: Any = SimpleNamespace(jobs=Jobs())
@@ -143,3 +152,26 @@ def test_a_plan_that_comes_out_otherwise_is_not(sent_case: tuple[Case, Decisions
     moved = (stand_in("pa", 0.41, 0.3), VIEWS[1])
     with pytest.raises(UnusableInputError, match="Send the plan again"):
         restored(case, decisions, moved)
+
+
+def test_a_plan_that_was_sent_by_another_file_of_its_procedure_is_not(sent_case: tuple[Case, Decisions]) -> None:
+    case, decisions = sent_case
+    sent = case.latest(Kind.SENT)
+    assert sent is not None
+    for fingerprint in (kind("hip-screw").fingerprint, "hip-screw#0123456789abcdef"):
+        case.record(Kind.SENT, {**sent.content, "procedure": fingerprint}, by=Actor.SURGEON)
+        if fingerprint == kind("hip-screw").fingerprint:
+            assert restored(case, decisions, VIEWS) is not None
+            continue
+        with pytest.raises(UnusableInputError, match="Send the plan again"):
+            restored(case, decisions, VIEWS)
+
+
+@pytest.mark.parametrize("key", sorted(PROCEDURES))
+def test_a_page_asks_for_what_each_procedure_names(key: str) -> None:
+    marks = marks_of(key)
+    names = [one.name for one in marks]
+    assert names[:2] == [ENTRY, END] and len(set(names)) == len(names)
+    known = PROCEDURES[key]
+    assert {one.of for one in marks} >= {one.key for one in known.landmarks}
+    assert {one.of for one in marks if one.group == "aid"} == {one.key for one in known.aids if one.key in LOCATED}

@@ -142,6 +142,13 @@ def test_the_wire_of_a_hip_screw_tells_its_side(run, planned: Path, tmp_path: Pa
     assert not (tmp_path / "out").exists()
 
 
+def test_the_wire_of_another_hip_procedure_tells_its_side(run, planned: Path, tmp_path: Path) -> None:
+    checks = [*json.loads((planned / "plan.json").read_text())["checks"], {"name": "side", "passed": True}]
+    plan = resealed(planned, tmp_path, kind="my-hip", side="left", checks=checks)
+    ran = run("export", "plan", plan, "--to", "csv", "--out", tmp_path / "out")
+    assert (ran.code, "the wire is that of a right hip" in " ".join(ran.err.split())) == (2, True)
+
+
 def test_a_side_that_nothing_confirms_is_said(run, planned: Path, tmp_path: Path) -> None:
     plan = resealed(planned, tmp_path, side=None)
     ran = run("export", "plan", plan, "--to", "csv", "--side", "left", "--out", tmp_path / "out")

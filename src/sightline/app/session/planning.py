@@ -20,6 +20,7 @@ from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError, UnusableInputError
+from sightline.planning import kind
 
 _MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned to views [ours]
 _EDITS = ("edit", "undo", "redo")
@@ -27,13 +28,15 @@ _EDITS = ("edit", "undo", "redo")
 
 class Planning:
     """Images, decisions and plan of one case. `sent`: the plan that was sent to the robot; `drilled`: set once it is
-    drilled to its depth. The listeners of `jobs` are called on every change."""
+    drilled to its depth. The listeners of `jobs` are called on every change. Raises UnusableInputError where the
+    procedure of the decisions is not found."""
 
     def __init__(self, case: Case, frame_ref: str, worker: WorkerProcess, jobs: Jobs) -> None:
         self.case, self.frame, self.worker, self.jobs = case, stages.frame_of(case, frame_ref), worker, jobs
         self.lightbox = Lightbox(case, frame_ref, worker, jobs.notify)
         changes = [entry.content for entry in case.entries(Kind.CHANGED) if entry.content["what"] in _EDITS]
         self.history = History((one["what"], None if one["to"] is None else Decisions.of(one["to"])) for one in changes)
+        kind(self.decisions.kind)  # its file may be gone: then the page could not be built
         self.sent: SentPlan | None = None
         self.drilled: DrilledWire | None = None
         self._planned: Planned | None = None

@@ -94,7 +94,8 @@ class PlanFile:
     def refuse_other_side(self, side: str) -> None:
         """Raise UnusableInputError if the plan is for the other side, as it states or as its wire shows.
 
-        The wire of a hip screw runs from the lateral cortex up into the head, so its entry lies caudal of its end.
+        A wire that is checked against the side, such as that of a hip screw, runs from the lateral cortex up into the
+        head, so its entry lies caudal of its end.
         """
         if self.side is not None and self.side != side:
             raise UnusableInputError(
@@ -103,7 +104,8 @@ class PlanFile:
             )
         entry, end = self.points_mm
         down_mm = float((entry - end) @ caudal(side))
-        if self.document.kind == "hip-screw" and down_mm < -_MIN_RISE_MM:
+        of_hip = self.document.kind == "hip-screw" or any(check.name == "side" for check in self.document.checks)
+        if of_hip and down_mm < -_MIN_RISE_MM:
             other = "left" if side == "right" else "right"
             raise UnusableInputError(
                 f"the side is given as {side}, but the wire is that of a {other} hip: in a {side} one its entry would "
