@@ -20,7 +20,7 @@ from sightline.studies.scenes import BEADS_20UM, WHOLE, TargetScene, draw_showin
 from sightline.studies.study import Plot, Values
 from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin.carm import Variation
-from sightline.twin.distributions import SolidPlace
+from sightline.twin.distributions import NEAR_PLACE, SolidPlace
 
 AIM = 0.5  # share of the way from the wire to a solid outside the skin at which the beams are aimed [ours]
 MADE = "as made"
@@ -45,8 +45,14 @@ class Kind:
     @property
     def stands(self) -> str:
         """The frame and its distance."""
-        distance = np.linalg.norm(self.at_mm or SolidPlace().solid_mm)
-        return f"{self.frame} {distance:.0f} mm away" if self.solid else self.frame
+        return f"{self.frame} {np.linalg.norm(self.place.solid_mm):.0f} mm away" if self.solid else self.frame
+
+    @property
+    def place(self) -> SolidPlace:
+        """Where a solid stands."""
+        if self.at_mm is not None:
+            return SolidPlace(self.at_mm, AIM)
+        return SolidPlace() if self.chain == "flat-panel" else NEAR_PLACE
 
     @property
     def tolerances(self) -> tuple[str, ...]:
@@ -58,10 +64,12 @@ class Kind:
         return f"{self.stands}, {DETECTORS[self.chain]}, {made}"
 
 
-# A frame with a detector plate is one more line. The last two: the nearest places outside the skin (block_places.py).
+# The last two: the nearest places outside the skin (block_places.py).
 KINDS = (
     Kind("gamma", "9in-1k"),
     Kind("biplane", "9in-1k"),
+    Kind("block30+detector-plate", "9in-1k"),
+    Kind("block60+detector-plate", "9in-1k", (40.0, 0.0, 60.0)),
     Kind("gamma", "flat-panel"),
     Kind("biplane", "flat-panel"),
     Kind("block60", "flat-panel"),
@@ -94,9 +102,8 @@ def kinds_plot(kinds: Sequence[Kind], found: dict[str, DesignResult]) -> list[Pl
 def error_of_kind(kind: Kind, sd: Tolerances, seed: int) -> Values | None:
     """Return the errors (2) of the wire's ends and the roots of the stated variances, mm; None: refused."""
     rng = np.random.default_rng(seed)
-    place = SolidPlace() if kind.at_mm is None else SolidPlace(kind.at_mm, AIM)
     frame = replace(Frame.load(kind.frame), tolerances=sd)
-    setup = draw_showing(rng, frame, WIRE_ENDS_MM, chain=kind.chain, variation=Variation(place=place))
+    setup = draw_showing(rng, frame, WIRE_ENDS_MM, chain=kind.chain, variation=Variation(place=kind.place))
     scene = TargetScene.of(setup, measure(rng, setup, BEAD_PX), setup.hip_mm + WIRE_ENDS_MM)
     picks = scene.target_px + PICK_PX * rng.standard_normal(scene.target_px.shape)
     try:
