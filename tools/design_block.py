@@ -22,17 +22,22 @@ STEP_MM = 6.0  # s.d. of a move
 
 @dataclass(frozen=True)
 class Design:
-    """A block of `size_mm` with `balls`, `large` of them of the larger diameter, `margin_mm` from the edges."""
+    """A block of `size_mm` with `balls`, `large` of them of the larger diameter, `margin_mm` from the edges.
+
+    `square`: share of the directions that are within some 8° of its edges: of a block that stands square to the beams.
+    """
 
     size_mm: tuple[float, float, float]
     balls: int
     large: int
     margin_mm: float
     seed: int
+    square: float = 0.0
 
 
 DESIGNS = {
     "block30": Design((30.0, 30.0, 50.0), balls=12, large=4, margin_mm=6.0, seed=30),
+    "block40": Design((40.0, 40.0, 40.0), balls=14, large=4, margin_mm=6.0, seed=40, square=0.6),
     "block60": Design((60.0, 60.0, 60.0), balls=16, large=5, margin_mm=6.0, seed=60),
     # 10 mm from the edges keep all balls within a 30 cm panel's field at the hip, however the cube is turned.
     "cube120": Design((120.0, 120.0, 120.0), balls=32, large=10, margin_mm=10.0, seed=120),
@@ -48,6 +53,8 @@ class Search:
         self.half = np.array(design.size_mm) / 2
         self.span = self.half - design.margin_mm
         directions = self.rng.standard_normal((DIRECTIONS, 3))
+        for k in range(round(design.square * DIRECTIONS)):
+            directions[k] = np.eye(3)[k % 3] + 0.1 * directions[k]
         self.directions = directions / np.linalg.norm(directions, axis=1)[:, None]
         self.radius = np.full(design.balls, SMALL_MM / 2)
         self.radius[: design.large] = LARGE_MM / 2

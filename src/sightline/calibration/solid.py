@@ -128,8 +128,9 @@ def adjust(solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[Pa
             return now
         now = better
     raise CalibrationRefusedError(
-        "the balls' images do not determine the views: the adjustment does not converge; check the labels, and "
-        "that the frame file describes the solid in the images"
+        "the balls' images do not determine the views: the adjustment does not converge; check the labels, that the "
+        "frame file describes the solid in the images, and that they are a flat panel's: an image intensifier needs a "
+        "plate on the detector"
     )
 
 

@@ -59,8 +59,9 @@ def self_check_solid(
     """Return the balls of a solid, estimated from 4 images or more from different directions.
 
     `frame`: its file, whose tolerances say how far the balls may be from it. Arguments else as of `calibrate_together`.
-    Raises UnusableInputError, and what `calibrate_together` raises.
+    Raises UnusableInputError, FrameError, and what `calibrate_together` raises.
     """
+    frame.refuse_plate("measure the solid alone, by images of a flat panel")
     if len(observations) < MIN_IMAGES:
         raise CalibrationRefusedError(
             f"{len(observations)} images were given; give {MIN_IMAGES} or more of the solid from different directions"

@@ -37,7 +37,8 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for the report, the images and the results.")] = Path("out/demo"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of patient, C-arm and frame.")] = SEED,
     frame: Annotated[
-        str, typer.Option(help="gamma, or a block beside the hip on a flat panel: block60, block30, cube120.")
+        str,
+        typer.Option(help="gamma; block60 or block30 on a flat panel; block40+detector-plate on an intensifier."),
     ] = "gamma",
     json: Json = False,
     quiet: Quiet = False,

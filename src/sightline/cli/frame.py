@@ -74,6 +74,7 @@ def new(
 
         from sightline.errors import FrameError
         from sightline.frame.check import check_frame
+        from sightline.frame.detector_plate import WITH_PLATE
         from sightline.frame.model import Frame
         from sightline.frame.solids import SOLIDS
         from sightline.frame.table import frame_from_csv
@@ -89,7 +90,7 @@ def new(
                 frame = frame_from_csv(csv, file.stem, diameter_mm, units)
             elif diameter_mm is not None or units is not None:
                 raise FrameError("--diameter-mm and --units hold for --csv alone; leave them out")
-            elif like in SOLIDS:
+            elif like in SOLIDS or like in WITH_PLATE:
                 if stated or datums is not None:
                     raise FrameError(f"{like} is a block without plates; leave out their values, and edit its balls")
                 frame = replace(Frame.load(like), name=file.stem)
@@ -186,6 +187,15 @@ def _document(frame: "Frame") -> dict[str, Any]:
             for role in ROLES
         ],
         "solid": None if frame.solid is None else _solid_document(frame.solid),
+        "detector": None if frame.detector is None else _detector_document(frame.detector),
+    }
+
+
+def _detector_document(plate: "Plate") -> dict[str, Any]:
+    return {
+        "beads": len(plate.ids),
+        "datums": [f.id for f in plate.fiducials if f.datum],
+        "stand_off_mm": float(plate.xyz_mm[:, 2].mean()),
     }
 
 
@@ -266,6 +276,11 @@ def _show(out: Output, frame: "Frame", document: dict[str, Any]) -> None:
     if document["solid"] is not None:
         out.say(title)
         _show_solid(out, document["solid"])
+        if (plate := document["detector"]) is not None:
+            out.say(
+                f"a plate of {plate['beads']} beads, {plate['stand_off_mm']:g} mm in front of the detector; datums "
+                + " ".join(plate["datums"])
+            )
     else:
         _show_plates(out, title, document)
     out.say(f"tolerances (1 s.d.): from {document['tolerances_from']}")

@@ -24,15 +24,17 @@ def bill_rows(parts: Sequence[Part]) -> list[tuple[str, int, str, str]]:
     if parts[0].view is None:
         rows = [("block", 1, "PMMA, cast", f"{_edges(parts)} mm, bored from six faces, drawings face*.svg")]
     else:
-        rows = [
-            (
-                f"plate {part.name}",
-                1,
-                f"PMMA, cast sheet, {part.thickness_mm:g} mm",
-                f"{part.width_mm:g} x {part.height_mm:g} mm, {len(part.bores)} bores, drawing {part.name}.svg",
-            )
-            for part in parts
-        ]
+        rows = []
+    rows += [
+        (
+            f"plate {part.name}",
+            1,
+            f"PMMA, cast sheet, {part.thickness_mm:g} mm",
+            f"{part.width_mm:g} x {part.height_mm:g} mm, {len(part.bores)} bores, drawing {part.name}.svg",
+        )
+        for part in parts
+        if part.view is not None
+    ]
     balls = Counter((b.ball.shape, b.ball.diameter_mm, b.ball.datum) for part in parts for b in part.bores)
     for (shape, diameter, datum), number in sorted(balls.items()):
         where = "datum marker" if datum else "fiducial"
@@ -101,7 +103,7 @@ def bill_page(frame: Frame, parts: Sequence[Part]) -> str:
         drapes = _DRAPES.format(clearance=DRAPE_CLEARANCE_MM, envelopes=envelopes)
         whole, parts_named, measured = "widest plate", "plates", "Mount all plates, measure them"
     else:
-        held, drapes = _BLOCK.format(bead=sd.bead_mm), ""
+        held, drapes = _BLOCK.format(bead=sd.bead_mm) + (_ON_DETECTOR if frame.detector is not None else ""), ""
         whole, parts_named, measured = "longest edge", "the block", "Measure all balls"
     return _PAGE.format(
         name=frame.name,
@@ -184,6 +186,12 @@ which ball goes where. Balls to {bead:g} mm in the block, one standard deviation
 exact: state its tolerance, or measure it.
 
 Clamp or glue the block to what carries it, so that it stays where it is between the images. No metal but the balls."""
+
+_ON_DETECTOR = """
+
+The plate goes in front of the image intensifier's input, marked face towards the X-ray source: in the middle to 3 mm,
+its balls 20 mm from the input, straight to 0.3°. There it may stay. Its place need not be known, only the same ball
+errors hold for it as for the block."""
 
 _DRAPES = """## Drapes
 

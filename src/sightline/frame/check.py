@@ -22,8 +22,9 @@ _NOMINAL = f"a C-arm with the hip {nominal.SOURCE_TO_HIP_MM:g} mm from its sourc
 def check_frame(frame: Frame) -> tuple[Check, ...]:
     """Return the checks that a frame can be labelled and calibrated with; the names are keys of docs/refusals.md.
 
-    A rule of plates does not apply to a solid, nor a solid's to plates. Later stages rely on earlier ones (that plates
-    have planes, that a beam runs through them), so the stages after a failed one are left out.
+    A rule of plates does not apply to a solid, nor a solid's to plates; a plate on the detector has those of plates
+    that need no focal point. Later stages rely on earlier ones (that plates have planes, that a beam runs through
+    them), so the stages after a failed one are left out.
     """
     checks: tuple[Check, ...] = ()
     for stage in ((*_BEADS, *SOLID_BEADS), _PLATES, (*_VIEWS, *SOLID_VIEWS)):
@@ -39,8 +40,14 @@ def _plates(frame: Frame) -> Iterator[tuple[str, FrameView, Plate]]:
             yield f"{name}, {'XRII' if role == 'xrii' else 'source'} plate", view, getattr(view, role)
 
 
-def _bodies(frame: Frame) -> Iterator[tuple[str, RigidBody]]:
+def _flat(frame: Frame) -> Iterator[tuple[str, Plate]]:
     yield from ((where, plate) for where, _, plate in _plates(frame))
+    if frame.detector is not None:
+        yield "plate on the detector", frame.detector
+
+
+def _bodies(frame: Frame) -> Iterator[tuple[str, RigidBody]]:
+    yield from _flat(frame)
     if frame.solid is not None:
         yield frame.name, frame.solid
 
@@ -56,20 +63,20 @@ def _repeated_ids(frame: Frame) -> Values:
 
 
 def _beads(frame: Frame) -> Values:
-    for where, _, plate in _plates(frame):
+    for where, plate in _flat(frame):
         yield where, len(plate.ids)
 
 
 def _breadth(frame: Frame) -> Values:
     """Yield the rms distance of each plate's beads from their best-fitting line."""
-    for where, _, plate in _plates(frame):
+    for where, plate in _flat(frame):
         centred = plate.xyz_mm - plate.xyz_mm.mean(axis=0)
         spread = np.linalg.svd(centred, compute_uv=False)
         yield where, float(spread[1] / np.sqrt(len(centred)))
 
 
 def _height(frame: Frame) -> Values:
-    for where, _, plate in _plates(frame):
+    for where, plate in _flat(frame):
         yield where, float(np.abs(plate.plane.height_mm(plate.xyz_mm)).max())
 
 
@@ -83,7 +90,7 @@ def _clearance(frame: Frame) -> Values:
 
 def _datums(frame: Frame) -> Values:
     """Yield the number of datums of each plate; 0 where they are collinear."""
-    for where, _, plate in _plates(frame):
+    for where, plate in _flat(frame):
         points = _datum_steps(plate)
         broad = len(points) < 3 or len(Triples.of(points).broad().area) > 0
         yield where, len(points) if broad else 0
@@ -91,7 +98,7 @@ def _datums(frame: Frame) -> Values:
 
 def _datum_size(frame: Frame) -> Values:
     """Yield the ratio of the smallest datum ball to the largest ordinary ball; washers are known by their shape."""
-    for where, _, plate in _plates(frame):
+    for where, plate in _flat(frame):
         datums = [f.diameter_mm for f in plate.fiducials if f.datum and f.shape == "ball"]
         ordinary = [f.diameter_mm for f in plate.fiducials if not f.datum]
         if datums and ordinary:
@@ -100,7 +107,7 @@ def _datum_size(frame: Frame) -> Values:
 
 def _symmetry(frame: Frame) -> Values:
     """Yield the share of each plate's datum triples that resemble others of the plate, or themselves rotated."""
-    for where, _, plate in _plates(frame):
+    for where, plate in _flat(frame):
         yield where, _share(nearest_likeness(_datum_steps(plate)))
 
 

@@ -120,5 +120,8 @@ def plates(frame: Frame) -> tuple[tuple[str, str, Plate], ...]:
 
 
 def bodies(frame: Frame) -> tuple[tuple[str, str, RigidBody], ...]:
-    """Return (view, role, plate) of each plate, or ("solid", "", solid), in the order of the frame's covariance."""
-    return plates(frame) if frame.solid is None else (("solid", "", frame.solid),)
+    """Return (view, role, plate) of each plate, or ("solid", "", solid) and that on the detector, in the order of the
+    frame's covariance."""
+    if frame.solid is None:
+        return plates(frame)
+    return tuple(zip(("solid", "detector"), ("", "plate"), frame.bodies, strict=False))

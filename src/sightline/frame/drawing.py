@@ -31,14 +31,17 @@ def draw_frame(frame: Frame, path: str | Path) -> None:
 
 def frame_png(frame: Frame) -> bytes:
     """Return the PNG of `draw_frame`."""
-    columns = 4 if frame.solid is not None else len(frame.views)
+    columns = len(frame.views) if frame.solid is None else 4 if frame.detector is None else 6
     figure = Figure(figsize=(_PANEL_INCHES * columns, 2 * _PANEL_INCHES), layout="constrained")
     if frame.solid is not None:
         faces = faces_of(frame.solid)
-        panels = figure.subplot_mosaic([["+X", "+Y", "+Z", "whole"], ["-X", "-Y", "-Z", "whole"]])
+        beside = ["whole"] if frame.detector is None else ["whole", "plate", "plate"]
+        panels = figure.subplot_mosaic([["+X", "+Y", "+Z", *beside], ["-X", "-Y", "-Z", *beside]])
         for face in faces:
             _draw_face(panels[face.front], face)
         _draw_whole(panels["whole"], faces)
+        if frame.detector is not None:
+            _draw_plate(panels["plate"], frame.detector, "plate on the detector")
     else:
         for column, (name, view) in zip(figure.subplots(2, columns, squeeze=False).T, frame.views.items(), strict=True):
             for axes, role in zip(column, ROLES, strict=True):

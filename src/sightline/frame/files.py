@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from sightline.bounded import read_bounded, read_text
 from sightline.errors import FrameError
 from sightline.frame.builtin import BUILTIN
+from sightline.frame.detector_plate import WITH_PLATE
 from sightline.frame.document import FrameDocument
 from sightline.frame.solids import SOLIDS
 from sightline.frame.xmalab import DIAMETER_MM, cube_document
@@ -33,7 +34,7 @@ def read_document(path: Path) -> FrameDocument:
     if not path.is_file():
         raise FrameError(
             f"there is no frame file {path.name!r}; give a file, or one of the built-in frames: "
-            f"{', '.join((*BUILTIN, *SOLIDS))}"
+            f"{', '.join((*BUILTIN, *SOLIDS, *WITH_PLATE))}"
         )
     if path.suffix.lower() == ".csv":
         return read_cube(path)

@@ -76,6 +76,7 @@ class FittedFrame:
 
 def fit_frame(frame: Frame, series: Sequence[Series], circumstances: Circumstances) -> FittedFrame:
     """Return the frame fitted to measured series. Raises FrameError where they do not determine one."""
+    frame.refuse_plate("fit the solid and the plate each by a file of its own")
     identified = tuple(identify(one, frame) for one in series)
     checks = (_ids(identified, frame), *_diameters(frame, series))
     if failed(checks):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from sightline.atomic import write_whole
 from sightline.errors import FrameError, UnusableInputError
@@ -134,14 +135,21 @@ class Frame(Plotted):
         return replace(self, views=views, solid=solid, detector=detector)
 
     def with_plate(self, plate: Plate = DETECTOR_PLATE) -> "Frame":
-        """Return the frame of a solid with a plate on the detector, for image intensifiers. Raises FrameError."""
+        """Return the frame of a solid with a plate on the detector, for image intensifiers. Raises FrameError.
+
+        Where the solid's covariance is measured, the plate's balls have the default tolerance.
+
+        >>> sl.Frame.load("block40").with_plate().name
+        'block40+detector-plate'
+        """
         if self.solid is None:
             raise FrameError(f"frame {self.name!r} has plates of its own; add a plate on the detector to a solid")
-        if self.covariance_mm2 is not None:
-            raise FrameError(f"frame {self.name!r} is measured; write the plate and its covariance into its file")
         if twice := sorted(set(plate.ids) & set(self.solid.ids)):
             raise FrameError(f"solid and plate both have a ball {twice[0]!r}; give every ball a unique id")
-        return replace(self, name=f"{self.name}+detector-plate", detector=plate)
+        covariance = self.covariance_mm2
+        if covariance is not None:
+            covariance = np.asarray(block_diag(covariance, Tolerances.bead_mm**2 * np.eye(3 * len(plate.ids))))
+        return replace(self, name=f"{self.name}+detector-plate", detector=plate, covariance_mm2=covariance)
 
     def fiducials_of(self, view: str) -> tuple[Fiducial, ...]:
         """Return the fiducials that an image of a view can show: those of its plates, or all of a solid's frame.
@@ -198,9 +206,9 @@ class Frame(Plotted):
 
     @staticmethod
     def load(source: str | Path, before: "Iterable[Frame]" = ()) -> "Frame":
-        """Return the frame of a file, or a built-in one: "gamma", "biplane", "stereo", "block30", "block60", "cube120".
+        """Return the frame of a file, or a built-in one: "gamma", "biplane", "stereo", "block30", "block40", "block60",
+        "cube120"; for image intensifiers "block30+detector-plate", "block40+detector-plate".
 
-        For image intensifiers "block30+detector-plate" and "block60+detector-plate" are built in too.
         A file is JSON, or a frame specification of XMALab (CSV); docs/frame-file.md has both.
         `before`: frames that were used earlier; the mirror image of one with the same name and serial is refused, since
         it would calibrate as well and mirror every point. Raises FrameError.
@@ -241,6 +249,11 @@ class Frame(Plotted):
         """Raise FrameError with the reason `why` for a solid, where plates are needed."""
         if self.solid is not None:
             raise FrameError(f"frame {self.name!r} is a solid; {why}")
+
+    def refuse_plate(self, why: str) -> None:
+        """Raise FrameError with the reason `why` for a frame with a plate on the detector."""
+        if self.detector is not None:
+            raise FrameError(f"frame {self.name!r} has a plate on the detector, whose place is not known; {why}")
 
     def refuse_mirror_image(self, before: "Iterable[Frame]") -> None:
         """Raise FrameError where one of the frames `before`, of the same name and serial, is mirrored by this one."""

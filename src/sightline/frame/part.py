@@ -92,8 +92,11 @@ class Part:
         return () if self.view is None else ((a, a), (w - a, a), (w - a, h - a), (a, h - a))
 
 
+TITLES = {"xrii": "XRII plate", "source": "source plate", "plate": "plate"}
+
+
 def parts_of(frame: Frame) -> tuple[Part, ...]:
-    """Return the plates of a frame as parts, or the six faces of its solid.
+    """Return the plates of a frame as parts, or the six faces of its solid and the plate on the detector.
 
     Raises FrameError for a plate or a solid that cannot be made this way.
     """
@@ -103,7 +106,7 @@ def parts_of(frame: Frame) -> tuple[Part, ...]:
         for face in faces:
             _refuse_thin_walls(face)
         _refuse_bores_that_meet(faces)
-        return faces
+        return faces if frame.detector is None else (*faces, _plate("detector", "plate", frame.detector, position))
     return tuple(_plate(view, role, plate, position) for view, role, plate in plates(frame))
 
 
@@ -113,7 +116,7 @@ def _plate(view: str, role: str, plate: Plate, position_mm: float) -> Part:
     extents = np.array([_thickness_mm(ball) for ball in plate.fiducials])
     thickness = max(THICKNESS_MM, float(extents.max()) + 2 * FLOOR_MM)
     depth = thickness / 2 + extents / 2 - height
-    title = f"{view} {'XRII' if role == 'xrii' else 'source'} plate"
+    title = f"{view} {TITLES[role]}"
     corner = xy.min(axis=0) - RIM_MM
     width, tall = (np.ptp(xy, axis=0) + 2 * RIM_MM).round(3).tolist()
     for ball, extent, deep, off in zip(plate.fiducials, extents, depth.round(3), height, strict=True):

@@ -44,10 +44,11 @@ def solid_mesh(faces: Sequence[Part], clearance_mm: float = 0.0) -> Trimesh:
 
 
 def meshes_of(parts: Sequence[Part], clearance_mm: float = 0.0) -> dict[str, bytes]:
-    """Return the binary STL of each plate, or of the solid with these faces, by the name of its file."""
-    if parts[0].view is None:
-        return {"solid.stl": export_stl(solid_mesh(parts, clearance_mm))}
-    return {f"{part.name}.stl": export_stl(plate_mesh(part, clearance_mm)) for part in parts}
+    """Return the binary STL of each plate, and of the solid with these faces, by the name of its file."""
+    faces = [part for part in parts if part.view is None]
+    solid = {"solid.stl": export_stl(solid_mesh(faces, clearance_mm))} if faces else {}
+    flat = [part for part in parts if part.view is not None]
+    return solid | {f"{part.name}.stl": export_stl(plate_mesh(part, clearance_mm)) for part in flat}
 
 
 def _bored(part: Part, clearance_mm: float) -> Surface:

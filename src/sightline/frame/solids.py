@@ -5,13 +5,21 @@ from sightline.frame.plate import Fiducial, RigidBody
 Place = tuple[float, float, float]
 
 # Found by `python tools/design_block.py NAME`: ball centres 3.5 mm under a face, on whole millimetres along it [ours],
-# at places whose shadows seldom overlap. Small block: 30 x 30 x 50 mm; cubes: 60 and 120 mm.
+# at places whose shadows seldom overlap. Small block: 30 x 30 x 50 mm; cubes: 40, 60 and 120 mm. The shadows of the
+# cube of 40 mm seldom overlap along its edges either: a small field leaves no choice of how it stands.
 _BLOCK30_LARGE: tuple[Place, ...] = (
     (11.5, 9.0, 19.0), (-9.0, 9.0, 21.5), (-9.0, 11.5, 5.0), (8.0, -9.0, -21.5),
 )  # fmt: skip
 _BLOCK30_SMALL: tuple[Place, ...] = (
     (-11.5, -9.0, 13.0), (-9.0, -11.5, -19.0), (11.5, 0.0, -5.0), (9.0, -9.0, 21.5), (-11.5, -2.0, -2.0),
     (1.0, -11.5, 5.0), (-1.0, 11.5, -11.0), (-9.0, 9.0, -21.5),
+)  # fmt: skip
+_BLOCK40_LARGE: tuple[Place, ...] = (
+    (6.0, -16.5, -12.0), (-1.0, -6.0, 16.5), (16.5, 1.0, -11.0), (16.5, 11.0, 4.0),
+)  # fmt: skip
+_BLOCK40_SMALL: tuple[Place, ...] = (
+    (-3.0, 8.0, -16.5), (-16.5, -7.0, 1.0), (-16.5, -14.0, 7.0), (-12.0, -7.0, -16.5), (8.0, 16.5, 0.0),
+    (-16.5, 13.0, -6.0), (16.5, -14.0, 14.0), (6.0, 6.0, 16.5), (-4.0, -16.5, -4.0), (-8.0, 16.5, -12.0),
 )  # fmt: skip
 _BLOCK60_LARGE: tuple[Place, ...] = (
     (20.0, 9.0, -26.5), (-16.0, -26.5, -24.0), (-26.5, 12.0, 10.0), (16.0, 24.0, 26.5), (26.5, -14.0, 22.0),
@@ -42,6 +50,7 @@ def _solid(large: tuple[Place, ...], small: tuple[Place, ...]) -> RigidBody:
 
 SOLIDS = {
     "block30": _solid(_BLOCK30_LARGE, _BLOCK30_SMALL),
+    "block40": _solid(_BLOCK40_LARGE, _BLOCK40_SMALL),
     "block60": _solid(_BLOCK60_LARGE, _BLOCK60_SMALL),
     "cube120": _solid(_CUBE120_LARGE, _CUBE120_SMALL),
 }

@@ -40,7 +40,7 @@ def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple
 
 
 def _frame(frame: Frame) -> dict[str, Any]:
-    bodies = plates(frame) if frame.solid is None else (("all", SOLID, frame.solid),)
+    bodies = plates(frame) if frame.solid is None else (("all", SOLID, frame.solid),)  # the rest is not CFCS
     beads = [
         {"id": bead.id, "view": name, "plate": role, "xyz_mm": list(map(float, bead.xyz_mm))}
         for name, role, body in bodies

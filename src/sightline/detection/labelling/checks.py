@@ -54,13 +54,21 @@ def check(model: Model, fit: Joint, beads: np.ndarray, pair: tuple[Grown, Grown]
     _check_focal_point(model, fit, beads)
 
 
+def check_alone(model: Model, fit: Joint, beads: np.ndarray, plate: Grown) -> None:
+    """Check the labels of `beads` (B, 2) of a plate alone. Raises AttemptError."""
+    _check_map(model, fit, beads)
+    _check_pattern((plate,))
+
+
 def _check_map(model: Model, fit: Joint, beads: np.ndarray) -> None:
     """Check that the beads lie at their places, by a map that an intensifier can have."""
     off = fit.xy_mm[beads[:, 0]] - fit.target_mm[beads[:, 1]]
     scatter = float(np.sqrt((off**2).mean()))
     if scatter > MAX_SCATTER * model.xrii.pitch_mm:
         raise AttemptError(
-            Stage.CHECKS, f"the beads miss their places on the XRII plate by {scatter:.2f} mm; check the frame file"
+            Stage.CHECKS,
+            f"the beads miss their places on the {model.xrii.role_name} plate by {scatter:.2f} mm; check the frame "
+            "file",
         )
     if fit.bend > MAX_BEND:
         raise AttemptError(
@@ -92,7 +100,7 @@ def _check_edge(model: Model, fit: Joint, pair: tuple[Grown, Grown], left: np.nd
             )
 
 
-def _check_pattern(pair: tuple[Grown, Grown]) -> None:
+def _check_pattern(pair: tuple[Grown, ...]) -> None:
     """Check the datum markers of each plate: a shifted grid still fits, its pattern of datum markers does not."""
     for plate in pair:
         pattern = plate.pattern

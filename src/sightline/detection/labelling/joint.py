@@ -33,6 +33,11 @@ class Shadows:
         plane = xrii.plane
         return Shadows(xrii, plane.normal, plane.to_plane(source.xyz_mm), plane.height_mm(source.xyz_mm))
 
+    @staticmethod
+    def none(plate: Pattern) -> "Shadows":
+        """Return the shadows of no source plate."""
+        return Shadows(plate, plate.plane.normal, np.zeros((0, 2)), np.zeros(0))
+
     def height_of(self, xyz_mm: np.ndarray) -> float:
         """Return the signed distance of a point (3,) from the XRII plate."""
         return float((xyz_mm - self.pattern.plane.origin_mm) @ self.normal)
@@ -63,7 +68,7 @@ class Shadows:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A fit of both plates to beads (B, 2) of detection and place; source places follow the XRII ones.
+    """A fit of both plates, or of one alone, to beads (B, 2) of detection and place; source places follow XRII ones.
 
     For all N detections: `xy_mm` (N, 2) on the XRII plate, predicted without the detection itself, and its variance
     `variance_mm2` (N,), with the detection's noise. `target_mm` (P, 2): the places on the XRII plate, source ones
@@ -83,12 +88,13 @@ class Model:
     """The Gaussian-process map from the image to the XRII plate, for the detections of one image.
 
     Each axis has a polynomial of degree 5 and a smooth remainder. The focal point's three coordinates couple the axes,
-    so its part of the inverse covariance has rank three. `pair`: the XRII and the source plate's lattices.
+    so its part of the inverse covariance has rank three. `pair`: the XRII and the source plate's lattices, or that of
+    one plate alone, which has no focal point.
     """
 
-    def __init__(self, pair: tuple[Grown, Grown], detections: Detections) -> None:
+    def __init__(self, pair: tuple[Grown, ...], detections: Detections) -> None:
         self.xrii, self.sheet = pair[0].pattern, pair[0].sheet
-        self.shadows = Shadows.of(pair[0].pattern, pair[1].pattern)
+        self.shadows = Shadows.of(pair[0].pattern, pair[1].pattern) if len(pair) > 1 else Shadows.none(pair[0].pattern)
         self.w = self.sheet.w(detections.uv_px)
         bead_mm = np.hypot(max(g.pattern.bead_sd_mm for g in pair), CENTRE_PX / self.sheet.similarity.scale)
         self.noise = self.sheet.noise(detections.covariance_px2) + (bead_mm / self.sheet.unit_mm) ** 2

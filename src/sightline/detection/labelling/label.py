@@ -7,14 +7,15 @@ import numpy as np
 
 from sightline.detection.labelling.checks import AttemptError, Stage
 from sightline.detection.labelling.cloud import MIN_MATCHED, label_cloud
+from sightline.detection.labelling.detector_plate import label_plate
 from sightline.detection.labelling.growth import Grown, grow
 from sightline.detection.labelling.naming import most_like
-from sightline.detection.labelling.patterns import Pattern, patterns
+from sightline.detection.labelling.patterns import Pattern, detector_pattern, patterns
 from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
 from sightline.detection.labelling.solve import MIN_BEADS, LabellingProblem, LabellingSolution, solve
 from sightline.detection.results import Detections, Observations, RejectedCandidate
 from sightline.errors import LabellingRefusedError, ObservationsError, UnusableInputError
-from sightline.frame import Frame, RigidBody
+from sightline.frame import Frame
 from sightline.threads import one_blas_thread
 
 SEEDS = 12  # of each plate [ours]
@@ -40,7 +41,8 @@ def label(
     `frame`: a Frame, a frame file or the name of a built-in frame. The pattern of datum markers identifies view, plate
     and orientation; a contradicting `view` is refused. `datums` maps fiducial ids to pixels (u, v), the paper's
     semi-automatic method (section 4.2): three or more datum markers of each plate, from which the others are found.
-    The balls of a solid are labelled by geometry alone, in the image of a flat panel; `view` is then needed.
+    The balls of a solid are labelled by geometry alone, in the image of a flat panel or, after those of a plate on the
+    detector, in that of an intensifier; `view` is then needed.
     In the result, `rejected` holds detections that are not a bead of the frame, or might be two. `mirrored` is False
     where the image shows the frame as the X-ray source sees it.
     Raises LabellingRefusedError where the labels are not certain; FrameError for a view that the frame does not have;
@@ -66,7 +68,7 @@ def label(
     elif datums is not None:
         raise ObservationsError("a solid has no datum markers; label it without them")
     else:
-        solution = _of_solid(detections, frame.solid, frame.effective_tolerances.bead_mm, view)
+        solution = _of_solid(detections, usable, frame, view)
     return Observations(
         view=solution.view,
         ids=solution.ids,
@@ -104,16 +106,30 @@ def _of_plates(
         raise LabellingRefusedError(str(failure)) from None
 
 
-def _of_solid(detections: Detections, solid: RigidBody, bead_sd_mm: float, view: str | None) -> LabellingSolution:
-    """Return the labels of a solid. Raises LabellingRefusedError."""
+def _of_solid(detections: Detections, usable: np.ndarray, frame: Frame, view: str | None) -> LabellingSolution:
+    """Return the labels of a solid, and of the plate on the detector. Raises LabellingRefusedError."""
     if view is None:
         raise LabellingRefusedError(
             "a solid looks alike in every view, so its image does not tell which view it is; name the view, as 'pa'"
         )
-    low, high = (factor * max(detections.image_shape) for factor in SOLID_FOCAL)
-    found = label_cloud(detections, solid.xyz_mm, solid.diameter_mm, (low, high), bead_sd_mm)
-    unclear = np.isin(np.arange(len(detections)), found.unclear)
-    return LabellingSolution(view, tuple(solid.ids[ball] for ball in found.balls), found.rows, found.mirrored, unclear)
+    solid, bead_sd_mm = frame.solid, frame.effective_tolerances.bead_mm
+    assert solid is not None  # noqa: S101 - the caller asks
+    if frame.detector is None:
+        low, high = (factor * max(detections.image_shape) for factor in SOLID_FOCAL)
+        found = label_cloud(detections, solid.xyz_mm, solid.diameter_mm, (low, high), bead_sd_mm)
+        unclear = np.isin(np.arange(len(detections)), found.unclear)
+        ids = tuple(solid.ids[ball] for ball in found.balls)
+        return LabellingSolution(view, ids, found.rows, found.mirrored, unclear)
+    plate = label_plate(detections, usable, detector_pattern(frame))
+    rest, rows = plate.undistorted(detections)
+    found = label_cloud(rest, solid.xyz_mm, solid.diameter_mm, plate.focal_px, bead_sd_mm)
+    return LabellingSolution(
+        view,
+        (*(solid.ids[ball] for ball in found.balls), *plate.ids),
+        np.concatenate([rows[found.rows], plate.rows]),
+        plate.mirrored != found.mirrored,
+        np.isin(np.arange(len(detections)), rows[found.unclear]),
+    )
 
 
 def _rejected(detections: Detections, usable: np.ndarray, solution: LabellingSolution) -> tuple[RejectedCandidate, ...]:

@@ -226,14 +226,14 @@ def most_like(grown: Grown, patterns: Iterable[Pattern]) -> Pattern:
 
 @dataclass(frozen=True, eq=False)
 class Naming:
-    """The cheapest joint reading of two lattices: the pattern of each, and the places of its `all_rows`.
+    """The cheapest joint reading of one or two lattices: the pattern of each, and the places of its `all_rows`.
 
     `margin`: excess cost of the next best reading; `margin_in_view`: of the next best one in the same view.
     `unchanged`: the reading is the one with which the lattices were grown.
     """
 
-    patterns: tuple[Pattern, Pattern]
-    places: tuple[np.ndarray, np.ndarray]
+    patterns: tuple[Pattern, ...]
+    places: tuple[np.ndarray, ...]
     margin: float
     margin_in_view: float
     unchanged: bool
@@ -270,3 +270,17 @@ def name(pair: tuple[Grown, Grown], couples: list[tuple[Pattern, Pattern]]) -> N
         margin_in_view=float(rivals[in_view].min()) - cost,
         unchanged=own0 and own1,
     )
+
+
+def name_alone(grown: Grown) -> Naming | None:
+    """Return the best reading of a lattice as its plate; None where no two beads are neighbours, or none fits."""
+    lattice = _Lattice.of(grown)
+    if lattice is None:
+        return None
+    read = lattice.readings([grown.pattern], 0.0)[grown.pattern]
+    c = int(read.cost.argmin())
+    if read.index[c] < 0:
+        return None
+    margin = float(min(read.second[c], np.delete(read.cost, c).min()) - read.cost[c])
+    places, own = lattice.places(grown.pattern, int(read.index[c]))
+    return Naming((grown.pattern,), (places,), margin, margin, own)

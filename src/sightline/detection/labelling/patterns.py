@@ -36,7 +36,7 @@ class Pattern:
     @property
     def role_name(self) -> str:
         """The plate's name in a message."""
-        return {"xrii": "XRII", "source": "source"}[self.role]
+        return {"xrii": "XRII", "source": "source", "detector": "detector's"}[self.role]
 
     @cached_property
     def log_half(self) -> np.ndarray:
@@ -107,3 +107,11 @@ def patterns(frame: Frame) -> tuple[Pattern, ...]:
         out.append(_pattern(name, "xrii", view.xrii, factor[:split]))
         out.append(_pattern(name, "source", view.source, factor[split:]))
     return tuple(out)
+
+
+@lru_cache(maxsize=8)
+def detector_pattern(frame: Frame) -> Pattern:
+    """Return the pattern of the plate on the detector, of a frame that has one."""
+    assert frame.detector is not None  # noqa: S101 - the caller asks
+    factor = frame.error_factor[3 * (len(frame.fiducials) - len(frame.detector.fiducials)) :]
+    return _pattern("", "detector", frame.detector, factor)

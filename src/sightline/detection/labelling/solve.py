@@ -6,10 +6,10 @@ import numpy as np
 from numba import njit
 from scipy.spatial import KDTree
 
-from sightline.detection.labelling.checks import AttemptError, Stage, check
+from sightline.detection.labelling.checks import AttemptError, Stage, check, check_alone
 from sightline.detection.labelling.growth import LOG_RADIUS, Grown, grow
 from sightline.detection.labelling.joint import Joint, Model
-from sightline.detection.labelling.naming import Naming, name
+from sightline.detection.labelling.naming import Naming, name, name_alone
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, best_similarity
 from sightline.detection.results import Detections
@@ -123,7 +123,7 @@ class _Sizes:
         return (self.misfit / self.sd) ** 2
 
 
-def _sizes(pair: tuple[Grown, Grown]) -> _Sizes:
+def _sizes(pair: tuple[Grown, ...]) -> _Sizes:
     misfits, sds = [], []
     for g in pair:
         log_half = g.pattern.log_half
@@ -188,17 +188,30 @@ def _fitted(
     problem: LabellingProblem, model: Model, pair: tuple[Grown, Grown], sizes: _Sizes
 ) -> tuple[np.ndarray, Joint]:
     """Return the beads that fit one central projection, and the fit. Raises AttemptError."""
-    size_m2 = sizes.m2
-    count = len(pair[0].pattern.ids)
-    on = np.full(len(problem.detections), -1)
-    on[pair[1].rows] = pair[1].places + count
-    on[pair[0].rows] = pair[0].places
     try:
         focal_mm = model.first_focal_point(*pair)
     except ReconstructionRefusedError:
         raise AttemptError(Stage.PROJECTION, NOT_CENTRAL) from None
     if not model.shadows.sees(focal_mm):
         raise AttemptError(Stage.PROJECTION, NOT_CENTRAL)
+    return _matched(problem, model, pair, sizes, focal_mm)
+
+
+def _fewest(pair: tuple[Grown, ...], beads: np.ndarray) -> int:
+    """Return the smaller number of beads of one plate among `beads` (B, 2) of detection and place."""
+    of_first = int((beads[:, 1] < len(pair[0].pattern.ids)).sum())
+    return of_first if len(pair) == 1 else min(of_first, len(beads) - of_first)
+
+
+def _matched(
+    problem: LabellingProblem, model: Model, pair: tuple[Grown, ...], sizes: _Sizes, focal_mm: np.ndarray
+) -> tuple[np.ndarray, Joint]:
+    """Return the beads that fit, from a focal point, and the fit. Raises AttemptError."""
+    size_m2 = sizes.m2
+    on = np.full(len(problem.detections), -1)
+    if len(pair) > 1:
+        on[pair[1].rows] = pair[1].places + len(pair[0].pattern.ids)
+    on[pair[0].rows] = pair[0].places
     beads = _beads(on)
     fit, factor = model.fit(beads, focal_mm, 1.0), 1.0
     for iteration in range(MAX_FITS):
@@ -212,8 +225,7 @@ def _fitted(
         if iteration and (new == on).all() and abs(factor - before) < SAME_NOISE * before:
             return beads, fit
         beads, on = _beads(new), new
-        of_xrii = int((beads[:, 1] < count).sum())
-        if min(of_xrii, len(beads) - of_xrii) < MIN_BEADS or not model.shadows.sees(fit.focal_point_mm):
+        if _fewest(pair, beads) < MIN_BEADS or not model.shadows.sees(fit.focal_point_mm):
             break
         fit = model.fit(beads, fit.focal_point_mm, factor)
     raise AttemptError(Stage.PROJECTION, NOT_CENTRAL)
@@ -227,8 +239,7 @@ def solve(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> LabellingSolu
     beads, fit = _fitted(problem, model, pair, sizes)
     beads = beads[_certain(problem, fit, sizes, beads, pair[0].sheet.similarity.scale)]
     xrii, source = pair[0].pattern, pair[1].pattern
-    of_xrii = int((beads[:, 1] < len(xrii.ids)).sum())
-    if min(of_xrii, len(beads) - of_xrii) < MIN_BEADS:
+    if _fewest(pair, beads) < MIN_BEADS:
         raise AttemptError(
             Stage.PROJECTION,
             "too few beads can be distinguished from false candidates; show more of both plates, or expose longer",
@@ -242,3 +253,25 @@ def solve(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> LabellingSolu
     off2 = ((fit.xy_mm[:, None] - fit.target_mm) ** 2).sum(axis=2)
     on_place = off2.min(axis=1) / fit.variance_mm2 < NEAR_M2
     return LabellingSolution(xrii.view, tuple(ids[p] for p in beads[:, 1]), beads[:, 0], bool(mirrored), on_place)
+
+
+def solve_alone(problem: LabellingProblem, grown: Grown) -> tuple[np.ndarray, Joint]:
+    """Return the beads (B, 2), detection and place, of a plate alone, and their fit. Raises AttemptError."""
+    for _ in range(MAX_NAMINGS):
+        naming = name_alone(grown)
+        if naming is None or naming.margin < MARGIN:
+            raise AttemptError(
+                Stage.UNIQUENESS,
+                "the datum markers that can be seen fit more than one way to label the plate on the detector; show "
+                "more of them",
+            )
+        if naming.unchanged:
+            break
+        grown = _again(problem, grown, grown.pattern, naming.places[0])
+    else:
+        raise AttemptError(Stage.NAMES, "the beads found fit no labelling of the plate on the detector")
+    sizes, model = _sizes((grown,)), Model((grown,), problem.detections)
+    beads, fit = _matched(problem, model, (grown,), sizes, np.zeros(3))
+    beads = beads[_certain(problem, fit, sizes, beads, grown.sheet.similarity.scale)]
+    check_alone(model, fit, beads, grown)
+    return beads, fit
