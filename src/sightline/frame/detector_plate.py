@@ -28,4 +28,4 @@ def _plate() -> Plate:
 
 
 DETECTOR_PLATE = _plate()
-WITH_PLATE = {f"{name}+detector-plate": name for name in ("block30", "block40")}  # each with its solid
+WITH_PLATE = {f"{name}+detector-plate": name for name in ("block30", "block40", "block60")}  # each with its solid

@@ -207,7 +207,7 @@ class Frame(Plotted):
     @staticmethod
     def load(source: str | Path, before: "Iterable[Frame]" = ()) -> "Frame":
         """Return the frame of a file, or a built-in one: "gamma", "biplane", "stereo", "block30", "block40", "block60",
-        "cube120"; for image intensifiers "block30+detector-plate", "block40+detector-plate".
+        "cube120"; for image intensifiers "block30", "block40" or "block60" with "+detector-plate".
 
         A file is JSON, or a frame specification of XMALab (CSV); docs/frame-file.md has both.
         `before`: frames that were used earlier; the mirror image of one with the same name and serial is refused, since
