@@ -22,6 +22,7 @@ _EXAMPLES = (
     "sightline simulate hip --seed 3 --with lag-screw --with drape --out out/hip",
     "sightline simulate object --seed 4 --frame-errors 7 --out out/frame-7",
     "sightline simulate hip --frame block60 --out out/block",
+    "sightline simulate pelvis --frame block60 --out out/pelvis",
 )
 
 
@@ -34,9 +35,9 @@ def simulate(
     what: Annotated[
         str,
         typer.Argument(
-            help="What lies in the beam: hip, vertebra, growing-femur, object (the paper's four balls in Perspex), "
-            "plastic (its bored femur), porcine; or a file: a closed mesh in mm (STL, PLY, OBJ) or a CT scan (NIfTI, "
-            "folder of slices)."
+            help="What lies in the beam: hip, pelvis, vertebra, growing-femur, object (the paper's four balls in "
+            "Perspex), plastic (its bored femur), porcine; or a file: a closed mesh in mm (STL, PLY, OBJ) or a CT scan "
+            "(NIfTI, folder of slices)."
         ),
     ] = "hip",
     *,

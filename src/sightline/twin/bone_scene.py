@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
+from math import cos, radians, sin
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,6 +14,7 @@ from sightline.twin.carm import SetUp, Variation, draw_setup
 from sightline.twin.distributions import HipPlace, SolidPlace
 from sightline.twin.femur import to_cfcs
 from sightline.twin.growing_femur import draw_growing_femur
+from sightline.twin.pelvis import draw_pelvis
 from sightline.twin.things import Scene, SoftTissue, frame_scene
 from sightline.twin.truth import points_document
 from sightline.twin.vertebra import draw_vertebra
@@ -59,7 +61,14 @@ class BoneKind:
         return draw_setup(rng, frame, side=side, views=beams, variation=variation, **drawn)
 
 
+# The detector tilts towards the head for the inlet view, by 24.9° on average, and towards the feet for the outlet view,
+# by 42.4° [src Eastman 2015]. The solid lies as far from the wire as beside a hip, where both views show it beside it.
+INLET, OUTLET = radians(24.9), radians(42.4)
+PELVIC_VIEWS = {"inlet": (0.0, -sin(INLET), cos(INLET)), "outlet": (0.0, sin(OUTLET), cos(OUTLET))}
 BONES: dict[str, BoneKind] = {
+    "pelvis": BoneKind(
+        draw_pelvis, SoftTissue((-36.0, 40.0), (175.0, 115.0)), PELVIC_VIEWS, SolidPlace((0.0, 79.0, -12.0))
+    ),
     "vertebra": BoneKind(draw_vertebra, SoftTissue((-16.0, 25.0), (150.0, 105.0))),
     "growing-femur": BoneKind(draw_growing_femur, SoftTissue((-35.0, -5.0), (125.0, 90.0))),
 }

@@ -5,6 +5,7 @@ Anatomical coordinates: (lateral, caudal, anterior), mm, lateral towards the ope
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -107,6 +108,10 @@ class Bone:
     mirrored: bool = False
     voxel_mm: float = 0.75
 
+    @cached_property
+    def _tables(self) -> tuple[np.ndarray, np.ndarray]:
+        return _packed(self.parts)
+
     def distance_mm(self, xyz_mm: np.ndarray, of: str = "surface") -> np.ndarray:
         """Return the signed distances (...) of points (..., 3) from a surface, negative inside it.
 
@@ -121,7 +126,7 @@ class Bone:
             raise SetUpError(f"there is no surface {of!r}; there are: {', '.join((*FIELDS, *self.keep_out))}")
         flat = np.ascontiguousarray(points.reshape(-1, 3))
         out = np.empty(len(flat))
-        in_parts(_nearest, flat, *_packed(self.parts), self.mirrored, FIELDS.index(of), _directions(), out)
+        in_parts(_nearest, flat, *self._tables, self.mirrored, FIELDS.index(of), _directions(), out)
         return out.reshape(points.shape[:-1])
 
     def depth_mm(self, xyz_mm: np.ndarray, of: str = "surface") -> np.ndarray:
@@ -132,7 +137,7 @@ class Bone:
         points = np.asarray(xyz_mm, dtype=np.float64)
         flat = np.ascontiguousarray(points.reshape(-1, 3))
         out = np.empty(len(flat))
-        in_parts(_depths, flat, *_packed(self.parts), self.mirrored, FIELDS.index(of), out)
+        in_parts(_depths, flat, *self._tables, self.mirrored, FIELDS.index(of), out)
         return out.reshape(points.shape[:-1])
 
     def clearance_mm(self, wire_mm: np.ndarray, of: str = "outline", from_entry_mm: float = 12.0) -> float:
