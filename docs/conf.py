@@ -30,10 +30,10 @@ smartquotes = False  # they would turn "--json" into a dash
 nitpicky = True
 # Types of other packages: their pages are not fetched, so nothing can be linked to.
 nitpick_ignore_regex = [(r"py:.*", r"(?!sightline).*")]
-# Types that only the estimation core uses, and private ones
+# Types that only the estimation core uses, schemas of files, and private ones
 nitpick_ignore_regex += [
     (r"py:class", r"sightline\..*\._\w+"),
-    (r"py:class", r"sightline\.(fitting|frame\.document|twin\.distortion)\..*"),
+    (r"py:class", r"sightline\.(fitting|frame\.document|planning\.procedures\.(document|rules)|twin\.distortion)\..*"),
     (r"py:class", r"sightline\.calibration\.(beads|joint|posterior|prior|projection|smooth)\..*"),
 ]
 

@@ -1,6 +1,7 @@
 """Checks that a procedure's file names: every limit in it decides, metrics with their 95 % error, what is missing."""
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,18 +11,20 @@ import pytest
 
 from sightline.checks import Check
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning import Aids, MatchingCurve, Plan, Procedure, kind, locate, matching_curve, metrics, plan
+from sightline.planning import Aids, Line, MatchingCurve, Plan, Procedure, kind, locate, matching_curve, metrics, plan
+from sightline.planning.bone_checks import MEASURES
 from sightline.planning.implant import fitting
 from sightline.planning.procedures.files import copy_text, document_from_json
 from sightline.planning.procedures.rules import CHECKS
 
 from . import bone
 from .standin import StandInView, stand_in
+from .test_wire_in_neck import neck_borders
 
 WIRE_MM = np.stack([bone.ENTRY_MM, bone.END_MM])
 LESSER_MM = bone.ENTRY_MM + np.array([-35.3, 4.7, -8.2])
 LIMITED = [(name, limit) for name, known in CHECKS.items() for limit in known.limits]
-METRICS = ("tip-apex distance", "calcar tip-apex distance", "tip to bone along wire", "tip to bone nearest")
+METRICS = set(CHECKS) - set(MEASURES)
 _WIDE = {"low": -900.0, "high": 900.0}
 
 
@@ -39,6 +42,8 @@ def _procedure(**checks: dict[str, Any]) -> Procedure:
     """A hip screw's file with these checks alone, by their names with "_" for a space, and no limits that refuse."""
     given = json.loads(copy_text("hip-screw", "mine"))
     given["limits"]["position_mm"]["limit"] = given["limits"]["direction_deg"]["limit"] = 50.0
+    given["aids"].append(json.loads(copy_text("cannulated-hip-screws", "other"))["aids"][3])  # the neck's outline
+    del given["corridor"]  # else no wide limit of its room is taken
     given["checks"] = [
         {"check": name.replace("_", " "), **{limit: _WIDE[limit] for limit in CHECKS[name.replace("_", " ")].limits}}
         | {"source": "a test"}
@@ -56,11 +61,17 @@ def _plan(procedure: Procedure, aids: Aids | None = None, side: str | None = "ri
         uv[:, 1],
         kind=procedure,
         side=side,
-        aids=bone.aids(bone.pixels(_views())) if aids is None else aids,
+        aids=replace(bone.aids(bone.pixels(_views())), outline=_outline()) if aids is None else aids,
         landmarks_uv_px=np.array([view.project(LESSER_MM[None]) for view in _views()]),
         landmark_names=("lesser-trochanter",),
         curve=lambda *_: _curve_once(),
     )
+
+
+@cache
+def _outline() -> tuple[tuple[Line, Line], tuple[Line, Line]]:
+    first, second = (neck_borders(view) for view in _views())
+    return first, second
 
 
 def _of_file(made: Plan, at: int = 0) -> Check:
@@ -95,6 +106,7 @@ def test_each_limit_in_a_file_decides_the_verdict(name: str, limit: str):
         ("tip-apex distance", "neck"),
         ("calcar tip-apex distance", "calcar"),
         ("tip to bone nearest", "head"),
+        ("wire in neck", "outline"),
         ("wire to shaft", "shaft"),
     ],
 )

@@ -83,6 +83,7 @@ class Aids:
     """Drawn aids; None for one that is not drawn. Pairs are (PA, lateral).
 
     `calcar` (medial cortex of the neck) and `cortex` (lateral cortex of the shaft): clicked in the PA image only.
+    `outline`: both borders of the neck in each image, drawn where it is narrowest.
 
     >>> head = sl.Circle.of((680, 420), 130.0), sl.Circle.of((440, 360), 130.0)
     >>> aids = sl.Aids(head=head)
@@ -93,6 +94,7 @@ class Aids:
     shaft: tuple[Line, Line] | None = None
     calcar: Pick | None = None
     cortex: Pick | None = None
+    outline: tuple[tuple[Line, Line], tuple[Line, Line]] | None = None
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> "Aids":
@@ -104,6 +106,8 @@ class Aids:
                 made[name] = tuple(_read(kind, one) for one in drawn)
             elif drawn is not None:
                 made[name] = _read(kind, drawn)
+        if document.get("outline") is not None:  # cases of earlier versions have none
+            made["outline"] = tuple(tuple(_read(Line, line) for line in view) for view in document["outline"])
         return Aids(**made)
 
 

@@ -23,6 +23,7 @@ NOT_PLACED = {
     "head": "the head is not drawn: draw a circle over it in both images",
     "neck": "the neck axis is not drawn: draw a line along it in both images",
     "shaft": "the shaft axis is not drawn: draw a line along it in both images",
+    "outline": "the neck's outline is not drawn: draw both borders of the neck in both images",
     "calcar": "the calcar is not clicked: click on the medial cortex of the neck in the PA image",
     "cortex": "the lateral cortex is not clicked: click on it in the PA image",
     "wire": "no wire is planned: pick entry and end point",
@@ -36,7 +37,8 @@ class Anatomy:
     `values` (n,), CFCS mm: the numbers of all parts; `covariance` (n, n), mm²: their joint covariance, None where a
     view's error is unknown. `at`: each part's place in `values`: "focal" (6: focal points of PA and lateral view),
     "wire" (6: entry, end), "head" (4: centre, radius), "neck", "shaft" (6: both ends), "calcar", "cortex" (3: the
-    point of the click's line of sight nearest to the head and to the shaft).
+    point of the click's line of sight nearest to the head and to the shaft), "outline" (24: for each of both views, on
+    its plate, two points of one border of the neck and two of the other).
     """
 
     values: np.ndarray
@@ -110,6 +112,7 @@ def locate(
         found.add(name, lambda name=name: find_axis(sights, name))
     if aids.head is not None:
         found.add_head(aids.head)
+    found.add("outline", lambda: _on_plates(sights, "outline"))
     found.add("calcar", lambda: _level(sights, "calcar", found.part("head")[:3]))
     found.add("cortex", lambda: _level(sights, "cortex", _nearest_to_axis(sights, "cortex", found.part("shaft"))))
     return found.anatomy()
@@ -178,6 +181,9 @@ def _drawn(aids: Aids, picks: Sequence[Sequence[Pick]] | None, views: int) -> li
             lines = getattr(aids, name)
             if lines is not None:
                 drawn[name] = lines[k].uv_px, lines[k].sd_px ** 2 * np.eye(4)
+        if aids.outline is not None:
+            variances = np.repeat([line.sd_px**2 for line in aids.outline[k]], 4)
+            drawn["outline"] = np.concatenate([line.uv_px for line in aids.outline[k]]), np.diag(variances)
     for name in ("calcar", "cortex"):
         pick = getattr(aids, name)
         if pick is not None:
@@ -218,6 +224,12 @@ def _nearest_to_axis(sights: Sights, name: str, ends: np.ndarray) -> np.ndarray:
     ((focal, points),) = sights.rays(name, sights.values[sights.index(name)][None])
     along = (ends[3:] - ends[:3])[None]
     return nearest_approach(focal[0], (points - focal)[0], ends[None, :3], along).first_mm[0]
+
+
+def _on_plates(sights: Sights, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points of a drawing on the plates of its views, in order, and their derivatives."""
+    at = sights.values[sights.index(name)]
+    return response(lambda z: np.concatenate([p.reshape(len(z), -1) for _, p in sights.rays(name, z)], axis=1), at)
 
 
 def _level(sights: Sights, name: str, with_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

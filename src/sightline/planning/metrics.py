@@ -13,6 +13,7 @@ from sightline.errors import ReconstructionRefusedError
 from sightline.geometry.covariance import response
 from sightline.planning.anatomy import Anatomy
 from sightline.planning.directions import ANTERIOR, MEDIAL, across, caudal, towards, unit
+from sightline.planning.neck import wire_in_neck
 
 # Beyond this distance from the head's centre, as a share of its radius, a line only grazes the head [ours].
 _MAX_OFFSET = 0.95
@@ -20,6 +21,7 @@ _CLEVELAND = "thirds of the head: Cleveland et al., J Bone Joint Surg Am 41-A:13
 _BAUMGAERTNER = "Baumgaertner et al., J Bone Joint Surg Am 77:1058 (1995)"
 _KUZYK = "Kuzyk et al., J Orthop Trauma 26:414 (2012)"
 _BY_DEFINITION = "by definition"
+_IN_NECK = "wire in neck"
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ def metrics(found: Anatomy, side: str) -> tuple[Metric, ...]:
     A metric that cannot be computed has no value and says why. Raises UnusableInputError for another side.
     """
     caudal(side)
-    made = [_metric(found, definition, side) for definition in _DEFINITIONS]
+    asked = [one for one in _DEFINITIONS if one.name != _IN_NECK or "outline" in found.at]  # few procedures ask for it
+    made = [_metric(found, definition, side) for definition in asked]
     return (*made, *(_position(found, name, side) for name in ("AP", "lateral")))
 
 
@@ -151,6 +154,14 @@ class _Parts:
     def beam(self, view: int) -> np.ndarray:
         """Return the ray of a view (0: PA, 1: lateral) through the head's centre."""
         return unit(self.centre - self._of("focal", 3 * view))
+
+    def in_neck(self) -> np.ndarray:
+        """Return the least distance of the wire from the drawn neck's surface."""
+        return wire_in_neck(self.entry, self.tip, (self.borders(0), self.borders(1)))
+
+    def borders(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the focal point (K, 3) of a view and its two borders of the neck (K, 2, 2, 3), two points each."""
+        return self._of("focal", 3 * view), self._of("outline", 12 * view, 12).reshape(-1, 2, 2, 3)
 
     def offset(self) -> np.ndarray:
         """Return the perpendicular from the head's centre to the wire."""
@@ -268,6 +279,14 @@ _DEFINITIONS = (
         "5 to 10 mm under the subchondral bone (physics.md)",
         5.0,
         10.0,
+    ),
+    _Definition(
+        _IN_NECK,
+        ("wire", "outline"),
+        _Parts.in_neck,
+        "mm",
+        "Between the drawn borders of the neck its surface is {} or more from the wire.",
+        "the ellipse nearest to a circle that touches the drawn borders",
     ),
 )
 

@@ -186,6 +186,7 @@ def _aids(decisions: Decisions) -> Aids:
         shaft=_pair(decisions, "shaft", 2, lambda uv: Line(uv, PICK_SD_PX)),
         calcar=_single(decisions, "calcar-1"),
         cortex=_single(decisions, "cortex-1"),
+        outline=_pair(decisions, "outline", 4, lambda uv: (Line(uv[:2], PICK_SD_PX), Line(uv[2:], PICK_SD_PX))),
     )
 
 

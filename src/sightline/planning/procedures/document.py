@@ -1,5 +1,6 @@
 """The schema of a procedure's file (docs/procedures.md)."""
 
+from math import inf
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -14,9 +15,16 @@ Degrees = Annotated[float, Field(allow_inf_nan=False, gt=0, le=90)]
 AidType = Literal["point", "sphere", "line", "plane", "cylinder", "rim pair", "outline tube"]
 # Clicks that define an aid in each of its images, at least and at most; for types that no part of the program draws yet
 # any number.
-_CLICKS = {"point": (1, 1), "sphere": (3, 12), "line": (2, 2)}
+_CLICKS = {"point": (1, 1), "sphere": (3, 12), "line": (2, 2), "outline tube": (4, 4)}
 # The aids that planning locates in space (`Aids`), with their types.
-LOCATED: dict[str, AidType] = {"head": "sphere", "neck": "line", "shaft": "line", "calcar": "point", "cortex": "point"}
+LOCATED: dict[str, AidType] = {
+    "head": "sphere",
+    "neck": "line",
+    "shaft": "line",
+    "calcar": "point",
+    "cortex": "point",
+    "outline": "outline tube",
+}
 
 
 class WantedView(Strict):
@@ -93,10 +101,10 @@ class AidAsked(PointAsked):
 
     @model_validator(mode="after")
     def _drawable(self) -> Self:
-        low, high = _CLICKS.get(self.type, (1, 40))
+        low, high = _CLICKS[self.type] if self.key in LOCATED and self.type in _CLICKS else (1, 40)
         if not low <= self.clicks <= high:
             raise ValueError(f"is a {self.type} drawn by {self.clicks} clicks; give {low} to {high}")
-        if self.type in _CLICKS and LOCATED.get(self.key) != self.type:
+        if LOCATED.get(self.key, None if self.type in ("point", "sphere", "line") else self.type) != self.type:
             known = ", ".join(f"{key} ({kind})" for key, kind in LOCATED.items())
             raise ValueError(f"is the {self.type} {self.key!r}; the aids that are located are {known}")
         return self
@@ -208,6 +216,13 @@ class ProcedureDocument(Strict):
                 wanted = ", or ".join(" and ".join(sorted(one)) for one in needs)
                 raise ValueError(
                     f"requires the check {rule.check!r}, which needs {wanted}: add it to aids or landmarks"
+                )
+        needed = -inf if self.corridor is None else self.corridor.implant_mm / 2 + self.corridor.margin_mm
+        for rule in self.checks:
+            if rule.check == "wire in neck" and rule.range[0] < needed:
+                raise ValueError(
+                    f"has the check 'wire in neck' from {rule.low:g} mm, less than half of implant_mm and margin_mm of "
+                    f"its corridor, {needed:g} mm; raise it"
                 )
         if self.proposal is not None and not {"head", "shaft", "cortex"} <= set(given):
             raise ValueError("a proposal through the head needs the aids head, shaft and cortex; add them")

@@ -53,6 +53,7 @@ CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
         "calcar tip-apex distance": _known("high", "mm", "head neck calcar"),
         "tip to bone along wire": _known("low high", "mm", "head"),
         "tip to bone nearest": _known("low", "mm", "head"),
+        "wire in neck": _known("low", "mm", "outline"),
     }
 )
 
