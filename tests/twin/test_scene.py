@@ -7,7 +7,7 @@ import pytest
 
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.twin import draw_setup, shown_hip_scene, write_truth
-from sightline.twin.femur import Femur, draw_femur, to_cfcs, voxelise
+from sightline.twin.femur import Femur, _femur_distance, draw_femur, to_cfcs, voxelise
 from sightline.twin.hard import hard_scene
 from sightline.twin.scene import four_balls
 
@@ -34,6 +34,31 @@ def test_the_wire_runs_from_the_lateral_cortex_into_the_head():
         assert np.linalg.norm(np.cross(entry, along)) < 1e-9  # through the centre of the head
         assert 70 < np.linalg.norm(end - entry) < 120
         assert entry[0] > femur.base_mm[0]
+
+
+def test_three_cannulated_wires_are_an_inverted_triangle_in_the_neck():
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        femur = draw_femur(rng)
+        wires = femur.cannulated_wires_mm()
+        along = wires[:, 1] - wires[:, 0]
+        along /= np.linalg.norm(along, axis=1)[:, None]
+        assert np.abs(along - femur.towards_head).max() < 1e-9  # parallel
+        assert np.linalg.norm(wires[:, 1], axis=1) == pytest.approx(femur.head_radius_mm - 5.0)
+        inferior, posterior, anterior = wires[:, 1] - (wires[:, 1] @ along[0])[:, None] * along[0]
+        sides = [np.linalg.norm(a - b) for a, b in ((inferior, posterior), (posterior, anterior), (anterior, inferior))]
+        assert max(sides) - min(sides) < 1e-9
+        assert inferior[1] > max(posterior[1], anterior[1])  # caudal
+        assert posterior[2] < min(inferior[2], anterior[2])
+        # The neck's axis passes the head's centre, so a screw's surface is this far from that of the narrowest neck:
+        gap = 0.96 * femur.neck_radius_mm - np.linalg.norm(inferior) - 7.3 / 2
+        assert gap == pytest.approx(3.0)
+        for entry, end in wires:
+            at = entry + np.linspace(0.02, 1.0, 80)[:, None] * (end - entry)
+            depth = np.array([_femur_distance(point, femur.numbers())[0] for point in at])
+            assert abs(_femur_distance(entry, femur.numbers())[0]) < 1e-6
+            assert (depth < 0).all()
+            assert depth[at @ along[0] > -35.0].max() < -4.9  # neck and head: a screw and more
 
 
 def test_the_volume_is_bone_where_the_femur_is(femur_and_volume):

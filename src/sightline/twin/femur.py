@@ -18,6 +18,8 @@ from sightline.twin.volumes import Volume
 
 VOXEL_MM = 0.75
 SHORT_MM = 8.0  # distance of the ideal wire's tip from the surface of the head: 5-10 mm [physics.md, Planning figures]
+CORTEX_GAP_MM = 3.0  # between a cannulated screw and the neck's surface [mem]
+NARROWEST = 0.96  # radius of the neck where it is narrowest, over `neck_radius_mm`
 # The voxelised box, anatomical coordinates: the part of a hip that a field of 215 mm at the detector can show.
 BOX_LOW_MM = np.array([-110.0, -110.0, -48.0])
 BOX_HIGH_MM = np.array([76.0, 106.0, 42.0])
@@ -78,16 +80,40 @@ class Femur:
         """
         version, across = radians(self.anteversion_deg), sin(radians(angle_deg))
         along = np.array([-across * cos(version), cos(radians(angle_deg)), across * sin(version)])
+        return self._entry_mm(np.zeros(3), along), (self.head_radius_mm - short_mm) * along
+
+    def cannulated_wires_mm(self, screw_mm: float = 7.3, short_mm: float = 5.0) -> np.ndarray:
+        """Return entry and end (3, 2, 3) of the wires of three cannulated screws, parallel to the neck, anatomical
+        coordinates: one inferior, two superior (posterior and anterior), as an inverted triangle with equal sides.
+
+        Screws of `screw_mm` stay CORTEX_GAP_MM from the neck's surface where
+        it is narrowest. The ends lie `short_mm` below the head's surface. Raises SetUpError.
+        """
+        along = self.towards_head
+        down = np.array([0.0, 1.0, 0.0]) - along[1] * along
+        down /= np.linalg.norm(down)
+        spread = NARROWEST * self.neck_radius_mm - CORTEX_GAP_MM - screw_mm / 2
+        forwards = np.cross(along, down)
+        forwards *= np.sign(forwards[2])
+        wires = []
+        for turn in (0.0, radians(240.0), radians(120.0)):
+            through = spread * (cos(turn) * down + sin(turn) * forwards)
+            depth = np.sqrt((self.head_radius_mm - short_mm) ** 2 - spread**2)
+            wires.append([self._entry_mm(through, along), through + depth * along])
+        return np.array(wires)
+
+    def _entry_mm(self, through_mm: np.ndarray, along: np.ndarray) -> np.ndarray:
+        """Return where a line through a point (3,) in the head meets the lateral surface. Raises SetUpError."""
         numbers = self.numbers()
 
         def height(back_mm: float) -> float:
-            return float(_femur_distance(-back_mm * along, numbers)[0])
+            return float(_femur_distance(through_mm - back_mm * along, numbers)[0])
 
         inside = next((b for b in np.arange(110.0, 30.0, -1.0) if height(b) < 0), None)
         if inside is None:
             raise SetUpError("the wire does not meet this femur's lateral cortex; use another angle")
-        entry = root_scalar(height, bracket=(inside, inside + 1.0), xtol=1e-9).root
-        return -entry * along, (self.head_radius_mm - short_mm) * along
+        back = root_scalar(height, bracket=(inside, inside + 1.0), xtol=1e-9).root
+        return through_mm - back * along
 
     def numbers(self) -> np.ndarray:
         """Return the parameters of the compiled kernels."""
@@ -142,7 +168,7 @@ def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
     length = np.sqrt(bx * bx + by * by + bz * bz)
     head = np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2) - rh
     t = min(max((p[0] * bx + p[1] * by + p[2] * bz) / length**2, 0.0), 1.0)
-    radius = rn * (0.96 + 0.9 * (t - 0.45) ** 2)  # narrowest in the middle
+    radius = rn * (NARROWEST + 0.9 * (t - 0.45) ** 2)  # narrowest in the middle
     neck = np.sqrt((p[0] - t * bx) ** 2 + (p[1] - t * by) ** 2 + (p[2] - t * bz) ** 2) - radius
     x, y, z = p[0] - bx, p[1] - by, p[2] - bz
     flare = 1.0 + 0.28 * np.exp(-((max(y, 0.0) / 28.0) ** 2))  # wider towards the trochanters
