@@ -21,6 +21,7 @@ from sightline.twin.volumes import Volume
 BLOCK = 8  # voxels a side of a block that is skipped where no bone is near
 DIRECTIONS = 160  # of the search for the nearest point, before it is refined
 REACH_MM = 300.0  # of this search
+BOUND = 0.85  # share of a depth that a distance is at least: barrels and ellipsoids are exact to first order only
 HARD, HARD_TEXTURE, SPONGY_TEXTURE = 0.92, 0.03, 0.7  # share of bone in cortex; its textures, as of the femur
 FIELDS = ("surface", "outline", "cancellous", "gap")
 PART, JOIN, BLEND, CORTEX, KIND, FIRST = range(6)  # columns of the table of shapes
@@ -149,8 +150,17 @@ class Bone:
         entry, end = np.asarray(wire_mm, dtype=np.float64)
         length = float(np.linalg.norm(end - entry))
         at = np.linspace(min(from_entry_mm / length, 1.0), 1.0, max(int(length), 2))
-        distance = self.distance_mm(entry + at[:, None] * (end - entry), of)
-        return float((-distance if of in {"outline", "surface"} else distance).min())
+        points = entry + at[:, None] * (end - entry)
+        if of not in FIELDS:
+            return float(self.distance_mm(points, of).min())
+        sign = -1.0 if of in {"outline", "surface"} else 1.0
+        bound = sign * self.depth_mm(points, of)
+        best = np.inf
+        for k in np.argsort(bound):
+            if bound[k] > 0 and BOUND * bound[k] >= best:
+                break
+            best = min(best, float(sign * self.distance_mm(points[k], of)))
+        return best
 
     def surface_mm(self, inside_mm: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return the last point (3,) of the outline on a ray from a point (3,).
