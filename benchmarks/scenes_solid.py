@@ -1,4 +1,4 @@
-"""A block beside a hip on a flat panel, as points: its balls, targets and picks; a Γ frame in the same beams."""
+"""A block beside a hip, as points: its balls, targets and picks; a Γ frame in the same beams."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from sightline.frame import Frame, Tolerances
 from sightline.studies.scenes import TargetScene, measure
 from sightline.twin import SetUp
 from sightline.twin.carm import with_errors
-from sightline.twin.distributions import SolidPlace
+from sightline.twin.distributions import NEAR_PLACE, SolidPlace
 
 BEAD_PX = PICK_PX = 0.1
 
@@ -41,7 +41,8 @@ def gamma_in(setup: SetUp, rng: np.random.Generator) -> TargetScene:
     The views are moved so that they are aimed at the middle of the Γ frame, as they were at a place beside the hip.
     """
     frame = Frame.load("gamma")
-    aim = (1.0 - SolidPlace().aim) * setup.hip_mm  # the block's middle is the origin
+    place = SolidPlace() if setup.frame.detector is None else NEAR_PLACE
+    aim = (1.0 - place.aim) * setup.hip_mm  # the block's middle is the origin
     views = {
         name: replace(
             view,

@@ -56,6 +56,9 @@ def drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "t
     if find_spec("mujoco") is None:
         output.note("the robot is left out: it needs MuJoCo (pip install 'sightline[robot]')")
         return None
+    if planned.rehearsal.setup.frame.detector is not None:
+        output.say("not drilled: beside a block the field of an image intensifier has no room for the robot's wire")
+        return None
     try:
         return _drill(output, planned, rng)
     except RefusedError as error:

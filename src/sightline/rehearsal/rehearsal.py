@@ -43,10 +43,11 @@ class Rehearsal:
     def draw(seed: int, frame: Frame, side: str = "right") -> "Rehearsal":
         """Draw a rehearsal from its seed: in front of an intensifier, for a solid a flat panel (`chain_for`).
 
-        Both fields show the whole ideal wire, and beside a solid the tip of the robot's own. Raises SetUpError.
+        Both fields show the whole ideal wire, and beside a solid the tip of the robot's own; an intensifier's field has
+        no room for that. Raises SetUpError.
         """
         also = None
-        if frame.solid is not None:
+        if frame.solid is not None and frame.detector is None:
             imaged = np.array([0.0, 0.0, 0.0, 0.0, SHOWN_FEED_MM])
             also = shown_wire_mm(calibrated_robot(side, frame).manipulator, imaged, [SHOWN_MM, 0.0])
         return Rehearsal(seed, *shown_hip_scene(np.random.default_rng(seed), frame, side, also_mm=also))
@@ -121,8 +122,8 @@ class Rehearsal:
     @cached_property
     def robot_wire_mm(self) -> np.ndarray | None:
         """A point and the tip (2, 3), CFCS, of the robot's own wire at the images of a block: the farthest point behind
-        the tip that both fields show. None for plates, whose images do not show it."""
-        if self.setup.frame.solid is None:
+        the tip that both fields show. None for plates and intensifiers, whose images do not show it."""
+        if self.setup.frame.solid is None or self.setup.frame.detector is not None:
             return None
         true, imaged = self._at_images
         wire = shown_wire_mm(true, imaged, np.append(np.arange(MAX_SHOWN_MM, SHOWN_MM, -1.0), [SHOWN_MM, 0.0]))

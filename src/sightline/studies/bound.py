@@ -78,8 +78,8 @@ def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray,
     uv = truth.project(xyz)
     by_point = derivative(partial(plane.central_projection, focal), xyz)
     by_focal = derivative(lambda f: plane.central_projection(f[0], xyz), focal[None])
-    jacobian = _plane_per_pixel(truth, plane, xyz, by_point)
-    cubic = np.zeros((2 * n, 0)) if known_map else np.kron(_cubic(uv), np.eye(2))
+    jacobian = plane_per_pixel(truth, plane, xyz, by_point)
+    cubic = np.zeros((2 * n, 0)) if known_map else np.kron(cubic_terms(uv), np.eye(2))
     factor = setup.frame.error_factor[setup.frame.rows(name)].reshape(len(places), 3, -1)[rows]
     response = np.zeros((n, 2, factor.shape[-1]))
     response[:-1] = by_point[:-1] @ factor
@@ -108,7 +108,7 @@ def snapped(view: Linear, jacobian: np.ndarray, across_px: np.ndarray) -> Linear
     return Linear(keep @ view.nuisance, keep @ view.target, keep @ view.response, keep @ view.covariance @ keep.T)
 
 
-def _plane_per_pixel(truth: ViewTruth, plane: Plane, xyz_mm: np.ndarray, by_point: np.ndarray) -> np.ndarray:
+def plane_per_pixel(truth: ViewTruth, plane: Plane, xyz_mm: np.ndarray, by_point: np.ndarray) -> np.ndarray:
     """Return d plane / d pixel (N, 2, 2) at the images of points, from displacements along the plane's axes."""
     px = derivative(truth.project, xyz_mm) @ plane.axes.T
     return (by_point @ plane.axes.T) @ np.linalg.inv(px)
@@ -120,7 +120,7 @@ def derivative(function, at: np.ndarray) -> np.ndarray:
     return np.stack([(function(at + s) - function(at - s)) / (2 * _STEP_MM) for s in steps], axis=-1)
 
 
-def _cubic(uv_px: np.ndarray) -> np.ndarray:
+def cubic_terms(uv_px: np.ndarray) -> np.ndarray:
     """Return the cubic monomials (N, 10) of pixels (N, 2)."""
     x, y = ((uv_px - uv_px.mean(axis=0)) / np.ptp(uv_px, axis=0)).T
     return np.stack([x**a * y**b for a in range(4) for b in range(4 - a)], axis=-1)

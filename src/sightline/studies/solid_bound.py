@@ -1,20 +1,33 @@
-"""Lower bound of the error of targets for a solid of balls on flat panels, as bound.py has it for plates.
+"""Lower bound of the error of targets for a solid of balls, as bound.py has it for plates.
 
-Data: the pixels of the balls in all views and the picks of the target. Unknowns of each view: its pose, without a
-prior; its focal length and principal point, with those of an estimator. The errors of the balls have the frame's prior
-and are shared by all views.
+On flat panels. Data: the pixels of the balls in all views and the picks of the target. Unknowns of each view: its
+pose, without a prior; its focal length and principal point, with those of an estimator. The errors of the balls have
+the frame's prior and are shared by all views.
 
 A change of focal length and principal point is a movement of the focal point against the detector; what else it does
 is a movement of both, which the pose contains.
+
+On intensifiers with a plate on the detector the data are the pixels of its balls too, and all are mapped to its plane.
+The map is a cubic with a flat prior and a remainder with that which it was drawn from (`bound`). The pose is the
+solid's against the plate.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from sightline.calibration.solid_start import CENTRE_SD_MM, DISTANCE_SD_MM
-from sightline.studies.bound import BoundData, Linear, derivative, snapped, target_bound
+from sightline.calibration.solid_start import CENTRE_SD_MM, DISTANCE_SD_MM, PLATE_CENTRE_SD_MM
+from sightline.studies.bound import (
+    BoundData,
+    Linear,
+    cubic_terms,
+    derivative,
+    plane_per_pixel,
+    snapped,
+    target_bound,
+)
 from sightline.twin import SetUp, ViewTruth
 
 
@@ -24,7 +37,7 @@ def solid_bound(
     target_mm: np.ndarray,
     *,
     focal_length_mm: float = DISTANCE_SD_MM,
-    principal_point_mm: float = CENTRE_SD_MM,
+    principal_point_mm: float | None = None,
 ) -> np.ndarray:
     """Return the lower bound (3, 3), mm², of the covariance of a target at `target_mm` (3,), CFCS.
 
@@ -32,8 +45,11 @@ def solid_bound(
     by default those of `calibrate_together` where the file states the source-detector distance. The twin draws 3 mm for
     the focal length and 5 mm for the principal point (`Pose`).
     """
-    prior = np.array([principal_point_mm, principal_point_mm, focal_length_mm])
-    return target_bound([_linearised(setup, name, one, target_mm, prior) for name, one in seen.items()])
+    usual = CENTRE_SD_MM if setup.frame.detector is None else PLATE_CENTRE_SD_MM
+    across = usual if principal_point_mm is None else principal_point_mm
+    prior = np.array([across, across, focal_length_mm])
+    linearised = _linearised if setup.frame.detector is None else _on_plate
+    return target_bound([linearised(setup, name, one, target_mm, prior) for name, one in seen.items()])
 
 
 def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray, prior_mm: np.ndarray) -> Linear:
@@ -59,6 +75,39 @@ def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray,
         covariance=np.asarray(block_diag(*seen.bead_px2, seen.pick_px2)) + inner @ inner.T,
     )
     return snapped(out, np.eye(2), seen.across_px)
+
+
+def _on_plate(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray, prior_mm: np.ndarray) -> Linear:
+    """Return a view with a plate on the detector, on the plate's plane, mm. `prior_mm` (3,): of the focal point, along
+    the plane's axes and its normal."""
+    truth, frame, pose = setup.views[name], setup.frame_in(name), setup.T_cfcs_plate(name)
+    assert frame.detector is not None  # noqa: S101 - `solid_bound` asks
+    plane, focal = frame.detector.plane, truth.focal_point_mm
+    places = [bead.id for bead in frame.fiducials]
+    rows = np.array([places.index(i) for i in seen.ids])
+    xyz = np.vstack([frame.xyz_mm[rows], target_mm])
+    n, uv = len(xyz), truth.project(xyz)
+    moves = np.append(~np.isin(seen.ids, frame.detector.ids), True)  # the solid and the target, against the plate
+    by_point = derivative(partial(plane.central_projection, focal), xyz)
+    by_focal = derivative(lambda f: plane.central_projection(f[0], xyz), focal[None]) @ plane.basis.T
+    centred = xyz - xyz[moves].mean(axis=0)
+    rotations = np.stack([np.cross(axis, centred) for axis in np.eye(3)], axis=-1)
+    rigid = np.concatenate([by_point, by_point @ rotations], axis=-1) * moves[:, None, None]
+    factor = setup.frame.error_factor.reshape(len(places), 3, -1)[rows]
+    factor = np.where(moves[:-1, None, None], factor, pose.rotation.as_matrix() @ factor)
+    response = np.zeros((n, 2, factor.shape[-1]))
+    response[:-1] = by_point[:-1] @ factor
+    jacobian = plane_per_pixel(truth, plane, xyz, by_point)
+    to_mm = np.asarray(block_diag(*jacobian))
+    noise_px = np.asarray(block_diag(*seen.bead_px2, seen.pick_px2)) + truth.beyond_cubic_covariance(uv)
+    inner = by_focal.reshape(2 * n, 3) * prior_mm
+    out = Linear(
+        nuisance=np.hstack([rigid.reshape(2 * n, 6), np.kron(cubic_terms(uv), np.eye(2))]),
+        target=np.vstack([np.zeros((2 * n - 2, 3)), by_point[-1]]),
+        response=response.reshape(2 * n, -1),
+        covariance=to_mm @ noise_px @ to_mm.T + inner @ inner.T,
+    )
+    return snapped(out, jacobian[-1], seen.across_px)
 
 
 def _from(truth: ViewTruth, focal_mm: np.ndarray, xyz_mm: np.ndarray) -> np.ndarray:

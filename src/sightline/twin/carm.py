@@ -89,12 +89,18 @@ class SetUp:
 
     def frame_in(self, view: str) -> Frame:
         """Return the true frame at the exposure of a view, with the plate on the detector placed in CFCS."""
-        frame, detector = self.true_frame, self.views[view].detector
+        frame = self.true_frame
         if frame.solid is None or frame.detector is None:
             return frame
-        to_cfcs = np.array([1.0, -1.0, -1.0])[:, None] * detector.basis
-        placed = detector.origin_mm + self.mount.apply(frame.detector.xyz_mm) @ to_cfcs
-        return frame.with_beads_at(np.concatenate([frame.solid.xyz_mm, placed]))
+        return frame.with_beads_at(
+            np.concatenate([frame.solid.xyz_mm, self.T_cfcs_plate(view).apply(frame.detector.xyz_mm)])
+        )
+
+    def T_cfcs_plate(self, view: str) -> RigidTransform:
+        """Return the pose of the plate on the detector at the exposure of a view."""
+        detector = self.views[view].detector
+        to_cfcs = Rotation.from_matrix(detector.basis.T * [1.0, -1.0, -1.0])
+        return RigidTransform.from_components(detector.origin_mm, to_cfcs) * self.mount
 
 
 @dataclass(frozen=True)

@@ -209,9 +209,8 @@ def _matched(
     """Return the beads that fit, from a focal point, and the fit. Raises AttemptError."""
     size_m2 = sizes.m2
     on = np.full(len(problem.detections), -1)
-    if len(pair) > 1:
-        on[pair[1].rows] = pair[1].places + len(pair[0].pattern.ids)
-    on[pair[0].rows] = pair[0].places
+    for k, grown in reversed(list(enumerate(pair))):
+        on[grown.rows] = grown.places + k * len(pair[0].pattern.ids)
     beads = _beads(on)
     fit, factor = model.fit(beads, focal_mm, 1.0), 1.0
     for iteration in range(MAX_FITS):
