@@ -14,14 +14,14 @@ from scipy.stats import chi2
 import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
-from benchmarks.scenes_solid import PICK_PX, block, c_arms, pick_covariance
+from benchmarks.scenes_solid import PICK_PX, block, c_arms, centre_squares, pick_covariance, squares_of
 from sightline.calibration.together import calibrate_together
 from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.twin import SetUp, render, shown_hip_scene
-from sightline.twin.carm import Variation, shadow_centres_px
+from sightline.twin.carm import Variation
 from sightline.twin.draw import FlatPanel
 from sightline.twin.presets import preset
 
@@ -56,23 +56,10 @@ def errors(seed: int) -> dict[str, np.ndarray] | str:
         return str(error)
     off = found.xyz_mm - hip.wire_mm
     return {
-        "wire": _squares(off, found.covariance_mm2),
-        "balls": np.concatenate([_of_balls(setup, one) for one in seen]),
+        "wire": squares_of(off, found.covariance_mm2),
+        "balls": np.concatenate([centre_squares(setup, one) for one in seen]),
         "error": np.linalg.norm(off, axis=1),
     }
-
-
-def _of_balls(setup: SetUp, seen: Observations) -> np.ndarray:
-    """Return the squared Mahalanobis lengths (N,) of the errors of measured centres."""
-    balls = {ball.id: ball for ball in setup.true_frame.fiducials}
-    xyz = np.array([balls[i].xyz_mm for i in seen.ids])
-    radius = np.array([balls[i].diameter_mm / 2 for i in seen.ids])
-    assert seen.covariance_px2 is not None
-    return _squares(seen.uv_px - shadow_centres_px(setup.views[seen.view], xyz, radius), seen.covariance_px2)
-
-
-def _squares(off: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    return np.einsum("na,na->n", off, np.linalg.solve(covariance, off[..., None])[..., 0])
 
 
 def _rows_of_errors(trials: list[dict[str, np.ndarray] | str]) -> list[Row]:

@@ -6,10 +6,11 @@ import numpy as np
 
 from sightline.calibration import BeadView, CArm
 from sightline.calibration.together import calibrate_together
+from sightline.detection import Observations
 from sightline.frame import Frame, Tolerances
 from sightline.studies.scenes import TargetScene, measure
 from sightline.twin import SetUp
-from sightline.twin.carm import with_errors
+from sightline.twin.carm import shadow_centres_px, with_errors
 from sightline.twin.distributions import NEAR_PLACE, SolidPlace
 
 BEAD_PX = PICK_PX = 0.1
@@ -53,3 +54,17 @@ def gamma_in(setup: SetUp, rng: np.random.Generator) -> TargetScene:
     }
     moved = SetUp(frame, with_errors(frame, rng), views, setup.side, setup.tube)
     return TargetScene.of(moved, measure(rng, moved, BEAD_PX), np.zeros((1, 3)))
+
+
+def centre_squares(setup: SetUp, seen: Observations) -> np.ndarray:
+    """Return the squared Mahalanobis lengths (N,) of the errors of measured centres."""
+    balls = {ball.id: ball for ball in setup.true_frame.fiducials}
+    xyz = np.array([balls[i].xyz_mm for i in seen.ids])
+    radius = np.array([balls[i].diameter_mm / 2 for i in seen.ids])
+    assert seen.covariance_px2 is not None
+    return squares_of(seen.uv_px - shadow_centres_px(setup.views[seen.view], xyz, radius), seen.covariance_px2)
+
+
+def squares_of(off: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the squared Mahalanobis lengths (N,) of errors (N, D) with covariances (N, D, D)."""
+    return np.einsum("na,na->n", off, np.linalg.solve(covariance, off[..., None])[..., 0])
