@@ -20,7 +20,7 @@ from sightline.studies.scenes import TargetScene
 from sightline.studies.solid_bound import solid_bound
 from sightline.twin import SetUp, render, shown_hip_scene
 
-SETUPS = 10  # 20 images, beside the 60 of solid_images: a quarter
+SETUPS = 20  # 40 images, beside the 60 of solid_images
 BALL_MM = 0.02
 MAX_RATIO = 1.15
 TWIN, OTHER = "the twin", "gVirtualXray"

@@ -19,8 +19,8 @@ from sightline.twin import ViewTruth
 
 # Attenuation at an effective 52 keV, 1/mm [xraydb tables, rounded]; what a part displaces is subtracted.
 STEEL, BONE, TISSUE, PMMA = 1.46, 0.078, 0.0236, 0.0247
-QUANTA, SCATTER = 400.0, 0.5  # per pixel in the mean; scatter over primary, even [ours]
-BLUR_MM, WHITE, LEVEL = 0.15, 65535, 0.3  # s.d. of the panel's blur; mean of the image over white [ours]
+QUANTA, SCATTER = 200.0, 0.5  # per pixel, mean of the image's middle; scatter over primary, even [ours]
+BLUR_MM, WHITE, LEVEL = 0.15, 65535, 0.3  # s.d. of the panel's blur; mean of the middle over white [ours]
 COVER_MM = 3.5  # PMMA over the balls' centres
 SUBDIVISIONS = 3  # of a ball's mesh: 1,280 triangles [ours]
 
@@ -61,7 +61,8 @@ def image(view: ViewTruth, parts: Meshes, rng: np.random.Generator) -> Radiograp
     total = np.sum([per_mm * lengths[name] for name, (_, per_mm) in parts.items()], axis=0)
     primary = np.exp(-total)
     quanta = (primary + SCATTER * gaussian_filter(primary, 30.0 / chain.pitch_mm)) / (1 + SCATTER)
-    quanta *= QUANTA / quanta.mean()
+    height, width = quanta.shape
+    quanta *= QUANTA / quanta[height // 4 : -height // 4, width // 4 : -width // 4].mean()
     seen = gaussian_filter(rng.poisson(quanta).astype(float), BLUR_MM / chain.pitch_mm)
     stored = np.clip(np.rint(seen * LEVEL * WHITE / QUANTA), 0, WHITE).astype(np.uint16)
     return Radiograph(stored, float(WHITE))

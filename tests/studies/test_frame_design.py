@@ -94,13 +94,13 @@ def test_the_frame_with_the_least_error_is_the_one_to_build():
     ]
     found = {key: DesignResult.of(key, trials) for key in trials[0]}
     first, second = which_to_build(kinds, found)
-    assert first.startswith("Before the intensifier build gamma 0.05")
-    assert second.startswith("Before the panel build block30 80 mm away 0.1")
-    assert "gamma 0.2" in second
+    assert first.startswith("Before the intensifier build gamma: 0.05")
+    assert second.startswith("Before the panel build block30, 80 mm away: 0.1")
+    assert "gamma: 0.2" in second
 
 
 def test_each_kind_of_frame_has_the_error_that_it_states():
-    for kind in (Kind("biplane", "9in-1k"), Kind("block60", "flat-panel"), Kind("block30", "flat-panel", (80, 0, 100))):
+    for kind in (Kind("biplane", "9in-1k"), Kind("block60", "flat-panel"), Kind("block40+detector-plate", "9in-1k")):
         made = [error_of_kind(kind, EQUAL["balls 0.1 mm"], seed) for seed in range(4)]
         assert all(made)
         error, stated = (np.sqrt(np.mean([np.square(one[key]) for one in made])) for key in ("error", "stated"))

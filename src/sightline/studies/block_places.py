@@ -18,7 +18,7 @@ from sightline.studies.study import Table
 from sightline.twin.things import SoftTissue
 
 FIELDS_MM = {"9-inch intensifier": 140.0, "30 cm panel": 185.0}  # at the hip [mem]
-BLOCKS = ("block30", "block60", "cube120")
+BLOCKS = ("block30", "block40", "block60", "cube120")
 MARGIN_MM = 8.0  # aiming error per image, at the hip [ours]
 DRAPES_MM = 5.0  # [ours]
 COVER_MM = 3.5  # balls' centres under the solid's faces (frame/solids.py)

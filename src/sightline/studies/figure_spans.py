@@ -10,6 +10,7 @@ from sightline.case.report.drawing import svg
 MEDIAN = "90 % lie between {low:.3g} and {high:.3g} {unit}, median {middle:.3g}"
 RMS = "rms {middle:.3g} {unit}, 95 % interval {low:.3g} to {high:.3g}"
 WIDTH, ROW, LEFT, RIGHT, FOOT, BAR = 760.0, 24.0, 250.0, 30.0, 36.0, 12.0
+LETTER = 7.0  # mean width of a letter of a row's name, px
 
 
 @dataclass(frozen=True)
@@ -29,22 +30,25 @@ def spans(rows: Sequence[Span], unit: str, description: str, mark: str = "", wor
     values = [v for row in rows for v in (row.low, row.high, row.mark) if v]
     first, last = log10(min(values)) - 0.05, log10(max(values)) + 0.05
     foot = len(rows) * ROW
+    left = max(LEFT, 12 + LETTER * max(len(row.name) for row in rows))
 
     def x(value: float) -> float:
-        return LEFT + (WIDTH - LEFT - RIGHT) * (log10(value) - first) / (last - first)
+        return left + (WIDTH - left - RIGHT) * (log10(value) - first) / (last - first)
 
     parts = [_tick(x(value), foot, f"{value:g}") for value in _round_values(first, last)]
     parts.append(svg.text(unit, WIDTH - RIGHT, foot + 30, class_="unit"))
     for k, row in enumerate(rows):
         hint = f"{row.name}: {words.format(low=row.low, middle=row.middle, high=row.high, unit=unit)}"
-        parts += _row(row, k * ROW + ROW / 2, x, hint, f"{mark}: {row.mark:.3g} {unit}" if row.mark else "")
+        parts += _row(
+            row, (left - 12, k * ROW + ROW / 2), x, hint, f"{mark}: {row.mark:.3g} {unit}" if row.mark else ""
+        )
     return svg.figure((0, 0, WIDTH, foot + FOOT), description, parts, class_="spans")
 
 
-def _row(row: Span, y: float, x, hint: str, mark: str) -> list[str]:
-    width = max(x(row.high) - x(row.low), 1.0)
+def _row(row: Span, name_at: tuple[float, float], x, hint: str, mark: str) -> list[str]:
+    y, width = name_at[1], max(x(row.high) - x(row.low), 1.0)
     parts = [
-        svg.text(row.name, LEFT - 12, y, class_="row-name"),
+        svg.text(row.name, *name_at, class_="row-name"),
         svg.element(
             "rect", svg.hint(hint), x=x(row.low), y=y - BAR / 2, width=width, height=BAR, class_=f"source-{row.colour}"
         ),

@@ -45,7 +45,8 @@ class Kind:
     @property
     def stands(self) -> str:
         """The frame and its distance."""
-        return f"{self.frame} {np.linalg.norm(self.place.solid_mm):.0f} mm away" if self.solid else self.frame
+        distance = f", {np.linalg.norm(self.place.solid_mm):.0f} mm away" if self.solid else ""
+        return self.frame.replace("+detector-plate", " with plate") + distance
 
     @property
     def place(self) -> SolidPlace:
@@ -64,16 +65,18 @@ class Kind:
         return f"{self.stands}, {DETECTORS[self.chain]}, {made}"
 
 
-# The last two: the nearest places outside the skin (block_places.py).
+# The last two stand at the nearest places outside the skin (block_places.py), the other solids nearer.
 KINDS = (
     Kind("gamma", "9in-1k"),
     Kind("biplane", "9in-1k"),
     Kind("block30+detector-plate", "9in-1k"),
-    Kind("block60+detector-plate", "9in-1k", (40.0, 0.0, 60.0)),
+    Kind("block40+detector-plate", "9in-1k"),
+    Kind("block60+detector-plate", "9in-1k", (40.0, 0.0, 60.0)),  # nearer, the wire would pass through it
     Kind("gamma", "flat-panel"),
     Kind("biplane", "flat-panel"),
-    Kind("block60", "flat-panel"),
     Kind("block30", "flat-panel"),
+    Kind("block40", "flat-panel"),
+    Kind("block60", "flat-panel"),
     Kind("block60", "flat-panel", (40.0, 0.0, 130.0)),
     Kind("block30", "flat-panel", (80.0, 0.0, 100.0)),
 )
@@ -86,7 +89,7 @@ def which_to_build(kinds: Sequence[Kind], found: dict[str, DesignResult]) -> lis
         errors = [(found[one.key(MADE)].error, one) for one in kinds if one.chain == chain]
         ranked = sorted(((e, one) for e, one in errors if e.value is not None), key=lambda pair: pair[0].value or 0.0)
         if ranked:
-            best, *others = [f"{one.stands} {error}" for error, one in ranked]
+            best, *others = [f"{one.stands}: {error}" for error, one in ranked]
             out.append(f"Before the {detector} build {best} mm rms at equal tolerances. Others: {'; '.join(others)}.")
     return out
 
