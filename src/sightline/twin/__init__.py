@@ -1,5 +1,7 @@
-"""The digital twin: C-arm, intensifier, femur, X-ray projection. It never imports the software that it tests."""
+"""The digital twin: C-arm, intensifier, bones, X-ray projection. It never imports the software that it tests."""
 
+from sightline.twin.bone_scene import BONES, BoneScene, shown_bone_scene
+from sightline.twin.bones import Bone
 from sightline.twin.carm import SetUp, Variation, ViewTruth, bead_images, draw_setup
 from sightline.twin.hard import BeadTruth, hard_scene
 from sightline.twin.render import DOSES, Dose, render
@@ -8,8 +10,11 @@ from sightline.twin.things import Scene
 from sightline.twin.truth import truth_document, write_truth
 
 __all__ = [
+    "BONES",
     "DOSES",
     "BeadTruth",
+    "Bone",
+    "BoneScene",
     "Dose",
     "HipScene",
     "Scene",
@@ -21,6 +26,7 @@ __all__ = [
     "hard_scene",
     "hip_scene",
     "render",
+    "shown_bone_scene",
     "shown_hip_scene",
     "truth_document",
     "write_truth",

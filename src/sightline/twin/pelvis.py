@@ -14,7 +14,7 @@ from sightline.twin.femur import BONE_PER_HU
 from sightline.twin.shapes import Shape, ball, barrel, box, cone, ellipsoid, half_space, plate
 
 PAST_MIDDLE_MM = 8.0  # how far the wire's end lies beyond the middle plane [ours]
-LOW_MM, HIGH_MM = np.array([-132.0, -95.0, -85.0]), np.array([132.0, 150.0, 105.0])
+LOW_MM, HIGH_MM = np.array([-95.0, -85.0, -80.0]), np.array([132.0, 150.0, 100.0])  # what views show
 # Places on a hip bone, anatomical coordinates [ours], with the hip's centre by a pelvic incidence of 52° [mem].
 HIP = np.array([88.0, 100.0, 33.0])
 PSIS, PIIS = np.array([42.0, 6.0, -60.0]), np.array([45.0, 38.0, -42.0])
@@ -66,7 +66,7 @@ class Pelvis:
 
     @property
     def _foramen_side(self) -> float:
-        return 18.4 + self.foramen_mm / 2  # 36.7 mm between the first two [src comparative morphometry, Anatolia]
+        return 18.05 + self.foramen_mm / 2  # 36.1 mm between the first two [src Korean sacra]
 
     @property
     def _foramen_down(self) -> float:
@@ -95,7 +95,7 @@ class Pelvis:
             },
             keep_out={"canal": canal, "foramen": (foramen,)},
             mirrored=True,
-            voxel_mm=1.0,
+            voxel_mm=0.8,
         )
         along = (self._target - self.corridor_mm) / np.linalg.norm(self._target - self.corridor_mm)
         end = self._target + PAST_MIDDLE_MM / abs(along[0]) * along
