@@ -125,7 +125,7 @@ def test_a_vertebra_has_its_dimensions():
 
 
 def test_a_pelvis_has_its_dimensions():
-    """The corridor to 1.2 mm: it blends into ala and body. The ranges are those of the sources in docs/bones.md."""
+    """The corridor to 1.5 mm: it blends into ala and body. The ranges are those of the sources in docs/bones.md."""
     rng = np.random.default_rng(10)
     for _ in range(4):
         drawn = BONES["pelvis"].draw(rng)
@@ -133,8 +133,8 @@ def test_a_pelvis_has_its_dimensions():
         bone, (_, down, forwards) = drawn.bone(), drawn.axes
         along = [drawn.corridor_mm + np.array([x, 0.0, 0.0]) for x in np.linspace(-4, 4, 9)]
         height, depth = (min(chord(bone, at, across) for at in along) for across in (down, forwards))
-        assert height == pytest.approx(drawn.corridor_height_mm, abs=1.2)
-        assert depth == pytest.approx(drawn.corridor_depth_mm, abs=1.2)
+        assert height == pytest.approx(drawn.corridor_height_mm, abs=1.5)
+        assert depth == pytest.approx(drawn.corridor_depth_mm, abs=1.5)
         assert 16.5 < height < 21.5
         front = bone.surface_near(drawn.at(0.0, 3.0 - drawn.body_height_mm / 2, 0.0), forwards) @ forwards
         assert front == pytest.approx(drawn.body_depth_mm / 2, rel=0.05)  # above the waist

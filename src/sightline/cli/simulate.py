@@ -117,7 +117,7 @@ def simulate(
         stated = tags if tags is not None else designed.solid is not None
         chain = chain_called(preset or chain_for(designed))
         as_made = None if frame_errors is None else with_errors(designed, np.random.default_rng(frame_errors))
-        machine = SetUpSpec(designed, side, chain.name, as_made, oblique)
+        machine = SetUpSpec(designed, side, chain.name, as_made, oblique=oblique)
         place = None if at is None else np.array(_place(at))
         rng = np.random.default_rng(seed)
         with output.step("drawing the set-up"):
