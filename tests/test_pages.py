@@ -24,7 +24,9 @@ WALKED = (
     "answers.md",
 )
 LONG = {"robot-link.md", "twin.md", "check-shot.md"}  # seconds of physics or images
-ELSEWHERE = {"README.md"}  # tests/test_docs.py runs it, and compares its plan with the truth
+# tests/test_docs.py runs README.md and compares its plan with the truth; tests/test_interlocking.py calls what
+# interlocking.md shows, on images that it renders.
+ELSEWHERE = {"README.md", "interlocking.md"}
 COMMAND: Any = typer.main.get_command(commands)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration import CalibratedView
-from sightline.detection.metal_edges import MetalEdge, Tube, agreement, find_outline, find_rims
+from sightline.detection.metal_edges import MetalEdge, MetalTube, agreement, find_outline, find_rims
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import nearest_approach
 from sightline.imaging import Radiograph
@@ -23,7 +23,6 @@ from sightline.planning.hole_expected import (
 )
 from sightline.planning.hole_result import HolePose
 
-_ROUNDS = 2  # of expected rims, edges and fit
 _MIN_AGREEMENT = 0.5  # correlation of the best candidate with the images [ours]
 
 
@@ -77,12 +76,8 @@ def find_hole(found: FoundNail, clicks_px: np.ndarray) -> Hole:
     clicks = np.asarray(clicks_px, dtype=np.float64)
     if clicks.shape != (2, 2) or not np.isfinite(clicks).all():
         raise UnusableInputError(f"give one finite click (u, v) in each of two views; got the shape {clicks.shape}")
-    pose = _best(found, hole_candidates(found.cameras, found.point_mm, found.along, clicks))
-    for _ in range(_ROUNDS):
-        seen = [_seen(found, v, pose) for v in range(2)]
-        hole = fit_hole(found.views, seen, found.nail, pose)
-        pose = hole.pose
-    return hole
+    pose = _best(found, hole_candidates(found.cameras, found.point_mm, found.along, list(clicks)))
+    return _fitted(found, _fitted(found, pose).pose)  # the second time with rims expected where they are
 
 
 def _outlines(
@@ -91,7 +86,7 @@ def _outlines(
     ray = unit(at_mm - camera.focal_mm)
     aside = np.linalg.svd(ray[None])[2][1]
     px_per_mm = float(np.linalg.norm(camera.project(at_mm + aside) - camera.project(at_mm)))
-    tube = Tube(nail.diameter_mm * px_per_mm, nail.bore_mm * px_per_mm, 1 / px_per_mm, nail.material)
+    tube = MetalTube(nail.diameter_mm * px_per_mm, nail.bore_mm * px_per_mm, 1 / px_per_mm, nail.material)
     first, second = strokes
     return (
         find_outline(image, first, second.mean(axis=0), tube),
@@ -114,6 +109,11 @@ def _best(found: FoundNail, candidates: list[HolePose]) -> HolePose:
             "of the bright lens, or turn the C-arm towards the hole"
         )
     return candidates[int(total.argmax())]
+
+
+def _fitted(found: FoundNail, pose: HolePose) -> Hole:
+    """Return the hole fitted to the edges that the images show where a pose expects them."""
+    return fit_hole(found.views, [_seen(found, v, pose) for v in range(2)], found.nail, pose)
 
 
 def _seen(found: FoundNail, v: int, pose: HolePose) -> HoleSeen:

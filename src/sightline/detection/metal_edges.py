@@ -20,7 +20,7 @@ _SHARE = np.array([0.22, 0.39, 0.39])
 _BLURS_PX = (0.7, 1.0, 1.5, 2.2)  # s.d. of detector and focal spot that are tried
 _STEP_PX = 0.5  # of samples along a profile
 # S.d. of errors that the points of one edge share, from blur and scatter that differ from the model, px [twin].
-OUTLINE_COMMON_PX, RIM_COMMON_PX = 0.15, 0.2
+OUTLINE_COMMON_PX, RIM_COMMON_PX = 0.15, 0.35
 _MODEL_PX = 0.1  # s.d. of each point without noise: structure beside the edge [twin]
 # Variance of a fit over that of independent samples, 0.5 px apart: of an outline's piece, and of a rim's point [twin].
 _CORRELATED, _CORRELATED_RIM = 4.0, 10.0
@@ -44,7 +44,7 @@ class MetalEdge:
 
 
 @dataclass(frozen=True)
-class Tube:
+class MetalTube:
     """A tube as an image shows it: outer diameter and bore, px; scale, mm/px; "titanium" or "steel"."""
 
     diameter_px: float
@@ -82,7 +82,7 @@ def transmission(metal_mm: np.ndarray, material: str) -> np.ndarray:
     return out
 
 
-def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray, tube: Tube) -> MetalEdge:
+def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray, tube: MetalTube) -> MetalEdge:
     """Return the edge of a tube along a stroke of two clicks (2, 2), at most 8 px away; the tube lies towards
     `inside_px` (2,).
 
@@ -105,8 +105,8 @@ def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray
     beside = np.arange(-_PIECE_PX / 2 + 0.5, _PIECE_PX / 2)
     at = first + (s[:, None] + beside)[:, :, None, None] * along + t[:, None] * normal
     profiles = _light(image, at).mean(axis=1)
-    offset, variance = min((_outline_offsets(profiles, t, tube, blur) for blur in _BLURS_PX), key=lambda o: o[2])[:2]
-    kept = np.isfinite(offset)
+    offset, variance = min((_outline_offsets(profiles, t, tube, blur) for blur in _BLURS_PX), key=_badness)[:2]
+    kept, spread = np.isfinite(offset), _MODEL_PX
     for _ in range(3):
         if kept.sum() < _MIN_PIECES:
             raise WireRefusedError("no edge of a nail lies along a stroke; draw it along the edge, within 8 px")
@@ -164,7 +164,9 @@ def _light(image: Radiograph, uv_px: np.ndarray) -> np.ndarray:
     return map_coordinates(part, at, order=1, mode="nearest")
 
 
-def _outline_offsets(profiles: np.ndarray, t: np.ndarray, tube: Tube, blur_px: float) -> tuple[np.ndarray, ...]:
+def _outline_offsets(
+    profiles: np.ndarray, t: np.ndarray, tube: MetalTube, blur_px: float
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Return offsets (P,) of the edge in profiles (P, T), NaN where there is none, their variance, and a cost."""
     half = round(_OUTLINE_WINDOW / _STEP_PX)
     u = _STEP_PX * np.arange(-half, half + 1)
@@ -187,20 +189,25 @@ def _outline_offsets(profiles: np.ndarray, t: np.ndarray, tube: Tube, blur_px: f
     middle = t[starts + half][best]
     full = np.column_stack([basis, -slope])
     solver = np.linalg.pinv(full)
+
+    def fitted(offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        own = np.stack([np.interp(o + u, t, row) for o, row in zip(offset, profiles, strict=True)])
+        return own, own @ solver.T
+
     offset = middle
     for _ in range(3):
-        own = np.stack([np.interp(o + u, t, row) for o, row in zip(offset, profiles, strict=True)])
-        fit = own @ solver.T
-        step = np.clip(fit[:, 3] / np.where(np.abs(fit[:, 1]) > 1e-9, fit[:, 1], 1e-9), -1.0, 1.0)
-        offset = offset + step
+        _, fit = fitted(offset)
+        offset = offset + np.clip(fit[:, 3] / _not_zero(fit[:, 1]), -1.0, 1.0)
+    own, fit = fitted(offset)
     rest = ((own - fit @ full.T) ** 2).sum(axis=1)
-    variance = _CORRELATED * rest / (len(u) - 4) * (solver[3] ** 2).sum() / np.maximum(fit[:, 1] ** 2, 1e-12)
+    variance = _CORRELATED * rest / (len(u) - 4) * (solver[3] ** 2).sum() / _not_zero(fit[:, 1]) ** 2
     found &= np.abs(offset - middle) < 2.0
-    return (
-        np.where(found, offset, np.nan),
-        variance + _MODEL_PX**2,
-        float(np.median(rest[found])) if found.any() else np.inf,
-    )
+    typical = float(np.median(rest[found])) if found.any() else np.inf
+    return np.where(found, offset, np.nan), variance + _MODEL_PX**2, typical
+
+
+def _not_zero(values: np.ndarray) -> np.ndarray:
+    return np.where(np.abs(values) > 1e-9, values, 1e-9)
 
 
 def _rim_shifts(
@@ -208,22 +215,26 @@ def _rim_shifts(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Return shifts (N,) of profiles of light against those of the model, NaN where they disagree, and variances."""
     model = gaussian_filter1d(sharp, blur_px / (offsets_px[1] - offsets_px[0]), axis=1, mode="nearest")
+
+    def fitted(shift: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        moved = np.stack([np.interp(offsets_px - d, offsets_px, row) for d, row in zip(shift, model, strict=True)])
+        basis = np.stack([np.ones_like(moved), moved, -np.gradient(moved, offsets_px, axis=1)], axis=-1)[:, window]
+        inverse = np.linalg.inv(np.swapaxes(basis, 1, 2) @ basis + 1e-9 * np.eye(3))
+        return basis, inverse, np.einsum("nij,nmj,nm->ni", inverse, basis, seen[:, window])
+
     shift = np.zeros(len(seen))
     for _ in range(3):
-        moved = np.stack([np.interp(offsets_px - d, offsets_px, row) for d, row in zip(shift, model, strict=True)])
-        slope = np.gradient(moved, offsets_px, axis=1)
-        basis = np.stack([np.ones_like(moved), moved, -slope], axis=-1)[:, window]
-        normal = np.swapaxes(basis, 1, 2) @ basis + 1e-9 * np.eye(3)
-        inverse = np.linalg.inv(normal)
-        fit = np.einsum("nij,nmj,nm->ni", inverse, basis, seen[:, window])
-        light = np.where(np.abs(fit[:, 1]) > 1e-9, fit[:, 1], 1e-9)
-        shift = shift + np.clip(fit[:, 2] / light, -1.5, 1.5)
+        fit = fitted(shift)[2]
+        shift = shift + np.clip(fit[:, 2] / _not_zero(fit[:, 1]), -1.5, 1.5)
+    basis, inverse, fit = fitted(shift)
+    light = fit[:, 1]
     rest = ((seen[:, window] - np.einsum("nmj,nj->nm", basis, fit)) ** 2).sum(axis=1)
-    variance = _CORRELATED_RIM * rest / (window.sum() - 3) * inverse[:, 2, 2] / light**2 + _MODEL_PX**2
-    usual = float(np.median(light)) if len(light) else 1.0
+    variance = _CORRELATED_RIM * rest / (window.sum() - 3) * inverse[:, 2, 2] / _not_zero(light) ** 2 + _MODEL_PX**2
+    usual = float(np.median(light))
     shown = (light > _CONTRAST[0] * usual) & (light < _CONTRAST[1] * usual) & (np.abs(shift) < _MAX_SHIFT_PX)
-    return np.where(shown, shift, np.nan), variance, float(np.median(rest)) if len(rest) else 0.0
+    return np.where(shown, shift, np.nan), variance, float(np.median(rest))
 
 
 def _badness(fit: tuple[np.ndarray, np.ndarray, float]) -> float:
+    """Return what a fit leaves unexplained."""
     return fit[2]

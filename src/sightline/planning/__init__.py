@@ -8,7 +8,8 @@ from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
 from sightline.planning.head import Sphere, outline
 from sightline.planning.hole import Edge, HoleSeen, fit_hole
-from sightline.planning.hole_result import Hole, Nail
+from sightline.planning.hole_advice import Turn, perfect_circle
+from sightline.planning.hole_result import Hole, HolePose, Nail
 from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import Pick
 from sightline.planning.plan import Plan, plan
@@ -29,6 +30,7 @@ __all__ = [
     "Corridor",
     "Edge",
     "Hole",
+    "HolePose",
     "HoleSeen",
     "Limits",
     "Line",
@@ -45,6 +47,7 @@ __all__ = [
     "SpacePoints",
     "Sphere",
     "Trajectory",
+    "Turn",
     "Verdict",
     "corridor",
     "error_shares",
@@ -56,6 +59,7 @@ __all__ = [
     "matching_curve",
     "metrics",
     "outline",
+    "perfect_circle",
     "plan",
     "procedures",
     "propose",

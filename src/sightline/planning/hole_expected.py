@@ -15,6 +15,7 @@ from sightline.geometry.lines import nearest_approach
 from sightline.planning.directions import across, unit
 from sightline.planning.hole_result import HolePose, Nail
 
+_MIN_OPEN_PX = 2.0  # of the lens beside a point of its rim [ours]
 _CUBE_MM = 8.0  # half the side of the cube around a point in which a camera is fitted [ours]
 _AROUND = 30  # points of each rim, 4 px apart
 OFFSETS_PX = np.arange(-9.0, 9.25, 0.5)  # samples across a rim
@@ -88,7 +89,9 @@ def expected_rims(camera: LocalCamera, pose: HolePose, nail: Nail) -> ExpectedRi
     normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
     normal *= np.sign((normal * (camera.project(points + 0.01 * outward) - uv)).sum(axis=1))[:, None]
     across_px = uv[:, None] + OFFSETS_PX[:, None] * normal[:, None]
-    return ExpectedRims(uv, normal, is_exit, metal_mm(camera.focal_mm, camera.rays(across_px), pose, nail))
+    metal = metal_mm(camera.focal_mm, camera.rays(across_px), pose, nail)
+    wide = metal[:, np.abs(OFFSETS_PX + _MIN_OPEN_PX).argmin()] < 1e-6  # not in a corner of the lens
+    return ExpectedRims(uv[wide], normal[wide], is_exit[wide], metal[wide])
 
 
 def metal_mm(focal_mm: np.ndarray, rays: np.ndarray, pose: HolePose, nail: Nail) -> np.ndarray:
