@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from sightline.errors import SetUpError
+from sightline.errors import SetUpError, UnusableInputError
 from sightline.frame import Frame
 from sightline.twin.bone_scene import BONES, bone_document, draw_origin, shown_bone_scene
 from sightline.twin.bones import Bone, Plane, Sphere
+from sightline.twin.carm import with_errors
 from sightline.twin.femur import to_cfcs
 from sightline.twin.growing_femur import DOME_MM, GrowingFemur
 from sightline.twin.pelvis import Pelvis
 from sightline.twin.projector import Rays, volume_integral
 from sightline.twin.shapes import ball, box, cone, half_space, plate
+from sightline.twin.specimens import SetUpSpec, specimen
 from sightline.twin.vertebra import Vertebra
 
 BLOCK = Frame.load("block60")
@@ -229,3 +231,17 @@ def test_views_that_plates_do_not_show_are_refused(frame: Frame):
     towards = {name: view.detector.normal for name, view in views.items()}  # of a left side the head is at +Y
     assert towards["inlet"][1] == pytest.approx(np.sin(np.radians(24.9)), abs=0.2)  # beams vary by 3.6° s.d.
     assert towards["outlet"][1] == pytest.approx(-np.sin(np.radians(42.4)), abs=0.2)
+
+
+def test_a_specimen_keeps_the_manufactured_frame_and_refuses_what_its_views_do_not_have():
+    made = with_errors(BLOCK, np.random.default_rng(2))
+    drawn = specimen("growing-femur", np.random.default_rng(3), SetUpSpec(BLOCK, made=made))
+    assert drawn.setup.true_frame is made
+    assert drawn.setup.frame is BLOCK
+    assert drawn.shown
+    assert drawn.wire_mm == pytest.approx(np.array(drawn.truth["wires_mm"][0]))
+    assert drawn.truth["aids"]["head"]["kind"] == "sphere"
+    with pytest.raises(UnusableInputError, match="leave it out"):
+        specimen("growing-femur", np.random.default_rng(3), SetUpSpec(BLOCK, oblique=True))
+    with pytest.raises(UnusableInputError, match="fixed position"):
+        specimen("pelvis", np.random.default_rng(3), SetUpSpec(BLOCK), np.zeros(3))
