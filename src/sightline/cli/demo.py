@@ -13,10 +13,12 @@ if TYPE_CHECKING:
     import numpy as np
 
     from sightline.calibration.fit import Method
+    from sightline.case.contents import PlanRequest
     from sightline.case.report.comparison import Compared, Refused, Truth
     from sightline.case.report.content import Report
     from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
+    from sightline.rehearsal.rehearsal import Rehearsal
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the plan is made with the first
 OF_SOLIDS: "tuple[Method, ...]" = METHODS[:1]  # the others are for plates
@@ -62,9 +64,6 @@ def demo(
 
 def _run(output: Output, folder: Path, seed: int, frame_name: str) -> dict[str, Any]:
     """Do all steps and return the result. The images are read back from their files, as a user's images are."""
-    import numpy as np
-
-    from sightline.case.contents import PlanRequest
     from sightline.case.report import exposures
     from sightline.case.report.comparison import Truth
     from sightline.case.report.content import Report
@@ -72,7 +71,6 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str) -> dict[str, 
     from sightline.case.views import NAMES, calibrate_pair, see_pair
     from sightline.frame import Frame
     from sightline.imaging import write_dicom
-    from sightline.planning import Aids, Circle
     from sightline.rehearsal.rehearsal import Rehearsal
     from sightline.twin import truth_document
 
@@ -90,28 +88,12 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str) -> dict[str, 
     with output.step(f"3/8 calibrating both views: {', '.join(methods)}"):
         images = {method: calibrate_pair(seen, frame, method) for method in methods}
     rng = rehearsal.generator("picks")
-    picks = truth.uv_px + PICK_SD_PX * rng.standard_normal((2, 2, 2))
-    landmarks = tuple(rehearsal.landmarks)
-    landmarks_px = np.stack(list(rehearsal.landmarks.values()), axis=1)
-    landmarks_px = landmarks_px + PICK_SD_PX * rng.standard_normal(landmarks_px.shape)
-    rim_px = rehearsal.head_rim + PICK_SD_PX * rng.standard_normal(rehearsal.head_rim.shape)
-    head = [Circle.through(rim, PICK_SD_PX) for rim in rim_px]
+    asked, rim_px = requested(rehearsal, rng)
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
-        asked = PlanRequest(
-            picks[:, 0],
-            picks[:, 1],
-            PICK_SD_PX,
-            snapped=True,
-            landmarks_uv_px=landmarks_px,
-            landmark_names=tuple("-".join(name.split()) for name in landmarks),
-            kind="hip-screw",
-            side=rehearsal.side,
-            aids=Aids(head=(head[0], head[1])),
-        )
         planned = asked.plan(images[METHODS[0]])
     with output.step("5/8 comparing with the truth"):
-        compared = _compare(images, picks, truth, planned)
-    whole = DemoPlan(rehearsal, frame_name, planned, images[METHODS[0]], landmarks, landmarks_px, PICK_SD_PX)
+        compared = _compare(images, asked, truth, planned)
+    whole = DemoPlan(rehearsal, frame_name, asked, planned, images[METHODS[0]])
     drilled, checked = drill(output, whole, rng) or (None, None)
     exposed = exposures.of_images(images[METHODS[0]], exposures.PLANNING)
     if checked is not None and checked.images is not None:
@@ -151,14 +133,43 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str) -> dict[str, 
     }
 
 
+def requested(rehearsal: "Rehearsal", rng: "np.random.Generator") -> "tuple[PlanRequest, np.ndarray]":
+    """Return the plan that a person asks for, with the picks, and the clicks (2, 3, 2) on the head's rim."""
+    import numpy as np
+
+    from sightline.case.contents import PlanRequest
+    from sightline.planning import Aids, Circle
+
+    picks = rehearsal.pixels(rehearsal.hip.wire_mm) + PICK_SD_PX * rng.standard_normal((2, 2, 2))
+    landmarks_px = np.stack(list(rehearsal.landmarks.values()), axis=1)
+    landmarks_px = landmarks_px + PICK_SD_PX * rng.standard_normal(landmarks_px.shape)
+    rim_px = rehearsal.head_rim + PICK_SD_PX * rng.standard_normal(rehearsal.head_rim.shape)
+    head = [Circle.through(rim, PICK_SD_PX) for rim in rim_px]
+    asked = PlanRequest(
+        picks[:, 0],
+        picks[:, 1],
+        PICK_SD_PX,
+        snapped=True,
+        landmarks_uv_px=landmarks_px,
+        landmark_names=tuple("-".join(name.split()) for name in rehearsal.landmarks),
+        kind="hip-screw",
+        side=rehearsal.side,
+        aids=Aids(head=(head[0], head[1])),
+    )
+    return asked, rim_px
+
+
 def _compare(
-    images: "dict[str, tuple[CalibratedImage, CalibratedImage]]", picks: "np.ndarray", truth: "Truth", planned: Any
+    images: "dict[str, tuple[CalibratedImage, CalibratedImage]]", asked: "PlanRequest", truth: "Truth", planned: Any
 ) -> "list[Compared | Refused]":
     """Return every method's error, with a person's picks and with the true pixels."""
+    import numpy as np
+
     from sightline.case.report.comparison import Compared, Refused
     from sightline.errors import RefusedError
     from sightline.planning import kind, plan
 
+    picks = np.stack([asked.entry_uv_px, asked.end_uv_px], axis=1)
     out: list[Compared | Refused] = [Compared(METHODS[0], BY_HAND, planned.trajectory, truth)]
     for how, uv, sd, snapped in ((BY_HAND, picks, PICK_SD_PX, True), (EXACT, truth.uv_px, 0.1, False)):
         for method in images:

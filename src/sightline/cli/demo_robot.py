@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from sightline.case.contents import CheckRequest, Pair
+    from sightline.case.contents import CheckRequest, Pair, PlanRequest
     from sightline.case.report.drilled import Drilled
     from sightline.cli.output import Output
     from sightline.frame import Frame
@@ -25,16 +25,13 @@ BY_ENCODERS, BY_IMAGES = "encoders", "images"
 
 @dataclass(frozen=True, eq=False)
 class DemoPlan:
-    """A plan for a rehearsal and its inputs; `frame_name`: of its frame, for `Frame.load`; `landmarks_px` (2, L, 2):
-    the landmarks named `landmarks`, as picked with `pick_sd_px`."""
+    """A plan for a rehearsal, as `asked`, and its images; `frame_name`: of its frame, for `Frame.load`."""
 
     rehearsal: "Rehearsal"
     frame_name: str
+    asked: "PlanRequest"
     plan: "Plan"
     images: "Pair"
-    landmarks: tuple[str, ...]
-    landmarks_px: "np.ndarray"
-    pick_sd_px: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,11 +127,14 @@ def check(planned: DemoPlan, wire: "SimulatedWire", rng: "np.random.Generator") 
     from sightline.planning.check_shot import Landmarks
     from sightline.twin.implants import WIRE_DIAMETER_MM
 
-    taken, sd_px = planned.rehearsal.check_images(wire), planned.pick_sd_px
-    found = taken.landmarks_px(planned.landmarks, sd_px, rng)
-    asked, images = CheckRequest(WIRE_DIAMETER_MM, Landmarks(planned.landmarks_px, found, sd_px)), None
+    rehearsal, before = planned.rehearsal, planned.asked
+    taken = rehearsal.check_images(wire)
+    found = taken.landmarks_px(tuple(rehearsal.landmarks), before.pick_sd_px, rng)
+    assert before.landmarks_uv_px is not None  # noqa: S101 - they were picked
+    landmarks = Landmarks(before.landmarks_uv_px, found, before.pick_sd_px)
+    asked, images = CheckRequest(WIRE_DIAMETER_MM, landmarks), None
     try:
-        images = _read_back(taken.images, planned.rehearsal.setup.frame)
+        images = _read_back(taken.images, rehearsal.setup.frame)
         return Checked(asked, images, asked.shot(planned.plan, planned.images, images))
     except RefusedError as error:
         return Checked(asked, images, str(error))
@@ -174,6 +174,6 @@ def _picked(planned: DemoPlan, xyz_mm: "np.ndarray", rng: "np.random.Generator")
     from sightline.planning import reconstruct
 
     uv = planned.rehearsal.pixels(xyz_mm)
-    uv = uv + planned.pick_sd_px * rng.standard_normal(uv.shape)
-    spread = np.broadcast_to(planned.pick_sd_px**2 * np.eye(2), (*uv.shape, 2))
+    uv = uv + planned.asked.pick_sd_px * rng.standard_normal(uv.shape)
+    spread = np.broadcast_to(planned.asked.pick_sd_px**2 * np.eye(2), (*uv.shape, 2))
     return reconstruct([image.view for image in planned.images], uv, spread)
