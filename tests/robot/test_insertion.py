@@ -1,13 +1,17 @@
 """Limits by which a target or a registration is refused: just inside it is taken, just beyond it is not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 from tests.robot.rig import END_MM, ENTRY_MM, ROBOT, SETUP, T_MCS_CFCS, metadata, wire
 
 from sightline.errors import RobotRefusedError
+from sightline.robot.control import insertion
 from sightline.robot.control.insertion import Insertion, LinkRegistration, read_registration, read_target
 from sightline.robot.igtl import Message, Transform
+from sightline.robot.kinematics.reach import Surroundings
 
 ALONG = (END_MM - ENTRY_MM) / np.linalg.norm(END_MM - ENTRY_MM)
 LENGTH_MM = 30.0
@@ -69,3 +73,14 @@ def test_a_registration_in_metres_puts_the_base_within_ten_millimetres():
     assert registration(10.0 + FINE).T_mcs_cfcs.translation == pytest.approx([0.0, -10.0 - FINE, 0.0], abs=1e-5)
     with pytest.raises(RobotRefusedError, match="looks like metres"):
         registration(10.0 - FINE)
+
+
+def test_the_collision_check_has_the_patient_where_the_hip_lies_in_the_frames_coordinates(monkeypatch):
+    """At a block's place beside the hip; a Γ frame's origin is the hip."""
+    seen = []
+    monkeypatch.setattr(insertion, "hip_surroundings", lambda pose, *_: seen.append(pose) or Surroundings(()))
+    known = read(END_MM)
+    for hip_mm in ((0.0, 0.0, 0.0), (2.0, -76.8, -22.4)):
+        known.refuse_collision(ROBOT.manipulator, known.q, replace(SETUP, hip_mm=hip_mm))
+        assert np.allclose(seen[-1].translation, known.T_mcs_cfcs.apply(hip_mm), atol=1e-9)
+        assert np.allclose(seen[-1].rotation.as_matrix(), known.T_mcs_cfcs.rotation.as_matrix(), atol=1e-12)
