@@ -99,6 +99,14 @@ class LimitsDocument(_Open):
     beyond_mm: float
 
 
+class ImplantDocument(_Open):
+    """The implant of the catalogue that fits the wire, mm and °; null where none fits or it is not known."""
+
+    length_mm: float | None
+    plate_angle_deg: float | None
+    sentence: str
+
+
 class AlongDocument(_Open):
     """How far entry and end could be wrong along a line of sight before a check of the bone fails; null if no check
     would detect it."""
@@ -157,6 +165,7 @@ class ReportDocument(_Open):
     limits: LimitsDocument
     trajectory: TrajectoryDocument
     landmarks: tuple[LandmarkDocument, ...]
+    implant: ImplantDocument | None
     checks: tuple[CheckDocument, ...]
     exposures: tuple[ExposureDocument, ...] = Field(description=NOTE)
     drilled: dict[str, Any] | None
