@@ -22,6 +22,7 @@ from sightline.case.journal import Actor
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.imaging import Radiograph, taken_at, write_dicom, write_png
+from sightline.planning import kind
 from sightline.robot.kinematics.target import LIFETIME_S
 
 NOW = datetime(2026, 3, 4, 12, 0, 0, tzinfo=UTC)
@@ -143,7 +144,8 @@ def test_the_images_of_a_rehearsal_are_taken_as_they_come(opened: Session) -> No
 
 
 def test_what_is_drilled_grows_no_older_but_is_not_sent_again(opened: Session) -> None:
-    planned: Any = SimpleNamespace(decisions=opened.planning.decisions)
+    decisions = opened.planning.decisions
+    planned: Any = SimpleNamespace(decisions=decisions, plan=SimpleNamespace(kind=kind(decisions.kind)))
     drilled: Any = SimpleNamespace()
     opened.planning.sent, opened.planning.drilled = SentPlan(planned, NOW + timedelta(seconds=120)), drilled
     _Clock.at = NOW + timedelta(seconds=LIFETIME_S + 1.0)

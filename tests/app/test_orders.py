@@ -44,7 +44,7 @@ class _Planning(Planning):
         return self.known
 
     def seen(self, image: str) -> Any:
-        return SimpleNamespace()
+        return SimpleNamespace(view=None)
 
 
 def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[DrillingWorkflow, _Planning]:

@@ -6,10 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.app.session.session import Session
-from sightline.errors import FrameError
-from sightline.frame import Frame
-
 
 @pytest.mark.slow
 def test_the_demo_with_a_block_is_ten_times_as_accurate_as_the_paper(run, tmp_path: Path) -> None:
@@ -44,10 +40,3 @@ def test_the_demo_with_a_block_is_ten_times_as_accurate_as_the_paper(run, tmp_pa
 def test_what_needs_plates_says_so(run, command: str) -> None:
     ran = run(*command.split(), "--frame", "block60")
     assert ran.code != 0 and "is a solid" in ran.err
-
-
-def test_the_app_says_that_it_needs_plates_before_it_makes_a_case(tmp_path: Path) -> None:
-    with pytest.raises(FrameError, match="sightline plan"):
-        Session.open(tmp_path / "case", "block60", None, None)  # type: ignore[arg-type]
-    assert not (tmp_path / "case").exists()
-    assert Frame.load("block60").solid is not None

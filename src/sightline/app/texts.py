@@ -4,9 +4,11 @@ STEPS = ("Images", "Calibrate", "Plan", "Drill", "Verify")
 IMAGE_LABELS = {
     "pa": "PA image",
     "lateral": "Lateral image",
+    "oblique": "Oblique image",
     "check-pa": "PA check image",
     "check-lateral": "Lateral check image",
 }
+DROP_LABELS = {**IMAGE_LABELS, "oblique": "Oblique image (optional)"}
 LIVE_LABELS = {"pa": "PA, live", "lateral": "Lateral, live"}
 LIVE_UNKNOWN = "Live, view unknown"
 STALE = "This image is {age:.1f} s old and may be out of date. The plan over it is hidden."
@@ -75,6 +77,9 @@ TAKE_TWO_MORE = "Take two check images with the wire in the bone."
 IMAGES_HEADING = "Images"
 PUT_WHERE_IT_BELONGS = "By its markers this is the {image}; it was loaded there."
 NO_IMAGE = "{image}: none yet"
+NO_OBLIQUE = "{image}, optional, taken last: none yet. It shows movements of the patient that two images do not show."
+SLOT_TELLS_THE_VIEW = "A block looks alike in every view: each image is the view under whose name you load it."
+SHOW_OBLIQUE = "Show the oblique image on the right"
 IMAGE_SIZE = "{image}: {width} × {height}"
 IMAGE_BEADS = "{image}: {width} × {height}, {beads} beads found"
 REHEARSING = "This case rehearses on a simulated patient."
@@ -116,7 +121,7 @@ FOCAL_POINT = "focal point"
 
 # Plan.
 POINT_GROUPS = {"wire": "Wire", "landmark": "Landmarks: did the bone move?", "aid": "Aids"}
-IMAGES_SHORT = {"pa": "PA", "lateral": "lat"}
+IMAGES_SHORT = {"pa": "PA", "lateral": "lat", "oblique": "obl"}
 KIND_FIELD = "Procedure"
 SNAP = "Snap lateral points of the wire to their curves"
 SHOW_BEADS = "Show the beads"
@@ -126,6 +131,11 @@ REMOVE_WHAT = "Remove {what}"
 PROPOSE = "Propose a wire from head and shaft"
 PROPOSE_UNCALIBRATED = "calibrate both views before a wire can be proposed"
 PLACE_WHERE = "Click in the {image}: {point}. {sentence}"
+PLACE_IN_OBLIQUE = (
+    "Click in the {image}: {point}, where this image shows the bone. The cross is where the other two expect it; the "
+    "difference tells whether the patient moved."
+)
+EXPECTED_HERE = "{point}: expected here by the PA and the lateral image"
 METRICS_HEADING = "Measurements"
 METRIC_COLUMNS = ("", "± 95 %", "")
 ENTRY_ERROR = "entry, 95 % error"
@@ -182,6 +192,7 @@ LIVE_AT_REST = "I checked: nothing moved"
 # Verify.
 CHECK_HEADING = "Check shot"
 TAKE_CHECK = "Take both check images"
+CHECK_TAKES_TWO = "load the check image as PA or lateral: a check shot takes these two"
 DRILL_FIRST = "Drill the wire first."
 DROP_CHECK = "Drop both check images onto the page: PA and lateral, with the frame in the same place."
 CHECK_IMAGE = "{image}: {state}"

@@ -108,7 +108,7 @@ class SolidAdjustment:
         lines = camera.lines_by_parameters(plane, pixels.at) @ self.gain[self.columns_of(image)]
         slopes = camera.plane_map(plane).jacobian(pixels.at)
         through = pixels.by_camera @ self.gain[self.columns_of(image)] + pixels.by_e @ self.gain[: len(self.e)]
-        lines[3:] += (slopes @ through).reshape(2 * len(uv_px), -1)
+        lines[3:] += (slopes @ through).reshape(2 * len(uv_px), lines.shape[1])
         onward = np.zeros((len(lines), 2 * len(uv_px)))
         for k, slope in enumerate(slopes):
             onward[3 + 2 * k : 5 + 2 * k, 2 * k : 2 * k + 2] = slope

@@ -130,8 +130,7 @@ def record_seen(case: Case, acquired: Entry, image: CalibratedImage, *, frame_re
     if seen.beads is not None:
         inverted = seen.image is not None and seen.image.is_inverted
         source = record_detected(case, source, seen.beads, by=by, inverted=inverted)
-    # The datum markers of plates tell the view; of a solid it was stated.
-    view = None if frame_of(case, frame_ref).solid is None else seen.observations.view
+    view = named_view(case, frame_ref, seen.observations)
     labelled = record_labelled(case, source, seen.observations, frame_ref=frame_ref, by=by, view=view)
     return record_calibrated(case, labelled, image, by=by)
 
@@ -164,6 +163,11 @@ def acquired_of(case: Case, entry: Entry) -> Entry:
     while entry.kind is not Kind.ACQUIRED:
         entry = case.entry(entry.rests_on[0])
     return entry
+
+
+def named_view(case: Case, frame_ref: str, observations: Observations) -> str | None:
+    """Return the view stated to label observations of a solid; None for plates, whose datum markers tell it."""
+    return None if frame_of(case, frame_ref).solid is None else observations.view
 
 
 def view_of_acquired(case: Case, acquired: Entry, image: Radiograph) -> str | None:

@@ -26,7 +26,9 @@ def app_command(
     case: Annotated[
         Path | None, typer.Option(help="Folder of the case; created if it does not exist.", show_default="the demo's")
     ] = None,
-    frame: Annotated[str | None, typer.Option(help="For a new case: a frame file, gamma, biplane or stereo.")] = None,
+    frame: Annotated[
+        str | None, typer.Option(help="For a new case: a frame file, gamma, biplane, stereo or block60.")
+    ] = None,
     rehearse: Annotated[
         int | None, typer.Option(min=0, help="For a new case: a simulated patient and robot drawn from this seed.")
     ] = None,

@@ -7,7 +7,7 @@ import numpy as np
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning.line_residuals import LineResiduals, pick_covariance_mm2, refuse_two_frames
+from sightline.planning.line_residuals import LineResiduals, pick_covariance_mm2, refuse_repeated, refuse_two_frames
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
 
 STEP_MM = 2.0  # about 10 px: the chord of a distorted line then deviates from it by less than 0.01 px [ours]
@@ -50,11 +50,13 @@ def matching_curve(
     """Return the line of sight of pixel `uv_px` (2,) of one view, drawn in another (the paper, section 4.3, Fig. 12).
 
     `uv_covariance_px2` (2, 2): of the pick; 0.5 px per axis where not given. Raises OutsideRegionError where no part
-    of the line lies in the other view's calibrated region, ReconstructionRefusedError for views of two frames.
+    of the line lies in the other view's calibrated region, ReconstructionRefusedError for views of two frames or of one
+    exposure.
     """
     uv = np.asarray(uv_px, dtype=np.float64)
     if uv.shape != (2,) or not np.isfinite(uv).all():
         raise UnusableInputError(f"give one finite pixel (u, v) for an image-matching curve, not {uv_px!r}")
+    refuse_repeated((from_view, to_view))
     line = from_view.lines_of_sight(uv[None])
     towards = -line.directions[0]
     length = float(np.linalg.norm(line.points_mm[0] - line.focal_point_mm))

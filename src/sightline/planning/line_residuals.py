@@ -7,14 +7,17 @@ plane map minus the central projection of X from the focal point F. Its error fo
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 
 from sightline.calibration.projection import Pencil
-from sightline.calibration.view import SOURCES, LinesOfSight
-from sightline.errors import ReconstructionRefusedError
+from sightline.calibration.view import SOURCES, CalibratedView, LinesOfSight
+from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.covariance import joined
+
+# Two X-ray sources nearer than this belong to one exposure given twice [ours].
+MIN_BASELINE_MM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +86,19 @@ def refuse_two_frames(lines: Sequence[LinesOfSight]) -> None:
             f"the views {first!r} and {second!r} were calibrated with {which}, whose coordinates differ; "
             "calibrate all views with the one file of the frame in the images"
         )
+
+
+def refuse_repeated(views: Sequence[CalibratedView]) -> None:
+    """Raise UnusableInputError for fewer than two views, ReconstructionRefusedError where two are one exposure."""
+    if len(views) < 2:
+        raise UnusableInputError(f"{len(views)} views given; give two or more to reconstruct a point")
+    for first, second in combinations(views, 2):
+        baseline = float(np.linalg.norm(first.focal_point_mm - second.focal_point_mm))
+        if first is second or baseline < MIN_BASELINE_MM:
+            raise ReconstructionRefusedError(
+                f"one view is given twice ({first.name!r} and {second.name!r}, X-ray sources {baseline:.1f} mm apart); "
+                "give images taken from different directions"
+            )
 
 
 def pick_covariance_mm2(lines: LinesOfSight, covariance_px2: np.ndarray) -> np.ndarray:

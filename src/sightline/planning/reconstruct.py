@@ -1,21 +1,18 @@
 """Reconstruction of points from picks in two or more views: closest approach (the paper) or covariance-weighted."""
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 
 import numpy as np
 
 from sightline.calibration.together import adjusted_together
 from sightline.calibration.view import CalibratedView, LinesOfSight
-from sightline.errors import ReconstructionRefusedError, UnusableInputError
+from sightline.errors import UnusableInputError
 from sightline.planning.gaps import Gaps, gap_mm
+from sightline.planning.line_residuals import refuse_repeated
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, PickArrays
 from sightline.planning.results import SpacePoints
 from sightline.planning.solution import Method, solve
 from sightline.threads import one_blas_thread
-
-# Two X-ray sources nearer than this belong to one exposure given twice [ours].
-MIN_BASELINE_MM = 1.0
 
 
 @one_blas_thread
@@ -49,7 +46,7 @@ def reconstruct(
     """
     if method not in ("weighted", "nearest"):
         raise UnusableInputError(f"unknown method {method!r}; choose 'weighted' or 'nearest'")
-    _refuse_repeated(views)
+    refuse_repeated(views)
     views = adjusted_together(views)
     uv_covariance_px2 = None if uv_covariance_px2 is None else _by_view(views, uv_covariance_px2, "covariances")
     picks = _picks(len(views), _by_view(views, uv_px, "picks"), uv_covariance_px2, across_px)
@@ -92,19 +89,6 @@ def _beads_near(lines: Sequence[LinesOfSight], seen: np.ndarray) -> dict[str, np
             out[one.view] = np.full((len(shown), 3), -1)
             out[one.view][shown] = one.beads_near
     return out or None
-
-
-def _refuse_repeated(views: Sequence[CalibratedView]) -> None:
-    """Raise UnusableInputError for fewer than two views, ReconstructionRefusedError where two are one exposure."""
-    if len(views) < 2:
-        raise UnusableInputError(f"{len(views)} views given; give two or more to reconstruct a point")
-    for first, second in combinations(views, 2):
-        baseline = float(np.linalg.norm(first.focal_point_mm - second.focal_point_mm))
-        if first is second or baseline < MIN_BASELINE_MM:
-            raise ReconstructionRefusedError(
-                f"one view is given twice ({first.name!r} and {second.name!r}, X-ray sources {baseline:.1f} mm apart); "
-                "give images taken from different directions"
-            )
 
 
 def _by_view(views: Sequence[CalibratedView], given: np.ndarray | Mapping[str, np.ndarray], what: str) -> np.ndarray:

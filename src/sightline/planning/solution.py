@@ -81,7 +81,9 @@ class Solution:
         for k, (r, seen) in enumerate(zip(self.residuals, self.picks.seen, strict=True)):
             own = np.zeros((len(seen), 3, r.to_line.shape[1]))
             own[seen] = np.einsum(
-                "iap,ipz->iaz", self.weights[seen, :, 2 * k : 2 * k + 2], r.to_line.reshape(len(r.reach), 2, -1)
+                "iap,ipz->iaz",
+                self.weights[seen, :, 2 * k : 2 * k + 2],
+                r.to_line.reshape(len(r.reach), 2, r.to_line.shape[1]),
             )
             out.append(own.reshape(3 * len(seen), -1))
         return out

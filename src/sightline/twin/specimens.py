@@ -73,7 +73,7 @@ class SetUpSpec:
         if self.bone is not None and self.oblique:
             raise UnusableInputError("the third image lies between the PA and the lateral view of a hip; leave it out")
         draw = draw_setup if self.bone is None else self.bone.setup
-        views = {"views": BEAMS} if self.oblique else {}
+        views: dict[str, Any] = {"views": BEAMS} if self.oblique else {}
         if self.made is None:
             return draw(rng, self.frame, side=self.side, chain=self.chain, **views)
         setup = draw(rng, self.made, side=self.side, chain=self.chain, frame_errors=False, **views)

@@ -5,13 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from sightline.app.plan.marks import CHECK_NAMES
-from sightline.app.plan.planner import Planned, aid_pixels
+from sightline.app.plan.marks import CHECK_NAMES, marks_of
+from sightline.app.plan.planner import Planned, aid_pixels, landmarks_of
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
-from sightline.case.views import NAMES
+from sightline.app.texts import EXPECTED_HERE
+from sightline.calibration import BeadView
+from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import SightlineError
-from sightline.planning import MatchingCurve
+from sightline.planning import MatchingCurve, reconstruct
 from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.head import outline
 
@@ -74,12 +76,13 @@ def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
 
 def wire(planned: Planned, image: str) -> list[Shape]:
     """Return the wire at its true width with its 95 % corridor, for one view."""
-    if planned.plan is None:
+    view = _view(planned, image)
+    if planned.plan is None or view is None:
         return []
     kind = planned.kind
     try:
         found = corridor(
-            planned.views[NAMES.index(image)],
+            view,
             planned.plan.trajectory,
             wire_mm=kind.wire_mm,
             beyond_mm=kind.limits.beyond_mm,
@@ -109,12 +112,42 @@ def aids(planned: Planned, image: str) -> list[Shape]:
             along = (uv[1] - uv[0]) / length
             ends = [(uv[0] - _AXIS_PX * along).tolist(), (uv[1] + _AXIS_PX * along).tolist()]
             out.append({"shape": "line", "points": ends, "style": "aid", "title": f"{aid} axis"})
-    head = planned.anatomy.head
-    if head is not None:
-        seen = outline(planned.views[NAMES.index(image)], head)
+    head, view = planned.anatomy.head, _view(planned, image)
+    if head is not None and view is not None:
+        seen = outline(view, head)
         if len(seen) > 2:
             out.append({"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": "femoral head"})
     return out
+
+
+def expected(planned: Planned) -> list[Shape]:
+    """Return where PA and lateral image together expect the landmarks in the third image, and the ends of the wire.
+
+    The lines of sight of both cross there. After a movement the bone shows the landmark elsewhere.
+    """
+    decisions, pair = planned.decisions, planned.views[: len(NAMES)]
+    wire = [spec for spec in marks_of(decisions.kind) if spec.group == "wire" and decisions.complete((spec.name,))]
+    listed = [*wire, *landmarks_of(decisions, len(NAMES))]
+    if not listed or len(planned.views) == len(pair):
+        return []
+    uv = np.array([[decisions.mark(spec.name).at(name) for spec in listed] for name in NAMES], dtype=np.float64)
+    seen, shown = planned.views[2].project_seen(reconstruct(pair, uv).xyz_mm)
+    named = zip(seen, (spec for spec, there in zip(listed, shown, strict=True) if there), strict=True)
+    return [
+        {
+            "shape": "cross",
+            "points": [at.tolist()],
+            "style": "rejected",
+            "title": EXPECTED_HERE.format(point=spec.label),
+        }
+        for at, spec in named
+    ]
+
+
+def _view(planned: Planned, image: str) -> BeadView | None:
+    """Return the view of an image; None for a third one that the plan was made without."""
+    k = ALL_NAMES.index(image)
+    return planned.views[k] if k < len(planned.views) else None
 
 
 def found(session: Session, image: str) -> list[Shape]:

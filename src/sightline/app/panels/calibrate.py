@@ -3,9 +3,10 @@
 from nicegui import ui
 
 from sightline.app import texts
+from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import Section, checks, heading, note, table
 from sightline.app.tab.tab import Tab
-from sightline.case.views import NAMES
+from sightline.case.views import OBLIQUE
 
 
 def build(tab: Tab) -> None:
@@ -16,13 +17,16 @@ def build(tab: Tab) -> None:
         tab.refresh()
 
     ui.checkbox(texts.SHOW_REJECTED, value=tab.views.show_rejected, on_change=show).props("data-testid=show-rejected")
-    Section(tab, lambda t: tuple(t.planning.seen(name) for name in NAMES), _views)
+    build_oblique(tab)
+    Section(tab, lambda t: tuple(map(t.planning.seen, t.planning.slots)), _views)
 
 
 def _views(tab: Tab) -> None:
-    for name in NAMES:
-        heading(texts.IMAGE_LABELS[name])
+    for name in tab.planning.slots:
         seen = tab.planning.seen(name)
+        if name == OBLIQUE and seen is None:
+            continue
+        heading(texts.IMAGE_LABELS[name])
         if seen is None:
             note(texts.DROP_FIRST, kind="quiet")
         elif seen.refused:

@@ -10,7 +10,7 @@ from sightline.app.panels.section import Section, action, heading, note
 from sightline.app.tab.tab import Tab
 from sightline.app.web.serve import ServedApp
 from sightline.app.web.uploads import Upload
-from sightline.case.views import NAMES
+from sightline.case.views import OBLIQUE
 from sightline.errors import UnusableInputError
 
 _SERIAL_LENGTH = 64  # characters of a serial [ours]
@@ -21,14 +21,17 @@ def build_drop_zone(tab: Tab, site: ServedApp) -> None:
 
     def taker(view: str):
         async def take(upload: Upload) -> None:
-            image = f"check-{view}" if tab.step == texts.STEPS[-1] else view
+            check = tab.step == texts.STEPS[-1]
+            if check and view == OBLIQUE:
+                raise UnusableInputError(texts.CHECK_TAKES_TWO)
+            image = f"check-{view}" if check else view
             where = await tab.planning.take(upload.data, upload.suffix, image=image)
             if where != image:
                 tab.say(texts.PUT_WHERE_IT_BELONGS.format(image=texts.IMAGE_LABELS[where]))
 
         return take
 
-    zone = DropZone(site.uploads, {texts.IMAGE_LABELS[name]: taker(name) for name in NAMES})
+    zone = DropZone(site.uploads, {texts.DROP_LABELS[name]: taker(name) for name in tab.planning.slots})
 
     def show() -> None:
         zone.set_visibility(tab.step in (texts.STEPS[0], texts.STEPS[-1]))
@@ -38,6 +41,7 @@ def build_drop_zone(tab: Tab, site: ServedApp) -> None:
 
 def build(tab: Tab) -> None:
     """Build the panel."""
+    build_oblique(tab)
     Section(tab, _state, _images)
     Section(tab, lambda t: t.planning.decisions.side, _side)
     Section(tab, lambda t: t.planning.decisions.serial, _serial)
@@ -46,18 +50,37 @@ def build(tab: Tab) -> None:
     Section(tab, lambda t: tuple(t.planning.decisions.display.items()), _display)
 
 
+def build_oblique(tab: Tab) -> None:
+    """Build the choice to show the third image in the second view; nothing while there is none."""
+
+    def show(event) -> None:
+        tab.views.show_oblique = bool(event.value)
+        tab.refresh()
+
+    def choice(tab: Tab) -> None:
+        if OBLIQUE in tab.planning.decisions.images:
+            ui.checkbox(texts.SHOW_OBLIQUE, value=tab.views.show_oblique, on_change=show).props(
+                "data-testid=show-oblique"
+            )
+
+    Section(tab, lambda t: OBLIQUE in t.planning.decisions.images, choice)
+
+
 def _state(tab: Tab) -> Hashable:
     jobs = tab.session.jobs
-    return (*map(tab.planning.seen, NAMES), jobs.working, jobs.trouble)
+    return (*map(tab.planning.seen, tab.planning.slots), jobs.working, jobs.trouble)
 
 
 def _images(tab: Tab) -> None:
     planning, jobs = tab.planning, tab.session.jobs
     heading(texts.IMAGES_HEADING)
-    for name in NAMES:
+    if planning.frame.solid is not None:
+        note(texts.SLOT_TELLS_THE_VIEW, kind="quiet")
+    for name in planning.slots:
         seen = planning.seen(name)
         if seen is None:
-            note(texts.NO_IMAGE.format(image=texts.IMAGE_LABELS[name]), kind="quiet")
+            missing = texts.NO_OBLIQUE if name == OBLIQUE else texts.NO_IMAGE
+            note(missing.format(image=texts.IMAGE_LABELS[name]), kind="quiet", testid=f"no-{name}")
             continue
         height, width = seen.image.shape
         said = texts.IMAGE_SIZE if seen.beads is None else texts.IMAGE_BEADS
@@ -118,7 +141,7 @@ def _serial(tab: Tab) -> None:
 
 def _untimed(tab: Tab) -> tuple[str, ...]:
     """Return the names of the images whose time is unknown."""
-    seen = {name: tab.planning.seen(name) for name in NAMES}
+    seen = {name: tab.planning.seen(name) for name in tab.planning.slots}
     return tuple(name for name, one in seen.items() if one is not None and tab.session.age.taken_at(one) is None)
 
 

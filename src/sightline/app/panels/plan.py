@@ -9,11 +9,12 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels import markup
+from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import Section, action, heading, note
 from sightline.app.plan.marks import END, ENTRY, MarkSpec, marks_of
-from sightline.app.plan.planner import Planned
+from sightline.app.plan.planner import Planned, landmarks_of
 from sightline.app.tab.tab import Tab
-from sightline.case.views import NAMES
+from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.procedures import kind as kind_of
@@ -27,6 +28,7 @@ def metrics_key(tab: Tab) -> Hashable:
 
 def build(tab: Tab) -> None:
     """Build the panel: kind, points, aids."""
+    build_oblique(tab)
     Section(tab, lambda t: t.planning.decisions.kind, _kind)
     Section(tab, lambda t: t.planning.decisions.snapping, _snapping)
     Section(tab, lambda t: t.planning.decisions.kind, _points)
@@ -80,10 +82,13 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
     first, names = same[0], tuple(one.name for one in same)
     label = first.label if len(same) == 1 else first.label.rsplit(" ", 1)[0]
 
+    def images_of(t: Tab) -> tuple[str, ...]:
+        return tuple(image for image in t.planning.names if first.shown_in(image))
+
     def placed(t: Tab) -> tuple[int, ...]:
         """Return the number of clicks in each image."""
         marks = [t.planning.decisions.mark(name) for name in names]
-        return tuple(sum(mark.at(image) is not None for mark in marks) for image in first.images)
+        return tuple(sum(mark.at(image) is not None for mark in marks) for image in images_of(t))
 
     def current(t: Tab) -> bool:
         return t.goal is not None and t.goal.spec.name in names
@@ -91,7 +96,7 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
     def show(t: Tab) -> None:
         row.classes(add="current" if current(t) else "", remove="" if current(t) else "current")
         remove.set_enabled(any(placed(t)))
-        for image, count in zip(first.images, placed(t), strict=True):
+        for image, count in zip(images_of(t), placed(t), strict=True):
             whole = count == len(same)
             part = f" {count}/{len(same)}" if 0 < count < len(same) else ""
             ui.label(f"{'●' if whole else '○'} {texts.IMAGES_SHORT[image]}{part}").classes(
@@ -172,7 +177,7 @@ def _gaps(tab: Tab) -> list[tuple[str, str, str]]:
     known = tab.known
     assert known is not None and known.plan is not None  # noqa: S101
     seen, decisions = known.plan.seen, known.decisions
-    landmarks = [a for a in marks_of(decisions.kind) if a.group == "landmark" and decisions.mark(a.name).complete()]
+    landmarks = landmarks_of(decisions, len(known.views))
     names = [*texts.GAP_ENDS, *(a.label[:1].lower() + a.label[1:] for a in landmarks)]
     out = []
     for name, gap, tested in zip(names, seen.gap_mm, seen.gap_tested, strict=True):
@@ -185,6 +190,5 @@ def instruction(tab: Tab) -> str:
     goal = tab.goal
     if goal is None:
         return ""
-    return texts.PLACE_WHERE.format(
-        image=texts.IMAGE_LABELS[goal.image], point=goal.spec.label, sentence=goal.spec.sentence
-    )
+    where = texts.PLACE_IN_OBLIQUE if goal.image == OBLIQUE else texts.PLACE_WHERE
+    return where.format(image=texts.IMAGE_LABELS[goal.image], point=goal.spec.label, sentence=goal.spec.sentence)

@@ -11,8 +11,8 @@ from sightline.app import texts
 from sightline.app.drawing.space import document as space
 from sightline.app.drawing.space.view import SpaceView
 from sightline.app.plan.marks import marks_of
+from sightline.app.plan.planner import landmarks_of
 from sightline.app.tab.tab import Tab
-from sightline.case.views import NAMES
 from sightline.errors import SightlineError
 
 _LIVE_S = 0.2  # update period of the robot's pose [ours]
@@ -44,7 +44,7 @@ class Space:
             return
         planning, known = self._tab.planning, self._tab.known
         decisions, views = planning.decisions, planning.views()
-        seen = [planning.seen(name) for name in NAMES]
+        seen = [planning.seen(name) for name in planning.slots]
         if self._drawn.get("sides", "never") != decisions.side:
             self._view.orient(decisions.side)
         self._group("frame", planning.frame, lambda: space.frame_objects(planning.frame))
@@ -73,16 +73,16 @@ class Space:
 
     def _views(self) -> list[dict[str, Any]]:
         planning, out = self._tab.planning, []
-        for name in NAMES:
-            seen = planning.seen(name)
+        for name in planning.slots:
+            seen, plates = planning.seen(name), planning.frame.views.get(name)
             if seen is not None and seen.view is not None:
-                out += space.view_objects(seen.view, planning.frame.views[name].xrii, seen.image)
+                out += space.view_objects(seen.view, None if plates is None else plates.xrii, seen.image)
         return out
 
     def _sights(self) -> list[dict[str, Any]]:
         planning, out = self._tab.planning, []
         decisions = planning.decisions
-        for view, name in zip(planning.views() or (), NAMES, strict=False):
+        for view, name in zip(planning.views() or (), planning.names, strict=False):
             placed = [decisions.mark(spec.name) for spec in marks_of(decisions.kind)]
             for mark in placed:
                 at = mark.at(name)
@@ -97,8 +97,7 @@ class Space:
         known = self._tab.known
         if known is None or known.plan is None:
             return []
-        listed = [a for a in marks_of(known.decisions.kind) if a.group == "landmark"]
-        words = [spec.label for spec in listed if known.decisions.mark(spec.name).complete()]
+        words = [spec.label for spec in landmarks_of(known.decisions, len(known.views))]
         return space.point_objects(known.plan.seen.xyz_mm[2:], words)
 
     def _wire(self) -> list[dict[str, Any]]:

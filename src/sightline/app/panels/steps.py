@@ -46,8 +46,8 @@ def steps(session: Session) -> tuple[WorkflowStep, ...]:
 _Found = tuple[StepStatus, str]
 
 
-def _both(planning: Planning) -> list[SeenImage]:
-    return [seen for seen in map(planning.seen, NAMES) if seen is not None]
+def _present(planning: Planning) -> list[SeenImage]:
+    return [seen for seen in map(planning.seen, planning.slots) if seen is not None]
 
 
 def _images(session: Session) -> _Found:
@@ -62,7 +62,7 @@ def _images(session: Session) -> _Found:
         )
     if decisions.side is None or decisions.serial is None:
         return StepStatus.ATTENTION, texts.CONFIRM_BOTH
-    if any(session.age.taken_at(seen) is None for seen in _both(planning)):
+    if any(session.age.taken_at(seen) is None for seen in _present(planning)):
         return StepStatus.ATTENTION, texts.STATE_WHEN_TAKEN
     asked = planning.asks_mirrored
     if asked and not any(decisions.images[name] in decisions.mirrored for name in asked):
@@ -71,8 +71,8 @@ def _images(session: Session) -> _Found:
 
 
 def _calibrate(planning: Planning) -> _Found:
-    seen = _both(planning)
-    if len(seen) < len(NAMES):
+    seen = _present(planning)
+    if any(planning.seen(name) is None for name in NAMES):
         return StepStatus.BLOCKED, texts.IMAGES_FIRST
     if busy := next((one.doing for one in seen if one.doing), ""):
         return StepStatus.OPEN, texts.DOING.format(doing=busy.capitalize())

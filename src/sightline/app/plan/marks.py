@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
-from sightline.case.views import NAMES
+from sightline.case.views import NAMES, OBLIQUE
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.document import LOCATED
@@ -25,6 +25,15 @@ class MarkSpec:
     group: Group
     of: str
     images: tuple[str, ...] = NAMES
+
+    def shown_in(self, image: str) -> bool:
+        """Return True if it may be placed in an image.
+
+        In check images these are the landmarks, in a third image the landmarks and the points of the wire.
+        """
+        if image in CHECK_NAMES:
+            return self.group == "landmark"
+        return image in self.images or (image == OBLIQUE and self.group != "aid")
 
 
 def marks_of(kind: str) -> tuple[MarkSpec, ...]:

@@ -7,10 +7,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from sightline.app.plan.decisions import Decisions, Mark, Pixel
-from sightline.app.plan.marks import END, ENTRY, marks_of
+from sightline.app.plan.marks import END, ENTRY, MarkSpec, marks_of
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import PlanRequest
-from sightline.case.views import NAMES
+from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve, Plan, matching_curve, snap
 from sightline.planning.aids import MIN_RIM_CLICKS, Aids, Circle, Line
@@ -32,7 +32,7 @@ class Planned:
     reasons for missing results, by their names."""
 
     decisions: Decisions
-    views: tuple[BeadView, BeadView]
+    views: tuple[BeadView, ...]
     curves: Mapping[str, MatchingCurve] = field(default_factory=dict)
     plan: Plan | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
@@ -72,16 +72,15 @@ class _NoSideError(SightlineError):
 
 
 def planned(decisions: Decisions, views: Sequence[BeadView]) -> Planned:
-    """Return the results of decisions on two calibrated views, PA first."""
-    pair = (views[0], views[1])
-    curves, refused = drawn_curves(decisions, pair)
+    """Return the results of decisions on calibrated views: PA, lateral, and a third where there is one."""
+    curves, refused = drawn_curves(decisions, views)
     found: Plan | None = None
     if decisions.complete((ENTRY, END)) and not refused:
         try:
-            found = plan_input(decisions).plan_on(pair, _curve)
+            found = plan_input(decisions, len(views)).plan_on(views, _curve)
         except SightlineError as error:
             refused["plan"] = str(error)
-    return Planned(decisions, pair, curves, found, refused)
+    return Planned(decisions, tuple(views), curves, found, refused)
 
 
 def drawn_curves(
@@ -113,18 +112,25 @@ def _remembered(from_view: CalibratedView, to_view: CalibratedView, uv_px: bytes
     return matching_curve(from_view, np.frombuffer(uv_px), to_view, covariance)
 
 
-def plan_input(decisions: Decisions) -> PlanRequest:
-    """Return a plan's input besides its views; entry and end point must be placed."""
+def landmarks_of(decisions: Decisions, views: int) -> tuple[MarkSpec, ...]:
+    """Return the landmarks that a plan on this number of views uses: those placed in two of their images or more."""
+    listed = (one for one in marks_of(decisions.kind) if one.group == "landmark")
+    images = ALL_NAMES[:views]
+    return tuple(one for one in listed if sum(decisions.mark(one.name).at(name) is not None for name in images) > 1)
+
+
+def plan_input(decisions: Decisions, views: int) -> PlanRequest:
+    """Return a plan's input besides its views, of this number; entry and end must be placed in PA and lateral."""
     wire = [decisions.mark(name) for name in (ENTRY, END)]
     known = kind_of(decisions.kind)
-    landmarks = {one.name: one.of for one in marks_of(decisions.kind) if one.group == "landmark"}
-    names = tuple(n for n in landmarks if decisions.mark(n).complete())
+    landmarks = landmarks_of(decisions, views)
+    picked = np.reshape([_pixels(decisions.mark(one.name), views) for one in landmarks], (-1, views, 2))
     return PlanRequest(
-        *(_pixels(mark) for mark in wire),
+        *(_pixels(mark, views) for mark in wire),
         pick_sd_px=PICK_SD_PX,
         snapped=[not mark.free for mark in wire],
-        landmarks_uv_px=np.array([_pixels(decisions.mark(n)) for n in names]).reshape(-1, 2, 2).swapaxes(0, 1),
-        landmark_names=tuple(landmarks[n] for n in names),
+        landmarks_uv_px=picked.swapaxes(0, 1),
+        landmark_names=tuple(one.of for one in landmarks),
         kind=known.key,
         procedure=keeping(known),
         side=decisions.side,
@@ -132,9 +138,9 @@ def plan_input(decisions: Decisions) -> PlanRequest:
     )
 
 
-def _pixels(mark: Mark) -> np.ndarray:
-    """Return the pixels (2, 2) of a complete mark, a row for each view."""
-    return np.array([mark.at(name) for name in NAMES], dtype=np.float64)
+def _pixels(mark: Mark, views: int) -> np.ndarray:
+    """Return the pixels (V, 2) of a mark, a row for each view, NaN where it is not placed."""
+    return np.array([mark.at(name) or (np.nan, np.nan) for name in ALL_NAMES[:views]], dtype=np.float64)
 
 
 def moved(

@@ -8,7 +8,6 @@ from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.app.texts import TAKEN_REFUSED
 from sightline.case.journal import Actor
-from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError
 from sightline.robot.kinematics.target import LIFETIME_S
 
@@ -44,7 +43,7 @@ class PlanAge:
 
     @property
     def now_s(self) -> float | None:
-        """Seconds since the older of the two planning images was taken. None if unknown; negative if the clock was set
+        """Seconds since the oldest of the planning images was taken. None if unknown; negative if the clock was set
         back to before that. It keeps growing even if the clock is set back meanwhile."""
         at = self._imaged_at()
         if at is None:
@@ -69,10 +68,10 @@ class PlanAge:
         return is_fresh(self.now_s)
 
     def _imaged_at(self) -> datetime | None:
-        """Return when the older planning image was taken; None if one is missing or its time is unknown."""
-        at = [None if seen is None else self.taken_at(seen) for seen in map(self._planning.seen, NAMES)]
-        known = [one for one in at if one is not None]
-        return min(known) if len(known) == len(NAMES) else None
+        """Return when the oldest planning image was taken; None if one is missing or its time is unknown."""
+        seen = [self._planning.seen(name) for name in self._planning.names]
+        known = [at for one in seen if one is not None and (at := self.taken_at(one)) is not None]
+        return min(known) if len(known) == len(seen) else None
 
 
 def is_fresh(age_s: float | None) -> bool:

@@ -16,7 +16,6 @@ from sightline.app.session.sent import DrilledWire, SentPlan
 from sightline.app.texts import CHANGED_AFTER_SENDING, NO_DEPTH_LIMIT, NO_ROBOT
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_changed, record_planned
-from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.metrics import Metric
@@ -121,8 +120,8 @@ class DrillingWorkflow:
         )
         target = session.target_for(plan, identity, time.monotonic() - age_s)
         limit = _depth_limit(known, target)
-        views = [entry_of(case, seen) for seen in map(planning.seen, NAMES) if seen is not None]
-        made = record_planned(case, (views[0], views[1]), plan_input(decisions), plan, by=Actor.SURGEON)
+        views = [entry_of(case, seen) for seen in map(planning.seen, planning.names) if seen is not None]
+        made = record_planned(case, views, plan_input(decisions, len(views)), plan, by=Actor.SURGEON)
         # From here on the robot may hold this plan, even after an error; the earlier one must not be drilled.
         planning.sent = planning.drilled = None
         await session.send(target, limit)

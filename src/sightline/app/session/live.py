@@ -35,6 +35,7 @@ class Live:
         """
         from sightline.case.watch.live import Watch
 
+        self._planning.frame.refuse_solid("a live image is watched by the plates of a frame")
         if self._starting:
             raise UnusableInputError("wait: the live image is already being started")
         self._starting = True

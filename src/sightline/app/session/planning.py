@@ -3,7 +3,8 @@ shows it."""
 
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import cast
 
 from sightline.app.plan.decisions import Decisions, Display, History, Pixel, Side
 from sightline.app.plan.marks import CHECK_NAMES
@@ -16,10 +17,11 @@ from sightline.app.session.sent import DrilledWire, SentPlan, restored
 from sightline.app.session.worker import WorkerProcess, warm_up
 from sightline.app.texts import MIRRORED_REFUSED
 from sightline.calibration import BeadView
+from sightline.calibration.together import adjusted_together
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
-from sightline.case.views import NAMES
-from sightline.errors import SightlineError, UnusableInputError
+from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, takes_oblique
+from sightline.errors import CalibrationRefusedError, SightlineError, UnusableInputError
 from sightline.planning import kind
 
 _MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned to views [ours]
@@ -59,17 +61,33 @@ class Planning:
         number = self.decisions.images.get(image)
         return self.lightbox.image(number, None if number is None else self.decisions.mirrored.get(number))
 
-    def views(self, names: tuple[str, str] = NAMES) -> tuple[BeadView, BeadView] | None:
-        """Return both views of a pair; None until both are calibrated."""
-        first, second = (None if seen is None else seen.view for seen in map(self.seen, names))
-        return None if first is None or second is None else (first, second)
+    @cached_property
+    def slots(self) -> tuple[str, ...]:
+        """Names of the planning images that the frame can be seen in: PA, lateral, of a block also a third."""
+        return ALL_NAMES if takes_oblique(self.frame) else NAMES
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the images that the plan is made on: PA, lateral, and the third once it is calibrated."""
+        third = self.seen(OBLIQUE)
+        return NAMES if third is None or third.view is None else ALL_NAMES
+
+    def views(self, names: tuple[str, ...] | None = None) -> tuple[BeadView, ...] | None:
+        """Return the views of the images `names`, by default those of the plan; None until all are calibrated.
+
+        Views of a solid are adjusted together; those that contradict each other are returned as they are, and the plan
+        is refused.
+        """
+        found = [None if seen is None else seen.view for seen in map(self.seen, names or self.names)]
+        known = [view for view in found if view is not None]
+        return _together(*known) if len(known) == len(found) else None
 
     @property
     def asks_mirrored(self) -> tuple[str, ...]:
         """Names of the planning images if all show the frame mirrored, else empty. A person must then say whether the
         display or the frame file is the cause; one answer is enough."""
-        views = self.views()
-        return NAMES if views is not None and all(view.mirrored for view in views) else ()
+        seen = [one.view for one in map(self.seen, self.names) if one is not None and one.view is not None]
+        return self.names if len(seen) == len(self.names) and all(view.mirrored for view in seen) else ()
 
     @property
     def planned(self) -> Planned | None:
@@ -158,10 +176,10 @@ class Planning:
         self.edit(self.decisions.with_display(image, display))
 
     async def take(self, data: bytes, suffix: str, *, image: str, by: Actor = Actor.RADIOGRAPHER) -> str:
-        """Add a new image and return the name it was assigned to. Its datum markers determine the view; `image` is used
-        only if they cannot be read. Raises ImageError, CaseError."""
+        """Add a new image and return the name it was assigned to. The datum markers of plates determine the view;
+        `image` is used if they cannot be read, and for a solid. Raises ImageError, CaseError."""
         check = image in CHECK_NAMES
-        seen = await self.lightbox.acquire(data, suffix, by)
+        seen = await self.lightbox.acquire(data, suffix, by, _view_in(image))
         name = image
         if seen.observations is not None:
             name = f"check-{seen.observations.view}" if check else seen.observations.view
@@ -185,7 +203,8 @@ class Planning:
         await self._open_named()
 
     async def _take_in(self) -> None:
-        """Assign the newest images that were acquired into this case by other programs, each by its datum markers."""
+        """Assign the newest images that were acquired into this case by other programs, each by its datum markers, of a
+        solid by the angles in its file."""
         for entry in self.case.entries(Kind.ACQUIRED)[-_MAX_TAKEN_IN:]:
             with suppress(SightlineError):  # leave an image that cannot be calibrated to a person
                 seen = await self.lightbox.open(entry)
@@ -208,9 +227,9 @@ class Planning:
         self.jobs.start(self._open_named())
 
     async def _open_named(self) -> None:
-        for number in self.decisions.images.values():
+        for name, number in self.decisions.images.items():
             with suppress(SightlineError):
-                await self.lightbox.open(self.case.entry(number))
+                await self.lightbox.open(self.case.entry(number), _view_in(name))
         self._restore_sent()
         self.jobs.notify()
 
@@ -229,3 +248,16 @@ class Planning:
     def _record(self, what: str, decisions: Decisions | None) -> None:
         to = None if decisions is None else decisions.document()
         stages.record_changed(self.case, what, to, by=Actor.SURGEON)
+
+
+def _view_in(image: str) -> str:
+    """Return the view that an image's slot is for."""
+    return image.removeprefix("check-")
+
+
+@lru_cache(maxsize=4)  # planning and check images, before and after a change
+def _together(*views: BeadView) -> tuple[BeadView, ...]:
+    try:
+        return cast("tuple[BeadView, ...]", adjusted_together(views))
+    except CalibrationRefusedError:
+        return views

@@ -69,41 +69,47 @@ class Lightbox:
         known = None if number is None else self._images.get(number)
         return None if known is None else known.said_to_be(mirrored_display)
 
-    async def acquire(self, data: bytes, suffix: str, by: Actor) -> SeenImage:
-        """Store a new image in the case and process it. Raises ImageError, CaseError."""
+    async def acquire(self, data: bytes, suffix: str, by: Actor, view: str) -> SeenImage:
+        """Store a new image in the case and process it; `view` as of `open`. Raises ImageError, CaseError."""
         entry = await asyncio.to_thread(stages.record_acquired, self._case, data, suffix, by=by)
-        return await self.open(entry)
+        return await self.open(entry, view)
 
-    async def open(self, entry: Entry) -> SeenImage:
-        """Process an image of the case; results that the journal lacks are recorded."""
+    async def open(self, entry: Entry, view: str | None = None) -> SeenImage:
+        """Process an image of the case; results that the journal lacks are recorded.
+
+        `view`: which one it is according to a person, which counts for a solid; plates tell it themselves. None: as it
+        was labelled before, or as its file states (`stages.view_of_acquired`).
+        """
         known = self._images.get(entry.number)
         if known is not None and known.refused is None:
             return known
         image = await asyncio.to_thread(stages.image_of, self._case, entry)
         taken = await asyncio.to_thread(taken_at, self._case.original(entry.content["original"]))
+        solid = self._frame.solid is not None
+        named = (view or stages.view_of_acquired(self._case, entry, image)) if solid else None
         try:
-            await self._work(SeenImage(entry, image, taken_at=taken))
+            await self._work(SeenImage(entry, image, taken_at=taken), named)
         except Exception as error:
             self._put(replace(self._images[entry.number], doing="", refused=sentence_of(error)))
             if not isinstance(error, SightlineError):
                 raise
         return self._images[entry.number]
 
-    async def _work(self, seen: SeenImage) -> None:
+    async def _work(self, seen: SeenImage, view: str | None) -> None:
         case, frame = self._case, self._frame
         self._put(replace(seen, doing="finding the beads"))
         image, beads = await self._workshop.do(find_beads, seen.image)
         seen = replace(seen, doing="labelling the beads", beads=beads)
         seen = replace(seen, image=image) if image.is_inverted else seen  # otherwise its picture is already shown
         self._put(seen)
-        observations = await self._workshop.do(label_beads, image, beads, frame)
+        observations = await self._workshop.do(label_beads, image, beads, frame, view)
         seen = replace(seen, doing="calibrating", observations=observations)
         self._put(seen)
         found = await self._workshop.do(calibrated, seen.labelled_as(observations), frame, "smooth", known_arm(image))
         number = seen.acquired.number
         before = {n: one.view for n, one in self._images.items() if n < number and one.view is not None}
-        view = await asyncio.to_thread(found.view.steady_since, list(before.values()))
-        done = replace(seen, doing="", view=view)
+        steady = await asyncio.to_thread(found.view.steady_since, list(before.values()))
+        done = replace(seen, doing="", view=steady)
         await asyncio.to_thread(_record, case, done, self._frame_ref, list(before))
         self._put(done)
 
@@ -131,6 +137,7 @@ def _record(case: Case, seen: SeenImage, frame_ref: str, before: Sequence[int]) 
     assert seen.beads is not None and seen.observations is not None and seen.calibrated is not None  # noqa: S101
     inverted = seen.image.is_inverted
     detected = stages.record_detected(case, seen.acquired, seen.beads, by=Actor.APP, inverted=inverted)
-    labelled = stages.record_labelled(case, detected, seen.observations, frame_ref=frame_ref, by=Actor.APP)
+    view = stages.named_view(case, frame_ref, seen.observations)
+    labelled = stages.record_labelled(case, detected, seen.observations, frame_ref=frame_ref, by=Actor.APP, view=view)
     held = [stages.calibrated_of(case, acquired).number for acquired in before]
     stages.record_calibrated(case, labelled, seen.calibrated, by=Actor.APP, before=held)

@@ -11,7 +11,7 @@ from sightline.app.plan.planner import Planned, planned
 from sightline.app.texts import CHANGED_SINCE_SENT
 from sightline.calibration import BeadView
 from sightline.case.journal import Case, Kind
-from sightline.case.views import NAMES
+from sightline.case.views import ALL_NAMES
 from sightline.errors import UnusableInputError
 from sightline.planning import Plan
 from sightline.planning.procedures import kind as kind_of
@@ -41,10 +41,10 @@ class SentPlan:
         return (
             self.plan.kind.fingerprint == kind_of(decisions.kind).fingerprint  # its file may have changed since
             and all(getattr(then, name) == getattr(decisions, name) for name in same)
-            and all(then.images.get(name) == decisions.images.get(name) for name in NAMES)
+            and all(then.images.get(name) == decisions.images.get(name) for name in ALL_NAMES)
             and all(
                 then.mirrored.get(at) == decisions.mirrored.get(at)
-                for at in map(decisions.images.get, NAMES)
+                for at in map(decisions.images.get, ALL_NAMES)
                 if at is not None
             )
             and all(then.mark(name) == decisions.mark(name) for name in (ENTRY, END))
@@ -60,7 +60,7 @@ class DrilledWire:
 
 
 def restored(
-    case: Case, decisions: Decisions, views: tuple[BeadView, BeadView]
+    case: Case, decisions: Decisions, views: tuple[BeadView, ...]
 ) -> tuple[SentPlan, DrilledWire | None] | None:
     """Return what was sent and drilled before the program ended, from the journal; None if nothing was sent, or if
     images were replaced since. Raises UnusableInputError if the same decisions now give another plan."""
@@ -68,7 +68,7 @@ def restored(
     if sent is None:
         return None
     then = Decisions.of(sent.content["decisions"])
-    if any(then.images.get(name) != decisions.images.get(name) for name in NAMES):
+    if any(then.images.get(name) != decisions.images.get(name) for name in ALL_NAMES):
         return None
     again = planned(then, views)
     if (

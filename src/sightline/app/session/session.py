@@ -16,8 +16,6 @@ from sightline.case.journal import Actor, Case
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 
-_NEEDS_PLATES = "the app tells the views by the plates; plan with 'sightline plan PA LATERAL --frame ...' instead"
-
 
 class Session:
     """One procedure on one case. Pages are listeners of `jobs`."""
@@ -38,7 +36,6 @@ class Session:
 
         Raises CaseError, FrameError, UnusableInputError if the case has another frame than the one named."""
         frame = Frame.load(frame_name or "gamma")  # an invalid frame is refused before the case is created
-        frame.refuse_solid(_NEEDS_PLATES)
         case = Case.create(folder, exist_ok=True)
         if patient is not None and case.last == 0:
             stages.record_changed(case, "rehearsal", vars(patient), by=Actor.APP)
@@ -51,7 +48,6 @@ class Session:
             raise UnusableInputError(
                 "open this case without --frame, or begin a new case for this frame: it was begun with another one"
             )
-        stages.frame_of(case, kept).refuse_solid(_NEEDS_PLATES)
         return Session(case, kept, worker)
 
     async def close(self) -> None:

@@ -154,7 +154,7 @@ class _CheckRequest:
 
     sent: SentPlan
     seen: tuple[SeenImage, ...]
-    views: tuple[BeadView, BeadView]
+    views: tuple[BeadView, ...]
     landmarks: Landmarks
 
     @property

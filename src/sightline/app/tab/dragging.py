@@ -11,11 +11,11 @@ from sightline.app.plan.marks import names_of
 from sightline.app.plan.planner import Planned, drawn_curves, planned
 from sightline.app.session.planning import Planning
 from sightline.calibration import BeadView
-from sightline.case.views import NAMES
+from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve
 
-_Pair = tuple[BeadView, BeadView]
+_Views = tuple[BeadView, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,20 +51,20 @@ class Dragging:
         """Compute the preview of a dragged point. Returns True if the page must be refreshed, False if the point has
         moved on meanwhile or there is no preview."""
         planning = self._planning
-        pair, drag = planning.views(), (object(), planning.history.revision)
-        if pair is None:
+        views, drag = planning.views(), (object(), planning.history.revision)
+        if views is None:
             return False
         self._dragged = drag
         try:
-            decisions, curves = await asyncio.to_thread(_moved_curves, planning, pair, name, image, uv)
+            decisions, curves = await asyncio.to_thread(_moved_curves, planning, views, name, image, uv)
             if not self._goes_on(drag):
                 return False
             before, drawn = self.preview, {NAMES[1]: {"curves": shapes.curves(curves)}}
             if before is not None:  # keep the old wire until its plan is computed
-                drawn = {of: {**before.layers.get(of, {}), **drawn.get(of, {})} for of in NAMES}
+                drawn = {of: {**before.layers.get(of, {}), **drawn.get(of, {})} for of in ALL_NAMES}
             self._preview = Preview(drag[1], decisions, drawn, None if before is None else before.known)
             self._show()
-            known, layers = await asyncio.to_thread(_planned_layers, decisions, pair, name)
+            known, layers = await asyncio.to_thread(_planned_layers, decisions, views, name)
             if not self._goes_on(drag):
                 return False
             layers[NAMES[1]]["curves"] = drawn[NAMES[1]]["curves"]
@@ -84,17 +84,17 @@ class Dragging:
 
 
 def _moved_curves(
-    planning: Planning, pair: _Pair, name: str, image: str, uv: Pixel
+    planning: Planning, views: _Views, name: str, image: str, uv: Pixel
 ) -> tuple[Decisions, dict[str, MatchingCurve]]:
     """Return the decisions and curves after moving a mark; runs on another thread."""
     decisions = planning.moved(name, image, uv)
-    return decisions, drawn_curves(decisions, pair)[0]
+    return decisions, drawn_curves(decisions, views)[0]
 
 
-def _planned_layers(decisions: Decisions, pair: _Pair, moved: str) -> tuple[Planned, dict[str, shapes.Layers]]:
+def _planned_layers(decisions: Decisions, views: _Views, moved: str) -> tuple[Planned, dict[str, shapes.Layers]]:
     """Return the plan with its metrics, and the changed layers by image; runs on another thread."""
-    known = planned(decisions, pair)
-    layers = {image: {"wire": shapes.wire(known, image)} for image in NAMES}
+    known = planned(decisions, views)
+    layers = {image: {"wire": shapes.wire(known, image)} for image in ALL_NAMES}
     if moved in names_of(decisions.kind, "aid"):
         for image, drawn in layers.items():
             drawn["aids"] = shapes.aids(known, image)

@@ -7,7 +7,7 @@ from sightline.app.plan.decisions import Decisions, Pixel
 from sightline.app.plan.marks import CHECK_NAMES, MarkSpec, marks_of
 from sightline.app.session.planning import Planning
 from sightline.app.texts import STEPS
-from sightline.case.views import NAMES
+from sightline.case.views import NAMES, OBLIQUE
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Placing:
         wanted = self._requested_by(step) if self._chosen is None else self._chosen
         return next((one for one in wanted if not one.reached(self._planning.decisions)), None)
 
-    def choose(self, listed: Sequence[MarkSpec], images: tuple[str, str]) -> None:
+    def choose(self, listed: Sequence[MarkSpec], images: tuple[str, ...]) -> None:
         """Ask for these marks that are not placed; if all are, ask for the first one again."""
         goals, decisions = _goals(listed, images), self._planning.decisions
         if all(one.reached(decisions) for one in goals):
@@ -57,12 +57,14 @@ class Placing:
         if step == STEPS[4] and planning.views(CHECK_NAMES) is not None:
             return _goals([one for one in specs if one.group == "landmark"], CHECK_NAMES)
         if step == STEPS[2] and planning.planned is not None:
-            return _goals([one for one in specs if one.group != "aid"], NAMES)
+            pair = _goals([one for one in specs if one.group != "aid"], NAMES)
+            third = [one for one in specs if one.group == "landmark" and OBLIQUE in planning.names]
+            return (*pair, *_goals(third, (OBLIQUE,)))
         return ()
 
 
-def _goals(listed: Iterable[MarkSpec], images: tuple[str, str]) -> tuple[Goal, ...]:
-    """Return the goals in order: wire and aids image by image, first PA, then lateral; then each landmark in both."""
+def _goals(listed: Iterable[MarkSpec], images: tuple[str, ...]) -> tuple[Goal, ...]:
+    """Return the goals in order: wire and aids image by image, first PA, then lateral; then each landmark in all."""
     listed = tuple(listed)
-    wire = [Goal(a, image) for image in images for a in listed if a.group != "landmark" and image in a.images]
+    wire = [Goal(a, image) for image in images for a in listed if a.group != "landmark" and a.shown_in(image)]
     return (*wire, *(Goal(a, image) for a in listed if a.group == "landmark" for image in images))

@@ -17,7 +17,6 @@ from sightline.app.tab.dragging import Dragging
 from sightline.app.tab.placing import Goal, Placing
 from sightline.app.tab.views import Views
 from sightline.app.texts import STEPS, XRAY
-from sightline.case.views import NAMES
 
 if TYPE_CHECKING:
     from sightline.case.watch.analyser import Watched
@@ -105,9 +104,10 @@ class Tab:
 
     # Actions of the person.
 
-    def place(self, listed: Sequence[MarkSpec], images: tuple[str, str] = NAMES) -> None:
-        """Ask for those of these marks that are not placed; where all are, for the first anew."""
-        self._placing.choose(listed, images)
+    def place(self, listed: Sequence[MarkSpec], images: tuple[str, ...] = ()) -> None:
+        """Ask for those of these marks that are not placed in `images`, by default those of the plan; where all are,
+        for the first anew."""
+        self._placing.choose(listed, images or self.planning.names)
         self.refresh()
 
     async def act(self, what: Callable[[], Awaitable[Any] | None]) -> None:

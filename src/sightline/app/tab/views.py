@@ -17,7 +17,7 @@ from sightline.app.session.session import Session
 from sightline.app.tab.dragging import Preview
 from sightline.app.tab.placing import Goal
 from sightline.app.texts import IMAGE_LABELS, LIVE_LABELS, LIVE_UNKNOWN, STALE, STEPS, XRAY
-from sightline.case.views import NAMES
+from sightline.case.views import NAMES, OBLIQUE
 
 if TYPE_CHECKING:
     from sightline.case.watch.analyser import Watched
@@ -26,13 +26,15 @@ _STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
 
 
 class Views:
-    """The X-ray views of one page. `pair`: both, once built. `watched`: the live image in one of them, if any."""
+    """The X-ray views of one page. `pair`: both, once built. `watched`: the live image in one of them, if any.
+    `show_oblique`: the second view shows the third image."""
 
     pair: tuple[XrayView, XrayView]
 
     def __init__(self, session: Session, pictures: Pictures) -> None:
         self._session, self._planning, self._pictures = session, session.planning, pictures
-        self.show_beads, self.show_rejected = True, False
+        self.show_beads, self.show_rejected, self.show_oblique = True, False, False
+        self._placing_oblique = False
         self.watched: Watched | None = None
         self._live_in = NAMES[0]  # the view that shows the live image
         self._drawn: dict[str, tuple[tuple[object, ...], shapes.Layers, str]] = {}  # by image: input, layers, error
@@ -59,7 +61,8 @@ class Views:
         return None if seen is None or shown is None or shown.url != self._pictures.of(seen).url else image
 
     def show(self, step: str, goal: Goal | None, preview: Preview | None) -> None:
-        """Update both views."""
+        """Update both views; the second shows the third image also while a mark is to be placed in it."""
+        self._placing_oblique = goal is not None and goal.image == OBLIQUE
         for view, image in zip(self.pair, self._images(step), strict=True):
             if self.watched is not None and view.name == self._live_in:
                 view.show(self._shown_live(view, self.watched), fresh_s=fresh_s(self.watched))
@@ -68,7 +71,10 @@ class Views:
 
     def _images(self, step: str) -> tuple[str, str]:
         """Return the names of the images in the two views."""
-        return CHECK_NAMES if step == STEPS[4] and self._planning.seen(CHECK_NAMES[0]) else NAMES
+        if step == STEPS[4] and self._planning.seen(CHECK_NAMES[0]):
+            return CHECK_NAMES
+        third = (self.show_oblique or self._placing_oblique) and self._planning.seen(OBLIQUE) is not None
+        return (NAMES[0], OBLIQUE) if third else NAMES
 
     def _shown_live(self, view: XrayView, watched: "Watched") -> XrayContent:
         picture = self._pictures.live(watched.image)
@@ -118,6 +124,7 @@ class Views:
             makers["found"] = lambda: shapes.found(self._session, image)
         elif known is not None:
             makers["curves"] = lambda: shapes.curves(known.curves) if image == NAMES[1] else []
+            makers["expected"] = lambda: shapes.expected(known) if image == OBLIQUE else []
             makers["wire"] = lambda: shapes.wire(known, image)
             makers["aids"] = lambda: shapes.aids(known, image)
         layers: shapes.Layers = {}
@@ -130,8 +137,7 @@ def _points(image: str, step: str, decisions: Decisions) -> list[dict[str, Any]]
     """Return the points of an image, placed or not, as JSON types."""
     out = []
     for spec in marks_of(decisions.kind):
-        check = image in CHECK_NAMES
-        if (check and spec.group != "landmark") or (not check and image not in spec.images):
+        if not spec.shown_in(image):
             continue
         mark = decisions.mark(spec.name)
         out.append(

@@ -57,13 +57,18 @@ def frame_objects(frame: Frame) -> list[Object]:
     return made if frame.solid is None else [*made, _balls(frame.solid, "pa")]
 
 
-def view_objects(view: CalibratedView, plate: Plate, image: Radiograph) -> list[Object]:
+def view_objects(view: CalibratedView, plate: Plate | None, image: Radiograph) -> list[Object]:
     """Return the focal point of a view, its rays through the corners of its XRII `plate`, and the image on that
-    plate."""
-    focus, outline = view.focal_point_mm, _outline(plate)
+    plate; of a view of a solid, which has no plate, the focal point."""
+    focus = view.focal_point_mm
     made: list[Object] = [
         {"kind": "spheres", "style": view.name, "at": [_list(focus)], "radius": 4.0, "reach": "room"},
         _label(focus, f"focal point, {view.name}", view.name),
+    ]
+    if plate is None:
+        return made
+    outline = _outline(plate)
+    made += [
         {
             "kind": "lines",
             "style": "quiet",

@@ -10,6 +10,7 @@ export const STYLES = {
   pa: { colour: COLOURS.sky },
   left: { colour: COLOURS.sky },
   lateral: { colour: COLOURS.orange, dash: [9, 5] },
+  oblique: { colour: COLOURS.green, dash: [3, 3] },
   right: { colour: COLOURS.orange, dash: [9, 5] },
   wire: { colour: COLOURS.yellow },
   drilled: { colour: COLOURS.green },
