@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sightline.calibration import CArm, calibrate_together
 from sightline.frame import Fiducial, Frame, RigidBody, Tolerances
 from sightline.geometry.planes import Plane
+from sightline.planning import reconstruct
 from sightline.studies.bound import BoundData
 from sightline.studies.scenes import draw_scene
 from sightline.studies.solid_bound import solid_bound
@@ -162,3 +164,20 @@ def test_scenes_have_their_targets_at_the_hip():
 def _frame(xyz_mm: list[np.ndarray], sd_mm: float) -> Frame:
     balls = tuple(Fiducial(f"b{k}", (float(x), float(y), float(z)), 3.0) for k, (x, y, z) in enumerate(xyz_mm))
     return Frame("twelve", {}, tolerances=Tolerances(sd_mm, 0.0, 0.0, 0.0, 0.0), solid=RigidBody(balls))
+
+
+def test_on_an_intensifier_the_estimator_states_the_bound():
+    """Two set-ups: what is stated is between 0.97 and 1.1 of the bound; the map is learned, in the bound its prior is
+    known. A wider prior of the principal point makes the bound larger."""
+    frame = replace(Frame.load("block40+detector-plate"), tolerances=Tolerances(0.02, 0.0, 0.0, 0.0, 0.0))
+    noise = np.broadcast_to(PICK_PX**2 * np.eye(2), (2, 1, 2, 2))
+    for seed in (31, 32):
+        scene = draw_scene(np.random.default_rng(seed), frame, BEAD_PX, targets=1, reach_mm=0.0)
+        views = calibrate_together(list(scene.observations.values()), frame, [CArm(1000.0)] * 2)
+        stated = np.sqrt(np.trace(reconstruct(views, scene.target_px, noise).covariance_mm2[0]))
+        seen = scene.seen(noise[:, 0])
+        least, wide = (
+            np.sqrt(np.trace(solid_bound(scene.setup, seen, scene.target_mm[0], principal_point_mm=mm)))
+            for mm in (None, 30.0)
+        )
+        assert 0.97 * least < stated < 1.1 * least and wide > 1.02 * least
