@@ -9,7 +9,7 @@ from sightline.atomic import write_folder
 from sightline.calibration import CArm
 from sightline.case.documents import view_document
 from sightline.case.report.comparison import Compared
-from sightline.case.views import calibrate_pair, see_pair
+from sightline.case.views import calibrate_pair, see_pair, stated_view
 from sightline.detection.files import write_observations
 from sightline.errors import ObservationsError, UnusableInputError
 from sightline.imaging import GeometryTags, Radiograph
@@ -93,3 +93,23 @@ def test_errors_against_the_truth(report, truth) -> None:
     # The direction turns by no more than the two ends' errors over the length.
     assert one.direction_error_rad <= np.arcsin((entry + tip) / report.plan.trajectory.length_mm)
     assert one.document()["within_bounds"] == one.within_bounds
+
+
+@pytest.mark.parametrize(
+    ("primary", "secondary", "view"),
+    [
+        (0.0, None, "pa"),
+        (-24.0, 5.0, "pa"),
+        (178.0, 0.0, "pa"),
+        (90.0, -10.0, "lateral"),
+        (-70.0, 0.0, "lateral"),
+        (45.0, 0.0, "oblique"),
+        (0.0, 40.0, "oblique"),  # tilted to the head
+        (28.0, 0.0, None),
+        (63.0, 0.0, None),
+        (None, 0.0, None),
+    ],
+)
+def test_the_angles_of_the_c_arm_name_a_view_where_it_is_near_to_one(primary, secondary, view) -> None:
+    tags = GeometryTags(primary_angle_deg=primary, secondary_angle_deg=secondary)
+    assert stated_view(Radiograph(np.zeros((64, 64), np.uint16), white=1.0, tags=tags)) == view

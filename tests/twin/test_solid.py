@@ -17,6 +17,7 @@ from sightline.twin.femur import LONG_HIGH_MM, Femur, to_cfcs
 from sightline.twin.handling import Handling, in_use
 from sightline.twin.render import expose
 from sightline.twin.scene import draw_head
+from sightline.twin.specimens import SetUpSpec
 from sightline.twin.things import Ball, frame_scene
 
 BLOCK = Frame.load("block60")
@@ -223,3 +224,10 @@ def test_bad_input(frame):
     washer = RigidBody((Fiducial("w", (0.0, 0.0, 0.0), 5.0, shape="washer"),))
     with pytest.raises(SetUpError, match="washer 'w'"):
         frame_scene(Frame("washers", {}, solid=washer))
+
+
+def test_a_specimen_has_a_third_image_of_a_block_only() -> None:
+    drawn, shown = SetUpSpec(BLOCK, oblique=True).draw(np.random.default_rng(1), np.zeros((1, 3)))
+    assert shown and list(drawn.views) == ["pa", "lateral", "oblique"]
+    with pytest.raises(SetUpError, match="give views only for a solid"):
+        SetUpSpec(Frame.load("gamma"), oblique=True).draw(np.random.default_rng(1), np.zeros((1, 3)))

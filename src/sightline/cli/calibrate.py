@@ -19,7 +19,9 @@ FrameName = Annotated[str, typer.Option("--frame", help="A frame file, gamma, bi
 ViewName = Annotated[
     str | None,
     typer.Option(
-        "--view", help="View of the image, pa or lateral; by default as the datum markers show.", show_default=False
+        "--view",
+        help="View of the image, pa or lateral, of a block also oblique; by default as the datum markers show.",
+        show_default=False,
     ),
 ]
 Datums = Annotated[
