@@ -20,10 +20,10 @@ _SHARE = np.array([0.22, 0.39, 0.39])
 _BLURS_PX = (0.7, 1.0, 1.5, 2.2)  # s.d. of detector and focal spot that are tried
 _STEP_PX = 0.5  # of samples along a profile
 # S.d. of errors that the points of one edge share, from blur and scatter that differ from the model, px [twin].
-OUTLINE_COMMON_PX, RIM_COMMON_PX = 0.15, 0.35
+OUTLINE_COMMON_PX, RIM_COMMON_PX = 0.15, 0.2
 _MODEL_PX = 0.1  # s.d. of each point without noise: structure beside the edge [twin]
 # Variance of a fit over that of independent samples, 0.5 px apart: of an outline's piece, and of a rim's point [twin].
-_CORRELATED, _CORRELATED_RIM = 4.0, 10.0
+_CORRELATED, _CORRELATED_RIM = 4.0, 20.0
 _OUTLINE_REACH, _OUTLINE_WINDOW = 8.0, 8.0  # px: how far a stroke may be off, and what is fitted to either side
 _PIECE_PX = 16.0  # length of edge for each point
 _MIN_PIECES = 5

@@ -358,7 +358,7 @@ def _fitted(points: _Points, state: np.ndarray, nail: Nail) -> _Solved:
             break
         spread = max(1.0, 1.4826 * float(np.median(np.abs(solved.own))))
         inflation = 1 + (solved.own / (2.0 * spread)) ** 2
-        if iteration > 2 and solved.step < 10 * _CONVERGED:
+        if iteration > 0 and solved.step < 30 * _CONVERGED:
             return solved
     raise _undetermined()
 
