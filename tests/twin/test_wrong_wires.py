@@ -14,7 +14,10 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize(("name", "beyond_mm"), [("pelvis", 2.0), ("vertebra", 1.5), ("growing-femur", 4.0)])
+@pytest.mark.parametrize(
+    ("name", "beyond_mm"),
+    [pytest.param("pelvis", 2.0, marks=pytest.mark.slow), ("vertebra", 1.5), ("growing-femur", 4.0)],
+)
 def test_a_wrong_wire_is_wrong_by_the_amount_asked_for(name: str, beyond_mm: float):
     bone = BONES[name].draw(np.random.default_rng(21)).bone()
     wires = wrong_wires(bone, beyond_mm, np.random.default_rng(22))

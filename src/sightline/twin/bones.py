@@ -19,7 +19,10 @@ from sightline.twin.shapes import ADD, CUT, NUMBERS, Shape, blend, shape_distanc
 from sightline.twin.volumes import Volume
 
 BLOCK = 8  # voxels a side of a block that is skipped where no bone is near
-DIRECTIONS = 160  # of the search for the nearest point, before it is refined
+DIRECTIONS = 200  # of the search for the nearest point, before it is refined
+STARTS, APART, WIDER = 4, 0.9, 1.2  # it is refined from up to so many, cosine of their angle, ratio to the shortest
+AROUND = 8  # directions around the best that a step of the refinement tries
+COARSE_MM, FINE_MM = 0.02, 1e-6  # lengths of rays: first, refined
 REACH_MM = 300.0  # of this search
 BOUND = 0.85  # share of a depth that a distance is at least: barrels and ellipsoids are exact to first order only
 HARD, HARD_TEXTURE, SPONGY_TEXTURE = 0.92, 0.03, 0.7  # share of bone in cortex; its textures, as of the femur
@@ -117,8 +120,8 @@ class Bone:
         """Return the signed distances (...) of points (..., 3) from a surface, negative inside it.
 
         `of`: "surface" of the bone; "outline", the same with the gaps between its parts filled; "cancellous", the inner
-        surface of the cortex; "gap", those gaps; or a name in `keep_out`. The error is below 0.01 mm for points
-        within 60 mm. Raises SetUpError for another name.
+        surface of the cortex; "gap", those gaps; or a name in `keep_out`. The error is below 0.1 mm, in 99 % below
+        0.01 mm (docs/bones.md). Raises SetUpError for another name.
         """
         points = np.asarray(xyz_mm, dtype=np.float64)
         if of in self.keep_out:
@@ -276,60 +279,67 @@ def _depths(part, parts_, points, table, parts, mirrored, of, out):  # noqa: PLR
 
 
 @njit(cache=True, error_model="numpy")
-def _ray(p, d, limit, inside, table, parts, mirrored, of, work):  # noqa: PLR0917
-    """Return the length of a ray from p along d to the surface, or `limit` if it is longer."""
+def _ray(p, d, limit, fine, inside, table, parts, mirrored, of, work):  # noqa: PLR0917
+    """Return the length of a ray from p along d to the surface, to `fine`, or `limit` if it is longer."""
     at, near, far = 0.0, 0.0, -1.0
-    while near < limit and not 0.0 <= far - near < 1e-9:
+    while near < limit and not 0.0 <= far - near < fine:
         value = _field(p[0] + at * d[0], p[1] + at * d[1], p[2] + at * d[2], table, parts, mirrored, of, work)
         if (value < 0.0) == inside:
             near = at
         else:
             far = at
-        at = near + max(0.6 * abs(value), 0.02) if far < 0.0 else (near + far) / 2
+        at = near + max(0.8 * abs(value), 0.02) if far < 0.0 else (near + far) / 2
     return min(far, limit) if far >= 0.0 else limit
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _nearest(part, parts_, points, table, parts, mirrored, of, directions, out):  # noqa: PLR0912, PLR0917
-    """Fill in the signed distance of every point: the shortest ray to the surface, along the field's slope or one of
-    the directions, then refined around the best."""
-    work, d, best_d, trial = np.empty((len(parts), 3)), np.empty(3), np.empty(3), np.empty(3)
-    for k in range(part, len(points), parts_):
-        p, value, inside, best = points[k], 0.0, False, REACH_MM
-        for a in range(-1, 3):
-            trial[:] = p
-            if a >= 0:
-                trial[a] += 1e-4
-            near = _field(trial[0], trial[1], trial[2], table, parts, mirrored, of, work)
-            if a < 0:
-                value, inside = near, near < 0.0
-            else:
-                d[a] = near - value if inside else value - near
-        best_d[:] = d
-        for n in range(-1, len(directions)):
-            if n >= 0:
-                d[:] = directions[n]
-            norm = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-            if norm == 0.0:
-                continue
-            d /= norm
-            length = _ray(p, d, best, inside, table, parts, mirrored, of, work)
+@njit(cache=True, error_model="numpy")
+def _refined(p, best_d, best, inside, table, parts, mirrored, of, work):  # noqa: PLR0917
+    """Return the length of the shortest ray found around the direction `best_d` (3,), at most `best`; `best_d` is
+    overwritten with its direction."""
+    d, first, second = np.empty(3), np.empty(3), np.empty(3)
+    angle = 0.2
+    while angle > 2e-4:
+        before, least = best, np.argmin(np.abs(best_d))
+        for a in range(3):
+            first[a] = (1.0 if a == least else 0.0) - best_d[least] * best_d[a]
+        first /= np.sqrt(first[0] * first[0] + first[1] * first[1] + first[2] * first[2])
+        for a in range(3):
+            second[a] = best_d[(a + 1) % 3] * first[(a + 2) % 3] - best_d[(a + 2) % 3] * first[(a + 1) % 3]
+        for k in range(AROUND):
+            turn = 2.0 * np.pi * k / AROUND
+            d[:] = best_d + angle * (np.cos(turn) * first + np.sin(turn) * second)
+            d /= np.sqrt(1.0 + angle * angle)
+            length = _ray(p, d, best, FINE_MM, inside, table, parts, mirrored, of, work)
             if length < best:
                 best = length
                 best_d[:] = d
-        angle = 0.2
-        while angle > 2e-4:
-            before = best
-            for a in range(6):
-                d[:] = best_d
-                d[a % 3] += angle if a < 3 else -angle
-                d /= np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-                length = _ray(p, d, best, inside, table, parts, mirrored, of, work)
-                if length < best:
-                    best = length
-                    best_d[:] = d
-            if best > before - 1e-7:
-                angle *= 0.5
+                break
+        if best > before - 1e-7:
+            angle *= 0.5
+    return best
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest(part, parts_, points, table, parts, mirrored, of, directions, out):  # noqa: PLR0917
+    """Fill in the signed distance of every point: the shortest ray to the surface, refined around the best of the
+    directions and around the best of those that are far from it."""
+    work, d, lengths = np.empty((len(parts), 3)), np.empty(3), np.empty(len(directions))
+    for k in range(part, len(points), parts_):
+        p, best = points[k], REACH_MM
+        inside = _field(p[0], p[1], p[2], table, parts, mirrored, of, work) < 0.0
+        for n in range(len(directions)):
+            limit = min(WIDER * best + 0.5, REACH_MM)
+            lengths[n] = _ray(p, directions[n], limit, COARSE_MM, inside, table, parts, mirrored, of, work)
+            best = min(best, lengths[n])
+        for _ in range(STARTS):
+            n = np.argmin(lengths)
+            if lengths[n] >= min(WIDER * best + 0.5, REACH_MM):
+                break
+            d[:] = directions[n]
+            best = min(best, _refined(p, d, lengths[n] + COARSE_MM, inside, table, parts, mirrored, of, work))
+            for m in range(len(directions)):
+                if directions[m] @ directions[n] > APART:
+                    lengths[m] = REACH_MM
         out[k] = -best if inside else best
 
 
