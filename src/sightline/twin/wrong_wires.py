@@ -29,7 +29,7 @@ def wrong_wires(bone: Bone, beyond_mm: float, rng: np.random.Generator) -> dict[
     along = (end - entry) / np.linalg.norm(end - entry)
     wires = {}
     far = bone.surface_near(end, along)
-    deeper = _amount(lambda s: bone.distance_mm(far + s * along, "outline"), beyond_mm, MAX_ASIDE_MM)
+    deeper = _amount(lambda s: float(bone.distance_mm(far + s * along, "outline")), beyond_mm, MAX_ASIDE_MM)
     if np.linalg.norm(far - end) < MAX_LONGER_MM and deeper is not None:
         wires[FAR] = np.stack([entry, far + deeper * along])
     aside = np.linalg.svd(along[None])[2][1:].T @ _unit(rng.standard_normal(2))
