@@ -21,8 +21,8 @@ def wire_in_neck(entry: np.ndarray, tip: np.ndarray, views: tuple[Borders, Borde
     direction n is n M n. A point at the share s of the way to an ellipse lies (1 - s) times its shorter semi-axis or
     more from it.
     """
-    views = tuple((focal, _one_way(lines)) for focal, lines in views)
-    inward = [_inward(focal, lines) for focal, lines in views]
+    drawn = [(focal, _one_way(lines)) for focal, lines in views]
+    inward = [_inward(focal, lines) for focal, lines in drawn]
     one, other = (unit(normals[:, 0] - normals[:, 1]) for normals in inward)
     sine = np.linalg.norm(np.cross(one, other), axis=-1)[:, None]
     if sine[0, 0] < _MIN_SINE:
@@ -30,17 +30,17 @@ def wire_in_neck(entry: np.ndarray, tip: np.ndarray, views: tuple[Borders, Borde
             "both images show the neck from nearly the same side; rotate the C-arm for one"
         )
     axes = np.stack([one, other, np.cross(one, other) / sine], axis=1)
-    on = np.stack([views[0][0], views[1][0], entry], axis=1)
+    on = np.stack([drawn[0][0], drawn[1][0], entry], axis=1)
     middle = np.linalg.solve(axes, (axes * on).sum(axis=-1)[..., None])[..., 0]
     way = axes[:, 2]
-    ends = [_ends(focal, lines, middle, way) for focal, lines in views]
+    ends = [_ends(focal, lines, middle, way) for focal, lines in drawn]
     wire = np.stack([((point - middle) * way).sum(axis=-1) for point in (entry, tip)], axis=1)
     first, last = _common([*ends, wire])
     along = first + np.linspace(0.0, 1.0, _STATIONS) * (last - first)
     axis = middle[:, None] + along[..., None] * way[:, None]
     share = (along - wire[:, :1]) / (wire[:, 1:] - wire[:, :1])
     beside = entry[:, None] + share[..., None] * (tip - entry)[:, None] - axis
-    half = [((axis - f[:, None]) * n[:, :1]).sum(axis=-1) for (f, _), n in zip(views, inward, strict=True)]
+    half = [((axis - f[:, None]) * n[:, :1]).sum(axis=-1) for (f, _), n in zip(drawn, inward, strict=True)]
     x, y = ((beside * n[:, None]).sum(axis=-1) for n in (one, other))
     return _from_ellipse((x, y), (half[0], half[1]), (one * other).sum(axis=-1)[:, None])
 
