@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist
 from sightline.frame import Frame
 from sightline.studies.block_places import places
 from sightline.studies.frame_errors import DesignResult
-from sightline.studies.frame_kinds import EQUAL, Kind, error_of_kind, which_to_build
+from sightline.studies.frame_kinds import EQUAL, FrameKind, error_of_kind, which_to_build
 from sightline.studies.scenes import BEADS_20UM, EXACT, WHOLE, draw_showing
 from sightline.studies.study import Values
 from sightline.studies.study_frame_design import (
@@ -86,7 +86,7 @@ def test_a_frame_sags_whether_or_not_it_was_measured():
 
 
 def test_the_frame_with_the_least_error_is_the_one_to_build():
-    kinds = (Kind("gamma", "flat-panel"), Kind("block30", "flat-panel"), Kind("gamma", "9in-1k"))
+    kinds = (FrameKind("gamma", "flat-panel"), FrameKind("block30", "flat-panel"), FrameKind("gamma", "9in-1k"))
     mm = dict(zip(kinds, (0.2, 0.1, 0.05), strict=True))
     trials = [
         {one.key("as made"): {"error": [mm[one] * size] * 2, "stated": [0.1, 0.1]} for one in kinds}
@@ -100,7 +100,11 @@ def test_the_frame_with_the_least_error_is_the_one_to_build():
 
 
 def test_each_kind_of_frame_has_the_error_that_it_states():
-    for kind in (Kind("biplane", "9in-1k"), Kind("block60", "flat-panel"), Kind("block40+detector-plate", "9in-1k")):
+    for kind in (
+        FrameKind("biplane", "9in-1k"),
+        FrameKind("block60", "flat-panel"),
+        FrameKind("block40+detector-plate", "9in-1k"),
+    ):
         made = [error_of_kind(kind, EQUAL["balls 0.1 mm"], seed) for seed in range(4)]
         assert all(made)
         error, stated = (np.sqrt(np.mean([np.square(one[key]) for one in made])) for key in ("error", "stated"))

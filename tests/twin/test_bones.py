@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.frame import Frame
 from sightline.twin.bone_scene import BONES, bone_document, draw_origin, shown_bone_scene
-from sightline.twin.bones import Bone, Plane, Sphere
+from sightline.twin.bones import BoneModel, PlaneAid, SphereAid
 from sightline.twin.carm import with_errors
 from sightline.twin.femur import to_cfcs
 from sightline.twin.growing_femur import DOME_MM, GrowingFemur
@@ -84,7 +84,7 @@ def test_the_field_of_the_growth_plate_is_its_gap():
         assert (bone.depth_mm(at, "gap") < 0).sum() * step == pytest.approx(femur.physis_mm, abs=2 * step)
         assert (bone.depth_mm(at, "outline") < 0).all()
         plane = bone.aids["growth plate"]
-        assert isinstance(plane, Plane)
+        assert isinstance(plane, PlaneAid)
         assert np.abs(np.cross(plane.normal, end - entry)).max() < 1e-9
         off = (at[bone.depth_mm(at, "gap") < 0] - plane.point_mm) @ plane.normal
         assert off.max() == pytest.approx(0.0, abs=2 * step)
@@ -102,7 +102,7 @@ def test_a_head_slips_by_its_angle_towards_posterior_and_inferior():
     assert DOME_MM * np.radians(30) / rim == pytest.approx(1 / 3, abs=0.06)  # both limits of a mild slip
 
 
-def chord(bone: Bone, middle: np.ndarray, across: np.ndarray) -> float:
+def chord(bone: BoneModel, middle: np.ndarray, across: np.ndarray) -> float:
     return float(np.linalg.norm(bone.surface_near(middle, across) - bone.surface_near(middle, -across)))
 
 
@@ -166,7 +166,7 @@ def test_landmarks_lie_on_the_surface(name: str):
     rng = np.random.default_rng(9)
     for _ in range(3):
         bone = BONES[name].draw(rng).bone()
-        centres = [aid.centre_mm for aid in bone.aids.values() if isinstance(aid, Sphere)]
+        centres = [aid.centre_mm for aid in bone.aids.values() if isinstance(aid, SphereAid)]
         points = [at for at in bone.landmarks_mm.values() if not any(np.array_equal(at, c) for c in centres)]
         assert len(points) >= 4
         assert np.abs(bone.distance_mm(np.stack(points))).max() < 1e-6
@@ -206,9 +206,9 @@ def test_a_scene_states_its_truth_in_cfcs():
     by = np.array([3.0, -3.0, 3.0])  # caudal is -Y of a left side
     assert scene.distance_mm(ours + 3.0) == pytest.approx(scene.truth.distance_mm(theirs + by), abs=1e-6)
     for key, aid in scene.aids.items():
-        if isinstance(aid, Plane):
+        if isinstance(aid, PlaneAid):
             original = scene.truth.aids[key]
-            assert isinstance(original, Plane)
+            assert isinstance(original, PlaneAid)
             assert aid.normal == pytest.approx(original.normal * [1, -1, 1])
     document = bone_document(setup, scene)
     assert json.loads(json.dumps(document))["dimensions"] == document["dimensions"]

@@ -21,7 +21,7 @@ from sightline.calibration.matrix import HomographyMap
 from sightline.calibration.panel import CENTRE, FOCAL, PARAMETERS, PanelCamera
 from sightline.calibration.polynomial import monomials
 from sightline.calibration.smooth import DEGREE, FittedSmoothMap, SmoothMap
-from sightline.calibration.solid_image import MIN_BALLS, Shadows, SolidBalls, SolidImage, Traced
+from sightline.calibration.solid_image import MIN_BALLS, BallShadows, SolidBalls, SolidImage, Traced
 from sightline.calibration.view import PlaneMap
 from sightline.fitting.kriging import Kriging
 from sightline.fitting.triangular import cholesky, inverse_lower
@@ -31,7 +31,7 @@ MIN_PLATE_BALLS = 12  # in one image: two more than the cubic's ten unknowns of 
 
 
 @dataclass(frozen=True, eq=False)
-class PlateImage(SolidImage):
+class DetectorPlateImage(SolidImage):
     """The balls of one image, solid's and plate's. `count`: of the solid, the first rows; `plane`: of the plate, in its
     own coordinates; `start`: the map fitted to the plate alone, whose process and derivative are kept."""
 
@@ -67,7 +67,7 @@ class PlateImage(SolidImage):
         noise = noise + np.diag(self.start.covariance_mm2(self.uv_px[mine]))[:, None, None] * np.eye(2)
         return SolidImage(xy, noise, self.rows[mine], self.prior)
 
-    def shadows(self, camera: PanelCamera, solid: SolidBalls, e: np.ndarray, rows: np.ndarray) -> Shadows:
+    def shadows(self, camera: PanelCamera, solid: SolidBalls, e: np.ndarray, rows: np.ndarray) -> BallShadows:
         """Return the shadows on the plate's plane, mm, of the balls `rows` (N,), with errors `e` (K,)."""
         plate, xyz = rows >= self.count, solid.moved_mm(e)[rows]
         beyond = camera.shadows(xyz[~plate], solid.radius_mm[rows[~plate]])
@@ -78,7 +78,7 @@ class PlateImage(SolidImage):
             both[~plate], both[plate] = of_solid, of_plate
             parts.append(both)
         at, by_camera, by_point = parts
-        return Shadows(at, by_camera, by_point @ solid.by_e(rows))
+        return BallShadows(at, by_camera, by_point @ solid.by_e(rows))
 
     def _plate_shadows(self, camera: PanelCamera, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the shadows (N, 2) of balls at or near the plate's plane, with their derivatives by the camera

@@ -6,7 +6,7 @@ from scipy.special import chdtri
 from sightline.calibration.checks import CHI_SQUARE_FALSE_ALARM
 from sightline.calibration.focal_length import CArm
 from sightline.calibration.panel import CENTRE, FOCAL
-from sightline.calibration.plate_image import PlateImage
+from sightline.calibration.plate_image import DetectorPlateImage
 from sightline.calibration.solid import SolidAdjustment
 from sightline.calibration.solid_image import MIN_BALLS
 from sightline.checks import Check
@@ -33,7 +33,7 @@ def adjustment_check(fit: SolidAdjustment) -> Check:
 def checks_of_image(fit: SolidAdjustment, image: int, c_arm: CArm | None) -> list[Check]:
     """Return the checks of one image: its balls, that its kind is that of the frame, and what is known of the C-arm."""
     own = fit.images[image]
-    kind = _is_distorted(own) if isinstance(own, PlateImage) else _distortion(fit, image)
+    kind = _is_distorted(own) if isinstance(own, DetectorPlateImage) else _distortion(fit, image)
     return [_count(int((own.rows < fit.solid.count).sum())), kind, *_panel_checks(fit, image, c_arm)]
 
 
@@ -59,7 +59,7 @@ def _distortion(fit: SolidAdjustment, image: int) -> Check:
     return Check("panel distortion", sigma <= limit, sigma, limit, "σ", sentence)
 
 
-def _is_distorted(image: PlateImage) -> Check:
+def _is_distorted(image: DetectorPlateImage) -> Check:
     """Return the check that the plate's balls show the distortion of an intensifier."""
     uv = image.uv_px[image.on_plate]
     xy, slopes = image.start.linearised(uv)
@@ -85,7 +85,7 @@ def _panel_checks(fit: SolidAdjustment, image: int, c_arm: CArm | None) -> list[
     share, sd_share = abs(float(off)), float(np.hypot(prior.focal_share, sd[FOCAL]))
     away = float(np.hypot(*(camera.centre_px - np.array(prior.centre_px))))
     away_limit = TWO_SIDED_999 * float(np.hypot(prior.centre_sd_px, sd[CENTRE].max()))
-    unit, on_plate = fit.images[image].unit, isinstance(fit.images[image], PlateImage)
+    unit, on_plate = fit.images[image].unit, isinstance(fit.images[image], DetectorPlateImage)
     known = c_arm is not None and (on_plate or c_arm.pixel_mm is not None)
     stated = "the stated source-detector distance" if known else "that of usual C-arms"
     sentence = f"The focal length is {camera.focal_px:.0f} ± {camera.focal_px * sd[FOCAL]:.0f} {unit}"

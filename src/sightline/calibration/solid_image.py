@@ -58,7 +58,7 @@ class SolidBalls:
 
 
 @dataclass(frozen=True, eq=False)
-class Shadows:
+class BallShadows:
     """N places in the camera's image, `at` (N, 2), with their derivatives by the camera's parameters, `by_camera`
     (N, 2, 9), and by the balls' errors, `by_e` (N, 2, K)."""
 
@@ -68,7 +68,7 @@ class Shadows:
 
 
 @dataclass(frozen=True, eq=False)
-class Traced(Shadows):
+class Traced(BallShadows):
     """N pixels taken to the camera's image. `jacobian` (N, 2, 2): by the pixels; `covariance` (2N, 2N): of what the map
     does not know, given camera and balls."""
 
@@ -117,10 +117,10 @@ class SolidImage:
         kept = np.arange(len(self.rows)) != ball
         return replace(self, uv_px=self.uv_px[kept], covariance_px2=self.covariance_px2[kept], rows=self.rows[kept])
 
-    def shadows(self, camera: PanelCamera, solid: SolidBalls, e: np.ndarray, rows: np.ndarray) -> Shadows:
+    def shadows(self, camera: PanelCamera, solid: SolidBalls, e: np.ndarray, rows: np.ndarray) -> BallShadows:
         """Return the shadows of the balls `rows` (N,), with errors `e` (K,)."""
         at, by_camera, by_point = camera.shadows(solid.moved_mm(e)[rows], solid.radius_mm[rows])
-        return Shadows(at, by_camera, by_point @ solid.by_e(rows))
+        return BallShadows(at, by_camera, by_point @ solid.by_e(rows))
 
     def whitened(self, camera: PanelCamera, solid: SolidBalls, e: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return the whitened residuals (R,), data minus model, and the whitened model's derivatives by the camera

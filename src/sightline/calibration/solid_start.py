@@ -7,7 +7,7 @@ import numpy as np
 from sightline.calibration.focal_length import CArm
 from sightline.calibration.hull import refuse_collinear
 from sightline.calibration.panel import PanelCamera
-from sightline.calibration.plate_image import MIN_PLATE_BALLS, PlateImage
+from sightline.calibration.plate_image import MIN_PLATE_BALLS, DetectorPlateImage
 from sightline.calibration.polynomial import Affine
 from sightline.calibration.smooth import FittedSmoothMap
 from sightline.calibration.solid_image import MIN_BALLS, PanelPrior, SolidBalls, SolidImage
@@ -71,7 +71,9 @@ def image_of(seen: Observations, frame: Frame, solid: SolidBalls, c_arm: CArm | 
     return SolidImage(seen.uv_px, noise_px2(seen), rows, _prior(seen.image_shape, c_arm))
 
 
-def _on_plate(seen: Observations, rows: np.ndarray, solid: SolidBalls, plane: Plane, c_arm: CArm | None) -> PlateImage:
+def _on_plate(
+    seen: Observations, rows: np.ndarray, solid: SolidBalls, plane: Plane, c_arm: CArm | None
+) -> DetectorPlateImage:
     """Return the balls of an intensifier's image with a plate of a plane, in its own coordinates, on the detector.
 
     Raises CalibrationRefusedError.
@@ -93,7 +95,7 @@ def _on_plate(seen: Observations, rows: np.ndarray, solid: SolidBalls, plane: Pl
     middle = np.zeros(3)  # of the detector's input plane
     x, y = plane.to_plane(middle).tolist()
     prior = PanelPrior(distance + float(plane.height_mm(middle)), share, (x, y), PLATE_CENTRE_SD_MM)
-    return PlateImage(seen.uv_px, noise, rows, prior, solid.count, plane, start)
+    return DetectorPlateImage(seen.uv_px, noise, rows, prior, solid.count, plane, start)
 
 
 def _prior(shape: tuple[int, int], c_arm: CArm | None) -> PanelPrior:
@@ -116,7 +118,7 @@ def first_camera(solid: SolidBalls, seen: SolidImage, view: str) -> PanelCamera:
     image = seen.undistorted()
     (plain, plain_chi2), (mirrored, mirrored_chi2) = (_fitted(solid, image, mirrored=one) for one in (False, True))
     evidence = mirrored_chi2 - plain_chi2  # for the one that is not mirrored
-    if isinstance(seen, PlateImage):
+    if isinstance(seen, DetectorPlateImage):
         if evidence > MIRROR_EVIDENCE:
             raise CalibrationRefusedError(
                 f"view {view} shows the solid as its mirror image where the plate's z points towards the X-ray source: "

@@ -30,7 +30,7 @@ DETECTORS = {"9in-1k": "intensifier", "flat-panel": "panel"}
 
 
 @dataclass(frozen=True)
-class Kind:
+class FrameKind:
     """A frame before a detector. `at_mm`: a solid's middle from the wire's, by default the twin's usual place."""
 
     frame: str
@@ -67,22 +67,22 @@ class Kind:
 
 # The last two stand at the nearest places outside the skin (block_places.py), the other solids nearer.
 KINDS = (
-    Kind("gamma", "9in-1k"),
-    Kind("biplane", "9in-1k"),
-    Kind("block30+detector-plate", "9in-1k"),
-    Kind("block40+detector-plate", "9in-1k"),
-    Kind("block60+detector-plate", "9in-1k", (40.0, 0.0, 60.0)),  # nearer, the wire would pass through it
-    Kind("gamma", "flat-panel"),
-    Kind("biplane", "flat-panel"),
-    Kind("block30", "flat-panel"),
-    Kind("block40", "flat-panel"),
-    Kind("block60", "flat-panel"),
-    Kind("block60", "flat-panel", (40.0, 0.0, 130.0)),
-    Kind("block30", "flat-panel", (80.0, 0.0, 100.0)),
+    FrameKind("gamma", "9in-1k"),
+    FrameKind("biplane", "9in-1k"),
+    FrameKind("block30+detector-plate", "9in-1k"),
+    FrameKind("block40+detector-plate", "9in-1k"),
+    FrameKind("block60+detector-plate", "9in-1k", (40.0, 0.0, 60.0)),  # nearer, the wire would pass through it
+    FrameKind("gamma", "flat-panel"),
+    FrameKind("biplane", "flat-panel"),
+    FrameKind("block30", "flat-panel"),
+    FrameKind("block40", "flat-panel"),
+    FrameKind("block60", "flat-panel"),
+    FrameKind("block60", "flat-panel", (40.0, 0.0, 130.0)),
+    FrameKind("block30", "flat-panel", (80.0, 0.0, 100.0)),
 )
 
 
-def which_to_build(kinds: Sequence[Kind], found: dict[str, DesignResult]) -> list[str]:
+def which_to_build(kinds: Sequence[FrameKind], found: dict[str, DesignResult]) -> list[str]:
     """Return for each detector the sentence that orders the frames by their error at equal tolerances."""
     out = []
     for chain, detector in DETECTORS.items():
@@ -94,7 +94,7 @@ def which_to_build(kinds: Sequence[Kind], found: dict[str, DesignResult]) -> lis
     return out
 
 
-def kinds_plot(kinds: Sequence[Kind], found: dict[str, DesignResult]) -> list[Plot]:
+def kinds_plot(kinds: Sequence[FrameKind], found: dict[str, DesignResult]) -> list[Plot]:
     """Return the picture that compares the kinds, none without kinds."""
     rows = [(one.key(made), COLOURS[made]) for one in kinds for made in one.tolerances]
     drawn = [found[key].span(key, colour) for key, colour in rows if found[key].error.value is not None]
@@ -102,7 +102,7 @@ def kinds_plot(kinds: Sequence[Kind], found: dict[str, DesignResult]) -> list[Pl
     return [Plot(title, spans(drawn, "mm", title, "stated", RMS), caption)] if drawn else []
 
 
-def error_of_kind(kind: Kind, sd: Tolerances, seed: int) -> Values | None:
+def error_of_kind(kind: FrameKind, sd: Tolerances, seed: int) -> Values | None:
     """Return the errors (2) of the wire's ends and the roots of the stated variances, mm; None: refused."""
     rng = np.random.default_rng(seed)
     frame = replace(Frame.load(kind.frame), tolerances=sd)

@@ -27,7 +27,7 @@ from sightline.frame.nominal import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM, in_
 from sightline.studies.block_places import BLOCKS, FIELDS_MM, place_table
 from sightline.studies.figure_spans import RMS, spans
 from sightline.studies.frame_errors import BEAD_PX, INTERVAL, PICK_PX, DesignResult, error_table, located
-from sightline.studies.frame_kinds import EQUAL, KINDS, Kind, error_of_kind, kinds_plot, which_to_build
+from sightline.studies.frame_kinds import EQUAL, KINDS, FrameKind, error_of_kind, kinds_plot, which_to_build
 from sightline.studies.scenes import BEADS_20UM, VIEWS, WHOLE, draw_showing
 from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.studies.study_robustness import WIRE_ENDS_MM
@@ -125,7 +125,7 @@ class FrameDesignStudy:
     geometries: tuple[Design, ...] = GEOMETRIES
     tolerances: tuple[str, ...] = tuple(TOLERANCES)
     handlings: tuple[str, ...] = tuple(HANDLINGS)
-    kinds: tuple[Kind, ...] = KINDS
+    kinds: tuple[FrameKind, ...] = KINDS
     blocks: tuple[str, ...] = BLOCKS
 
     @property

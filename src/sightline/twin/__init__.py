@@ -1,7 +1,7 @@
 """The digital twin: C-arm, intensifier, bones, X-ray projection. It never imports the software that it tests."""
 
 from sightline.twin.bone_scene import BONES, BoneScene, shown_bone_scene
-from sightline.twin.bones import Bone
+from sightline.twin.bones import BoneModel
 from sightline.twin.carm import SetUp, Variation, ViewTruth, bead_images, draw_setup
 from sightline.twin.hard import BeadTruth, hard_scene
 from sightline.twin.render import DOSES, Dose, render
@@ -13,7 +13,7 @@ __all__ = [
     "BONES",
     "DOSES",
     "BeadTruth",
-    "Bone",
+    "BoneModel",
     "BoneScene",
     "Dose",
     "HipScene",

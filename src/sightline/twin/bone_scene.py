@@ -9,7 +9,7 @@ import numpy as np
 
 from sightline.errors import SetUpError
 from sightline.frame import Frame
-from sightline.twin.bones import Aid, Bone
+from sightline.twin.bones import Aid, BoneModel
 from sightline.twin.carm import SetUp, Variation, draw_setup
 from sightline.twin.distributions import HipPlace, SolidPlace
 from sightline.twin.femur import to_cfcs
@@ -25,7 +25,7 @@ ATTEMPTS = 100
 class Dimensions(Protocol):
     """The dimensions of a bone: a dataclass of numbers that builds it."""
 
-    def bone(self) -> Bone:
+    def bone(self) -> BoneModel:
         """Return the bone."""
         ...
 
@@ -84,7 +84,7 @@ class BoneScene:
 
     still: Scene
     bone: Scene
-    truth: Bone
+    truth: BoneModel
     side: str
     origin_mm: np.ndarray
     dimensions: Dimensions
@@ -110,7 +110,7 @@ class BoneScene:
         return {name: aid.mapped(self._to_cfcs) for name, aid in self.truth.aids.items()}
 
     def distance_mm(self, xyz_mm: np.ndarray, of: str = "surface") -> np.ndarray:
-        """Return the signed distances (...) of points (..., 3), CFCS; see `Bone.distance_mm`."""
+        """Return the signed distances (...) of points (..., 3), CFCS; see `BoneModel.distance_mm`."""
         back = to_cfcs(np.asarray(xyz_mm) - self.origin_mm, self.side, np.zeros(3))
         return self.truth.distance_mm(back, of)
 
@@ -136,7 +136,7 @@ def shown_bone_scene(
     raise SetUpError(f"none of {ATTEMPTS} set-ups shows the wires in all views of frame {frame.name!r}")
 
 
-def draw_origin(bone: Bone, side: str, rng: np.random.Generator) -> np.ndarray:
+def draw_origin(bone: BoneModel, side: str, rng: np.random.Generator) -> np.ndarray:
     """Draw the origin (3,) of a bone whose wires are centred as a radiographer would: from `SetUp.hip_mm`, CFCS."""
     middle = to_cfcs(bone.wires_mm.mean(axis=(0, 1)), side, np.zeros(3))
     return rng.normal(0.0, HipPlace().off_centre_sd_mm, 3) - middle
@@ -158,7 +158,7 @@ def bone_document(setup: SetUp, scene: BoneScene) -> dict[str, Any]:
     for name, view in setup.views.items():
         document["views"][name]["wires_uv_px"] = view.project(scene.wires_mm).tolist()
     aids = {
-        name: {"kind": type(aid).__name__.lower()}
+        name: {"kind": type(aid).__name__.removesuffix("Aid").lower()}
         | {one.name: np.asarray(getattr(aid, one.name)).tolist() for one in fields(aid)}
         for name, aid in scene.aids.items()
     }

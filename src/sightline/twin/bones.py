@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from sightline.errors import SetUpError
 from sightline.threads import in_parts
 from sightline.twin.femur import placed
-from sightline.twin.shapes import ADD, CUT, NUMBERS, Shape, blend, shape_distance, step, texture
+from sightline.twin.shapes import ADD, CUT, NUMBERS, SolidShape, blend, shape_distance, step, texture
 from sightline.twin.volumes import Volume
 
 BLOCK = 8  # voxels a side of a block that is skipped where no bone is near
@@ -31,19 +31,19 @@ PART, JOIN, BLEND, CORTEX, KIND, FIRST = range(6)  # columns of the table of sha
 
 
 @dataclass(frozen=True)
-class Part:
+class BonePart:
     """A piece of bone. `shapes`: joined in their order. `spongy`: share of bone in its cancellous inside.
 
     `gap_mm`: width of the gap to all earlier parts, which displace this one (a joint, a growth plate); 0: none.
     """
 
-    shapes: tuple[Shape, ...]
+    shapes: tuple[SolidShape, ...]
     spongy: float
     cortex_mm: float
     blend_mm: float = 4.0
     gap_mm: float = 0.0
 
-    def shifted(self, by_mm: ArrayLike) -> "Part":
+    def shifted(self, by_mm: ArrayLike) -> "BonePart":
         """Return the part moved by (3,)."""
         return replace(self, shapes=tuple(shape.shifted(by_mm) for shape in self.shapes))
 
@@ -52,45 +52,45 @@ Points: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class Sphere:
+class SphereAid:
     """An aid: a sphere that a person fits to a bone's outline."""
 
     centre_mm: np.ndarray
     radius_mm: float
 
-    def mapped(self, points: Points) -> "Sphere":
+    def mapped(self, points: Points) -> "SphereAid":
         """Return the sphere after an isometry of points (..., 3)."""
         return replace(self, centre_mm=points(self.centre_mm))
 
 
 @dataclass(frozen=True)
-class Line:
+class LineAid:
     """An aid: a line through two points (2, 3)."""
 
     ends_mm: np.ndarray
 
-    def mapped(self, points: Points) -> "Line":
+    def mapped(self, points: Points) -> "LineAid":
         """Return the line after an isometry of points (..., 3)."""
-        return Line(points(self.ends_mm))
+        return LineAid(points(self.ends_mm))
 
 
 @dataclass(frozen=True)
-class Plane:
+class PlaneAid:
     """An aid: a plane through a point (3,), with a unit normal (3,)."""
 
     point_mm: np.ndarray
     normal: np.ndarray
 
-    def mapped(self, points: Points) -> "Plane":
+    def mapped(self, points: Points) -> "PlaneAid":
         """Return the plane after an isometry of points (..., 3)."""
-        return Plane(points(self.point_mm), points(self.point_mm + self.normal) - points(self.point_mm))
+        return PlaneAid(points(self.point_mm), points(self.point_mm + self.normal) - points(self.point_mm))
 
 
-Aid: TypeAlias = Sphere | Line | Plane
+Aid: TypeAlias = SphereAid | LineAid | PlaneAid
 
 
 @dataclass(frozen=True, eq=False)
-class Bone:
+class BoneModel:
     """A bone and the truth of its procedure, anatomical coordinates.
 
     - `parts`; `low_mm`, `high_mm` (3,): the box that is voxelised; `mirrored`: equal on both sides of the plane x = 0
@@ -101,14 +101,14 @@ class Bone:
     - `keep_out`: what no wire may touch besides the bone's surface, by name: shapes with exact distances outside them
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[BonePart, ...]
     low_mm: np.ndarray
     high_mm: np.ndarray
     wires_mm: np.ndarray
     landmarks_mm: Mapping[str, np.ndarray]
     aids: Mapping[str, Aid]
-    keep_out: Mapping[str, tuple[Shape, ...]] = field(default_factory=dict)
-    around: tuple[Part, ...] = ()
+    keep_out: Mapping[str, tuple[SolidShape, ...]] = field(default_factory=dict)
+    around: tuple[BonePart, ...] = ()
     mirrored: bool = False
     voxel_mm: float = 0.75
 
@@ -208,7 +208,7 @@ class Bone:
         return placed(values, self.low_mm, self.voxel_mm, side, origin_mm)
 
 
-def _packed(parts: tuple[Part, ...]) -> tuple[np.ndarray, np.ndarray]:
+def _packed(parts: tuple[BonePart, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return the table of shapes (M, FIRST + NUMBERS), and that of parts (P, 2: gap, spongy)."""
     shapes = [(k, part, shape) for k, part in enumerate(parts) for shape in part.shapes]
     table = np.zeros((len(shapes), FIRST + NUMBERS))

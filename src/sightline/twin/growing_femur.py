@@ -11,7 +11,7 @@ from math import cos, radians, sin
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sightline.twin.bones import Bone, Line, Part, Plane, Sphere
+from sightline.twin.bones import BoneModel, BonePart, LineAid, PlaneAid, SphereAid
 from sightline.twin.femur import BONE_PER_HU
 from sightline.twin.shapes import ball, cone, ellipsoid, half_space
 
@@ -62,16 +62,18 @@ class GrowingFemur:
         across = cos(towards) * posterior + sin(towards) * inferior / np.linalg.norm(inferior)
         return Rotation.from_rotvec(radians(self.slip_deg) * np.cross(neck, across)).apply(neck)
 
-    def bone(self) -> Bone:
+    def bone(self) -> BoneModel:
         """Return the bone with the wire through the middle of the head, perpendicular to its growth plate."""
         neck, along, radius = self.along_neck, self.along, self.head_radius_mm
         below = 0.95 * radius  # from the middle of the head to that of the dome
         dome = -below * along
         intact = dome + below * neck  # the middle of the head before it slipped
         base = intact - self.neck_length_mm * neck
-        head = Part((ball(np.zeros(3), radius), ball(dome, DOME_MM).cut()), 1.3 * self.cancellous_hu * BONE_PER_HU, 1.0)
+        head = BonePart(
+            (ball(np.zeros(3), radius), ball(dome, DOME_MM).cut()), 1.3 * self.cancellous_hu * BONE_PER_HU, 1.0
+        )
         canal = cone(base + 45.0 * CAUDAL, base + 300.0 * CAUDAL, self.canal_radius_mm)
-        metaphysis = Part(
+        metaphysis = BonePart(
             (
                 cone(intact - 22.0 * neck, intact - 3.0 * neck, self.neck_radius_mm, 0.9 * radius),
                 ball(dome, DOME_MM + OVERLAP_MM).keep(),
@@ -94,7 +96,7 @@ class GrowingFemur:
         wide = np.sqrt(radius**2 - rim**2)
         upwards = along[1] * along - CAUDAL
         upwards /= np.linalg.norm(upwards)
-        bone = Bone(
+        bone = BoneModel(
             parts=(head, metaphysis),
             around=(_socket(radius, 0.8 * self.cancellous_hu * BONE_PER_HU),),
             low_mm=LOW_MM,
@@ -102,10 +104,10 @@ class GrowingFemur:
             wires_mm=np.zeros((0, 2, 3)),
             landmarks_mm={},
             aids={
-                "head": Sphere(np.zeros(3), radius),
-                "growth plate": Plane((DOME_MM - below) * along, along),
-                "neck axis": Line(np.stack([base, intact])),
-                "shaft axis": Line(np.stack([base, base + 80.0 * CAUDAL])),
+                "head": SphereAid(np.zeros(3), radius),
+                "growth plate": PlaneAid((DOME_MM - below) * along, along),
+                "neck axis": LineAid(np.stack([base, intact])),
+                "shaft axis": LineAid(np.stack([base, base + 80.0 * CAUDAL])),
             },
         )
         landmarks = {
@@ -118,7 +120,7 @@ class GrowingFemur:
         return replace(bone, wires_mm=bone.wire_through(np.zeros(3), along, SHORT_MM)[None], landmarks_mm=landmarks)
 
 
-def _socket(head_mm: float, spongy: float) -> Part:
+def _socket(head_mm: float, spongy: float) -> BonePart:
     """Return the socket around a head of this radius, with the ilium, pubis and ischium that bear it."""
     tilt = np.array([[0.945, 0.327, 0.0], [-0.327, 0.945, 0.0], [0.0, 0.0, 1.0]])
     shapes = (
@@ -129,7 +131,7 @@ def _socket(head_mm: float, spongy: float) -> Part:
         replace(cone([-32.0, 20.0, -12.0], [-36.0, 75.0, -20.0], 11.0, 10.0), blend_mm=10.0),
         ball(np.zeros(3), head_mm + JOINT_MM).cut(),
     )
-    return Part(shapes, spongy, 1.5)
+    return BonePart(shapes, spongy, 1.5)
 
 
 def draw_growing_femur(rng: np.random.Generator) -> GrowingFemur:

@@ -9,9 +9,9 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from sightline.twin.bones import Bone, Line, Part, Plane
+from sightline.twin.bones import BoneModel, BonePart, LineAid, PlaneAid
 from sightline.twin.femur import BONE_PER_HU
-from sightline.twin.shapes import Shape, ball, barrel, box, cone, ellipsoid, half_space, plate
+from sightline.twin.shapes import SolidShape, ball, barrel, box, cone, ellipsoid, half_space, plate
 
 PAST_MIDDLE_MM = 8.0  # how far the wire's end lies beyond the middle plane [ours]
 LOW_MM, HIGH_MM = np.array([-95.0, -85.0, -80.0]), np.array([132.0, 150.0, 100.0])  # what views show
@@ -72,26 +72,26 @@ class Pelvis:
     def _foramen_down(self) -> float:
         return self.body_height_mm / 2
 
-    def bone(self) -> Bone:
+    def bone(self) -> BoneModel:
         """Return the bone with the wire through the corridor's middle into the body of S1."""
         foramen, canal = self._foramina()[0], self._canal()
-        sacrum = Part(
+        sacrum = BonePart(
             (*self._sacrum(), *(one.cut() for one in (*self._foramina(), *canal))),
             self.cancellous_hu * BONE_PER_HU,
             1.0,
         )
-        ilium = Part(self._hip_bone(), self.cancellous_hu * BONE_PER_HU, 1.5, blend_mm=6.0, gap_mm=self.joint_mm)
+        ilium = BonePart(self._hip_bone(), self.cancellous_hu * BONE_PER_HU, 1.5, blend_mm=6.0, gap_mm=self.joint_mm)
         half, depth = self.body_height_mm / 2, self.body_depth_mm / 2
-        bone = Bone(
+        bone = BoneModel(
             parts=(sacrum, ilium),
             low_mm=LOW_MM,
             high_mm=HIGH_MM,
             wires_mm=np.zeros((0, 2, 3)),
             landmarks_mm={},
             aids={
-                "upper endplate of S1": Plane(self.at(0.0, -half, 0.0), -self.axes[1]),
-                "middle plane": Plane(np.zeros(3), np.array([1.0, 0.0, 0.0])),
-                "corridor of S1": Line(np.stack([self.corridor_mm, self._target])),
+                "upper endplate of S1": PlaneAid(self.at(0.0, -half, 0.0), -self.axes[1]),
+                "middle plane": PlaneAid(np.zeros(3), np.array([1.0, 0.0, 0.0])),
+                "corridor of S1": LineAid(np.stack([self.corridor_mm, self._target])),
             },
             keep_out={"canal": canal, "foramen": (foramen,)},
             mirrored=True,
@@ -116,7 +116,7 @@ class Pelvis:
         """Where the wire passes the middle plane: in the body, before its middle."""
         return self.at(0.0, -2.0, 1.0)
 
-    def _foramina(self) -> tuple[Shape, ...]:
+    def _foramina(self) -> tuple[SolidShape, ...]:
         """Return the foramina of S1 to S3 on one side, wide in front and narrow behind."""
         wide = self.foramen_mm / 2
         x, down = self._foramen_side, self._foramen_down
@@ -126,14 +126,14 @@ class Pelvis:
             for a, b, c, d in places
         )
 
-    def _canal(self) -> tuple[Shape, ...]:
+    def _canal(self) -> tuple[SolidShape, ...]:
         back = -self.body_depth_mm / 2
         return (
             box(self.at(0.0, -8.0, back - 7.5), [14.5, 32.0, 7.5], 7.0, self.axes),
             cone(self.at(0.0, 20.0, back - 7.5), self.at(0.0, 72.0, back - 3.0), 7.0, 3.5),
         )
 
-    def _sacrum(self) -> tuple[Shape, ...]:
+    def _sacrum(self) -> tuple[SolidShape, ...]:
         at, half, outer = self.at, self.body_height_mm / 2, self.sacrum_width_mm / 2
         back = -self.body_depth_mm / 2
         bodies = [(half + 12.0, -5.0, 18.0, 11.5, 10.5), (half + 34.0, -8.0, 14.5, 11.5, 8.0)]
@@ -165,7 +165,7 @@ class Pelvis:
             cone(arch[2], at(21.0, -10.0, back - 10.0), 5.0, 5.0),
         )
 
-    def _hip_bone(self) -> tuple[Shape, ...]:
+    def _hip_bone(self) -> tuple[SolidShape, ...]:
         front, back = (one + self.sacrum_width_mm / 2 * LATERAL for one in (FRONT, BACK))
         rim = [*CREST, AIIS, ROOF, BRIM, front, back, PSIS]
         opening = np.array([0.75, 0.5, 0.43])

@@ -20,7 +20,7 @@ TEXTURE_SHAPE = (80, 96, 72)  # voxels; the texture is periodic
 
 
 @dataclass(frozen=True)
-class Shape:
+class SolidShape:
     """One shape of a part of a bone, joined to the shapes before it.
 
     `join`: ADD it, CUT it out of them, or KEEP only what lies inside it. `blend_mm`: width over which an added shape
@@ -33,19 +33,19 @@ class Shape:
     blend_mm: float | None = None
     cortex_mm: float | None = None
 
-    def cut(self) -> "Shape":
+    def cut(self) -> "SolidShape":
         """Return the shape to be cut out of those before it."""
         return replace(self, join=CUT)
 
-    def keep(self) -> "Shape":
+    def keep(self) -> "SolidShape":
         """Return the shape whose inside alone is kept of those before it."""
         return replace(self, join=KEEP)
 
-    def with_cortex(self, cortex_mm: float) -> "Shape":
+    def with_cortex(self, cortex_mm: float) -> "SolidShape":
         """Return the shape with a cortex of its own."""
         return replace(self, cortex_mm=cortex_mm)
 
-    def shifted(self, by_mm: ArrayLike) -> "Shape":
+    def shifted(self, by_mm: ArrayLike) -> "SolidShape":
         """Return the shape moved by (3,)."""
         numbers = np.array(self.numbers)
         points = numbers[: 3 * POINTS.get(self.kind, 1)].reshape(-1, 3)
@@ -60,44 +60,46 @@ class Shape:
         return _distances(points.reshape(-1, 3), self.kind, row).reshape(points.shape[:-1])
 
 
-def _shape(kind: int, *numbers: ArrayLike) -> Shape:
-    return Shape(kind, tuple(np.concatenate([np.ravel(one) for one in numbers]).astype(float).tolist()))
+def _shape(kind: int, *numbers: ArrayLike) -> SolidShape:
+    return SolidShape(kind, tuple(np.concatenate([np.ravel(one) for one in numbers]).astype(float).tolist()))
 
 
-def cone(start_mm: ArrayLike, end_mm: ArrayLike, start_radius_mm: float, end_radius_mm: float | None = None) -> Shape:
+def cone(
+    start_mm: ArrayLike, end_mm: ArrayLike, start_radius_mm: float, end_radius_mm: float | None = None
+) -> SolidShape:
     """Return the convex hull of two balls at points (3,); a ball if the points are the same."""
     return _shape(CONE, start_mm, end_mm, start_radius_mm, start_radius_mm if end_radius_mm is None else end_radius_mm)
 
 
-def ball(centre_mm: ArrayLike, radius_mm: float) -> Shape:
+def ball(centre_mm: ArrayLike, radius_mm: float) -> SolidShape:
     """Return a ball."""
     return cone(centre_mm, centre_mm, radius_mm)
 
 
-def box(centre_mm: ArrayLike, half_mm: ArrayLike, round_mm: float = 0.0, axes: ArrayLike | None = None) -> Shape:
+def box(centre_mm: ArrayLike, half_mm: ArrayLike, round_mm: float = 0.0, axes: ArrayLike | None = None) -> SolidShape:
     """Return a cuboid with rounded edges; `half_mm` (3,) includes the rounding. `axes` (3, 3): its axes as rows."""
     return _shape(BOX, centre_mm, np.eye(3) if axes is None else axes, half_mm, round_mm)
 
 
-def ellipsoid(centre_mm: ArrayLike, half_mm: ArrayLike, axes: ArrayLike | None = None) -> Shape:
+def ellipsoid(centre_mm: ArrayLike, half_mm: ArrayLike, axes: ArrayLike | None = None) -> SolidShape:
     """Return an ellipsoid with half-axes (3,) along `axes` (3, 3), its rows."""
     return _shape(ELLIPSOID, centre_mm, np.eye(3) if axes is None else axes, half_mm)
 
 
 def barrel(
     centre_mm: ArrayLike, half_mm: ArrayLike, round_mm: float, waist: float = 0.0, axes: ArrayLike | None = None
-) -> Shape:
+) -> SolidShape:
     """Return an elliptic cylinder along the second of its `axes` (3, 3), with rounded edges, whose width shrinks by the
     share `waist` in the middle."""
     return _shape(BARREL, centre_mm, np.eye(3) if axes is None else axes, half_mm, round_mm, waist)
 
 
-def plate(a_mm: ArrayLike, b_mm: ArrayLike, c_mm: ArrayLike, half_mm: float) -> Shape:
+def plate(a_mm: ArrayLike, b_mm: ArrayLike, c_mm: ArrayLike, half_mm: float) -> SolidShape:
     """Return all points within `half_mm` of a triangle."""
     return _shape(PLATE, a_mm, b_mm, c_mm, half_mm)
 
 
-def half_space(point_mm: ArrayLike, normal: ArrayLike) -> Shape:
+def half_space(point_mm: ArrayLike, normal: ArrayLike) -> SolidShape:
     """Return the side of a plane that its unit normal (3,) points away from."""
     return _shape(HALF_SPACE, point_mm, normal)
 

@@ -5,7 +5,7 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from sightline.twin.bones import Bone, Line, Part, Plane
+from sightline.twin.bones import BoneModel, BonePart, LineAid, PlaneAid
 from sightline.twin.femur import BONE_PER_HU
 from sightline.twin.shapes import barrel, box, cone, plate
 
@@ -46,7 +46,7 @@ class Vertebra:
         """Unit vector (3,) along the pedicle, forwards, on the operated side."""
         return np.array([-sin(radians(self.pedicle_deg)), 0.0, cos(radians(self.pedicle_deg))])
 
-    def bone(self) -> Bone:
+    def bone(self) -> BoneModel:
         """Return the bone with the wire along the pedicle's axis, up to SHORT_MM from the anterior cortex."""
         width, height, depth = self.body_width_mm / 2, self.body_height_mm / 2, self.body_depth_mm / 2
         canal = box(
@@ -77,12 +77,12 @@ class Vertebra:
             cone([0.0, 4.0, tip + 3.5], spine, 3.5),
         )
         body = barrel([0.0, 0.0, 0.0], [width, height, depth], 2.0, 0.1)
-        part = Part(
+        part = BonePart(
             (*arch, body.with_cortex(SHELL_MM), canal.cut()),
             spongy=self.cancellous_hu * BONE_PER_HU,
             cortex_mm=ARCH_MM,
         )
-        bone = Bone(
+        bone = BoneModel(
             parts=(part,),
             around=tuple(part.shifted([0.0, level * (2 * height + DISC_MM), 0.0]) for level in (-2, -1, 1, 2)),
             low_mm=np.array([-process[0] - 5.0, -REACH_MM, tip - 3.0]),
@@ -90,10 +90,12 @@ class Vertebra:
             wires_mm=np.zeros((0, 2, 3)),
             landmarks_mm={},
             aids={
-                "superior endplate": Plane(np.array([0.0, -height, 0.0]), np.array([0.0, -1.0, 0.0])),
-                "inferior endplate": Plane(np.array([0.0, height, 0.0]), np.array([0.0, 1.0, 0.0])),
-                "middle plane": Plane(np.zeros(3), np.array([1.0, 0.0, 0.0])),
-                "pedicle axis": Line(np.stack([self.pedicle_mm - 10 * self.along, self.pedicle_mm + 10 * self.along])),
+                "superior endplate": PlaneAid(np.array([0.0, -height, 0.0]), np.array([0.0, -1.0, 0.0])),
+                "inferior endplate": PlaneAid(np.array([0.0, height, 0.0]), np.array([0.0, 1.0, 0.0])),
+                "middle plane": PlaneAid(np.zeros(3), np.array([1.0, 0.0, 0.0])),
+                "pedicle axis": LineAid(
+                    np.stack([self.pedicle_mm - 10 * self.along, self.pedicle_mm + 10 * self.along])
+                ),
             },
             keep_out={"canal": (canal,)},
             mirrored=True,

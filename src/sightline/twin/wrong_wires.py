@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sightline.errors import SetUpError
-from sightline.twin.bones import Bone
+from sightline.twin.bones import BoneModel
 
 MAX_LONGER_MM = 60.0  # a wire that ends farther beyond is another wire [ours]
 MAX_ASIDE_MM = 80.0  # of the end, to leave a corridor or to reach what must not be touched [ours]
@@ -13,12 +13,12 @@ STEP_MM = 3.0  # a wire that is wrong for a smaller movement only, and not for a
 FAR, CORTEX = "through the far surface", "out of the cortex"
 
 
-def wrong_wires(bone: Bone, beyond_mm: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+def wrong_wires(bone: BoneModel, beyond_mm: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Return wrong wires (2, 3) by kind, anatomical coordinates, with the entry of the first standard wire.
 
     - FAR: the end lies `beyond_mm` outside the far surface (of a head: through its joint surface)
     - CORTEX: the axis leaves the bone sideways by `beyond_mm`, towards a drawn direction
-    - "into the NAME": the axis passes `beyond_mm` inside something of `Bone.keep_out`
+    - "into the NAME": the axis passes `beyond_mm` inside something of `BoneModel.keep_out`
 
     A kind that this bone does not allow is left out: no far surface within MAX_LONGER_MM, or no wire whose end has
     moved by less than MAX_ASIDE_MM. Raises SetUpError if `beyond_mm` is not above zero.
@@ -47,7 +47,7 @@ def wrong_wires(bone: Bone, beyond_mm: float, rng: np.random.Generator) -> dict[
     return wires
 
 
-def _towards(bone: Bone, of: str, along: np.ndarray) -> np.ndarray:
+def _towards(bone: BoneModel, of: str, along: np.ndarray) -> np.ndarray:
     """Return the unit vector (3,), across the wire, towards what is nearest of `of`."""
     entry, end = bone.wires_mm[0]
     at = entry + np.linspace(0, 1, 200)[:, None] * (end - entry)
