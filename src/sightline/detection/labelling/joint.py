@@ -1,5 +1,6 @@
 """Joint fit of both plates of a view: one smooth map, one focal point, and leave-one-out predictions."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -92,7 +93,7 @@ class Model:
     one plate alone, which has no focal point.
     """
 
-    def __init__(self, pair: tuple[Grown, ...], detections: Detections) -> None:
+    def __init__(self, pair: Sequence[Grown], detections: Detections) -> None:
         self.xrii, self.sheet = pair[0].pattern, pair[0].sheet
         self.shadows = Shadows.of(pair[0].pattern, pair[1].pattern) if len(pair) > 1 else Shadows.none(pair[0].pattern)
         self.w = self.sheet.w(detections.uv_px)
