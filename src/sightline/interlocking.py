@@ -22,6 +22,7 @@ from sightline.planning.hole_expected import (
     patch_px,
 )
 from sightline.planning.hole_result import HolePose
+from sightline.threads import one_blas_thread
 
 _MIN_AGREEMENT = 0.5  # correlation of the best candidate with the images [ours]
 
@@ -39,6 +40,7 @@ class FoundNail:
     along: np.ndarray
 
 
+@one_blas_thread
 def find_nail(
     views: Sequence[CalibratedView],
     images: Sequence[Radiograph],
@@ -68,6 +70,7 @@ def find_nail(
     return FoundNail(tuple(views), tuple(images), nail, outlines, cameras, point, along)
 
 
+@one_blas_thread
 def find_hole(found: FoundNail, clicks_px: np.ndarray) -> Hole:
     """Return the hole of a nail near a click (u, v) in each view, (2, 2), a few pixels off.
 

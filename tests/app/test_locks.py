@@ -18,6 +18,7 @@ from sightline.app.session.live import Live
 from sightline.app.session.robot_session import RobotNow, RobotSession
 from sightline.case.watch import live as watch
 from sightline.errors import LinkError, SightlineError
+from sightline.frame import Frame
 
 VIEWS: Any = (stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3))
 PATIENCE_S = 60.0
@@ -82,7 +83,7 @@ class _Watch:
 def _live(monkeypatch: pytest.MonkeyPatch, sent: Any) -> Live:
     monkeypatch.setattr(watch, "Watch", _Watch)
     monkeypatch.setattr(live_module, "_opened", lambda *_: ())
-    planning: Any = SimpleNamespace(sent=sent, planned=None, patient=None, frame=None, jobs=Jobs())
+    planning: Any = SimpleNamespace(sent=sent, planned=None, patient=None, frame=Frame.load("gamma"), jobs=Jobs())
     planning.views = lambda: VIEWS
     return Live(planning)
 

@@ -172,3 +172,31 @@ def test_a_plan_among_dropped_beads_is_no_go(setup, frame):
             assert "the entry point" in failing[0].sentence
             assert f"the {image} image" in failing[0].sentence or (pa and lateral)
             assert "beads near" in {check.name for check in made.seen.checks if not check.passed}
+
+
+def strip_moved(whole, shift_px: float):
+    """The beads of a strip are detected beside their places and not labelled."""
+    inside = {i for i, (_, v) in zip(whole.ids, whole.uv_px, strict=True) if 200.0 < v < 380.0}
+    stray = [(u + shift_px, v) for i, (u, v) in zip(whole.ids, whole.uv_px, strict=True) if i in inside]
+    rejected = tuple(RejectedCandidate(tuple(uv), 5.0, "no bead of the frame") for uv in stray)
+    return replace(choose(whole, lambda i: i not in inside), rejected=rejected)
+
+
+@pytest.mark.parametrize("shift_px", [-25.0, 11.9])
+def test_a_shifted_strip_whose_beads_were_dropped_is_found(shift_px):
+    whole = Camera.pa(bend=0.03).observe(GAMMA, np.random.default_rng(3))
+    check = rows_check(calibrate(strip_moved(whole, shift_px), GAMMA))
+    assert not check.passed
+    assert check.figure == pytest.approx(abs(shift_px), abs=2.0)  # the map is extrapolated into the strip
+    assert "A strip" in check.sentence
+
+
+def test_beads_that_something_hides_beside_other_round_things_are_no_strip():
+    whole = Camera.pa(bend=0.03).observe(GAMMA, np.random.default_rng(3))
+    rng = np.random.default_rng(8)
+    for _ in range(10):
+        hidden = strip_moved(whole, 0.0)
+        count = len(hidden.rejected)
+        places = rng.uniform([100.0, 200.0], [900.0, 380.0], (count, 2))
+        scattered = tuple(RejectedCandidate(tuple(uv), 5.0, "no bead of the frame") for uv in places)
+        assert rows_check(calibrate(replace(hidden, rejected=scattered), GAMMA)).passed

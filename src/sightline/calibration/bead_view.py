@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from sightline.calibration.checks import handedness_check
+from sightline.calibration.checks import ROWS, handedness_check, strip_check
 from sightline.calibration.classical import PlateName
 from sightline.calibration.focal_length import CArm, FocalLength, steady_check
 from sightline.calibration.hull import Hull
@@ -15,7 +15,7 @@ from sightline.calibration.joint import JointFit
 from sightline.calibration.polynomial import Affine
 from sightline.calibration.posterior import Posterior
 from sightline.calibration.residuals import Residuals
-from sightline.calibration.support import Support
+from sightline.calibration.support import MIN_STRIP, Support
 from sightline.calibration.view import LinesOfSight, PlaneMap
 from sightline.checks import Check
 from sightline.detection.results import Observations
@@ -189,6 +189,16 @@ class BeadView(Plotted):
         )
         known = [length for length in comparable if length is not None]
         return replace(self, checks=(*self.checks, steady_check(self.focal_length, known))) if known else self
+
+    def with_strip_sought(self) -> Self:
+        """Return the view with its check of the rows failed where labelling dropped a strip of shifted rows."""
+        if self.rejected_px is None or len(self.rejected_px) < MIN_STRIP:
+            return self
+        shift_px = self._support.strip_shift_px()
+        if shift_px is None:
+            return self
+        kept = [check for check in self.checks if check.name != ROWS]
+        return replace(self, checks=(*kept, strip_check(shift_px)))
 
     def checked(self, checks: Iterable[Check]) -> Self:
         """Return the view with `checks` of its image put before its own."""

@@ -80,7 +80,7 @@ def calibrate(
     rejected_px = None if rejected is None else np.reshape(np.array(rejected, dtype=np.float64), (-1, 2))
     inputs = CalibrationInputs(observations, frame, degree, plate)
     fitted = replace(fitted, image_shape=observations.image_shape, rejected_px=rejected_px, inputs=inputs)
-    fitted = fitted.said_to_be(mirrored_display)
+    fitted = fitted.said_to_be(mirrored_display).with_strip_sought()
     return fitted if c_arm is None else fitted.taken_by(c_arm)
 
 
