@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from sightline.calibration.checks import ROWS, handedness_check, strip_check
+from sightline.calibration.checks import handedness_check, strip_check
 from sightline.calibration.classical import PlateName
 from sightline.calibration.focal_length import CArm, FocalLength, steady_check
 from sightline.calibration.hull import Hull
@@ -197,8 +197,8 @@ class BeadView(Plotted):
         shift_px = self._support.strip_shift_px()
         if shift_px is None:
             return self
-        kept = [check for check in self.checks if check.name != ROWS]
-        return replace(self, checks=(*kept, strip_check(shift_px)))
+        torn = strip_check(shift_px)
+        return replace(self, checks=(*(check for check in self.checks if check.name != torn.name), torn))
 
     def checked(self, checks: Iterable[Check]) -> Self:
         """Return the view with `checks` of its image put before its own."""

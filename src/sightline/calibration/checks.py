@@ -22,7 +22,6 @@ MIN_COVERAGE = 0.45  # [ours] share of each plate's area within the convex hull 
 MAX_LEAVE_ONE_OUT_MM = 0.5  # [ours] half of the 1 mm the paper reaches at the entry point
 MAX_NOISE_PX = 2.0  # [ours] twice an ordinary click (physics.md, Picks)
 CHI_SQUARE_FALSE_ALARM = 1e-4  # [ours]
-ROWS = "image rows"
 MIN_BESIDE_ROW = 6  # [ours] beads on either side of a row that is tested for a tear
 
 
@@ -123,7 +122,7 @@ def row_check(fit: JointFit) -> Check:
             f"{abs(shifts_px[worst]):.1f} px {direction} the rows. Acquire another image, or check how it was "
             "transferred."
         )
-    return Check(ROWS, passed, largest, limit, "σ", sentence)
+    return Check("image rows", passed, largest, limit, "σ", sentence)
 
 
 def strip_check(shift_px: float) -> Check:
@@ -133,7 +132,7 @@ def strip_check(shift_px: float) -> Check:
         "where the others expect them, all by the same distance. Acquire another image, or check how it "
         "was transferred."
     )
-    return Check(ROWS, False, abs(shift_px), None, "px", sentence)
+    return Check("image rows", False, abs(shift_px), None, "px", sentence)
 
 
 def _count(count: int) -> Check:
