@@ -23,7 +23,7 @@ from sightline.calibration.together import calibrate_together
 from sightline.errors import RefusedError
 from sightline.frame import Frame
 from sightline.interlocking import find_hole, find_nail
-from sightline.planning import Nail, fit_hole
+from sightline.planning import Hole, Nail, fit_hole
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.arm import beam_at
@@ -108,10 +108,7 @@ def _trial(case: tuple[str, float, int]) -> Trial | str:
         hole = fit_hole(views, edges, known_nail(nail))
     except RefusedError as refused:
         return str(refused)
-    taken = time.perf_counter() - start
-    if not hole.passed:
-        return "; ".join(check.name for check in hole.checks if not check.passed)
-    return scored(hole, nail, taken)
+    return _outcome(hole, nail, time.perf_counter() - start)
 
 
 def _rendered(case: tuple[tuple[str, str], int]) -> Trial | str:
@@ -131,10 +128,12 @@ def _rendered(case: tuple[tuple[str, str], int]) -> Trial | str:
         hole = find_hole(found, clicks + CLICK_PX * rng.standard_normal(clicks.shape))
     except RefusedError as refused:
         return str(refused)
-    taken = time.perf_counter() - start
-    if not hole.passed:
-        return "; ".join(check.name for check in hole.checks if not check.passed)
-    return scored(hole, nail, taken)
+    return _outcome(hole, nail, time.perf_counter() - start)
+
+
+def _outcome(hole: Hole, nail: DistalNail, time_s: float) -> Trial | str:
+    """Return the errors of a hole, or which of its checks failed."""
+    return scored(hole, nail, time_s) if hole.passed else "; ".join(one.name for one in hole.checks if not one.passed)
 
 
 def _rows(group: str, trials: list[Trial | str], *, required: bool = False) -> list[Row]:

@@ -1,16 +1,19 @@
 """A right femur of known form, and what a person would draw of it on two stand-in views."""
 
+from functools import cache
+
 import numpy as np
 from scipy.optimize import brentq
 
-from sightline.planning import Aids, Circle, Line, Pick
+from sightline.planning import Aids, Circle, Line, MatchingCurve, Pick, matching_curve
 
-from .standin import StandInView
+from .standin import StandInView, stand_in
 
 CENTRE_MM, RADIUS_MM = np.array([-11.3, -17.6, 6.2]), 23.7
 SHAFT = np.array([0.08, 0.99, -0.06]) / np.linalg.norm([0.08, 0.99, -0.06])  # caudal: +Y of a right hip
 ON_SHAFT_MM = np.array([27.9, 12.4, -5.1])
 ENTRY_MM, END_MM = np.array([40.5, 34.1, -6.0]), np.array([-20.1, -27.4, 8.8])
+LESSER_MM = ENTRY_MM + np.array([-35.3, 4.7, -8.2])
 VERSION_RAD, NECK_SHAFT_RAD = np.deg2rad(11.5), np.deg2rad(127.2)
 FORWARD = np.array([0.0, 0.0, 1.0]) - SHAFT[2] * SHAFT
 FORWARD /= np.linalg.norm(FORWARD)
@@ -19,6 +22,18 @@ INWARD *= -np.sign(INWARD[0])
 ACROSS = np.cos(VERSION_RAD) * INWARD + np.sin(VERSION_RAD) * FORWARD
 NECK = np.cos(NECK_SHAFT_RAD) * SHAFT + np.sin(NECK_SHAFT_RAD) * ACROSS
 ON_NECK_MM = CENTRE_MM - 38.0 * NECK + np.array([0.4, -0.3, 0.5])  # its axis need not meet the head's centre
+
+
+@cache
+def views() -> list[StandInView]:
+    """PA and lateral stand-in view."""
+    return [stand_in("pa", 0.4, 0.05), stand_in("lateral", -0.2, 0.05)]
+
+
+@cache
+def curve_once() -> MatchingCurve:
+    """One matching curve, for plans whose curves do not matter."""
+    return matching_curve(views()[0], np.array([512.0, 512.0]), views()[1])
 
 
 def rim(view: StandInView, turns_rad: np.ndarray) -> np.ndarray:

@@ -1,31 +1,19 @@
 """A wire checked against the bone: side, order of its ends, tip below the head's surface, entry at the cortex."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 
 from sightline.checks import Check, failed
 from sightline.errors import OutsideRegionError, UnusableInputError
-from sightline.planning import Aids, Circle, MatchingCurve, Plan, Procedure, kind, matching_curve, plan
+from sightline.planning import Aids, Circle, MatchingCurve, Plan, Procedure, kind, plan
 from sightline.planning.results import Verdict
 
 from . import bone
-from .standin import StandInView, stand_in
+from .standin import StandInView
 
-LESSER_MM = bone.ENTRY_MM + np.array([-35.3, 4.7, -8.2])
 DOWN = {"right": 1.0, "left": -1.0}
-
-
-@cache
-def _views() -> list[StandInView]:
-    return [stand_in("pa", 0.4, 0.05), stand_in("lateral", -0.2, 0.05)]
-
-
-@cache
-def _curve_once() -> MatchingCurve:
-    return matching_curve(_views()[0], np.array([512.0, 512.0]), _views()[1])
 
 
 def hip_screw_with(check: str, **limits: float) -> Procedure:
@@ -37,20 +25,20 @@ def hip_screw_with(check: str, **limits: float) -> Procedure:
 
 def _one_curve(*_: object) -> MatchingCurve:
     """No curve is looked at here, and drawing one takes most of the time of a plan."""
-    return _curve_once()
+    return bone.curve_once()
 
 
 def _planned(
     wire_mm: np.ndarray,
     centre_mm: np.ndarray = bone.CENTRE_MM,
     side: str | None = "right",
-    lesser_mm: np.ndarray | None = LESSER_MM,
+    lesser_mm: np.ndarray | None = bone.LESSER_MM,
     radius_mm: float | None = bone.RADIUS_MM,
     aids: Aids | None = None,
     noise_px: np.ndarray | float = 0.0,
 ) -> Plan:
     """On a sphere for a head, as clicks on its rim show it."""
-    views = _views()
+    views = bone.views()
     uv = np.array([view.project(wire_mm) for view in views]) + noise_px
     drawn = aids or Aids()
     if radius_mm is not None:
@@ -111,8 +99,8 @@ def test_right_plans_are_go_and_not_one_of_sixty_is_when_its_points_are_exchange
 
 def test_what_is_known_without_the_head_tells_an_exchange_too():
     """The landmark at the head's centre, where no outline was drawn: incomplete, and wrong where exchanged."""
-    views = _views()
-    marks = np.array([view.project(np.stack([bone.CENTRE_MM, LESSER_MM])) for view in views])
+    views = bone.views()
+    marks = np.array([view.project(np.stack([bone.CENTRE_MM, bone.LESSER_MM])) for view in views])
     uv = np.array([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in views])
     names = ("head-centre", "lesser-trochanter")
     known = {"side": "right", "landmarks_uv_px": marks, "landmark_names": names}
@@ -147,7 +135,7 @@ def test_an_entry_inside_the_neck_is_no_go(inside_mm: float):
     wire = np.stack([bone.ENTRY_MM + inside_mm * along, bone.END_MM])
     by_lesser = _planned(wire).verdict
     assert by_lesser.go == (inside_mm == 0.0)
-    uv = bone.pixels(_views())
+    uv = bone.pixels(bone.views())
     shaft_and_cortex = replace(bone.aids(uv), neck=None, calcar=None)
     by_cortex = _planned(wire, lesser_mm=None, radius_mm=None, aids=shaft_and_cortex).verdict
     assert ("entry at cortex" in _names(by_cortex)) == (inside_mm > 0.0)
@@ -155,7 +143,7 @@ def test_an_entry_inside_the_neck_is_no_go(inside_mm: float):
 
 
 def test_a_wire_that_no_plate_or_screw_fits_is_no_go():
-    uv = bone.pixels(_views())
+    uv = bone.pixels(bone.views())
     drawn = replace(bone.aids(uv), neck=None, calcar=None, cortex=None)
     steep = np.stack([bone.CENTRE_MM + np.array([30.0, 75.0, -4.0]), bone.CENTRE_MM - np.array([4.0, 10.0, 0.0])])
     verdict = _planned(steep, radius_mm=None, lesser_mm=steep[0] - np.array([30.0, 0.0, 0.0]), aids=drawn).verdict
@@ -164,8 +152,8 @@ def test_a_wire_that_no_plate_or_screw_fits_is_no_go():
     assert not check.passed
     length = _planned(np.stack([bone.ENTRY_MM, bone.END_MM]))
     short = plan(
-        _views(),
-        *np.swapaxes([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in _views()], 0, 1),
+        bone.views(),
+        *np.swapaxes([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in bone.views()], 0, 1),
         kind=hip_screw_with("wire length", high=80.0),
     )
     (check,) = (check for check in short.verdict.checks if check.name == "wire length")
@@ -183,7 +171,7 @@ def test_outlines_that_fit_no_head_are_no_go_and_not_merely_missing():
 
 def test_outlines_of_two_spheres_are_no_go():
     """Their radii, corrected for magnification, differ by 1.5 mm; their centres agree."""
-    views, wire = _views(), np.stack([bone.ENTRY_MM, bone.END_MM])
+    views, wire = bone.views(), np.stack([bone.ENTRY_MM, bone.END_MM])
     head = tuple(
         _rim(view, bone.CENTRE_MM, bone.RADIUS_MM + more) for view, more in zip(views, (0.75, -0.75), strict=True)
     )
@@ -191,7 +179,7 @@ def test_outlines_of_two_spheres_are_no_go():
 
 
 def test_nothing_is_asked_of_a_wire_without_a_bone():
-    views = _views()
+    views = bone.views()
     uv = np.array([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in views])
     verdict = plan(views, uv[:, 0], uv[:, 1], kind=kind("free-wire")).verdict
     assert verdict.go and verdict.missing == ()
@@ -208,9 +196,9 @@ def test_missing_and_wrong_together_are_no_go_and_both_are_said():
 
 @pytest.mark.parametrize("names", [("patella",), ("lesser-trochanter", "head-centre"), ("", "")])
 def test_landmarks_have_names_of_the_kinds_once_each(names: tuple[str, ...]):
-    views = _views()
+    views = bone.views()
     uv = np.array([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in views])
-    mark = np.array([view.project(LESSER_MM[None]) for view in views])
+    mark = np.array([view.project(bone.LESSER_MM[None]) for view in views])
     with pytest.raises(UnusableInputError, match="landmark"):
         plan(views, uv[:, 0], uv[:, 1], landmarks_uv_px=mark, landmark_names=names)
 
@@ -230,7 +218,7 @@ def _noticed(wire_mm: np.ndarray) -> bool:
 def test_how_far_a_point_may_be_wrong_along_its_line_of_sight_is_what_the_checks_let_pass():
     """The end moved along either view's line of sight by a little less than is stated is still GO, by more NO-GO in at
     least one way; the entry likewise. A wire without a bone has nothing that would notice."""
-    views, wire = _views(), np.stack([bone.ENTRY_MM, bone.END_MM])
+    views, wire = bone.views(), np.stack([bone.ENTRY_MM, bone.END_MM])
     made = _planned(wire)
     assert made.verdict.go
     for point, reach in enumerate(made.noticed_mm):

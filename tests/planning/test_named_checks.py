@@ -11,31 +11,19 @@ import pytest
 
 from sightline.checks import Check
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning import Aids, Line, MatchingCurve, Plan, Procedure, kind, locate, matching_curve, metrics, plan
+from sightline.planning import Aids, Line, Plan, Procedure, kind, locate, metrics, plan
 from sightline.planning.bone_checks import MEASURES
 from sightline.planning.implant import fitting
 from sightline.planning.procedures.files import copy_text, document_from_json
 from sightline.planning.procedures.rules import CHECKS
 
 from . import bone
-from .standin import StandInView, stand_in
 from .test_wire_in_neck import neck_borders
 
 WIRE_MM = np.stack([bone.ENTRY_MM, bone.END_MM])
-LESSER_MM = bone.ENTRY_MM + np.array([-35.3, 4.7, -8.2])
 LIMITED = [(name, limit) for name, known in CHECKS.items() for limit in known.limits]
 METRICS = set(CHECKS) - set(MEASURES)
 _WIDE = {"low": -900.0, "high": 900.0}
-
-
-@cache
-def _views() -> list[StandInView]:
-    return [stand_in("pa", 0.4, 0.05), stand_in("lateral", -0.2, 0.05)]
-
-
-@cache
-def _curve_once() -> MatchingCurve:
-    return matching_curve(_views()[0], np.array([512.0, 512.0]), _views()[1])
 
 
 def _procedure(**checks: dict[str, Any]) -> Procedure:
@@ -54,23 +42,23 @@ def _procedure(**checks: dict[str, Any]) -> Procedure:
 
 
 def _plan(procedure: Procedure, aids: Aids | None = None, side: str | None = "right") -> Plan:
-    uv = np.array([view.project(WIRE_MM) for view in _views()])
+    uv = np.array([view.project(WIRE_MM) for view in bone.views()])
     return plan(
-        _views(),
+        bone.views(),
         uv[:, 0],
         uv[:, 1],
         kind=procedure,
         side=side,
-        aids=replace(bone.aids(bone.pixels(_views())), outline=_outline()) if aids is None else aids,
-        landmarks_uv_px=np.array([view.project(LESSER_MM[None]) for view in _views()]),
+        aids=replace(bone.aids(bone.pixels(bone.views())), outline=_outline()) if aids is None else aids,
+        landmarks_uv_px=np.array([view.project(bone.LESSER_MM[None]) for view in bone.views()]),
         landmark_names=("lesser-trochanter",),
-        curve=lambda *_: _curve_once(),
+        curve=lambda *_: bone.curve_once(),
     )
 
 
 @cache
 def _outline() -> tuple[tuple[Line, Line], tuple[Line, Line]]:
-    first, second = (neck_borders(view) for view in _views())
+    first, second = (neck_borders(view) for view in bone.views())
     return first, second
 
 
@@ -111,7 +99,7 @@ def test_each_limit_in_a_file_decides_the_verdict(name: str, limit: str):
     ],
 )
 def test_a_required_check_without_its_aid_is_missing_and_another_is_left_out(name: str, without: str):
-    uv = bone.pixels(_views())
+    uv = bone.pixels(bone.views())
     aids = Aids(**{part: value for part, value in vars(bone.aids(uv)).items() if part != without})
     asked = {limit: _WIDE[limit] for limit in CHECKS[name].limits}
     required = _plan(_procedure(**{name: {**asked, "required": True}}), aids)
@@ -124,15 +112,17 @@ def test_a_required_check_without_its_aid_is_missing_and_another_is_left_out(nam
 def test_metrics_are_not_judged_on_an_unknown_side_or_with_exchanged_ends():
     asked = _procedure(**{"tip-apex distance": {"required": True}})
     assert "tip-apex distance" in {check.name for check in _plan(asked, side=None).verdict.unmade}
-    uv = np.array([view.project(WIRE_MM[::-1]) for view in _views()])
-    aids = bone.aids(bone.pixels(_views()))
-    other = plan(_views(), uv[:, 0], uv[:, 1], kind=asked, side="right", aids=aids, curve=lambda *_: _curve_once())
+    uv = np.array([view.project(WIRE_MM[::-1]) for view in bone.views()])
+    aids = bone.aids(bone.pixels(bone.views()))
+    other = plan(
+        bone.views(), uv[:, 0], uv[:, 1], kind=asked, side="right", aids=aids, curve=lambda *_: bone.curve_once()
+    )
     assert "tip-apex distance" not in {check.name for check in other.verdict.checks}
 
 
 def test_the_angle_between_views_is_that_of_their_beams():
     made = _plan(_procedure(**{"angle between views": {"low": 10.0}}))
-    one, other = (WIRE_MM.mean(axis=0) - view.focal_point_mm for view in _views())
+    one, other = (WIRE_MM.mean(axis=0) - view.focal_point_mm for view in bone.views())
     angle = np.rad2deg(np.arccos(abs(one @ other) / np.linalg.norm(one) / np.linalg.norm(other)))
     assert _of_file(made).figure == pytest.approx(angle, abs=1e-2)
 
@@ -153,8 +143,8 @@ def test_the_longest_screw_that_is_not_longer_than_the_wire_fits(wire_mm: float,
 def test_the_plate_is_that_of_the_neck_shaft_angle_and_two_where_its_error_leaves_both():
     catalogue = kind("hip-screw").document.catalogue
     assert catalogue is not None
-    uv = bone.pixels(_views())
-    sure, unsure = (locate(_views(), bone.aids(uv, sd), bone.picks(uv)) for sd in (0.1, 6.0))
+    uv = bone.pixels(bone.views())
+    sure, unsure = (locate(bone.views(), bone.aids(uv, sd), bone.picks(uv)) for sd in (0.1, 6.0))
     truth = np.rad2deg(bone.NECK_SHAFT_RAD)
     exact = fitting(catalogue, 90.0, sure, "right")
     assert exact is not None and exact.plate_angle_deg == 130.0 == min(

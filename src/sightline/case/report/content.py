@@ -24,7 +24,7 @@ class Report:
 
     title: str
     frame: Frame
-    images: Sequence[CalibratedImage]
+    images: tuple[CalibratedImage, ...]
     plan: Plan
     exposures: Sequence[KeptExposure]
     provenance: dict[str, str]

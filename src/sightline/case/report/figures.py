@@ -203,7 +203,7 @@ def _whole(report: Report) -> Iterable[scene.Shape]:
 
 def _near(report: Report) -> Iterable[scene.Shape]:
     for image in report.images:
-        focal, k = image.view.focal_point_mm, list(report.images).index(image)
+        focal, k = image.view.focal_point_mm, report.images.index(image)
         shown = [np.isfinite(picks[k].uv_px).all() for picks in report.plan.picks]
         for on_plate, point in zip(_lines(report, image), report.plan.trajectory.points.xyz_mm[shown], strict=True):
             along = (on_plate - focal) / np.linalg.norm(on_plate - focal)
@@ -218,7 +218,7 @@ def _near(report: Report) -> Iterable[scene.Shape]:
 
 def _lines(report: Report, image: CalibratedImage) -> np.ndarray:
     """Return the points (2, 3) at which the lines of sight of entry and tip meet the view's reference plane."""
-    k = list(report.images).index(image)
+    k = report.images.index(image)
     uv = np.array([pair[k].uv_px for pair, _ in _picked(report, k)]).reshape(-1, 2)
     return image.view.lines_of_sight(uv).points_mm
 
