@@ -12,7 +12,7 @@ from sightline.geometry.lines import nearest_approach
 from sightline.imaging import Radiograph
 from sightline.planning import Hole, HoleSeen, Nail, fit_hole
 from sightline.planning.directions import unit
-from sightline.planning.hole import nail_line
+from sightline.planning.hole import nail_line, turned_to_rims
 from sightline.planning.hole_expected import (
     OFFSETS_PX,
     LocalCamera,
@@ -24,6 +24,7 @@ from sightline.planning.hole_expected import (
 from sightline.planning.hole_result import HolePose
 from sightline.threads import one_blas_thread
 
+_FIRST_BLUR_PX = 1.0  # for a first look at the rims
 _MIN_AGREEMENT = 0.5  # correlation of the best candidate with the images [ours]
 
 
@@ -80,7 +81,8 @@ def find_hole(found: FoundNail, clicks_px: np.ndarray) -> Hole:
     if clicks.shape != (2, 2) or not np.isfinite(clicks).all():
         raise UnusableInputError(f"give one finite click (u, v) in each of two views; got the shape {clicks.shape}")
     pose = _best(found, hole_candidates(found.cameras, found.point_mm, found.along, list(clicks)))
-    return _fitted(found, _fitted(found, pose).pose)  # the second time with rims expected where they are
+    near = turned_to_rims(found.cameras, _seen(found, pose, _FIRST_BLUR_PX), found.nail, pose)
+    return fit_hole(found.views, _seen(found, near), found.nail, near)  # rims expected where they are
 
 
 def _outlines(
@@ -114,12 +116,11 @@ def _best(found: FoundNail, candidates: list[HolePose]) -> HolePose:
     return candidates[int(total.argmax())]
 
 
-def _fitted(found: FoundNail, pose: HolePose) -> Hole:
-    """Return the hole fitted to the edges that the images show where a pose expects them."""
-    return fit_hole(found.views, [_seen(found, v, pose) for v in range(2)], found.nail, pose)
-
-
-def _seen(found: FoundNail, v: int, pose: HolePose) -> HoleSeen:
-    expected = expected_rims(found.cameras[v], pose, found.nail)
-    rims = find_rims(found.images[v], expected, OFFSETS_PX, found.nail.material)
-    return HoleSeen(found.outlines[v], rims.edge(~expected.is_exit), rims.edge(expected.is_exit))
+def _seen(found: FoundNail, pose: HolePose, blur_px: float | None = None) -> list[HoleSeen]:
+    """Return the edges that each image shows where a pose expects them; `blur_px` as in `find_rims`."""
+    out = []
+    for image, outlines, camera in zip(found.images, found.outlines, found.cameras, strict=True):
+        expected = expected_rims(camera, pose, found.nail)
+        rims = find_rims(image, expected, OFFSETS_PX, found.nail.material, blur_px)
+        out.append(HoleSeen(outlines, rims.edge(~expected.is_exit), rims.edge(expected.is_exit)))
+    return out

@@ -57,10 +57,12 @@ class Support:
         known = self.places_px[self.used]
         if self.stray_px is not None:
             known = np.concatenate([known, self.stray_px])
-        within = _inside(known, self.places_px, self.radii_px)
+        sides = _sides(known)
+        within, inside = _inside(sides, self.places_px, self.radii_px), _inside(sides, uv_px)
         for k, uv in enumerate(uv_px):
-            beyond = np.concatenate([known, uv[None]])
-            seen = within if _inside(known, uv[None]).all() else _inside(beyond, self.places_px, self.radii_px)
+            seen = within
+            if not inside[k]:
+                seen = _inside(_sides(np.concatenate([known, uv[None]])), self.places_px, self.radii_px)
             rows = np.flatnonzero(seen | self.used)
             distance = np.linalg.norm(self.places_px[rows] - uv, axis=1)
             order = np.argsort(distance)[:NEIGHBOURS]
@@ -91,13 +93,19 @@ class Support:
         return max(missing - stray, 0)
 
 
-def _inside(corners_px: np.ndarray, uv_px: np.ndarray, margin_px: np.ndarray | float = 0.0) -> np.ndarray:
-    """Return (N,) bool: whether pixels (N, 2) lie within the convex hull of others, by at least a margin.
-
-    All True where the others do not span a convex hull: then every bead is expected.
-    """
+def _sides(corners_px: np.ndarray) -> np.ndarray | None:
+    """Return the sides (S, 3) of the convex hull of pixels (N, 2): normal outwards and offset; None without a hull."""
     try:
-        sides = ConvexHull(corners_px).equations
+        return ConvexHull(corners_px).equations
     except (QhullError, ValueError):
+        return None
+
+
+def _inside(sides: np.ndarray | None, uv_px: np.ndarray, margin_px: np.ndarray | float = 0.0) -> np.ndarray:
+    """Return (N,) bool: whether pixels (N, 2) lie within the sides of a convex hull, by at least a margin.
+
+    All True without a hull: then every bead is expected.
+    """
+    if sides is None:
         return np.ones(len(uv_px), dtype=bool)
     return (uv_px @ sides[:, :2].T + sides[:, 2]).max(axis=1) <= -np.asarray(margin_px)

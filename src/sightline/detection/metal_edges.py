@@ -118,8 +118,13 @@ def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray
     return MetalEdge(uv, variance, OUTLINE_COMMON_PX)
 
 
-def find_rims(image: Radiograph, expected: RimsExpected, offsets_px: np.ndarray, material: str) -> "RimsFound":
-    """Return the expected rims where the image shows them, at most 5 px away; points that it does not show are NaN."""
+def find_rims(
+    image: Radiograph, expected: RimsExpected, offsets_px: np.ndarray, material: str, blur_px: float | None = None
+) -> "RimsFound":
+    """Return the expected rims where the image shows them, at most 5 px away; points that it does not show are NaN.
+
+    `blur_px`: s.d. of the image's blur; by default the one of four that fits best.
+    """
     uv, normal = expected.uv_px, expected.normal
     if not len(uv):
         return RimsFound(uv, np.zeros(0))
@@ -128,7 +133,8 @@ def find_rims(image: Radiograph, expected: RimsExpected, offsets_px: np.ndarray,
     seen = _light(image, uv[:, None] + offsets_px[:, None] * normal[:, None] + beside).mean(axis=0)
     sharp = transmission(expected.metal_mm, material)
     window = np.abs(offsets_px) <= _RIM_WINDOW_PX
-    shift, variance, _ = min((_rim_shifts(seen, sharp, offsets_px, window, blur) for blur in _BLURS_PX), key=_badness)
+    blurs = _BLURS_PX if blur_px is None else (blur_px,)
+    shift, variance, _ = min((_rim_shifts(seen, sharp, offsets_px, window, blur) for blur in blurs), key=_badness)
     return RimsFound(uv + shift[:, None] * normal, variance)
 
 

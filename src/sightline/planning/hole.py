@@ -9,6 +9,7 @@ joint covariance of their lines of sight and of the edges.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -46,6 +47,7 @@ _RADIUS, _OUTER, _WALL, _SIZES = 14, 15, 16, slice(14, 17)
 _STEPS = np.array([1e-3] * 2 + [1e-5] * 2 + [1e-3] * 2 + [1e-5] * 2 + [1e-6] * 2 + [1e-3] * 3)  # mm, rad, 1/mm
 _LEVER_MM = np.array([1.0, 1.0, 5.0, 5.0] * 2)
 _ENTRY, _EXIT = 2, 3  # kinds of points; 0 and 1: outlines
+_TURNS, _TURN_STEPS = 5, np.array([1e-3, 1e-4])  # iterations of `turned_to_rims`; mm and rad
 
 
 class EdgeSeen(Protocol):
@@ -64,6 +66,19 @@ class EdgeSeen(Protocol):
     @property
     def common_px(self) -> float:
         """S.d. of an error across the edge that all its points share, outwards; both rims of a view share one."""
+        ...
+
+
+class Camera(Protocol):
+    """A view near the hole."""
+
+    @property
+    def focal_mm(self) -> np.ndarray:
+        """(3,)."""
+        ...
+
+    def rays(self, uv_px: np.ndarray) -> np.ndarray:
+        """Return the unit vectors (N, 3) of the rays of pixels (N, 2), away from the source."""
         ...
 
 
@@ -184,6 +199,11 @@ class _Points:
             np.array([plane.axes for plane in planes])[view],
             np.concatenate([one.jacobian for one in sights.lines]),
         )
+
+    @cached_property
+    def with_columns(self) -> np.ndarray:
+        """(Z, N, 5): covariance of all numbers with those that each point depends on."""
+        return self.covariance[:, self.columns]
 
     def counts(self, kept: np.ndarray) -> np.ndarray:
         """Return (V, 4) int: how many points of each view and kind are kept."""
@@ -312,7 +332,7 @@ def _solved(points: _Points, nail: Nail, at: tuple[np.ndarray, np.ndarray], infl
     by = points.by_numbers(state, numbers)
     residual, design, tangents = _design(points, state, numbers)
     residual = residual + (by * (points.measured - numbers)[points.columns]).sum(axis=1)
-    to_lines = np.einsum("znc,nc->zn", points.covariance[:, points.columns], by)
+    to_lines = np.einsum("znc,nc->zn", points.with_columns, by)
     variance, common = points.noise(by)
     covariance = np.einsum("nc,ncm->nm", by, to_lines[points.columns]) + common @ common.T
     covariance[np.diag_indices(len(kept))] += variance * np.where(kept, inflation, 1.0)
@@ -448,6 +468,39 @@ def nail_line(
     along = unit(along)
     offsets = [*(np.array(planes) * focal_mm).sum(axis=1), float(along @ near_mm)]
     return np.linalg.solve(np.vstack([*planes, along]), offsets), along
+
+
+def turned_to_rims(cameras: Sequence[Camera], seen: Sequence[HoleSeen], nail: Nail, start: HolePose) -> HolePose:
+    """Return a pose near the start whose rims pass through those seen: rotated about the nail's axis, moved along it.
+
+    Without errors of the views: for a first look at where the rims are. Up to half of the points may be wrong.
+    """
+    focal, points, kind = [], [], []
+    for camera, one in zip(cameras, seen, strict=True):
+        for which, edge in ((_ENTRY, one.entry), (_EXIT, one.exit)):
+            focal.append(np.broadcast_to(camera.focal_mm, (len(edge.uv_px), 3)))
+            points.append(camera.focal_mm + camera.rays(edge.uv_px))
+            kind.append(np.full(len(edge.uv_px), which))
+    focal_mm, points_mm, kinds = (np.concatenate(parts) for parts in (focal, points, kind))
+    aside = np.cross(start.along, start.axis)
+    sizes = np.array([nail.hole_mm, nail.diameter_mm, nail.diameter_mm]) / 2
+
+    def states(moves: np.ndarray) -> np.ndarray:
+        at, roll = moves[:, :1], moves[:, 1:]
+        holes, axes = start.nail_mm + at * start.along, np.cos(roll) * start.axis + np.sin(roll) * aside
+        rest = np.concatenate([np.zeros(2), sizes])
+        fixed = [np.broadcast_to(part, (len(moves), len(part))) for part in (start.nail_mm, start.along, rest)]
+        return np.hstack([fixed[0], fixed[1], holes, axes, fixed[2]])
+
+    move = np.zeros(2)
+    for _ in range(_TURNS):
+        tried = move + np.vstack([np.zeros(2), *np.diag(_TURN_STEPS), *-np.diag(_TURN_STEPS)])
+        values = _residuals(states(tried), focal_mm, points_mm, kinds)
+        design = (values[1:3] - values[3:]) / (2 * _TURN_STEPS[:, None])
+        weight = 1 / (1 + (values[0] / max(1.4826 * float(np.median(np.abs(values[0]))), 1e-3)) ** 2)
+        move = move - np.linalg.solve((design * weight) @ design.T + 1e-9 * np.eye(2), (design * weight) @ values[0])
+    state = states(move[None])[0]
+    return HolePose(start.nail_mm, start.along, state[_HOLE], state[_AXIS])
 
 
 def _ends(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
