@@ -1,6 +1,7 @@
 """How a drilled wire is judged, and a whole insertion of the plastic femur."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ from tests.robot.rig import END_MM, ENTRY_MM, wait_for
 
 from sightline.checks import Limits
 from sightline.errors import RobotRefusedError
-from sightline.rehearsal.operation import InsertionOutcome, SimulatedTheatre, registered
-from sightline.robot.kinematics.manipulator import imaging_yaw, nominal_manipulator
+from sightline.rehearsal.operation import SLEEVE_MM, InsertionOutcome, SimulatedTheatre, registered
+from sightline.robot.control.states import State
+from sightline.robot.kinematics.manipulator import FEED, imaging_yaw, nominal_manipulator
 from sightline.robot.kinematics.target import PlanIdentity, robot_target
 from sightline.robot.link.client import RobotClient
 from sightline.studies.study_fig15 import Figure15
@@ -65,6 +67,21 @@ def test_a_second_insertion_finds_its_line_where_the_images_had_it():
                 with pytest.raises(RobotRefusedError, match=r"out of reach|feed"):
                     robot_target(target.identity, wire, budget, left, Limits())
             wait_for(lambda: server.dialogue.controller.lease is None)
+
+
+@pytest.mark.parametrize("state", [State.ALIGNED, State.DRILL])
+def test_the_sleeve_is_at_the_bone_however_soon_drilling_is_ordered(state, monkeypatch):
+    """A drilling order may come before the robot's first cycle in ALIGNED; the wire is guided all the same."""
+    pytest.importorskip("mujoco")
+    theatre = SimulatedTheatre.in_air("right", "SN-7")
+    plant, server = theatre.plant, theatre.server(virtual=True)
+    machine = server.dialogue.controller.machine
+    feed = plant.read().encoders[FEED] + 40.0
+    monkeypatch.setattr(machine, "insertion", SimpleNamespace(q=np.array([0.0, 0.0, 0.0, 0.0, feed])))
+    monkeypatch.setattr(machine, "state", state)
+    assert plant.guide_mm != pytest.approx(feed - SLEEVE_MM)
+    server._advance(1e-3)
+    assert plant.guide_mm == pytest.approx(feed - SLEEVE_MM)
 
 
 @pytest.mark.slow

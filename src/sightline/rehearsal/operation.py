@@ -107,8 +107,10 @@ class SimulatedTheatre:
         controller = Controller(self.robot, self.plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)
 
         def advance(dt_s: float) -> None:
-            if controller.machine.state is State.ALIGNED and controller.machine.insertion is not None:
-                self.plant.guide_mm = float(controller.machine.insertion.q[FEED]) - SLEEVE_MM
+            machine = controller.machine
+            # Also while drilling: a client may order it before the robot's next cycle.
+            if machine.state in (State.ALIGNED, State.DRILL) and machine.insertion is not None:
+                self.plant.guide_mm = float(machine.insertion.q[FEED]) - SLEEVE_MM
             self.plant.advance(dt_s)
 
         return RobotServer(
