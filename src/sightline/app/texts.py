@@ -231,7 +231,7 @@ ALIGN_QUESTION = (
 )
 DRILL_QUESTION = (
     "Drill: the wire rotates and advances into the bone, to 10 mm before the planned tip. "
-    "Does the confirmation shot show the guide on the plan?"
+    "Does the sleeve stand on the bone, and does the confirmation shot show the guide on the plan?"
 )
 DRILL_ON_QUESTION = "Continue drilling: the last 10 mm. Does the second shot show the wire on the plan?"
 BY_PLAN, BY_CONTACT, BY_SHOT = "plan", "contact", "second shot"  # sources of the zero of depth

@@ -437,7 +437,12 @@ def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool, bloc
             "The wire draws back, the arm turns, the wire stops 20 mm before the bone. Is the way clear?",
             robot.align,
         ),
-        ("drill", "Does the confirmation shot show the guide on the plan? The robot will drill.", robot.drill),
+        (
+            "drill",
+            "Does the sleeve stand on the bone, and does the confirmation shot show the guide on the plan? The robot "
+            "will drill.",
+            robot.drill,
+        ),
         ("drill on", "Does the second shot, 10 mm short of the tip, show the wire on the plan?", robot.drill),
     ]
 
