@@ -16,10 +16,12 @@ from sightline.planning.plan import Plan, plan
 from sightline.planning.procedures import PROCEDURES, PlanInput, Procedure, kind, procedures
 from sightline.planning.proposal import Proposal, ProposalRule, propose
 from sightline.planning.reconstruct import reconstruct
+from sightline.planning.relations import WireLines
 from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.shares import Share, error_shares, error_shares_of
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import judge
+from sightline.planning.wires import WirePicks, WirePlans, plan_wires
 
 __all__ = [
     "PROCEDURES",
@@ -49,6 +51,9 @@ __all__ = [
     "Trajectory",
     "Turn",
     "Verdict",
+    "WireLines",
+    "WirePicks",
+    "WirePlans",
     "corridor",
     "error_shares",
     "error_shares_of",
@@ -61,6 +66,7 @@ __all__ = [
     "outline",
     "perfect_circle",
     "plan",
+    "plan_wires",
     "procedures",
     "propose",
     "reconstruct",

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from sightline.calibration.together import adjusted_together
 from sightline.calibration.view import CalibratedView
+from sightline.checks import Check
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning.aids import Aids
 from sightline.planning.anatomy import Anatomy, locate
@@ -49,7 +50,8 @@ class Plan(Plotted):
     end and landmarks, in this order; `landmark_names`: names of the landmarks, "" where none was given. `anatomy`: the
     located parts of the bone. `noticed_mm`: how far entry and end can be wrong along a line of sight before a check of
     the bone fails; None where no check would fail. `views`: the views that the plan was made on;
-    `arguments`: what else `plan` was given, but for the kind and `curve`.
+    `arguments`: what else `plan` was given, but for the kind and `curve`. `relations`: checks of the relations to other
+    wires, which the verdict then includes (`plan_wires`).
 
     >>> pa, lateral = sl.load("out/demo/views.json")
     >>> plan = sl.plan([pa, lateral], [[162, 689], [684, 692]], [[818, 366], [378, 276]], side="right")
@@ -72,13 +74,18 @@ class Plan(Plotted):
     noticed_mm: tuple[float | None, float | None]
     views: tuple[CalibratedView, ...]
     arguments: Mapping[str, Any]
+    relations: tuple[Check, ...] = ()
+
+    def related(self, relations: tuple[Check, ...]) -> "Plan":
+        """Return the plan with checks of the relations to other wires added to its verdict."""
+        return replace(self, relations=relations, verdict=self.verdict.joined(Verdict(relations)))
 
     def summary(self) -> str:
         """Return the verdict, entry and end point with their error bounds, and the checks that failed."""
         side = "" if self.side is None else f", {self.side} side"
         first = f"Plan of a {self.kind.name}{side}: {self.verdict.state.upper()}"
         path, checks = self.trajectory.summary().splitlines()[1:], checks_lines(self.verdict.checks, 3)
-        return "\n".join([first, *path, *checks, *(f"  {said}" for said in self.kind.sentences())])
+        return "\n".join([first, *path, *checks, *(f"  {said}" for said in self._alone())])
 
     def to_dataframe(self) -> "DataFrame":
         """Return a row for each check of the verdict: name, passed, figure, limit, unit, sentence. Needs pandas."""
@@ -123,7 +130,11 @@ class Plan(Plotted):
     def sentences(self) -> list[str]:
         """Return what else a reader must know: errors that no check shows, other wires, and the implant that fits."""
         fits, pair = self.implant, [_PAIR] if len(self.views) == 2 else []
-        return [*self.along_sentences(), *pair, *self.kind.sentences(), *([] if fits is None else [fits.sentence])]
+        return [*self.along_sentences(), *pair, *self._alone(), *([] if fits is None else [fits.sentence])]
+
+    def _alone(self) -> list[str]:
+        """Return what is not checked of other wires; nothing where the relations to them are."""
+        return [] if self.relations else self.kind.sentences()
 
     def along_sentences(self) -> list[str]:
         """Return for entry and end a sentence on errors along their lines of sight that no check would show."""

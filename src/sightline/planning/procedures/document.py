@@ -64,7 +64,7 @@ class Relation(Strict):
 
     "parallel": the angle between any two is at most `high`, °. "spacing": the distance of any two at their entries lies
     between `low` and `high`, mm. "order": they are drilled in this order. "inverted triangle": three wires, the first
-    one the most caudal.
+    one the most caudal, the second in front of it, the third behind it.
     """
 
     relation: Literal["parallel", "spacing", "order", "inverted triangle"]
@@ -81,7 +81,7 @@ class Relation(Strict):
             takes = " and ".join(sorted(wanted, reverse=True)) or "no limits"
             raise ValueError(f"is the relation {self.relation!r}, which takes {takes}; correct it")
         if self.relation == "inverted triangle" and len(self.wires) != 3:
-            raise ValueError("is an inverted triangle; name three wires, the most caudal one first")
+            raise ValueError("is an inverted triangle; name three wires: the lowest, the anterior, the posterior one")
         return self
 
 
@@ -189,6 +189,12 @@ class ProcedureDocument(Strict):
     proposal: ProposalAsked | None = None
     limits: LimitsAsked
     checks: Annotated[tuple[CheckRule, ...], Field(max_length=30)] = ()
+
+    @property
+    def drilling_order(self) -> tuple[str, ...]:
+        """Keys of all wires: those of the relation "order" first, then the others as the file lists them."""
+        first = [key for one in self.relations if one.relation == "order" for key in one.wires]
+        return tuple(dict.fromkeys([*first, *(wire.key for wire in self.wires)]))
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -129,9 +129,9 @@ class Procedure:
         """Return what a reader of a plan must know: of several wires, that the others are not in it."""
         if not self.several:
             return []
-        said = f"This is the plan of one wire of {len(self.document.wires)}: plan the others by themselves."
         relations = ", ".join(dict.fromkeys(one.relation for one in self.document.relations))
-        return [f"{said} Nothing between the wires is checked{f' ({relations})' if relations else ''}."]
+        said = f"This is the plan of one wire of {len(self.document.wires)}."
+        return [f"{said} The relations between them ({relations or 'none'}) are not checked: plan all wires together."]
 
     def written(self) -> dict[str, Any]:
         """Return the file's content as JSON types."""

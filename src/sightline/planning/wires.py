@@ -1,0 +1,161 @@
+"""Plans of all wires of a procedure on the same images, and the relations between the wires."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from sightline.calibration.view import CalibratedView
+from sightline.checks import Check
+from sightline.errors import UnusableInputError
+from sightline.planning.axis import Axis
+from sightline.planning.picks import stack
+from sightline.planning.plan import Plan, plan
+from sightline.planning.procedures import Procedure
+from sightline.planning.procedures.document import ProcedureDocument
+from sightline.planning.procedures.files import document_of
+from sightline.planning.reconstruct import reconstruct
+from sightline.planning.relations import WireLines, judge_relations
+from sightline.planning.results import Verdict
+from sightline.show import Shown
+from sightline.show.words import checks_lines
+from sightline.threads import one_blas_thread
+
+
+@dataclass(frozen=True, eq=False)
+class WirePicks:
+    """Picks of one wire, IDCS: `entry_uv_px` and `end_uv_px` (V, 2), and `snapped`, as for `plan`."""
+
+    entry_uv_px: ArrayLike
+    end_uv_px: ArrayLike
+    snapped: bool | Sequence[bool] = False
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WirePlans(Shown):
+    """The plans of a procedure's wires, the relations between them, and the verdict on all of them.
+
+    `plans`: by the wires' keys in the order of drilling. Each is what `plan` gives for its wire alone; its verdict
+    includes the relations of the wire that could be judged. `placed`: wires that are in the bone already. `lines`:
+    all of them in space, with their joint error. `relations`: the checks of the relations. `verdict`: GO only if all
+    wires are planned or placed, and all plans and relations passed; INCOMPLETE where only an input is missing.
+    """
+
+    document: ProcedureDocument
+    plans: Mapping[str, Plan]
+    placed: Mapping[str, Axis]
+    lines: WireLines
+    relations: tuple[Check, ...]
+    verdict: Verdict
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Keys of the wires that are neither planned nor placed, in the order of drilling."""
+        return tuple(key for key in self.document.drilling_order if key not in {*self.plans, *self.placed})
+
+    def summary(self) -> str:
+        """Return the verdict, entry and end of each wire, and the checks that failed."""
+        paths = [
+            f"  {one.kind.wire.name}: {line.strip()}"
+            for one in self.plans.values()
+            for line in one.trajectory.summary().splitlines()[1:]
+        ]
+        first = f"Plan of {len(self.plans)} of {len(self.document.wires)} wires, {self.document.name}"
+        return "\n".join([f"{first}: {self.verdict.state.upper()}", *paths, *checks_lines(self.verdict.checks, 3)])
+
+
+@one_blas_thread
+def plan_wires(
+    views: Sequence[CalibratedView],
+    wires: Mapping[str, WirePicks],
+    *,
+    procedure: ProcedureDocument | str,
+    placed: Mapping[str, Axis] | None = None,
+    side: str | None = None,
+    **shared: Any,
+) -> WirePlans:
+    """Return the plans of several wires of a procedure on the same V >= 2 views, and their relations.
+
+    `wires`: picks by the keys of the procedure's wires; those left out are missing. `procedure`: a file's content, its
+    key or its path. `placed`: wires that are in the bone already, by their keys, measured in these coordinates; entry
+    first. `side` and `shared`: arguments of `plan` that hold for all wires: landmarks, aids, method, error of a pick.
+
+    The wires' points are reconstructed together for the relations, so that their errors are correlated as the views
+    share them. Raises UnusableInputError, and what `plan` raises.
+    """
+    document = procedure if isinstance(procedure, ProcedureDocument) else document_of(procedure)
+    placed = {} if placed is None else dict(placed)
+    _refuse_unknown(document, wires, placed)
+    alone = {
+        key: plan(
+            views,
+            wires[key].entry_uv_px,
+            wires[key].end_uv_px,
+            snapped=wires[key].snapped,
+            kind=Procedure.of(document, key),
+            side=side,
+            **shared,
+        )
+        for key in document.drilling_order
+        if key in wires
+    }
+    lines = _lines(views, alone, placed)
+    names = {wire.key: wire.name for wire in document.wires}
+    judged = judge_relations(document.relations, lines, names, side)
+    planned = _all_planned([names[key] for key in names if key not in lines.keys], len(names))
+    return WirePlans(
+        document=document,
+        plans={key: one.related(_judged_of(key, document, judged)) for key, one in alone.items()},
+        placed=placed,
+        lines=lines,
+        relations=judged.checks,
+        verdict=_of_all(alone).joined(judged).joined(planned),
+    )
+
+
+def _refuse_unknown(document: ProcedureDocument, wires: Mapping[str, Any], placed: Mapping[str, Any]) -> None:
+    known = [wire.key for wire in document.wires]
+    if not wires or not {*wires, *placed} <= set(known) or set(wires) & set(placed):
+        raise UnusableInputError(
+            f"the wires {', '.join(wires) or '(none)'} are to be planned and {', '.join(placed) or 'none'} placed; "
+            f"plan one or more of {', '.join(known)}, and name each wire once"
+        )
+
+
+def _lines(views: Sequence[CalibratedView], plans: Mapping[str, Plan], placed: Mapping[str, Axis]) -> WireLines:
+    picks = stack([point for one in plans.values() for point in one.picks])
+    methods = {one.arguments["method"] for one in plans.values()}
+    points = reconstruct(views, picks.uv_px, picks.covariance_px2, methods.pop(), picks.across_px)
+    return WireLines.of(list(plans), points, placed)
+
+
+def _judged_of(key: str, document: ProcedureDocument, judged: Verdict) -> tuple[Check, ...]:
+    """Return the checks of a wire's relations that could be made."""
+    asked = [relation for relation in document.relations if relation.relation != "order"]
+    pairs = zip(asked, judged.checks, strict=True)
+    return tuple(check for relation, check in pairs if key in relation.wires and check not in judged.unmade)
+
+
+def _of_all(plans: Mapping[str, Plan]) -> Verdict:
+    """Return the checks of all plans: those that are the same for all once, the others with the wire's name."""
+    verdicts = {one.kind.wire.name: one.verdict for one in plans.values()}
+    first = next(iter(verdicts.values()))
+    common = [check for check in first.checks if all(check in one.checks for one in verdicts.values())]
+
+    def named(checks: Sequence[Check], name: str) -> list[Check]:
+        own = [check for check in checks if check not in common]
+        return [replace(check, sentence=f"{name}: {check.sentence}") for check in own]
+
+    checks = [*common, *(check for name, one in verdicts.items() for check in named(one.checks, name))]
+    unmade = [check for check in first.unmade if check in common]
+    unmade += [check for name, one in verdicts.items() for check in named(one.unmade, name)]
+    return Verdict(tuple(checks), tuple(unmade))
+
+
+def _all_planned(missing: Sequence[str], count: int) -> Verdict:
+    """Return the check that all wires of the procedure are planned or placed."""
+    sentence = f"{count - len(missing)} of {count} wires of the procedure are planned"
+    sentence += f": pick entry and end of the {' and the '.join(missing)} too." if missing else "."
+    check = Check("all wires", not missing, float(count - len(missing)), float(count), "wires", sentence)
+    return Verdict((check,), (check,) if missing else ())
