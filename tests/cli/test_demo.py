@@ -162,6 +162,7 @@ def test_the_wire_was_drilled_and_the_check_shot_agrees_with_the_physics(demo_fo
     assert 0.3 < drilled["record"]["depth_sd_mm"][-1] < 0.4
     against_plan, against_ideal = drilled["physics"]
     shot = drilled["check_shot"]
+    assert "refused" not in shot, shot["refused"]
     for key in ("entry_mm", "tip_mm"):
         assert against_ideal[key] < 1.0
         # The plan's own error is in the physics' figure and not in the shot's, which knows where the picks were.
