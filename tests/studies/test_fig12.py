@@ -16,7 +16,7 @@ def bent(half_width_px: float) -> MatchingCurve:
     tangent = np.tile([1.0, 0.0], (len(depth), 1))
     flat = np.zeros(len(depth), dtype=bool)
     xyz = np.zeros((len(depth), 3))
-    return MatchingCurve("pa", "lateral", depth, xyz, uv, tangent, flat, np.full(len(depth), half_width_px))
+    return MatchingCurve("pa", "lateral", depth, xyz, uv, tangent, flat, lambda: np.full(len(depth), half_width_px))
 
 
 def test_distance_band_and_bend_of_a_curve_that_is_known():

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -16,7 +16,7 @@ from sightline.calibration.polynomial import Affine
 from sightline.calibration.posterior import Posterior
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.support import MIN_STRIP, Support
-from sightline.calibration.view import LinesOfSight, PlaneMap
+from sightline.calibration.view import Deferred, LinesOfSight, PlaneMap
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
@@ -243,7 +243,7 @@ class BeadView(Plotted):
         if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
             raise UnusableInputError(f"give finite pixels of the shape (N, 2); got the shape {uv.shape}")
         self.hull.refuse_far(uv)
-        errors = self.posterior.line_errors(uv)
+        errors = cache(lambda: self.posterior.line_errors(uv))
         xy, jacobian = self.plane_map.linearised(uv)
         return LinesOfSight(
             view=self.name,
@@ -251,8 +251,8 @@ class BeadView(Plotted):
             focal_point_mm=self.focal_point_mm,
             xy_mm=xy,
             jacobian=jacobian,
-            covariance=errors.by_source(),
-            shared=errors.shared(),
+            covariance=Deferred(lambda: errors().by_source()),
+            shared=Deferred(lambda: errors().shared()),
             frame_key=self.frame_key,
             inside_hull=self.hull.contains(uv),
             upright=self.upright,

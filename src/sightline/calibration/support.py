@@ -7,6 +7,7 @@ as hidden.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -53,22 +54,36 @@ class Support:
         is convex and contains these. Without the other detections nothing would be expected of a strip at the field's
         edge whose beads were all dropped.
         """
+        inside = _inside(self._sides, uv_px)
         out = np.zeros((len(uv_px), 3), dtype=int)
-        known = self.places_px[self.used]
-        if self.stray_px is not None:
-            known = np.concatenate([known, self.stray_px])
-        sides = _sides(known)
-        within, inside = _inside(sides, self.places_px, self.radii_px), _inside(sides, uv_px)
-        for k, uv in enumerate(uv_px):
-            seen = within
-            if not inside[k]:
-                seen = _inside(_sides(np.concatenate([known, uv[None]])), self.places_px, self.radii_px)
-            rows = np.flatnonzero(seen | self.used)
-            distance = np.linalg.norm(self.places_px[rows] - uv, axis=1)
-            order = np.argsort(distance)[:NEIGHBOURS]
-            used = int(self.used[rows[order]].sum())
-            out[k] = used, self._hidden(uv, len(order) - used, distance[order].max(initial=0.0)), len(order)
+        out[inside] = self._counted(uv_px[inside], _inside(self._sides, self.places_px, self.radii_px))
+        for k in np.flatnonzero(~inside):
+            sides = _sides(np.concatenate([self._known_px, uv_px[k : k + 1]]))
+            out[k] = self._counted(uv_px[k : k + 1], _inside(sides, self.places_px, self.radii_px))
         return out
+
+    @cached_property
+    def _known_px(self) -> np.ndarray:
+        """(K, 2): the used beads and all other detections."""
+        used = self.places_px[self.used]
+        return used if self.stray_px is None else np.concatenate([used, self.stray_px])
+
+    @cached_property
+    def _sides(self) -> np.ndarray | None:
+        return _sides(self._known_px)
+
+    def _counted(self, uv_px: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Return `near` of pixels (N, 2) where the beads `seen` (E,) and the used ones are expected."""
+        rows = np.flatnonzero(seen | self.used)
+        distance = cdist(uv_px, self.places_px[rows])
+        nearest = np.argsort(distance, axis=1)[:, :NEIGHBOURS]
+        used = self.used[rows[nearest]].sum(axis=1)
+        hidden = np.zeros_like(used)
+        if self.stray_px is not None:
+            reach_px = np.take_along_axis(distance, nearest, axis=1).max(axis=1, initial=0.0)
+            stray = (cdist(uv_px, self.stray_px) <= reach_px[:, None]).sum(axis=1)
+            hidden = np.maximum(nearest.shape[1] - used - stray, 0)
+        return np.stack([used, hidden, np.full_like(used, nearest.shape[1])], axis=1)
 
     def strip_shift_px(self) -> float | None:
         """Return the shift along the rows that takes missing beads to MIN_STRIP or more unlabelled detections, if any.
@@ -85,12 +100,6 @@ class Support:
         count = np.minimum(together.any(axis=1).sum(axis=1), together.any(axis=2).sum(axis=1))
         best = int(count.argmax())
         return float(np.median(shift[together[best]])) if count[best] >= MIN_STRIP else None
-
-    def _hidden(self, uv_px: np.ndarray, missing: int, reach_px: float) -> int:
-        if self.stray_px is None:
-            return 0
-        stray = int((np.linalg.norm(self.stray_px - uv_px, axis=1) <= reach_px).sum())
-        return max(missing - stray, 0)
 
 
 def _sides(corners_px: np.ndarray) -> np.ndarray | None:

@@ -1,7 +1,8 @@
 """The interface of a calibrated view (plane map and focal point with their joint covariance), and lines of sight."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -37,6 +38,29 @@ class PlaneMap(Protocol):
         ...
 
 
+class Deferred(Mapping[str, np.ndarray]):
+    """A mapping that `compute` returns when it is first read: a line of sight is often needed without its errors."""
+
+    def __init__(self, compute: Callable[[], Mapping[str, np.ndarray]]) -> None:
+        self._compute = compute
+
+    @cached_property
+    def _content(self) -> Mapping[str, np.ndarray]:
+        return self._compute()
+
+    def __getitem__(self, key: str) -> np.ndarray:
+        """Return one value."""
+        return self._content[key]
+
+    def __iter__(self) -> Iterator[str]:
+        """Return the keys."""
+        return iter(self._content)
+
+    def __len__(self) -> int:
+        """Return the number of keys."""
+        return len(self._content)
+
+
 @dataclass(frozen=True, eq=False)
 class LinesOfSight:
     """The lines of sight of N pixels of one view, CFCS.
@@ -62,13 +86,18 @@ class LinesOfSight:
     focal_point_mm: np.ndarray
     xy_mm: np.ndarray
     jacobian: np.ndarray
-    covariance: dict[str, np.ndarray] | None
+    covariance: Mapping[str, np.ndarray] | None
     shared: Mapping[str, np.ndarray]
     frame_key: str | None
     inside_hull: np.ndarray
     upright: bool | None = None
     beads_near: np.ndarray | None = None
     adjustment: str | None = None
+
+    @cached_property
+    def total_covariance(self) -> np.ndarray | None:
+        """The sum of `covariance` over its sources; None where the error is unknown."""
+        return None if self.covariance is None else np.sum(list(self.covariance.values()), axis=0)
 
     @property
     def points_mm(self) -> np.ndarray:

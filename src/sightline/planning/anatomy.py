@@ -111,7 +111,7 @@ def locate(
     for name in ("neck", "shaft"):
         found.add(name, lambda name=name: find_axis(sights, name))
     if aids.head is not None:
-        found.add_head(aids.head)
+        found.add_head(views[:2], aids.head)
     found.add("outline", lambda: _on_plates(sights, "outline"))
     found.add("calcar", lambda: _level(sights, "calcar", found.part("head")[:3]))
     found.add("cortex", lambda: _level(sights, "cortex", _nearest_to_axis(sights, "cortex", found.part("shaft"))))
@@ -143,11 +143,11 @@ class _Finder:
         whole[:, self.sights.index(name)] = own
         self.parts[name] = values, whole
 
-    def add_head(self, circles: tuple[Circle, Circle]) -> None:
+    def add_head(self, views: Sequence[CalibratedView], circles: tuple[Circle, Circle]) -> None:
         """Add the head, and the check that its two outlines agree."""
 
         def find() -> tuple[np.ndarray, np.ndarray]:
-            values, own, self.agreement = find_head(self.sights, circles, self.covariance)
+            values, own, self.agreement = find_head(views, circles)
             return values, own
 
         self.add("head", find)

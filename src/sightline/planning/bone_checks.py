@@ -144,6 +144,7 @@ def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float
     """
     wire, focal = found.part("wire").reshape(2, 3), found.part("focal").reshape(2, 3)
     steps = np.arange(_STEP_MM, MAX_SHIFT_MM + _STEP_MM, _STEP_MM)
+    passed = [measure for measure in checked if measure.passes(*wire[:, None])[0]]
     out: list[float | None] = []
     for point in range(2):
         reach: float | None = 0.0
@@ -151,7 +152,7 @@ def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float
             for along in (away, -away):
                 ends = np.repeat(wire[:, None], len(steps), axis=1)
                 ends[point] += steps[:, None] * along
-                passes = [m.passes(*ends) for m in checked if m.passes(*wire[:, None])[0]]
+                passes = [measure.passes(*ends) for measure in passed]
                 fails = np.flatnonzero(~np.all(passes, axis=0)) if passes else np.zeros(0, dtype=int)
                 reach = None if reach is None or not len(fails) else max(reach, float(steps[fails[0]]))
         out.append(reach)

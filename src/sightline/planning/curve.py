@@ -1,6 +1,8 @@
 """Image-matching curves: the line of sight of a pick in one view, drawn in the other."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -25,8 +27,7 @@ class MatchingCurve:
     XRII plate), positive towards the X-ray source.
     `uv_px` (S, 2) and unit vectors `tangent_px` (S, 2), IDCS of `to_view`: they follow the view's own map, so the curve
     bends with its distortion and may run in any direction. `xyz_mm` (S, 3), CFCS. `is_tick` (S,) bool: every 10 mm.
-    `half_width_px` (S,): half width of the band that holds the true line with a probability of 95 %, the pick's own
-    error included; None where a view's error is unknown.
+    `band`: returns `half_width_px`.
     """
 
     from_view: str
@@ -36,7 +37,13 @@ class MatchingCurve:
     uv_px: np.ndarray
     tangent_px: np.ndarray
     is_tick: np.ndarray
-    half_width_px: np.ndarray | None
+    band: Callable[[], np.ndarray | None]
+
+    @cached_property
+    def half_width_px(self) -> np.ndarray | None:
+        """(S,) half width of the band that holds the true line with a probability of 95 %, the pick's own error
+        included; None where a view's error is unknown. It is computed when it is first read."""
+        return self.band()
 
     @property
     def across_px(self) -> np.ndarray:
@@ -73,10 +80,7 @@ def matching_curve(
     tangent = np.gradient(curve_px, depth, axis=0, edge_order=2)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     pick = DEFAULT_PICK_SD_PX**2 * np.eye(2) if uv_covariance_px2 is None else np.asarray(uv_covariance_px2)
-    some = np.unique(np.r_[0 : len(depth) : _BAND_EVERY, len(depth) - 1])
-    there = LineResiduals.at(to_view.lines_of_sight(curve_px[some]), xyz[some])
-    refuse_two_frames((line, there.lines))
-    sd = _sd_across_px(line, pick, 1.0 - depth[some] / length, there, _perpendicular(tangent[some]))
+    refuse_two_frames((line, to_view.lines_of_sight(curve_px[:0])))
     return MatchingCurve(
         from_view=from_view.name,
         to_view=to_view.name,
@@ -85,7 +89,7 @@ def matching_curve(
         uv_px=curve_px,
         tangent_px=tangent,
         is_tick=np.isclose(depth % TICK_MM, 0.0),
-        half_width_px=None if sd is None else np.interp(depth, depth[some], TWO_SIDED_95 * sd),
+        band=partial(_half_width_px, line, pick, 1.0 - depth / length, to_view, xyz, curve_px, tangent),
     )
 
 
@@ -137,6 +141,22 @@ def _perpendicular(tangent_px: np.ndarray) -> np.ndarray:
     return np.stack([-tangent_px[..., 1], tangent_px[..., 0]], axis=-1)
 
 
+def _half_width_px(  # noqa: PLR0917
+    line: LinesOfSight,
+    pick_px2: np.ndarray,
+    reach: np.ndarray,
+    to_view: CalibratedView,
+    xyz_mm: np.ndarray,
+    uv_px: np.ndarray,
+    tangent_px: np.ndarray,
+) -> np.ndarray | None:
+    """Return `MatchingCurve.half_width_px` (S,) of samples at `xyz_mm` (S, 3), `uv_px` (S, 2)."""
+    some = np.unique(np.r_[0 : len(reach) : _BAND_EVERY, len(reach) - 1])
+    there = LineResiduals.at(to_view.lines_of_sight(uv_px[some]), xyz_mm[some])
+    sd = _sd_across_px(line, pick_px2, reach[some], there, _perpendicular(tangent_px[some]))
+    return None if sd is None else np.interp(-reach, -reach[some], TWO_SIDED_95 * sd)
+
+
 def _sd_across_px(
     line: LinesOfSight, pick_px2: np.ndarray, reach: np.ndarray, samples: LineResiduals, across_px: np.ndarray
 ) -> np.ndarray | None:
@@ -145,7 +165,8 @@ def _sd_across_px(
     `reach` (S,): place of each sample on the line, 0 at the focal point, 1 at the plane; `across_px` (S, 2): unit
     vectors across the curve.
     """
-    if line.covariance is None or samples.lines.covariance is None:
+    line_covariance, view_covariance = line.total_covariance, samples.lines.total_covariance
+    if line_covariance is None or view_covariance is None:
         return None
     n = len(samples.xy_mm)
     across = np.einsum("ij,ijk->ik", across_px, np.linalg.inv(samples.lines.jacobian))  # px per mm on the plane
@@ -153,9 +174,8 @@ def _sd_across_px(
     by_point = np.einsum("ij,ijb->ib", across, samples.to_point)
     by_line = np.hstack([(1.0 - reach)[:, None] * by_point, reach[:, None] * (by_point @ line.plane.axes.T)])
     by_view = np.einsum("ij,ijk->ik", across, samples.to_line.reshape(n, 2, -1))
-    line_covariance = np.sum(list(line.covariance.values()), axis=0)
+    line_covariance = line_covariance.copy()
     line_covariance[3:, 3:] += pick_covariance_mm2(line, pick_px2[None])[0]
-    view_covariance = np.sum(list(samples.lines.covariance.values()), axis=0)
     variance = np.einsum("ip,pq,iq->i", by_line, line_covariance, by_line)
     variance += np.einsum("ip,pq,iq->i", by_view, view_covariance, by_view)
     for source in line.sources_shared_with(samples.lines):

@@ -6,6 +6,7 @@ image of its centre. The fit in space avoids both: a tangent ray passes the sphe
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -43,23 +44,32 @@ class Sphere:
 
 
 def find_head(
-    sights: Sights, circles: tuple[Circle, Circle], covariance: np.ndarray | None
+    views: Sequence[CalibratedView], circles: tuple[Circle, Circle]
 ) -> tuple[np.ndarray, np.ndarray, Check | None]:
-    """Return centre and radius (4,) of the sphere drawn as "head", their derivatives (4, n) by its numbers in z, and
-    the check that the outlines agree. `covariance`: of z.
+    """Return centre and radius (4,) of the sphere drawn by `circles` in two views, their derivatives (4, n) by
+    `Sights.index` of the drawing, and the check that the outlines agree.
 
     Maximum likelihood: weighted by the joint covariance of all drawn numbers, with equal weights where it is unknown.
-    Raises ReconstructionRefusedError.
+    It does not depend on anything else that is drawn, and is kept for the next call. Raises
+    ReconstructionRefusedError.
     """
-    index = sights.index("head")
-    at = sights.values[index]
+    drawn = [(one.uv_px.tobytes(), one.covariance_px2.tobytes(), one.summary.tobytes()) for one in circles]
+    return _found(tuple(views), tuple(drawn))
+
+
+@lru_cache(maxsize=8)  # of two pages, before and after a change [ours]
+def _found(
+    views: tuple[CalibratedView, ...], drawn: tuple[tuple[bytes, bytes, bytes], ...]
+) -> tuple[np.ndarray, np.ndarray, Check | None]:
+    arrays = [[np.frombuffer(part) for part in one] for one in drawn]
+    sights = Sights.of(views, [{"head": (uv.reshape(-1, 2), own.reshape(len(uv), -1))} for uv, own, _ in arrays])
+    covariance, at = sights.covariance, sights.values
     rays = sights.rays("head", at[None])
-    summary = np.asarray(block_diag(*(circle.summary for circle in circles)))
+    summary = np.asarray(block_diag(*(one.reshape(-1, len(uv) // 2) for uv, _, one in arrays)))
     weights, sphere = np.eye(len(summary)), _fitted(rays, summary, np.eye(len(summary)), _start(rays))
-    own_covariance = None if covariance is None else covariance[np.ix_(index, index)]
-    for _ in range(0 if own_covariance is None else _REWEIGHTINGS):
+    for _ in range(0 if covariance is None else _REWEIGHTINGS):
         by_z = summary @ _by_z(sights, at, sphere)
-        weights = np.linalg.inv(by_z @ own_covariance @ by_z.T)
+        weights = np.linalg.inv(by_z @ covariance @ by_z.T)
         sphere = _fitted(rays, summary, weights, sphere)
     own = -_gain(rays, summary, weights, sphere) @ summary @ _by_z(sights, at, sphere)
     residual = summary @ _distances(rays, sphere)[0]

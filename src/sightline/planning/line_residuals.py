@@ -53,20 +53,28 @@ def covariance_by_source(views: Sequence[LineResiduals]) -> dict[str, np.ndarray
 
     None where a view's error is unknown. The views are correlated through the errors that they share.
     """
-    known = [(one.to_line, one.lines, one.lines.covariance) for one in views if one.lines.covariance is not None]
+    known = [(one.to_line, one.lines.covariance) for one in views if one.lines.covariance is not None]
     if len(known) < len(views):
         return None
+    own = {source: [by @ covariance[source] @ by.T for by, covariance in known] for source in SOURCES}
+    return {source: joined(one, partial(_between, views, (source,))) for source, one in own.items()}
 
-    def between(source: str, i: int, j: int) -> np.ndarray:
-        (by_a, a, _), (by_b, b, _) = known[i], known[j]
-        if source not in a.sources_shared_with(b):
-            return np.zeros((len(by_a), len(by_b)))
-        return (by_a @ a.shared[source]) @ (by_b @ b.shared[source]).T
 
-    return {
-        source: joined([by @ covariance[source] @ by.T for by, _, covariance in known], partial(between, source))
-        for source in SOURCES
-    }
+def total_covariance(views: Sequence[LineResiduals]) -> np.ndarray | None:
+    """Return the sum of `covariance_by_source`, computed at once."""
+    known = [(one.to_line, one.lines.total_covariance) for one in views]
+    own = [by @ covariance @ by.T for by, covariance in known if covariance is not None]
+    return joined(own, partial(_between, views, SOURCES)) if len(own) == len(views) else None
+
+
+def _between(views: Sequence[LineResiduals], sources: Sequence[str], i: int, j: int) -> np.ndarray:
+    """Return the covariance between the residuals of two views by the errors of `sources` that they share."""
+    a, b = views[i], views[j]
+    out = np.zeros((len(a.to_line), len(b.to_line)))
+    for source in a.lines.sources_shared_with(b.lines):
+        if source in sources:
+            out += (a.to_line @ a.lines.shared[source]) @ (b.to_line @ b.lines.shared[source]).T
+    return out
 
 
 def refuse_two_frames(lines: Sequence[LinesOfSight]) -> None:

@@ -56,9 +56,9 @@ class Sights:
         """The covariance of z; None where a view's error is unknown."""
         own: list[np.ndarray] = []
         for one, picks_px2 in zip(self.lines, self.picks_px2, strict=True):
-            if one.covariance is None:
+            if one.total_covariance is None:
                 return None
-            own.append(np.sum(list(one.covariance.values()), axis=0))
+            own.append(one.total_covariance.copy())
             count = len(one.xy_mm)
             on_plane = np.zeros((count, 2, count, 2))
             on_plane[range(count), :, range(count), :] = one.jacobian

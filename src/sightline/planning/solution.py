@@ -1,6 +1,7 @@
 """The least-squares solution of N points from their lines of sight in two or more views."""
 
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import combinations
 from typing import Literal
 
@@ -14,6 +15,7 @@ from sightline.planning.line_residuals import (
     covariance_by_source,
     pick_covariance_mm2,
     refuse_two_frames,
+    total_covariance,
 )
 from sightline.planning.picks import PickArrays
 
@@ -54,11 +56,8 @@ class Solution:
         shown = [np.flatnonzero(seen) for seen in picks.seen]
         self._size = len(xyz_mm), 2 * len(lines)
         self._at = np.concatenate([2 * len(lines) * at[:, None] + [2 * k, 2 * k + 1] for k, at in enumerate(shown)])
-        self.covariances = self._covariances()
-        if method == "weighted" and self.covariances is not None:
-            information = self._information(self.covariances)
-        else:
-            information = self._distance_form()
+        total = total_covariance(self.residuals) if method == "weighted" else None
+        information = self._distance_form() if total is None else self._information(total)
         information = self._without_direction(information)
         self.to_point = self.by_point([r.to_point for r in self.residuals])
         normal = np.swapaxes(self.to_point, 1, 2) @ information
@@ -99,26 +98,35 @@ class Solution:
             out[source] = (self.weights @ half.transpose(1, 2, 0)).reshape(3 * n, 3 * n)
         return out
 
-    def _covariances(self) -> dict[str, np.ndarray] | None:
-        """Return (N, 2V, N, 2V) for each source of BUDGET: of all points' residuals."""
+    @cached_property
+    def covariances(self) -> dict[str, np.ndarray] | None:
+        """(N, 2V, N, 2V) for each source of BUDGET: of all points' residuals; None where an error is unknown."""
         by_source = covariance_by_source(self.residuals)
         if by_source is None:
             return None
         n, size = self._size
-        at, out = self._at.ravel(), {}
-        for source, covariance in by_source.items():
-            whole = np.zeros((n * size, n * size))
-            whole[np.ix_(at, at)] = covariance
-            out[source] = whole.reshape(n, size, n, size)
-        picks = np.zeros((n, len(self.lines), 2, n, len(self.lines), 2))
-        for k, (one, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
-            at = np.flatnonzero(seen)
-            picks[at, k, :, at, k, :] = pick_covariance_mm2(one, self.picks.covariance_px2[k, seen])
-        return out | {"picks": picks.reshape(n, size, n, size)}
+        picks = np.zeros((n, size, n, size))
+        picks[range(n), :, range(n)] = self._of_picks()
+        return {source: self._of_all(covariance) for source, covariance in by_source.items()} | {"picks": picks}
 
-    def _information(self, covariances: dict[str, np.ndarray]) -> np.ndarray:
-        """Return (N, 2V, 2V): the inverse of the total covariance of each point's residuals, zero where not seen."""
-        own = np.einsum("ipiq->ipq", np.sum(list(covariances.values()), axis=0))
+    def _of_all(self, covariance: np.ndarray) -> np.ndarray:
+        """Return (N, 2V, N, 2V) of a covariance (R, R) of the residuals that the views show."""
+        n, size = self._size
+        whole, at = np.zeros((n * size, n * size)), self._at.ravel()
+        whole[np.ix_(at, at)] = covariance
+        return whole.reshape(n, size, n, size)
+
+    def _of_picks(self) -> np.ndarray:
+        """Return (N, 2V, 2V): the picks' own covariances."""
+        out = np.zeros((*self._size, self._size[1]))
+        for k, (one, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
+            own = slice(2 * k, 2 * k + 2)
+            out[seen, own, own] = pick_covariance_mm2(one, self.picks.covariance_px2[k, seen])
+        return out
+
+    def _information(self, total: np.ndarray) -> np.ndarray:
+        """Return (N, 2V, 2V): the inverse of the covariance of each point's residuals, zero where not seen."""
+        own = np.einsum("ipiq->ipq", self._of_all(total)) + self._of_picks()
         shown = np.repeat(self.picks.seen.T, 2, axis=1)
         return inverse(own + np.eye(self._size[1]) * ~shown[:, None]) * (shown[:, None] & shown[:, :, None])
 

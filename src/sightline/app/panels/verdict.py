@@ -24,12 +24,10 @@ SOURCES = {  # sources of error, with their colours (colours.js)
     "robot": "vermillion",
 }
 
-_VERDICT = Markup(
-    '<div class="verdict {kind}" data-testid="verdict" role="status"><div class="verdict-word">{word}</div>'
-    '<div class="verdict-sentence">{sentence}</div></div>'
+_VERDICT = (
+    '<div class="verdict {}" data-testid="verdict" role="status"><div class="verdict-word">{}</div>'
+    '<div class="verdict-sentence">{}</div></div>'
 )
-_BARS = Markup('<div aria-hidden="true">{}</div>')
-_PIECE = Markup('<i style="width:{:.2f}%;background:{}"></i>')
 
 
 def key(tab: Tab) -> Hashable:
@@ -68,7 +66,7 @@ def html(tab: Tab) -> Markup:
     state, wrong = verdict.state, failed(verdict.checks)
     word, sentence = texts.VERDICTS[state]
     told = sentence.format(failed=len(wrong), all=len(verdict.checks))
-    shown = _VERDICT.format(kind=state, word=word, sentence=told)
+    shown = markup.filled(_VERDICT, state, word, told)
     kinds = ["warn" if one in verdict.unmade else "bad" for one in wrong]
     return markup.joined(
         shown,
@@ -143,7 +141,7 @@ def _shares(tab: Tab) -> Markup:
     whole = (texts.SHARES_WHOLE, *(_part(share, 100.0) for share in shares.values()))
     return markup.joined(
         markup.heading(texts.SHARES_HEADING),
-        _BARS.format(markup.joined(*map(_bar, together))),
+        markup.filled('<div aria-hidden="true">{}</div>', markup.joined(*map(_bar, together))),
         markup.table(
             (texts.SHARES_SOURCE, *columns),
             [*rows, whole],
@@ -170,18 +168,21 @@ def _together(share: Share) -> dict[str, float]:
 
 
 def _bar(percent: dict[str, float]) -> Markup:
-    return Markup('<div class="share">{}</div>').format(
-        markup.joined(*(_PIECE.format(of, _colour(source)) for source, of in percent.items()))
+    pieces = (
+        markup.filled('<i style="width:{}%;background:{}"></i>', f"{of:.2f}", _colour(source))
+        for source, of in percent.items()
     )
+    return markup.filled('<div class="share">{}</div>', markup.joined(*pieces))
 
 
 def _named(source: str) -> Markup:
-    return Markup('<i style="background:{}"></i>{}').format(_colour(source), source.replace("_", " "))
+    return markup.filled('<i style="background:{}"></i>{}', _colour(source), source.replace("_", " "))
 
 
 def _part(share: Share, percent: float) -> Markup:
     """Return a source's contribution; squares of root mean squares add up."""
-    return Markup("{:.2f}<small>{:.0f} %</small>").format(share.rms * np.sqrt(percent / 100.0), percent)
+    own = share.rms * np.sqrt(percent / 100.0)
+    return markup.filled("{}<small>{} %</small>", f"{own:.2f}", f"{percent:.0f}")
 
 
 def _colour(source: str) -> str:

@@ -8,6 +8,7 @@ replaces it.
 import inspect
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, TypeGuard, get_args
 
@@ -69,6 +70,11 @@ class XrayPicture:
     window: Window
     field: tuple[tuple[float, float], ...] | None = None
 
+    @cached_property
+    def document(self) -> dict[str, Any]:
+        """The picture as JSON types."""
+        return asdict(self)
+
     def contains(self, uv: tuple[float, float], margin_px: float = 0.0) -> bool:
         """Return True if X-rays reach a pixel, or one within `margin_px` of it."""
         low, (u, v) = -0.5 - margin_px, uv
@@ -109,7 +115,7 @@ class XrayContent:
         of = {name: getattr(self, name) for name in ("label", "placing", "notice", "revision")}
         return {
             **of,
-            "picture": None if self.picture is None else asdict(self.picture),
+            "picture": None if self.picture is None else self.picture.document,
             "display": None if self.display is None else asdict(self.display),
             "layers": {name: list(shapes) for name, shapes in self.layers.items()},
             "points": [dict(point) for point in self.points],
