@@ -9,8 +9,8 @@ import pytest
 from sightline.errors import UnusableInputError
 from sightline.planning import Aids, Anatomy, Circle, Line, Metric, Pick, locate
 from sightline.planning.metrics import metric
-from sightline.planning.neck import _from_ellipse
 from sightline.planning.procedures.files import copy_text, document_from_json
+from sightline.planning.tube import _from_ellipse
 
 from . import bone
 from .standin import StandInView, stand_in
@@ -108,7 +108,7 @@ def test_an_oval_neck_is_not_taken_for_wider_than_it_is():
     half = np.sqrt(np.einsum("ki,ij,kj->k", ways, matrix, ways))
     for point in np.array([[0.0, 0.0], [3.3, -1.7], [-6.1, -4.4], [2.0, 6.9]]):
         given = [np.array([[value]]) for value in ways @ point]
-        bound = _from_ellipse((given[0], given[1]), (half[:1, None], half[1:, None]), np.cos(seen[1:, None]))
+        bound = _from_ellipse((given[0], given[1]), (half[:1, None], half[1:, None]), np.cos(seen[1:, None]), "neck")
         # Two widths do not tell an ellipse: it may be rounder than this one, at most as its shorter width is.
         assert bound[0] <= half.min()
         assert bound[0] < np.linalg.norm(surface - point, axis=1).min() + (half.min() - semi.min())

@@ -86,8 +86,11 @@ def test_the_field_of_the_growth_plate_is_its_gap():
         plane = bone.aids["growth plate"]
         assert isinstance(plane, PlaneAid)
         assert np.abs(np.cross(plane.normal, end - entry)).max() < 1e-9
+        edges = [bone.landmarks_mm[f"growth plate, {edge} edge"] for edge in ("upper", "lower")]
+        assert np.mean(edges, axis=0) == pytest.approx(plane.point_mm)  # the plane through them
+        assert np.linalg.norm(edges[0] - edges[1]) == pytest.approx(2 * plane.half_mm)
         off = (at[bone.depth_mm(at, "gap") < 0] - plane.point_mm) @ plane.normal
-        assert off.max() == pytest.approx(0.0, abs=2 * step)
+        assert off.max() == pytest.approx(DOME_MM - np.sqrt(DOME_MM**2 - plane.half_mm**2), abs=2 * step)
 
 
 def test_a_head_slips_by_its_angle_towards_posterior_and_inferior():

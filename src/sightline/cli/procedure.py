@@ -70,14 +70,12 @@ def check(
     Exit code 2 with a sentence for what is wrong in it; otherwise what it asks for, and what is not evaluated yet.
     """
     with Output(json=json, quiet=quiet) as out:
-        from sightline.planning.procedures.document import LOCATED
         from sightline.planning.procedures.files import read_document
         from sightline.planning.procedures.procedure import fingerprint
 
         document = read_document(file)
         relations = dict.fromkeys(one.relation for one in document.relations)
         idle = [f"relation {one}: wires are planned one by one" for one in relations]
-        idle += [f"aid {one.key}: no {one.type} is located yet" for one in document.aids if one.key not in LOCATED]
         out.say(f"{file.name} is a procedure: {document.name}, {len(document.checks)} checks of the bone")
         for one in idle:
             out.say(f"not evaluated yet: {one}")

@@ -1,7 +1,7 @@
 """Reconstruction, image-matching curves, trajectories and verdicts; drawn aids and metrics of hip implants."""
 
 from sightline.checks import Limits
-from sightline.planning.aids import Aids, Circle, Line
+from sightline.planning.aids import Aids, Circle, Drawing, Line
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.axis import Axis
 from sightline.planning.corridor import Corridor, corridor
@@ -30,6 +30,7 @@ __all__ = [
     "Axis",
     "Circle",
     "Corridor",
+    "Drawing",
     "Edge",
     "Hole",
     "HolePose",

@@ -1,7 +1,7 @@
 """Drawn aids that locate the bone in two images: circles, lines and single clicks, px, each with a click's error."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -78,12 +78,50 @@ class Line:
         object.__setattr__(self, "uv_px", uv)
 
 
+# Clicks that make one drawing of a type in one image.
+CLICKS = {"plane": 2, "cylinder": 4, "outline tube": 4, "oval tube": 4, "rim pair": 8}
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """An aid of a type in CLICKS: its clicks (M, 2) in each image, None where it is not drawn.
+
+    - "plane": both ends of a line along it. In two images: from edge to edge, so that the middles show one point
+    - "cylinder", "outline tube": two clicks on one border, two on the other, in two images
+    - "oval tube": in the first image, where the tube is seen end-on, the ends of the long axis of its oval, then of the
+      short one; in the second image borders, as above
+    - "rim pair": the ends of two diameters of one rim, then of the other, in two images
+
+    >>> front = sl.planning.Drawing("plane", (None, [[801, 402], [797, 540]]))
+    """
+
+    type: str
+    uv_px: tuple[np.ndarray | None, ...]
+    sd_px: float = DEFAULT_PICK_SD_PX
+
+    def __post_init__(self) -> None:
+        if self.type not in CLICKS:
+            raise UnusableInputError(f"an aid has the type {self.type!r}; choose from {', '.join(CLICKS)}")
+        made = tuple(None if uv is None else np.array(uv, dtype=np.float64) for uv in self.uv_px)
+        for uv in made:
+            if uv is not None and (uv.shape != (CLICKS[self.type], 2) or not np.isfinite(uv).all()):
+                raise UnusableInputError(
+                    f"a {self.type} needs {CLICKS[self.type]} finite pixels (u, v) in an image; got {uv.shape}"
+                )
+        _refuse_sd(self.sd_px)
+        object.__setattr__(self, "uv_px", made)
+
+
+Clicked = Mapping[str, Sequence[np.ndarray | None]]
+
+
 @dataclass(frozen=True, eq=False)
 class Aids:
     """Drawn aids; None for one that is not drawn. Pairs are (PA, lateral).
 
     `calcar` (medial cortex of the neck) and `cortex` (lateral cortex of the shaft): clicked in the PA image only.
-    `outline`: both borders of the neck in each image, drawn where it is narrowest.
+    `outline`: both borders of the neck in each image, drawn where it is narrowest. `others`: aids of other bones, by
+    their keys in the procedure's file.
 
     >>> head = sl.Circle.of((680, 420), 130.0), sl.Circle.of((440, 360), 130.0)
     >>> aids = sl.Aids(head=head)
@@ -95,6 +133,26 @@ class Aids:
     calcar: Pick | None = None
     cortex: Pick | None = None
     outline: tuple[tuple[Line, Line], tuple[Line, Line]] | None = None
+    others: Mapping[str, Drawing] = field(default_factory=dict)
+
+    @staticmethod
+    def clicked(types: Mapping[str, str], uv_px: Clicked, sd_px: float = DEFAULT_PICK_SD_PX) -> "Aids":
+        """Return the aids of a procedure, given the clicks of each by its key: (M, 2) in each image, or None.
+
+        `types`: those of the aids in the procedure's file, by their keys. Aids without clicks are not drawn; of head,
+        neck, shaft and outline also those that are drawn in one image only. Raises UnusableInputError.
+        """
+        made: dict[str, Any] = {}
+        others: dict[str, Drawing] = {}
+        for key, each in uv_px.items():
+            drawn = [uv for uv in each if uv is not None]
+            if key in _OF_HIP and len(drawn) >= _OF_HIP[key][0]:
+                count, of = _OF_HIP[key]
+                made[key] = tuple(of(np.asarray(uv), sd_px) for uv in drawn[:count])
+                made[key] = made[key] if count > 1 else made[key][0]
+            elif key not in _OF_HIP and drawn:
+                others[key] = Drawing(types[key], tuple(each), sd_px)
+        return Aids(**made, others=others)
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> "Aids":
@@ -108,7 +166,21 @@ class Aids:
                 made[name] = _read(kind, drawn)
         if document.get("outline") is not None:  # cases of earlier versions have none
             made["outline"] = tuple(tuple(_read(Line, line) for line in view) for view in document["outline"])
-        return Aids(**made)
+        others = {
+            key: Drawing(**{**one, "uv_px": tuple(one["uv_px"])}) for key, one in document.get("others", {}).items()
+        }
+        return Aids(**made, others=others)
+
+
+# Images that each aid of a hip is drawn in, and what makes it of its clicks in one of them.
+_OF_HIP: Mapping[str, tuple[int, Callable[[np.ndarray, float], Any]]] = {
+    "head": (2, Circle.through),
+    "neck": (2, Line),
+    "shaft": (2, Line),
+    "calcar": (1, lambda uv, sd_px: Pick.free(uv[0], sd_px)),
+    "cortex": (1, lambda uv, sd_px: Pick.free(uv[0], sd_px)),
+    "outline": (2, lambda uv, sd_px: (Line(uv[:2], sd_px), Line(uv[2:], sd_px))),
+}
 
 
 def _read(kind: type, document: Mapping[str, Any]) -> Any:

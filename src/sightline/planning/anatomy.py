@@ -14,6 +14,7 @@ from sightline.geometry.lines import nearest_approach
 from sightline.planning.aids import Aids, Circle
 from sightline.planning.axis import Axis, find_axis
 from sightline.planning.directions import caudal
+from sightline.planning.drawings import find_drawing
 from sightline.planning.head import Sphere, find_head
 from sightline.planning.picks import Pick, stack
 from sightline.planning.sights import Drawn, Sights
@@ -37,8 +38,8 @@ class Anatomy:
     `values` (n,), CFCS mm: the numbers of all parts; `covariance` (n, n), mm²: their joint covariance, None where a
     view's error is unknown. `at`: each part's place in `values`: "focal" (6: focal points of PA and lateral view),
     "wire" (6: entry, end), "head" (4: centre, radius), "neck", "shaft" (6: both ends), "calcar", "cortex" (3: the
-    point of the click's line of sight nearest to the head and to the shaft), "outline" (24: for each of both views, on
-    its plate, two points of one border of the neck and two of the other).
+    point of the click's line of sight nearest to the head and to the shaft), "outline" and the keys of other aids (see
+    `find_drawing`).
     """
 
     values: np.ndarray
@@ -46,6 +47,14 @@ class Anatomy:
     at: dict[str, slice]
     absent: dict[str, str]
     head_agreement: Check | None
+
+    def why_absent(self, name: str) -> str:
+        """Return why a part is not located."""
+        return self.absent.get(name) or _not_placed(name)
+
+    def undrawn(self, name: str) -> bool:
+        """Return True for a part that was not drawn, rather than refused."""
+        return name not in self.at and self.why_absent(name) == _not_placed(name)
 
     @cached_property
     def head(self) -> Sphere | None:
@@ -94,14 +103,15 @@ def locate(
     picks: Sequence[Sequence[Pick]] | None = None,
     method: Method = "weighted",
 ) -> Anatomy:
-    """Locate what is drawn on the PA and the lateral view; with `picks` (`Plan.picks`: entry, end) also the wire.
+    """Locate what is drawn on the first two views; with `picks` (`Plan.picks`: entry, end) also the wire.
 
-    `views`: "pa", "lateral", and any others in which the wire is picked.
+    `views`: PA and lateral, or two others that a procedure names, and any more in which the wire is picked.
 
     A part that cannot be located is listed in `absent` with the reason; the others are located all the same.
     Raises UnusableInputError.
     """
-    if [view.name for view in views[:2]] != ["pa", "lateral"]:
+    names = [view.name for view in views[:2]]
+    if {"pa", "lateral"} & set(names) and names != ["pa", "lateral"]:
         raise UnusableInputError("give the views 'pa' and 'lateral' first, in this order, to locate the anatomy")
     absent: dict[str, str] = {}
     sights = _sights(views, _drawn(aids, picks, len(views)), absent)
@@ -112,7 +122,9 @@ def locate(
         found.add(name, lambda name=name: find_axis(sights, name))
     if aids.head is not None:
         found.add_head(views[:2], aids.head)
-    found.add("outline", lambda: _on_plates(sights, "outline"))
+    types = {"outline": "outline tube"} | {name: drawing.type for name, drawing in aids.others.items()}
+    for name, kind in types.items():
+        found.add(name, lambda name=name, kind=kind: find_drawing(sights, name, kind))
     found.add("calcar", lambda: _level(sights, "calcar", found.part("head")[:3]))
     found.add("cortex", lambda: _level(sights, "cortex", _nearest_to_axis(sights, "cortex", found.part("shaft"))))
     return found.anatomy()
@@ -132,7 +144,7 @@ class _Finder:
     def add(self, name: str, find: Callable[[], tuple[np.ndarray, np.ndarray]]) -> None:
         """Add a part: `find` returns values (m,) and their derivatives by the drawing's numbers (m, n)."""
         if not any(name in rows for rows in self.sights.rows):
-            self.absent.setdefault(name, NOT_PLACED[name])
+            self.absent.setdefault(name, _not_placed(name))
             return
         try:
             values, own = find()
@@ -155,7 +167,7 @@ class _Finder:
     def part(self, name: str) -> np.ndarray:
         """Return the numbers of a part. Raises ReconstructionRefusedError with the reason where it is absent."""
         if name not in self.parts:
-            raise ReconstructionRefusedError(self.absent.get(name, NOT_PLACED[name]))
+            raise ReconstructionRefusedError(self.absent.get(name, _not_placed(name)))
         return self.parts[name][0]
 
     def anatomy(self) -> Anatomy:
@@ -166,6 +178,11 @@ class _Finder:
         covariance = None if self.covariance is None else by_z @ self.covariance @ by_z.T
         absent = {name: why for name, why in NOT_PLACED.items() if name not in at} | self.absent
         return Anatomy(np.concatenate([v for v, _ in self.parts.values()]), covariance, at, absent, self.agreement)
+
+
+def _not_placed(name: str) -> str:
+    """Return what to do for a part that is not drawn."""
+    return NOT_PLACED.get(name) or f"the {name} is not drawn: draw it as the procedure says"
 
 
 def _drawn(aids: Aids, picks: Sequence[Sequence[Pick]] | None, views: int) -> list[dict[str, Drawn]]:
@@ -184,6 +201,10 @@ def _drawn(aids: Aids, picks: Sequence[Sequence[Pick]] | None, views: int) -> li
         if aids.outline is not None:
             variances = np.repeat([line.sd_px**2 for line in aids.outline[k]], 4)
             drawn["outline"] = np.concatenate([line.uv_px for line in aids.outline[k]]), np.diag(variances)
+    for name, drawing in aids.others.items():
+        for k, uv in enumerate(drawing.uv_px):
+            if uv is not None and k < views:
+                out[k][name] = uv, drawing.sd_px**2 * np.eye(2 * len(uv))
     for name in ("calcar", "cortex"):
         pick = getattr(aids, name)
         if pick is not None:
@@ -224,12 +245,6 @@ def _nearest_to_axis(sights: Sights, name: str, ends: np.ndarray) -> np.ndarray:
     ((focal, points),) = sights.rays(name, sights.values[sights.index(name)][None])
     along = (ends[3:] - ends[:3])[None]
     return nearest_approach(focal[0], (points - focal)[0], ends[None, :3], along).first_mm[0]
-
-
-def _on_plates(sights: Sights, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points of a drawing on the plates of its views, in order, and their derivatives."""
-    at = sights.values[sights.index(name)]
-    return response(lambda z: np.concatenate([p.reshape(len(z), -1) for _, p in sights.rays(name, z)], axis=1), at)
 
 
 def _level(sights: Sights, name: str, with_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -103,7 +103,8 @@ def _of_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
     out = []
     for rule in rules:
         name, unit = rule.check, CHECKS[rule.check].unit
-        if name in MEASURES or bone.exchanged or bone.side is None or _undrawn(bone.found, rule):
+        known_side = bone.side is not None or not CHECKS[name].side
+        if name in MEASURES or bone.exchanged or not known_side or _undrawn(bone.found, rule):
             continue
         known = metric(bone.found, name, bone.side)
         low, high = rule.range
@@ -114,25 +115,42 @@ def _of_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
         error = TWO_SIDED_95 * known.sd
         passed = low <= known.value - error and known.value + error <= high
         limit = high if not np.isfinite(low) or known.value + error > high else low
-        sentence = f"The {name} is {known.value:.1f} mm, with 95 % probability within {error:.1f} mm"
-        advice = (
-            f"with its error it must lie {_within(low, high)}: move the end point, or draw the aids more accurately"
-        )
+        sentence = f"The {name} is {known.value:.1f} {unit}, with 95 % probability within {error:.1f} {unit}"
+        move = _MOVE.get(name, "move the end point, or draw the aids more accurately")
+        advice = f"with its error it must lie {_within(low, high, unit)}: {move}"
         sentence += "." if passed else f"; {advice}."
         out.append(Check(name, passed, known.value, float(limit), unit, sentence))
     return out
 
 
-def _within(low: float, high: float) -> str:
+# What to do where a metric fails that depends on more than the end point.
+_ENDS = "move entry or end, or draw the aids more accurately"
+_EXCHANGED = "pick both again, for they may be exchanged, or one may be wrong along its line of sight"
+_MOVE = {
+    "entry to pedicle": _EXCHANGED,
+    "tip in sacral corridor": f"move the end point, or draw the borders as far as the bone reaches; or {_EXCHANGED}",
+    **dict.fromkeys(
+        (
+            "wire in pedicle",
+            "wire in sacral corridor",
+            "wire to growth plate",
+            "wire off middle of growth plate",
+        ),
+        _ENDS,
+    ),
+}
+
+
+def _within(low: float, high: float, unit: str) -> str:
     if not np.isfinite(low):
-        return f"below {high:g} mm"
-    return f"above {low:g} mm" if not np.isfinite(high) else f"between {low:g} and {high:g} mm"
+        return f"below {high:g} {unit}"
+    return f"above {low:g} {unit}" if not np.isfinite(high) else f"between {low:g} and {high:g} {unit}"
 
 
 def _undrawn(found: Anatomy, rule: CheckRule) -> list[str]:
     """Return the aids that a check needs and that are not drawn, of the first of its alternatives."""
     (needs, *_) = (*CHECKS[rule.check].needs, frozenset())
-    return sorted(part for part in needs if part in NOT_PLACED and found.absent.get(part) == NOT_PLACED[part])
+    return sorted(part for part in needs if part not in (HEAD_CENTRE, LESSER) and found.undrawn(part))
 
 
 def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float | None, float | None]:
@@ -180,8 +198,9 @@ def _missing(
         )
     for rule in rules:
         if rule.required and (rule.check == "wire to shaft" or rule.check not in MEASURES):
-            lacking = [found.absent[part] for part in _undrawn(found, rule)]
-            lacking += ["the side is not given"] if side is None and rule.check not in MEASURES else []
+            lacking = [found.why_absent(part) for part in _undrawn(found, rule)]
+            without_side = side is None and rule.check not in MEASURES and CHECKS[rule.check].side
+            lacking += ["the side is not given"] if without_side else []
             if lacking:
                 wanted[rule.check] = f"The {rule.check} cannot be checked: {'; '.join(lacking)}."
     return tuple(Check(name, False, None, None, "", sentence) for name, sentence in wanted.items())
@@ -395,4 +414,5 @@ MEASURES: dict[str, _Make] = {
     ),
     "wire length": lambda bone, rule: [_length(rule)],
     "angle between views": lambda bone, rule: [_between_views(bone.found, rule.range[0])],
+    "view directions": lambda bone, rule: [],  # `judge_directions` has the views
 }

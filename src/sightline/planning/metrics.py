@@ -13,7 +13,7 @@ from sightline.errors import ReconstructionRefusedError
 from sightline.geometry.covariance import response
 from sightline.planning.anatomy import Anatomy
 from sightline.planning.directions import ANTERIOR, MEDIAL, across, caudal, towards, unit
-from sightline.planning.neck import wire_in_neck
+from sightline.planning.tube import entry_to_oval, tip_in_tube, wire_in_oval, wire_in_tube
 
 # Beyond this distance from the head's centre, as a share of its radius, a line only grazes the head [ours].
 _MAX_OFFSET = 0.95
@@ -21,7 +21,7 @@ _CLEVELAND = "thirds of the head: Cleveland et al., J Bone Joint Surg Am 41-A:13
 _BAUMGAERTNER = "Baumgaertner et al., J Bone Joint Surg Am 77:1058 (1995)"
 _KUZYK = "Kuzyk et al., J Orthop Trauma 26:414 (2012)"
 _BY_DEFINITION = "by definition"
-_IN_NECK = "wire in neck"
+_IN_TUBE = "the ellipse nearest to a circle that touches the drawn borders"
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,10 @@ class Metric:
 
 @dataclass(frozen=True)
 class _Definition:
-    """The parts that a metric needs, its function of K sets of numbers, and its sentence."""
+    """The parts that a metric needs, its function of K sets of numbers, and its sentence.
+
+    `asked`: few procedures ask for it, so that it is listed only where its parts are known.
+    """
 
     name: str
     needs: tuple[str, ...]
@@ -62,6 +65,7 @@ class _Definition:
     source: str
     low: float | None = None
     high: float | None = None
+    asked: bool = False
 
 
 def metrics(found: Anatomy, side: str) -> tuple[Metric, ...]:
@@ -70,22 +74,26 @@ def metrics(found: Anatomy, side: str) -> tuple[Metric, ...]:
     A metric that cannot be computed has no value and says why. Raises UnusableInputError for another side.
     """
     caudal(side)
-    asked = [one for one in _DEFINITIONS if one.name != _IN_NECK or "outline" in found.at]  # few procedures ask for it
+    asked = [one for one in _DEFINITIONS if not one.asked or set(one.needs) <= found.at.keys()]
     made = [_metric(found, definition, side) for definition in asked]
     return (*made, *(_position(found, name, side) for name in ("AP", "lateral")))
 
 
-def metric(found: Anatomy, name: str, side: str) -> Metric:
-    """Return one metric of an implant by its name. Raises UnusableInputError for an unknown side."""
-    caudal(side)
+def metric(found: Anatomy, name: str, side: str | None) -> Metric:
+    """Return one metric of an implant by its name. Raises UnusableInputError for an unknown side.
+
+    `side`: may be None for those of `CHECKS` that need no side.
+    """
+    if side is not None:
+        caudal(side)
     return _metric(found, next(one for one in _DEFINITIONS if one.name == name), side)
 
 
-def _metric(found: Anatomy, definition: _Definition, side: str) -> Metric:
+def _metric(found: Anatomy, definition: _Definition, side: str | None) -> Metric:
     unit, end = definition.unit, (definition.source, definition.low, definition.high)
     missing = next((part for part in definition.needs if part not in found.at), None)
     if missing is not None:
-        return Metric(definition.name, None, None, unit, f"Not known: {found.absent[missing]}.", *end)
+        return Metric(definition.name, None, None, unit, f"Not known: {found.why_absent(missing)}.", *end)
     try:
         value, sd = _evaluated(found, definition.value, side)
     except ReconstructionRefusedError as refusal:
@@ -94,11 +102,21 @@ def _metric(found: Anatomy, definition: _Definition, side: str) -> Metric:
     return Metric(definition.name, value, sd, unit, definition.sentence.format(f"{value:.1f}{spread} {unit}"), *end)
 
 
-def _evaluated(found: Anatomy, function: Callable[["_Parts"], np.ndarray], side: str) -> tuple[float, float | None]:
-    """Return a metric's value and its standard deviation."""
-    value, own = response(lambda values: function(_Parts(found, values, side))[:, None], found.values)
-    sd = None if found.covariance is None else float(np.sqrt(own[0] @ found.covariance @ own[0]))
-    return float(value[0]), sd
+def _evaluated(
+    found: Anatomy, function: Callable[["_Parts"], np.ndarray], side: str | None
+) -> tuple[float, float | None]:
+    """Return a metric's value and its standard deviation; of a vector (K, 3) its length, and the largest one of its
+    components, since a length does not change to first order where it is zero."""
+
+    def numbers(values: np.ndarray) -> np.ndarray:
+        return function(_Parts(found, values, side)).reshape(len(values), -1)
+
+    value, own = response(numbers, found.values)
+    if len(value) == 1:
+        sd = None if found.covariance is None else float(np.sqrt(own[0] @ found.covariance @ own[0]))
+        return float(value[0]), sd
+    sd = None if found.covariance is None else float(np.sqrt(np.linalg.eigvalsh(own @ found.covariance @ own.T)[-1]))
+    return float(np.linalg.norm(value)), sd
 
 
 def tip_depth(found: Anatomy) -> tuple[float, float | None]:
@@ -109,8 +127,8 @@ def tip_depth(found: Anatomy) -> tuple[float, float | None]:
 class _Parts:
     """Parts of the bone for K sets of `Anatomy.values`, (K, n); directions are unit vectors (K, 3)."""
 
-    def __init__(self, found: Anatomy, values: np.ndarray, side: str) -> None:
-        self._found, self._values, self.side = found, values, side
+    def __init__(self, found: Anatomy, values: np.ndarray, side: str | None) -> None:
+        self._found, self._values, self.side = found, values, side or ""
 
     def _of(self, name: str, first: int = 0, count: int = 3) -> np.ndarray:
         start = self._found.at[name].start + first
@@ -155,13 +173,14 @@ class _Parts:
         """Return the ray of a view (0: PA, 1: lateral) through the head's centre."""
         return unit(self.centre - self._of("focal", 3 * view))
 
-    def in_neck(self) -> np.ndarray:
-        """Return the least distance of the wire from the drawn neck's surface."""
-        return wire_in_neck(self.entry, self.tip, (self.borders(0), self.borders(1)))
+    def tube(self, name: str) -> np.ndarray:
+        """Return a tube of the bone (K, 2, 5, 3)."""
+        return self._of(name, 0, 30).reshape(-1, 2, 5, 3)
 
-    def borders(self, view: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the focal point (K, 3) of a view and its two borders of the neck (K, 2, 2, 3), two points each."""
-        return self._of("focal", 3 * view), self._of("outline", 12 * view, 12).reshape(-1, 2, 2, 3)
+    def plane(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return point and normal (K, 3) of a plane, the normal along the wire."""
+        normal = self._of(name, 3)
+        return self._of(name), normal * np.sign(normal[0] @ self.wire[0])
 
     def offset(self) -> np.ndarray:
         """Return the perpendicular from the head's centre to the wire."""
@@ -281,12 +300,94 @@ _DEFINITIONS = (
         10.0,
     ),
     _Definition(
-        _IN_NECK,
+        "wire in neck",
         ("wire", "outline"),
-        _Parts.in_neck,
+        lambda parts: wire_in_tube(parts.entry, parts.tip, parts.tube("outline"), "neck"),
         "mm",
         "Between the drawn borders of the neck its surface is {} or more from the wire.",
-        "the ellipse nearest to a circle that touches the drawn borders",
+        _IN_TUBE,
+        asked=True,
+    ),
+    _Definition(
+        "wire in sacral corridor",
+        ("wire", "s1-corridor"),
+        lambda parts: wire_in_tube(parts.entry, parts.tip, parts.tube("s1-corridor"), "corridor"),
+        "mm",
+        "Between the drawn borders of the corridor its surface is {} or more from the wire.",
+        _IN_TUBE,
+        asked=True,
+    ),
+    _Definition(
+        "tip in sacral corridor",
+        ("wire", "s1-corridor"),
+        lambda parts: tip_in_tube(parts.entry, parts.tip, parts.tube("s1-corridor"), "corridor"),
+        "mm",
+        "The tip lies {} before the end of the drawn borders of the corridor.",
+        _BY_DEFINITION,
+        asked=True,
+    ),
+    _Definition(
+        "wire in pedicle",
+        ("wire", "pedicle"),
+        lambda parts: wire_in_oval(parts.entry, parts.tip, parts.tube("pedicle"), "pedicle"),
+        "mm",
+        "At the pedicle's narrowest place its surface is {} or more from the wire.",
+        "the drawn oval and borders",
+        asked=True,
+    ),
+    _Definition(
+        "entry to pedicle",
+        ("wire", "pedicle"),
+        lambda parts: entry_to_oval(parts.entry, parts.tip, parts.tube("pedicle"), "pedicle"),
+        "mm",
+        "From the entry to the pedicle's narrowest place it is {}.",
+        _BY_DEFINITION,
+        asked=True,
+    ),
+    _Definition(
+        "tip behind front",
+        ("wire", "front"),
+        lambda parts: _behind(parts, "front"),
+        "mm",
+        "The tip lies {} behind the front of the vertebral body.",
+        _BY_DEFINITION,
+        asked=True,
+    ),
+    _Definition(
+        "tip to endplates",
+        ("wire", "upper-endplate", "lower-endplate"),
+        lambda parts: _between(parts, "upper-endplate", "lower-endplate"),
+        "mm",
+        "The tip lies {} from the nearer end plate.",
+        _BY_DEFINITION,
+        asked=True,
+    ),
+    _Definition(
+        "wire to growth plate",
+        ("wire", "growth-plate"),
+        lambda parts: _from_normal_deg(parts, "growth-plate"),
+        "°",
+        "The wire makes an angle of {} with the perpendicular of the growth plate.",
+        _BY_DEFINITION,
+        asked=True,
+    ),
+    _Definition(
+        "wire off middle of growth plate",
+        ("wire", "growth-plate"),
+        lambda parts: _off_middle(parts, "growth-plate"),
+        "mm",
+        "The wire crosses the growth plate {} from its middle.",
+        _BY_DEFINITION,
+        asked=True,
+    ),
+    _Definition(
+        "tip beyond growth plate",
+        ("wire", "growth-plate"),
+        lambda parts: -_behind(parts, "growth-plate"),
+        "mm",
+        "The tip lies {} beyond the growth plate.",
+        _BY_DEFINITION,
+        asked=True,
     ),
 )
 
@@ -296,7 +397,7 @@ def _position(found: Anatomy, view: str, side: str) -> Metric:
     name, source = f"position {view}", _CLEVELAND
     missing = next((part for part in ("wire", "head") if part not in found.at), None)
     if missing is not None:
-        return Metric(name, None, None, "mm", f"Not known: {found.absent[missing]}.", source)
+        return Metric(name, None, None, "mm", f"Not known: {found.why_absent(missing)}.", source)
     number, goal, words = (
         (0, -caudal(side), ("superior", "inferior")) if view == "AP" else (1, ANTERIOR, ("anterior", "posterior"))
     )
@@ -317,6 +418,37 @@ def _position(found: Anatomy, view: str, side: str) -> Metric:
     sentence = f"The wire passes {abs(value):.1f}{spread} mm {words[0] if value > 0 else words[1]} of the head's centre"
     sentence += f" in the {view} view: {zone} third."
     return Metric(name, value, sd, "mm", sentence, source, -third, third, zone)
+
+
+def _behind(parts: _Parts, name: str) -> np.ndarray:
+    """Return how far the tip lies before a plane, seen along the wire."""
+    point, normal = parts.plane(name)
+    return ((point - parts.tip) * normal).sum(axis=-1)
+
+
+def _between(parts: _Parts, *names: str) -> np.ndarray:
+    """Return the tip's distance from the nearer of two planes; negative where it does not lie between them."""
+    upper, lower = (parts.plane(name) for name in names)
+    distances = []
+    for (point, normal), (other, _) in ((upper, lower), (lower, upper)):
+        inward = normal * np.sign((other - point)[0] @ normal[0])
+        distances.append(((parts.tip - point) * inward).sum(axis=-1))
+    return np.min(distances, axis=0)
+
+
+def _from_normal_deg(parts: _Parts, name: str) -> np.ndarray:
+    """Return a vector (K, 3) perpendicular to a plane's normal, as long as the wire's angle to it, °."""
+    normal = parts.plane(name)[1]
+    off = across(parts.wire, normal)
+    sine = np.linalg.norm(off, axis=-1, keepdims=True)
+    return off * _angle_deg(parts.wire, normal)[:, None] / np.maximum(sine, 1e-12)
+
+
+def _off_middle(parts: _Parts, name: str) -> np.ndarray:
+    """Return the vector (K, 3) from the middle of a plane's drawing to where the wire crosses the plane."""
+    point, normal = parts.plane(name)
+    reached = ((point - parts.tip) * normal).sum(axis=-1) / (parts.wire * normal).sum(axis=-1)
+    return parts.tip + reached[:, None] * parts.wire - point
 
 
 def _apex(parts: _Parts) -> np.ndarray:

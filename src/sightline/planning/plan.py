@@ -25,6 +25,7 @@ from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.solution import Method
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import judge
+from sightline.planning.view_directions import judge_directions, unknown_directions
 from sightline.show import Plotted, dataframe
 from sightline.show.words import checks_lines
 from sightline.threads import one_blas_thread
@@ -130,7 +131,9 @@ class Plan(Plotted):
     def sentences(self) -> list[str]:
         """Return what else a reader must know: errors that no check shows, other wires, and the implant that fits."""
         fits, pair = self.implant, [_PAIR] if len(self.views) == 2 else []
-        return [*self.along_sentences(), *pair, *self._alone(), *([] if fits is None else [fits.sentence])]
+        directions = unknown_directions(self.kind, self.views)
+        said = [*self.along_sentences(), *pair, *self._alone(), *([] if fits is None else [fits.sentence])]
+        return [*said, directions] if directions else said
 
     def _alone(self) -> list[str]:
         """Return what is not checked of other wires; nothing where the relations to them are."""
@@ -264,6 +267,7 @@ def plan(
     if kind.checks and anatomy is not None:
         known = dict(zip(names, seen.xyz_mm[2:], strict=False))
         verdict = verdict.joined(judge_in_bone(anatomy, kind.checks, side, known))
+        verdict = verdict.joined(judge_directions(kind, at_rest, trajectory, side))
         noticed = noticed_beyond_mm(measures(anatomy, kind.checks, side, known), anatomy)
     return Plan(
         trajectory=trajectory,

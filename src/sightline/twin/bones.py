@@ -76,17 +76,36 @@ class LineAid:
 
 @dataclass(frozen=True)
 class PlaneAid:
-    """An aid: a plane through a point (3,), with a unit normal (3,)."""
+    """An aid: a plane through a point (3,), with a unit normal (3,); it is drawn up to `half_mm` from the point."""
 
     point_mm: np.ndarray
     normal: np.ndarray
+    half_mm: float = 15.0
 
     def mapped(self, points: Points) -> "PlaneAid":
         """Return the plane after an isometry of points (..., 3)."""
-        return PlaneAid(points(self.point_mm), points(self.point_mm + self.normal) - points(self.point_mm))
+        normal = points(self.point_mm + self.normal) - points(self.point_mm)
+        return replace(self, point_mm=points(self.point_mm), normal=normal)
 
 
-Aid: TypeAlias = SphereAid | LineAid | PlaneAid
+@dataclass(frozen=True)
+class TubeAid:
+    """An aid: a tube of bone between two ends (2, 3) of its axis.
+
+    Its section holds all points within `round_mm` of a rectangle of the half sides `across_mm` (2, 3), the longer one
+    first: vectors perpendicular to each other and to the axis.
+    """
+
+    ends_mm: np.ndarray
+    across_mm: np.ndarray
+    round_mm: float
+
+    def mapped(self, points: Points) -> "TubeAid":
+        """Return the tube after an isometry of points (..., 3)."""
+        return replace(self, ends_mm=points(self.ends_mm), across_mm=points(self.across_mm) - points(np.zeros(3)))
+
+
+Aid: TypeAlias = SphereAid | LineAid | PlaneAid | TubeAid
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,9 +105,9 @@ class GrowingFemur:
             landmarks_mm={},
             aids={
                 "head": SphereAid(np.zeros(3), radius),
-                "growth plate": PlaneAid((DOME_MM - below) * along, along),
-                "neck axis": LineAid(np.stack([base, intact])),
-                "shaft axis": LineAid(np.stack([base, base + 80.0 * CAUDAL])),
+                "growth plate": PlaneAid(rim * along, along, float(wide)),  # through its edges: it is a dome
+                "neck": LineAid(np.stack([base, intact])),
+                "shaft": LineAid(np.stack([base + 10.0 * CAUDAL, base + 40.0 * CAUDAL])),
             },
         )
         landmarks = {

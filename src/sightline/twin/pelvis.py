@@ -9,11 +9,12 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from sightline.twin.bones import BoneModel, BonePart, LineAid, PlaneAid
+from sightline.twin.bones import BoneModel, BonePart, PlaneAid, TubeAid
 from sightline.twin.femur import BONE_PER_HU
 from sightline.twin.shapes import SolidShape, ball, barrel, box, cone, ellipsoid, half_space, plate
 
 PAST_MIDDLE_MM = 8.0  # how far the wire's end lies beyond the middle plane [ours]
+CORRIDOR_MM = np.array([36.0, -10.0])  # where the drawn corridor begins and ends, from the middle plane [ours]
 LOW_MM, HIGH_MM = np.array([-95.0, -85.0, -80.0]), np.array([132.0, 150.0, 100.0])  # what views show
 # Places on a hip bone, anatomical coordinates [ours], with the hip's centre by a pelvic incidence of 52° [mem].
 HIP = np.array([88.0, 100.0, 33.0])
@@ -91,7 +92,7 @@ class Pelvis:
             aids={
                 "upper endplate of S1": PlaneAid(self.at(0.0, -half, 0.0), -self.axes[1]),
                 "middle plane": PlaneAid(np.zeros(3), np.array([1.0, 0.0, 0.0])),
-                "corridor of S1": LineAid(np.stack([self.corridor_mm, self._target])),
+                "s1 corridor": self._corridor(),
             },
             keep_out={"canal": canal, "foramen": (foramen,)},
             mirrored=True,
@@ -110,6 +111,16 @@ class Pelvis:
             wires_mm=np.stack([bone.surface_mm(self.corridor_mm, -along), end])[None],
             landmarks_mm=landmarks | {f"opposite {name}": at * MIRROR for name, at in landmarks.items() if at[0] > 0},
         )
+
+    def _corridor(self) -> TubeAid:
+        """Return the corridor of S1 from the ala to beyond the wire's end, with its narrowest section."""
+        half = np.array([self.corridor_height_mm / 2, self.corridor_depth_mm / 2])
+        wide = 0.9 * half.min()
+        along = self._target - self.corridor_mm
+        ends = self.corridor_mm + np.outer((CORRIDOR_MM - self.corridor_mm[0]) / along[0], along)
+        along = along / np.linalg.norm(along)
+        across = self.axes[1:] - np.outer(self.axes[1:] @ along, along)
+        return TubeAid(ends, (half - wide)[:, None] * across, wide)
 
     @property
     def _target(self) -> np.ndarray:

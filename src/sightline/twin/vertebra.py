@@ -5,7 +5,7 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from sightline.twin.bones import BoneModel, BonePart, LineAid, PlaneAid
+from sightline.twin.bones import BoneModel, BonePart, PlaneAid, TubeAid
 from sightline.twin.femur import BONE_PER_HU
 from sightline.twin.shapes import barrel, box, cone, plate
 
@@ -13,6 +13,7 @@ SHORT_MM = 8.0  # from the wire's end to the anterior cortex along it [ours]
 SHELL_MM = 0.6  # cortex of the body: 0.35 mm, CT shows twice as much [src Silva 1994]
 ARCH_MM = 1.6  # cortex of pedicles and arch, which is thicker than the body's [src Odeh 2021; value ours]
 DISC_MM = 11.0  # height of a disc [mem]
+ISTHMUS_MM = 10.0  # of the pedicle's length that a person draws [ours]
 REACH_MM = 95.0  # of the voxels along the spine, with the vertebrae above and below
 
 
@@ -46,6 +47,17 @@ class Vertebra:
         """Unit vector (3,) along the pedicle, forwards, on the operated side."""
         return np.array([-sin(radians(self.pedicle_deg)), 0.0, cos(radians(self.pedicle_deg))])
 
+    def _pedicle(self) -> TubeAid:
+        """Return the drawn part of the pedicle, about its narrowest place."""
+        half, wide = ISTHMUS_MM / 2 * self.along, 0.98 * self.pedicle_width_mm / 2
+        sides = [[0.0, self.pedicle_height_mm / 2 - wide, 0.0], (self.pedicle_width_mm / 2 - wide) * self._across]
+        return TubeAid(np.stack([self.pedicle_mm - half, self.pedicle_mm + half]), np.array(sides), wide)
+
+    @property
+    def _across(self) -> np.ndarray:
+        """Unit vector (3,) across the pedicle, in the plane of the endplates."""
+        return np.array([self.along[2], 0.0, -self.along[0]])
+
     def bone(self) -> BoneModel:
         """Return the bone with the wire along the pedicle's axis, up to SHORT_MM from the anterior cortex."""
         width, height, depth = self.body_width_mm / 2, self.body_height_mm / 2, self.body_depth_mm / 2
@@ -65,7 +77,7 @@ class Vertebra:
                 self.pedicle_mm,
                 [self.pedicle_width_mm / 2, self.pedicle_height_mm / 2, 16.0],
                 0.98 * self.pedicle_width_mm / 2,
-                np.stack([[self.along[2], 0.0, -self.along[0]], [0.0, 1.0, 0.0], self.along]),
+                np.stack([self._across, [0.0, 1.0, 0.0], self.along]),
             ),
             plate([x - 1.0, y, side], [x - 2.5, height, side], [0.0, height + 3.0, roof], 3.2),
             plate([x - 1.0, y, side], [0.0, height + 3.0, roof], [0.0, -2.0, roof], 3.2),
@@ -90,12 +102,11 @@ class Vertebra:
             wires_mm=np.zeros((0, 2, 3)),
             landmarks_mm={},
             aids={
-                "superior endplate": PlaneAid(np.array([0.0, -height, 0.0]), np.array([0.0, -1.0, 0.0])),
-                "inferior endplate": PlaneAid(np.array([0.0, height, 0.0]), np.array([0.0, 1.0, 0.0])),
+                "upper endplate": PlaneAid(np.array([0.0, -height, 0.0]), np.array([0.0, -1.0, 0.0])),
+                "lower endplate": PlaneAid(np.array([0.0, height, 0.0]), np.array([0.0, 1.0, 0.0])),
                 "middle plane": PlaneAid(np.zeros(3), np.array([1.0, 0.0, 0.0])),
-                "pedicle axis": LineAid(
-                    np.stack([self.pedicle_mm - 10 * self.along, self.pedicle_mm + 10 * self.along])
-                ),
+                "front": PlaneAid(np.array([0.0, 0.0, depth]), np.array([0.0, 0.0, 1.0])),
+                "pedicle": self._pedicle(),
             },
             keep_out={"canal": (canal,)},
             mirrored=True,

@@ -5,18 +5,18 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from sightline.planning.procedures.rules import CHECKS, CheckRule, Strict, Text
+from sightline.planning.aids import CLICKS
+from sightline.planning.procedures.rules import CHECKS, IN_CORRIDOR, CheckRule, Strict, Text
 
 Key = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]{0,39}$")]
 Name = Annotated[str, Field(min_length=1, max_length=80)]
 Millimetres = Annotated[float, Field(allow_inf_nan=False, gt=0, le=1e3)]
 Degrees = Annotated[float, Field(allow_inf_nan=False, gt=0, le=90)]
 
-AidType = Literal["point", "sphere", "line", "plane", "cylinder", "rim pair", "outline tube"]
-# Clicks that define an aid in each of its images, at least and at most; for types that no part of the program draws yet
-# any number.
-_CLICKS = {"point": (1, 1), "sphere": (3, 12), "line": (2, 2), "outline tube": (4, 4)}
-# The aids that planning locates in space (`Aids`), with their types.
+AidType = Literal["point", "sphere", "line", "plane", "cylinder", "rim pair", "outline tube", "oval tube"]
+# Clicks that define an aid in each of its images, at least and at most.
+_CLICKS = {"point": (1, 1), "sphere": (3, 12), "line": (2, 2), **{kind: (n, n) for kind, n in CLICKS.items()}}
+# The aids with a place of their own in `Aids`; of the types in CLICKS there may be any others.
 LOCATED: dict[str, AidType] = {
     "head": "sphere",
     "neck": "line",
@@ -101,10 +101,10 @@ class AidAsked(PointAsked):
 
     @model_validator(mode="after")
     def _drawable(self) -> Self:
-        low, high = _CLICKS[self.type] if self.key in LOCATED and self.type in _CLICKS else (1, 40)
+        low, high = _CLICKS[self.type]
         if not low <= self.clicks <= high:
             raise ValueError(f"is a {self.type} drawn by {self.clicks} clicks; give {low} to {high}")
-        if LOCATED.get(self.key, None if self.type in ("point", "sphere", "line") else self.type) != self.type:
+        if LOCATED.get(self.key, self.type if self.type in CLICKS else None) != self.type:
             known = ", ".join(f"{key} ({kind})" for key, kind in LOCATED.items())
             raise ValueError(f"is the {self.type} {self.key!r}; the aids that are located are {known}")
         return self
@@ -212,10 +212,13 @@ class ProcedureDocument(Strict):
             if unknown := [key for key in relation.wires if key not in wires]:
                 raise ValueError(f"a relation names the wire {unknown[0]!r}; the wires are {', '.join(wires)}")
         for aid in self.aids:
-            if aid.views != tuple(views[: len(aid.views)]):
+            first = tuple(views[: len(aid.views)])
+            if aid.views != first and (aid.type != "plane" or len(aid.views) > 1 or aid.views[0] not in views):
                 raise ValueError(
                     f"the aid {aid.key!r} is drawn in {', '.join(aid.views)}; name views from the first on"
                 )
+            if len(aid.views) < 2 and aid.type in CLICKS and aid.type != "plane":
+                raise ValueError(f"the aid {aid.key!r} is a {aid.type} drawn in one view; name two")
         for rule in self.checks:
             needs = CHECKS[rule.check].needs
             if rule.required and needs and not any(one <= set(given) for one in needs):
@@ -225,9 +228,9 @@ class ProcedureDocument(Strict):
                 )
         needed = -inf if self.corridor is None else self.corridor.implant_mm / 2 + self.corridor.margin_mm
         for rule in self.checks:
-            if rule.check == "wire in neck" and rule.range[0] < needed:
+            if rule.check in IN_CORRIDOR and rule.range[0] < needed:
                 raise ValueError(
-                    f"has the check 'wire in neck' from {rule.low:g} mm, less than half of implant_mm and margin_mm of "
+                    f"has the check {rule.check!r} from {rule.low:g} mm, less than half of implant_mm and margin_mm of "
                     f"its corridor, {needed:g} mm; raise it"
                 )
         if self.proposal is not None and not {"head", "shaft", "cortex"} <= set(given):

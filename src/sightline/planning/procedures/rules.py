@@ -25,16 +25,17 @@ class Strict(BaseModel):
 class KnownCheck:
     """A check that a file may name: the limits that it takes, their unit, the aids or landmarks that it needs.
 
-    `needs`: alternatives, each a set of keys.
+    `needs`: alternatives, each a set of keys. `side`: whether a metric is judged only where the side is given.
     """
 
     limits: tuple[str, ...]
     unit: str
     needs: tuple[frozenset[str], ...]
+    side: bool = True
 
 
-def _known(limits: str, unit: str, *needs: str) -> KnownCheck:
-    return KnownCheck(tuple(limits.split()), unit, tuple(frozenset(one.split()) for one in needs))
+def _known(limits: str, unit: str, *needs: str, side: bool = True) -> KnownCheck:
+    return KnownCheck(tuple(limits.split()), unit, tuple(frozenset(one.split()) for one in needs), side)
 
 
 CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
@@ -54,8 +55,20 @@ CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
         "tip to bone along wire": _known("low high", "mm", "head"),
         "tip to bone nearest": _known("low", "mm", "head"),
         "wire in neck": _known("low", "mm", "outline"),
+        "wire in sacral corridor": _known("low", "mm", "s1-corridor", side=False),
+        "tip in sacral corridor": _known("low", "mm", "s1-corridor", side=False),
+        "wire in pedicle": _known("low", "mm", "pedicle", side=False),
+        "entry to pedicle": _known("low high", "mm", "pedicle", side=False),
+        "tip behind front": _known("low", "mm", "front", side=False),
+        "tip to endplates": _known("low", "mm", "upper-endplate lower-endplate", side=False),
+        "wire to growth plate": _known("high", "°", "growth-plate", side=False),
+        "wire off middle of growth plate": _known("high", "mm", "growth-plate", side=False),
+        "tip beyond growth plate": _known("low", "mm", "growth-plate", side=False),
+        "view directions": _known("", "°"),
     }
 )
+# Their lower limit is at least the room that the implant needs.
+IN_CORRIDOR = ("wire in neck", "wire in sacral corridor", "wire in pedicle")
 
 
 class CheckRule(Strict):
