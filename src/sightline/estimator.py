@@ -6,6 +6,7 @@ CHANGES = {
     2: "the scatter under a ball follows the background's slope; a plan can be incomplete, and says what is missing",
     3: "labelling lists what it rejects; a view is checked by its balls' sizes and by the C-arm's distance",
     4: "a strip of rows whose beads labelling dropped is sought; beads are expected wherever something was detected",
+    5: "wires of iliosacral, pedicle and slipped epiphysis screws are checked against drawn borders and planes",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

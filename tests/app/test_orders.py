@@ -25,7 +25,6 @@ from sightline.case.views import NAMES
 from sightline.errors import CaseError, LinkError, RobotRefusedError, UnusableInputError, WireRefusedError
 from sightline.frame import Frame
 from sightline.planning import PROCEDURES, kind
-from sightline.planning.procedures.document import LOCATED
 
 
 class _Planning(Planning):
@@ -174,4 +173,4 @@ def test_a_page_asks_for_what_each_procedure_names(key: str) -> None:
     assert names[:2] == [ENTRY, END] and len(set(names)) == len(names)
     known = PROCEDURES[key]
     assert {one.of for one in marks} >= {one.key for one in known.landmarks}
-    assert {one.of for one in marks if one.group == "aid"} == {one.key for one in known.aids if one.key in LOCATED}
+    assert {one.of for one in marks if one.group == "aid"} == {one.key for one in known.aids}

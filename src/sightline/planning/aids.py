@@ -167,7 +167,8 @@ class Aids:
         if document.get("outline") is not None:  # cases of earlier versions have none
             made["outline"] = tuple(tuple(_read(Line, line) for line in view) for view in document["outline"])
         others = {
-            key: Drawing(**{**one, "uv_px": tuple(one["uv_px"])}) for key, one in document.get("others", {}).items()
+            key: Drawing(one["type"], tuple(one["uv_px"]), one["sd_px"])
+            for key, one in document.get("others", {}).items()
         }
         return Aids(**made, others=others)
 

@@ -7,7 +7,7 @@ from typing import Literal
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.procedures.document import LOCATED
+from sightline.planning.procedures.document import AidAsked
 
 Group = Literal["wire", "landmark", "aid"]
 CHECK_NAMES = (f"check-{NAMES[0]}", f"check-{NAMES[1]}")
@@ -50,12 +50,18 @@ def _marks_of(known: Procedure) -> tuple[MarkSpec, ...]:
     ]
     landmarks = [MarkSpec(f"landmark-{p.key}", _titled(p.name), p.sentence, "landmark", p.key) for p in known.landmarks]
     aids = []
-    for aid in (one for one in known.aids if one.key in LOCATED):
-        for k in range(aid.clicks):
+    for aid in known.aids:
+        images = images_of(known, aid)
+        for k in range(aid.clicks if images else 0):
             label = f"{_titled(aid.name)} {k + 1}" if aid.clicks > 1 else _titled(aid.name)
-            images = NAMES[: len(aid.views)]
             aids.append(MarkSpec(f"{aid.key}-{k + 1}", label, aid.sentence, "aid", aid.key, images))
     return (*wire, *landmarks, *aids)
+
+
+def images_of(known: Procedure, aid: AidAsked) -> tuple[str, ...]:
+    """Return the images that an aid is drawn in: those in the places of its views among the procedure's."""
+    views = [one.name for one in known.document.views]
+    return tuple(image for image, view in zip(NAMES, views, strict=False) if view in aid.views)
 
 
 def _titled(name: str) -> str:

@@ -7,16 +7,16 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from sightline.app.plan.decisions import Decisions, Mark, Pixel
-from sightline.app.plan.marks import END, ENTRY, MarkSpec, marks_of
+from sightline.app.plan.marks import END, ENTRY, MarkSpec, images_of, marks_of
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import PlanRequest
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve, Plan, matching_curve, snap
-from sightline.planning.aids import MIN_RIM_CLICKS, Aids, Circle, Line
+from sightline.planning.aids import Aids
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.metrics import Metric, metrics
-from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
+from sightline.planning.picks import DEFAULT_PICK_SD_PX
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.files import keeping
@@ -184,29 +184,18 @@ def _pixel(uv_px: np.ndarray) -> Pixel:
 
 
 def _aids(decisions: Decisions) -> Aids:
-    """Return the aids whose clicks are all placed."""
-    rim = next((aid.clicks for aid in kind_of(decisions.kind).aids if aid.key == "head"), MIN_RIM_CLICKS)
-    return Aids(
-        head=_pair(decisions, "head", rim, lambda uv: Circle.through(uv, PICK_SD_PX)),
-        neck=_pair(decisions, "neck", 2, lambda uv: Line(uv, PICK_SD_PX)),
-        shaft=_pair(decisions, "shaft", 2, lambda uv: Line(uv, PICK_SD_PX)),
-        calcar=_single(decisions, "calcar-1"),
-        cortex=_single(decisions, "cortex-1"),
-        outline=_pair(decisions, "outline", 4, lambda uv: (Line(uv[:2], PICK_SD_PX), Line(uv[2:], PICK_SD_PX))),
-    )
-
-
-def _pair(decisions: Decisions, aid: str, clicks: int, of):
-    made = [of(uv) for uv in (aid_pixels(decisions, aid, clicks, image) for image in NAMES) if uv is not None]
-    return (made[0], made[1]) if len(made) == 2 else None
+    """Return the aids whose clicks are all placed, in all images that the procedure wants them in."""
+    known = kind_of(decisions.kind)
+    clicked: dict[str, list[np.ndarray | None]] = {}
+    for aid in known.aids:
+        images = images_of(known, aid)
+        uv = [aid_pixels(decisions, aid.key, aid.clicks, image) if image in images else None for image in NAMES]
+        if images and sum(one is not None for one in uv) == len(images):
+            clicked[aid.key] = uv
+    return Aids.clicked({aid.key: aid.type for aid in known.aids}, clicked, PICK_SD_PX)
 
 
 def aid_pixels(decisions: Decisions, aid: str, clicks: int, image: str) -> np.ndarray | None:
     """Return an aid's clicks in one image, (clicks, 2); None until all are placed."""
     at = [decisions.mark(f"{aid}-{k + 1}").at(image) for k in range(clicks)]
     return None if any(uv is None for uv in at) else np.array(at, dtype=np.float64)
-
-
-def _single(decisions: Decisions, name: str) -> Pick | None:
-    at = decisions.mark(name).at(NAMES[0])
-    return None if at is None else Pick.free(at, PICK_SD_PX)

@@ -213,7 +213,8 @@ class ProcedureDocument(Strict):
                 raise ValueError(f"a relation names the wire {unknown[0]!r}; the wires are {', '.join(wires)}")
         for aid in self.aids:
             first = tuple(views[: len(aid.views)])
-            if aid.views != first and (aid.type != "plane" or len(aid.views) > 1 or aid.views[0] not in views):
+            alone = aid.type == "plane" and len(aid.views) == 1 and set(aid.views) <= set(views)
+            if aid.views != first and not alone:
                 raise ValueError(
                     f"the aid {aid.key!r} is drawn in {', '.join(aid.views)}; name views from the first on"
                 )
