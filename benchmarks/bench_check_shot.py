@@ -124,7 +124,7 @@ def in_image(rng: np.random.Generator, shot: Shot, name: str, made: Plan) -> tup
     image = expose(shot.checked.views[name], shot.hip.at("check").scene).read_out(rng)
     beads = sl.detect(image)
     view = sl.calibrate(sl.label(beads, shot.checked.frame, name), shot.checked.frame, view=name)
-    where = expected_wire(view, made.trajectory)
+    where = expected_wire(view, made.trajectory.points.xyz_mm)
     return view, find_wire(image, where, shot.diameter_mm, beads.uv_px, beads.radius_px)
 
 

@@ -11,7 +11,7 @@ from sightline.calibration.fit import Method
 from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
 from sightline.detection.causes import cause_of
 from sightline.detection.wire import WireShadow, find_wire
-from sightline.errors import DetectionRefusedError, LabellingRefusedError
+from sightline.errors import DetectionRefusedError, LabellingRefusedError, OutsideRegionError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph, as_radiograph, image_checks
 from sightline.planning import Plan
@@ -61,13 +61,15 @@ def check_shot(
     frame: Frame | str | Path,
     *,
     landmarks: Landmarks | None = None,
+    others_mm: Sequence[np.ndarray] = (),
     white: float | None = None,
 ) -> CheckShot:
     """Return where two more images show the inserted wire, against its plan.
 
     `planned`: the views of the plan; `images`: of the first two of them, in their order, with the wire in the bone;
     `frame`, `white`: as of `calibrate_image`. `landmarks`: three points of the bone picked in all four images, which
-    tell how the bone moved since.
+    tell how the bone moved since. `others_mm`: entry and end (2, 3), planned or measured, of each other wire that may
+    be in the images, such as `WirePlans.lines.besides(key)`.
     Raises what `calibrate_image` raises, WireRefusedError, UnusableInputError, ReconstructionRefusedError,
     OutsideRegionError, ErrorUnknownError.
 
@@ -83,20 +85,29 @@ def check_shot(
         image, beads = find_beads(as_radiograph(given, white))
         observations = label_beads(image, beads, frame, before.name)
         view = view_of(observations, image, frame, c_arm=known_arm(image))
-        wires.append(find_planned_wire(plan, image, beads, view, plan.kind.wire_mm))
+        wires.append(find_planned_wire(plan, image, beads, view, plan.kind.wire_mm, others_mm))
         views.append(view)
     return adjusted(plan.trajectory, plan.picks, planned, views, wires, landmarks=landmarks, limits=plan.kind.limits)
 
 
-def find_planned_wire(
-    plan: Plan, image: Radiograph, beads: Detections, view: CalibratedView, wire_mm: float
+def find_planned_wire(  # noqa: PLR0917
+    plan: Plan,
+    image: Radiograph,
+    beads: Detections,
+    view: CalibratedView,
+    wire_mm: float,
+    others_mm: Sequence[np.ndarray] = (),
 ) -> WireShadow:
     """Return the wire of diameter `wire_mm` in a check image, searched for about its plan.
 
-    Raises what `expected_wire` and `find_wire` raise.
+    `others_mm`: as of `check_shot`. Raises what `expected_wire` and `find_wire` raise.
     """
-    expected = expected_wire(view, plan.trajectory, plan.kind.limits.beyond_mm)
-    return find_wire(image, expected, wire_mm, beads.uv_px, beads.radius_px)
+    expected = expected_wire(view, plan.trajectory.points.xyz_mm, plan.kind.limits.beyond_mm)
+    others = []
+    for ends in others_mm:
+        with suppress(OutsideRegionError):  # a wire outside the field is not seen beside this one
+            others.append(expected_wire(view, ends))
+    return find_wire(image, expected, wire_mm, beads.uv_px, beads.radius_px, others=others)
 
 
 def find_beads(image: Radiograph) -> tuple[Radiograph, Detections]:

@@ -114,6 +114,59 @@ def test_two_wires_compete():
         find_wire(image_of([WIRE, beside], np.random.default_rng(1)), expected(WIRE, aside_mm=2.5), 2.5, *NONE)
 
 
+def beside(aside_mm: float, turned_rad: float = 0.0, back_mm: float = 0.0) -> Drawn:
+    """Return a wire beside WIRE: at its tip by `aside_mm`, rotated, and ending `back_mm` earlier."""
+    away = aside_mm * np.array([-WIRE.along[1], WIRE.along[0]]) - back_mm * WIRE.along
+    return Drawn(tuple(np.array(WIRE.tip_px) + PX_PER_MM * away), WIRE.turn_rad + turned_rad)
+
+
+@pytest.mark.parametrize("aside_mm", [4.5, 7.0])
+def test_each_of_two_wires_is_found_by_its_own_plan(aside_mm):
+    """A program that takes the darkest or the first line finds one of both twice."""
+    other = beside(aside_mm, back_mm=4.0)
+    image = image_of([WIRE, other], np.random.default_rng(1))
+    for own, rest in ((WIRE, other), (other, WIRE)):
+        planned, also = expected(own, aside_mm=0.9), expected(rest, aside_mm=-0.3)
+        seen = find_wire(image, planned, 2.5, *NONE, others=[also])
+        assert np.sqrt((off_line(seen, own) ** 2).mean()) < 0.1
+        assert abs(at_tip(seen, own)) < 1.0
+
+
+def test_a_wire_that_crosses_another_is_found_beside_the_crossing():
+    other = beside(-20.0, turned_rad=-0.9)
+    seen = find_wire(
+        image_of([WIRE, other], np.random.default_rng(1)), expected(WIRE), 2.5, *NONE, others=[expected(other)]
+    )
+    assert np.abs(off_line(seen, WIRE)).max() < 0.3  # 0.04 mm
+    assert seen.hidden > 0.1
+
+
+def test_another_wires_line_is_not_the_planned_wire():
+    image = image_of([beside(6.0)], np.random.default_rng(1))
+    assert find_wire(image, expected(WIRE), 2.5, *NONE) is not None  # unless the other wire is known
+    with pytest.raises(WireRefusedError, match="may be the other"):
+        find_wire(image, expected(WIRE), 2.5, *NONE, others=[expected(beside(6.0))])
+    with pytest.raises(WireRefusedError, match="may be the other"):  # halfway between both plans
+        find_wire(image, expected(WIRE, aside_mm=3.0), 2.5, *NONE, others=[expected(beside(6.0), aside_mm=3.0)])
+
+
+@pytest.mark.parametrize("aside_mm", [0.3, 0.8, 1.6])
+def test_the_shadow_of_two_wires_is_not_that_of_one(aside_mm):
+    """Their common shadow lies beside both."""
+    other = beside(aside_mm)
+    image = image_of([WIRE, other], np.random.default_rng(1))
+    with pytest.raises(WireRefusedError, match="lie over it"):
+        find_wire(image, expected(WIRE), 2.5, *NONE, others=[expected(other)])
+    alone = image_of([WIRE], np.random.default_rng(1))  # the other wire is planned there, but not in yet
+    assert find_wire(alone, expected(WIRE), 2.5, *NONE, others=[expected(other)]).hidden < 0.2
+
+
+def test_a_line_of_no_plan_competes():
+    wires = [WIRE, beside(6.0), beside(-5.0)]
+    with pytest.raises(WireRefusedError, match="compete"):
+        find_wire(image_of(wires, np.random.default_rng(1)), expected(WIRE), 2.5, *NONE, others=[expected(beside(6.0))])
+
+
 def test_a_wire_hidden_behind_metal_is_refused():
     v, u = np.mgrid[:SIZE, :SIZE]
     metal = np.where(np.hypot(u - 270, v - 250) < 160, 0.02, 1.0)

@@ -285,7 +285,7 @@ def test_a_view_too_few_is_unusable(one):
 
 
 def test_the_planned_wire_is_expected_where_it_projects(one):
-    where = expected_wire(one.after[0], one.made.trajectory)
+    where = expected_wire(one.after[0], one.made.trajectory.points.xyz_mm)
     path = one.made.trajectory
     at = path.entry_mm + where.along_mm[:, None] * path.direction
     assert np.allclose(one.after[0].project(at), where.uv_px)

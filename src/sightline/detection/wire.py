@@ -1,5 +1,6 @@
 """Find the guide wire in an image: centre line and tip, sub-pixel, with variances from the image's noise."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -37,6 +38,7 @@ _MIN_SINE = 0.3  # of the angle between wire and rays: seen end-on, a wire has n
 _MIN_TIP_VISIBLE = 0.3  # share of the pixels around the tip that must be usable [ours]
 _TIP_BEHIND, _TIP_BEYOND = 5.0, 3.0  # radii around the tip that are fitted [ours]
 _MIN_SHOWN_PX = 50  # length of the expected wire inside the field [ours]
+_MAX_OVERLAP = 0.04  # relative error of a piece's width; of a single wire 0.02, rarely 0.04 [twin]
 _MAX_WIDTH_ERROR = 0.25  # relative; refuses a wire of 3.2 mm for one of 2.5 mm [ours]
 
 
@@ -93,12 +95,15 @@ def find_wire(  # noqa: PLR0917
     bead_uv_px: np.ndarray,
     bead_radius_px: np.ndarray,
     point_mm: float | None = None,
+    others: Sequence[ProjectedWire] = (),
 ) -> WireShadow:
     """Return the wire within 8 mm and 5° of its expected place.
 
     `bead_uv_px` (K, 2), `bead_radius_px` (K,): the frame's beads, found or known, which are left out. `point_mm`:
-    length of the conical (trocar) point, by default 1.5 diameters; 0: a plain end. Raises UnusableInputError, and
-    WireRefusedError where there is no wire, it is too faint or hidden, two lines compete, the tip is not visible, or
+    length of the conical (trocar) point, by default 1.5 diameters; 0: a plain end. `others`: where other wires are
+    expected that may be in the image too: they are told from this one by their places and left out, and this one must
+    have its own width over half of its length. Raises UnusableInputError, and WireRefusedError where there is no wire,
+    it is too faint or hidden, two lines compete, another wire may be meant or lies over it, the tip is not visible, or
     the width differs.
     """
     point = POINT_DIAMETERS * diameter_mm if point_mm is None else point_mm
@@ -112,8 +117,9 @@ def find_wire(  # noqa: PLR0917
     usable &= image.pixels < image.white
     shown = _shown(path, mask)
     path, scale, stretch, sine = ImagePath.through(path.uv_px[shown]), scale[shown], stretch[shown], sine[shown]
-    found = search(logs, usable, path, scale * diameter_mm / 2, scale)
+    found = search(logs, usable, path, scale * diameter_mm / 2, scale, [other.uv_px for other in others])
     radius = float(np.median(scale)) * diameter_mm / 2
+    usable = _without_lines(usable, found.others, radius + 2 * _RIM_PX)
     here = int(np.clip(found.expected_tip_s_px, 0, len(scale) - 1))
     point_px = point * float(stretch[here])
     end = found.tip_s_px - point_px - radius
@@ -122,6 +128,8 @@ def find_wire(  # noqa: PLR0917
     pieces = strip.pieces(end)
     strip = _Strip.about(logs, usable & ~strip.outliers(pieces), noise, _through(found.path, pieces), (wire, radius))
     pieces = strip.pieces(end)
+    if others:
+        pieces = _alone(pieces, scale * diameter_mm / 2)
     looked_at = max(int(end / (_PIECE * radius)), 1)
     if len(pieces) < max(_MIN_PIECES, looked_at / 2):
         raise WireRefusedError(
@@ -293,6 +301,23 @@ def _on_a_curve(pieces: list[_Piece]) -> list[_Piece]:
     return kept
 
 
+def _alone(pieces: list[_Piece], radius_px: np.ndarray) -> list[_Piece]:
+    """Return the pieces of the expected radius (M,) along the path: over the others another wire lies.
+
+    Raises WireRefusedError where these are less than half.
+    """
+    expected = np.interp([piece.s_px for piece in pieces], np.arange(len(radius_px)), radius_px)
+    alone = [
+        one for one, radius in zip(pieces, expected, strict=True) if abs(one.fit.values[1] / radius - 1) < _MAX_OVERLAP
+    ]
+    if len(alone) < len(pieces) / 2:
+        raise WireRefusedError(
+            f"only {len(alone)} of {len(pieces)} pieces of the line are as wide as the wire, so another wire may lie "
+            "over it; take the image from a direction that shows the wires apart"
+        )
+    return alone
+
+
 def _near_one_line(pieces: list[_Piece]) -> list[_Piece]:
     """Return the pieces near the line through two of them with the smallest median deviation.
 
@@ -389,6 +414,14 @@ def _without(mask: np.ndarray, uv_px: np.ndarray, radius_px: np.ndarray) -> np.n
     covered = np.zeros(mask.shape, np.uint8)
     for (u, v), radius in zip(uv_px, radius_px, strict=True):
         cv2.circle(covered, (round(16 * u), round(16 * v)), round(16 * radius), 1, -1, cv2.LINE_8, 4)
+    return mask & (covered == 0)
+
+
+def _without_lines(mask: np.ndarray, lines_uv_px: Sequence[np.ndarray], half_px: float) -> np.ndarray:
+    """Return the mask without bands of half a width about lines (M, 2) each."""
+    covered = np.zeros(mask.shape, np.uint8)
+    for line in lines_uv_px:
+        cv2.polylines(covered, [np.rint(line).astype(np.int32)], False, 1, max(round(2 * half_px), 1))
     return mask & (covered == 0)
 
 

@@ -1,6 +1,8 @@
 """Coarse search for a wire: a dark line with lighter sides, in an image resampled along a path."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import cv2
 import numpy as np
@@ -17,23 +19,37 @@ _SIDE = 1.7  # radii from the middle to where the sides are sampled
 _MIN_CONTRAST = 0.2  # log light: cortices seen along their length have 0.1-0.15, wires 0.4 and more [twin]
 _MIN_LENGTH = 6.0  # visible length, in radii [ours]
 _RIVAL = 0.6  # share of the best line's summed darkness at which another line is a rival [ours]
+_APART = 3.0  # radii, median along both, from which two lines are two [ours]
+_SURE = 0.5  # of the rms distance of lines to plans in any other assignment: a lone line is in the nearer third [ours]
 _REWEIGHTED, _MIN_RESIDUAL_PX = 10, 0.5  # reweighted fits; smaller residuals get the same weight [ours]
 _BRIDGED = 0.3  # share of the usual darkness that marks the end of a wire; under dense bone it is 0.5 [twin]
 
 
 @dataclass(frozen=True, eq=False)
 class CoarseWire:
-    """A coarse wire: its path to beyond the tip, and the tip's s on it and on the expected path, px."""
+    """A coarse wire: its path to beyond the tip, and the tip's s on it and on the expected path, px.
+
+    `others`: points (M, 2) of the other wires seen beside it.
+    """
 
     path: ImagePath
     tip_s_px: float
     expected_tip_s_px: float
+    others: tuple[np.ndarray, ...]
 
 
-def search(
-    logs: np.ndarray, usable: np.ndarray, path: ImagePath, radius_px: np.ndarray, px_per_mm: np.ndarray
+def search(  # noqa: PLR0917
+    logs: np.ndarray,
+    usable: np.ndarray,
+    path: ImagePath,
+    radius_px: np.ndarray,
+    px_per_mm: np.ndarray,
+    others_uv_px: Sequence[np.ndarray] = (),
 ) -> CoarseWire:
-    """The one dark line of about the radius (M,) within the corridor about `path`. Raises WireRefusedError."""
+    """Return the one dark line of about the radius (M,) within the corridor about `path`.
+
+    `others_uv_px`: points (M, 2) where other wires are planned, which may be in the image too. Raises WireRefusedError.
+    """
     corridor = CORRIDOR_MM * float(np.median(px_per_mm))
     radius = float(np.median(radius_px))
     length = path.s_px[-1]
@@ -53,15 +69,20 @@ def search(
             f"no wire is seen within {CORRIDOR_MM:.0f} mm and {np.degrees(CORRIDOR_RAD):.0f}° of where it is planned; "
             "check that the image belongs to this plan, that the wire is in, and the exposure"
         )
-    at = offsets[best[1]] + slopes[best[0]] * lever
-    _refuse_rival(sums, best, offsets, slopes, (lever, radius))
-    across = _followed(dark, known, at, reach, radius)
+    lines, shares = _dark_lines(sums, offsets, slopes, lever, radius)
+    plans = _across(path, others_uv_px, s)
+    own = _own(lines, shares, plans, radius, float(np.median(px_per_mm)))
+    across = _followed(dark, known, lines[own], reach, radius)
     tip = _end(dark, known, across, reach, radius)
     kept = slice(None, min(int(tip + 12 * radius), len(s)))
     centre = _smooth(s, across, tip, radius)
     on, _, normal = path.at(s)
     found = ImagePath.through((on + centre[:, None] * normal)[kept])
-    return CoarseWire(found, float(found.s_px[int(tip)]), tip)
+    others = []
+    for line in (_followed(dark, known, line, reach, radius) for line in lines[:own] + lines[own + 1 :]):
+        until = int(_gain(dark, known, line, reach)[0].argmax()) + 1
+        others.append((on + line[:, None] * normal)[:until])
+    return CoarseWire(found, float(found.s_px[int(tip)]), tip, tuple(others))
 
 
 def _darkness(  # noqa: PLR0917
@@ -89,23 +110,71 @@ def _mean(values: np.ndarray, weight: np.ndarray, across: int) -> tuple[np.ndarr
     return total / np.maximum(share, 1e-3), share
 
 
-def _refuse_rival(
-    sums: np.ndarray,
-    best: tuple[np.intp, ...],
-    offsets: np.ndarray,
-    slopes: np.ndarray,
-    rest: tuple[np.ndarray, float],
-) -> None:
-    """Raise WireRefusedError where a line beside the best one, over most of its length, is nearly as dark."""
-    lever, radius = rest
-    apart = (offsets[None] - offsets[best[1]])[..., None] + (slopes - slopes[best[0]])[:, None, None] * lever[::20]
-    elsewhere = np.median(np.abs(apart), axis=-1) > 3 * radius
-    rival = float(sums[elsewhere].max(initial=0.0)) / float(sums[best])
-    if rival > _RIVAL:
+def _dark_lines(
+    sums: np.ndarray, offsets: np.ndarray, slopes: np.ndarray, lever: np.ndarray, radius: float
+) -> tuple[list[np.ndarray], list[float]]:
+    """Return the offsets (S,) of the darkest line and of those nearly as dark beside it, and their shares of its sum.
+
+    Beside it: over most of the length.
+    """
+    steps, lines, shares = lever[::20], [], []
+    free = np.ones(sums.shape, dtype=bool)
+    while free.any():
+        line = np.unravel_index(int(np.where(free, sums, -1.0).argmax()), sums.shape)
+        share = float(sums[line]) / float(sums.max())
+        if share <= _RIVAL:
+            break
+        lines.append(offsets[line[1]] + slopes[line[0]] * lever)
+        shares.append(share)
+        apart = (offsets[None] - offsets[line[1]])[..., None] + (slopes - slopes[line[0]])[:, None, None] * steps
+        free &= np.median(np.abs(apart), axis=-1) > _APART * radius
+    return lines, shares
+
+
+def _across(path: ImagePath, uv_px: Sequence[np.ndarray], s: np.ndarray) -> list[np.ndarray]:
+    """Return the offsets (S,) from the path of straight lines through points (M, 2) each, where they run beside it."""
+    out = []
+    for points in uv_px:
+        along, across = path.places(points)
+        beside = (along >= 0) & (along <= s[-1])
+        if np.count_nonzero(beside) > 1:
+            out.append(np.polynomial.Polynomial.fit(along[beside], across[beside], 1)(s))
+    return out
+
+
+def _own(
+    lines: Sequence[np.ndarray], shares: Sequence[float], plans: Sequence[np.ndarray], radius: float, px_per_mm: float
+) -> int:
+    """Return the number of the line that is the planned wire.
+
+    `plans`: offsets (S,) of the other plans from this one. Every line must be one wire, this or another. Raises
+    WireRefusedError where another assignment of lines to wires explains the lines too.
+    """
+    off = np.array([[_apart(line, plan) for plan in (0.0 * line, *plans)] for line in lines])
+    best = np.full(len(lines) + 1, np.inf)  # rms distance, by the line that is the planned wire; the last: none is it
+    for wires in permutations(range(off.shape[1]), len(lines)):
+        own = wires.index(0) if 0 in wires else -1
+        best[own] = min(best[own], float(np.linalg.norm(off[range(len(lines)), wires])))
+    own = int(best.argmin())
+    if len(lines) == 1 and off[0, 0] < radius:
+        return 0
+    if own < len(lines) and best[own] < _SURE * np.delete(best, own).min():
+        return own
+    if len(lines) > 1:
         raise WireRefusedError(
-            f"two dark lines compete for the wire (the second has {rival:.0%} of the first's darkness); "
+            f"two dark lines compete for the wire (the second has {shares[1]:.0%} of the first's darkness); "
             "take other metal out of the beam, or give a path nearer to the wire"
         )
+    raise WireRefusedError(
+        f"the line found lies {off[0, 0] / px_per_mm:.1f} mm beside the plan and {off[0, 1:].min() / px_per_mm:.1f} mm "
+        "beside that of another wire, so it may be the other; check that the planned wire is in, and take the image "
+        "from a direction that shows the wires apart"
+    )
+
+
+def _apart(line: np.ndarray, other: np.ndarray) -> float:
+    """Return the median distance of two lines (S,)."""
+    return float(np.median(np.abs(line - other)))
 
 
 def _followed(dark: np.ndarray, known: np.ndarray, at: np.ndarray, reach: int, radius: float) -> np.ndarray:
@@ -120,10 +189,7 @@ def _followed(dark: np.ndarray, known: np.ndarray, at: np.ndarray, reach: int, r
 
 def _end(dark: np.ndarray, known: np.ndarray, across: np.ndarray, reach: int, radius: float) -> float:
     """Return s of the tip, up to which the line is dark. Raises WireRefusedError."""
-    rows, columns = np.rint(across + reach).astype(int), np.arange(len(across))
-    value, seen = np.clip(dark[rows, columns], 0.0, None), known[rows, columns]
-    usual = float(np.quantile(value[seen], 0.75)) if seen.any() else 0.0
-    gain = np.cumsum(np.where(seen, np.minimum(value, usual) - _BRIDGED * usual, 0.0))
+    gain, usual = _gain(dark, known, across, reach)
     tip = int(gain.argmax())
     if usual < _MIN_CONTRAST or gain[tip] < 0.2 * _BRIDGED * usual * tip or tip < _MIN_LENGTH * radius:
         raise WireRefusedError(
@@ -136,6 +202,14 @@ def _end(dark: np.ndarray, known: np.ndarray, across: np.ndarray, reach: int, ra
             "one; bring the tip into the field"
         )
     return float(tip)
+
+
+def _gain(dark: np.ndarray, known: np.ndarray, across: np.ndarray, reach: int) -> tuple[np.ndarray, float]:
+    """Return the sums (S,) of darkness over what bridges gaps, largest where the line ends, and its usual darkness."""
+    rows, columns = np.rint(across + reach).astype(int), np.arange(len(across))
+    value, seen = np.clip(dark[rows, columns], 0.0, None), known[rows, columns]
+    usual = float(np.quantile(value[seen], 0.75)) if seen.any() else 0.0
+    return np.cumsum(np.where(seen, np.minimum(value, usual) - _BRIDGED * usual, 0.0)), usual
 
 
 def _smooth(s: np.ndarray, across: np.ndarray, tip: float, radius: float) -> np.ndarray:

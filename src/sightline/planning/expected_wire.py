@@ -6,7 +6,6 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView
 from sightline.errors import OutsideRegionError
-from sightline.planning.trajectory import Trajectory
 
 BEFORE_MM, BEYOND_MM = 25.0, 15.0  # lengths added outside the entry and beyond the planned depth [ours]
 _STEP_MM = 1.0
@@ -26,15 +25,19 @@ class ExpectedWire:
     sine: np.ndarray
 
 
-def expected_wire(view: CalibratedView, trajectory: Trajectory, drilled_beyond_mm: float = 0.0) -> ExpectedWire:
-    """Return the planned wire in a view, `drilled_beyond_mm` past its end point, as far as the view is calibrated.
+def expected_wire(view: CalibratedView, ends_mm: np.ndarray, drilled_beyond_mm: float = 0.0) -> ExpectedWire:
+    """Return a wire planned from entry to end (2, 3) in a view, `drilled_beyond_mm` past its end point, as far as the
+    view is calibrated.
 
     Raises OutsideRegionError where no part of it lies in the calibrated region.
     """
-    along = np.arange(-BEFORE_MM, trajectory.length_mm + drilled_beyond_mm + BEYOND_MM, _STEP_MM)
-    xyz = trajectory.entry_mm + along[:, None] * trajectory.direction
+    entry, end = ends_mm
+    length = float(np.linalg.norm(end - entry))
+    direction = (end - entry) / length
+    along = np.arange(-BEFORE_MM, length + drilled_beyond_mm + BEYOND_MM, _STEP_MM)
+    xyz = entry + along[:, None] * direction
     rays = xyz - view.focal_point_mm
-    across = np.cross(trajectory.direction, rays)
+    across = np.cross(direction, rays)
     sine = np.linalg.norm(across, axis=1) / np.linalg.norm(rays, axis=1)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     edged = np.stack([xyz, xyz - across / 2, xyz + across / 2], axis=1)

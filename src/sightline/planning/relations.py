@@ -52,6 +52,10 @@ class WireLines:
         """Return the places of those of these wires that are known."""
         return [self.keys.index(key) for key in keys if key in self.keys]
 
+    def besides(self, key: str) -> tuple[np.ndarray, ...]:
+        """Return entry and end (2, 3) of each wire but this one."""
+        return tuple(ends for name, ends in zip(self.keys, self.ends_mm, strict=True) if name != key)
+
     def linear(self, function: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return a value (m,) of the wires and its covariance (m, m); `function` maps (K, N, 2, 3) to (K, m).
 

@@ -140,7 +140,7 @@ class Verifying:
         if key not in self._found_in:
             assert seen.view is not None and seen.beads is not None  # noqa: S101 - it is calibrated
             kind = request.sent.plan.kind
-            expected = expected_wire(seen.view, request.sent.plan.trajectory, kind.limits.beyond_mm)
+            expected = expected_wire(seen.view, request.sent.plan.trajectory.points.xyz_mm, kind.limits.beyond_mm)
             beads, width = seen.beads, kind.wire_mm
             self._found_in[key] = await self._planning.worker.do(
                 find_wire, seen.image, expected, width, beads.uv_px, beads.radius_px
