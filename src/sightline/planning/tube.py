@@ -150,7 +150,8 @@ class _Seen:
         sine = np.linalg.norm(np.cross(one, other), axis=-1)[:, None]
         if sine[0, 0] < _MIN_SINE:
             raise ReconstructionRefusedError(
-                f"both images show the {name} from nearly the same side; rotate the C-arm for one"
+                f"both images show the {name} from nearly the same side; draw both borders along it, or rotate the "
+                "C-arm for one image"
             )
         axes = np.stack([one, other, np.cross(one, other) / sine], axis=1)
         on = np.stack([drawn[0][0], drawn[1][0], through], axis=1)

@@ -1,0 +1,159 @@
+"""Checks of wires in pedicle, sacrum and slipped epiphysis: the twin's wrong wires are refused and right ones pass."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.planning import Procedure, kind
+from sightline.planning.bone_checks import judge_in_bone
+from sightline.planning.metrics import metric
+from sightline.planning.procedures.files import copy_text, document_from_json
+from sightline.planning.procedures.rules import CHECKS
+from sightline.planning.results import Verdict
+from sightline.twin.femur import to_cfcs
+from sightline.twin.wrong_wires import wrong_wires
+
+from .other_bones import PROCEDURES, Drawn, drawn, views
+from .test_drawings import METRICS
+
+SD_PX = 0.5
+# Movements of the end, CFCS of a right side, that change a check's value: lateral, caudal, anterior; None: backwards.
+MOVES = {
+    "wire in pedicle": [-1.0, 0.0, 0.0],
+    "tip behind front": [0.0, 0.0, 1.0],
+    "tip to endplates": [0.0, -1.0, 0.0],
+    "wire in sacral corridor": [0.0, -0.3, 1.0],
+    "tip in sacral corridor": [-1.0, 0.0, 0.0],
+    "wire to growth plate": [0.0, 1.0, 0.4],
+    "wire off middle of growth plate": [0.0, 1.0, 0.4],
+    "tip beyond growth plate": None,
+}
+
+
+def _judged(bone: Drawn, wire: np.ndarray, clicked: dict | None = None) -> Verdict:
+    found = bone.found(wire, clicked or bone.uv_px, SD_PX)
+    return judge_in_bone(found, kind(PROCEDURES[bone.name]).checks, "right", {})
+
+
+def _clicked(bone: Drawn, rng: np.random.Generator) -> dict:
+    return {
+        key: [None if uv is None else uv + rng.normal(0.0, SD_PX, uv.shape) for uv in each]
+        for key, each in bone.uv_px.items()
+    }
+
+
+def _failed(verdict: Verdict) -> set[str]:
+    return {check.name for check in verdict.checks if not check.passed}
+
+
+@pytest.mark.parametrize("name", PROCEDURES)
+def test_the_bones_own_wire_passes_with_clicks_of_half_a_pixel(name: str):
+    """Six bones, each clicked once: the checks leave them all."""
+    rng = np.random.default_rng(31)
+    for seed in range(6):
+        bone = drawn(name, seed)
+        assert _failed(_judged(bone, bone.wire_mm, _clicked(bone, rng))) == set(), seed
+
+
+@pytest.mark.parametrize("name", ["vertebra", "growing-femur", pytest.param("pelvis", marks=pytest.mark.slow)])
+def test_wires_that_leave_the_bone_by_a_millimetre_are_refused(name: str):
+    """Through the far surface, out of the cortex, into canal and foramen: by the twin's exact distances."""
+    rng = np.random.default_rng(32)
+    made = set()
+    for seed in (1, 2):
+        bone = drawn(name, seed)
+        for wrong, at in wrong_wires(bone.bone, 1.0, rng).items():
+            wire = to_cfcs(at, "right", bone.origin_mm)
+            if all(len(view.project_seen(wire)[0]) == 2 for view in views(name)):
+                assert _failed(_judged(bone, wire, _clicked(bone, rng))), (seed, wrong)
+                made.add(wrong)
+    assert len(made) >= 2
+
+
+@pytest.mark.parametrize(
+    ("name", "check"), [(name, one) for name, all_ in METRICS.items() for one in all_ if one in MOVES]
+)
+def test_each_check_finds_a_wire_beyond_three_times_its_error_and_passes_one_within(name: str, check: str):
+    """The end is moved until the value is 3 of the 95 % errors beyond the limit, or within it; five draws of clicks.
+
+    The bone's other checks may refuse the same wire.
+    """
+    bone, rng = drawn(name, 6), np.random.default_rng(33)
+    (rule,) = (one for one in kind(PROCEDURES[name]).checks if one.check == check)
+    limit, inward = (rule.low, 1.0) if rule.low is not None else (rule.high, -1.0)
+    assert limit is not None
+
+    needed = {key: bone.uv_px[key] for key in CHECKS[check].needs[0]}
+    back = bone.wire_mm[0] - bone.wire_mm[1]
+    move = back / np.linalg.norm(back) if MOVES[check] is None else np.array(MOVES[check])
+
+    def moved(by_mm: float) -> np.ndarray:
+        return bone.wire_mm + np.array([np.zeros(3), by_mm * move])
+
+    def value(by_mm: float) -> tuple[float, float]:
+        made = metric(bone.found(moved(by_mm), needed, SD_PX), check, None)
+        assert made.value is not None and made.sd is not None
+        return made.value, TWO_SIDED_95 * made.sd
+
+    assert inward * (value(0.0)[0] - limit) > 0.0
+    for errors, passes in ((-3.0, False), (3.0, True)):
+        reach = next(s for s in (2.0, 4.0, 8.0, 16.0, 32.0) if inward * (value(s)[0] - limit) < -3.0 * value(s)[1])
+        at = brentq(
+            lambda s, errors=errors: inward * (value(s)[0] - limit) - errors * value(s)[1], 0.0, reach, xtol=1e-2
+        )
+        for _ in range(5):
+            assert (check not in _failed(_judged(bone, moved(at), _clicked(bone, rng)))) == passes
+
+
+def test_a_check_in_the_pedicle_knows_the_distance_from_its_wall():
+    """Beside the middle by 2.2 mm towards the canal: the wall is as far as the half-width less that. The wire
+    crosses the PA beam at 12°, and the oval is an ellipse in a section with straighter sides: up to 0.25 mm less."""
+    bone = drawn("vertebra", 6)
+    dimensions = bone.bone.aids["pedicle"]
+    half = dimensions.round_mm + np.linalg.norm(dimensions.across_mm[1])
+    medial = -dimensions.across_mm[1] / np.linalg.norm(dimensions.across_mm[1])
+    wire = bone.wire_mm + 2.2 * medial  # a right side: anatomical axes are those of CFCS
+    made = metric(bone.found(wire, bone.uv_px, SD_PX), "wire in pedicle", None)
+    assert half - 2.2 - 0.25 < made.value < half - 2.2 + 0.02
+
+
+def test_exchanged_ends_are_refused_on_every_bone():
+    for name in PROCEDURES:
+        bone = drawn(name, 2)
+        assert _failed(_judged(bone, bone.wire_mm[::-1]))
+
+
+@pytest.mark.parametrize("name", PROCEDURES)
+def test_without_drawings_the_plan_is_incomplete_and_says_what_to_draw(name: str):
+    bone = drawn(name, 2)
+    known = kind(PROCEDURES[name])
+    verdict = judge_in_bone(bone.found(bone.wire_mm, {"none": []}, SD_PX), known.checks, "right", {})
+    assert verdict.state == "incomplete"
+    required = {rule.check for rule in known.checks if rule.required and rule.check in METRICS[name]}
+    assert required and required <= {check.name for check in verdict.unmade}
+    assert all("draw it as the procedure says" in c.sentence for c in verdict.unmade if c.name in METRICS[name])
+
+
+@pytest.mark.parametrize("name", PROCEDURES)
+def test_each_limit_of_these_checks_decides(name: str):
+    bone = drawn(name, 5)
+    wire = bone.wire_mm + np.array([[1.1, -0.7, 0.9], [-0.8, 1.9, 0.6]])
+    found = bone.found(wire, bone.uv_px, SD_PX)
+    given = json.loads(copy_text(PROCEDURES[name], "mine"))
+    del given["corridor"]
+    for check in METRICS[name]:
+        made = metric(found, check, None)
+        for limit in CHECKS[check].limits:
+            inward = 1.0 if limit == "low" else -1.0
+            edge = made.value - inward * TWO_SIDED_95 * made.sd
+            for by, passes in ((-0.01, True), (0.01, False)):
+                limits = {"low": -900.0, "high": 900.0, limit: edge + by * inward}
+                asked = {one: limits[one] for one in CHECKS[check].limits}
+                given["checks"] = [{"check": check, **asked, "source": "a test"}]
+                rules = Procedure.of(document_from_json(json.dumps(given))).checks
+                (judged,) = (c for c in judge_in_bone(found, rules, None, {}).checks if c.name == check)
+                assert judged.passed == passes, (check, limit)
+                assert judged.unit == CHECKS[check].unit and judged.unit in judged.sentence
