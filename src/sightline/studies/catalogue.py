@@ -14,6 +14,7 @@ from sightline.studies.study_freehand import Freehand
 from sightline.studies.study_porcine import Porcine
 from sightline.studies.study_robustness import Robustness
 from sightline.studies.study_table1 import Table1
+from sightline.studies.study_wrong_plans import WrongPlans
 
 _ALL: tuple[Study, ...] = (
     Table1(),
@@ -28,6 +29,7 @@ _ALL: tuple[Study, ...] = (
     Figure8(),
     Figure12(),
     Figure15(),
+    WrongPlans(),
 )
 STUDIES: dict[str, Study] = {study.name: study for study in _ALL}
 

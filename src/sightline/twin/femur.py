@@ -80,7 +80,7 @@ class Femur:
         """
         version, across = radians(self.anteversion_deg), sin(radians(angle_deg))
         along = np.array([-across * cos(version), cos(radians(angle_deg)), across * sin(version)])
-        return self._entry_mm(np.zeros(3), along), (self.head_radius_mm - short_mm) * along
+        return self.entry_mm(np.zeros(3), along), (self.head_radius_mm - short_mm) * along
 
     def cannulated_wires_mm(self, screw_mm: float = 7.3, short_mm: float = 5.0) -> np.ndarray:
         """Return entry and end (3, 2, 3) of the wires of three cannulated screws, parallel to the neck, anatomical
@@ -99,11 +99,12 @@ class Femur:
         for turn in (0.0, radians(240.0), radians(120.0)):
             through = spread * (cos(turn) * down + sin(turn) * forwards)
             depth = np.sqrt((self.head_radius_mm - short_mm) ** 2 - spread**2)
-            wires.append([self._entry_mm(through, along), through + depth * along])
+            wires.append([self.entry_mm(through, along), through + depth * along])
         return np.array(wires)
 
-    def _entry_mm(self, through_mm: np.ndarray, along: np.ndarray) -> np.ndarray:
-        """Return where a line through a point (3,) in the head meets the lateral surface. Raises SetUpError."""
+    def entry_mm(self, through_mm: np.ndarray, along: np.ndarray) -> np.ndarray:
+        """Return where the line through a point (3,) in the head, along a unit vector (3,) towards the head, meets the
+        lateral surface, anatomical coordinates. Raises SetUpError."""
         numbers = self.numbers()
 
         def height(back_mm: float) -> float:
@@ -114,6 +115,19 @@ class Femur:
             raise SetUpError("the wire does not meet this femur's lateral cortex; use another angle")
         back = root_scalar(height, bracket=(inside, inside + 1.0), xtol=1e-9).root
         return through_mm - back * along
+
+    def surface_mm(self, inside_mm: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Return the first point (3,) of the surface on a ray from a point (3,) inside the bone, along a unit vector
+        (3,), anatomical coordinates. Raises SetUpError if there is none within 60 mm."""
+        numbers = self.numbers()
+
+        def height(out_mm: float) -> float:
+            return float(_femur_distance(inside_mm + out_mm * direction, numbers)[0])
+
+        outside = next((out for out in np.arange(1.0, 60.0) if height(out) > 0), None)
+        if outside is None or height(0.0) > 0:
+            raise SetUpError("the ray does not leave this femur within 60 mm; start it inside the bone")
+        return inside_mm + root_scalar(height, bracket=(0.0, outside), xtol=1e-9).root * direction
 
     def numbers(self) -> np.ndarray:
         """Return the parameters of the compiled kernels."""

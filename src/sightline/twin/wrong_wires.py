@@ -29,7 +29,7 @@ def wrong_wires(bone: BoneModel, beyond_mm: float, rng: np.random.Generator) -> 
     along = (end - entry) / np.linalg.norm(end - entry)
     wires = {}
     far = bone.surface_near(end, along)
-    deeper = _amount(lambda s: float(bone.distance_mm(far + s * along, "outline")), beyond_mm, MAX_ASIDE_MM)
+    deeper = smallest_amount(lambda s: float(bone.distance_mm(far + s * along, "outline")), beyond_mm, MAX_ASIDE_MM)
     if np.linalg.norm(far - end) < MAX_LONGER_MM and deeper is not None:
         wires[FAR] = np.stack([entry, far + deeper * along])
     aside = np.linalg.svd(along[None])[2][1:].T @ _unit(rng.standard_normal(2))
@@ -37,7 +37,7 @@ def wrong_wires(bone: BoneModel, beyond_mm: float, rng: np.random.Generator) -> 
         (CORTEX, "outline", aside),
         *((f"into the {name}", name, _towards(bone, name, along)) for name in bone.keep_out),
     ]:
-        moved = _amount(
+        moved = smallest_amount(
             lambda s, of=of, towards=towards: -bone.clearance_mm(np.stack([entry, end + s * towards]), of),
             beyond_mm,
             MAX_ASIDE_MM,
@@ -57,7 +57,7 @@ def _towards(bone: BoneModel, of: str, along: np.ndarray) -> np.ndarray:
     return _unit(slope - (slope @ along) * along)
 
 
-def _amount(violation_mm: Callable[[float], float], wanted_mm: float, limit: float) -> float | None:
+def smallest_amount(violation_mm: Callable[[float], float], wanted_mm: float, limit: float) -> float | None:
     """Return the smallest amount at which a violation is as wanted, to 0.001 mm; None up to `limit`."""
     high = next((s for s in np.arange(STEP_MM, limit, STEP_MM) if violation_mm(s) >= wanted_mm), None)
     if high is None:

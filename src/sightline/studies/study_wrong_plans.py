@@ -1,0 +1,286 @@
+"""Plans that are wrong by a known amount, and right ones: how many are GO?
+
+Each trial draws a hip in a set-up, a right wire, and a wrong wire of one kind (`wrong_kinds`). Clicks and drawings are
+points with a careful click's noise; nothing is rendered. A right wire lies inside the limit of every check of its
+procedure by that check's 95 % error, a wrong one beyond the limit of one check by 3 times its 95 % error or more. Both
+are measured without noise: exact beads, exact clicks, and the frame as it is.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+import sightline as sl
+from sightline.calibration.focal_length import CArm
+from sightline.calibration.together import calibrate_together
+from sightline.calibration.view import CalibratedView
+from sightline.checks import failed
+from sightline.detection import Observations
+from sightline.errors import SetUpError, SightlineError
+from sightline.frame import Frame
+from sightline.planning import Plan, Procedure, kind
+from sightline.planning.directions import unit
+from sightline.studies.drawn_hip import PICK_PX, DrawnHip, jittered, plan_of
+from sightline.studies.intervals import share
+from sightline.studies.plan_margins import KnownBone
+from sightline.studies.scenes import ATTEMPTS, measure
+from sightline.studies.study import Estimate, Summary, Table, Values
+from sightline.studies.wrong_kinds import (
+    KINDS,
+    MAX_TIMES,
+    MIN_TIMES,
+    NEAR_SHARE,
+    NEAR_TIMES,
+    WrongKind,
+    draw_times,
+    right_wire,
+)
+from sightline.twin import SetUp, bead_images
+
+BEAD_PX = 0.1  # physics.md, Centroid limit
+ARMS = {"gamma": "Γ on the intensifier", "block60": "block60 on the flat panel"}
+VIOLATED = 3.0  # times its 95 % error, by which a wrong plan violates a limit at least
+# Wrong plans that no image shows. Their sizes are in 95 % errors of the entry point.
+MOVED, ALONG_CURVE = "bone moved along the second beam", "one click along its curve"
+UNSEEN = (MOVED, ALONG_CURVE)
+_KINDS = {one.name: one for one in KINDS}
+
+
+@dataclass(frozen=True)
+class WrongPlans:
+    """The study; its fields can be varied. `without`: checks that are removed from the procedures."""
+
+    name = "wrong-plans"
+    about = "Wrong plans by kind and size: is one of them GO? And how many right ones are?"
+
+    kinds: tuple[str, ...] = tuple(one.name for one in KINDS)
+    frames: tuple[str, ...] = tuple(ARMS)
+    without: tuple[str, ...] = ()
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """The fields and the constants that they depend on."""
+        times = {"times": [MIN_TIMES, NEAR_TIMES, MAX_TIMES], "near_share": NEAR_SHARE}
+        return {**asdict(self), **times, "pick_px": PICK_PX, "bead_px": BEAD_PX}
+
+    def trial(self, rng: np.random.Generator) -> Values:
+        """Return frame and kind, the wrong plan's `times` beyond its limit, and how the "right" and the "wrong" plan
+        ended: "GO", "NO-GO", "incomplete" or "refused", and the checks that failed (`why`). "unseen": the same of
+        the right plan after one of UNSEEN (`hidden`).
+
+        Raises SetUpError where no hip is found.
+        """
+        frame, of = self.frames[rng.integers(len(self.frames))], _KINDS[self.kinds[rng.integers(len(self.kinds))]]
+        drawn = _drawn(rng, Frame.load(frame), of)
+        setup, side, asked = drawn.hip.setup, drawn.hip.side, self._asked(of)
+        views = _calibrated(setup, measure(rng, setup, BEAD_PX))
+        ended = {
+            name: _ended(views, jittered(px, rng), asked, of.side(side) if name == "wrong" else side, of)
+            for name, px in drawn.pixels.items()
+        }
+        return {"frame": frame, "kind": of.name, "times": drawn.times, "hidden": drawn.unseen, **ended}
+
+    def _asked(self, of: WrongKind) -> Procedure:
+        """Return the procedure of a kind, without the removed checks."""
+        asked = kind(of.procedure)
+        rules = tuple(rule for rule in asked.checks if rule.check not in self.without)
+        return replace(asked, document=asked.document.model_copy(update={"checks": rules}))
+
+    def summary(self, trials: Sequence[Values]) -> Summary:
+        """Return how right and wrong plans end, by kind and by frame."""
+        groups = {"all": list(trials)}
+        groups |= {name: [one for one in trials if one["kind"] == name] for name in self.kinds}
+        groups |= {ARMS[frame]: [one for one in trials if one["frame"] == frame] for frame in self.frames}
+        found = {name: PlanShares.of(name, group) for name, group in groups.items()}
+        columns = (
+            "kind",
+            "n",
+            "wrong and GO",
+            "by its own check",
+            "other checks",
+            "right and GO",
+            "right, refused for",
+        )
+        note = (
+            "A wrong plan violates the limit of its own check by 3 times that check's 95 % error or more. A plan may "
+            "fail several checks. Right plans lie inside the limits of all checks by their 95 % errors."
+        )
+        hidden = [_hidden(name, [one["unseen"] for one in trials if one["hidden"] == name]) for name in UNSEEN]
+        estimates = [estimate for one in found.values() for estimate in one.estimates]
+        return Summary(
+            findings=tuple(_findings(found["all"])),
+            estimates=(*estimates, *(estimate for estimate, _ in hidden)),
+            tables=(
+                Table("How plans end", columns, tuple(one.row(name) for name, one in found.items()), note),
+                Table("What no image shows", ("kind", "n", "GO", "checks that failed"), tuple(r for _, r in hidden)),
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class PlanShares:
+    """How the plans of a group end."""
+
+    wrong_go: Estimate
+    caught: Estimate
+    right_go: Estimate
+    near: Estimate
+    others: str
+    refused: str
+
+    @staticmethod
+    def of(name: str, trials: Sequence[Values]) -> "PlanShares":
+        """Return the shares over the trials of a group."""
+        own = {one.name: verdict_name(one.check) for one in KINDS}
+        wrong, right = [one["wrong"] for one in trials], [one["right"] for one in trials]
+        sized = [one["times"] for one in trials]
+        others = Counter(why for one in trials for why in one["wrong"]["why"] if why != own[one["kind"]])
+        refused = Counter(why for one in right for why in one["why"])
+        return PlanShares(
+            share(f"{name}: wrong and GO", np.array([one["ended"] == "GO" for one in wrong])),
+            share(f"{name}: by its own check", np.array([own[one["kind"]] in one["wrong"]["why"] for one in trials])),
+            share(f"{name}: right and GO", np.array([one["ended"] == "GO" for one in right])),
+            share(f"{name}: within {NEAR_TIMES:g} times", np.array([times <= NEAR_TIMES for times in sized])),
+            _counted(others),
+            _counted(refused),
+        )
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """All estimates."""
+        return self.wrong_go, self.caught, self.right_go, self.near
+
+    @property
+    def count_go(self) -> int:
+        """The number of wrong plans that are GO."""
+        return round((self.wrong_go.value or 0.0) * self.wrong_go.number)
+
+    def row(self, name: str) -> tuple[str, ...]:
+        """Return the row of the table."""
+        n = self.wrong_go.number
+        wrong = f"{self.count_go} of {n}"
+        caught, right = (f"{one.value:.1%}" if n else "none" for one in (self.caught, self.right_go))
+        return name, str(n), wrong, caught, self.others, right, self.refused
+
+
+def verdict_name(check: str) -> str:
+    """Return the name in a verdict of a check of a procedure's file."""
+    return "entry at cortex" if check in _AT_CORTEX else check
+
+
+_AT_CORTEX = (
+    "head to entry",
+    "lateral of lesser trochanter",
+    "anterior of lesser trochanter",
+    "entry below cortex",
+    "entry outside cortex",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PlanPixels:
+    """The exact pixels of plans of one hip, by name of the plan: "right", "wrong", "unseen".
+
+    `times`: of the wrong one beyond its limit, in 95 % errors. `unseen`: which of UNSEEN.
+    """
+
+    hip: DrawnHip
+    pixels: dict[str, dict[str, np.ndarray]]
+    times: float
+    unseen: str
+
+
+def _drawn(rng: np.random.Generator, frame: Frame, of: WrongKind) -> PlanPixels:
+    """Draw a hip with its plans. Raises SetUpError if none is found."""
+    for _ in range(ATTEMPTS):
+        try:
+            return _planned(rng, DrawnHip.drawn(rng, frame), of)
+        except SightlineError:  # a point outside an image, a wire that this femur does not have
+            continue
+    raise SetUpError(f"none of {ATTEMPTS} hips has a right plan, and a wrong one of the kind {of.name!r}")
+
+
+def _planned(rng: np.random.Generator, hip: DrawnHip, of: WrongKind) -> PlanPixels:
+    """Return the plans of this hip. Raises SightlineError where it has none."""
+    asked = kind(of.procedure)
+    rule = next(rule for rule in asked.checks if rule.check == of.check)
+    wire, views = right_wire(rng, hip.femur, of.procedure), _exact(hip.setup)
+    right_px = hip.pixels(wire)
+    made = plan_of(views, right_px, asked, hip.side)
+    right = KnownBone.of(made)
+    inside = [-right.times_beyond(rule) for rule in asked.checks]
+    if not np.isfinite(inside).all() or min(inside) < 1.0:
+        raise SetUpError("not a right plan")
+    wrong = of.wrong_wire(hip.femur, wire, draw_times(rng), rule, lambda one: right.with_wire(hip.in_cfcs(one)))
+    wrong_px = {**right_px, "wire": hip.projected(wrong)}
+    times = KnownBone.of(plan_of(views, wrong_px, asked, of.side(hip.side), of.undrawn)).times_beyond(rule)
+    if times < VIOLATED:
+        raise SetUpError("not a wrong plan")
+    unseen = UNSEEN[rng.integers(len(UNSEEN))]
+    unseen_px = _unseen(hip, wire, right_px, unseen, draw_times(rng) * made.trajectory.entry_error_95_mm)
+    return PlanPixels(hip, {"right": right_px, "wrong": wrong_px, "unseen": unseen_px}, times, unseen)
+
+
+def _unseen(
+    hip: DrawnHip, wire_mm: np.ndarray, right_px: dict[str, np.ndarray], unseen: str, by_mm: float
+) -> dict[str, np.ndarray]:
+    """Return the pixels of a right plan after one of UNSEEN."""
+    first, second = hip.setup.views.values()
+    entry, out = hip.in_cfcs(wire_mm[0]), {name: uv.copy() for name, uv in right_px.items()}
+    if unseen == ALONG_CURVE:
+        out["wire"][1, 0] = second.project((entry + by_mm * unit(entry - first.focal_point_mm))[None])[0]
+        return out
+    by = by_mm * unit(entry - second.focal_point_mm)
+    moved = replace(hip, head_mm=hip.head_mm + by).pixels(wire_mm)
+    for name in out.keys() - {"cortex"}:  # clicked in the first image only
+        out[name][1] = moved[name][1]
+    return out
+
+
+def _exact(setup: SetUp) -> Sequence[CalibratedView]:
+    """Return the views of exact beads, and of the frame as it is, with the errors that are stated for noisy ones."""
+    exact = {}
+    for name, view in setup.views.items():
+        ids, uv = bead_images(setup, name, np.random.default_rng(0), sd_px=0.0)
+        shape = None if setup.frame.solid is None else view.chain.shape
+        exact[name] = Observations(name, ids, uv, np.tile(BEAD_PX**2 * np.eye(2), (len(ids), 1, 1)), image_shape=shape)
+    return _calibrated(setup, exact, setup.true_frame)
+
+
+def _calibrated(setup: SetUp, seen: dict[str, Observations], told: Frame | None = None) -> Sequence[CalibratedView]:
+    told = told or setup.frame
+    if told.solid is None:
+        return [sl.calibrate(one, told) for one in seen.values()]
+    arms = [CArm(view.chain.sdd_mm, view.chain.pitch_mm) for view in setup.views.values()]
+    return calibrate_together(list(seen.values()), told, arms)
+
+
+def _ended(
+    views: Sequence[CalibratedView], pixels: dict[str, np.ndarray], asked: Procedure, side: str, of: WrongKind
+) -> Values:
+    """Return how a plan ends, and the checks that failed."""
+    try:
+        made: Plan = plan_of(views, pixels, asked, side, of.undrawn)
+    except SightlineError as error:
+        return {"ended": "refused", "why": [type(error).__name__]}
+    ended = {"go": "GO", "no-go": "NO-GO"}.get(made.verdict.state, made.verdict.state)
+    return {"ended": ended, "why": sorted({check.name for check in failed(made.verdict.checks)})}
+
+
+def _hidden(name: str, ended: Sequence[Values]) -> tuple[Estimate, tuple[str, ...]]:
+    """Return the share of GO among the plans of one of UNSEEN, and the row of the table."""
+    go = share(f"{name}: GO", np.array([one["ended"] == "GO" for one in ended]))
+    return go, (name, str(go.number), str(go), _counted(Counter(why for one in ended for why in one["why"])))
+
+
+def _counted(reasons: Counter[str]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in reasons.most_common(4))
+
+
+def _findings(found: PlanShares) -> Iterable[str]:
+    n, near = found.wrong_go.number, found.near.value or 0.0
+    yield f"{found.count_go} of {n} wrong plans are GO; {near:.0%} of them violate by {NEAR_TIMES:g} times or less."
+    yield f"{found.right_go.value or 0.0:.1%} of {n} right plans are GO."

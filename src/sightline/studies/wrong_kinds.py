@@ -1,0 +1,171 @@
+"""Right wires of a hip, and the kinds of wrong plan that are made of them.
+
+How far a wrong plan is beyond its limit is stated in the 95 % error of the check that must catch it. Kinds and sizes
+were fixed before any check was tuned on them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.errors import SetUpError
+from sightline.planning.directions import across, unit
+from sightline.planning.procedures.rules import CheckRule
+from sightline.studies.plan_margins import KnownBone
+from sightline.twin.femur import NARROWEST, Femur
+from sightline.twin.wrong_wires import smallest_amount
+
+HIP_SCREW, CANNULATED = "hip-screw", "cannulated-hip-screws:inferior"
+# Sizes: uniform between the first two for NEAR_SHARE of the plans, else between the last two. Kinds without a size
+# (exchanged points, the other side) are far beyond: with them half of all plans lie within NEAR_TIMES.
+MIN_TIMES, NEAR_TIMES, MAX_TIMES, NEAR_SHARE = 3.1, 5.0, 15.0, 0.75
+MAX_AMOUNT = 60.0  # mm or degrees: farther, a wrong wire is another wire [ours]
+# Right wires [ours]: angle to the shaft, °; direction, ° s.d.; beside the head's centre, mm s.d. per axis; short of the
+# head's surface, mm; share of the way to the neck's limit at which a cannulated screw lies.
+ANGLE_DEG, FREEHAND_DEG, ASIDE_MM, SHORT_MM, SPREAD = (130.0, 140.0), 2.0, 1.5, (5.0, 10.0), (0.3, 0.9)
+SCREW_ROOM_MM = 6.65  # of a cannulated screw's axis to the neck's surface, its procedure's limit
+CAUDAL, ANTERIOR = np.eye(3)[1:]
+# Makes of a femur, a right wire (2, 3) and an amount a wrong wire, anatomical coordinates.
+Change = Callable[[Femur, np.ndarray, float], np.ndarray]
+
+
+def right_wire(rng: np.random.Generator, femur: Femur, procedure: str) -> np.ndarray:
+    """Draw a wire (2, 3) as a surgeon would plan it, anatomical coordinates. Raises SetUpError."""
+    short = rng.uniform(*SHORT_MM)
+    if procedure == CANNULATED:
+        along = femur.towards_head
+        aside = unit(across(rng.standard_normal(3), along))
+        through = rng.uniform(*SPREAD) * (NARROWEST * femur.neck_radius_mm - SCREW_ROOM_MM) * aside
+    else:
+        along = _along(np.stack(femur.wire_mm(rng.uniform(*ANGLE_DEG))))
+        through = ASIDE_MM * rng.standard_normal(3)
+    along = unit(along + np.deg2rad(FREEHAND_DEG) * rng.standard_normal(3))
+    return wire_through(femur, through, along, short)
+
+
+def wire_through(femur: Femur, through_mm: np.ndarray, along: np.ndarray, short_mm: float) -> np.ndarray:
+    """Return the wire (2, 3) through a point (3,) along a unit vector (3,), from the lateral surface to `short_mm`
+    below the nearest surface of the head. Raises SetUpError."""
+    middle = across(through_mm, along)
+    reach2 = (femur.head_radius_mm - short_mm) ** 2 - middle @ middle
+    if reach2 <= 0.0:
+        raise SetUpError("the wire passes beside the head")
+    return np.stack([femur.entry_mm(middle, along), middle + np.sqrt(reach2) * along])
+
+
+@dataclass(frozen=True)
+class WrongKind:
+    """A kind of wrong plan of a `procedure`.
+
+    `check`: the check of the procedure's file whose limit it violates; `also`: others that the same wire violates.
+    `wire`: makes the wrong wire; None for a kind without a size: `exchanged` points or the `other_side`.
+    `undrawn`: aids that are left out.
+    """
+
+    name: str
+    procedure: str
+    check: str
+    wire: Change | None = None
+    also: tuple[str, ...] = ()
+    exchanged: bool = False
+    other_side: bool = False
+    undrawn: tuple[str, ...] = ()
+
+    def side(self, side: str) -> str:
+        """Return the side that is stated for a hip of a side."""
+        return {"right": "left", "left": "right"}[side] if self.other_side else side
+
+    def wrong_wire(
+        self, femur: Femur, wire_mm: np.ndarray, times: float, rule: CheckRule, at: Callable[[np.ndarray], KnownBone]
+    ) -> np.ndarray:
+        """Return the wire (2, 3) that lies beyond the limit of `rule` by so many times the check's 95 % error.
+
+        `at`: the bone as known with an anatomical wire. Raises SetUpError where no wire within MAX_AMOUNT does.
+        """
+        make = self.wire
+        if make is None:
+            return wire_mm[::-1] if self.exchanged else wire_mm
+        error = at(wire_mm).error_95(rule)
+        for _ in range(2):  # the error of the wrong wire differs a little
+            wanted = times * error
+            amount = smallest_amount(lambda s: at(make(femur, wire_mm, s)).beyond(rule), wanted, MAX_AMOUNT)
+            if amount is None:
+                raise SetUpError(f"this hip has no wrong wire of the kind {self.name!r}")
+            made = make(femur, wire_mm, amount)
+            error = at(made).error_95(rule)
+        return made
+
+
+def draw_times(rng: np.random.Generator) -> float:
+    """Draw the size of a violation, in 95 % errors."""
+    near = rng.random() < NEAR_SHARE
+    return float(rng.uniform(MIN_TIMES, NEAR_TIMES) if near else rng.uniform(NEAR_TIMES, MAX_TIMES))
+
+
+def deeper_end(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+    """Return the wire with its end deeper by an amount, mm."""
+    return np.stack([wire_mm[0], wire_mm[1] + amount * _along(wire_mm)])
+
+
+def shorter_end(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+    """Return the wire with its end less deep by an amount, mm."""
+    return deeper_end(femur, wire_mm, -amount)
+
+
+def deeper_entry(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+    """Return the wire with its entry deeper in the bone by an amount, mm."""
+    return np.stack([wire_mm[0] + amount * _along(wire_mm), wire_mm[1]])
+
+
+def entry_in_air(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+    """Return the wire with its entry farther back, in air, by an amount, mm."""
+    return deeper_entry(femur, wire_mm, -amount)
+
+
+def entry_behind(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+    """Return the wire with its entry farther behind by an amount, mm."""
+    return np.stack([wire_mm[0] - amount * ANTERIOR, wire_mm[1]])
+
+
+def flatter(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+    """Return the wire to the same end at an angle to the shaft that is smaller by an amount, °."""
+    along = _along(wire_mm)
+    turn = np.deg2rad(amount)
+    along = np.cos(turn) * along + np.sin(turn) * unit(across(CAUDAL, along))
+    return np.stack([femur.entry_mm(across(wire_mm[1], along), along), wire_mm[1]])
+
+
+def beside_neck(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+    """Return the wire farther from the neck's axis by an amount, mm, with its tip as deep below the head's surface."""
+    along, short = _along(wire_mm), femur.head_radius_mm - float(np.linalg.norm(wire_mm[1]))
+    middle = across(wire_mm[1], along)
+    return wire_through(femur, middle + amount * unit(middle), along, short)
+
+
+KINDS = (
+    WrongKind("entry and end exchanged", HIP_SCREW, "entry and end", exchanged=True),
+    WrongKind("the other side", HIP_SCREW, "side", other_side=True),
+    WrongKind("tip through the joint's surface", HIP_SCREW, "tip in head", deeper_end),
+    WrongKind("tip too near to the joint", CANNULATED, "tip to bone nearest", deeper_end),
+    WrongKind("tip too far from the apex", HIP_SCREW, "tip-apex distance", shorter_end),
+    WrongKind(
+        "shorter than any implant", HIP_SCREW, "wire length", shorter_end, also=("tip-apex distance", "tip in head")
+    ),
+    WrongKind("entry inside the bone", HIP_SCREW, "entry below cortex", deeper_entry),
+    WrongKind(
+        "entry inside the bone, no cortex drawn",
+        HIP_SCREW,
+        "lateral of lesser trochanter",
+        deeper_entry,
+        undrawn=("cortex",),
+    ),
+    WrongKind("entry in air", HIP_SCREW, "entry outside cortex", entry_in_air),
+    WrongKind("entry behind the bone", HIP_SCREW, "anterior of lesser trochanter", entry_behind),
+    WrongKind("flatter than any plate", HIP_SCREW, "wire to shaft", flatter),
+    WrongKind("screw leaves the neck", CANNULATED, "wire in neck", beside_neck),
+)
+
+
+def _along(wire_mm: np.ndarray) -> np.ndarray:
+    return unit(wire_mm[1] - wire_mm[0])
