@@ -7,6 +7,7 @@ CHANGES = {
     3: "labelling lists what it rejects; a view is checked by its balls' sizes and by the C-arm's distance",
     4: "a strip of rows whose beads labelling dropped is sought; beads are expected wherever something was detected",
     5: "wires of iliosacral, pedicle and slipped epiphysis screws are checked against drawn borders and planes",
+    6: "a hip screw's tip-apex distance is checked, and that its entry, or a cannulated screw's, is not in air",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

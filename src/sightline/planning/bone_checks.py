@@ -302,9 +302,12 @@ def _from_lesser(lesser: np.ndarray, rule: CheckRule) -> Measure:
     )
 
 
-def _from_cortex(found: Anatomy, centre: np.ndarray, high: float) -> Measure:
+def _from_cortex(found: Anatomy, centre: np.ndarray, rule: CheckRule) -> Measure:
     assert found.shaft is not None  # noqa: S101 - checked by the caller
     on, along = found.shaft.ends_mm[0], found.shaft.direction
+    outside = rule.check == "entry outside cortex"
+    where, there, way = ("outside", "in air", -1.0) if outside else ("inside", "in the bone", 1.0)
+    high = rule.range[1]
 
     def across(xyz: np.ndarray) -> np.ndarray:
         off = xyz - on
@@ -315,12 +318,12 @@ def _from_cortex(found: Anatomy, centre: np.ndarray, high: float) -> Measure:
     cortex = float(np.linalg.norm(across(found.part("cortex"))))
     return Measure(
         "entry at cortex",
-        lambda entry, end: cortex - across(entry) @ outward,
+        lambda entry, end: way * (cortex - across(entry) @ outward),
         -np.inf,
         high,
         "mm",
-        "The entry lies {} inside the lateral cortex that was clicked",
-        f"more than {high:.0f} mm inside, it lies in the bone: pick it at the cortex, or click on the cortex again",
+        f"The entry lies {{}} {where} the lateral cortex that was clicked",
+        f"more than {high:.0f} mm {where}, it lies {there}: pick it at the cortex, or click on the cortex again",
     )
 
 
@@ -394,6 +397,10 @@ def _lesser(bone: _Bone, rule: CheckRule) -> list[Measure]:
     return [_from_lesser(bone.landmarks_mm[LESSER], rule)] if LESSER in bone.landmarks_mm else []
 
 
+def _cortex(bone: _Bone, centre: np.ndarray, rule: CheckRule) -> list[Measure]:
+    return [_from_cortex(bone.found, centre, rule)] if {"shaft", "cortex"} <= bone.found.at.keys() else []
+
+
 # The measures of each check that a procedure's file may name (`CheckRule`).
 MEASURES: dict[str, _Make] = {
     "entry and end": _of_bone(lambda bone, centre, rule: [_order(centre)]),
@@ -407,11 +414,8 @@ MEASURES: dict[str, _Make] = {
     "wire to shaft": lambda bone, rule: (
         [] if bone.found.shaft is None else [_to_shaft(bone.found.shaft.direction, *rule.range)]
     ),
-    "entry below cortex": _of_bone(
-        lambda bone, centre, rule: (
-            [_from_cortex(bone.found, centre, rule.range[1])] if {"shaft", "cortex"} <= bone.found.at.keys() else []
-        )
-    ),
+    "entry below cortex": _of_bone(_cortex),
+    "entry outside cortex": _of_bone(_cortex),
     "wire length": lambda bone, rule: [_length(rule)],
     "angle between views": lambda bone, rule: [_between_views(bone.found, rule.range[0])],
     "view directions": lambda bone, rule: [],  # `judge_directions` has the views

@@ -1,7 +1,7 @@
 """A hip of the twin, and what a person clicks and draws of it on two images, as pixels; nothing is rendered."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -113,14 +113,14 @@ def plan_of(
         return Line(pixels[name][0]), Line(pixels[name][1])
 
     first, second = ((Line(view[0]), Line(view[1])) for view in pixels["outline"])
-    drawn = {
-        "head": (Circle.through(pixels["head"][0]), Circle.through(pixels["head"][1])),
-        "neck": lines("neck"),
-        "shaft": lines("shaft"),
-        "cortex": Pick.free(pixels["cortex"]),
-        "outline": (first, second),
-    }
-    asked = {aid.key for aid in procedure.aids} - set(undrawn)
+    aids = Aids(
+        head=(Circle.through(pixels["head"][0]), Circle.through(pixels["head"][1])),
+        neck=lines("neck"),
+        shaft=lines("shaft"),
+        cortex=Pick.free(pixels["cortex"]),
+        outline=(first, second),
+    )
+    unasked = {"head", "neck", "shaft", "cortex", "outline"} - {aid.key for aid in procedure.aids}
     wire = pixels["wire"]
     return plan(
         views,
@@ -130,7 +130,7 @@ def plan_of(
         landmark_names=LANDMARKS,
         kind=procedure,
         side=side,
-        aids=Aids(**{name: aid for name, aid in drawn.items() if name in asked}),
+        aids=replace(aids, **dict.fromkeys({*unasked, *undrawn})),
         curve=_no_curve,
     )
 

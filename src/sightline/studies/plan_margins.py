@@ -55,14 +55,22 @@ class KnownBone:
 
     def error_95(self, rule: CheckRule) -> float:
         """Return the 95 % error of the value of a check."""
+        if rule.check not in MEASURES:
+            sd = metric(self.found, rule.check, self.side).sd
+            return np.nan if sd is None else TWO_SIDED_95 * sd
         n = len(self.found.values)
+        at = np.concatenate([self.found.values, self.marks_mm])
+        unused = {k for part in ("neck", "outline") if part in self.found.at for k in range(n)[self.found.at[part]]}
+        used = [k for k in range(len(at)) if k not in unused]
 
         def of(rows: np.ndarray) -> np.ndarray:
-            bones = [replace(self, found=replace(self.found, values=row[:n]), marks_mm=row[n:]) for row in rows]
+            whole = np.tile(at, (len(rows), 1))
+            whole[:, used] = rows
+            bones = [replace(self, found=replace(self.found, values=one[:n]), marks_mm=one[n:]) for one in whole]
             return np.array([[bone.beyond(rule)] for bone in bones])
 
-        _, own = response(of, np.concatenate([self.found.values, self.marks_mm]))
-        return TWO_SIDED_95 * float(np.sqrt(own[0] @ self.covariance @ own[0]))
+        _, own = response(of, at[used])
+        return TWO_SIDED_95 * float(np.sqrt(own[0] @ self.covariance[np.ix_(used, used)] @ own[0]))
 
     def times_beyond(self, rule: CheckRule) -> float:
         """Return `beyond` in units of its 95 % error."""

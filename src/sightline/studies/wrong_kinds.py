@@ -86,7 +86,7 @@ class WrongKind:
         make = self.wire
         if make is None:
             return wire_mm[::-1] if self.exchanged else wire_mm
-        error = at(wire_mm).error_95(rule)
+        made, error = wire_mm, at(wire_mm).error_95(rule)
         for _ in range(2):  # the error of the wrong wire differs a little
             wanted = times * error
             amount = smallest_amount(lambda s: at(make(femur, wire_mm, s)).beyond(rule), wanted, MAX_AMOUNT)
@@ -152,7 +152,13 @@ KINDS = (
     WrongKind(
         "shorter than any implant", HIP_SCREW, "wire length", shorter_end, also=("tip-apex distance", "tip in head")
     ),
-    WrongKind("entry inside the bone", HIP_SCREW, "entry below cortex", deeper_entry),
+    WrongKind(
+        "entry inside the bone",
+        HIP_SCREW,
+        "entry below cortex",
+        deeper_entry,
+        also=("lateral of lesser trochanter",),
+    ),
     WrongKind(
         "entry inside the bone, no cortex drawn",
         HIP_SCREW,
@@ -161,8 +167,14 @@ KINDS = (
         undrawn=("cortex",),
     ),
     WrongKind("entry in air", HIP_SCREW, "entry outside cortex", entry_in_air),
-    WrongKind("entry behind the bone", HIP_SCREW, "anterior of lesser trochanter", entry_behind),
-    WrongKind("flatter than any plate", HIP_SCREW, "wire to shaft", flatter),
+    WrongKind(
+        "entry behind the bone",
+        HIP_SCREW,
+        "anterior of lesser trochanter",
+        entry_behind,
+        also=("entry outside cortex",),
+    ),
+    WrongKind("flatter than any plate", HIP_SCREW, "wire to shaft", flatter, also=("entry outside cortex",)),
     WrongKind("screw leaves the neck", CANNULATED, "wire in neck", beside_neck),
 )
 

@@ -48,6 +48,7 @@ CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
         "anterior of lesser trochanter": _known("low high", "mm", LESSER),
         "wire to shaft": _known("low high", "°", "shaft"),
         "entry below cortex": _known("high", "mm", "head shaft cortex", f"{HEAD_CENTRE} shaft cortex"),
+        "entry outside cortex": _known("high", "mm", "head shaft cortex", f"{HEAD_CENTRE} shaft cortex"),
         "wire length": _known("low high", "mm"),
         "angle between views": _known("low", "°"),
         "tip-apex distance": _known("low high", "mm", "head neck"),

@@ -1,0 +1,85 @@
+"""Wrong plans as a study: each is wrong by what is stated, its own check refuses it, and without the check it is GO."""
+
+import json
+
+import numpy as np
+import pytest
+from tests.planning import bone
+
+from sightline.planning import Plan, kind, plan
+from sightline.studies.plan_margins import KnownBone
+from sightline.studies.study_wrong_plans import UNSEEN, VIOLATED, WrongPlans, verdict_name
+from sightline.studies.wrong_kinds import KINDS, NEAR_TIMES, WrongKind
+
+
+@pytest.mark.parametrize("of", KINDS, ids=lambda of: of.name)
+def test_a_wrong_plan_is_caught_by_its_own_check_and_is_go_without_it(of: WrongKind):
+    seed = [43, KINDS.index(of)]
+    trial = WrongPlans(kinds=(of.name,)).trial(np.random.default_rng(seed))
+    assert (trial["kind"], trial["right"]["ended"]) == (of.name, "GO")
+    assert trial["times"] >= VIOLATED
+    assert trial["wrong"]["ended"] == "NO-GO"
+    assert verdict_name(of.check) in trial["wrong"]["why"]
+    assert json.loads(json.dumps(trial)) == trial
+    unchecked = WrongPlans(kinds=(of.name,), without=(of.check, *of.also)).trial(np.random.default_rng(seed))
+    assert unchecked["times"] == trial["times"]
+    assert unchecked["wrong"]["ended"] == "GO", unchecked["wrong"]["why"]
+
+
+@pytest.mark.slow
+def test_none_of_sixty_wrong_plans_is_go_and_nine_of_ten_right_ones_are():
+    study = WrongPlans()
+    trials = [study.trial(np.random.default_rng([44, k])) for k in range(60)]
+    assert [one for one in trials if one["wrong"]["ended"] == "GO"] == []
+    assert sum(one["right"]["ended"] == "GO" for one in trials) >= 54
+    assert sum(one["times"] <= NEAR_TIMES for one in trials) >= 24  # 62 % are drawn so: 24 is 3.5 s.d. fewer
+    assert len({one["kind"] for one in trials}) >= 10
+
+
+def test_the_summary_counts_what_is_go():
+    names = [one.name for one in KINDS[:2]]
+    ended = {"GO": {"ended": "GO", "why": []}, "NO-GO": {"ended": "NO-GO", "why": ["gap", "side"]}}
+    trials = [
+        {"frame": frame, "kind": name, "times": times, "hidden": UNSEEN[0]}
+        | {"wrong": ended[wrong], "right": ended[right], "unseen": ended["GO"]}
+        for frame, name, times, wrong, right in [
+            ("gamma", names[0], 4.0, "GO", "GO"),
+            ("gamma", names[1], 9.0, "NO-GO", "GO"),
+            ("block60", names[1], 3.5, "NO-GO", "NO-GO"),
+        ]
+    ]
+    summary = WrongPlans(kinds=tuple(names)).summary(trials)
+    rows = {row[0]: row[1:] for row in summary.tables[0].rows}
+    assert rows["all"] == ("3", "1 of 3", "66.7%", "gap 2", "66.7%", "gap 1, side 1")
+    assert rows[names[0]] == ("1", "1 of 1", "0.0%", "", "100.0%", "")
+    assert rows["Γ on the intensifier"][:2] == ("2", "1 of 2")
+    assert "1 of 3 wrong plans are GO; 67% of them violate by 5 times or less." in summary.findings
+    assert [row[:2] for row in summary.tables[1].rows] == [(UNSEEN[0], "3"), (UNSEEN[1], "0")]
+
+
+def test_the_stated_error_of_a_check_is_that_of_the_clicks():
+    """120 draws of all clicks on two stand-in views whose own errors are small: their s.d. is known to 6.5 %."""
+    views, rng = bone.views(), np.random.default_rng(45)
+    uv, rules = bone.pixels(views), {rule.check: rule for rule in kind("hip-screw").checks}
+    mark = np.array([view.project(bone.LESSER_MM[None]) for view in views])
+
+    def planned(sd_px: float) -> Plan:
+        drawn = {name: [px + sd_px * rng.standard_normal(px.shape) for px in both] for name, both in uv.items()}
+        wire = np.array(drawn["wire"])
+        return plan(
+            views,
+            wire[:, 0],
+            wire[:, 1],
+            side="right",
+            aids=bone.aids(drawn),
+            landmarks_uv_px=mark + sd_px * rng.standard_normal(mark.shape),
+            landmark_names=("lesser-trochanter",),
+            curve=lambda *_: bone.curve_once(),
+        )
+
+    exact = KnownBone.of(planned(0.0))
+    names = ("entry below cortex", "lateral of lesser trochanter", "wire to shaft", "tip in head", "tip-apex distance")
+    many = [KnownBone.of(planned(0.5)) for _ in range(120)]
+    for name in names:
+        scatter = 1.96 * np.std([one.beyond(rules[name]) for one in many])
+        assert exact.error_95(rules[name]) == pytest.approx(scatter, rel=0.2)
