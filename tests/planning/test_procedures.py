@@ -184,7 +184,7 @@ def _of_two(tmp_path: Path) -> Path:
 
 def test_of_several_wires_one_is_planned_and_this_is_said(tmp_path: Path):
     file = _of_two(tmp_path)
-    with pytest.raises(UnusableInputError, match=r"has 2 wires, .*pair:upper, pair:lower. The relations .* not"):
+    with pytest.raises(UnusableInputError, match=r"has 2 wires: name the wire .*pair:upper, pair:lower"):
         kind(str(file))
     with pytest.raises(UnusableInputError, match="no wire 'middle'"):
         kind(f"{file}:middle")

@@ -1,6 +1,6 @@
 """The content of each kind of entry. Recording and replay use the same functions, so that their results compare."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,13 +14,25 @@ from sightline.checks import Limits
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError
 from sightline.imaging import Radiograph
-from sightline.planning import Aids, MatchingCurve, Plan, Procedure, matching_curve, plan
+from sightline.planning import (
+    Aids,
+    Axis,
+    MatchingCurve,
+    Plan,
+    Procedure,
+    WirePicks,
+    WirePlans,
+    matching_curve,
+    plan,
+    plan_wires,
+)
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_start import Landmarks
 from sightline.planning.procedures.files import kept
 
 Pair = tuple[CalibratedImage, CalibratedImage]
 Images = tuple[CalibratedImage, ...]  # of a plan: PA, lateral, and the third where there is one
+_OF_SEVERAL = ("others", "placed")  # of a request, which an entry of a wire alone does not hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +42,8 @@ class PlanRequest:
     `entry_uv_px`, `end_uv_px`: (V, 2) picks, one row per view. `landmarks_uv_px`: (V, L, 2) or None, with L
     `landmark_names` or none; NaN where a view does not show a point. `kind`: the key of a procedure, None for a free
     wire; `procedure`: the content of its file where that is not shipped. `limits`: set where they replace those of the
-    procedure. See `planning.plan` for the others.
+    procedure. `others`: picks of the procedure's other wires where all are planned together, `placed`: its wires that
+    are in the bone already, both by key; None for a wire alone. See `planning.plan` for the others.
     """
 
     entry_uv_px: np.ndarray
@@ -44,6 +57,8 @@ class PlanRequest:
     procedure: dict[str, Any] | None = None
     side: str | None = None
     aids: Aids | None = None
+    others: Mapping[str, WirePicks] | None = None
+    placed: Mapping[str, Axis] | None = None
 
     @staticmethod
     def of(document: dict[str, Any]) -> "PlanRequest":
@@ -53,6 +68,9 @@ class PlanRequest:
         """
         limits = document["limits"]
         fields: dict[str, Any] = {**document, "limits": None if limits is None else Limits(**limits)}
+        for name, read in (("others", lambda one: WirePicks(**one)), ("placed", _placed)):
+            if fields.get(name) is not None:
+                fields[name] = {key: read(one) for key, one in fields[name].items()}
         request = PlanRequest(**fields)
         if "side" not in document:
             return replace(request, kind=None, landmark_names=())
@@ -64,27 +82,68 @@ class PlanRequest:
 
     def plan_on(self, views: Sequence[CalibratedView], curve: Callable[..., MatchingCurve] = matching_curve) -> Plan:
         """Make the plan on calibrated views, PA first. Raises what `planning.plan` raises."""
-        landmarks = self.landmarks_uv_px
+        if self.others is not None:
+            return self.plan_wires_on(views, curve).plans[self.known_kind.wire.key]
+        picks = self._picks
         return plan(
             views,
-            np.array(self.entry_uv_px, dtype=np.float64),
-            np.array(self.end_uv_px, dtype=np.float64),
-            pick_sd_px=self.pick_sd_px,
-            snapped=self.snapped,
-            landmarks_uv_px=None
-            if landmarks is None
-            else np.array(landmarks, dtype=np.float64).reshape(len(views), -1, 2),
-            landmark_names=self.landmark_names,
+            picks.entry_uv_px,
+            picks.end_uv_px,
+            snapped=picks.snapped,
             kind=self.known_kind,
             side=self.side,
-            aids=self.aids,
-            curve=curve,
+            **self._shared(len(views), curve),
         )
+
+    def plan_wires_on(
+        self, views: Sequence[CalibratedView], curve: Callable[..., MatchingCurve] = matching_curve
+    ) -> WirePlans:
+        """Make the plans of this wire and `others` on calibrated views. Raises what `planning.plan_wires` raises."""
+        kind = self.known_kind
+        return plan_wires(
+            views,
+            {kind.wire.key: self._picks, **(self.others or {})},
+            procedure=kind.document,
+            placed=self.placed,
+            side=self.side,
+            **self._shared(len(views), curve),
+        )
+
+    def of_wire(self, key: str) -> "PlanRequest":
+        """Return the same request as that of another wire. Raises KeyError where that wire is not planned with it."""
+        kind, others = self.known_kind, dict(self.others or {})
+        if key == kind.wire.key:
+            return self
+        picks = others.pop(key)
+        own = {"entry_uv_px": picks.entry_uv_px, "end_uv_px": picks.end_uv_px, "snapped": picks.snapped}
+        others[kind.wire.key] = self._picks
+        return replace(self, **own, kind=Procedure.of(kind.document, key).key, others=others)
+
+    @property
+    def _picks(self) -> WirePicks:
+        entry, end = (np.array(one, dtype=np.float64) for one in (self.entry_uv_px, self.end_uv_px))
+        return WirePicks(entry, end, self.snapped)
+
+    def _shared(self, views: int, curve: Callable[..., MatchingCurve]) -> dict[str, Any]:
+        """Return the arguments of `plan` that hold for all wires."""
+        marks = self.landmarks_uv_px
+        return {
+            "pick_sd_px": self.pick_sd_px,
+            "landmarks_uv_px": None if marks is None else np.array(marks, dtype=np.float64).reshape(views, -1, 2),
+            "landmark_names": self.landmark_names,
+            "aids": self.aids,
+            "curve": curve,
+        }
 
     @property
     def known_kind(self) -> Procedure:
         """The procedure with the limits in force. Raises UnusableInputError for an unknown one."""
         return kept(self.kind or "free-wire", self.procedure).with_limits(self.limits)
+
+
+def _placed(document: dict[str, Any]) -> Axis:
+    covariance = document["covariance_mm2"]
+    return Axis(np.array(document["ends_mm"]), None if covariance is None else np.array(covariance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +215,7 @@ def planned(asked: PlanRequest, made: Plan) -> dict[str, Any]:
     """Return the content of a planned entry: the request, the picks as they were used, and the plan."""
     used = [[with_null(pick.uv_px) for pick in point] for point in made.picks]
     return {
-        "asked": with_null(asked),
+        "asked": {key: one for key, one in with_null(asked).items() if one is not None or key not in _OF_SEVERAL},
         "used_uv_px": {"entry": used[0], "end": used[1]},
         **made.document(),
         "checks": [check_document(check) for check in made.verdict.checks],

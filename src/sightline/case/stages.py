@@ -16,7 +16,7 @@ from sightline.frame import Frame
 from sightline.frame.builtin import BUILTIN
 from sightline.imaging import Radiograph, read_image
 from sightline.imaging.limits import MAX_FILE_BYTES
-from sightline.planning import Plan
+from sightline.planning import Plan, WirePlans
 from sightline.planning.check_result import CheckShot
 
 TABLE = ".csv"  # suffix of a table of beads, found by other software or by hand
@@ -141,6 +141,18 @@ def record_planned(case: Case, views: Sequence[Entry], asked: PlanRequest, made:
     if set(kinds) != {Kind.CALIBRATED} or len(kinds) < len(NAMES):
         raise CaseError(f"a plan rests on two calibrated views or more, not on {' and '.join(kinds)}")
     return case.record(Kind.PLANNED, contents.planned(asked, made), by=by, rests_on=[view.number for view in views])
+
+
+def record_plans(
+    case: Case, views: Sequence[Entry], asked: PlanRequest, made: Plan | WirePlans, *, by: Actor
+) -> dict[str, Any]:
+    """Record the plan of a wire, or of several, each in an entry of its own in the order of drilling.
+
+    Returns the numbers: "entry", or "entries" by wire. Raises CaseError."""
+    if isinstance(made, Plan):
+        return {"entry": record_planned(case, views, asked, made, by=by).number}
+    each = made.plans.items()
+    return {"entries": {key: record_planned(case, views, asked.of_wire(key), one, by=by).number for key, one in each}}
 
 
 def record_verified(

@@ -207,9 +207,9 @@ def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, A
 
 
 def _show(output: Output, planned: Any, compared: "list[Compared | Refused]") -> None:
-    from sightline.cli.plan import show
+    from sightline.cli.plan_results import show
 
-    show(output, planned)
+    show(output, planned, {})
     for how in (BY_HAND, EXACT):
         rows = [_row(one) for one in compared if one.picks == how]
         output.table(f"Error against the truth, {how}", ("method", "entry mm", "tip mm", "direction °"), rows)

@@ -1,5 +1,6 @@
 """`sightline export plan`: a plan in the formats of 3D Slicer, ITK, DICOM, tables and robots."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -21,7 +22,12 @@ def plan(
     path: Annotated[Path, typer.Argument(metavar="PLAN", help="plan.json, or the folder of `sightline plan --out`.")],
     *,
     out: Out,
-    to: Annotated[str, typer.Option(help=f"Formats: {','.join(KINDS)}. Each goes to a folder of its name.")] = "csv",
+    to: Annotated[
+        str,
+        typer.Option(
+            help=f"Formats: {','.join(KINDS)}. Each goes to a folder of its name, of several wires one for each in it."
+        ),
+    ] = "csv",
     side: Annotated[
         Side | None,
         typer.Option(
@@ -53,30 +59,40 @@ def plan(
         unknown = [kind for kind in kinds if kind not in KINDS]
         if unknown:
             raise UnusableInputError(f"{unknown[0]!r} is not a format of a plan; choose from {', '.join(KINDS)}")
-        known, originals = PlanFile.read(path), _originals(original)
-        if side is not None and known.side is None:
+        wires, originals = PlanFile.read_all(path), _originals(original)
+        stated = next(iter(wires.values())).side  # one patient's, the same for all wires
+        if side is not None and stated is None:
             output.note(f"the plan does not state its side: the patient axes rest on --side {side} alone")
-        side = side or known.side
+        side = side or stated
         if side is not None:
-            known.refuse_other_side(side)
+            for known in wires.values():
+                known.refuse_other_side(side)
         filed = ExportIdentity(case, datetime.now().replace(microsecond=0), side)
         if originals and "dicom" not in kinds:
             raise UnusableInputError("--original is for --to dicom only; leave it out")
-        writers = {
-            "slicer": lambda: slicer.write(known, side),
-            "itk": lambda: itk.write(known, side),
-            "dicom": lambda: dicom_plan.write(known, filed, originals),
-            "csv": lambda: tables.write(known, side),
-            "igtl": lambda: robot_files.write(known, case),
+        writers: dict[str, Callable[[PlanFile], dict[str, bytes]]] = {
+            "slicer": lambda known: slicer.write(known, side),
+            "itk": lambda known: itk.write(known, side),
+            "dicom": lambda known: dicom_plan.write(known, filed, originals),
+            "csv": lambda known: tables.write(known, side),
+            "igtl": lambda known: robot_files.write(known, case),
         }
-        with output.step("making the files"):
-            made = {kind: writers[kind]() for kind in kinds}  # all of them before any is written
-        documents = {f"{kind}/{name}": data for kind, files in made.items() for name, data in files.items()}
+        with output.step("making the files"):  # all of them before any is written
+            documents = {
+                f"{kind}/{f'{wire}/' if wire else ''}{name}": data
+                for kind in kinds
+                for wire, known in wires.items()
+                for name, data in writers[kind](known).items()
+            }
         written = write_folder(out, documents)
-        output.say(known.statement)
+        statements = {wire: known.statement for wire, known in wires.items()}
+        for wire, statement in statements.items():
+            output.say(f"{wire}: {statement}" if wire else statement)
         for file in written:
             output.say(f"written: {file}")
-        output.result({"go": known.go, "statement": known.statement, "side": side, "files": written})
+        said = {"statement": statements[""]} if "" in statements else {"statements": statements}
+        go = all(known.go and known.document.all_wires in (None, "go") for known in wires.values())
+        output.result({"go": go, **said, "side": side, "files": written})
 
 
 def _originals(texts: list[str] | None) -> dict[str, Path]:

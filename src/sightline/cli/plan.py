@@ -3,23 +3,20 @@
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from sightline.checks import failed
 from sightline.cli.calibrate import PixelSize, Sid
 from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet, example
-from sightline.cli.points import OBLIQUE, VIEWS, Point, all_depths, parse_head, parse_landmark, parse_point, pixels
+from sightline.cli.plan_results import planned_document, reports, show, write
+from sightline.cli.points import OBLIQUE, VIEWS, Point, all_depths, parse_head, parse_landmark, parse_wires, pixels
 
 if TYPE_CHECKING:
-    from sightline.case.contents import Images
     from sightline.case.journal import Case, Entry
     from sightline.case.pairs import SeenImages
-    from sightline.case.report.content import Report
     from sightline.frame import Frame
-    from sightline.planning import Plan
 
 Side = Literal["right", "left"]
 MethodName = Literal["smooth", "localized", "polynomial"]
@@ -27,11 +24,6 @@ Mirrored = Annotated[
     list[str] | None,
     typer.Option(help="View, such as pa, whose image is shown mirrored: writing in it reads backwards."),
 ]
-SAID = {
-    "go": "GO: every check passed; a person decides",
-    "no-go": "NO-GO: {} checks failed. Do what they say, then plan again:",
-    "incomplete": "INCOMPLETE: {} checks could not be made. Give what they ask for:",
-}
 PICK_HELP = (
     "In pixels: 'pa:U,V lateral:U,V'. Instead of the lateral pixel, 'depth:MM' is a point on the image-matching "
     "curve, in mm from the PA plate towards the X-ray source. With --oblique also 'oblique:U,V', if it shows the point."
@@ -56,8 +48,14 @@ def plan(
         Path | None, typer.Argument(help="Lateral image, or observations as CSV (may be the same file).")
     ] = None,
     *,
-    entry: Annotated[str, typer.Option(help=f"Entry point. {PICK_HELP}")],
-    end: Annotated[str, typer.Option(help="End point, the tip of the wire; written like the entry point.")],
+    entry: Annotated[
+        list[str],
+        typer.Option(
+            help=f"Entry point. {PICK_HELP} To plan several wires together, once for each, the wire's name first: "
+            "'inferior pa:U,V lateral:U,V'."
+        ),
+    ],
+    end: Annotated[list[str], typer.Option(help="End point, the tip of the wire; written like the entry point.")],
     oblique: Annotated[
         Path | None,
         typer.Option(
@@ -100,7 +98,7 @@ def plan(
             "--procedure",
             "--kind",
             help="Procedure: a key of `sightline procedure list`, or a file (docs/procedures.md); of several wires "
-            "KEY:WIRE. Sets what is needed, checks and limits.",
+            "KEY, or KEY:WIRE for one of them alone. Sets what is needed, checks and limits.",
         ),
     ] = "hip-screw",
     frame: Annotated[
@@ -120,12 +118,14 @@ def plan(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Plan a wire on two images, or on three.
+    """Plan one wire or several on two images, or on three.
 
-    Gives the trajectory, its 95 % error bounds and the verdict: GO, or NO-GO or INCOMPLETE (exit code 3).
+    Gives each trajectory, its 95 % error bounds and the verdict: GO, or NO-GO or INCOMPLETE (exit code 3). Of several
+    wires the relations between them are checked too.
     """
     with Output(json=json, quiet=quiet) as output, ExitStack() as stack:
-        points = [parse_point(entry, "--entry"), parse_point(end, "--end")]
+        wires = parse_wires(entry, end)
+        points = [point for wire in wires.values() for point in wire]
         names, landmarks = zip(*map(parse_landmark, landmark or []), strict=True) if landmark else ((), ())
         views = _views(oblique, [*points, *landmarks], pa)
         circles = None if head is None else parse_head(head)
@@ -138,13 +138,14 @@ def plan(
         from sightline.case.contents import PlanRequest
         from sightline.case.journal import Actor, Case
         from sightline.case.pairs import record_images
-        from sightline.case.stages import frame_in_use, frame_of, record_planned
+        from sightline.case.stages import frame_in_use, frame_of, record_plans
         from sightline.case.views import calibrate_images
         from sightline.frame import Frame
-        from sightline.planning import Aids, Circle, kind
-        from sightline.planning.procedures.files import keeping
+        from sightline.planning import Aids, Circle, Procedure, WirePicks, kind
+        from sightline.planning.procedures.files import document_of, keeping
 
-        known = kind(procedure)
+        first = next(iter(wires))
+        known = Procedure.of(document_of(procedure), first) if first else kind(procedure)
         opened = None if case is None else case_of(stack, case, files)
         in_use = None if opened is None or frame is not None else frame_in_use(opened)
         known_frame = Frame.load(frame or "gamma") if opened is None or in_use is None else frame_of(opened, in_use)
@@ -155,13 +156,13 @@ def plan(
                 taken.seen, known_frame, method, mirrored or (), source_detector_mm=sid, pixel_mm=pixel
             )
         with output.step("planning"):
-            entry_px, end_px = (pixels(point, [image.view for image in images], pick_sd) for point in points)
+            calibrated = [image.view for image in images]
+            ends = {name: [pixels(point, calibrated, pick_sd) for point in wire] for name, wire in wires.items()}
             drawn = None if circles is None else [Circle.of(np.array(c[:2]), c[2], pick_sd) for c in circles]
             asked = PlanRequest(
-                entry_px,
-                end_px,
-                pick_sd,
-                snapped,
+                *ends.pop(first),
+                pick_sd_px=pick_sd,
+                snapped=snapped,
                 landmarks_uv_px=np.reshape(
                     [[point.get(view, (np.nan, np.nan)) for point in landmarks] for view in views], (len(views), -1, 2)
                 ),
@@ -170,26 +171,26 @@ def plan(
                 procedure=keeping(known),
                 side=side,
                 aids=None if drawn is None else Aids(head=(drawn[0], drawn[1])),
+                others={name: WirePicks(a, b, snapped) for name, (a, b) in ends.items()} if first else None,
             )
-            planned = asked.plan(images)
-        document = plan_document(planned, images)
+            planned = asked.plan_wires_on(calibrated) if first else asked.plan(images)
+        document = planned_document(planned, images)
         if case is not None:
             opened = opened or stack.enter_context(Case.create(case, exist_ok=True))  # now that there is a plan
             made_on = record_images(opened, taken, images, known_frame, by=Actor.COMMAND)
-            kept = record_planned(opened, made_on, asked, planned, by=Actor.COMMAND)
-            document["case"] = {"number": opened.number, "entry": kept.number}
-            document["case"] |= {"images": image_numbers(opened, made_on, views)}
+            document["case"] = {
+                "number": opened.number,
+                **record_plans(opened, made_on, asked, planned, by=Actor.COMMAND),
+                "images": image_numbers(opened, made_on, views),
+            }
         if out is not None:
-            picks = f"entry {entry}; end {end}; {pick_sd:g} px{', snapped' if snapped else ''}"
-            picks += "".join(f"; landmark {text}" for text in landmark or [])
-            picks += "" if head is None else f"; head {head}"
+            given = {"entry": entry, "end": end, "landmark": landmark or [], "head": [head] if head else []}
+            words = "; ".join(f"{name} {text}" for name, texts in given.items() for text in texts)
+            words += f"; {pick_sd:g} px{', snapped' if snapped else ''}"
             with output.step("writing the report"):
-                document["files"] = _write(out, _report(planned, images, known_frame, picks), document)
-        show(output, planned)
-        if case is not None:
-            output.say("case {number}: the plan is entry {entry}".format(**document["case"]))
-        for file in document.get("files", ()):
-            output.say(f"written: {file}")
+                pages = reports(planned, images, known_frame, words)
+                document["files"] = write(out, planned, pages, document)
+        show(output, planned, document)
         output.result(document, planned.verdict.checks)
 
 
@@ -260,61 +261,3 @@ def image_numbers(case: "Case", views: "Sequence[Entry]", names: Sequence[str]) 
     from sightline.case.stages import acquired_of
 
     return {name: acquired_of(case, view).number for name, view in zip(names, views, strict=True)}
-
-
-def plan_document(planned: "Plan", images: "Images") -> dict[str, Any]:
-    """Return the plan as JSON types."""
-    from sightline.case.documents import view_document
-
-    return {
-        **planned.document(),
-        "views": [view_document(image) for image in images],
-    }
-
-
-def show(output: Output, planned: "Plan") -> None:
-    """Print the plan for people: the verdict and what failed first, then the trajectory.
-
-    Where a gap contradicts the stated error, no error is shown beside the coordinates.
-    """
-    path, verdict = planned.trajectory, planned.verdict
-    output.say(SAID[verdict.state].format(len(failed(verdict.checks))))
-    output.failures(verdict.checks)
-    errors = path.document()["error_95"] or {}
-    rows = [
-        (_called(key, point.name), *(f"{v:.2f}" for v in xyz), f"{errors[f'{key}_mm']:.2f}" if errors else None)
-        for key, point, xyz in zip(("entry", "end"), planned.kind.points, path.points.xyz_mm, strict=True)
-    ]
-    output.table("Trajectory in CFCS, mm (no robot is known)", ("point", "x", "y", "z", "95 % error"), rows)
-    direction = f"{errors['direction_deg']:.2f}°" if errors else "not stated"
-    output.say(f"wire from entry to end {path.length_mm:.1f} mm, 95 % error of its direction {direction}")
-    if not errors:
-        contradicted = "the gap of a point contradicts it" if path.points.gap_failed.any() else "a view's is unknown"
-        output.say(f"No error is stated: {contradicted}.")
-    for sentence in planned.sentences():
-        output.say(sentence)
-
-
-def _called(key: str, name: str) -> str:
-    """Return "entry" or "end", with the name that the procedure gives the point, if it has one."""
-    return key if name == f"{key} point" else f"{key} ({name})"
-
-
-def _report(planned: "Plan", images: "Images", frame: "Frame", picks: str) -> "Report":
-    from sightline.case.report import exposures
-    from sightline.case.report.content import Report
-
-    exposed = exposures.of_images(images, exposures.PLANNING)
-    return Report("Planned guide wire", frame, images, planned, exposed, {"picks": picks})
-
-
-def _write(folder: Path, report: "Report", document: dict[str, Any]) -> list[Path]:
-    from sightline.atomic import write_folder
-    from sightline.case.interop.bundle import bundle
-    from sightline.case.interop.plan_file import sealed
-    from sightline.case.report.page import render
-    from sightline.cli.output import as_json
-
-    taken, files = bundle(report.plan, report.images, report.frame)
-    plan_json = as_json(sealed({**document, **taken, "checks": report.plan.verdict.checks}))
-    return write_folder(folder, {"report.html": render(report).encode(), "plan.json": plan_json.encode(), **files})

@@ -62,6 +62,28 @@ def parse_landmark(text: str) -> tuple[str, Point]:
     return name, point
 
 
+def parse_wires(entries: Sequence[str], ends: Sequence[str]) -> dict[str, tuple[Point, Point]]:
+    """Return entry and end of each wire of 'WIRE pa:U,V lateral:U,V', as `parse_point`; "" for one without a name.
+
+    Raises UnusableInputError.
+    """
+    from sightline.errors import UnusableInputError
+
+    split = [[(text, *_named(text)) for text in texts] for texts in (entries, ends)]
+    named = [[(name, rest) if rest else ("", text) for text, name, rest in one] for one in split]
+    first, second = ([name for name, _ in one] for one in named)
+    if sorted(first) != sorted(second) or len(set(first)) < len(first) or ("" in first and len(first) > 1):
+        raise UnusableInputError(
+            f"--entry is given for {', '.join(map(repr, first))} and --end for {', '.join(map(repr, second))}; give "
+            "one of each for every wire, of several wires with its name: --entry 'inferior pa:U,V lateral:U,V'"
+        )
+    starts, tips = (
+        {name: parse_point(text, option) for name, text in one}
+        for one, option in zip(named, ("--entry", "--end"), strict=True)
+    )
+    return {name: (point, tips[name]) for name, point in starts.items()}
+
+
 @dataclass(frozen=True)
 class FoundAgain:
     """A landmark found again in the check images, px.

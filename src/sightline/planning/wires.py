@@ -15,6 +15,7 @@ from sightline.planning.plan import Plan, plan
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import document_of
+from sightline.planning.procedures.procedure import fingerprint
 from sightline.planning.reconstruct import reconstruct
 from sightline.planning.relations import WireLines, judge_relations
 from sightline.planning.results import Verdict
@@ -36,13 +37,14 @@ class WirePicks:
 class WirePlans(Shown):
     """The plans of a procedure's wires, the relations between them, and the verdict on all of them.
 
-    `plans`: by the wires' keys in the order of drilling. Each is what `plan` gives for its wire alone; its verdict
-    includes the relations of the wire that could be judged. `placed`: wires that are in the bone already. `lines`:
-    all of them in space, with their joint error. `relations`: the checks of the relations. `verdict`: GO only if all
-    wires are planned or placed, and all plans and relations passed; INCOMPLETE where only an input is missing.
+    `procedure`: the content of its file. `plans`: by the wires' keys in the order of drilling. Each is what `plan`
+    gives for its wire alone; its verdict includes the relations of the wire that could be judged. `placed`: wires that
+    are in the bone already. `lines`: all wires in space, with their joint error. `relations`: their checks. `verdict`:
+    GO only if all wires are planned or placed, and all plans and relations passed; INCOMPLETE where only an input is
+    missing.
     """
 
-    document: ProcedureDocument
+    procedure: ProcedureDocument
     plans: Mapping[str, Plan]
     placed: Mapping[str, Axis]
     lines: WireLines
@@ -52,7 +54,18 @@ class WirePlans(Shown):
     @property
     def missing(self) -> tuple[str, ...]:
         """Keys of the wires that are neither planned nor placed, in the order of drilling."""
-        return tuple(key for key in self.document.drilling_order if key not in {*self.plans, *self.placed})
+        return tuple(key for key in self.procedure.drilling_order if key not in {*self.plans, *self.placed})
+
+    def document(self) -> dict[str, Any]:
+        """Return the verdict on all wires, the relations, and each wire's plan, as JSON types."""
+        return {
+            "go": self.verdict.go,
+            "verdict": self.verdict.state,
+            "missing": list(self.verdict.missing),
+            "procedure": {"name": self.procedure.name, "fingerprint": fingerprint(self.procedure)},
+            "relations": [vars(check) for check in self.relations],
+            "wires": {key: one.document() for key, one in self.plans.items()},
+        }
 
     def summary(self) -> str:
         """Return the verdict, entry and end of each wire, and the checks that failed."""
@@ -61,7 +74,7 @@ class WirePlans(Shown):
             for one in self.plans.values()
             for line in one.trajectory.summary().splitlines()[1:]
         ]
-        first = f"Plan of {len(self.plans)} of {len(self.document.wires)} wires, {self.document.name}"
+        first = f"Plan of {len(self.plans)} of {len(self.procedure.wires)} wires, {self.procedure.name}"
         return "\n".join([f"{first}: {self.verdict.state.upper()}", *paths, *checks_lines(self.verdict.checks, 3)])
 
 
@@ -105,7 +118,7 @@ def plan_wires(
     judged = judge_relations(document.relations, lines, names, side)
     planned = _all_planned([names[key] for key in names if key not in lines.keys], len(names))
     return WirePlans(
-        document=document,
+        procedure=document,
         plans={key: one.related(_judged_of(key, document, judged)) for key, one in alone.items()},
         placed=placed,
         lines=lines,

@@ -87,6 +87,7 @@ def plan_written(plan: Plan) -> dict[str, Any]:
             "procedure": keeping(plan.kind),
             "limits": limits,
         },
+        **({"relations": plan.relations} if plan.relations else {}),
         **geometry,
     }
 
@@ -107,6 +108,8 @@ def plan(given: dict[str, Any]) -> Plan:
     aids = asked.pop("aids")
     on = [views.view(one) if one["schema"] == "sightline-view/1" else views.matrix_view(one) for one in given["views"]]
     out = make_plan(on, kind=known, aids=None if aids is None else Aids.of(aids), **asked)
+    if "relations" in given:  # to wires that the file does not hold
+        out = out.related(views.checks(given["relations"]))
     ends = np.array([given["trajectory"][name] for name in ("entry_mm", "end_mm")])
     off_mm = float(np.linalg.norm(out.trajectory.points.xyz_mm - ends, axis=1).max())
     if not off_mm <= _SAME_MM or out.verdict.state != given["verdict"]:

@@ -99,9 +99,11 @@ class ProcedurePart(_Part):
 
 class PlanDocument(_Part):
     """The parts of plan.json that are read back. Older versions wrote no `verdict`, `kind`, `limits` and `digest`;
-    plans without the geometry of images lack the last five."""
+    plans without the geometry of images lack the last five. `all_wires`: the verdict on all wires of the procedure,
+    where this is one of several that were planned together."""
 
     go: bool
+    all_wires: State | None = None
     verdict: State | None = None
     missing: Annotated[list[Annotated[str, Field(max_length=2000)]], Field(max_length=200)] = []
     kind: Text | None = None

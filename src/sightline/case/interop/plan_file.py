@@ -3,6 +3,7 @@
 Its digest detects changes made by accident or by hand. It is not a signature: anybody can compute a new digest.
 """
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +24,23 @@ from sightline.planning.directions import caudal
 from sightline.planning.results import SpacePoints
 
 _DIGEST = "digest"
+_WIRES = "wires"
+# What each wire of a file of several wires has of its own; the rest is the same for all.
+_OWN = (
+    *(
+        "go",
+        "verdict",
+        "missing",
+        "noticed_along_mm",
+        "kind",
+        "procedure",
+        "trajectory",
+        "landmarks",
+        "implant",
+        "checks",
+    ),
+    *("lines_of_sight", "drawn"),
+)
 _MIN_RISE_MM = 10.0  # [ours] cranial rise from entry to end that decides the side; a hip screw at 135° rises 60 mm
 _MAX_BYTES = 2**24  # [ours] a hundred times the size of a plan with its beads
 
@@ -33,6 +51,33 @@ def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
     return {**rest, _DIGEST: f"sha256:{digest(canonical(rest))}"}
 
 
+def of_wires(whole: Mapping[str, Any], plans: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the document of several wires: `whole`, what their plans' documents share, and "wires" with the rest."""
+    first = next(iter(plans.values()))
+    shared = {key: value for key, value in first.items() if key not in _OWN}
+    own = {wire: {key: one[key] for key in _OWN if key in one} for wire, one in plans.items()}
+    return {**shared, **whole, _WIRES: own}
+
+
+def _wires(given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return what each wire of a file of several has of its own, by key; nothing in a file of one wire."""
+    wires = given.get(_WIRES)
+    return {key: one for key, one in wires.items() if isinstance(one, dict)} if isinstance(wires, dict) else {}
+
+
+def _of_wire(given: Mapping[str, Any], wire: str | None) -> dict[str, Any]:
+    """Return the document of one wire. Raises UnusableInputError."""
+    if wire is None and _WIRES not in given:
+        return dict(given)
+    wires = _wires(given)
+    if wire not in wires:
+        known = ", ".join(wires) or "none: it is the plan of one wire"
+        raise UnusableInputError(f"name one of its wires with --wire; they are {known}")
+    shared = {key: value for key, value in given.items() if key not in (_WIRES, _DIGEST, *_OWN)}
+    one = {**shared, **wires[wire], "all_wires": given.get("verdict")}
+    return sealed(one) if _DIGEST in given else one
+
+
 class PlanFile:
     """A plan to be exported or sent: the content of its file, and values derived from it."""
 
@@ -41,23 +86,22 @@ class PlanFile:
         self._folder = folder
 
     @staticmethod
-    def read(path: str | Path) -> "PlanFile":
-        """Read plan.json, or the one in a folder. Raises UnusableInputError if it is damaged or was changed."""
-        file = Path(path) / "plan.json" if Path(path).is_dir() else Path(path)
-        data = reading.read_bytes(file, _MAX_BYTES)
-        try:
-            given = reading.json_object(data, depth=12)
-            if _DIGEST in given and given[_DIGEST] != sealed(given)[_DIGEST]:
-                raise UnusableInputError("it was changed after it was made: its digest does not match; plan again")
-            plan = PlanFile(PlanDocument.model_validate_json(data), file.parent)
-            plan.refuse_contradictions()
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"]))
-            raise UnusableInputError(f"{file.name}: {where}: {first['msg']}; plan again with --out") from None
-        except UnusableInputError as error:
-            raise UnusableInputError(f"{file.name}: {error}") from None
-        return plan
+    def read(path: str | Path, wire: str | None = None) -> "PlanFile":
+        """Read plan.json, or the one in a folder; `wire`: the key of one, in a file of several.
+
+        Raises UnusableInputError if it is damaged or was changed.
+        """
+        file, given = _given(path)
+        return _checked(file, given, wire)
+
+    @staticmethod
+    def read_all(path: str | Path) -> "dict[str, PlanFile]":
+        """Read the plans of a file by their wires' keys, in the order of drilling; "" in a file of one wire.
+
+        Raises UnusableInputError.
+        """
+        file, given = _given(path)
+        return {key: _checked(file, given, key or None) for key in _wires(given) or [""]}
 
     def refuse_contradictions(self) -> None:
         """Raise UnusableInputError if the file contradicts itself: GO beside a failed check or another verdict, a
@@ -196,7 +240,9 @@ class PlanFile:
         """The statement that every exported file carries, as far as its format allows."""
         errors = self.errors_95_mm
         said = "errors unknown" if errors is None else f"95 % errors: entry {errors[0]:.2f} mm, end {errors[1]:.2f} mm"
-        return f"{self.verdict}; {said}; wire {self.length_mm:.1f} mm; research software, not a medical device"
+        state = self.document.all_wires
+        of_all = "" if state in (None, "go") else f"; the plan of all wires is {state.upper()}"
+        return f"{self.verdict}{of_all}; {said}; wire {self.length_mm:.1f} mm; research software, not a medical device"
 
     @property
     def plates(self) -> Mapping[str, Pinhole]:
@@ -220,3 +266,30 @@ class PlanFile:
         if not self.document.plates:
             raise UnusableInputError("the plan holds no geometry of its images; plan again with --out")
         return self.document.plates
+
+
+def _given(path: str | Path) -> tuple[Path, dict[str, Any]]:
+    """Return the file of plan.json, or of the one in a folder, and its content. Raises UnusableInputError."""
+    file = Path(path) / "plan.json" if Path(path).is_dir() else Path(path)
+    data = reading.read_bytes(file, _MAX_BYTES)
+    try:
+        given = reading.json_object(data, depth=12)
+        if _DIGEST in given and given[_DIGEST] != sealed(given)[_DIGEST]:
+            raise UnusableInputError("it was changed after it was made: its digest does not match; plan again")
+    except UnusableInputError as error:
+        raise UnusableInputError(f"{file.name}: {error}") from None
+    return file, given
+
+
+def _checked(file: Path, given: Mapping[str, Any], wire: str | None) -> PlanFile:
+    """Return the plan of a file's content, of one of its wires where it has several. Raises UnusableInputError."""
+    try:
+        plan = PlanFile(PlanDocument.model_validate_json(json.dumps(_of_wire(given, wire))), file.parent)
+        plan.refuse_contradictions()
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise UnusableInputError(f"{file.name}: {where}: {first['msg']}; plan again with --out") from None
+    except UnusableInputError as error:
+        raise UnusableInputError(f"{file.name}: {error}") from None
+    return plan

@@ -18,7 +18,7 @@ from sightline.errors import CaseError, ObservationsError, RefusedError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.pipeline import label_beads
-from sightline.planning import Plan
+from sightline.planning import Plan, WirePlans
 from sightline.planning.check_result import CheckShot
 
 _Made = TypeVar("_Made")
@@ -58,7 +58,17 @@ class Recomputed:
 
     def plan(self, entry: Entry) -> Plan:
         """Return the plan of a planned entry."""
-        return self._once(entry, lambda: PlanRequest.of(entry.content["asked"]).plan(self.images(entry)))
+        wires = self.wires(entry)
+        if wires is None:
+            return self._once(entry, lambda: PlanRequest.of(entry.content["asked"]).plan(self.images(entry)))
+        return wires.plans[PlanRequest.of(entry.content["asked"]).known_kind.wire.key]
+
+    def wires(self, entry: Entry) -> WirePlans | None:
+        """Return the plans of all wires that a planned entry's wire was planned with; None where it was alone."""
+        asked = PlanRequest.of(entry.content["asked"])
+        if asked.others is None:
+            return None
+        return self._once(entry, lambda: asked.plan_wires_on([image.view for image in self.images(entry)]))
 
     def images(self, entry: Entry) -> Images:
         """Return the calibrated images of a planned entry, PA first."""

@@ -9,7 +9,7 @@ from sightline.case.report.drilled import Drilled
 from sightline.case.report.exposures import KeptExposure
 from sightline.case.views import CalibratedImage
 from sightline.frame import Frame
-from sightline.planning import Plan
+from sightline.planning import Plan, WirePlans
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +19,7 @@ class Report:
     `images`: PA, lateral and any third, with the views that `plan` was made on. `localized`: both views calibrated with
     the paper's method, for its triangles. `compared`, `truth`: only if the truth is known. `drilled`: once a robot has
     carried out the plan. `exposures`: the known exposures of the procedure. `provenance`: how to reproduce the report,
-    in words.
+    in words. `wires`: the plans of all wires of the procedure, where `plan` is one of several.
     """
 
     title: str
@@ -32,3 +32,4 @@ class Report:
     truth: Truth | None = None
     compared: Sequence[Compared | Refused] = field(default=())
     drilled: Drilled | None = None
+    wires: WirePlans | None = None

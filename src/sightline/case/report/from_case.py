@@ -24,6 +24,7 @@ def report_of(case: Case) -> Report:
         frame=frame_of(case, case.entry(entry.rests_on[0]).settings["frame"]),
         images=again.images(entry),
         plan=again.plan(entry),
+        wires=again.wires(entry),
         exposures=exposures.of_case(case, entry),
         drilled=_drilled(case, entry, again),
         provenance={

@@ -31,6 +31,7 @@ def tables(report: Report) -> dict[str, Any]:
         "tiles": _tiles(report),
         "notes": list(_notes(report)),
         "points": _points(report),
+        "wires": _wires(report),
         "third": spoken(report.images[2].name) if len(report.images) > 2 else None,
         "comparison": _comparison(report),
         "drilled": drilled.section(report.drilled),
@@ -139,6 +140,34 @@ def _points(report: Report) -> list[dict[str, Any]]:
             }
         )
     return out
+
+
+def _wires(report: Report) -> dict[str, Any] | None:
+    """Return the wires that were planned together, in the order of drilling, and their relations."""
+    made = report.wires
+    if made is None:
+        return None
+    rows = []
+    for key, one in made.plans.items():
+        path = one.trajectory
+        errors = (path.entry_error_95_mm, path.end_error_95_mm) if path.error_stated else (None, None)
+        rows.append(
+            {
+                "name": one.kind.wire.name,
+                "this": key == report.plan.kind.wire.key,
+                "verdict": one.verdict.state.upper(),
+                "points": list(zip(path.points.xyz_mm, errors, strict=True)),
+                "length": path.length_mm,
+            }
+        )
+    names = {wire.key: wire.name for wire in made.procedure.wires}
+    return {
+        "word": made.verdict.state.upper(),
+        "rows": rows,
+        "others": [f"{names[key]}: in the bone already" for key in made.placed]
+        + [f"{names[key]}: not planned" for key in made.missing],
+        "relations": [_check(check) for check in made.relations],
+    }
 
 
 def bars(report: Report) -> list[Bar]:

@@ -54,8 +54,8 @@ class Procedure:
         if wire not in wires and (wire or len(wires) > 1):
             names = ", ".join(f"{document.key}:{key}" for key in wires)
             raise UnusableInputError(
-                f"{document.key} has {len(wires)} wires, and a plan is of one: plan them one by one, {names}. "
-                "The relations between them are not checked yet"
+                f"{document.key} has {len(wires)} wires: name the wire of each entry and end, such as "
+                f"'{document.wires[0].key} pa:U,V lateral:U,V', or choose one of {names}"
                 if not wire
                 else f"{document.key} has no wire {wire!r}; choose one of {names}"
             )

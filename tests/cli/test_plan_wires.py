@@ -1,0 +1,164 @@
+"""`sightline plan` of several wires: relations of a file, plan.json of all wires, their exports and their case."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sightline.case.interop.plan_file import PlanFile
+from sightline.case.journal import Case, Kind
+from sightline.errors import UnusableInputError
+from sightline.planning.procedures.files import copy_text
+
+KEYS = ("inferior", "anterior", "posterior")
+# The inferior wire, one above it in front, one above it behind; a right hip.
+INFERIOR_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, -5.3]])
+WIRES_MM = INFERIOR_MM + np.array([[0.0, 0.0, 0.0], [6.1, -6.4, 7.3], [5.2, -5.9, -8.8]])[:, None]
+LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
+
+
+@pytest.fixture(scope="module")
+def arguments(setup, beads_csv: Path) -> Callable[..., list[Any]]:
+    """`arguments(WIRES_MM)`: of `plan`, with the exact picks of wires by name."""
+
+    def written(xyz_mm: np.ndarray) -> str:
+        return " ".join(
+            f"{view}:{u:.2f},{v:.2f}" for view in ("pa", "lateral") for u, v in setup.views[view].project(xyz_mm[None])
+        )
+
+    def given(wires_mm: np.ndarray, keys: tuple[str, ...] = KEYS) -> list[Any]:
+        out: list[Any] = ["plan", beads_csv, beads_csv, "--side", "right", "--pick-sd", 0.2]
+        for key, (entry, end) in zip(keys, wires_mm, strict=True):
+            out += ["--entry", f"{key} {written(entry)}", "--end", f"{key} {written(end)}"]
+        for xyz in LANDMARKS_MM:
+            out += ["--landmark", written(xyz)]
+        return out
+
+    return given
+
+
+@pytest.fixture(scope="module")
+def procedure(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """`procedure("parallel", high=0.1)`: the shipped file without checks of the bone, with a changed relation."""
+
+    def written(relation: str = "", **change: Any) -> Path:
+        given = json.loads(copy_text("cannulated-hip-screws", "mine"))
+        given["checks"] = []
+        for one in given["relations"]:
+            one.update(change if one["relation"] == relation else {})
+        file = tmp_path_factory.mktemp("procedure") / "mine.json"
+        file.write_text(json.dumps(given))
+        return file
+
+    return written
+
+
+def _failed(document: dict[str, Any]) -> set[str]:
+    return {check["name"] for check in document["checks"] if not check["passed"]}
+
+
+@pytest.fixture(scope="module")
+def planned(run, arguments, procedure, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
+    """What was printed, and the folder of plan and case."""
+    folder = tmp_path_factory.mktemp("planned")
+    files = ["--out", folder / "plan", "--case", folder / "case"]
+    return run(*arguments(WIRES_MM), "--procedure", procedure(), *files), folder
+
+
+def test_all_wires_are_planned_and_reported(planned) -> None:
+    ran, out = planned[0], planned[1] / "plan"
+    assert ran.code == 0, ran.out
+    for words in ("GO: every check passed", "posterior wire, end", "parallel: Between the", "of the wire anterior is"):
+        assert words in ran.out
+    files = {file.name for file in out.iterdir()}
+    assert files == {"plan.json", *(f"report-{key}.html" for key in KEYS)}
+    page = (out / "report-anterior.html").read_text()
+    assert "All wires: GO" in page and "anterior wire (this report)" in page and "inverted triangle" in page
+
+
+def test_plan_json_holds_all_wires_and_is_exported(run, planned, tmp_path: Path) -> None:
+    out = planned[1] / "plan"
+    plans = PlanFile.read_all(out)
+    assert list(plans) == list(KEYS)
+    for key, wire_mm in zip(KEYS, WIRES_MM, strict=True):
+        assert plans[key].go and plans[key].document.kind == f"mine:{key}"
+        assert np.linalg.norm(plans[key].points_mm - wire_mm, axis=1).max() < 1.5
+        plans[key].refuse_for_robot()
+    assert len({one.identifier("case") for one in plans.values()}) == 3
+    with pytest.raises(UnusableInputError, match="name one of its wires with --wire; they are inferior, anterior"):
+        PlanFile.read(out)
+
+    exported = run("export", "plan", out, "--to", "csv,igtl,itk,slicer", "--out", tmp_path / "export", "--json")
+    assert exported.code == 0, exported.out
+    assert set(exported.document["statements"]) == set(KEYS)
+    rows = [(tmp_path / "export" / "csv" / key / "trajectory.csv").read_text().splitlines()[1] for key in KEYS]
+    assert len(set(rows)) == 3
+    assert (tmp_path / "export" / "igtl" / "posterior" / "target.igtl").exists()
+
+
+def test_a_case_keeps_each_wire_and_computes_it_again(run, planned) -> None:
+    case = planned[1] / "case"
+    with Case.open(case, read_only=True) as kept:
+        entries = kept.entries(Kind.PLANNED)
+        assert [entry.content["kind"] for entry in entries] == [f"mine:{key}" for key in KEYS]
+        assert {"parallel", "spacing", "inverted triangle"} <= {one["name"] for one in entries[0].content["checks"]}
+    outcomes = run("case", "replay", case, "--json").document["entries"]
+    assert {one["outcome"] for one in outcomes} == {"same to the bit"}
+
+
+def test_edited_wires_are_noticed(planned, tmp_path: Path) -> None:
+    file = tmp_path / "plan.json"
+    given = json.loads((planned[1] / "plan" / "plan.json").read_text())
+    assert given["verdict"] == "go" and given["procedure"]["name"] == "cannulated hip screws"
+    given["wires"]["anterior"]["trajectory"]["end_mm"][0] += 1.0
+    file.write_text(json.dumps(given))
+    with pytest.raises(UnusableInputError, match="digest does not match"):
+        PlanFile.read(file, "inferior")
+    given["wires"] = [1]
+    del given["digest"]
+    file.write_text(json.dumps(given))
+    with pytest.raises(UnusableInputError, match="they are none"):
+        PlanFile.read_all(file)
+
+
+@pytest.mark.parametrize(
+    ("relation", "change"),
+    [
+        ("parallel", {"high": 0.05}),
+        ("spacing", {"low": 14.0}),
+        ("inverted triangle", {"wires": ["posterior", "anterior", "inferior"]}),
+    ],
+)
+def test_a_relation_of_the_file_decides(run, arguments, procedure, relation: str, change: dict[str, Any]) -> None:
+    ran = run(*arguments(WIRES_MM), "--procedure", procedure(relation, **change), "--json")
+    assert ran.code == 3
+    assert ran.document["verdict"] == "no-go" and _failed(ran.document) == {relation}
+    assert not any(wire["go"] for wire in ran.document["wires"].values())
+
+
+def test_a_wire_that_is_left_out_is_asked_for(run, arguments, procedure) -> None:
+    ran = run(*arguments(WIRES_MM[:2], KEYS[:2]), "--procedure", procedure(), "--json")
+    assert ran.code == 3
+    assert ran.document["verdict"] == "incomplete"
+    assert any("pick entry and end of the posterior wire" in sentence for sentence in ran.document["missing"])
+
+
+def test_names_of_wires_are_asked_for_once_each(run, arguments, procedure) -> None:
+    file = procedure()
+    unnamed = [
+        text.removeprefix("inferior ") if isinstance(text, str) else text for text in arguments(WIRES_MM[:1], KEYS[:1])
+    ]
+    twice = arguments(WIRES_MM[:2], ("inferior", "inferior"))
+    one_end = arguments(WIRES_MM[:1], KEYS[:1])
+    one_end[one_end.index("--end") + 1] = one_end[one_end.index("--end") + 1].replace("inferior", "anterior")
+    for given, words in (
+        (unnamed, "name the wire of each entry and end"),
+        (twice, "give one of each for every wire"),
+        (one_end, "give one of each for every wire"),
+        (arguments(WIRES_MM[:1], ("lowest",)), "has no wire 'lowest'"),
+    ):
+        ran = run(*given, "--procedure", file)
+        assert ran.code == 2 and words in ran.err.replace("\n", " "), ran.err
