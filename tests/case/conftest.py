@@ -52,7 +52,7 @@ def report(frame, setup, pair, truth) -> Report:
         frame=frame,
         images=images,
         plan=planned,
-        exposures=of_images(images, PLANNING),
+        exposures=of_images(images, PLANNING, planned.kind),
         provenance={"picks": "drawn"},
         localized=(localized[0].view, localized[1].view),
         truth=truth,

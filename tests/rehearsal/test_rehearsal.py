@@ -6,7 +6,8 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-from sightline.rehearsal.rehearsal import PARTS, VIEWS, Rehearsal
+from sightline.rehearsal.patient import PARTS, VIEWS
+from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.twin import render
 
@@ -49,7 +50,7 @@ def test_check_images_show_the_wire_that_was_drilled(rehearsal):
     T_mcs_cfcs = RigidTransform.from_translation([400.0, 12.0, 300.0])
     held = np.stack([entry - 20 * (end - entry) / np.linalg.norm(end - entry), entry, end]) + off
     shot = rehearsal.check_images(SimulatedWire(T_mcs_cfcs.apply(held), T_mcs_cfcs, np.zeros(5)))
-    moved = shot.hip.landmarks_mm["head centre"] - rehearsal.hip.head_mm
+    moved = shot.landmarks_mm["head centre"] - rehearsal.hip.head_mm
     assert 0.0 < np.linalg.norm(moved) < 0.5
     along = held[1] + np.linspace(0.1, 0.9, 80)[:, None] * (held[2] - held[1]) + moved
     for view in ("pa", "lateral"):

@@ -15,6 +15,7 @@ from sightline.errors import FrameError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, read_image
 from sightline.pipeline import find_beads, known_arm, label_beads, view_of
+from sightline.planning.procedures import Procedure
 
 NAMES = ("pa", "lateral")  # every pair of views is in this order
 OBLIQUE = "oblique"  # a third image, after the pair
@@ -41,9 +42,10 @@ def stated_view(image: Radiograph) -> str | None:
     return OBLIQUE if off[nearest] >= _OBLIQUE_RAD else None
 
 
-def spoken(view: str) -> str:
-    """Return a view's name as people write it."""
-    return "PA" if view == "pa" else view
+def spoken(view: str, kind: Procedure | None = None) -> str:
+    """Return a view's name as people write it; of the pair of a procedure, its name there, for example "inlet"."""
+    own = view if kind is None or view not in NAMES else kind.document.views[NAMES.index(view)].name
+    return "PA" if own == "pa" else own
 
 
 @dataclass(frozen=True, eq=False)

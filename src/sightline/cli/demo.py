@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.demo_case import Kept, record
-from sightline.cli.demo_robot import DemoPlan, drill
+from sightline.cli.demo_robot import DemoPlan, carry_out
 from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sightline.case.report.content import Report
     from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
-    from sightline.rehearsal.rehearsal import Rehearsal
+    from sightline.rehearsal.patient import RehearsedPatient
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the plan is made with the first
 OF_SOLIDS: "tuple[Method, ...]" = METHODS[:1]  # the others are for plates
@@ -31,53 +31,60 @@ EXACT = "located exactly: no noise, 0.1 px assumed"
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("demo", epilog=example("sightline demo --out out/demo"))(demo)
+    examples = ("sightline demo --out out/demo", "sightline demo --procedure pedicle-screw --out out/pedicle")
+    app.command("demo", epilog=example(*examples))(demo)
 
 
 def demo(
     *,
     out: Annotated[Path, typer.Option(help="Folder for the report, the images and the results.")] = Path("out/demo"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of patient, C-arm and frame.")] = SEED,
+    procedure: Annotated[str, typer.Option(help="Key of a shipped procedure; a wrong key lists them.")] = "hip-screw",
     frame: Annotated[
-        str,
-        typer.Option(help="gamma; block60 or block30 on a flat panel; block40+detector-plate on an intensifier."),
-    ] = "gamma",
+        str | None,
+        typer.Option(
+            help="gamma; block60 or block30 on a flat panel; block40+detector-plate on an intensifier. By default "
+            "gamma, or block60 where the procedure's views are not those of gamma.",
+            show_default=False,
+        ),
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Simulate, plan and drill one case.
 
     Makes two images with the digital twin, plans a wire on them, drills it with the simulated robot, and compares the
-    result with the truth.
+    result with the truth. The robot is simulated at the hip; at other bones the wire is put where it was planned.
     """
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import whole_folder
+        from sightline.cli.demo_procedures import frame_for
 
+        frame_name = frame_for(procedure, frame)
         output.note(f"Sightline demo, seed {seed}: about half a minute; the first run compiles and takes a minute more")
         with whole_folder(out, units=("case",)) as scratch:
-            document = _run(output, scratch, seed, frame)
+            document = _run(output, scratch, seed, frame_name, procedure)
             files = [out / file.name for file in sorted(scratch.iterdir())]
         output.say(f"report: {out / 'report.html'}")
         output.say(f"images and results: {', '.join(file.name for file in files if file.suffix != '.html')} in {out}")
         output.result({**document, "files": files})
 
 
-def _run(output: Output, folder: Path, seed: int, frame_name: str) -> dict[str, Any]:
+def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: str) -> dict[str, Any]:
     """Do all steps and return the result. The images are read back from their files, as a user's images are."""
     from sightline.case.report import exposures
     from sightline.case.report.comparison import Truth
     from sightline.case.report.content import Report
     from sightline.case.report.page import render
     from sightline.case.views import NAMES, calibrate_pair, see_pair
+    from sightline.cli.demo_procedures import PLACED, command, drawn_patient, picks_told, title
     from sightline.frame import Frame
     from sightline.imaging import write_dicom
-    from sightline.rehearsal.rehearsal import Rehearsal
-    from sightline.twin import truth_document
 
     frame = Frame.load(frame_name)
     with output.step("1/8 drawing the set-up and its X-ray images"):
-        rehearsal = Rehearsal.draw(seed, frame)
-        wire = rehearsal.hip.wire_mm
+        rehearsal = drawn_patient(procedure, seed, frame)
+        wire = rehearsal.wires_mm[0]
         truth = Truth(wire, rehearsal.pixels(wire))
         pa, lateral = (
             write_dicom(rehearsal.images[name], folder / f"demo_{name}.dcm", rehearsal.side) for name in NAMES
@@ -88,40 +95,39 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str) -> dict[str, 
     with output.step(f"3/8 calibrating both views: {', '.join(methods)}"):
         images = {method: calibrate_pair(seen, frame, method) for method in methods}
     rng = rehearsal.generator("picks")
-    asked, rim_px = requested(rehearsal, rng)
+    asked, drawn_px = requested(rehearsal, rng)
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
         planned = asked.plan(images[METHODS[0]])
     with output.step("5/8 comparing with the truth"):
         compared = _compare(images, asked, truth, planned)
     whole = DemoPlan(rehearsal, frame_name, asked, planned, images[METHODS[0]])
-    drilled, checked = drill(output, whole, rng) or (None, None)
-    exposed = exposures.of_images(images[METHODS[0]], exposures.PLANNING)
+    drilled, checked = carry_out(output, whole, rng) or (None, None)
+    exposed = exposures.of_images(images[METHODS[0]], exposures.PLANNING, planned.kind)
     if checked is not None and checked.images is not None:
-        exposed += exposures.of_images(checked.images, exposures.CHECK)
+        exposed += exposures.of_images(checked.images, exposures.CHECK, planned.kind)
     with output.step("8/8 drawing the report"):
         report = Report(
-            title="A guide wire planned on two images of the twin" + (", and drilled" if drilled else ""),
+            title=title(drilled),
             frame=frame,
             images=images[METHODS[0]],
             plan=planned,
             exposures=exposed,
             provenance={
                 "images": f"made by the digital twin, seed {seed}, written as DICOM without geometry and read back",
-                "picks": f"the true places with {PICK_SD_PX:g} px of normal noise; lateral ones snapped to curves, but "
-                "those of the landmarks: centre of the head, both trochanters; three clicks on the head's rim in each",
+                "picks": picks_told(planned.kind, asked.landmark_names, drawn_px, PICK_SD_PX),
                 "side": rehearsal.side,
-                "command": f"sightline demo --seed {seed}"
-                + ("" if frame_name == "gamma" else f" --frame {frame_name}"),
-            },
+                "command": command(seed, procedure, frame_name),
+            }
+            | ({} if drilled is None or drilled.record else {"wire": PLACED}),
             localized=(paper[0].view, paper[1].view) if (paper := images.get("localized")) else None,
             truth=truth,
             compared=compared,
             drilled=drilled,
         )
         page = render(report)
-    kept = Kept(rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, rim_px, drilled, checked)
+    kept = Kept(rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, drawn_px, drilled, checked)
     record(folder / "case", kept)
-    _write_results(folder, page, report, {"seed": seed, **truth_document(rehearsal.setup, rehearsal.hip)})
+    _write_results(folder, page, report, {"seed": seed, **rehearsal.truth})
     _show(output, planned, compared)
     if drilled is not None:
         _show_drilled(output, drilled)
@@ -133,30 +139,29 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str) -> dict[str, 
     }
 
 
-def requested(rehearsal: "Rehearsal", rng: "np.random.Generator") -> "tuple[PlanRequest, np.ndarray]":
-    """Return the plan that a person asks for, with the picks, and the clicks (2, 3, 2) on the head's rim."""
+def requested(rehearsal: "RehearsedPatient", rng: "np.random.Generator") -> "tuple[PlanRequest, dict[str, np.ndarray]]":
+    """Return the plan that a person asks for, with the picks, and the clicks (2, N, 2) of each aid by its key."""
     import numpy as np
 
     from sightline.case.contents import PlanRequest
-    from sightline.planning import Aids, Circle
+    from sightline.cli.demo_procedures import drawn_aids
 
-    picks = rehearsal.pixels(rehearsal.hip.wire_mm) + PICK_SD_PX * rng.standard_normal((2, 2, 2))
+    picks = rehearsal.pixels(rehearsal.wires_mm[0]) + PICK_SD_PX * rng.standard_normal((2, 2, 2))
     landmarks_px = np.stack(list(rehearsal.landmarks.values()), axis=1)
     landmarks_px = landmarks_px + PICK_SD_PX * rng.standard_normal(landmarks_px.shape)
-    rim_px = rehearsal.head_rim + PICK_SD_PX * rng.standard_normal(rehearsal.head_rim.shape)
-    head = [Circle.through(rim, PICK_SD_PX) for rim in rim_px]
+    drawn_px = {key: uv + PICK_SD_PX * rng.standard_normal(uv.shape) for key, uv in rehearsal.aids_px.items()}
     asked = PlanRequest(
         picks[:, 0],
         picks[:, 1],
         PICK_SD_PX,
         snapped=True,
         landmarks_uv_px=landmarks_px,
-        landmark_names=tuple("-".join(name.split()) for name in rehearsal.landmarks),
-        kind="hip-screw",
+        landmark_names=rehearsal.landmark_keys,
+        kind=rehearsal.procedure,
         side=rehearsal.side,
-        aids=Aids(head=(head[0], head[1])),
+        aids=drawn_aids(drawn_px, PICK_SD_PX),
     )
-    return asked, rim_px
+    return asked, drawn_px
 
 
 def _compare(
@@ -220,7 +225,8 @@ def _show_drilled(output: Output, drilled: "Drilled") -> None:
 
     told = section(drilled) or {}
     output.table("The drilled wire", ("", "entry mm", "tip mm", "direction °"), told["rows"])
-    output.say(f"The robot detected: {told['events']}. {told['check']}")
+    events = f"The robot detected: {told['events']}. " if told["events"] else ""
+    output.say(f"{events}{told['check']}")
 
 
 def _row(one: "Compared | Refused") -> tuple[str, ...]:

@@ -14,22 +14,22 @@ if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage
     from sightline.cli.demo_robot import Checked
     from sightline.planning import Plan
-    from sightline.rehearsal.rehearsal import Rehearsal
+    from sightline.rehearsal.patient import RehearsedPatient
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
     """All that the demo records: the image `files`, their views, the plan and its inputs, the check shot.
 
-    `rim_px` (2, N, 2): the clicks on the head's rim.
+    `drawn_px`: the clicks (2, N, 2) of each aid by its key.
     """
 
-    rehearsal: "Rehearsal"
+    rehearsal: "RehearsedPatient"
     files: tuple[Path, Path]
     images: "tuple[CalibratedImage, CalibratedImage]"
     asked: "PlanRequest"
     plan: "Plan"
-    rim_px: "np.ndarray"
+    drawn_px: "dict[str, np.ndarray]"
     drilled: "Drilled | None"
     checked: "Checked | None"
 
@@ -39,13 +39,15 @@ def record(folder: Path, kept: Kept) -> None:
     from sightline.case import stages
     from sightline.case.journal import Actor, Case, Kind
     from sightline.case.views import NAMES
+    from sightline.rehearsal.patient import BONE_OF
 
     rehearsal, by = kept.rehearsal, Actor.DEMO
     with Case.create(folder) as case:
         frame_ref = stages.keep_frame(case, rehearsal.setup.frame)
-        patient = {"seed": rehearsal.seed, "frame": rehearsal.setup.frame.name, "side": rehearsal.side}
         stages.record_changed(case, "frame", frame_ref, by=by)
-        stages.record_changed(case, "rehearsal", patient, by=by)
+        if rehearsal.procedure not in BONE_OF:  # the app rehearses at the hip
+            patient = {"seed": rehearsal.seed, "frame": rehearsal.setup.frame.name, "side": rehearsal.side}
+            stages.record_changed(case, "rehearsal", patient, by=by)
         before = case.last
         first, second = (
             stages.record_view(case, file, image, frame_ref=frame_ref, by=by)
@@ -55,9 +57,10 @@ def record(folder: Path, kept: Kept) -> None:
         decided = _decisions(kept, dict(zip(NAMES, acquired, strict=True)))
         stages.record_changed(case, "edit", decided, by=by)
         plan = stages.record_planned(case, (first, second), kept.asked, kept.plan, by=by)
-        if kept.drilled is not None and kept.checked is not None:
+        if kept.drilled is not None and kept.drilled.record is not None:
             document = kept.drilled.document()
             case.record(Kind.DRILLED, {"record": document["record"]}, by=Actor.ROBOT, rests_on=[plan.number])
+        if kept.checked is not None:
             _record_check(case, plan, kept.checked, frame_ref)
 
 
@@ -95,6 +98,8 @@ def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
     for k, name in enumerate(kept.asked.landmark_names):
         assert kept.asked.landmarks_uv_px is not None  # noqa: S101 - they have names
         marks[f"landmark-{name}"] = mark(kept.asked.landmarks_uv_px[:, k], free=True)
-    for k in range(kept.rim_px.shape[1]):
-        marks[f"head-{k + 1}"] = mark(kept.rim_px[:, k], free=True)
-    return Decisions(images=MappingProxyType(acquired), marks=MappingProxyType(marks)).document()
+    for key, uv in kept.drawn_px.items():
+        for k in range(uv.shape[1]):
+            marks[f"{key}-{k + 1}"] = mark(uv[:, k], free=True)
+    images, kind = MappingProxyType(acquired), kept.plan.kind.key
+    return Decisions(images=images, kind=kind, marks=MappingProxyType(marks)).document()

@@ -2,32 +2,34 @@
 
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
 
     from sightline.case.contents import CheckRequest, Pair, PlanRequest
-    from sightline.case.report.drilled import Drilled
+    from sightline.case.report.drilled import Deviation, Drilled
     from sightline.cli.output import Output
     from sightline.frame import Frame
     from sightline.imaging import Radiograph
     from sightline.planning import Plan
     from sightline.planning.check_result import CheckShot
     from sightline.planning.results import SpacePoints
+    from sightline.rehearsal.check_images import CheckImages
+    from sightline.rehearsal.patient import RehearsedPatient
     from sightline.rehearsal.rehearsal import Rehearsal
     from sightline.robot.kinematics.registration import Registration
     from sightline.robot.kinematics.target import RobotTarget
-    from sightline.robot.link.simulated import SimulatedWire
 
+Who_co = TypeVar("Who_co", bound="RehearsedPatient", covariant=True)
 BY_ENCODERS, BY_IMAGES = "encoders", "images"
 
 
 @dataclass(frozen=True, eq=False)
-class DemoPlan:
-    """A plan for a rehearsal, as `asked`, and its images; `frame_name`: of its frame, for `Frame.load`."""
+class DemoPlan(Generic[Who_co]):
+    """A plan for a rehearsed patient, as `asked`, and its images; `frame_name`: of its frame, for `Frame.load`."""
 
-    rehearsal: "Rehearsal"
+    rehearsal: Who_co
     frame_name: str
     asked: "PlanRequest"
     plan: "Plan"
@@ -46,7 +48,22 @@ class Checked:
     found: "CheckShot | str"
 
 
-def drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "tuple[Drilled, Checked] | None":
+def carry_out(
+    output: "Output", planned: "DemoPlan[RehearsedPatient]", rng: "np.random.Generator"
+) -> "tuple[Drilled, Checked] | None":
+    """Return the wire and its check shot: drilled by the robot, or placed at bones that its simulation does not know;
+    None as of `drill`."""
+    from sightline.rehearsal.rehearsal import Rehearsal
+
+    who = planned.rehearsal
+    if not isinstance(who, Rehearsal):
+        return place(output, planned, rng)
+    return drill(output, DemoPlan(who, planned.frame_name, planned.asked, planned.plan, planned.images), rng)
+
+
+def drill(
+    output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator"
+) -> "tuple[Drilled, Checked] | None":
     """Return the drilled wire and its check shot; None, with a message, if the robot is not installed or refuses."""
     from sightline.errors import RefusedError
 
@@ -63,17 +80,41 @@ def drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "t
         return None
 
 
-def _drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "tuple[Drilled, Checked]":
-    from time import monotonic
+def place(
+    output: "Output", planned: "DemoPlan[RehearsedPatient]", rng: "np.random.Generator"
+) -> "tuple[Drilled, Checked]":
+    """Return the wire put into the twin's bone where it is planned, without a robot, and its check shot."""
+    from sightline.case.report.drilled import Drilled
+    from sightline.cli.demo_procedures import PLACED
 
+    output.say(PLACED)
+    wire_mm = planned.plan.trajectory.points.xyz_mm
+    with output.step("7/8 the check shot: two more images, finding the wire in both"):
+        checked = check(planned, planned.rehearsal.shown_again(wire_mm), rng)
+    return Drilled(None, None, checked.found, _physics(planned, wire_mm)[1:]), checked
+
+
+def _physics(planned: "DemoPlan[RehearsedPatient]", wire_mm: "np.ndarray") -> "tuple[Deviation, ...]":
+    """Return the true deviations of a wire (2, 3) from the plan and from the ideal wire."""
     import numpy as np
 
-    from sightline.case.report.drilled import Deviation, Drilled
-    from sightline.rehearsal.operation import InsertionOutcome, insert
+    from sightline.case.report.drilled import Deviation
+    from sightline.rehearsal.operation import InsertionOutcome
+
+    lines = (("the plan", planned.plan.trajectory.points.xyz_mm), ("the ideal wire", planned.rehearsal.wires_mm[0]))
+    found = [(name, InsertionOutcome.of(wire_mm, line)) for name, line in lines]
+    return tuple(Deviation(name, one.entry_mm, one.end_mm, float(np.rad2deg(one.angle_rad))) for name, one in found)
+
+
+def _drill(output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator") -> "tuple[Drilled, Checked]":
+    from time import monotonic
+
+    from sightline.case.report.drilled import Drilled
+    from sightline.rehearsal.operation import insert
     from sightline.rehearsal.process import RobotProcess
     from sightline.robot.link.client import RobotClient
 
-    rehearsal, plan = planned.rehearsal, planned.plan
+    rehearsal = planned.rehearsal
     with (
         output.step("6/8 the robot: registering, aligning, drilling under force supervision"),
         RobotProcess(rehearsal.seed, planned.frame_name, rehearsal.side, virtual=True) as process,
@@ -84,16 +125,13 @@ def _drill(output: "Output", planned: DemoPlan, rng: "np.random.Generator") -> "
         record = insert(robot, target, depth_limit_mm(planned, target.end_error_95_mm, rng))
         wire = robot.simulated_wire()
     with output.step("7/8 the check shot: two more images, finding the wire in both"):
-        checked = check(planned, wire, rng)
-    physics = []
-    for name, line in (("the plan", plan.trajectory.points.xyz_mm), ("the ideal wire", rehearsal.hip.wire_mm)):
-        one = InsertionOutcome.of(wire.axis_mm, line)
-        physics.append(Deviation(name, one.entry_mm, one.end_mm, float(np.rad2deg(one.angle_rad))))
-    return Drilled(target, record, checked.found, tuple(physics), targets.get(BY_IMAGES)), checked
+        checked = check(planned, rehearsal.check_images(wire), rng)
+    physics = _physics(planned, wire.axis_mm)
+    return Drilled(target, record, checked.found, physics, targets.get(BY_IMAGES)), checked
 
 
 def registrations(
-    planned: DemoPlan, imaged: "np.ndarray", now_s: float, rng: "np.random.Generator"
+    planned: "DemoPlan[Rehearsal]", imaged: "np.ndarray", now_s: float, rng: "np.random.Generator"
 ) -> "dict[str, Registration]":
     """Return the robot's registration by its encoders (5,) at the images; with a block also by the images, in which a
     person picks the robot's own wire. Raises RobotRefusedError where both disagree beyond their stated errors."""
@@ -109,7 +147,7 @@ def registrations(
     return out
 
 
-def targets_by(stood: "dict[str, Registration]", planned: DemoPlan) -> "dict[str, RobotTarget]":
+def targets_by(stood: "dict[str, Registration]", planned: "DemoPlan[Rehearsal]") -> "dict[str, RobotTarget]":
     """Return the robot's target by each registration. Raises RobotRefusedError."""
     from sightline.rehearsal.operation import target_of
     from sightline.robot.kinematics.target import PlanIdentity
@@ -120,19 +158,17 @@ def targets_by(stood: "dict[str, Registration]", planned: DemoPlan) -> "dict[str
     return {by: target_of(plan, identity, one) for by, one in stood.items()}
 
 
-def check(planned: DemoPlan, wire: "SimulatedWire", rng: "np.random.Generator") -> Checked:
-    """Return the check shot of a drilled wire, on two more images. Raises SetUpError."""
+def check(planned: "DemoPlan[RehearsedPatient]", taken: "CheckImages", rng: "np.random.Generator") -> Checked:
+    """Return the check shot of a wire on two more images."""
     from sightline.case.contents import CheckRequest
     from sightline.errors import RefusedError
     from sightline.planning.check_shot import Landmarks
-    from sightline.twin.implants import WIRE_DIAMETER_MM
 
     rehearsal, before = planned.rehearsal, planned.asked
-    taken = rehearsal.check_images(wire)
     found = taken.landmarks_px(tuple(rehearsal.landmarks), before.pick_sd_px, rng)
     assert before.landmarks_uv_px is not None  # noqa: S101 - they were picked
     landmarks = Landmarks(before.landmarks_uv_px, found, before.pick_sd_px)
-    asked, images = CheckRequest(WIRE_DIAMETER_MM, landmarks), None
+    asked, images = CheckRequest(planned.plan.kind.wire_mm, landmarks), None
     try:
         images = _read_back(taken.images, rehearsal.setup.frame)
         return Checked(asked, images, asked.shot(planned.plan, planned.images, images))
@@ -151,7 +187,7 @@ def _read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
         return calibrate_pair(see_pair(pa, lateral, frame), frame, "smooth")
 
 
-def depth_limit_mm(planned: DemoPlan, end_error_95_mm: float, rng: "np.random.Generator") -> float:
+def depth_limit_mm(planned: "DemoPlan[Rehearsal]", end_error_95_mm: float, rng: "np.random.Generator") -> float:
     """Return the depth limit beyond the planned entry, mm: the distance along the wire to the head's surface, picked in
     both views, less the 95 % error of both."""
     import numpy as np
@@ -167,7 +203,7 @@ def depth_limit_mm(planned: DemoPlan, end_error_95_mm: float, rng: "np.random.Ge
     return depth_limit(float((surface.xyz_mm[0] - entry_mm) @ along), float(error_mm))
 
 
-def _picked(planned: DemoPlan, xyz_mm: "np.ndarray", rng: "np.random.Generator") -> "SpacePoints":
+def _picked(planned: "DemoPlan[RehearsedPatient]", xyz_mm: "np.ndarray", rng: "np.random.Generator") -> "SpacePoints":
     """Return true points (N, 3), CFCS, as reconstructed from a person's picks in both images."""
     import numpy as np
 

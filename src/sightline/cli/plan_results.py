@@ -109,7 +109,8 @@ def reports(planned: "Plan | WirePlans", images: "Images", frame: "Frame", picks
     from sightline.case.report.content import Report
     from sightline.planning import Plan
 
-    plans, exposed = each_of(planned), exposures.of_images(images, exposures.PLANNING)
+    plans = each_of(planned)
+    exposed = exposures.of_images(images, exposures.PLANNING, next(iter(plans.values())).kind)
     wires = None if isinstance(planned, Plan) else planned
     return {
         key: Report("Planned guide wire", frame, images, one, exposed, {"picks": picks}, wires=wires)

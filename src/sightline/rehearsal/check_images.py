@@ -1,6 +1,6 @@
 """A check shot on the twin: two more images with the wire in the bone, and the wire found in them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +13,9 @@ from sightline.imaging import Radiograph
 from sightline.pipeline import check_shot
 from sightline.planning import Plan
 from sightline.planning.check_shot import CheckShot, Landmarks
-from sightline.twin import HipScene, SetUp, Variation, draw_setup, render
+from sightline.twin import BoneScene, HipScene, SetUp, render
 from sightline.twin.implants import guide_wire
+from sightline.twin.motion import moved
 from sightline.twin.specimens import tagged
 
 ATTEMPTS = 200
@@ -23,32 +24,42 @@ MARGIN_PX = 20.0  # minimum distance of wire and landmarks from the edge of the 
 
 @dataclass(frozen=True, eq=False)
 class CheckImages:
-    """Both radiographs of a check shot, and the true set-up and bone that they show."""
+    """Both radiographs of a check shot, and the true set-up and landmarks (3,) that they show."""
 
     setup: SetUp
-    hip: HipScene
+    landmarks_mm: dict[str, np.ndarray]
     images: dict[str, Radiograph]
 
     @staticmethod
     def take(
-        planned: SetUp, hip: HipScene, wire_mm: np.ndarray, motion: RigidTransform, rng: np.random.Generator
+        planned: SetUp,
+        bone: HipScene | BoneScene,
+        wire: tuple[np.ndarray, float],
+        motion: RigidTransform,
+        drawn: tuple[np.random.Generator, Callable[[np.random.Generator], SetUp]],
+        *,
+        landmarks_mm: Mapping[str, np.ndarray],
     ) -> "CheckImages":
-        """Render the check images, with the wire (2, 3), planning CFCS, in the bone, and the bone moved against the
-        frame by `motion`. The C-arm is set up again. Raises SetUpError if no set-up shows wire and landmarks."""
-        then = replace(hip, bone=hip.bone + guide_wire(wire_mm), motions={"check": motion}).at("check")
-        points = np.concatenate([motion.apply(wire_mm), np.stack(list(then.landmarks_mm.values()))])
-        chain, same_arm = planned.views[VIEWS[0]].chain.name, Variation(tube=planned.tube)
+        """Render the check images of a bone that has moved against the frame by `motion`.
+
+        `wire`: its axis to the tip (2, 3), planning CFCS, and its diameter, in the bone. `drawn`: the generator, and
+        the function that draws another set-up of the C-arm. `landmarks_mm`: points of the bone before it moved. Raises
+        SetUpError if no set-up shows wire and landmarks.
+        """
+        (wire_mm, diameter_mm), (rng, draw) = wire, drawn
+        then = bone.still + moved(bone.bone + guide_wire(wire_mm, diameter_mm), motion)
+        landmarks = {name: motion.apply(at) for name, at in landmarks_mm.items()}
+        points = np.concatenate([motion.apply(wire_mm), np.stack(list(landmarks.values()))])
         for _ in range(ATTEMPTS):
-            drawn = draw_setup(rng, planned.frame, side=planned.side, chain=chain, variation=same_arm)
-            setup = replace(drawn, true_frame=planned.true_frame)
+            setup = replace(draw(rng), true_frame=planned.true_frame)
             if all(view.in_field(view.project(points), MARGIN_PX).all() for view in setup.views.values()):
-                images = {name: tagged(setup, name, render(setup, name, then.scene, rng)) for name in VIEWS}
-                return CheckImages(setup, then, images)
+                images = {name: tagged(setup, name, render(setup, name, then, rng)) for name in VIEWS}
+                return CheckImages(setup, landmarks, images)
         raise SetUpError(f"none of {ATTEMPTS} set-ups shows wire and landmarks in both check images")
 
     def landmarks_px(self, names: Sequence[str], sd_px: float, rng: np.random.Generator) -> np.ndarray:
         """Draw a person's picks (2, L, 2) of the named landmarks in both images."""
-        xyz = np.stack([self.hip.landmarks_mm[name] for name in names])
+        xyz = np.stack([self.landmarks_mm[name] for name in names])
         true = np.stack([self.setup.views[name].project(xyz) for name in VIEWS])
         return true + sd_px * rng.standard_normal(true.shape)
 

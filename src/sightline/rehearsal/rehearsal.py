@@ -1,8 +1,4 @@
-"""A rehearsed procedure: patient, set-up, images, robot and check images, all drawn from one seed.
-
-Each part has its own generator, so it does not depend on the parts drawn before it: it is the same after a restart and
-in the robot's separate process.
-"""
+"""A rehearsed procedure at the hip: patient, set-up, images, robot and check images, all drawn from one seed."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,35 +8,30 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.case.views import NAMES as VIEWS
 from sightline.frame import Frame
-from sightline.imaging import Radiograph
+from sightline.planning.procedures import kind
 from sightline.rehearsal.check_images import CheckImages
 from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup
+from sightline.rehearsal.patient import LANDMARK_MARGIN_PX, RehearsedPatient
 from sightline.rehearsal.robots import REMOUNT_SD, SHOWN_FEED_MM, calibrated_robot, drawn_robot, shown_wire_mm
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.link.simulated import SimulatedWire
-from sightline.twin import HipScene, SetUp, render, shown_hip_scene
+from sightline.twin import HipScene, Scene, shown_hip_scene
 from sightline.twin.femur import SHORT_MM
 from sightline.twin.implants import guide_wire
-from sightline.twin.specimens import tagged
 
-PARTS = (*VIEWS, "robot", "check", "picks")  # each has its own generator; add new parts at the end
-LANDMARK_MARGIN_PX = 30.0  # landmarks nearer to the edge of a field are not picked [ours]
 SHOWN_MM, MAX_SHOWN_MM = 25.0, 60.0  # length of the robot's own wire, to its tip, in images of a block [ours]
-RIM_ANGLES_RAD = np.array([0.3, 2.4, 4.5])  # about a third of the outline apart
 NO_SERIAL = "none"  # sent to the robot for a frame without a serial
 
 
 @dataclass(frozen=True, eq=False)
-class Rehearsal:
-    """A patient in or beside a frame in front of a C-arm: the true `setup` and `hip`."""
+class Rehearsal(RehearsedPatient):
+    """A patient with a hip, and the robot that holds the frame."""
 
-    seed: int
-    setup: SetUp
-    hip: HipScene
+    bone: HipScene
 
     @staticmethod
-    def draw(seed: int, frame: Frame, side: str = "right") -> "Rehearsal":
+    def draw(seed: int, frame: Frame, side: str = "right", procedure: str = "hip-screw") -> "Rehearsal":
         """Draw a rehearsal from its seed: in front of an intensifier, for a solid a flat panel (`chain_for`).
 
         Both fields show the whole ideal wire, and beside a solid the tip of the robot's own; an intensifier's field has
@@ -50,58 +41,34 @@ class Rehearsal:
         if frame.solid is not None and frame.detector is None:
             imaged = np.array([0.0, 0.0, 0.0, 0.0, SHOWN_FEED_MM])
             also = shown_wire_mm(calibrated_robot(side, frame).manipulator, imaged, [SHOWN_MM, 0.0])
-        return Rehearsal(seed, *shown_hip_scene(np.random.default_rng(seed), frame, side, also_mm=also))
-
-    def generator(self, part: str) -> np.random.Generator:
-        """Return the generator of one of PARTS in its initial state."""
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(PARTS.index(part),)))
+        return Rehearsal(seed, *shown_hip_scene(np.random.default_rng(seed), frame, side, also_mm=also), procedure)
 
     @property
-    def side(self) -> str:
-        """The patient's side."""
-        return self.setup.side
+    def hip(self) -> HipScene:
+        """The bone."""
+        return self.bone
 
     @property
     def serial(self) -> str:
         """The serial of the frame that the robot is set up for."""
         return self.setup.frame.serial or NO_SERIAL
 
-    @cached_property
-    def images(self) -> dict[str, Radiograph]:
-        """The radiograph of each view. Images of a block show the robot's own wire besides."""
+    @property
+    def scene(self) -> Scene:
+        """Everything in the beam. Images of a block show the robot's own wire besides."""
         scene = self.hip.scene
-        if self.robot_wire_mm is not None:
-            scene = scene + guide_wire(self.robot_wire_mm)
-        made = {name: render(self.setup, name, scene, self.generator(name)) for name in VIEWS}
-        return {name: tagged(self.setup, name, image) for name, image in made.items()}
-
-    def pixels(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """Return the true pixels (2, N, 2) of points (N, 3), CFCS, in both images."""
-        return np.stack([self.setup.views[name].project(xyz_mm) for name in VIEWS])
-
-    @cached_property
-    def landmarks(self) -> dict[str, np.ndarray]:
-        """Pixels (2, 2) in both images of each landmark of the bone that lies well inside both fields, by name."""
-        known = self.hip.landmarks_mm
-        uv = self.pixels(np.stack(list(known.values())))
-        shown = [self.setup.views[name].in_field(uv[k], LANDMARK_MARGIN_PX) for k, name in enumerate(VIEWS)]
-        return {name: uv[:, k] for k, name in enumerate(known) if shown[0][k] and shown[1][k]}
+        return scene if self.robot_wire_mm is None else scene + guide_wire(self.robot_wire_mm)
 
     @property
     def head_rim(self) -> np.ndarray:
         """Pixels (2, 3, 2) in both images of three points around the outline of the head."""
-        out = np.zeros((2, len(RIM_ANGLES_RAD), 2))
-        for k, name in enumerate(VIEWS):
-            view = self.setup.views[name]
-            ray, radius = self.hip.head_mm - view.focal_point_mm, self.hip.femur.head_radius_mm
-            distance = np.linalg.norm(ray)
-            across = np.linalg.svd(ray[None] / distance)[2][1:]
-            # Tangent rays touch the sphere on a circle that is nearer to the source and smaller than the sphere.
-            nearer = self.hip.head_mm - ray * (radius / distance) ** 2
-            touching = radius * np.sqrt(1.0 - (radius / distance) ** 2)
-            around = np.stack([np.cos(RIM_ANGLES_RAD), np.sin(RIM_ANGLES_RAD)], axis=1)
-            out[k] = view.project(nearer + touching * around @ across)
-        return out
+        return self.rim_px(self.hip.head_mm, self.hip.femur.head_radius_mm)
+
+    @property
+    def aids_px(self) -> dict[str, np.ndarray]:
+        """Pixels (2, clicks, 2) in both images of the aids that are drawn: of those of the procedure, the head."""
+        asked = {aid.key for aid in kind(self.procedure).aids}
+        return {"head": self.head_rim} if "head" in asked else {}
 
     @property
     def surface_mm(self) -> np.ndarray:
@@ -141,7 +108,7 @@ class Rehearsal:
         if self.setup.frame.solid is not None:
             then = then * RigidTransform.from_exp_coords(REMOUNT_SD * rng.standard_normal(6))
         motion = then.inv() * true.T_mcs_cfcs(imaged)
-        return CheckImages.take(self.setup, self.hip, wire.axis_mm, motion, rng)
+        return self._check_images(wire.axis_mm, motion, rng)
 
     @property
     def _at_images(self) -> tuple[Manipulator, np.ndarray]:

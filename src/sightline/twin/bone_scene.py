@@ -12,6 +12,7 @@ from sightline.frame import Frame
 from sightline.twin.bones import Aid, BoneModel
 from sightline.twin.carm import SetUp, Variation, draw_setup
 from sightline.twin.distributions import HipPlace, SolidPlace
+from sightline.twin.draw import FlatPanel, Tube
 from sightline.twin.femur import to_cfcs
 from sightline.twin.growing_femur import draw_growing_femur
 from sightline.twin.pelvis import draw_pelvis
@@ -35,29 +36,43 @@ class BoneKind:
     """A bone of a procedure, and how it is imaged.
 
     `draw`: draws its dimensions. `body`: around the middle of its first wire. `beams`: of its views, by name, in
-    anatomical coordinates for a solid (default: PA and lateral, those of plates too). `place`: of a solid.
+    anatomical coordinates for a solid (default: PA and lateral, those of plates too). `check_beams`: of a check shot
+    beside a solid, where a view of the plan shows the wire nearly end on. `place`: of a solid.
     """
 
     draw: Callable[[np.random.Generator], Any]
     body: SoftTissue
     beams: Mapping[str, tuple[float, float, float]] | None = None
     place: SolidPlace = field(default_factory=SolidPlace)
+    check_beams: Mapping[str, tuple[float, float, float]] | None = None
 
-    def setup(self, rng: np.random.Generator, frame: Frame, side: str = "right", **drawn: Any) -> SetUp:
-        """Draw a set-up with the views of this bone. `drawn`: arguments of `draw_setup`, besides views and variation.
+    def setup(
+        self,
+        rng: np.random.Generator,
+        frame: Frame,
+        side: str = "right",
+        tube: Tube | FlatPanel | None = None,
+        check: bool = False,
+        **drawn: Any,
+    ) -> SetUp:
+        """Draw a set-up with the views of this bone.
+
+        `tube`: a given detector instead of a drawn one. `check`: for a check shot. `drawn`: arguments of `draw_setup`,
+        besides views and variation.
 
         Raises SetUpError for plates, if their beams are not those of this bone.
         """
-        if self.beams is None:
+        chosen = self.check_beams if check and self.check_beams and frame.solid is not None else self.beams
+        if chosen is None:
             beams = None
         elif frame.solid is None:
             raise SetUpError(
-                f"the plates of frame {frame.name!r} do not show the views {', '.join(self.beams)}; use a solid frame, "
+                f"the plates of frame {frame.name!r} do not show the views {', '.join(chosen)}; use a solid frame, "
                 "for example block60"
             )
         else:
-            beams = {name: to_cfcs(np.array(beam), side, np.zeros(3)) for name, beam in self.beams.items()}
-        variation = Variation(place=self.place)
+            beams = {name: to_cfcs(np.array(beam), side, np.zeros(3)) for name, beam in chosen.items()}
+        variation = Variation(place=self.place, tube=tube)
         return draw_setup(rng, frame, side=side, views=beams, variation=variation, **drawn)
 
 
@@ -65,11 +80,15 @@ class BoneKind:
 # by 42.4° [src Eastman 2015]. The solid lies as far from the wire as beside a hip, where both views show it beside it.
 INLET, OUTLET = radians(24.9), radians(42.4)
 PELVIC_VIEWS = {"inlet": (0.0, -sin(INLET), cos(INLET)), "outlet": (0.0, sin(OUTLET), cos(OUTLET))}
+# The PA view shows a pedicle's wire nearly end on: turned by 30° towards the operated side it is 38° to 46° off [ours].
+OBLIQUE, LATERAL = (sin(radians(30.0)), 0.0, cos(radians(30.0))), (1.0, 0.0, 0.0)
 BONES: dict[str, BoneKind] = {
     "pelvis": BoneKind(
         draw_pelvis, SoftTissue((-36.0, 40.0), (175.0, 115.0)), PELVIC_VIEWS, SolidPlace((0.0, 79.0, -12.0))
     ),
-    "vertebra": BoneKind(draw_vertebra, SoftTissue((-16.0, 25.0), (150.0, 105.0))),
+    "vertebra": BoneKind(
+        draw_vertebra, SoftTissue((-16.0, 25.0), (150.0, 105.0)), check_beams={"oblique": OBLIQUE, "lateral": LATERAL}
+    ),
     "growing-femur": BoneKind(draw_growing_femur, SoftTissue((-35.0, -5.0), (125.0, 90.0))),
 }
 
@@ -119,10 +138,13 @@ class BoneScene:
 
 
 def shown_bone_scene(
-    rng: np.random.Generator, frame: Frame, name: str, side: str = "right", **drawn: Any
+    rng: np.random.Generator, frame: Frame, name: str, side: str = "right", *, imaged: bool = True, **drawn: Any
 ) -> tuple[SetUp, BoneScene]:
     """Draw a set-up and a bone of BONES so that all views show its wires. `drawn`: arguments of `draw_setup`, besides
-    views and variation. Raises SetUpError if none is found."""
+    views and variation. `imaged`: False leaves out what absorbs, for studies of points.
+
+    Raises SetUpError if none is found.
+    """
     kind = BONES[name]
     dimensions = kind.draw(rng)
     bone = dimensions.bone()
@@ -132,6 +154,8 @@ def shown_bone_scene(
         wires = to_cfcs(bone.wires_mm, side, origin)
         margin = HipPlace().margin_px
         if all(view.in_field(view.project(wires), margin).all() for view in setup.views.values()):
+            if not imaged:
+                return setup, BoneScene(Scene(), Scene(), bone, side, origin, dimensions)
             return setup, placed_bone(setup, name, dimensions, origin, rng)
     raise SetUpError(f"none of {ATTEMPTS} set-ups shows the wires in all views of frame {frame.name!r}")
 

@@ -47,6 +47,11 @@ class HipScene:
         """Everything in the beam, with the frame's beads first."""
         return self.still + self.bone
 
+    @property
+    def wires_mm(self) -> np.ndarray:
+        """Entry and end (1, 2, 3) of the ideal wire, as of other bones."""
+        return self.wire_mm[None]
+
     @staticmethod
     def of(still: Scene, bone: Scene, femur: Femur, side: str, head_mm: np.ndarray) -> "HipScene":
         """Return a hip at rest, with the points of the femur for a head centred at `head_mm` (3,)."""

@@ -7,7 +7,7 @@ from sightline.calibration import BeadView
 from sightline.case.report.comparison import Compared, Refused, Truth
 from sightline.case.report.drilled import Drilled
 from sightline.case.report.exposures import KeptExposure
-from sightline.case.views import CalibratedImage
+from sightline.case.views import CalibratedImage, spoken
 from sightline.frame import Frame
 from sightline.planning import Plan, WirePlans
 
@@ -33,3 +33,7 @@ class Report:
     compared: Sequence[Compared | Refused] = field(default=())
     drilled: Drilled | None = None
     wires: WirePlans | None = None
+
+    def spoken(self, view: str) -> str:
+        """Return a view's name as the procedure has it."""
+        return spoken(view, self.plan.kind)

@@ -7,6 +7,7 @@ from sightline.case.journal import Case, Entry, Kind
 from sightline.case.journal.originals import short
 from sightline.case.stages import acquired_of
 from sightline.case.views import CalibratedImage, spoken
+from sightline.planning.procedures import Procedure
 
 NOTE = (
     "Exposures whose images were kept. Other exposures, such as live images and those to position patient and C-arm, "
@@ -26,17 +27,18 @@ class KeptExposure:
     frames: int = 1
 
 
-def of_images(images: Iterable[CalibratedImage], used: str) -> tuple[KeptExposure, ...]:
+def of_images(images: Iterable[CalibratedImage], used: str, kind: Procedure) -> tuple[KeptExposure, ...]:
     """Return the exposures of images outside a case."""
-    return tuple(KeptExposure(image.seen.source, f"{used}, {spoken(image.name)} view") for image in images)
+    return tuple(KeptExposure(image.seen.source, f"{used}, {spoken(image.name, kind)} view") for image in images)
 
 
-def of_case(case: Case, plan: Entry) -> tuple[KeptExposure, ...]:
-    """Return all exposures of a case in order, and the use of each in a plan and its check shot.
+def of_case(case: Case, plan: Entry, kind: Procedure | None = None) -> tuple[KeptExposure, ...]:
+    """Return all exposures of a case in order, and the use of each in a plan and its check shot. `kind`: of the plan,
+    whose names the views get.
 
     Images with the same pixels, from the same file or under another header, count as one exposure.
     """
-    uses = dict(_uses(case, plan))
+    uses = dict(_uses(case, plan, kind))
     found: dict[str, KeptExposure] = {}
     by_file: dict[str, str] = {}
     for entry in case.entries(Kind.ACQUIRED):
@@ -52,10 +54,10 @@ def of_case(case: Case, plan: Entry) -> tuple[KeptExposure, ...]:
     return tuple(found.values())
 
 
-def _uses(case: Case, plan: Entry) -> Iterator[tuple[int, str]]:
+def _uses(case: Case, plan: Entry, kind: Procedure | None) -> Iterator[tuple[int, str]]:
     """Yield numbers of acquired entries, and what their images were used for."""
     checks = [one.rests_on[1:] for one in case.entries(Kind.VERIFIED) if one.rests_on[:1] == (plan.number,)]
     for what, views in ((CHECK, (number for pair in checks for number in pair)), (PLANNING, plan.rests_on)):
         for number in views:
             view = case.entry(number)
-            yield acquired_of(case, view).number, f"{what}, {spoken(view.content['view'])} view"
+            yield acquired_of(case, view).number, f"{what}, {spoken(view.content['view'], kind)} view"

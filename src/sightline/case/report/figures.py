@@ -11,7 +11,7 @@ from sightline.case.report.content import Report
 from sightline.case.report.drawing import plan_marks, radiographs, scene
 from sightline.case.report.drawing.budget import budget
 from sightline.case.report.tables import POINTS, bars, budget_rows
-from sightline.case.views import CalibratedImage, spoken
+from sightline.case.views import CalibratedImage
 from sightline.detection import RejectedCandidate
 from sightline.planning import Pick
 
@@ -48,7 +48,7 @@ def _plan_figures(report: Report) -> list[dict[str, Any]]:
     for k, image in enumerate(report.images):
         if image.seen.image is None:
             continue
-        words = f"{spoken(image.name)} image with the planned wire and its picks"
+        words = f"{report.spoken(image.name)} image with the planned wire and its picks"
         words += ", and the image-matching curves of entry and tip with their uncertainty bands" if k == 1 else ""
         words += ", and the landmarks, each with a line to its projection" if k == 2 else ""
         drawing = radiographs.radiograph(image.seen.image, image.name, _plan_marks(report, k), words)
@@ -81,7 +81,7 @@ def _near_figures(report: Report) -> list[dict[str, Any]]:
         if image.seen.image is None:
             continue
         for pair, name in _picked(report, k):
-            words = f"{spoken(image.name)} image around the {name}"
+            words = f"{report.spoken(image.name)} image around the {name}"
             drawing = radiographs.closeup(image.name, pair[k].uv_px, _plan_marks(report, k), words)
             out.append(_figure(drawing, _capital(words) + "."))
     return out
@@ -126,20 +126,22 @@ def _bead_figures(report: Report) -> dict[str, Any]:
     sizes = np.array([bead.residual_mm for beads in marked.values() for bead in beads])
     top = max(float(np.quantile(sizes, 0.95)), 1e-3)
     return {
-        "bead_figures": [_beads_of(image, marked[image.name], top) for image in shown],
+        "bead_figures": [_beads_of(report, image, marked[image.name], top) for image in shown],
         "triangle_figures": _triangles(report),
         "ramp": radiographs.colour_map(np.linspace(0.0, top, RAMP_STEPS), top),
         "top_mm": top,
     }
 
 
-def _beads_of(image: CalibratedImage, marked: list[radiographs.MarkedBead], top_mm: float) -> dict[str, Any]:
+def _beads_of(
+    report: Report, image: CalibratedImage, marked: list[radiographs.MarkedBead], top_mm: float
+) -> dict[str, Any]:
     assert image.seen.image is not None and image.seen.beads is not None  # noqa: S101 - only images are shown
     refused = _rejected(image)
     left_out = sum(not bead.used for bead in marked)
     size = image.view.residuals.rms_mm
     words = (
-        f"{spoken(image.name)} image: {len(marked)} beads labelled, residual {size:.3f} mm rms per axis, "
+        f"{report.spoken(image.name)} image: {len(marked)} beads labelled, residual {size:.3f} mm rms per axis, "
         f"{left_out} left out of the fit, {len(refused)} other candidates rejected"
     )
     marks = [radiographs.rejected(refused), radiographs.beads(marked, top_mm)]
@@ -191,11 +193,11 @@ def _whole(report: Report) -> Iterable[scene.Shape]:
     for image in report.images:
         if report.frame.solid is None:
             plates = report.frame.view(image.name)
-            yield from scene.plate(plates.xrii.xyz_mm, "xrii", f"{spoken(image.name)} XRII plate")
-            yield from scene.plate(plates.source.xyz_mm, "source", f"{spoken(image.name)} source plate")
+            yield from scene.plate(plates.xrii.xyz_mm, "xrii", f"{report.spoken(image.name)} XRII plate")
+            yield from scene.plate(plates.source.xyz_mm, "source", f"{report.spoken(image.name)} source plate")
         focal = image.view.focal_point_mm
-        yield scene.dot(focal, "focal", 6.0, f"{spoken(image.name)} focal point")
-        yield scene.label(focal, f"{spoken(image.name)} focal point")
+        yield scene.dot(focal, "focal", 6.0, f"{report.spoken(image.name)} focal point")
+        yield scene.label(focal, f"{report.spoken(image.name)} focal point")
         for line in _lines(report, image):
             yield scene.line(focal, line, "sight")
     yield _wire(report)
@@ -209,7 +211,10 @@ def _near(report: Report) -> Iterable[scene.Shape]:
             along = (on_plate - focal) / np.linalg.norm(on_plate - focal)
             nearest = focal + ((point - focal) @ along) * along
             yield scene.line(
-                nearest - BEYOND_MM * along, nearest + BEYOND_MM * along, "sight", f"{spoken(image.name)} line of sight"
+                nearest - BEYOND_MM * along,
+                nearest + BEYOND_MM * along,
+                "sight",
+                f"{report.spoken(image.name)} line of sight",
             )
     yield _wire(report)
     for name, point in zip(POINTS, report.plan.trajectory.points.xyz_mm, strict=True):
@@ -237,8 +242,7 @@ def _triangles(report: Report) -> list[dict[str, Any]]:
         bounding = net.controls_px[net.triangulation.simplices[found[found >= 0]]]
         marks = [radiographs.triangles(net.triangles_px, bounding)]
         marks += [plan_marks.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
-        words = (
-            f"{spoken(image.name)} image: the triangles of the XRII plate; those that bound entry and tip are filled"
-        )
+        name = report.spoken(image.name)
+        words = f"{name} image: the triangles of the XRII plate; those that bound entry and tip are filled"
         out.append(_figure(radiographs.radiograph(image.seen.image, image.name, marks, words), _capital(words) + "."))
     return out

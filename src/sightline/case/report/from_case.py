@@ -19,13 +19,14 @@ def report_of(case: Case) -> Report:
     if entry is None:
         raise CaseError("the case holds no plan yet; plan first, then report")
     again = Recomputed(case)
+    made = again.plan(entry)
     return Report(
         title=f"Case {case.number}",
         frame=frame_of(case, case.entry(entry.rests_on[0]).settings["frame"]),
         images=again.images(entry),
-        plan=again.plan(entry),
+        plan=made,
         wires=again.wires(entry),
-        exposures=exposures.of_case(case, entry),
+        exposures=exposures.of_case(case, entry, made.kind),
         drilled=_drilled(case, entry, again),
         provenance={
             "case": f"{case.number}, entry {entry.number} of {case.last}",

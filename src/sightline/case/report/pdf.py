@@ -14,7 +14,7 @@ from sightline import __version__
 from sightline.case.report.content import Report
 from sightline.case.report.drawing.radiographs import grey
 from sightline.case.report.tables import bars, tables
-from sightline.case.views import NAMES, CalibratedImage, spoken
+from sightline.case.views import NAMES, CalibratedImage
 
 _A4_IN = (8.27, 11.69)
 _LEFT, _RIGHT, _TOP, _LINE = 0.09, 0.91, 0.95, 0.0165  # fractions of the page
@@ -93,7 +93,13 @@ def _images(report: Report) -> Figure:
     height = (_RIGHT - _LEFT) * _A4_IN[0] / _A4_IN[1] * 0.64 * min(1.0, 2 / len(report.images))
     for k, image in enumerate(report.images):
         top = _TOP - k * (height + 0.065)
-        _say(page, f"{spoken(image.name)} image".capitalize() if k else f"{spoken(image.name)} image", _LEFT, top, 12)
+        _say(
+            page,
+            f"{report.spoken(image.name)} image".capitalize() if k else f"{report.spoken(image.name)} image",
+            _LEFT,
+            top,
+            12,
+        )
         axes = page.add_axes((_LEFT, top - height - 0.02, _RIGHT - _LEFT, height))
         _image(axes, report, image, k)
     caption = (

@@ -9,7 +9,6 @@ from sightline.case.report import drilled, exposures
 from sightline.case.report.comparison import Compared, Refused
 from sightline.case.report.content import Report
 from sightline.case.report.drawing.budget import Bar
-from sightline.case.views import spoken
 from sightline.checks import Check, failed
 
 POINTS = ("entry", "tip")
@@ -32,7 +31,8 @@ def tables(report: Report) -> dict[str, Any]:
         "notes": list(_notes(report)),
         "points": _points(report),
         "wires": _wires(report),
-        "third": spoken(report.images[2].name) if len(report.images) > 2 else None,
+        "first": report.spoken(report.images[0].name),
+        "third": report.spoken(report.images[2].name) if len(report.images) > 2 else None,
         "comparison": _comparison(report),
         "drilled": drilled.section(report.drilled),
         "exposures": report.exposures,
@@ -70,7 +70,7 @@ def _verdict(report: Report) -> dict[str, Any]:
 
 def _reason(check: Check, report: Report) -> dict[str, str]:
     """Return a failed check, with the view that it belongs to."""
-    about = [spoken(image.name) for image in report.images if any(check is one for one in image.view.checks)]
+    about = [report.spoken(image.name) for image in report.images if any(check is one for one in image.view.checks)]
     return {"name": f"{check.name}{f' ({about[0]} view)' if about else ''}", "sentence": check.sentence}
 
 
@@ -118,7 +118,7 @@ def _notes(report: Report) -> Iterable[str]:
     yield from report.plan.sentences()
     for image in report.images:
         if image.view.mirrored:
-            yield f"The {spoken(image.name)} image is a mirror image of the frame; it was used unchanged."
+            yield f"The {report.spoken(image.name)} image is a mirror image of the frame; it was used unchanged."
 
 
 def _points(report: Report) -> list[dict[str, Any]]:
@@ -230,7 +230,7 @@ def _checks(report: Report) -> list[dict[str, Any]]:
     """Return the checks by subject: each view after calibration, the plan, the drilling."""
     views = {image.name: image.view.checks for image in report.images}
     of_views = [check for checks in views.values() for check in checks]
-    blocks = [(f"Calibration of the {spoken(name)} view", checks) for name, checks in views.items()]
+    blocks = [(f"Calibration of the {report.spoken(name)} view", checks) for name, checks in views.items()]
     blocks.append(("The plan", tuple(c for c in report.plan.verdict.checks if c not in of_views)))
     blocks += drilled.checks(report.drilled)
     return [{"title": title, "rows": [_check(c) for c in checks]} for title, checks in blocks if checks]

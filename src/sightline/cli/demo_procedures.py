@@ -1,0 +1,72 @@
+"""The procedures of the demo: their patients, frames, drawn aids, and what is said of them."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    import numpy as np
+
+    from sightline.case.report.drilled import Drilled
+    from sightline.frame import Frame
+    from sightline.planning import Aids
+    from sightline.planning.procedures import Procedure
+    from sightline.rehearsal.patient import RehearsedPatient
+
+GAMMA, BLOCK = "gamma", "block60"
+AT_HIP = ("hip-screw", "free-wire")
+HIP_PICKS = "centre of the head, both trochanters; three clicks on the head's rim in each"
+PLACED = "No robot drilled this wire: its simulation knows the hip only. The wire was put where it was planned."
+
+
+def frame_for(procedure: str, frame: str | None) -> str:
+    """Return the name of the frame: the given one, or the procedure's default. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+    from sightline.rehearsal.patient import BONE_OF
+    from sightline.twin.bone_scene import BONES
+
+    if procedure not in (*AT_HIP, *BONE_OF):
+        known = ", ".join((*AT_HIP, *BONE_OF))
+        raise UnusableInputError(f"there is no demo of {procedure!r}; choose one of {known}")
+    bone = BONES.get(BONE_OF.get(procedure, ""))
+    return frame or (BLOCK if bone is not None and (bone.beams or bone.check_beams) else GAMMA)
+
+
+def drawn_patient(procedure: str, seed: int, frame: "Frame") -> "RehearsedPatient":
+    """Return the patient of a procedure. Raises SetUpError."""
+    from sightline.rehearsal.patient import RehearsedPatient
+    from sightline.rehearsal.rehearsal import Rehearsal
+
+    if procedure in AT_HIP:
+        return Rehearsal.draw(seed, frame, procedure=procedure)
+    return RehearsedPatient.of_bone(procedure, seed, frame)
+
+
+def command(seed: int, procedure: str, frame: str) -> str:
+    """Return the command that repeats a demo."""
+    given = "" if procedure == AT_HIP[0] else f" --procedure {procedure}"
+    return f"sightline demo --seed {seed}{given}" + ("" if frame == frame_for(procedure, None) else f" --frame {frame}")
+
+
+def drawn_aids(drawn_px: "Mapping[str, np.ndarray]", sd_px: float) -> "Aids | None":
+    """Return the aids of clicks (2, N, 2) by their keys; None for none."""
+    from sightline.planning import Aids, Circle
+
+    made: dict[str, Any] = {"head": lambda rims: tuple(Circle.through(rim, sd_px) for rim in rims)}
+    return Aids(**{key: made[key](uv) for key, uv in drawn_px.items()}) if drawn_px else None
+
+
+def title(drilled: "Drilled | None") -> str:
+    """Return the title of the demo's report."""
+    ended = "" if drilled is None else ", and drilled" if drilled.record is not None else ", and checked"
+    return f"A guide wire planned on two images of the twin{ended}"
+
+
+def picks_told(kind: "Procedure", landmarks: "Sequence[str]", drawn: "Collection[str]", sd_px: float) -> str:
+    """Return what the report says of the picks. `landmarks`, `drawn`: keys of the landmarks and of the aids."""
+    names = {one.key: one.name for one in kind.landmarks}
+    aids = "".join(f"; {one.clicks} clicks for {one.name} in each" for one in kind.aids if one.key in drawn)
+    return (
+        f"the true places with {sd_px:g} px of normal noise; lateral ones snapped to curves, but those of the "
+        "landmarks: " + (HIP_PICKS if kind.key == AT_HIP[0] else ", ".join(names[key] for key in landmarks) + aids)
+    )

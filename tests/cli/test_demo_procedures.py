@@ -1,0 +1,50 @@
+"""`sightline demo --procedure KEY`: every procedure, the whole way from drawing images to the check shot."""
+
+import pytest
+
+from sightline.case.journal import Case, Kind
+from sightline.case.replay import ReplayOutcome, replay
+from sightline.cli.demo_procedures import AT_HIP, PLACED, frame_for
+from sightline.planning.procedures import kind
+from sightline.rehearsal.patient import BONE_OF
+
+# Words of a hip that no report of another bone may say. "The hip" of the frame's coordinates and of the robot may.
+HIP_WORDS = ("femoral head", "lesser trochanter", "neck", "right hip", "hip screw")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("procedure", [*BONE_OF, "free-wire"])
+def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure: str) -> None:
+    ran = run("demo", "--procedure", procedure, "--out", tmp_path / "demo", "--json")
+    assert ran.code == 0, ran.err
+    told = ran.document
+    assert (told["verdict"], told["kind"], told["missing"]) == ("go", procedure, [])
+    of_plan = told["comparison"][0]  # with the picks of a person; the seed is fixed
+    for name in ("entry_mm", "end_mm", "direction_deg"):
+        assert of_plan["error"][name] < 1.5 * of_plan["stated_95"][name]
+    assert told["drilled"]["passed"] is True
+    page = (tmp_path / "demo" / "report.html").read_text()
+    assert (PLACED in page.replace("&#39;", "'")) is (procedure in BONE_OF)
+    for view in kind(procedure).document.views[:2]:
+        assert f"{'PA' if view.name == 'pa' else view.name} image" in page
+    if procedure in ("iliosacral-screw", "pedicle-screw"):
+        assert not [word for word in HIP_WORDS if word in page]
+    with Case.open(tmp_path / "demo" / "case", read_only=True) as case:
+        made = list(replay(case))
+    assert {one.outcome for one in made} == {ReplayOutcome.SAME, ReplayOutcome.RECORDED}
+    assert Kind.VERIFIED in {one.entry.kind for one in made if one.outcome is ReplayOutcome.SAME}
+
+
+def test_the_frame_is_gamma_unless_the_views_need_a_block(run, tmp_path) -> None:
+    assert {procedure: frame_for(procedure, None) for procedure in (*AT_HIP, *BONE_OF)} == {
+        "hip-screw": "gamma",
+        "free-wire": "gamma",
+        "slipped-epiphysis-pin": "gamma",
+        "iliosacral-screw": "block60",
+        "pedicle-screw": "block60",
+    }
+    assert frame_for("pedicle-screw", "gamma") == "gamma"
+    ran = run("demo", "--procedure", "hip", "--out", tmp_path / "demo")
+    assert ran.code == 2
+    assert "hip-screw" in ran.err
+    assert not (tmp_path / "demo").exists()

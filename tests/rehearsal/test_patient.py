@@ -1,0 +1,61 @@
+"""Patients of the procedures: what is picked and drawn is true, and belongs to the procedure's file."""
+
+import numpy as np
+import pytest
+
+from sightline.case.views import NAMES
+from sightline.errors import SetUpError
+from sightline.frame import Frame
+from sightline.planning.procedures import kind
+from sightline.rehearsal.patient import BONE_OF, LANDMARK_MARGIN_PX, RehearsedPatient
+from sightline.twin.bones import SphereAid
+
+BLOCK, SEED = Frame.load("block60"), 5
+
+
+@pytest.fixture(scope="module", params=BONE_OF)
+def patient(request) -> RehearsedPatient:
+    return RehearsedPatient.of_bone(request.param, SEED, BLOCK, "left", imaged=False)
+
+
+def test_both_views_show_the_wire_and_three_landmarks_of_the_procedure(patient: RehearsedPatient) -> None:
+    asked = [one.key for one in kind(patient.procedure).landmarks]
+    assert len(patient.landmark_keys) == len(patient.landmarks) >= 3  # a check shot needs three
+    assert set(patient.landmark_keys) <= set(asked)
+    for k, view in enumerate(NAMES):
+        truth = patient.setup.views[view]
+        assert truth.name == view
+        assert truth.in_field(patient.pixels(patient.wires_mm[0])[k], LANDMARK_MARGIN_PX).all()
+        for name, uv in patient.landmarks.items():
+            np.testing.assert_allclose(uv[k], truth.project(patient.bone.landmarks_mm[name]), atol=1e-9)
+
+
+def test_the_views_are_those_of_the_procedure(patient: RehearsedPatient) -> None:
+    """Within the tolerance of the file, which set-ups of a drawn frame and C-arm reach."""
+    for wanted, view in zip(kind(patient.procedure).document.views, patient.setup.views.values(), strict=False):
+        beam = view.detector.normal * np.sign((view.detector.origin_mm - view.focal_point_mm) @ view.detector.normal)
+        orbit, tilt = np.deg2rad([wanted.orbit_deg, wanted.tilt_deg])
+        # Caudal is -Y of a left patient; a positive tilt has the detector towards the head.
+        expected = np.array([np.sin(orbit) * np.cos(tilt), np.sin(tilt), np.cos(orbit) * np.cos(tilt)])
+        assert np.rad2deg(np.arccos(beam @ expected)) < wanted.within_deg
+
+
+def test_clicks_on_a_rim_are_tangent_to_the_sphere_away_from_its_cut(patient: RehearsedPatient) -> None:
+    for key, uv in patient.aids_px.items():
+        sphere = patient.bone.aids[key]
+        if not isinstance(sphere, SphereAid):
+            continue
+        along = patient.wires_mm[0][1] - patient.wires_mm[0][0]
+        for k, view in enumerate(NAMES):
+            truth = patient.setup.views[view]
+            rays = truth.points_on_detector(uv[k]) - truth.focal_point_mm
+            rays /= np.linalg.norm(rays, axis=1)[:, None]
+            to_centre = sphere.centre_mm - truth.focal_point_mm
+            nearest = (rays @ to_centre)[:, None] * rays - to_centre  # from the centre
+            np.testing.assert_allclose(np.linalg.norm(nearest, axis=1), sphere.radius_mm, atol=1e-6)
+            assert (nearest @ along > 0).all()
+
+
+def test_plates_do_not_show_inlet_and_outlet() -> None:
+    with pytest.raises(SetUpError, match="inlet, outlet"):
+        RehearsedPatient.of_bone("iliosacral-screw", SEED, Frame.load("gamma"), imaged=False)
