@@ -42,7 +42,7 @@ def test_the_views_are_those_of_the_procedure(patient: RehearsedPatient) -> None
 
 def test_clicks_on_a_rim_are_tangent_to_the_sphere_away_from_its_cut(patient: RehearsedPatient) -> None:
     for key, uv in patient.aids_px.items():
-        sphere = patient.bone.aids[key]
+        sphere = patient.bone.aids[key.replace("-", " ")]
         if not isinstance(sphere, SphereAid):
             continue
         along = patient.wires_mm[0][1] - patient.wires_mm[0][0]

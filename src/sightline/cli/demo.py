@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sightline.case.report.content import Report
     from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
-    from sightline.rehearsal.patient import RehearsedPatient
+    from sightline.rehearsal.patient import AidClicks, RehearsedPatient
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the plan is made with the first
 OF_SOLIDS: "tuple[Method, ...]" = METHODS[:1]  # the others are for plates
@@ -139,17 +139,21 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
     }
 
 
-def requested(rehearsal: "RehearsedPatient", rng: "np.random.Generator") -> "tuple[PlanRequest, dict[str, np.ndarray]]":
-    """Return the plan that a person asks for, with the picks, and the clicks (2, N, 2) of each aid by its key."""
+def requested(rehearsal: "RehearsedPatient", rng: "np.random.Generator") -> "tuple[PlanRequest, AidClicks]":
+    """Return the plan that a person asks for, with the picks, and the clicks on each aid by its key."""
     import numpy as np
 
     from sightline.case.contents import PlanRequest
-    from sightline.cli.demo_procedures import drawn_aids
+    from sightline.planning import Aids, kind
 
+    types = {aid.key: aid.type for aid in kind(rehearsal.procedure).aids}
     picks = rehearsal.pixels(rehearsal.wires_mm[0]) + PICK_SD_PX * rng.standard_normal((2, 2, 2))
     landmarks_px = np.stack(list(rehearsal.landmarks.values()), axis=1)
     landmarks_px = landmarks_px + PICK_SD_PX * rng.standard_normal(landmarks_px.shape)
-    drawn_px = {key: uv + PICK_SD_PX * rng.standard_normal(uv.shape) for key, uv in rehearsal.aids_px.items()}
+    drawn_px = {
+        key: [None if uv is None else uv + PICK_SD_PX * rng.standard_normal(uv.shape) for uv in each]
+        for key, each in rehearsal.aids_px.items()
+    }
     asked = PlanRequest(
         picks[:, 0],
         picks[:, 1],
@@ -159,7 +163,7 @@ def requested(rehearsal: "RehearsedPatient", rng: "np.random.Generator") -> "tup
         landmark_names=rehearsal.landmark_keys,
         kind=rehearsal.procedure,
         side=rehearsal.side,
-        aids=drawn_aids(drawn_px, PICK_SD_PX),
+        aids=Aids.clicked(types, drawn_px, PICK_SD_PX) if drawn_px else None,
     )
     return asked, drawn_px
 

@@ -6,22 +6,20 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from sightline.case.contents import PlanRequest
     from sightline.case.journal import Case, Entry
     from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
     from sightline.cli.demo_robot import Checked
     from sightline.planning import Plan
-    from sightline.rehearsal.patient import RehearsedPatient
+    from sightline.rehearsal.patient import AidClicks, RehearsedPatient
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
     """All that the demo records: the image `files`, their views, the plan and its inputs, the check shot.
 
-    `drawn_px`: the clicks (2, N, 2) of each aid by its key.
+    `drawn_px`: the clicks on each aid by its key.
     """
 
     rehearsal: "RehearsedPatient"
@@ -29,7 +27,7 @@ class Kept:
     images: "tuple[CalibratedImage, CalibratedImage]"
     asked: "PlanRequest"
     plan: "Plan"
-    drawn_px: "dict[str, np.ndarray]"
+    drawn_px: "AidClicks"
     drilled: "Drilled | None"
     checked: "Checked | None"
 
@@ -87,19 +85,20 @@ def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
     from sightline.app.plan.marks import END, ENTRY
     from sightline.case.views import NAMES
 
-    def mark(uv_px, *, free: bool) -> Mark:
-        return Mark({name: (float(u), float(v)) for name, (u, v) in zip(NAMES, uv_px, strict=True)}, free)
+    def mark(places, *, free: bool) -> Mark:
+        return Mark({name: (float(u), float(v)) for name, (u, v) in places.items()}, free)
 
     # Lateral picks as they were used: on their curves.
     marks = {
-        name: mark([pick.uv_px for pick in picks], free=False)
+        name: mark({view: pick.uv_px for view, pick in zip(NAMES, picks, strict=True)}, free=False)
         for name, picks in zip((ENTRY, END), kept.plan.picks, strict=True)
     }
     for k, name in enumerate(kept.asked.landmark_names):
         assert kept.asked.landmarks_uv_px is not None  # noqa: S101 - they have names
-        marks[f"landmark-{name}"] = mark(kept.asked.landmarks_uv_px[:, k], free=True)
-    for key, uv in kept.drawn_px.items():
-        for k in range(uv.shape[1]):
-            marks[f"{key}-{k + 1}"] = mark(uv[:, k], free=True)
+        marks[f"landmark-{name}"] = mark(dict(zip(NAMES, kept.asked.landmarks_uv_px[:, k], strict=True)), free=True)
+    for key, each in kept.drawn_px.items():
+        drawn = {name: uv for name, uv in zip(NAMES, each, strict=True) if uv is not None}
+        for k in range(len(next(iter(drawn.values())))):
+            marks[f"{key}-{k + 1}"] = mark({name: uv[k] for name, uv in drawn.items()}, free=True)
     images, kind = MappingProxyType(acquired), kept.plan.kind.key
     return Decisions(images=images, kind=kind, marks=MappingProxyType(marks)).document()

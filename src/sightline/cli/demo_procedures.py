@@ -1,15 +1,12 @@
 """The procedures of the demo: their patients, frames, drawn aids, and what is said of them."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-
-    import numpy as np
+    from collections.abc import Collection, Sequence
 
     from sightline.case.report.drilled import Drilled
     from sightline.frame import Frame
-    from sightline.planning import Aids
     from sightline.planning.procedures import Procedure
     from sightline.rehearsal.patient import RehearsedPatient
 
@@ -46,14 +43,6 @@ def command(seed: int, procedure: str, frame: str) -> str:
     """Return the command that repeats a demo."""
     given = "" if procedure == AT_HIP[0] else f" --procedure {procedure}"
     return f"sightline demo --seed {seed}{given}" + ("" if frame == frame_for(procedure, None) else f" --frame {frame}")
-
-
-def drawn_aids(drawn_px: "Mapping[str, np.ndarray]", sd_px: float) -> "Aids | None":
-    """Return the aids of clicks (2, N, 2) by their keys; None for none."""
-    from sightline.planning import Aids, Circle
-
-    made: dict[str, Any] = {"head": lambda rims: tuple(Circle.through(rim, sd_px) for rim in rims)}
-    return Aids(**{key: made[key](uv) for key, uv in drawn_px.items()}) if drawn_px else None
 
 
 def title(drilled: "Drilled | None") -> str:

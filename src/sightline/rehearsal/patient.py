@@ -4,9 +4,10 @@ Each part has its own generator, so it does not depend on the parts drawn before
 in the robot's separate process.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -19,13 +20,15 @@ from sightline.rehearsal.check_images import CheckImages
 from sightline.rehearsal.robots import REMOUNT_SD
 from sightline.twin import BoneScene, HipScene, Scene, SetUp, Variation, draw_setup, render, truth_document
 from sightline.twin.bone_scene import BONES, bone_document, shown_bone_scene
-from sightline.twin.bones import SphereAid
+from sightline.twin.bones import Aid, SphereAid
+from sightline.twin.drawn_aids import drawn_aids, hip_aids
 from sightline.twin.specimens import tagged
 
 PARTS = (*VIEWS, "robot", "check", "picks")  # each has its own generator; add new parts at the end
 LANDMARK_MARGIN_PX = 30.0  # landmarks nearer to the edge of a field are not picked [ours]
 RIM_ANGLES_RAD = np.array([0.3, 2.4, 4.5])  # about a third of the outline apart
 CAP_ANGLES_RAD = np.deg2rad([-65.0, 0.0, 65.0])  # on a cap that a plane cuts off, from its top: the rim is round [ours]
+AidClicks: TypeAlias = Mapping[str, Sequence[np.ndarray | None]]
 BONE_OF = {"slipped-epiphysis-pin": "growing-femur", "iliosacral-screw": "pelvis", "pedicle-screw": "vertebra"}
 
 
@@ -100,18 +103,27 @@ class RehearsedPatient:
         keys = tuple(_key(name) for name in self.landmarks)
         return keys if set(keys) <= set(asked) else tuple(asked[: len(keys)])
 
+    @cached_property
+    def aids_px(self) -> AidClicks:
+        """True clicks (M, 2) in each image on the aids that are drawn, by their keys in the procedure's file: all whose
+        clicks lie in the fields. None in an image in which the aid is not drawn."""
+        procedure = kind(self.procedure)
+        asked = {aid.key: [view.name in aid.views for view in procedure.document.views] for aid in procedure.aids}
+        known = {name: aid for name, aid in self._aids.items() if _key(name) in asked}
+        out = {key: [uv[view] for view in VIEWS] for key, uv in drawn_aids(known, self.setup.views).items()}
+        for name, aid in known.items():
+            if isinstance(aid, SphereAid) and "growth plate" in known:  # which cuts the sphere off
+                out[name] = list(self.rim_px(aid.centre_mm, aid.radius_mm, np.diff(self.wires_mm[0], axis=0)[0]))
+        return {
+            key: [uv if drawn else None for uv, drawn in zip(each, asked[key], strict=False)]
+            for key, each in out.items()
+            if all(self.setup.views[view].in_field(uv).all() for view, uv in zip(VIEWS, each, strict=True))
+        }
+
     @property
-    def aids_px(self) -> dict[str, np.ndarray]:
-        """Pixels (2, clicks, 2) in both images of the aids that are drawn, by their keys in the procedure's file."""
-        if isinstance(self.bone, HipScene):
-            return {}
-        out = {}
-        for aid in kind(self.procedure).aids:
-            true = self.bone.aids.get(aid.key)
-            if isinstance(true, SphereAid):
-                wire = self.wires_mm[0]
-                out[aid.key] = self.rim_px(true.centre_mm, true.radius_mm, wire[1] - wire[0])
-        return out
+    def _aids(self) -> Mapping[str, Aid]:
+        bone = self.bone
+        return bone.aids if isinstance(bone, BoneScene) else hip_aids(bone.femur, self.side, bone.head_mm)
 
     def rim_px(self, centre_mm: np.ndarray, radius_mm: float, top: np.ndarray | None = None) -> np.ndarray:
         """Return the pixels (2, 3, 2) in both images of three points around the outline of a sphere: at RIM_ANGLES_RAD,

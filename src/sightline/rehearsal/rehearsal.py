@@ -11,7 +11,7 @@ from sightline.frame import Frame
 from sightline.planning.procedures import kind
 from sightline.rehearsal.check_images import CheckImages
 from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup
-from sightline.rehearsal.patient import LANDMARK_MARGIN_PX, RehearsedPatient
+from sightline.rehearsal.patient import LANDMARK_MARGIN_PX, AidClicks, RehearsedPatient
 from sightline.rehearsal.robots import REMOUNT_SD, SHOWN_FEED_MM, calibrated_robot, drawn_robot, shown_wire_mm
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import Manipulator
@@ -65,10 +65,10 @@ class Rehearsal(RehearsedPatient):
         return self.rim_px(self.hip.head_mm, self.hip.femur.head_radius_mm)
 
     @property
-    def aids_px(self) -> dict[str, np.ndarray]:
-        """Pixels (2, clicks, 2) in both images of the aids that are drawn: of those of the procedure, the head."""
+    def aids_px(self) -> AidClicks:
+        """Clicks on the aids that are drawn, as of other patients: of those of the procedure the head."""
         asked = {aid.key for aid in kind(self.procedure).aids}
-        return {"head": self.head_rim} if "head" in asked else {}
+        return {"head": list(self.head_rim)} if "head" in asked else {}
 
     @property
     def surface_mm(self) -> np.ndarray:
