@@ -143,7 +143,7 @@ def test_the_report_holds_the_figures_of_the_json(demo_folder) -> None:
 
 
 def test_an_interrupted_demo_leaves_nothing(run, tmp_path: Path, monkeypatch) -> None:
-    def interrupted(output, folder, seed, frame_name):
+    def interrupted(output, folder, *drawn):
         (folder / "demo_pa.dcm").write_bytes(b"half")
         raise KeyboardInterrupt
 

@@ -38,7 +38,10 @@ def register(app: typer.Typer) -> None:
 def demo(
     *,
     out: Annotated[Path, typer.Option(help="Folder for the report, the images and the results.")] = Path("out/demo"),
-    seed: Annotated[int, typer.Option(min=0, help="Seed of patient, C-arm and frame.")] = SEED,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help=f"Seed of patient, C-arm and frame; by default {SEED}, or as the procedure needs."),
+    ] = None,
     procedure: Annotated[str, typer.Option(help="Key of a shipped procedure; a wrong key lists them.")] = "hip-screw",
     frame: Annotated[
         str | None,
@@ -58,9 +61,10 @@ def demo(
     """
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import whole_folder
-        from sightline.cli.demo_procedures import frame_for
+        from sightline.cli.demo_procedures import SEEDS, frame_for
 
         frame_name = frame_for(procedure, frame)
+        seed = SEEDS.get(procedure, SEED) if seed is None else seed
         output.note(f"Sightline demo, seed {seed}: about half a minute; the first run compiles and takes a minute more")
         with whole_folder(out, units=("case",)) as scratch:
             document = _run(output, scratch, seed, frame_name, procedure)

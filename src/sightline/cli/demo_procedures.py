@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 GAMMA, BLOCK = "gamma", "block60"
 AT_HIP = ("hip-screw", "free-wire")
+SEEDS = {"iliosacral-screw": 10}  # with seed 9 one click is 3.7 s.d. off, and the check shot refuses it
 HIP_PICKS = "centre of the head, both trochanters; three clicks on the head's rim in each"
 PLACED = "No robot drilled this wire: its simulation knows the hip only. The wire was put where it was planned."
 
