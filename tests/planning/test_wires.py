@@ -9,16 +9,28 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sightline.checks import failed
-from sightline.errors import UnusableInputError
-from sightline.planning import Axis, WireLines, WirePicks, WirePlans, plan, plan_wires, reconstruct
+from sightline.errors import ReconstructionRefusedError, UnusableInputError
+from sightline.planning import (
+    Axis,
+    Plan,
+    WireLines,
+    WirePicks,
+    WirePlans,
+    plan,
+    plan_wires,
+    propose_others,
+    reconstruct,
+)
 from sightline.planning.directions import ANTERIOR, across, caudal, unit
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import copy_text, document_from_json
 from sightline.planning.relations import angle_rad, judge_relations, spacing_mm
 
+from . import bone
 from .bone import END_MM, ENTRY_MM, curve_once, views
 from .standin import stand_in
+from .test_wire_in_neck import neck_borders
 
 KEYS = ("inferior", "anterior", "posterior")
 ALONG = unit(END_MM - ENTRY_MM)
@@ -210,6 +222,47 @@ def test_relations_do_not_depend_on_the_coordinates_or_the_order_of_the_wires():
     listed = WireLines(tuple(KEYS[k] for k in other), WIRES_MM[other], lines.joint_covariance_mm2[np.ix_(rows, rows)])
     for a, b in zip(first, judge_relations(relations, listed, names, "right").checks, strict=True):
         assert a.figure == pytest.approx(b.figure, abs=1e-9)
+
+
+def _first(below_mm: float = 7.9, document: ProcedureDocument | None = None, outline: bool = True) -> Plan:
+    """The plan of the lowest wire, so far below the neck's axis, with all aids of the shipped file drawn."""
+    below = -unit(across(-caudal("right"), bone.NECK))
+    ends = bone.ON_NECK_MM + below_mm * below + np.array([[-40.0], [52.0]]) * bone.NECK
+    return plan(
+        views(),
+        *(np.array([view.project(end[None])[0] for view in views()]) for end in ends),
+        kind=Procedure.of(document or _document(of_bone=True), "inferior"),
+        side="right",
+        aids=replace(bone.aids(bone.pixels(views())), outline=tuple(map(neck_borders, views())) if outline else None),
+        curve=lambda *_: curve_once(),
+    )
+
+
+def test_the_other_wires_are_proposed_within_the_neck_and_all_are_go_by_the_shipped_file():
+    first = _first()
+    proposed = propose_others(first)
+    assert list(proposed) == ["anterior", "posterior"]
+    picks = {key: WirePicks(one.entry_uv_px, one.end_uv_px) for key, one in proposed.items()}
+    given = {"aids": first.arguments["aids"], "side": "right", "curve": lambda *_: curve_once()}
+    own = WirePicks(first.arguments["entry_uv_px"], first.arguments["end_uv_px"])
+    made = _planned_of(picks | {"inferior": own}, _document(of_bone=True), **given)
+    assert made.verdict.go, made.verdict.summary()
+    depths = [np.linalg.norm(one.trajectory.end_mm - bone.CENTRE_MM) for one in made.plans.values()]
+    assert depths == pytest.approx([depths[0]] * 3, abs=0.2)
+
+
+def test_without_a_drawn_neck_the_smallest_spacing_is_proposed():
+    first = _first(outline=False)
+    ends = np.array([[one.entry_mm, one.end_mm] for one in propose_others(first).values()])
+    three = np.array([first.trajectory.points.xyz_mm, *ends])[None]
+    assert [spacing_mm(three, a, b)[0] for a, b in ((0, 1), (0, 2), (1, 2))] == pytest.approx([11.0] * 3, abs=1e-6)
+
+
+def test_no_wires_are_proposed_where_they_have_no_place():
+    with pytest.raises(ReconstructionRefusedError, match="have no space for wires 11 mm apart above the inferior wire"):
+        propose_others(_first(below_mm=0.0))
+    with pytest.raises(ReconstructionRefusedError, match="no inverted triangle with a spacing whose lowest wire it is"):
+        propose_others(_first(document=_document({"inverted triangle": {"wires": list(KEYS[::-1])}}, of_bone=True)))
 
 
 DRAWS = 200

@@ -11,6 +11,7 @@ from tests.worked import Worked
 
 import sightline as sl
 from sightline.case.interop.plan_file import PlanFile, sealed
+from sightline.checks import Check
 from sightline.errors import UnusableInputError
 from sightline.saved import document
 from sightline.saved.models import PUBLISHED, schema_text
@@ -37,7 +38,9 @@ def results(worked: Worked) -> dict[str, Any]:
         "points of unknown error": unknown,
         "trajectory": worked.plan.trajectory,
         "plan": worked.plan,
-        "snapped plan": sl.plan(worked.views, worked.wire_px[:, 0], worked.wire_px[:, 1], snapped=(True, False)),
+        "snapped plan": sl.plan(
+            worked.views, worked.wire_px[:, 0], worked.wire_px[:, 1], snapped=(True, False)
+        ).related((Check("parallel", False, 1.3, 1.0, "°", "Between two wires the angle is 1.3°."),)),
         "check shot": worked.shot,
     }
 
@@ -111,7 +114,7 @@ def test_a_plan_comes_back_with_its_verdict(results, files, name: str) -> None:
     assert back.trajectory.covariance_mm2 == pytest.approx(plan.trajectory.covariance_mm2, rel=1e-6)
     assert [c.name for c in back.verdict.checks] == [c.name for c in plan.verdict.checks]
     assert back.verdict.state == plan.verdict.state
-    assert back.landmark_names == plan.landmark_names
+    assert back.landmark_names == plan.landmark_names and back.relations == plan.relations
 
 
 def test_a_plan_s_file_is_a_plan_json_for_exports_and_robots(files, worked: Worked) -> None:

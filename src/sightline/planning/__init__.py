@@ -22,6 +22,7 @@ from sightline.planning.shares import Share, error_shares, error_shares_of
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import judge
 from sightline.planning.wires import WirePicks, WirePlans, plan_wires
+from sightline.planning.wires_proposal import propose_others
 
 __all__ = [
     "PROCEDURES",
@@ -70,6 +71,7 @@ __all__ = [
     "plan_wires",
     "procedures",
     "propose",
+    "propose_others",
     "reconstruct",
     "snap",
 ]

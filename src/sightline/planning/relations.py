@@ -108,6 +108,12 @@ def spacing_mm(ends_mm: np.ndarray, first: int, second: int) -> np.ndarray:
     return np.linalg.norm(across(ends_mm[:, second, 0] - ends_mm[:, first, 0], along), axis=-1)
 
 
+def across_axes(along: np.ndarray, cranial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unit vectors (K, 3) across wires along `along` (K, 3): upwards, and from there to the front."""
+    above = unit(across(cranial, along))
+    return above, unit(across(across(ANTERIOR, along), above))
+
+
 def _directions(ends_mm: np.ndarray) -> np.ndarray:
     return unit(ends_mm[..., 1, :] - ends_mm[..., 0, :])
 
@@ -172,9 +178,7 @@ def _triangle(relation: Relation, wires: WireLines, names: Mapping[str, str], si
 
     def margins(ends: np.ndarray) -> np.ndarray:
         """Return how far each other wire lies above the first, and on its own side of it, seen along the wires."""
-        along = _mean_direction(ends[:, known])
-        above = unit(across(cranial, along))
-        front = unit(across(across(ANTERIOR, along), above))
+        above, front = across_axes(_mean_direction(ends[:, known]), cranial)
         off = ends[:, known[1:], 0] - ends[:, known[:1], 0]
         return np.concatenate([(off * above[:, None]).sum(-1), ahead * (off * front[:, None]).sum(-1)], axis=1)
 
