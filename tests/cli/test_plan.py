@@ -10,6 +10,8 @@ from sightline.cli.points import parse_point
 from sightline.detection.files import write_observations
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
+from sightline.twin.bones import SphereAid
+from sightline.twin.drawn_aids import drawn_aids
 
 LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
@@ -195,6 +197,19 @@ def test_a_hip_screw_is_go_with_all_it_asks_for_and_incomplete_without(run, bead
     assert "INCOMPLETE" in said.out and "GO:" not in said.out
 
 
+def test_an_aid_is_drawn_by_its_clicks(run, beads_csv: Path, wire_px, setup) -> None:
+    """The head by three clicks on its rim in each image, instead of a circle."""
+    given = of_a_hip(setup)
+    del given["--head"]
+    head = drawn_aids({"head": SphereAid(CENTRE_MM, RADIUS_MM)}, setup.views)["head"]
+    rims = [f"{view}:{','.join(f'{number:.2f}' for number in uv.ravel())}" for view, uv in head.items()]
+    plan = ["plan", beads_csv, beads_csv, *picks(wire_px)[:4], *options(given), "--json"]
+    ran = run(*plan, "--aid", f"head {' '.join(rims)}")
+    assert ran.code == 0, failing(ran)
+    one = run(*plan, "--aid", f"head {rims[0]}")
+    assert (one.code, one.document["verdict"]) == (3, "incomplete")
+
+
 def test_a_hip_screw_that_is_wrong_in_its_bone_is_no_go(run, beads_csv: Path, wire_px, setup) -> None:
     given = of_a_hip(setup)
     entry, end = picks(wire_px)[1:4:2]
@@ -222,6 +237,10 @@ def test_a_hip_screw_that_is_wrong_in_its_bone_is_no_go(run, beads_csv: Path, wi
         (["--head", "pa:500,500,-9 lateral:500,500,90"], "positive radius"),
         (["--landmark", "patella pa:500,500 lateral:500,500"], "lesser-trochanter"),
         (["--landmark", "lesser-trochanter pa:500,500"], "--landmark"),
+        (["--aid", "pa:1,2 lateral:3,4"], "not a drawing"),
+        (["--aid", "shaft pa:1,2,3 lateral:1,2,3,4"], "not a drawing"),
+        (["--aid", "shaft pa:1,2 lateral:3,4"], "a line needs two finite pixels"),
+        (["--aid", "skull pa:1,2 lateral:3,4"], "has no aid 'skull'; choose one of head, shaft"),
         (["--side", "middle"], "side"),
         (["--kind", "tunnel"], "unknown procedure 'tunnel'"),
     ],

@@ -120,6 +120,19 @@ def test_a_check_in_the_pedicle_knows_the_distance_from_its_wall():
     assert half - 2.2 - 0.25 < made.value < half - 2.2 + 0.02
 
 
+def test_the_corridor_is_not_taken_for_much_wider_than_it_is():
+    """Its section is a box with round edges, which no pair of views shows: the file's limit allows for 0.95 mm."""
+    for seed in range(8):
+        bone = drawn("pelvis", seed)
+        tube = bone.bone.aids["s1 corridor"]
+        half = (np.linalg.norm(tube.across_mm, axis=1) + tube.round_mm).min()
+        found = bone.found(bone.wire_mm, {"s1-corridor": bone.uv_px["s1-corridor"]}, SD_PX)
+        assert half - 0.1 < metric(found, "wire in sacral corridor", None).value < half + 0.95
+    document = kind("iliosacral-screw").document
+    (low,) = (one.low for one in document.checks if one.check == "wire in sacral corridor")
+    assert low == pytest.approx(document.corridor.implant_mm / 2 + document.corridor.margin_mm + 0.95)
+
+
 def test_exchanged_ends_are_refused_on_every_bone():
     for name in PROCEDURES:
         bone = drawn(name, 2)

@@ -13,7 +13,7 @@ from sightline.errors import UnusableInputError
 from sightline.planning import PROCEDURES, Aids, ProposalRule, kind, locate, procedures
 from sightline.planning.bone_checks import MEASURES
 from sightline.planning.metrics import metric
-from sightline.planning.procedures.document import LOCATED, ProcedureDocument
+from sightline.planning.procedures.document import LOCATED, ProcedureDocument, open_ends
 from sightline.planning.procedures.files import FOLDER, copy_text, document_from_json, keeping, kept, shipped
 from sightline.planning.procedures.rules import CHECKS
 
@@ -201,3 +201,12 @@ def test_the_page_names_what_is_shipped_and_what_files_may_name():
     named = set(re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", page, flags=re.DOTALL)))
     assert set(shipped()) | set(CHECKS) | set(LOCATED) | {FOLDER} <= named
     assert {one.alias or name for name, one in ProcedureDocument.model_fields.items()} <= named
+
+
+def test_an_end_that_must_lie_in_bone_and_that_no_check_shows_is_said():
+    assert all(open_ends(document) == [] for document in shipped().values())
+    given = json.loads(copy_text("iliosacral-screw", "mine"))
+    given["checks"] = [one for one in given["checks"] if one["check"] != "tip in sacral corridor"]
+    assert open_ends(document_from_json(json.dumps(given))) == ["end"]
+    given["corridor"]["may_leave_bone"] = ["end"]
+    assert open_ends(document_from_json(json.dumps(given))) == ["entry"]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,12 +12,23 @@ from sightline.cli.calibrate import PixelSize, Sid
 from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet, example
 from sightline.cli.plan_results import planned_document, reports, show, write
-from sightline.cli.points import OBLIQUE, VIEWS, Point, all_depths, parse_head, parse_landmark, parse_wires, pixels
+from sightline.cli.points import (
+    OBLIQUE,
+    VIEWS,
+    Point,
+    all_depths,
+    parse_aid,
+    parse_head,
+    parse_landmark,
+    parse_wires,
+    pixels,
+)
 
 if TYPE_CHECKING:
     from sightline.case.journal import Case, Entry
     from sightline.case.pairs import SeenImages
     from sightline.frame import Frame
+    from sightline.planning import Aids, Procedure
 
 Side = Literal["right", "left"]
 MethodName = Literal["smooth", "localized", "polynomial"]
@@ -92,6 +104,14 @@ def plan(
             show_default=False,
         ),
     ] = None,
+    aid: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="An aid of the procedure, drawn by clicks in pixels: 'KEY pa:U,V,U,V,... lateral:U,V,U,V,...'. May be "
+            "given several times. `sightline procedure show` names the aids; docs/procedures.md the clicks.",
+            show_default=False,
+        ),
+    ] = None,
     procedure: Annotated[
         str,
         typer.Option(
@@ -128,7 +148,7 @@ def plan(
         points = [point for wire in wires.values() for point in wire]
         names, landmarks = zip(*map(parse_landmark, landmark or []), strict=True) if landmark else ((), ())
         views = _views(oblique, [*points, *landmarks], pa)
-        circles = None if head is None else parse_head(head)
+        drawn = None if head is None else parse_head(head), dict(map(parse_aid, aid or []))
         snapped = snap or all_depths(points)
         files = both_or_none(pa, lateral, oblique)
         if files is None and case is None:
@@ -141,7 +161,7 @@ def plan(
         from sightline.case.stages import frame_in_use, frame_of, record_plans
         from sightline.case.views import calibrate_images
         from sightline.frame import Frame
-        from sightline.planning import Aids, Circle, Procedure, WirePicks, kind
+        from sightline.planning import Procedure, WirePicks, kind
         from sightline.planning.procedures.files import document_of, keeping
 
         first = next(iter(wires))
@@ -158,7 +178,6 @@ def plan(
         with output.step("planning"):
             calibrated = [image.view for image in images]
             ends = {name: [pixels(point, calibrated, pick_sd) for point in wire] for name, wire in wires.items()}
-            drawn = None if circles is None else [Circle.of(np.array(c[:2]), c[2], pick_sd) for c in circles]
             asked = PlanRequest(
                 *ends.pop(first),
                 pick_sd_px=pick_sd,
@@ -170,7 +189,7 @@ def plan(
                 kind=known.key,
                 procedure=keeping(known),
                 side=side,
-                aids=None if drawn is None else Aids(head=(drawn[0], drawn[1])),
+                aids=_aids(known, *drawn, pick_sd),
                 others={name: WirePicks(a, b, snapped) for name, (a, b) in ends.items()} if first else None,
             )
             planned = asked.plan_wires_on(calibrated) if first else asked.plan(images)
@@ -185,6 +204,7 @@ def plan(
             }
         if out is not None:
             given = {"entry": entry, "end": end, "landmark": landmark or [], "head": [head] if head else []}
+            given["aid"] = aid or []
             words = "; ".join(f"{name} {text}" for name, texts in given.items() for text in texts)
             words += f"; {pick_sd:g} px{', snapped' if snapped else ''}"
             with output.step("writing the report"):
@@ -192,6 +212,31 @@ def plan(
                 document["files"] = write(out, planned, pages, document)
         show(output, planned, document)
         output.result(document, planned.verdict.checks)
+
+
+def _aids(
+    known: "Procedure",
+    circles: tuple[tuple[float, ...], tuple[float, ...]] | None,
+    clicked: dict[str, Point],
+    sd_px: float,
+) -> "Aids | None":
+    """Return what is drawn, None for nothing. Raises UnusableInputError for an aid that the procedure does not have."""
+    import numpy as np
+
+    from sightline.errors import UnusableInputError
+    from sightline.planning import Aids, Circle
+
+    types = {one.key: one.type for one in known.aids}
+    if unknown := sorted(clicked.keys() - types.keys()):
+        raise UnusableInputError(f"{known.key} has no aid {unknown[0]!r}; choose one of {', '.join(types)}")
+    if circles is None and not clicked:
+        return None
+    uv = {key: [np.reshape(one[v], (-1, 2)) if v in one else None for v in VIEWS] for key, one in clicked.items()}
+    aids = Aids.clicked(types, uv, sd_px)
+    if circles is None:
+        return aids
+    first, second = (Circle.of(np.array(one[:2]), one[2], sd_px) for one in circles)
+    return replace(aids, head=(first, second))
 
 
 def both_or_none(pa: Path | None, lateral: Path | None, oblique: Path | None = None) -> tuple[Path, ...] | None:

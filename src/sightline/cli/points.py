@@ -84,6 +84,21 @@ def parse_wires(entries: Sequence[str], ends: Sequence[str]) -> dict[str, tuple[
     return {name: (point, tips[name]) for name, point in starts.items()}
 
 
+def parse_aid(text: str) -> tuple[str, Point]:
+    """Return the key of 'KEY pa:U,V,U,V,... lateral:U,V,U,V,...' and the numbers of its clicks by view; a view may be
+    left out. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    key, rest = _named(text)
+    clicked = _numbers(rest)
+    if not key or not clicked or not clicked.keys() <= set(VIEWS) or any(len(uv) % 2 for uv in clicked.values()):
+        raise UnusableInputError(
+            f"--aid {text!r} is not a drawing; write its key and its clicks in pixels, 'shaft pa:U,V,U,V "
+            "lateral:U,V,U,V'"
+        )
+    return key, clicked
+
+
 @dataclass(frozen=True)
 class FoundAgain:
     """A landmark found again in the check images, px.

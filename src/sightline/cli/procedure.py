@@ -67,15 +67,20 @@ def check(
 ) -> None:
     """Check a procedure's file.
 
-    Exit code 2 with a sentence for what is wrong in it; otherwise what it asks for.
+    Exit code 2 with a sentence for what is wrong in it; otherwise what it asks for, and what no check shows.
     """
     with Output(json=json, quiet=quiet) as out:
+        from sightline.planning.procedures.document import open_ends
         from sightline.planning.procedures.files import read_document
         from sightline.planning.procedures.procedure import fingerprint
 
         document = read_document(file)
+        ends = open_ends(document)
+        idle = [f"corridor: no check shows whether the {end} leaves the bone" for end in ends]
         out.say(f"{file.name} is a procedure: {document.name}, {len(document.checks)} checks of the bone")
-        out.result({"file": file, "key": document.key, "fingerprint": fingerprint(document), "not_evaluated": []})
+        for one in idle:
+            out.say(f"not evaluated: {one}")
+        out.result({"file": file, "key": document.key, "fingerprint": fingerprint(document), "not_evaluated": idle})
 
 
 @app.command("new", epilog=example("sightline procedure new mine.json --like hip-screw"))

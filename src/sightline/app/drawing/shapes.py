@@ -21,7 +21,6 @@ Shape = dict[str, Any]
 Layers = dict[str, list[Shape]]
 RESIDUAL_MM = 0.3  # end of the colour scale: six times the default tolerance of a plate [ours]
 _AXIS_PX = 4000.0  # extends an aid's axis across the whole image
-_CLICKS = {"neck": 2, "shaft": 2}
 
 
 def beads(seen: SeenImage) -> list[Shape]:
@@ -106,12 +105,14 @@ def band(found: Corridor) -> list[Shape]:
 def aids(planned: Planned, image: str) -> list[Shape]:
     """Return the aids' axes and the outline of the head, for one view."""
     out: list[Shape] = []
-    for aid, clicks in _CLICKS.items():
-        uv = aid_pixels(planned.decisions, aid, clicks, image)
-        if uv is not None and (length := float(np.linalg.norm(uv[1] - uv[0]))) > 0.0:
-            along = (uv[1] - uv[0]) / length
-            ends = [(uv[0] - _AXIS_PX * along).tolist(), (uv[1] + _AXIS_PX * along).tolist()]
-            out.append({"shape": "line", "points": ends, "style": "aid", "title": f"{aid} axis"})
+    for aid in planned.kind.aids:
+        uv = None if aid.type in ("point", "sphere") else aid_pixels(planned.decisions, aid.key, aid.clicks, image)
+        for first, second in () if uv is None else uv.reshape(-1, 2, 2):
+            if (length := float(np.linalg.norm(second - first))) > 0.0:
+                beyond = (_AXIS_PX if aid.type == "line" else 0.0) * (second - first) / length
+                ends = [(first - beyond).tolist(), (second + beyond).tolist()]
+                title = f"{aid.key} axis" if aid.type == "line" else aid.name
+                out.append({"shape": "line", "points": ends, "style": "aid", "title": title})
     head, view = planned.anatomy.head, _view(planned, image)
     if head is not None and view is not None:
         seen = outline(view, head)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from sightline.planning.aids import CLICKS
-from sightline.planning.procedures.rules import CHECKS, IN_CORRIDOR, CheckRule, Strict, Text
+from sightline.planning.procedures.rules import CHECKS, END_CHECKS, IN_CORRIDOR, CheckRule, Strict, Text
 
 Key = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]{0,39}$")]
 Name = Annotated[str, Field(min_length=1, max_length=80)]
@@ -237,3 +237,12 @@ class ProcedureDocument(Strict):
         if self.proposal is not None and not {"head", "shaft", "cortex"} <= set(given):
             raise ValueError("a proposal through the head needs the aids head, shaft and cortex; add them")
         return self
+
+
+def open_ends(document: ProcedureDocument) -> list[str]:
+    """Return "entry", "end" where the corridor says that it lies in the bone, but no check of the file shows it."""
+    asked, corridor = {one.check for one in document.checks}, document.corridor
+    inside = (
+        {} if corridor is None else {e: shown for e, shown in END_CHECKS.items() if e not in corridor.may_leave_bone}
+    )
+    return [end for end, shown in inside.items() if not asked & shown]

@@ -68,6 +68,11 @@ CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
         "view directions": _known("", "°"),
     }
 )
+# They show whether an end of the wire lies in the bone, where the corridor says that it must.
+END_CHECKS = {
+    "entry": {"entry below cortex", "lateral of lesser trochanter", "entry to pedicle"},
+    "end": {"tip in head", "tip to bone nearest", "tip behind front", "tip in sacral corridor"},
+}
 # Their lower limit is at least the room that the implant needs.
 IN_CORRIDOR = ("wire in neck", "wire in sacral corridor", "wire in pedicle")
 
