@@ -105,6 +105,9 @@ def test_a_case_keeps_each_wire_and_computes_it_again(run, planned) -> None:
         entries = kept.entries(Kind.PLANNED)
         assert [entry.content["kind"] for entry in entries] == [f"mine:{key}" for key in KEYS]
         assert {"parallel", "spacing", "inverted triangle"} <= {one["name"] for one in entries[0].content["checks"]}
+    assert run("case", "report", case, "--out", planned[1] / "report").code == 0
+    said = json.loads((planned[1] / "report" / "report.json").read_text())["wires"]
+    assert said["each"] == dict.fromkeys(KEYS, "go") and said["verdict"] == "go" and len(said["relations"]) == 3
     outcomes = run("case", "replay", case, "--json").document["entries"]
     assert {one["outcome"] for one in outcomes} == {"same to the bit"}
 

@@ -96,6 +96,12 @@ def plan_wires(
 
     The wires' points are reconstructed together for the relations, so that their errors are correlated as the views
     share them. Raises UnusableInputError, and what `plan` raises.
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> picks = sl.planning.WirePicks([[162, 689], [684, 692]], [[818, 366], [378, 276]])
+    >>> plans = sl.planning.plan_wires([pa, lateral], {"inferior": picks}, procedure="cannulated-hip-screws")
+    >>> plans.verdict.state, plans.missing
+    ('incomplete', ('anterior', 'posterior'))
     """
     document = procedure if isinstance(procedure, ProcedureDocument) else document_of(procedure)
     placed = {} if placed is None else dict(placed)

@@ -13,6 +13,7 @@ from sightline.case.documents import check_document, view_document
 from sightline.case.journal.entry import versions
 from sightline.case.report.content import Report
 from sightline.case.report.exposures import NOTE
+from sightline.planning import WirePlans
 from sightline.planning.results import State
 
 Point = tuple[float, float, float]
@@ -138,6 +139,16 @@ class ExposureDocument(_Open):
     frames: int
 
 
+class WiresDocument(_Open):
+    """The wires that were planned together with this one: by key the verdict on each in the order of drilling, the
+    verdict on all of them, and the relations between them."""
+
+    each: dict[str, State]
+    verdict: State
+    missing: tuple[str, ...]
+    relations: tuple[CheckDocument, ...]
+
+
 class ReportDocument(_Open):
     """The report of one plan. `case`: the number of its case, the only identity in it; null outside a case.
 
@@ -169,6 +180,7 @@ class ReportDocument(_Open):
     checks: tuple[CheckDocument, ...]
     exposures: tuple[ExposureDocument, ...] = Field(description=NOTE)
     drilled: dict[str, Any] | None
+    wires: WiresDocument | None = Field(default=None, description="Null for the plan of a wire alone.")
 
 
 def report_document(report: Report, case_number: str | None = None) -> ReportDocument:
@@ -186,8 +198,20 @@ def report_document(report: Report, case_number: str | None = None) -> ReportDoc
         "checks": [check_document(check) for check in plan.verdict.checks],
         "exposures": report.exposures,
         "drilled": None if report.drilled is None else report.drilled.document(),
+        "wires": _wires(report.wires),
     }
     return ReportDocument.model_validate_json(canonical(stated))
+
+
+def _wires(made: WirePlans | None) -> dict[str, Any] | None:
+    if made is None:
+        return None
+    return {
+        "each": {key: one.verdict.state for key, one in made.plans.items()},
+        "verdict": made.verdict.state,
+        "missing": made.verdict.missing,
+        "relations": [check_document(check) for check in made.relations],
+    }
 
 
 def schema_text() -> str:
