@@ -69,7 +69,7 @@ def check_shot(
     `planned`: the views of the plan; `images`: of the first two of them, in their order, with the wire in the bone;
     `frame`, `white`: as of `calibrate_image`. `landmarks`: three points of the bone picked in all four images, which
     tell how the bone moved since. `others_mm`: entry and end (2, 3), planned or measured, of each other wire that may
-    be in the images, such as `WirePlans.lines.besides(key)`.
+    be in the images, such as `WirePlans.others_mm(key)`.
     Raises what `calibrate_image` raises, WireRefusedError, UnusableInputError, ReconstructionRefusedError,
     OutsideRegionError, ErrorUnknownError.
 

@@ -10,7 +10,7 @@ import pytest
 
 from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal import Case, Kind
-from sightline.errors import UnusableInputError
+from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.planning.procedures.files import copy_text
 
 KEYS = ("inferior", "anterior", "posterior")
@@ -71,7 +71,13 @@ def planned(run, arguments, procedure, tmp_path_factory: pytest.TempPathFactory)
 def test_all_wires_are_planned_and_reported(planned) -> None:
     ran, out = planned[0], planned[1] / "plan"
     assert ran.code == 0, ran.out
-    for words in ("GO: every check passed", "posterior wire, end", "parallel: Between the", "of the wire anterior is"):
+    for words in (
+        "GO: every check passed",
+        "posterior wire, end",
+        "parallel: Between the",
+        "of the wire anterior is",
+        "Drill the inferior wire, then the ant",
+    ):
         assert words in ran.out
     files = {file.name for file in out.iterdir()}
     assert files == {"plan.json", *(f"report-{key}.html" for key in KEYS)}
@@ -142,11 +148,17 @@ def test_a_relation_of_the_file_decides(run, arguments, procedure, relation: str
     assert not any(wire["go"] for wire in ran.document["wires"].values())
 
 
-def test_a_wire_that_is_left_out_is_asked_for(run, arguments, procedure) -> None:
-    ran = run(*arguments(WIRES_MM[:2], KEYS[:2]), "--procedure", procedure(), "--json")
+def test_a_wire_that_is_left_out_is_asked_for_and_the_others_are_not_sent(run, arguments, procedure, tmp_path) -> None:
+    ran = run(*arguments(WIRES_MM[:2], KEYS[:2]), "--procedure", procedure(), "--out", tmp_path, "--json")
     assert ran.code == 3
     assert ran.document["verdict"] == "incomplete"
     assert any("pick entry and end of the posterior wire" in sentence for sentence in ran.document["missing"])
+    alone = PlanFile.read(tmp_path, "inferior")
+    assert alone.go  # by itself
+    with pytest.raises(RobotRefusedError, match="the plan of all wires is INCOMPLETE: none of them"):
+        alone.refuse_for_robot()
+    drive = run("robot", "drive", tmp_path, "--wire", "inferior", "--yes")
+    assert drive.code == 3 and "the plan of all wires is INCOMPLETE" in drive.err
 
 
 def test_names_of_wires_are_asked_for_once_each(run, arguments, procedure) -> None:

@@ -160,8 +160,14 @@ class CheckRequest:
         before, after = (np.reshape(known[key], (2, -1, 2)) for key in ("planned_uv_px", "checked_uv_px"))
         return CheckRequest(document["wire_mm"], Landmarks(before, after, known["sd_px"]))
 
-    def shot(self, made: Plan, planned: Sequence[CalibratedImage], checked: Sequence[CalibratedImage]) -> CheckShot:
-        """Find the wire in both check images and compare it with the plan.
+    def shot(
+        self,
+        made: Plan,
+        planned: Sequence[CalibratedImage],
+        checked: Sequence[CalibratedImage],
+        others_mm: Sequence[np.ndarray] = (),
+    ) -> CheckShot:
+        """Find the wire in both check images and compare it with the plan; `others_mm`: as of `pipeline.check_shot`.
 
         Raises CaseError if a check view is a table of beads, and what `find_planned_wire` and `check_shot` raise.
         """
@@ -173,7 +179,7 @@ class CheckRequest:
             seen = image.seen
             if seen.image is None or seen.beads is None:
                 raise CaseError("a check shot needs two images that show the wire; a table of beads shows no wire")
-            wires.append(find_planned_wire(made, seen.image, seen.beads, image.view, self.wire_mm))
+            wires.append(find_planned_wire(made, seen.image, seen.beads, image.view, self.wire_mm, others_mm))
         before, after = ([image.view for image in pair] for pair in (planned, checked))
         return check_shot(
             made.trajectory, made.picks, before, after, wires, landmarks=self.landmarks, limits=made.kind.limits

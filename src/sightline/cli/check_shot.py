@@ -14,6 +14,7 @@ from sightline.cli.plan import Mirrored, both_or_none, image_numbers, images_of
 from sightline.cli.points import CHECK_VIEWS, FoundAgain, parse_found_again
 
 if TYPE_CHECKING:
+    from sightline.case.journal import Entry
     from sightline.planning.check_result import CheckShot
     from sightline.planning.check_start import Landmarks
 
@@ -42,6 +43,10 @@ def check_shot(
             show_default=False,
         ),
     ] = None,
+    wire: Annotated[
+        str | None,
+        typer.Option(help="Key of the wire, where several were planned together.", show_default=False),
+    ] = None,
     pick_sd: Annotated[float, typer.Option(help="Standard deviation of a pick, px; 0.5 is a careful click.")] = 0.5,
     mirrored: Mirrored = None,
     sid: Sid = None,
@@ -65,16 +70,18 @@ def check_shot(
         from sightline.case.stages import frame_of, record_verified
         from sightline.case.views import calibrate_pair
         from sightline.errors import CaseError, RefusedError
+        from sightline.planning.measured_wires import judge_measured
 
         opened = stack.enter_context(Case.open(case))
+        again = Recomputed(opened)
         entry = opened.latest(Kind.PLANNED)
         if entry is None:
             raise CaseError("the case holds no plan; make one with `sightline plan --case`")
+        entry = _of_wire(entry, again.of_all_wires(entry), wire)
         asked = entry.content["asked"]
         landmarks = _landmarks(points, asked["landmark_names"], asked["landmarks_uv_px"], pick_sd)
         frame = frame_of(opened, opened.entry(entry.rests_on[0]).settings["frame"])
         with output.step("computing the plan again"):
-            again = Recomputed(opened)
             made, planned = again.plan(entry), again.images(entry)
         with output.step("finding and labelling the beads"):
             taken = images_of(output, opened, files, frame, invert=invert, after=entry.number)
@@ -84,19 +91,38 @@ def check_shot(
         check = CheckRequest(made.kind.wire_mm, landmarks)
         try:
             with output.step("finding the wire"):
-                shot = check.shot(made, planned, images)
+                shot = check.shot(made, planned, images, again.others_mm(entry))
         except RefusedError as refusal:
             record_verified(opened, entry, views, check, str(refusal), by=Actor.COMMAND)
             raise
         kept = record_verified(opened, entry, views, check, shot, by=Actor.COMMAND)
         _show(output, shot)
+        plans, relations = again.wires(entry), ()
+        if plans is not None:
+            with output.step("comparing the wires that were measured"):
+                measured = judge_measured(plans, again.measured(entry), made.side)
+            relations = tuple(one for one in measured.checks if one not in measured.unmade)
+            for check_of in measured.checks:
+                output.say(f"{check_of.name}, as measured: {check_of.sentence}")
         output.say(
             f"case {opened.number}: the check shot is entry {kept.number}, against the plan of entry {entry.number}"
         )
         numbers = {"number": opened.number, "plan": entry.number, "entry": kept.number}
         numbers |= {"images": image_numbers(opened, views, CHECK_VIEWS)}
         document = {key: value for key, value in shot.document().items() if key != "checks"}
-        output.result({**document, "case": numbers}, shot.checks)
+        output.result({**document, "case": numbers}, (*shot.checks, *relations))
+
+
+def _of_wire(last: "Entry", of_all: "dict[str, Entry]", wire: str | None) -> "Entry":
+    """Return the entry of the wire's plan, of the last plans. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    if not of_all and wire is None:
+        return last
+    if wire not in of_all:
+        known = ", ".join(of_all) or "none: it is the plan of one wire"
+        raise UnusableInputError(f"name the wire that was drilled with --wire; the plan's are {known}")
+    return of_all[wire]
 
 
 def _landmarks(points: list[FoundAgain], names: list[str], picked: Any, sd_px: float) -> "Landmarks":

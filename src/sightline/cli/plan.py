@@ -193,7 +193,7 @@ def plan(
                 others={name: WirePicks(a, b, snapped) for name, (a, b) in ends.items()} if first else None,
             )
             planned = asked.plan_wires_on(calibrated) if first else asked.plan(images)
-        document = planned_document(planned, images)
+        document = planned_document(planned, images, known_frame)
         if case is not None:
             opened = opened or stack.enter_context(Case.create(case, exist_ok=True))  # now that there is a plan
             made_on = record_images(opened, taken, images, known_frame, by=Actor.COMMAND)

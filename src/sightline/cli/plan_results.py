@@ -37,12 +37,21 @@ def plan_document(planned: "Plan", images: "Images") -> dict[str, Any]:
     }
 
 
-def planned_document(planned: "Plan | WirePlans", images: "Images") -> dict[str, Any]:
-    """Return the plan of a wire, or of several, as JSON types."""
+def planned_document(planned: "Plan | WirePlans", images: "Images", frame: "Frame") -> dict[str, Any]:
+    """Return the plan of a wire, or of several with their proposed order of drilling, as JSON types."""
     from sightline.case.interop.plan_file import of_wires
+    from sightline.drilling_order import propose_order
+    from sightline.planning import Plan
 
     documents = {key: plan_document(one, images) for key, one in each_of(planned).items()}
-    return documents[""] if "" in documents else of_wires(planned.document(), documents)
+    if isinstance(planned, Plan):
+        return documents[""]
+    views = [image.view for image in images]
+    order = propose_order(planned.lines, planned.procedure, views, frame, planned.placed)
+    names = {wire.key: wire.name for wire in planned.procedure.wires}
+    return of_wires(planned.document(), documents) | {
+        "drilling_order": {**vars(order), "sentence": order.sentence(names)}
+    }
 
 
 def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any]) -> None:
@@ -65,6 +74,8 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any]) 
                 output.say(f"{plans[key].kind.wire.name}: {sentence}")
     for sentence in common:
         output.say(sentence)
+    if "drilling_order" in document:
+        output.say(document["drilling_order"]["sentence"])
     if "case" in document:
         number, entries = document["case"]["number"], document["case"].get("entries", {})
         for wire, entry in (entries or {"": document["case"].get("entry")}).items():

@@ -268,6 +268,7 @@ def drive(
     registration: Annotated[
         Path | None, typer.Option(help="Robot file with the joints at both images; a real robot needs it.")
     ] = None,
+    wire: Annotated[str | None, typer.Option(help="Key of the wire, in a plan of several.", show_default=False)] = None,
     frame_serial: Serial = None,
     rehearse: Seed = None,
     frame: FrameName = "gamma",
@@ -287,7 +288,7 @@ def drive(
         from sightline.robot.link.server import tune_process
 
         tune_process()
-        known = read_plan(plan)
+        known = read_plan(plan, wire)
         stood = None if registration is None else RobotFile.read(registration)
         if address is None:
             if stood is not None:
@@ -358,11 +359,14 @@ def parse_address(text: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def read_plan(file: Path) -> "PlanFile":
-    """Return a plan that may be sent to a robot. Raises UnusableInputError, RobotRefusedError."""
+def read_plan(file: Path, wire: str | None = None) -> "PlanFile":
+    """Return a plan that may be sent to a robot; of several wires that of one.
+
+    Raises UnusableInputError, RobotRefusedError.
+    """
     from sightline.case.interop.plan_file import PlanFile
 
-    plan = PlanFile.read(file)
+    plan = PlanFile.read(file, wire)
     plan.refuse_for_robot()
     return plan
 

@@ -52,10 +52,6 @@ class WireLines:
         """Return the places of those of these wires that are known."""
         return [self.keys.index(key) for key in keys if key in self.keys]
 
-    def besides(self, key: str) -> tuple[np.ndarray, ...]:
-        """Return entry and end (2, 3) of each wire but this one."""
-        return tuple(ends for name, ends in zip(self.keys, self.ends_mm, strict=True) if name != key)
-
     def linear(self, function: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return a value (m,) of the wires and its covariance (m, m); `function` maps (K, N, 2, 3) to (K, m).
 
@@ -69,19 +65,24 @@ class WireLines:
 
 
 def judge_relations(
-    relations: Sequence[Relation], wires: WireLines, names: Mapping[str, str], side: str | None
+    relations: Sequence[Relation],
+    wires: WireLines,
+    names: Mapping[str, str],
+    side: str | None,
+    lacks: str = "is not planned",
 ) -> Verdict:
     """Return a check for each relation of geometry, and those that could not be made.
 
     `names`: of all wires of the procedure, by key. A relation with a missing wire is judged for the others: it fails
-    where they break it, and otherwise it cannot be made. Raises UnusableInputError for an unknown side.
+    where they break it, and otherwise it cannot be made; `lacks`: why it is missing. Raises UnusableInputError for an
+    unknown side.
     """
     checks, unmade = [], []
     for relation in relations:
         name = relation.relation
         if name == "order":
             continue
-        lacking = [f"the {names[key]} is not planned" for key in relation.wires if key not in wires.keys]
+        lacking = [f"the {names[key]} {lacks}" for key in relation.wires if key not in wires.keys]
         lacking += ["the side is not given"] if name == "inverted triangle" and side is None else []
         if wires.joint_covariance_mm2 is None:
             sentence = f"The relation '{name}' cannot be judged: the error of a view is not stated."

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.calibration.view import CalibratedView
@@ -50,6 +51,10 @@ class WirePlans(Shown):
     lines: WireLines
     relations: tuple[Check, ...]
     verdict: Verdict
+
+    def others_mm(self, key: str) -> tuple[np.ndarray, ...]:
+        """Return entry and end (2, 3) of each wire but this one, planned or placed."""
+        return tuple(ends for name, ends in zip(self.lines.keys, self.lines.ends_mm, strict=True) if name != key)
 
     @property
     def missing(self) -> tuple[str, ...]:

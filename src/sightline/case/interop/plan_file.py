@@ -126,6 +126,11 @@ class PlanFile:
             raise RobotRefusedError(
                 f"the plan is {self.verdict}: it is not sent to a robot; see its checks, and plan again"
             )
+        if document.all_wires not in (None, "go"):
+            raise RobotRefusedError(
+                f"the plan of all wires is {document.all_wires.upper()}: none of them is sent to a robot; see its "
+                "checks and relations, and plan again"
+            )
         if document.digest is None:
             raise RobotRefusedError(
                 "the plan was written by an older version without a digest, so changes cannot be detected; plan again"

@@ -4,9 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from sightline.calibration import CArm
 from sightline.case import contents
-from sightline.case.canonical import plain
+from sightline.case.canonical import canonical, plain, with_null
 from sightline.case.contents import CheckRequest, Images, PlanRequest
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.journal.originals import short
@@ -70,6 +72,37 @@ class Recomputed:
             return None
         return self._once(entry, lambda: asked.plan_wires_on([image.view for image in self.images(entry)]))
 
+    def others_mm(self, entry: Entry) -> tuple[np.ndarray, ...]:
+        """Return entry and end (2, 3) of the other wires that a planned entry's wire was planned with."""
+        wires = self.wires(entry)
+        return () if wires is None else wires.others_mm(self.plan(entry).kind.wire.key)
+
+    def of_all_wires(self, entry: Entry) -> dict[str, Entry]:
+        """Return the planned entries of the wires that a planned entry's wire was planned with, its own too, by key."""
+        asked, out = PlanRequest.of(entry.content["asked"]), {}
+        own = asked.known_kind.wire.key
+        for one in [] if asked.others is None else self._case.entries(Kind.PLANNED):
+            known = PlanRequest.of(one.content["asked"])
+            key = known.known_kind.wire.key
+            if one.rests_on == entry.rests_on and known.others is not None and own in {key, *known.others}:
+                same = canonical(with_null(known.of_wire(own))) == canonical(with_null(asked))
+                out |= {key: one} if same else {}
+        return out
+
+    def measured(self, entry: Entry) -> dict[str, CheckShot]:
+        """Return the last check shot of each wire that a planned entry's wire was planned with, its own too, by key.
+
+        Refused ones are left out.
+        """
+        out = {}
+        for key, planned in self.of_all_wires(entry).items():
+            verified = [
+                one for one in self._case.entries(Kind.VERIFIED, planned.number) if planned.number in one.rests_on
+            ]
+            shot = self.shot(verified[-1]) if verified and "asked" in verified[-1].content else None
+            out |= {key: shot} if isinstance(shot, CheckShot) else {}
+        return out
+
     def images(self, entry: Entry) -> Images:
         """Return the calibrated images of a planned entry, PA first."""
         return tuple(self.calibrated(self._case.entry(number)) for number in entry.rests_on)
@@ -81,7 +114,8 @@ class Recomputed:
             plan, *views = (self._case.entry(number) for number in entry.rests_on)
             first, second = (self.calibrated(view) for view in views)
             try:
-                return CheckRequest.of(entry.content["asked"]).shot(self.plan(plan), self.images(plan), (first, second))
+                asked, made = CheckRequest.of(entry.content["asked"]), self.plan(plan)
+                return asked.shot(made, self.images(plan), (first, second), self.others_mm(plan))
             except RefusedError as error:
                 return str(error)
 

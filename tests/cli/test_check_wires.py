@@ -1,0 +1,98 @@
+"""`sightline check-shot` of several wires in one case: each by its own plan, and the relations between them."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sightline.case.journal import Case, Kind
+from sightline.imaging import write_dicom
+from sightline.planning.procedures.files import copy_text
+from sightline.twin import HipScene, hip_scene, render
+from sightline.twin.implants import guide_wire
+
+VIEWS = ("pa", "lateral")
+KEYS = ("inferior", "anterior", "posterior")
+ASIDE_MM = 8.0  # between neighbours, in each image
+OFF_MM = {"inferior": 0.0, "anterior": 0.7}  # how far beside their plans two of them are drilled
+
+
+@pytest.fixture(scope="module")
+def hip(setup) -> HipScene:
+    return hip_scene(setup, np.random.default_rng(8))
+
+
+@pytest.fixture(scope="module")
+def wires_mm(hip: HipScene) -> np.ndarray:
+    """Three parallel wires that both images show apart."""
+    along = (hip.wire_mm[1] - hip.wire_mm[0]) / np.linalg.norm(hip.wire_mm[1] - hip.wire_mm[0])
+    up, front = np.cross(along, [0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])
+    return hip.wire_mm + np.array([k * ASIDE_MM * (up + front) for k in (0, 1, -1)])[:, None]
+
+
+def _text(setup: Any, xyz_mm: np.ndarray, prefix: str = "") -> str:
+    pixels = {name: setup.views[name].project(xyz_mm) for name in VIEWS}
+    return " ".join(f"{prefix}{name}:{u:.3f},{v:.3f}" for name, (u, v) in pixels.items())
+
+
+def _procedure(folder: Path) -> Path:
+    """The shipped file without checks of the bone, with its relations of geometry but for the triangle."""
+    given = json.loads(copy_text("cannulated-hip-screws", "mine"))
+    given["checks"] = []
+    given["relations"] = [one for one in given["relations"] if one["relation"] != "inverted triangle"]
+    (folder / "mine.json").write_text(json.dumps(given))
+    return folder / "mine.json"
+
+
+@pytest.fixture(scope="module")
+def case(run, beads_csv: Path, setup, hip: HipScene, wires_mm: np.ndarray, tmp_path_factory) -> Path:
+    """A case with the plan of three wires."""
+    folder = tmp_path_factory.mktemp("wires")
+    given: list[Any] = ["plan", beads_csv, beads_csv, "--side", "right", "--pick-sd", 0.2]
+    for key, (entry, end) in zip(KEYS, wires_mm, strict=True):
+        given += ["--entry", f"{key} {_text(setup, entry)}", "--end", f"{key} {_text(setup, end)}"]
+    for name, xyz in hip.landmarks_mm.items():
+        given += ["--landmark", f"{name} {_text(setup, xyz)}"]
+    ran = run(*given, "--procedure", _procedure(folder), "--case", folder / "case")
+    assert ran.code == 0, ran.out + ran.err
+    return folder / "case"
+
+
+@pytest.mark.slow
+def test_two_wires_in_one_case_are_measured_each_against_its_plan(
+    run, case: Path, setup, hip: HipScene, wires_mm: np.ndarray, tmp_path: Path
+) -> None:
+    """A program that takes the other wire's line, or its plan, errs by 8 mm."""
+    rng, scene = np.random.default_rng(5), hip.scene
+    aside = np.array([0.0, 0.0, 1.0])
+    for key, off in OFF_MM.items():
+        scene += guide_wire(wires_mm[KEYS.index(key)] + off * aside, 2.8)
+    files = [write_dicom(render(setup, view, scene, rng), tmp_path / f"{view}.dcm") for view in VIEWS]
+    marks = [
+        word
+        for name, xyz in hip.landmarks_mm.items()
+        for word in ("--landmark", f"{name} {_text(setup, xyz, 'check-')}")
+    ]
+    shot = ["check-shot", "--case", case, "--pick-sd", "0.1", *marks]
+    unnamed = run(*shot, *files)
+    assert unnamed.code == 2 and "--wire; the plan's are inferior, anterior, posterior" in unnamed.err
+
+    first = run(*shot, *files, "--wire", "inferior", "--json")
+    assert first.code == 0, first.out + first.err
+    second = run(*shot, "--wire", "anterior", "--json")
+    for ran, off in ((first, OFF_MM["inferior"]), (second, OFF_MM["anterior"])):
+        deviation, error = ran.document["deviation"], ran.document["error_95"]
+        assert abs(deviation["entry_mm"] - off) < error["entry_mm"] + 0.1
+        assert abs(deviation["tip_mm"] - off) < error["tip_mm"] + 0.1
+    # The third wire is not in: its place is empty, and its neighbours are not taken for it.
+    third = run(*shot, "--wire", "posterior")
+    assert third.code == 3 and ("may be the other" in third.err or "no wire is seen" in third.err), third.err
+    with Case.open(case, read_only=True) as kept:
+        shots = kept.entries(Kind.VERIFIED)
+        assert [kept.entry(one.rests_on[0]).content["kind"] for one in shots] == [f"mine:{key}" for key in KEYS]
+    outcomes = run("case", "replay", case, "--json").document["entries"]
+    assert {one["outcome"] for one in outcomes} == {"same to the bit"}
+    said = run(*shot, "--wire", "anterior").out
+    assert "parallel, as measured: " in said and "the posterior wire is not measured yet" in said
