@@ -10,7 +10,10 @@ import pytest
 
 from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal import Case, Kind
+from sightline.cli.output import Output
+from sightline.cli.watch import _planned
 from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.frame import Frame
 from sightline.planning.procedures.files import copy_text
 
 KEYS = ("inferior", "anterior", "posterior")
@@ -103,6 +106,11 @@ def test_plan_json_holds_all_wires_and_is_exported(run, planned, tmp_path: Path)
     rows = [(tmp_path / "export" / "csv" / key / "trajectory.csv").read_text().splitlines()[1] for key in KEYS]
     assert len(set(rows)) == 3
     assert (tmp_path / "export" / "igtl" / "posterior" / "target.igtl").exists()
+
+
+def test_a_live_image_shows_the_wire_that_is_named(planned) -> None:
+    drawn = _planned(planned[1] / "plan", "anterior", Frame.load("gamma"), Output(json=False, quiet=True))
+    assert np.linalg.norm(drawn.points.xyz_mm - WIRES_MM[1], axis=1).max() < 1.5
 
 
 def test_a_case_keeps_each_wire_and_computes_it_again(run, planned) -> None:

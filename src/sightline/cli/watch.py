@@ -38,6 +38,10 @@ def watch(
     ] = None,
     frame: Annotated[str, typer.Option(help="A frame file, gamma, biplane or stereo.")] = "gamma",
     plan: Annotated[Path | None, typer.Option(help="Plan to draw: plan.json of `sightline plan --out`.")] = None,
+    of_wire: Annotated[
+        str | None,
+        typer.Option("--wire", help="Key of the wire to draw, in a plan of several.", show_default=False),
+    ] = None,
     planned: Annotated[
         list[Path] | None,
         typer.Option(
@@ -63,7 +67,7 @@ def watch(
         known = Frame.load(frame)
         known.refuse_solid("a live image is watched by the plates of a frame")
         images, wire = _opened(source, rehearse, known, out, invert=invert)
-        wire = wire if plan is None else _planned(plan, known, out)
+        wire = wire if plan is None else _planned(plan, of_wire, known, out)
         with out.step("planning images"):
             references = [_reference(path, known, invert=invert) for path in planned or ()]
         out.note(BLIND_TO)
@@ -90,12 +94,12 @@ def _opened(
     return stream, stream.wire
 
 
-def _planned(path: Path, frame: "Frame", out: Output) -> "Trajectory":
+def _planned(path: Path, wire: str | None, frame: "Frame", out: Output) -> "Trajectory":
     """Raises UnusableInputError."""
     from sightline.case.interop.plan_file import PlanFile
     from sightline.errors import UnusableInputError
 
-    plan = PlanFile.read(path)
+    plan = PlanFile.read(path, wire)
     made_with = plan.document.frame
     if made_with is not None and made_with.name != frame.name:
         raise UnusableInputError(
