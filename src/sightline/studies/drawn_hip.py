@@ -138,4 +138,4 @@ def plan_of(
 def _no_curve(*_: object) -> MatchingCurve:
     """Return a curve that nothing looks at: drawing one takes most of the time of a plan."""
     nothing, pixels = np.zeros(0), np.zeros((0, 2))
-    return MatchingCurve("pa", "lateral", nothing, np.zeros((0, 3)), pixels, pixels, nothing.astype(bool), None)
+    return MatchingCurve("pa", "lateral", nothing, np.zeros((0, 3)), pixels, pixels, nothing.astype(bool), lambda: None)
