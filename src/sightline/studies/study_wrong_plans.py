@@ -1,6 +1,6 @@
 """Plans that are wrong by a known amount, and right ones: how many are GO?
 
-Each trial draws a hip in a set-up, a right wire, and a wrong wire of one kind (`wrong_kinds`). Clicks and drawings are
+Each trial draws a bone in a set-up, a right wire, and a wrong wire of one kind (`wrong_kinds`). Clicks and drawings are
 points with a careful click's noise; nothing is rendered. A right wire lies inside the limit of every check of its
 procedure by that check's 95 % error, a wrong one beyond the limit of one check by 3 times its 95 % error or more. Both
 are measured without noise: exact beads, exact clicks, and the frame as it is.
@@ -23,17 +23,19 @@ from sightline.errors import SetUpError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Plan, Procedure, kind
 from sightline.planning.directions import unit
-from sightline.studies.drawn_hip import PICK_PX, DrawnHip, jittered, plan_of
+from sightline.studies.drawn_bones import PICK_PX, DrawnBone, DrawnHip, jittered, plan_of
 from sightline.studies.intervals import share
 from sightline.studies.plan_margins import KnownBone
 from sightline.studies.scenes import ATTEMPTS, measure
 from sightline.studies.study import Estimate, Summary, Table, Values
 from sightline.studies.wrong_kinds import (
+    BONE_OF,
     KINDS,
     MAX_TIMES,
     MIN_TIMES,
     NEAR_SHARE,
     NEAR_TIMES,
+    SOLID_ONLY,
     WrongKind,
     draw_times,
     right_wire,
@@ -41,7 +43,8 @@ from sightline.studies.wrong_kinds import (
 from sightline.twin import SetUp, bead_images
 
 BEAD_PX = 0.1  # physics.md, Centroid limit
-ARMS = {"gamma": "Γ on the intensifier", "block60": "block60 on the flat panel"}
+SOLID = "block60"
+ARMS = {"gamma": "Γ on the intensifier", SOLID: "block60 on the flat panel"}
 VIOLATED = 3.0  # times its 95 % error, by which a wrong plan violates a limit at least
 # Wrong plans that no image shows. Their sizes are in 95 % errors of the entry point.
 MOVED, ALONG_CURVE = "bone moved along the second beam", "one click along its curve"
@@ -74,8 +77,9 @@ class WrongPlans:
         Raises SetUpError where no hip is found.
         """
         frame, of = self.frames[rng.integers(len(self.frames))], _KINDS[self.kinds[rng.integers(len(self.kinds))]]
+        frame = SOLID if of.procedure in SOLID_ONLY else frame
         drawn = _drawn(rng, Frame.load(frame), of)
-        setup, side, asked = drawn.hip.setup, drawn.hip.side, self._asked(of)
+        setup, side, asked = drawn.bone.setup, drawn.bone.side, self._asked(of)
         views = _calibrated(setup, measure(rng, setup, BEAD_PX))
         ended = {
             name: _ended(views, jittered(px, rng), asked, of.side(side) if name == "wrong" else side, of)
@@ -182,61 +186,62 @@ _AT_CORTEX = (
 
 @dataclass(frozen=True, eq=False)
 class PlanPixels:
-    """The exact pixels of plans of one hip, by name of the plan: "right", "wrong", "unseen".
+    """The exact pixels of plans of one bone, by name of the plan: "right", "wrong", "unseen".
 
     `times`: of the wrong one beyond its limit, in 95 % errors. `unseen`: which of UNSEEN.
     """
 
-    hip: DrawnHip
+    bone: DrawnHip | DrawnBone
     pixels: dict[str, dict[str, np.ndarray]]
     times: float
     unseen: str
 
 
 def _drawn(rng: np.random.Generator, frame: Frame, of: WrongKind) -> PlanPixels:
-    """Draw a hip with its plans. Raises SetUpError if none is found."""
+    """Draw a bone with its plans. Raises SetUpError if none is found."""
+    asked, name = kind(of.procedure), BONE_OF.get(of.procedure)
     for _ in range(ATTEMPTS):
         try:
-            return _planned(rng, DrawnHip.drawn(rng, frame), of)
-        except SightlineError:  # a point outside an image, a wire that this femur does not have
+            bone = DrawnHip.drawn(rng, frame) if name is None else DrawnBone.drawn(rng, frame, name, asked)
+            return _planned(rng, bone, of, asked)
+        except SightlineError:  # a point outside an image, a wire that this bone does not have
             continue
-    raise SetUpError(f"none of {ATTEMPTS} hips has a right plan, and a wrong one of the kind {of.name!r}")
+    raise SetUpError(f"none of {ATTEMPTS} bones has a right plan, and a wrong one of the kind {of.name!r}")
 
 
-def _planned(rng: np.random.Generator, hip: DrawnHip, of: WrongKind) -> PlanPixels:
-    """Return the plans of this hip. Raises SightlineError where it has none."""
-    asked = kind(of.procedure)
-    rule = next(rule for rule in asked.checks if rule.check == of.check)
-    wire, views = right_wire(rng, hip.femur, of.procedure), _exact(hip.setup)
-    right_px = hip.pixels(wire)
-    made = plan_of(views, right_px, asked, hip.side)
+def _planned(rng: np.random.Generator, bone: DrawnHip | DrawnBone, of: WrongKind, asked: Procedure) -> PlanPixels:
+    """Return the plans of this bone. Raises SightlineError where it has none."""
+    rules = [rule for rule in asked.checks if rule.check != "view directions"]  # of images, not of the wire
+    rule = next(rule for rule in rules if rule.check == of.check)
+    wire, views = right_wire(rng, bone.bone, of.procedure), _exact(bone.setup)
+    right_px = bone.pixels(wire)
+    made = plan_of(views, right_px, asked, bone.side)
     right = KnownBone.of(made)
-    inside = [-right.times_beyond(rule) for rule in asked.checks]
+    inside = [-right.times_beyond(rule) for rule in rules]
     if not np.isfinite(inside).all() or min(inside) < 1.0:
         raise SetUpError("not a right plan")
-    wrong = of.wrong_wire(hip.femur, wire, draw_times(rng), rule, lambda one: right.with_wire(hip.in_cfcs(one)))
-    wrong_px = {**right_px, "wire": hip.projected(wrong)}
-    times = KnownBone.of(plan_of(views, wrong_px, asked, of.side(hip.side), of.undrawn)).times_beyond(rule)
+    wrong = of.wrong_wire(bone.bone, wire, draw_times(rng), rule, lambda one: right.with_wire(bone.in_cfcs(one)))
+    wrong_px = {**right_px, "wire": bone.projected(wrong)}
+    times = KnownBone.of(plan_of(views, wrong_px, asked, of.side(bone.side), of.undrawn)).times_beyond(rule)
     if times < VIOLATED:
         raise SetUpError("not a wrong plan")
     unseen = UNSEEN[rng.integers(len(UNSEEN))]
-    unseen_px = _unseen(hip, wire, right_px, unseen, draw_times(rng) * made.trajectory.entry_error_95_mm)
-    return PlanPixels(hip, {"right": right_px, "wrong": wrong_px, "unseen": unseen_px}, times, unseen)
+    unseen_px = _unseen(bone, wire, right_px, unseen, draw_times(rng) * made.trajectory.entry_error_95_mm)
+    return PlanPixels(bone, {"right": right_px, "wrong": wrong_px, "unseen": unseen_px}, times, unseen)
 
 
 def _unseen(
-    hip: DrawnHip, wire_mm: np.ndarray, right_px: dict[str, np.ndarray], unseen: str, by_mm: float
+    bone: DrawnHip | DrawnBone, wire_mm: np.ndarray, right_px: dict[str, np.ndarray], unseen: str, by_mm: float
 ) -> dict[str, np.ndarray]:
     """Return the pixels of a right plan after one of UNSEEN."""
-    first, second = hip.setup.views.values()
-    entry, out = hip.in_cfcs(wire_mm[0]), {name: uv.copy() for name, uv in right_px.items()}
+    first, second = bone.setup.views.values()
+    entry, out = bone.in_cfcs(wire_mm[0]), {name: uv.copy() for name, uv in right_px.items()}
     if unseen == ALONG_CURVE:
         out["wire"][1, 0] = second.project((entry + by_mm * unit(entry - first.focal_point_mm))[None])[0]
         return out
-    by = by_mm * unit(entry - second.focal_point_mm)
-    moved = replace(hip, head_mm=hip.head_mm + by).pixels(wire_mm)
-    for name in out.keys() - {"cortex"}:  # clicked in the first image only
-        out[name][1] = moved[name][1]
+    moved = bone.moved(by_mm * unit(entry - second.focal_point_mm)).pixels(wire_mm)
+    for name, uv in out.items():
+        uv[1] = moved[name][1]
     return out
 
 

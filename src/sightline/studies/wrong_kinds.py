@@ -1,4 +1,4 @@
-"""Right wires of a hip, and the kinds of wrong plan that are made of them.
+"""Right wires, and the kinds of wrong plan that are made of them.
 
 How far a wrong plan is beyond its limit is stated in the 95 % error of the check that must catch it. Kinds and sizes
 were fixed before any check was tuned on them.
@@ -6,6 +6,7 @@ were fixed before any check was tuned on them.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +14,14 @@ from sightline.errors import SetUpError
 from sightline.planning.directions import across, unit
 from sightline.planning.procedures.rules import CheckRule
 from sightline.studies.plan_margins import KnownBone
+from sightline.twin.bones import BoneModel
 from sightline.twin.femur import NARROWEST, Femur
 from sightline.twin.wrong_wires import smallest_amount
 
 HIP_SCREW, CANNULATED = "hip-screw", "cannulated-hip-screws:inferior"
+PEDICLE, SACRAL, EPIPHYSIS = "pedicle-screw", "iliosacral-screw", "slipped-epiphysis-pin"
+BONE_OF = {PEDICLE: "vertebra", SACRAL: "pelvis", EPIPHYSIS: "growing-femur"}  # others are of a femur
+SOLID_ONLY = (SACRAL,)  # no plates have its views
 # Sizes: uniform between the first two for NEAR_SHARE of the plans, else between the last two. Kinds without a size
 # (exchanged points, the other side) are far beyond: with them half of all plans lie within NEAR_TIMES.
 MIN_TIMES, NEAR_TIMES, MAX_TIMES, NEAR_SHARE = 3.1, 5.0, 15.0, 0.75
@@ -25,13 +30,22 @@ MAX_AMOUNT = 60.0  # mm or degrees: farther, a wrong wire is another wire [ours]
 # head's surface, mm; share of the way to the neck's limit at which a cannulated screw lies.
 ANGLE_DEG, FREEHAND_DEG, ASIDE_MM, SHORT_MM, SPREAD = (130.0, 140.0), 2.0, 1.5, (5.0, 10.0), (0.3, 0.9)
 SCREW_ROOM_MM = 6.65  # of a cannulated screw's axis to the neck's surface, its procedure's limit
-CAUDAL, ANTERIOR = np.eye(3)[1:]
-# Makes of a femur, a right wire (2, 3) and an amount a wrong wire, anatomical coordinates.
-Change = Callable[[Femur, np.ndarray, float], np.ndarray]
+NEAR_MM, NEAR_DEG = 0.5, 1.0  # a right wire of another bone off its standard one: s.d. per axis of place, direction
+LATERAL, CAUDAL, ANTERIOR = np.eye(3)
+# Makes of a bone, a right wire (2, 3) and an amount a wrong wire, anatomical coordinates.
+Change = Callable[[Any, np.ndarray, float], np.ndarray]
 
 
-def right_wire(rng: np.random.Generator, femur: Femur, procedure: str) -> np.ndarray:
+def right_wire(rng: np.random.Generator, bone: Femur | BoneModel, procedure: str) -> np.ndarray:
     """Draw a wire (2, 3) as a surgeon would plan it, anatomical coordinates. Raises SetUpError."""
+    if isinstance(bone, BoneModel):
+        entry, end = bone.wires_mm[0] + NEAR_MM * rng.standard_normal(3)
+        turned = unit(_along(np.stack([entry, end])) + np.deg2rad(NEAR_DEG) * rng.standard_normal(3))
+        return np.stack([end - np.linalg.norm(end - entry) * turned, end])
+    return _right_hip_wire(rng, bone, procedure)
+
+
+def _right_hip_wire(rng: np.random.Generator, femur: Femur, procedure: str) -> np.ndarray:
     short = rng.uniform(*SHORT_MM)
     if procedure == CANNULATED:
         along = femur.towards_head
@@ -77,7 +91,7 @@ class WrongKind:
         return {"right": "left", "left": "right"}[side] if self.other_side else side
 
     def wrong_wire(
-        self, femur: Femur, wire_mm: np.ndarray, times: float, rule: CheckRule, at: Callable[[np.ndarray], KnownBone]
+        self, bone: Any, wire_mm: np.ndarray, times: float, rule: CheckRule, at: Callable[[np.ndarray], KnownBone]
     ) -> np.ndarray:
         """Return the wire (2, 3) that lies beyond the limit of `rule` by so many times the check's 95 % error.
 
@@ -89,10 +103,10 @@ class WrongKind:
         made, error = wire_mm, at(wire_mm).error_95(rule)
         for _ in range(2):  # the error of the wrong wire differs a little
             wanted = times * error
-            amount = smallest_amount(lambda s: at(make(femur, wire_mm, s)).beyond(rule), wanted, MAX_AMOUNT)
+            amount = smallest_amount(lambda s: at(make(bone, wire_mm, s)).beyond(rule), wanted, MAX_AMOUNT)
             if amount is None:
-                raise SetUpError(f"this hip has no wrong wire of the kind {self.name!r}")
-            made = make(femur, wire_mm, amount)
+                raise SetUpError(f"this bone has no wrong wire of the kind {self.name!r}")
+            made = make(bone, wire_mm, amount)
             error = at(made).error_95(rule)
         return made
 
@@ -103,27 +117,27 @@ def draw_times(rng: np.random.Generator) -> float:
     return float(rng.uniform(MIN_TIMES, NEAR_TIMES) if near else rng.uniform(NEAR_TIMES, MAX_TIMES))
 
 
-def deeper_end(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+def deeper_end(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
     """Return the wire with its end deeper by an amount, mm."""
     return np.stack([wire_mm[0], wire_mm[1] + amount * _along(wire_mm)])
 
 
-def shorter_end(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+def shorter_end(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
     """Return the wire with its end less deep by an amount, mm."""
-    return deeper_end(femur, wire_mm, -amount)
+    return deeper_end(bone, wire_mm, -amount)
 
 
-def deeper_entry(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+def deeper_entry(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
     """Return the wire with its entry deeper in the bone by an amount, mm."""
     return np.stack([wire_mm[0] + amount * _along(wire_mm), wire_mm[1]])
 
 
-def entry_in_air(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+def entry_in_air(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
     """Return the wire with its entry farther back, in air, by an amount, mm."""
-    return deeper_entry(femur, wire_mm, -amount)
+    return deeper_entry(bone, wire_mm, -amount)
 
 
-def entry_behind(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+def entry_behind(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
     """Return the wire with its entry farther behind by an amount, mm."""
     return np.stack([wire_mm[0] - amount * ANTERIOR, wire_mm[1]])
 
@@ -141,6 +155,23 @@ def beside_neck(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
     along, short = _along(wire_mm), femur.head_radius_mm - float(np.linalg.norm(wire_mm[1]))
     middle = across(wire_mm[1], along)
     return wire_through(femur, middle + amount * unit(middle), along, short)
+
+
+def aside(towards: np.ndarray) -> Change:
+    """Return the change that moves a wire across itself, in a direction (3,), by an amount, mm."""
+    return lambda bone, wire_mm, amount: wire_mm + amount * unit(across(towards, _along(wire_mm)))
+
+
+def end_aside(towards: np.ndarray) -> Change:
+    """Return the change that moves the end of a wire, in a direction (3,), by an amount, mm."""
+    return lambda bone, wire_mm, amount: wire_mm + np.outer([0.0, amount], towards)
+
+
+def tilted(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
+    """Return the wire with its entry moved towards the head's side so that it turns about its end by an amount, °."""
+    entry, end = wire_mm
+    by = np.tan(np.deg2rad(amount)) * np.linalg.norm(end - entry) * unit(across(-CAUDAL, _along(wire_mm)))
+    return np.stack([entry + by, end])
 
 
 KINDS = (
@@ -176,6 +207,31 @@ KINDS = (
     ),
     WrongKind("flatter than any plate", HIP_SCREW, "wire to shaft", flatter, also=("entry outside cortex",)),
     WrongKind("screw leaves the neck", CANNULATED, "wire in neck", beside_neck),
+    WrongKind("screw leaves the pedicle towards the canal", PEDICLE, "wire in pedicle", aside(-LATERAL)),
+    WrongKind("screw leaves the pedicle downwards", PEDICLE, "wire in pedicle", aside(CAUDAL)),
+    WrongKind("entry inside the pedicle", PEDICLE, "entry to pedicle", deeper_entry),
+    WrongKind("entry off the vertebra", PEDICLE, "entry to pedicle", entry_in_air),
+    WrongKind("tip in front of the vertebra", PEDICLE, "tip behind front", deeper_end),
+    WrongKind("tip in the disc", PEDICLE, "tip to endplates", end_aside(-CAUDAL), also=("wire in pedicle",)),
+    WrongKind("screw leaves the sacrum in front", SACRAL, "wire in sacral corridor", aside(ANTERIOR)),
+    WrongKind("screw in the sacral foramen", SACRAL, "wire in sacral corridor", aside(CAUDAL)),
+    WrongKind("tip beyond the drawn sacrum", SACRAL, "tip in sacral corridor", deeper_end),
+    WrongKind("epiphysis: tip too near to the joint", EPIPHYSIS, "tip to bone nearest", deeper_end),
+    WrongKind(
+        "epiphysis: pin oblique to its plate",
+        EPIPHYSIS,
+        "wire to growth plate",
+        tilted,
+        also=("wire off middle of growth plate", "side"),
+    ),
+    WrongKind(
+        "epiphysis: pin off its middle",
+        EPIPHYSIS,
+        "wire off middle of growth plate",
+        aside(CAUDAL),
+        also=("tip to bone nearest",),
+    ),
+    WrongKind("epiphysis: pin hardly across its plate", EPIPHYSIS, "tip beyond growth plate", shorter_end),
 )
 
 
