@@ -29,7 +29,15 @@ def test_the_demo_with_a_block_is_ten_times_as_accurate_as_the_paper(run, tmp_pa
         assert against_plan[point] < 1.5 * drilled["error_95"][point] < 1.5
         assert drilled["by_images"]["error_95"][point] < 0.9 * drilled["error_95"][point]
         assert abs(against_plan[point] - drilled["check_shot"]["deviation"][point]) < 0.5
-    assert "registered by images" in (tmp_path / "demo/report.html").read_text()
+    shots, record = drilled["shots"], drilled["record"]
+    assert {state: one["decision"] for state, one in shots.items()} == {"ALIGNED": "GO", "PAUSED": "GO"}
+    assert -20.5 < shots["ALIGNED"]["depth_mm"] < -19.5
+    # The shot's depth was sent: what the robot knows of its depth is then mainly that of the shot.
+    assert max(record["depth_sd_mm"]) > 0.3 and record["depth_sd_mm"][-1] < shots["PAUSED"]["depth_sd_mm"] < 0.15
+    paused = shots["PAUSED"]["deviation"]
+    assert abs(against_plan["entry_mm"] - paused["entry_mm"]) < 0.3
+    report = (tmp_path / "demo/report.html").read_text()
+    assert all(words in report for words in ("registered by images", "The shot at PAUSED says GO", "second shot, PA"))
     again = run("case", "replay", tmp_path / "demo/case", "--json")
     assert again.code == 0, again.err
     plan = run("calibrate", tmp_path / "demo/demo_pa.dcm", "--frame", "block60", "--json")

@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.view import CalibratedView
 from sightline.case.canonical import digest, plain, with_null
@@ -27,8 +28,11 @@ from sightline.planning import (
     plan_wires,
 )
 from sightline.planning.check_result import CheckShot
-from sightline.planning.check_start import Landmarks
+from sightline.planning.check_start import Beforehand, Landmarks, picked_wire
 from sightline.planning.procedures.files import kept
+
+if TYPE_CHECKING:
+    from sightline.planning.drill_shot import DrillShot
 
 Pair = tuple[CalibratedImage, CalibratedImage]
 Images = tuple[CalibratedImage, ...]  # of a plan: PA, lateral, and the third where there is one
@@ -174,16 +178,77 @@ class CheckRequest:
         from sightline.pipeline import find_planned_wire
         from sightline.planning.check_shot import check_shot
 
-        wires = []
-        for image in checked:
-            seen = image.seen
-            if seen.image is None or seen.beads is None:
-                raise CaseError("a check shot needs two images that show the wire; a table of beads shows no wire")
-            wires.append(find_planned_wire(made, seen.image, seen.beads, image.view, self.wire_mm, others_mm))
+        wires = [find_planned_wire(made, *_with_wire(one), one.view, self.wire_mm, others_mm) for one in checked]
         before, after = ([image.view for image in pair] for pair in (planned, checked))
         return check_shot(
             made.trajectory, made.picks, before, after, wires, landmarks=self.landmarks, limits=made.kind.limits
         )
+
+
+@dataclass(frozen=True, eq=False)
+class DrillShotRequest:
+    """The inputs of a shot while drilling besides its images: `check` as of a check shot, `tip_mm` as of `drill_shot`.
+
+    `straight`: the wire is in its guide, in ALIGNED. `movement` (4, 4), `covariance` (6, 6): as of `Beforehand`; a
+    matrix, so that replay computes with the recorded numbers. `wire_uv_px` (2, M, 2): points on the wire's centre line
+    picked in both images, the tip last, with the error of the landmarks' picks; without them the wire is found.
+    """
+
+    check: CheckRequest
+    tip_mm: float
+    straight: bool
+    movement: np.ndarray
+    covariance: np.ndarray
+    wire_uv_px: np.ndarray | None = None
+
+    @staticmethod
+    def of(document: dict[str, Any]) -> "DrillShotRequest":
+        """Return the request that an entry holds, as `document` wrote it."""
+        rest = {key: value for key, value in document.items() if key not in ("wire_mm", "landmarks")}
+        for key in ("movement", "covariance", "wire_uv_px"):
+            rest[key] = None if rest[key] is None else np.array(rest[key], dtype=np.float64)
+        return DrillShotRequest(CheckRequest.of(document), **rest)
+
+    def document(self) -> dict[str, Any]:
+        """Return the request as an entry holds it."""
+        return {**vars(self.check), **{key: value for key, value in vars(self).items() if key != "check"}}
+
+    def shot(self, made: Plan, planned: Sequence[CalibratedImage], taken: Sequence[CalibratedImage]) -> "DrillShot":
+        """Find the wire in both images and compare it with the plan. Raises what `CheckRequest.shot` raises."""
+        from sightline.detection.wire import find_wire
+        from sightline.planning.drill_shot import drill_shot
+        from sightline.planning.expected_wire import BEFORE_MM, GUIDED_MM, expected_wire
+
+        trajectory, wires = made.trajectory, []
+        known = Beforehand(RigidTransform.from_matrix(self.movement), self.covariance, self.straight)
+        beyond_mm, before_mm = self.tip_mm - trajectory.length_mm, GUIDED_MM if self.straight else BEFORE_MM
+        for one, picked in zip(taken, (None, None) if self.wire_uv_px is None else self.wire_uv_px, strict=True):
+            if picked is not None:
+                wires.append(picked_wire(picked, self.check.landmarks.sd_px))
+                continue
+            image, beads = _with_wire(one)
+            path = expected_wire(one.view, known.movement.apply(trajectory.points.xyz_mm), beyond_mm, before_mm)
+            wires.append(find_wire(image, path, self.check.wire_mm, beads.uv_px, beads.radius_px))
+        before, after = ([image.view for image in pair] for pair in (planned, taken))
+        return drill_shot(
+            trajectory,
+            made.picks,
+            before,
+            after,
+            wires,
+            tip_mm=self.tip_mm,
+            known=known,
+            landmarks=self.check.landmarks,
+            limits=made.kind.limits,
+        )
+
+
+def _with_wire(image: CalibratedImage) -> tuple[Radiograph, Detections]:
+    """Return the pixels and beads of an image that shows a wire. Raises CaseError for a table of beads."""
+    seen = image.seen
+    if seen.image is None or seen.beads is None:
+        raise CaseError("a check shot needs two images that show the wire; a table of beads shows no wire")
+    return seen.image, seen.beads
 
 
 def acquired(original: str, image: Radiograph | None) -> dict[str, Any]:
@@ -226,6 +291,11 @@ def planned(asked: PlanRequest, made: Plan) -> dict[str, Any]:
         **made.document(),
         "checks": [check_document(check) for check in made.verdict.checks],
     }
+
+
+def shot(asked: DrillShotRequest, found: "DrillShot | str") -> dict[str, Any]:
+    """Return the content of an entry of a shot while drilling; `found` is the shot, or why it was refused."""
+    return {"asked": asked.document(), **({"refused": found} if isinstance(found, str) else found.document())}
 
 
 def verified(asked: CheckRequest, found: CheckShot | str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from sightline.bounded import read_bounded
 from sightline.case import contents
-from sightline.case.contents import CheckRequest, PlanRequest
+from sightline.case.contents import CheckRequest, DrillShotRequest, PlanRequest
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.views import NAMES, CalibratedImage, stated_view
 from sightline.detection import Detections, Observations
@@ -18,6 +18,7 @@ from sightline.imaging import Radiograph, read_image
 from sightline.imaging.limits import MAX_FILE_BYTES
 from sightline.planning import Plan, WirePlans
 from sightline.planning.check_result import CheckShot
+from sightline.planning.drill_shot import DrillShot
 
 TABLE = ".csv"  # suffix of a table of beads, found by other software or by hand
 
@@ -162,12 +163,21 @@ def record_verified(
 
     Raises CaseError.
     """
-    rests_on = (plan, *views)
+    return _record_measured(case, Kind.VERIFIED, (plan, *views), contents.verified(asked, found), by)
+
+
+def record_shot(
+    case: Case, plan: Entry, views: Sequence[Entry], asked: DrillShotRequest, found: DrillShot | str, *, by: Actor
+) -> Entry:
+    """Record a shot while drilling that `asked.shot` measured in two more calibrated views, or why it was refused."""
+    return _record_measured(case, Kind.SHOT, (plan, *views), contents.shot(asked, found), by)
+
+
+def _record_measured(case: Case, kind: Kind, rests_on: Sequence[Entry], content: dict[str, Any], by: Actor) -> Entry:
     kinds = [entry.kind for entry in rests_on]
     if kinds != [Kind.PLANNED, Kind.CALIBRATED, Kind.CALIBRATED]:
         raise CaseError(f"a check shot rests on a plan and two calibrated views, not on {', '.join(kinds)}")
-    content = contents.verified(asked, found)
-    return case.record(Kind.VERIFIED, content, by=by, rests_on=[entry.number for entry in rests_on])
+    return case.record(kind, content, by=by, rests_on=[entry.number for entry in rests_on])
 
 
 def acquired_of(case: Case, entry: Entry) -> Entry:

@@ -105,8 +105,10 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
     with output.step("5/8 comparing with the truth"):
         compared = _compare(images, asked, truth, planned)
     whole = DemoPlan(rehearsal, frame_name, asked, planned, images[METHODS[0]])
-    drilled, checked = carry_out(output, whole, rng) or (None, None)
+    drilled, checked, shots = carry_out(output, whole, rng) or (None, None, {})
     exposed = exposures.of_images(images[METHODS[0]], exposures.PLANNING, planned.kind)
+    for state, shot in shots.items():
+        exposed += exposures.of_images(shot.images or (), exposures.WHILE_DRILLING[state], planned.kind)
     if checked is not None and checked.images is not None:
         exposed += exposures.of_images(checked.images, exposures.CHECK, planned.kind)
     with output.step("8/8 drawing the report"):
@@ -129,7 +131,9 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
             drilled=drilled,
         )
         page = render(report)
-    kept = Kept(rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, drawn_px, drilled, checked)
+    kept = Kept(
+        rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, drawn_px, drilled, checked, tuple(shots.values())
+    )
     record(folder / "case", kept)
     _write_results(folder, page, report, {"seed": seed, **rehearsal.truth})
     _show(output, planned, compared)

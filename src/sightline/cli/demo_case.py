@@ -6,18 +6,19 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sightline.case.contents import PlanRequest
+    from sightline.case.contents import Pair, PlanRequest
     from sightline.case.journal import Case, Entry
     from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
     from sightline.cli.demo_robot import Checked
+    from sightline.cli.demo_shots import ShotTaken
     from sightline.planning import Plan
     from sightline.rehearsal.patient import AidClicks, RehearsedPatient
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """All that the demo records: the image `files`, their views, the plan and its inputs, the check shot.
+    """All that the demo records: the image `files`, their views, the plan and its inputs, the check shot, the shots.
 
     `drawn_px`: the clicks on each aid by its key.
     """
@@ -30,6 +31,7 @@ class Kept:
     drawn_px: "AidClicks"
     drilled: "Drilled | None"
     checked: "Checked | None"
+    shots: "tuple[ShotTaken, ...]"
 
 
 def record(folder: Path, kept: Kept) -> None:
@@ -55,6 +57,9 @@ def record(folder: Path, kept: Kept) -> None:
         decided = _decisions(kept, dict(zip(NAMES, acquired, strict=True)))
         stages.record_changed(case, "edit", decided, by=by)
         plan = stages.record_planned(case, (first, second), kept.asked, kept.plan, by=by)
+        for shot in kept.shots:
+            if entries := _record_images(case, shot.images, frame_ref):
+                stages.record_shot(case, plan, entries, shot.asked, shot.found, by=by)
         if kept.drilled is not None and kept.drilled.record is not None:
             document = kept.drilled.document()
             case.record(Kind.DRILLED, {"record": document["record"]}, by=Actor.ROBOT, rests_on=[plan.number])
@@ -64,19 +69,27 @@ def record(folder: Path, kept: Kept) -> None:
 
 def _record_check(case: "Case", plan: "Entry", checked: "Checked", frame_ref: str) -> None:
     """Record both images of the check shot and its result, if they could be calibrated."""
+    from sightline.case import stages
+    from sightline.case.journal import Actor
+
+    if entries := _record_images(case, checked.images, frame_ref):
+        stages.record_verified(case, plan, entries, checked.asked, checked.found, by=Actor.DEMO)
+
+
+def _record_images(case: "Case", images: "Pair | None", frame_ref: str) -> "list[Entry]":
+    """Record calibrated images; return their entries."""
     from sightline.atomic import scratch_folder
     from sightline.case import stages
     from sightline.case.journal import Actor
     from sightline.imaging import write_dicom
 
-    by, entries = Actor.DEMO, []
-    for image in checked.images or ():
+    entries = []
+    for image in images or ():
         assert image.seen.image is not None  # noqa: S101 - it was read
         with scratch_folder() as folder:
             file = write_dicom(image.seen.image, folder / "image.dcm")
-            entries.append(stages.record_view(case, file, image, frame_ref=frame_ref, by=by))
-    if entries:
-        stages.record_verified(case, plan, (entries[0], entries[1]), checked.asked, checked.found, by=by)
+            entries.append(stages.record_view(case, file, image, frame_ref=frame_ref, by=Actor.DEMO))
+    return entries
 
 
 def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:

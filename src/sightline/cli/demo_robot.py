@@ -9,6 +9,7 @@ if TYPE_CHECKING:
 
     from sightline.case.contents import CheckRequest, Pair, PlanRequest
     from sightline.case.report.drilled import Deviation, Drilled
+    from sightline.cli.demo_shots import ShotTaken
     from sightline.cli.output import Output
     from sightline.frame import Frame
     from sightline.imaging import Radiograph
@@ -50,9 +51,11 @@ class Checked:
 
 def carry_out(
     output: "Output", planned: "DemoPlan[RehearsedPatient]", rng: "np.random.Generator"
-) -> "tuple[Drilled, Checked] | None":
-    """Return the wire and its check shot: drilled by the robot, or placed at bones that its simulation does not know;
-    None as of `drill`."""
+) -> "tuple[Drilled, Checked, dict[str, ShotTaken]] | None":
+    """Return the wire, its check shot, and the shots while drilling by the robot's state.
+
+    It is drilled by the robot, or placed at bones that its simulation does not know. None as of `drill`.
+    """
     from sightline.rehearsal.rehearsal import Rehearsal
 
     who = planned.rehearsal
@@ -63,8 +66,9 @@ def carry_out(
 
 def drill(
     output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator"
-) -> "tuple[Drilled, Checked] | None":
-    """Return the drilled wire and its check shot; None, with a message, if the robot is not installed or refuses."""
+) -> "tuple[Drilled, Checked, dict[str, ShotTaken]] | None":
+    """Return what `carry_out` returns of a drilled wire; None, with a message, if the robot is not installed or
+    refuses."""
     from sightline.errors import RefusedError
 
     if find_spec("mujoco") is None:
@@ -82,7 +86,7 @@ def drill(
 
 def place(
     output: "Output", planned: "DemoPlan[RehearsedPatient]", rng: "np.random.Generator"
-) -> "tuple[Drilled, Checked]":
+) -> "tuple[Drilled, Checked, dict[str, ShotTaken]]":
     """Return the wire put into the twin's bone where it is planned, without a robot, and its check shot."""
     from sightline.case.report.drilled import Drilled
     from sightline.cli.demo_procedures import PLACED
@@ -91,7 +95,7 @@ def place(
     wire_mm = planned.plan.trajectory.points.xyz_mm
     with output.step("7/8 the check shot: two more images, finding the wire in both"):
         checked = check(planned, planned.rehearsal.shown_again(wire_mm), rng)
-    return Drilled(None, None, checked.found, _physics(planned, wire_mm)[1:]), checked
+    return Drilled(None, None, checked.found, _physics(planned, wire_mm)[1:]), checked, {}
 
 
 def _physics(planned: "DemoPlan[RehearsedPatient]", wire_mm: "np.ndarray") -> "tuple[Deviation, ...]":
@@ -106,10 +110,13 @@ def _physics(planned: "DemoPlan[RehearsedPatient]", wire_mm: "np.ndarray") -> "t
     return tuple(Deviation(name, one.entry_mm, one.end_mm, float(np.rad2deg(one.angle_rad))) for name, one in found)
 
 
-def _drill(output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator") -> "tuple[Drilled, Checked]":
+def _drill(
+    output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator"
+) -> "tuple[Drilled, Checked, dict[str, ShotTaken]]":
     from time import monotonic
 
     from sightline.case.report.drilled import Drilled
+    from sightline.cli.demo_shots import confirming
     from sightline.rehearsal.operation import insert
     from sightline.rehearsal.process import RobotProcess
     from sightline.robot.link.client import RobotClient
@@ -122,12 +129,14 @@ def _drill(output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Gen
     ):
         targets = targets_by(registrations(planned, robot.joints()[0], monotonic(), rng), planned)
         target = targets[BY_ENCODERS]
-        record = insert(robot, target, depth_limit_mm(planned, target.end_error_95_mm, rng))
+        confirm, shots = confirming(output, planned, robot, target, rng)
+        record = insert(robot, target, depth_limit_mm(planned, target.end_error_95_mm, rng), confirm)
         wire = robot.simulated_wire()
     with output.step("7/8 the check shot: two more images, finding the wire in both"):
         checked = check(planned, rehearsal.check_images(wire), rng)
     physics = _physics(planned, wire.axis_mm)
-    return Drilled(target, record, checked.found, physics, targets.get(BY_IMAGES)), checked
+    seen = {state: one.found for state, one in shots.items()}
+    return Drilled(target, record, checked.found, physics, targets.get(BY_IMAGES), seen), checked, shots
 
 
 def registrations(
@@ -161,22 +170,18 @@ def targets_by(stood: "dict[str, Registration]", planned: "DemoPlan[Rehearsal]")
 def check(planned: "DemoPlan[RehearsedPatient]", taken: "CheckImages", rng: "np.random.Generator") -> Checked:
     """Return the check shot of a wire on two more images."""
     from sightline.case.contents import CheckRequest
+    from sightline.cli.demo_shots import found_again
     from sightline.errors import RefusedError
-    from sightline.planning.check_shot import Landmarks
 
-    rehearsal, before = planned.rehearsal, planned.asked
-    found = taken.landmarks_px(tuple(rehearsal.landmarks), before.pick_sd_px, rng)
-    assert before.landmarks_uv_px is not None  # noqa: S101 - they were picked
-    landmarks = Landmarks(before.landmarks_uv_px, found, before.pick_sd_px)
-    asked, images = CheckRequest(planned.plan.kind.wire_mm, landmarks), None
+    asked, images = CheckRequest(planned.plan.kind.wire_mm, found_again(planned, taken, rng)), None
     try:
-        images = _read_back(taken.images, rehearsal.setup.frame)
+        images = read_back(taken.images, planned.rehearsal.setup.frame)
         return Checked(asked, images, asked.shot(planned.plan, planned.images, images))
     except RefusedError as error:
         return Checked(asked, images, str(error))
 
 
-def _read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
+def read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
     """Return both images read back from files, as the planning images are, and calibrated."""
     from sightline.atomic import scratch_folder
     from sightline.case.views import NAMES, calibrate_pair, see_pair

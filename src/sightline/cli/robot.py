@@ -283,6 +283,7 @@ def drive(
     """
     with Output(json=json, quiet=quiet) as out, ExitStack() as stack:
         from sightline.errors import UnusableInputError
+        from sightline.planning.drill_shot import TURNED_AWAY
         from sightline.robot.kinematics.measured import RobotFile
         from sightline.robot.link.client import RobotClient
         from sightline.robot.link.server import tune_process
@@ -314,6 +315,8 @@ def drive(
                 target = _send_registered(robot, known, known.identifier(plan.stem), stood)
         _show(out, target, robot)
         for name, question, go in _steps(robot, target, known_way=robot.simulated, block=known.of_solid):
+            if name in ("drill", "drill on") and not known.of_solid:
+                out.note(TURNED_AWAY)
             if not _agreed(robot.simulated, yes, question):
                 robot.stop()
                 out.note(f"stopped before: {name}")

@@ -14,6 +14,8 @@ from sightline.planning.check_result import MAX_OUTLIER, MIN_LANDMARKS, CheckSho
 from sightline.planning.check_rows import Rows, along_and_across, joint_covariance
 from sightline.planning.check_start import (
     CURVE,
+    STILL,
+    Beforehand,
     KnownWire,
     Landmarks,
     WireSeen,
@@ -22,6 +24,7 @@ from sightline.planning.check_start import (
     terms,
     within_region,
 )
+from sightline.planning.expected_wire import GUIDED_MM
 from sightline.planning.line_residuals import refuse_two_frames
 from sightline.planning.picks import Pick, stack
 from sightline.planning.trajectory import Trajectory
@@ -49,7 +52,10 @@ class Adjustment:
         views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]],
         wires: Sequence[WireSeen],
         landmarks: Landmarks,
+        *,
+        known: Beforehand = STILL,
     ) -> None:
+        self._known, self._curve_terms = known, 2 if known.straight else CURVE
         self._trajectory, self._landmarks, self._views, self._n = trajectory, landmarks, views, len(landmarks)
         self._axes = np.vstack([np.linalg.svd(trajectory.direction[None])[2][1:], trajectory.direction])
         ends, spread, across = stack(picks)
@@ -60,10 +66,11 @@ class Adjustment:
         self._before = [
             view.lines_of_sight(uv[shown]) for view, uv, shown in zip(views[0], planned_px, self._shown, strict=True)
         ]
-        marks_mm, self.movement = start_movement(views, landmarks)
+        marks_mm, self.movement = start_movement(views, landmarks, known.movement)
         self._points_mm = np.concatenate([marks_mm, [trajectory.entry_mm, trajectory.end_mm]])
         wires = [within_region(view, wire) for view, wire in zip(views[1], wires, strict=True)]
-        self._curve, self._tip_mm = start_wire(trajectory, self._axes, self.movement, views[1], wires)
+        curve, self._tip_mm = start_wire(trajectory, self._axes, self.movement, views[1], wires)
+        self._curve = curve[: self._curve_terms]
         wires = [self._near_the_bone(view, wire) for view, wire in zip(views[1], wires, strict=True)]
         self.wires = wires
         self._wire_px2 = [np.append(wire.variance_px2, wire.tip_variance_px2) for wire in wires]
@@ -76,13 +83,13 @@ class Adjustment:
     def step(self) -> None:
         """Make one Gauss-Newton step."""
         residual, _, gain, _ = self._linearised()
-        sizes = [self._points_mm.size, 3, 3, 2 * CURVE]
+        sizes = [self._points_mm.size, 3, 3, self._curve.size]
         points, rotvec, shift, curve, tip = np.split(gain @ residual, np.cumsum(sizes))
         self._points_mm = self._points_mm + points.reshape(-1, 3)
         rotation, middle = Rotation.from_rotvec(rotvec), self._middle
         move = RigidTransform.from_components(middle + shift - rotation.apply(middle), rotation)
         self.movement = move * self.movement
-        self._curve = self._curve + curve.reshape(CURVE, 2)
+        self._curve = self._curve + curve.reshape(-1, 2)
         self._tip_mm += float(tip[0])
 
     def outlying_point(self) -> tuple[int, int] | None:
@@ -129,7 +136,7 @@ class Adjustment:
             movement=self.movement,
             landmarks=self._n,
             bow_mm=float(np.linalg.norm(self._wire(along) - chord, axis=1).max()),
-            bow_sigma=float(np.sqrt(bends @ np.linalg.solve(known, bends) / len(bends))),
+            bow_sigma=float(np.sqrt(bends @ np.linalg.solve(known, bends) / max(len(bends), 1))),
             residual_rms=float(np.sqrt(square)),
             outlier_sigma=float(_standardised_residuals(residual, design, covariance).max()),
         )
@@ -148,7 +155,10 @@ class Adjustment:
 
     def _offset(self, along_mm: np.ndarray | float) -> np.ndarray:
         """Return the offsets (..., 2) of the wire from the planned axis, mm."""
-        return terms(np.asarray(along_mm) / self._trajectory.length_mm) @ self._curve
+        return self._terms(along_mm) @ self._curve
+
+    def _terms(self, along_mm: np.ndarray | float) -> np.ndarray:
+        return terms(np.asarray(along_mm) / self._trajectory.length_mm)[..., : self._curve_terms]
 
     def _wire(self, along_mm: np.ndarray) -> np.ndarray:
         """Return points (N, 3) of the wire, CFCS of the planning images."""
@@ -174,7 +184,7 @@ class Adjustment:
             one = Rows.of(lines, self._points_mm[shown], noise, np.eye(2 * count))
             by_points = np.zeros((2 * count, len(shown), 3))
             by_points[:, shown] = one.to_point
-            design = np.zeros((2 * count, 3 * len(shown) + 7 + 2 * CURVE))
+            design = np.zeros((2 * count, 3 * len(shown) + 7 + self._curve.size))
             design[:, : 3 * len(shown)] = by_points.reshape(2 * count, 3 * len(shown))
             rows.append(one)
             designs.append(design)
@@ -188,7 +198,7 @@ class Adjustment:
         design = np.concatenate([*designs, prior])
         covariance = np.zeros((len(residual), len(residual)))
         covariance[:-6, :-6] = joint_covariance(rows)
-        covariance[-6:, -6:] = np.diag(self._prior_sd**2)
+        covariance[-6:, -6:] = np.diag(self._prior_sd**2) + self._known.covariance
         weighted = np.linalg.solve(covariance, design).T
         return residual, design, np.linalg.solve(weighted @ design, weighted), covariance
 
@@ -217,27 +227,30 @@ class Adjustment:
         select[-1, -1] = along_image[-1]
         noise = np.concatenate([marks_px2, wire_px2[:, None, None] * np.eye(2)])
         rows = Rows.of(lines, xyz, noise, select.reshape(len(select), -1))
-        design = np.zeros((len(select), moving + 7 + 2 * CURVE))
+        design = np.zeros((len(select), moving + 7 + self._curve.size))
         in_bone = rows.to_point @ rotation
         design[:, : 3 * n] = in_bone[:, :n].reshape(len(select), -1)
         design[:, moving : moving + 3] = np.cross(xyz - self._middle, rows.to_point).sum(axis=1)
         design[:, moving + 3 : moving + 6] = rows.to_point.sum(axis=1)
         by_offset = in_bone[:, n:] @ self._axes[:2].T
-        of_curve = terms(along / self._trajectory.length_mm)
+        of_curve = self._terms(along)
         design[:, moving + 6 : -1] = np.einsum("rnc,nk->rkc", by_offset, of_curve).reshape(len(select), -1)
         design[:, -1] = in_bone[:, -1] @ tangent[-1]
         return rows, design
 
     def _prior_residual(self) -> np.ndarray:
-        """Return (6,): the prior mean (no movement) minus the current movement."""
-        middle = (self._trajectory.entry_mm + self._trajectory.end_mm) / 2
-        return -np.concatenate([self.movement.rotation.as_rotvec(), self.movement.apply(middle) - middle])
+        """Return (6,): the prior mean (the movement known beforehand) minus the current movement."""
+        middle, known = (self._trajectory.entry_mm + self._trajectory.end_mm) / 2, self._known.movement
+        rotation = self.movement.rotation
+        if self._known is not STILL:  # a product with no rotation may differ in the last bit
+            rotation = rotation * known.rotation.inv()
+        return -np.concatenate([rotation.as_rotvec(), self.movement.apply(middle) - known.apply(middle)])
 
     def _to_deviation(self, beyond_mm: float) -> np.ndarray:
         """Return the derivative (5, unknowns) of the deviation; the planned tip is `beyond_mm` past the end point."""
         first = self._points_mm.size + 6
-        out = np.zeros((5, first + 2 * CURVE + 1))
-        ends = terms(np.array([0.0, self._tip_mm]) / self._trajectory.length_mm)
+        out = np.zeros((5, first + self._curve.size + 1))
+        ends = self._terms(np.array([0.0, self._tip_mm]))
         for row, k in ((0, 0), (2, 1)):
             out[row : row + 2, first:-1] = np.kron(ends[k], np.eye(2))
         out[2:4, -1] = self._tangent(np.array([self._tip_mm]))[0] @ self._axes[:2].T
@@ -251,7 +264,7 @@ class Adjustment:
         """Return the wire without its points far outside the entry."""
         lines = view.lines_of_sight(wire.uv_px)
         along = self._places(lines.focal_point_mm, lines.directions)
-        kept = (along > -_OUTSIDE_MM) & (along < self._tip_mm)
+        kept = (along > -(GUIDED_MM if self._known.straight else _OUTSIDE_MM)) & (along < self._tip_mm)
         if np.count_nonzero(kept) < CURVE:
             raise ReconstructionRefusedError(
                 f"view {view.name!r} shows {np.count_nonzero(kept)} points of the wire within the bone (at least "

@@ -139,7 +139,7 @@ def checks(shot: CheckShot, limits: Limits, views: Sequence[CalibratedView]) -> 
     return (
         *(replace(check, sentence=f"{view.name}: {check.sentence}") for view in views for check in view.checks),
         *_deviations(shot, limits),
-        _error(shot, limits),
+        error_check(max(shot.entry_error_95_mm, shot.tip_error_95_mm), shot, limits),
         _landmarks(shot),
         _residuals(shot),
         _outlier(shot),
@@ -167,10 +167,9 @@ def _deviations(shot: CheckShot, limits: Limits) -> tuple[Check, ...]:
     )
 
 
-def _error(shot: CheckShot, limits: Limits) -> Check:
+def error_check(position_95_mm: float, shot: CheckShot, limits: Limits) -> Check:
     """Return the check that the deviations are known to within their limits; otherwise passing them means little."""
-    position = max(shot.entry_error_95_mm, shot.tip_error_95_mm) / limits.position_mm
-    share = max(position, shot.direction_error_95_rad / limits.direction_rad)
+    share = max(position_95_mm / limits.position_mm, shot.direction_error_95_rad / limits.direction_rad)
     sentence = (
         "Entry, tip and direction are known to within their limits."
         if share <= 1.0

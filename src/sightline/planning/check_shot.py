@@ -16,7 +16,7 @@ from sightline.checks import Limits
 from sightline.errors import UnusableInputError
 from sightline.planning.check_adjustment import Adjustment
 from sightline.planning.check_result import CheckShot
-from sightline.planning.check_start import KnownWire, Landmarks, WireSeen
+from sightline.planning.check_start import STILL, Beforehand, KnownWire, Landmarks, WireSeen
 from sightline.planning.picks import Pick
 from sightline.planning.trajectory import Trajectory
 from sightline.threads import one_blas_thread
@@ -37,13 +37,14 @@ def check_shot(
     *,
     landmarks: Landmarks | None = None,
     limits: Limits | None = None,
+    known: Beforehand = STILL,
 ) -> CheckShot:
     """Return the wire that two check images show, against the plan made on two or more others.
 
     `trajectory`, `picks` (entry, end): of a `Plan` made on the views `planned`; `landmarks`: of the first two of them.
     `wires`: found in the images of the views `checked`, in the same order. The picks define the plan, so their errors
     are not counted. Outlying points of the centre lines are left out, the worst first, a fifth at most; a tip or a
-    landmark is never left out.
+    landmark is never left out. `known`: of images taken while drilling.
     Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError, ErrorUnknownError.
     """
     landmarks = landmarks or Landmarks()
@@ -53,13 +54,13 @@ def check_shot(
             "give all views of the plan with two picks in each, and two views of the check with a wire in each"
         )
     planned, checked = adjusted_together(planned), adjusted_together(checked)
-    shot = _adjusted(trajectory, picks, (planned, checked), wires, landmarks)
+    shot = _adjusted(trajectory, picks, (planned, checked), wires, landmarks, known=known)
     for _ in range(int(_MAX_LEFT_OUT * sum(len(wire.uv_px) for wire in shot.wires))):
         outlier = shot.outlying_point()
         if outlier is None:
             break
         wires = [_without(wire, outlier[1]) if k == outlier[0] else wire for k, wire in enumerate(shot.wires)]
-        shot = _adjusted(trajectory, picks, (planned, checked), wires, landmarks)
+        shot = _adjusted(trajectory, picks, (planned, checked), wires, landmarks, known=known)
     return shot.result(limits or Limits())
 
 
@@ -69,8 +70,10 @@ def _adjusted(
     views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]],
     wires: Sequence[WireSeen],
     landmarks: Landmarks,
+    *,
+    known: Beforehand,
 ) -> Adjustment:
-    shot = Adjustment(trajectory, picks, views, wires, landmarks)
+    shot = Adjustment(trajectory, picks, views, wires, landmarks, known=known)
     for _ in range(_ITERATIONS):
         shot.step()
     return shot

@@ -78,6 +78,23 @@ class Landmarks:
 
 
 @dataclass(frozen=True, eq=False)
+class Beforehand:
+    """What is known of the wire's images before they are measured.
+
+    `movement`: of a bone at rest, from planning CFCS to that of the images; `covariance` (6, 6) of its rotation (rad,
+    about the middle of the plan) and shift (mm, there), axes of the latter CFCS. `straight`: the wire is in its guide,
+    outside the bone.
+    """
+
+    movement: RigidTransform = field(default_factory=RigidTransform.identity)
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
+    straight: bool = False
+
+
+STILL = Beforehand()
+
+
+@dataclass(frozen=True, eq=False)
 class KnownWire:
     """A `WireSeen` restricted to the region in which its view is calibrated."""
 
@@ -85,6 +102,11 @@ class KnownWire:
     variance_px2: np.ndarray
     tip_uv_px: np.ndarray
     tip_variance_px2: float
+
+
+def picked_wire(uv_px: np.ndarray, sd_px: float) -> KnownWire:
+    """Return the wire through points (M, 2) picked on its centre line, the tip last, each with the error `sd_px`."""
+    return KnownWire(uv_px[:-1], np.full(len(uv_px) - 1, sd_px**2), uv_px[-1], sd_px**2)
 
 
 def within_region(view: CalibratedView, wire: WireSeen) -> KnownWire:
@@ -99,15 +121,18 @@ def within_region(view: CalibratedView, wire: WireSeen) -> KnownWire:
 
 
 def start_movement(
-    views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]], landmarks: Landmarks
+    views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]], landmarks: Landmarks, known: RigidTransform
 ) -> tuple[np.ndarray, RigidTransform]:
-    """Return the landmarks (N, 3) in the planning CFCS, and the rigid motion to their places in the check's CFCS."""
+    """Return the landmarks (N, 3) in the planning CFCS, and the rigid motion to their places in the check's CFCS.
+
+    `known`: the motion as far as landmarks do not show it.
+    """
     if not len(landmarks):
-        return np.zeros((0, 3)), RigidTransform.identity()
+        return np.zeros((0, 3)), known
     spread = np.broadcast_to(landmarks.sd_px**2 * np.eye(2), (2, len(landmarks), 2, 2))
     before = reconstruct(views[0][:2], landmarks.planned_uv_px, spread).xyz_mm
     after = reconstruct(views[1], landmarks.checked_uv_px, spread).xyz_mm
-    rotation = Rotation.identity()
+    rotation = known.rotation
     if len(landmarks) >= MIN_LANDMARKS:
         rotation = Rotation.align_vectors(after - after.mean(axis=0), before - before.mean(axis=0))[0]
     return before, RigidTransform.from_components(after.mean(axis=0) - rotation.apply(before.mean(axis=0)), rotation)

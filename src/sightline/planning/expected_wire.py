@@ -8,6 +8,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.errors import OutsideRegionError
 
 BEFORE_MM, BEYOND_MM = 25.0, 15.0  # lengths added outside the entry and beyond the planned depth [ours]
+GUIDED_MM = 80.0  # the same outside the entry for a wire that waits in its guide [ours]
 _STEP_MM = 1.0
 
 
@@ -25,16 +26,18 @@ class ExpectedWire:
     sine: np.ndarray
 
 
-def expected_wire(view: CalibratedView, ends_mm: np.ndarray, drilled_beyond_mm: float = 0.0) -> ExpectedWire:
-    """Return a wire planned from entry to end (2, 3) in a view, `drilled_beyond_mm` past its end point, as far as the
-    view is calibrated.
+def expected_wire(
+    view: CalibratedView, ends_mm: np.ndarray, drilled_beyond_mm: float = 0.0, before_mm: float = BEFORE_MM
+) -> ExpectedWire:
+    """Return a wire planned from entry to end (2, 3) in a view, from `before_mm` outside the entry to
+    `drilled_beyond_mm` past its end point, as far as the view is calibrated.
 
     Raises OutsideRegionError where no part of it lies in the calibrated region.
     """
     entry, end = ends_mm
     length = float(np.linalg.norm(end - entry))
     direction = (end - entry) / length
-    along = np.arange(-BEFORE_MM, length + drilled_beyond_mm + BEYOND_MM, _STEP_MM)
+    along = np.arange(-before_mm, length + drilled_beyond_mm + BEYOND_MM, _STEP_MM)
     xyz = entry + along[:, None] * direction
     rays = xyz - view.focal_point_mm
     across = np.cross(direction, rays)

@@ -24,11 +24,15 @@ MARGIN_PX = 20.0  # minimum distance of wire and landmarks from the edge of the 
 
 @dataclass(frozen=True, eq=False)
 class CheckImages:
-    """Both radiographs of a check shot, and the true set-up and landmarks (3,) that they show."""
+    """Both radiographs of a check shot, and the true set-up and landmarks (3,) that they show.
+
+    `picked_mm` (M, 3): where a person picks the wire in both, the tip last, CFCS of these images.
+    """
 
     setup: SetUp
     landmarks_mm: dict[str, np.ndarray]
     images: dict[str, Radiograph]
+    picked_mm: np.ndarray | None = None
 
     @staticmethod
     def take(
@@ -39,17 +43,18 @@ class CheckImages:
         drawn: tuple[np.random.Generator, Callable[[np.random.Generator], SetUp]],
         *,
         landmarks_mm: Mapping[str, np.ndarray],
+        shown_mm: np.ndarray,
     ) -> "CheckImages":
         """Render the check images of a bone that has moved against the frame by `motion`.
 
         `wire`: its axis to the tip (2, 3), planning CFCS, and its diameter, in the bone. `drawn`: the generator, and
-        the function that draws another set-up of the C-arm. `landmarks_mm`: points of the bone before it moved. Raises
-        SetUpError if no set-up shows wire and landmarks.
+        the function that draws another set-up of the C-arm. `landmarks_mm`: points of the bone, `shown_mm` (N, 3) of
+        the wire, before both moved. Raises SetUpError if no set-up shows these.
         """
         (wire_mm, diameter_mm), (rng, draw) = wire, drawn
         then = bone.still + moved(bone.bone + guide_wire(wire_mm, diameter_mm), motion)
         landmarks = {name: motion.apply(at) for name, at in landmarks_mm.items()}
-        points = np.concatenate([motion.apply(wire_mm), np.stack(list(landmarks.values()))])
+        points = np.concatenate([motion.apply(shown_mm), np.stack(list(landmarks.values()))])
         for _ in range(ATTEMPTS):
             setup = replace(draw(rng), true_frame=planned.true_frame)
             if all(view.in_field(view.project(points), MARGIN_PX).all() for view in setup.views.values()):
@@ -59,7 +64,10 @@ class CheckImages:
 
     def landmarks_px(self, names: Sequence[str], sd_px: float, rng: np.random.Generator) -> np.ndarray:
         """Draw a person's picks (2, L, 2) of the named landmarks in both images."""
-        xyz = np.stack([self.landmarks_mm[name] for name in names])
+        return self.pixels(np.stack([self.landmarks_mm[name] for name in names]), sd_px, rng)
+
+    def pixels(self, xyz: np.ndarray, sd_px: float, rng: np.random.Generator) -> np.ndarray:
+        """Draw a person's picks (2, N, 2) of points (N, 3), CFCS of these images, in both images."""
         true = np.stack([self.setup.views[name].project(xyz) for name in VIEWS])
         return true + sd_px * rng.standard_normal(true.shape)
 

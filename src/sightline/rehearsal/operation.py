@@ -5,6 +5,7 @@ information only from the images and its encoders, over the link. The truth is u
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -179,10 +180,16 @@ def target_of(plan: Plan, identity: PlanIdentity, registration: Registration) ->
     return robot_target(identity, points.xyz_mm, points.budget_mm2, registration, plan.kind.limits)
 
 
-def insert(client: RobotClient, target: RobotTarget, depth_limit_mm: float) -> DrillingRecord:
+def insert(
+    client: RobotClient,
+    target: RobotTarget,
+    depth_limit_mm: float,
+    confirm: Callable[[State], None] = lambda state: None,
+) -> DrillingRecord:
     """Align, confirm, drill to the pause, confirm, drill to the tip, as a person does if every shot is in order.
 
-    Raises RobotRefusedError with the robot's reason, LinkError.
+    `confirm` is called in ALIGNED and PAUSED, and raises to go no further. Raises RobotRefusedError with the robot's
+    reason, LinkError, and what `confirm` raises.
     """
     recorder = Recorder()
     client.listeners.append(recorder.heard)
@@ -190,6 +197,7 @@ def insert(client: RobotClient, target: RobotTarget, depth_limit_mm: float) -> D
     client.calibrate(target.registration.T_mcs_cfcs, target.registration.imaged_s)
     client.aim_plan(target, time.monotonic(), depth_limit_mm)
     client.align()
-    while client.drill() != State.DONE.value:
-        pass  # here a person would check the second shot and confirm
+    confirm(State.ALIGNED)
+    while (state := State(client.drill())) is not State.DONE:
+        confirm(state)
     return recorder.record

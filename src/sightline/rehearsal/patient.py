@@ -17,14 +17,14 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.planning.procedures import kind
 from sightline.rehearsal.check_images import CheckImages
-from sightline.rehearsal.robots import REMOUNT_SD
+from sightline.robot.kinematics.calibrated import REMOUNT_SD
 from sightline.twin import BoneScene, HipScene, Scene, SetUp, Variation, draw_setup, render, truth_document
 from sightline.twin.bone_scene import BONES, bone_document, shown_bone_scene
 from sightline.twin.bones import Aid, SphereAid
 from sightline.twin.drawn_aids import drawn_aids, hip_aids
 from sightline.twin.specimens import tagged
 
-PARTS = (*VIEWS, "robot", "check", "picks")  # each has its own generator; add new parts at the end
+PARTS = (*VIEWS, "robot", "check", "picks", "ALIGNED", "PAUSED")  # each has its own generator; add new parts at the end
 LANDMARK_MARGIN_PX = 30.0  # landmarks nearer to the edge of a field are not picked [ours]
 RIM_ANGLES_RAD = np.array([0.3, 2.4, 4.5])  # about a third of the outline apart
 CAP_ANGLES_RAD = np.deg2rad([-65.0, 0.0, 65.0])  # on a cap that a plane cuts off, from its top: the rim is round [ours]
@@ -159,7 +159,9 @@ class RehearsedPatient:
             return truth_document(self.setup, self.bone)
         return bone_document(self.setup, self.bone)
 
-    def _check_images(self, wire_mm: np.ndarray, motion: RigidTransform, rng: np.random.Generator) -> CheckImages:
+    def _check_images(
+        self, wire_mm: np.ndarray, motion: RigidTransform, rng: np.random.Generator, shown_mm: np.ndarray | None = None
+    ) -> CheckImages:
         """Render two more images with a wire in the bone, and with the bone moved against the frame."""
         landmarks = self.bone.landmarks_mm
         if isinstance(self.bone, BoneScene):  # whose images do not show all of them
@@ -171,6 +173,7 @@ class RehearsedPatient:
             motion,
             (rng, self._set_up_again),
             landmarks_mm=landmarks,
+            shown_mm=wire_mm if shown_mm is None else shown_mm,
         )
 
     def _set_up_again(self, rng: np.random.Generator) -> SetUp:

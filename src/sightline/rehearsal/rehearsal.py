@@ -1,6 +1,6 @@
 """A rehearsed procedure at the hip: patient, set-up, images, robot and check images, all drawn from one seed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -8,12 +8,13 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.case.views import NAMES as VIEWS
 from sightline.frame import Frame
+from sightline.planning.drill_shot import ALIGNED
 from sightline.planning.procedures import kind
 from sightline.rehearsal.check_images import CheckImages
 from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup
 from sightline.rehearsal.patient import LANDMARK_MARGIN_PX, AidClicks, RehearsedPatient
-from sightline.rehearsal.robots import REMOUNT_SD, SHOWN_FEED_MM, calibrated_robot, drawn_robot, shown_wire_mm
-from sightline.robot.kinematics.calibrated import CalibratedRobot
+from sightline.rehearsal.robots import SHOWN_FEED_MM, calibrated_robot, drawn_robot, shown_wire_mm
+from sightline.robot.kinematics.calibrated import REMOUNT_SD, CalibratedRobot
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.twin import HipScene, Scene, shown_hip_scene
@@ -21,6 +22,7 @@ from sightline.twin.femur import SHORT_MM
 from sightline.twin.implants import guide_wire
 
 SHOWN_MM, MAX_SHOWN_MM = 25.0, 60.0  # length of the robot's own wire, to its tip, in images of a block [ours]
+PICKED = 7  # points that a person picks on the robot's wire, its tip last [ours]
 NO_SERIAL = "none"  # sent to the robot for a frame without a serial
 
 
@@ -109,6 +111,28 @@ class Rehearsal(RehearsedPatient):
             then = then * RigidTransform.from_exp_coords(REMOUNT_SD * rng.standard_normal(6))
         motion = then.inv() * true.T_mcs_cfcs(imaged)
         return self._check_images(wire.axis_mm, motion, rng)
+
+    def drilling_images(self, wire: SimulatedWire, q: np.ndarray, state: str) -> CheckImages:
+        """Render two images in ALIGNED or PAUSED, at the encoders `q` (5,): a block is put back on its mount, and the
+        arm stands where it is, up to its play.
+
+        In ALIGNED the sleeve is drawn back. A person picks the wire there, since part of it lies before a saturated
+        background: `picked_mm`. Raises SetUpError.
+        """
+        rng = self.generator(state)
+        true, _ = self._at_images
+        play = self.robot.manipulator.backlash / 2 * rng.uniform(-1, 1, 5)
+        now = true.T_mcs_cfcs(q + play) * RigidTransform.from_exp_coords(REMOUNT_SD * rng.standard_normal(6))
+        motion = now.inv() * wire.T_mcs_cfcs
+        if state != ALIGNED:
+            return self._check_images(wire.axis_mm, motion, rng)
+        along = (wire.T_mcs_cfcs.inv() * true.T_mcs_tool(q)).rotation.apply([0.0, 0.0, 1.0])
+        behind = np.append(np.arange(MAX_SHOWN_MM, SHOWN_MM, -1.0), [SHOWN_MM, 0.0])
+        line = wire.axis_mm[1] - behind[:, None] * along
+        taken = self._check_images(line[[0, -1]], motion, rng, line[-2:])
+        line = motion.apply(line)
+        shown = [view.in_field(view.project(line), LANDMARK_MARGIN_PX) for view in taken.setup.views.values()]
+        return replace(taken, picked_mm=np.linspace(line[int(np.argmax(np.all(shown, axis=0)))], line[-1], PICKED))
 
     @property
     def _at_images(self) -> tuple[Manipulator, np.ndarray]:

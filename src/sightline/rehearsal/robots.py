@@ -20,9 +20,6 @@ MOUNT_SD = np.array([3e-4] * 3 + [0.1] * 3)
 REMAINING_SHARE = 0.1
 # Deviation of the robot's base from its ideal place, in joint units: a person brings it to the table [ours].
 BASE_SPREAD = np.array([10.0, 10.0, np.deg2rad(2.0), np.deg2rad(2.0), 0.0])
-# Repeatability of a block on its mount, s.d. of a twist about its own middle: half of what a check of the reach accepts
-# (`REMOUNT_LIMIT_MM`) [ours].
-REMOUNT_SD = np.array([5e-4] * 3 + [0.05] * 3)
 # Feed at the images of a block, mm: the tip is some 75 mm before the hip, 25 mm before the bone, and more than 20 mm of
 # the wire are in both fields [ours].
 SHOWN_FEED_MM = 75.0

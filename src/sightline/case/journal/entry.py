@@ -33,6 +33,7 @@ class Kind(StrEnum):
     PLANNED = "planned"
     CHANGED = "changed"
     SENT = "sent"
+    SHOT = "shot"  # while drilling, at the skin or at the pause
     DRILLED = "drilled"
     VERIFIED = "verified"
 

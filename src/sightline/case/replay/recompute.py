@@ -9,7 +9,7 @@ import numpy as np
 from sightline.calibration import CArm
 from sightline.case import contents
 from sightline.case.canonical import canonical, plain, with_null
-from sightline.case.contents import CheckRequest, Images, PlanRequest
+from sightline.case.contents import CheckRequest, DrillShotRequest, Images, PlanRequest
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.journal.originals import short
 from sightline.case.stages import TABLE, frame_of, image_of
@@ -22,6 +22,7 @@ from sightline.imaging import Radiograph
 from sightline.pipeline import label_beads
 from sightline.planning import Plan, WirePlans
 from sightline.planning.check_result import CheckShot
+from sightline.planning.drill_shot import DrillShot
 
 _Made = TypeVar("_Made")
 
@@ -109,13 +110,18 @@ class Recomputed:
 
     def shot(self, entry: Entry) -> CheckShot | str:
         """Return the check shot of a verified entry that holds its request, or why it is refused."""
+        asked, plan = CheckRequest.of(entry.content["asked"]), self._case.entry(entry.rests_on[0])
+        return self._measured(entry, lambda *made: asked.shot(*made, others_mm=self.others_mm(plan)))
 
-        def make() -> CheckShot | str:
+    def drill_shot(self, entry: Entry) -> DrillShot | str:
+        """Return the shot of a shot entry, or why it is refused."""
+        return self._measured(entry, DrillShotRequest.of(entry.content["asked"]).shot)
+
+    def _measured(self, entry: Entry, shot: Callable[[Plan, Images, Images], _Made]) -> _Made | str:
+        def make() -> _Made | str:
             plan, *views = (self._case.entry(number) for number in entry.rests_on)
-            first, second = (self.calibrated(view) for view in views)
             try:
-                asked, made = CheckRequest.of(entry.content["asked"]), self.plan(plan)
-                return asked.shot(made, self.images(plan), (first, second), self.others_mm(plan))
+                return shot(self.plan(plan), self.images(plan), tuple(self.calibrated(view) for view in views))
             except RefusedError as error:
                 return str(error)
 
@@ -130,6 +136,9 @@ class Recomputed:
             Kind.CALIBRATED: lambda: contents.calibrated(self.calibrated(entry)),
             Kind.PLANNED: lambda: self._planned(entry),
         }
+        if entry.kind is Kind.SHOT:
+            asked = DrillShotRequest.of(entry.content["asked"])
+            again[Kind.SHOT] = lambda: contents.shot(asked, self.drill_shot(entry))
         if "asked" in entry.content:  # earlier versions did not record the request of a check shot
             again[Kind.VERIFIED] = lambda: contents.verified(CheckRequest.of(entry.content["asked"]), self.shot(entry))
         return again[entry.kind]() if entry.kind in again else None

@@ -1,6 +1,7 @@
 """The outcome of a plan: the robot's stated errors, its drilling record, and the check shot."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from markupsafe import Markup
 
 from sightline.case.report.drawing.force import WIDTH, force_trace
 from sightline.planning.check_shot import CheckShot
+from sightline.planning.drill_shot import PAUSED, DrillShot
 from sightline.robot.kinematics.target import RobotTarget
 from sightline.robot.link.record import DrillingRecord
 
@@ -39,24 +41,30 @@ class Deviation:
 @dataclass(frozen=True, eq=False)
 class Drilled:
     """The known parts of a drilling. `check`: the check shot, or why it was refused. `physics`: only if the truth is
-    known. `by_images`: the target as images of the robot's own wire would have registered it; it was not drilled."""
+    known. `by_images`: the target as images of the robot's own wire would have registered it; it was not drilled.
+    `shots`: those while drilling, by the robot's state, each measured or why it was refused."""
 
     target: RobotTarget | None
     record: DrillingRecord | None
     check: CheckShot | str | None
     physics: tuple[Deviation, ...] = ()
     by_images: RobotTarget | None = None
+    shots: Mapping[str, DrillShot | str] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """Return the drilling as JSON types."""
-        check = {"refused": self.check} if isinstance(self.check, str) else self.check and self.check.document()
         return {
             **({} if self.target is None else _sent(self.target)),
             **({} if self.by_images is None else {"by_images": {"error_95": _stated(self.by_images)}}),
+            **({"shots": {state: _shown(shot) for state, shot in self.shots.items()}} if self.shots else {}),
             "record": self.record and self.record.document(),
-            "check_shot": check,
+            "check_shot": self.check and _shown(self.check),
             "physics": [vars(deviation) for deviation in self.physics],
         }
+
+
+def _shown(shot: CheckShot | DrillShot | str) -> dict[str, Any]:
+    return {"refused": shot} if isinstance(shot, str) else shot.document()
 
 
 def _sent(target: RobotTarget) -> dict[str, Any]:
@@ -102,6 +110,13 @@ def section(drilled: Drilled | None) -> dict[str, Any] | None:
         rows.append(("the robot's error, as stated before drilling (95 %)", *_figures(_stated(target))))
     if drilled.by_images is not None:
         rows.append(("the same, registered by images of its wire (95 %)", *_figures(_stated(drilled.by_images))))
+    for state, shot in drilled.shots.items():
+        if isinstance(shot, DrillShot):
+            shown = shot.document()
+            off = {**shown["deviation"], "tip_mm": shown["end_deviation_mm"]}
+            rows.append((f"shot at {state}, tip {shot.depth_mm:.1f} mm deep: axis at entry and end", *_figures(off)))
+            known = {**shown["error_95"], "tip_mm": shown["end_error_95_mm"]}
+            rows.append((f"shot at {state}: its own error (95 %)", *_figures(known)))
     if isinstance(check, CheckShot):
         shown = check.document()
         rows.append(("check shot: the wire against the plan", *_figures(shown["deviation"])))
@@ -112,8 +127,15 @@ def section(drilled: Drilled | None) -> dict[str, Any] | None:
         "events": "" if record is None else _noticed(record),
         "rows": rows,
         "sources": [] if target is None else _sources(target),
-        "check": check_sentence(check),
+        "check": " ".join([*(_shot_sentence(*shot) for shot in drilled.shots.items()), check_sentence(check)]),
     }
+
+
+def _shot_sentence(state: str, shot: DrillShot | str) -> str:
+    if isinstance(shot, str):
+        return f"The shot at {state} was refused: {shot}."
+    depth = f" The tip was {shot.depth_mm:.2f} mm deep (s.d. {shot.depth_sd_mm:.2f} mm)." if state == PAUSED else ""
+    return f"The shot at {state} says {shot.decision}.{depth}"
 
 
 def check_sentence(check: CheckShot | str | None) -> str:
@@ -134,7 +156,12 @@ def checks(drilled: Drilled | None) -> "list[tuple[str, tuple[Check, ...]]]":
         return []
     of_target = () if drilled.target is None else drilled.target.checks
     of_check = drilled.check.checks if isinstance(drilled.check, CheckShot) else ()
-    return [("The robot's target", of_target), ("The check shot", of_check)]
+    while_drilling = [
+        (f"The shot at {state}", shot.verdict.checks)
+        for state, shot in drilled.shots.items()
+        if isinstance(shot, DrillShot)
+    ]
+    return [("The robot's target", of_target), *while_drilling, ("The check shot", of_check)]
 
 
 def _figures(of: dict[str, Any]) -> tuple[str, str, str]:

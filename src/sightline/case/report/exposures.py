@@ -7,6 +7,7 @@ from sightline.case.journal import Case, Entry, Kind
 from sightline.case.journal.originals import short
 from sightline.case.stages import acquired_of
 from sightline.case.views import CalibratedImage, spoken
+from sightline.planning.drill_shot import ALIGNED, PAUSED
 from sightline.planning.procedures import Procedure
 
 NOTE = (
@@ -14,6 +15,7 @@ NOTE = (
     "are not known here, and neither is the dose."
 )
 PLANNING, CHECK, UNUSED = "planning", "check shot", "not used for this plan"
+WHILE_DRILLING = {ALIGNED: "confirmation shot", PAUSED: "second shot"}
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,16 @@ def of_case(case: Case, plan: Entry, kind: Procedure | None = None) -> tuple[Kep
 
 def _uses(case: Case, plan: Entry, kind: Procedure | None) -> Iterator[tuple[int, str]]:
     """Yield numbers of acquired entries, and what their images were used for."""
-    checks = [one.rests_on[1:] for one in case.entries(Kind.VERIFIED) if one.rests_on[:1] == (plan.number,)]
-    for what, views in ((CHECK, (number for pair in checks for number in pair)), (PLANNING, plan.rests_on)):
+    uses = [(PLANNING, plan.rests_on)]
+    uses += [(CHECK, one.rests_on[1:]) for one in _of_plan(case, Kind.VERIFIED, plan)]
+    for one in _of_plan(case, Kind.SHOT, plan):
+        state = ALIGNED if one.content["asked"]["straight"] else PAUSED
+        uses.append((WHILE_DRILLING[state], one.rests_on[1:]))
+    for what, views in reversed(uses):
         for number in views:
             view = case.entry(number)
             yield acquired_of(case, view).number, f"{what}, {spoken(view.content['view'], kind)} view"
+
+
+def _of_plan(case: Case, kind: Kind, plan: Entry) -> list[Entry]:
+    return [one for one in case.entries(kind) if one.rests_on[:1] == (plan.number,)]

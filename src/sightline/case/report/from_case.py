@@ -7,6 +7,7 @@ from sightline.case.report.content import Report
 from sightline.case.report.drilled import Drilled
 from sightline.case.stages import frame_of
 from sightline.errors import CaseError
+from sightline.planning.drill_shot import ALIGNED, PAUSED
 from sightline.robot.link.record import DrillingRecord
 
 
@@ -40,12 +41,14 @@ def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
     """Return the last drilling record and the last check shot since the plan; None if there is neither."""
     records = [one.content["record"] for one in case.entries(Kind.DRILLED, plan.number) if "record" in one.content]
     shots = [one for one in case.entries(Kind.VERIFIED, plan.number) if _is_measured(one, plan)]
-    if not records and not shots:
+    drilling = {one.content["asked"]["straight"]: one for one in case.entries(Kind.SHOT, plan.number)}
+    if not records and not shots and not drilling:
         return None
     return Drilled(
         target=None,
         record=DrillingRecord.of(records[-1]) if records else None,
         check=again.shot(shots[-1]) if shots else None,
+        shots={ALIGNED if straight else PAUSED: again.drill_shot(one) for straight, one in drilling.items()},
     )
 
 

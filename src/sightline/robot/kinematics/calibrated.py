@@ -19,6 +19,9 @@ MACHINED_SD = np.array([1e-3] * 3 + [0.2] * 3)
 COMPLIANCE_SD = np.array([1e-4] * 3 + [0.03] * 3)
 # The robot's sources of error in a trajectory; their covariances add up.
 SOURCES = ("kinematics", "hand_eye", "drill_axis", "encoders", "compliance")
+# Repeatability of a block on its mount, s.d. of a twist about its own middle: half of what a check of the reach accepts
+# (`REMOUNT_LIMIT_MM`) [ours].
+REMOUNT_SD = np.array([5e-4] * 3 + [0.05] * 3)
 MIN_SEEN_MM = 20.0  # length of wire between two points that gives its direction [ours]
 _AXES, _FRAME, _WIRE = slice(0, 24), slice(24, 30), slice(30, 36)
 _MAX_ITERATIONS, _TOLERANCE = 30, 1e-9
@@ -128,6 +131,31 @@ class CalibratedRobot:
         unseen = np.diag(self.compliance_sd**2)
         out["compliance"] = move @ (wire @ unseen @ wire.T + frame @ unseen @ frame.T) @ move.T
         return out
+
+    def frame_moved(
+        self, imaged: np.ndarray, now: np.ndarray, about_mm: np.ndarray
+    ) -> tuple[RigidTransform, np.ndarray]:
+        """Return how a patient at rest moved in the frame's coordinates since the joints `imaged` (5,), if the frame is
+        on its mount again at the joints `now` (5,).
+
+        The motion maps CFCS then to CFCS now. Its covariance (6, 6) is that of a rotation about the point `about_mm`
+        (3,), CFCS then, and of a shift there; axes of CFCS now, rad and mm. Errors common to both poses cancel;
+        REMOUNT_SD is added. A movement of the patient is not in it.
+        """
+        manipulator = self.manipulator
+        then, stood = manipulator.T_mcs_cfcs(imaged), manipulator.T_mcs_cfcs(now)
+        turned = self._to_flange(now) - self._to_flange(imaged)
+        axes = self._axes_jacobian(now) - self._axes_jacobian(imaged)
+        unseen, remount = np.diag(self.compliance_sd**2), adjoint(stood) * REMOUNT_SD
+        twist = axes @ self.covariance[_AXES, _AXES] @ axes.T
+        twist += turned @ self.covariance[_FRAME, _FRAME] @ turned.T + remount @ remount.T
+        for q in (imaged, now):
+            moved = manipulator.flange_jacobian(q) * self.joint_sd
+            twist += moved @ moved.T + self._to_flange(q) @ unseen @ self._to_flange(q).T
+        back = stood.rotation.inv().as_matrix()
+        to_point = np.zeros((6, 6))
+        to_point[:3, :3], to_point[3:] = back, back @ displacement(then.apply(about_mm))
+        return stood.inv() * then, to_point @ twist @ to_point.T
 
     @cached_property
     def joint_sd(self) -> np.ndarray:
