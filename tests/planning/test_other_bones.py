@@ -73,6 +73,20 @@ def test_wires_that_leave_the_bone_by_a_millimetre_are_refused(name: str):
     assert len(made) >= 2
 
 
+def test_a_tip_on_the_side_of_the_bodys_front_is_refused():
+    """Where the wire meets it, the surface lies 2 to 6 mm behind the line that the lateral image shows."""
+    behind = []
+    for seed in range(5):
+        bone = drawn("vertebra", seed)
+        entry, end = bone.bone.wires_mm[0]
+        tip = bone.bone.surface_near(end, end - entry)
+        wire = to_cfcs(np.stack([entry, tip]), "right", bone.origin_mm)
+        found = bone.found(wire, bone.uv_px, SD_PX)
+        behind.append(metric(found, "tip behind front", None).value)
+        assert "tip behind front" in _failed(_judged(bone, wire))
+    assert 2.0 < min(behind) < max(behind) < 6.0
+
+
 @pytest.mark.parametrize(
     ("name", "check"), [(name, one) for name, all_ in METRICS.items() for one in all_ if one in MOVES]
 )
