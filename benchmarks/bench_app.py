@@ -31,35 +31,40 @@ SECONDS = 5
 LOADS = 200
 PATIENCE_MS = 120_000
 
-# A move is in flight until its curve is drawn; changed metrics belong to the latest curve before them.
+# Each move's curve is looked for in the frame that draws the move; of moves within one frame the last is drawn. Metrics
+# belong to the move whose point they come with.
 _WATCH = """() => {
-  const watch = (window.watch = { curve: [], figures: [], moves: 0 });
+  const watch = (window.watch = { curve: [], figures: [], moves: 0, sent: 0 });
   const { pa, lateral } = window.sightlineXray;
-  const [request, push, show] = [window.requestAnimationFrame, pa.moves.push, lateral.show];
+  const [request, push, send, show] = [window.requestAnimationFrame, pa.moves.push, pa.moves.send, pa.show];
   const times = new Map();
   let pointer = 0;
-  let drawn = null;
-  let counted = null;
+  let shown = null;
+  let curve = null;
   window.addEventListener("pointermove", (event) => { pointer = event.timeStamp; watch.moves++; }, true);
   window.addEventListener("pointerrawupdate", (event) => { pointer = event.timeStamp; }, true);
-  pa.moves.push = (...move) => {
-    const seq = push.apply(pa.moves, move);
-    times.set(seq, pointer);
-    return seq;
+  const after = (then) => request(() => setTimeout(then));
+  pa.moves.push = (type, id, uv, image) => {
+    times.set(String(uv), pointer);
+    after(() => {
+      const drawn = lateral.matching.drawn.get(id);
+      const of = drawn && drawn.curve ? String(drawn.uv) : curve;
+      if (of !== curve) watch.curve.push(performance.now() - times.get(of));
+      curve = of;
+    });
+    return push.call(pa.moves, type, id, uv, image);
   };
-  const after = (list, from) => request(() => setTimeout(() => list.push(performance.now() - from)));
-  lateral.show = (word) => {
-    const newer = show.call(lateral, word);
-    const { inFlight } = pa.moves;
-    if (inFlight && inFlight.seq !== counted) {
-      counted = inFlight.seq;
-      drawn = times.get(counted);
-      after(watch.curve, drawn);
-    }
-    return newer;
+  pa.moves.send = (move) => { watch.sent++; send(move); };
+  pa.show = (word) => {
+    const end = word.points.find(({ id }) => id === "end");
+    shown = times.get(String(end.uv)) ?? null;
+    return show.call(pa, word);
   };
-  new MutationObserver(() => { if (drawn !== null) after(watch.figures, drawn); drawn = null; })
-    .observe(document.querySelector("section.figures"), { childList: true, subtree: true, characterData: true });
+  new MutationObserver(() => {
+    const from = shown;
+    if (from !== null) after(() => watch.figures.push(performance.now() - from));
+    shown = null;
+  }).observe(document.querySelector("section.figures"), { childList: true, subtree: true, characterData: true });
 }"""
 
 

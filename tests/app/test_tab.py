@@ -43,6 +43,9 @@ class Drawn:
     def of(self, seen: SeenImage) -> XrayPicture:
         return XrayPicture(f"/image/{seen.acquired.number}", SIZE, SIZE, Window(1.0, 2.0))
 
+    def sight(self, view: object, picture: XrayPicture) -> str:
+        return f"/sight/{picture.url}"
+
     def live(self, image: object) -> XrayPicture:
         return XrayPicture(f"/live/{image}", SIZE, SIZE, Window(1.0, 2.0))
 

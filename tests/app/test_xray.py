@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 from tests.app.browser import PATIENCE_MS, Server, Tab
-from tests.app.xray_page import FIELD_PX, HOSTILE, POINTS, SIDE, SPOTS, TEXTS, picture
+from tests.app.xray_page import FIELD_PX, HOSTILE, POINTS, SIDE, SPOTS, TEXTS, lateral_column, picture
 
 from sightline.app.drawing.xray.view import TEXT_KEYS, Window, XrayContent, XrayEvent, XrayPicture, XrayView, checked
 
@@ -59,7 +59,7 @@ class View:
     def _said(self) -> dict[str, Any]:
         """What the server has heard, once everything has arrived that the browser has sent so far."""
         if self.answering:
-            self.page.wait_for_function("!sightlineXray.pa.moves.inFlight")  # nor anything that waits behind it
+            self.page.wait_for_function("!sightlineXray.pa.moves.inFlight.size")  # nor anything that waits behind it
         mark = f"mark {next(MARKS)}"
         self.core("core.emit({type: 'error', message: value})", mark)
         for _ in range(PATIENCE_MS // 10):
@@ -517,20 +517,66 @@ def test_a_point_in_the_hand_stays_where_it_is_while_the_view_changes_its_size(v
     view.page.evaluate("document.querySelector('.box-pa').style.marginTop = ''")
 
 
-def test_one_move_is_in_flight_and_the_newest_wins(view: View) -> None:
+def test_two_drags_are_in_flight_and_the_newest_wins(view: View) -> None:
     view.forget(answering=False)
     x, y = view.screen(POINTS[0]["uv"])
     view.mouse.move(x, y)
     view.mouse.down()
     for step in range(1, 11):
         view.mouse.move(x + 3 * step, y + step)
-    assert len(view.heard("drag")) == 1
+    assert len(view.heard("drag")) == 2
     view.do("acknowledge")
-    first, second = view.heard("drag")
+    first, second, newest = view.heard("drag")
     zoom = view.zoom()
-    assert near(first["uv"], (300 + 3 / zoom, 400 + 1 / zoom)) < 1e-6
-    assert near(second["uv"], (300 + 30 / zoom, 400 + 10 / zoom)) < 1e-6
+    for times, one in ((1, first), (2, second), (10, newest)):
+        assert near(one["uv"], (300 + 3 * times / zoom, 400 + times / zoom)) < 1e-6
     view.mouse.up()
+
+
+def _lateral(view: View, expression: str) -> Any:
+    return view.page.evaluate(f"() => {{ const core = window.sightlineXray.lateral; return {expression}; }}")
+
+
+def test_a_curve_follows_the_hand_though_the_server_says_nothing(view: View) -> None:
+    """And the point on it: to the same depth, until the server's word replaces both."""
+    view.do("matching")
+    view.page.wait_for_function("window.sightlineXray.lateral.matching.sights")
+    view.forget(answering=False)
+    before = _lateral(view, "core.state.points.get('end').uv")
+    x, y = view.screen(POINTS[1]["uv"])
+    view.mouse.move(x, y)
+    view.mouse.down()
+    view.mouse.move(x + 12.0, y + 31.0)
+    view.settle()
+    u, v = view.point("end")
+    assert _lateral(view, "core.matching.drawn.get('end').uv") == [u, v]
+    line = np.array(_lateral(view, "core.matching.drawn.get('end').curve.uv"))
+    assert np.abs(line[:, 0] - lateral_column((u, v), line[:, 1])).max() < PLACE_PX
+    there = _lateral(view, "core.state.points.get('end').uv")
+    assert there != before
+    assert abs(there[0] - lateral_column((u, v), there[1])) < PLACE_PX
+    view.mouse.up()
+    view.forget()
+    view.do("refuse")
+    view.drag((x + 12.0, y + 31.0), (x + 40.0, y))
+    view.page.wait_for_function("!window.sightlineXray.pa.moved.size")
+    assert _lateral(view, "core.state.points.get('end').uv") == before
+
+
+def test_a_lateral_point_slides_on_its_curve_wherever_the_pointer_is(view: View) -> None:
+    view.do("matching")
+    view.page.wait_for_function("window.sightlineXray.lateral.matching.sights")
+    view.do("place-lateral")
+    place = [POINTS[1]["uv"][0] + 90.0, POINTS[1]["uv"][1] + 70.0]  # far from the curve
+    x, y = view.page.evaluate("uv => window.sightlineXray.lateral.toScreen(uv)", place)
+    view.mouse.move(x, y)
+    view.settle()
+    seen = _lateral(view, "core.lens.uv")
+    assert abs(seen[0] - lateral_column(view.point("aim"), seen[1])) < PLACE_PX
+    view.mouse.click(x, y)
+    view.heard()
+    placed = next(one for one in view._said()["events"] if one["type"] == "place")
+    assert placed["uv"] == pytest.approx(seen)
 
 
 def test_a_drop_waits_for_nothing(view: View) -> None:
@@ -539,11 +585,11 @@ def test_a_drop_waits_for_nothing(view: View) -> None:
     x, y = view.screen(POINTS[0]["uv"])
     view.mouse.move(x, y)
     view.mouse.down()
-    view.mouse.move(x + 30, y)
-    view.mouse.move(x + 60, y)
+    for away in (20, 40, 60):
+        view.mouse.move(x + away, y)
     view.mouse.up()
-    first, dropped = view.heard("drag", "drop")
-    assert (first["type"], dropped["type"]) == ("drag", "drop")
+    *dragged, dropped = view.heard("drag", "drop")
+    assert ([one["type"] for one in dragged], dropped["type"]) == (["drag", "drag"], "drop")
     assert dropped["uv"] == pytest.approx((300 + 60 / view.zoom(), 400), abs=1e-6)
     view.do("acknowledge")
     assert view.core("sessionStorage.getItem('sightline-xray-pa')") is None
@@ -582,19 +628,20 @@ def test_what_is_done_on_an_image_ends_with_it(view: View, gesture: str) -> None
     else:
         view.mouse.move(x, y)
         view.mouse.down()
-        view.mouse.move(x + 30, y)
-        view.mouse.move(x + 60, y)
-    assert [one["type"] for one in view.heard("drag", "nudge", "drop")] == [gesture]
+        for away in (20, 40, 60):
+            view.mouse.move(x + away, y)
+    sent = [gesture] if gesture == "nudge" else [gesture, gesture]
+    assert [one["type"] for one in view.heard("drag", "nudge", "drop")] == sent
     view.do("other")
     expect(view.root.get_by_test_id("lost")).to_contain_text("Entry")
     assert view.point("entry") == POINTS[0]["uv"]
     view.do("acknowledge")
     view.mouse.move(x + 80, y)
     view.mouse.up()
-    assert [one["type"] for one in view.heard("drag", "nudge", "drop")] == [gesture]
+    assert [one["type"] for one in view.heard("drag", "nudge", "drop")] == sent
     assert view.core("sessionStorage.getItem('sightline-xray-pa')") is None
     view.drag(view.screen(POINTS[0]["uv"]), (x + 20, y))  # on the new one
-    assert [one["type"] for one in view.heard("drag", "nudge", "drop")] == [gesture, "drag", "drop"]
+    assert [one["type"] for one in view.heard("drag", "nudge", "drop")] == [*sent, "drag", "drag", "drop"]
     assert view.refused() == 0
 
 

@@ -76,6 +76,38 @@ def curve(uv: tuple[float, float]) -> dict[str, Any]:
     return {"shape": "line", "points": points.tolist(), "style": "curve", "title": "matching curve"}
 
 
+def _sight(focal_mm: list[float], origin_mm: list[float], axes: list[list[float]]) -> dict[str, Any]:
+    """The map of a pinhole camera, 5 px/mm on a plane 1 m away, (512, 512) at the plane's origin."""
+
+    def grid(low: float, step: float, value: Callable[[float], float]) -> dict[str, Any]:
+        nodes = [low + step * k for k in range(36)]
+        values = [[value(x), value(y)] for y in nodes for x in nodes]
+        return {"start": [low, low], "step": [step, step], "count": 36, "values": values}
+
+    return {
+        "focal": focal_mm,
+        "origin": origin_mm,
+        "axes": axes,
+        "toPlane": grid(-100.0, 40.0, lambda px: (px - 512.0) / 5.0),
+        "toImage": grid(-130.0, 8.0, lambda mm: 512.0 + 5.0 * mm),
+        "sides": [[1, 0, -1000], [-1, 0, 0], [0, 1, -1000], [0, -1, 0]],
+        "reach": 20.0,
+    }
+
+
+SIGHTS = {
+    "pa": _sight([0.0, 0.0, -600.0], [0.0, 0.0, 400.0], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+    "lateral": _sight([-600.0, 0.0, 0.0], [400.0, 0.0, 0.0], [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+}
+
+
+def lateral_column(uv: tuple[float, float], row: Any) -> Any:
+    """The column at which the lateral view shows the line of sight of a pixel of the PA view, in a row."""
+    (x, y), w = ((at - 512.0) / 5.0 for at in uv), (row - 512.0) / 5.0
+    share = (w * x + 600.0 * w - 400_000.0) / (w * x - 1e6)  # of the line's way to the focal point
+    return 512.0 + 5.0 * 1000.0 / (x * (1.0 - share) + 600.0) * y * (1.0 - share)
+
+
 def beads(count: int = 120) -> list[dict[str, Any]]:
     """Beads in a ring, coloured by a residual that grows around it."""
     angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
@@ -194,7 +226,7 @@ def restore(view: XrayView) -> None:
             XrayView.acknowledge(view, one["seq"])
     change(view, notice="restored")
     change(view, picture=PICTURE, display=DISPLAY, layers={}, points=POINTS, placing=None, notice=None)
-    change(beside(view)["lateral"], placing=None)
+    change(beside(view)["lateral"], points=POINTS, placing=None, matching=None)
     view.refused = 0
     state["taking"] = True
 
@@ -208,6 +240,13 @@ def say_again(seconds: float) -> Callable[[XrayView], None]:
     return lambda view: view.show(view.shown, fresh_s=seconds)
 
 
+def match(view: XrayView) -> None:
+    """The lateral view draws the curves of the PA view's points; a click slides `aim` onto its own."""
+    change(view, points=[*POINTS[:3], POINTS[3] | {"uv": (650.3, 480.2)}])
+    maps = {"from": "pa", "title": "of {name}", "sights": ["/sight/pa", "/sight/lateral"]}
+    change(beside(view)["lateral"], matching=maps, points=[*POINTS[:3], POINTS[3] | {"slides": True}])
+
+
 def refuse(view: XrayView) -> None:
     """What is done from now on changes nothing."""
     state["taking"] = False
@@ -216,6 +255,7 @@ def refuse(view: XrayView) -> None:
 COMMANDS: dict[str, Callable[[XrayView], None]] = {
     "restore": restore,
     "refuse": refuse,
+    "matching": match,
     "place": lambda view: change(view, placing="aim"),
     "place-lateral": lambda view: change(beside(view)["lateral"], placing="aim"),
     "beads": lambda view: draw(view, "beads", beads()),
@@ -248,6 +288,11 @@ def _picture() -> Response:
     return Response(
         picture().tobytes(), media_type="application/octet-stream", headers={"Content-Encoding": "identity"}
     )
+
+
+@app.get("/sight/{name}")
+def _map(name: str) -> dict[str, Any]:
+    return SIGHTS[name]
 
 
 @app.get("/heard")

@@ -5,9 +5,11 @@ from collections import deque
 import cv2
 import numpy as np
 
+from sightline.app.drawing.sight import sight
 from sightline.app.drawing.xray.view import Window, XrayPicture
 from sightline.app.session.seen import SeenImage
 from sightline.app.web.images import Images
+from sightline.calibration import BeadView
 from sightline.imaging import Radiograph
 
 _MAX_PICTURES = 16  # pictures kept: two planning and two check images, and those that undo may need [ours]
@@ -22,6 +24,7 @@ class Pictures:
     def __init__(self, images: Images) -> None:
         self._images = images
         self._pictures: dict[tuple[int, bool], XrayPicture] = {}  # by number, and whether it is inverted
+        self._sights: dict[BeadView, str] = {}
         self._live: deque[tuple[Radiograph, XrayPicture]] = deque()
 
     def live(self, image: Radiograph) -> XrayPicture:
@@ -41,6 +44,14 @@ class Pictures:
         window = Window(float(low + high) / 2.0, float(max(high - low, 1.0)))
         height, width = pixels.shape
         return XrayPicture(self._images.publish(pixels), width, height, window, _field(image))
+
+    def sight(self, view: BeadView, picture: XrayPicture) -> str:
+        """Return the address of the map of a view (`sight`), whose image is `picture`."""
+        if view not in self._sights:
+            self._sights[view] = self._images.publish_json(sight(view, (picture.height, picture.width)))
+            while len(self._sights) > _MAX_PICTURES:
+                self._images.forget(self._sights.pop(next(iter(self._sights))))
+        return self._sights[view]
 
     def of(self, seen: SeenImage) -> XrayPicture:
         """Return the picture of an image of the case."""

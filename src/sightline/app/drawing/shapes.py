@@ -55,21 +55,29 @@ def rejected(seen: SeenImage) -> list[Shape]:
     ]
 
 
-def curves(drawn: Mapping[str, MatchingCurve]) -> list[Shape]:
-    """Return image-matching curves with their bands and depth ticks, for the lateral image."""
-    return [shape for name, curve in drawn.items() for shape in _curve(name, curve)]
+CURVE_TITLE = "where the {name} point may lie"
 
 
-def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
+def curves(drawn: Mapping[str, MatchingCurve], moving: str = "") -> list[Shape]:
+    """Return image-matching curves with their bands and depth ticks, for the lateral image. `moving`: a point whose
+    band is left out, because it takes half as long as the plan."""
+    return [shape for name, curve in drawn.items() for shape in _curve(name, curve, banded=name != moving)]
+
+
+def _curve(name: str, curve: MatchingCurve, *, banded: bool) -> list[Shape]:
     line = curve.uv_px.tolist()
     ticks = curve.uv_px[curve.is_tick].tolist()
     depths = [f"{depth:.0f}" if depth % 50 == 0 else "" for depth in curve.depth_mm[curve.is_tick]]
     out: list[Shape] = []
-    if curve.half_width_px is not None:
-        out.append({"shape": "band", "points": line, "halfWidth": curve.half_width_px.tolist(), "style": "curve-band"})
-    out.append({"shape": "line", "points": line, "style": "curve", "title": f"where the {name} point may lie"})
+    if banded and curve.half_width_px is not None:
+        half = curve.half_width_px.tolist()
+        band = {"shape": "band", "points": line, "halfWidth": half, "style": "curve-band"}
+        out.append({**band, "from": float(curve.depth_mm[0])})
+    out.append({"shape": "line", "points": line, "style": "curve", "title": CURVE_TITLE.format(name=name)})
     if ticks:
         out.append({"shape": "ticks", "points": ticks, "style": "tick", "label": depths})
+    for shape in out:
+        shape["of"] = name
     return out
 
 

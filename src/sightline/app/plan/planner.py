@@ -73,7 +73,7 @@ class _NoSideError(SightlineError):
 
 def planned(decisions: Decisions, views: Sequence[BeadView]) -> Planned:
     """Return the results of decisions on calibrated views: PA, lateral, and a third where there is one."""
-    curves, refused = drawn_curves(decisions, views)
+    curves, refused = _drawn_curves(decisions, views)
     found: Plan | None = None
     if decisions.complete((ENTRY, END)) and not refused:
         try:
@@ -83,7 +83,7 @@ def planned(decisions: Decisions, views: Sequence[BeadView]) -> Planned:
     return Planned(decisions, tuple(views), curves, found, refused)
 
 
-def drawn_curves(
+def _drawn_curves(
     decisions: Decisions, views: Sequence[CalibratedView]
 ) -> tuple[dict[str, MatchingCurve], dict[str, str]]:
     """Return the curves of the wire's points in the second view, by name, and the reasons for missing ones."""

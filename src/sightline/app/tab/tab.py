@@ -34,7 +34,7 @@ class Tab:
         self.session, self.planning = session, session.planning
         self.fast_robot, self.live_source = fast_robot, live_source
         self.views = Views(session, pictures)
-        self.dragging = Dragging(self.planning, self._show_views)
+        self.dragging = Dragging(self.planning)
         self._placing = Placing(self.planning)
         self.step, self.message = STEPS[0], ""
         self.on_refresh: list[Callable[[], None]] = []
@@ -52,7 +52,7 @@ class Tab:
     def known(self) -> Planned | None:
         """The plan shown: the preview of a dragged point, else the current plan."""
         preview = self.dragging.preview
-        return self.planning.planned if preview is None or preview.known is None else preview.known
+        return self.planning.planned if preview is None else preview.known
 
     def build_views(self, *boxes: ui.element) -> None:
         """Build the two X-ray views, each in its box."""

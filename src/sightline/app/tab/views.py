@@ -108,7 +108,20 @@ class Views:
             goal.spec.name if goal is not None and goal.image == image else None,
             (f"{seen.doing.capitalize()} …" if seen.doing else seen.refused) or undrawn or None,
             f"{planning.case.number} {image} {seen.acquired.number} {planning.history.revision}",
+            self._matching() if image == NAMES[1] and step == STEPS[2] else None,
         )
+
+    def _matching(self) -> dict[str, Any] | None:
+        """Return what the lateral view needs to draw curves by itself; None until both views are calibrated."""
+        views, seen = self._planning.views(), [self._planning.seen(name) for name in NAMES]
+        if views is None:
+            return None
+        drawn = [
+            self._pictures.sight(view, self._pictures.of(one))
+            for view, one in zip(views, seen, strict=False)
+            if one is not None
+        ]
+        return {"from": NAMES[0], "title": shapes.CURVE_TITLE, "sights": drawn}
 
     def _layers(self, image: str, seen: SeenImage) -> tuple[shapes.Layers, str]:
         """Return the layers over an image and the reason for a missing one; cached for the same plan."""
@@ -139,7 +152,7 @@ def _points(image: str, step: str, decisions: Decisions) -> list[dict[str, Any]]
     for spec in marks_of(decisions.kind):
         if not spec.shown_in(image):
             continue
-        mark = decisions.mark(spec.name)
+        mark, on_curve = decisions.mark(spec.name), image == NAMES[1] and spec.group == "wire"
         out.append(
             {
                 "id": spec.name,
@@ -147,7 +160,8 @@ def _points(image: str, step: str, decisions: Decisions) -> list[dict[str, Any]]
                 "uv": mark.at(image),
                 "style": _STYLES[spec.group],
                 "movable": step in (STEPS[2], STEPS[4]),
-                "snapped": image == NAMES[1] and spec.group == "wire" and not mark.free,
+                "snapped": on_curve and not mark.free,
+                "slides": on_curve and decisions.snapping and mark.at(NAMES[0]) is not None,
             }
         )
     return out

@@ -96,9 +96,11 @@ class XrayContent:
     """The complete content of a view.
 
     `layers`: shapes by layer, drawn in this order (image pixels; styles as in the table in xray_paint.js). `points`:
-    id, label, uv (None: not placed), style, movable, snapped; events may name only these. `placing`: the point that the
-    next click places. `notice`: a text over the image. `revision`: of the plan; an edit that was not acknowledged is
-    sent again only for the same revision.
+    id, label, uv (None: not placed), style, movable, snapped (it lies on its curve), slides (a click takes it there);
+    events may name only these. `placing`: the point that the next click places. `notice`: a text over the image.
+    `revision`: of the plan; an edit that was not acknowledged is sent again only for the same revision. `matching`:
+    {"from": name, "title": text with {name}, "sights": [address, address]}: the view whose points' image-matching
+    curves are drawn here while they move, and the addresses of the maps (`sight`) of both, its first.
     """
 
     label: str
@@ -109,10 +111,11 @@ class XrayContent:
     placing: str | None = None
     notice: str | None = None
     revision: str = ""
+    matching: Mapping[str, Any] | None = None
 
     def document(self) -> dict[str, Any]:
         """Return the content as JSON types."""
-        of = {name: getattr(self, name) for name in ("label", "placing", "notice", "revision")}
+        of = {name: getattr(self, name) for name in ("label", "placing", "notice", "revision", "matching")}
         return {
             **of,
             "picture": None if self.picture is None else self.picture.document,

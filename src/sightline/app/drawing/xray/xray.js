@@ -8,17 +8,18 @@
 // when the server acknowledges it, `word` replaces it.
 
 import { COLOURS } from "colours";
+import { Age } from "./xray_age.js";
 import { Chrome } from "./xray_chrome.js";
 import { Display } from "./xray_display.js";
 import { Gestures } from "./xray_gestures.js";
+import { paintLens } from "./xray_lens.js";
+import { Matching } from "./xray_matching.js";
 import { Moves } from "./xray_moves.js";
-import { paintCrosshair, paintNames, paintPoint, paintShape, shapeDistance, shapeFault, STYLES } from "./xray_paint.js";
+import { paintNames, paintPoint, paintShape, shapeDistance, shapeFault, STYLES } from "./xray_paint.js";
 import { fetchPixels, heldWindow, Picture } from "./xray_picture.js";
+import { PointButtons } from "./xray_points.js";
 
 const ZOOM_STEP = 1.25; // per key press
-const LENS_TIMES = 4;
-const LENS_ZOOM_MAX = 32; // [ours] CSS pixels per image pixel: enough to point at 1/32 of a pixel
-const LENS_RADIUS = 84; // CSS pixels
 const TIP_REACH = 8; // CSS pixels
 const FRAMES_KEPT = 2000;
 const BREAK_MS = 250; // a longer gap between frames means that the person paused
@@ -45,6 +46,7 @@ export class XrayCore {
       points: new Map(),
       layers: new Map(),
     };
+    /** @type {any} */
     this.word = { version: 0, picture: null, display: null, points: [], placing: null };
     this.undone = { points: new Map(), placing: null, display: null }; // numbers of unacknowledged actions
     this.place = document.createComment("enlarged"); // marks the view's place in the page
@@ -55,6 +57,7 @@ export class XrayCore {
       shown: this.chrome.canvas.getContext("2d", { alpha: false }),
     };
     this.picture = new Picture();
+    this.matching = new Matching();
     this.lens = null; // {uv, at}: the pixel in the magnifier, and its position in the view
     this.pointer = null; // position of the pointer, CSS pixels in the view; null outside
     this.dirty = { table: false, image: true, overlay: true, readout: true };
@@ -64,9 +67,8 @@ export class XrayCore {
     this.request = null;
     this.loading = null;
     this.asked = null; // the picture requested last; its pixels may not have arrived
-    this.freshUntil = Infinity; // time, by performance.now(), until which the image on the screen is current
-    this.coming = null; // {url, freshUntil} of an image that is not yet on the screen
-    this.aging = null;
+    this.age = new Age((stale) => this.#showStale(stale));
+    this.buttons = new PointButtons(this.chrome.points, (id) => this.select(id));
     this.gestures = new Gestures(this);
     this.observer = new ResizeObserver(() => this.#resize());
     this.observer.observe(this.stage);
@@ -85,7 +87,7 @@ export class XrayCore {
     window.removeEventListener("resize", this.resized);
     this.gestures.destroy();
     if (this.loading) this.loading.abort();
-    clearTimeout(this.aging);
+    this.age.end();
     cancelAnimationFrame(this.request);
     if (window.sightlineXray[this.name] === this) delete window.sightlineXray[this.name];
   }
@@ -100,6 +102,7 @@ export class XrayCore {
     this.chrome.showLine(this.chrome.notice, word.notice);
     this.#showPicture(word.picture, freshMs);
     this.#showLayers(word.layers);
+    this.matching.show(word.matching || null, this.#layerShapes(), (message) => this.#report(message));
     this.#showDisplay();
     this.#mergePoints();
     this.#showPlacing();
@@ -144,7 +147,7 @@ export class XrayCore {
       if (this.loading === loading) this.loading = null;
       this.#takeImage(null); // an old image under a new plan would mislead
       this.chrome.showLine(this.chrome.fault, this.texts.load_failed);
-      this.#report(String(error.message || error));
+      this.#report(error instanceof Error ? error.message : String(error));
     }
   }
 
@@ -196,18 +199,12 @@ export class XrayCore {
 
   // The image at `url` is current for `ms`, unless extended; null: it does not expire.
   setFresh(url, ms) {
-    const freshUntil = ms === null ? Infinity : performance.now() + ms;
-    const shown = this.shownUrl === url;
-    this.coming = shown ? null : { url, freshUntil };
-    this.freshUntil = shown ? freshUntil : Math.min(this.freshUntil, freshUntil); // the screen still shows an older one
-    this.#age();
+    this.age.extend(url, ms, this.shownUrl);
   }
 
   // Freshness is no longer reported.
   loseTouch() {
-    if (this.freshUntil !== Infinity) this.freshUntil = 0;
-    if (this.coming && this.coming.freshUntil !== Infinity) this.coming.freshUntil = 0;
-    this.#age();
+    this.age.loseTouch();
   }
 
   // ------------------------------------------------------------------------------------------------ person's actions
@@ -247,16 +244,65 @@ export class XrayCore {
   move(type, id, uv) {
     if (!this.#onItsImage) return this.release();
     const point = this.state.points.get(id);
-    point.uv = this.display.clamp(uv);
+    point.uv = this.display.clamp(point.slides || (point.snapped && type !== "place") ? this.slid(id, uv) : uv);
     this.undone.points.set(id, this.moves.push(type, id, point.uv, this.shownUrl));
     if (type !== "drag") this.#settled(point);
     this.invalidate("overlay");
+    for (const follower of this.#followers()) follower.follow(id);
   }
 
   // Ends the current gesture without a message to the server.
   release() {
     this.#showDisplay();
     this.#mergePoints();
+    for (const follower of this.#followers()) follower.settle();
+  }
+
+  // ------------------------------------------------------------------------------- points that move in another view
+
+  // The place on the point's image-matching curve nearest to `uv`; `uv` itself where it has none.
+  slid(id, uv) {
+    const point = this.#leader && this.#leader.state.points.get(id);
+    return this.matching.onCurve(id, point ? point.uv : null, uv);
+  }
+
+  // A point has moved in the other view: its curve moves, and with it the point, if it lies on that.
+  follow(id) {
+    const [leader, point] = [this.#leader, this.state.points.get(id)];
+    const before = leader.word.points.find((one) => one.id === id);
+    if (point && point.uv && point.snapped && before && before.uv) {
+      point.uv = this.matching.slid(id, point.uv, before.uv, leader.state.points.get(id).uv);
+    }
+    this.invalidate("overlay");
+  }
+
+  // Points that move no longer in the other view are where the newest message has them.
+  settle() {
+    const moving = this.#moving;
+    for (const id of this.state.points.keys()) if (!moving.has(id)) this.matching.rest(id);
+    this.#mergePoints();
+  }
+
+  // The view whose points' curves are drawn here; null: none.
+  get #leader() {
+    const { word } = this.matching;
+    return (word && window.sightlineXray[word.from]) || null;
+  }
+
+  #followers() {
+    return Object.values(window.sightlineXray).filter(({ matching }) => matching.word && matching.word.from === this.name);
+  }
+
+  // Points that the person moves in the other view, and where they are there.
+  get #moving() {
+    const leader = this.#leader;
+    return leader ? leader.moved : new Map();
+  }
+
+  // Points whose place here is not the server's word, and that place.
+  get moved() {
+    const points = [...this.state.points.values()].filter(({ id, uv }) => uv && this.#held(id));
+    return new Map(points.map(({ id, uv }) => [id, uv]));
   }
 
   remove(id) {
@@ -279,9 +325,10 @@ export class XrayCore {
   }
 
   // The click that places a point.
-  placeAt(uv) {
+  placeAt(place) {
     const id = this.state.placing;
     if (id === null || !this.#onItsImage) return;
+    const uv = this.aimed(place);
     if (!this.display.contains(uv)) {
       this.chrome.showLine(this.chrome.lost, this.texts.off_field);
       return;
@@ -290,6 +337,12 @@ export class XrayCore {
     this.undone.placing = this.undone.points.get(id);
     this.#showPlacing();
     this.select(id);
+  }
+
+  // Where a click at `uv` places the point: on its curve, if it slides there.
+  aimed(uv) {
+    const point = this.state.points.get(this.state.placing);
+    return point && point.slides ? this.slid(point.id, uv) : uv;
   }
 
   cancelPlacing() {
@@ -420,7 +473,7 @@ export class XrayCore {
     this.#paintMarks(context, toUnits, this.display.zoom / this.unit, null);
     if (this.lens) this.#drawLens(context);
     this.stage.classList.toggle("xray-lens", this.lens !== null); // the focus ring would cover the magnifier
-    if (!this.lens) this.#placeButtons(); // the magnifier hides them
+    if (!this.lens) this.buttons.place((id) => this.display.toView(this.state.points.get(id).uv)); // the magnifier hides them
   }
 
   #toUnits(context) {
@@ -433,47 +486,28 @@ export class XrayCore {
     const points = [...this.state.points.values()].filter((point) => point.uv && point.id !== without);
     const places = points.map((point) => toUnits(point.uv));
     points.forEach((point, index) => paintPoint(context, point, places[index], point.id === this.state.selected));
+    const aiming = this.state.points.get(this.state.placing);
+    if (aiming && aiming.slides && this.lens && !without) {
+      paintPoint(context, { ...aiming, snapped: true }, toUnits(this.lens.uv), true); // it slides on its curve
+    }
     const size = [this.display.viewWidth / this.unit, this.display.viewHeight / this.unit];
     paintNames(context, points, places, this.state.selected, size);
   }
 
-  // A round magnifier above the pointer (below it at the upper edge), with a cross-hair at its position.
   #drawLens(context) {
-    const { uv, at } = this.lens;
-    const radius = LENS_RADIUS * this.unit;
-    const clear = radius + 44 * this.unit;
-    const x = Math.min(Math.max(at[0], radius + 4), this.display.viewWidth - radius - 4);
-    const y = at[1] - clear - radius > 0 ? at[1] - clear : at[1] + clear;
-    const times = Math.max(Math.min(LENS_TIMES, LENS_ZOOM_MAX / this.display.zoom), 1);
-    const middle = [x / this.unit, y / this.unit];
-    const [px, py] = this.display.toView(uv);
-    const toUnits = (place) => {
-      const [qx, qy] = this.display.toView(place);
-      return [middle[0] + ((qx - px) * times) / this.unit, middle[1] + ((qy - py) * times) / this.unit];
-    };
-    context.save();
-    context.beginPath();
-    context.arc(...middle, LENS_RADIUS, 0, 2 * Math.PI);
-    context.fillStyle = COLOURS.stage;
-    context.fill();
-    context.clip();
-    this.#paintBitmap(context, uv, [x, y], times);
-    this.#toUnits(context);
-    this.#paintMarks(context, toUnits, (this.display.zoom * times) / this.unit, this.state.dragging);
-    paintCrosshair(context, middle, LENS_RADIUS);
-    context.restore();
-    context.beginPath();
-    context.arc(...middle, LENS_RADIUS, 0, 2 * Math.PI);
-    context.lineWidth = 5;
-    context.strokeStyle = COLOURS.stage;
-    context.stroke();
-    context.lineWidth = 2;
-    context.strokeStyle = COLOURS.text;
-    context.stroke();
+    paintLens(context, this.lens, this.display, this.unit, {
+      bitmap: (uv, at, times) => this.#paintBitmap(context, uv, at, times),
+      units: () => this.#toUnits(context),
+      marks: (toUnits, zoom) => this.#paintMarks(context, toUnits, zoom, this.state.dragging),
+    });
+  }
+
+  #layerShapes() {
+    return [...this.state.layers.values()].flatMap((layer) => layer.shapes);
   }
 
   #shownShapes() {
-    return [...this.state.layers.values()].flatMap((layer) => layer.shapes);
+    return this.matching.over(this.#layerShapes(), this.#moving);
   }
 
   // ------------------------------------------------------------------------------------------------------------ inside
@@ -493,7 +527,7 @@ export class XrayCore {
   // Moved to the top level of the page: within its own box, later elements would cover it.
   maximise(on) {
     if (on === this.state.maximised) return;
-    const focused = document.activeElement;
+    const focused = /** @type {HTMLElement} */ (document.activeElement);
     if (on) {
       this.root.replaceWith(this.place);
       document.body.append(this.root);
@@ -546,11 +580,7 @@ export class XrayCore {
   #takeImage(image) {
     this.state.image = image;
     if (image !== null) {
-      if (this.coming && this.coming.url === image.url) {
-        this.freshUntil = this.coming.freshUntil;
-        this.coming = null;
-        this.#age();
-      }
+      this.age.arrived(image.url);
       this.display.setImage(image);
       this.#showDisplay();
       this.chrome.showLine(this.chrome.fault, "");
@@ -558,17 +588,11 @@ export class XrayCore {
     this.invalidate("table", "image", "overlay", "readout");
   }
 
-  // Hides the plan as soon as the image is out of date.
-  #age() {
-    clearTimeout(this.aging);
-    const left = this.freshUntil - performance.now();
-    const stale = left <= 0;
-    if (stale !== this.state.stale) {
-      this.state.stale = stale;
-      this.chrome.showLine(this.chrome.stale, stale ? this.texts.stale : "");
-      this.invalidate("overlay");
-    }
-    if (!stale && left !== Infinity) this.aging = setTimeout(() => this.#age(), left);
+  // Hides the plan while the image is out of date.
+  #showStale(stale) {
+    this.state.stale = stale;
+    this.chrome.showLine(this.chrome.stale, stale ? this.texts.stale : "");
+    this.invalidate("overlay");
   }
 
   // Another image ends the gesture on the one before.
@@ -585,15 +609,16 @@ export class XrayCore {
     this.chrome.showLine(this.chrome.lost, "");
   }
 
-  #point({ id, label, uv, style, movable, snapped }, before) {
+  #point({ id, label, uv, style, movable, snapped, slides }, before) {
     if (!STYLES[style]) this.#report(`point ${id}: unknown style ${JSON.stringify(style)}`);
     return {
       id,
       label: label || id,
-      uv: before && this.#held(id) ? before.uv : uv || null,
+      uv: before && (this.#held(id) || (snapped && this.#moving.has(id))) ? before.uv : uv || null,
       style: STYLES[style] ? style : "aid",
       movable: movable !== false,
       snapped: Boolean(snapped),
+      slides: Boolean(slides),
     };
   }
 
@@ -613,39 +638,12 @@ export class XrayCore {
     return point ? point.label : id;
   }
 
-  // A button for each placed point, for the tab key and screen readers.
   #showPoints() {
-    const placed = [...this.state.points.values()].filter((point) => point.uv);
-    const holder = this.chrome.points;
-    const wanted = new Set(placed.map((point) => point.id));
-    for (const button of [...holder.children]) if (!wanted.has(button.dataset.id)) button.remove();
-    const present = new Map([...holder.children].map((button) => [button.dataset.id, button]));
-    for (const point of placed) {
-      const button = present.get(point.id) || this.#newButton(point.id);
-      button.setAttribute("aria-label", this.describe(point));
-    }
-  }
-
-  #newButton(id) {
-    const button = document.createElement("button");
-    button.type = "button";
-    button.dataset.id = id;
-    button.dataset.testid = `point-${id}`;
-    button.addEventListener("focus", () => this.select(id));
-    this.chrome.points.append(button);
-    return button;
+    this.buttons.show([...this.state.points.values()].filter((point) => point.uv), (point) => this.describe(point));
   }
 
   focusPoint(id) {
-    const button = [...this.chrome.points.children].find((each) => each.dataset.id === id);
-    if (button) button.focus({ preventScroll: true });
-  }
-
-  #placeButtons() {
-    for (const button of this.chrome.points.children) {
-      const [x, y] = this.display.toView(this.state.points.get(button.dataset.id).uv);
-      button.style.transform = `translate(${x}px, ${y}px)`;
-    }
+    this.buttons.focus(id);
   }
 
   #showReadout() {

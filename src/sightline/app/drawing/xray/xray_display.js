@@ -28,6 +28,8 @@ export class Display {
     return [cos * m, sin * m, -sin * this.zoom, cos * this.zoom];
   }
 
+  /** @param {number[]} uv
+   * @returns {[number, number]} */
   toView([u, v]) {
     const [a, b, c, d] = this.linear();
     const du = u - this.centre[0];
@@ -35,12 +37,16 @@ export class Display {
     return [this.viewWidth / 2 + a * du + c * dv, this.viewHeight / 2 + b * du + d * dv];
   }
 
+  /** @param {number[]} at
+   * @returns {[number, number]} */
   toImage([x, y]) {
     const [du, dv] = this.toImageStep([x - this.viewWidth / 2, y - this.viewHeight / 2]);
     return [this.centre[0] + du, this.centre[1] + dv];
   }
 
-  // Converts a displacement in the view (CSS pixels) to image pixels.
+  /** Converts a displacement in the view (CSS pixels) to image pixels.
+   * @param {number[]} step
+   * @returns {[number, number]} */
   toImageStep([dx, dy]) {
     const [a, b, c, d] = this.linear();
     const determinant = a * d - b * c;

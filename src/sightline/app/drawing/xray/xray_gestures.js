@@ -21,6 +21,7 @@ export class Gestures {
   constructor(core) {
     this.core = core;
     this.stage = core.stage;
+    /** @type {any} */
     this.now = null; // {kind, ...}
     this.box = null; // the stage's rectangle when the gesture began
     this.pointers = new Map(); // id -> position in the view
@@ -278,7 +279,7 @@ export class Gestures {
       const { uv } = points.get(dragging);
       core.lens = { uv, at: core.display.toView(uv) };
     } else if (at && placing !== null && core.state.image && (!this.now || this.now.kind === "place")) {
-      core.lens = { uv: core.display.toImage(at), at };
+      core.lens = { uv: core.aimed(core.display.toImage(at)), at };
     }
     if (had || core.lens) core.invalidate("overlay");
     core.invalidate("readout");

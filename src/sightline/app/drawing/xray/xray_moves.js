@@ -1,11 +1,13 @@
-// Sends moves of points to the server: one drag or nudge in flight, and the newest of each point wins.
+// Sends moves of points to the server: one nudge or two drags in flight, and the newest of each point wins.
 //
-// Unlimited messages would queue behind a slow computation, and the curve would lag behind the hand.
+// Unlimited messages would queue behind a slow computation. The second drag waits at the server, so that this is never
+// idle; a third replaces those that wait here.
 // The last message of a gesture does not wait: an undo that overtook it would undo something else.
 
 const PATIENCE_MS = 2000; // [ours] a later answer counts as lost: much longer than a computation, short for a person
 const EDITS = new Set(["place", "drop", "nudge"]); // completed actions; a drag is still in progress
 const ONCE = new Set(["place", "drop"]);
+const DRAGS = 2; // [ours] in flight
 
 export class Moves {
   // `send(move)` sends to the server; `keep(move | null)` stores the newest unacknowledged edit.
@@ -13,10 +15,9 @@ export class Moves {
     this.send = send;
     this.keep = keep;
     this.seq = 0;
-    this.inFlight = null;
+    this.inFlight = new Map(); // sent and not acknowledged: timers by number
     this.kept = null;
     this.waiting = new Map(); // by point: a newer move replaces an older one
-    this.timer = null;
   }
 
   // An unused number.
@@ -40,9 +41,11 @@ export class Moves {
     for (const move of this.waiting.values()) if (EDITS.has(move.type)) this.#send(move);
   }
 
+  // The server has handled this move, and those sent before it.
   acknowledge(seq) {
     if (this.kept && this.kept.seq === seq) this.#hold(null);
-    if (this.inFlight && this.inFlight.seq === seq) this.#release();
+    for (const one of [...this.inFlight.keys()]) if (one <= seq) this.#end(one);
+    this.#next();
   }
 
   // The point is gone: drop its moves.
@@ -64,22 +67,24 @@ export class Moves {
     this.keep(move);
   }
 
-  #release() {
-    clearTimeout(this.timer);
-    this.inFlight = null;
+  #end(seq) {
+    clearTimeout(this.inFlight.get(seq));
+    this.inFlight.delete(seq);
+  }
+
+  #giveUp(seq) {
+    this.#end(seq);
     this.#next();
   }
 
   #next() {
-    if (this.inFlight || this.waiting.size === 0) return;
-    this.#send(this.waiting.values().next().value);
+    const next = this.waiting.values().next().value;
+    if (next && this.inFlight.size < (next.type === "drag" ? DRAGS : 1)) this.#send(next);
   }
 
   #send(move) {
     this.waiting.delete(move.id);
-    clearTimeout(this.timer);
-    this.inFlight = move;
-    this.timer = setTimeout(() => this.#release(), PATIENCE_MS);
+    this.inFlight.set(move.seq, setTimeout(() => this.#giveUp(move.seq), PATIENCE_MS));
     this.send(move);
   }
 }

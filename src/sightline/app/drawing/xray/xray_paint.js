@@ -275,6 +275,7 @@ function roomAbout([x, y], width, most) {
 const isWithin = (box, [width, height]) => box.left > 2 && box.top > 2 && box.right < width - 2 && box.bottom < height - 2;
 const overlap = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
 
+/** @type {(context: CanvasRenderingContext2D, at: number[], radius: number) => void} */
 export function paintCrosshair(context, [x, y], radius) {
   context.beginPath();
   for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {

@@ -38,7 +38,12 @@ export class Picture {
     this.bitmap.getContext("2d", { alpha: false }).putImageData(this.shown, 0, 0);
   }
 
-  // Draws the bitmap with `uv` at `at` (CSS pixels), by the linear part [a, b, c, d] of a display.
+  /** Draws the bitmap with `uv` at `at` (CSS pixels), by the linear part [a, b, c, d] of a display.
+   * @param {CanvasRenderingContext2D} context
+   * @param {number[]} linear
+   * @param {number[]} uv
+   * @param {number[]} at
+   * @param {number[]} density device pixels per CSS pixel, across and down */
   paint(context, [a, b, c, d], uv, at, [sx, sy]) {
     context.setTransform(a * sx, b * sy, c * sx, d * sy, at[0] * sx, at[1] * sy);
     context.imageSmoothingEnabled = Math.hypot(a, b) * sx < CRISP_ZOOM;

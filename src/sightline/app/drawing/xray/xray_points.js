@@ -1,0 +1,43 @@
+// A button for each placed point, for the tab key and screen readers.
+
+export class PointButtons {
+  // `holder`: the element that holds them; `onFocus(id)` hears which one has the focus.
+  constructor(holder, onFocus) {
+    this.holder = holder;
+    this.onFocus = onFocus;
+  }
+
+  // One for each of these points, named by `describe(point)`.
+  show(points, describe) {
+    const wanted = new Set(points.map((point) => point.id));
+    for (const button of [...this.holder.children]) if (!wanted.has(button.dataset.id)) button.remove();
+    const present = new Map([...this.holder.children].map((button) => [button.dataset.id, button]));
+    for (const point of points) {
+      const button = present.get(point.id) || this.#added(point.id);
+      button.setAttribute("aria-label", describe(point));
+    }
+  }
+
+  // Moves them to their places in the view, `where(id)` in CSS pixels.
+  place(where) {
+    for (const button of this.holder.children) {
+      const [x, y] = where(button.dataset.id);
+      button.style.transform = `translate(${x}px, ${y}px)`;
+    }
+  }
+
+  focus(id) {
+    const button = [...this.holder.children].find((each) => each.dataset.id === id);
+    if (button) button.focus({ preventScroll: true });
+  }
+
+  #added(id) {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.dataset.id = id;
+    button.dataset.testid = `point-${id}`;
+    button.addEventListener("focus", () => this.onFocus(id));
+    this.holder.append(button);
+    return button;
+  }
+}

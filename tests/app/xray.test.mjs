@@ -1,0 +1,188 @@
+// Units of the X-ray view's scripts that need no page: `node --test tests/app/xray.test.mjs`.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+globalThis.window = new EventTarget();
+globalThis.document = { querySelectorAll: () => [] };
+const root = new URL("../../src/sightline/app/drawing/xray/", import.meta.url);
+const { Display } = await import(new URL("xray_display.js", root));
+const { Gestures } = await import(new URL("xray_gestures.js", root));
+const { Matching } = await import(new URL("xray_matching.js", root));
+const { Moves } = await import(new URL("xray_moves.js", root));
+const sight = await import(new URL("xray_sight.js", root));
+
+const near = (a, b, by) => a.forEach((value, k) => assert.ok(Math.abs(value - b[k]) < by, `${a} is not ${b}`));
+
+function grid(start, step, count, value) {
+  const values = [];
+  for (let row = 0; row < count; row++) {
+    for (let column = 0; column < count; column++) values.push(value([start[0] + column * step[0], start[1] + row * step[1]]));
+  }
+  return { start, step, count, values };
+}
+
+// A pinhole camera at `focal` before a plane through `origin`: 5 px/mm, (512, 512) at the plane's origin.
+function camera(focal, origin, axes) {
+  const toPlane = grid([-100, -100], [40, 40], 31, ([u, v]) => [(u - 512) / 5, (v - 512) / 5]);
+  const toImage = grid([-130, -130], [10, 10], 27, ([x, y]) => [512 + 5 * x, 512 + 5 * y]);
+  const sides = [[1, 0, -1000], [-1, 0, 0], [0, 1, -1000], [0, -1, 0]]; // 0 to 1000 px
+  return new sight.Sight({ focal, origin, axes, toPlane, toImage, sides, reach: 20 });
+}
+
+const PA = camera([0, 0, -600], [0, 0, 400], [[1, 0, 0], [0, 1, 0]]);
+const LATERAL = camera([-600, 0, 0], [400, 0, 0], [[0, 1, 0], [0, 0, 1]]);
+
+test("a grid is exact for a quadratic, and has no value beside it or at a missing node", () => {
+  const value = ([x, y]) => [1 + 2 * x - y + 0.3 * x * y + 0.2 * y * y, x * x];
+  const made = grid([-1, -2], [0.5, 0.25], 12, value);
+  near(sight.interpolated(made, [1.37, -0.71]), value([1.37, -0.71]), 1e-12);
+  assert.equal(sight.interpolated(made, [-0.9, -1]), null);
+  assert.equal(sight.interpolated(made, [NaN, -1]), null);
+  made.values[12 * 5 + 4] = null;
+  assert.equal(sight.interpolated(made, [1.1, -0.8]), null);
+});
+
+test("a curve is the line of sight, as the other view shows it", () => {
+  const curve = sight.matchingCurve(PA, [612, 487], LATERAL);
+  assert.ok(curve.uv.length > 20);
+  const [x, y] = [20, -5]; // of the pixel on the plane, at z = 400
+  const length = Math.hypot(x, y, 1000);
+  curve.depth.forEach((depth, k) => {
+    const share = depth / length;
+    const point = [x * (1 - share), y * (1 - share), 400 - 1000 * share];
+    const times = 1000 / (point[0] + 600);
+    near(curve.uv[k], [512 + 5 * times * point[1], 512 + 5 * times * point[2]], 1e-6);
+    assert.equal(depth % 2, 0);
+  });
+  assert.equal(sight.matchingCurve(PA, [1500, 487], LATERAL), null);
+});
+
+test("a place on a curve, by pixel and by depth", () => {
+  const curve = { depth: [-4, -2, 0, 2, 4], uv: [[0, 0], [10, 0], [20, 0], [20, 10], [20, 20]] };
+  assert.equal(sight.nearest(curve, [13, 4]), 1.3);
+  near([sight.depthAt(curve, [13, 4])], [-1.4], 1e-12);
+  near(sight.pixelAtDepth(curve, -1.4), [13, 0], 1e-12);
+  assert.deepEqual(sight.pixelAtDepth(curve, 99), [20, 15]); // not quite at its end
+  assert.deepEqual(sight.pixelAt(curve, sight.nearest(curve, [-50, 3])), [5, 0]);
+  const shapes = sight.curveShapes({ depth: [48, 50, 52], uv: [[0, 0], [1, 0], [2, 0]] }, "end", "title", (depth) => depth / 2);
+  assert.deepEqual(shapes[0].halfWidth, [24, 25, 26]);
+  assert.deepEqual([shapes[2].points, shapes[2].label], [[[1, 0]], ["50"]]);
+  assert.ok(shapes.every(({ of }) => of === "end"));
+});
+
+test("a curve that moves replaces the server's, with the widths of its newest band", async () => {
+  const documents = { "/a": PA.document, "/b": LATERAL.document };
+  globalThis.fetch = async (address) => ({ ok: true, json: async () => documents[address] });
+  const matching = new Matching();
+  const band = { shape: "band", of: "end", points: [], halfWidth: [3, 4], from: 400 };
+  const given = [band, { shape: "line", of: "end", points: [] }, { shape: "line", of: "entry", points: [] }];
+  matching.show({ from: "pa", title: "of {name}", sights: ["/a", "/b"] }, given, assert.fail);
+  assert.equal(matching.over(given, new Map([["end", [612, 487]]])), given); // the maps have not arrived
+  await new Promise((done) => setTimeout(done));
+  assert.equal(matching.over(given, new Map()), given);
+  const shown = matching.over(given, new Map([["end", [612, 487]]]));
+  assert.deepEqual(shown.filter(({ of }) => of === "entry"), [given[2]]);
+  const [wide, line] = shown.filter(({ of }) => of === "end");
+  assert.ok(line.points.length > 20 && line.title === "of end");
+  assert.ok(wide.halfWidth.every((half) => half === 3 || half === 4));
+  const place = sight.pixelAt({ depth: [], uv: line.points }, 30.25);
+  near(matching.onCurve("end", [612, 487], place), place, 1e-9);
+  const after = matching.slid("end", place, [612, 487], [650, 470]);
+  const [was, is] = [[612, 487], [650, 470]].map((uv) => sight.matchingCurve(PA, uv, LATERAL));
+  near([sight.depthAt(is, after)], [sight.depthAt(was, place)], 1e-6);
+});
+
+test("two drags are in flight, and the newest of those that wait is next", () => {
+  const sent = [];
+  const moves = new Moves((move) => sent.push(move), () => {});
+  for (let k = 1; k <= 5; k++) moves.push("drag", "end", [k, 0], "/image");
+  assert.deepEqual(sent.map(({ uv }) => uv[0]), [1, 2]);
+  moves.acknowledge(sent[0].seq);
+  assert.deepEqual(sent.map(({ uv }) => uv[0]), [1, 2, 5]);
+  for (const { seq } of [...sent]) moves.acknowledge(seq);
+  moves.push("nudge", "end", [6, 0], "/image");
+  moves.push("nudge", "end", [7, 0], "/image");
+  assert.deepEqual(sent.map(({ uv }) => uv[0]), [1, 2, 5, 6]); // each nudge is a decision: one at a time
+  moves.push("drop", "end", [8, 0], "/image");
+  assert.deepEqual(sent.map(({ uv }) => uv[0]), [1, 2, 5, 6, 8]); // the last of a gesture waits for nothing
+  for (const { seq } of [...sent]) moves.acknowledge(seq);
+});
+
+function held() {
+  const display = new Display();
+  display.setView(500, 500);
+  display.setImage({ width: 1000, height: 1000, field: null });
+  const point = { id: "end", uv: [400, 600], movable: true };
+  const said = [];
+  const core = {
+    stage: Object.assign(new EventTarget(), {
+      dataset: {},
+      focus() {},
+      setPointerCapture() {},
+      getBoundingClientRect: () => ({ left: 10, top: 20 }),
+    }),
+    chrome: { showTip() {} },
+    display,
+    unit: 1,
+    lens: null,
+    moves: { flush() {} },
+    state: { points: new Map([["end", point]]), dragging: null, placing: null, selected: null, tool: "pan", image: {}, maximised: false },
+    pointAt: ([x, y], reach) => (Math.hypot(x - display.toView(point.uv)[0], y - display.toView(point.uv)[1]) <= reach ? point : null),
+    aimed: (uv) => uv,
+    titleAt: () => "",
+    move(type, id, uv) {
+      point.uv = uv;
+      said.push([type, ...uv]);
+    },
+    focusPoint() {},
+    select() {},
+    release: () => said.push(["release"]),
+    invalidate() {},
+    movedView() {},
+    maximise() {},
+  };
+  new Gestures(core);
+  const send = (type, x, y, more = {}) => {
+    const event = Object.assign(new Event(type, { cancelable: true }), { clientX: x + 10, clientY: y + 20, pointerId: 1, ...more });
+    core.stage.dispatchEvent(Object.assign(event, { pointerType: more.pointerType || "mouse", button: 0 }));
+  };
+  return { core, point, said, send };
+}
+
+test("a drag keeps the grip, and ends where it is dropped", () => {
+  const { said, send } = held();
+  send("pointerdown", 204, 297); // the point is at (200.25, 300.25)
+  send("pointermove", 214, 307);
+  send("pointerup", 214, 307);
+  near(said[0].slice(1), [420, 620], 1e-9);
+  assert.deepEqual(said.map(([type]) => type), ["drag", "drop"]);
+});
+
+test("a finger moves nothing until it has moved", () => {
+  const { said, send } = held();
+  send("pointerdown", 204, 297, { pointerType: "touch" });
+  send("pointermove", 207, 297, { pointerType: "touch" });
+  send("pointerup", 207, 297, { pointerType: "touch" });
+  assert.deepEqual(said, [["release"]]);
+});
+
+test("Escape takes a drag back to its start", () => {
+  const { said, send } = held();
+  send("pointerdown", 200, 300);
+  send("pointermove", 260, 300);
+  window.dispatchEvent(Object.assign(new Event("keydown", { cancelable: true }), { key: "Escape" }));
+  assert.deepEqual(said.at(-1), ["drop", 400, 600]);
+});
+
+test("a pinch zooms about the middle of both fingers", () => {
+  const { core, said, send } = held();
+  const before = core.display.toImage([250, 100]);
+  send("pointerdown", 200, 100, { pointerType: "touch" });
+  send("pointerdown", 300, 100, { pointerType: "touch", pointerId: 2 });
+  send("pointermove", 150, 100, { pointerType: "touch" });
+  send("pointermove", 350, 100, { pointerType: "touch", pointerId: 2 });
+  near([core.display.zoom], [1.0], 1e-9); // from 0.5
+  near(core.display.toImage([250, 100]), before, 1e-9);
+  assert.deepEqual(said, []);
+});
