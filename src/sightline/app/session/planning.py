@@ -220,14 +220,20 @@ class Planning:
             "taking both images of the simulated patient", lambda: self.worker.do(rehearsing.images, patient)
         )
         for name, data in files.items():
-            await self.take(data, ".dcm", image=name, by=Actor.DEMO)
+            entry = await self.lightbox.store(data, ".dcm", Actor.DEMO)
+            self.edit(self.decisions.with_image(name, entry.number, same_pixels=False))
+        await self._open_named()
 
     def _reopen(self) -> None:
         self.jobs.notify()
         self.jobs.start(self._open_named())
 
     async def _open_named(self) -> None:
-        for name, number in self.decisions.images.items():
+        named = tuple(self.decisions.images.items())
+        for _, number in named:  # all are on the screen before the first is calibrated
+            with suppress(SightlineError):
+                await self.lightbox.show(self.case.entry(number))
+        for name, number in named:
             with suppress(SightlineError):
                 await self.lightbox.open(self.case.entry(number), _view_in(name))
         self._restore_sent()

@@ -18,6 +18,8 @@ from sightline.errors import CaseError, SightlineError
 from sightline.imaging import Radiograph, taken_at
 from sightline.pipeline import find_beads, known_arm, label_beads
 
+WAITING = "waiting"  # stage of an image that is shown and not yet processed
+
 
 @dataclass(frozen=True, eq=False)
 class SeenImage:
@@ -69,10 +71,23 @@ class Lightbox:
         known = None if number is None else self._images.get(number)
         return None if known is None else known.said_to_be(mirrored_display)
 
+    async def store(self, data: bytes, suffix: str, by: Actor) -> Entry:
+        """Store a new image in the case and return its entry. Raises ImageError, CaseError."""
+        return await asyncio.to_thread(stages.record_acquired, self._case, data, suffix, by=by)
+
     async def acquire(self, data: bytes, suffix: str, by: Actor, view: str) -> SeenImage:
         """Store a new image in the case and process it; `view` as of `open`. Raises ImageError, CaseError."""
-        entry = await asyncio.to_thread(stages.record_acquired, self._case, data, suffix, by=by)
-        return await self.open(entry, view)
+        return await self.open(await self.store(data, suffix, by), view)
+
+    async def show(self, entry: Entry) -> SeenImage:
+        """Return the state of an image of the case, which is read if it is new, so that pages can show it."""
+        known = self._images.get(entry.number)
+        if known is None:
+            image = await asyncio.to_thread(stages.image_of, self._case, entry)
+            taken = await asyncio.to_thread(taken_at, self._case.original(entry.content["original"]))
+            known = SeenImage(entry, image, doing=WAITING, taken_at=taken)
+            self._put(known)
+        return known
 
     async def open(self, entry: Entry, view: str | None = None) -> SeenImage:
         """Process an image of the case; results that the journal lacks are recorded.
@@ -80,15 +95,13 @@ class Lightbox:
         `view`: which one it is according to a person, which counts for a solid; plates tell it themselves. None: as it
         was labelled before, or as its file states (`stages.view_of_acquired`).
         """
-        known = self._images.get(entry.number)
-        if known is not None and known.refused is None:
+        known = await self.show(entry)
+        if known.doing != WAITING and known.refused is None:
             return known
-        image = await asyncio.to_thread(stages.image_of, self._case, entry)
-        taken = await asyncio.to_thread(taken_at, self._case.original(entry.content["original"]))
         solid = self._frame.solid is not None
-        named = (view or stages.view_of_acquired(self._case, entry, image)) if solid else None
+        named = (view or stages.view_of_acquired(self._case, entry, known.image)) if solid else None
         try:
-            await self._work(SeenImage(entry, image, taken_at=taken), named)
+            await self._work(SeenImage(entry, known.image, taken_at=known.taken_at), named)
         except Exception as error:
             self._put(replace(self._images[entry.number], doing="", refused=sentence_of(error)))
             if not isinstance(error, SightlineError):
