@@ -1,4 +1,4 @@
-"""The app in an installed Chromium: time to its first page, and delays while dragging.
+"""The app in an installed Chromium: times of its start, delays while dragging, and what a move costs the server.
 
 A simulated patient, two views of 1024 x 1024, a complete plan (wire, landmarks, the head's outline). The tip is dragged
 in the PA image at 60 Hz for 5 s. Times are measured in the page, from the pointer event's time stamp to the end of the
@@ -7,7 +7,6 @@ frame that draws it.
 
 import asyncio
 import os
-from dataclasses import dataclass
 import socket
 import tempfile
 import time
@@ -15,6 +14,7 @@ import urllib.error
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from playwright.async_api import async_playwright
@@ -22,14 +22,19 @@ from playwright.sync_api import Browser, Page
 from tests.app.browser import FLAGS, Server, chromium, find_chromium
 from tests.app.hands import SEED, Hands
 
-from benchmarks.bench_xray import drag, high, spread
+from benchmarks.bench_xray import drag, high
 from benchmarks.rows import Row
 
 GROUP = "app"
 REQUIRED_PAGE_S = 3.0
 REQUIRED_DRAWN_S = 8.0  # on a busy machine
-REQUIRED_MS = {"curve": (16.7, 33.0), "figures": (50.0, 80.0), "frames": (16.7, 20.0)}  # median, 95 %
+REQUIRED_MS = {  # median, 95 %
+    "curve": ("pointer to the lateral curve", 16.7, 33.0),
+    "figures": ("pointer to the figures", 50.0, 80.0),
+    "frames": ("interval of frames in a drag", 16.7, 20.0),
+}
 REQUIRED_CPU_MS = 10.0
+CLOCK = 1.05  # a frame that was not missed may take so much longer by the browser's clock
 REACH_PX = 40.0  # of the drag, on the screen
 SECONDS = 5
 LOADS = 200
@@ -38,9 +43,9 @@ PATIENCE_MS = 120_000
 # Each move's curve is looked for in the frame that draws the move; of moves within one frame the last is drawn. Metrics
 # belong to the move whose point they come with.
 _WATCH = """() => {
-  const watch = (window.watch = { curve: [], figures: [], moves: 0, sent: 0 });
+  const watch = (window.watch = { curve: [], figures: [], moves: 0 });
   const { pa, lateral } = window.sightlineXray;
-  const [request, push, send, show] = [window.requestAnimationFrame, pa.moves.push, pa.moves.send, pa.show];
+  const [request, push, show] = [window.requestAnimationFrame, pa.moves.push, pa.show];
   const times = new Map();
   let pointer = 0;
   let shown = null;
@@ -58,7 +63,6 @@ _WATCH = """() => {
     });
     return push.call(pa.moves, type, id, uv, image);
   };
-  pa.moves.send = (move) => { watch.sent++; send(move); };
   pa.show = (word) => {
     const end = word.points.find(({ id }) => id === "end");
     shown = times.get(String(end.uv)) ?? null;
@@ -75,6 +79,13 @@ _WATCH = """() => {
 class _Server(Server):
     """A server that is up once it accepts a connection, so that the timed page is the first one built."""
 
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of its process so far, s."""
+        assert self._process is not None
+        times = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(times[11]) + int(times[12])) / os.sysconf("SC_CLK_TCK")
+
     def _answers(self) -> bool:
         try:
             socket.create_connection(("127.0.0.1", self.port), timeout=1.0).close()
@@ -89,7 +100,7 @@ def run(quick: bool) -> list[Row]:
     if path is None:
         return [Row(GROUP, "no Chromium is installed", "-")]
     busy = f"{os.getloadavg()[0]:.1f}"
-    starts, calibrated_s = [], 0.0
+    starts = []
     server: _Server | None = None
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -97,38 +108,49 @@ def run(quick: bool) -> list[Row]:
                 for _ in range(1 if quick else 3):
                     if server is not None:
                         server.stop()
-                    server, page, seconds, calibrated_s = _start(browser, Path(tempfile.mkdtemp(dir=folder)))
+                    server, page, seconds = _start(browser, Path(tempfile.mkdtemp(dir=folder)))
                     starts.append(seconds)
                 _plan(page)
             assert server is not None
             loads = _flood(server.url)
-            seen, frames = asyncio.run(_measure(path, server.url, 60 * SECONDS))
+            seen = asyncio.run(_measure(path, server, 60 * SECONDS))
             server.stop()
             server.check()
     finally:
         if server is not None:
             server.stop()
-    first = float(np.median(starts))
+    first, drawn, calibrated = np.median(starts, axis=0)
     return [
-        Row(
-            GROUP,
-            f"start to the first page, load {busy}",
-            f"{first:.1f} s",
-            f"{REQUIRED_PAGE_S:.0f} s",
-            met=first < REQUIRED_PAGE_S,
-        ),
-        Row(GROUP, "start to both images taken and calibrated", f"{calibrated_s:.1f} s"),
+        _start_row(f"start to the first page, load {busy}", first, REQUIRED_PAGE_S),
+        _start_row("start to both images on the screen", drawn, REQUIRED_DRAWN_S),
+        Row(GROUP, "start to both images calibrated", f"{calibrated:.1f} s"),
         *loads,
-        frame_row(GROUP, frames),
-        *(
-            following_row(GROUP, f"pointer to the {what}, {len(seen[key])} of {seen['moves']} moves", seen[key])
-            for key, what in (("curve", "lateral curve"), ("figures", "figures"))
-        ),
+        *_drag_rows(seen),
     ]
 
 
-def _start(browser: Browser, folder: Path) -> tuple[_Server, Page, float, float]:
-    """Return server and page of the app on a new case, and s until its steps are shown and both views calibrated."""
+def _start_row(what: str, seconds: float, required: float) -> Row:
+    return Row(GROUP, what, f"{seconds:.1f} s", f"{required:.0f} s", met=bool(seconds < required))
+
+
+def _drag_rows(seen: dict[str, Any]) -> list[Row]:
+    """Return the rows of a drag: median and 95 % of each delay, and the server's CPU time for each set of figures."""
+    rows = []
+    for key, (what, median, most) in REQUIRED_MS.items():
+        found = float(np.median(seen[key])), high(seen[key])
+        met = found[0] <= CLOCK * median and found[1] <= most
+        value, required = (f"{a:.1f} / {b:.1f} ms" for a, b in (found, (median, most)))
+        rows.append(
+            Row(GROUP, f"{what}, median / 95 %, {len(seen[key])} of {seen['moves']} moves", value, required, met=met)
+        )
+    each = seen["cpu_ms"] / max(len(seen["figures"]), 1)
+    what = f"CPU of the server a move, {len(seen['figures'])} computed"
+    return [*rows, Row(GROUP, what, f"{each:.0f} ms", f"{REQUIRED_CPU_MS:.0f} ms", met=each < REQUIRED_CPU_MS)]
+
+
+def _start(browser: Browser, folder: Path) -> tuple[_Server, Page, tuple[float, float, float]]:
+    """Return server and page of the app on a new case, and s until its steps are shown, both images on the screen, and
+    both views calibrated."""
     command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet"]
     page = browser.new_page(viewport={"width": 1280, "height": 800})
     began = time.perf_counter()
@@ -136,8 +158,11 @@ def _start(browser: Browser, folder: Path) -> tuple[_Server, Page, float, float]
     page.goto(server.url, timeout=PATIENCE_MS)
     page.get_by_test_id("step-Images").wait_for(timeout=PATIENCE_MS)
     seen = time.perf_counter() - began
+    both = "['pa', 'lateral'].every((name) => window.sightlineXray?.[name]?.state.image)"
+    page.wait_for_function(both, timeout=PATIENCE_MS)
+    drawn = time.perf_counter() - began
     Hands(page).wait_for_step("Calibrate", "done")
-    return server, page, seen, time.perf_counter() - began
+    return server, page, (seen, drawn, time.perf_counter() - began)
 
 
 def _plan(page: Page) -> None:
@@ -171,18 +196,22 @@ def _flood(url: str) -> list[Row]:
     return [Row(GROUP, what, seconds), Row(GROUP, "the next page load after them", f"{after:.1f} s")]
 
 
-async def _measure(path: str, url: str, times: int) -> tuple[dict[str, list[float]], list[float]]:
+async def _measure(path: str, server: _Server, times: int) -> dict[str, Any]:
+    """Return what `_WATCH` sees in a drag, the intervals of frames, and the server's CPU time, ms."""
     async with async_playwright() as playwright:
         browser = await playwright.chromium.launch(executable_path=path, args=FLAGS)
         page = await browser.new_page(viewport={"width": 1280, "height": 800})
-        await page.goto(url)
+        await page.goto(server.url)
         await page.get_by_test_id("step-Plan").click()
         await page.get_by_test_id("figures").wait_for()
         await page.wait_for_function("window.sightlineXray.lateral.state.layers.get('curves')?.shapes.length")
+        await page.wait_for_function("window.sightlineXray.lateral.matching.sights")
         await page.wait_for_timeout(1000)  # until the page has come to rest
         await page.evaluate(_WATCH)
         start = await page.evaluate("window.sightlineXray.pa.state.points.get('end').uv")
+        before = server.cpu_s
         frames = await drag(page, start, times, REACH_PX)
+        spent = server.cpu_s - before
         seen = await page.evaluate("window.watch")
         await browser.close()
-    return seen, frames
+    return {**seen, "frames": frames, "cpu_ms": 1000.0 * spent}

@@ -44,7 +44,12 @@ def run(quick: bool) -> list[Row]:
     made = plan(views, uv[:, 0], uv[:, 1], kind=kind("free-wire"))
     runs = RUNS // 10 if quick else RUNS
     cases = (
-        ("curve of a dragged point", lambda: matching_curve(views[0], dragged()[0, 0], views[1]), CURVE_MS, "curve"),
+        (
+            "curve of a dragged point",
+            lambda: matching_curve(views[0], dragged()[0, 0], views[1]).half_width_px,
+            CURVE_MS,
+            "curve",
+        ),
         ("plan of two snapped points and two landmarks", planned, PLAN_MS, "plan"),
         ("corridor of the wire in a view", lambda: corridor(views[0], made.trajectory), CORRIDOR_MS, ""),
     )
