@@ -164,7 +164,7 @@ def _find_landmarks_again(hands: Hands, folder: Path) -> None:
     for known in LANDMARKS:
         name = f"landmark-{known.replace(' ', '-')}"
         for view in NAMES:
-            at = check.setup.views[view].project(check.hip.landmarks_mm[known][None])[0]
+            at = check.setup.views[view].project(check.landmarks_mm[known][None])[0]
             hands.place(name, view, (float(at[0]), float(at[1])))
 
 
