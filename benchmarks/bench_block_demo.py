@@ -18,7 +18,7 @@ from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
 from sightline.atomic import scratch_folder
 from sightline.case.views import NAMES, calibrate_pair, see_pair
-from sightline.cli.demo import requested
+from sightline.cli.demo import PICK_SD_PX
 from sightline.cli.demo_robot import BY_ENCODERS, BY_IMAGES, DemoPlan, depth_limit_mm, registrations, targets_by
 from sightline.errors import SightlineError
 from sightline.frame import Frame
@@ -96,7 +96,7 @@ def _drilled(seed: int) -> dict[str, Any]:
         files = [write_dicom(rehearsal.images[name], folder / f"{name}.dcm", rehearsal.side) for name in NAMES]
         images = calibrate_pair(see_pair(files[0], files[1], frame), frame, "smooth")
     rng, ideal = rehearsal.generator("picks"), rehearsal.hip.wire_mm
-    asked, _ = requested(rehearsal, rng)
+    asked, _ = rehearsal.asked(rng, PICK_SD_PX)
     plan = asked.plan(images)
     known, wire_mm = DemoPlan(rehearsal, FRAME, asked, plan, images), plan.trajectory.points.xyz_mm
     bounds = (plan.trajectory.entry_error_95_mm, plan.trajectory.end_error_95_mm)

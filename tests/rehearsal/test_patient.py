@@ -6,7 +6,6 @@ import pytest
 from sightline.case.views import NAMES
 from sightline.errors import SetUpError
 from sightline.frame import Frame
-from sightline.planning.procedures import kind
 from sightline.rehearsal.patient import BONE_OF, LANDMARK_MARGIN_PX, RehearsedPatient
 from sightline.twin.bones import SphereAid
 
@@ -15,11 +14,11 @@ BLOCK, SEED = Frame.load("block60"), 5
 
 @pytest.fixture(scope="module", params=BONE_OF)
 def patient(request) -> RehearsedPatient:
-    return RehearsedPatient.of_bone(request.param, SEED, BLOCK, "left", imaged=False)
+    return RehearsedPatient.draw(request.param, SEED, BLOCK, "left", imaged=False)
 
 
 def test_both_views_show_the_wire_and_three_landmarks_of_the_procedure(patient: RehearsedPatient) -> None:
-    asked = [one.key for one in kind(patient.procedure).landmarks]
+    asked = [one.key for one in patient.document.landmarks]
     assert len(patient.landmark_keys) == len(patient.landmarks) >= 3  # a check shot needs three
     assert set(patient.landmark_keys) <= set(asked)
     for k, view in enumerate(NAMES):
@@ -32,7 +31,7 @@ def test_both_views_show_the_wire_and_three_landmarks_of_the_procedure(patient: 
 
 def test_the_views_are_those_of_the_procedure(patient: RehearsedPatient) -> None:
     """Within the tolerance of the file, which set-ups of a drawn frame and C-arm reach."""
-    for wanted, view in zip(kind(patient.procedure).document.views, patient.setup.views.values(), strict=False):
+    for wanted, view in zip(patient.document.views, patient.setup.views.values(), strict=False):
         beam = view.detector.normal * np.sign((view.detector.origin_mm - view.focal_point_mm) @ view.detector.normal)
         orbit, tilt = np.deg2rad([wanted.orbit_deg, wanted.tilt_deg])
         # Caudal is -Y of a left patient; a positive tilt has the detector towards the head.
@@ -58,4 +57,4 @@ def test_clicks_on_a_rim_are_tangent_to_the_sphere_away_from_its_cut(patient: Re
 
 def test_plates_do_not_show_inlet_and_outlet() -> None:
     with pytest.raises(SetUpError, match="inlet, outlet"):
-        RehearsedPatient.of_bone("iliosacral-screw", SEED, Frame.load("gamma"), imaged=False)
+        RehearsedPatient.draw("iliosacral-screw", SEED, Frame.load("gamma"), imaged=False)

@@ -10,15 +10,12 @@ from sightline.cli.demo_robot import DemoPlan, carry_out
 from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from sightline.calibration.fit import Method
     from sightline.case.contents import PlanRequest
     from sightline.case.report.comparison import Compared, Refused, Truth
     from sightline.case.report.content import Report
     from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
-    from sightline.rehearsal.patient import AidClicks, RehearsedPatient
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the plan is made with the first
 OF_SOLIDS: "tuple[Method, ...]" = METHODS[:1]  # the others are for plates
@@ -99,7 +96,7 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
     with output.step(f"3/8 calibrating both views: {', '.join(methods)}"):
         images = {method: calibrate_pair(seen, frame, method) for method in methods}
     rng = rehearsal.generator("picks")
-    asked, drawn_px = requested(rehearsal, rng)
+    asked, drawn_px = rehearsal.asked(rng, PICK_SD_PX)
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
         planned = asked.plan(images[METHODS[0]])
     with output.step("5/8 comparing with the truth"):
@@ -145,35 +142,6 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
         "comparison": [one.document() for one in compared],
         "drilled": None if drilled is None else drilled.document()["check_shot"],
     }
-
-
-def requested(rehearsal: "RehearsedPatient", rng: "np.random.Generator") -> "tuple[PlanRequest, AidClicks]":
-    """Return the plan that a person asks for, with the picks, and the clicks on each aid by its key."""
-    import numpy as np
-
-    from sightline.case.contents import PlanRequest
-    from sightline.planning import Aids, kind
-
-    types = {aid.key: aid.type for aid in kind(rehearsal.procedure).aids}
-    picks = rehearsal.pixels(rehearsal.wires_mm[0]) + PICK_SD_PX * rng.standard_normal((2, 2, 2))
-    landmarks_px = np.stack(list(rehearsal.landmarks.values()), axis=1)
-    landmarks_px = landmarks_px + PICK_SD_PX * rng.standard_normal(landmarks_px.shape)
-    drawn_px = {
-        key: [None if uv is None else uv + PICK_SD_PX * rng.standard_normal(uv.shape) for uv in each]
-        for key, each in rehearsal.aids_px.items()
-    }
-    asked = PlanRequest(
-        picks[:, 0],
-        picks[:, 1],
-        PICK_SD_PX,
-        snapped=True,
-        landmarks_uv_px=landmarks_px,
-        landmark_names=rehearsal.landmark_keys,
-        kind=rehearsal.procedure,
-        side=rehearsal.side,
-        aids=Aids.clicked(types, drawn_px, PICK_SD_PX) if drawn_px else None,
-    )
-    return asked, drawn_px
 
 
 def _compare(

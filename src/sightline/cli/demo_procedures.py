@@ -37,7 +37,7 @@ def drawn_patient(procedure: str, seed: int, frame: "Frame") -> "RehearsedPatien
 
     if procedure in AT_HIP:
         return Rehearsal.draw(seed, frame, procedure=procedure)
-    return RehearsedPatient.of_bone(procedure, seed, frame)
+    return RehearsedPatient.draw(procedure, seed, frame)
 
 
 def command(seed: int, procedure: str, frame: str) -> str:

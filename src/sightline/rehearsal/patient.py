@@ -12,22 +12,31 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sightline.case.contents import PlanRequest
 from sightline.case.views import NAMES as VIEWS
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
-from sightline.planning.procedures import kind
+from sightline.planning import Aids, Procedure, WirePicks
+from sightline.planning.procedures.document import ProcedureDocument
+from sightline.planning.procedures.files import document_of
 from sightline.rehearsal.check_images import CheckImages
 from sightline.robot.kinematics.calibrated import REMOUNT_SD
 from sightline.twin import BoneScene, HipScene, Scene, SetUp, Variation, draw_setup, render, truth_document
 from sightline.twin.bone_scene import BONES, bone_document, shown_bone_scene
-from sightline.twin.bones import Aid, SphereAid
+from sightline.twin.bones import Aid, LineAid, SphereAid
 from sightline.twin.drawn_aids import drawn_aids, hip_aids
+from sightline.twin.femur import Femur, draw_femur, to_cfcs
+from sightline.twin.scene import placed_hip, shown_setup
 from sightline.twin.specimens import tagged
 
 PARTS = (*VIEWS, "robot", "check", "picks", "ALIGNED", "PAUSED")  # each has its own generator; add new parts at the end
 LANDMARK_MARGIN_PX = 30.0  # landmarks nearer to the edge of a field are not picked [ours]
 RIM_ANGLES_RAD = np.array([0.3, 2.4, 4.5])  # about a third of the outline apart
 CAP_ANGLES_RAD = np.deg2rad([-65.0, 0.0, 65.0])  # on a cap that a plane cuts off, from its top: the rim is round [ours]
+SHAFT_MM = np.array([[0.0, 0.0, 0.0], [0.0, 20.0, 0.0]])  # the drawn part of a hip's shaft, from the neck's base [ours]
+CANNULATED = "cannulated-hip-screws"
+# Screws of 7.3 mm, and 0.5 mm to each side: a plan that is right up to the limit of "wire in neck" fails by its error.
+WIDER_SCREW_MM = 8.3
 AidClicks: TypeAlias = Mapping[str, Sequence[np.ndarray | None]]
 BONE_OF = {"slipped-epiphysis-pin": "growing-femur", "iliosacral-screw": "pelvis", "pedicle-screw": "vertebra"}
 
@@ -42,16 +51,22 @@ class RehearsedPatient:
     procedure: str = "hip-screw"
 
     @staticmethod
-    def of_bone(
+    def draw(
         procedure: str, seed: int, frame: Frame, side: str = "right", *, imaged: bool = True
     ) -> "RehearsedPatient":
-        """Draw a patient for one of BONE_OF; both views show the whole wire. `imaged`: the bone absorbs; without it
-        there are no images, but all points.
+        """Draw a patient without a robot; both views show all wires. `imaged`: False leaves out what absorbs, for
+        studies of points.
 
         Raises SetUpError, also for plates whose beams are not those of the procedure.
         """
-        setup, bone = shown_bone_scene(np.random.default_rng(seed), frame, BONE_OF[procedure], side, imaged=imaged)
-        return RehearsedPatient(seed, _renamed(setup), bone, procedure)
+        rng = np.random.default_rng(seed)
+        if procedure in BONE_OF:
+            setup, bone = shown_bone_scene(rng, frame, BONE_OF[procedure], side, imaged=imaged)
+            return RehearsedPatient(seed, _renamed(setup), bone, procedure)
+        femur = draw_femur(rng)
+        setup, head = shown_setup(rng, frame, side, femur, wires_mm=_anatomical(femur, procedure))
+        hip = placed_hip(setup, femur, head, rng) if imaged else HipScene.of(Scene(), Scene(), femur, side, head)
+        return RehearsedPatient(seed, setup, hip, procedure)
 
     def generator(self, part: str) -> np.random.Generator:
         """Return the generator of one of PARTS in its initial state."""
@@ -63,9 +78,16 @@ class RehearsedPatient:
         return self.setup.side
 
     @property
+    def document(self) -> ProcedureDocument:
+        """The procedure's file."""
+        return document_of(self.procedure)
+
+    @property
     def wires_mm(self) -> np.ndarray:
-        """Entry and end (n, 2, 3) of the ideal wires, CFCS."""
-        return self.bone.wires_mm
+        """Entry and end (n, 2, 3) of the ideal wires, CFCS, in the order of the procedure's file."""
+        if isinstance(self.bone, BoneScene):
+            return self.bone.wires_mm
+        return to_cfcs(_anatomical(self.bone.femur, self.procedure), self.side, self.bone.head_mm)
 
     @property
     def scene(self) -> Scene:
@@ -88,7 +110,7 @@ class RehearsedPatient:
         """Pixels (2, 2) in both images of each landmark that is picked, by its name in the twin: those that the
         procedure names, or of a procedure for any bone the first ones, as far as they lie well inside both fields."""
         known = self.bone.landmarks_mm
-        asked = [one.key for one in kind(self.procedure).landmarks]
+        asked = [one.key for one in self.document.landmarks]
         named = [name for name in known if _key(name) in asked]
         uv = self.pixels(np.stack(list(known.values())))
         shown = [self.setup.views[name].in_field(uv[k], LANDMARK_MARGIN_PX) for k, name in enumerate(VIEWS)]
@@ -99,7 +121,7 @@ class RehearsedPatient:
     @property
     def landmark_keys(self) -> tuple[str, ...]:
         """The keys of `landmarks` in the procedure's file."""
-        asked = [one.key for one in kind(self.procedure).landmarks]
+        asked = [one.key for one in self.document.landmarks]
         keys = tuple(_key(name) for name in self.landmarks)
         return keys if set(keys) <= set(asked) else tuple(asked[: len(keys)])
 
@@ -107,8 +129,8 @@ class RehearsedPatient:
     def aids_px(self) -> AidClicks:
         """True clicks (M, 2) in each image on the aids that are drawn, by their keys in the procedure's file: all whose
         clicks lie in the fields. None in an image in which the aid is not drawn."""
-        procedure = kind(self.procedure)
-        asked = {aid.key: [view.name in aid.views for view in procedure.document.views] for aid in procedure.aids}
+        views = [view.name for view in self.document.views]
+        asked = {aid.key: [view in aid.views for view in views] for aid in self.document.aids}
         known = {name: aid for name, aid in self._aids.items() if _key(name) in asked}
         out = {key: [uv[view] for view in VIEWS] for key, uv in drawn_aids(known, self.setup.views).items()}
         for name, aid in known.items():
@@ -123,7 +145,54 @@ class RehearsedPatient:
     @property
     def _aids(self) -> Mapping[str, Aid]:
         bone = self.bone
-        return bone.aids if isinstance(bone, BoneScene) else hip_aids(bone.femur, self.side, bone.head_mm)
+        if isinstance(bone, BoneScene):
+            return bone.aids
+        shaft = bone.femur.base_mm + SHAFT_MM
+        near = LineAid(to_cfcs(shaft, self.side, bone.head_mm))
+        return {**hip_aids(bone.femur, self.side, bone.head_mm), "shaft": near, "cortex": self._cortex(shaft.mean(0))}
+
+    def _cortex(self, on_mm: np.ndarray) -> LineAid:
+        """Return the lateral edge of the shaft in the first image, beside a point (3,) of its axis, anatomical.
+
+        A click is a line without length.
+        """
+        assert isinstance(self.bone, HipScene)  # noqa: S101 - asked of hips only
+        source = to_cfcs(self.setup.views[VIEWS[0]].focal_point_mm - self.bone.head_mm, self.side, np.zeros(3))
+        sideways = np.cross(on_mm - source, [0.0, 1.0, 0.0])
+        edge = self.bone.femur.surface_mm(on_mm, sideways * np.sign(sideways[0]) / np.linalg.norm(sideways))
+        return LineAid(to_cfcs(edge, self.side, self.bone.head_mm)[None])
+
+    def asked(self, rng: np.random.Generator, sd_px: float) -> tuple[PlanRequest, AidClicks]:
+        """Return the plan that a person asks for, its clicks with normal noise, and the clicks on each aid by its key.
+
+        Second picks of the wires are snapped to their curves; landmarks are free. Of several wires the request is that
+        of the first, with the others' picks.
+        """
+        document, wires = self.document, self.wires_mm
+        picks = self.pixels(wires[0]) + sd_px * rng.standard_normal((2, 2, 2))
+        landmarks_px = np.stack(list(self.landmarks.values()), axis=1)
+        landmarks_px = landmarks_px + sd_px * rng.standard_normal(landmarks_px.shape)
+        drawn_px = {
+            key: [None if uv is None else uv + sd_px * rng.standard_normal(uv.shape) for uv in each]
+            for key, each in self.aids_px.items()
+        }
+        others = {}
+        for wire, line in zip(document.wires[1:], wires[1:], strict=True):
+            uv = self.pixels(line) + sd_px * rng.standard_normal((2, 2, 2))
+            others[wire.key] = WirePicks(uv[:, 0], uv[:, 1], snapped=True)
+        request = PlanRequest(
+            picks[:, 0],
+            picks[:, 1],
+            sd_px,
+            snapped=True,
+            landmarks_uv_px=landmarks_px,
+            landmark_names=self.landmark_keys,
+            kind=Procedure.of(document, document.wires[0].key).key,
+            side=self.side,
+            aids=Aids.clicked({aid.key: aid.type for aid in document.aids}, drawn_px, sd_px) if drawn_px else None,
+            others=others or None,
+        )
+        return request, drawn_px
 
     def rim_px(self, centre_mm: np.ndarray, radius_mm: float, top: np.ndarray | None = None) -> np.ndarray:
         """Return the pixels (2, 3, 2) in both images of three points around the outline of a sphere: at RIM_ANGLES_RAD,
@@ -169,7 +238,7 @@ class RehearsedPatient:
         return CheckImages.take(
             self.setup,
             self.bone,
-            (wire_mm, kind(self.procedure).wire_mm),
+            (wire_mm, self.document.wires[0].diameter_mm),
             motion,
             (rng, self._set_up_again),
             landmarks_mm=landmarks,
@@ -189,6 +258,13 @@ def _renamed(setup: SetUp) -> SetUp:
     """Return the set-up with its views named as those of every pair of images are, in their order."""
     views = {name: replace(view, name=name) for name, view in zip(VIEWS, setup.views.values(), strict=True)}
     return replace(setup, views=views)
+
+
+def _anatomical(femur: Femur, procedure: str) -> np.ndarray:
+    """Return entry and end (n, 2, 3) of the wires of a hip's procedure, anatomical, in the order of its file."""
+    if procedure == CANNULATED:
+        return femur.cannulated_wires_mm(WIDER_SCREW_MM)[[0, 2, 1]]  # inferior, anterior, posterior
+    return np.stack(femur.wire_mm())[None]
 
 
 def _key(name: str) -> str:

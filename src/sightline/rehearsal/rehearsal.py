@@ -9,7 +9,6 @@ from scipy.spatial.transform import RigidTransform
 from sightline.case.views import NAMES as VIEWS
 from sightline.frame import Frame
 from sightline.planning.drill_shot import ALIGNED
-from sightline.planning.procedures import kind
 from sightline.rehearsal.check_images import CheckImages
 from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup
 from sightline.rehearsal.patient import LANDMARK_MARGIN_PX, AidClicks, RehearsedPatient
@@ -69,7 +68,7 @@ class Rehearsal(RehearsedPatient):
     @property
     def aids_px(self) -> AidClicks:
         """Clicks on the aids that are drawn, as of other patients: of those of the procedure the head."""
-        asked = {aid.key for aid in kind(self.procedure).aids}
+        asked = {aid.key for aid in self.document.aids}
         return {"head": list(self.head_rim)} if "head" in asked else {}
 
     @property

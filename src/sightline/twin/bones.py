@@ -93,12 +93,13 @@ class TubeAid:
     """An aid: a tube of bone between two ends (2, 3) of its axis.
 
     Its section holds all points within `round_mm` of a rectangle of the half sides `across_mm` (2, 3), the longer one
-    first: vectors perpendicular to each other and to the axis.
+    first: vectors perpendicular to each other and to the axis. `oval`: seen end-on, its section is drawn.
     """
 
     ends_mm: np.ndarray
     across_mm: np.ndarray
     round_mm: float
+    oval: bool = False
 
     def mapped(self, points: Points) -> "TubeAid":
         """Return the tube after an isometry of points (..., 3)."""

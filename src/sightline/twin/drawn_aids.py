@@ -8,7 +8,7 @@ from sightline.twin.bones import Aid, LineAid, PlaneAid, SphereAid, TubeAid
 from sightline.twin.carm import ViewTruth
 from sightline.twin.femur import NARROWEST, Femur, to_cfcs
 
-END_ON = np.cos(np.pi / 4)  # a tube nearer to the beam than this shows its section, others their borders [ours]
+END_ON = np.cos(np.pi / 4)  # an oval tube nearer to the beam than this shows its section, others their borders [ours]
 _TOUCHES = 4  # iterations of a border's tangent point; each reduces its error a hundredfold
 RIM_ANGLES_RAD = np.radians([100.0, 190.0, 340.0])  # of the clicks on a sphere's rim
 
@@ -21,8 +21,8 @@ def drawn_aids(aids: Mapping[str, Aid], views: Mapping[str, ViewTruth]) -> dict[
     - a sphere: three clicks on its rim
     - a line: its ends
     - a plane: the ends of its diameter perpendicular to the beam
-    - a tube: two clicks on one border and two on the other; seen end-on the ends of the long axis of its section, then
-      those of the short one
+    - a tube: two clicks on one border and two on the other; of an oval one seen end-on the ends of the long axis of its
+      section, then those of the short one
     """
     return {
         name.replace(" ", "-"): {
@@ -59,7 +59,7 @@ def clicked_mm(aid: Aid, focal_mm: np.ndarray) -> np.ndarray:
         across = _unit(np.cross(aid.normal, aid.point_mm - focal_mm))
         return aid.point_mm + np.outer([-aid.half_mm, aid.half_mm], across)
     along, middle = _unit(aid.ends_mm[1] - aid.ends_mm[0]), aid.ends_mm.mean(axis=0)
-    if abs(along @ _unit(middle - focal_mm)) > END_ON:
+    if aid.oval and abs(along @ _unit(middle - focal_mm)) > END_ON:
         half = np.linalg.norm(aid.across_mm, axis=1, keepdims=True)
         axes = aid.across_mm * (1 + aid.round_mm / half)
         return middle + np.concatenate([axes[:1], -axes[:1], axes[1:], -axes[1:]])

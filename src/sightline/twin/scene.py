@@ -106,17 +106,25 @@ def shown_hip_scene(
 
 
 def shown_setup(
-    rng: np.random.Generator, frame: Frame, side: str, femur: Femur, also_mm: np.ndarray | None = None, **drawn: Any
+    rng: np.random.Generator,
+    frame: Frame,
+    side: str,
+    femur: Femur,
+    *,
+    also_mm: np.ndarray | None = None,
+    wires_mm: np.ndarray | None = None,
+    **drawn: Any,
 ) -> tuple[SetUp, np.ndarray]:
     """Draw a set-up, and the centre (3,), CFCS, of a femur's head, so that all views show its whole ideal wire.
 
-    They also show the points `also_mm` (N, 3), CFCS. `drawn`: arguments of `draw_setup`. Raises SetUpError if none is
-    found.
+    `wires_mm` (n, 2, 3): wires to show in its place, anatomical. They also show the points `also_mm` (N, 3), CFCS.
+    `drawn`: arguments of `draw_setup`. Raises SetUpError if none is found.
     """
+    wires = np.stack(femur.wire_mm()) if wires_mm is None else wires_mm.reshape(-1, 3)
     for _ in range(ATTEMPTS):
         setup = draw_setup(rng, frame, side=side, **drawn)
         head = setup.hip_mm + draw_head(side, femur, rng)
-        points = to_cfcs(np.stack(femur.wire_mm()), side, head)
+        points = to_cfcs(wires, side, head)
         if also_mm is not None:
             points = np.vstack([points, also_mm])
         margin = HipPlace().margin_px

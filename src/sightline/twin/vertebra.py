@@ -51,7 +51,7 @@ class Vertebra:
         """Return the drawn part of the pedicle, about its narrowest place."""
         half, wide = ISTHMUS_MM / 2 * self.along, 0.98 * self.pedicle_width_mm / 2
         sides = [[0.0, self.pedicle_height_mm / 2 - wide, 0.0], (self.pedicle_width_mm / 2 - wide) * self._across]
-        return TubeAid(np.stack([self.pedicle_mm - half, self.pedicle_mm + half]), np.array(sides), wide)
+        return TubeAid(np.stack([self.pedicle_mm - half, self.pedicle_mm + half]), np.array(sides), wide, oval=True)
 
     @property
     def _across(self) -> np.ndarray:
