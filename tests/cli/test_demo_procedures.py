@@ -4,28 +4,34 @@ import pytest
 
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
-from sightline.cli.demo_procedures import AT_HIP, PLACED, frame_for
-from sightline.planning.procedures import kind
-from sightline.rehearsal.patient import BONE_OF
+from sightline.cli.demo_procedures import PLACED, frame_for
+from sightline.planning.procedures.files import document_of
+from sightline.rehearsal.patient import AT_HIP, BONE_OF, CANNULATED
 
 # Words of a hip that no report of another bone may say. "The hip" of the frame's coordinates and of the robot may.
 HIP_WORDS = ("femoral head", "lesser trochanter", "neck", "right hip", "hip screw")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("procedure", [*BONE_OF, "free-wire"])
+@pytest.mark.parametrize("procedure", [*BONE_OF, CANNULATED, "free-wire"])
 def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure: str) -> None:
     ran = run("demo", "--procedure", procedure, "--out", tmp_path / "demo", "--json")
     assert ran.code == 0, ran.err
     told = ran.document
-    assert (told["verdict"], told["kind"], told["missing"]) == ("go", procedure, [])
+    assert (told["verdict"], told["kind"].partition(":")[0], told["missing"]) == ("go", procedure, [])
+    if procedure == CANNULATED:
+        assert told["all_wires"]["verdict"] == "go"
+        assert [one["error"]["entry_mm"] < 1.0 for one in told["comparison"] if "wire, " in one["picks"]] == [
+            True,
+            True,
+        ]
     of_plan = told["comparison"][0]  # with the picks of a person; the seed is fixed
     for name in ("entry_mm", "end_mm", "direction_deg"):
         assert of_plan["error"][name] < 1.5 * of_plan["stated_95"][name]
     assert told["drilled"]["passed"] is True
     page = (tmp_path / "demo" / "report.html").read_text()
-    assert (PLACED in page.replace("&#39;", "'")) is (procedure in BONE_OF)
-    for view in kind(procedure).document.views[:2]:
+    assert (PLACED in page.replace("&#39;", "'")) is (procedure != "free-wire")
+    for view in document_of(procedure).views[:2]:
         assert f"{'PA' if view.name == 'pa' else view.name} image" in page
     if procedure in ("iliosacral-screw", "pedicle-screw"):
         assert not [word for word in HIP_WORDS if word in page]
@@ -38,6 +44,7 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
 def test_the_frame_is_gamma_unless_the_views_need_a_block(run, tmp_path) -> None:
     assert {procedure: frame_for(procedure, None) for procedure in (*AT_HIP, *BONE_OF)} == {
         "hip-screw": "gamma",
+        "cannulated-hip-screws": "gamma",
         "free-wire": "gamma",
         "slipped-epiphysis-pin": "gamma",
         "iliosacral-screw": "block60",

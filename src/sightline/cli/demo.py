@@ -78,7 +78,14 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
     from sightline.case.report.content import Report
     from sightline.case.report.page import render
     from sightline.case.views import NAMES, calibrate_pair, see_pair
-    from sightline.cli.demo_procedures import PLACED, command, drawn_patient, picks_told, title
+    from sightline.cli.demo_procedures import (
+        command,
+        drawn_patient,
+        others_compared,
+        picks_told,
+        placed_told,
+        title,
+    )
     from sightline.frame import Frame
     from sightline.imaging import write_dicom
 
@@ -98,9 +105,10 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
     rng = rehearsal.generator("picks")
     asked, drawn_px = rehearsal.asked(rng, PICK_SD_PX)
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
-        planned = asked.plan(images[METHODS[0]])
+        wires = asked.plan_wires_on([image.view for image in images[METHODS[0]]]) if asked.others else None
+        planned = wires.plans[rehearsal.document.wires[0].key] if wires else asked.plan(images[METHODS[0]])
     with output.step("5/8 comparing with the truth"):
-        compared = _compare(images, asked, truth, planned)
+        compared = _compare(images, asked, truth, planned) + others_compared(rehearsal, wires, BY_HAND)
     whole = DemoPlan(rehearsal, frame_name, asked, planned, images[METHODS[0]])
     drilled, checked, shots = carry_out(output, whole, rng) or (None, None, {})
     exposed = exposures.of_images(images[METHODS[0]], exposures.PLANNING, planned.kind)
@@ -121,24 +129,25 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
                 "side": rehearsal.side,
                 "command": command(seed, procedure, frame_name),
             }
-            | ({} if drilled is None or drilled.record else {"wire": PLACED}),
+            | ({} if drilled is None or drilled.record else {"wire": placed_told(wires)}),
             localized=(paper[0].view, paper[1].view) if (paper := images.get("localized")) else None,
             truth=truth,
             compared=compared,
             drilled=drilled,
+            wires=wires,
         )
         page = render(report)
-    kept = Kept(
-        rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, drawn_px, drilled, checked, tuple(shots.values())
-    )
+    taken = tuple(shots.values())
+    kept = Kept(rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, drawn_px, drilled, checked, taken, wires)
     record(folder / "case", kept)
     _write_results(folder, page, report, {"seed": seed, **rehearsal.truth})
-    _show(output, planned, compared)
+    _show(output, wires or planned, compared)
     if drilled is not None:
         _show_drilled(output, drilled)
     return {
         **planned.verdict_document(),
         "trajectory": planned.trajectory.document(),
+        **({} if wires is None else {"all_wires": wires.document()}),
         "comparison": [one.document() for one in compared],
         "drilled": None if drilled is None else drilled.document()["check_shot"],
     }
@@ -195,7 +204,7 @@ def _show(output: Output, planned: Any, compared: "list[Compared | Refused]") ->
     from sightline.cli.plan_results import show
 
     show(output, planned, {})
-    for how in (BY_HAND, EXACT):
+    for how in dict.fromkeys(one.picks for one in compared):
         rows = [_row(one) for one in compared if one.picks == how]
         output.table(f"Error against the truth, {how}", ("method", "entry mm", "tip mm", "direction °"), rows)
 

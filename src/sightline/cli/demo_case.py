@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage
     from sightline.cli.demo_robot import Checked
     from sightline.cli.demo_shots import ShotTaken
-    from sightline.planning import Plan
+    from sightline.planning import Plan, WirePlans
     from sightline.rehearsal.patient import AidClicks, RehearsedPatient
 
 
@@ -32,6 +32,7 @@ class Kept:
     drilled: "Drilled | None"
     checked: "Checked | None"
     shots: "tuple[ShotTaken, ...]"
+    wires: "WirePlans | None" = None
 
 
 def record(folder: Path, kept: Kept) -> None:
@@ -39,13 +40,13 @@ def record(folder: Path, kept: Kept) -> None:
     from sightline.case import stages
     from sightline.case.journal import Actor, Case, Kind
     from sightline.case.views import NAMES
-    from sightline.rehearsal.patient import BONE_OF
+    from sightline.rehearsal.rehearsal import Rehearsal
 
     rehearsal, by = kept.rehearsal, Actor.DEMO
     with Case.create(folder) as case:
         frame_ref = stages.keep_frame(case, rehearsal.setup.frame)
         stages.record_changed(case, "frame", frame_ref, by=by)
-        if rehearsal.procedure not in BONE_OF:  # the app rehearses at the hip
+        if isinstance(rehearsal, Rehearsal):  # the app rehearses with a robot
             patient = {"seed": rehearsal.seed, "frame": rehearsal.setup.frame.name, "side": rehearsal.side}
             stages.record_changed(case, "rehearsal", patient, by=by)
         before = case.last
@@ -56,7 +57,8 @@ def record(folder: Path, kept: Kept) -> None:
         acquired = [entry.number for entry in case.entries(Kind.ACQUIRED, after=before)]
         decided = _decisions(kept, dict(zip(NAMES, acquired, strict=True)))
         stages.record_changed(case, "edit", decided, by=by)
-        plan = stages.record_planned(case, (first, second), kept.asked, kept.plan, by=by)
+        made = stages.record_plans(case, (first, second), kept.asked, kept.wires or kept.plan, by=by)
+        plan = case.entry(made["entries"][kept.plan.kind.wire.key] if kept.wires else made["entry"])
         for shot in kept.shots:
             if entries := _record_images(case, shot.images, frame_ref):
                 stages.record_shot(case, plan, entries, shot.asked, shot.found, by=by)

@@ -5,29 +5,30 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
+    from sightline.case.report.comparison import Compared, Refused
     from sightline.case.report.drilled import Drilled
     from sightline.frame import Frame
+    from sightline.planning import WirePlans
     from sightline.planning.procedures import Procedure
     from sightline.rehearsal.patient import RehearsedPatient
 
-GAMMA, BLOCK = "gamma", "block60"
-AT_HIP = ("hip-screw", "free-wire")
+DEFAULT, DRILLED = "hip-screw", ("hip-screw", "free-wire")
 SEEDS = {"iliosacral-screw": 10}  # with seed 9 one click is 3.7 s.d. off, and the check shot refuses it
 HIP_PICKS = "centre of the head, both trochanters; three clicks on the head's rim in each"
-PLACED = "No robot drilled this wire: its simulation knows the hip only. The wire was put where it was planned."
+PLACED = (
+    "No robot drilled this wire: its simulation does not know this procedure. The wire was put where it was planned."
+)
 
 
 def frame_for(procedure: str, frame: str | None) -> str:
     """Return the name of the frame: the given one, or the procedure's default. Raises UnusableInputError."""
     from sightline.errors import UnusableInputError
-    from sightline.rehearsal.patient import BONE_OF
-    from sightline.twin.bone_scene import BONES
+    from sightline.rehearsal.patient import AT_HIP, BONE_OF, frame_of
 
     if procedure not in (*AT_HIP, *BONE_OF):
         known = ", ".join((*AT_HIP, *BONE_OF))
         raise UnusableInputError(f"there is no demo of {procedure!r}; choose one of {known}")
-    bone = BONES.get(BONE_OF.get(procedure, ""))
-    return frame or (BLOCK if bone is not None and (bone.beams or bone.check_beams) else GAMMA)
+    return frame or frame_of(procedure)
 
 
 def drawn_patient(procedure: str, seed: int, frame: "Frame") -> "RehearsedPatient":
@@ -35,15 +36,35 @@ def drawn_patient(procedure: str, seed: int, frame: "Frame") -> "RehearsedPatien
     from sightline.rehearsal.patient import RehearsedPatient
     from sightline.rehearsal.rehearsal import Rehearsal
 
-    if procedure in AT_HIP:
+    if procedure in DRILLED:
         return Rehearsal.draw(seed, frame, procedure=procedure)
     return RehearsedPatient.draw(procedure, seed, frame)
 
 
 def command(seed: int, procedure: str, frame: str) -> str:
     """Return the command that repeats a demo."""
-    given = "" if procedure == AT_HIP[0] else f" --procedure {procedure}"
+    given = "" if procedure == DEFAULT else f" --procedure {procedure}"
     return f"sightline demo --seed {seed}{given}" + ("" if frame == frame_for(procedure, None) else f" --frame {frame}")
+
+
+def others_compared(rehearsal: "RehearsedPatient", wires: "WirePlans | None", picks: str) -> "list[Compared | Refused]":
+    """Return the errors of the wires after the first; `picks`: how they were picked."""
+    from sightline.case.report.comparison import Compared, Truth
+
+    if wires is None:
+        return []
+    known = list(zip(rehearsal.document.wires, rehearsal.wires_mm, strict=True))[1:]
+    return [
+        Compared("smooth", f"{wire.name}, {picks}", wires.plans[wire.key].trajectory, Truth(mm, rehearsal.pixels(mm)))
+        for wire, mm in known
+    ]
+
+
+def placed_told(wires: "WirePlans | None") -> str:
+    """Return what the report says of a wire that no robot drilled."""
+    if wires is None:
+        return PLACED
+    return f"{PLACED} Of the {len(wires.plans)} wires only the first one was put into the bone and checked."
 
 
 def title(drilled: "Drilled | None") -> str:
@@ -58,5 +79,5 @@ def picks_told(kind: "Procedure", landmarks: "Sequence[str]", drawn: "Collection
     aids = "".join(f"; {one.clicks} clicks for {one.name} in each" for one in kind.aids if one.key in drawn)
     return (
         f"the true places with {sd_px:g} px of normal noise; lateral ones snapped to curves, but those of the "
-        "landmarks: " + (HIP_PICKS if kind.key == AT_HIP[0] else ", ".join(names[key] for key in landmarks) + aids)
+        "landmarks: " + (HIP_PICKS if kind.key == DEFAULT else ", ".join(names[key] for key in landmarks) + aids)
     )

@@ -35,10 +35,17 @@ RIM_ANGLES_RAD = np.array([0.3, 2.4, 4.5])  # about a third of the outline apart
 CAP_ANGLES_RAD = np.deg2rad([-65.0, 0.0, 65.0])  # on a cap that a plane cuts off, from its top: the rim is round [ours]
 SHAFT_MM = np.array([[0.0, 0.0, 0.0], [0.0, 20.0, 0.0]])  # the drawn part of a hip's shaft, from the neck's base [ours]
 CANNULATED = "cannulated-hip-screws"
+AT_HIP = ("hip-screw", CANNULATED, "free-wire")
 # Screws of 7.3 mm, and 0.5 mm to each side: a plan that is right up to the limit of "wire in neck" fails by its error.
 WIDER_SCREW_MM = 8.3
 AidClicks: TypeAlias = Mapping[str, Sequence[np.ndarray | None]]
 BONE_OF = {"slipped-epiphysis-pin": "growing-femur", "iliosacral-screw": "pelvis", "pedicle-screw": "vertebra"}
+
+
+def frame_of(procedure: str) -> str:
+    """Return the name of the frame that shows a procedure's views, those of its check shot too: Γ, or a block."""
+    bone = BONES.get(BONE_OF.get(procedure, ""))
+    return "block60" if bone is not None and (bone.beams or bone.check_beams) else "gamma"
 
 
 @dataclass(frozen=True, eq=False)

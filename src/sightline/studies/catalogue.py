@@ -12,6 +12,7 @@ from sightline.studies.study_fig15 import Figure15
 from sightline.studies.study_frame_design import FrameDesignStudy
 from sightline.studies.study_freehand import Freehand
 from sightline.studies.study_porcine import Porcine
+from sightline.studies.study_procedures import Procedures
 from sightline.studies.study_robustness import Robustness
 from sightline.studies.study_table1 import Table1
 from sightline.studies.study_wrong_plans import WrongPlans
@@ -26,6 +27,7 @@ _ALL: tuple[Study, ...] = (
     Figure13(),
     Freehand(),
     Porcine(),
+    Procedures(),
     Figure8(),
     Figure12(),
     Figure15(),

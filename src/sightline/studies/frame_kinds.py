@@ -8,15 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-import sightline as sl
-from sightline.calibration.focal_length import CArm
-from sightline.calibration.together import calibrate_together
-from sightline.calibration.view import CalibratedView
 from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.studies.figure_spans import RMS, spans
 from sightline.studies.frame_errors import BEAD_PX, INTERVAL, PICK_PX, DesignResult, located
-from sightline.studies.scenes import BEADS_20UM, WHOLE, TargetScene, draw_showing, measure
+from sightline.studies.scenes import BEADS_20UM, WHOLE, TargetScene, calibrated_views, draw_showing, measure
 from sightline.studies.study import Plot, Values
 from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin.carm import Variation
@@ -110,14 +106,6 @@ def error_of_kind(kind: FrameKind, sd: Tolerances, seed: int) -> Values | None:
     scene = TargetScene.of(setup, measure(rng, setup, BEAD_PX), setup.hip_mm + WIRE_ENDS_MM)
     picks = scene.target_px + PICK_PX * rng.standard_normal(scene.target_px.shape)
     try:
-        return located(_calibrated(scene), picks, scene.target_mm)
+        return located(calibrated_views(scene.setup, scene.observations), picks, scene.target_mm)
     except SightlineError:
         return None
-
-
-def _calibrated(scene: TargetScene) -> list[CalibratedView]:
-    arms = [CArm(view.chain.sdd_mm, view.chain.pitch_mm) for view in scene.setup.views.values()]
-    seen = list(scene.observations.values())
-    if scene.frame.solid is not None:
-        return list(calibrate_together(seen, scene.frame, arms))
-    return [sl.calibrate(one, scene.frame) for one in seen]

@@ -12,6 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import Delaunay
 
+import sightline as sl
+from sightline.calibration.focal_length import CArm
+from sightline.calibration.together import calibrate_together
+from sightline.calibration.view import CalibratedView
 from sightline.detection import Observations
 from sightline.errors import SetUpError
 from sightline.frame import Frame, Tolerances
@@ -111,6 +115,16 @@ def measure(rng: np.random.Generator, setup: SetUp, bead_px: float, uneven: floa
         shape = None if setup.frame.solid is None else setup.views[name].chain.shape  # its calibration needs it
         out[name] = Observations(name, ids, measured, sd[:, None, None] ** 2 * np.eye(2), image_shape=shape)
     return out
+
+
+def calibrated_views(setup: SetUp, seen: Mapping[str, Observations], told: Frame | None = None) -> list[CalibratedView]:
+    """Calibrate all views of a set-up, those of a solid together. `told`: the frame as it is known, by default the
+    nominal one. Raises what `calibrate` raises."""
+    told = told or setup.frame
+    if told.solid is None:
+        return [sl.calibrate(one, told) for one in seen.values()]
+    arms = [CArm(view.chain.sdd_mm, view.chain.pitch_mm) for view in setup.views.values()]
+    return list(calibrate_together(list(seen.values()), told, arms))
 
 
 def _plate_hulls(setup: SetUp, name: str, seen: Observations) -> list[Delaunay]:
