@@ -233,13 +233,15 @@ def _planned(rng: np.random.Generator, bone: DrawnHip | DrawnBone, of: WrongKind
 def _unseen(
     bone: DrawnHip | DrawnBone, wire_mm: np.ndarray, right_px: dict[str, np.ndarray], unseen: str, by_mm: float
 ) -> dict[str, np.ndarray]:
-    """Return the pixels of a right plan after one of UNSEEN."""
+    """Return the pixels of a right plan after one of UNSEEN. Raises SetUpError where an image does not show them."""
     first, second = bone.setup.views.values()
     entry, out = bone.in_cfcs(wire_mm[0]), {name: uv.copy() for name, uv in right_px.items()}
     if unseen == ALONG_CURVE:
         out["wire"][1, 0] = second.project((entry + by_mm * unit(entry - first.focal_point_mm))[None])[0]
         return out
     moved = bone.moved(by_mm * unit(entry - second.focal_point_mm)).pixels(wire_mm)
+    if moved.keys() != out.keys():
+        raise SetUpError("one of the two images does not show a drawing")
     for name, uv in out.items():
         uv[1] = moved[name][1]
     return out
