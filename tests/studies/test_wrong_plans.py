@@ -47,7 +47,7 @@ def test_the_summary_counts_what_is_go():
         for frame, name, times, wrong, right in [
             ("gamma", names[0], 4.0, "GO", "GO"),
             ("gamma", names[1], 9.0, "NO-GO", "GO"),
-            ("block60", names[1], 3.5, "NO-GO", "NO-GO"),
+            ("block60", names[1], 3.6, "NO-GO", "NO-GO"),
         ]
     ]
     summary = WrongPlans(kinds=tuple(names)).summary(trials)
@@ -56,6 +56,7 @@ def test_the_summary_counts_what_is_go():
     assert rows[names[0]] == ("1", "1 of 1", "0.0%", "", "100.0%", "")
     assert rows["Γ on the intensifier"][:2] == ("2", "1 of 2")
     assert "1 of 3 wrong plans are GO; 67% of them violate by 5 times or less." in summary.findings
+    assert names[1] + ": 90 % lie between 3.87 and 8.73 times" in summary.plots[0].svg
     assert [row[:2] for row in summary.tables[1].rows] == [(UNSEEN[0], "3"), (UNSEEN[1], "0")]
 
 

@@ -24,10 +24,11 @@ from sightline.frame import Frame
 from sightline.planning import Plan, Procedure, kind
 from sightline.planning.directions import unit
 from sightline.studies.drawn_bones import PICK_PX, DrawnBone, DrawnHip, jittered, plan_of
+from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import share
 from sightline.studies.plan_margins import KnownBone
 from sightline.studies.scenes import ATTEMPTS, measure
-from sightline.studies.study import Estimate, Summary, Table, Values
+from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.studies.wrong_kinds import (
     BONE_OF,
     KINDS,
@@ -121,6 +122,7 @@ class WrongPlans:
                 Table("How plans end", columns, tuple(one.row(name) for name, one in found.items()), note),
                 Table("What no image shows", ("kind", "n", "GO", "checks that failed"), tuple(r for _, r in hidden)),
             ),
+            plots=tuple(_plots({name: groups[name] for name in self.kinds})),
         )
 
 
@@ -281,6 +283,15 @@ def _hidden(name: str, ended: Sequence[Values]) -> tuple[Estimate, tuple[str, ..
     """Return the share of GO among the plans of one of UNSEEN, and the row of the table."""
     go = share(f"{name}: GO", np.array([one["ended"] == "GO" for one in ended]))
     return go, (name, str(go.number), str(go), _counted(Counter(why for one in ended for why in one["why"])))
+
+
+def _plots(by_kind: dict[str, Sequence[Values]]) -> Iterable[Plot]:
+    times = {name: np.array([one["times"] for one in trials]) for name, trials in by_kind.items() if trials}
+    rows = [Span(name, *(float(np.quantile(each, at)) for at in (0.05, 0.5, 0.95))) for name, each in times.items()]
+    if rows:
+        title = "How far wrong plans violate their limits"
+        caption = "In 95 % errors of the check that must catch them: central 90 % (bar) and median (tick) by kind."
+        yield Plot(title, spans(rows, "times", title), caption)
 
 
 def _counted(reasons: Counter[str]) -> str:
