@@ -6,6 +6,7 @@ panel, balls and hip are.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -68,12 +69,15 @@ def image(view: ViewTruth, parts: Meshes, rng: np.random.Generator) -> Radiograp
     return Radiograph(stored, float(WHITE))
 
 
-def path_lengths_mm(view: ViewTruth, meshes: Mapping[str, trimesh.Trimesh]) -> dict[str, np.ndarray]:
-    """Return the path length (H, W), mm, of the rays of a panel's pixels in each mesh, by gVirtualXray."""
-    gvxr, (height, width) = _gvxr(), view.chain.shape
-    middle, (right, down) = view.detector.origin_mm, view.detector.axes
+def path_lengths_mm(
+    view: ViewTruth, meshes: Mapping[str, trimesh.Trimesh], window: "Window | None" = None
+) -> dict[str, np.ndarray]:
+    """Return the path length (H, W), mm, of rays in each mesh, by gVirtualXray: of a panel's pixels, or of a window."""
+    gvxr, window = _gvxr(), window or Window(np.zeros(2), view.chain.shape)
+    right, down = view.detector.axes
+    height, width = window.shape
     gvxr.setSourcePosition(*view.focal_point_mm.tolist(), "mm")
-    gvxr.setDetectorPosition(*middle.tolist(), "mm")
+    gvxr.setDetectorPosition(*view.detector.to_space(window.middle_mm).tolist(), "mm")
     gvxr.setDetectorUpVector(*(-down).tolist())
     gvxr.setDetectorRightVector(*right.tolist())
     gvxr.setDetectorNumberOfPixels(width, height)
@@ -87,6 +91,14 @@ def path_lengths_mm(view: ViewTruth, meshes: Mapping[str, trimesh.Trimesh]) -> d
         gvxr.removePolygonMeshesFromXRayRenderer()
         gvxr.removePolygonMeshesFromSceneGraph()
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A part of a detector's plane: its middle (2,), mm, and its size in pixels."""
+
+    middle_mm: np.ndarray
+    shape: tuple[int, int]
 
 
 @lru_cache(maxsize=1)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.calibration import CalibratedView
+from sightline.calibration import BeadView, CalibratedView
 from sightline.detection.metal_edges import MetalEdge, MetalTube, agreement, find_outline, find_rims
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import nearest_approach
@@ -25,6 +25,7 @@ from sightline.planning.hole_result import HolePose
 from sightline.threads import one_blas_thread
 
 _FIRST_BLUR_PX = 1.0  # for a first look at the rims
+_BEAD_MARGIN_PX = 4.0  # from a bead's shadow to a usable point of a rim: half of its profile, and the blur [ours]
 _MIN_AGREEMENT = 0.5  # correlation of the best candidate with the images [ours]
 
 
@@ -119,8 +120,17 @@ def _best(found: FoundNail, candidates: list[HolePose]) -> HolePose:
 def _seen(found: FoundNail, pose: HolePose, blur_px: float | None = None) -> list[HoleSeen]:
     """Return the edges that each image shows where a pose expects them; `blur_px` as in `find_rims`."""
     out = []
-    for image, outlines, camera in zip(found.images, found.outlines, found.cameras, strict=True):
+    seen = zip(found.views, found.images, found.outlines, found.cameras, strict=True)
+    for view, image, outlines, camera in seen:
         expected = expected_rims(camera, pose, found.nail)
         rims = find_rims(image, expected, OFFSETS_PX, found.nail.material, blur_px)
-        out.append(HoleSeen(outlines, rims.edge(~expected.is_exit), rims.edge(expected.is_exit)))
+        clear = ~_beside_bead(view, expected.uv_px)
+        out.append(HoleSeen(outlines, rims.edge(clear & ~expected.is_exit), rims.edge(clear & expected.is_exit)))
     return out
+
+
+def _beside_bead(view: CalibratedView, uv_px: np.ndarray) -> np.ndarray:
+    """Return which pixels (N,) lie so near to the shadow of one of the frame's beads that it disturbs a rim there."""
+    discs = np.array(list(view.shadows_px.values())).reshape(-1, 3) if isinstance(view, BeadView) else np.zeros((0, 3))
+    off = np.linalg.norm(uv_px[:, None] - discs[:, :2], axis=2) - discs[:, 2]
+    return (off < _BEAD_MARGIN_PX).any(axis=1)

@@ -221,21 +221,28 @@ class BeadView(Plotted):
         return uv[near], seen
 
     @cached_property
-    def _support(self) -> Support:
+    def shadows_px(self) -> dict[str, tuple[float, float, float]]:
+        """Centre (u, v) and radius of the shadow of each of the frame's beads that the view projects, by id."""
         fiducials = self.fiducials
         xyz = np.array([f.xyz_mm for f in fiducials], dtype=np.float64)
         places, seen = self.project_seen(xyz)
         # Radius of each shadow: distance between the images of a rim point and of the centre.
         rims, rim_seen = self.project_seen(xyz + np.outer([f.diameter_mm / 2 for f in fiducials], self.plane.axes[0]))
         both = seen & rim_seen
-        radii = np.linalg.norm(rims[both[rim_seen]] - places[both[seen]], axis=1)
+        centres = places[both[seen]]
+        radii = np.linalg.norm(rims[both[rim_seen]] - centres, axis=1)
+        shown = [f.id for f, one in zip(fiducials, both, strict=True) if one]
+        return {i: (u, v, r) for i, (u, v), r in zip(shown, centres.tolist(), radii.tolist(), strict=True)}
+
+    @cached_property
+    def _support(self) -> Support:
         used = {i for i, taken in zip(self.residuals.ids, self.residuals.used, strict=True) if taken}
-        ids = [f.id for f, shown in zip(fiducials, both, strict=True) if shown]
-        known = np.array([i in used for i in ids], dtype=bool)
+        known = np.array([i in used for i in self.shadows_px], dtype=bool)
+        discs = np.array(list(self.shadows_px.values())).reshape(-1, 3)
         # A bead left out as wrong was detected where no bead should be.
         wrong = self.residuals.uv_px[~self.residuals.used]
         stray = None if self.rejected_px is None else np.concatenate([self.rejected_px, wrong])
-        return Support.of(places[both[seen]], radii, known, stray)
+        return Support.of(discs[:, :2], discs[:, 2], known, stray)
 
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
         """Return the lines of sight of pixels (N, 2). Raises OutsideRegionError, UnusableInputError."""

@@ -1,0 +1,109 @@
+"""Images of a nail in a femur's shaft whose rays gVirtualXray has cast, for all image chains.
+
+The beam's energies and the attenuation are those of this file. Of the twin are set-up, distortion, blur, glare, noise
+and video of the detector, and the nail's mesh. Only the pixels around the nail are drawn; the others are 0.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+import trimesh
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from benchmarks.gvxr_projector import Window, path_lengths_mm
+from sightline.frame import Frame
+from sightline.imaging import Radiograph
+from sightline.twin import ViewTruth
+from sightline.twin.nails import CORTEX_MM, THIGH_MM, DistalNail
+from sightline.twin.render import DOSES, Exposure
+
+# Attenuation at 45, 55, 65 and 80 keV, 1/mm [mem: XCOM, rounded], and the share of each energy behind a thigh [ours].
+PER_MM = {
+    "titanium": (0.73, 0.435, 0.29, 0.183),
+    "steel": (2.10, 1.24, 0.79, 0.47),
+    "bone": (0.095, 0.070, 0.058, 0.045),
+    "tissue": (0.0245, 0.0218, 0.0203, 0.0187),
+}
+SHARES = np.array([0.25, 0.30, 0.27, 0.18])
+MARGIN_PX = 40  # drawn beyond the strokes
+ROD_MM = 4.0  # diameter of what hides a part of the lens
+SUBDIVISIONS = 2  # of a ball's mesh
+
+Lengths = Mapping[str, np.ndarray]
+
+
+def lengths(view: ViewTruth, nail: DistalNail, frame: Frame, window_px: np.ndarray) -> Lengths:
+    """Return the path lengths (h, w), mm, of the rays of a window's pixels (h, w, 2) in each material but tissue, and
+    in the whole thigh.
+
+    "rod": a steel rod along the nail, before the hole, that covers about 30 % of the lens's rim.
+    """
+    xy = view.intensifier.to_detector(window_px)
+    low, high, pitch = xy.min(axis=(0, 1)), xy.max(axis=(0, 1)), view.chain.pitch_mm
+    count = np.ceil((high - low) / pitch - 1e-6).astype(int) + 1
+    window = Window(low + (count - 1) / 2 * pitch, (int(count[1]), int(count[0])))
+    cast = path_lengths_mm(view, _meshes(view, nail, frame), window)
+    at = np.moveaxis((xy - low) / pitch, -1, 0)[::-1]
+    return {name: map_coordinates(length, at, order=1, mode="nearest") for name, length in cast.items()}
+
+
+def image(
+    view: ViewTruth, material: str, cast: Lengths, window_px: np.ndarray, rng: np.random.Generator, *, hidden: bool
+) -> Radiograph:
+    """Draw the image of a window (h, w, 2); `hidden`: with the rod. The nail is of this material."""
+    chain, dose = view.chain, DOSES["medium"]
+    steel = cast["balls"] + (cast["rod"] if hidden else 0.0)
+    primary = np.zeros(window_px.shape[:2])
+    for k, share in enumerate(SHARES):
+        tissue = PER_MM["tissue"][k]
+        depth = tissue * cast["thigh"] + (PER_MM["bone"][k] - tissue) * (cast["shaft"] - cast["canal"])
+        depth += (PER_MM[material][k] - tissue) * cast["nail"] + (PER_MM["steel"][k] - tissue) * steel
+        primary += share * np.exp(-depth)
+    arriving = primary + chain.scatter_to_primary * gaussian_filter(primary, 30.0 / chain.pitch_mm)
+    wanted = dose.quanta(chain)
+    quanta = wanted * arriving / arriving.mean()
+    jacobian = view.intensifier.jacobian(np.zeros((1, 2)))[0]
+    core_px = chain.core_mm * float(np.sqrt(np.linalg.det(jacobian)))
+    field = np.ones(quanta.shape, dtype=bool)
+    drawn = Exposure(chain, quanta, quanta, field, core_px, dose.level * chain.white / wanted).read_out(rng)
+    whole = np.zeros(chain.shape, dtype=drawn.pixels.dtype)
+    (left, top), (h, w) = window_px[0, 0].astype(int), quanta.shape
+    whole[top : top + h, left : left + w] = drawn.pixels
+    return Radiograph(whole, drawn.white)
+
+
+def window_px(view: ViewTruth, strokes_px: np.ndarray) -> np.ndarray:
+    """Return the pixels (h, w, 2) around strokes (..., 2), within the image."""
+    at, size = strokes_px.reshape(-1, 2), np.array(view.chain.shape[::-1])
+    low = np.clip(np.floor(at.min(axis=0) - MARGIN_PX), 0, size - 1).astype(int)
+    high = np.clip(np.ceil(at.max(axis=0) + MARGIN_PX), 0, size - 1).astype(int)
+    u, v = (np.arange(a, b + 1, dtype=float) for a, b in zip(low, high, strict=True))
+    return np.stack(np.meshgrid(u, v), axis=-1)
+
+
+def _meshes(view: ViewTruth, nail: DistalNail, frame: Frame) -> dict[str, trimesh.Trimesh]:
+    mesh, along = nail.mesh(), nail.along
+    ends = nail.hole_mm + np.array([[-75.0], [75.0]]) * along
+    shaft, canal = (trimesh.creation.cylinder(radius, segment=ends, sections=192) for radius in CORTEX_MM)
+    thigh = trimesh.creation.cylinder(1.0, height=400.0, sections=192)
+    thigh.apply_scale([*THIGH_MM, 1.0])
+    thigh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1.0, 0.0, 0.0]))
+    thigh.apply_translation(nail.hole_mm)
+    beam = nail.hole_mm - view.focal_point_mm
+    beam /= np.linalg.norm(beam)
+    aside = np.cross(along, beam)
+    aside *= np.sign(aside @ np.ones(3)) / np.linalg.norm(aside)
+    # A chord at 0.59 of the radius cuts 30 % off a circle's rim.
+    at = nail.hole_mm + (0.59 * nail.hole_diameter_mm / 2 + ROD_MM / 2) * aside - 12.0 * beam
+    rod = trimesh.creation.cylinder(ROD_MM / 2, segment=at + np.array([[-40.0], [40.0]]) * along, sections=64)
+    metal = trimesh.Trimesh(mesh.vertices_mm, mesh.triangles, process=False)
+    return {"nail": metal, "shaft": shaft, "canal": canal, "thigh": thigh, "rod": rod, "balls": _balls(frame)}
+
+
+def _balls(frame: Frame) -> trimesh.Trimesh:
+    out = []
+    for one in frame.fiducials:
+        ball = trimesh.creation.icosphere(SUBDIVISIONS, one.diameter_mm / 2)
+        ball.apply_translation(np.asarray(one.xyz_mm))
+        out.append(ball)
+    return trimesh.util.concatenate(out)
