@@ -8,7 +8,7 @@ from benchmarks.scenes_hole import scored
 from tests.nail_images import NailImages, nail_images
 
 from sightline.errors import ReconstructionRefusedError, SightlineError, UnusableInputError, WireRefusedError
-from sightline.interlocking import find_hole, find_nail
+from sightline.interlocking import find_hole, find_holes, find_nail
 from sightline.planning import Nail
 from sightline.twin.arm import beam_at
 from sightline.twin.nails import DistalNail
@@ -76,6 +76,12 @@ def test_clicks_on_two_holes_are_refused(titanium):
     other = titanium.views[1].project(NAIL.holes[1, :1])[0]
     with pytest.raises(ReconstructionRefusedError, match="two different holes"):
         find_hole(nail, [titanium.clicks_px[0], other])
+
+
+def test_one_hole_clicked_twice_is_refused(titanium):
+    nail = find_nail(titanium.views, titanium.images, titanium.strokes_px, _known(NAIL))
+    with pytest.raises(ReconstructionRefusedError, match="the same one"):
+        find_holes(nail, titanium.clicks_px, titanium.clicks_px + 1.0, "right")
 
 
 def test_sizes_of_another_nail_are_refused(titanium):

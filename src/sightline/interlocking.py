@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sightline.calibration import BeadView, CalibratedView
 from sightline.detection.metal_edges import MetalEdge, MetalTube, agreement, find_outline, find_rims
@@ -11,7 +12,7 @@ from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import nearest_approach
 from sightline.imaging import Radiograph
 from sightline.planning import Hole, HoleSeen, Nail, fit_hole
-from sightline.planning.directions import unit
+from sightline.planning.directions import caudal, towards, unit
 from sightline.planning.hole import nail_line, turned_to_rims
 from sightline.planning.hole_expected import (
     OFFSETS_PX,
@@ -26,6 +27,7 @@ from sightline.threads import one_blas_thread
 
 _FIRST_BLUR_PX = 1.0  # for a first look at the rims
 _BEAD_MARGIN_PX = 4.0  # from a bead's shadow to a usable point of a rim: half of its profile, and the blur [ours]
+_MAX_SPACING_MM = 1.0  # of a nail's holes from the stated spacing: nails differ by 2 mm or more [ours]
 _MIN_AGREEMENT = 0.5  # correlation of the best candidate with the images [ours]
 
 
@@ -73,7 +75,7 @@ def find_nail(
 
 
 @one_blas_thread
-def find_hole(found: FoundNail, clicks_px: np.ndarray) -> Hole:
+def find_hole(found: FoundNail, clicks_px: ArrayLike) -> Hole:
     """Return the hole of a nail near a click (u, v) in each view, (2, 2), a few pixels off.
 
     Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError, ErrorUnknownError.
@@ -84,6 +86,37 @@ def find_hole(found: FoundNail, clicks_px: np.ndarray) -> Hole:
     pose = _best(found, hole_candidates(found.cameras, found.point_mm, found.along, list(clicks)))
     near = turned_to_rims(found.cameras, _seen(found, pose, _FIRST_BLUR_PX), found.nail, pose)
     return fit_hole(found.views, _seen(found, near), found.nail, near)  # rims expected where they are
+
+
+def find_holes(found: FoundNail, distal_px: ArrayLike, proximal_px: ArrayLike, side: str) -> dict[str, Hole]:
+    """Return both distal holes of a nail, "distal" and "proximal", each near a click in each view, (2, 2).
+
+    `side`: of the patient, "right" or "left"; it tells which of the two is the distal one. Raises what `find_hole`
+    raises, and ReconstructionRefusedError for one hole clicked twice, exchanged holes, and holes of another nail.
+    """
+    holes = {"distal": find_hole(found, distal_px), "proximal": find_hole(found, proximal_px)}
+    refuse_confused(holes["distal"], holes["proximal"], found.nail, side)
+    return holes
+
+
+def refuse_confused(distal: Hole, proximal: Hole, nail: Nail, side: str) -> None:
+    """Raise ReconstructionRefusedError for one hole taken twice, exchanged holes, and holes of another nail."""
+    along = towards(distal.nail_direction, caudal(side), "the nail")
+    apart = float((distal.middle_mm - proximal.middle_mm) @ along)
+    if abs(apart) < nail.hole_mm:
+        raise ReconstructionRefusedError(
+            f"both holes are the same one: their axes are {abs(apart):.1f} mm apart along the nail; click another hole"
+        )
+    if apart < 0:
+        raise ReconstructionRefusedError(
+            f"the holes are exchanged: the one clicked as distal lies {-apart:.1f} mm proximal of the other; exchange "
+            "the clicks, or correct the side"
+        )
+    if nail.spacing_mm is not None and abs(apart - nail.spacing_mm) > _MAX_SPACING_MM:
+        raise ReconstructionRefusedError(
+            f"the holes are {apart:.1f} mm apart in the images and {nail.spacing_mm:.1f} mm as stated: it is another "
+            "nail or another hole; give the sizes of this nail, or click its holes again"
+        )
 
 
 def _outlines(

@@ -79,7 +79,7 @@ def _old(content: dict[str, Any]) -> dict[str, Any]:
 def test_interlocking_of_old_cases_and_flags_is_distal_interlocking(run, beads_csv, setup, tmp_path, flag) -> None:
     case = tmp_path / "case"
     given = ["plan", beads_csv, beads_csv, *picks(setup, WIRE_MM), flag, "interlocking", "--case", case, "--json"]
-    assert run(*given).document["kind"] == "distal-interlocking"
+    assert run(*given).document["kind"] == "distal-interlocking:distal"
     with Case.open(case, read_only=True) as opened:
         entry = opened.latest(Kind.PLANNED)
         assert entry is not None

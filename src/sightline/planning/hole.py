@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from sightline.calibration.view import CalibratedView
+from sightline.calibration.view import SOURCES, CalibratedView
 from sightline.checks import Check, failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_999, ellipsoid_factor
@@ -132,6 +132,7 @@ def fit_hole(
         entry_mm=ends[:3],
         exit_mm=ends[3:],
         covariance_mm2=by_parameters @ solved.covariance @ by_parameters.T,
+        budget_mm2=_budget(points, solved, kept, by_parameters),
         nail_mm=solved.state[_NAIL],
         nail_direction=solved.state[_ALONG],
         given=counts,
@@ -146,13 +147,14 @@ def fit_hole(
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """All N edge points: kind and view (N,), variance (N,) and common error (N,), px; and their lines of sight.
+    """All N edge points: kind and view (N,), variance (N,) and common error (N,), px; and their lines of `sights`.
 
     `measured` (Z,): the numbers of the lines (focal point, then xy of each line, for every view), mm; `covariance`
     (Z, Z) of these; `columns` (N, 5): the numbers that each point depends on; `origin_mm`, `axes`: of each line's
     plane.
     """
 
+    sights: Sights
     names: tuple[str, ...]
     kind: np.ndarray
     view: np.ndarray
@@ -187,6 +189,7 @@ class _Points:
         row = np.concatenate([np.arange(n) for n in each])[:, None]
         planes = [one.plane for one in sights.lines]
         return _Points(
+            sights,
             tuple(one.view for one in sights.lines),
             np.repeat(np.tile(np.arange(4), len(views)), sizes),
             view,
@@ -305,6 +308,7 @@ class _Solved:
     """A least-squares step: the state (17,) and the lines' numbers (Z,) after it, the covariance (13, 13) of the
     parameters, and what checks need.
 
+    `gain` (13, K): response of the parameters to the residuals of the K points used.
     `own` (N,): each point's own error over its s.d., as far as the lines' errors do not explain it; `standard` (N,):
     residual over its s.d. given all others, 0 where not used; `freely`: each size without its own prior, minus the
     stated one, and its s.d. (2, 3); `step`: largest change, mm.
@@ -313,6 +317,7 @@ class _Solved:
     state: np.ndarray
     numbers: np.ndarray
     covariance: np.ndarray
+    gain: np.ndarray
     own: np.ndarray
     standard: np.ndarray
     chi_square: float
@@ -359,6 +364,7 @@ def _solved(points: _Points, nail: Nail, at: tuple[np.ndarray, np.ndarray], infl
         _anchored(state + tangents @ step),
         points.measured - to_lines @ left,
         own,
+        own @ by_design.T,
         np.sqrt(variance) * np.where(kept, inflation, 0.0) * left,
         standard,
         float((residual + design @ step) @ left[kept] + precision @ after**2),
@@ -516,6 +522,17 @@ def _crossings(state: np.ndarray) -> np.ndarray:
     a, b, c = step @ step, step @ off, off @ off - state[_WALL] ** 2
     root = np.sqrt(max(b * b - a * c, 0.0))
     return np.concatenate([state[_HOLE] + (s * root - b) / a * axis for s in (-1, 1)])
+
+
+def _budget(points: _Points, solved: _Solved, kept: np.ndarray, by_parameters: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the covariance (6, 6) of entry and exit from each source of the lines' errors; "picks": all others."""
+    by, columns = points.by_numbers(solved.state, solved.numbers)[kept], points.columns[kept]
+    to_ends = by_parameters @ solved.gain
+    response = np.zeros((6, len(points.measured)))
+    np.add.at(response.T, columns.ravel(), (to_ends.T[:, None, :] * by[:, :, None]).reshape(-1, 6))
+    out = {source: response @ points.sights.covariance_of(source) @ response.T for source in SOURCES}
+    out["picks"] = by_parameters @ solved.covariance @ by_parameters.T - np.sum(list(out.values()), axis=0)
+    return out
 
 
 def _undetermined() -> ReconstructionRefusedError:

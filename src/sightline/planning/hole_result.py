@@ -1,13 +1,16 @@
 """A nail as its maker states it, and the result of measuring one of its transverse holes."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sightline.checks import Check, failed
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import length_quantile, line_direction
+from sightline.planning.axis import Axis
 from sightline.planning.directions import unit
+from sightline.planning.results import SpacePoints, error_unknown
 from sightline.show import Shown
 from sightline.show.words import checks_lines, numbers
 
@@ -17,7 +20,8 @@ class Nail:
     """A round nail with transverse holes; the walls of a hole are one outer diameter apart.
 
     `diameter_mm`: outer; `hole_mm`, `bore_mm`: diameters of the holes and of the cannulation (0: none); `material`:
-    "titanium" or "steel". `sd_mm`: standard deviation of each radius from its stated value. Raises UnusableInputError.
+    "titanium" or "steel". `sd_mm`: standard deviation of each radius from its stated value. `spacing_mm`: between the
+    two distal holes along the nail; None: not stated. Raises UnusableInputError.
     """
 
     diameter_mm: float = 11.0
@@ -25,12 +29,17 @@ class Nail:
     bore_mm: float = 5.0
     material: str = "titanium"
     sd_mm: float = 0.02  # [ours] a machining tolerance of 0.05 mm
+    spacing_mm: float | None = None
 
     def __post_init__(self) -> None:
         if not (0 < self.hole_mm < self.diameter_mm < np.inf and 0 <= self.bore_mm < self.diameter_mm):
             raise UnusableInputError(
                 f"a nail of {self.diameter_mm} mm cannot have holes of {self.hole_mm} mm and a bore of "
                 f"{self.bore_mm} mm; give diameters smaller than the nail's"
+            )
+        if self.spacing_mm is not None and not self.hole_mm < self.spacing_mm < np.inf:
+            raise UnusableInputError(
+                f"holes of {self.hole_mm} mm cannot be {self.spacing_mm} mm apart; give the spacing"
             )
         if self.material not in ("titanium", "steel") or not 0 < self.sd_mm < np.inf:
             raise UnusableInputError("a nail is of 'titanium' or 'steel', and its sizes have a positive s.d.")
@@ -54,14 +63,16 @@ class Hole(Shown):
     """The axis of a hole, CFCS. Look at `checks` before you use it.
 
     `entry_mm`, `exit_mm` (3,): where the axis crosses the nail's surface; the entry is nearer to the X-ray source of
-    the first view. `covariance_mm2` (6, 6): of (entry, exit). `nail_mm`, `nail_direction` (3,): the point of the nail's
-    axis nearest to the hole's, and the unit vector along it there. `given`, `kept` (V, 4) int: for each view the points
-    of both outlines, entry rim and exit rim, and how many of them the fit kept.
+    the first view. `covariance_mm2` (6, 6): of (entry, exit); `budget_mm2`: the same for each source of a point's error
+    (`SpacePoints`), of which "picks" are the edges and the nail's sizes. `nail_mm`, `nail_direction` (3,): the point of
+    the nail's axis nearest to the hole's, and the unit vector along it there. `given`, `kept` (V, 4) int: for each view
+    the points of both outlines, entry rim and exit rim, and how many of them the fit kept.
     """
 
     entry_mm: np.ndarray
     exit_mm: np.ndarray
     covariance_mm2: np.ndarray
+    budget_mm2: Mapping[str, np.ndarray]
     nail_mm: np.ndarray
     nail_direction: np.ndarray
     given: np.ndarray
@@ -78,10 +89,48 @@ class Hole(Shown):
         """(3,) unit vector from entry to exit."""
         return unit(self.exit_mm - self.entry_mm)
 
+    def entered_along(self, direction: np.ndarray) -> "Hole":
+        """Return the hole with entry and exit such that a drill passes it along a direction (3,) rather than against
+        it."""
+        if self.direction @ direction > 0:
+            return self
+        swap = np.r_[3:6, 0:3]
+        return replace(
+            self,
+            entry_mm=self.exit_mm,
+            exit_mm=self.entry_mm,
+            covariance_mm2=self.covariance_mm2[np.ix_(swap, swap)],
+            budget_mm2={source: own[np.ix_(swap, swap)] for source, own in self.budget_mm2.items()},
+        )
+
     @property
     def pose(self) -> HolePose:
         """Both axes, without their errors."""
         return HolePose(self.nail_mm, self.nail_direction, self.middle_mm, self.direction)
+
+    @property
+    def axis(self) -> Axis:
+        """Entry and exit, as an axis."""
+        return Axis(np.stack([self.entry_mm, self.exit_mm]), self.covariance_mm2)
+
+    def located(self, seen: SpacePoints) -> SpacePoints:
+        """Return points whose first two, entry and end of a wire, are this hole's, with its errors."""
+        n = 3 * len(seen.xyz_mm)
+
+        def beside(others: np.ndarray, own: np.ndarray) -> np.ndarray:
+            out = np.zeros((n, n))
+            out[6:, 6:], out[:6, :6] = others[6:, 6:], own
+            return out
+
+        joint, budget = seen.joint_covariance_mm2, seen.budget_mm2
+        if joint is None or budget is None:
+            raise error_unknown()
+        return replace(
+            seen,
+            xyz_mm=np.concatenate([[self.entry_mm, self.exit_mm], seen.xyz_mm[2:]]),
+            joint_covariance_mm2=beside(joint, self.covariance_mm2),
+            budget_mm2={source: beside(others, self.budget_mm2[source]) for source, others in budget.items()},
+        )
 
     @property
     def passed(self) -> bool:

@@ -16,6 +16,7 @@ from sightline.planning.aids import Aids
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.bone_checks import judge_in_bone, measures, noticed_beyond_mm
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
+from sightline.planning.hole_result import Hole
 from sightline.planning.implant import Implant, fitting
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick, stack
 from sightline.planning.procedures import Procedure
@@ -227,6 +228,7 @@ def plan(
     aids: Aids | None = None,
     method: Method = "weighted",
     curve: Callable[..., MatchingCurve] = matching_curve,
+    hole: Hole | None = None,
 ) -> Plan:
     """Return the plan of entry and end point, given their pixels (V, 2) each, IDCS: a row for each of V >= 2 views.
 
@@ -240,7 +242,8 @@ def plan(
     them for a GO (`judge`). `landmark_names`: their keys in the procedure, "" for none. `kind`: a procedure, its key or
     its file; sets the limits and the inputs asked for. `side` ("right", "left") and `aids`: the wire is checked against
     them where the procedure has checks of the bone; without them the plan is incomplete. `curve`: `matching_curve`, or
-    a replacement that caches its curves.
+    a replacement that caches its curves. `hole`: entry and end are those of a measured hole (`WirePicks.of_hole`); its
+    errors replace those of the picks, and its checks enter the verdict.
     Raises UnusableInputError, and what `reconstruct`, `matching_curve` and `snap` raise.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
@@ -261,9 +264,13 @@ def plan(
     kind = kind_of(kind) if isinstance(kind, str) else kind
     names = _names(kind, landmark_names, len(free))
     seen = _reconstructed(at_rest, [entry, end, *free], method)
+    if hole is not None:
+        seen = hole.located(seen)
     trajectory = Trajectory(seen.first(2) if free else seen)
     anatomy = None if aids is None and not kind.checks else locate(at_rest, aids or Aids(), (entry, end), method)
     verdict, noticed = judge(trajectory, at_rest, kind.limits, seen), (None, None)
+    if hole is not None:
+        verdict = verdict.joined(Verdict(hole.checks))
     if kind.checks and anatomy is not None:
         known = dict(zip(names, seen.xyz_mm[2:], strict=False))
         verdict = verdict.joined(judge_in_bone(anatomy, kind.checks, side, known))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.calibration.view import SOURCES, CalibratedView, LinesOfSight
 from sightline.geometry.covariance import joined
 from sightline.planning.line_residuals import refuse_two_frames
 
@@ -64,13 +64,23 @@ class Sights:
             on_plane[range(count), :, range(count), :] = one.jacobian
             on_plane = on_plane.reshape(2 * count, 2 * count)
             own[-1][3:, 3:] += on_plane @ picks_px2 @ on_plane.T
-        return joined(own, self._between)
+        return joined(own, lambda i, j: self._between(i, j, SOURCES))
 
-    def _between(self, i: int, j: int) -> np.ndarray:
+    def covariance_of(self, source: str) -> np.ndarray:
+        """Return the part of the covariance of z that one of SOURCES makes; zero where no view states its error."""
+        numbers = [3 + 2 * len(one.xy_mm) for one in self.lines]
+        own = [
+            np.zeros((n, n)) if one.covariance is None else one.covariance.get(source, np.zeros((n, n)))
+            for n, one in zip(numbers, self.lines, strict=True)
+        ]
+        return joined(own, lambda i, j: self._between(i, j, (source,)))
+
+    def _between(self, i: int, j: int, sources: Sequence[str]) -> np.ndarray:
         a, b = self.lines[i], self.lines[j]
         out = np.zeros((3 + 2 * len(a.xy_mm), 3 + 2 * len(b.xy_mm)))
         for source in a.sources_shared_with(b):
-            out += a.shared[source] @ b.shared[source].T
+            if source in sources:
+                out += a.shared[source] @ b.shared[source].T
         return out
 
     def index(self, name: str) -> np.ndarray:

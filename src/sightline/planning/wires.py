@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sightline.calibration.together import adjusted_together
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check
 from sightline.errors import UnusableInputError
 from sightline.planning.axis import Axis
+from sightline.planning.directions import MEDIAL, towards
+from sightline.planning.hole_result import Hole
 from sightline.planning.picks import stack
 from sightline.planning.plan import Plan, plan
 from sightline.planning.procedures import Procedure
@@ -27,11 +30,24 @@ from sightline.threads import one_blas_thread
 
 @dataclass(frozen=True, eq=False)
 class WirePicks:
-    """Picks of one wire, IDCS: `entry_uv_px` and `end_uv_px` (V, 2), and `snapped`, as for `plan`."""
+    """Picks of one wire, IDCS: `entry_uv_px` and `end_uv_px` (V, 2), `snapped` and `hole`, as for `plan`."""
 
     entry_uv_px: ArrayLike
     end_uv_px: ArrayLike
     snapped: bool | Sequence[bool] = False
+    hole: Hole | None = None
+
+    @staticmethod
+    def of_hole(hole: Hole, views: Sequence[CalibratedView]) -> "WirePicks":
+        """Return the picks of a drill from lateral through a measured hole: where the views see its ends.
+
+        Raises ReconstructionRefusedError for a hole that does not run from lateral to medial, OutsideRegionError.
+        """
+        through = hole.entered_along(towards(hole.direction, MEDIAL, "the hole's axis"))
+        uv = np.array(
+            [view.project(np.stack([through.entry_mm, through.exit_mm])) for view in adjusted_together(views)]
+        )
+        return WirePicks(uv[:, 0], uv[:, 1], snapped=True, hole=through)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,7 +116,7 @@ def plan_wires(
     first. `side` and `shared`: arguments of `plan` that hold for all wires: landmarks, aids, method, error of a pick.
 
     The wires' points are reconstructed together for the relations, so that their errors are correlated as the views
-    share them. Raises UnusableInputError, and what `plan` raises.
+    share them; those of measured holes are taken to be independent. Raises UnusableInputError, and what `plan` raises.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
     >>> picks = sl.planning.WirePicks([[162, 689], [684, 692]], [[818, 366], [378, 276]])
@@ -117,6 +133,7 @@ def plan_wires(
             wires[key].entry_uv_px,
             wires[key].end_uv_px,
             snapped=wires[key].snapped,
+            hole=wires[key].hole,
             kind=Procedure.of(document, key),
             side=side,
             **shared,
@@ -124,7 +141,8 @@ def plan_wires(
         for key in document.drilling_order
         if key in wires
     }
-    lines = _lines(views, alone, placed)
+    holes = {key: one.axis for key, picks in wires.items() if (one := picks.hole) is not None}
+    lines = _lines(views, {key: one for key, one in alone.items() if key not in holes}, {**holes, **placed})
     names = {wire.key: wire.name for wire in document.wires}
     judged = judge_relations(document.relations, lines, names, side)
     planned = _all_planned([names[key] for key in names if key not in lines.keys], len(names))
@@ -148,6 +166,8 @@ def _refuse_unknown(document: ProcedureDocument, wires: Mapping[str, Any], place
 
 
 def _lines(views: Sequence[CalibratedView], plans: Mapping[str, Plan], placed: Mapping[str, Axis]) -> WireLines:
+    if not plans:
+        return WireLines.of((), None, placed)
     picks = stack([point for one in plans.values() for point in one.picks])
     methods = {one.arguments["method"] for one in plans.values()}
     points = reconstruct(views, picks.uv_px, picks.covariance_px2, methods.pop(), picks.across_px)

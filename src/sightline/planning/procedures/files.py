@@ -23,6 +23,8 @@ FOLDER = "SIGHTLINE_PROCEDURES"  # environment variable: the folder of the user'
 MAX_BYTES = 2**18  # [ours] fifty times the largest shipped file
 MAX_FILES = 200  # [ours] of the user's folder
 _RENAMED = {"interlocking": "distal-interlocking"}  # keys of earlier versions
+# Files that had one wire in earlier versions: the wire that a plan by the file's key alone is of.
+_ONLY_WIRE = {"distal-interlocking": "distal-interlocking:distal"}
 _ADVICE = {
     "extra_forbidden": "is not a key of a procedure's file; correct its spelling or remove it",
     "missing": "is missing; add it",
@@ -129,6 +131,7 @@ def kind(name: str) -> Procedure:
     'free wire'
     """
     name = _RENAMED.get(name, name)
+    name = _ONLY_WIRE.get(name, name)
     if name in PROCEDURES:
         return PROCEDURES[name]
     file, _, wire = name.rpartition(":") if ":" in name and not Path(name).is_file() else (name, "", "")
