@@ -1,31 +1,35 @@
-"""Hole of a nail from two views: error, coverage, refusals and time.
+"""Hole of a nail from two views: error, coverage, refusals, advice and time.
 
 Points are those of scenes_hole.py, on views calibrated from their beads. The sizes of the nail differ from the stated
-ones by machining tolerances. `python -m benchmarks.bench_interlocking COUNT`
-prints the rows of so many nails as points.
+ones by machining tolerances. Images are the twin's, and those whose rays gVirtualXray casts (gvxr_nails.py; optional:
+`pip install gvxr`). `python -m benchmarks.bench_interlocking COUNT` prints the rows of so many nails as points.
 """
 
 import sys
 import time
 from dataclasses import replace
+from importlib.util import find_spec
 from itertools import product
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import sightline as sl
+from benchmarks.gvxr_nails import image, lengths, window_px
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from benchmarks.scenes_hole import Sight, Trial, ends_of_outlines, scored, seen
 from benchmarks.scenes_solid import BEAD_PX, c_arms
 from sightline.calibration import CalibratedView
 from sightline.calibration.together import calibrate_together
-from sightline.errors import RefusedError
+from sightline.errors import RefusedError, SetUpError
 from sightline.frame import Frame
 from sightline.interlocking import find_hole, find_nail
-from sightline.planning import Hole, Nail, fit_hole
+from sightline.imaging import Radiograph
+from sightline.planning import Hole, Nail, fit_hole, perfect_circle
 from sightline.studies.scenes import measure
-from sightline.twin import SetUp, draw_setup
+from sightline.twin import SetUp, ViewTruth, draw_setup
 from sightline.twin.arm import beam_at
 from sightline.twin.nails import DistalNail, draw_nail, nail_scene
 from sightline.twin.render import expose
@@ -36,14 +40,21 @@ POINTS = "interlocking, nails as points, "
 MAX_MM, MAX_DEG, COVERAGE = 0.3, 0.7, 0.02  # of 95 % of the nails; of the stated 95 % regions
 HALF_ANGLE_DEG = 16.0  # of the views of a block, to either side of the hole: both see through it
 OTHERS = (("block30", 0.3), ("block60", 0.0), ("gamma", 0.0))
-RENDERED = 10  # nails for each of
+RENDERED = 10  # nails of the twin's images for each of
 CHAINS = (("block30", "flat-panel"), ("stereo", "9in-1k"), ("stereo", "9in-pal"), ("stereo", "17cm-1k"))
+CAST = 50  # nails of another projector for each of
+PROJECTED = "interlocking, rays cast by gVirtualXray"
+WRONG_MM, WRONG_DEG = 0.5, 5.2  # beyond these a drill of 4 mm touches a hole of 5 mm
+MAX_TURN_DEG = 2.0
 CLICK_PX, STROKE_MM = 2.0, 18.0  # s.d. of a click per axis; half the length of a stroke
 
 
 def run(quick: bool) -> list[Row]:
     """Return the rows of this benchmark."""
-    return points(NAILS // 10 if quick else NAILS) + rendered(1 if quick else RENDERED)
+    rows = points(NAILS // 10 if quick else NAILS) + rendered(1 if quick else RENDERED)
+    if find_spec("gvxrPython3") is None:
+        return [*rows, Row(PROJECTED, "images", "not installed", "", "pip install gvxr")]
+    return rows + projected(in_parallel(project_nail, product(CHAINS, range(1 if quick else CAST))))
 
 
 def rendered(number: int) -> list[Row]:
@@ -54,6 +65,24 @@ def rendered(number: int) -> list[Row]:
         own = trials[k * number : (k + 1) * number]
         rows += _rows(f"interlocking, rendered, {chain}, {frame}, strokes and clicks 2 px off", own)
     return rows
+
+
+def projected(trials: "list[Pair | str]") -> list[Row]:
+    """Return the rows of nails of another projector, the same number for each image chain."""
+    number = len(trials) // len(CHAINS)
+    drawn = [one for one in trials if not isinstance(one, str)]
+    if not drawn:
+        return [Row(PROJECTED, "images", f"no set-up: {trials[0]}")]
+    rows = _rows(f"{PROJECTED}, strokes and clicks 2 px off", [plain for plain, _ in drawn], required=True)
+    for k, (frame, chain) in enumerate(CHAINS):
+        own = [one[0] for one in trials[k * number : (k + 1) * number] if not isinstance(one, str)]
+        rows += _rows(f"{PROJECTED}, {chain}, {frame}", own)
+    hidden = [outcome for _, outcome in drawn]
+    found = [one for one in hidden if isinstance(one, Trial)]
+    wrong = sum(one.off_mm > WRONG_MM or one.off_deg > WRONG_DEG for one in found)
+    name = f"with 30 % of the rims hidden: found / refused / off by more than {WRONG_MM} mm or {WRONG_DEG}°"
+    value = f"{len(found)} / {len(hidden) - len(found)} / {wrong}"
+    return [*rows, Row(PROJECTED, name, value, "none wrong", "", wrong == 0)]
 
 
 def points(number: int) -> list[Row]:
@@ -103,12 +132,13 @@ def _trial(case: tuple[str, float, int]) -> Trial | str:
     setup, views, nail = views_and_nail(rng, frame)
     sights = {name: Sight(view.focal_point_mm, view.project) for name, view in setup.views.items()}
     edges = seen(rng, nail, sights, hidden=hidden, lens=setup.frame.solid is not None)
-    start = time.perf_counter()
+    start = time.process_time()
     try:
         hole = fit_hole(views, edges, known_nail(nail))
     except RefusedError as refused:
         return str(refused)
-    return _outcome(hole, nail, time.perf_counter() - start)
+    outcome = _outcome(hole, nail, time.process_time() - start)
+    return outcome if isinstance(outcome, str) else replace(outcome, turned_deg=_turned_deg(hole, nail, setup, views))
 
 
 def _rendered(case: tuple[tuple[str, str], int]) -> Trial | str:
@@ -119,16 +149,74 @@ def _rendered(case: tuple[tuple[str, str], int]) -> Trial | str:
     scene = frame_scene(setup.true_frame) + nail_scene(nail)
     truths = list(setup.views.values())
     images = [expose(truth, scene).read_out(rng) for truth in truths]
+    strokes, clicks = _drawn(nail, truths)
+    strokes = strokes + CLICK_PX * rng.standard_normal(strokes.shape)
+    return _found(views, images, strokes, clicks + CLICK_PX * rng.standard_normal(clicks.shape), nail)
+
+
+Pair = tuple[Trial | str, Trial | str]
+
+
+def project_nail(case: tuple[tuple[str, str], int]) -> Pair | str:
+    """Return the outcomes of one nail whose rays gVirtualXray casts, its rims whole and hidden in part; or why there is
+    no such set-up."""
+    (frame, chain), seed = case
+    rng = np.random.default_rng([seed, 11])
+    try:
+        setup, views, nail = views_and_nail(rng, frame, chain)
+    except SetUpError as refused:
+        return str(refused)
+    truths = list(setup.views.values())
+    strokes, clicks = _drawn(nail, truths)
+    windows = [window_px(truth, own) for truth, own in zip(truths, strokes, strict=True)]
+    cast = [lengths(truth, nail, setup.true_frame, px) for truth, px in zip(truths, windows, strict=True)]
+    strokes = strokes + CLICK_PX * rng.standard_normal(strokes.shape)
+    clicks = clicks + CLICK_PX * rng.standard_normal(clicks.shape)
+    whole, hidden = (
+        [image(*one, rng, material=nail.material, hidden=hides) for one in zip(truths, cast, windows, strict=True)]
+        for hides in (False, True)
+    )
+    return (
+        _found(views, whole, strokes, clicks, nail),
+        _found(views, hidden, strokes, clicks, nail),
+    )
+
+
+def _drawn(nail: DistalNail, truths: list[ViewTruth]) -> tuple[np.ndarray, np.ndarray]:
+    """Return strokes (2, 2, 2, 2) and clicks (2, 2) without error."""
     sights = [Sight(truth.focal_point_mm, truth.project) for truth in truths]
     strokes = np.array([ends_of_outlines(nail, sight, STROKE_MM) for sight in sights])
-    clicks = np.array([truth.project(nail.hole_mm[None])[0] for truth in truths])
+    return strokes, np.array([truth.project(nail.hole_mm[None])[0] for truth in truths])
+
+
+def _found(
+    views: list[CalibratedView], images: list[Radiograph], strokes: np.ndarray, clicks: np.ndarray, nail: DistalNail
+) -> Trial | str:
+    """Return the outcome of a hole in images; its time is the processor's from the last click on."""
     try:
-        found = find_nail(views, images, strokes + CLICK_PX * rng.standard_normal(strokes.shape), known_nail(nail))
-        start = time.perf_counter()
-        hole = find_hole(found, clicks + CLICK_PX * rng.standard_normal(clicks.shape))
+        found = find_nail(views, images, strokes, known_nail(nail))
+        start = time.process_time()
+        hole = find_hole(found, clicks)
     except RefusedError as refused:
         return str(refused)
-    return _outcome(hole, nail, time.perf_counter() - start)
+    return _outcome(hole, nail, time.process_time() - start)
+
+
+def _turned_deg(hole: Hole, nail: DistalNail, setup: SetUp, views: list[CalibratedView]) -> float:
+    """Return how far the beam through the hole is from its axis, °, after the advised turn from the first view.
+
+    The arm turns about the hip's place, by its own axis of the orbit.
+    """
+    turn = perfect_circle(hole, views)
+    sources = [truth.focal_point_mm for truth in setup.views.values()]
+    beams = [(nail.hole_mm - source) / np.linalg.norm(nail.hole_mm - source) for source in sources]
+    axis = np.cross(*beams)
+    orbit = Rotation.from_rotvec(turn.orbit_rad * axis / np.linalg.norm(axis))
+    aside = np.cross(orbit.apply(beams[0]), axis)
+    tilt = Rotation.from_rotvec(turn.tilt_rad * aside / np.linalg.norm(aside))
+    source = setup.hip_mm + (tilt * orbit).apply(sources[0] - setup.hip_mm)
+    beam = nail.hole_mm - source
+    return float(np.rad2deg(np.arccos(min(abs(beam @ nail.holes[0, 1]) / np.linalg.norm(beam), 1.0))))
 
 
 def _outcome(hole: Hole, nail: DistalNail, time_s: float) -> Trial | str:
@@ -162,7 +250,23 @@ def _rows(group: str, trials: list[Trial | str], *, required: bool = False) -> l
             met[1],
         ),
         refused,
-        Row(group, "time after the last click, median", f"{1e3 * np.median([t.time_s for t in kept]):.0f} ms"),
+        Row(
+            group, "processor time after the last click, median", f"{1e3 * np.median([t.time_s for t in kept]):.0f} ms"
+        ),
+        *(
+            [
+                Row(
+                    group,
+                    "beam off the hole's axis after the advised turn, 95 %",
+                    f"{np.quantile(turned, 0.95):.2f}°",
+                    f"<= {MAX_TURN_DEG}°",
+                    "",
+                    bool(np.quantile(turned, 0.95) <= MAX_TURN_DEG),
+                )
+            ]
+            if required and len(turned := [t.turned_deg for t in kept if np.isfinite(t.turned_deg)])
+            else []
+        ),
     ]
 
 

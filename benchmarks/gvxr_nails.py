@@ -48,7 +48,7 @@ def lengths(view: ViewTruth, nail: DistalNail, frame: Frame, window_px: np.ndarr
 
 
 def image(
-    view: ViewTruth, material: str, cast: Lengths, window_px: np.ndarray, rng: np.random.Generator, *, hidden: bool
+    view: ViewTruth, cast: Lengths, window_px: np.ndarray, rng: np.random.Generator, *, material: str, hidden: bool
 ) -> Radiograph:
     """Draw the image of a window (h, w, 2); `hidden`: with the rod. The nail is of this material."""
     chain, dose = view.chain, DOSES["medium"]

@@ -132,12 +132,13 @@ def _from_axis(nail: DistalNail, xyz_mm: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class Trial:
     """Errors of one hole at its middle, mm, and of its direction, °; squared Mahalanobis lengths of both together (4
-    degrees of freedom); time of the fit, s."""
+    degrees of freedom); time of the fit, s; `turned_deg`: of the beam from the hole after the advised turn, °."""
 
     off_mm: float
     off_deg: float
     square: float
     time_s: float
+    turned_deg: float = float("nan")
 
 
 def scored(hole: Hole, nail: DistalNail, time_s: float = 0.0) -> Trial:

@@ -1,6 +1,6 @@
 """From clicks in images to the hole of a nail: outlines along strokes, then both rims about a click in each image."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,7 @@ from sightline.planning.hole_expected import (
 from sightline.planning.hole_result import HolePose
 from sightline.threads import one_blas_thread
 
+_HARDNESS = (0.6, 0.7, 0.8, 0.9, 1.0, 1.15)  # of beams of about 60 to 110 kV [ours]
 _FIRST_BLUR_PX = 1.0  # for a first look at the rims
 _BEAD_MARGIN_PX = 4.0  # from a bead's shadow to a usable point of a rim: half of its profile, and the blur [ours]
 _MAX_SPACING_MM = 1.0  # of a nail's holes from the stated spacing: nails differ by 2 mm or more [ours]
@@ -33,12 +34,16 @@ _MIN_AGREEMENT = 0.5  # correlation of the best candidate with the images [ours]
 
 @dataclass(frozen=True, eq=False)
 class FoundNail:
-    """A nail's outlines found in two images, and its axis: a point (3,) and a unit vector (3,), CFCS."""
+    """A nail's outlines found in two images, and its axis: a point (3,) and a unit vector (3,), CFCS.
+
+    `hardness`: of the beam, as for `detection.metal_edges.transmission`: that with which its outlines fit best.
+    """
 
     views: tuple[CalibratedView, ...]
     images: tuple[Radiograph, ...]
     nail: Nail
     outlines: tuple[tuple[MetalEdge, MetalEdge], ...]
+    hardness: float
     cameras: tuple[LocalCamera, ...]
     point_mm: np.ndarray
     along: np.ndarray
@@ -67,11 +72,17 @@ def find_nail(
         lines[0].focal_point_mm, lines[0].directions[0], lines[1].focal_point_mm, lines[1].directions[0]
     ).middle_mm
     cameras = tuple(LocalCamera.of(view, middle) for view in views)
-    outlines = tuple(_outlines(*one, nail, middle) for one in zip(images, strokes, cameras, strict=True))
+    scales = [_px_per_mm(camera, middle) for camera in cameras]
+    tried = {
+        hardness: tuple(_outlines(*one, nail, hardness) for one in zip(images, strokes, scales, strict=True))
+        for hardness in _HARDNESS
+    }
+    hardness = _best_fitting(tried)
+    outlines = tried[hardness]
     focal = np.array([camera.focal_mm for camera in cameras])
     rays = [[camera.rays(edge.uv_px) for edge in both] for camera, both in zip(cameras, outlines, strict=True)]
     point, along = nail_line(focal, rays, middle)
-    return FoundNail(tuple(views), tuple(images), nail, outlines, cameras, point, along)
+    return FoundNail(tuple(views), tuple(images), nail, outlines, hardness, cameras, point, along)
 
 
 @one_blas_thread
@@ -119,18 +130,27 @@ def refuse_confused(distal: Hole, proximal: Hole, nail: Nail, side: str) -> None
         )
 
 
+def _px_per_mm(camera: LocalCamera, at_mm: np.ndarray) -> float:
+    aside = np.linalg.svd(unit(at_mm - camera.focal_mm)[None])[2][1]
+    return float(np.linalg.norm(camera.project(at_mm + aside) - camera.project(at_mm)))
+
+
 def _outlines(
-    image: Radiograph, strokes: np.ndarray, camera: LocalCamera, nail: Nail, at_mm: np.ndarray
+    image: Radiograph, strokes: np.ndarray, px_per_mm: float, nail: Nail, hardness: float
 ) -> tuple[MetalEdge, MetalEdge]:
-    ray = unit(at_mm - camera.focal_mm)
-    aside = np.linalg.svd(ray[None])[2][1]
-    px_per_mm = float(np.linalg.norm(camera.project(at_mm + aside) - camera.project(at_mm)))
-    tube = MetalTube(nail.diameter_mm * px_per_mm, nail.bore_mm * px_per_mm, 1 / px_per_mm, nail.material)
+    diameter_px, bore_px = nail.diameter_mm * px_per_mm, nail.bore_mm * px_per_mm
+    tube = MetalTube(diameter_px, bore_px, 1 / px_per_mm, nail.material, hardness)
     first, second = strokes
     return (
         find_outline(image, first, second.mean(axis=0), tube),
         find_outline(image, second, first.mean(axis=0), tube),
     )
+
+
+def _best_fitting(tried: Mapping[float, tuple[tuple[MetalEdge, MetalEdge], ...]]) -> float:
+    """Return the hardness with the smallest misfit of all outlines, each in units of its own smallest one."""
+    misfits = np.array([[edge.misfit for both in outlines for edge in both] for outlines in tried.values()])
+    return list(tried)[int((misfits / misfits.min(axis=0)).sum(axis=1).argmin())]
 
 
 def _best(found: FoundNail, candidates: list[HolePose]) -> HolePose:
@@ -140,7 +160,7 @@ def _best(found: FoundNail, candidates: list[HolePose]) -> HolePose:
     for camera, image in zip(found.cameras, found.images, strict=True):
         uv = patch_px(camera, middle, found.nail)
         metal = metals_mm(camera.focal_mm, camera.rays(uv), candidates, found.nail)
-        total += agreement(image, uv, metal, found.nail.material) / len(found.images)
+        total += agreement(image, uv, metal, found.nail.material, found.hardness) / len(found.images)
     if total.max() < _MIN_AGREEMENT:
         raise ReconstructionRefusedError(
             f"the images do not look like a hole near the clicks (correlation {total.max():.2f}, at least "
@@ -156,7 +176,7 @@ def _seen(found: FoundNail, pose: HolePose, blur_px: float | None = None) -> lis
     seen = zip(found.views, found.images, found.outlines, found.cameras, strict=True)
     for view, image, outlines, camera in seen:
         expected = expected_rims(camera, pose, found.nail)
-        rims = find_rims(image, expected, OFFSETS_PX, found.nail.material, blur_px)
+        rims = find_rims(image, expected, OFFSETS_PX, found.nail.material, hardness=found.hardness, blur_px=blur_px)
         clear = ~_beside_bead(view, expected.uv_px)
         out.append(HoleSeen(outlines, rims.edge(clear & ~expected.is_exit), rims.edge(clear & expected.is_exit)))
     return out

@@ -36,21 +36,26 @@ _TANGENTIAL_PX = (-1.0, 0.0, 1.0)  # profiles beside each other that are average
 
 @dataclass(frozen=True, eq=False)
 class MetalEdge:
-    """Points of one edge: `uv_px` (N, 2), `variance_px2` (N,) across it; `common_px`: s.d. of what all points share."""
+    """Points of one edge: `uv_px` (N, 2), `variance_px2` (N,) across it; `common_px`: s.d. of what all points share.
+
+    `misfit`: of the light across it, in squared stored values.
+    """
 
     uv_px: np.ndarray
     variance_px2: np.ndarray
     common_px: float
+    misfit: float
 
 
 @dataclass(frozen=True)
 class MetalTube:
-    """A tube as an image shows it: outer diameter and bore, px; scale, mm/px; "titanium" or "steel"."""
+    """A tube as an image shows it: outer diameter and bore, px; scale, mm/px; `hardness` as for `transmission`."""
 
     diameter_px: float
     bore_px: float
     mm_per_px: float
     material: str
+    hardness: float
 
 
 class RimsExpected(Protocol):
@@ -72,13 +77,16 @@ class RimsExpected(Protocol):
         ...
 
 
-def transmission(metal_mm: np.ndarray, material: str) -> np.ndarray:
-    """Return the share (...) of the primary light behind lengths (...) of metal. Raises UnusableInputError."""
+def transmission(metal_mm: np.ndarray, material: str, hardness: float) -> np.ndarray:
+    """Return the share (...) of the primary light behind lengths (...) of metal, "titanium" or "steel".
+
+    `hardness`: attenuation over that of PER_MM; smaller for a higher tube voltage. Raises UnusableInputError.
+    """
     if material not in PER_MM:
         raise UnusableInputError(f"there is no metal {material!r}; there are: {', '.join(PER_MM)}")
     out = np.zeros(np.shape(metal_mm))
     for per_mm, share in zip(PER_MM[material], _SHARE, strict=True):
-        out += share * np.exp(-per_mm * metal_mm)
+        out += share * np.exp(-hardness * per_mm * metal_mm)
     return out
 
 
@@ -105,7 +113,7 @@ def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray
     beside = np.arange(-_PIECE_PX / 2 + 0.5, _PIECE_PX / 2)
     at = first + (s[:, None] + beside)[:, :, None, None] * along + t[:, None] * normal
     profiles = _light(image, at).mean(axis=1)
-    offset, variance = min((_outline_offsets(profiles, t, tube, blur) for blur in _BLURS_PX), key=_badness)[:2]
+    offset, variance, misfit = min((_outline_offsets(profiles, t, tube, blur) for blur in _BLURS_PX), key=_badness)
     kept, spread = np.isfinite(offset), _MODEL_PX
     for _ in range(3):
         if kept.sum() < _MIN_PIECES:
@@ -115,46 +123,53 @@ def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray
         kept = np.isfinite(offset) & (np.abs(rest) < _FAR_OFF * spread)
     variance = np.maximum(variance, spread**2)[kept]
     uv = first + s[kept, None] * along + offset[kept, None] * normal
-    return MetalEdge(uv, variance, OUTLINE_COMMON_PX)
+    return MetalEdge(uv, variance, OUTLINE_COMMON_PX, misfit)
 
 
 def find_rims(
-    image: Radiograph, expected: RimsExpected, offsets_px: np.ndarray, material: str, blur_px: float | None = None
+    image: Radiograph,
+    expected: RimsExpected,
+    offsets_px: np.ndarray,
+    material: str,
+    *,
+    hardness: float,
+    blur_px: float | None = None,
 ) -> "RimsFound":
     """Return the expected rims where the image shows them, at most 5 px away; points that it does not show are NaN.
 
-    `blur_px`: s.d. of the image's blur; by default the one of four that fits best.
+    `hardness` as for `transmission`. `blur_px`: s.d. of the image's blur; by default the one of four that fits best.
     """
     uv, normal = expected.uv_px, expected.normal
     if not len(uv):
-        return RimsFound(uv, np.zeros(0))
+        return RimsFound(uv, np.zeros(0), np.inf)
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
     beside = np.array(_TANGENTIAL_PX)[:, None, None, None] * tangent[:, None]
     seen = _light(image, uv[:, None] + offsets_px[:, None] * normal[:, None] + beside).mean(axis=0)
-    sharp = transmission(expected.metal_mm, material)
+    sharp = transmission(expected.metal_mm, material, hardness)
     window = np.abs(offsets_px) <= _RIM_WINDOW_PX
     blurs = _BLURS_PX if blur_px is None else (blur_px,)
-    shift, variance, _ = min((_rim_shifts(seen, sharp, offsets_px, window, blur) for blur in blurs), key=_badness)
-    return RimsFound(uv + shift[:, None] * normal, variance)
+    shift, variance, misfit = min((_rim_shifts(seen, sharp, offsets_px, window, blur) for blur in blurs), key=_badness)
+    return RimsFound(uv + shift[:, None] * normal, variance, misfit)
 
 
 @dataclass(frozen=True, eq=False)
 class RimsFound:
-    """`uv_px` (N, 2), NaN where not seen; `variance_px2` (N,) across the rim."""
+    """`uv_px` (N, 2), NaN where not seen; `variance_px2` (N,) across the rim; `misfit` as of a `MetalEdge`."""
 
     uv_px: np.ndarray
     variance_px2: np.ndarray
+    misfit: float
 
     def edge(self, chosen: np.ndarray) -> MetalEdge:
         """Return the points that are `chosen` (N,) and seen."""
         kept = chosen & np.isfinite(self.uv_px[:, 0])
-        return MetalEdge(self.uv_px[kept], self.variance_px2[kept], RIM_COMMON_PX)
+        return MetalEdge(self.uv_px[kept], self.variance_px2[kept], RIM_COMMON_PX, self.misfit)
 
 
-def agreement(image: Radiograph, uv_px: np.ndarray, metal_mm: np.ndarray, material: str) -> np.ndarray:
+def agreement(image: Radiograph, uv_px: np.ndarray, metal_mm: np.ndarray, material: str, hardness: float) -> np.ndarray:
     """Return the correlation (K,) of the light at pixels (..., 2) with that behind lengths in metal (K, ...)."""
     seen = _light(image, uv_px).ravel()
-    model = transmission(metal_mm, material).reshape(len(metal_mm), -1)
+    model = transmission(metal_mm, material, hardness).reshape(len(metal_mm), -1)
     seen, model = seen - seen.mean(), model - model.mean(axis=1, keepdims=True)
     return model @ seen / np.maximum(np.linalg.norm(model, axis=1) * np.linalg.norm(seen), 1e-12)
 
@@ -181,7 +196,7 @@ def _outline_offsets(
     chord = 2 * np.sqrt(np.maximum(inside * (tube.diameter_px - inside), 0.0))
     deep = np.clip(inside - (tube.diameter_px - tube.bore_px) / 2, 0.0, None)
     chord -= 2 * np.sqrt(np.maximum(deep * (tube.bore_px - deep), 0.0))
-    blurred = gaussian_filter1d(transmission(chord * tube.mm_per_px, tube.material), blur_px / 0.1)
+    blurred = gaussian_filter1d(transmission(chord * tube.mm_per_px, tube.material, tube.hardness), blur_px / 0.1)
     model, slope = (np.interp(u, fine, column) for column in (blurred, np.gradient(blurred, 0.1)))
     basis = np.stack([np.ones_like(u), model, u * model], axis=-1)
     away = np.eye(len(u)) - basis @ np.linalg.pinv(basis)

@@ -21,6 +21,7 @@ from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_999, ellipsoid_factor
 from sightline.geometry.lines import nearest_approach
 from sightline.planning.directions import across, unit
+from sightline.planning.hole_expected import LocalCamera
 from sightline.planning.hole_result import Hole, HolePose, Nail
 from sightline.planning.results import error_unknown
 from sightline.planning.sights import Sights
@@ -66,19 +67,6 @@ class EdgeSeen(Protocol):
     @property
     def common_px(self) -> float:
         """S.d. of an error across the edge that all its points share, outwards; both rims of a view share one."""
-        ...
-
-
-class Camera(Protocol):
-    """A view near the hole."""
-
-    @property
-    def focal_mm(self) -> np.ndarray:
-        """(3,)."""
-        ...
-
-    def rays(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return the unit vectors (N, 3) of the rays of pixels (N, 2), away from the source."""
         ...
 
 
@@ -476,7 +464,7 @@ def nail_line(
     return np.linalg.solve(np.vstack([*planes, along]), offsets), along
 
 
-def turned_to_rims(cameras: Sequence[Camera], seen: Sequence[HoleSeen], nail: Nail, start: HolePose) -> HolePose:
+def turned_to_rims(cameras: Sequence[LocalCamera], seen: Sequence[HoleSeen], nail: Nail, start: HolePose) -> HolePose:
     """Return a pose near the start whose rims pass through those seen: rotated about the nail's axis, moved along it.
 
     Without errors of the views: for a first look at where the rims are. Up to half of the points may be wrong.
