@@ -25,8 +25,8 @@ from sightline.calibration import CalibratedView
 from sightline.calibration.together import calibrate_together
 from sightline.errors import RefusedError, SetUpError
 from sightline.frame import Frame
-from sightline.interlocking import find_hole, find_nail
 from sightline.imaging import Radiograph
+from sightline.interlocking import find_hole, find_nail
 from sightline.planning import Hole, Nail, fit_hole, perfect_circle
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp, ViewTruth, draw_setup
@@ -224,6 +224,13 @@ def _outcome(hole: Hole, nail: DistalNail, time_s: float) -> Trial | str:
     return scored(hole, nail, time_s) if hole.passed else "; ".join(one.name for one in hole.checks if not one.passed)
 
 
+def _turned_row(group: str, off_deg: list[float]) -> list[Row]:
+    if not off_deg:
+        return []
+    most, name = float(np.quantile(off_deg, 0.95)), "beam off the hole's axis after the advised turn, 95 %"
+    return [Row(group, name, f"{most:.2f}°", f"<= {MAX_TURN_DEG}°", "", most <= MAX_TURN_DEG)]
+
+
 def _rows(group: str, trials: list[Trial | str], *, required: bool = False) -> list[Row]:
     kept = [trial for trial in trials if isinstance(trial, Trial)]
     refused = Row(group, "refused", f"{len(trials) - len(kept)} of {len(trials)}")
@@ -250,23 +257,8 @@ def _rows(group: str, trials: list[Trial | str], *, required: bool = False) -> l
             met[1],
         ),
         refused,
-        Row(
-            group, "processor time after the last click, median", f"{1e3 * np.median([t.time_s for t in kept]):.0f} ms"
-        ),
-        *(
-            [
-                Row(
-                    group,
-                    "beam off the hole's axis after the advised turn, 95 %",
-                    f"{np.quantile(turned, 0.95):.2f}°",
-                    f"<= {MAX_TURN_DEG}°",
-                    "",
-                    bool(np.quantile(turned, 0.95) <= MAX_TURN_DEG),
-                )
-            ]
-            if required and len(turned := [t.turned_deg for t in kept if np.isfinite(t.turned_deg)])
-            else []
-        ),
+        Row(group, "time after the last click, median", f"{np.median([1e3 * t.time_s for t in kept]):.0f} ms"),
+        *_turned_row(group, [t.turned_deg for t in kept if required and np.isfinite(t.turned_deg)]),
     ]
 
 
