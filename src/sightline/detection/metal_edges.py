@@ -19,8 +19,8 @@ PER_MM = {"steel": (3.03, 1.60, 1.01), "titanium": (0.941, 0.527, 0.328)}
 _SHARE = np.array([0.22, 0.39, 0.39])
 _BLURS_PX = (0.7, 1.0, 1.5, 2.2)  # s.d. of detector and focal spot that are tried
 _STEP_PX = 0.5  # of samples along a profile
-# S.d. of errors that the points of one edge share, from blur, scatter and spectrum that differ from the model, px [twin;
-# rims: 50 nails whose rays another projector cast].
+# S.d. of errors that the points of one edge share, from blur, scatter and spectrum that differ from the model, px
+# [twin; rims: 50 nails whose rays another projector cast].
 OUTLINE_COMMON_PX, RIM_COMMON_PX = 0.15, 0.4
 _MODEL_PX = 0.1  # s.d. of each point without noise: structure beside the edge [twin]
 # Variance of a fit over that of independent samples, 0.5 px apart: of an outline's piece, and of a rim's point [twin].
