@@ -11,16 +11,19 @@ from sightline.calibration.fit import Method
 from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
 from sightline.detection.causes import cause_of
 from sightline.detection.wire import WireShadow, find_wire
-from sightline.errors import DetectionRefusedError, LabellingRefusedError, OutsideRegionError
+from sightline.errors import DetectionRefusedError, LabellingRefusedError, OutsideRegionError, WireRefusedError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph, as_radiograph, image_checks
-from sightline.planning import Plan
+from sightline.planning import Axis, Plan, reconstruct
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_shot import Landmarks
 from sightline.planning.check_shot import check_shot as adjusted
-from sightline.planning.expected_wire import expected_wire
+from sightline.planning.expected_wire import ExpectedWire, expected_wire
+from sightline.planning.placed_wires import placed_wires
 from sightline.threads import one_blas_thread
 
+# A line within this of a placed wire must be another that was clicked: parallel screws are up to 25 mm apart [ours].
+_PLACED_CORRIDOR_MM = 25.0
 _SQUARE = 1e-3  # share by which a pixel's sides may differ [ours]
 
 
@@ -103,11 +106,51 @@ def find_planned_wire(  # noqa: PLR0917
     `others_mm`: as of `check_shot`. Raises what `expected_wire` and `find_wire` raise.
     """
     expected = expected_wire(view, plan.trajectory.points.xyz_mm, plan.kind.limits.beyond_mm)
-    others = []
-    for ends in others_mm:
-        with suppress(OutsideRegionError):  # a wire outside the field is not seen beside this one
-            others.append(expected_wire(view, ends))
-    return find_wire(image, expected, wire_mm, beads.uv_px, beads.radius_px, others=others)
+    return find_wire(image, expected, wire_mm, beads.uv_px, beads.radius_px, others=_expected(others_mm, view))
+
+
+def find_placed_wires(
+    seen: Sequence[tuple[Radiograph, Detections, CalibratedView]],
+    clicked_uv_px: Mapping[str, np.ndarray],
+    wire_mm: Mapping[str, float],
+) -> dict[str, Axis]:
+    """Return wires that are in the bone already, from entry to tip, by key; each is found in two planning images.
+
+    `seen`: image, beads and view of the plan, of which the first two count. `clicked_uv_px`: entry and tip (2, 2) of
+    each wire in each view, (2, 2, 2), IDCS; a few millimetres beside it are enough. `wire_mm`: diameters. Click every
+    wire that the images show: another line beside one of them is refused. Raises WireRefusedError, and what
+    `placed_wires` raises.
+    """
+    both, keys = seen[:2], list(clicked_uv_px)
+    views = [view for _, _, view in both]
+    clicked = np.concatenate([np.asarray(clicked_uv_px[key], dtype=np.float64) for key in keys], axis=1)
+    ends = dict(zip(keys, reconstruct(views, clicked).xyz_mm.reshape(-1, 2, 3), strict=True))
+    wires = {key: [_placed(key, ends, one, wire_mm[key]) for one in both] for key in keys}
+    return placed_wires(views, wires, {key: one[0] for key, one in ends.items()})
+
+
+def _placed(
+    key: str, ends_mm: Mapping[str, np.ndarray], seen: tuple[Radiograph, Detections, CalibratedView], wire_mm: float
+) -> WireShadow:
+    """Return the wire near one of these lines in an image; the other lines are wires too. Raises WireRefusedError."""
+    image, beads, view = seen
+    expected = expected_wire(view, ends_mm[key])
+    others = _expected([ends for name, ends in ends_mm.items() if name != key], view)
+    try:
+        return find_wire(
+            image, expected, wire_mm, beads.uv_px, beads.radius_px, others=others, corridor_mm=_PLACED_CORRIDOR_MM
+        )
+    except WireRefusedError as refused:
+        raise WireRefusedError(f"placed wire {key!r}, view {view.name!r}: {refused}") from None
+
+
+def _expected(lines_mm: Sequence[np.ndarray], view: CalibratedView) -> list[ExpectedWire]:
+    """Return wires from entry to end (2, 3) as a view shows them, without those outside its field."""
+    out = []
+    for ends in lines_mm:
+        with suppress(OutsideRegionError):
+            out.append(expected_wire(view, ends))
+    return out
 
 
 def find_beads(image: Radiograph) -> tuple[Radiograph, Detections]:

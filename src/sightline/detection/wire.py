@@ -11,7 +11,7 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import NoiseModel, estimate_noise
 from sightline.detection.wire_model import BEND, ImagePath, SteelWire, WireFit, fit_across, fit_tip
-from sightline.detection.wire_search import search
+from sightline.detection.wire_search import CORRIDOR_MM, search
 from sightline.errors import UnusableInputError, WireRefusedError
 from sightline.imaging import Radiograph
 
@@ -96,8 +96,9 @@ def find_wire(  # noqa: PLR0917
     bead_radius_px: np.ndarray,
     point_mm: float | None = None,
     others: Sequence[ProjectedWire] = (),
+    corridor_mm: float = CORRIDOR_MM,
 ) -> WireShadow:
-    """Return the wire within 8 mm and 5° of its expected place.
+    """Return the wire within `corridor_mm` and 5° of its expected place.
 
     `bead_uv_px` (K, 2), `bead_radius_px` (K,): the frame's beads, found or known, which are left out. `point_mm`:
     length of the conical (trocar) point, by default 1.5 diameters; 0: a plain end. `others`: where other wires are
@@ -117,7 +118,7 @@ def find_wire(  # noqa: PLR0917
     usable &= image.pixels < image.white
     shown = _shown(path, mask)
     path, scale, stretch, sine = ImagePath.through(path.uv_px[shown]), scale[shown], stretch[shown], sine[shown]
-    found = search(logs, usable, path, scale * diameter_mm / 2, scale, [other.uv_px for other in others])
+    found = search(logs, usable, path, scale * diameter_mm / 2, scale, [other.uv_px for other in others], corridor_mm)
     radius = float(np.median(scale)) * diameter_mm / 2
     usable = _without_lines(usable, found.others, radius + 2 * _RIM_PX)
     here = int(np.clip(found.expected_tip_s_px, 0, len(scale) - 1))

@@ -45,12 +45,13 @@ def search(  # noqa: PLR0917
     radius_px: np.ndarray,
     px_per_mm: np.ndarray,
     others_uv_px: Sequence[np.ndarray] = (),
+    corridor_mm: float = CORRIDOR_MM,
 ) -> CoarseWire:
     """Return the one dark line of about the radius (M,) within the corridor about `path`.
 
     `others_uv_px`: points (M, 2) where other wires are planned, which may be in the image too. Raises WireRefusedError.
     """
-    corridor = CORRIDOR_MM * float(np.median(px_per_mm))
+    corridor = corridor_mm * float(np.median(px_per_mm))
     radius = float(np.median(radius_px))
     length = path.s_px[-1]
     reach = int(corridor + 0.5 * length * np.tan(CORRIDOR_RAD) + 3 * radius)
@@ -66,7 +67,7 @@ def search(  # noqa: PLR0917
     best = np.unravel_index(int(sums.argmax()), sums.shape)
     if sums[best] < _MIN_CONTRAST * _MIN_LENGTH * radius:
         raise WireRefusedError(
-            f"no wire is seen within {CORRIDOR_MM:.0f} mm and {np.degrees(CORRIDOR_RAD):.0f}° of where it is planned; "
+            f"no wire is seen within {corridor_mm:.0f} mm and {np.degrees(CORRIDOR_RAD):.0f}° of where it is planned; "
             "check that the image belongs to this plan, that the wire is in, and the exposure"
         )
     lines, shares = _dark_lines(sums, offsets, slopes, lever, radius)
