@@ -24,6 +24,7 @@ from sightline.threads import one_blas_thread
 
 # A line within this of a placed wire must be another that was clicked: parallel screws are up to 25 mm apart [ours].
 _PLACED_CORRIDOR_MM = 25.0
+_CLICKED_MM = 4.0  # how far beside its line a placed wire may be clicked [ours]
 _SQUARE = 1e-3  # share by which a pixel's sides may differ [ours]
 
 
@@ -137,11 +138,19 @@ def _placed(
     expected = expected_wire(view, ends_mm[key])
     others = _expected([ends for name, ends in ends_mm.items() if name != key], view)
     try:
-        return find_wire(
+        found = find_wire(
             image, expected, wire_mm, beads.uv_px, beads.radius_px, others=others, corridor_mm=_PLACED_CORRIDOR_MM
         )
     except WireRefusedError as refused:
         raise WireRefusedError(f"placed wire {key!r}, view {view.name!r}: {refused}") from None
+    off_px = np.linalg.norm(found.uv_px[:, None] - expected.uv_px, axis=-1).min(axis=1)
+    off_mm = float(np.median(off_px) / np.median(expected.px_per_mm))
+    if off_mm > _CLICKED_MM:
+        raise WireRefusedError(
+            f"placed wire {key!r}, view {view.name!r}: the line found lies {off_mm:.1f} mm beside the clicks (at most "
+            f"{_CLICKED_MM:.0f} mm); click entry and tip of the wire, and check that both images show it"
+        )
+    return found
 
 
 def _expected(lines_mm: Sequence[np.ndarray], view: CalibratedView) -> list[ExpectedWire]:

@@ -96,3 +96,28 @@ def test_two_wires_in_one_case_are_measured_each_against_its_plan(
     assert {one["outcome"] for one in outcomes} == {"same to the bit"}
     said = run(*shot, "--wire", "anterior").out
     assert "parallel, as measured: " in said and "the posterior wire is not measured yet" in said
+
+
+@pytest.mark.slow
+def test_a_wire_is_planned_beside_one_that_the_images_show(
+    run, setup, hip: HipScene, wires_mm: np.ndarray, tmp_path: Path
+) -> None:
+    """The relation is to the wire as it lies, not as it was clicked."""
+    rng = np.random.default_rng(6)
+    scene = hip.scene + guide_wire(wires_mm[0], 2.8)
+    files = [write_dicom(render(setup, view, scene, rng), tmp_path / f"{view}.dcm") for view in VIEWS]
+    given: list[Any] = ["plan", *files, "--procedure", _procedure(tmp_path), "--side", "right", "--json"]
+    clicked = wires_mm.copy()
+    clicked[0, 1] += [0.0, 0.0, 2.5]  # the tip of the wire in the bone: 1.5° from where it lies
+    for key, (entry, end) in zip(KEYS, clicked, strict=True):
+        given += ["--entry", f"{key} {_text(setup, entry)}", "--end", f"{key} {_text(setup, end)}"]
+    ran = run(*given, "--placed", "inferior")
+    assert ran.code in (0, 3), ran.err
+    parallel = next(check for check in ran.document["relations"] if check["name"] == "parallel")
+    assert parallel["passed"] and parallel["figure"] < 1.0, parallel
+    assert list(ran.document["wires"]) == ["anterior", "posterior"]
+    assert "all wires" not in {check["name"] for check in ran.document["checks"] if not check["passed"]}
+    missing = run(*given, "--placed", "anterior")  # it is not in
+    assert missing.code == 3 and "placed wire 'anterior', view 'pa'" in missing.document["error"]["message"]
+    unknown = run(*given, "--placed", "medial")
+    assert unknown.code == 2 and "--placed names medial" in unknown.document["error"]["message"]

@@ -25,10 +25,14 @@ from sightline.cli.points import (
 )
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from sightline.case.contents import Images
     from sightline.case.journal import Case, Entry
     from sightline.case.pairs import SeenImages
     from sightline.frame import Frame
-    from sightline.planning import Aids, Procedure
+    from sightline.planning import Aids, Axis, Procedure
+    from sightline.planning.procedures.document import ProcedureDocument
 
 Side = Literal["right", "left"]
 MethodName = Literal["smooth", "localized", "polynomial"]
@@ -121,6 +125,14 @@ def plan(
             "KEY, or KEY:WIRE for one of them alone. Sets what is needed, checks and limits.",
         ),
     ] = "hip-screw",
+    placed: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Key of a wire that is in the bone already. It is found in both images near its --entry and --end "
+            "(the tip), and the others are planned beside it. Name every such wire that the images show.",
+            show_default=False,
+        ),
+    ] = None,
     frame: Annotated[
         str | None,
         typer.Option(help="A frame file, gamma, biplane or stereo.", show_default="gamma, or that of the case"),
@@ -164,7 +176,7 @@ def plan(
         from sightline.planning import Procedure, WirePicks, kind
         from sightline.planning.procedures.files import document_of, keeping
 
-        first = next(iter(wires))
+        first = next((name for name in wires if name not in (placed or ())), "")
         known = Procedure.of(document_of(procedure), first) if first else kind(procedure)
         opened = None if case is None else case_of(stack, case, files)
         in_use = None if opened is None or frame is not None else frame_in_use(opened)
@@ -178,6 +190,7 @@ def plan(
         with output.step("planning"):
             calibrated = [image.view for image in images]
             ends = {name: [pixels(point, calibrated, pick_sd) for point in wire] for name, wire in wires.items()}
+            in_bone = _in_bone(placed or (), ends, images, known.document)
             asked = PlanRequest(
                 *ends.pop(first),
                 pick_sd_px=pick_sd,
@@ -191,6 +204,7 @@ def plan(
                 side=side,
                 aids=_aids(known, *drawn, pick_sd),
                 others={name: WirePicks(a, b, snapped) for name, (a, b) in ends.items()} if first else None,
+                placed=in_bone or None,
             )
             planned = asked.plan_wires_on(calibrated) if first else asked.plan(images)
         document = planned_document(planned, images, known_frame)
@@ -237,6 +251,33 @@ def _aids(
         return aids
     first, second = (Circle.of(np.array(one[:2]), one[2], sd_px) for one in circles)
     return replace(aids, head=(first, second))
+
+
+def _in_bone(
+    keys: Sequence[str], ends: "dict[str, list[np.ndarray]]", images: "Images", procedure: "ProcedureDocument"
+) -> "dict[str, Axis]":
+    """Return the wires that are in the bone already, found in the images; they are taken out of `ends`.
+
+    Raises UnusableInputError, and what `find_placed_wires` raises.
+    """
+    import numpy as np
+
+    from sightline.errors import UnusableInputError
+    from sightline.pipeline import find_placed_wires
+
+    if not keys:
+        return {}
+    seen = [(one.seen.image, one.seen.beads, one.view) for one in images]
+    known = {wire.key: wire.diameter_mm for wire in procedure.wires}
+    if not set(keys) < set(ends) or not set(keys) <= set(known):
+        raise UnusableInputError(
+            f"--placed names {', '.join(keys)}; give --entry and --end of each, with its name, and of a wire to plan; "
+            f"the wires are {', '.join(known)}"
+        )
+    if any(image is None or beads is None for image, beads, _ in seen):
+        raise UnusableInputError("a placed wire is found in images; a table of beads shows no wire")
+    clicked = {key: np.array(ends.pop(key)).swapaxes(0, 1)[:2] for key in keys}
+    return find_placed_wires(seen, clicked, known)
 
 
 def both_or_none(pa: Path | None, lateral: Path | None, oblique: Path | None = None) -> tuple[Path, ...] | None:
