@@ -12,7 +12,7 @@ from sightline.frame import Frame
 from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.planning import reconstruct
 from sightline.rehearsal.robots import calibrated_robot, true_manipulator
-from sightline.robot.kinematics.calibrated import MACHINED_SD, SOURCES, calibrate_axes
+from sightline.robot.kinematics.calibrated import MACHINED_SD, REMOUNT_SD, SOURCES, calibrate_axes
 from sightline.robot.kinematics.manipulator import Manipulator, nominal_manipulator
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import draw_setup
@@ -45,6 +45,26 @@ def _off(robot, true: Manipulator, wire_mm: np.ndarray, rng: np.random.Generator
     wire = true.T_mcs_flange(ready) * unseen[1] * (true.T_mcs_flange(ready).inv() * true.T_mcs_tool(ready))
     in_frame = (frame.inv() * wire).apply([[0.0, 0.0, -95.0], [0.0, 0.0, 0.0]])
     return (robot.manipulator.T_mcs_cfcs(IMAGED).apply(in_frame) - wire_mm).ravel()
+
+
+def test_the_frame_moved_as_stated():
+    """Rotation and shift of a patient at rest, of which only the encoders' readings are known."""
+    robot, rng = calibrated_robot(frame=Frame.load("block60")), np.random.default_rng(2)
+    about, errors = np.array([10.0, -20.0, -30.0]), []
+    motion, covariance = robot.frame_moved(IMAGED, READY, about)
+    play = robot.joint_sd * np.sqrt(3)  # uniform
+    for _ in range(200):
+        true, stood = true_manipulator(robot, rng), []
+        for q in (IMAGED, READY):
+            unseen = RigidTransform.from_exp_coords(robot.compliance_sd * rng.standard_normal(6))
+            stood.append(true.T_mcs_flange(q + rng.uniform(-play, play)) * unseen * true.T_flange_cfcs)
+        remount = RigidTransform.from_exp_coords(REMOUNT_SD * rng.standard_normal(6))
+        off = (stood[1] * remount).inv() * stood[0]
+        turned = (off.rotation * motion.rotation.inv()).as_rotvec()
+        errors.append(np.concatenate([turned, off.apply(about) - motion.apply(about)]))
+    values, axes = np.linalg.eigh(covariance)
+    ratio = (np.array(errors) @ axes).var(axis=0) / values
+    assert np.abs(ratio - 1).max() < 0.4  # 4 s.d. of a variance of 200
 
 
 def test_a_robot_that_stays_where_it_was_owes_nothing_to_its_axes():
