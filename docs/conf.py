@@ -23,6 +23,7 @@ extensions = [
     "commands",
     "diagrams",
     "equations",
+    "procedures",
     "rooms",
 ]
 exclude_patterns = ["README.md"]  # the index includes it

@@ -17,6 +17,7 @@ from sightline import errors
 from sightline.frame.check import check_frame
 from sightline.frame.model import Frame
 from sightline.planning.bone_checks import MEASURES
+from sightline.planning.procedures.files import shipped
 from sightline.planning.procedures.rules import CHECKS
 
 ROOT = Path(__file__).parents[1]
@@ -92,6 +93,15 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert file.exists(), f"{page.name} links to {target}"
         if part and not part.startswith("sightline."):  # the site makes an anchor of each public name
             assert part in {anchor(h) for h in headings(file)}, f"{page.name} links to {target}"
+
+
+def test_every_shipped_procedure_has_a_page_with_its_file_and_a_small_picture() -> None:
+    for key in shipped():
+        text = (ROOT / "docs" / "procedures" / f"{key}.md").read_text()
+        assert f"```{{procedure}} {key}\n```" in text  # the tables of the page are made of the file
+        pictures = re.findall(r"]\(\.\./(pictures/[^)]+)\)", text)
+        assert pictures
+        assert all((ROOT / "docs" / name).stat().st_size < 300_000 for name in pictures)
 
 
 def toctrees(page: Path) -> set[Path]:
