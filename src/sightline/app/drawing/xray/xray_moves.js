@@ -1,13 +1,12 @@
-// Sends moves of points to the server: one nudge or two drags in flight, and the newest of each point wins.
+// Sends moves of points to the server: one drag or nudge in flight, and the newest of each point wins.
 //
-// Unlimited messages would queue behind a slow computation. The second drag waits at the server, so that this is never
-// idle; a third replaces those that wait here.
+// Unlimited messages would queue behind a slow computation. A second drag in flight would wait at the server as long as
+// the first is computed, while the hand moves on: its figures would be twice as old.
 // The last message of a gesture does not wait: an undo that overtook it would undo something else.
 
 const PATIENCE_MS = 2000; // [ours] a later answer counts as lost: much longer than a computation, short for a person
 const EDITS = new Set(["place", "drop", "nudge"]); // completed actions; a drag is still in progress
 const ONCE = new Set(["place", "drop"]);
-const DRAGS = 2; // [ours] in flight
 
 export class Moves {
   // `send(move)` sends to the server; `keep(move | null)` stores the newest unacknowledged edit.
@@ -79,7 +78,7 @@ export class Moves {
 
   #next() {
     const next = this.waiting.values().next().value;
-    if (next && this.inFlight.size < (next.type === "drag" ? DRAGS : 1)) this.#send(next);
+    if (next && this.inFlight.size === 0) this.#send(next);
   }
 
   #send(move) {
