@@ -13,7 +13,7 @@ export class PointButtons {
     for (const button of [...this.holder.children]) if (!wanted.has(button.dataset.id)) button.remove();
     const present = new Map([...this.holder.children].map((button) => [button.dataset.id, button]));
     for (const point of points) {
-      const button = present.get(point.id) || this.#added(point.id);
+      const button = present.get(point.id) || this.#inserted(point.id);
       button.setAttribute("aria-label", describe(point));
     }
   }
@@ -31,7 +31,7 @@ export class PointButtons {
     if (button) button.focus({ preventScroll: true });
   }
 
-  #added(id) {
+  #inserted(id) {
     const button = document.createElement("button");
     button.type = "button";
     button.dataset.id = id;
