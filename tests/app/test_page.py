@@ -28,6 +28,7 @@ from sightline.twin.implants import guide_wire
 SEEN_PX = 1.2  # a click is a whole pixel of the screen, the image drawn at 0.45: half of one over that
 # How far a point is from [name, u, v], px.
 _AWAY = "Math.hypot(core.state.points.get(value[0]).uv[0] - value[1], core.state.points.get(value[0]).uv[1] - value[2])"
+_NEAR = f"core.state.points.get(value[0]).uv && {_AWAY} < {2 * SEEN_PX}"
 
 
 @pytest.fixture(scope="module")
@@ -395,12 +396,14 @@ def test_what_a_person_does_wrong_ends_in_a_sentence(
     hands.press("place-end")
     hands.place("end", "pa", truth()["end"]["pa"])
     hands.until("lateral", "core.state.placing === value", "end")
-    hands.click("lateral", (u + 150.0, v + 150.0))
-    expect(hands.see("message")).to_contain_text("from the matching curve")
-    hands.page.keyboard.press("Escape")
-    for _ in range(2):
+    hands.click("lateral", (u + 150.0, v + 150.0))  # far from the curve: the point slides on it
+    hands.until("lateral", "core.state.points.get('end').uv && !core.moved.size")
+    expect(hands.see("row-end")).to_contain_text("● lat")
+    assert np.hypot(*np.subtract(hands.placed("end", "lateral"), (u + 150.0, v + 150.0))) > 25.0
+    expect(hands.see("message")).to_have_count(0)
+    for _ in range(3):
         hands.page.keyboard.press("Control+z")
-    hands.until("lateral", "core.state.points.get('end').uv")
+    hands.until("lateral", _NEAR, ["end", u, v])
 
 
 @pytest.fixture(scope="module")
