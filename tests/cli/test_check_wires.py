@@ -94,6 +94,9 @@ def test_two_wires_in_one_case_are_measured_each_against_its_plan(
         assert [kept.entry(one.rests_on[0]).content["kind"] for one in shots] == [f"mine:{key}" for key in KEYS]
     outcomes = run("case", "replay", case, "--json").document["entries"]
     assert {one["outcome"] for one in outcomes} == {"same to the bit"}
+    assert run("case", "report", case, "--out", tmp_path / "report").code == 0
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert "parallel, as measured" in page and page.count(": entry 0.") == 2 and "<td>not measured</td>" in page
     said = run(*shot, "--wire", "anterior").out
     assert "parallel, as measured: " in said and "the posterior wire is not measured yet" in said
 

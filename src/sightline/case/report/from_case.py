@@ -27,6 +27,7 @@ def report_of(case: Case) -> Report:
         images=again.images(entry),
         plan=made,
         wires=again.wires(entry),
+        measured=again.measured(entry),
         exposures=exposures.of_case(case, entry, made.kind),
         drilled=_drilled(case, entry, again),
         provenance={
@@ -39,7 +40,9 @@ def report_of(case: Case) -> Report:
 
 def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
     """Return the last drilling record and the last check shot since the plan; None if there is neither."""
-    records = [one.content["record"] for one in case.entries(Kind.DRILLED, plan.number) if "record" in one.content]
+    drilled = case.entries(Kind.DRILLED, plan.number)
+    own = [one for one in drilled if not one.rests_on or plan.number in one.rests_on]  # not of another wire
+    records = [one.content["record"] for one in own if "record" in one.content]
     shots = [one for one in case.entries(Kind.VERIFIED, plan.number) if _is_measured(one, plan)]
     drilling = {one.content["asked"]["straight"]: one for one in case.entries(Kind.SHOT, plan.number)}
     if not records and not shots and not drilling:

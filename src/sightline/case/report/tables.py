@@ -1,6 +1,7 @@
 """The texts and rounded numbers of a report as template context."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ from sightline.case.report.comparison import Compared, Refused
 from sightline.case.report.content import Report
 from sightline.case.report.drawing.budget import Bar
 from sightline.checks import Check, failed
+from sightline.planning.check_result import CheckShot
+from sightline.planning.measured_wires import judge_measured
+from sightline.planning.results import Verdict
 
 POINTS = ("entry", "tip")
 COLOURS = {"beads": "beads", "map": "map", "focal_point": "focal", "frame": "frame", "picks": "picks"}
@@ -158,16 +162,28 @@ def _wires(report: Report) -> dict[str, Any] | None:
                 "verdict": one.verdict.state.upper(),
                 "points": list(zip(path.points.xyz_mm, errors, strict=True)),
                 "length": path.length_mm,
+                "measured": _measured(report.measured.get(key)),
             }
         )
     names = {wire.key: wire.name for wire in made.procedure.wires}
+    measured = judge_measured(made, report.measured, report.plan.side) if report.measured else Verdict(())
     return {
         "word": made.verdict.state.upper(),
         "rows": rows,
         "others": [f"{names[key]}: in the bone already" for key in made.placed]
         + [f"{names[key]}: not planned" for key in made.missing],
-        "relations": [_check(check) for check in made.relations],
+        "relations": [_check(check) for check in made.relations]
+        + [_check(replace(check, name=f"{check.name}, as measured")) for check in measured.checks],
     }
+
+
+def _measured(shot: CheckShot | None) -> str:
+    """Return what the check shot of a wire found."""
+    if shot is None:
+        return "not measured"
+    deg = np.rad2deg(shot.angle_rad)
+    state = "passed" if shot.passed else "FAILED"
+    return f"{state}: entry {shot.entry_deviation_mm:.2f} mm, tip {shot.tip_deviation_mm:.2f} mm, {deg:.2f}°"
 
 
 def bars(report: Report) -> list[Bar]:
