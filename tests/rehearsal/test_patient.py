@@ -6,7 +6,7 @@ import pytest
 from sightline.case.views import NAMES
 from sightline.errors import SetUpError
 from sightline.frame import Frame
-from sightline.rehearsal.patient import BONE_OF, LANDMARK_MARGIN_PX, RehearsedPatient
+from sightline.rehearsal.patient import BONE_OF, LANDMARK_MARGIN_PX, RehearsedPatient, draw_patient
 from sightline.twin.bones import SphereAid
 
 BLOCK, SEED = Frame.load("block60"), 5
@@ -14,7 +14,7 @@ BLOCK, SEED = Frame.load("block60"), 5
 
 @pytest.fixture(scope="module", params=BONE_OF)
 def patient(request) -> RehearsedPatient:
-    return RehearsedPatient.draw(request.param, SEED, BLOCK, "left", imaged=False)
+    return draw_patient(request.param, SEED, BLOCK, "left", imaged=False)
 
 
 def test_both_views_show_the_wire_and_three_landmarks_of_the_procedure(patient: RehearsedPatient) -> None:
@@ -57,4 +57,4 @@ def test_clicks_on_a_rim_are_tangent_to_the_sphere_away_from_its_cut(patient: Re
 
 def test_plates_do_not_show_inlet_and_outlet() -> None:
     with pytest.raises(SetUpError, match="inlet, outlet"):
-        RehearsedPatient.draw("iliosacral-screw", SEED, Frame.load("gamma"), imaged=False)
+        draw_patient("iliosacral-screw", SEED, Frame.load("gamma"), imaged=False)

@@ -33,12 +33,12 @@ def frame_for(procedure: str, frame: str | None) -> str:
 
 def drawn_patient(procedure: str, seed: int, frame: "Frame") -> "RehearsedPatient":
     """Return the patient of a procedure. Raises SetUpError."""
-    from sightline.rehearsal.patient import RehearsedPatient
+    from sightline.rehearsal.patient import draw_patient
     from sightline.rehearsal.rehearsal import Rehearsal
 
     if procedure in DRILLED:
         return Rehearsal.draw(seed, frame, procedure=procedure)
-    return RehearsedPatient.draw(procedure, seed, frame)
+    return draw_patient(procedure, seed, frame)
 
 
 def command(seed: int, procedure: str, frame: str) -> str:

@@ -267,14 +267,15 @@ def _in_bone(
 
     if not keys:
         return {}
-    seen = [(one.seen.image, one.seen.beads, one.view) for one in images]
+    each = [(one.seen.image, one.seen.beads, one.view) for one in images]
+    seen = [(image, beads, view) for image, beads, view in each if image is not None and beads is not None]
     known = {wire.key: wire.diameter_mm for wire in procedure.wires}
     if not set(keys) < set(ends) or not set(keys) <= set(known):
         raise UnusableInputError(
             f"--placed names {', '.join(keys)}; give --entry and --end of each, with its name, and of a wire to plan; "
             f"the wires are {', '.join(known)}"
         )
-    if any(image is None or beads is None for image, beads, _ in seen):
+    if len(seen) < len(each):
         raise UnusableInputError("a placed wire is found in images; a table of beads shows no wire")
     clicked = {key: np.array(ends.pop(key)).swapaxes(0, 1)[:2] for key in keys}
     return find_placed_wires(seen, clicked, known)

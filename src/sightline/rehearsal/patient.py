@@ -57,24 +57,6 @@ class RehearsedPatient:
     bone: HipScene | BoneScene
     procedure: str = "hip-screw"
 
-    @staticmethod
-    def draw(
-        procedure: str, seed: int, frame: Frame, side: str = "right", *, imaged: bool = True
-    ) -> "RehearsedPatient":
-        """Draw a patient without a robot; both views show all wires. `imaged`: False leaves out what absorbs, for
-        studies of points.
-
-        Raises SetUpError, also for plates whose beams are not those of the procedure.
-        """
-        rng = np.random.default_rng(seed)
-        if procedure in BONE_OF:
-            setup, bone = shown_bone_scene(rng, frame, BONE_OF[procedure], side, imaged=imaged)
-            return RehearsedPatient(seed, _renamed(setup), bone, procedure)
-        femur = draw_femur(rng)
-        setup, head = shown_setup(rng, frame, side, femur, wires_mm=_anatomical(femur, procedure))
-        hip = placed_hip(setup, femur, head, rng) if imaged else HipScene.of(Scene(), Scene(), femur, side, head)
-        return RehearsedPatient(seed, setup, hip, procedure)
-
     def generator(self, part: str) -> np.random.Generator:
         """Return the generator of one of PARTS in its initial state."""
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(PARTS.index(part),)))
@@ -259,6 +241,24 @@ class RehearsedPatient:
             again = BONES[BONE_OF[self.procedure]].setup(rng, frame, side, self.setup.tube, check=True, chain=chain)
             return _renamed(again)
         return draw_setup(rng, frame, side=side, chain=chain, variation=Variation(tube=self.setup.tube))
+
+
+def draw_patient(
+    procedure: str, seed: int, frame: Frame, side: str = "right", *, imaged: bool = True
+) -> RehearsedPatient:
+    """Draw a patient without a robot; both views show all wires. `imaged`: False leaves out what absorbs, for
+    studies of points.
+
+    Raises SetUpError, also for plates whose beams are not those of the procedure.
+    """
+    rng = np.random.default_rng(seed)
+    if procedure in BONE_OF:
+        setup, bone = shown_bone_scene(rng, frame, BONE_OF[procedure], side, imaged=imaged)
+        return RehearsedPatient(seed, _renamed(setup), bone, procedure)
+    femur = draw_femur(rng)
+    setup, head = shown_setup(rng, frame, side, femur, wires_mm=_anatomical(femur, procedure))
+    hip = placed_hip(setup, femur, head, rng) if imaged else HipScene.of(Scene(), Scene(), femur, side, head)
+    return RehearsedPatient(seed, setup, hip, procedure)
 
 
 def _renamed(setup: SetUp) -> SetUp:

@@ -65,7 +65,7 @@ class Rehearsal(RehearsedPatient):
         """Pixels (2, 3, 2) in both images of three points around the outline of the head."""
         return self.rim_px(self.hip.head_mm, self.hip.femur.head_radius_mm)
 
-    @property
+    @cached_property
     def aids_px(self) -> AidClicks:
         """Clicks on the aids that are drawn, as of other patients: of those of the procedure the head."""
         asked = {aid.key for aid in self.document.aids}

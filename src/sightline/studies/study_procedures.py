@@ -17,7 +17,7 @@ from sightline.checks import failed
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.planning import Plan
-from sightline.rehearsal.patient import AT_HIP, BONE_OF, RehearsedPatient, frame_of
+from sightline.rehearsal.patient import AT_HIP, BONE_OF, draw_patient, frame_of
 from sightline.studies.intervals import quantile, share
 from sightline.studies.scenes import calibrated_views, measure
 from sightline.studies.study import Estimate, EstimateGroup, Summary, Table, Values
@@ -67,7 +67,7 @@ def _planned(procedure: str, seed: int) -> Values:
     rng = np.random.default_rng([seed, 1])  # of the noise; the patient has its own
     try:
         side = SIDES[seed % len(SIDES)]
-        patient = RehearsedPatient.draw(procedure, seed, Frame.load(frame_of(procedure)), side, imaged=False)
+        patient = draw_patient(procedure, seed, Frame.load(frame_of(procedure)), side, imaged=False)
         views = calibrated_views(patient.setup, measure(rng, patient.setup, BEAD_PX))
         asked, _ = patient.asked(rng, PICK_PX)
         made = asked.plan_on(views) if asked.others is None else asked.plan_wires_on(views)

@@ -287,7 +287,7 @@ def _hidden(name: str, ended: Sequence[Values]) -> tuple[Estimate, tuple[str, ..
 
 def _plots(by_kind: dict[str, Sequence[Values]]) -> Iterable[Plot]:
     times = {name: np.array([one["times"] for one in trials]) for name, trials in by_kind.items() if trials}
-    rows = [Span(name, *(float(np.quantile(each, at)) for at in (0.05, 0.5, 0.95))) for name, each in times.items()]
+    rows = [Span(name, *np.quantile(each, (0.05, 0.5, 0.95)).tolist()[:3]) for name, each in times.items()]
     if rows:
         title = "How far wrong plans violate their limits"
         caption = "In 95 % errors of the check that must catch them: central 90 % (bar) and median (tick) by kind."
