@@ -1,4 +1,4 @@
-"""The X-ray view in an installed Chromium: frames while dragging a point, repaints of the window, time to a curve.
+"""The X-ray view in an installed Chromium: frames while dragging a point, repaints of the window.
 
 Two views of 1024 x 1024 with 120 beads; the pointer moves at 60 Hz; the server computes for 15 ms on each move. Times
 are measured in the page, from the pointer event's time stamp to the end of the frame that draws it.
@@ -20,17 +20,13 @@ from benchmarks.rows import Row
 COMPUTING_S = 0.015
 FRAME_MS = 1000 / 60
 REQUIRED_FRAME_MS = 1.05 * FRAME_MS  # a frame that was not missed, and 5 % for the clock
-REQUIRED_CURVE_MS = 50.0
 
-# Records the run time of each frame's code, when each pointer move is drawn, and when its curve is in the other view.
+# Records the run time of each frame's code, and when each pointer move is drawn.
 _WATCH = """() => {
-  const watch = (window.watch = { frame: [], point: [], curve: [] });
-  const { pa, lateral } = window.sightlineXray;
-  const [request, push, layer] = [window.requestAnimationFrame, pa.moves.push, lateral.setLayer];
-  const times = new Map();
-  let pointer = 0;
+  const watch = (window.watch = { frame: [], point: [] });
+  const request = window.requestAnimationFrame;
   let undrawn = null;
-  window.addEventListener("pointermove", (event) => { pointer = undrawn = event.timeStamp; }, true);
+  window.addEventListener("pointermove", (event) => { undrawn = event.timeStamp; }, true);
   window.requestAnimationFrame = (draw) => request((now) => {
     const start = performance.now();
     draw(now);
@@ -38,12 +34,6 @@ _WATCH = """() => {
     if (undrawn !== null) watch.point.push(performance.now() - undrawn);
     undrawn = null;
   });
-  pa.moves.push = (...move) => { push.apply(pa.moves, move); times.set(pa.moves.seq, pointer); };
-  lateral.setLayer = (name, shapes) => {
-    layer.call(lateral, name, shapes);
-    const from = times.get(shapes[0].of);
-    request(() => watch.curve.push(performance.now() - from)); // after the frame that the layer asked for
-  };
 }"""
 
 _REPAINT = """async (times) => {
@@ -74,9 +64,6 @@ def run(quick: bool) -> list[Row]:
         frame_row(group, frames),
         Row(group, "pointer to the point drawn", spread(seen["point"]), "one frame", met=drawn <= FRAME_MS),
         Row(group, "code of a frame in a drag", spread(seen["frame"])),
-        following_row(
-            group, f"pointer to the curve in the other view, {COMPUTING_S * 1e3:.0f} ms computed", seen["curve"]
-        ),
         Row(group, "repaint of another window", spread(repaints), "one frame", met=high(repaints) <= FRAME_MS),
     ]
 
@@ -131,11 +118,6 @@ def frame_row(group: str, frames: list[float]) -> Row:
     """Return the row of the frame intervals of a drag."""
     required, met = f"{FRAME_MS:.1f} ms at 95 %", high(frames) <= REQUIRED_FRAME_MS
     return Row(group, "interval of frames in a drag", spread(frames), required, met=met)
-
-
-def following_row(group: str, what: str, times: list[float]) -> Row:
-    """Return the row of the delay of something that follows the pointer."""
-    return Row(group, what, spread(times), f"{REQUIRED_CURVE_MS:.0f} ms at 95 %", met=high(times) <= REQUIRED_CURVE_MS)
 
 
 def spread(values: list[float]) -> str:

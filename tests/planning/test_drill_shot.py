@@ -10,7 +10,7 @@ from tests.planning.test_check_shot import MARK_PX, MARKS, PLAN, Wire, shows, wi
 import sightline as sl
 from sightline.calibration import BeadView
 from sightline.checks import failed
-from sightline.errors import ReconstructionRefusedError
+from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
 from sightline.planning.check_shot import Landmarks
@@ -212,3 +212,9 @@ def test_a_bent_wire_in_its_guide_stops(aligned):
     shot = aligned.shot(wires=wires)
     assert shot.decision == "STOP"
     assert "check shot residuals" in {check.name for check in failed(shot.verdict.checks)}
+
+
+def test_a_tip_at_the_entry_is_refused(paused):
+    """No line to the end follows from it, and the robot's state of no motion is a tip at zero."""
+    with pytest.raises(UnusableInputError, match="take the shot before it or deeper"):
+        paused.shot(tip_mm=0.0)

@@ -12,6 +12,7 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check, Limits, failed
+from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import length_quantile
 from sightline.planning.check_result import CheckShot, error_check
 from sightline.planning.check_shot import check_shot
@@ -25,6 +26,7 @@ TURNED_AWAY = (
     "This shot cannot be measured: the frame has turned away with the arm, and its beads no longer tell where the bone "
     "is. Compare wire and plan by eye; the decision is yours."
 )
+MIN_TIP_MM = 1.0  # nearer to the entry, the tip says nothing of the line's direction [ours]
 MAX_DEPTH_MM = 3.0  # a robot refuses a measured depth that is further from its own [docs/robot-link.md]
 _WORDS = {"go": "GO", "no-go": "STOP", "incomplete": "INCOMPLETE"}
 _INPUTS = ("check shot error", "bone landmarks")  # where these fail, an input is missing
@@ -99,8 +101,13 @@ def drill_shot(
 
     `tip_mm`: depth of the tip beyond the planned entry by the robot, negative before it. `known`: how the frame moved
     since the planning images (`CalibratedRobot.frame_moved`); `known.straight` in ALIGNED. The others as of
-    `check_shot`, which also says what is raised.
+    `check_shot`, which also says what is raised; UnusableInputError too for a tip at the entry, from which no line to
+    the end follows.
     """
+    if abs(tip_mm) < MIN_TIP_MM:
+        raise UnusableInputError(
+            f"the tip is {tip_mm:+.1f} mm from the planned entry; take the shot before it or deeper"
+        )
     limits = limits or Limits()
     here = replace(limits, beyond_mm=tip_mm - trajectory.length_mm)
     wire = check_shot(trajectory, picks, planned, taken, wires, landmarks=landmarks, limits=here, known=known)
