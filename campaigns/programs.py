@@ -334,9 +334,9 @@ def demonstrated() -> Write:
         patch.object(demo, "record", lambda _, what: steps.append(lambda out: record(out / "case", what))),
         patch.object(demo, "_write_results", lambda _, *what: steps.append(lambda out: results(out, *what))),
     ):
-        demo._run(output, computed, demo.SEED, "gamma")
+        demo._run(output, computed, demo.SEED, "gamma", "hip-screw")
 
-    def run(output: Output, scratch: Path, seed: int, frame: str) -> dict[str, Any]:
+    def run(output: Output, scratch: Path, seed: int, frame: str, procedure: str) -> dict[str, Any]:
         for image in sorted(computed.iterdir()):
             atomic.write_whole(scratch / image.name, image.read_bytes())
         for step in steps:
