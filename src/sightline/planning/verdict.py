@@ -102,7 +102,7 @@ def _movement(points: SpacePoints, views: Sequence[str]) -> Check:
     if free < MIN_FREE_POINTS or points.shift_mm is None or points.shift_sd_mm is None:
         sentence = (
             f"A movement of the patient between the views is not tested: {free} points are picked freely in both views "
-            f"(a snapped pick has no gap); pick {MIN_FREE_POINTS} landmarks of the bone freely in both."
+            f"(a snapped pick has no gap); pick {MIN_FREE_POINTS} landmarks freely in both."
         )
         return Check("movement", False, None, MAX_GAP_SIGMA, "σ", sentence)
     shift, sd = abs(points.shift_mm), points.shift_sd_mm
@@ -128,7 +128,7 @@ def _movement_between(found: Movement, free: int, views: Sequence[str]) -> Check
     if found.shown.min() < MIN_FREE_POINTS or found.freedom < 2 * images - 3:
         sentence = (
             f"A movement of the patient between the {images} images is not tested completely: pick {MIN_FREE_POINTS} "
-            "landmarks of the bone freely in all of them."
+            "landmarks freely in all of them."
         )
         return Check("movement", False, None, limit, "χ²", sentence)
     passed = found.chi2 <= limit
