@@ -64,7 +64,7 @@ def case(run, beads_csv: Path, setup, hip: HipScene, wires_mm: np.ndarray, tmp_p
 def test_two_wires_in_one_case_are_measured_each_against_its_plan(
     run, case: Path, setup, hip: HipScene, wires_mm: np.ndarray, tmp_path: Path
 ) -> None:
-    """A program that takes the other wire's line, or its plan, errs by 8 mm."""
+    """The other wire's line, or its plan, lies 8 mm off."""
     rng, scene = np.random.default_rng(5), hip.scene
     aside = np.array([0.0, 0.0, 1.0])
     for key, off in OFF_MM.items():

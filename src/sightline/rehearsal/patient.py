@@ -24,7 +24,7 @@ from sightline.robot.kinematics.calibrated import REMOUNT_SD
 from sightline.twin import BoneScene, HipScene, Scene, SetUp, Variation, draw_setup, render, truth_document
 from sightline.twin.bone_scene import BONES, bone_document, shown_bone_scene
 from sightline.twin.bones import Aid, LineAid, SphereAid
-from sightline.twin.drawn_aids import drawn_aids, hip_aids
+from sightline.twin.drawn_aids import drawn_aids, hip_aids, key_of
 from sightline.twin.femur import Femur, draw_femur, to_cfcs
 from sightline.twin.scene import placed_hip, shown_setup
 from sightline.twin.specimens import tagged
@@ -100,7 +100,7 @@ class RehearsedPatient:
         procedure names, or of a procedure for any bone the first ones, as far as they lie well inside both fields."""
         known = self.bone.landmarks_mm
         asked = [one.key for one in self.document.landmarks]
-        named = [name for name in known if _key(name) in asked]
+        named = [name for name in known if key_of(name) in asked]
         uv = self.pixels(np.stack(list(known.values())))
         shown = [self.setup.views[name].in_field(uv[k], LANDMARK_MARGIN_PX) for k, name in enumerate(VIEWS)]
         seen = {name: uv[:, k] for k, name in enumerate(known) if shown[0][k] and shown[1][k]}
@@ -111,7 +111,7 @@ class RehearsedPatient:
     def landmark_keys(self) -> tuple[str, ...]:
         """The keys of `landmarks` in the procedure's file."""
         asked = [one.key for one in self.document.landmarks]
-        keys = tuple(_key(name) for name in self.landmarks)
+        keys = tuple(key_of(name) for name in self.landmarks)
         return keys if set(keys) <= set(asked) else tuple(asked[: len(keys)])
 
     @cached_property
@@ -120,7 +120,7 @@ class RehearsedPatient:
         clicks lie in the fields. None in an image in which the aid is not drawn."""
         views = [view.name for view in self.document.views]
         asked = {aid.key: [view in aid.views for view in views] for aid in self.document.aids}
-        known = {name: aid for name, aid in self._aids.items() if _key(name) in asked}
+        known = {name: aid for name, aid in self._aids.items() if key_of(name) in asked}
         out = {key: [uv[view] for view in VIEWS] for key, uv in drawn_aids(known, self.setup.views).items()}
         for name, aid in known.items():
             if isinstance(aid, SphereAid) and "growth plate" in known:  # which cuts the sphere off
@@ -272,7 +272,3 @@ def _anatomical(femur: Femur, procedure: str) -> np.ndarray:
     if procedure == CANNULATED:
         return femur.cannulated_wires_mm(WIDER_SCREW_MM)[[0, 2, 1]]  # inferior, anterior, posterior
     return np.stack(femur.wire_mm())[None]
-
-
-def _key(name: str) -> str:
-    return "-".join(name.split())

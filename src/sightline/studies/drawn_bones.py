@@ -13,7 +13,7 @@ from sightline.studies.scenes import MARGIN_PX, VIEWS
 from sightline.twin import SetUp, ViewTruth
 from sightline.twin.bone_scene import BONES, draw_origin
 from sightline.twin.bones import BoneModel
-from sightline.twin.drawn_aids import drawn_aids
+from sightline.twin.drawn_aids import drawn_aids, key_of
 from sightline.twin.femur import Femur, draw_femur, to_cfcs
 from sightline.twin.scene import shown_setup
 
@@ -126,7 +126,7 @@ class DrawnBone:
         """Return the true pixels as `DrawnHip.pixels` does; without aids of which a click lies outside."""
         views, wanted = self.setup.views, [view.name for view in self.procedure.document.views]
         asked = {aid.key: [wanted[k] in aid.views for k in range(len(VIEWS))] for aid in self.procedure.aids}
-        known = {name: aid for name, aid in self.bone.aids.items() if _key(name) in asked}
+        known = {name: aid for name, aid in self.bone.aids.items() if key_of(name) in asked}
         out = {"wire": self.projected(wire_mm), "landmarks": self._landmarks()}
         for key, each in drawn_aids({name: aid.mapped(self.in_cfcs) for name, aid in known.items()}, views).items():
             if all(views[view].in_field(uv, MARGIN_PX).all() for view, uv in each.items()):
@@ -136,7 +136,7 @@ class DrawnBone:
 
     def _landmarks(self) -> np.ndarray:
         """Return the pixels of the procedure's landmarks if the bone has all; else of the first that are shown."""
-        known = {_key(name): self.in_cfcs(at) for name, at in self.bone.landmarks_mm.items()}
+        known = {key_of(name): self.in_cfcs(at) for name, at in self.bone.landmarks_mm.items()}
         asked = [one.key for one in self.procedure.landmarks]
         if set(asked) <= known.keys():
             return _projected(self.setup, np.stack([known[key] for key in asked]))
@@ -184,10 +184,6 @@ def plan_of(
         aids=Aids.clicked(types, clicked),
         curve=_no_curve,
     )
-
-
-def _key(name: str) -> str:
-    return name.replace(" ", "-")
 
 
 def _projected(setup: SetUp, xyz_mm: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ class KnownBone:
     @staticmethod
     def of(made: Plan) -> "KnownBone":
         """Return what a plan with a side, drawn aids and stated errors knows."""
-        found, joint, n = made.anatomy, made.seen.joint_covariance_mm2, 0
+        found, joint = made.anatomy, made.seen.joint_covariance_mm2
         assert found is not None and found.covariance is not None and joint is not None and made.side is not None  # noqa: S101
         n, marks = len(found.values), made.seen.xyz_mm[2:].ravel()
         covariance = np.zeros((n + len(marks),) * 2)

@@ -25,11 +25,14 @@ def drawn_aids(aids: Mapping[str, Aid], views: Mapping[str, ViewTruth]) -> dict[
       section, then those of the short one
     """
     return {
-        name.replace(" ", "-"): {
-            view.name: view.project(clicked_mm(aid, view.focal_point_mm)) for view in views.values()
-        }
+        key_of(name): {view.name: view.project(clicked_mm(aid, view.focal_point_mm)) for view in views.values()}
         for name, aid in aids.items()
     }
+
+
+def key_of(name: str) -> str:
+    """Return the key in procedures' files of an aid or a landmark of the twin, by its name."""
+    return name.replace(" ", "-")
 
 
 def hip_aids(femur: Femur, side: str, head_mm: np.ndarray) -> dict[str, Aid]:

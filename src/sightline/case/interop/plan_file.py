@@ -27,19 +27,18 @@ _DIGEST = "digest"
 _WIRES = "wires"
 # What each wire of a file of several wires has of its own; the rest is the same for all.
 _OWN = (
-    *(
-        "go",
-        "verdict",
-        "missing",
-        "noticed_along_mm",
-        "kind",
-        "procedure",
-        "trajectory",
-        "landmarks",
-        "implant",
-        "checks",
-    ),
-    *("lines_of_sight", "drawn"),
+    "go",
+    "verdict",
+    "missing",
+    "noticed_along_mm",
+    "kind",
+    "procedure",
+    "trajectory",
+    "landmarks",
+    "implant",
+    "checks",
+    "lines_of_sight",
+    "drawn",
 )
 _MIN_RISE_MM = 10.0  # [ours] cranial rise from entry to end that decides the side; a hip screw at 135° rises 60 mm
 _MAX_BYTES = 2**24  # [ours] a hundred times the size of a plan with its beads
