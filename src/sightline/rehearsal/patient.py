@@ -5,7 +5,7 @@ in the robot's separate process.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -239,7 +239,7 @@ class RehearsedPatient:
         frame, chain, side = self.setup.frame, self.setup.views[VIEWS[0]].chain.name, self.side
         if self.procedure in BONE_OF:
             again = BONES[BONE_OF[self.procedure]].setup(rng, frame, side, self.setup.tube, check=True, chain=chain)
-            return _renamed(again)
+            return again.renamed(VIEWS)
         return draw_setup(rng, frame, side=side, chain=chain, variation=Variation(tube=self.setup.tube))
 
 
@@ -254,17 +254,11 @@ def draw_patient(
     rng = np.random.default_rng(seed)
     if procedure in BONE_OF:
         setup, bone = shown_bone_scene(rng, frame, BONE_OF[procedure], side, imaged=imaged)
-        return RehearsedPatient(seed, _renamed(setup), bone, procedure)
+        return RehearsedPatient(seed, setup.renamed(VIEWS), bone, procedure)
     femur = draw_femur(rng)
     setup, head = shown_setup(rng, frame, side, femur, wires_mm=_anatomical(femur, procedure))
     hip = placed_hip(setup, femur, head, rng) if imaged else HipScene.of(Scene(), Scene(), femur, side, head)
     return RehearsedPatient(seed, setup, hip, procedure)
-
-
-def _renamed(setup: SetUp) -> SetUp:
-    """Return the set-up with its views named as those of every pair of images are, in their order."""
-    views = {name: replace(view, name=name) for name, view in zip(VIEWS, setup.views.values(), strict=True)}
-    return replace(setup, views=views)
 
 
 def _anatomical(femur: Femur, procedure: str) -> np.ndarray:

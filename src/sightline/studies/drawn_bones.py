@@ -118,9 +118,8 @@ class DrawnBone:
         """Draw a bone of either side. Raises SetUpError for plates that do not show its views."""
         side, of = str(rng.choice(["right", "left"])), BONES[name]
         bone, setup = of.draw(rng).bone(), of.setup(rng, frame, side)
-        named = {name: replace(view, name=name) for name, view in zip(VIEWS, setup.views.values(), strict=True)}
         origin = setup.hip_mm + draw_origin(bone, side, rng)
-        return DrawnBone(replace(setup, views=named), bone, side, origin, procedure)
+        return DrawnBone(setup.renamed(VIEWS), bone, side, origin, procedure)
 
     def pixels(self, wire_mm: np.ndarray) -> dict[str, np.ndarray]:
         """Return the true pixels as `DrawnHip.pixels` does; without aids of which a click lies outside."""

@@ -1,6 +1,6 @@
 """The C-arm in its two poses: true positions of source and detector, and true projection of points to pixels."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import pi
 
@@ -86,6 +86,11 @@ class SetUp:
     tube: Tube | FlatPanel
     hip_mm: np.ndarray = field(default_factory=lambda: np.zeros(3))
     mount: RigidTransform = field(default_factory=RigidTransform.identity)
+
+    def renamed(self, names: Sequence[str]) -> "SetUp":
+        """Return the set-up with these names of its views, in their order."""
+        views = {name: replace(view, name=name) for name, view in zip(names, self.views.values(), strict=True)}
+        return replace(self, views=views)
 
     def frame_in(self, view: str) -> Frame:
         """Return the true frame at the exposure of a view, with the plate on the detector placed in CFCS."""
