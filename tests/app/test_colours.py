@@ -103,8 +103,10 @@ def test_lines_over_an_image_stand_out_from_their_casing() -> None:
     for name, look in styles("drawing/xray/xray_paint.js").items():
         for image in IMAGES:
             assert contrast(over(look["colour"]), over(casing[1], image)) >= GRAPHIC, (name, image)
+    curves = [styles("drawing/xray/xray_paint.js")[name]["colour"] for name in ("entry", "end")]
     for image in IMAGES:
-        assert contrast(rgb("text"), over(casing[1], image)) >= TEXT  # names of points
+        for words in (COLOURS["text"], *curves):  # names of points, and of their curves
+            assert contrast(over(words), over(casing[1], image)) >= TEXT
 
 
 def test_things_in_space_stand_out_from_the_ground() -> None:

@@ -329,7 +329,7 @@ def test_plan_layers_hide_while_the_image_is_stale(view: View) -> None:
     view.do("stale")
     expect(view.root.get_by_test_id("stale")).to_be_visible()
     without = view.grey()
-    on_wire = [round(value) for value in view.screen((540.0, 440.0))]
+    on_wire = [round(value) for value in view.screen((480.0, 410.0))]
     on_aid = [round(value) for value in view.screen((300.0, 310.0))]
     assert with_plan[on_wire[1], on_wire[0]] - without[on_wire[1], on_wire[0]] > 20
     assert with_plan[on_aid[1], on_aid[0]] == without[on_aid[1], on_aid[0]]
@@ -455,6 +455,25 @@ def test_a_click_on_a_point_moves_nothing(view: View) -> None:
     view.mouse.click(*view.screen(POINTS[0]["uv"]))
     assert view.heard("drag", "drop", "place") == []
     assert view.core("core.state.selected") == "entry"
+
+
+def test_a_point_has_its_name_while_the_pointer_is_on_it(view: View) -> None:
+    """A name is white; without it a mark has only the pixels of its own colour."""
+
+    def white() -> int:
+        x, y = view.screen(POINTS[0]["uv"])
+        return int((view.grey()[round(y) - 40 : round(y) + 40, round(x) - 90 : round(x) + 90] > 230).sum())
+
+    view.core("core.select(null)")
+    view.mouse.move(*view.screen((420.0, 460.0)))
+    view.settle()
+    assert white() == 0
+    view.mouse.move(*view.screen(POINTS[0]["uv"]))
+    view.settle()
+    assert white() > 50
+    view.mouse.move(*view.screen((420.0, 460.0)))
+    view.settle()
+    assert white() == 0
 
 
 def test_what_may_not_move_stays(view: View) -> None:

@@ -1,13 +1,19 @@
 // Units of the X-ray view's scripts that need no page: `node --test tests/app/xray.test.mjs`.
 
 import assert from "node:assert/strict";
+import { register } from "node:module";
 import { test } from "node:test";
 
 globalThis.window = new EventTarget();
 globalThis.document = { querySelectorAll: () => [] };
+globalThis.document.documentElement = { style: { setProperty() {} } }; // colours.js names the page's colours
+register("data:text/javascript," + encodeURIComponent(`
+  export const resolve = (name, context, next) =>
+    next(name === "colours" ? "${new URL("../../src/sightline/app/drawing/colours.js", import.meta.url)}" : name, context);`));
 const root = new URL("../../src/sightline/app/drawing/xray/", import.meta.url);
 const { Display } = await import(new URL("xray_display.js", root));
 const { Gestures } = await import(new URL("xray_gestures.js", root));
+const { arrange, Labels } = await import(new URL("xray_labels.js", root));
 const { Matching } = await import(new URL("xray_matching.js", root));
 const { Moves } = await import(new URL("xray_moves.js", root));
 const sight = await import(new URL("xray_sight.js", root));
@@ -93,6 +99,45 @@ test("a curve that moves replaces the server's, with the widths of its newest ba
   near([sight.depthAt(is, after)], [sight.depthAt(was, place)], 1e-6);
 });
 
+const width = (text) => 8 * text.length;
+const boxOf = ({ text, at: [x, y] }) => ({ left: x - width(text) / 2, right: x + width(text) / 2, top: y - 9, bottom: y + 9 });
+const meet = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+
+function labelled(turn, named) {
+  const [cos, sin] = [Math.cos(turn), Math.sin(turn)];
+  const curve = (offset) => Array.from({ length: 60 }, (_, k) => [250 + cos * (k - 30) * 8 - sin * offset, 250 + sin * (k - 30) * 8 + cos * offset]);
+  const [one, two] = [curve(-24), curve(24)]; // so near that not every number has room
+  const ticks = (of, line) => [{ shape: "ticks", of, label: line.filter((_, k) => k % 5 === 0).map((_, k) => String(10 * k)) }, line.filter((_, k) => k % 5 === 0)];
+  const shapes = [[{ shape: "line", of: "entry" }, one], ticks("entry", one), [{ shape: "line", of: "end" }, two], ticks("end", two)];
+  const points = [[{ id: "entry", label: "Entry point" }, one[31]], [{ id: "end", label: "End point" }, two[30]]];
+  const labels = new Labels(width, [500, 500]);
+  arrange(labels, shapes, points, new Set(named), (id) => ({ name: `curve of ${id}`, colour: id }));
+  return { texts: labels.texts, one, two, points };
+}
+
+test("no text is over another, a tick, a curve or a point; curves have their points' colours", () => {
+  for (const turn of [0, 0.4, Math.PI / 4, 1.2, Math.PI / 2]) {
+    const { texts, one, two, points } = labelled(turn, []);
+    const boxes = texts.map(boxOf);
+    boxes.forEach((box, k) => boxes.slice(k + 1).forEach((other) => assert.ok(!meet(box, other), `${turn}: ${texts[k].text}`)));
+    for (const [x, y] of [...one, ...two, ...points.map(([, at]) => at)]) {
+      const near = { left: x - 2, right: x + 2, top: y - 2, bottom: y + 2 };
+      boxes.forEach((box, k) => assert.ok(!meet(box, near), `${turn}: ${texts[k].text} at ${x}, ${y}`));
+    }
+    const named = texts.filter(({ text }) => text.startsWith("curve")).map(({ text, colour }) => [text, colour]);
+    assert.deepEqual(named, [["curve of entry", "entry"], ["curve of end", "end"]]);
+    assert.ok(texts.length > 4, `${turn}: ${texts.length}`);
+  }
+});
+
+test("a point is named where it is hovered over or selected, on any side, and always", () => {
+  assert.ok(!labelled(0, []).texts.some(({ text }) => text === "End point"));
+  assert.equal(labelled(0.4, ["end", null]).texts.filter(({ text }) => text === "End point").length, 1);
+  const labels = new Labels(width, [100, 30]); // without room
+  arrange(labels, [], [[{ id: "end", label: "End point" }, [90, 15]]], new Set(["end"]), () => null);
+  assert.equal(labels.texts.length, 1);
+});
+
 test("one move is in flight, and the newest of those that wait is next", () => {
   const sent = [];
   const moves = new Moves((move) => sent.push(move), () => {});
@@ -137,6 +182,7 @@ function held() {
     },
     focusPoint() {},
     select() {},
+    hover() {},
     release: () => said.push(["release"]),
     invalidate() {},
     movedView() {},

@@ -54,6 +54,7 @@ TEXTS = {
     "edit_lost": "The last change of {name} did not reach the server: please make it again.",
     "load_failed": "The image could not be loaded.",
     "off_field": "Outside the field.",
+    "ticks": "Ticks: 10 mm",
 }
 
 

@@ -33,6 +33,7 @@ XRAY = {
     "readout": "column {u}, row {v}: {value}",
     "outside": "–",
     "off_field": "Click inside the X-ray field.",
+    "ticks": "Ticks: 10 mm of depth, numbers grow towards the X-ray source",
 }
 ORIENTATION = {
     "right": "Right hip: +Y of the frame points to the feet.",

@@ -22,8 +22,6 @@ from sightline.case.views import NAMES, OBLIQUE
 if TYPE_CHECKING:
     from sightline.case.watch.analyser import Watched
 
-_STYLES = {"wire": "plan", "landmark": "landmark", "aid": "aid"}
-
 
 class Views:
     """The X-ray views of one page. `pair`: both, once built. `watched`: the live image in one of them, if any.
@@ -158,7 +156,7 @@ def _points(image: str, step: str, decisions: Decisions) -> list[dict[str, Any]]
                 "id": spec.name,
                 "label": spec.label,
                 "uv": mark.at(image),
-                "style": _STYLES[spec.group],
+                "style": spec.of if spec.group == "wire" else spec.group,
                 "movable": step in (STEPS[2], STEPS[4]),
                 "snapped": on_curve and not mark.free,
                 "slides": on_curve and decisions.snapping and mark.at(NAMES[0]) is not None,

@@ -20,7 +20,7 @@ _COLOURS = Path(__file__).parents[1] / "colours.js"
 TEXT_KEYS = (
     *("fit", "window", "invert", "flip", "rotate", "reset", "maximise", "restore"),  # names of the buttons
     *("point", "snapped", "placing", "mirrored", "rotated", "stale", "readout", "outside", "edit_lost", "load_failed"),
-    "off_field",
+    *("off_field", "ticks"),
 )
 """Texts that a view needs. Their fields: point {name} {u} {v}, placing {name}, rotated {degrees}, readout {u} {v}
 {value}, edit_lost {name}."""

@@ -12,10 +12,11 @@ import { Age } from "./xray_age.js";
 import { Chrome } from "./xray_chrome.js";
 import { Display } from "./xray_display.js";
 import { Gestures } from "./xray_gestures.js";
+import { arrange, Labels, measureOn, paintTexts } from "./xray_labels.js";
 import { paintLens } from "./xray_lens.js";
 import { Matching } from "./xray_matching.js";
 import { Moves } from "./xray_moves.js";
-import { paintNames, paintPoint, paintShape, shapeDistance, shapeFault, STYLES } from "./xray_paint.js";
+import { paintPoint, paintShape, shapeDistance, shapeFault, STYLES } from "./xray_paint.js";
 import { fetchPixels, heldWindow, Picture } from "./xray_picture.js";
 import { PointButtons } from "./xray_points.js";
 
@@ -42,6 +43,7 @@ export class XrayCore {
       tool: "pan",
       placing: null,
       selected: null,
+      hovered: null,
       dragging: null,
       points: new Map(),
       layers: new Map(),
@@ -159,6 +161,8 @@ export class XrayCore {
       if (faults.length) this.#report(`layer ${name}: ${faults[0]}`);
       this.state.layers.set(name, { shapes: faults.length ? shapes.filter((shape) => !shapeFault(shape)) : shapes });
     }
+    const ticks = this.#layerShapes().some(({ shape }) => shape === "ticks");
+    this.chrome.showLine(this.chrome.legend, ticks ? this.texts.ticks : "");
     this.invalidate("overlay");
   }
 
@@ -237,6 +241,13 @@ export class XrayCore {
     if (this.state.selected === id) return;
     this.state.selected = id;
     this.emit({ type: "select", id });
+    this.invalidate("overlay");
+  }
+
+  // The point under the pointer, or null: its name is shown.
+  hover(id) {
+    if (this.state.hovered === id) return;
+    this.state.hovered = id;
     this.invalidate("overlay");
   }
 
@@ -471,6 +482,7 @@ export class XrayCore {
     this.#toUnits(context);
     const toUnits = (uv) => this.display.toView(uv).map((value) => value / this.unit);
     this.#paintMarks(context, toUnits, this.display.zoom / this.unit, null);
+    this.#paintTexts(context, toUnits);
     if (this.lens) this.#drawLens(context);
     this.stage.classList.toggle("xray-lens", this.lens !== null); // the focus ring would cover the magnifier
     if (!this.lens) this.buttons.place((id) => this.display.toView(this.state.points.get(id).uv)); // the magnifier hides them
@@ -481,17 +493,46 @@ export class XrayCore {
     context.setTransform(sx * this.unit, 0, 0, sy * this.unit, 0, 0);
   }
 
+  // Without texts: those are painted once, and not in the magnifier.
   #paintMarks(context, toUnits, zoom, without) {
-    for (const shape of this.#shownShapes()) paintShape(context, shape, toUnits, zoom, this.state.stale);
-    const points = [...this.state.points.values()].filter((point) => point.uv && point.id !== without);
-    const places = points.map((point) => toUnits(point.uv));
-    points.forEach((point, index) => paintPoint(context, point, places[index], point.id === this.state.selected));
+    for (const shape of this.#shownShapes()) {
+      paintShape(context, shape, toUnits, zoom, this.state.stale, this.#colourOf(shape));
+    }
+    for (const point of this.#placed()) {
+      if (point.id !== without) paintPoint(context, point, toUnits(point.uv), point.id === this.state.selected);
+    }
     const aiming = this.state.points.get(this.state.placing);
     if (aiming && aiming.slides && this.lens && !without) {
       paintPoint(context, { ...aiming, snapped: true }, toUnits(this.lens.uv), true); // it slides on its curve
     }
-    const size = [this.display.viewWidth / this.unit, this.display.viewHeight / this.unit];
-    paintNames(context, points, places, this.state.selected, size);
+  }
+
+  #paintTexts(context, toUnits) {
+    const { stale, selected, hovered, dragging } = this.state;
+    const labels = new Labels(measureOn(context), [this.display.viewWidth / this.unit, this.display.viewHeight / this.unit]);
+    const shapes = this.#shownShapes().filter(({ style }) => !stale || !STYLES[style].plan);
+    arrange(
+      labels,
+      shapes.map((shape) => [shape, shape.points.map(toUnits)]),
+      this.#placed().map((point) => [point, toUnits(point.uv)]),
+      new Set([selected, hovered, dragging]),
+      (id) => this.#curveOf(id),
+    );
+    paintTexts(context, labels.texts);
+  }
+
+  #placed() {
+    return [...this.state.points.values()].filter((point) => point.uv);
+  }
+
+  // A curve has the name and the colour of its point, ticks are all alike.
+  #curveOf(id) {
+    const point = this.state.points.get(id);
+    return point ? { name: point.label, colour: STYLES[point.style].colour } : null;
+  }
+
+  #colourOf({ of, shape }) {
+    return of === undefined || shape === "ticks" ? null : (this.#curveOf(of) || { colour: null }).colour;
   }
 
   #drawLens(context) {
@@ -630,7 +671,7 @@ export class XrayCore {
     this.moves.forget(id);
     this.undone.points.delete(id);
     if (this.state.dragging === id) this.gestures.letGo();
-    if (this.state.selected === id) this.state.selected = null;
+    for (const what of ["selected", "hovered"]) if (this.state[what] === id) this.state[what] = null;
   }
 
   #nameOf(id) {
@@ -639,7 +680,7 @@ export class XrayCore {
   }
 
   #showPoints() {
-    this.buttons.show([...this.state.points.values()].filter((point) => point.uv), (point) => this.describe(point));
+    this.buttons.show(this.#placed(), (point) => this.describe(point));
   }
 
   focusPoint(id) {

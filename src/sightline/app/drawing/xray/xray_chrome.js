@@ -45,8 +45,9 @@ const SHEET = `
 .xray-tools button[aria-pressed=true] { background: var(--chosen); color: var(--text); box-shadow: inset 0 -0.16em var(--sky); }
 .xray-tools button:focus-visible { outline: 3px solid var(--sky); outline-offset: -3px; }
 .xray-tools svg { width: 1.5em; height: 1.5em; fill: none; stroke: currentColor; stroke-width: 1.8; stroke-linecap: round; stroke-linejoin: round; }
-.xray-foot { position: absolute; left: 0.6em; right: 0.6em; bottom: 0.6em; display: flex; justify-content: space-between; align-items: flex-end;
-  gap: 0.6em; pointer-events: none; font-variant-numeric: tabular-nums; color: var(--text); font-size: 0.93em; }
+.xray-foot { position: absolute; left: 0.6em; right: 0.6em; bottom: 0.6em; display: flex; flex-wrap: wrap; justify-content: space-between; align-items: flex-end;
+  gap: 0.3em 0.6em; pointer-events: none; font-variant-numeric: tabular-nums; color: var(--text); font-size: 0.93em; }
+.xray-foot .xray-legend { max-width: 100%; white-space: normal; } .xray-legend::after { content: ""; flex-basis: 100%; }
 .xray-foot > * { padding: 0.3em 0.7em; white-space: pre; overflow: hidden; text-overflow: ellipsis; }
 .xray-turned { color: var(--orange); font-weight: 650; } .xray-turned:not(:empty) { margin-right: 1em; }
 .xray-tip { position: absolute; left: 0; top: 0; max-width: 22em; padding: 0.4em 0.7em; pointer-events: none; white-space: pre-line; overflow-wrap: anywhere;
@@ -104,6 +105,7 @@ export class Chrome {
     this.turned = element("span", "xray-turned", { "data-testid": "turned" });
     this.numbers = element("span", "");
     this.state.append(this.turned, this.numbers);
+    this.legend = element("div", "xray-panel xray-legend", { "data-testid": "legend", hidden: "" });
     this.tip = element("div", "xray-panel xray-tip", { role: "tooltip", "data-testid": "tip", hidden: "" });
     this.live = element("div", "xray-live", { "aria-live": "polite", "data-testid": "live" });
     this.buttons = {};
@@ -145,7 +147,7 @@ export class Chrome {
 
   #foot() {
     const foot = element("div", "xray-foot");
-    foot.append(this.readout, this.state);
+    foot.append(this.legend, this.readout, this.state);
     return foot;
   }
 

@@ -158,6 +158,7 @@ export class Gestures {
     const { core } = this;
     const point = core.pointAt(at, this.#reach(event));
     this.overPoint = Boolean(point && point.movable);
+    core.hover(point ? point.id : null);
     core.chrome.showTip(core.state.placing === null && !point ? core.titleAt(at) : "", at);
   }
 
@@ -264,6 +265,7 @@ export class Gestures {
   #leave(event) {
     if (this.pointers.has(event.pointerId)) return;
     this.overPoint = false;
+    this.core.hover(null);
     this.core.chrome.showTip("", [0, 0]);
     this.#draw(null);
   }

@@ -1,15 +1,15 @@
-// Painting of shapes and points: a table of named styles, and a painter for each shape.
+// Painting of shapes and points: a table of named styles, and a painter for each shape. Texts: xray_labels.js.
 //
 // Everything is painted in CSS pixels of the view, with `toView` mapping image pixels to them: lines and marks keep
-// their size on screen at every zoom. No meaning depends on colour alone: beads differ by marks, lines by dashes.
+// their size on screen at every zoom. No meaning depends on colour alone: marks differ by shape, lines by dashes.
 
 import { COLOURS } from "colours";
 
-const CASING = "rgba(5, 8, 11, 0.86)"; // under every line, because X-ray images may be white or black
+/** @typedef {[number, number]} Pair */
 
-const FONT = '600 14px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
+export const CASING = "rgba(5, 8, 11, 0.86)"; // under every line, because X-ray images may be white or black
 
-// plan: hidden while the image is stale. fill: opacity of an area.
+// plan: hidden while the image is stale. fill: opacity of an area. arrow: a band's direction is shown.
 export const STYLES = {
   "bead-good": { colour: COLOURS.green, width: 2, mark: "ring" },
   "bead-warn": { colour: COLOURS.orange, width: 2, mark: "ring", dash: [4, 3] },
@@ -18,11 +18,14 @@ export const STYLES = {
   curve: { colour: COLOURS.sky, width: 2.5, plan: true },
   "curve-band": { colour: COLOURS.sky, width: 1, fill: 0.2, plan: true },
   tick: { colour: COLOURS.text, width: 1.5, plan: true },
-  wire: { colour: COLOURS.yellow, width: 3, fill: 0.6, plan: true },
-  corridor: { colour: COLOURS.purple, width: 2, fill: 0.24, dash: [8, 5], plan: true },
+  wire: { colour: COLOURS.yellow, width: 3, fill: 0.6, plan: true, arrow: true },
+  "other-wire": { colour: COLOURS.quiet, width: 2, fill: 0.3, plan: true, arrow: true },
+  corridor: { colour: COLOURS.yellow, width: 2, fill: 0.16, dash: [8, 5], plan: true },
   plan: { colour: COLOURS.yellow, width: 2, fill: 0.14, dash: [2, 4], plan: true },
-  aid: { colour: COLOURS.quiet, width: 1.5, fill: 0.12, dash: [5, 5], silent: true },
-  landmark: { colour: COLOURS.orange, width: 2, fill: 0.14, mark: "ring" },
+  entry: { colour: COLOURS.sky, width: 2, mark: "ring" },
+  end: { colour: COLOURS.purple, width: 2, mark: "diamond" },
+  aid: { colour: COLOURS.quiet, width: 1.5, fill: 0.12, dash: [5, 5], mark: "ring" },
+  landmark: { colour: COLOURS.orange, width: 2, fill: 0.14, mark: "square" },
   focus: { colour: COLOURS.text, width: 3, fill: 0.14, mark: "ring" },
   found: { colour: COLOURS.green, width: 3, fill: 0.2, mark: "ring-cross" },
   stale: { colour: COLOURS.quiet, width: 1.5, fill: 0.08, dash: [2, 6], mark: "ring" },
@@ -31,7 +34,8 @@ export const STYLES = {
 const ENDS = [COLOURS.sky, COLOURS.yellow, COLOURS.vermillion];
 const SCALE = ENDS.map((hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)));
 const MARK_RADIUS = 7; // CSS pixels, for marks without a size in the image
-const POINT_RADIUS = 11;
+export const POINT_RADIUS = 11;
+const ARROW = 15; // CSS pixels, an arrow head's sides
 
 // The colour of a residual: 0 sky blue, 0.5 yellow, 1 vermillion; blue to yellow survives every colour blindness.
 export function residualColour(value) {
@@ -70,19 +74,6 @@ function fillArea(context, look) {
   context.globalAlpha = 1;
 }
 
-// White in every style: 4.5:1 on its casing whatever the image is below.
-function paintText(context, text, [x, y], align = "left") {
-  context.font = FONT;
-  context.textAlign = align;
-  context.textBaseline = "middle";
-  context.lineJoin = "round";
-  context.lineWidth = 4;
-  context.strokeStyle = CASING;
-  context.strokeText(text, x, y);
-  context.fillStyle = COLOURS.text;
-  context.fillText(text, x, y);
-}
-
 function crossPath(context, [x, y], arm) {
   context.moveTo(x - arm, y - arm);
   context.lineTo(x + arm, y + arm);
@@ -103,14 +94,36 @@ function paintMark(context, place, radius, look) {
   }
 }
 
-// Unit normals of a polyline at its corners, in the view.
-function normals(places) {
+/** Unit normals of a polyline at its corners, in the view.
+ * @type {(places: Pair[]) => Pair[]} */
+export function normals(places) {
   return places.map((_, index) => {
     const [x0, y0] = places[Math.max(index - 1, 0)];
     const [x1, y1] = places[Math.min(index + 1, places.length - 1)];
     const length = Math.hypot(x1 - x0, y1 - y0) || 1;
     return [(y0 - y1) / length, (x1 - x0) / length];
   });
+}
+
+function headPath(context, from, tip, size) {
+  const angle = Math.atan2(tip[1] - from[1], tip[0] - from[0]);
+  const back = (turn) => [tip[0] - size * Math.cos(angle + turn), tip[1] - size * Math.sin(angle + turn)];
+  const [left, right] = [back(0.55), back(-0.55)];
+  context.moveTo(left[0], left[1]);
+  context.lineTo(tip[0], tip[1]);
+  context.lineTo(right[0], right[1]);
+}
+
+// An arrow head in the middle of a wire, where it is long enough to have one.
+function paintDirection(context, places) {
+  const [first, last] = [places[0], places[places.length - 1]];
+  const [dx, dy] = [last[0] - first[0], last[1] - first[1]];
+  const length = Math.hypot(dx, dy);
+  if (length < 5 * ARROW) return;
+  const tip = [first[0] + dx * 0.5 + (dx / length) * ARROW * 0.5, first[1] + dy * 0.5 + (dy / length) * ARROW * 0.5];
+  context.beginPath();
+  headPath(context, first, tip, ARROW);
+  strokeCased(context, { colour: COLOURS.text, width: 3 });
 }
 
 function bandEdges(places, shape, zoom) {
@@ -160,10 +173,15 @@ const PAINTERS = {
     path(context, [...left, ...right.reverse()], true);
     fillArea(context, look);
     strokeCased(context, { ...look, width: 1.25 }); // thinner than a line, because it matters less
+    if (look.arrow) paintDirection(context, places);
   },
-  text(context, places, shape) {
-    places.forEach((place) => paintText(context, String(shape.label), place));
+  arrow(context, places, shape, look) {
+    const [tail, tip] = [places[0], places[places.length - 1]];
+    path(context, [tail, tip], false);
+    headPath(context, tail, tip, ARROW);
+    strokeCased(context, look);
   },
+  text() {}, // a label alone
   ticks(context, places, shape, look) {
     const across = normals(places);
     context.beginPath();
@@ -173,11 +191,6 @@ const PAINTERS = {
       context.lineTo(x + nx * 7, y + ny * 7);
     });
     strokeCased(context, { ...look, dash: undefined });
-    if (!Array.isArray(shape.label)) return;
-    places.forEach(([x, y], index) => {
-      const label = shape.label[index];
-      if (label) paintText(context, String(label), [x + across[index][0] * 18, y + across[index][1] * 18], "center");
-    });
   },
 };
 
@@ -191,17 +204,14 @@ export function shapeFault(shape) {
   return null;
 }
 
-export function paintShape(context, shape, toView, zoom, staleImage) {
-  const look = STYLES[shape.style];
+// `colour`: instead of its style's; a curve has the colour of its point.
+export function paintShape(context, shape, toView, zoom, staleImage, colour) {
+  const look = colour ? { ...STYLES[shape.style], colour } : STYLES[shape.style];
   if (shape.points.length === 0 || (staleImage && look.plan)) return;
   const places = shape.points.map(toView);
   context.lineJoin = "round";
   context.lineCap = "round";
   PAINTERS[shape.shape](context, places, shape, look, zoom);
-  if (typeof shape.label === "string" && shape.shape !== "text") {
-    const [x, y] = places[places.length - 1];
-    paintText(context, shape.label, [x + 12, y - 12]);
-  }
 }
 
 // Distance in CSS pixels from `at` to the shape, for the tooltip.
@@ -211,7 +221,7 @@ export function shapeDistance(shape, toView, zoom, at) {
     const away = Math.hypot(x - at[0], y - at[1]);
     return given(shape.radius) ? Math.max(away - each(shape.radius, index) * zoom, 0) : away;
   });
-  if (["line", "polygon", "band", "ticks"].includes(shape.shape)) {
+  if (["line", "polygon", "band", "ticks", "arrow"].includes(shape.shape)) {
     for (let index = 1; index < places.length; index++) {
       distances.push(distanceToSegment(at, places[index - 1], places[index]));
     }
@@ -226,18 +236,21 @@ function distanceToSegment([x, y], [x0, y0], [x1, y1]) {
   return Math.hypot(x - x0 - t * dx, y - y0 - t * dy);
 }
 
-// A pick: an open cross-hair in a ring, so that its pixel stays visible; a diamond if it is snapped to a curve.
+// A pick: an open mark, so that its pixel stays visible. A free point has the arms of a cross-hair; one on its curve
+// has none, because the curve passes through it.
 export function paintPoint(context, point, [x, y], selected) {
   const look = STYLES[point.style];
   const radius = selected ? POINT_RADIUS + 2 : POINT_RADIUS;
   context.beginPath();
-  if (point.snapped) {
+  if (look.mark === "diamond" || look.mark === "square") {
     const reach = radius * 1.25;
-    path(context, [[x, y - reach], [x + reach, y], [x, y + reach], [x - reach, y]], true);
+    const turn = look.mark === "square" ? Math.PI / 4 : 0;
+    const corners = [0, 1, 2, 3].map((k) => (k * Math.PI) / 2 + turn);
+    path(context, corners.map((angle) => [x + reach * Math.cos(angle), y + reach * Math.sin(angle)]), true);
   } else {
     context.arc(x, y, radius, 0, 2 * Math.PI);
   }
-  for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+  for (const [dx, dy] of point.snapped ? [] : [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
     context.moveTo(x + dx * 4, y + dy * 4);
     context.lineTo(x + dx * (radius + 5), y + dy * (radius + 5));
   }
@@ -245,35 +258,6 @@ export function paintPoint(context, point, [x, y], selected) {
   context.fillStyle = look.colour;
   context.fillRect(x - 0.75, y - 0.75, 1.5, 1.5);
 }
-
-// Names of points at `places`, within a view of this size: right of the point if there is space, else left, above or
-// below. Aids are many and close together, so their names show only when selected.
-export function paintNames(context, points, places, selected, size) {
-  context.font = FONT;
-  const r = POINT_RADIUS;
-  const taken = places.map(([x, y]) => ({ left: x - r, right: x + r, top: y - r, bottom: y + r }));
-  points.forEach((point, index) => {
-    if (!point.label || (STYLES[point.style].silent && point.id !== selected)) return;
-    const others = taken.filter((_, other) => other !== index);
-    const boxes = roomAbout(places[index], context.measureText(point.label).width, size[0]);
-    const box = boxes.find((one) => isWithin(one, size) && !others.some((other) => overlap(one, other)));
-    const shown = box || boxes.find((one) => isWithin(one, size)) || boxes[0];
-    taken.push(shown);
-    paintText(context, point.label, [shown.left, (shown.top + shown.bottom) / 2]);
-  });
-}
-
-function roomAbout([x, y], width, most) {
-  const away = POINT_RADIUS + 9;
-  const sides = [x + away, x - away - width];
-  const middles = [-1, 1].flatMap((down) => sides.map((left) => [left, y + down * (POINT_RADIUS + 3)]));
-  const centred = Math.min(Math.max(x - width / 2, 3), most - width - 3);
-  middles.push(...[-1, 1].map((down) => [centred, y + down * 2.4 * POINT_RADIUS]));
-  return middles.map(([left, middle]) => ({ left, right: left + width, top: middle - 9, bottom: middle + 9 }));
-}
-
-const isWithin = (box, [width, height]) => box.left > 2 && box.top > 2 && box.right < width - 2 && box.bottom < height - 2;
-const overlap = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
 
 /** @type {(context: CanvasRenderingContext2D, at: number[], radius: number) => void} */
 export function paintCrosshair(context, [x, y], radius) {
