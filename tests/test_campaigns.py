@@ -58,6 +58,7 @@ def test_these_cannot_be_seen_in_any_observation(change: points.Change) -> None:
     assert all(points.apart(change, np.random.default_rng([3, k])) < points.UNSEEN for k in range(4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [points.one_pick_off, points.careless, moved_across])
 def test_these_can_be_seen(change: points.Change) -> None:
     """So that the measure is one."""

@@ -38,6 +38,7 @@ def _found(images: NailImages, rng: np.random.Generator, off_px: float = 2.0):
     return find_hole(nail, images.clicks_px + off_px * rng.standard_normal((2, 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["titanium", "steel"])
 @pytest.mark.parametrize("seed", range(3))
 def test_hole_is_found_from_clicks_two_pixels_off(which, seed, request):
@@ -50,6 +51,7 @@ def test_hole_is_found_from_clicks_two_pixels_off(which, seed, request):
     assert score.square < 18.5  # 99.9 % of a chi-square of 4
 
 
+@pytest.mark.slow
 def test_a_rim_hidden_in_part_is_found_or_refused():
     """A steel wire across the edge of the lens, in both images."""
     aside = np.cross(NAIL.along, NAIL.axis)

@@ -47,6 +47,7 @@ def test_without_a_covariance_the_error_is_unknown():
     assert not lines.shared
 
 
+@pytest.mark.slow
 def test_the_covariance_of_the_matrix_reaches_the_lines_as_sampling_shows():
     rng = np.random.default_rng(3)
     factor = 1e-4 * np.abs(P).ravel()[:, None] * rng.standard_normal((12, 12))

@@ -128,6 +128,7 @@ def _turn(errors: np.ndarray, xyz: np.ndarray, axis: int) -> float:
     return float((way * errors).sum() / (way**2).sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [4, 8])
 def test_balls_that_sit_wrong_are_found_named_and_measured(number):
     rng = np.random.default_rng(21)

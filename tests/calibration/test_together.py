@@ -76,6 +76,7 @@ def test_a_shadow_is_centred_where_the_outline_of_the_ball_is():
     assert np.abs(middle - _pixels(one, ball[None])[0]).max() > 0.02  # the ball's centre is elsewhere
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sd_mm", [0.02, 0.1])
 def test_the_stated_error_of_a_target_is_the_scatter_about_the_truth(sd_mm):
     """120 set-ups: the mean of the squared Mahalanobis length of three coordinates is 3 ± 4 s.d. of such a mean."""
@@ -104,6 +105,7 @@ def _line_variance_mm2(view, truth):
     return at.to_line @ np.sum(list(lines.covariance.values()), axis=0) @ at.to_line.T, at.xy_mm[0]
 
 
+@pytest.mark.slow
 def test_a_view_alone_states_its_error_too():
     """120 views: the squared Mahalanobis length of two coordinates is 2 on average."""
     rng, squares = np.random.default_rng(5), []

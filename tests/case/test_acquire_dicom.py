@@ -256,6 +256,7 @@ def test_an_image_that_never_ends_fills_no_memory(scene: Scene, dataset) -> None
     assert scene.store(dataset(0)) == 0
 
 
+@pytest.mark.slow
 def test_a_peer_that_never_ends_its_association_is_let_go(scene: Scene, dataset) -> None:
     with scene.association() as idle:
         end = time.monotonic() + 20.0

@@ -77,6 +77,7 @@ def killed_after(folder: Path, seed: int, lines: int, seconds: float, acknowledg
     assert program.returncode == -signal.SIGKILL
 
 
+@pytest.mark.slow
 def test_killed_at_steps_all_over_an_entry_nothing_acknowledged_is_lost(tmp_path: Path) -> None:
     """The same case is opened again and goes on after every kill."""
     acknowledged, folder = Acknowledged(), tmp_path / "case"
@@ -88,6 +89,7 @@ def test_killed_at_steps_all_over_an_entry_nothing_acknowledged_is_lost(tmp_path
     assert len(acknowledged.chains) > 5
 
 
+@pytest.mark.slow
 def test_killed_while_it_is_created_a_case_is_there_or_can_be_created(tmp_path: Path) -> None:
     """Killed again and again in one folder: the same program, started again, comes as far as an uncut one."""
     found = set()
@@ -109,6 +111,7 @@ def killed_at_random_instants(folder: Path, seed: int, times: int) -> Acknowledg
     return acknowledged
 
 
+@pytest.mark.slow
 def test_killed_at_eight_random_instants_nothing_acknowledged_is_lost(tmp_path: Path) -> None:
     assert len(killed_at_random_instants(tmp_path / "case", 1, 8).chains) >= 8
 

@@ -107,6 +107,7 @@ def test_what_a_killed_program_left_of_a_case_is_gone_on_with(run, tmp_path: Pat
     assert run("case", "check", tmp_path / "case").code == 0
 
 
+@pytest.mark.slow
 @needs_posix
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_the_receiver_takes_an_image_and_a_signal_ends_it_with_its_result(tmp_path: Path, sign: signal.Signals) -> None:
@@ -126,6 +127,7 @@ def test_the_receiver_takes_an_image_and_a_signal_ends_it_with_its_result(tmp_pa
         assert len(case.entries()) == 1
 
 
+@pytest.mark.slow
 @needs_posix
 def test_a_watched_folder_takes_what_is_written_later(tmp_path: Path) -> None:
     """What is waited for is the process's own word and the case, however long a busy machine takes."""

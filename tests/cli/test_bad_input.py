@@ -264,6 +264,7 @@ def test_a_view_without_covariance_is_no_go() -> None:
         _ = planned.trajectory.points.covariance_mm2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["not an image", "three beads observed", "NaN in observations"])
 def test_the_installed_command_shows_a_person_one_line_and_no_traceback(world: World, name: str) -> None:
     make, code, says = CASES[name]

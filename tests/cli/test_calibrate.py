@@ -41,6 +41,7 @@ def test_an_image_gives_the_same_view_as_its_observations_written_as_csv(run, pa
     assert (np.ptp(picture, axis=2) > 60).mean() > 0.001  # arrows in colour over a grey image
 
 
+@pytest.mark.slow
 def test_an_image_that_cuts_the_plates_says_what_to_move(run, pair, tmp_path: Path) -> None:
     """A third of the field is shuttered: the beads there are lost, and the frame can be moved out of the shadow."""
     image = read_image(pair["pa"])

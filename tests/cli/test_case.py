@@ -127,6 +127,7 @@ def test_results_are_made_again_from_their_entries(recorded: Path, setup) -> Non
     assert np.linalg.norm(plan.trajectory.points.xyz_mm - WIRE_MM, axis=1).max() < 1.0  # the frame's errors
 
 
+@pytest.mark.slow
 def test_a_view_held_against_its_c_arm_and_earlier_ones_is_computed_again_so(frame, tmp_path: Path) -> None:
     """What a view was compared with stands in its entry; only a flat panel's is compared with earlier ones."""
     rng = np.random.default_rng(10)
@@ -188,6 +189,7 @@ def shift(by_mm: float):
     return change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("by_mm", "versions", "outcome"),
     [

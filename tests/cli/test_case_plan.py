@@ -95,6 +95,7 @@ def test_the_newest_images_of_a_case_are_planned_on(run, planned: Path) -> None:
     assert {one["outcome"] for one in outcomes[:10]} == {"same to the bit"}
 
 
+@pytest.mark.slow
 def test_a_check_shot_finds_the_wire_where_it_is(run, planned: Path, setup, tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     hip = hip_scene(setup, rng)

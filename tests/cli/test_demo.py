@@ -48,6 +48,7 @@ def test_it_says_where_everything_is(demo_run) -> None:
     assert [p.name for p in out.parent.iterdir()] == ["demo"]  # no scratch folder is left
 
 
+@pytest.mark.slow
 def test_its_case_comes_out_the_same_and_altered_check_shots_are_noticed(demo_folder, tmp_path) -> None:
     with Case.open(shutil.copytree(demo_folder / "case", tmp_path / "case")) as case:
         assert not case.problems

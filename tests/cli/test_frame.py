@@ -35,12 +35,14 @@ def test_new_takes_figures(tmp_path):
     assert view.xrii.xyz_mm[1, 0] - view.xrii.xyz_mm[0, 0] == 19
 
 
+@pytest.mark.slow
 def test_new_takes_another_number_of_rows_and_datums(tmp_path):
     run("new", str(tmp_path / "f.json"), "--rows", "8", "--pitch-mm", "19", "--datums", "7", "--quiet")
     plate = Frame.load(tmp_path / "f.json").view("lateral").xrii
     assert (len(plate.ids), plate.is_datum.sum()) == (64, 7)
 
 
+@pytest.mark.slow
 def test_a_frame_that_fails_a_check_is_refused_and_not_written(tmp_path):
     told = run("new", str(tmp_path / "f.json"), "--pitch-mm", "20", code=3)
     assert "wire-reach" in told and "was not written" in told

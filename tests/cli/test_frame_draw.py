@@ -1,6 +1,7 @@
 import pytest
 
 
+@pytest.mark.slow
 def test_draw_writes_the_workshop_folder(run, tmp_path):
     ran = run("frame", "draw", "stereo", "--out", tmp_path / "shop", "--json")
     assert ran.code == 0, ran.err
@@ -26,6 +27,7 @@ def test_no_such_frame(run, tmp_path, frame, words):
     assert not (tmp_path / "shop").exists()
 
 
+@pytest.mark.slow
 def test_a_file_in_the_way_is_left_alone(run, tmp_path):
     (tmp_path / "shop").write_text("mine")
     assert run("frame", "draw", "gamma", "--out", tmp_path / "shop").code == 2

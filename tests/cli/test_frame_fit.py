@@ -31,6 +31,7 @@ def table(tmp_path):
     return write
 
 
+@pytest.mark.slow
 def test_a_measured_frame_is_written_and_passes_its_checks(run, table, tmp_path):
     out = tmp_path / "measured.json"
     ran = run(
@@ -50,6 +51,7 @@ def test_a_measured_frame_is_written_and_passes_its_checks(run, table, tmp_path)
     assert run("frame", "check", out, "--quiet").code == 0
 
 
+@pytest.mark.slow
 def test_what_a_person_reads(run, table, tmp_path):
     ran = run("frame", "fit", table(), "--frame", "gamma", "--out", tmp_path / "m.json")
     assert "FLE: the balls are" in ran.out

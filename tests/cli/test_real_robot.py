@@ -239,6 +239,7 @@ def example(robot_file: Path) -> Iterator[str]:
         process.stdin.close()
 
 
+@pytest.mark.slow
 def test_the_plant_template_is_a_robot(robot_file, images):
     """It is registered and checked like any other."""
     with example(robot_file) as address:

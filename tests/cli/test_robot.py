@@ -53,6 +53,7 @@ def trajectory(wire_mm: np.ndarray | None = None, variance_mm2: float = 0.01) ->
     }
 
 
+@pytest.mark.slow
 def test_drive_a_plan_in_the_simulator(plan):
     done = run("drive", plan, "--yes", "--json")
     assert done.exit_code == 0, done.output
@@ -83,6 +84,7 @@ def of_block60(file: Path) -> Path:
     return written(file, frame=frame, trajectory=trajectory(np.stack([ENTRY_MM, END_MM]) + hip_of(block, "right")))
 
 
+@pytest.mark.slow
 def test_a_plan_made_with_a_block_is_driven_by_the_robot_that_held_it(tmp_path):
     file = of_block60(tmp_path / "plan.json")
     refused = run("drive", file, "--yes")
@@ -181,6 +183,7 @@ def test_plans_that_are_none(tmp_path, changed, code, why):
     assert why in " ".join(done.stderr.split())
 
 
+@pytest.mark.slow
 def test_the_plans_own_limits_and_depth_are_those_of_the_robot(tmp_path):
     narrow = {"position_mm": 0.3, "direction_deg": 0.6, "beyond_mm": 0.0}
     done = run("drive", written(tmp_path / "plan.json", limits=narrow), "--yes")
@@ -225,6 +228,7 @@ def test_a_plan_that_errs_too_much_is_refused(tmp_path):
     assert "must not be drilled" in done.stderr
 
 
+@pytest.mark.slow
 def test_check_a_robot():
     with scripted() as port:
         done = run("check", f"127.0.0.1:{port}", "--yes", "--json")
@@ -235,6 +239,7 @@ def test_check_a_robot():
     assert said["findings"][-1]["name"].startswith("dry run")
 
 
+@pytest.mark.slow
 def test_a_bad_robot_s_findings_are_printed_for_people_and_for_machines():
     """Whatever it sends: text where a message should be, too."""
     for flaw, name in (("ignores unknown commands", "unknown command"), ("answers a wrong CRC with text", "survives")):

@@ -72,6 +72,7 @@ def test_png_holds_the_same_pixels(run, simulated: Path, tmp_path: Path) -> None
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_tags_state_the_nominal_geometry(run, side: str, tmp_path: Path) -> None:
     """Detector on the side of the hip: the patient's right is a negative angle. Poses stray by up to 15°."""
@@ -86,6 +87,7 @@ def test_tags_state_the_nominal_geometry(run, side: str, tmp_path: Path) -> None
         assert abs(tags[view].secondary_angle_deg) <= 15
 
 
+@pytest.mark.slow
 def test_a_solid_stands_before_a_panel_whose_files_state_its_geometry(run, tmp_path: Path) -> None:
     ran = run("simulate", "object", "--frame", "block60", "--dose", "low", "--out", tmp_path, "--json")
     assert ran.code == 0, ran.err
@@ -226,6 +228,7 @@ def wrong_kind(folder: Path) -> Path:
     return folder / "notes.txt"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_ends_in_a_message_and_nothing_is_left(run, case: str, tmp_path: Path) -> None:
     make, says = BAD[case]
@@ -280,6 +283,7 @@ def test_accessories_that_cannot_be_had_are_refused(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_one_manufactured_frame_is_kept_over_many_images(run, tmp_path: Path) -> None:
     def truth_of(seed: int, errors: int) -> dict[str, Any]:
         out = tmp_path / f"{seed}-{errors}"

@@ -14,6 +14,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(catalogue.STUDIES, "small", SmallStudy())
 
 
+@pytest.mark.slow
 def test_a_study_leaves_figures_a_page_and_its_trials(run, small, tmp_path: Path) -> None:
     ran = run("study", "small", "--trials", "12", "--seed", "3", "--out", tmp_path)
     assert ran.code == 0, ran.err

@@ -159,6 +159,7 @@ def test_metal_beside_a_bead_is_hidden_under_it_too() -> None:
     assert not enough.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cover", [None, 0.4])
 def test_a_bead_that_is_absent_is_never_found(cover: float | None) -> None:
     rng = np.random.default_rng(42)
@@ -174,6 +175,7 @@ def test_a_bead_that_is_absent_is_never_found(cover: float | None) -> None:
     assert absent == 48
 
 
+@pytest.mark.slow
 def test_beads_under_one_another_are_fitted_both() -> None:
     rng = np.random.default_rng(43)
     chi2 = []

@@ -49,6 +49,7 @@ def normalised(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
     return np.einsum("ni,nij,nj->n", error, np.linalg.inv(cov), error) / 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("radius", "level"),
     [

@@ -66,6 +66,7 @@ def test_wherever_the_source_stands_few_balls_of_a_view_hide_each_other(name):
                 assert touched <= 0.2 * len(view.fiducials)
 
 
+@pytest.mark.slow
 def test_other_parameters_give_other_frames_with_their_own_patterns():
     design = builtin_design("gamma")
     other = type(design)("nine", design.beams, patterns_for(design.beams, rows=9), rows=9, pitch_mm=17.0)

@@ -156,6 +156,7 @@ def test_at_the_stated_offset_every_ball_is_just_in_the_image(name):
         assert outermost > 0.97 * radius_mm(solid)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), flatten=st.sampled_from([0.0, 1e-9, 1.0]), repeat=st.booleans())
 def test_every_solid_that_a_file_can_hold_is_judged_and_drawn_or_refused(seed, flatten, repeat):

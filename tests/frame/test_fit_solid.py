@@ -31,6 +31,7 @@ def made(rng: np.random.Generator) -> np.ndarray:
     return NOMINAL_MM + 0.02 * rng.standard_normal(NOMINAL_MM.shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gone", [(), ("b3", "b12")])
 def test_the_covariance_of_a_measured_block_is_that_of_its_errors(gone):
     """Pooled chi-square of 60 blocks within what chance gives it 999 times in 1,000, also of balls not measured.

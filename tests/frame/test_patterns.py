@@ -48,6 +48,7 @@ def test_no_placement_of_one_frame_on_another_agrees_in_most_datums_of_six(one, 
                 assert (apart < 0.01).sum(axis=1).max() <= most
 
 
+@pytest.mark.slow
 def test_frames_of_other_names_have_other_patterns_and_one_name_always_the_same():
     beams = builtin_design("gamma").beams
     ours, again, theirs = (patterns_for(beams, name=name) for name in ("ours", "ours", "theirs"))

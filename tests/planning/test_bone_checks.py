@@ -81,6 +81,7 @@ def _lesser(wire_mm: np.ndarray, side: str) -> np.ndarray:
     return wire_mm[0] + np.array([-35.0, 5.0 * DOWN[side], -8.0])
 
 
+@pytest.mark.slow
 def test_right_plans_are_go_and_not_one_of_sixty_is_when_its_points_are_exchanged_or_its_side_is_the_other():
     other = {"right": "left", "left": "right"}
     noise = np.random.default_rng(22)

@@ -65,6 +65,7 @@ def test_exact_edges_give_the_exact_hole(which):
     assert (hole.kept == hole.given).all()
 
 
+@pytest.mark.slow
 def test_covariance_is_that_of_the_errors():
     rng, squares = np.random.default_rng(5), []
     sd = np.repeat([TURN_RAD, SHIFT_MM], 3)

@@ -35,6 +35,7 @@ def _turned(beam: np.ndarray, turn) -> np.ndarray:
     return Rotation.from_rotvec(turn.tilt_rad * aside / np.linalg.norm(aside)).apply(beam)
 
 
+@pytest.mark.slow
 def test_95_of_100_turns_are_right_within_two_degrees():
     rng, off = np.random.default_rng(0), []
     for _ in range(200):

@@ -304,10 +304,12 @@ def test_a_third_image_shows_a_shift_after_the_first(snapped, draws, most):
     assert _wrong_go(_views(0.15, 45.0), _any_direction(draws), 1, snapped).sum() <= most
 
 
+@pytest.mark.slow
 def test_two_images_do_not_show_it():
     assert _wrong_go(_views(0.15)[:2], _any_direction(100), 1).mean() > 0.05
 
 
+@pytest.mark.slow
 def test_of_a_shift_before_the_last_image_the_part_along_its_beam_is_not_shown():
     views = _views(0.15, 45.0)
     uv = np.array([view.project(np.concatenate([ENDS_MM, MARKS_MM])) for view in views])

@@ -33,6 +33,7 @@ def gone(pid: int, within_s: float = 10.0) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_it_is_the_robot_of_the_rehearsal_and_ends_with_its_block():
     rehearsal = Rehearsal.draw(SEED, Frame.load("gamma"))
     theatre = rehearsal.theatre()

@@ -83,6 +83,7 @@ def wire_in_frame(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
     return (manipulator.T_mcs_cfcs(q).inv() * manipulator.T_mcs_tool(q)).apply(SEEN_MM)
 
 
+@pytest.mark.slow
 def test_a_wire_seen_beside_the_frame_covers_as_stated():
     """Frame and wire as images of 0.1 mm correct them, against the truth: 1,000 robots, each at joints of its own."""
     robot, rng, image_mm = calibrated_robot(), np.random.default_rng(7), 0.1

@@ -113,6 +113,7 @@ def test_a_robot_that_lays_the_wire_elsewhere_than_it_said_is_found_out_at_the_e
                 step()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [{}, {"ours": False}, {"ours": False, "says_reachable": False}], ids=str)
 def test_a_good_robot_passes(how):
     with serving(ScriptedRobot(**how)) as port, RobotClient(port=port) as robot:
@@ -201,6 +202,7 @@ def test_a_stop_falls_back_to_the_main_connection(clients):
         assert refused
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ours", [True, False], ids=["ours", "2013"])
 def test_where_no_stop_is_answered_the_connections_are_closed(ours):
     peer = ScriptedRobot("deaf to STOP", ours=ours)
@@ -248,6 +250,7 @@ def test_a_pause_of_the_client_is_not_the_robot_s_lateness(monkeypatch, pauses, 
     assert clock.now_s == pytest.approx(15.2 if comes else contract.ACK_S, abs=0.06)
 
 
+@pytest.mark.slow
 def test_heartbeats_go_on_while_what_listens_computes(monkeypatch):
     monkeypatch.setattr("sightline.robot.link.shared_connection.ALIVE_S", 5.0)
     peer = ScriptedRobot(steps=200)
@@ -291,6 +294,7 @@ def test_between_two_calls_nobody_moves_anything():
         assert peer.phase == "STOP"
 
 
+@pytest.mark.slow
 @needs_posix
 @pytest.mark.parametrize(("signal", "ends"), [(9, "UNDEFINED"), (19, "STOP")], ids=["killed", "stopped"])
 def test_a_client_that_is_gone_is_not_outlived_by_its_heartbeats(signal, ends):
@@ -309,6 +313,7 @@ def test_a_client_that_is_gone_is_not_outlived_by_its_heartbeats(signal, ends):
         assert moving.transport.is_closing()
 
 
+@pytest.mark.slow
 def test_what_holds_the_interpreter_delays_no_heartbeat():
     """A computation that lets no other thread run, for longer than the robot's silence."""
     peer = ScriptedRobot(steps=40)

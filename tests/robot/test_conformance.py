@@ -27,6 +27,7 @@ def unjudged(findings) -> set[str]:
     }
 
 
+@pytest.mark.slow
 def test_ours_passes_everything_and_stands_after_the_dry_run():
     with served(ideal=True) as server, Examination("127.0.0.1", server.port) as robot:
         findings = robot.examine() + robot.dry_run()
@@ -36,6 +37,7 @@ def test_ours_passes_everything_and_stands_after_the_dry_run():
         assert depth is None or depth < -15.0  # it stood at its stand-off
 
 
+@pytest.mark.slow
 def test_a_good_robot_passes_everything():
     with scripted() as port, Examination("127.0.0.1", port) as robot:
         findings = robot.examine() + robot.dry_run()
@@ -54,6 +56,7 @@ OURS_ALONE = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("says_reachable", [True, False])
 def test_a_robot_of_2013_is_asked_what_it_knows_over_one_connection(says_reachable):
     """It takes one client, whose STATUS or second connection it would not expect, and ends with it."""
@@ -160,6 +163,7 @@ def test_a_bad_robot_fails_its_own_line(flaw):
     assert lines_failed(flaw) == LINES[flaw]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flaws", TOGETHER, ids=range(len(TOGETHER)))
 def test_a_robot_bad_in_several_things_fails_the_line_of_each(flaws):
     assert lines_failed(*flaws) == set().union(*(LINES[flaw] for flaw in flaws))
@@ -182,6 +186,7 @@ def test_every_question_has_its_bad_robot():
     assert asked == {"every message can be read", *QUESTIONS, *MOTIONS}
 
 
+@pytest.mark.slow
 def test_a_motion_that_ends_by_itself_is_not_taken_for_a_stop():
     with scripted("ignores STOP while moving", steps=1) as port, Examination("127.0.0.1", port) as robot:
         assert "dry run: STOP while moving" in unjudged(robot.dry_run())

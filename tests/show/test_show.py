@@ -83,6 +83,7 @@ def test_the_figures_said_are_those_of_the_result(results: dict[str, Shown], wor
     assert worked.points.error_95_mm[0] == pytest.approx(sl.Trajectory(worked.points).entry_error_95_mm)
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_the_text_and_a_picture_of_bounded_size(results: dict[str, Shown]) -> None:
     before = pyplot.get_fignums()
     for name, result in results.items():
@@ -180,6 +181,7 @@ def test_the_image_is_written_into_no_document(worked: Worked) -> None:
     assert "pixels" not in plain(worked.observations)
 
 
+@pytest.mark.slow
 def test_matplotlib_and_pandas_are_imported_only_when_used() -> None:
     program = "import sys, sightline as sl; repr(sl.Frame.load('gamma')); [getattr(sl, name) for name in sl.__all__]; "
     program += "print(*sorted({'matplotlib', 'pandas'} & set(sys.modules)))"

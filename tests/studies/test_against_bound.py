@@ -10,6 +10,7 @@ from sightline.studies.study_bound import BOUND, KNOWN, AgainstBound, key
 SMALL = AgainstBound(methods=("smooth", "localized"), frames=("frame exact",), picks_px=(0.1, 1.0))
 
 
+@pytest.mark.slow
 def test_a_trial_has_both_bounds_and_the_errors():
     trial = SMALL.trial(np.random.default_rng([4, 0]))
     assert json.loads(json.dumps(trial)) == trial

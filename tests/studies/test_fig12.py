@@ -24,6 +24,7 @@ def test_distance_band_and_bend_of_a_curve_that_is_known():
     assert found == {"off_px": pytest.approx(-3.0), "band_px": 2.5, "bend_px": pytest.approx(18.0)}
 
 
+@pytest.mark.slow
 def test_exact_picks_and_beads_leave_the_true_place_on_the_curve():
     calm = Figure12(pick_px=1e-3, bead_px=0.01)
     rough = Figure12(pick_px=5.0, bead_px=0.01)

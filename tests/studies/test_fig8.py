@@ -41,6 +41,7 @@ def test_a_wrong_name_is_counted_as_one(monkeypatch):
     assert (out["wrong"], sum(out["named"].values()), out["error_px"]) == (2, 1, [0.0])
 
 
+@pytest.mark.slow
 def test_a_refused_image_is_counted(monkeypatch):
     def refuse(*_):
         raise LabellingRefusedError("none")
@@ -50,6 +51,7 @@ def test_a_refused_image_is_counted(monkeypatch):
     assert Figure8().trial(np.random.default_rng(1))["refused"] == "LabellingRefusedError"
 
 
+@pytest.mark.slow
 def test_the_summary_counts_and_shows_the_image(trial):
     summary = Figure8().summary([trial, {**trial, "refused": "LabellingRefusedError"}])
     assert summary.estimates[0].value == 0.5

@@ -123,6 +123,7 @@ def ball_image(blur: float, noise: float, ball: bool) -> tuple[Radiograph, Detec
     return Radiograph(pixels.astype(np.uint16), 65535.0), beads_at(places, np.full(9, 9.3), kind=kind)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ball", [True, False])
 @pytest.mark.parametrize("blur", [0.8, 1.3])
 def test_the_edge_spread_is_blur_and_pixel_together(blur: float, ball: bool) -> None:

@@ -57,6 +57,7 @@ def test_every_trial_has_its_own_generator(whole):
     assert done(SmallStudy(), whole).document()["figures"][0]["value"] == pytest.approx(np.median(EXPECTED))
 
 
+@pytest.mark.slow
 def test_a_stopped_run_goes_on_with_other_workers_to_the_same_result(whole, tmp_path):
     started(whole, tmp_path, 5, torn=b'{"trial": 7, "val')
     counted = []

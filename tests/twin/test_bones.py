@@ -54,6 +54,7 @@ def test_a_moved_shape_is_the_shape_elsewhere():
         assert shape.shifted(by).distance_mm(WIDE + by) == pytest.approx(shape.distance_mm(WIDE))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", ["surface", "outline", "cancellous"])
 @pytest.mark.parametrize("name", BONES)
 def test_distances_are_those_of_voxels(name: str, of: str):
@@ -175,6 +176,7 @@ def test_landmarks_lie_on_the_surface(name: str):
         assert np.abs(bone.distance_mm(np.stack(points))).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "side"), [("vertebra", "left"), ("growing-femur", "right"), ("pelvis", "left")])
 def test_landmarks_lie_on_the_edge_of_the_shadow(name: str, side: str):
     """Where the surface turns away from the beam, rays 1.5 mm inside a landmark pass bone that those outside miss."""

@@ -127,6 +127,7 @@ def radial(plastic, xyz):
     return np.linalg.norm(np.cross(from_entry, plastic.axes[2]), axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("aside", "tilt_deg"), [(0.0, 0.0), (1.0, 0.6)])
 def test_in_the_bore_a_wire_within_the_papers_limits_touches_nothing(plastic, aside, tilt_deg):
     wire, turn = Wire(plastic.bone), Rotation.from_rotvec(np.deg2rad(tilt_deg) * plastic.axes[1])
@@ -137,6 +138,7 @@ def test_in_the_bore_a_wire_within_the_papers_limits_touches_nothing(plastic, as
     assert run.thrust_n.max() == 0.0
 
 
+@pytest.mark.slow
 def test_the_wall_of_the_bore_bends_a_wire_that_is_tilted_too_far(plastic):
     turned = Rotation.from_rotvec(np.deg2rad(3.0) * plastic.axes[1]).apply(plastic.axes)
     run = drill(
@@ -148,6 +150,7 @@ def test_the_wall_of_the_bore_bends_a_wire_that_is_tilted_too_far(plastic):
     assert run.thrust_n.max() > 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hu", [132.0, 41.0])
 def test_the_femurs_cortex_is_felt_and_its_spongy_bone_hardly(hu):
     femur = Femur(cancellous_hu=hu)

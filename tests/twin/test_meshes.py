@@ -82,6 +82,7 @@ def test_no_ray_slips_between_triangles_or_meets_both():
     assert np.abs(found[:, 30, 30] - 10.0).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_a_sphere_of_triangles_has_its_chords():
     mesh = sphere(20.0, 6000)
     assert mesh.volume_mm3 == pytest.approx(4 / 3 * np.pi * 20**3, rel=2e-3)
@@ -121,6 +122,7 @@ def test_a_mesh_in_the_image_takes_what_its_ball_takes(frame):
         assert abs(shift_px) < 0.02
 
 
+@pytest.mark.slow
 def test_bone_in_tissue_takes_the_difference(frame):
     view = draw_setup(np.random.default_rng(4), frame).views["pa"]
     slab = box_mesh(np.array([-200.0, -200, -5]), np.array([200.0, 200, 5]), "bone", "tissue")

@@ -118,6 +118,7 @@ def test_scenes_are_drawn_for_any_chain(frame, chain):
     assert (truth.contrast[alone] < -0.05).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_a_shown_hip_is_shown_by_its_chain(frame):
     setup, hip = shown_hip_scene(np.random.default_rng(46), frame, chain="9in-pal")
     for view in setup.views.values():

@@ -219,6 +219,7 @@ def test_noise_is_correlated_as_the_blur_makes_it(bare, bare_noise):
     assert shape[1] / shape[0] > 0.5  # it is correlated
 
 
+@pytest.mark.slow
 def test_noise_grows_with_the_root_of_the_signal(setup, bare, bare_noise):
     """Under half a millimetre of steel: variance over mean, less black and electronic noise, as without it."""
     rod = Rod((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 20.0, 0.25)
@@ -260,12 +261,14 @@ def test_bright_parts_saturate(setup):
     assert 0.05 < (image.pixels == 4095).mean() < 0.6
 
 
+@pytest.mark.slow
 def test_nothing_left_to_expose_with_is_refused(setup):
     wall = Rod((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 300.0, 250.0)
     with pytest.raises(SetUpError, match="no radiation passes"):
         expose(setup.views["pa"], Scene(solids=(wall,)))
 
 
+@pytest.mark.slow
 def test_scatter_spreads_as_wide_as_its_kernel(setup):
     """Behind opaque balls beside a block of tissue: how much of its scatter is there.
 

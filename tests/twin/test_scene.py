@@ -117,6 +117,7 @@ def test_the_papers_object_has_four_balls_beside_the_frames(frame):
         assert view.in_field(view.project(xyz)).all()
 
 
+@pytest.mark.slow
 def test_a_hard_scene_tells_where_its_beads_are(frame):
     image, truth = hard_scene(np.random.default_rng(7), "medium", frame)
     assert len(truth) > 50

@@ -154,6 +154,7 @@ def test_the_block_is_a_cube_of_perspex_with_its_balls():
     assert all(isinstance(one, Ball) and one.within == "pmma" for one in scene.solids)
 
 
+@pytest.mark.slow
 def test_the_image_shows_balls_in_a_darker_block(drawn):
     setup = drawn[1]
     view = setup.views["lateral"]
@@ -196,6 +197,7 @@ def test_a_rehearsal_of_a_block_stands_before_a_panel():
         assert view.in_field(view.project(rehearsal.hip.wire_mm), HipPlace().margin_px).all()
 
 
+@pytest.mark.slow
 def test_the_body_and_the_bone_lie_at_the_hip(drawn):
     setup = replace(drawn[0], views={})
     hip = hip_scene(setup, np.random.default_rng(67))

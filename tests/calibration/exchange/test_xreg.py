@@ -44,6 +44,7 @@ def as_xreg_writes(group: h5py.Group, pinhole: Pinhole) -> None:
     group["extrinsic"] = pinhole.extrinsic.astype(np.float32)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None, database=None)
 @given(first=pinholes(), second=pinholes())
 def test_projections_of_xregs_own_writer_are_read_by_name(tmp_path_factory, first: Pinhole, second: Pinhole) -> None:
