@@ -97,7 +97,7 @@ def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 def _solve(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Return the solutions (N, 2) of N 2x2 systems; infinite where the map folds (determinant zero)."""
-    (a, b), (c, d) = np.moveaxis(matrices, 0, -1)
+    (a, b), (c, d) = matrices.transpose(1, 2, 0)
     x, y = right.T
     det = a * d - b * c
     folded = np.abs(det) < 1e-9 * (a * a + b * b + c * c + d * d)

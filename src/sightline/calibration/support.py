@@ -56,7 +56,7 @@ class Support:
         """
         inside = _inside(self._sides, uv_px)
         out = np.zeros((len(uv_px), 3), dtype=int)
-        out[inside] = self._counted(uv_px[inside], _inside(self._sides, self.places_px, self.radii_px))
+        out[inside] = self._counted(uv_px[inside], self._expected)
         for k in np.flatnonzero(~inside):
             sides = _sides(np.concatenate([self._known_px, uv_px[k : k + 1]]))
             out[k] = self._counted(uv_px[k : k + 1], _inside(sides, self.places_px, self.radii_px))
@@ -71,6 +71,11 @@ class Support:
     @cached_property
     def _sides(self) -> np.ndarray | None:
         return _sides(self._known_px)
+
+    @cached_property
+    def _expected(self) -> np.ndarray:
+        """(E,) bool: within the convex hull of the used beads and all other detections."""
+        return _inside(self._sides, self.places_px, self.radii_px)
 
     def _counted(self, uv_px: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Return `near` of pixels (N, 2) where the beads `seen` (E,) and the used ones are expected."""

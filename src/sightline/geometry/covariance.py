@@ -11,9 +11,11 @@ TWO_SIDED_999 = 3.29  # the same for 99.9 %: exceeded once in a thousand valid c
 # Nodes over one octant of directions: the probability is accurate to 1e-6 (tests/geometry/test_covariance.py).
 _COSINES, _COSINE_WEIGHTS = np.polynomial.legendre.leggauss(24)
 _HEIGHTS = (_COSINES + 1) / 2
+_RING = 1 - _HEIGHTS[:, None] ** 2
 _ITERATIONS, _PRECISION = 60, 1e-10  # bisection alone would need 35
 _STEP_MM = 1e-3  # of a central difference: the error, from the third derivative, is below 1e-9 here [calc]
 _AZIMUTHS = (np.arange(12) + 0.5) * np.pi / 24
+_WEIGHTS = _COSINE_WEIGHTS[:, None] / (2 * len(_AZIMUTHS))
 
 
 def ellipsoid_factor(probability: float, dimension: int) -> float:
@@ -76,10 +78,14 @@ def response(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tu
 
 def _radius(probability: float, b: np.ndarray, c: np.ndarray, low: float, high: float) -> np.ndarray:
     """Return the quantile of the length between `low` and `high`, by bracketed Newton iterations."""
+    root = np.sqrt(
+        _HEIGHTS[:, None] ** 2
+        + _RING * (b[..., None, None] * np.cos(_AZIMUTHS) ** 2 + c[..., None, None] * np.sin(_AZIMUTHS) ** 2)
+    )
     below, above = np.full(b.shape, low), np.full(b.shape, high)
     radius = below
     for _ in range(_ITERATIONS):
-        within, density = _within(radius, b, c)
+        within, density = _within(radius, root)
         below, above = np.where(within < probability, radius, below), np.where(within < probability, above, radius)
         step = radius - (within - probability) / density
         following = np.where((step > below) & (step < above), step, (below + above) / 2)
@@ -89,14 +95,10 @@ def _radius(probability: float, b: np.ndarray, c: np.ndarray, low: float, high: 
     return radius
 
 
-def _within(radius: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return P(length < radius) of a Gaussian with variances 1, b, c, and its derivative by the radius."""
-    ring = 1 - _HEIGHTS[:, None] ** 2
-    stretch2 = _HEIGHTS[:, None] ** 2 + ring * (
-        b[..., None, None] * np.cos(_AZIMUTHS) ** 2 + c[..., None, None] * np.sin(_AZIMUTHS) ** 2
-    )
-    reach = radius[..., None, None] / np.sqrt(stretch2)
-    tail = np.sqrt(2 / np.pi) * reach * np.exp(-(reach**2) / 2)
-    weights = _COSINE_WEIGHTS[:, None] / (2 * len(_AZIMUTHS))
-    within = ((erf(reach / np.sqrt(2)) - tail) * weights).sum(axis=(-1, -2))
-    return within, (tail * reach**2 * weights).sum(axis=(-1, -2)) / radius
+def _within(radius: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return P(length < radius) of a Gaussian, and its derivative by the radius; `root`: its s.d. in each direction."""
+    reach = radius[..., None, None] / root
+    reach2 = reach**2
+    tail = np.sqrt(2 / np.pi) * reach * np.exp(-reach2 / 2)
+    within = ((erf(reach / np.sqrt(2)) - tail) * _WEIGHTS).sum(axis=(-1, -2))
+    return within, (tail * reach2 * _WEIGHTS).sum(axis=(-1, -2)) / radius

@@ -16,9 +16,9 @@ from sightline.planning.axis import Axis, find_axis
 from sightline.planning.directions import caudal
 from sightline.planning.drawings import find_drawing
 from sightline.planning.head import Sphere, find_head
-from sightline.planning.picks import Pick, stack
+from sightline.planning.picks import Pick, PickArrays, stack
 from sightline.planning.sights import Drawn, Sights
-from sightline.planning.solution import Method, solve
+from sightline.planning.solution import Method, Solution, solve
 
 NOT_PLACED = {
     "head": "the head is not drawn: draw a circle over it in both images",
@@ -103,21 +103,29 @@ def locate(
     picks: Sequence[Sequence[Pick]] | None = None,
     method: Method = "weighted",
 ) -> Anatomy:
-    """Locate what is drawn on the first two views; with `picks` (`Plan.picks`: entry, end) also the wire.
+    """Locate what is drawn on the first two views; with `picks` (entry, end, and any landmarks) also the wire.
 
     `views`: PA and lateral, or two others that a procedure names, and any more in which the wire is picked.
 
     A part that cannot be located is listed in `absent` with the reason; the others are located all the same.
     Raises UnusableInputError.
     """
+    drawn = Drawings.of(views, aids, picks)
+    return located(drawn, None if picks is None else lambda: drawn.solve(stack(picks).regular(), method))
+
+
+def located(drawings: "Drawings", solution: Callable[[], Solution] | None) -> Anatomy:
+    """Return `locate` of drawings whose lines of sight are known. `solution`: returns that of their picks, if any.
+
+    Raises UnusableInputError.
+    """
+    views, aids, sights = drawings.views, drawings.aids, drawings.sights
     names = [view.name for view in views[:2]]
     if {"pa", "lateral"} & set(names) and names != ["pa", "lateral"]:
         raise UnusableInputError("give the views 'pa' and 'lateral' first, in this order, to locate the anatomy")
-    absent: dict[str, str] = {}
-    sights = _sights(views, _drawn(aids, picks, len(views)), absent)
-    found = _Finder(sights, absent)
-    if picks is not None:
-        found.add("wire", lambda: _wire(sights, picks, method))
+    found = _Finder(sights, dict(drawings.absent))
+    if solution is not None:
+        found.add("wire", lambda: _wire(sights, solution()))
     for name in ("neck", "shaft"):
         found.add(name, lambda name=name: find_axis(sights, name))
     if aids.head is not None:
@@ -186,11 +194,12 @@ def _not_placed(name: str) -> str:
 
 
 def _drawn(aids: Aids, picks: Sequence[Sequence[Pick]] | None, views: int) -> list[dict[str, Drawn]]:
-    """Return the drawings of each view by name."""
+    """Return the drawings of each view by name, the picks first."""
     out: list[dict[str, Drawn]] = [{} for _ in range(views)]
     for k, drawn in enumerate(out if picks is not None else ()):
-        own = [pick[k] for pick in picks or () if not np.isnan(pick[k].uv_px).any()]
-        drawn["wire"] = np.array([p.uv_px for p in own]).reshape(-1, 2), _blocks([p.covariance_px2 for p in own])
+        for name, points in (("wire", (picks or ())[:2]), ("landmarks", (picks or ())[2:])):
+            own = [pick[k] for pick in points if not np.isnan(pick[k].uv_px).any()]
+            drawn[name] = np.array([p.uv_px for p in own]).reshape(-1, 2), _blocks([p.covariance_px2 for p in own])
     for k, drawn in enumerate(out[:2]):
         if aids.head is not None:
             drawn["head"] = aids.head[k].uv_px, aids.head[k].covariance_px2
@@ -219,6 +228,32 @@ def _blocks(covariances: list[np.ndarray]) -> np.ndarray:
     return out
 
 
+@dataclass(frozen=True, eq=False)
+class Drawings:
+    """Everything drawn on views, with its lines of sight: `aids`, and the picks of a wire ("wire") and of landmarks
+    ("landmarks"). `absent`: why a drawing has none, by name."""
+
+    views: Sequence[CalibratedView]
+    aids: Aids
+    sights: Sights
+    absent: dict[str, str]
+
+    @staticmethod
+    def of(views: Sequence[CalibratedView], aids: Aids, picks: Sequence[Sequence[Pick]] | None) -> "Drawings":
+        """Return the drawings; `picks`: entry, end, then landmarks. Raises ReconstructionRefusedError."""
+        absent: dict[str, str] = {}
+        return Drawings(views, aids, _sights(views, _drawn(aids, picks, len(views)), absent), absent)
+
+    def solve(self, picks: PickArrays, method: Method) -> Solution:
+        """Return the solution of the picks. Raises OutsideRegionError, ReconstructionRefusedError."""
+        for name in ("wire", "landmarks"):
+            if name in self.absent:
+                raise OutsideRegionError(self.absent[name])
+        counts = picks.seen.sum(axis=1)
+        lines = [one.only(slice(0, int(count))) for one, count in zip(self.sights.lines, counts, strict=True)]
+        return solve(lines, picks, method)
+
+
 def _sights(views: Sequence[CalibratedView], drawn: list[dict[str, Drawn]], absent: dict[str, str]) -> Sights:
     """Return the lines of sight of all drawings. A drawing outside a view's calibrated region goes into `absent`."""
     try:
@@ -233,11 +268,11 @@ def _sights(views: Sequence[CalibratedView], drawn: list[dict[str, Drawn]], abse
         return Sights.of(views, [{n: d for n, d in named.items() if n not in absent} for named in drawn])
 
 
-def _wire(sights: Sights, picks: Sequence[Sequence[Pick]], method: Method) -> tuple[np.ndarray, np.ndarray]:
-    """Return entry and end point (6,) as computed by `reconstruct`, and their derivatives by the drawing's numbers."""
-    lines = [one.only(rows["wire"]) for one, rows in zip(sights.lines, sights.rows, strict=True)]
-    solution = solve(lines, stack(picks).regular(), method)
-    return solution.xyz_mm.ravel(), np.hstack(solution.response)
+def _wire(sights: Sights, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Return entry and end point (6,) of the picks' solution, and their derivatives by the drawing's numbers."""
+    counts = [rows["wire"].stop for rows in sights.rows]
+    own = [by_line[:6, : 3 + 2 * count] for by_line, count in zip(solution.response, counts, strict=True)]
+    return solution.xyz_mm[:2].ravel(), np.hstack(own)
 
 
 def _nearest_to_axis(sights: Sights, name: str, ends: np.ndarray) -> np.ndarray:

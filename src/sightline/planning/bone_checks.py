@@ -163,18 +163,16 @@ def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float
     wire, focal = found.part("wire").reshape(2, 3), found.part("focal").reshape(2, 3)
     steps = np.arange(_STEP_MM, MAX_SHIFT_MM + _STEP_MM, _STEP_MM)
     passed = [measure for measure in checked if measure.passes(*wire[:, None])[0]]
-    out: list[float | None] = []
+    if not passed:
+        return None, None
+    ends = np.tile(wire[:, None, None, None], (1, 2, 4, len(steps), 1))  # end, moved end, line and sign, step
     for point in range(2):
-        reach: float | None = 0.0
-        for away in (wire[point] - focal) / _distance(wire[point], focal)[:, None]:
-            for along in (away, -away):
-                ends = np.repeat(wire[:, None], len(steps), axis=1)
-                ends[point] += steps[:, None] * along
-                passes = [measure.passes(*ends) for measure in passed]
-                fails = np.flatnonzero(~np.all(passes, axis=0)) if passes else np.zeros(0, dtype=int)
-                reach = None if reach is None or not len(fails) else max(reach, float(steps[fails[0]]))
-        out.append(reach)
-    return out[0], out[1]
+        away = (wire[point] - focal) / _distance(wire[point], focal)[:, None]
+        ends[point, point] += steps[:, None] * np.concatenate([away, -away])[:, None]
+    fails = ~np.all([measure.passes(*ends.reshape(2, -1, 3)) for measure in passed], axis=0).reshape(ends.shape[1:4])
+    reach = np.where(fails.any(axis=2), steps[fails.argmax(axis=2)], np.inf).max(axis=1)
+    entry, end = (float(one) if np.isfinite(one) else None for one in reach)
+    return entry, end
 
 
 def _missing(

@@ -13,15 +13,16 @@ from sightline.calibration.view import CalibratedView
 from sightline.checks import Check
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning.aids import Aids
-from sightline.planning.anatomy import Anatomy, locate
+from sightline.planning.anatomy import Anatomy, Drawings, located
 from sightline.planning.bone_checks import judge_in_bone, measures, noticed_beyond_mm
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
 from sightline.planning.hole_result import Hole
 from sightline.planning.implant import Implant, fitting
+from sightline.planning.line_residuals import refuse_repeated
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick, stack
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.reconstruct import reconstruct
+from sightline.planning.reconstruct import checked_picks, points_of
 from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.solution import Method
 from sightline.planning.trajectory import Trajectory
@@ -263,11 +264,15 @@ def plan(
     free = _landmarks(len(views), landmarks_uv_px, pick_sd_px)
     kind = kind_of(kind) if isinstance(kind, str) else kind
     names = _names(kind, landmark_names, len(free))
-    seen = _reconstructed(at_rest, [entry, end, *free], method)
+    refuse_repeated(at_rest)
+    arrays = checked_picks(len(views), *stack([entry, end, *free]))
+    drawings = Drawings.of(at_rest, aids or Aids(), (entry, end, *free))
+    solution = drawings.solve(arrays, method)
+    seen = points_of(solution)
     if hole is not None:
         seen = hole.located(seen)
     trajectory = Trajectory(seen.first(2) if free else seen)
-    anatomy = None if aids is None and not kind.checks else locate(at_rest, aids or Aids(), (entry, end), method)
+    anatomy = None if aids is None and not kind.checks else located(drawings, lambda: solution)
     verdict, noticed = judge(trajectory, at_rest, kind.limits, seen), (None, None)
     if hole is not None:
         verdict = verdict.joined(Verdict(hole.checks))
@@ -318,11 +323,6 @@ def _names(kind: Procedure, landmark_names: Sequence[str], count: int) -> tuple[
             f"{', '.join(known)}: give each name at most once, and '' to a landmark without a name"
         )
     return names or ("",) * count
-
-
-def _reconstructed(views: Sequence[CalibratedView], picks: Sequence[Sequence[Pick]], method: Method) -> SpacePoints:
-    uv, covariance, across = stack(picks)
-    return reconstruct(views, uv, covariance, method, across)
 
 
 def _landmarks(views: int, uv_px: ArrayLike | None, sd_px: float) -> list[tuple[Pick, ...]]:

@@ -11,7 +11,7 @@ from sightline.planning.gaps import Gaps, gap_mm
 from sightline.planning.line_residuals import refuse_repeated
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, PickArrays
 from sightline.planning.results import SpacePoints
-from sightline.planning.solution import Method, solve
+from sightline.planning.solution import Method, Solution, solve
 from sightline.threads import one_blas_thread
 
 
@@ -44,15 +44,18 @@ def reconstruct(
     >>> points.xyz_mm.round()
     array([[-22., -26.,   4.]])
     """
-    if method not in ("weighted", "nearest"):
-        raise UnusableInputError(f"unknown method {method!r}; choose 'weighted' or 'nearest'")
     refuse_repeated(views)
     views = adjusted_together(views)
     uv_covariance_px2 = None if uv_covariance_px2 is None else _by_view(views, uv_covariance_px2, "covariances")
-    picks = _picks(len(views), _by_view(views, uv_px, "picks"), uv_covariance_px2, across_px)
-    seen = picks.seen
-    lines = [view.lines_of_sight(uv[shown]) for view, uv, shown in zip(views, picks.uv_px, seen, strict=True)]
-    solution = solve(lines, picks, method)
+    picks = checked_picks(len(views), _by_view(views, uv_px, "picks"), uv_covariance_px2, across_px)
+    lines = [view.lines_of_sight(uv[shown]) for view, uv, shown in zip(views, picks.uv_px, picks.seen, strict=True)]
+    return points_of(solve(lines, picks, method))
+
+
+def points_of(solution: Solution) -> SpacePoints:
+    """Return the points of a solution with their joint covariance, gaps, and what these show of a movement."""
+    lines, picks = solution.lines, solution.picks
+    seen, two = picks.seen, len(lines) == 2
     budget, gap, gaps = solution.budget_mm2(), gap_mm(solution), Gaps.of(solution)
     tested = 2 * seen.sum(axis=0) - picks.snapped.sum(axis=0) > 3
     shift, shift_sd, chi2 = (None, None, None) if gaps is None or not tested.any() else gaps.mean()
@@ -67,12 +70,12 @@ def reconstruct(
         budget_mm2=budget,
         inside_hull=np.logical_and.reduce(inside),
         method=solution.method,
-        shift_mm=shift if len(views) == 2 else None,
-        shift_sd_mm=shift_sd if len(views) == 2 else None,
+        shift_mm=shift if two else None,
+        shift_sd_mm=shift_sd if two else None,
         gap_chi2=chi2,
         upright=_upright(lines),
         beads_near=_beads_near(lines, seen),
-        movement=None if chi2 is None or gaps is None or len(views) == 2 else gaps.movement(solution),
+        movement=None if chi2 is None or gaps is None or two else gaps.movement(solution),
     )
 
 
@@ -112,10 +115,10 @@ def _by_view(views: Sequence[CalibratedView], given: np.ndarray | Mapping[str, n
     return np.array([given[name] for name in names], dtype=np.float64)
 
 
-def _picks(
+def checked_picks(
     views: int, uv_px: np.ndarray, covariance_px2: np.ndarray | None, across_px: np.ndarray | None
 ) -> PickArrays:
-    """Return checked picks, regular. Raises UnusableInputError."""
+    """Return the picks of N points in V views, (V, N, 2), made regular. Raises UnusableInputError."""
     uv = np.asarray(uv_px, dtype=np.float64)
     if uv.ndim != 3 or uv.shape[0] != views or uv.shape[2] != 2 or uv.shape[1] == 0:
         raise UnusableInputError(f"picks have the shape {uv.shape}; give ({views}, N, 2): view, point, (u, v)")

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import combinations
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from sightline.calibration.view import LinesOfSight
-from sightline.errors import ReconstructionRefusedError
+from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import NearestApproach, nearest_approach
 from sightline.planning.line_residuals import (
     LineResiduals,
@@ -30,8 +30,10 @@ def solve(lines: Sequence[LinesOfSight], picks: PickArrays, method: Method) -> "
     """Return N points from their lines of sight in V views: `lines` of each view are those of its finite `picks`.
 
     Each point is seen in two views or more; the picks' covariances are above zero in all directions
-    (`PickArrays.regular`). Raises ReconstructionRefusedError.
+    (`PickArrays.regular`). Raises UnusableInputError for an unknown method, ReconstructionRefusedError.
     """
+    if method not in get_args(Method):
+        raise UnusableInputError(f"unknown method {method!r}; choose 'weighted' or 'nearest'")
     refuse_two_frames(lines)
     xyz = _start(lines, picks.seen)
     _refuse_behind(lines, picks.seen, xyz)
