@@ -67,6 +67,10 @@ class Hands:
         self.press(f"step-{name}")
         expect(self.see(f"step-{name}")).to_have_attribute("aria-current", "step")
 
+    def details(self) -> None:
+        """Open the drawer, or close it."""
+        self.press("details")
+
     def wait_for_step(self, name: str, standing: str) -> None:
         """Until a step is done, or what it shall be."""
         expect(self.see(f"step-{name}")).to_contain_text(standing, timeout=PATIENCE_MS)
@@ -133,7 +137,7 @@ class Hands:
         expect(self.see("row-greater-trochanter")).to_contain_text("● lat")
         if head:
             self.aid("head", known)
-            expect(self.see("figures")).to_contain_text("tip to bone along wire")
+            expect(self.see("figures")).to_contain_text("at least")  # from the tip to the joint
 
     def aid(self, key: str, known: dict[str, Pixels]) -> None:
         """The clicks of an aid: all in the first image, then in the other."""

@@ -33,17 +33,18 @@ def test_a_person_is_led_through_a_third_image(
     hands.step("Images")
     expect(hands.see("no-oblique")).to_contain_text("shows movements of the patient that two images do not show")
     hands.see("drop-Oblique image (optional)").set_input_files(prepared / "oblique.dcm")
+    hands.details()
     expect(hands.see("show-oblique")).to_be_visible(timeout=PATIENCE_MS)
     hands.wait_for_step("Calibrate", "done")
     hands.step("Calibrate")
     expect(hands.see("checks-oblique")).to_be_visible()
     hands.step("Plan")
-    expect(hands.see("instruction")).to_contain_text("Click in the Oblique image")
+    expect(hands.see("instruction")).to_contain_text("OBLIQUE")
+    hands.details()
     three = drawn()
     uv = clicks(three, in_plane(three))["oblique"]
     for name in LANDMARKS:
         hands.place(name, "lateral", uv[name])  # the view that shows the oblique image
     expect(hands.see("row-greater-trochanter")).to_contain_text("● obl")
     expect(hands.see("verdict")).to_contain_text("NO-GO")
-    said = hands.page.get_by_test_id("do-about").filter(has_text="The bone seems to have moved between the 3 images")
-    expect(said).to_have_count(1)
+    expect(hands.see("verdict")).to_contain_text("The bone seems to have moved between the 3 images")

@@ -68,7 +68,7 @@ def test_a_pair_of_holes_is_planned_beside_a_hip_screw(hands: Hands, shoot) -> N
         for view in NAMES:
             assert np.hypot(*np.subtract(hands.placed(name, view), where[view])) < 2 * SEEN_PX, (name, view)
     expect(hands.see("verdict")).to_contain_text("Every check passed")
-    expect(hands.see("figures")).not_to_contain_text("tip to bone")  # it does not belong to a hip screw
+    expect(hands.see("figures")).not_to_contain_text("Tip to joint")  # it does not belong to a hip screw
     expect(hands.see("propose")).to_have_count(0)
     shoot(hands.page, "interlocking")
     _choose(hands, "Hip screw")  # entry and end stay; the nail's landmarks do not belong to a hip
@@ -98,8 +98,9 @@ def test_a_proposed_wire_is_by_the_rule_and_a_persons_to_change(hands: Hands, sh
     known = _drawn()
     for aid in ("head", "shaft", "cortex"):
         hands.aid(aid, known)
+    hands.details()
     hands.press("propose")
-    expect(hands.see("figures")).to_contain_text("135.0")
+    expect(hands.see("metrics")).to_contain_text("135.0")
     figures = _figures(hands)
     assert figures["wire to shaft"] == pytest.approx(135.0, abs=0.06)  # as it is rounded
     assert figures["tip to bone along wire"] == pytest.approx(8.0, abs=0.06)
@@ -114,23 +115,23 @@ def test_a_proposed_wire_is_by_the_rule_and_a_persons_to_change(hands: Hands, sh
     mouse.down()
     mouse.move(x + 2, y - 9, steps=3)
     mouse.up()
-    expect(hands.see("figures")).to_contain_text(_BESIDE)
+    expect(hands.see("metrics")).to_contain_text(_BESIDE)
     changed = hands.placed("end", "pa")
     hands.page.keyboard.press("Control+z")
-    expect(hands.see("figures")).to_contain_text("135.0")
+    expect(hands.see("metrics")).to_contain_text("135.0")
     hands.press("redo")
-    expect(hands.see("figures")).to_contain_text(_BESIDE)
+    expect(hands.see("metrics")).to_contain_text(_BESIDE)
     assert hands.placed("end", "pa") == changed
     hands.press("propose")  # again: what a person changed is replaced, and comes back by undo
-    expect(hands.see("figures")).to_contain_text("135.0")
+    expect(hands.see("metrics")).to_contain_text("135.0")
     for (name, view), at in proposed.items():
         assert hands.placed(name, view) == pytest.approx(at, abs=1e-6)
     hands.press("undo")
-    expect(hands.see("figures")).to_contain_text(_BESIDE)
+    expect(hands.see("metrics")).to_contain_text(_BESIDE)
     assert hands.placed("end", "pa") == changed
 
 
 def _figures(hands: Hands) -> dict[str, float]:
     """Values of the figures by their names."""
-    rows = [row.inner_text().split("\t") for row in hands.see("figures").locator("tr").all()]
+    rows = [row.inner_text().split("\t") for row in hands.see("metrics").locator("tr").all()]
     return {row[0].strip(): float(row[1].split()[0].rstrip("°")) for row in rows if "±" in row[1] and row[0].strip()}

@@ -61,7 +61,9 @@ window.addEventListener("popstate", ({ state }) => {
 window.addEventListener("DOMContentLoaded", () => {
   const measure = () => {
     const work = document.querySelector(".work");
+    const panel = document.querySelector(".panel");
     if (work) document.body.style.setProperty("--xray-top", `${work.getBoundingClientRect().top}px`);
+    if (panel) document.body.style.setProperty("--xray-right", `${panel.offsetWidth}px`);
   };
   new ResizeObserver(measure).observe(document.body);
   new MutationObserver(measure).observe(document.body, { childList: true, subtree: true });

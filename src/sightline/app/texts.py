@@ -67,7 +67,7 @@ PLACE_WIRE = "Place in both images: {points}."
 PLAN_DONE = "GO: every check passed."
 DRILL_DONE = "The wire is drilled to the planned depth."
 LINK_LOST = "The link to the robot is lost."
-ROBOT_IN = "Robot state: {state}."
+ROBOT_IN = "{state}."
 ONLY_GO = "Only a plan that is GO can be sent."
 CAN_SEND = "The plan can be sent to the robot."
 VERIFIED = "The wire was measured in two check images and lies as planned."
@@ -114,6 +114,7 @@ DISPLAY_SHOWN = "{image}: {how}"
 DISPLAY_AND = " and "
 
 # Calibrate.
+ALL_PASSED = "All {count} checks passed"
 SHOW_REJECTED = "Show rejected candidates, with the reason"
 DROP_FIRST = "Drop an image onto the page."
 BEADS_USED = "beads used / left out"
@@ -121,21 +122,27 @@ RESIDUAL = "residual, rms per axis"
 FOCAL_POINT = "focal point"
 
 # Plan.
-POINT_GROUPS = {"wire": "Wire", "landmark": "Landmarks: did the bone move?", "aid": "Aids"}
+POINT_GROUPS = {"wire": "Wire", "landmark": "Landmarks: did the bone move?", "aid": "Aids, optional"}
 IMAGES_SHORT = {"pa": "PA", "lateral": "lat", "oblique": "obl"}
 KIND_FIELD = "Procedure"
 SNAP = "Snap lateral points of the wire to their curves"
 SHOW_BEADS = "Show the beads"
-PLACE = "Place"
 PLACE_WHAT = "Place {what}"
 REMOVE_WHAT = "Remove {what}"
-PROPOSE = "Propose a wire from head and shaft"
+PROPOSE = "Propose wire"
+PROPOSE_WHAT = "Propose a wire from femoral head, shaft and lateral cortex"
 PROPOSE_UNCALIBRATED = "calibrate both views before a wire can be proposed"
-PLACE_WHERE = "Click in the {image}: {point}. {sentence}"
-PLACE_IN_OBLIQUE = (
-    "Click in the {image}: {point}, where this image shows the bone. The cross is where the other two expect it; the "
-    "difference tells whether the patient moved."
-)
+COUNTER = "{number} of {count}"
+IN_IMAGE = {
+    "pa": "PA",
+    "lateral": "LATERAL",
+    "oblique": "OBLIQUE",
+    "check-pa": "PA CHECK",
+    "check-lateral": "LATERAL CHECK",
+}
+PLACE_WHERE = "{point}: {sentence}"
+PLACE_ON_CURVE = "{point}: slide along its curve and click"
+PLACE_IN_OBLIQUE = "{point}: click where this image shows it; the cross is where the other two expect it"
 EXPECTED_HERE = "{point}: expected here by the PA and the lateral image"
 METRICS_HEADING = "Measurements"
 METRIC_COLUMNS = ("", "± 95 %", "")
@@ -148,16 +155,48 @@ GAP_ENDS = ("entry", "tip")
 GAP_NOT_TESTED = "not tested (snapped)"
 
 # The verdict.
-VERDICTS = {  # word and sentence
-    "go": ("GO", "Every check passed. A person decides."),
-    "no-go": ("NO-GO", "{failed} of {all} checks failed."),
-    "incomplete": ("INCOMPLETE", "{failed} of {all} checks lack their input."),
-}
+VERDICTS = {"go": "GO", "no-go": "NO-GO", "incomplete": "INCOMPLETE"}
+EVERY_CHECK = "Every check passed. A person decides."
+MORE = "and {count} more, under Details"
+LEFT = "Left: {what}."
+LEFT_CALIBRATION = "two calibrated images"
+LEFT_SIDE = "patient's side"
+LEFT_SERIAL = "frame's serial"
 ALL_CHECKS = "All {count} checks"
-EXPIRES = "The images are {age} old; the plan expires in {left}."
-SENT_AT = "The images were {age} old when the plan was sent; the wire is drilled."
-EXPIRED = "Take both images again (step Images): the plan has expired."
-MINUTES = "{minutes} min {seconds:02d} s"
+FIGURES = {  # by the name of the check that states them; of a procedure's own ones the first that it has
+    "entry error": "Entry, 95 % error",
+    "end error": "Tip, 95 % error",
+    "direction error": "Direction, 95 % error",
+    "tip in head": "Tip to joint",
+    "tip behind front": "Tip to front",
+    "tip in sacral corridor": "Tip in corridor",
+    "wire in sacral corridor": "Wire in corridor",
+    "wire in pedicle": "Wire in pedicle",
+    "wire in neck": "Wire in neck",
+    "tip to bone nearest": "Tip to bone",
+    "movement": "Bone movement",
+}
+FIGURE_AT_MOST = "at most {limit}"
+FIGURE_AT_LEAST = "at least {limit}"
+FIGURE_PASSED, FIGURE_FAILED = "within its limit", "beyond its limit"
+
+# The top row.
+TITLE = "Sightline: planning and drilling of a wire"
+STEPS_LABEL = "Steps"
+PANEL_LABEL = "Verdict, figures and what to do"
+UNDO = ("Undo", "Undo (Ctrl+Z)")  # name, and tooltip
+REDO = ("Redo", "Redo (Ctrl+Y)")
+TIME_UNDER = {"left": "min left", "expired": "expired", "done": "drilled", "unknown": "min left"}
+TIME_TOLD = {
+    "left": "The images are {age} min old. The plan expires ten minutes after the older one was taken.",
+    "expired": "Take both images again (step Images): the plan has expired.",
+    "done": "The images were {sent} min old when the plan was sent; the wire is drilled.",
+    "unknown": "The time left is known once both images and their times are.",
+}
+LINKS = {"none": "no robot", "open": "connected", "lost": "link lost"}
+CONTINUE_TO = "Continue to {step}"
+DETAILS = "Details"
+SPACE = "3-D"
 SHARES_HEADING = "Where the error comes from"
 SHARES_LABEL = "Root mean square of each source, and its share of the mean square"
 SHARES_OF = {"entry": "entry", "end": "tip", "direction": "direction"}
@@ -169,6 +208,27 @@ ROBOT_HEADING = "Robot"
 ROBOT_NAMES = {True: "simulated robot", False: "robot"}  # whether the patient is simulated
 STARTING_ROBOT = "starting the simulated robot"
 START_ROBOT = "Start the simulated robot"
+ROBOT_OFF = "The robot is not started."
+TARGET_HEADING = "The plan in the robot"
+STATE_UNKNOWN = "Getting ready"
+STATES = {
+    "UNDEFINED": "Not ready: send the plan",
+    "START_UP": "Ready for a plan",
+    "PLANNING": "Ready for a plan",
+    "CALIBRATION": "Ready for a plan",
+    "TARGETING": "Plan received; not moving",
+    "MANUAL": "Moved by hand",
+    "STOP": "Stopped",
+    "EMERGENCY": "Emergency stop",
+    "ALIGN": "Aligning the arm",
+    "ALIGNED": "Aligned; waiting for you",
+    "DRILL": "Drilling",
+    "PAUSED": "Paused 10 mm before the tip",
+    "DONE": "Drilled to the planned depth",
+    "GUIDE": "Holding the drill guide",
+    "RETRACT": "Retracting the wire",
+}
+READING = "Depth {depth} · thrust {force}"
 FAULT = "Fault {number}: {what}"
 RESET_FAULT = "Reset the fault"
 SEND = "Send the plan"
@@ -203,10 +263,13 @@ FOUND_AGAIN_HEADING = "Landmarks, found again"
 NOT_IN_PLAN = "{point} (not in the plan)"
 PLACE_LANDMARKS = "Place landmarks"
 AGAINST_PLAN_HEADING = "Wire compared with the plan"
-DEVIATION_COLUMNS = ("", "measured", "± 95 %", "")
+DEVIATION_COLUMNS = ("", "measured", "± 95 %")
 DEVIATIONS = ("entry, perpendicular", "tip", "direction")
 BENT = "The wire is bent by up to {bow_mm:.2f} mm."
-CHECK_VERDICT = {True: "The check shot passed.", False: "The check shot did NOT pass."}
+CHECK_VERDICT = {  # word and sentence
+    True: ("PASSED", "The check shot passed: the wire lies as planned."),
+    False: ("FAILED", "The check shot did not pass."),
+}
 
 # Software, robot and safety.
 NOT_A_DEVICE = "Research software, not a medical device."

@@ -7,10 +7,16 @@ from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import Section, checks, heading, note, table
 from sightline.app.tab.tab import Tab
 from sightline.case.views import OBLIQUE
+from sightline.checks import failed
 
 
 def build(tab: Tab) -> None:
     """Build the panel."""
+    Section(tab, lambda t: tuple(map(t.planning.seen, t.planning.slots)), _views)
+
+
+def build_details(tab: Tab) -> None:
+    """Build the details: what is shown, and the checks of each view."""
 
     def show(event) -> None:
         tab.views.show_rejected = bool(event.value)
@@ -18,7 +24,7 @@ def build(tab: Tab) -> None:
 
     ui.checkbox(texts.SHOW_REJECTED, value=tab.views.show_rejected, on_change=show).props("data-testid=show-rejected")
     build_oblique(tab)
-    Section(tab, lambda t: tuple(map(t.planning.seen, t.planning.slots)), _views)
+    Section(tab, lambda t: tuple(map(t.planning.seen, t.planning.slots)), _checks)
 
 
 def _views(tab: Tab) -> None:
@@ -41,4 +47,14 @@ def _views(tab: Tab) -> None:
                 (texts.FOCAL_POINT, ", ".join(f"{x:.0f}" for x in seen.view.focal_point_mm) + " mm"),
             ]
             table(("", ""), rows, testid=f"calibration-{name}")
+            wrong = failed(seen.view.checks)
+            said = texts.ALL_PASSED.format(count=len(seen.view.checks)) if not wrong else wrong[0].sentence
+            note(said, kind="bad" if wrong else "good")
+
+
+def _checks(tab: Tab) -> None:
+    for name in tab.planning.slots:
+        seen = tab.planning.seen(name)
+        if seen is not None and seen.view is not None:
+            heading(texts.IMAGE_LABELS[name])
             checks(seen.view.checks, testid=f"checks-{name}")

@@ -18,9 +18,11 @@ if TYPE_CHECKING:
 
 _PLOT_PX = 400.0  # about the panel's width, so that its text is as large as the panel's [ours]
 _LIVE_S = 0.2  # update period of the robot's readings [ours]
+_RETRACTABLE = tuple(one.value for one in (State.DONE, State.STOP, State.ALIGNED, State.PAUSED))
 
 
-def _key(tab: Tab) -> Hashable:
+def key(tab: Tab) -> Hashable:
+    """Key of the robot's state, of the plan that was sent, and of whether the current one may be."""
     now = tab.session.drilling.now
     told = () if now is None else (now.state, now.fault, now.activity, now.last_error, now.lost, now.zero)
     planning, decisions = tab.planning, tab.planning.decisions
@@ -37,58 +39,84 @@ def _shot_key(tab: Tab) -> Hashable:
 
 
 def build(tab: Tab) -> None:
-    """Build the panel."""
-    Section(tab, _key, _robot)
+    """Build the panel: the robot's state and depth, the second shot, the live image."""
+    Section(tab, key, _robot)
     Section(tab, _shot_key, _second_shot)
     live.build(tab)
+
+
+def build_details(tab: Tab) -> None:
+    """Build the details: the checks of the robot's target, and the thrust over depth."""
+    Section(tab, key, _target)
     Section(tab, lambda t: t.session.drilling.session, _force)
 
 
+def _target(tab: Tab) -> None:
+    session = tab.session.drilling.session
+    if session is not None and session.target is not None:
+        heading(texts.TARGET_HEADING)
+        checks(session.target.checks, testid="target-checks")
+
+
 def _robot(tab: Tab) -> None:
-    drilling, jobs = tab.session.drilling, tab.session.jobs
-    now = drilling.now
+    """Build the state of the robot, what to know of the next motion, and motions besides it."""
+    planning, now = tab.planning, tab.session.drilling.now
     heading(texts.ROBOT_HEADING)
-    note(texts.STOP_IS_NO_EMERGENCY_STOP, kind="warn")
     if now is None or now.lost:
         if now is not None:
             note(now.last_error, kind="bad", testid="robot-said")
-        if tab.planning.patient is None:
+        if planning.patient is None:
             note(texts.NO_ROBOT, kind="warn", testid="no-robot")
-            return
-
-        def begin() -> Awaitable[None]:
-            return jobs.during(texts.STARTING_ROBOT, lambda: drilling.start_robot(fast=tab.fast_robot))
-
-        busy = bool(jobs.working)
-        action(texts.START_ROBOT, tab.doing(begin), testid="start-robot", kind="primary", enabled=not busy)
-        if busy:
-            note(f"{jobs.working.capitalize()} …")
-        return
-    _state(tab)
-    if drilling.session is not None and drilling.session.target is not None:
-        checks(drilling.session.target.checks, testid="target-checks")
-    _commands(tab)
+        elif tab.session.jobs.working:
+            note(f"{tab.session.jobs.working.capitalize()} …")
+        else:
+            note(texts.ROBOT_OFF, kind="quiet")
+            if planning.drilled is not None and planning.sent_is_current:
+                _start(tab, "plain")  # to retract
+    else:
+        _state(tab)
+        session = tab.session.drilling.session
+        if now.fault:
+            note(texts.FAULT.format(number=now.fault, what=now.text), kind="bad", testid="fault")
+        elif not tab.session.readiness.can_send and planning.drilled is None:
+            note(texts.ONLY_GO, kind="warn", testid="not-go")
+        if session is not None and session.target is not None and not planning.sent_is_current:
+            note(texts.CHANGED_AFTER_SENDING, kind="bad", testid="changed-after-sending")
+        if session is not None and now.state in _RETRACTABLE:
+            _confirmed_action(
+                tab,
+                texts.RETRACT,
+                texts.RETRACT_QUESTION,
+                session.retract,
+                "retract",
+                enabled=not now.activity,
+                kind="plain",
+            )
+    if planning.drilled is not None:
+        note(texts.DRILLED, kind="good", testid="drilled")
+    note(texts.STOP_IS_NO_EMERGENCY_STOP, kind="warn")
 
 
 def _state(tab: Tab) -> None:
     now = tab.session.drilling.now
     assert now is not None  # noqa: S101
-    with ui.element("div").classes("robot-state").props("data-testid=robot-state role=status"):
-        ui.label(now.state).classes("state-word")
-        ui.label(f"{now.activity} …" if now.activity else "").classes("state-doing")
+    with ui.element("div").classes("robot-state").props(f"data-testid=robot-state data-state={now.state} role=status"):
+        ui.label(texts.STATES.get(now.state, texts.STATE_UNKNOWN)).classes("state-word")
     if now.last_error:
         note(now.last_error, kind="bad", testid="robot-said")
     reading = ui.label().classes("live").props("data-testid=robot-live")
 
     def tell() -> None:
         at = tab.session.drilling.now
-        if at is None:
-            return
-        force = "–" if at.force_n is None else f"{at.force_n:.1f} N"
-        reading.set_text(f"depth {depth_words(at)} · thrust {force}")
+        if at is not None:
+            reading.set_text(texts.READING.format(depth=depth_words(at), force=_force_words(at)))
 
     tell()
     ui.timer(_LIVE_S, tell)
+
+
+def _force_words(now: "RobotNow") -> str:
+    return "–" if now.force_n is None else f"{now.force_n + 0.0:.1f} N".replace("-0.0", "0.0")
 
 
 def depth_words(now: "RobotNow") -> str:
@@ -106,57 +134,56 @@ def _zero_words(now: "RobotNow") -> str:
     return " and ".join([", ".join(now.zero[:-1]), now.zero[-1]] if now.zero[1:] else now.zero)
 
 
-def _commands(tab: Tab) -> None:
-    """Build the buttons for the possible commands; each motion needs a person's confirmation."""
+def build_next(tab: Tab) -> None:
+    """Build the one button for what comes next; each motion needs a person's confirmation."""
     planning, drilling = tab.planning, tab.session.drilling
     session, now = drilling.session, drilling.now
-    assert now is not None and session is not None  # noqa: S101
+    if now is None or now.lost or session is None:
+        _start(tab, "primary")
+        return
     idle, state = not now.activity, now.state
+    ready = idle and session.target is not None and planning.sent_is_current
     if now.fault:
-        note(texts.FAULT.format(number=now.fault, what=now.text), kind="bad", testid="fault")
         _confirmed_action(
             tab, texts.RESET_FAULT, texts.RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle
         )
-        return
-    known, decisions = planning.planned, planning.decisions
-    can_send = tab.session.readiness.can_send
-    if known is not None and known.plan is not None and can_send and decisions.side is not None:
-        what = texts.SEND_WHAT.format(
-            robot=texts.ROBOT_NAMES[planning.patient is not None],
-            length=known.plan.trajectory.length_mm,
-            side=decisions.side,
-            serial=decisions.serial,
-        )
-        enabled = idle and state not in (State.ALIGNED.value, State.PAUSED.value, State.DONE.value)
-        _confirmed_action(
-            tab, texts.SEND, texts.SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=enabled
-        )
-    else:
-        note(texts.ONLY_GO, kind="warn", testid="not-go")
-    ready = idle and session.target is not None and planning.sent_is_current
-    if session.target is not None and not planning.sent_is_current:
-        note(texts.CHANGED_AFTER_SENDING, kind="bad", testid="changed-after-sending")
-    if state in (State.TARGETING.value, State.STOP.value):
+    elif state == State.ALIGNED.value:
+        drill = lambda: drilling.drill(State.ALIGNED)  # noqa: E731
+        _confirmed_action(tab, texts.DRILL, texts.DRILL_QUESTION, drill, "drill", enabled=ready)
+    elif state == State.PAUSED.value:
+        drill = lambda: drilling.drill(State.PAUSED)  # noqa: E731
+        _confirmed_action(tab, texts.DRILL_ON, texts.DRILL_ON_QUESTION, drill, "drill-on", enabled=ready)
+    elif state in (State.TARGETING.value, State.STOP.value) and planning.sent_is_current and session.target is not None:
         _confirmed_action(tab, texts.ALIGN, texts.ALIGN_QUESTION, drilling.align, "align", enabled=ready)
-    if state == State.ALIGNED.value:
-        _confirmed_action(
-            tab, texts.DRILL, texts.DRILL_QUESTION, lambda: drilling.drill(State.ALIGNED), "drill", enabled=ready
-        )
-    if state == State.PAUSED.value:
-        _confirmed_action(
-            tab,
-            texts.DRILL_ON,
-            texts.DRILL_ON_QUESTION,
-            lambda: drilling.drill(State.PAUSED),
-            "drill-on",
-            enabled=ready,
-        )
-    if state in (State.DONE.value, State.STOP.value, State.ALIGNED.value, State.PAUSED.value):
-        _confirmed_action(
-            tab, texts.RETRACT, texts.RETRACT_QUESTION, session.retract, "retract", enabled=idle, kind="plain"
-        )
-    if state == State.DONE.value or planning.drilled is not None:
-        note(texts.DRILLED, kind="good", testid="drilled")
+    else:
+        _send(tab, enabled=idle and state != State.DONE.value)
+
+
+def _start(tab: Tab, kind: str) -> None:
+    jobs, drilling = tab.session.jobs, tab.session.drilling
+
+    def begin() -> Awaitable[None]:
+        return jobs.during(texts.STARTING_ROBOT, lambda: drilling.start_robot(fast=tab.fast_robot))
+
+    enabled = tab.planning.patient is not None and not jobs.working
+    action(texts.START_ROBOT, tab.doing(begin), testid="start-robot", kind=kind, enabled=enabled)
+
+
+def _send(tab: Tab, *, enabled: bool) -> None:
+    planning, drilling = tab.planning, tab.session.drilling
+    known, side = planning.planned, planning.decisions.side
+    if known is None or known.plan is None or side is None or not tab.session.readiness.can_send:
+        action(texts.SEND, lambda: None, testid="send", kind="primary", enabled=False)
+        return
+    what = texts.SEND_WHAT.format(
+        robot=texts.ROBOT_NAMES[planning.patient is not None],
+        length=known.plan.trajectory.length_mm,
+        side=side,
+        serial=planning.decisions.serial,
+    )
+    _confirmed_action(
+        tab, texts.SEND, texts.SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=enabled
+    )
 
 
 def _second_shot(tab: Tab) -> None:

@@ -41,12 +41,16 @@ def build_drop_zone(tab: Tab, site: ServedApp) -> None:
 
 def build(tab: Tab) -> None:
     """Build the panel."""
-    build_oblique(tab)
     Section(tab, _state, _images)
     Section(tab, lambda t: t.planning.decisions.side, _side)
     Section(tab, lambda t: t.planning.decisions.serial, _serial)
     Section(tab, _untimed, _taken)
     Section(tab, _mirrored_key, _mirrored)
+
+
+def build_details(tab: Tab) -> None:
+    """Build the details: how the images are shown."""
+    build_oblique(tab)
     Section(tab, lambda t: tuple(t.planning.decisions.display.items()), _display)
 
 

@@ -1,6 +1,5 @@
 """Step 3, Plan: placing points, metrics of plan and implant, proposal."""
 
-from collections.abc import Hashable
 from itertools import groupby
 
 import numpy as np
@@ -10,7 +9,7 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.images import build_oblique
-from sightline.app.panels.section import Section, action, heading, note
+from sightline.app.panels.section import HtmlSection, Section, action, heading, note
 from sightline.app.plan.marks import END, ENTRY, MarkSpec, marks_of
 from sightline.app.plan.planner import Planned, landmarks_of
 from sightline.app.tab.tab import Tab
@@ -21,40 +20,47 @@ from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures import procedures
 
 
-def metrics_key(tab: Tab) -> Hashable:
-    """Return the key of `metrics_html`: the plan that it describes."""
-    return tab.known
-
-
 def build(tab: Tab) -> None:
-    """Build the panel: kind, points, aids."""
-    build_oblique(tab)
+    """Build the panel: kind, and the checklist of points and aids."""
     Section(tab, lambda t: t.planning.decisions.kind, _kind)
+    Section(tab, lambda t: t.planning.decisions.kind, _points, classes="checklist")
+
+
+def build_details(tab: Tab) -> None:
+    """Build the details: what the procedure is, what is shown, and the metrics."""
+    Section(tab, lambda t: t.planning.decisions.kind, _purpose)
+    build_oblique(tab)
     Section(tab, lambda t: t.planning.decisions.snapping, _snapping)
-    Section(tab, lambda t: t.planning.decisions.kind, _points)
-
-
-def _kind(tab: Tab) -> None:
-    decisions = tab.planning.decisions
-    known = kind_of(decisions.kind)
-    kinds = {key: one.name[:1].upper() + one.name[1:] for key, one in procedures().items()}
-
-    async def choose(event) -> None:
-        await tab.act(lambda: tab.planning.choose_kind(event.value))
-        tab.go_to(tab.step)
-
-    ui.select(kinds, value=known.key, label=texts.KIND_FIELD, on_change=choose).props(
-        "outlined options-dense data-testid=kind"
-    )
-    note(known.purpose, kind="quiet")
-    for sentence in known.sentences():
-        note(sentence, kind="warn")
 
     def show(event) -> None:
         tab.views.show_beads = bool(event.value)
         tab.refresh()
 
     ui.checkbox(texts.SHOW_BEADS, value=tab.views.show_beads, on_change=show).props("data-testid=show-beads")
+    if kind_of(tab.planning.decisions.kind).proposal is not None:
+        Section(tab, _missing, lambda t: note(_missing(t), kind="quiet") if _missing(t) else None)
+    HtmlSection(tab, lambda t: t.known, metrics_html)
+
+
+def _purpose(tab: Tab) -> None:
+    known = kind_of(tab.planning.decisions.kind)
+    heading(known.name)
+    note(known.purpose, kind="quiet")
+    for sentence in known.sentences():
+        note(sentence, kind="warn")
+
+
+def _kind(tab: Tab) -> None:
+    known = kind_of(tab.planning.decisions.kind)
+    kinds = {key: one.name[:1].upper() + one.name[1:] for key, one in procedures().items()}
+
+    async def choose(event) -> None:
+        await tab.act(lambda: tab.planning.choose_kind(event.value))
+        tab.go_to(tab.step)
+
+    ui.select(kinds, value=known.key, on_change=choose).classes("kind").props(
+        f'dense options-dense data-testid=kind aria-label="{texts.KIND_FIELD}"'
+    )
 
 
 def _snapping(tab: Tab) -> None:
@@ -68,12 +74,14 @@ def _snapping(tab: Tab) -> None:
 def _points(tab: Tab) -> None:
     decisions = tab.planning.decisions
     for group, listed in groupby(marks_of(decisions.kind), key=lambda one: one.group):
-        heading(texts.POINT_GROUPS[group])
+        with ui.element("div").classes(f"group {group}"):
+            heading(texts.POINT_GROUPS[group])
+            if group == "aid" and kind_of(decisions.kind).proposal is not None:
+                action(texts.PROPOSE, tab.doing(lambda: _propose(tab)), testid="propose", kind="small").props(
+                    f'title="{texts.PROPOSE_WHAT}"'
+                )
         for _, same in groupby(listed, key=lambda one: one.of):
             _row(tab, tuple(same))
-    if kind_of(decisions.kind).proposal is not None:
-        action(texts.PROPOSE, tab.doing(lambda: _propose(tab)), testid="propose")
-        Section(tab, _missing, lambda t: note(_missing(t), kind="quiet") if _missing(t) else None)
 
 
 def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
@@ -95,20 +103,20 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
 
     def show(t: Tab) -> None:
         row.classes(add="current" if current(t) else "", remove="" if current(t) else "current")
-        remove.set_enabled(any(placed(t)))
+        remove.set_visibility(any(placed(t)))
         for image, count in zip(images_of(t), placed(t), strict=True):
             whole = count == len(same)
             part = f" {count}/{len(same)}" if 0 < count < len(same) else ""
             ui.label(f"{'●' if whole else '○'} {texts.IMAGES_SHORT[image]}{part}").classes(
                 "placed" if whole else "missing"
             )
+        place.props(f'aria-label="{texts.PLACE_WHAT.format(what=label)}"')
 
     with ui.element("div").classes("pick").props(f"data-testid=row-{first.of}") as row:
-        ui.label(label).classes("pick-name").tooltip(first.sentence)
-        status = ui.element("div").classes("pick-status")
-        action(texts.PLACE, lambda: tab.place(same), testid=f"place-{first.of}", kind="small").props(
-            f'aria-label="{texts.PLACE_WHAT.format(what=label)}"'
-        )
+        with action("", lambda: tab.place(same), testid=f"place-{first.of}", kind="pick-place") as place:
+            ui.label(label).classes("pick-name")
+            status = ui.element("div")
+            ui.tooltip(first.sentence).props('anchor="center left" self="center right"')
         remove = action("✕", tab.doing(lambda: tab.planning.remove(names)), testid=f"remove-{first.of}", kind="small")
         remove.props(f'aria-label="{texts.REMOVE_WHAT.format(what=label)}"')
     with status:
@@ -151,7 +159,7 @@ def metrics_html(tab: Tab) -> Markup:
                 (texts.DIRECTION_ERROR, f"{np.rad2deg(path.direction_error_95_rad):.2f}°", ""),
             ]
         rows += _gaps(tab)
-    said = [markup.note(why, kind="bad", testid="figures-refused") for why in _refused(known)]
+    said = [markup.note(why, kind="bad", testid="metrics-refused") for why in _refused(known)]
     if known.plan is not None:
         said += [markup.note(sentence, kind="quiet", testid="along") for sentence in known.plan.sentences()]
     if tab.planning.decisions.side is None:
@@ -162,7 +170,7 @@ def metrics_html(tab: Tab) -> Markup:
             sd = "" if metric.sd is None else f" ± {TWO_SIDED_95 * metric.sd:.1f}"
             mark = {True: "✓", False: "!", None: ""}[metric.within]
             rows.append((metric.name, f"{metric.value:.1f}{sd}{space}{metric.unit}", mark))
-    table = markup.table(texts.METRIC_COLUMNS, rows, testid="figures")
+    table = markup.table(texts.METRIC_COLUMNS, rows, testid="metrics")
     return markup.joined(markup.heading(texts.METRICS_HEADING), *said, table)
 
 
@@ -185,10 +193,17 @@ def _gaps(tab: Tab) -> list[tuple[str, str, str]]:
     return out
 
 
-def instruction(tab: Tab) -> str:
-    """Return the instruction for the next point, as a sentence."""
+def instruction(tab: Tab) -> tuple[str, str, str] | None:
+    """Return the instruction for the next point: its number of all, its image, and what to do there; None without
+    one."""
     goal = tab.goal
     if goal is None:
-        return ""
-    where = texts.PLACE_IN_OBLIQUE if goal.image == OBLIQUE else texts.PLACE_WHERE
-    return where.format(image=texts.IMAGE_LABELS[goal.image], point=goal.spec.label, sentence=goal.spec.sentence)
+        return None
+    number, count = tab.progress
+    decisions, spec = tab.planning.decisions, goal.spec
+    slides = (
+        spec.group == "wire" and goal.image == NAMES[1] and decisions.snapping and decisions.mark(spec.name).at("pa")
+    )
+    where = texts.PLACE_IN_OBLIQUE if goal.image == OBLIQUE else texts.PLACE_ON_CURVE if slides else texts.PLACE_WHERE
+    said = where.format(point=spec.label, sentence=spec.sentence[:1].lower() + spec.sentence[1:])
+    return texts.COUNTER.format(number=number, count=count), texts.IN_IMAGE[goal.image], said

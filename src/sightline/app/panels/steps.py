@@ -110,7 +110,7 @@ def _drill(session: Session) -> _Found:
     if now is not None and (now.lost or now.fault or now.last_error):
         return StepStatus.ATTENTION, now.last_error or now.text or texts.LINK_LOST
     if now is not None and planning.sent is not None and now.state != State.UNDEFINED.value:
-        return StepStatus.OPEN, texts.ROBOT_IN.format(state=now.state)
+        return StepStatus.OPEN, texts.ROBOT_IN.format(state=texts.STATES.get(now.state, texts.STATE_UNKNOWN))
     if not session.readiness.can_send:
         return StepStatus.BLOCKED, texts.ONLY_GO
     return StepStatus.OPEN, texts.CAN_SEND

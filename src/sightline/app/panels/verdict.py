@@ -4,16 +4,16 @@ from collections.abc import Hashable
 
 import numpy as np
 from markupsafe import Markup
-from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.section import HtmlSection
+from sightline.app.plan.marks import marks_of
 from sightline.app.tab.tab import Tab
 from sightline.checks import Check, failed
 from sightline.errors import SightlineError
 from sightline.planning.shares import Share, error_shares, error_shares_of
-from sightline.robot.kinematics.target import LIFETIME_S, RobotTarget
+from sightline.robot.kinematics.target import RobotTarget
 
 SOURCES = {  # sources of error, with their colours (colours.js)
     "beads": "sky",
@@ -24,26 +24,27 @@ SOURCES = {  # sources of error, with their colours (colours.js)
     "robot": "vermillion",
 }
 
+_LONG = 95  # characters of a sentence that is written smaller, to fit [ours]
 _VERDICT = (
-    '<div class="verdict {}" data-testid="verdict" role="status"><div class="verdict-word">{}</div>'
-    '<div class="verdict-sentence">{}</div></div>'
+    '<div class="verdict {0}" data-testid="verdict"><div class="verdict-word">{1}</div>'
+    '<div class="verdict-sentence {4}">{2}</div><div class="verdict-more">{3}</div></div>'
 )
 
 
 def key(tab: Tab) -> Hashable:
     """Key of the verdict."""
     listed = _listed(tab)
-    return len(listed), tuple(check.sentence for check in failed(listed))
+    return len(listed), tuple(check.sentence for check in failed(listed)), left(tab)
 
 
-def age_key(tab: Tab) -> Hashable:
-    """Key of the plan's age: whether there is a plan, and whether it is fresh."""
-    return bool(_listed(tab)), tab.session.age.fresh, tab.session.age.drilled_s
-
-
-def count(tab: Tab) -> Hashable:
-    """Key of the list of checks: their number."""
-    return len(_listed(tab))
+def left(tab: Tab) -> tuple[str, ...]:
+    """Return what is left to do before a verdict: points to place, and what a person must confirm."""
+    decisions = tab.planning.decisions
+    if tab.planning.planned is None:
+        return (texts.LEFT_CALIBRATION,)
+    asked = [spec for spec in marks_of(decisions.kind) if spec.group != "aid" and not decisions.complete([spec.name])]
+    confirmed = ((texts.LEFT_SIDE, decisions.side), (texts.LEFT_SERIAL, decisions.serial))
+    return (*(spec.label for spec in asked), *(what for what, value in confirmed if value is None))
 
 
 def details_key(tab: Tab) -> Hashable:
@@ -59,60 +60,33 @@ def _listed(tab: Tab) -> tuple[Check, ...]:
 
 
 def html(tab: Tab) -> Markup:
-    """Return the verdict as HTML, with what to do about each failed check."""
-    verdict = tab.session.readiness.verdict_of(tab.known)
-    if verdict is None:
-        return Markup()
-    state, wrong = verdict.state, failed(verdict.checks)
-    word, sentence = texts.VERDICTS[state]
-    told = sentence.format(failed=len(wrong), all=len(verdict.checks))
-    shown = markup.filled(_VERDICT, state, word, told)
-    kinds = ["warn" if one in verdict.unmade else "bad" for one in wrong]
-    return markup.joined(
-        shown,
-        *(markup.note(one.sentence, kind=kind, testid="do-about") for one, kind in zip(wrong, kinds, strict=True)),
-    )
+    """Return the verdict as HTML: of a plan that is NO-GO the first thing to do, of an incomplete one what is left."""
+    verdict, missing = tab.session.readiness.verdict_of(tab.known), left(tab)
+    state = "incomplete" if verdict is None else verdict.state
+    if verdict is None or state == "incomplete":
+        unmade = () if verdict is None else tuple(dict.fromkeys(verdict.missing))
+        told = texts.LEFT.format(what=", ".join(missing)) if missing else next(iter(unmade), "")
+        more = 0 if missing else len(unmade) - 1
+    else:
+        wrong = [check for check in failed(verdict.checks) if check not in verdict.unmade]
+        told, more = (wrong[0].sentence if wrong else texts.EVERY_CHECK), len(wrong) - 1
+    said = texts.MORE.format(count=more) if more > 0 else ""
+    return markup.filled(_VERDICT, state, texts.VERDICTS[state], told, said, "long" if len(told) > _LONG else "")
 
 
 def build_details(tab: Tab) -> None:
     """Build the error budget and the list of all checks with value and limit."""
+    HtmlSection(tab, details_key, _all_checks)
+    HtmlSection(tab, details_key, _shares)
+
+
+def _all_checks(tab: Tab) -> Markup:
     listed = _listed(tab)
     if not listed:
-        return
-    HtmlSection(tab, details_key, _shares)
-    with ui.element("details").props("data-testid=all-checks"):
-        with ui.element("summary"):
-            ui.label(texts.ALL_CHECKS.format(count=len(listed)))
-        HtmlSection(tab, details_key, lambda t: markup.checks(_listed(t), testid="verdict-checks"))
-
-
-def build_age(tab: Tab) -> None:
-    """Build the text with the plan's age and expiry."""
-    if not _listed(tab):
-        return
-    label = ui.label().classes("age").props("data-testid=age")
-    age = tab.session.age
-    was_fresh, drilled = age.fresh, age.drilled_s
-    if drilled is not None:
-        label.set_text(texts.SENT_AT.format(age=_minutes(drilled)))
-        return
-
-    def tell() -> None:
-        age_s = age.now_s
-        if age_s is None:
-            return
-        if age.fresh != was_fresh:
-            tab.refresh()  # GO must not be shown for a plan that has expired
-            return
-        told = texts.EXPIRES.format(age=_minutes(age_s), left=_minutes(LIFETIME_S - age_s))
-        label.set_text(told if was_fresh else texts.EXPIRED)
-
-    tell()
-    ui.timer(1.0, tell)
-
-
-def _minutes(seconds: float) -> str:
-    return texts.MINUTES.format(minutes=int(seconds // 60), seconds=int(seconds % 60))
+        return Markup()
+    return markup.joined(
+        markup.heading(texts.ALL_CHECKS.format(count=len(listed))), markup.checks(listed, testid="verdict-checks")
+    )
 
 
 def _shares(tab: Tab) -> Markup:

@@ -5,12 +5,20 @@ from collections.abc import Hashable
 import numpy as np
 
 from sightline.app import texts
-from sightline.app.panels.section import Section, action, checks, heading, note, table
+from sightline.app.panels import markup
+from sightline.app.panels.section import Section, action, checks, heading, note, put, table
 from sightline.app.plan.marks import CHECK_NAMES, marks_of
 from sightline.app.tab.tab import Tab
+from sightline.checks import failed
+
+_CARD = (
+    '<div class="verdict {}" data-testid="check-verdict"><div class="verdict-word">{}</div>'
+    '<div class="verdict-sentence">{}</div></div>'
+)
 
 
-def _key(tab: Tab) -> Hashable:
+def key(tab: Tab) -> Hashable:
+    """Key of the check shot: its images, its result, and the landmarks found again."""
     planning, jobs, verifying = tab.planning, tab.session.jobs, tab.session.verifying
     return (
         *(planning.seen(name) for name in CHECK_NAMES),
@@ -26,19 +34,41 @@ def _key(tab: Tab) -> Hashable:
 
 def build(tab: Tab) -> None:
     """Build the panel."""
-    Section(tab, _key, _check)
+    Section(tab, key, _check)
+
+
+def build_details(tab: Tab) -> None:
+    """Build the details: the checks of the check shot."""
+    Section(tab, lambda t: t.session.verifying.shot, _checks)
+
+
+def _checks(tab: Tab) -> None:
+    shot = tab.session.verifying.shot
+    if shot is not None:
+        heading(texts.AGAINST_PLAN_HEADING)
+        note(texts.BENT.format(bow_mm=shot.bow_mm), kind="quiet")
+        checks(shot.checks, testid="check-checks")
+
+
+def build_next(tab: Tab) -> None:
+    """Build the one button for what comes next: the check images, their landmarks."""
+    planning, jobs, verifying = tab.planning, tab.session.jobs, tab.session.verifying
+    if planning.patient is not None and not all(planning.seen(name) for name in CHECK_NAMES):
+        take = tab.doing(verifying.take_rehearsed)
+        enabled = planning.drilled is not None and not jobs.working
+        action(texts.TAKE_CHECK, take, testid="take-check", kind="primary", enabled=enabled)
+    elif all(planning.seen(name) for name in CHECK_NAMES) and verifying.shot is None:
+        listed = tuple(spec for spec in marks_of(planning.decisions.kind) if spec.group == "landmark")
+        action(texts.PLACE_LANDMARKS, lambda: tab.place(listed, CHECK_NAMES), testid="place-check", kind="primary")
 
 
 def _check(tab: Tab) -> None:
     planning, jobs, verifying = tab.planning, tab.session.jobs, tab.session.verifying
+    _result(tab)
     heading(texts.CHECK_HEADING)
-    if planning.patient is not None:
-        take = tab.doing(verifying.take_rehearsed)
-        enabled = planning.drilled is not None and not jobs.working
-        action(texts.TAKE_CHECK, take, testid="take-check", kind="primary", enabled=enabled)
-        if planning.drilled is None:
-            note(texts.DRILL_FIRST, kind="quiet")
-    else:
+    if planning.drilled is None and planning.patient is not None:
+        note(texts.DRILL_FIRST, kind="quiet")
+    elif planning.patient is None:
         note(texts.DROP_CHECK, kind="quiet")
     if jobs.working:
         note(f"{jobs.working.capitalize()} …")
@@ -57,7 +87,6 @@ def _check(tab: Tab) -> None:
             )
     if all(planning.seen(name) for name in CHECK_NAMES):
         _landmarks(tab)
-    _result(tab)
 
 
 def _landmarks(tab: Tab) -> None:
@@ -71,8 +100,6 @@ def _landmarks(tab: Tab) -> None:
         placed = decisions.mark(spec.name).complete(CHECK_NAMES)
         note(f"{'●' if placed else '○'} {point}", kind="good" if placed else "quiet")
 
-    action(texts.PLACE_LANDMARKS, lambda: tab.place(listed, CHECK_NAMES), testid="place-check")
-
 
 def _result(tab: Tab) -> None:
     verifying = tab.session.verifying
@@ -81,18 +108,13 @@ def _result(tab: Tab) -> None:
     shot = verifying.shot
     if shot is None:
         return
-    heading(texts.AGAINST_PLAN_HEADING)
+    state, (word, sentence) = ("go" if shot.passed else "no-go"), texts.CHECK_VERDICT[shot.passed]
+    wrong = failed(shot.checks)
+    put(markup.filled(_CARD, state, word, wrong[0].sentence if wrong else sentence))
     entry, tip, direction = texts.DEVIATIONS
     rows = [
-        (entry, f"{shot.entry_deviation_mm:.2f}", f"{shot.entry_error_95_mm:.2f}", "mm"),
-        (tip, f"{shot.tip_deviation_mm:.2f}", f"{shot.tip_error_95_mm:.2f}", "mm"),
-        (direction, f"{np.rad2deg(shot.angle_rad):.2f}", f"{np.rad2deg(shot.direction_error_95_rad):.2f}", "°"),
+        (entry, f"{shot.entry_deviation_mm:.2f} mm", f"{shot.entry_error_95_mm:.2f}"),
+        (tip, f"{shot.tip_deviation_mm:.2f} mm", f"{shot.tip_error_95_mm:.2f}"),
+        (direction, f"{np.rad2deg(shot.angle_rad):.2f}°", f"{np.rad2deg(shot.direction_error_95_rad):.2f}"),
     ]
     table(texts.DEVIATION_COLUMNS, rows, testid="deviation")
-    note(texts.BENT.format(bow_mm=shot.bow_mm), kind="quiet")
-    note(
-        texts.CHECK_VERDICT[shot.passed],
-        kind="good" if shot.passed else "bad",
-        testid="check-verdict",
-    )
-    checks(shot.checks, testid="check-checks")

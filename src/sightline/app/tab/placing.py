@@ -32,8 +32,15 @@ class Placing:
 
     def goal(self, step: str) -> Goal | None:
         """Return the next goal; None if there is none."""
-        wanted = self._requested_by(step) if self._chosen is None else self._chosen
-        return next((one for one in wanted if not one.reached(self._planning.decisions)), None)
+        return next((one for one in self._wanted(step) if not one.reached(self._planning.decisions)), None)
+
+    def progress(self, step: str) -> tuple[int, int]:
+        """Return the number of the next goal, from 1, and the number of all."""
+        wanted, goal = self._wanted(step), self.goal(step)
+        return (len(wanted) if goal is None else wanted.index(goal) + 1), len(wanted)
+
+    def _wanted(self, step: str) -> tuple[Goal, ...]:
+        return self._requested_by(step) if self._chosen is None else self._chosen
 
     def choose(self, listed: Sequence[MarkSpec], images: tuple[str, ...]) -> None:
         """Ask for these marks that are not placed; if all are, ask for the first one again."""

@@ -49,6 +49,11 @@ class Tab:
         return self._placing.goal(self.step)
 
     @property
+    def progress(self) -> tuple[int, int]:
+        """The number of the next mark to place, and of all that are asked for."""
+        return self._placing.progress(self.step)
+
+    @property
     def known(self) -> Planned | None:
         """The plan shown: the preview of a dragged point, else the current plan."""
         preview = self.dragging.preview

@@ -1,0 +1,162 @@
+"""The top row: the five steps, the next instruction, the time left, undo and redo, STOP with the state of its link."""
+
+from collections.abc import Callable, Hashable
+from functools import partial
+
+from markupsafe import Markup
+from nicegui import ui
+
+from sightline.app import texts
+from sightline.app.panels import markup, plan
+from sightline.app.panels.section import HtmlSection, PersistentSection, action
+from sightline.app.panels.steps import steps
+from sightline.app.tab.tab import Tab
+from sightline.robot.kinematics.target import LIFETIME_S
+
+_LONG = 110  # characters of an instruction that is written smaller, to fit in two lines [ours]
+_EXPIRING_S = 120.0  # time left that is marked [ours]
+
+
+def build(tab: Tab) -> None:
+    """Build the row."""
+    with ui.element("div").classes("guide"):
+        with ui.element("nav").props(f'aria-label="{texts.STEPS_LABEL}"'):
+            PersistentSection(tab, lambda t: (steps(t.session), t.step), _steps, classes="steps")
+        with ui.element("div").classes("say").props("role=status"):
+            HtmlSection(tab, _said, _say)
+    with ui.element("div").classes("tools"):
+        _time(tab)
+        PersistentSection(tab, _history, _undo, classes="undo")
+        PersistentSection(tab, _link, _stop, classes="stop-box")
+
+
+def _steps(tab: Tab) -> Callable[[], None]:
+    made: list[tuple[ui.button, ui.label, ui.tooltip]] = []
+    for number, name in enumerate(texts.STEPS, 1):
+        with action(f"{number} {name}", partial(tab.go_to, name), testid=f"step-{name}").classes("step") as button:
+            made.append((button, ui.label().classes("unseen"), ui.tooltip("").classes("step-reason")))
+
+    def update() -> None:
+        for step, (button, status, tip) in zip(steps(tab.session), made, strict=True):
+            here = step.name == tab.step
+            button.classes(f"{step.status} {'here' if here else ''}", remove=" ".join((*texts.STEP_STATUS, "here")))
+            button.props(f"aria-current={'step' if here else 'false'}")
+            status.set_text(texts.STEP_STATUS[step.status])
+            tip.set_text(f"{texts.STEP_STATUS[step.status]}: {step.reason}")
+
+    return update
+
+
+def _said(tab: Tab) -> Hashable:
+    return tab.message, tab.goal, tab.progress, None if tab.goal else _reason(tab)
+
+
+def _say(tab: Tab) -> Markup:
+    """Return the message, or else the next instruction: to place a point, or what the step waits for."""
+    if tab.message:
+        return markup.filled(
+            '<div class="message {}" role="alert" data-testid="message">{}</div>', *_sized(tab.message)
+        )
+    told = plan.instruction(tab)
+    if told is None:
+        return markup.filled('<div class="instruction {}" data-testid="instruction">{}</div>', *_sized(_reason(tab)))
+    counter, image, what = told
+    return markup.filled(
+        '<div class="instruction {}" data-testid="instruction"><span class="counter">{}</span> · '
+        '<span class="in-image">{}</span> · {}</div>',
+        _size(counter + image + what),
+        counter,
+        image,
+        what,
+    )
+
+
+def _sized(text: str) -> tuple[str, str]:
+    return _size(text), text
+
+
+def _size(text: str) -> str:
+    return "long" if len(text) > _LONG else ""
+
+
+def _reason(tab: Tab) -> str:
+    return next(step.reason for step in steps(tab.session) if step.name == tab.step)
+
+
+def _time(tab: Tab) -> None:
+    """Build the time that the plan is valid; it says why GO ends when it has expired."""
+    box = ui.element("div").classes("time").props("data-testid=age")
+    with box:
+        word, under = ui.label().classes("time-word"), ui.label().classes("time-under")
+        tip = ui.tooltip("")
+    age, was_fresh = tab.session.age, tab.session.age.fresh
+
+    def tell() -> None:
+        nonlocal was_fresh
+        now_s, drilled_s, fresh = age.now_s, age.drilled_s, age.fresh
+        left = 0.0 if now_s is None else LIFETIME_S - now_s
+        state = "unknown" if now_s is None else "done" if drilled_s is not None else "left" if fresh else "expired"
+        word.set_text({"left": _minutes(left), "done": "✓", "expired": _minutes(0.0)}.get(state, "–"))
+        under.set_text(texts.TIME_UNDER[state])
+        told = texts.TIME_TOLD[state].format(age=_minutes(now_s or 0.0), sent=_minutes(drilled_s or 0.0))
+        tip.set_text(told)
+        marked = state == "expired" or (state == "left" and left < _EXPIRING_S)
+        box.classes(add="short" if marked else "", remove="" if marked else "short")
+        if fresh != was_fresh:
+            was_fresh = fresh
+            tab.later()  # GO must not be shown for a plan that has expired
+
+    tell()
+    ui.timer(1.0, tell)
+    tab.on_refresh.append(tell)
+
+
+def _minutes(seconds: float) -> str:
+    return f"{int(seconds // 60)}:{int(seconds % 60):02d}"
+
+
+def _history(tab: Tab) -> Hashable:
+    return tab.planning.history.can_undo, tab.planning.history.can_redo
+
+
+def _undo(tab: Tab) -> Callable[[], None]:
+    made = [
+        action(sign, tab.doing(what), testid=testid, kind="plain").props(f'aria-label="{name}" title="{title}"')
+        for sign, testid, name, title, what in (
+            ("↶", "undo", *texts.UNDO, tab.planning.undo),
+            ("↷", "redo", *texts.REDO, tab.planning.redo),
+        )
+    ]
+
+    def update() -> None:
+        for button, on in zip(made, (tab.planning.history.can_undo, tab.planning.history.can_redo), strict=True):
+            button.set_enabled(on)
+
+    return update
+
+
+def _link(tab: Tab) -> bool | None:
+    now = tab.session.drilling.now
+    return None if now is None else now.lost
+
+
+def _stop(tab: Tab) -> Callable[[], None]:
+    button = action("STOP", tab.doing(lambda: _stop_robot(tab)), testid="stop", kind="danger")
+    button.props(f'title="{texts.STOP_IS_NO_EMERGENCY_STOP}"')
+    state = ui.label().classes("link").props("data-testid=link role=status")
+    ui.label(texts.RED_BUTTON).classes("red-button").props("data-testid=red-button")
+
+    def update() -> None:
+        lost = _link(tab)
+        button.set_enabled(lost is False)
+        name = {None: "none", True: "lost", False: "open"}[lost]
+        state.set_text(texts.LINKS[name])
+        state.classes(name, remove=" ".join(texts.LINKS))
+
+    return update
+
+
+async def _stop_robot(tab: Tab) -> None:
+    session = tab.session.drilling.session
+    if session is not None:
+        await session.stop()
