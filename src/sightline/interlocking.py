@@ -1,7 +1,10 @@
-"""From clicks in images to the hole of a nail: outlines along strokes, then both rims about a click in each image."""
+"""From clicks in images to the holes of a nail and their plans: outlines along strokes, then both rims about a click in
+each image."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,9 +14,9 @@ from sightline.detection.metal_edges import MetalEdge, MetalTube, agreement, fin
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import nearest_approach
 from sightline.imaging import Radiograph
-from sightline.planning import Hole, HoleSeen, Nail, fit_hole
+from sightline.planning import Hole, HoleSeen, Nail, WirePicks, WirePlans, fit_hole, plan_wires
 from sightline.planning.directions import caudal, towards, unit
-from sightline.planning.hole import nail_line, turned_to_rims
+from sightline.planning.hole import farthest_apart, nail_line, turned_to_rims
 from sightline.planning.hole_expected import (
     OFFSETS_PX,
     LocalCamera,
@@ -23,6 +26,8 @@ from sightline.planning.hole_expected import (
     patch_px,
 )
 from sightline.planning.hole_result import HolePose
+from sightline.planning.procedures.document import ProcedureDocument
+from sightline.planning.procedures.files import document_of
 from sightline.threads import one_blas_thread
 
 _HARDNESS = (0.6, 0.7, 0.8, 0.9, 1.0, 1.15)  # of beams of about 60 to 110 kV [ours]
@@ -68,6 +73,7 @@ def find_nail(
             f"{len(views)} views, {len(images)} images and {strokes.shape}"
         )
     lines = [view.lines_of_sight(own.mean(axis=(0, 1))[None]) for view, own in zip(views, strokes, strict=True)]
+    farthest_apart(np.concatenate([one.directions for one in lines]))
     middle = nearest_approach(
         lines[0].focal_point_mm, lines[0].directions[0], lines[1].focal_point_mm, lines[1].directions[0]
     ).middle_mm
@@ -128,6 +134,62 @@ def refuse_confused(distal: Hole, proximal: Hole, nail: Nail, side: str) -> None
             f"the holes are {apart:.1f} mm apart in the images and {nail.spacing_mm:.1f} mm as stated: it is another "
             "nail or another hole; give the sizes of this nail, or click its holes again"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class NailDrawn:
+    """A nail in two images as a person gives it, to plan its holes.
+
+    `nail`: as its maker states it. `strokes_px` (2, 2, 2, 2): as for `find_nail`. `clicks_px`: by the key of the
+    procedure's wire a click (u, v) in each view, (2, 2), on the hole of that wire. `drilled`: keys of the holes that
+    are drilled already; they are measured again, and the others are planned beside them.
+    """
+
+    nail: Nail
+    strokes_px: np.ndarray
+    clicks_px: Mapping[str, np.ndarray]
+    drilled: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(document: Mapping[str, Any]) -> "NailDrawn":
+        """Return the nail of a JSON document with these fields."""
+        clicks = {key: np.array(uv, dtype=np.float64) for key, uv in document["clicks_px"].items()}
+        strokes = np.array(document["strokes_px"], dtype=np.float64)
+        return NailDrawn(Nail(**document["nail"]), strokes, clicks, tuple(document["drilled"]))
+
+
+def plan_holes(
+    views: Sequence[CalibratedView],
+    images: Sequence[Radiograph],
+    drawn: NailDrawn,
+    *,
+    procedure: ProcedureDocument | str = "distal-interlocking",
+    side: str | None = None,
+    **shared: Any,
+) -> WirePlans:
+    """Return the plans of a nail's holes, found in the images of the first two views, and their relations.
+
+    `images`: of the views. `procedure`: its wires are in their order from the nail's tip upwards. `side`, `shared`: as
+    of `plan_wires`; the side tells which of two holes is the distal one. Raises UnusableInputError, WireRefusedError,
+    and what `find_hole`, `find_holes` and `plan_wires` raise.
+    """
+    document = procedure if isinstance(procedure, ProcedureDocument) else document_of(procedure)
+    keys = [wire.key for wire in document.wires if wire.key in drawn.clicks_px]
+    if unknown := sorted({*drawn.clicks_px, *drawn.drilled} - set(keys)):
+        raise UnusableInputError(
+            f"{document.key} has no hole {unknown[0]!r} that was clicked; click in both images one or more of "
+            f"{', '.join(wire.key for wire in document.wires)}"
+        )
+    if side is None and len(keys) > 1:
+        raise UnusableInputError("the side tells which hole is the distal one; give the side of the patient")
+    found = find_nail(views[:2], images[:2], drawn.strokes_px, drawn.nail)
+    holes = {key: find_hole(found, drawn.clicks_px[key]) for key in keys}
+    for distal, proximal in pairwise(keys):
+        refuse_confused(holes[distal], holes[proximal], drawn.nail, side or "")
+    picks = {key: WirePicks.of_hole(hole, views) for key, hole in holes.items()}
+    axes = {key: hole.axis for key in drawn.drilled if (hole := picks[key].hole) is not None}
+    wanted = {key: one for key, one in picks.items() if key not in axes}
+    return plan_wires(views, wanted, procedure=document, placed=axes, side=side, **shared)
 
 
 def _px_per_mm(camera: LocalCamera, at_mm: np.ndarray) -> float:

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.calibration import view_from_matrix
 from sightline.errors import ReconstructionRefusedError
-from sightline.planning import Hole, perfect_circle
+from sightline.planning import Hole, Nail, perfect_circle
 from sightline.twin.arm import beam_at
 
 SD_RAD = np.deg2rad(0.35)  # of the measured direction, per axis: the limit of 0.7° for 95 % [ours]
@@ -25,7 +25,7 @@ def _hole(middle_mm: np.ndarray, axis: np.ndarray, sd_rad: float = SD_RAD) -> Ho
     ends = middle_mm + 5.5 * np.array([[-1.0], [1.0]]) * axis
     covariance = np.eye(6) * (sd_rad * 11.0) ** 2 / 2
     none = np.zeros((2, 4), dtype=int)
-    return Hole(ends[0], ends[1], covariance, {}, middle_mm, np.array([0.0, 1.0, 0.0]), none, none, ())
+    return Hole(ends[0], ends[1], covariance, {}, middle_mm, np.array([0.0, 1.0, 0.0]), none, none, (), Nail())
 
 
 def _turned(beam: np.ndarray, turn) -> np.ndarray:

@@ -13,8 +13,9 @@ from sightline.case.documents import check_document, view_document
 from sightline.case.views import CalibratedImage
 from sightline.checks import Limits
 from sightline.detection import Detections, Observations
-from sightline.errors import CaseError
+from sightline.errors import CaseError, UnusableInputError
 from sightline.imaging import Radiograph
+from sightline.interlocking import NailDrawn, plan_holes
 from sightline.planning import (
     Aids,
     Axis,
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 Pair = tuple[CalibratedImage, CalibratedImage]
 Images = tuple[CalibratedImage, ...]  # of a plan: PA, lateral, and the third where there is one
-_OF_SEVERAL = ("others", "placed")  # of a request, which an entry of a wire alone does not hold
+_OF_SEVERAL = ("others", "placed", "nail")  # of a request, which an entry of a wire alone does not hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,9 @@ class PlanRequest:
     `landmark_names` or none; NaN where a view does not show a point. `kind`: the key of a procedure, None for a free
     wire; `procedure`: the content of its file where that is not shipped. `limits`: set where they replace those of the
     procedure. `others`: picks of the procedure's other wires where all are planned together, `placed`: its wires that
-    are in the bone already, both by key; None for a wire alone. See `planning.plan` for the others.
+    are in the bone already, both by key; None for a wire alone. `nail`: then the points are those of its holes, which
+    are found in the images; of each hole that is planned the click stands for both points. See `planning.plan` for the
+    others.
     """
 
     entry_uv_px: np.ndarray
@@ -63,6 +66,7 @@ class PlanRequest:
     aids: Aids | None = None
     others: Mapping[str, WirePicks] | None = None
     placed: Mapping[str, Axis] | None = None
+    nail: NailDrawn | None = None
 
     @staticmethod
     def of(document: dict[str, Any]) -> "PlanRequest":
@@ -75,14 +79,32 @@ class PlanRequest:
         for name, read in (("others", lambda one: WirePicks(**one)), ("placed", _placed)):
             if fields.get(name) is not None:
                 fields[name] = {key: read(one) for key, one in fields[name].items()}
+        if fields.get("nail") is not None:
+            fields["nail"] = NailDrawn.of(fields["nail"])
         request = PlanRequest(**fields)
         if "side" not in document:
             return replace(request, kind=None, landmark_names=())
         return request if request.aids is None else replace(request, aids=Aids.of(document["aids"]))
 
     def plan(self, views: Sequence[CalibratedImage]) -> Plan:
-        """Make the plan on the calibrated images, PA first. Raises what `planning.plan` raises."""
+        """Make the plan on the calibrated images, PA first. Raises what `plan_wires` and `planning.plan` raise."""
+        if self.nail is not None:
+            return self.plan_wires(views).plans[self.known_kind.wire.key]
         return self.plan_on([image.view for image in views])
+
+    def plan_wires(self, images: Sequence[CalibratedImage]) -> WirePlans:
+        """Make the plans of this wire and `others` on the calibrated images; holes of a nail are found in them.
+
+        Raises what `plan_holes` and `planning.plan_wires` raise.
+        """
+        views = [image.view for image in images]
+        if self.nail is None:
+            return self.plan_wires_on(views)
+        shown = [image.seen.image for image in images if image.seen.image is not None]
+        if len(shown) < len(images):
+            raise UnusableInputError("the holes of a nail are found in images; a table of beads shows no nail")
+        kind, shared = self.known_kind, self._shared(len(views), matching_curve)
+        return plan_holes(views, shown, self.nail, procedure=kind.document, side=self.side, **shared)
 
     def plan_on(self, views: Sequence[CalibratedView], curve: Callable[..., MatchingCurve] = matching_curve) -> Plan:
         """Make the plan on calibrated views, PA first. Raises what `planning.plan` raises."""
@@ -102,7 +124,10 @@ class PlanRequest:
     def plan_wires_on(
         self, views: Sequence[CalibratedView], curve: Callable[..., MatchingCurve] = matching_curve
     ) -> WirePlans:
-        """Make the plans of this wire and `others` on calibrated views. Raises what `planning.plan_wires` raises."""
+        """Make the plans of this wire and `others` on calibrated views. Raises UnusableInputError for a nail, and what
+        `planning.plan_wires` raises."""
+        if self.nail is not None:
+            raise UnusableInputError("the holes of a nail are found in images, not on views alone; use `plan_wires`")
         kind = self.known_kind
         return plan_wires(
             views,

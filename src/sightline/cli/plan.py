@@ -1,6 +1,6 @@
 """`sightline plan`: from two or three images and their picks to a trajectory, its error, and GO or NO-GO."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,9 @@ from sightline.cli.points import (
     all_depths,
     parse_aid,
     parse_head,
+    parse_hole,
     parse_landmark,
+    parse_nail,
     parse_wires,
     pixels,
 )
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from sightline.case.journal import Case, Entry
     from sightline.case.pairs import SeenImages
     from sightline.frame import Frame
+    from sightline.interlocking import NailDrawn
     from sightline.planning import Aids, Axis, Procedure
     from sightline.planning.procedures.document import ProcedureDocument
 
@@ -65,13 +68,17 @@ def plan(
     ] = None,
     *,
     entry: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             help=f"Entry point. {PICK_HELP} To plan several wires together, once for each, the wire's name first: "
-            "'inferior pa:U,V lateral:U,V'."
+            "'inferior pa:U,V lateral:U,V'. Needed, with --end, but for the holes of a nail.",
+            show_default=False,
         ),
-    ],
-    end: Annotated[list[str], typer.Option(help="End point, the tip of the wire; written like the entry point.")],
+    ] = None,
+    end: Annotated[
+        list[str] | None,
+        typer.Option(help="End point, the tip of the wire; written like the entry point.", show_default=False),
+    ] = None,
     oblique: Annotated[
         Path | None,
         typer.Option(
@@ -116,6 +123,29 @@ def plan(
             show_default=False,
         ),
     ] = None,
+    hole: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A hole of a nail instead of --entry and --end: the wire's key and one click in the bright lens in "
+            "both images, 'distal pa:U,V lateral:U,V'. Its axis is measured in the images. Needs --nail, --nail-edges.",
+            show_default=False,
+        ),
+    ] = None,
+    nail: Annotated[
+        str | None,
+        typer.Option(
+            help="The nail as its maker states it, mm: 'diameter:11 hole:5 bore:5 spacing:28 titanium', or steel.",
+            show_default=False,
+        ),
+    ] = None,
+    nail_edges: Annotated[
+        str | None,
+        typer.Option(
+            help="Both edges of the nail, each by two clicks that reach past its holes, at most 8 px off: "
+            "'pa:U,V,U,V,U,V,U,V lateral:...', one edge first, then the other.",
+            show_default=False,
+        ),
+    ] = None,
     procedure: Annotated[
         str,
         typer.Option(
@@ -129,7 +159,8 @@ def plan(
         list[str] | None,
         typer.Option(
             help="Key of a wire that is in the bone already. It is found in both images near its --entry and --end "
-            "(the tip), and the others are planned beside it. Name every such wire that the images show.",
+            "(the tip), and the others are planned beside it. Name every such wire that the images show. Of a nail: "
+            "the key of a hole that is drilled already; its axis is measured from its --hole.",
             show_default=False,
         ),
     ] = None,
@@ -156,7 +187,8 @@ def plan(
     wires the relations between them are checked too.
     """
     with Output(json=json, quiet=quiet) as output, ExitStack() as stack:
-        wires = parse_wires(entry, end)
+        drawn_nail = _nail_drawn(nail, nail_edges, hole, placed, picked=[*(entry or ()), *(end or ())])
+        wires = parse_wires(entry or [], end or []) if drawn_nail is None else _holes_to_plan(hole or [], placed or ())
         points = [point for wire in wires.values() for point in wire]
         names, landmarks = zip(*map(parse_landmark, landmark or []), strict=True) if landmark else ((), ())
         views = _views(oblique, [*points, *landmarks], pa)
@@ -190,7 +222,7 @@ def plan(
         with output.step("planning"):
             calibrated = [image.view for image in images]
             ends = {name: [pixels(point, calibrated, pick_sd) for point in wire] for name, wire in wires.items()}
-            in_bone = _in_bone(placed or (), ends, images, known.document)
+            in_bone = _in_bone(() if drawn_nail else placed or (), ends, images, known.document)
             asked = PlanRequest(
                 *ends.pop(first),
                 pick_sd_px=pick_sd,
@@ -205,8 +237,9 @@ def plan(
                 aids=_aids(known, *drawn, pick_sd),
                 others={name: WirePicks(a, b, snapped) for name, (a, b) in ends.items()} if first else None,
                 placed=in_bone or None,
+                nail=drawn_nail,
             )
-            planned = asked.plan_wires_on(calibrated) if first else asked.plan(images)
+            planned = asked.plan_wires(images) if first else asked.plan(images)
         document = planned_document(planned, images, known_frame)
         if case is not None:
             opened = opened or stack.enter_context(Case.create(case, exist_ok=True))  # now that there is a plan
@@ -217,15 +250,60 @@ def plan(
                 "images": image_numbers(opened, made_on, views),
             }
         if out is not None:
-            given = {"entry": entry, "end": end, "landmark": landmark or [], "head": [head] if head else []}
-            given["aid"] = aid or []
-            words = "; ".join(f"{name} {text}" for name, texts in given.items() for text in texts)
-            words += f"; {pick_sd:g} px{', snapped' if snapped else ''}"
+            given = {"entry": entry, "end": end, "hole": hole, "nail": nail, "nail's edges": nail_edges}
+            words = _words({**given, "landmark": landmark, "head": head, "aid": aid}, pick_sd, snapped=snapped)
             with output.step("writing the report"):
                 pages = reports(planned, images, known_frame, words)
                 document["files"] = write(out, planned, pages, document)
         show(output, planned, document)
         output.result(document, planned.verdict.checks)
+
+
+def _words(given: Mapping[str, str | list[str] | None], pick_sd: float, *, snapped: bool) -> str:
+    """Return in words what was given."""
+    texts = {name: [text] if isinstance(text, str) else text or [] for name, text in given.items()}
+    words = [f"{name} {text}" for name, each in texts.items() for text in each]
+    return "; ".join([*words, f"{pick_sd:g} px{', snapped' if snapped else ''}"])
+
+
+def _holes_to_plan(holes: Sequence[str], drilled: Sequence[str]) -> dict[str, tuple[Point, Point]]:
+    """Return the click on each hole that is not drilled by its wire's key, in place of entry and end."""
+    return {key: (point, point) for key, point in map(parse_hole, holes) if key not in drilled}
+
+
+def _nail_drawn(
+    sizes: str | None,
+    edges: str | None,
+    holes: Sequence[str] | None,
+    drilled: Sequence[str] | None,
+    *,
+    picked: Sequence[str],
+) -> "NailDrawn | None":
+    """Return the nail whose holes are to be planned; None where no option of a nail is given.
+
+    Raises UnusableInputError for some of these options without the others, or beside picked points.
+    """
+    if sizes is None and edges is None and not holes:
+        return None
+    import numpy as np
+
+    from sightline.errors import UnusableInputError
+    from sightline.interlocking import NailDrawn
+
+    if sizes is None or edges is None or not holes or picked:
+        raise UnusableInputError(
+            "the holes of a nail are planned from --nail, --nail-edges and --hole, all three, and without --entry and "
+            "--end"
+        )
+    clicks = dict(map(parse_hole, holes))
+    if len(clicks) < len(holes) or not set(drilled or ()) < clicks.keys():
+        raise UnusableInputError(
+            f"--hole is given for {', '.join(clicks)} and --placed for {', '.join(drilled or ()) or 'none'}; give "
+            "--hole once for each hole, and --placed for those of them that are drilled, but not for all"
+        )
+    known, strokes = parse_nail(edges, sizes)
+    uv = {key: np.array([point[view] for view in VIEWS]) for key, point in clicks.items()}
+    return NailDrawn(known, strokes, uv, tuple(drilled or ()))
 
 
 def _aids(

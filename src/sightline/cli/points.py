@@ -6,7 +6,10 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from sightline.calibration import CalibratedView
+    from sightline.planning import Nail
 
 Point = dict[str, tuple[float, ...]]
 VIEWS, CHECK_VIEWS = ("pa", "lateral"), ("check-pa", "check-lateral")
@@ -69,6 +72,8 @@ def parse_wires(entries: Sequence[str], ends: Sequence[str]) -> dict[str, tuple[
     """
     from sightline.errors import UnusableInputError
 
+    if not entries and not ends:
+        raise UnusableInputError("give --entry and --end of each wire, or for the holes of a nail --hole")
     split = [[(text, *_named(text)) for text in texts] for texts in (entries, ends)]
     named = [[(name, rest) if rest else ("", text) for text, name, rest in one] for one in split]
     first, second = ([name for name, _ in one] for one in named)
@@ -97,6 +102,48 @@ def parse_aid(text: str) -> tuple[str, Point]:
             "lateral:U,V,U,V'"
         )
     return key, clicked
+
+
+NAIL_SIZES = ("diameter", "hole", "bore", "spacing")
+
+
+def parse_hole(text: str) -> tuple[str, Point]:
+    """Return the wire's key of 'WIRE pa:U,V lateral:U,V' and the click on its hole by view. Raises
+    UnusableInputError."""
+    from sightline.errors import UnusableInputError
+
+    key, rest = _named(text)
+    point = _numbers(rest)
+    if not key or _lengths(point) != dict.fromkeys(VIEWS, 2):
+        raise UnusableInputError(
+            f"--hole {text!r} is not a hole; write its wire's key and a click in both images, 'distal pa:U,V "
+            "lateral:U,V'"
+        )
+    return key, point
+
+
+def parse_nail(strokes: str, sizes: str) -> "tuple[Nail, np.ndarray]":
+    """Return a nail of 'diameter:11 hole:5 bore:5 spacing:28 titanium' and its strokes (2, 2, 2, 2) of 'pa:U,V,U,V,...
+    lateral:...', in each view two clicks on one edge, then two on the other. Raises UnusableInputError."""
+    import numpy as np
+
+    from sightline.errors import UnusableInputError
+    from sightline.planning import Nail
+
+    material, rest = _named(sizes)
+    mm, clicked = _numbers(rest), _numbers(strokes)
+    if not set(NAIL_SIZES[:3]) <= mm.keys() <= set(NAIL_SIZES) or any(n != 1 for n in _lengths(mm).values()):
+        raise UnusableInputError(
+            f"--nail {sizes!r} does not give the nail's sizes; write what its maker states, mm and the metal: "
+            "'diameter:11 hole:5 bore:5 spacing:28 titanium' (the holes' spacing may be left out)"
+        )
+    if _lengths(clicked) != dict.fromkeys(VIEWS, 8):
+        raise UnusableInputError(
+            f"--nail-edges {strokes!r} does not give both edges of the nail; click two points on one edge, then two on "
+            "the other, in both images: 'pa:U,V,U,V,U,V,U,V lateral:U,V,U,V,U,V,U,V'"
+        )
+    given = {f"{name}_mm": value[0] for name, value in mm.items()}
+    return Nail(material=material, **given), np.reshape([clicked[view] for view in VIEWS], (2, 2, 2, 2))
 
 
 @dataclass(frozen=True)

@@ -35,9 +35,9 @@ def simulate(
     what: Annotated[
         str,
         typer.Argument(
-            help="What lies in the beam: hip, pelvis, vertebra, growing-femur, object (the paper's four balls in "
-            "Perspex), plastic (its bored femur), porcine; or a file: a closed mesh in mm (STL, PLY, OBJ) or a CT scan "
-            "(NIfTI, folder of slices)."
+            help="What lies in the beam: hip, pelvis, vertebra, nailed-femur, growing-femur, object (the paper's "
+            "four balls in Perspex), plastic (its bored femur), porcine; or a file: a closed mesh in mm (STL, PLY, "
+            "OBJ) or a CT scan (NIfTI, folder of slices)."
         ),
     ] = "hip",
     *,

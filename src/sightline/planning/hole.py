@@ -130,6 +130,7 @@ def fit_hole(
             _rims_used(points, kept),
             *(check for view in views for check in failed(view.checks)),
         ),
+        nail=nail,
     )
 
 
@@ -406,13 +407,7 @@ def _start(points: _Points, nail: Nail, pose: HolePose | None) -> np.ndarray:
     focal_mm, on_plane_mm = points.rays(points.measured)
     rays = unit(on_plane_mm - focal_mm)
     beams = np.array([unit(rays[points.view == v].mean(axis=0)) for v in range(len(points.names))])
-    apart = np.arccos(np.clip(np.abs(beams @ beams.T), 0.0, 1.0))
-    i, j = np.unravel_index(int(apart.argmax()), apart.shape)
-    if apart[i, j] < MIN_ANGLE_RAD:
-        raise ReconstructionRefusedError(
-            f"the views are {np.rad2deg(apart[i, j]):.0f}° apart (at least {np.rad2deg(MIN_ANGLE_RAD):.0f}° is needed "
-            "for the direction of a hole); turn the C-arm further for one of them"
-        )
+    i, j = farthest_apart(beams)
     rims = points.kind >= _ENTRY
     everything = np.ones(len(rims), dtype=bool)
     for name, shown in zip(points.names, points.counts(everything)[:, _ENTRY:].sum(axis=1), strict=True):
@@ -439,6 +434,21 @@ def _start(points: _Points, nail: Nail, pose: HolePose | None) -> np.ndarray:
     return states[
         int(np.median(np.abs(_residuals(states, focal_mm, on_plane_mm, points.kind)[:, rims]), axis=1).argmin())
     ]
+
+
+def farthest_apart(beams: np.ndarray) -> tuple[int, int]:
+    """Return the places of the two beams, of unit vectors (V, 3), that are farthest apart.
+
+    Raises ReconstructionRefusedError for less than 20°.
+    """
+    apart = np.arccos(np.clip(np.abs(beams @ beams.T), 0.0, 1.0))
+    i, j = np.unravel_index(int(apart.argmax()), apart.shape)
+    if apart[i, j] < MIN_ANGLE_RAD:
+        raise ReconstructionRefusedError(
+            f"the views are {np.rad2deg(apart[i, j]):.0f}° apart (at least {np.rad2deg(MIN_ANGLE_RAD):.0f}° is needed "
+            "for the direction of a hole); turn the C-arm further for one of them"
+        )
+    return int(i), int(j)
 
 
 def nail_line(

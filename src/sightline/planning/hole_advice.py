@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,11 @@ class Turn:
     tilt_rad: float
     orbit_axis: np.ndarray
     error_95_rad: float
+
+    def document(self) -> dict[str, Any]:
+        """Return the turn as JSON types, angles in degrees."""
+        orbit, tilt, error = np.rad2deg([self.orbit_rad, self.tilt_rad, self.error_95_rad]).tolist()
+        return {"view": self.view, "orbit_deg": orbit, "tilt_deg": tilt, "error_95_deg": error}
 
     @property
     def sentence(self) -> str:
@@ -58,3 +64,8 @@ def perfect_circle(hole: Hole, views: Sequence[CalibratedView], of: int = 0) -> 
     orbit = np.arctan2(np.cross(start, end) @ axis, start @ end)
     tilt = np.arcsin(goal @ axis) - np.arcsin(beam @ axis)
     return Turn(views[of].name, float(orbit), float(tilt), axis, hole.direction_error_95_rad)
+
+
+def perfect_circles(hole: Hole, views: Sequence[CalibratedView]) -> list[Turn]:
+    """Return the turn of `perfect_circle` from each of the first two views."""
+    return [perfect_circle(hole, views, k) for k in range(2)]

@@ -80,7 +80,7 @@ class ExpectedRims:
 
 def expected_rims(camera: LocalCamera, pose: HolePose, nail: Nail) -> ExpectedRims:
     """Return the boundary of the lens that a view should show."""
-    points, outward = (np.concatenate(both) for both in zip(*(_rim(pose, nail, s) for s in (-1.0, 1.0)), strict=True))
+    points, outward = (np.concatenate(both) for both in zip(*(rim(pose, nail, s) for s in (-1.0, 1.0)), strict=True))
     is_exit = np.repeat([False, True], _AROUND)
     open_there = metal_mm(camera.focal_mm, unit(points - 0.02 * outward - camera.focal_mm), pose, nail) < 1e-6
     points, outward, is_exit = points[open_there], outward[open_there], is_exit[open_there]
@@ -145,8 +145,8 @@ def patch_px(camera: LocalCamera, at_mm: np.ndarray, nail: Nail) -> np.ndarray:
     return middle + np.stack(np.meshgrid(steps, steps), axis=-1)
 
 
-def _rim(pose: HolePose, nail: Nail, side: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return points of the entry (-1) or exit (1) rim, and directions away from the hole's axis, (_AROUND, 3) each."""
+def rim(pose: HolePose, nail: Nail, side: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return points of the entry (`side` -1) or exit (1) rim, and directions away from the hole's axis, (N, 3) each."""
     angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
     first = unit(across(pose.along, pose.axis))
     outward = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * np.cross(pose.axis, first)

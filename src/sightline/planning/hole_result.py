@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,8 @@ class Hole(Shown):
     the first view. `covariance_mm2` (6, 6): of (entry, exit); `budget_mm2`: the same for each source of a point's error
     (`SpacePoints`), of which "picks" are the edges and the nail's sizes. `nail_mm`, `nail_direction` (3,): the point of
     the nail's axis nearest to the hole's, and the unit vector along it there. `given`, `kept` (V, 4) int: for each view
-    the points of both outlines, entry rim and exit rim, and how many of them the fit kept.
+    the points of both outlines, entry rim and exit rim, and how many of them the fit kept. `nail`: as its maker
+    states it.
     """
 
     entry_mm: np.ndarray
@@ -78,6 +80,7 @@ class Hole(Shown):
     given: np.ndarray
     kept: np.ndarray
     checks: tuple[Check, ...]
+    nail: Nail
 
     @property
     def middle_mm(self) -> np.ndarray:
@@ -159,6 +162,28 @@ class Hole(Shown):
     def direction_error_95_rad(self) -> float:
         """With a probability of 95 % the direction's error is smaller."""
         return float(length_quantile(self.direction_covariance_rad2))
+
+    @property
+    def sentence(self) -> str:
+        """The errors of the axis in words."""
+        direction = np.rad2deg(self.direction_error_95_rad)
+        return f"the axis of the hole is measured, with 95 % to {self.axis_error_95_mm:.2f} mm and {direction:.2f}°"
+
+    def document(self) -> dict[str, Any]:
+        """Return the axis, its errors and the nail as JSON types: mm, angles in degrees."""
+        return {
+            "coordinates": "CFCS",
+            "entry_mm": self.entry_mm.tolist(),
+            "exit_mm": self.exit_mm.tolist(),
+            "nail_mm": self.nail_mm.tolist(),
+            "nail_direction": self.nail_direction.tolist(),
+            "error_95": {
+                "axis_mm": self.axis_error_95_mm,
+                "direction_deg": float(np.rad2deg(self.direction_error_95_rad)),
+            },
+            "points": {"given": self.given.tolist(), "kept": self.kept.tolist()},
+            "nail": vars(self.nail),
+        }
 
     def summary(self) -> str:
         """Return entry and exit, the error bounds and the failed checks."""

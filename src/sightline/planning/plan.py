@@ -16,6 +16,7 @@ from sightline.planning.aids import Aids
 from sightline.planning.anatomy import Anatomy, Drawings, located
 from sightline.planning.bone_checks import judge_in_bone, measures, noticed_beyond_mm
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
+from sightline.planning.hole_advice import perfect_circles
 from sightline.planning.hole_result import Hole
 from sightline.planning.implant import Implant, fitting
 from sightline.planning.line_residuals import refuse_repeated
@@ -54,7 +55,7 @@ class Plan(Plotted):
     located parts of the bone. `noticed_mm`: how far entry and end can be wrong along a line of sight before a check of
     the bone fails; None where no check would fail. `views`: the views that the plan was made on;
     `arguments`: what else `plan` was given, but for the kind and `curve`. `relations`: checks of the relations to other
-    wires, which the verdict then includes (`plan_wires`).
+    wires, which the verdict then includes (`plan_wires`). `hole`: the measured hole that entry and end are those of.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
     >>> plan = sl.plan([pa, lateral], [[162, 689], [684, 692]], [[818, 366], [378, 276]], side="right")
@@ -78,6 +79,7 @@ class Plan(Plotted):
     views: tuple[CalibratedView, ...]
     arguments: Mapping[str, Any]
     relations: tuple[Check, ...] = ()
+    hole: Hole | None = None
 
     def related(self, relations: tuple[Check, ...]) -> "Plan":
         """Return the plan with checks of the relations to other wires added to its verdict."""
@@ -135,6 +137,8 @@ class Plan(Plotted):
         fits, pair = self.implant, [_PAIR] if len(self.views) == 2 else []
         directions = unknown_directions(self.kind, self.views)
         said = [*self.along_sentences(), *pair, *self._alone(), *([] if fits is None else [fits.sentence])]
+        if self.hole is not None:
+            said += [self.hole.sentence, *(turn.sentence for turn in perfect_circles(self.hole, self.views))]
         return [*said, directions] if directions else said
 
     def _alone(self) -> list[str]:
@@ -143,6 +147,8 @@ class Plan(Plotted):
 
     def along_sentences(self) -> list[str]:
         """Return for entry and end a sentence on errors along their lines of sight that no check would show."""
+        if self.hole is not None:  # a cylinder of known size, whose place along a line of sight its rims show
+            return []
         return [
             f"No check covers the {name} point along its lines of sight: a pick that is wrong along its image-matching "
             "curve does not show."
@@ -174,7 +180,15 @@ class Plan(Plotted):
             "trajectory": self.trajectory.document(),
             "landmarks": self.landmarks_document(),
             "implant": None if self.implant is None else vars(self.implant),
+            **self._hole_document(),
         }
+
+    def _hole_document(self) -> dict[str, Any]:
+        """Return the measured hole and how to turn the C-arm for a perfect circle; nothing for picked points."""
+        if self.hole is None:
+            return {}
+        turns = [turn.document() for turn in perfect_circles(self.hole, self.views)]
+        return {"hole": {**self.hole.document(), "perfect_circle": turns}}
 
     def verdict_document(self) -> dict[str, Any]:
         """Return the verdict and its limits as JSON types, without the checks."""
@@ -305,6 +319,7 @@ def plan(
             "aids": aids,
             "method": method,
         },
+        hole=hole,
     )
 
 

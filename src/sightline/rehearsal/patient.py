@@ -5,7 +5,7 @@ in the robot's separate process.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -16,7 +16,8 @@ from sightline.case.contents import PlanRequest
 from sightline.case.views import NAMES as VIEWS
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
-from sightline.planning import Aids, Procedure, WirePicks
+from sightline.interlocking import NailDrawn
+from sightline.planning import Aids, Nail, Procedure, WirePicks
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import document_of
 from sightline.rehearsal.check_images import CheckImages
@@ -26,6 +27,8 @@ from sightline.twin.bone_scene import BONES, bone_document, shown_bone_scene
 from sightline.twin.bones import Aid, LineAid, SphereAid
 from sightline.twin.drawn_aids import drawn_aids, hip_aids, key_of
 from sightline.twin.femur import Femur, draw_femur, to_cfcs
+from sightline.twin.nailed_femur import NailedFemur
+from sightline.twin.nails import SPACING_MM
 from sightline.twin.scene import placed_hip, shown_setup
 from sightline.twin.specimens import tagged
 
@@ -39,12 +42,15 @@ AT_HIP = ("hip-screw", CANNULATED, "free-wire")
 # Screws of 7.3 mm, and 0.5 mm to each side: a plan that is right up to the limit of "wire in neck" fails by its error.
 WIDER_SCREW_MM = 8.3
 AidClicks: TypeAlias = Mapping[str, Sequence[np.ndarray | None]]
+NAILED = "distal-interlocking"
+NAIL_CLICK_PX = 2.0  # s.d. of a click on a nail's edge or in its hole, per axis [ours]
 BONE_OF = {"slipped-epiphysis-pin": "growing-femur", "iliosacral-screw": "pelvis", "pedicle-screw": "vertebra"}
+_BONES_OF = {**BONE_OF, NAILED: "nailed-femur"}
 
 
 def frame_of(procedure: str) -> str:
     """Return the name of the frame that shows a procedure's views, those of its check shot too: Γ, or a block."""
-    bone = BONES.get(BONE_OF.get(procedure, ""))
+    bone = BONES.get(_BONES_OF.get(procedure, ""))
     return "block60" if bone is not None and (bone.beams or bone.check_beams) else "gamma"
 
 
@@ -181,7 +187,23 @@ class RehearsedPatient:
             aids=Aids.clicked({aid.key: aid.type for aid in document.aids}, drawn_px, sd_px) if drawn_px else None,
             others=others or None,
         )
-        return request, drawn_px
+        return request if self.procedure != NAILED else self._asked_of_nail(request, rng), drawn_px
+
+    def _asked_of_nail(self, request: PlanRequest, rng: np.random.Generator) -> PlanRequest:
+        """Return the request with strokes along the nail and a click on each hole in place of picked points."""
+        assert isinstance(self.bone, BoneScene) and isinstance(self.bone.dimensions, NailedFemur)  # noqa: S101
+        drawn = drawn_aids(self.bone.aids, self.setup.views)["nail"]
+        strokes = np.stack([drawn[name].reshape(2, 2, 2) for name in VIEWS])
+        middles = self.pixels(self.wires_mm.mean(axis=1)).swapaxes(0, 1)
+        noise = NAIL_CLICK_PX * rng.standard_normal((8 + 2 * len(middles), 2))
+        clicks = middles + noise[8:].reshape(middles.shape)
+        nail = self.bone.dimensions.nail
+        known = Nail(nail.diameter_mm, nail.hole_diameter_mm, nail.bore_mm, nail.material, spacing_mm=SPACING_MM)
+        by_key = dict(zip((wire.key for wire in self.document.wires), clicks, strict=True))
+        given = NailDrawn(known, strokes + noise[:8].reshape(strokes.shape), by_key)
+        first, *rest = (WirePicks(uv, uv, snapped=True) for uv in by_key.values())
+        others = dict(zip(list(by_key)[1:], rest, strict=True))
+        return replace(request, entry_uv_px=first.entry_uv_px, end_uv_px=first.end_uv_px, others=others, nail=given)
 
     def rim_px(self, centre_mm: np.ndarray, radius_mm: float, top: np.ndarray | None = None) -> np.ndarray:
         """Return the pixels (2, 3, 2) in both images of three points around the outline of a sphere: at RIM_ANGLES_RAD,
@@ -237,8 +259,8 @@ class RehearsedPatient:
     def _set_up_again(self, rng: np.random.Generator) -> SetUp:
         """Draw another set-up of the same C-arm."""
         frame, chain, side = self.setup.frame, self.setup.views[VIEWS[0]].chain.name, self.side
-        if self.procedure in BONE_OF:
-            again = BONES[BONE_OF[self.procedure]].setup(rng, frame, side, self.setup.tube, check=True, chain=chain)
+        if self.procedure in _BONES_OF:
+            again = BONES[_BONES_OF[self.procedure]].setup(rng, frame, side, self.setup.tube, check=True, chain=chain)
             return again.renamed(VIEWS)
         return draw_setup(rng, frame, side=side, chain=chain, variation=Variation(tube=self.setup.tube))
 
@@ -252,8 +274,8 @@ def draw_patient(
     Raises SetUpError, also for plates whose beams are not those of the procedure.
     """
     rng = np.random.default_rng(seed)
-    if procedure in BONE_OF:
-        setup, bone = shown_bone_scene(rng, frame, BONE_OF[procedure], side, imaged=imaged)
+    if procedure in _BONES_OF:
+        setup, bone = shown_bone_scene(rng, frame, _BONES_OF[procedure], side, imaged=imaged)
         return RehearsedPatient(seed, setup.renamed(VIEWS), bone, procedure)
     femur = draw_femur(rng)
     setup, head = shown_setup(rng, frame, side, femur, wires_mm=_anatomical(femur, procedure))

@@ -1,7 +1,7 @@
 """Scenes of procedures other than the hip screw: a drawn bone in or beside the frame, its views, its wires' truth."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from math import cos, radians, sin
 from typing import Any, Protocol
 
@@ -15,6 +15,8 @@ from sightline.twin.distributions import HipPlace, SolidPlace
 from sightline.twin.draw import FlatPanel, Tube
 from sightline.twin.femur import to_cfcs
 from sightline.twin.growing_femur import draw_growing_femur
+from sightline.twin.nailed_femur import draw_nailed_femur
+from sightline.twin.nails import THIGH_MM
 from sightline.twin.pelvis import draw_pelvis
 from sightline.twin.things import Scene, SoftTissue, frame_scene
 from sightline.twin.truth import points_document
@@ -82,6 +84,11 @@ INLET, OUTLET = radians(24.9), radians(42.4)
 PELVIC_VIEWS = {"inlet": (0.0, -sin(INLET), cos(INLET)), "outlet": (0.0, sin(OUTLET), cos(OUTLET))}
 # The PA view shows a pedicle's wire nearly end on: turned by 30° towards the operated side it is 38° to 46° off [ours].
 OBLIQUE, LATERAL = (sin(radians(30.0)), 0.0, cos(radians(30.0))), (1.0, 0.0, 0.0)
+# Both views look through the holes of a nail, from 14° to either side; the drill through them is seen from 40° [ours].
+NAIL_VIEWS, DRILL_VIEWS = (
+    {name: (-cos(turn), 0.0, sin(turn)) for name, turn in (("posterior oblique", -off), ("anterior oblique", off))}
+    for off in (radians(14.0), radians(40.0))
+)
 BONES: dict[str, BoneKind] = {
     "pelvis": BoneKind(
         draw_pelvis, SoftTissue((-36.0, 40.0), (175.0, 115.0)), PELVIC_VIEWS, SolidPlace((0.0, 79.0, -12.0))
@@ -89,6 +96,7 @@ BONES: dict[str, BoneKind] = {
     "vertebra": BoneKind(
         draw_vertebra, SoftTissue((-16.0, 25.0), (150.0, 105.0)), check_beams={"oblique": OBLIQUE, "lateral": LATERAL}
     ),
+    "nailed-femur": BoneKind(draw_nailed_femur, SoftTissue((0.0, 0.0), THIGH_MM), NAIL_VIEWS, check_beams=DRILL_VIEWS),
     "growing-femur": BoneKind(draw_growing_femur, SoftTissue((-35.0, -5.0), (125.0, 90.0))),
 }
 
@@ -173,7 +181,9 @@ def placed_bone(
     bone = dimensions.bone()
     still = frame_scene(setup.true_frame) + Scene(tissue=BONES[name].body.around(setup.hip_mm))
     volume = bone.volume(setup.side, origin_mm, rng)
-    return BoneScene(still, Scene(volumes=(volume,)), bone, setup.side, origin_mm, dimensions)
+    metal = tuple(replace(one, vertices_mm=to_cfcs(one.vertices_mm, setup.side, origin_mm)) for one in bone.metal)
+    placed = Scene(volumes=(volume,), meshes=metal)
+    return BoneScene(still, placed, bone, setup.side, origin_mm, dimensions)
 
 
 def bone_document(setup: SetUp, scene: BoneScene) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from sightline.errors import SetUpError
 from sightline.threads import in_parts
 from sightline.twin.femur import placed
+from sightline.twin.meshes import Mesh
 from sightline.twin.shapes import ADD, CUT, NUMBERS, SolidShape, blend, shape_distance, step, texture
 from sightline.twin.volumes import Volume
 
@@ -118,6 +119,7 @@ class BoneModel:
     - `landmarks_mm`: points (3,) that a person can find in both views, by name
     - `aids`: what a person draws on the images, by name
     - `around`: parts of other bones, which images show, but which no distance refers to
+    - `metal`: implants in the bone
     - `keep_out`: what no wire may touch besides the bone's surface, by name: shapes with exact distances outside them
     """
 
@@ -129,6 +131,7 @@ class BoneModel:
     aids: Mapping[str, Aid]
     keep_out: Mapping[str, tuple[SolidShape, ...]] = field(default_factory=dict)
     around: tuple[BonePart, ...] = ()
+    metal: tuple[Mesh, ...] = ()
     mirrored: bool = False
     voxel_mm: float = 0.75
 

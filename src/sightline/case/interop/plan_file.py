@@ -36,6 +36,7 @@ _OWN = (
     "trajectory",
     "landmarks",
     "implant",
+    "hole",
     "checks",
     "lines_of_sight",
     "drawn",

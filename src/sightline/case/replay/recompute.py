@@ -71,7 +71,7 @@ class Recomputed:
         asked = PlanRequest.of(entry.content["asked"])
         if asked.others is None:
             return None
-        return self._once(entry, lambda: asked.plan_wires_on([image.view for image in self.images(entry)]))
+        return self._once(entry, lambda: asked.plan_wires(self.images(entry)))
 
     def others_mm(self, entry: Entry) -> tuple[np.ndarray, ...]:
         """Return entry and end (2, 3) of the other wires that a planned entry's wire was planned with."""

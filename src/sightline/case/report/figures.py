@@ -13,7 +13,7 @@ from sightline.case.report.drawing.budget import budget
 from sightline.case.report.tables import POINTS, bars, budget_rows
 from sightline.case.views import CalibratedImage
 from sightline.detection import RejectedCandidate
-from sightline.planning import Pick
+from sightline.planning import Pick, Plan
 
 TICK_MM = 10  # depth between ticks of an image-matching curve, as planning samples it
 BEYOND_MM = 40.0  # the close-up shows lines of sight this far to both sides of the wire
@@ -49,17 +49,28 @@ def _plan_figures(report: Report) -> list[dict[str, Any]]:
         if image.seen.image is None:
             continue
         words = f"{report.spoken(image.name)} image with the planned wire and its picks"
-        words += ", and the image-matching curves of entry and tip with their uncertainty bands" if k == 1 else ""
+        if report.plan.hole is not None:
+            words += ", and the nail with both rims and the axis of each hole as measured"
+        elif k == 1:
+            words += ", and the image-matching curves of entry and tip with their uncertainty bands"
         words += ", and the landmarks, each with a line to its projection" if k == 2 else ""
         drawing = radiographs.radiograph(image.seen.image, image.name, _plan_marks(report, k), words)
         out.append(_figure(drawing, _capital(words) + "."))
     return out
 
 
+def _plans(report: Report) -> list[Plan]:
+    """Return the plan, and those of the wires that were planned with it."""
+    return [report.plan] if report.wires is None else list(report.wires.plans.values())
+
+
 def _plan_marks(report: Report, k: int) -> list[str]:
     """Return the marks of the plan in image `k`."""
     curves = (report.plan.entry_curve, report.plan.end_curve)
-    marks = [plan_marks.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)] if k == 1 else []
+    holes = [hole for one in _plans(report) if (hole := one.hole) is not None]
+    marks = [plan_marks.nail_hole(report.images[k].view, hole) for hole in holes]
+    if k == 1 and report.plan.hole is None:
+        marks += [plan_marks.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)]
     marks.append(plan_marks.wire(report.images[k].view, report.plan.trajectory))
     if report.truth is not None:
         marks.append(plan_marks.truth(report.truth.uv_px[k]))

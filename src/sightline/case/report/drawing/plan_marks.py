@@ -5,10 +5,12 @@ import numpy as np
 from sightline.calibration import CalibratedView
 from sightline.case.report.drawing import svg
 from sightline.geometry.covariance import ellipsoid_factor
-from sightline.planning import MatchingCurve, Pick, Plan, Trajectory
+from sightline.planning import Hole, MatchingCurve, Pick, Plan, Trajectory
+from sightline.planning.hole_expected import rim
 
 LABEL_EVERY_MM = 50.0  # depth between labelled ticks [ours]
 TICK_PX = 6.0
+NAIL_MM, AXIS_MM = 25.0, 15.0  # drawn: of the nail to either side of a hole, of its axis beyond the nail [ours]
 _DIFFERENCE_MM = 0.05  # step of the numerical derivative of a projection; its error is below 1e-4 of an ellipse
 
 
@@ -59,6 +61,20 @@ def truth(uv_px: np.ndarray) -> str:
     """Draw small circles at the true points (N, 2)."""
     circles = (svg.element("circle", svg.hint("truth"), cx=float(u), cy=float(v), r=4.0) for u, v in uv_px)
     return svg.group(circles, class_="truth")
+
+
+def nail_hole(view: CalibratedView, hole: Hole) -> str:
+    """Draw the nail's edges beside a measured hole, both rims of the hole, and its axis to both sides of the nail."""
+    along, axis, radius = hole.nail_direction, hole.direction, hole.nail.diameter_mm / 2
+    sideways = np.cross(along, hole.nail_mm - view.focal_point_mm)
+    sideways *= radius / np.linalg.norm(sideways)
+    ahead = np.linspace(-NAIL_MM, NAIL_MM, 9)[:, None] * along
+    lines = [("edge of the nail", hole.nail_mm + side * sideways + ahead) for side in (-1.0, 1.0)]
+    lines += [("rim of the hole", rim(hole.pose, hole.nail, side)[0][np.r_[:30, 0]]) for side in (-1.0, 1.0)]
+    lines.append(("axis of the hole", np.stack([hole.entry_mm - AXIS_MM * axis, hole.exit_mm + AXIS_MM * axis])))
+    shown = ((name, view.project_seen(xyz)[0]) for name, xyz in lines)
+    parts = (svg.element("polyline", svg.hint(name), points=svg.points(uv)) for name, uv in shown if len(uv))
+    return svg.group(list(parts), class_="nail")
 
 
 def _ellipse(view: CalibratedView, xyz_mm: np.ndarray, covariance_mm2: np.ndarray) -> str:
