@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt
 
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.frame import Frame
-from sightline.twin.bone_scene import BONES, bone_document, draw_origin, shown_bone_scene
+from sightline.twin.bone_scene import BONES, bone_document, draw_origin, placed_bone, shown_bone_scene
 from sightline.twin.bones import BoneModel, PlaneAid, SphereAid
 from sightline.twin.carm import with_errors
 from sightline.twin.femur import to_cfcs
@@ -20,7 +20,8 @@ from sightline.twin.shapes import ball, box, cone, half_space, plate
 from sightline.twin.specimens import SetUpSpec, specimen
 from sightline.twin.vertebra import Vertebra
 
-BLOCK = Frame.load("block60")
+BLOCK, NAILED = Frame.load("block60"), "nailed-femur"
+BARE = [name for name in BONES if name != NAILED]
 MIDDLE = {name: kind.draw(np.random.default_rng(11)).bone() for name, kind in BONES.items()}
 WIDE = np.random.default_rng(5).uniform(-30, 30, (200, 3))
 
@@ -152,7 +153,7 @@ def test_a_pelvis_has_its_dimensions():
         assert drawn.joint_mm - 0.1 < gap[-1, 0] - gap[0, 0] < 1.5 * drawn.joint_mm
 
 
-@pytest.mark.parametrize("name", BONES)
+@pytest.mark.parametrize("name", BARE)
 def test_wires_lie_in_their_corridors(name: str):
     rng = np.random.default_rng(8)
     for _ in range(3):
@@ -165,7 +166,7 @@ def test_wires_lie_in_their_corridors(name: str):
             assert 40 < np.linalg.norm(wire[1] - wire[0]) < 110
 
 
-@pytest.mark.parametrize("name", BONES)
+@pytest.mark.parametrize("name", BARE)
 def test_landmarks_lie_on_the_surface(name: str):
     rng = np.random.default_rng(9)
     for _ in range(3):
@@ -174,6 +175,24 @@ def test_landmarks_lie_on_the_surface(name: str):
         points = [at for at in bone.landmarks_mm.values() if not any(np.array_equal(at, c) for c in centres)]
         assert len(points) >= 4
         assert np.abs(bone.distance_mm(np.stack(points))).max() < 1e-6
+
+
+def test_wires_of_a_nailed_femur_pass_the_middle_of_its_nails_holes():
+    rng = np.random.default_rng(10)
+    for side in ("right", "left"):
+        drawn = BONES[NAILED].draw(rng)
+        bone, half = drawn.bone(), drawn.diameter_mm / 2
+        for wire, (at, axis) in zip(bone.wires_mm, drawn.nail.holes[::-1], strict=True):
+            assert wire[0, 0] > wire[1, 0] + 9.0  # from lateral
+            assert np.abs(wire - at + np.outer([half, -half], axis)).max() < 1e-9
+            assert bone.distance_mm(wire).min() > 0.3  # in the reamed canal
+        epicondyles = [at for name, at in bone.landmarks_mm.items() if "epicondyle" in name]
+        assert np.abs(bone.distance_mm(np.stack(epicondyles))).max() < 1e-6
+        setup = BONES[NAILED].setup(rng, BLOCK, side)
+        scene = placed_bone(setup, NAILED, drawn, setup.hip_mm, rng)
+        (nail,) = scene.bone.meshes
+        assert np.abs(nail.vertices_mm - to_cfcs(drawn.nail.mesh().vertices_mm, side, setup.hip_mm)).max() < 1e-9
+        assert nail.volume_mm3 > 0
 
 
 @pytest.mark.slow

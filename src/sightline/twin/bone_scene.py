@@ -96,8 +96,8 @@ BONES: dict[str, BoneKind] = {
     "vertebra": BoneKind(
         draw_vertebra, SoftTissue((-16.0, 25.0), (150.0, 105.0)), check_beams={"oblique": OBLIQUE, "lateral": LATERAL}
     ),
-    "nailed-femur": BoneKind(draw_nailed_femur, SoftTissue((0.0, 0.0), THIGH_MM), NAIL_VIEWS, check_beams=DRILL_VIEWS),
     "growing-femur": BoneKind(draw_growing_femur, SoftTissue((-35.0, -5.0), (125.0, 90.0))),
+    "nailed-femur": BoneKind(draw_nailed_femur, SoftTissue((0.0, 0.0), THIGH_MM), NAIL_VIEWS, check_beams=DRILL_VIEWS),
 }
 
 

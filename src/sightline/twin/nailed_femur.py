@@ -3,7 +3,7 @@
 Anatomical coordinates (lateral, caudal, anterior), mm; the origin is the nail's upper distal hole.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -65,20 +65,21 @@ class NailedFemur:
         wires = np.array([[point - half * axis, point + half * axis] for point, axis in nail.holes[::-1]])
         tip = nail.placed(np.array([[0.0, 0.0, SPACING_MM + TIP_MM]]))[0]
         stroke = nail.placed(np.column_stack([np.zeros((2, 2)), STROKE_MM]))
-        widest = CONDYLE_MM + np.array([CONDYLE_HALF_MM[0], 0.0, 0.0])
-        return BoneModel(
+        made = BoneModel(
             parts=(bone,),
             low_mm=np.array([-48.0, -90.0, -48.0]),
             high_mm=np.array([48.0, 98.0, 48.0]),
             wires_mm=wires,
             aids={"nail": TubeAid(stroke, 1e-6 * np.linalg.svd(nail.along[None])[2][1:], half)},
-            landmarks_mm={
-                "nail tip": tip,
-                "lateral epicondyle": widest,
-                "medial epicondyle": widest * [-1.0, 1.0, 1.0],
-            },
+            landmarks_mm={"nail tip": tip},
             metal=(nail.mesh(),),
         )
+        lateral = np.array([1.0, 0.0, 0.0])
+        epicondyles = {
+            "lateral epicondyle": made.surface_mm(CONDYLE_MM, lateral),
+            "medial epicondyle": made.surface_mm(CONDYLE_MM * [-1.0, 1.0, 1.0], -lateral),
+        }
+        return replace(made, landmarks_mm={**made.landmarks_mm, **epicondyles})
 
 
 def draw_nailed_femur(rng: np.random.Generator) -> NailedFemur:
