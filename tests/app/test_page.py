@@ -209,7 +209,7 @@ def test_a_drag_moves_curve_wire_and_figures_and_is_undone(hands: Hands) -> None
     mouse = hands.page.mouse
     mouse.move(x, y)
     mouse.down()
-    mouse.move(x + 15, y + 4, steps=5)
+    mouse.move(x + 4, y + 15, steps=5)
     expect(hands.see("figures")).not_to_have_text(figures, use_inner_text=True)  # while it is dragged
     mouse.up()
     hands.until("lateral", f"{_AWAY} > 3", ["end", *before])

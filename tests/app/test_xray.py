@@ -42,6 +42,7 @@ class View:
     def settle(self) -> None:
         """Wait until all pending drawing is done."""
         self.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        self.page.evaluate("() => Promise.allSettled(document.getAnimations().map(one => one.finished))")
 
     def do(self, name: str, *, loaded: bool = True) -> None:
         """Let the server run a command, and wait until the browser has done what it says, and loaded an image."""
@@ -106,6 +107,7 @@ class View:
 
     def grey(self) -> np.ndarray:
         """(H, W) what the whole page looks like, in device pixels."""
+        self.settle()  # controls fade
         seen = np.frombuffer(self.page.screenshot(), np.uint8)
         return cv2.imdecode(seen, cv2.IMREAD_GRAYSCALE).astype(np.float64)
 
@@ -293,6 +295,54 @@ def test_what_is_turned_says_so(view: View) -> None:
     view.do("turn")
     expect(turned).to_have_text("turned 90°, mirrored")
     assert view.heard("display") == []  # the server knows its own message
+
+
+def test_where_the_head_is_on_the_screen(view: View) -> None:
+    """The word follows the image, whatever turns or mirrors it; a reset shows the head up again."""
+    view.do("head")
+    turned = view.root.get_by_test_id("turned")
+    expect(turned).to_have_text("head up")
+    view.button("rotate").click()
+    expect(turned).to_have_text("head right")
+    view.button("flip").click()
+    expect(turned).to_have_text("head left, mirrored")
+    view.button("reset").click()
+    expect(turned).to_have_text("head up")
+    assert view.heard("display")[-1]["display"]["rotation"] == 270
+    to_head = np.subtract(view.screen((600.0, 500.0)), view.screen((500.0, 500.0)))  # right in the image, as stored
+    assert abs(to_head[0]) < 1e-6 and to_head[1] < -10.0
+
+
+def test_a_preset_is_a_window(view: View) -> None:
+    button = view.root.get_by_role("button", name=TEXTS["bone"], exact=True)
+    assert button.get_attribute("aria-pressed") == "false"
+    button.click()
+    assert view.heard("display")[-1]["display"]["window"] == {"centre": 16000.0, "width": 9000.0}
+    view.settle()
+    assert button.get_attribute("aria-pressed") == "true"
+    expect(view.root.get_by_role("button", name=TEXTS["metal"], exact=True)).to_have_count(0)  # this image has none
+
+
+def test_linked_images_zoom_together(view: View) -> None:
+    """Each by its own fitted zoom, and about its own selected point."""
+    fitted = _lateral(view, "core.display.zoom")
+    view.page.evaluate("sightlineXray.lateral.state.selected = 'end'")
+    before = _lateral(view, "core.toScreen([700, 600])")
+    view.mouse.move(*view.middle())
+    view.mouse.wheel(0, -300)
+    view.settle()
+    assert _lateral(view, "core.display.zoom") == fitted
+    view.button("link").click()
+    view.mouse.wheel(0, 0)
+    view.settle()
+    assert _lateral(view, "core.display.zoom") == pytest.approx(fitted * math.exp(300 * 0.0015))
+    assert _lateral(view, "core.toScreen([700, 600])") == pytest.approx(before)
+    view.button("fit").click()
+    view.settle()
+    assert _lateral(view, "core.display.zoom") == pytest.approx(fitted)
+    assert _lateral(view, "core.display.fitted")
+    view.button("link").click()
+    assert view.button("link").get_attribute("aria-pressed") == "false"
 
 
 def test_how_an_image_is_shown_overtakes_its_pixels(view: View) -> None:

@@ -23,7 +23,7 @@ WINDOW = Window(32768.0, 65536.0)
 FIELD_PX = 0.49 * SIDE  # radius of the round field
 _TURNS = np.arange(64) * 2 * np.pi / 64
 FIELD = tuple((SIDE / 2 + FIELD_PX * float(np.cos(t)), SIDE / 2 + FIELD_PX * float(np.sin(t))) for t in _TURNS)
-PICTURE = XrayPicture("/picture", SIDE, SIDE, WINDOW, FIELD)
+PICTURE = XrayPicture("/picture", SIDE, SIDE, WINDOW, FIELD, (("bone", Window(16000.0, 9000.0)),))
 DISPLAY = XrayDisplay(0, False, False, WINDOW)
 SPOTS = [(200.3, 300.7), (511.5, 512.25), (800.6, 150.4), (350.2, 850.9)]
 """Bright spots, off the grid: what a place on the screen is measured by."""
@@ -37,6 +37,10 @@ HOSTILE = "<img src=x onerror='window.hacked=1'>"
 TEXTS = {
     "fit": "Fit to view",
     "window": "Brightness and contrast",
+    "link": "Zoom together",
+    "bone": "Bone",
+    "metal": "Metal",
+    "beads": "Beads",
     "invert": "Invert",
     "flip": "Flip left to right",
     "rotate": "Turn clockwise",
@@ -48,6 +52,10 @@ TEXTS = {
     "placing": "Click to place {name}. Escape cancels.",
     "mirrored": "mirrored",
     "rotated": "turned {degrees}°",
+    "head_up": "head up",
+    "head_right": "head right",
+    "head_down": "head down",
+    "head_left": "head left",
     "stale": "Plan hidden: the image is out of date",
     "readout": "u {u}   v {v}   value {value}",
     "outside": "–",
@@ -226,7 +234,7 @@ def restore(view: XrayView) -> None:
         if one["seq"]:
             XrayView.acknowledge(view, one["seq"])
     change(view, notice="restored")
-    change(view, picture=PICTURE, display=DISPLAY, layers={}, points=POINTS, placing=None, notice=None)
+    change(view, picture=PICTURE, display=DISPLAY, layers={}, points=POINTS, placing=None, notice=None, head=None)
     change(beside(view)["lateral"], points=POINTS, placing=None, matching=None)
     view.refused = 0
     state["taking"] = True
@@ -270,6 +278,7 @@ COMMANDS: dict[str, Callable[[XrayView], None]] = {
     "other": lambda view: show_as(view, "/picture?other"),
     "notice": lambda view: change(view, notice="The image is 0.4 s old"),
     "no-notice": lambda view: change(view, notice=None),
+    "head": lambda view: change(view, head=90, display=XrayDisplay(270, False, False, WINDOW)),
     "turn": lambda view: change(view, display=XrayDisplay(90, True, False, WINDOW)),
     "show-again": lambda view: show_as(
         view, "/picture?again", display=XrayDisplay(0, False, True, Window(20000.0, 30000.0))

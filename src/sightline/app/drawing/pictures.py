@@ -15,7 +15,9 @@ from sightline.imaging import Radiograph
 _MAX_PICTURES = 16  # pictures kept: two planning and two check images, and those that undo may need [ours]
 _MAX_LIVE = 20  # live pictures kept: two seconds of them
 _FIELD_PX = 0.5  # tolerance of the field's polygon: less than a click's precision [ours]
-_WINDOW_PERCENTILES = (0.5, 96.0)  # of the field's grey levels: the window fits bone, not the open beam [ours]
+# Percentiles of the field's grey levels between black and white [ours]. By default the open beam is left out.
+_WINDOW = (0.5, 96.0)
+_PRESETS = {"bone": (0.5, 75.0), "metal": (0.0, 12.0), "beads": (0.1, 99.9)}  # metal is darkest, beads lie anywhere
 
 
 class Pictures:
@@ -40,10 +42,12 @@ class Pictures:
     def _published(self, image: Radiograph) -> XrayPicture:
         pixels = as_u16(image)
         inside = image.field_mask[::4, ::4]
-        low, high = np.percentile(pixels[::4, ::4][inside], _WINDOW_PERCENTILES)
-        window = Window(float(low + high) / 2.0, float(max(high - low, 1.0)))
+        levels = pixels[::4, ::4][inside]
+        presets = tuple((name, _window(levels, between)) for name, between in _PRESETS.items())
         height, width = pixels.shape
-        return XrayPicture(self._images.publish(pixels), width, height, window, _field(image))
+        return XrayPicture(
+            self._images.publish(pixels), width, height, _window(levels, _WINDOW), _field(image), presets
+        )
 
     def sight(self, view: BeadView, picture: XrayPicture) -> str:
         """Return the address of the map of a view (`sight`), whose image is `picture`."""
@@ -71,6 +75,11 @@ def as_u16(radiograph: Radiograph) -> np.ndarray:
     lowest, highest = float(pixels.min()), float(pixels.max())
     share = (pixels.astype(np.float64) - lowest) / ((highest - lowest) or 1.0)  # a uniform image becomes black
     return (share * 65535.0).round().astype(np.uint16)
+
+
+def _window(levels: np.ndarray, percentiles: tuple[float, float]) -> Window:
+    low, high = np.percentile(levels, percentiles)
+    return Window(float(low + high) / 2.0, float(max(high - low, 1.0)))
 
 
 def _field(image: Radiograph) -> tuple[tuple[float, float], ...] | None:

@@ -53,12 +53,16 @@ class Mark:
 
 @dataclass(frozen=True)
 class Display:
-    """How an image is shown: mirrored left to right, then rotated clockwise, degrees. Coordinates do not change."""
+    """How an image is shown: mirrored left to right, then rotated clockwise, degrees. Coordinates do not change.
 
-    rotation: int = 0
+    `rotation` None: with the patient's head up, where that is known. `window`: centre and width in grey levels; None:
+    the default for the image.
+    """
+
+    rotation: int | None = None
     mirrored: bool = False
     inverted: bool = False
-    window: tuple[float, float] | None = None  # centre and width in grey levels; None: the default for the image
+    window: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -231,9 +235,9 @@ def _truth(said: Any) -> bool:
 
 
 def _display(shown: Mapping[str, Any]) -> Display:
-    window = shown["window"]
+    window, rotation = shown["window"], shown["rotation"]
     return Display(
-        int(shown["rotation"]) % 360,
+        None if rotation is None else int(rotation) % 360,
         bool(shown["mirrored"]),
         bool(shown["inverted"]),
         None if window is None else (float(window[0]), float(window[1])),

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from sightline.app.drawing.head_up import head_up
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.drawing.xray.view import XrayEvent, XrayView
 from sightline.app.plan.decisions import Display
@@ -148,13 +149,13 @@ class Tab:
                 view.drop(event)
                 self._let_go()
             else:
-                await self._done_on(image, event)
+                await self._done_on(image, event, view.shown.head)
 
     def _let_go(self) -> None:
         self.dragging.end()
         self.refresh()
 
-    async def _done_on(self, image: str, event: XrayEvent) -> None:
+    async def _done_on(self, image: str, event: XrayEvent, head: int | None) -> None:
         planning, name, uv = self.planning, event.id, event.uv
         if name is not None and uv is not None and event.type == "drag":
             await self._drag(name, image, uv)
@@ -167,7 +168,8 @@ class Tab:
             await self.act(lambda: planning.edit(planning.decisions.with_mark(name, without)))
         elif event.display is not None:
             shown = event.display
-            display = Display(shown.rotation, shown.mirrored, shown.inverted, (shown.window.centre, shown.window.width))
+            turned = None if shown.rotation == head_up(head) else shown.rotation
+            display = Display(turned, shown.mirrored, shown.inverted, (shown.window.centre, shown.window.width))
             await self.act(lambda: planning.show(image, display))
 
     async def _drag(self, name: str, image: str, uv: tuple[float, float]) -> None:

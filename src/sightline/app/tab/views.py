@@ -1,11 +1,13 @@
 """The content of a page's two X-ray views, derived from procedure, step and drag at each refresh."""
 
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
 from sightline.app.drawing import shapes
+from sightline.app.drawing.head_up import head_in, head_up
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.drawing.xray.view import Window, XrayContent, XrayDisplay, XrayEvent, XrayView
 from sightline.app.plan.decisions import Decisions, Display
@@ -76,13 +78,15 @@ class Views:
 
     def _shown_live(self, view: XrayView, watched: "Watched") -> XrayContent:
         picture = self._pictures.live(watched.image)
-        turned = self._planning.decisions.display.get(view.name, Display())
+        decisions = self._planning.decisions
+        head = head_in(watched.view, self._planning.frame, decisions.side)
         return XrayContent(
             LIVE_LABELS[view.name] if watched.view is not None else LIVE_UNKNOWN,
             picture,
-            XrayDisplay(turned.rotation, turned.mirrored, False, picture.window),
+            replace(_display(decisions.display.get(view.name, Display()), head, picture.window), inverted=False),
             {"wire": [] if watched.corridor is None else shapes.band(watched.corridor)},
             notice=STALE.format(age=watched.age_s) if watched.stale else None,
+            head=head,
         )
 
     def _shown(self, image: str, step: str, goal: Goal | None, preview: Preview | None) -> XrayContent:
@@ -96,17 +100,19 @@ class Views:
         hidden = {name for name, on in (("beads", self.show_beads), ("rejected", self.show_rejected)) if not on}
         picture, display = self._pictures.of(seen), planning.decisions.display.get(image, Display())
         window = picture.window if display.window is None else Window(*display.window)
+        head = head_in(seen.view, planning.frame, planning.decisions.side)
         # The revision includes case and image, so that an edit lost by a killed server is not applied to another one.
         return XrayContent(
             IMAGE_LABELS[image],
             picture,
-            XrayDisplay(display.rotation, display.mirrored, display.inverted, window),
+            _display(display, head, window),
             {name: drawn for name, drawn in layers.items() if name not in hidden},
             _points(image, step, planning.decisions if preview is None else preview.decisions),
             goal.spec.name if goal is not None and goal.image == image else None,
             (f"{seen.doing.capitalize()} …" if seen.doing else seen.refused) or undrawn or None,
             f"{planning.case.number} {image} {seen.acquired.number} {planning.history.revision}",
             self._matching() if image == NAMES[1] and step == STEPS[2] else None,
+            head,
         )
 
     def _matching(self) -> dict[str, Any] | None:
@@ -142,6 +148,11 @@ class Views:
         refused = [failure_of(lambda name=name: layers.update({name: makers[name]()})) for name in makers]
         self._drawn[image] = of, layers, next(filter(None, refused), "")
         return self._drawn[image][1:]
+
+
+def _display(chosen: Display, head: int | None, window: Window) -> XrayDisplay:
+    turned = head_up(head) if chosen.rotation is None else chosen.rotation
+    return XrayDisplay(turned, chosen.mirrored, chosen.inverted, window)
 
 
 def _points(image: str, step: str, decisions: Decisions) -> list[dict[str, Any]]:

@@ -17,8 +17,12 @@ from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
 _COLOURS = Path(__file__).parents[1] / "colours.js"
+PRESETS = ("bone", "metal", "beads")
+"""Names of the windows for what a person looks at."""
 TEXT_KEYS = (
-    *("fit", "window", "invert", "flip", "rotate", "reset", "maximise", "restore"),  # names of the buttons
+    *("fit", "link", "window", "invert", "flip", "rotate", "reset", "maximise", "restore"),  # names of the buttons
+    *PRESETS,
+    *("head_up", "head_right", "head_down", "head_left"),
     *("point", "snapped", "placing", "mirrored", "rotated", "stale", "readout", "outside", "edit_lost", "load_failed"),
     *("off_field", "ticks"),
 )
@@ -62,18 +66,20 @@ class XrayDisplay:
 @dataclass(frozen=True)
 class XrayPicture:
     """Address of an image's raw little-endian uint16 pixels, `height` rows of `width`. `window`: the default, which a
-    reset restores. `field`: corners (u, v) of the convex field that X-rays reach; None: the whole image."""
+    reset restores. `field`: corners (u, v) of the convex field that X-rays reach; None: the whole image. `presets`:
+    windows for what a person looks at, by the names in PRESETS."""
 
     url: str
     width: int
     height: int
     window: Window
     field: tuple[tuple[float, float], ...] | None = None
+    presets: tuple[tuple[str, Window], ...] = ()
 
     @cached_property
     def document(self) -> dict[str, Any]:
         """The picture as JSON types."""
-        return asdict(self)
+        return asdict(self) | {"presets": {name: asdict(window) for name, window in self.presets}}
 
     def contains(self, uv: tuple[float, float], margin_px: float = 0.0) -> bool:
         """Return True if X-rays reach a pixel, or one within `margin_px` of it."""
@@ -100,7 +106,8 @@ class XrayContent:
     events may name only these. `placing`: the point that the next click places. `notice`: a text over the image.
     `revision`: of the plan; an edit that was not acknowledged is sent again only for the same revision. `matching`:
     {"from": name, "title": text with {name}, "sights": [address, address]}: the view whose points' image-matching
-    curves are drawn here while they move, and the addresses of the maps (`sight`) of both, its first.
+    curves are drawn here while they move, and the addresses of the maps (`sight`) of both, its first. `head`: direction
+    of the patient's head in the image, degrees clockwise from up: 0, 90, 180 or 270; None: unknown.
     """
 
     label: str
@@ -112,10 +119,11 @@ class XrayContent:
     notice: str | None = None
     revision: str = ""
     matching: Mapping[str, Any] | None = None
+    head: int | None = None
 
     def document(self) -> dict[str, Any]:
         """Return the content as JSON types."""
-        of = {name: getattr(self, name) for name in ("label", "placing", "notice", "revision", "matching")}
+        of = {name: getattr(self, name) for name in ("label", "placing", "notice", "revision", "matching", "head")}
         return {
             **of,
             "picture": None if self.picture is None else self.picture.document,

@@ -38,6 +38,7 @@ export class XrayCore {
       image: null, // {url, width, height, pixels}
       window: { centre: 0, width: 1 },
       inverted: false,
+      linked: false, // all views of the page zoom together
       stale: false,
       maximised: false,
       tool: "pan",
@@ -108,6 +109,7 @@ export class XrayCore {
     this.#showDisplay();
     this.#mergePoints();
     this.#showPlacing();
+    this.#showState();
     return true;
   }
 
@@ -220,13 +222,35 @@ export class XrayCore {
 
   movedView() {
     this.invalidate("image", "overlay", "readout");
+    if (this.state.linked) for (const view of this.#others()) view.zoomAlong(this.display);
+  }
+
+  // Another view has this zoom: the selected point stays in its place, or else the middle.
+  zoomAlong(display) {
+    if (this.display.follow(display, this.#selectedPlace())) this.invalidate("image", "overlay", "readout");
   }
 
   zoom(inwards) {
-    const point = this.state.points.get(this.state.selected);
     const middle = [this.display.viewWidth / 2, this.display.viewHeight / 2];
-    const focused = document.activeElement !== this.stage && point && point.uv;
-    this.display.zoomAt(inwards ? ZOOM_STEP : 1 / ZOOM_STEP, focused ? this.display.toView(point.uv) : middle);
+    const at = document.activeElement === this.stage ? middle : this.#selectedPlace();
+    this.display.zoomAt(inwards ? ZOOM_STEP : 1 / ZOOM_STEP, at);
+    this.movedView();
+  }
+
+  #selectedPlace() {
+    const point = this.state.points.get(this.state.selected);
+    return point && point.uv ? this.display.toView(point.uv) : [this.display.viewWidth / 2, this.display.viewHeight / 2];
+  }
+
+  #others() {
+    return Object.values(window.sightlineXray).filter((view) => view !== this);
+  }
+
+  #link(on) {
+    for (const view of Object.values(window.sightlineXray)) {
+      view.state.linked = on;
+      view.chrome.press("link", on);
+    }
     this.movedView();
   }
 
@@ -509,7 +533,8 @@ export class XrayCore {
 
   #paintTexts(context, toUnits) {
     const { stale, selected, hovered, dragging } = this.state;
-    const labels = new Labels(measureOn(context), [this.display.viewWidth / this.unit, this.display.viewHeight / this.unit]);
+    const [width, height] = [this.display.viewWidth / this.unit, this.display.viewHeight / this.unit];
+    const labels = new Labels(measureOn(context), [width, height - 15 * this.chrome.footEm]);
     const shapes = this.#shownShapes().filter(({ style }) => !stale || !STYLES[style].plan);
     arrange(
       labels,
@@ -556,10 +581,12 @@ export class XrayCore {
   #actions() {
     return {
       fit: () => this.#changeView(() => this.display.fit()),
+      link: () => this.#link(!this.state.linked),
       window: () => this.#setTool(this.state.tool === "window" ? "pan" : "window"),
       invert: () => this.#changeDisplay(() => this.#setInverted(!this.state.inverted)),
       flip: () => this.#changeDisplay(() => this.display.flip()),
       rotate: () => this.#changeDisplay(() => this.display.turnClockwise()),
+      preset: (shown) => this.#changeDisplay(() => this.setWindow(shown)),
       reset: () => this.#changeDisplay(() => this.#reset()),
       maximise: () => this.maximise(!this.state.maximised),
     };
@@ -599,7 +626,7 @@ export class XrayCore {
   }
 
   #reset() {
-    this.display.orient(0, false);
+    this.display.orient((360 - (this.word.head ?? 0)) % 360, false);
     this.display.fit();
     if (this.asked) this.setWindow(this.asked.window);
     this.#setInverted(false);
@@ -698,17 +725,28 @@ export class XrayCore {
   }
 
   #showState() {
-    const { rotation, mirrored } = this.display;
+    const { mirrored } = this.display;
     const { window: shown, inverted, tool } = this.state;
-    const turned = [rotation ? this.texts.rotated.replace("{degrees}", rotation) : "", mirrored ? this.texts.mirrored : ""];
+    const turned = [this.#orientation(), mirrored ? this.texts.mirrored : ""];
     this.chrome.showState(
       `C ${Math.round(shown.centre)}  W ${Math.round(shown.width)}  ×${this.display.zoom.toFixed(2)}`,
       turned.filter(Boolean).join(", "),
+      turned.every((text) => !text || text === this.texts.head_up),
     );
     this.chrome.press("window", tool === "window");
     this.chrome.press("invert", inverted);
     this.chrome.press("flip", mirrored);
-    this.chrome.press("rotate", rotation !== 0);
+    const { asked } = this;
+    this.chrome.showPresets((asked && asked.presets) || {}, shown);
+  }
+
+  // Where the head is on the screen; where that is unknown, how far the image is rotated.
+  #orientation() {
+    const { rotation, mirrored } = this.display;
+    const { head = null } = this.word;
+    if (head === null) return rotation ? this.texts.rotated.replace("{degrees}", String(rotation)) : "";
+    const at = ((mirrored ? 360 - head : head) + rotation) % 360;
+    return this.texts[["head_up", "head_right", "head_down", "head_left"][at / 90]];
   }
 
   #report(message) {

@@ -5,6 +5,7 @@
 const SVG = "http://www.w3.org/2000/svg";
 const ICONS = {
   fit: "M4 9V4h5M20 9V4h-5M4 15v5h5M20 15v5h-5M9 9h6v6H9z",
+  link: "M10 14a4 4 0 0 1 0-5.6l2.5-2.5a4 4 0 0 1 5.6 5.6L16.5 13M14 10a4 4 0 0 1 0 5.6l-2.5 2.5a4 4 0 0 1-5.6-5.6L7.5 11",
   window: "M12 3v2M12 19v2M3 12h2M19 12h2M5.6 5.6l1.4 1.4M17 17l1.4 1.4M18.4 5.6L17 7M7 17l-1.4 1.4M12 8a4 4 0 0 0 0 8zM12 8a4 4 0 0 1 0 8",
   invert: "M12 3a9 9 0 1 0 0 18a9 9 0 0 0 0-18M12 3v18M12 7.5h4.8M12 12h9M12 16.5h4.8",
   flip: "M12 3v18M9 7L4 17h5zM15 7l5 10h-5z",
@@ -38,23 +39,27 @@ const SHEET = `
 .xray-notices { flex-basis: 100%; display: flex; flex-direction: column; gap: 0.3em; align-items: flex-start; }
 .xray-notice { padding: 0.42em 0.8em; color: var(--orange); border-left: 0.25em solid currentColor; }
 .xray-hint { color: var(--text); border-left-color: var(--sky); }
-.xray-tools { display: flex; gap: 0.15em; padding: 0.2em; pointer-events: auto; }
+.xray-tools { display: flex; flex-wrap: wrap; gap: 0.15em; padding: 0.2em; pointer-events: auto; }
 .xray-tools button { width: 2.75em; height: 2.75em; padding: 0; display: grid; place-items: center; color: var(--text); background: none; border: 0;
   border-radius: 0.35em; cursor: pointer; font: inherit; }
+.xray-tools { opacity: 0; transition: opacity 0.15s; }
+.xray:hover .xray-tools, .xray:has(:focus-visible) .xray-tools { opacity: 1; }
+@media (hover: none) { .xray-tools { opacity: 1; } }
+@media (prefers-reduced-motion: reduce) { .xray-tools { transition: none; } }
+.xray-presets { display: flex; } .xray-tools .xray-presets button { width: auto; padding: 0 0.5em; }
 .xray-tools button:hover { background: var(--raised); color: var(--text); }
 .xray-tools button[aria-pressed=true] { background: var(--chosen); color: var(--text); box-shadow: inset 0 -0.16em var(--sky); }
 .xray-tools button:focus-visible { outline: 3px solid var(--sky); outline-offset: -3px; }
 .xray-tools svg { width: 1.5em; height: 1.5em; fill: none; stroke: currentColor; stroke-width: 1.8; stroke-linecap: round; stroke-linejoin: round; }
-.xray-foot { position: absolute; left: 0.6em; right: 0.6em; bottom: 0.6em; display: flex; flex-wrap: wrap; justify-content: space-between; align-items: flex-end;
-  gap: 0.3em 0.6em; pointer-events: none; font-variant-numeric: tabular-nums; color: var(--text); font-size: 0.93em; }
-.xray-foot .xray-legend { max-width: 100%; white-space: normal; } .xray-legend::after { content: ""; flex-basis: 100%; }
-.xray-foot > * { padding: 0.3em 0.7em; white-space: pre; overflow: hidden; text-overflow: ellipsis; }
-.xray-turned { color: var(--orange); font-weight: 650; } .xray-turned:not(:empty) { margin-right: 1em; }
+.xray-foot { position: absolute; left: 0.6em; right: 0.6em; bottom: 0.6em; display: flex; flex-direction: column; align-items: flex-start; gap: 0.3em; pointer-events: none; font-variant-numeric: tabular-nums; color: var(--text); font-size: 0.93em; }
+.xray-row { display: flex; align-self: stretch; justify-content: space-between; align-items: flex-end; gap: 0.6em; }
+.xray-foot .xray-panel { padding: 0.3em 0.7em; white-space: pre; overflow: hidden; text-overflow: ellipsis; }
+.xray-turned { font-weight: 400; } .xray-turned.unusual { color: var(--orange); font-weight: 650; } .xray-turned:not(:empty) { margin-left: 0.7em; }
 .xray-tip { position: absolute; left: 0; top: 0; max-width: 22em; padding: 0.4em 0.7em; pointer-events: none; white-space: pre-line; overflow-wrap: anywhere;
   background: rgba(12, 16, 20, 0.95); border: 1px solid var(--line); }
 .xray-live { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); white-space: nowrap; }
 .xray [hidden] { display: none; }
-@container (max-width: 28em) { .xray-tools button { width: 2.1em; height: 2.5em; } .xray-name { padding-inline: 0.55em; } }
+@container (max-width: 34em) { .xray-tools button { width: 2.1em; height: 2.5em; } .xray-name { padding-inline: 0.55em; } }
 `;
 
 let sheet = null; // shared by all views of the page
@@ -102,9 +107,8 @@ export class Chrome {
     this.hint = this.#line("hint");
     this.readout = element("div", "xray-panel", { "data-testid": "readout" });
     this.state = element("div", "xray-panel", { "data-testid": "state" });
+    this.title = element("span", "");
     this.turned = element("span", "xray-turned", { "data-testid": "turned" });
-    this.numbers = element("span", "");
-    this.state.append(this.turned, this.numbers);
     this.legend = element("div", "xray-panel xray-legend", { "data-testid": "legend", hidden: "" });
     this.tip = element("div", "xray-panel xray-tip", { role: "tooltip", "data-testid": "tip", hidden: "" });
     this.live = element("div", "xray-live", { "aria-live": "polite", "data-testid": "live" });
@@ -115,7 +119,7 @@ export class Chrome {
 
   // The image's title.
   setLabel(label) {
-    this.name.textContent = label;
+    this.title.textContent = label;
     for (const named of [this.root, this.stage, this.tools]) named.setAttribute("aria-label", label);
   }
 
@@ -126,13 +130,17 @@ export class Chrome {
     return line;
   }
 
-  #head(actions) {
+  #head({ preset, ...actions }) {
     const head = element("div", "xray-head");
     this.name = element("div", "xray-panel xray-name");
+    this.name.append(this.title, this.turned);
     const notices = element("div", "xray-notices");
     notices.append(this.fault, this.lost, this.notice, this.stale, this.hint);
     this.tools = element("div", "xray-panel xray-tools", { role: "toolbar" });
+    this.presets = element("span", "xray-presets");
+    this.choose = preset;
     for (const [action, act] of Object.entries(actions)) this.tools.append(this.#button(action, act));
+    this.buttons.window.after(this.presets);
     head.append(this.name, this.tools, notices);
     return head;
   }
@@ -147,7 +155,9 @@ export class Chrome {
 
   #foot() {
     const foot = element("div", "xray-foot");
-    foot.append(this.legend, this.readout, this.state);
+    const row = element("div", "xray-row");
+    row.append(this.readout, this.state);
+    foot.append(this.legend, row);
     return foot;
   }
 
@@ -156,6 +166,33 @@ export class Chrome {
     button.setAttribute("aria-label", this.texts[name]);
     button.title = this.texts[name];
     button.replaceChildren(icon(name));
+  }
+
+  /** A button for each preset, pressed where it is the window shown.
+   * @param {Record<string, { centre: number, width: number }>} presets
+   * @param {{ centre: number, width: number }} shown */
+  showPresets(presets, shown) {
+    const key = JSON.stringify(presets);
+    if (this.presets.dataset.key !== key) {
+      this.presets.dataset.key = key;
+      this.presets.replaceChildren(...Object.entries(presets).map(([name, window]) => this.#preset(name, window)));
+    }
+    for (const button of this.presets.children) {
+      const { centre, width } = presets[/** @type {HTMLElement} */ (button).dataset.preset];
+      button.setAttribute("aria-pressed", String(centre === shown.centre && width === shown.width));
+    }
+  }
+
+  #preset(name, window) {
+    const button = element("button", "", { type: "button", "data-preset": name });
+    button.textContent = this.texts[name];
+    button.addEventListener("click", () => this.choose(window));
+    return button;
+  }
+
+  /** Height that the lines at the foot take from the image, em. */
+  get footEm() {
+    return this.legend.hidden ? 2.6 : 4.8;
   }
 
   press(action, on) {
@@ -171,9 +208,10 @@ export class Chrome {
     line.textContent = text || "";
   }
 
-  showState(numbers, turned) {
-    this.showText(this.numbers, numbers);
+  showState(numbers, turned, usual) {
+    this.showText(this.state, numbers);
     this.showText(this.turned, turned);
+    this.turned.classList.toggle("unusual", !usual);
   }
 
   // Set a text only if it differs: setting it causes a new layout.

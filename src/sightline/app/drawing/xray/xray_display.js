@@ -90,6 +90,18 @@ export class Display {
     this.moveCentre(held[0] - moved[0], held[1] - moved[1]);
   }
 
+  /** Takes the zoom of another display, each measured by its own fitted one, and holds the position `at` (CSS pixels).
+   * Returns whether that changed anything.
+   * @param {Display} other
+   * @param {number[]} at */
+  follow(other, at) {
+    const factor = (other.zoom / other.fitZoom()) * (this.fitZoom() / this.zoom);
+    if (Math.abs(factor - 1) < 1e-9) return false;
+    if (other.fitted) this.fit();
+    else this.zoomAt(factor, at);
+    return true;
+  }
+
   panBy(dx, dy) {
     const [du, dv] = this.toImageStep([dx, dy]);
     this.moveCentre(-du, -dv);
