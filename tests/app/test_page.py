@@ -232,8 +232,9 @@ def test_arrow_keys_move_a_point_by_a_tenth_of_a_pixel(hands: Hands) -> None:
     _planned(hands)
     u, v = hands.placed("entry", "pa")
     hands.page.get_by_test_id("xray-pa").get_by_test_id("point-entry").focus()
+    du, dv = hands.core("pa", "core.display.toImageStep([core.display.zoom, 0])")  # a pixel to the right on the screen
     hands.page.keyboard.press("Shift+ArrowRight")
-    hands.until("pa", f"{_AWAY} < 0.001", ["entry", u + 0.1, v])
+    hands.until("pa", f"{_AWAY} < 0.001", ["entry", u + 0.1 * du, v + 0.1 * dv])
     hands.page.keyboard.press("Control+z")
     hands.until("pa", f"{_AWAY} === 0", ["entry", u, v])
 
