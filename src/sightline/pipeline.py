@@ -107,7 +107,7 @@ def find_planned_wire(  # noqa: PLR0917
     `others_mm`: as of `check_shot`. Raises what `expected_wire` and `find_wire` raise.
     """
     expected = expected_wire(view, plan.trajectory.points.xyz_mm, plan.kind.limits.beyond_mm)
-    return find_wire(image, expected, wire_mm, beads.uv_px, beads.radius_px, others=_expected(others_mm, view))
+    return find_wire(image, expected, wire_mm, beads.uv_px, beads.radius_px, others=expected_wires(others_mm, view))
 
 
 def find_placed_wires(
@@ -136,7 +136,7 @@ def _placed(
     """Return the wire near one of these lines in an image; the other lines are wires too. Raises WireRefusedError."""
     image, beads, view = seen
     expected = expected_wire(view, ends_mm[key])
-    others = _expected([ends for name, ends in ends_mm.items() if name != key], view)
+    others = expected_wires([ends for name, ends in ends_mm.items() if name != key], view)
     try:
         found = find_wire(
             image, expected, wire_mm, beads.uv_px, beads.radius_px, others=others, corridor_mm=_PLACED_CORRIDOR_MM
@@ -153,7 +153,7 @@ def _placed(
     return found
 
 
-def _expected(lines_mm: Sequence[np.ndarray], view: CalibratedView) -> list[ExpectedWire]:
+def expected_wires(lines_mm: Sequence[np.ndarray], view: CalibratedView) -> list[ExpectedWire]:
     """Return wires from entry to end (2, 3) as a view shows them, without those outside its field."""
     out = []
     for ends in lines_mm:

@@ -147,7 +147,8 @@ def test_what_is_drilled_grows_no_older_but_is_not_sent_again(opened: Session) -
     decisions = opened.planning.decisions
     planned: Any = SimpleNamespace(decisions=decisions, plan=SimpleNamespace(kind=kind(decisions.kind)))
     drilled: Any = SimpleNamespace()
-    opened.planning.sent, opened.planning.drilled = SentPlan(planned, NOW + timedelta(seconds=120)), drilled
+    opened.planning.all_sent[decisions.kind] = SentPlan(planned, NOW + timedelta(seconds=120))
+    opened.planning.all_drilled[decisions.kind] = drilled
     _Clock.at = NOW + timedelta(seconds=LIFETIME_S + 1.0)
     check = _age_check(opened)
     assert check.passed and check.figure == 120.0

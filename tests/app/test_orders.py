@@ -32,7 +32,7 @@ class _Planning(Planning):
 
     def __init__(self, case: Any, known: Any) -> None:
         self.case, self.jobs, self.known, self.frame = case, Jobs(), known, Frame.load("gamma")
-        self.sent, self.drilled = SentPlan(known, datetime.now(UTC)), None
+        self.all_sent, self.all_drilled = {known.decisions.kind: SentPlan(known, datetime.now(UTC))}, {}
 
     @property
     def decisions(self) -> Any:
@@ -54,7 +54,7 @@ def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[
     decisions = SimpleNamespace(
         images={"pa": 1, "lateral": 2}, side="right", serial="1", kind="hip-screw", mirrored={}, document=dict
     )
-    decisions.mark = lambda name: None
+    decisions.ends = lambda kind: {}
     known: Any = SimpleNamespace(plan=SimpleNamespace(trajectory=stub, kind=kind("hip-screw")), decisions=decisions)
     case: Any = SimpleNamespace(number="C", last=1, record=record)
     planning: Any = _Planning(case, known)
@@ -62,7 +62,7 @@ def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[
     ready: Any = SimpleNamespace(can_send=True)
     made = DrillingWorkflow(planning, age, ready)
     session: Any = SimpleNamespace(now=SimpleNamespace(lost=False), target_for=lambda *_: stub, send=send)
-    made.session = session
+    made.session, made.held = session, planning.sent
     return made, planning
 
 
@@ -100,17 +100,23 @@ def test_a_plan_of_a_procedure_whose_file_changed_is_not_sent(monkeypatch: pytes
 
 def test_a_check_shot_that_is_refused_is_recorded_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """A report repeats the last entry, which must not be that of the shot before."""
-    planning: Any = SimpleNamespace(jobs=Jobs())
+    planning: Any = SimpleNamespace(
+        jobs=Jobs(), decisions=SimpleNamespace(kind="hip-screw"), all_drilled={}, all_sent={"hip-screw": None}
+    )
     verifying, recorded = Verifying(planning), []
-    asked: Any = SimpleNamespace(key=("new",), seen=[None])
+    asked: Any = SimpleNamespace(key=("new",), seen=[None], kind="hip-screw")
 
     async def not_found(*_: Any) -> None:
         raise WireRefusedError("no wire is seen")
 
-    monkeypatch.setattr(verifying, "_request", lambda: asked)
+    async def updated() -> None:
+        verifying.update()
+        await asyncio.sleep(0.0)
+
+    monkeypatch.setattr(verifying, "_requests", lambda: [asked])
     monkeypatch.setattr(verifying, "_found", not_found)
     monkeypatch.setattr(verifying, "_record", lambda _, found: recorded.append(found))
-    asyncio.run(verifying.measure())
+    asyncio.run(updated())
     assert recorded == [verifying.refused]
     assert "no wire is seen" in verifying.refused
 
@@ -138,12 +144,10 @@ def sent_case(tmp_path: Path) -> Iterator[tuple[Case, Decisions]]:
 
 def test_a_plan_that_was_sent_is_taken_up_again_after_a_restart(sent_case: tuple[Case, Decisions]) -> None:
     case, decisions = sent_case
-    before = restored(case, decisions, VIEWS)
-    assert before is not None
-    sent, drilled = before
+    sent, drilled = restored(case, decisions, VIEWS)["hip-screw"]
     assert sent.holds_for(decisions) and drilled is None
     assert not sent.holds_for(decisions.with_mark(END, None))
-    assert restored(case, decisions.with_image("pa", 3, same_pixels=True), VIEWS) is None
+    assert restored(case, decisions.with_image("pa", 3, same_pixels=True), VIEWS) == {}
 
 
 def test_a_plan_that_comes_out_otherwise_is_not(sent_case: tuple[Case, Decisions]) -> None:
@@ -160,7 +164,7 @@ def test_a_plan_that_was_sent_by_another_file_of_its_procedure_is_not(sent_case:
     for fingerprint in (kind("hip-screw").fingerprint, "hip-screw#0123456789abcdef"):
         case.record(Kind.SENT, {**sent.content, "procedure": fingerprint}, by=Actor.SURGEON)
         if fingerprint == kind("hip-screw").fingerprint:
-            assert restored(case, decisions, VIEWS) is not None
+            assert restored(case, decisions, VIEWS)
             continue
         with pytest.raises(UnusableInputError, match="Send the plan again"):
             restored(case, decisions, VIEWS)

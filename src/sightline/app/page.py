@@ -9,7 +9,7 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.drawing.pictures import Pictures
-from sightline.app.panels import calibrate, drill, figures, images, lead, plan, top, verdict, verify
+from sightline.app.panels import calibrate, drill, figures, images, lead, plan, top, verdict, verify, wires
 from sightline.app.panels.drawer import Drawer
 from sightline.app.panels.section import HtmlSection, Section, action
 from sightline.app.panels.space import Space
@@ -57,6 +57,7 @@ def build(site: ServedApp, session: Session, pictures: Pictures, settings: Setti
 
 def _panel(tab: Tab, site: ServedApp, drawer: Drawer, space: Space) -> None:
     """Build the column: verdict and figures, the step's own part, and the button that leads on."""
+    Section(tab, lambda t: (t.step, wires.key(t)), wires.build)
     HtmlSection(tab, lambda t: (_planning(t), verdict.key(t)), lambda t: verdict.html(t) if _planning(t) else Markup())
     HtmlSection(
         tab,

@@ -139,6 +139,20 @@ PLACE_WHAT = "Place {what}"
 REMOVE_WHAT = "Remove {what}"
 PROPOSE = "Propose wire"
 PROPOSE_WHAT = "Propose a wire from femoral head, shaft and lateral cortex"
+PROPOSE_OTHERS = "Propose the other wires"
+WIRES_LABEL = "Wires of the procedure"
+WIRE_STATES = {  # of a wire, by its verdict and by what was done
+    "missing": "not placed",
+    "go": "GO",
+    "no-go": "NO-GO",
+    "incomplete": "INCOMPLETE",
+    "sent": "sent",
+    "drilled": "drilled",
+    "verified": "verified",
+    "refuted": "NOT verified",
+}
+NEXT_WIRE = "Next: {wire}"
+RELATIONS_HEADING = "The wires to each other"
 PROPOSE_UNCALIBRATED = "calibrate both views before a wire can be proposed"
 COUNTER = "{number} of {count}"
 IN_IMAGE = {
@@ -325,6 +339,7 @@ CHANGED_SINCE_SENT = (
     "software, and is not restored."
 )
 CHANGED_AFTER_SENDING = "Send the plan again, or undo the change: it was changed after it was sent."
+OTHER_WIRE_HELD = "The robot holds the plan of the {wire}: choose that wire, or send the plan of this one."
 NO_DEPTH_LIMIT = (
     "Place the rim of the femoral head in both images, which gives the distance to the joint: the depth limit of the "
     "wire is unknown."

@@ -1,6 +1,7 @@
 """Overlays of an image: beads, curves, wire and corridor, aids; plain shapes in image pixels."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -82,21 +83,23 @@ def _curve(name: str, curve: MatchingCurve, *, banded: bool) -> list[Shape]:
 
 
 def wire(planned: Planned, image: str) -> list[Shape]:
-    """Return the wire at its true width with its 95 % corridor, for one view."""
-    view = _view(planned, image)
-    if planned.plan is None or view is None:
-        return []
-    kind = planned.kind
-    try:
-        found = corridor(
-            view,
-            planned.plan.trajectory,
-            wire_mm=kind.wire_mm,
-            beyond_mm=kind.limits.beyond_mm,
-        )
-    except SightlineError:
-        return []  # it is outside the view; the plan's checks say so
-    return band(found)
+    """Return the wires at their true widths for one view, the current one last and with its 95 % corridor."""
+    view, out = _view(planned, image), []
+    for plan in sorted(planned.plans.values(), key=lambda one: one is planned.plan) if view is not None else ():
+        kind = plan.kind
+        with suppress(SightlineError):  # it is outside the view; the plan's checks say so
+            found = corridor(view, plan.trajectory, wire_mm=kind.wire_mm, beyond_mm=kind.limits.beyond_mm)
+            out += band(found) if plan is planned.plan else _beside(found, kind.wire.name)
+    return out
+
+
+def _beside(found: Corridor, name: str) -> list[Shape]:
+    """Return a wire that is not the current one."""
+    line = found.uv_px.tolist()
+    return [
+        {"shape": "band", "points": line, "halfWidth": found.wire_half_px.tolist(), "style": "plan"},
+        {"shape": "line", "points": line, "style": "plan", "title": name},
+    ]
 
 
 def band(found: Corridor) -> list[Shape]:
@@ -160,21 +163,23 @@ def _view(planned: Planned, image: str) -> BeadView | None:
 
 
 def found(session: Session, image: str) -> list[Shape]:
-    """Return the wire measured in a check image, and the plan."""
-    wire = session.verifying.wires.get(image)
-    if wire is None:
-        return []
-    tip = wire.tip_uv_px.tolist()
-    return [
-        *_planned_there(session, image),
-        {"shape": "line", "points": wire.uv_px.tolist(), "style": "found", "title": "the wire as this image shows it"},
-        {"shape": "cross", "points": [tip], "style": "found", "label": "tip"},
-    ]
+    """Return the wires measured in a check image, and their plans."""
+    out: list[Shape] = []
+    for kind, seen in session.verifying.found.items():
+        if (wire := seen.get(image)) is not None:
+            line = {"shape": "line", "points": wire.uv_px.tolist(), "style": "found"}
+            out += _planned_there(session, kind, image)
+            out += [
+                {**line, "title": "the wire as this image shows it"},
+                {"shape": "cross", "points": [wire.tip_uv_px.tolist()], "style": "found", "label": "tip"},
+            ]
+    return out
 
 
-def _planned_there(session: Session, image: str) -> list[Shape]:
-    """Return the plan projected into a check image, with the bone's movement applied."""
-    shot, sent, views = session.verifying.shot, session.planning.sent, session.planning.views(CHECK_NAMES)
+def _planned_there(session: Session, kind: str, image: str) -> list[Shape]:
+    """Return a wire's plan projected into a check image, with the bone's movement applied."""
+    shot, sent = session.verifying.shots.get(kind), session.planning.all_sent.get(kind)
+    views = session.planning.views(CHECK_NAMES)
     if shot is None or sent is None or views is None:
         return []
     path = sent.plan.trajectory

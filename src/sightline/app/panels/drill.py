@@ -1,16 +1,18 @@
 """Step 4, Drill: send the plan, align the arm, drill the wire; a person confirms each motion."""
 
 from collections.abc import Awaitable, Callable, Hashable
+from functools import partial
 from typing import TYPE_CHECKING
 
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import live
+from sightline.app.panels import live, wires
 from sightline.app.panels.section import Section, action, checks, heading, note, table
 from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
 from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.planning.procedures import kind as kind_of
 from sightline.robot.control.states import State
 
 if TYPE_CHECKING:
@@ -27,7 +29,8 @@ def key(tab: Tab) -> Hashable:
     told = () if now is None else (now.state, now.fault, now.activity, now.last_error, now.lost, now.zero)
     planning, decisions = tab.planning, tab.planning.decisions
     plan = (planning.planned, decisions.side, decisions.serial, tab.session.readiness.can_send)
-    return (told, planning.sent, planning.drilled, planning.sent_is_current, plan, tab.session.jobs.working)
+    held = (tab.session.drilling.held, tab.session.drilling.changed, decisions.kind)
+    return (told, held, planning.drilled, planning.sent_is_current, plan, tab.session.jobs.working)
 
 
 def _shot_key(tab: Tab) -> Hashable:
@@ -35,7 +38,7 @@ def _shot_key(tab: Tab) -> Hashable:
     now = tab.session.drilling.now
     if now is None:
         return None
-    return (now.state == State.PAUSED.value, now.zero, now.activity, tab.planning.sent_is_current)
+    return (now.state == State.PAUSED.value, now.zero, now.activity, tab.session.drilling.changed)
 
 
 def build(tab: Tab) -> None:
@@ -80,8 +83,8 @@ def _robot(tab: Tab) -> None:
             note(texts.FAULT.format(number=now.fault, what=now.text), kind="bad", testid="fault")
         elif not tab.session.readiness.can_send and planning.drilled is None:
             note(texts.ONLY_GO, kind="warn", testid="not-go")
-        if session is not None and session.target is not None and not planning.sent_is_current:
-            note(texts.CHANGED_AFTER_SENDING, kind="bad", testid="changed-after-sending")
+        if tab.session.drilling.changed:
+            note(tab.session.drilling.changed, kind="bad", testid="changed-after-sending")
         if session is not None and now.state in _RETRACTABLE:
             _confirmed_action(
                 tab,
@@ -142,7 +145,8 @@ def build_next(tab: Tab) -> None:
         _start(tab, "primary")
         return
     idle, state = not now.activity, now.state
-    ready = idle and session.target is not None and planning.sent_is_current
+    held = drilling.held is not None and not drilling.changed
+    ready = idle and held
     if now.fault:
         _confirmed_action(
             tab, texts.RESET_FAULT, texts.RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle
@@ -153,7 +157,10 @@ def build_next(tab: Tab) -> None:
     elif state == State.PAUSED.value:
         drill = lambda: drilling.drill(State.PAUSED)  # noqa: E731
         _confirmed_action(tab, texts.DRILL_ON, texts.DRILL_ON_QUESTION, drill, "drill-on", enabled=ready)
-    elif state in (State.TARGETING.value, State.STOP.value) and planning.sent_is_current and session.target is not None:
+    elif planning.drilled is not None and (after := wires.following(tab)) is not None:
+        said = texts.NEXT_WIRE.format(wire=kind_of(after).wire.name)
+        action(said, partial(tab.choose_kind, after), testid="next-wire", kind="primary")
+    elif state in (State.TARGETING.value, State.STOP.value) and held:
         _confirmed_action(tab, texts.ALIGN, texts.ALIGN_QUESTION, drilling.align, "align", enabled=ready)
     else:
         _send(tab, enabled=idle and state != State.DONE.value)
@@ -191,7 +198,7 @@ def _second_shot(tab: Tab) -> None:
     drilling, now = tab.session.drilling, tab.session.drilling.now
     if now is None or now.state != State.PAUSED.value:
         return
-    enabled = not now.activity and tab.planning.sent_is_current
+    enabled = not now.activity and drilling.held is not None and not drilling.changed
     known = {"zero": _zero_words(now), "error": _error_words(now)}
     heading(texts.SHOT_HEADING)
     if texts.BY_SHOT in now.zero:

@@ -10,14 +10,14 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import HtmlSection, Section, action, heading, note
-from sightline.app.plan.marks import END, ENTRY, MarkSpec, marks_of
-from sightline.app.plan.planner import Planned, landmarks_of
+from sightline.app.plan.marks import MarkSpec, marks_of
+from sightline.app.plan.planner import Planned, landmarks_of, proposed
 from sightline.app.tab.tab import Tab
-from sightline.case.views import NAMES, OBLIQUE
+from sightline.case.views import OBLIQUE
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.planning.procedures import Procedure, procedures
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.procedures import procedures
 
 
 def build(tab: Tab) -> None:
@@ -46,19 +46,20 @@ def _purpose(tab: Tab) -> None:
     known = kind_of(tab.planning.decisions.kind)
     heading(known.name)
     note(known.purpose, kind="quiet")
-    for sentence in known.sentences():
-        note(sentence, kind="warn")
 
 
 def _kind(tab: Tab) -> None:
     known = kind_of(tab.planning.decisions.kind)
-    kinds = {key: one.name[:1].upper() + one.name[1:] for key, one in procedures().items()}
+    kinds: dict[str, str] = {}  # each procedure once, by its first wire
+    for key, one in procedures().items():
+        if one.wire == one.document.wires[0]:
+            kinds[key] = one.document.name[:1].upper() + one.document.name[1:]
 
     async def choose(event) -> None:
-        await tab.act(lambda: tab.planning.choose_kind(event.value))
-        tab.go_to(tab.step)
+        await tab.choose_kind(event.value)
 
-    ui.select(kinds, value=known.key, on_change=choose).classes("kind").props(
+    shown = Procedure.of(known.document, known.document.wires[0].key).key
+    ui.select(kinds, value=shown, on_change=choose).classes("kind").props(
         f'dense options-dense data-testid=kind aria-label="{texts.KIND_FIELD}"'
     )
 
@@ -127,13 +128,9 @@ def _propose(tab: Tab) -> None:
     known = tab.planning.planned
     if known is None:
         raise UnusableInputError(texts.PROPOSE_UNCALIBRATED)
-    proposal, decisions = known.proposal(), tab.planning.decisions
-    for name, uv in ((ENTRY, proposal.entry_uv_px), (END, proposal.end_uv_px)):
-        mark = decisions.mark(name)
-        for image, at in zip(NAMES, uv, strict=True):
-            mark = mark.placed(image, (float(at[0]), float(at[1])), free=False)
-        decisions = decisions.with_mark(name, mark)
-    tab.planning.edit(decisions)
+    decisions = tab.planning.decisions
+    ends = proposed(decisions.ends(decisions.kind), known.proposal())
+    tab.planning.edit(decisions.with_ends(decisions.kind, ends))
     tab.go_to(tab.step)
 
 

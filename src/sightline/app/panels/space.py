@@ -14,6 +14,7 @@ from sightline.app.plan.marks import marks_of
 from sightline.app.plan.planner import landmarks_of
 from sightline.app.tab.tab import Tab
 from sightline.errors import SightlineError
+from sightline.planning.procedures import kind as kind_of
 
 _LIVE_S = 0.2  # update period of the robot's pose [ours]
 
@@ -53,8 +54,8 @@ class Space:
         self._group("sights", (views, decisions.marks), self._sights)
         plan = None if known is None else known.plan
         self._group("points", plan, self._points)
-        self._group("wire", plan, self._wire)
-        self._group("drilled", self._tab.session.verifying.shot, self._drilled)
+        self._group("wire", known, self._wires)
+        self._group("drilled", tuple(self._tab.session.verifying.shots.values()), self._drilled)
         if planning.patient is not None and self._bone is None:
             self._bone = []
             asyncio.get_running_loop().create_task(self._fetch_bone())
@@ -100,17 +101,21 @@ class Space:
         words = [spec.label for spec in landmarks_of(known.decisions, len(known.views))]
         return space.point_objects(known.plan.seen.xyz_mm[2:], words)
 
-    def _wire(self) -> list[dict[str, Any]]:
-        known = self._tab.known
-        if known is None or known.plan is None:
-            return []
-        return space.wire_objects(known.plan.trajectory, known.kind.wire_mm)
+    def _wires(self) -> list[dict[str, Any]]:
+        known, out = self._tab.known, []
+        for plan in () if known is None else known.plans.values():
+            current, kind = known is not None and plan is known.plan, plan.kind
+            if current:
+                out += space.wire_objects(plan.trajectory, kind.wire_mm)
+            else:
+                out += space.other_wire_objects(plan.trajectory, kind.wire_mm, kind.wire.name)
+        return out
 
     def _drilled(self) -> list[dict[str, Any]]:
-        shot, sent = self._tab.session.verifying.shot, self._tab.planning.sent
-        if shot is None or sent is None:
-            return []
-        return space.drilled_objects(shot.entry_mm, shot.tip_mm, sent.plan.kind.wire_mm)
+        shots, out = self._tab.session.verifying.shots, []
+        for kind, shot in shots.items():
+            out += space.drilled_objects(shot.entry_mm, shot.tip_mm, kind_of(kind).wire_mm)
+        return out
 
     def _robot(self) -> None:
         session = self._tab.session.drilling.session

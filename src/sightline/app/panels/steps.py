@@ -105,7 +105,7 @@ def _plan(session: Session) -> _Found:
 
 def _drill(session: Session) -> _Found:
     planning, now = session.planning, session.drilling.now
-    if planning.drilled is not None:
+    if set(planning.kinds) <= set(planning.all_drilled):
         return StepStatus.DONE, texts.DRILL_DONE
     if now is not None and (now.lost or now.fault or now.last_error):
         return StepStatus.ATTENTION, now.last_error or now.text or texts.LINK_LOST
@@ -117,14 +117,17 @@ def _drill(session: Session) -> _Found:
 
 
 def _verify(session: Session) -> _Found:
-    verifying = session.verifying
-    if verifying.refused:
-        return StepStatus.ATTENTION, verifying.refused
-    if verifying.shot is not None:
-        wrong = failed(verifying.shot.checks)
+    verifying, kinds = session.verifying, session.planning.kinds
+    refused = [verifying.refusals[kind] for kind in kinds if kind in verifying.refusals]
+    if refused:
+        return StepStatus.ATTENTION, refused[0]
+    shots = [verifying.shots[kind] for kind in kinds if kind in verifying.shots]
+    if shots:
+        wrong = failed((*(check for one in shots for check in one.checks), *verifying.relations()))
         if wrong:
             return StepStatus.ATTENTION, wrong[0].sentence
-        return StepStatus.DONE, texts.VERIFIED
-    if session.planning.sent is None:
+        if len(shots) == len(kinds):
+            return StepStatus.DONE, texts.VERIFIED
+    if not session.planning.all_sent:
         return StepStatus.BLOCKED, texts.NOT_DRILLED
     return StepStatus.OPEN, texts.TAKE_TWO_MORE

@@ -128,8 +128,8 @@ def _shares(tab: Tab) -> Markup:
 
 def _target(tab: Tab) -> RobotTarget | None:
     """Return the robot's target for the plan shown; None before it is sent, and for another plan."""
-    session, planning = tab.session.drilling.session, tab.planning
-    shown = planning.sent_is_current and tab.known is planning.planned
+    drilling, session = tab.session.drilling, tab.session.drilling.session
+    shown = drilling.held is not None and not drilling.changed and tab.known is tab.planning.planned
     return session.target if session is not None and shown else None
 
 

@@ -22,9 +22,10 @@ def key(tab: Tab) -> Hashable:
     planning, jobs, verifying = tab.planning, tab.session.jobs, tab.session.verifying
     return (
         *(planning.seen(name) for name in CHECK_NAMES),
-        verifying.shot,
+        *verifying.shots.values(),
         verifying.refused,
-        planning.drilled,
+        planning.decisions.kind,
+        *planning.all_drilled.values(),
         jobs.working,
         jobs.trouble,
         tab.goal,
@@ -39,7 +40,7 @@ def build(tab: Tab) -> None:
 
 def build_details(tab: Tab) -> None:
     """Build the details: the checks of the check shot."""
-    Section(tab, lambda t: t.session.verifying.shot, _checks)
+    Section(tab, lambda t: (t.session.verifying.shot, *t.session.verifying.shots.values()), _checks)
 
 
 def _checks(tab: Tab) -> None:
@@ -48,14 +49,17 @@ def _checks(tab: Tab) -> None:
         heading(texts.AGAINST_PLAN_HEADING)
         note(texts.BENT.format(bow_mm=shot.bow_mm), kind="quiet")
         checks(shot.checks, testid="check-checks")
+    if relations := tab.session.verifying.relations():
+        heading(texts.RELATIONS_HEADING)
+        checks(relations, testid="relation-checks")
 
 
 def build_next(tab: Tab) -> None:
     """Build the one button for what comes next: the check images, their landmarks."""
     planning, jobs, verifying = tab.planning, tab.session.jobs, tab.session.verifying
-    if planning.patient is not None and not all(planning.seen(name) for name in CHECK_NAMES):
+    if planning.patient is not None and not verifying.shows_all:
         take = tab.doing(verifying.take_rehearsed)
-        enabled = planning.drilled is not None and not jobs.working
+        enabled = bool(planning.all_drilled) and not jobs.working
         action(texts.TAKE_CHECK, take, testid="take-check", kind="primary", enabled=enabled)
     elif all(planning.seen(name) for name in CHECK_NAMES) and verifying.shot is None:
         listed = tuple(spec for spec in marks_of(planning.decisions.kind) if spec.group == "landmark")
@@ -66,7 +70,7 @@ def _check(tab: Tab) -> None:
     planning, jobs, verifying = tab.planning, tab.session.jobs, tab.session.verifying
     _result(tab)
     heading(texts.CHECK_HEADING)
-    if planning.drilled is None and planning.patient is not None:
+    if not planning.all_drilled and planning.patient is not None:
         note(texts.DRILL_FIRST, kind="quiet")
     elif planning.patient is None:
         note(texts.DROP_CHECK, kind="quiet")

@@ -9,8 +9,10 @@ from datetime import datetime
 from types import MappingProxyType
 from typing import Any, Literal
 
+from sightline.app.plan.marks import END, ENTRY
 from sightline.case.views import NAMES
 from sightline.errors import CaseError
+from sightline.planning.procedures.files import current_key
 
 Side = Literal["right", "left"]
 Pixel = tuple[float, float]
@@ -69,11 +71,12 @@ class Display:
 class Decisions:
     """All decisions at one moment.
 
-    `images`: number of the journal entry that acquired each image, by image name. `serial`: of the frame, as read by a
-    person. `snapping`: lateral points of the wire are snapped to their curves when placed. `taken`: time of acquisition
-    stated by a person, by entry number, for images whose file does not state it. `mirrored`: whether a person saw, by
-    writing in it, that the file shows the image mirrored, by entry number; needed if no image shows the frame
-    unmirrored.
+    `images`: number of the journal entry that acquired each image, by image name. `kind`: the procedure and, of
+    several wires, the current one, whose entry and end are among `marks`; `wires`: those of the others, by their kinds.
+    `serial`: of the frame, as read by a person. `snapping`: lateral points of the wire are snapped to their curves when
+    placed. `taken`: time of acquisition stated by a person, by entry number, for images whose file does not state it.
+    `mirrored`: whether a person saw, by writing in it, that the file shows the image mirrored, by entry number; needed
+    if no image shows the frame unmirrored.
     """
 
     images: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -85,10 +88,34 @@ class Decisions:
     snapping: bool = True
     taken: Mapping[int, datetime] = field(default_factory=lambda: MappingProxyType({}))
     mirrored: Mapping[int, bool] = field(default_factory=lambda: MappingProxyType({}))
+    wires: Mapping[str, Mapping[str, Mark]] = field(default_factory=lambda: MappingProxyType({}))
 
     def mark(self, name: str) -> Mark:
         """Return the mark of a name; an empty one if it is not placed."""
         return self.marks.get(name, Mark())
+
+    def ends(self, kind: str) -> Mapping[str, Mark]:
+        """Return the marks of a wire's entry and end, those that are placed, by its kind."""
+        if kind != self.kind:
+            return self.wires.get(kind, {})
+        return {name: self.marks[name] for name in (ENTRY, END) if name in self.marks}
+
+    def with_ends(self, kind: str, ends: Mapping[str, Mark]) -> "Decisions":
+        """Return the decisions with other marks of a wire's entry and end."""
+        if kind != self.kind:
+            return replace(self, wires=MappingProxyType({**self.wires, kind: MappingProxyType(dict(ends))}))
+        rest = {name: mark for name, mark in self.marks.items() if name not in (ENTRY, END)}
+        return replace(self, marks=MappingProxyType({**rest, **ends}))
+
+    def with_kind(self, kind: str) -> "Decisions":
+        """Return the decisions with another wire or procedure current; the first time that a procedure is chosen, its
+        wire has entry and end of the current one."""
+        if kind == self.kind:
+            return self
+        own, new = self.ends(self.kind), kind.partition(":")[0] != self.kind.partition(":")[0]
+        ends = self.wires.get(kind, own if new else {})
+        left = MappingProxyType({key: one for key, one in self.wires.items() if key != kind})
+        return replace(self, kind=kind, wires=left).with_ends(self.kind, own).with_ends(kind, ends)
 
     def complete(self, names: Iterable[str]) -> bool:
         """Return True if all of these marks are placed in both planning images."""
@@ -110,9 +137,9 @@ class Decisions:
         images = MappingProxyType({**self.images, name: acquired})
         if same_pixels:
             return replace(self, images=images)
-        left = {key: mark.placed(name, None) for key, mark in self.marks.items()}
-        marks = MappingProxyType({key: mark for key, mark in left.items() if mark.places})
-        return replace(self, images=images, marks=marks, side=None if name in NAMES else self.side)
+        wires = MappingProxyType({kind: _without(name, ends) for kind, ends in self.wires.items()})
+        side = None if name in NAMES else self.side
+        return replace(self, images=images, marks=_without(name, self.marks), wires=wires, side=side)
 
     def with_display(self, view: str, display: Display) -> "Decisions":
         """Return the decisions with another display of one view."""
@@ -138,27 +165,31 @@ class Decisions:
             "snapping": self.snapping,
             "taken": {str(acquired): at.isoformat() for acquired, at in self.taken.items()},
             "mirrored": {str(acquired): mirrored for acquired, mirrored in self.mirrored.items()},
+            "wires": {
+                kind: {name: mark.document() for name, mark in ends.items()} for kind, ends in self.wires.items()
+            },
         }
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> "Decisions":
         """Return the decisions from JSON types. Raises CaseError."""
         try:
-            marks = {str(name): _mark(mark) for name, mark in document["marks"].items()}
+            wires = {str(kind): _marks(ends) for kind, ends in document.get("wires", {}).items()}
             display = {str(name): _display(shown) for name, shown in document["display"].items()}
             side = document["side"]
             if side not in ("right", "left", None):
                 raise ValueError(side)
             return Decisions(
                 MappingProxyType({str(name): int(number) for name, number in document["images"].items()}),
-                str(document["kind"]),
+                current_key(str(document["kind"])),
                 side,
                 document["serial"],
-                MappingProxyType(marks),
+                _marks(document["marks"]),
                 MappingProxyType(display),
                 bool(document.get("snapping", True)),  # older cases have no entry: snapping was always on
                 MappingProxyType({int(number): _instant(at) for number, at in document.get("taken", {}).items()}),
                 MappingProxyType({int(number): _truth(said) for number, said in document.get("mirrored", {}).items()}),
+                MappingProxyType(wires),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CaseError(
@@ -214,6 +245,16 @@ class History:
         if self.can_redo:
             self._at += 1
             self.revision += 1
+
+
+def _without(image: str, marks: Mapping[str, Mark]) -> Mapping[str, Mark]:
+    """Return the marks without their pixels in an image."""
+    left = {name: mark.placed(image, None) for name, mark in marks.items()}
+    return MappingProxyType({name: mark for name, mark in left.items() if mark.places})
+
+
+def _marks(documents: Mapping[str, Any]) -> Mapping[str, Mark]:
+    return MappingProxyType({str(name): _mark(mark) for name, mark in documents.items()})
 
 
 def _mark(document: Mapping[str, Any]) -> Mark:

@@ -1,6 +1,6 @@
 """Computes curves, plan, anatomy and metrics from decisions and two calibrated views, without state."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
@@ -11,16 +11,27 @@ from sightline.app.plan.marks import END, ENTRY, MarkSpec, images_of, marks_of
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import PlanRequest
 from sightline.case.views import ALL_NAMES, NAMES
-from sightline.errors import SightlineError
-from sightline.planning import MatchingCurve, Plan, matching_curve, snap
+from sightline.errors import SightlineError, UnusableInputError
+from sightline.planning import (
+    MatchingCurve,
+    Plan,
+    Proposal,
+    WirePicks,
+    WirePlans,
+    matching_curve,
+    propose,
+    propose_others,
+    snap,
+)
 from sightline.planning.aids import Aids
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import DEFAULT_PICK_SD_PX
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.procedures.files import keeping
-from sightline.planning.proposal import Proposal, propose
+from sightline.planning.procedures.document import ProcedureDocument
+from sightline.planning.procedures.files import each_wire, keeping
+from sightline.planning.results import Verdict
 
 PICK_SD_PX = DEFAULT_PICK_SD_PX
 _PICK_PX2 = PICK_SD_PX**2 * np.eye(2)
@@ -28,14 +39,29 @@ _PICK_PX2 = PICK_SD_PX**2 * np.eye(2)
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """The results of decisions. `curves`: image-matching curves in the lateral image, by point of the wire. `refused`:
-    reasons for missing results, by their names."""
+    """The results of decisions. `curves`: image-matching curves in the lateral image, by point of the wire. `plan`: of
+    the current wire; `wires`: the plans of all, where the procedure has several. `refused`: reasons for missing
+    results, by their names."""
 
     decisions: Decisions
     views: tuple[BeadView, ...]
     curves: Mapping[str, MatchingCurve] = field(default_factory=dict)
     plan: Plan | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
+    wires: WirePlans | None = None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The verdict on the plans of all wires; None without any."""
+        if self.wires is not None:
+            return self.wires.verdict
+        return None if self.plan is None else self.plan.verdict
+
+    @property
+    def plans(self) -> Mapping[str, Plan]:
+        """The plans of all wires, by their kinds."""
+        plans = () if self.plan is None else (self.plan,)
+        return {one.kind.key: one for one in (plans if self.wires is None else self.wires.plans.values())}
 
     @cached_property
     def kind(self) -> Procedure:
@@ -63,6 +89,19 @@ class Planned:
         assert rule is not None  # noqa: S101 - the page offers it only where there is one
         return propose(self.views, self.anatomy, side, rule=rule)
 
+    def with_others_proposed(self, kept: Collection[str] = ()) -> Decisions:
+        """Return the decisions with the other wires of the triangle proposed, but those of the kinds `kept`. Raises
+        SightlineError."""
+        document, decisions = self.kind.document, self.decisions
+        first = Procedure.of(document, lowest_wire(document) or "")
+        if first.key not in self.plans:
+            raise UnusableInputError(f"place entry and end of the {first.wire.name} first")
+        for key, proposal in propose_others(self.plans[first.key]).items():
+            kind = Procedure.of(document, key).key
+            if kind not in kept:
+                decisions = decisions.with_ends(kind, proposed(decisions.ends(kind), proposal))
+        return decisions
+
 
 class _NoSideError(SightlineError):
     """The side of the patient is not confirmed."""
@@ -71,16 +110,43 @@ class _NoSideError(SightlineError):
         super().__init__("confirm the patient's side first: superior and anterior depend on it")
 
 
+def lowest_wire(document: ProcedureDocument) -> str | None:
+    """Return the key of the wire beside which others can be proposed; None where the file states no such wires."""
+    return next((one.wires[0] for one in document.relations if one.relation == "inverted triangle"), None)
+
+
+def proposed(ends: Mapping[str, Mark], proposal: Proposal) -> Mapping[str, Mark]:
+    """Return the marks of a wire's entry and end where a proposal has them; in other images they stay."""
+    out = dict(ends)
+    for name, uv in ((ENTRY, proposal.entry_uv_px), (END, proposal.end_uv_px)):
+        for image, at in zip(NAMES, uv, strict=True):
+            out[name] = out.get(name, Mark()).placed(image, _pixel(at), free=False)
+    return out
+
+
 def planned(decisions: Decisions, views: Sequence[BeadView]) -> Planned:
     """Return the results of decisions on calibrated views: PA, lateral, and a third where there is one."""
     curves, refused = _drawn_curves(decisions, views)
     found: Plan | None = None
-    if decisions.complete((ENTRY, END)) and not refused:
+    wires: WirePlans | None = None
+    kinds = [] if refused else wires_placed(decisions)
+    if kinds:
+        asked = plan_input(decisions, len(views), decisions.kind if decisions.kind in kinds else kinds[0])
         try:
-            found = plan_input(decisions, len(views)).plan_on(views, _curve)
+            if asked.others is None:
+                found = asked.plan_on(views, _curve)
+            else:
+                wires = asked.plan_wires_on(views, _curve)
+                found = wires.plans.get(kind_of(decisions.kind).wire.key)
         except SightlineError as error:
             refused["plan"] = str(error)
-    return Planned(decisions, tuple(views), curves, found, refused)
+    return Planned(decisions, tuple(views), curves, found, refused, wires)
+
+
+def wires_placed(decisions: Decisions) -> list[str]:
+    """Return the kinds of the procedure's wires whose entry and end are placed in both images."""
+    each = (one.key for one in each_wire(kind_of(decisions.kind).document))
+    return [kind for kind in each if all(decisions.ends(kind).get(name, Mark()).complete() for name in (ENTRY, END))]
 
 
 def _drawn_curves(
@@ -119,23 +185,37 @@ def landmarks_of(decisions: Decisions, views: int) -> tuple[MarkSpec, ...]:
     return tuple(one for one in listed if sum(decisions.mark(one.name).at(name) is not None for name in images) > 1)
 
 
-def plan_input(decisions: Decisions, views: int) -> PlanRequest:
-    """Return a plan's input besides its views, of this number; entry and end must be placed in PA and lateral."""
-    wire = [decisions.mark(name) for name in (ENTRY, END)]
-    known = kind_of(decisions.kind)
+def plan_input(decisions: Decisions, views: int, kind: str = "") -> PlanRequest:
+    """Return a plan's input besides its views, of this number: of the wire of this kind, default the current one. Its
+    entry and end must be placed in PA and lateral; the procedure's other wires are in it where theirs are."""
+    known = kind_of(kind or decisions.kind)
+    wire = _picks(decisions, known.key, views)
+    others = {
+        kind_of(other).wire.key: _picks(decisions, other, views)
+        for other in wires_placed(decisions)
+        if other != known.key
+    }
     landmarks = landmarks_of(decisions, views)
     picked = np.reshape([_pixels(decisions.mark(one.name), views) for one in landmarks], (-1, views, 2))
     return PlanRequest(
-        *(_pixels(mark, views) for mark in wire),
-        pick_sd_px=PICK_SD_PX,
-        snapped=[not mark.free for mark in wire],
+        wire.entry_uv_px,
+        wire.end_uv_px,
+        PICK_SD_PX,
+        wire.snapped,
         landmarks_uv_px=picked.swapaxes(0, 1),
         landmark_names=tuple(one.of for one in landmarks),
         kind=known.key,
         procedure=keeping(known),
         side=decisions.side,
         aids=_aids(decisions),
+        others=others if known.several else None,
     )
+
+
+def _picks(decisions: Decisions, kind: str, views: int) -> WirePicks:
+    ends = decisions.ends(kind)
+    entry, end = (_pixels(ends[name], views) for name in (ENTRY, END))
+    return WirePicks(entry, end, [not ends[name].free for name in (ENTRY, END)])
 
 
 def _pixels(mark: Mark, views: int) -> np.ndarray:

@@ -13,7 +13,7 @@ from sightline.app.session.readiness import Readiness
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.seen import entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan
-from sightline.app.texts import CHANGED_AFTER_SENDING, NO_DEPTH_LIMIT, NO_ROBOT
+from sightline.app.texts import CHANGED_AFTER_SENDING, NO_DEPTH_LIMIT, NO_ROBOT, OTHER_WIRE_HELD
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_changed, record_planned
 from sightline.errors import RobotRefusedError, UnusableInputError
@@ -33,13 +33,15 @@ TO_BONE = "tip to bone along wire"
 
 
 class DrillingWorkflow:
-    """Sending and drilling of the current plan. `session` and `now`: None until the robot is started."""
+    """Sending and drilling of the current wire's plan. `session` and `now`: None until the robot is started. `held`:
+    the plan that the robot holds."""
 
     def __init__(self, planning: Planning, age: PlanAge, readiness: Readiness) -> None:
         self._planning, self._age, self._readiness = planning, age, readiness
         self._process: RobotProcess | None = None
         self._starting = False
         self.session: RobotSession | None = None
+        self.held: SentPlan | None = None
 
     @property
     def now(self) -> "RobotNow | None":
@@ -90,7 +92,7 @@ class DrillingWorkflow:
     async def close(self) -> None:
         """Close the link and end the simulated robot, if it runs."""
         session, process = self.session, self._process
-        self.session = self._process = None
+        self.session = self._process = self.held = None
         if session is not None:
             await asyncio.to_thread(session.close)
         if process is not None:
@@ -123,7 +125,9 @@ class DrillingWorkflow:
         views = [entry_of(case, seen) for seen in map(planning.seen, planning.names) if seen is not None]
         made = record_planned(case, views, plan_input(decisions, len(views)), plan, by=Actor.SURGEON)
         # From here on the robot may hold this plan, even after an error; the earlier one must not be drilled.
-        planning.sent = planning.drilled = None
+        self.held = None
+        planning.all_sent.pop(decisions.kind, None)
+        planning.all_drilled.pop(decisions.kind, None)
         await session.send(target, limit)
         entry = case.record(
             Kind.SENT,
@@ -139,7 +143,7 @@ class DrillingWorkflow:
             by=Actor.SURGEON,
             rests_on=[made.number],
         )
-        planning.sent = SentPlan(known, entry.at)
+        self.held = planning.all_sent[decisions.kind] = SentPlan(known, entry.at, entry.number)
         planning.jobs.notify()
 
     async def align(self) -> None:
@@ -153,11 +157,12 @@ class DrillingWorkflow:
 
         Raises RobotRefusedError, LinkError, CaseError."""
         session = self._running()
-        self._refuse_changed()
+        held = self._refuse_changed()
         if await session.drill(since) != State.DONE.value:
             return
         planning, record = self._planning, session.record
-        planning.drilled = drilled = DrilledWire(record, await session.simulated_wire())
+        drilled = DrilledWire(record, await session.simulated_wire())
+        planning.all_drilled[held.planned.decisions.kind] = drilled
         content = {"record": drilled.record.document(), "simulated_wire": drilled.wire.text()}
         planning.case.record(Kind.DRILLED, content, by=Actor.ROBOT)
         planning.jobs.notify()
@@ -171,9 +176,21 @@ class DrillingWorkflow:
         await session.send_shot_depth(depth_mm, error_95_mm)
         record_changed(self._planning.case, "second shot", told, by=Actor.SURGEON)
 
-    def _refuse_changed(self) -> None:
-        if not self._planning.sent_is_current:
-            raise RobotRefusedError(CHANGED_AFTER_SENDING)
+    @property
+    def changed(self) -> str:
+        """Why the robot may not carry out the plan that it holds: it is of another wire, or was changed since. Empty
+        where it may, or where it holds none."""
+        held, planning = self.held, self._planning
+        if held is None or (held is planning.sent and planning.sent_is_current):
+            return ""
+        if held is planning.sent or not held.holds_for(planning.decisions):
+            return CHANGED_AFTER_SENDING
+        return OTHER_WIRE_HELD.format(wire=held.plan.kind.wire.name)
+
+    def _refuse_changed(self) -> SentPlan:
+        if self.held is None or self.changed:
+            raise RobotRefusedError(self.changed or CHANGED_AFTER_SENDING)
+        return self.held
 
     def _running(self) -> "RobotSession":
         if self.session is None or self.session.now.lost:

@@ -21,17 +21,19 @@ from sightline.calibration.together import adjusted_together
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, takes_oblique
+from sightline.drilling_order import DrillingOrder, propose_order
 from sightline.errors import CalibrationRefusedError, SightlineError, UnusableInputError
-from sightline.planning import kind
+from sightline.planning import WirePlans, kind
+from sightline.planning.procedures.files import each_wire
 
 _MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned to views [ours]
 _EDITS = ("edit", "undo", "redo")
 
 
 class Planning:
-    """Images, decisions and plan of one case. `sent`: the plan that was sent to the robot; `drilled`: set once it is
-    drilled to its depth. The listeners of `jobs` are called on every change. Raises UnusableInputError where the
-    procedure of the decisions is not found."""
+    """Images, decisions and plan of one case. `all_sent`: the plans that were sent to the robot, `all_drilled`: the
+    wires that are drilled to their depth, both by the wire's kind. The listeners of `jobs` are called on every change.
+    Raises UnusableInputError where the procedure of the decisions is not found."""
 
     def __init__(self, case: Case, frame_ref: str, worker: WorkerProcess, jobs: Jobs) -> None:
         self.case, self.frame, self.worker, self.jobs = case, stages.frame_of(case, frame_ref), worker, jobs
@@ -39,9 +41,10 @@ class Planning:
         changes = [entry.content for entry in case.entries(Kind.CHANGED) if entry.content["what"] in _EDITS]
         self.history = History((one["what"], None if one["to"] is None else Decisions.of(one["to"])) for one in changes)
         kind(self.decisions.kind)  # its file may be gone: then the page could not be built
-        self.sent: SentPlan | None = None
-        self.drilled: DrilledWire | None = None
+        self.all_sent: dict[str, SentPlan] = {}
+        self.all_drilled: dict[str, DrilledWire] = {}
         self._planned: Planned | None = None
+        self._order: tuple[WirePlans, DrillingOrder] | None = None
 
     # State.
 
@@ -101,8 +104,34 @@ class Planning:
         return self._planned
 
     @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kinds of all wires of the procedure."""
+        return tuple(one.key for one in each_wire(kind(self.decisions.kind).document))
+
+    @property
+    def drilling_order(self) -> DrillingOrder | None:
+        """The proposed order of drilling, once two wires or more are planned."""
+        known = self.planned
+        wires = None if known is None else known.wires
+        if known is None or wires is None or len(wires.plans) < 2:
+            return None
+        if self._order is None or self._order[0] is not wires:
+            self._order = wires, propose_order(wires.lines, wires.procedure, known.views, self.frame, wires.placed)
+        return self._order[1]
+
+    @property
+    def sent(self) -> SentPlan | None:
+        """The plan of the current wire that was sent to the robot."""
+        return self.all_sent.get(self.decisions.kind)
+
+    @property
+    def drilled(self) -> DrilledWire | None:
+        """The current wire, once it is drilled."""
+        return self.all_drilled.get(self.decisions.kind)
+
+    @property
     def sent_is_current(self) -> bool:
-        """True while the plan that was sent is the current one."""
+        """True while the current wire's plan is the one that was sent."""
         return self.sent is not None and self.sent.holds_for(self.decisions)
 
     # Actions of people.
@@ -140,8 +169,14 @@ class Planning:
         self.edit(decisions)
 
     def choose_kind(self, kind: str) -> None:
-        """Plan another procedure; marks common to both stay."""
-        self.edit(replace(self.decisions, kind=kind))
+        """Plan another procedure, or another wire of it; marks common to both stay."""
+        self.edit(self.decisions.with_kind(kind))
+
+    def propose_others(self) -> None:
+        """Place the other wires of a triangle beside its lowest one; drilled ones stay. Raises SightlineError."""
+        known = self.planned
+        if known is not None:
+            self.edit(known.with_others_proposed(self.all_drilled))
 
     def choose_snapping(self, on: bool) -> None:
         """Switch snapping of lateral points of the wire to their curves on or off."""
@@ -241,15 +276,15 @@ class Planning:
 
     def _restore_sent(self) -> None:
         views = self.views()
-        if views is None or self.sent is not None:
+        if views is None or self.all_sent:
             return
         try:
             before = restored(self.case, self.decisions, views)
         except SightlineError as error:
             self.jobs.trouble = str(error)
             return
-        if before is not None:
-            self.sent, self.drilled = before
+        self.all_sent = {kind: sent for kind, (sent, _) in before.items()}
+        self.all_drilled = {kind: drilled for kind, (_, drilled) in before.items() if drilled is not None}
 
     def _record(self, what: str, decisions: Decisions | None) -> None:
         to = None if decisions is None else decisions.document()

@@ -15,15 +15,14 @@ class Readiness:
         self._planning, self._age = planning, age
 
     def verdict_of(self, known: Planned | None) -> Verdict | None:
-        """Return the verdict on sending a plan; None without one."""
-        if known is None or known.plan is None:
+        """Return the verdict on sending the plans of all wires; None without one."""
+        verdict = None if known is None else known.verdict
+        if verdict is None:
             return None
         decisions = self._planning.decisions
         side, serial, _ = confirmations = self.confirmations
         given = ((side, decisions.side), (serial, decisions.serial))
-        return known.plan.verdict.joined(
-            Verdict(tuple(confirmations), tuple(check for check, value in given if value is None))
-        )
+        return verdict.joined(Verdict(tuple(confirmations), tuple(check for check, value in given if value is None)))
 
     @property
     def verdict(self) -> Verdict | None:
@@ -32,7 +31,7 @@ class Readiness:
 
     @property
     def go(self) -> bool:
-        """True if there is a plan and every check passed."""
+        """True if all wires are planned and every check passed."""
         verdict = self.verdict
         return verdict is not None and verdict.go
 

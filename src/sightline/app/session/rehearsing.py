@@ -44,11 +44,12 @@ def images(patient: Patient) -> dict[str, bytes]:
     return _files(rehearsal_of(patient).images, patient)
 
 
-def check_images(patient: Patient, wire: str) -> dict[str, bytes]:
-    """Return the check images as DICOM, by view, with the wire (`SimulatedWire.text`) in the bone."""
+def check_images(patient: Patient, wires: Mapping[str, str]) -> dict[str, bytes]:
+    """Return the check images as DICOM, by view, with the wires (`SimulatedWire.text`) in the bone, by kind."""
     from sightline.robot.link.simulated import SimulatedWire
 
-    return _files(rehearsal_of(patient).check_images(SimulatedWire.of(wire)).images, patient)
+    *_, newest = map(SimulatedWire.of, wires.values())
+    return _files(rehearsal_of(patient).check_images(newest).images, patient)
 
 
 def _files(radiographs: Mapping[str, Radiograph], patient: Patient) -> dict[str, bytes]:

@@ -6,11 +6,10 @@ from datetime import datetime
 import numpy as np
 
 from sightline.app.plan.decisions import Decisions
-from sightline.app.plan.marks import END, ENTRY
 from sightline.app.plan.planner import Planned, planned
 from sightline.app.texts import CHANGED_SINCE_SENT
 from sightline.calibration import BeadView
-from sightline.case.journal import Case, Kind
+from sightline.case.journal import Case, Entry, Kind
 from sightline.case.views import ALL_NAMES
 from sightline.errors import UnusableInputError
 from sightline.planning import Plan
@@ -23,10 +22,11 @@ _SAME_MM = 1e-6  # tolerance for a plan that is computed again
 
 @dataclass(frozen=True, eq=False)
 class SentPlan:
-    """A plan as sent to the robot, at the time `at`."""
+    """A plan as sent to the robot, at the time `at`, by the journal's entry of this `number`."""
 
     planned: Planned
     at: datetime
+    number: int = 0
 
     @property
     def plan(self) -> Plan:
@@ -35,9 +35,9 @@ class SentPlan:
         return self.planned.plan
 
     def holds_for(self, decisions: Decisions) -> bool:
-        """Return True if decisions give the plan that was sent."""
+        """Return True if decisions give the plan that was sent, whichever wire is the current one."""
         then = self.planned.decisions
-        same = ("kind", "side", "serial")
+        same = ("side", "serial")
         return (
             self.plan.kind.fingerprint == kind_of(decisions.kind).fingerprint  # its file may have changed since
             and all(getattr(then, name) == getattr(decisions, name) for name in same)
@@ -47,7 +47,7 @@ class SentPlan:
                 for at in map(decisions.images.get, ALL_NAMES)
                 if at is not None
             )
-            and all(then.mark(name) == decisions.mark(name) for name in (ENTRY, END))
+            and then.ends(then.kind) == decisions.ends(then.kind)
         )
 
 
@@ -61,16 +61,19 @@ class DrilledWire:
 
 def restored(
     case: Case, decisions: Decisions, views: tuple[BeadView, ...]
-) -> tuple[SentPlan, DrilledWire | None] | None:
-    """Return what was sent and drilled before the program ended, from the journal; None if nothing was sent, or if
-    images were replaced since. Raises UnusableInputError if the same decisions now give another plan."""
-    sent = case.latest(Kind.SENT)
-    if sent is None:
-        return None
-    then = Decisions.of(sent.content["decisions"])
-    if any(then.images.get(name) != decisions.images.get(name) for name in ALL_NAMES):
-        return None
-    again = planned(then, views)
+) -> dict[str, tuple[SentPlan, DrilledWire | None]]:
+    """Return what was sent and drilled on these images before the program ended, the last of each wire, by kind, from
+    the journal. Raises UnusableInputError if the same decisions now give another plan."""
+    sent: dict[str, Entry] = {}
+    for entry in case.entries(Kind.SENT):
+        then = Decisions.of(entry.content["decisions"])
+        if all(then.images.get(name) == decisions.images.get(name) for name in ALL_NAMES):
+            sent[then.kind] = entry
+    return {kind: _restored(case, entry, views) for kind, entry in sent.items()}
+
+
+def _restored(case: Case, sent: Entry, views: tuple[BeadView, ...]) -> tuple[SentPlan, DrilledWire | None]:
+    again = planned(Decisions.of(sent.content["decisions"]), views)
     if (
         again.plan is None
         or sent.content.get("procedure", again.kind.fingerprint) != again.kind.fingerprint
@@ -82,8 +85,12 @@ def restored(
         )
     ):
         raise UnusableInputError(CHANGED_SINCE_SENT)
-    drilled = case.latest(Kind.DRILLED)
-    if drilled is None or drilled.number < sent.number or "simulated_wire" not in drilled.content:
-        return SentPlan(again, sent.at), None
+    made = SentPlan(again, sent.at, sent.number)
+    later = [one.number for one in case.entries(Kind.SENT, sent.number)]
+    drilled = next(iter(case.entries(Kind.DRILLED, sent.number)), None)
+    if drilled is None or min(later, default=drilled.number) < drilled.number:
+        return made, None
+    if "simulated_wire" not in drilled.content:
+        return made, None
     record, wire = drilled.content["record"], drilled.content["simulated_wire"]
-    return SentPlan(again, sent.at), DrilledWire(DrillingRecord.of(record), SimulatedWire.of(wire))
+    return made, DrilledWire(DrillingRecord.of(record), SimulatedWire.of(wire))

@@ -1,6 +1,8 @@
-"""Step 5, Verify: two check images with the wire in the bone, compared with the plan."""
+"""Step 5, Verify: two check images with the wires in the bone, each compared with its plan."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,62 +15,106 @@ from sightline.app.session.seen import SeenImage, entry_of
 from sightline.app.session.sent import SentPlan
 from sightline.calibration import BeadView
 from sightline.case.contents import CheckRequest
-from sightline.case.journal import Actor, Kind
+from sightline.case.journal import Actor
 from sightline.case.stages import record_verified
 from sightline.case.views import NAMES
+from sightline.checks import Check
 from sightline.errors import RefusedError, SightlineError, UnusableInputError
+from sightline.pipeline import expected_wires
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_shot import Landmarks, check_shot
 from sightline.planning.expected_wire import expected_wire
+from sightline.planning.measured_wires import judge_measured
+from sightline.planning.procedures import kind as kind_of
 
 if TYPE_CHECKING:
     from sightline.detection.wire import WireShadow
 
 
 class Verifying:
-    """Verification of the drilled wire. `shot`: the comparison with the plan, once measured; `refused`: why it could
-    not be measured. `wires`: the wire found in each check image, by image name."""
+    """Verification of the drilled wires, all in the same two check images; each by its kind. `shots`: the comparison
+    with its plan, once measured; `refusals`: why it could not be measured. `found`: the wire found in each check image,
+    by image name. `shot`, `refused` and `wires`: these of the current wire."""
 
     def __init__(self, planning: Planning) -> None:
         self._planning = planning
-        self._measured: tuple[object, ...] = ()
+        self._measured: dict[str, tuple[object, ...]] = {}
         self._found_in: dict[tuple[int, SentPlan], WireShadow] = {}
-        self.shot: CheckShot | None = None
-        self.refused = ""
-        self.wires: dict[str, WireShadow] = {}
+        self.shots: dict[str, CheckShot] = {}
+        self.refusals: dict[str, str] = {}
+        self.found: dict[str, dict[str, WireShadow]] = {}
+
+    @property
+    def shot(self) -> CheckShot | None:
+        """The comparison of the current wire with its plan."""
+        return self.shots.get(self._planning.decisions.kind)
+
+    @property
+    def refused(self) -> str:
+        """Why the current wire could not be measured."""
+        return self.refusals.get(self._planning.decisions.kind, "")
+
+    @property
+    def wires(self) -> Mapping[str, "WireShadow"]:
+        """The current wire in each check image."""
+        return self.found.get(self._planning.decisions.kind, {})
+
+    def relations(self) -> tuple[Check, ...]:
+        """Return the checks of the relations between the wires as measured, those that can be made."""
+        known = self._planning.planned
+        shots = {kind_of(kind).wire.key: shot for kind, shot in self.shots.items()}
+        if known is None or known.wires is None or len(shots) < 2 or not set(shots) <= set(known.wires.plans):
+            return ()
+        measured = judge_measured(known.wires, shots, known.decisions.side)
+        return tuple(one for one in measured.checks if one not in measured.unmade)
+
+    @property
+    def shows_all(self) -> bool:
+        """True if both check images were taken after the plan of the newest drilled wire was sent."""
+        planning = self._planning
+        seen = [planning.seen(name) for name in CHECK_NAMES]
+        newest = max((planning.all_sent[kind].number for kind in planning.all_drilled), default=0)
+        return all(one is not None and one.acquired.number > newest for one in seen)
 
     async def take_rehearsed(self) -> None:
-        """Acquire both check images of the rehearsed patient. Raises SightlineError."""
+        """Acquire both check images of the rehearsed patient, with all wires in the bone. Raises SightlineError."""
         planning = self._planning
-        patient, drilled = planning.patient, planning.drilled
-        if patient is None or drilled is None:
+        patient, drilled = planning.patient, planning.all_drilled
+        if patient is None or not drilled:
             raise UnusableInputError("drill the wire first; then take the check images")
-        text = drilled.wire.text()
+        wires = {kind: one.wire.text() for kind, one in drilled.items()}
         files = await planning.jobs.during(
-            "taking both check images", lambda: planning.worker.do(check_images, patient, text)
+            "taking both check images", lambda: planning.worker.do(check_images, patient, wires)
         )
         for name, data in files.items():
             await planning.take(data, ".dcm", image=f"check-{name}", by=Actor.DEMO)
 
     def update(self) -> None:
-        """Discard a result whose images were replaced, and start measuring if images or landmarks are new."""
-        request = self._request()
-        if request is None and self._measured:
-            self._forget()
-        if request is not None and request.key != self._measured:
-            self._planning.jobs.start(self.measure())
+        """Discard results whose images were replaced, and start measuring where images or landmarks are new."""
+        asked = {one.kind: one for one in self._requests()}
+        for kind in [kind for kind in self._measured if kind not in asked]:
+            self._forget(kind)
+        # A plan that was sent and not drilled is looked for only while a person asks about this wire.
+        tried = {*self._planning.all_drilled, *self._measured, self._planning.decisions.kind}
+        for kind, one in asked.items():
+            if kind in tried and one.key != self._measured.get(kind):
+                self._forget(kind)
+                self._measured[kind] = one.key
+                self._planning.jobs.start(self.measure(one))
 
-    def _request(self) -> "_CheckRequest | None":
-        """Return the input of the measurement; None before both check images are calibrated."""
-        planning, sent = self._planning, self._planning.sent
-        seen = [planning.seen(name) for name in CHECK_NAMES]
+    def _requests(self) -> "list[_CheckRequest]":
+        """Return the input of each wire's measurement; none before both check images are calibrated."""
+        planning = self._planning
+        seen = [one for one in map(planning.seen, CHECK_NAMES) if one is not None]
         views = planning.views(CHECK_NAMES)
-        if sent is None or views is None:
-            return None
-        then, now = sent.planned.decisions, planning.decisions
-        told = planning.case.latest(Kind.SENT)
-        if told is None or any(one is None or one.acquired.number < told.number for one in seen):
-            return None  # images acquired before this plan was sent show another wire, or none
+        if views is None:
+            return []
+        # Images acquired before a plan was sent show another wire, or none.
+        sent = [one for one in planning.all_sent.values() if all(image.acquired.number > one.number for image in seen)]
+        return [_CheckRequest(one, tuple(seen), views, self._landmarks(one)) for one in sent]
+
+    def _landmarks(self, sent: SentPlan) -> Landmarks:
+        then, now = sent.planned.decisions, self._planning.decisions
         names = [
             name
             for name in names_of(then.kind, "landmark")
@@ -78,37 +124,38 @@ class Verifying:
             np.array([[decisions.mark(name).at(image) for name in names] for image in images]).reshape(2, -1, 2)
             for decisions, images in ((then, NAMES), (now, CHECK_NAMES))
         )
-        landmarks = Landmarks(planned_px, checked_px, PICK_SD_PX)
-        return _CheckRequest(sent, tuple(one for one in seen if one is not None), views, landmarks)
+        return Landmarks(planned_px, checked_px, PICK_SD_PX)
 
-    def _forget(self) -> None:
-        """Discard the result."""
-        self._measured, self.shot, self.refused, self.wires = (), None, "", {}
+    def _forget(self, kind: str) -> None:
+        """Discard the result of a wire."""
+        self._measured.pop(kind, None)
+        for results in (self.shots, self.refusals, self.found):
+            results.pop(kind, None)
 
-    async def measure(self) -> None:
-        """Find the wire in both check images and compare."""
-        request = self._request()
-        if request is None:
-            return
-        self._forget()
-        self._measured = request.key
+    async def measure(self, request: "_CheckRequest") -> None:
+        """Find a wire in both check images and compare."""
         try:
             await self._measure(request)
         except SightlineError as error:
-            if request.key == self._measured:
-                self.shot, self.refused = None, str(error)
+            if self._is_asked(request):
+                self.shots.pop(request.kind, None)
+                self.refusals[request.kind] = str(error)
         self._planning.jobs.notify()
+
+    def _is_asked(self, request: "_CheckRequest") -> bool:
+        """Return False once the input has changed."""
+        return request.key == self._measured.get(request.kind)
 
     async def _measure(self, request: "_CheckRequest") -> None:
         """Measure, and record the result or the refusal in the case, from which reports are made. Raises
         SightlineError."""
         try:
             wires = [await self._found(request, one) for one in request.seen]
-            if request.key != self._measured:
-                return  # the input has changed meanwhile
-            self.wires = dict(zip(CHECK_NAMES, wires, strict=True))
+            if not self._is_asked(request):
+                return
+            self.found[request.kind] = dict(zip(CHECK_NAMES, wires, strict=True))
             plan, before = request.sent.plan, request.sent.planned.views
-            self.shot = check_shot(
+            self.shots[request.kind] = check_shot(
                 plan.trajectory,
                 plan.picks,
                 before,
@@ -118,15 +165,15 @@ class Verifying:
                 limits=plan.kind.limits,
             )
         except RefusedError as error:
-            if request.key == self._measured:
+            if self._is_asked(request):
                 self._record(request, str(error))
             raise
-        self._record(request, self.shot)
+        self._record(request, self.shots[request.kind])
 
     def _record(self, request: "_CheckRequest", found: CheckShot | str) -> None:
         case = self._planning.case
-        told = case.latest(Kind.SENT)
-        if told is None or not told.rests_on:
+        told = case.entry(request.sent.number)
+        if not told.rests_on:
             return  # sent by a version that did not record the plan
         first, second = (entry_of(case, one) for one in request.seen)
         measured = CheckRequest(request.sent.plan.kind.wire_mm, request.landmarks)
@@ -141,9 +188,10 @@ class Verifying:
             assert seen.view is not None and seen.beads is not None  # noqa: S101 - it is calibrated
             kind = request.sent.plan.kind
             expected = expected_wire(seen.view, request.sent.plan.trajectory.points.xyz_mm, kind.limits.beyond_mm)
-            beads, width = seen.beads, kind.wire_mm
+            all_wires, beads = request.sent.planned.wires, seen.beads
+            others = expected_wires(() if all_wires is None else all_wires.others_mm(kind.wire.key), seen.view)
             self._found_in[key] = await self._planning.worker.do(
-                find_wire, seen.image, expected, width, beads.uv_px, beads.radius_px
+                partial(find_wire, others=others), seen.image, expected, kind.wire_mm, beads.uv_px, beads.radius_px
             )
         return self._found_in[key]
 
@@ -156,6 +204,11 @@ class _CheckRequest:
     seen: tuple[SeenImage, ...]
     views: tuple[BeadView, ...]
     landmarks: Landmarks
+
+    @property
+    def kind(self) -> str:
+        """The wire's kind."""
+        return self.sent.planned.decisions.kind
 
     @property
     def key(self) -> tuple[object, ...]:

@@ -130,7 +130,7 @@ class Views:
     def _layers(self, image: str, seen: SeenImage) -> tuple[shapes.Layers, str]:
         """Return the layers over an image and the reason for a missing one; cached for the same plan."""
         verifying, known = self._session.verifying, self._planning.planned
-        of = (seen, known, verifying.wires.get(image), verifying.shot)
+        of = (seen, known, *(ends.get(image) for ends in verifying.found.values()), *verifying.shots.values())
         if image in self._drawn and self._drawn[image][0] == of:
             return self._drawn[image][1:]
         makers: dict[str, Callable[[], list[shapes.Shape]]] = {

@@ -130,8 +130,7 @@ def kind(name: str) -> Procedure:
     >>> sl.planning.kind("free-wire").name
     'free wire'
     """
-    name = _RENAMED.get(name, name)
-    name = _ONLY_WIRE.get(name, name)
+    name = current_key(name)
     if name in PROCEDURES:
         return PROCEDURES[name]
     file, _, wire = name.rpartition(":") if ":" in name and not Path(name).is_file() else (name, "", "")
@@ -140,6 +139,12 @@ def kind(name: str) -> Procedure:
     path = _path(file)
     at = path.stat()
     return _read(file, path.resolve(), wire, at.st_mtime_ns, at.st_size)
+
+
+def current_key(name: str) -> str:
+    """Return the key of a procedure's wire that earlier versions named otherwise; any other name unchanged."""
+    name = _RENAMED.get(name, name)
+    return _ONLY_WIRE.get(name, name)
 
 
 @lru_cache(maxsize=MAX_FILES)

@@ -114,6 +114,12 @@ def wire_objects(trajectory: Trajectory, diameter_mm: float) -> list[Object]:
     ]
 
 
+def other_wire_objects(trajectory: Trajectory, diameter_mm: float, name: str) -> list[Object]:
+    """Return a planned wire that is not the current one, at its true width with its name."""
+    ends = (trajectory.entry_mm, trajectory.end_mm)
+    return [_cylinder(*ends, diameter_mm / 2, "quiet"), _label(ends[0], name, "quiet")]
+
+
 def drilled_objects(entry_mm: np.ndarray, tip_mm: np.ndarray, diameter_mm: float) -> list[Object]:
     """Return a drilled wire, found by a check or known from the robot, between two points (3,)."""
     middle = (np.asarray(entry_mm) + np.asarray(tip_mm)) / 2  # where the planned wire has no label
