@@ -55,7 +55,7 @@ def _holes() -> dict[str, Pixels]:
 
 
 def test_a_pair_of_holes_is_planned_beside_a_hip_screw(hands: Hands, shoot) -> None:
-    _choose(hands, "Interlocking holes, distal hole")
+    _choose(hands, "Interlocking holes")
     known = _holes()
     assert set(known) == {one.name for one in marks_of("interlocking")}
     for view in NAMES:
@@ -75,7 +75,7 @@ def test_a_pair_of_holes_is_planned_beside_a_hip_screw(hands: Hands, shoot) -> N
     expect(hands.see("verdict")).to_contain_text("NO-GO")
     expect(hands.see("row-head-centre")).to_contain_text("○ PA")
     hands.page.keyboard.press("Control+z")
-    expect(hands.see("kind")).to_contain_text("Interlocking holes, distal hole")
+    expect(hands.see("kind")).to_contain_text("Interlocking holes")
     expect(hands.see("verdict")).to_contain_text("Every check passed")
     hands.page.keyboard.press("Control+y")
     expect(hands.see("verdict")).to_contain_text("NO-GO")

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -76,7 +77,7 @@ def test_relations_are_judged_and_the_current_wire_is_the_same_as_alone(current:
     assert {check.name for check in relations} == RELATIONS and all(check.passed for check in relations)
     np.testing.assert_allclose(known.plan.trajectory.points.xyz_mm, WIRES_MM[current], atol=1e-6)
     styles = [one["style"] for one in shapes.wire(known, "pa")]
-    assert styles == ["plan", "plan"] * 2 + ["corridor", "wire"]
+    assert styles == ["plan"] * 2 + ["corridor", "wire"]
 
 
 def test_with_wires_missing_the_plan_is_incomplete_and_names_them() -> None:
@@ -151,8 +152,7 @@ def test_the_robot_obeys_only_for_the_wire_whose_plan_it_holds(planning: Any) ->
 
 
 class _Session:
-    class now:
-        lost = False
+    now = SimpleNamespace(lost=False)
 
     async def align(self) -> None: ...
 

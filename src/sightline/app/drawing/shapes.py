@@ -83,23 +83,15 @@ def _curve(name: str, curve: MatchingCurve, *, banded: bool) -> list[Shape]:
 
 
 def wire(planned: Planned, image: str) -> list[Shape]:
-    """Return the wires at their true widths for one view, the current one last and with its 95 % corridor."""
+    """Return the wires for one view: the current one last, at its true width with its 95 % corridor."""
     view, out = _view(planned, image), []
     for plan in sorted(planned.plans.values(), key=lambda one: one is planned.plan) if view is not None else ():
         kind = plan.kind
         with suppress(SightlineError):  # it is outside the view; the plan's checks say so
             found = corridor(view, plan.trajectory, wire_mm=kind.wire_mm, beyond_mm=kind.limits.beyond_mm)
-            out += band(found) if plan is planned.plan else _beside(found, kind.wire.name)
+            beside: Shape = {"shape": "line", "points": found.uv_px.tolist(), "style": "plan", "title": kind.wire.name}
+            out += band(found) if plan is planned.plan else [beside]
     return out
-
-
-def _beside(found: Corridor, name: str) -> list[Shape]:
-    """Return a wire that is not the current one."""
-    line = found.uv_px.tolist()
-    return [
-        {"shape": "band", "points": line, "halfWidth": found.wire_half_px.tolist(), "style": "plan"},
-        {"shape": "line", "points": line, "style": "plan", "title": name},
-    ]
 
 
 def band(found: Corridor) -> list[Shape]:

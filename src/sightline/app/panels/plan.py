@@ -13,7 +13,7 @@ from sightline.app.panels.section import HtmlSection, Section, action, heading, 
 from sightline.app.plan.marks import MarkSpec, marks_of
 from sightline.app.plan.planner import Planned, landmarks_of, proposed
 from sightline.app.tab.tab import Tab
-from sightline.case.views import OBLIQUE
+from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.procedures import Procedure, procedures

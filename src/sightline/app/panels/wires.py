@@ -36,15 +36,11 @@ def build(tab: Tab) -> None:
     """Build a button for each wire of the procedure; nothing for a single wire, and before they are planned."""
     if len(tab.planning.kinds) == 1 or tab.step in texts.STEPS[:2]:
         return
-
-    async def choose(kind: str) -> None:
-        await tab.act(lambda: tab.planning.choose_kind(kind))
-        tab.go_to(tab.step)
-
     with ui.element("div").classes("wires").props(f'role=group aria-label="{texts.WIRES_LABEL}"'):
         for kind in tab.planning.kinds:
             wire, here, now = kind_of(kind).wire, kind == tab.planning.decisions.kind, state(tab, kind)
-            button = action(wire.name, partial(choose, kind), testid=f"wire-{wire.key}", kind="small")
+            name = wire.name[:1].upper() + wire.name[1:]
+            button = action(name, partial(tab.choose_kind, kind), testid=f"wire-{wire.key}", kind="small")
             button.classes(f"wire-{now} {'here' if here else ''}").props(f"aria-pressed={'true' if here else 'false'}")
             with button:
                 ui.label(texts.WIRE_STATES[now]).classes("wire-state")
@@ -52,11 +48,8 @@ def build(tab: Tab) -> None:
         action(texts.PROPOSE_OTHERS, tab.doing(tab.planning.propose_others), testid="propose-others", kind="small")
     order = tab.planning.drilling_order
     if tab.step == texts.STEPS[3] and order is not None:
-        note(
-            order.sentence({kind_of(kind).wire.key: kind_of(kind).wire.name for kind in tab.planning.kinds}),
-            kind="quiet",
-            testid="drilling-order",
-        )
+        wires = [kind_of(kind).wire for kind in tab.planning.kinds]
+        note(order.sentence({wire.key: wire.name for wire in wires}), kind="quiet", testid="drilling-order")
 
 
 def following(tab: Tab) -> str | None:

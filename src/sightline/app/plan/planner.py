@@ -189,19 +189,19 @@ def plan_input(decisions: Decisions, views: int, kind: str = "") -> PlanRequest:
     """Return a plan's input besides its views, of this number: of the wire of this kind, default the current one. Its
     entry and end must be placed in PA and lateral; the procedure's other wires are in it where theirs are."""
     known = kind_of(kind or decisions.kind)
-    wire = _picks(decisions, known.key, views)
+    entry, end, snapped = _picks(decisions, known.key, views)
     others = {
-        kind_of(other).wire.key: _picks(decisions, other, views)
+        kind_of(other).wire.key: WirePicks(*_picks(decisions, other, views))
         for other in wires_placed(decisions)
         if other != known.key
     }
     landmarks = landmarks_of(decisions, views)
     picked = np.reshape([_pixels(decisions.mark(one.name), views) for one in landmarks], (-1, views, 2))
     return PlanRequest(
-        wire.entry_uv_px,
-        wire.end_uv_px,
+        entry,
+        end,
         PICK_SD_PX,
-        wire.snapped,
+        snapped,
         landmarks_uv_px=picked.swapaxes(0, 1),
         landmark_names=tuple(one.of for one in landmarks),
         kind=known.key,
@@ -212,10 +212,10 @@ def plan_input(decisions: Decisions, views: int, kind: str = "") -> PlanRequest:
     )
 
 
-def _picks(decisions: Decisions, kind: str, views: int) -> WirePicks:
-    ends = decisions.ends(kind)
-    entry, end = (_pixels(ends[name], views) for name in (ENTRY, END))
-    return WirePicks(entry, end, [not ends[name].free for name in (ENTRY, END)])
+def _picks(decisions: Decisions, kind: str, views: int) -> tuple[np.ndarray, np.ndarray, list[bool]]:
+    """Return the pixels (V, 2) of a wire's entry and end, and whether each is snapped."""
+    entry, end = (decisions.ends(kind)[name] for name in (ENTRY, END))
+    return _pixels(entry, views), _pixels(end, views), [not entry.free, not end.free]
 
 
 def _pixels(mark: Mark, views: int) -> np.ndarray:

@@ -185,11 +185,11 @@ class Verifying:
 
         key = (seen.acquired.number, request.sent)
         if key not in self._found_in:
-            assert seen.view is not None and seen.beads is not None  # noqa: S101 - it is calibrated
-            kind = request.sent.plan.kind
-            expected = expected_wire(seen.view, request.sent.plan.trajectory.points.xyz_mm, kind.limits.beyond_mm)
-            all_wires, beads = request.sent.planned.wires, seen.beads
-            others = expected_wires(() if all_wires is None else all_wires.others_mm(kind.wire.key), seen.view)
+            view, beads, kind = seen.view, seen.beads, request.sent.plan.kind
+            assert view is not None and beads is not None  # noqa: S101 - it is calibrated
+            expected = expected_wire(view, request.sent.plan.trajectory.points.xyz_mm, kind.limits.beyond_mm)
+            wires = request.sent.planned.wires
+            others = expected_wires(() if wires is None else wires.others_mm(kind.wire.key), view)
             self._found_in[key] = await self._planning.worker.do(
                 partial(find_wire, others=others), seen.image, expected, kind.wire_mm, beads.uv_px, beads.radius_px
             )

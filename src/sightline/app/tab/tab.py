@@ -127,6 +127,11 @@ class Tab:
             self.message = report(error)
         self.refresh()
 
+    async def choose_kind(self, kind: str) -> None:
+        """Plan another procedure, or another wire of it, and ask for its points."""
+        self._placing.begin_step()
+        await self.act(lambda: self.planning.choose_kind(kind))
+
     def doing(self, what: Callable[[], Awaitable[Any] | None]) -> Callable[[], Awaitable[None]]:
         """Return a button's handler that runs an action."""
 
