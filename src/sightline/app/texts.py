@@ -151,6 +151,7 @@ WIRE_STATES = {  # of a wire, by its verdict and by what was done
     "verified": "verified",
     "refuted": "NOT verified",
 }
+DRILLING_ORDER = "Drill the {wires}: so the wires in the bone hide the fewest beads."
 NEXT_WIRE = "Next: {wire}"
 RELATIONS_HEADING = "The wires to each other"
 PROPOSE_UNCALIBRATED = "calibrate both views before a wire can be proposed"

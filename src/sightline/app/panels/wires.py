@@ -48,8 +48,9 @@ def build(tab: Tab) -> None:
         action(texts.PROPOSE_OTHERS, tab.doing(tab.planning.propose_others), testid="propose-others", kind="small")
     order = tab.planning.drilling_order
     if tab.step == texts.STEPS[3] and order is not None:
-        wires = [kind_of(kind).wire for kind in tab.planning.kinds]
-        note(order.sentence({wire.key: wire.name for wire in wires}), kind="quiet", testid="drilling-order")
+        names = {kind_of(kind).wire.key: kind_of(kind).wire.name for kind in tab.planning.kinds}
+        said = texts.DRILLING_ORDER.format(wires=", then the ".join(names[key] for key in order.keys))
+        note(said, kind="quiet", testid="drilling-order")
 
 
 def following(tab: Tab) -> str | None:
