@@ -1,5 +1,6 @@
 """`sightline demo --procedure KEY`: every procedure, the whole way from drawing images to the check shot."""
 
+import numpy as np
 import pytest
 
 from sightline.case.journal import Case, Kind
@@ -25,12 +26,21 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
             True,
             True,
         ]
+        assert list(told["all_drilled"]) == ["inferior", "anterior", "posterior"]  # the file's order
+        assert [one["passed"] for one in told["all_drilled"].values()] == [True] * 3
+        tips = np.array([one["tip_mm"] for one in told["all_drilled"].values()])
+        assert np.linalg.norm(tips[1] - tips[2]) > 10.0  # not one wire measured twice
+        assert [(one["name"], one["passed"]) for one in told["relations_measured"]] == [
+            ("inverted triangle", True),
+            ("parallel", True),
+            ("spacing", True),
+        ]
     of_plan = told["comparison"][0]  # with the picks of a person; the seed is fixed
     for name in ("entry_mm", "end_mm", "direction_deg"):
         assert of_plan["error"][name] < 1.5 * of_plan["stated_95"][name]
     assert told["drilled"]["passed"] is True
     page = (tmp_path / "demo" / "report.html").read_text()
-    assert (PLACED in page.replace("&#39;", "'")) is (procedure != "free-wire")
+    assert (PLACED in page.replace("&#39;", "'")) is (procedure in BONE_OF)
     for view in document_of(procedure).views[:2]:
         assert f"{'PA' if view.name == 'pa' else view.name} image" in page
     if procedure in ("iliosacral-screw", "pedicle-screw"):
@@ -44,7 +54,7 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
 def test_the_frame_is_gamma_unless_the_views_need_a_block(run, tmp_path) -> None:
     assert {procedure: frame_for(procedure, None) for procedure in (*AT_HIP, *BONE_OF)} == {
         "hip-screw": "gamma",
-        "cannulated-hip-screws": "gamma",
+        "cannulated-hip-screws": "block60",
         "free-wire": "gamma",
         "slipped-epiphysis-pin": "gamma",
         "iliosacral-screw": "block60",

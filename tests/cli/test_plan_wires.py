@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sightline.case.interop.plan_file import PlanFile
+from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.case.journal import Case, Kind
 from sightline.cli.output import Output
 from sightline.cli.watch import _planned
@@ -167,6 +167,44 @@ def test_a_wire_that_is_left_out_is_asked_for_and_the_others_are_not_sent(run, a
         alone.refuse_for_robot()
     drive = run("robot", "drive", tmp_path, "--wire", "inferior", "--yes")
     assert drive.code == 3 and "the plan of all wires is INCOMPLETE" in drive.err
+
+
+def test_a_wire_without_its_relations_is_not_sent_and_not_exported(run, arguments, procedure, tmp_path: Path) -> None:
+    out, of_one = tmp_path / "plan", f"{procedure()}:inferior"
+    unnamed = [
+        one.removeprefix("inferior ") if isinstance(one, str) else one for one in arguments(WIRES_MM[:1], KEYS[:1])
+    ]
+    planned = run(*unnamed, "--procedure", of_one, "--out", out)
+    assert planned.code == 0, planned.err  # GO for this wire
+    for given in (
+        ("robot", "drive", out, "--yes"),
+        ("export", "plan", out, "--to", "igtl", "--out", tmp_path / "igtl"),
+    ):
+        ran = run(*given)
+        said = " ".join(ran.err.split())
+        assert ran.code == 3
+        assert "the inverted triangle and parallel and spacing relations to the others were not checked" in said
+        assert "plan all wires together" in said
+    assert not (tmp_path / "igtl").exists()
+    assert run("export", "plan", out, "--to", "csv", "--out", tmp_path / "csv").code == 0  # for a person's eyes
+
+
+@pytest.mark.parametrize("of_one", [True, False])
+def test_a_program_that_drops_relations_gets_no_wire_to_a_robot(planned, tmp_path: Path, of_one: bool) -> None:
+    """It says GO of all wires, or takes one out of its file, and does not say that their relations were checked."""
+    given = json.loads((planned[1] / "plan" / "plan.json").read_text())
+    wires = given.pop("wires")
+    for unchecked, words in (([], ""), (["parallel"], "the parallel relations"), (None, "does not state whether")):
+        for one in wires.values():
+            one["unchecked_relations"] = unchecked
+        document = given | (wires["posterior"] if of_one else {"wires": wires})
+        (tmp_path / "plan.json").write_text(json.dumps(sealed(document)))
+        read = PlanFile.read(tmp_path, None if of_one else "posterior")
+        if not words:
+            read.refuse_for_robot()
+            continue
+        with pytest.raises(RobotRefusedError, match=words):
+            read.refuse_for_robot()
 
 
 def test_names_of_wires_are_asked_for_once_each(run, arguments, procedure) -> None:

@@ -195,6 +195,21 @@ def test_a_placed_wire_takes_part_in_the_relations():
     assert planned(WIRES_MM[0], None).verdict.state == "no-go"
 
 
+def test_the_relations_that_were_not_checked_are_known():
+    """None remain where the others are planned or placed; of a lone wire, and beside one other, those are named."""
+    assert not any(one.unchecked_relations for one in _planned(WIRES_MM).plans.values())
+    picks, every = _picks(WIRES_MM), ("inverted triangle", "parallel", "spacing")
+    placed = {key: Axis(wire_mm, 0.01 * np.eye(6)) for key, wire_mm in zip(KEYS[:2], WIRES_MM[:2], strict=True)}
+    last = {"posterior": picks["posterior"]}
+    assert _planned_of(last, placed=placed).plans["posterior"].unchecked_relations == ()
+    assert _planned_of(last, placed={"inferior": placed["inferior"]}).plans["posterior"].unchecked_relations == every
+    assert _planned_of(last).plans["posterior"].unchecked_relations == every
+    assert _planned_of(last, _document({"parallel": {"wires": KEYS[:2]}})).plans["posterior"].unchecked_relations == (
+        "inverted triangle",
+        "spacing",
+    )
+
+
 def test_unknown_and_repeated_wires_are_refused():
     picks = _picks(WIRES_MM)
     placed = {"inferior": Axis(WIRES_MM[0], np.eye(6))}

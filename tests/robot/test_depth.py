@@ -8,7 +8,9 @@ from tests.robot.rig import END_MM, ENTRY_MM, SETUP, IdealPlant, Rig
 
 from sightline.errors import RobotRefusedError
 from sightline.robot.contract import DEPTH, DEPTH_SD
-from sightline.robot.control.motion.depth import (
+from sightline.robot.control.states import State
+from sightline.robot.igtl import MILLIMETRE, NEWTON, Capability, Message, Sensor, Status, String
+from sightline.robot.kinematics.depth import (
     CONTACT_LEAD_MM,
     CONTACT_SD_MM,
     MAX_ZERO_SHIFT_MM,
@@ -16,8 +18,6 @@ from sightline.robot.control.motion.depth import (
     DepthZero,
     before_contact,
 )
-from sightline.robot.control.states import State
-from sightline.robot.igtl import MILLIMETRE, NEWTON, Capability, Message, Sensor, Status, String
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.link.record import Recorder
 from sightline.robot.link.server import VIRTUAL_TELEMETRY_S

@@ -82,6 +82,7 @@ def test_errors_of_planning_and_robot_add_up():
     target = aimed()
     assert set(target.budget_mm2) == {
         "frame", "picks", "kinematics", "hand_eye", "drill_axis", "encoders", "compliance", "skiving",
+        "depth_zero",
     }  # fmt: skip
     assert np.allclose(target.covariance_mm2, np.sum(list(target.budget_mm2.values()), axis=0))
     turned = target.registration.T_mcs_cfcs.rotation.as_matrix()

@@ -238,9 +238,17 @@ class DrillShotRequest:
         """Return the request as an entry holds it."""
         return {**vars(self.check), **{key: value for key, value in vars(self).items() if key != "check"}}
 
-    def shot(self, made: Plan, planned: Sequence[CalibratedImage], taken: Sequence[CalibratedImage]) -> "DrillShot":
-        """Find the wire in both images and compare it with the plan. Raises what `CheckRequest.shot` raises."""
+    def shot(
+        self,
+        made: Plan,
+        planned: Sequence[CalibratedImage],
+        taken: Sequence[CalibratedImage],
+        others_mm: Sequence[np.ndarray] = (),
+    ) -> "DrillShot":
+        """Find the wire in both images and compare it with the plan; `others_mm`, and what is raised, as of
+        `CheckRequest.shot`."""
         from sightline.detection.wire import find_wire
+        from sightline.pipeline import expected_wires
         from sightline.planning.drill_shot import drill_shot
         from sightline.planning.expected_wire import BEFORE_MM, GUIDED_MM, expected_wire
 
@@ -253,7 +261,8 @@ class DrillShotRequest:
                 continue
             image, beads = _with_wire(one)
             path = expected_wire(one.view, known.movement.apply(trajectory.points.xyz_mm), beyond_mm, before_mm)
-            wires.append(find_wire(image, path, self.check.wire_mm, beads.uv_px, beads.radius_px))
+            others = expected_wires([known.movement.apply(line) for line in others_mm], one.view)
+            wires.append(find_wire(image, path, self.check.wire_mm, beads.uv_px, beads.radius_px, others=others))
         before, after = ([image.view for image in pair] for pair in (planned, taken))
         return drill_shot(
             trajectory,

@@ -1,12 +1,13 @@
 """`sightline demo`: two simulated images, planned, drilled, and compared with the truth in a report."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sightline.cli.demo_case import Kept, record
-from sightline.cli.demo_robot import DemoPlan, carry_out
+from sightline.cli.demo_robot import DemoPlan, Inserted, carry_out
 from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
@@ -14,8 +15,9 @@ if TYPE_CHECKING:
     from sightline.case.contents import PlanRequest
     from sightline.case.report.comparison import Compared, Refused, Truth
     from sightline.case.report.content import Report
-    from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
+    from sightline.checks import Check
+    from sightline.planning import WirePlans
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the plan is made with the first
 OF_SOLIDS: "tuple[Method, ...]" = METHODS[:1]  # the others are for plates
@@ -44,7 +46,7 @@ def demo(
         str | None,
         typer.Option(
             help="gamma; block60 or block30 on a flat panel; block40+detector-plate on an intensifier. By default "
-            "gamma, or block60 where the procedure's views are not those of gamma.",
+            "gamma, or block60 where the views of plan or check shots are not those of gamma.",
             show_default=False,
         ),
     ] = None,
@@ -62,7 +64,8 @@ def demo(
 
         frame_name = frame_for(procedure, frame)
         seed = SEEDS.get(procedure, SEED) if seed is None else seed
-        output.note(f"Sightline demo, seed {seed}: about half a minute; the first run compiles and takes a minute more")
+        how_long = "about half a minute, of three wires twice that"
+        output.note(f"Sightline demo, seed {seed}: {how_long}; the first run compiles and takes a minute more")
         with whole_folder(out, units=("case",)) as scratch:
             document = _run(output, scratch, seed, frame_name, procedure)
             files = [out / file.name for file in sorted(scratch.iterdir())]
@@ -81,9 +84,11 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
     from sightline.cli.demo_procedures import (
         command,
         drawn_patient,
+        measured,
         others_compared,
         picks_told,
         placed_told,
+        relations_measured,
         title,
     )
     from sightline.frame import Frame
@@ -109,13 +114,14 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
         planned = wires.plans[rehearsal.document.wires[0].key] if wires else asked.plan(images[METHODS[0]])
     with output.step("5/8 comparing with the truth"):
         compared = _compare(images, asked, truth, planned) + others_compared(rehearsal, wires, BY_HAND)
-    whole = DemoPlan(rehearsal, frame_name, asked, planned, images[METHODS[0]])
-    drilled, checked, shots = carry_out(output, whole, rng) or (None, None, {})
+    whole = DemoPlan(rehearsal, frame_name, asked, planned, images[METHODS[0]], wires)
+    inserted = carry_out(output, whole, rng)
+    drilled = inserted[whole.key].drilled if whole.key in inserted else None
     exposed = exposures.of_images(images[METHODS[0]], exposures.PLANNING, planned.kind)
-    for state, shot in shots.items():
-        exposed += exposures.of_images(shot.images or (), exposures.WHILE_DRILLING[state], planned.kind)
-    if checked is not None and checked.images is not None:
-        exposed += exposures.of_images(checked.images, exposures.CHECK, planned.kind)
+    for one in inserted.values():
+        for state, shot in one.shots.items():
+            exposed += exposures.of_images(shot.images or (), exposures.WHILE_DRILLING[state], planned.kind)
+        exposed += exposures.of_images(one.checked.images or (), exposures.CHECK, planned.kind)
     with output.step("8/8 drawing the report"):
         report = Report(
             title=title(drilled),
@@ -135,19 +141,19 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
             compared=compared,
             drilled=drilled,
             wires=wires,
+            measured=measured(inserted) if wires else {},
         )
         page = render(report)
-    taken = tuple(shots.values())
-    kept = Kept(rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, drawn_px, drilled, checked, taken, wires)
+    kept = Kept(rehearsal, (pa, lateral), images[METHODS[0]], asked, planned, drawn_px, inserted, wires)
     record(folder / "case", kept)
     _write_results(folder, page, report, {"seed": seed, **rehearsal.truth})
     _show(output, wires or planned, compared)
-    if drilled is not None:
-        _show_drilled(output, drilled)
+    _show_drilled(output, inserted)
+    relations = relations_measured(output, wires, inserted) if wires else ()
     return {
         **planned.verdict_document(),
         "trajectory": planned.trajectory.document(),
-        **({} if wires is None else {"all_wires": wires.document()}),
+        **({} if wires is None else _wires_document(wires, inserted, relations)),
         "comparison": [one.document() for one in compared],
         "drilled": None if drilled is None else drilled.document()["check_shot"],
     }
@@ -209,13 +215,25 @@ def _show(output: Output, planned: Any, compared: "list[Compared | Refused]") ->
         output.table(f"Error against the truth, {how}", ("method", "entry mm", "tip mm", "direction °"), rows)
 
 
-def _show_drilled(output: Output, drilled: "Drilled") -> None:
+def _show_drilled(output: Output, inserted: Mapping[str, Inserted]) -> None:
     from sightline.case.report.drilled import section
 
-    told = section(drilled) or {}
-    output.table("The drilled wire", ("", "entry mm", "tip mm", "direction °"), told["rows"])
-    events = f"The robot detected: {told['events']}. " if told["events"] else ""
-    output.say(f"{events}{told['check']}")
+    for one in inserted.values():
+        told, wire = section(one.drilled) or {}, one.plan.kind.wire.name if len(inserted) > 1 else "wire"
+        output.table(f"The drilled {wire}", ("", "entry mm", "tip mm", "direction °"), told["rows"])
+        events = f"The robot detected: {told['events']}. " if told["events"] else ""
+        output.say(f"{events}{told['check']}")
+
+
+def _wires_document(
+    wires: "WirePlans", inserted: Mapping[str, Inserted], relations: "Sequence[Check]"
+) -> dict[str, Any]:
+    drilled = {key: one.drilled.document()["check_shot"] for key, one in inserted.items()}
+    return {
+        "all_wires": wires.document(),
+        "all_drilled": drilled,
+        "relations_measured": [vars(check) for check in relations],
+    }
 
 
 def _row(one: "Compared | Refused") -> tuple[str, ...]:

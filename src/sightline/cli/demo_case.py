@@ -1,5 +1,6 @@
 """The demo as a case, which `sightline case` checks and replays and `sightline app --case` opens."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -8,17 +9,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from sightline.case.contents import Pair, PlanRequest
     from sightline.case.journal import Case, Entry
-    from sightline.case.report.drilled import Drilled
     from sightline.case.views import CalibratedImage
-    from sightline.cli.demo_robot import Checked
-    from sightline.cli.demo_shots import ShotTaken
+    from sightline.cli.demo_robot import Checked, Inserted
     from sightline.planning import Plan, WirePlans
     from sightline.rehearsal.patient import AidClicks, RehearsedPatient
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """All that the demo records: the image `files`, their views, the plan and its inputs, the check shot, the shots.
+    """All that the demo records: the image `files`, their views, the plan and its inputs, and the wires put in, by key.
 
     `drawn_px`: the clicks on each aid by its key.
     """
@@ -29,9 +28,7 @@ class Kept:
     asked: "PlanRequest"
     plan: "Plan"
     drawn_px: "AidClicks"
-    drilled: "Drilled | None"
-    checked: "Checked | None"
-    shots: "tuple[ShotTaken, ...]"
+    inserted: "Mapping[str, Inserted]"
     wires: "WirePlans | None" = None
 
 
@@ -40,13 +37,14 @@ def record(folder: Path, kept: Kept) -> None:
     from sightline.case import stages
     from sightline.case.journal import Actor, Case, Kind
     from sightline.case.views import NAMES
+    from sightline.cli.demo_procedures import SINGLE
     from sightline.rehearsal.rehearsal import Rehearsal
 
     rehearsal, by = kept.rehearsal, Actor.DEMO
     with Case.create(folder) as case:
         frame_ref = stages.keep_frame(case, rehearsal.setup.frame)
         stages.record_changed(case, "frame", frame_ref, by=by)
-        if isinstance(rehearsal, Rehearsal):  # the app rehearses with a robot
+        if isinstance(rehearsal, Rehearsal) and rehearsal.procedure in SINGLE:  # the app rehearses with a robot
             patient = {"seed": rehearsal.seed, "frame": rehearsal.setup.frame.name, "side": rehearsal.side}
             stages.record_changed(case, "rehearsal", patient, by=by)
         before = case.last
@@ -58,15 +56,15 @@ def record(folder: Path, kept: Kept) -> None:
         decided = _decisions(kept, dict(zip(NAMES, acquired, strict=True)))
         stages.record_changed(case, "edit", decided, by=by)
         made = stages.record_plans(case, (first, second), kept.asked, kept.wires or kept.plan, by=by)
-        plan = case.entry(made["entries"][kept.plan.kind.wire.key] if kept.wires else made["entry"])
-        for shot in kept.shots:
-            if entries := _record_images(case, shot.images, frame_ref):
-                stages.record_shot(case, plan, entries, shot.asked, shot.found, by=by)
-        if kept.drilled is not None and kept.drilled.record is not None:
-            document = kept.drilled.document()
-            case.record(Kind.DRILLED, {"record": document["record"]}, by=Actor.ROBOT, rests_on=[plan.number])
-        if kept.checked is not None:
-            _record_check(case, plan, kept.checked, frame_ref)
+        for key, wire in kept.inserted.items():
+            plan = case.entry(made["entries"][key] if kept.wires else made["entry"])
+            for shot in wire.shots.values():
+                if entries := _record_images(case, shot.images, frame_ref):
+                    stages.record_shot(case, plan, entries, shot.asked, shot.found, by=by)
+            if wire.drilled.record is not None:
+                record = {"record": wire.drilled.document()["record"]}
+                case.record(Kind.DRILLED, record, by=Actor.ROBOT, rests_on=[plan.number])
+            _record_check(case, plan, wire.checked, frame_ref)
 
 
 def _record_check(case: "Case", plan: "Entry", checked: "Checked", frame_ref: str) -> None:

@@ -3,16 +3,20 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from sightline.case.report.comparison import Compared, Refused
     from sightline.case.report.drilled import Drilled
+    from sightline.checks import Check
+    from sightline.cli.demo_robot import Inserted
+    from sightline.cli.output import Output
     from sightline.frame import Frame
     from sightline.planning import WirePlans
+    from sightline.planning.check_result import CheckShot
     from sightline.planning.procedures import Procedure
     from sightline.rehearsal.patient import RehearsedPatient
 
-DEFAULT, DRILLED = "hip-screw", ("hip-screw", "free-wire")
+DEFAULT, SINGLE = "hip-screw", ("hip-screw", "free-wire")  # procedures of one wire, which the app rehearses
 SEEDS = {"iliosacral-screw": 10}  # with seed 9 one click is 3.7 s.d. off, and the check shot refuses it
 HIP_PICKS = "centre of the head, both trochanters; three clicks on the head's rim in each"
 PLACED = (
@@ -23,20 +27,21 @@ PLACED = (
 def frame_for(procedure: str, frame: str | None) -> str:
     """Return the name of the frame: the given one, or the procedure's default. Raises UnusableInputError."""
     from sightline.errors import UnusableInputError
-    from sightline.rehearsal.patient import AT_HIP, BONE_OF, frame_of
+    from sightline.rehearsal.patient import AT_HIP, BONE_OF, CANNULATED, frame_of
 
     if procedure not in (*AT_HIP, *BONE_OF):
         known = ", ".join((*AT_HIP, *BONE_OF))
         raise UnusableInputError(f"there is no demo of {procedure!r}; choose one of {known}")
-    return frame or frame_of(procedure)
+    # A block's check images may be taken from where they show three wires apart.
+    return frame or ("block60" if procedure == CANNULATED else frame_of(procedure))
 
 
 def drawn_patient(procedure: str, seed: int, frame: "Frame") -> "RehearsedPatient":
     """Return the patient of a procedure. Raises SetUpError."""
-    from sightline.rehearsal.patient import draw_patient
+    from sightline.rehearsal.patient import AT_HIP, draw_patient
     from sightline.rehearsal.rehearsal import Rehearsal
 
-    if procedure in DRILLED:
+    if procedure in AT_HIP:
         return Rehearsal.draw(seed, frame, procedure=procedure)
     return draw_patient(procedure, seed, frame)
 
@@ -60,11 +65,25 @@ def others_compared(rehearsal: "RehearsedPatient", wires: "WirePlans | None", pi
     ]
 
 
+def measured(inserted: "Mapping[str, Inserted]") -> "dict[str, CheckShot]":
+    """Return the check shots that were not refused, by wire."""
+    return {key: one.checked.found for key, one in inserted.items() if not isinstance(one.checked.found, str)}
+
+
+def relations_measured(output: "Output", wires: "WirePlans", inserted: "Mapping[str, Inserted]") -> "tuple[Check, ...]":
+    """Return the relations between the wires as their check shots measured them, and print them."""
+    from sightline.planning.measured_wires import judge_measured
+
+    side = next(iter(wires.plans.values())).side
+    verdict = judge_measured(wires, measured(inserted), side)
+    for check in verdict.checks:
+        output.say(f"{check.name}, as measured: {check.sentence}")
+    return verdict.checks
+
+
 def placed_told(wires: "WirePlans | None") -> str:
     """Return what the report says of a wire that no robot drilled."""
-    if wires is None:
-        return PLACED
-    return f"{PLACED} Of the {len(wires.plans)} wires only the first one was put into the bone and checked."
+    return PLACED if wires is None else f"{PLACED} So were the others, each checked before the next one."
 
 
 def title(drilled: "Drilled | None") -> str:

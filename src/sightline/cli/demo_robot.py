@@ -1,6 +1,7 @@
-"""Second half of the demo: the simulated robot drills the planned wire, and a check shot measures it."""
+"""Second half of the demo: the simulated robot drills the planned wires, and a check shot measures each."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from sightline.cli.output import Output
     from sightline.frame import Frame
     from sightline.imaging import Radiograph
-    from sightline.planning import Plan
+    from sightline.planning import Plan, WirePlans
     from sightline.planning.check_result import CheckShot
     from sightline.planning.results import SpacePoints
     from sightline.rehearsal.check_images import CheckImages
@@ -28,13 +29,40 @@ BY_ENCODERS, BY_IMAGES = "encoders", "images"
 
 @dataclass(frozen=True, eq=False)
 class DemoPlan(Generic[Who_co]):
-    """A plan for a rehearsed patient, as `asked`, and its images; `frame_name`: of its frame, for `Frame.load`."""
+    """A plan for a rehearsed patient, as `asked`, and its images; `frame_name`: of its frame, for `Frame.load`.
+
+    `wires`: the plans of all wires of the procedure, where it has several. `before_mm`: wires that are in the bone
+    already, their axes (2, 3), CFCS of the planning images, by key.
+    """
 
     rehearsal: Who_co
     frame_name: str
     asked: "PlanRequest"
     plan: "Plan"
     images: "Pair"
+    wires: "WirePlans | None" = None
+    before_mm: "Mapping[str, np.ndarray]" = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """The wire's key."""
+        return self.plan.kind.wire.key
+
+    @property
+    def others_mm(self) -> "tuple[np.ndarray, ...]":
+        """Entry and end (2, 3) of each other wire, as planned."""
+        return () if self.wires is None else self.wires.others_mm(self.key)
+
+    def each(self) -> "list[DemoPlan[Who_co]]":
+        """Return the plan of each wire, in the proposed order of drilling."""
+        from sightline.drilling_order import propose_order
+
+        wires = self.wires
+        if wires is None:
+            return [self]
+        views, frame = [image.view for image in self.images], self.rehearsal.setup.frame
+        order = propose_order(wires.lines, wires.procedure, views, frame, wires.placed)
+        return [replace(self, asked=self.asked.of_wire(key), plan=wires.plans[key]) for key in order.keys]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,26 +77,44 @@ class Checked:
     found: "CheckShot | str"
 
 
+@dataclass(frozen=True, eq=False)
+class Inserted:
+    """A wire in the bone, its axis `wire_mm` (2, 3), CFCS of the planning images: how it was drilled, its check shot,
+    and the shots while drilling by the robot's state."""
+
+    plan: "Plan"
+    wire_mm: "np.ndarray"
+    drilled: "Drilled"
+    checked: Checked
+    shots: "dict[str, ShotTaken]"
+
+
 def carry_out(
     output: "Output", planned: "DemoPlan[RehearsedPatient]", rng: "np.random.Generator"
-) -> "tuple[Drilled, Checked, dict[str, ShotTaken]] | None":
-    """Return the wire, its check shot, and the shots while drilling by the robot's state.
+) -> dict[str, Inserted]:
+    """Return the wires by key, put in one after another in the proposed order, each checked before the next.
 
-    It is drilled by the robot, or placed at bones that its simulation does not know. None as of `drill`.
+    They are drilled by the robot, or placed at bones that its simulation does not know. It ends where the robot does
+    not drill (`drill`).
     """
+    from sightline.cli.demo_procedures import PLACED
     from sightline.rehearsal.rehearsal import Rehearsal
 
-    who = planned.rehearsal
-    if not isinstance(who, Rehearsal):
-        return place(output, planned, rng)
-    return drill(output, DemoPlan(who, planned.frame_name, planned.asked, planned.plan, planned.images), rng)
+    done: dict[str, Inserted] = {}
+    drills = isinstance(planned.rehearsal, Rehearsal)
+    if not drills:
+        output.say(PLACED)
+    for one in planned.each():
+        beside = replace(one, before_mm={key: other.wire_mm for key, other in done.items()})
+        inserted = (drill if drills else place)(output, beside, rng)
+        if inserted is None:
+            break
+        done[one.key] = inserted
+    return done
 
 
-def drill(
-    output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator"
-) -> "tuple[Drilled, Checked, dict[str, ShotTaken]] | None":
-    """Return what `carry_out` returns of a drilled wire; None, with a message, if the robot is not installed or
-    refuses."""
+def drill(output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator") -> Inserted | None:
+    """Return a wire drilled by the robot; None, with a message, if the robot is not installed or refuses."""
     from sightline.errors import RefusedError
 
     if find_spec("mujoco") is None:
@@ -84,18 +130,19 @@ def drill(
         return None
 
 
-def place(
-    output: "Output", planned: "DemoPlan[RehearsedPatient]", rng: "np.random.Generator"
-) -> "tuple[Drilled, Checked, dict[str, ShotTaken]]":
-    """Return the wire put into the twin's bone where it is planned, without a robot, and its check shot."""
+def place(output: "Output", planned: "DemoPlan[RehearsedPatient]", rng: "np.random.Generator") -> Inserted:
+    """Return a wire put into the twin's bone where it is planned, without a robot."""
     from sightline.case.report.drilled import Drilled
-    from sightline.cli.demo_procedures import PLACED
 
-    output.say(PLACED)
     wire_mm = planned.plan.trajectory.points.xyz_mm
-    with output.step("7/8 the check shot: two more images, finding the wire in both"):
-        checked = check(planned, planned.rehearsal.shown_again(wire_mm), rng)
-    return Drilled(None, None, checked.found, _physics(planned, wire_mm)[1:]), checked, {}
+    with output.step(f"7/8 the check shot{_of(planned)}: two more images, finding the wire in both"):
+        checked = check(planned, planned.rehearsal.shown_again({**planned.before_mm, planned.key: wire_mm}), rng)
+    drilled = Drilled(None, None, checked.found, _physics(planned, wire_mm)[1:])
+    return Inserted(planned.plan, wire_mm, drilled, checked, {})
+
+
+def _of(planned: "DemoPlan[RehearsedPatient]") -> str:
+    return "" if planned.wires is None else f" of the {planned.plan.kind.wire.name}"
 
 
 def _physics(planned: "DemoPlan[RehearsedPatient]", wire_mm: "np.ndarray") -> "tuple[Deviation, ...]":
@@ -105,14 +152,13 @@ def _physics(planned: "DemoPlan[RehearsedPatient]", wire_mm: "np.ndarray") -> "t
     from sightline.case.report.drilled import Deviation
     from sightline.rehearsal.operation import InsertionOutcome
 
-    lines = (("the plan", planned.plan.trajectory.points.xyz_mm), ("the ideal wire", planned.rehearsal.wires_mm[0]))
+    ideal_mm = planned.rehearsal.ideal_mm[planned.key]
+    lines = (("the plan", planned.plan.trajectory.points.xyz_mm), ("the ideal wire", ideal_mm))
     found = [(name, InsertionOutcome.of(wire_mm, line)) for name, line in lines]
     return tuple(Deviation(name, one.entry_mm, one.end_mm, float(np.rad2deg(one.angle_rad))) for name, one in found)
 
 
-def _drill(
-    output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator"
-) -> "tuple[Drilled, Checked, dict[str, ShotTaken]]":
+def _drill(output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator") -> Inserted:
     from time import monotonic
 
     from sightline.case.report.drilled import Drilled
@@ -123,8 +169,8 @@ def _drill(
 
     rehearsal = planned.rehearsal
     with (
-        output.step("6/8 the robot: registering, aligning, drilling under force supervision"),
-        RobotProcess(rehearsal.seed, planned.frame_name, rehearsal.side, virtual=True) as process,
+        output.step(f"6/8 the robot{_of(planned)}: registering, aligning, drilling under force supervision"),
+        RobotProcess(rehearsal.seed, planned.frame_name, rehearsal.side, rehearsal.procedure, virtual=True) as process,
         RobotClient(port=process.port, heartbeat=False) as robot,
     ):
         targets = targets_by(registrations(planned, robot.joints()[0], monotonic(), rng), planned)
@@ -132,11 +178,12 @@ def _drill(
         confirm, shots = confirming(output, planned, robot, target, rng)
         record = insert(robot, target, depth_limit_mm(planned, target.end_error_95_mm, rng), confirm)
         wire = robot.simulated_wire()
-    with output.step("7/8 the check shot: two more images, finding the wire in both"):
-        checked = check(planned, rehearsal.check_images(wire), rng)
+    with output.step(f"7/8 the check shot{_of(planned)}: two more images, finding the wire in both"):
+        checked = check(planned, rehearsal.check_images(wire, planned.key, planned.before_mm), rng)
     physics = _physics(planned, wire.axis_mm)
     seen = {state: one.found for state, one in shots.items()}
-    return Drilled(target, record, checked.found, physics, targets.get(BY_IMAGES), seen), checked, shots
+    drilled = Drilled(target, record, checked.found, physics, targets.get(BY_IMAGES), seen)
+    return Inserted(planned.plan, wire.axis_mm, drilled, checked, shots)
 
 
 def registrations(
@@ -163,7 +210,8 @@ def targets_by(stood: "dict[str, Registration]", planned: "DemoPlan[Rehearsal]")
 
     rehearsal, plan = planned.rehearsal, planned.plan
     frame = rehearsal.setup.frame.fingerprint
-    identity = PlanIdentity("demo", rehearsal.side, rehearsal.serial, plan.verdict.go, plan.kind.key, frame)
+    name = "demo" if planned.wires is None else f"demo-{planned.key}"
+    identity = PlanIdentity(name, rehearsal.side, rehearsal.serial, plan.verdict.go, plan.kind.key, frame)
     return {by: target_of(plan, identity, one) for by, one in stood.items()}
 
 
@@ -176,7 +224,7 @@ def check(planned: "DemoPlan[RehearsedPatient]", taken: "CheckImages", rng: "np.
     asked, images = CheckRequest(planned.plan.kind.wire_mm, found_again(planned, taken, rng)), None
     try:
         images = read_back(taken.images, planned.rehearsal.setup.frame)
-        return Checked(asked, images, asked.shot(planned.plan, planned.images, images))
+        return Checked(asked, images, asked.shot(planned.plan, planned.images, images, planned.others_mm))
     except RefusedError as error:
         return Checked(asked, images, str(error))
 
@@ -200,7 +248,7 @@ def depth_limit_mm(planned: "DemoPlan[Rehearsal]", end_error_95_mm: float, rng: 
     from sightline.geometry.covariance import TWO_SIDED_95
     from sightline.robot.control.motion.supervision import depth_limit
 
-    surface = _picked(planned, planned.rehearsal.surface_mm[None], rng)
+    surface = _picked(planned, planned.rehearsal.surface_mm(planned.key)[None], rng)
     assert surface.covariance_mm2 is not None  # noqa: S101 - both views state their errors
     entry_mm, along = planned.plan.trajectory.entry_mm, planned.plan.trajectory.direction
     sd_mm = np.sqrt(along @ surface.covariance_mm2[0] @ along)

@@ -48,6 +48,8 @@ def confirming(
     def confirm(state: "State") -> None:
         if planned.rehearsal.setup.frame.solid is None:
             output.note(f"{state.value}: {TURNED_AWAY}")
+        elif planned.before_mm:
+            output.note(f"{state.value}: this demo measures the shots while drilling of the first wire only")
         else:
             taken[state.value] = _shot(planned, robot, target, state, rng)
 
@@ -79,7 +81,7 @@ def _shot(
     from sightline.robot.kinematics.manipulator import FEED
 
     rehearsal, plan, q = planned.rehearsal, planned.plan, robot.joints()[0]
-    taken = rehearsal.drilling_images(robot.simulated_wire(), q, state.value)
+    taken = rehearsal.drilling_images(robot.simulated_wire(), q, state.value, planned.key, planned.before_mm)
     middle_mm = plan.trajectory.points.xyz_mm.mean(axis=0)
     movement, covariance = rehearsal.robot.frame_moved(target.registration.q, q, middle_mm)
     check = CheckRequest(plan.kind.wire_mm, found_again(planned, taken, rng))
@@ -88,7 +90,7 @@ def _shot(
     asked, images = DrillShotRequest(check, depth_mm, straight, movement.as_matrix(), covariance, picked), None
     try:
         images = read_back(taken.images, rehearsal.setup.frame)
-        found = asked.shot(plan, planned.images, images)
+        found = asked.shot(plan, planned.images, images, planned.others_mm)
     except RefusedError as error:
         return ShotTaken(asked, images, str(error))
     if found.decision == "STOP":

@@ -31,8 +31,10 @@ def plan_document(planned: "Plan", images: "Images") -> dict[str, Any]:
     """Return the plan of a wire as JSON types."""
     from sightline.case.documents import view_document
 
+    alone = {"unchecked_relations": list(planned.unchecked_relations)} if planned.kind.several else {}
     return {
         **planned.document(),
+        **alone,
         "views": [view_document(image) for image in images],
     }
 

@@ -35,6 +35,10 @@ Seed = Annotated[
 FrameName = Annotated[
     str, typer.Option(help="Frame on the simulated robot: a file, gamma, biplane, stereo or a block.")
 ]
+AtHip = Annotated[
+    Literal["hip-screw", "cannulated-hip-screws", "free-wire"],
+    typer.Option(help="Procedure of the rehearsed patient: its images show the wires of this one."),
+]
 Yes = Annotated[bool, typer.Option("--yes", help="Answer yes to every question; simulators only.")]
 
 
@@ -54,6 +58,7 @@ def serve(
     frame_serial: Serial = None,
     rehearse: Seed = None,
     frame: FrameName = "gamma",
+    procedure: AtHip = "hip-screw",
     dialect: Annotated[
         Literal["sightline", "brp2013"],
         typer.Option(help="brp2013: for clients that know only the convention of 2013."),
@@ -79,7 +84,7 @@ def serve(
         from sightline.robot.link.dialect import DIALECTS
         from sightline.robot.link.server import tune_process
 
-        theatre = _theatre(side, frame_serial, rehearse, frame)
+        theatre = _theatre(side, frame_serial, rehearse, frame, procedure)
         tune_process()
         with theatre.server(host=host, port=port, virtual=virtual, dialect=DIALECTS[dialect]) as server:
             out.say(f"the simulated robot listens at {host}:{server.port}; stop with Ctrl-C")
@@ -295,7 +300,7 @@ def drive(
             if stood is not None:
                 raise UnusableInputError("--registration belongs to a robot at an address; give its HOST:PORT")
             with out.step("starting a simulator"):
-                theatre = _theatre(known.side or "", frame_serial, rehearse, frame)
+                theatre = _theatre(known.side or "", frame_serial, rehearse, frame, known.procedure)
             frame_serial = theatre.setup.frame_serial
             server = stack.enter_context(theatre.server(virtual=True))
             robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False))
@@ -374,8 +379,10 @@ def read_plan(file: Path, wire: str | None = None) -> "PlanFile":
     return plan
 
 
-def _theatre(side: str, frame_serial: str | None, rehearse: int | None, frame: str) -> "SimulatedTheatre":
-    """Return a robot in air, or at the bone of a rehearsal. Raises UnusableInputError, SetUpError."""
+def _theatre(
+    side: str, frame_serial: str | None, rehearse: int | None, frame: str, procedure: str
+) -> "SimulatedTheatre":
+    """Return a robot in air, or at the bone of a procedure's rehearsal. Raises UnusableInputError, SetUpError."""
     from sightline.errors import UnusableInputError
     from sightline.frame import Frame
     from sightline.rehearsal.operation import SimulatedTheatre
@@ -384,9 +391,12 @@ def _theatre(side: str, frame_serial: str | None, rehearse: int | None, frame: s
         return SimulatedTheatre.in_air(side, frame_serial or SERIAL, Frame.load(frame))
     if frame_serial is not None:
         raise UnusableInputError("--rehearse uses the serial of its own frame; leave out --frame-serial")
+    from sightline.rehearsal.patient import AT_HIP
     from sightline.rehearsal.rehearsal import Rehearsal
 
-    return Rehearsal.draw(rehearse, Frame.load(frame), side).theatre()
+    if procedure not in AT_HIP:
+        raise UnusableInputError(f"--rehearse simulates a hip; the plan is of {procedure!r}: leave it out")
+    return Rehearsal.draw(rehearse, Frame.load(frame), side, procedure).theatre()
 
 
 def _close_with_stdin(server: "RobotServer") -> None:

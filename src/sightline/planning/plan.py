@@ -141,6 +141,14 @@ class Plan(Plotted):
             said += [self.hole.sentence, *(turn.sentence for turn in perfect_circles(self.hole, self.views))]
         return [*said, directions] if directions else said
 
+    @property
+    def unchecked_relations(self) -> tuple[str, ...]:
+        """Names of the procedure's relations between this wire and others that were not checked."""
+        asked = [one for one in self.kind.document.relations if one.relation != "order"]
+        own = [one.relation for one in asked if self.kind.wire.key in one.wires]
+        checked = [check.name for check in self.relations]
+        return tuple(name for name in dict.fromkeys(own) if checked.count(name) < own.count(name))
+
     def _alone(self) -> list[str]:
         """Return what is not checked of other wires; nothing where the relations to them are."""
         return [] if self.relations else self.kind.sentences()

@@ -10,6 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from sightline.checks import Check
+from sightline.errors import RobotRefusedError
 from sightline.geometry.covariance import joined, length_quantile, response
 from sightline.planning.axis import Axis
 from sightline.planning.directions import ANTERIOR, across, caudal, unit
@@ -95,6 +96,19 @@ def judge_relations(
             unmade.append(check)
         checks.append(check)
     return Verdict(tuple(checks), tuple(unmade))
+
+
+def refuse_unrelated(unchecked: Sequence[str] | None) -> None:
+    """Raise RobotRefusedError where relations of a wire to the procedure's others were not checked.
+
+    `unchecked`: their names; None where a plan does not state them.
+    """
+    if unchecked is None or unchecked:
+        which = "the plan does not state whether its" if unchecked is None else f"the {' and '.join(unchecked)}"
+        raise RobotRefusedError(
+            f"this is one wire of several: {which} relations to the others were {'' if unchecked is None else 'not '}"
+            "checked; plan all wires together, or name those that are in the bone with --placed"
+        )
 
 
 def angle_rad(ends_mm: np.ndarray, first: int, second: int) -> np.ndarray:

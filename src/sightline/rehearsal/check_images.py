@@ -38,7 +38,7 @@ class CheckImages:
     def take(
         planned: SetUp,
         bone: HipScene | BoneScene,
-        wire: tuple[np.ndarray, float],
+        wires: Sequence[tuple[np.ndarray, float]],
         motion: RigidTransform,
         drawn: tuple[np.random.Generator, Callable[[np.random.Generator], SetUp]],
         *,
@@ -47,12 +47,13 @@ class CheckImages:
     ) -> "CheckImages":
         """Render the check images of a bone that has moved against the frame by `motion`.
 
-        `wire`: its axis to the tip (2, 3), planning CFCS, and its diameter, in the bone. `drawn`: the generator, and
-        the function that draws another set-up of the C-arm. `landmarks_mm`: points of the bone, `shown_mm` (N, 3) of
-        the wire, before both moved. Raises SetUpError if no set-up shows these.
+        `wires`: all in the bone, each its axis to the tip (2, 3), planning CFCS, and its diameter. `drawn`: the
+        generator, and the function that draws another set-up of the C-arm. `landmarks_mm`: points of the bone,
+        `shown_mm` (N, 3) of the newest wire, before both moved. Raises SetUpError if no set-up shows these.
         """
-        (wire_mm, diameter_mm), (rng, draw) = wire, drawn
-        then = bone.still + moved(bone.bone + guide_wire(wire_mm, diameter_mm), motion)
+        rng, draw = drawn
+        in_bone = sum((guide_wire(*one) for one in wires), bone.bone)
+        then = bone.still + moved(in_bone, motion)
         landmarks = {name: motion.apply(at) for name, at in landmarks_mm.items()}
         points = np.concatenate([motion.apply(shown_mm), np.stack(list(landmarks.values()))])
         for _ in range(ATTEMPTS):

@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.frame import Frame
 from sightline.planning import Plan
+from sightline.planning.relations import refuse_unrelated
 from sightline.rehearsal.robots import calibrated_robot, drawn_robot
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.insertion import OwnFrames, Setup
@@ -175,7 +176,9 @@ def registered(robot: CalibratedRobot, imaged: np.ndarray, now_s: float) -> Regi
 
 
 def target_of(plan: Plan, identity: PlanIdentity, registration: Registration) -> RobotTarget:
-    """Return the robot's target for a plan and a registration. Raises RobotRefusedError."""
+    """Return the robot's target for a plan and a registration. Raises RobotRefusedError, also for one of several wires
+    whose relations to the others were not checked."""
+    refuse_unrelated(plan.unchecked_relations)
     points = plan.trajectory.points
     return robot_target(identity, points.xyz_mm, points.budget_mm2, registration, plan.kind.limits)
 

@@ -23,6 +23,7 @@ from sightline.planning.procedures.files import document_of
 from sightline.rehearsal.check_images import CheckImages
 from sightline.robot.kinematics.calibrated import REMOUNT_SD
 from sightline.twin import BoneScene, HipScene, Scene, SetUp, Variation, draw_setup, render, truth_document
+from sightline.twin.arm import beam_at
 from sightline.twin.bone_scene import BONES, bone_document, shown_bone_scene
 from sightline.twin.bones import Aid, LineAid, SphereAid
 from sightline.twin.drawn_aids import drawn_aids, hip_aids, key_of
@@ -41,6 +42,8 @@ CANNULATED = "cannulated-hip-screws"
 AT_HIP = ("hip-screw", CANNULATED, "free-wire")
 # Screws of 7.3 mm, and 0.5 mm to each side: a plan that is right up to the limit of "wire in neck" fails by its error.
 WIDER_SCREW_MM = 8.3
+# Beams of check images beside a solid: they show the three wires 5 mm apart, the views of the plan 2 mm [calc].
+CANNULATED_BEAMS = {"pa": beam_at(np.deg2rad(-20.0)), "lateral": beam_at(np.deg2rad(100.0))}
 AidClicks: TypeAlias = Mapping[str, Sequence[np.ndarray | None]]
 NAILED = "distal-interlocking"
 NAIL_CLICK_PX = 2.0  # s.d. of a click on a nail's edge or in its hole, per axis [ours]
@@ -63,9 +66,10 @@ class RehearsedPatient:
     bone: HipScene | BoneScene
     procedure: str = "hip-screw"
 
-    def generator(self, part: str) -> np.random.Generator:
-        """Return the generator of one of PARTS in its initial state."""
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(PARTS.index(part),)))
+    def generator(self, part: str, repeat: int = 0) -> np.random.Generator:
+        """Return the generator of one of PARTS in its initial state; `repeat`: for how often it was made before."""
+        key = (PARTS.index(part), *([repeat] if repeat else []))
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
     @property
     def side(self) -> str:
@@ -82,7 +86,12 @@ class RehearsedPatient:
         """Entry and end (n, 2, 3) of the ideal wires, CFCS, in the order of the procedure's file."""
         if isinstance(self.bone, BoneScene):
             return self.bone.wires_mm
-        return to_cfcs(_anatomical(self.bone.femur, self.procedure), self.side, self.bone.head_mm)
+        return to_cfcs(anatomical_wires(self.bone.femur, self.procedure), self.side, self.bone.head_mm)
+
+    @property
+    def ideal_mm(self) -> dict[str, np.ndarray]:
+        """Entry and end (2, 3) of each ideal wire, CFCS, by key."""
+        return {wire.key: mm for wire, mm in zip(self.document.wires, self.wires_mm, strict=True)}
 
     @property
     def scene(self) -> Scene:
@@ -223,14 +232,14 @@ class RehearsedPatient:
             out[k] = view.project(nearer + touching * around @ across)
         return out
 
-    def shown_again(self, wire_mm: np.ndarray) -> CheckImages:
-        """Render two more images with a wire (2, 3), CFCS of the planning images, in the bone.
+    def shown_again(self, wires_mm: Mapping[str, np.ndarray]) -> CheckImages:
+        """Render two more images with wires (2, 3) in the bone, by key, the newest last; CFCS of the planning images.
 
         The C-arm is set up again and the frame put back as repeatably as a block on its mount. Raises SetUpError.
         """
-        rng = self.generator("check")
+        rng = self.generator("check", len(wires_mm) - 1)
         motion = RigidTransform.from_exp_coords(REMOUNT_SD * rng.standard_normal(6))
-        return self._check_images(wire_mm, motion, rng)
+        return self._check_images(wires_mm, motion, rng)
 
     @property
     def truth(self) -> dict[str, Any]:
@@ -240,20 +249,24 @@ class RehearsedPatient:
         return bone_document(self.setup, self.bone)
 
     def _check_images(
-        self, wire_mm: np.ndarray, motion: RigidTransform, rng: np.random.Generator, shown_mm: np.ndarray | None = None
+        self,
+        wires_mm: Mapping[str, np.ndarray],
+        motion: RigidTransform,
+        rng: np.random.Generator,
+        shown_mm: np.ndarray | None = None,
     ) -> CheckImages:
-        """Render two more images with a wire in the bone, and with the bone moved against the frame."""
-        landmarks = self.bone.landmarks_mm
+        """Render two more images with wires in the bone, and with the bone moved against the frame."""
+        landmarks, diameters = self.bone.landmarks_mm, {wire.key: wire.diameter_mm for wire in self.document.wires}
         if isinstance(self.bone, BoneScene):  # whose images do not show all of them
             landmarks = {name: landmarks[name] for name in self.landmarks}
         return CheckImages.take(
             self.setup,
             self.bone,
-            (wire_mm, self.document.wires[0].diameter_mm),
+            [(mm, diameters[key]) for key, mm in wires_mm.items()],
             motion,
             (rng, self._set_up_again),
             landmarks_mm=landmarks,
-            shown_mm=wire_mm if shown_mm is None else shown_mm,
+            shown_mm=list(wires_mm.values())[-1] if shown_mm is None else shown_mm,
         )
 
     def _set_up_again(self, rng: np.random.Generator) -> SetUp:
@@ -262,7 +275,8 @@ class RehearsedPatient:
         if self.procedure in _BONES_OF:
             again = BONES[_BONES_OF[self.procedure]].setup(rng, frame, side, self.setup.tube, check=True, chain=chain)
             return again.renamed(VIEWS)
-        return draw_setup(rng, frame, side=side, chain=chain, variation=Variation(tube=self.setup.tube))
+        beams = CANNULATED_BEAMS if self.procedure == CANNULATED and frame.solid is not None else None
+        return draw_setup(rng, frame, side=side, chain=chain, variation=Variation(tube=self.setup.tube), views=beams)
 
 
 def draw_patient(
@@ -278,12 +292,12 @@ def draw_patient(
         setup, bone = shown_bone_scene(rng, frame, _BONES_OF[procedure], side, imaged=imaged)
         return RehearsedPatient(seed, setup.renamed(VIEWS), bone, procedure)
     femur = draw_femur(rng)
-    setup, head = shown_setup(rng, frame, side, femur, wires_mm=_anatomical(femur, procedure))
+    setup, head = shown_setup(rng, frame, side, femur, wires_mm=anatomical_wires(femur, procedure))
     hip = placed_hip(setup, femur, head, rng) if imaged else HipScene.of(Scene(), Scene(), femur, side, head)
     return RehearsedPatient(seed, setup, hip, procedure)
 
 
-def _anatomical(femur: Femur, procedure: str) -> np.ndarray:
+def anatomical_wires(femur: Femur, procedure: str) -> np.ndarray:
     """Return entry and end (n, 2, 3) of the wires of a hip's procedure, anatomical, in the order of its file."""
     if procedure == CANNULATED:
         return femur.cannulated_wires_mm(WIDER_SCREW_MM)[[0, 2, 1]]  # inferior, anterior, posterior

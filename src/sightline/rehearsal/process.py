@@ -18,7 +18,7 @@ _SHOWN = 2000  # last characters of its error output that a message repeats
 
 
 class RobotProcess(Closing):
-    """The robot of `Rehearsal.draw(seed, Frame.load(frame), side)`, listening at `port` on loopback.
+    """The robot of `Rehearsal.draw(seed, Frame.load(frame), side, procedure)`, listening at `port` on loopback.
 
     Use it as `with RobotProcess(seed) as robot:`, with a RobotClient at `robot.port`. The constructor blocks until the
     robot listens. The process ends with the block, with `close`, and when this process ends in any way. `virtual`: run
@@ -26,9 +26,18 @@ class RobotProcess(Closing):
     start.
     """
 
-    def __init__(self, seed: int, frame: str = "gamma", side: str = "right", *, virtual: bool = False) -> None:
+    def __init__(
+        self,
+        seed: int,
+        frame: str = "gamma",
+        side: str = "right",
+        procedure: str = "hip-screw",
+        *,
+        virtual: bool = False,
+    ) -> None:
         command = [sys.executable, "-m", "sightline", "robot", "serve", "--attached", "--port", "0", "--quiet"]
-        command += ["--rehearse", str(seed), "--frame", frame, "--side", side, *(["--virtual"] if virtual else [])]
+        command += ["--rehearse", str(seed), "--frame", frame, "--side", side, "--procedure", procedure]
+        command += ["--virtual"] if virtual else []
         self._errors: IO[bytes] = TemporaryFile()  # noqa: SIM115 - closed by close
         self._process = subprocess.Popen(  # noqa: S603 - our own program, no shell
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors

@@ -1,7 +1,9 @@
 """A rehearsed procedure at the hip: patient, set-up, images, robot and check images, all drawn from one seed."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -11,13 +13,13 @@ from sightline.frame import Frame
 from sightline.planning.drill_shot import ALIGNED
 from sightline.rehearsal.check_images import CheckImages
 from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup
-from sightline.rehearsal.patient import LANDMARK_MARGIN_PX, AidClicks, RehearsedPatient
+from sightline.rehearsal.patient import LANDMARK_MARGIN_PX, AidClicks, RehearsedPatient, anatomical_wires
 from sightline.rehearsal.robots import SHOWN_FEED_MM, calibrated_robot, drawn_robot, shown_wire_mm
 from sightline.robot.kinematics.calibrated import REMOUNT_SD, CalibratedRobot
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.twin import HipScene, Scene, shown_hip_scene
-from sightline.twin.femur import SHORT_MM
+from sightline.twin.femur import draw_femur
 from sightline.twin.implants import guide_wire
 
 SHOWN_MM, MAX_SHOWN_MM = 25.0, 60.0  # length of the robot's own wire, to its tip, in images of a block [ours]
@@ -35,14 +37,16 @@ class Rehearsal(RehearsedPatient):
     def draw(seed: int, frame: Frame, side: str = "right", procedure: str = "hip-screw") -> "Rehearsal":
         """Draw a rehearsal from its seed: in front of an intensifier, for a solid a flat panel (`chain_for`).
 
-        Both fields show the whole ideal wire, and beside a solid the tip of the robot's own; an intensifier's field has
-        no room for that. Raises SetUpError.
+        Both fields show all ideal wires, and beside a solid the tip of the robot's own; an intensifier's field has no
+        room for that. Raises SetUpError.
         """
-        also = None
+        rng = np.random.default_rng(seed)
+        femur, also = draw_femur(rng), None
         if frame.solid is not None and frame.detector is None:
             imaged = np.array([0.0, 0.0, 0.0, 0.0, SHOWN_FEED_MM])
             also = shown_wire_mm(calibrated_robot(side, frame).manipulator, imaged, [SHOWN_MM, 0.0])
-        return Rehearsal(seed, *shown_hip_scene(np.random.default_rng(seed), frame, side, also_mm=also), procedure)
+        wires = anatomical_wires(femur, procedure)
+        return Rehearsal(seed, *shown_hip_scene(rng, frame, side, femur, also_mm=also, wires_mm=wires), procedure)
 
     @property
     def hip(self) -> HipScene:
@@ -67,15 +71,18 @@ class Rehearsal(RehearsedPatient):
 
     @cached_property
     def aids_px(self) -> AidClicks:
-        """Clicks on the aids that are drawn, as of other patients: of those of the procedure the head."""
+        """Clicks on the aids that are drawn, as of other patients; of those of a single wire the head."""
+        if len(self.document.wires) > 1:
+            return super().aids_px
         asked = {aid.key for aid in self.document.aids}
         return {"head": list(self.head_rim)} if "head" in asked else {}
 
-    @property
-    def surface_mm(self) -> np.ndarray:
-        """The point (3,), CFCS, at which the ideal wire would leave the femoral head."""
-        entry, end = self.hip.wire_mm
-        return end + SHORT_MM * (end - entry) / np.linalg.norm(end - entry)
+    def surface_mm(self, key: str) -> np.ndarray:
+        """Return the point (3,), CFCS, at which the ideal wire of this key would leave the femoral head."""
+        entry, end = self.ideal_mm[key]
+        along, off = (end - entry) / np.linalg.norm(end - entry), end - self.hip.head_mm
+        past = off @ along
+        return end + along * (np.sqrt(past**2 + self.hip.femur.head_radius_mm**2 - off @ off) - past)
 
     @cached_property
     def robot(self) -> CalibratedRobot:
@@ -99,36 +106,50 @@ class Rehearsal(RehearsedPatient):
         shown = [self.setup.views[name].in_field(uv[k], LANDMARK_MARGIN_PX) for k, name in enumerate(VIEWS)]
         return wire[[int(np.argmax(shown[0] & shown[1])), -1]]
 
-    def check_images(self, wire: SimulatedWire) -> CheckImages:
-        """Render two more images with the true wire. The chuck is opened and the arm returns to its place at the
-        images, up to its play; a block is put back on its mount; the bone with the wire stays. Raises SetUpError."""
-        rng = self.generator("check")
+    def check_images(
+        self, wire: SimulatedWire, key: str = "", before_mm: Mapping[str, np.ndarray] = MappingProxyType({})
+    ) -> CheckImages:
+        """Render two more images with the true wire, and those that are in the bone `before_mm` (2, 3), CFCS of the
+        planning images, by key; `key`: its own, by default that of the file's first.
+
+        The chuck is opened and the arm returns to its place at the images, up to its play; a block is put back on its
+        mount; the bone with the wires stays. Raises SetUpError.
+        """
+        rng = self.generator("check", len(before_mm))
         true, imaged = self._at_images
         play = self.robot.manipulator.backlash / 2 * rng.uniform(-1, 1, 5)
         then = true.T_mcs_cfcs(imaged + play)
         if self.setup.frame.solid is not None:
             then = then * RigidTransform.from_exp_coords(REMOUNT_SD * rng.standard_normal(6))
         motion = then.inv() * true.T_mcs_cfcs(imaged)
-        return self._check_images(wire.axis_mm, motion, rng)
+        key = key or self.document.wires[0].key
+        return self._check_images({**before_mm, key: wire.axis_mm}, motion, rng)
 
-    def drilling_images(self, wire: SimulatedWire, q: np.ndarray, state: str) -> CheckImages:
+    def drilling_images(
+        self,
+        wire: SimulatedWire,
+        q: np.ndarray,
+        state: str,
+        key: str = "",
+        before_mm: Mapping[str, np.ndarray] = MappingProxyType({}),
+    ) -> CheckImages:
         """Render two images in ALIGNED or PAUSED, at the encoders `q` (5,): a block is put back on its mount, and the
-        arm stands where it is, up to its play.
+        arm stands where it is, up to its play. `key`, `before_mm`: as of `check_images`.
 
         In ALIGNED the sleeve is drawn back. A person picks the wire there, since part of it lies before a saturated
         background: `picked_mm`. Raises SetUpError.
         """
-        rng = self.generator(state)
+        rng, key = self.generator(state, len(before_mm)), key or self.document.wires[0].key
         true, _ = self._at_images
         play = self.robot.manipulator.backlash / 2 * rng.uniform(-1, 1, 5)
         now = true.T_mcs_cfcs(q + play) * RigidTransform.from_exp_coords(REMOUNT_SD * rng.standard_normal(6))
         motion = now.inv() * wire.T_mcs_cfcs
         if state != ALIGNED:
-            return self._check_images(wire.axis_mm, motion, rng)
+            return self._check_images({**before_mm, key: wire.axis_mm}, motion, rng)
         along = (wire.T_mcs_cfcs.inv() * true.T_mcs_tool(q)).rotation.apply([0.0, 0.0, 1.0])
         behind = np.append(np.arange(MAX_SHOWN_MM, SHOWN_MM, -1.0), [SHOWN_MM, 0.0])
         line = wire.axis_mm[1] - behind[:, None] * along
-        taken = self._check_images(line[[0, -1]], motion, rng, line[-2:])
+        taken = self._check_images({**before_mm, key: line[[0, -1]]}, motion, rng, line[-2:])
         line = motion.apply(line)
         shown = [view.in_field(view.project(line), LANDMARK_MARGIN_PX) for view in taken.setup.views.values()]
         return replace(taken, picked_mm=np.linspace(line[int(np.argmax(np.all(shown, axis=0)))], line[-1], PICKED))

@@ -100,10 +100,12 @@ class ProcedurePart(_Part):
 class PlanDocument(_Part):
     """The parts of plan.json that are read back. Older versions wrote no `verdict`, `kind`, `limits` and `digest`;
     plans without the geometry of images lack the last five. `all_wires`: the verdict on all wires of the procedure,
-    where this is one of several that were planned together."""
+    where this is one of several that were planned together. `unchecked_relations`: names of this wire's relations to
+    others that were not checked; None in plans of a procedure's only wire, and of older versions."""
 
     go: bool
     all_wires: State | None = None
+    unchecked_relations: Annotated[list[Text], Field(max_length=200)] | None = None
     verdict: State | None = None
     missing: Annotated[list[Annotated[str, Field(max_length=2000)]], Field(max_length=200)] = []
     kind: Text | None = None

@@ -21,6 +21,7 @@ from sightline.geometry.covariance import length_quantile
 from sightline.imaging import read_image
 from sightline.planning import Trajectory
 from sightline.planning.directions import caudal
+from sightline.planning.relations import refuse_unrelated
 from sightline.planning.results import SpacePoints
 
 _DIGEST = "digest"
@@ -33,6 +34,7 @@ _OWN = (
     "noticed_along_mm",
     "kind",
     "procedure",
+    "unchecked_relations",
     "trajectory",
     "landmarks",
     "implant",
@@ -131,6 +133,8 @@ class PlanFile:
                 f"the plan of all wires is {document.all_wires.upper()}: none of them is sent to a robot; see its "
                 "checks and relations, and plan again"
             )
+        if ":" in (document.kind or ""):  # one of several wires
+            refuse_unrelated(document.unchecked_relations)
         if document.digest is None:
             raise RobotRefusedError(
                 "the plan was written by an older version without a digest, so changes cannot be detected; plan again"
@@ -170,6 +174,11 @@ class PlanFile:
     def side(self) -> Literal["right", "left"] | None:
         """The patient's side; None if the plan does not state it."""
         return self.document.side
+
+    @property
+    def procedure(self) -> str:
+        """Key of the procedure's file; "" if the plan does not state it."""
+        return (self.document.kind or "").partition(":")[0]
 
     @property
     def images(self) -> dict[str, str]:

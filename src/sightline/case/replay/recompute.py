@@ -115,7 +115,8 @@ class Recomputed:
 
     def drill_shot(self, entry: Entry) -> DrillShot | str:
         """Return the shot of a shot entry, or why it is refused."""
-        return self._measured(entry, DrillShotRequest.of(entry.content["asked"]).shot)
+        asked, plan = DrillShotRequest.of(entry.content["asked"]), self._case.entry(entry.rests_on[0])
+        return self._measured(entry, lambda *made: asked.shot(*made, others_mm=self.others_mm(plan)))
 
     def _measured(self, entry: Entry, shot: Callable[[Plan, Images, Images], _Made]) -> _Made | str:
         def make() -> _Made | str:

@@ -25,6 +25,7 @@ ROBOT_SOURCES = {
     "compliance": "what weight and thrust bend, which encoders cannot see",
     "drill_axis": "where the wire sits on the flange",
     "skiving": "what an oblique cortex bends the wire",
+    "depth_zero": "by how much contact with the bone shifts the zero of depth",
 }
 
 

@@ -9,7 +9,6 @@ from sightline.robot.control.insertion import Insertion, LinkRegistration, Setup
 from sightline.robot.control.lease import Lease
 from sightline.robot.control.loop_clock import LoopClock
 from sightline.robot.control.motion.course import Activity, align, retract
-from sightline.robot.control.motion.depth import DepthZero
 from sightline.robot.control.motion.drilling import Drilling
 from sightline.robot.control.outcomes import Outcomes
 from sightline.robot.control.panel import Panel
@@ -17,6 +16,7 @@ from sightline.robot.control.requests import Answer, Outcome, RequestRefusedErro
 from sightline.robot.control.samples import STALE_S, Samples
 from sightline.robot.control.states import ACTIVITIES, MOVING, TRANSITIONS, State, Trigger
 from sightline.robot.kinematics.calibrated import CalibratedRobot
+from sightline.robot.kinematics.depth import DepthZero
 from sightline.robot.kinematics.manipulator import FEED, JOINTS
 from sightline.robot.plant import Plant, PlantFlag
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.robot.contract import Code
-from sightline.robot.control.motion.depth import SHOT_SD_MM
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Message
+from sightline.robot.kinematics.depth import SHOT_SD_MM
 from sightline.robot.plant import Reading
 
 

@@ -11,7 +11,6 @@ from sightline.closing import Closing
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import ACK_S, STATUS_S
-from sightline.robot.control.motion.depth import MAX_ZERO_SHIFT_MM, SHOT_SD_MM
 from sightline.robot.control.states import State, Trigger
 from sightline.robot.igtl import (
     Get,
@@ -22,6 +21,7 @@ from sightline.robot.igtl import (
     String,
     Transform,
 )
+from sightline.robot.kinematics.depth import MAX_ZERO_SHIFT_MM, SHOT_SD_MM
 from sightline.robot.kinematics.target import RobotTarget
 from sightline.robot.link.exchange import Exchange, RequestResult, matrix_of, pose_of
 from sightline.robot.link.shared_connection import LateError, SharedConnection

@@ -5,15 +5,15 @@ import numpy as np
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot.control.insertion import STANDOFF_MM, Insertion
 from sightline.robot.control.motion.course import Course, Leg, Step, limit_feed
-from sightline.robot.control.motion.depth import (
+from sightline.robot.control.motion.supervision import EventKind, Supervision, SupervisionEvent
+from sightline.robot.control.states import Trigger
+from sightline.robot.kinematics.depth import (
     CONTACT_LEAD_MM,
     CONTACT_SD_MM,
     MAX_ZERO_SHIFT_MM,
     DepthZero,
     before_contact,
 )
-from sightline.robot.control.motion.supervision import EventKind, Supervision, SupervisionEvent
-from sightline.robot.control.states import Trigger
 from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator
 from sightline.robot.plant import Reading
 
