@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 if TYPE_CHECKING:
     import numpy as np
@@ -106,7 +106,8 @@ def carry_out(
         output.say(PLACED)
     for one in planned.each():
         beside = replace(one, before_mm={key: other.wire_mm for key, other in done.items()})
-        inserted = (drill if drills else place)(output, beside, rng)
+        by_robot = cast("DemoPlan[Rehearsal]", beside)
+        inserted = drill(output, by_robot, rng) if drills else place(output, beside, rng)
         if inserted is None:
             break
         done[one.key] = inserted
