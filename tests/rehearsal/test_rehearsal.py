@@ -39,7 +39,9 @@ def test_landmarks_and_wire_lie_in_both_images(rehearsal):
     for view, uv in zip(("pa", "lateral"), rehearsal.pixels(rehearsal.hip.wire_mm), strict=True):
         assert rehearsal.setup.views[view].in_field(uv, 0.0).all()
     entry, end = rehearsal.hip.wire_mm
-    assert np.linalg.norm(rehearsal.surface_mm - entry) == pytest.approx(np.linalg.norm(end - entry) + 8.0)
+    assert np.linalg.norm(rehearsal.surface_mm("guide-wire") - entry) == pytest.approx(
+        np.linalg.norm(end - entry) + 8.0
+    )
 
 
 @pytest.mark.slow

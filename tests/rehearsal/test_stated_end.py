@@ -1,5 +1,7 @@
 """The robot's stated end error against drilled ends: drawn errors of plan, robot and contact, and the twin's drill."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
@@ -20,10 +22,10 @@ PLAN_SD_MM = 0.15  # per axis of entry and end, as plans by 0.5 px state
 ROBOT = calibrated_robot()
 
 
-def target_for(rng: np.random.Generator, imaged: np.ndarray, wire_mm: np.ndarray) -> RobotTarget:
+def target_for(rng: np.random.Generator, imaged: np.ndarray, wire_mm: np.ndarray, now_s: float = 0.0) -> RobotTarget:
     planned = wire_mm + PLAN_SD_MM * rng.standard_normal((2, 3))
     budget = {"planning": PLAN_SD_MM**2 * np.eye(6)}
-    return robot_target(IDENTITY, planned, budget, registered(ROBOT, imaged, 0.0), Limits())
+    return robot_target(IDENTITY, planned, budget, registered(ROBOT, imaged, now_s), Limits())
 
 
 def end_error_mm(rng: np.random.Generator) -> tuple[np.ndarray, RobotTarget]:
@@ -95,7 +97,7 @@ def test_wires_drilled_by_the_twin_end_within_the_stated_bound():
     while len(inside) < 12:
         theatre = SimulatedTheatre.draw(ROBOT, hip, rng, confirmed_setup(frame, "right", IDENTITY.frame_serial))
         try:
-            target = target_for(rng, theatre.imaged, hip.wire_mm)
+            target = target_for(rng, theatre.imaged, hip.wire_mm, time.monotonic())
             theatre.drill(target, target.depth_mm + 5.0)
         except RobotRefusedError:
             continue
