@@ -96,7 +96,7 @@ async def drag(page: Page, uv: Sequence[float], moves: int, reach: float = 60.0)
         return asyncio.ensure_future(hand.send("Input.dispatchMouseEvent", event))
 
     await do("mousePressed", 0, 0)
-    await page.evaluate("window.sightlineXray.pa.frames.length = 0")
+    await page.evaluate("window.sightlineXray.pa.canvas.frames.length = 0")
     clock = asyncio.get_running_loop()
     started = clock.time()
     under_way = []
@@ -104,7 +104,7 @@ async def drag(page: Page, uv: Sequence[float], moves: int, reach: float = 60.0)
         under_way.append(do("mouseMoved", reach * np.sin(index / 15), reach * np.sin(index / 23)))
         await asyncio.sleep(max(started + (index + 1) / 60 - clock.time(), 0.0))
     await asyncio.gather(*under_way)
-    frames = await page.evaluate("window.sightlineXray.pa.frames")
+    frames = await page.evaluate("window.sightlineXray.pa.canvas.frames")
     await do("mouseReleased", 0, 0)
     return frames
 

@@ -55,7 +55,7 @@ def test_every_colour_is_named_once() -> None:
             stray = set(re.findall(r"#[0-9a-f]{3,8}\b", file.read_text("utf-8"))) - {"#ffffff"}  # lamps of the scene
             assert not stray, (file.name, stray)
             used = re.findall(r"var\(--([\w-]+)\)|COLOURS\.(\w+)", file.read_text("utf-8"))
-            own = {"size"}  # of page.css
+            own = {"size", "xray-top", "xray-right"}  # of page.css
             assert {css or js for css, js in used} - own <= set(COLOURS), file.name
 
 
@@ -77,7 +77,7 @@ def test_rules_that_set_words_and_their_ground(sheet: str) -> None:
     found = 0
     for who, what in rules(SHEETS[sheet]):
         colour, ground = what.get("color", COLOURS["text"]), what.get("background", "")
-        if not is_colour(ground) or not is_colour(colour):
+        if not is_colour(ground) or not is_colour(colour) or ".figure-bar " in who:  # a bar has no words
             continue
         found += 1
         for image in IMAGES:

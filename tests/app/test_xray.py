@@ -49,7 +49,8 @@ class View:
         mark = next(MARKS)
         answer = self.page.request.post(f"{self.server.url}do/{name}", params={"mark": mark})
         assert answer.ok
-        self.page.wait_for_function(f"window.marked === {mark} && !({str(loaded).lower()} && sightlineXray.pa.loading)")
+        waits = "sightlineXray.pa.stream.loading" if loaded else "false"
+        self.page.wait_for_function(f"window.marked === {mark} && !{waits}")
         self.settle()
 
     def forget(self, *, answering: bool = True) -> None:
@@ -474,12 +475,12 @@ def test_one_escape_does_one_thing(view: View) -> None:
 
 def test_nothing_is_drawn_while_nothing_changes(view: View) -> None:
     view.do("beads")
-    before = view.core("{...core.draws}")
+    before = view.core("{...core.canvas.draws}")
     view.page.evaluate("async () => { for (let n = 0; n < 20; n++) await new Promise(requestAnimationFrame); }")
-    assert view.core("{...core.draws}") == before
+    assert view.core("{...core.canvas.draws}") == before
     start = view.screen(POINTS[0]["uv"])
     view.drag(start, (start[0] + 30, start[1] + 10))
-    after = view.core("{...core.draws}")
+    after = view.core("{...core.canvas.draws}")
     assert after["overlay"] > before["overlay"]
     assert (after["image"], after["table"]) == (before["image"], before["table"])
 
@@ -1051,7 +1052,7 @@ def test_an_edit_made_while_the_server_is_away(
         assert view.heard("drop") == []
         assert view.point("entry") == (300.0, 400.0)
     else:
-        page.wait_for_function("uv => sightlineXray?.pa?.state.points.get('entry').uv[0] === uv[0]", arg=list(left))
+        page.wait_for_function("uv => sightlineXray?.pa?.state.points.get('entry')?.uv?.[0] === uv[0]", arg=list(left))
         page.wait_for_function("sessionStorage.getItem('sightline-xray-pa') === null")
         assert near(view.heard("drop")[-1]["uv"], left) < 1e-9
 
@@ -1075,4 +1076,4 @@ def test_pictures_for_the_eye(
     view.heard()
     shoot(page, f"xray-{width}")
     view.mouse.up()
-    assert view.core("core.frames.length") > 0
+    assert view.core("core.canvas.frames.length") > 0

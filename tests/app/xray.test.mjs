@@ -169,13 +169,14 @@ function held() {
     }),
     chrome: { showTip() {} },
     display,
-    unit: 1,
     lens: null,
     moves: { flush() {} },
     state: { points: new Map([["end", point]]), dragging: null, placing: null, selected: null, tool: "pan", image: {}, maximised: false },
-    pointAt: ([x, y], reach) => (Math.hypot(x - display.toView(point.uv)[0], y - display.toView(point.uv)[1]) <= reach ? point : null),
+    reading: {
+      titleAt: () => "",
+      pointAt: ([x, y], reach) => (Math.hypot(x - display.toView(point.uv)[0], y - display.toView(point.uv)[1]) <= reach ? point : null),
+    },
     aimed: (uv) => uv,
-    titleAt: () => "",
     move(type, id, uv) {
       point.uv = uv;
       said.push([type, ...uv]);
@@ -184,7 +185,7 @@ function held() {
     select() {},
     hover() {},
     release: () => said.push(["release"]),
-    invalidate() {},
+    canvas: { unit: 1, invalidate() {} },
     movedView() {},
     maximise() {},
   };

@@ -1,5 +1,5 @@
 // The space bar stops the robot wherever the focus is, except in a text field; it presses no other control.
-const typing = (target) => target.closest && target.closest("input, textarea, select, [contenteditable=true]");
+const typing = (target) => target.closest?.("input, textarea, select, [contenteditable=true]");
 for (const kind of ["keydown", "keyup"]) {
   window.addEventListener(
     kind,
@@ -40,14 +40,14 @@ setInterval(() => {
 const LEAVE = "leave";
 // A step's message comes late: a Back that overtook it counts. `before`: the step left, null when the page opens.
 window.sightlineStep = (before, step) => {
-  const at = history.state && history.state.sightline;
+  const at = history.state?.sightline;
   if (at === step || (at && at !== before)) return;
   if (!at) history.replaceState({ sightline: LEAVE }, "");
   history.pushState({ sightline: step }, "", `?step=${encodeURIComponent(step)}`);
 };
 window.sightlineLeave = () => history.go(-2);
 window.addEventListener("popstate", ({ state }) => {
-  const to = state && state.sightline;
+  const to = state?.sightline;
   if (to === LEAVE) {
     history.forward();
     emitEvent("leave");

@@ -1,32 +1,63 @@
 // The X-ray view: an image with layers of shapes, and points that a person places and moves. Uses no framework.
 //
-// There is one canvas on the page, because each costs the browser a millisecond per frame; the image without marks is
-// on another, off the page. Each is redrawn in an animation frame, and only on changes.
+// The core holds the state and takes messages and actions; others draw (xray_canvas.js), listen (xray_gestures.js), load
+// images (xray_stream.js), say what is seen (xray_reading.js) and follow the other view (xray_following.js).
 // Coordinates are image pixels (see xray_display.js); the person's actions go out through `emit`.
 //
 // `word` is the server's newest message, the complete content of the view. A person's action is drawn over it at once;
 // when the server acknowledges it, `word` replaces it.
 
-import { COLOURS } from "colours";
 import { Age } from "./xray_age.js";
+import { Canvas } from "./xray_canvas.js";
 import { Chrome } from "./xray_chrome.js";
 import { Display } from "./xray_display.js";
+import { Following } from "./xray_following.js";
 import { Gestures } from "./xray_gestures.js";
-import { arrange, Labels, measureOn, paintTexts } from "./xray_labels.js";
-import { paintLens } from "./xray_lens.js";
 import { Matching } from "./xray_matching.js";
 import { Moves } from "./xray_moves.js";
-import { paintPoint, paintShape, shapeDistance, shapeFault, STYLES } from "./xray_paint.js";
-import { fetchPixels, heldWindow, Picture } from "./xray_picture.js";
+import { shapeFault, STYLES } from "./xray_paint.js";
+import { heldWindow } from "./xray_picture.js";
 import { PointButtons } from "./xray_points.js";
+import { Reading } from "./xray_reading.js";
+import { Stream } from "./xray_stream.js";
+
+/** @typedef {import("./types").Pair} Pair */
+/** @typedef {import("./types").Point} Point */
+/** @typedef {import("./types").PointSent} PointSent */
+/** @typedef {import("./types").Placed} Placed */
+/** @typedef {import("./types").Shape} Shape */
+/** @typedef {import("./types").Picture} Picture */
+/** @typedef {import("./types").Image} Image */
+/** @typedef {import("./types").Window} Window_ */
+/** @typedef {import("./types").Word} Word */
+/** @typedef {import("./types").Move} Move */
+/**
+ * @typedef {{ image: Image | null, window: Window_, inverted: boolean, linked: boolean, stale: boolean,
+ *   maximised: boolean, tool: "pan" | "window", placing: string | null, selected: string | null, hovered: string | null,
+ *   dragging: string | null, points: Map<string, Point>, layers: Map<string, { shapes: Shape[] }> }} State
+ */
 
 const ZOOM_STEP = 1.25; // per key press
-const TIP_REACH = 8; // CSS pixels
-const FRAMES_KEPT = 2000;
-const BREAK_MS = 250; // a longer gap between frames means that the person paused
+/** @type {Word} */
+const NOTHING = {
+  version: 0,
+  label: "",
+  picture: null,
+  display: null,
+  layers: {},
+  points: [],
+  placing: null,
+  notice: null,
+  revision: "",
+  matching: null,
+  head: null,
+};
 
 export class XrayCore {
-  // `emit(event)` gets every event, `keep(move | null)` the newest edit that the server has not acknowledged.
+  /** `emit(event)` gets every event, `keep(move | null)` the newest edit that the server has not acknowledged.
+   * @param {HTMLElement} root
+   * @param {{ name: string, label: string, texts: import("./types").Texts, emit: (event: object) => void,
+   *   keep: (move: Move | null) => void }} options */
   constructor(root, { name, label, texts, emit, keep }) {
     this.root = root;
     this.name = name;
@@ -34,8 +65,9 @@ export class XrayCore {
     this.emit = emit;
     this.display = new Display();
     this.moves = new Moves(emit, keep);
+    /** @type {State} */
     this.state = {
-      image: null, // {url, width, height, pixels}
+      image: null,
       window: { centre: 0, width: 1 },
       inverted: false,
       linked: false, // all views of the page zoom together
@@ -49,27 +81,20 @@ export class XrayCore {
       points: new Map(),
       layers: new Map(),
     };
-    /** @type {any} */
-    this.word = { version: 0, picture: null, display: null, points: [], placing: null };
-    this.undone = { points: new Map(), placing: null, display: null }; // numbers of unacknowledged actions
+    this.word = NOTHING;
+    this.undone = nothingUndone();
     this.place = document.createComment("enlarged"); // marks the view's place in the page
     this.chrome = new Chrome(root, label, texts, this.#actions());
     this.stage = this.chrome.stage;
-    this.contexts = {
-      ground: document.createElement("canvas").getContext("2d", { alpha: false }),
-      shown: this.chrome.canvas.getContext("2d", { alpha: false }),
-    };
-    this.picture = new Picture();
+    this.canvas = new Canvas(this);
+    this.reading = new Reading(this);
     this.matching = new Matching();
-    this.lens = null; // {uv, at}: the pixel in the magnifier, and its position in the view
-    this.pointer = null; // position of the pointer, CSS pixels in the view; null outside
-    this.dirty = { table: false, image: true, overlay: true, readout: true };
-    this.draws = { table: 0, image: 0, overlay: 0 };
-    this.frames = []; // ms between consecutive frames
-    this.lastFrame = 0;
-    this.request = null;
-    this.loading = null;
-    this.asked = null; // the picture requested last; its pixels may not have arrived
+    this.following = new Following(this);
+    /** @type {{ uv: Pair, at: Pair } | null} */
+    this.lens = null; // the pixel in the magnifier, and its position in the view
+    /** @type {Pair | null} */
+    this.pointer = null; // position of the pointer in the view; null outside
+    this.stream = new Stream((image) => this.#takeImage(image), (message) => this.#loadFailed(message));
     this.age = new Age((stale) => this.#showStale(stale));
     this.buttons = new PointButtons(this.chrome.points, (id) => this.select(id));
     this.gestures = new Gestures(this);
@@ -77,10 +102,10 @@ export class XrayCore {
     this.observer.observe(this.stage);
     this.resized = () => this.#resize(); // on another screen the size in CSS pixels may stay the same
     window.addEventListener("resize", this.resized);
-    this.#resize();
-    this.#showState();
     window.sightlineXray = window.sightlineXray || {};
     window.sightlineXray[name] = this;
+    this.#resize();
+    this.reading.showState();
     emit({ type: "ready" });
   }
 
@@ -89,15 +114,16 @@ export class XrayCore {
     this.observer.disconnect();
     window.removeEventListener("resize", this.resized);
     this.gestures.destroy();
-    if (this.loading) this.loading.abort();
+    this.stream.end();
     this.age.end();
-    cancelAnimationFrame(this.request);
+    this.canvas.end();
     if (window.sightlineXray[this.name] === this) delete window.sightlineXray[this.name];
   }
 
   // ------------------------------------------------------------------------------------------------ server messages
 
-  // Show this content; returns false if a newer message is known.
+  /** Show this content; returns false if a newer message is known. `freshMs`: see `setFresh`.
+   * @param {Word & { freshMs: number | null }} message */
   show({ freshMs, ...word }) {
     if (word.version <= this.word.version) return false;
     this.word = word;
@@ -105,15 +131,16 @@ export class XrayCore {
     this.chrome.showLine(this.chrome.notice, word.notice);
     this.#showPicture(word.picture, freshMs);
     this.#showLayers(word.layers);
-    this.matching.show(word.matching || null, this.#layerShapes(), (message) => this.#report(message));
+    this.matching.show(word.matching, this.#layerShapes, (message) => this.#report(message));
     this.#showDisplay();
-    this.#mergePoints();
+    this.mergePoints();
     this.#showPlacing();
-    this.#showState();
+    this.reading.showState();
     return true;
   }
 
-  // The action of this number is acknowledged: `word` replaces it.
+  /** The action of this number is acknowledged: `word` replaces it.
+   * @param {number} seq */
   acknowledge(seq) {
     const { undone } = this;
     for (const [id, number] of [...undone.points]) if (number === seq) undone.points.delete(id);
@@ -126,36 +153,22 @@ export class XrayCore {
 
   // Discard unacknowledged actions.
   giveUp() {
-    this.undone = { points: new Map(), placing: null, display: null };
+    this.undone = nothingUndone();
     this.release();
     this.#showPlacing();
   }
 
-  // Raw little-endian uint16, `width * height` of them, from `url`; the newest picture wins.
-  async #showPicture(picture, freshMs) {
-    const url = picture && picture.url;
+  /** @type {(picture: Picture | null, freshMs: number | null) => void} */
+  #showPicture(picture, freshMs) {
+    const url = picture?.url ?? null;
     this.setFresh(url, freshMs);
-    if (JSON.stringify(picture) === JSON.stringify(this.asked)) return;
-    if (this.loading) this.loading.abort();
+    if (!this.stream.isNew(picture)) return;
     if (url !== this.url) this.#letGo();
-    this.asked = picture;
-    this.loading = null;
-    if (picture === null) return this.#takeImage(null);
-    const loading = (this.loading = new AbortController());
-    try {
-      const pixels = await fetchPixels(url, picture.width, picture.height, loading.signal);
-      if (this.loading === loading) this.loading = null;
-      this.#takeImage({ ...picture, pixels });
-    } catch (error) {
-      if (loading.signal.aborted) return;
-      if (this.loading === loading) this.loading = null;
-      this.#takeImage(null); // an old image under a new plan would mislead
-      this.chrome.showLine(this.chrome.fault, this.texts.load_failed);
-      this.#report(error instanceof Error ? error.message : String(error));
-    }
+    this.stream.load(picture);
   }
 
-  // Layers by name, drawn in this order.
+  /** Layers by name, drawn in this order.
+   * @param {Record<string, Shape[]>} layers */
   #showLayers(layers) {
     this.state.layers.clear();
     for (const [name, shapes] of Object.entries(layers)) {
@@ -163,18 +176,18 @@ export class XrayCore {
       if (faults.length) this.#report(`layer ${name}: ${faults[0]}`);
       this.state.layers.set(name, { shapes: faults.length ? shapes.filter((shape) => !shapeFault(shape)) : shapes });
     }
-    const ticks = this.#layerShapes().some(({ shape }) => shape === "ticks");
+    const ticks = this.#layerShapes.some(({ shape }) => shape === "ticks");
     this.chrome.showLine(this.chrome.legend, ticks ? this.texts.ticks : "");
-    this.invalidate("overlay");
+    this.canvas.invalidate("overlay");
   }
 
   // The points of `word`; a point being dragged, or moved and not acknowledged, keeps its position.
-  #mergePoints() {
+  mergePoints() {
     const before = this.state.points;
     this.state.points = new Map(this.word.points.map((point) => [point.id, this.#point(point, before.get(point.id))]));
     for (const id of before.keys()) if (!this.state.points.has(id)) this.#dropPoint(id);
     this.#showPoints();
-    this.invalidate("overlay");
+    this.canvas.invalidate("overlay");
   }
 
   // The next click places this point; null: none.
@@ -185,7 +198,7 @@ export class XrayCore {
     if (id === null) this.lens = null;
     this.chrome.showLine(this.chrome.hint, id === null ? "" : this.texts.placing.replace("{name}", this.#nameOf(id)));
     this.gestures.showCursor();
-    this.invalidate("overlay");
+    this.canvas.invalidate("overlay");
   }
 
   // How the image is drawn; the window waits for the pixels it belongs to.
@@ -197,13 +210,15 @@ export class XrayCore {
       this.display.orient(rotation, mirrored);
       this.#turned();
     }
-    if (this.loading) return;
+    if (this.stream.loading) return;
     const [held, now] = [heldWindow(shown), this.state.window];
     if (held.centre !== now.centre || held.width !== now.width) this.setWindow(held);
     if (inverted !== this.state.inverted) this.#setInverted(inverted);
   }
 
-  // The image at `url` is current for `ms`, unless extended; null: it does not expire.
+  /** The image at `url` is current for `ms`, unless extended; null: it does not expire.
+   * @param {string | null} url
+   * @param {number | null} ms */
   setFresh(url, ms) {
     this.age.extend(url, ms, this.shownUrl);
   }
@@ -215,37 +230,40 @@ export class XrayCore {
 
   // ------------------------------------------------------------------------------------------------ person's actions
 
+  /** @param {Window_} shown */
   setWindow(shown) {
     this.state.window = heldWindow(shown);
-    this.invalidate("table");
+    this.canvas.invalidate("table");
   }
 
   movedView() {
-    this.invalidate("image", "overlay", "readout");
+    this.canvas.invalidate("image", "overlay", "readout");
     if (this.state.linked) for (const view of this.#others()) view.zoomAlong(this.display);
   }
 
-  // Another view has this zoom: the selected point stays in its place, or else the middle.
+  /** Another view has this zoom: the selected point stays in its place, or else the middle.
+   * @param {Display} display */
   zoomAlong(display) {
-    if (this.display.follow(display, this.#selectedPlace())) this.invalidate("image", "overlay", "readout");
+    if (this.display.follow(display, this.#selectedPlace())) this.canvas.invalidate("image", "overlay", "readout");
   }
 
+  /** @param {boolean} inwards */
   zoom(inwards) {
-    const middle = [this.display.viewWidth / 2, this.display.viewHeight / 2];
-    const at = document.activeElement === this.stage ? middle : this.#selectedPlace();
+    const at = document.activeElement === this.stage ? this.display.middle : this.#selectedPlace();
     this.display.zoomAt(inwards ? ZOOM_STEP : 1 / ZOOM_STEP, at);
     this.movedView();
   }
 
   #selectedPlace() {
-    const point = this.state.points.get(this.state.selected);
-    return point && point.uv ? this.display.toView(point.uv) : [this.display.viewWidth / 2, this.display.viewHeight / 2];
+    const point = this.point(this.state.selected);
+    return point?.uv ? this.display.toView(point.uv) : this.display.middle;
   }
 
   #others() {
     return Object.values(window.sightlineXray).filter((view) => view !== this);
   }
 
+  /** @param {boolean} on */
   #link(on) {
     for (const view of Object.values(window.sightlineXray)) {
       view.state.linked = on;
@@ -261,97 +279,83 @@ export class XrayCore {
     this.emit({ type: "display", image: this.shownUrl, seq, rotation, mirrored, inverted, window: { ...shown } });
   }
 
+  /** @param {string | null} id */
   select(id) {
     if (this.state.selected === id) return;
     this.state.selected = id;
     this.emit({ type: "select", id });
-    this.invalidate("overlay");
+    this.canvas.invalidate("overlay");
   }
 
-  // The point under the pointer, or null: its name is shown.
+  /** The point under the pointer, or null: its name is shown.
+   * @param {string | null} id */
   hover(id) {
     if (this.state.hovered === id) return;
     this.state.hovered = id;
-    this.invalidate("overlay");
+    this.canvas.invalidate("overlay");
   }
 
-  // Draws the point at once; `type` tells the server the action: place, drag, drop or nudge.
+  /** Draws the point at once; `type` tells the server the action: place, drag, drop or nudge.
+   * @param {string} type
+   * @param {string} id
+   * @param {Pair} uv */
   move(type, id, uv) {
-    if (!this.#onItsImage) return this.release();
-    const point = this.state.points.get(id);
-    point.uv = this.display.clamp(point.slides || (point.snapped && type !== "place") ? this.slid(id, uv) : uv);
+    const point = this.point(id);
+    if (!point || !this.#onItsImage) return this.release();
+    const onCurve = point.slides || (point.snapped && type !== "place");
+    point.uv = this.display.clamp(onCurve ? this.following.slid(id, uv) : uv);
     this.undone.points.set(id, this.moves.push(type, id, point.uv, this.shownUrl));
-    if (type !== "drag") this.#settled(point);
-    this.invalidate("overlay");
-    for (const follower of this.#followers()) follower.follow(id);
+    if (type !== "drag") this.#settled(/** @type {Placed} */ (point));
+    this.canvas.invalidate("overlay");
+    for (const follower of this.following.followers) follower.follow(id);
   }
 
   // Ends the current gesture without a message to the server.
   release() {
     this.#showDisplay();
-    this.#mergePoints();
-    for (const follower of this.#followers()) follower.settle();
+    this.mergePoints();
+    for (const follower of this.following.followers) follower.settle();
   }
 
-  // ------------------------------------------------------------------------------- points that move in another view
-
-  // The place on the point's image-matching curve nearest to `uv`; `uv` itself where it has none.
-  slid(id, uv) {
-    const point = this.#leader && this.#leader.state.points.get(id);
-    return this.matching.onCurve(id, point ? point.uv : null, uv);
-  }
-
-  // A point has moved in the other view: its curve moves, and with it the point, if it lies on that.
-  follow(id) {
-    const [leader, point] = [this.#leader, this.state.points.get(id)];
-    const before = leader.word.points.find((one) => one.id === id);
-    if (point && point.uv && point.snapped && before && before.uv) {
-      point.uv = this.matching.slid(id, point.uv, before.uv, leader.state.points.get(id).uv);
-    }
-    this.invalidate("overlay");
-  }
-
-  // Points that move no longer in the other view are where the newest message has them.
-  settle() {
-    const moving = this.#moving;
-    for (const id of this.state.points.keys()) if (!moving.has(id)) this.matching.rest(id);
-    this.#mergePoints();
-  }
-
-  // The view whose points' curves are drawn here; null: none.
-  get #leader() {
-    const { word } = this.matching;
-    return (word && window.sightlineXray[word.from]) || null;
-  }
-
-  #followers() {
-    return Object.values(window.sightlineXray).filter(({ matching }) => matching.word && matching.word.from === this.name);
-  }
-
-  // Points that the person moves in the other view, and where they are there.
-  get #moving() {
-    const leader = this.#leader;
-    return leader ? leader.moved : new Map();
-  }
-
-  // Points whose place here is not the server's word, and that place.
+  /** Points whose place here is not the server's word, and that place.
+   * @returns {Map<string, Pair>} */
   get moved() {
-    const points = [...this.state.points.values()].filter(({ id, uv }) => uv && this.#held(id));
-    return new Map(points.map(({ id, uv }) => [id, uv]));
+    return new Map(this.placed.filter(({ id }) => this.#held(id)).map(({ id, uv }) => [id, uv]));
   }
 
+  /** The point of an id; null: none.
+   * @param {string | null} id */
+  point(id) {
+    return (id !== null && this.state.points.get(id)) || null;
+  }
+
+  /** @returns {Placed[]} */
+  get placed() {
+    return /** @type {Placed[]} */ ([...this.state.points.values()].filter((point) => point.uv));
+  }
+
+  /** All shapes, with the curves of points that are moving. */
+  get shownShapes() {
+    return this.matching.over(this.#layerShapes, this.following.moving);
+  }
+
+  get #layerShapes() {
+    return [...this.state.layers.values()].flatMap((layer) => layer.shapes);
+  }
+
+  /** @param {string} id */
   remove(id) {
     this.emit({ type: "remove", id, image: this.shownUrl });
   }
 
   // The address of the image on the screen; null: none.
   get shownUrl() {
-    return this.state.image && this.state.image.url;
+    return this.state.image?.url ?? null;
   }
 
-  // Size of the picture requested last.
+  // The address of the newest message's image; null: none.
   get url() {
-    return this.asked && this.asked.url;
+    return this.stream.url;
   }
 
   // Points can be placed and moved only over the image of the newest message.
@@ -359,7 +363,8 @@ export class XrayCore {
     return this.state.image !== null && this.shownUrl === this.url;
   }
 
-  // The click that places a point.
+  /** The click that places a point.
+   * @param {Pair} place */
   placeAt(place) {
     const id = this.state.placing;
     if (id === null || !this.#onItsImage) return;
@@ -369,15 +374,16 @@ export class XrayCore {
       return;
     }
     this.move("place", id, uv);
-    this.undone.placing = this.undone.points.get(id);
+    this.undone.placing = this.undone.points.get(id) ?? null;
     this.#showPlacing();
     this.select(id);
   }
 
-  // Where a click at `uv` places the point: on its curve, if it slides there.
+  /** Where a click at `uv` places the point: on its curve, if it slides there.
+   * @param {Pair} uv */
   aimed(uv) {
-    const point = this.state.points.get(this.state.placing);
-    return point && point.slides ? this.slid(point.id, uv) : uv;
+    const point = this.point(this.state.placing);
+    return point?.slides ? this.following.slid(point.id, uv) : uv;
   }
 
   cancelPlacing() {
@@ -387,212 +393,60 @@ export class XrayCore {
     this.emit({ type: "cancel", id, seq });
   }
 
-  // Repeats an edit made before the connection broke; returns false if its point is gone.
+  /** Repeats an edit made before the connection broke; returns false if its point is gone.
+   * @param {Move} move */
   resend({ type, id, uv }) {
-    if (!this.state.points.has(id)) return false;
-    this.state.points.get(id).uv = uv;
+    const point = this.point(id);
+    if (!point) return false;
+    point.uv = uv;
     this.undone.points.set(id, this.moves.push(type, id, uv, this.url));
     this.#showPoints();
-    this.invalidate("overlay");
+    this.canvas.invalidate("overlay");
     return true;
   }
 
+  /** @param {string} id */
   sayLost(id) {
     this.chrome.showLine(this.chrome.lost, this.texts.edit_lost.replace("{name}", this.#nameOf(id)));
   }
 
   // -------------------------------------------------------------------------------------------------- positions
 
+  /** @param {Pair} uv */
   toScreen(uv) {
     const box = this.stage.getBoundingClientRect();
     const [x, y] = this.display.toView(uv);
     return [x + box.left, y + box.top];
   }
 
+  /** @param {Pair} at */
   toImage([x, y]) {
     const box = this.stage.getBoundingClientRect();
     return this.display.toImage([x - box.left, y - box.top]);
-  }
-
-  // The nearest placed point within `reach` CSS pixels of a position in the view.
-  pointAt(at, reach) {
-    let best = null;
-    let least = reach;
-    for (const point of this.state.points.values()) {
-      if (!point.uv) continue;
-      const [x, y] = this.display.toView(point.uv);
-      const away = Math.hypot(x - at[0], y - at[1]);
-      if (away <= least) [best, least] = [point, away];
-    }
-    return best;
-  }
-
-  // The title of the shape at a position in the view.
-  titleAt(at) {
-    let title = "";
-    let least = TIP_REACH * this.unit;
-    for (const shape of this.#shownShapes()) {
-      if (!shape.title || (this.state.stale && STYLES[shape.style].plan)) continue;
-      const away = shapeDistance(shape, (uv) => this.display.toView(uv), this.display.zoom, at);
-      if (away < least) [title, least] = [String(shape.title), away];
-    }
-    return title;
-  }
-
-  // Grey value of the pixel at (u, v); null outside the image.
-  valueAt([u, v]) {
-    const { image } = this.state;
-    const [column, row] = [Math.round(u), Math.round(v)];
-    if (!image || column < 0 || row < 0 || column >= image.width || row >= image.height) return null;
-    return image.pixels[row * image.width + column];
-  }
-
-  describe(point) {
-    const [u, v] = point.uv.map((value) => value.toFixed(1));
-    const place = this.texts.point.replace("{name}", point.label).replace("{u}", u).replace("{v}", v);
-    return point.snapped ? `${place}, ${this.texts.snapped}` : place;
-  }
-
-  // ---------------------------------------------------------------------------------------------------------- drawing
-
-  invalidate(...parts) {
-    for (const part of parts) this.dirty[part] = true;
-    if (this.request === null) this.request = requestAnimationFrame((now) => this.#frame(now));
-  }
-
-  #frame(now) {
-    this.request = null;
-    const since = now - this.lastFrame;
-    this.lastFrame = now;
-    if (since < BREAK_MS) this.frames.push(since);
-    if (this.frames.length > FRAMES_KEPT) this.frames.splice(0, FRAMES_KEPT / 2);
-    const { table, image, overlay, readout } = this.dirty;
-    this.dirty = { table: false, image: false, overlay: false, readout: false };
-    if (table) this.#drawTable();
-    if (image || table) this.#drawImage();
-    if (image || table || overlay) this.#drawOverlay();
-    if (readout || table) this.#showReadout();
-  }
-
-  #drawTable() {
-    const { image, inverted, window: shown } = this.state;
-    if (!image) return;
-    this.draws.table++;
-    this.picture.draw(image, shown, inverted);
-  }
-
-  #drawImage() {
-    this.draws.image++;
-    const context = this.contexts.ground;
-    context.setTransform(1, 0, 0, 1, 0, 0);
-    context.fillStyle = COLOURS.stage;
-    context.fillRect(0, 0, context.canvas.width, context.canvas.height);
-    const middle = [this.display.viewWidth / 2, this.display.viewHeight / 2];
-    this.#paintBitmap(context, this.display.centre, middle, 1);
-  }
-
-  // Draws the image with `uv` at position `at` of the view (CSS pixels), magnified `times` over the display's zoom.
-  #paintBitmap(context, uv, at, times) {
-    if (!this.state.image) return;
-    const linear = this.display.linear().map((number) => number * times);
-    this.picture.paint(context, linear, uv, at, this.density);
-  }
-
-  #drawOverlay() {
-    this.draws.overlay++;
-    const context = this.contexts.shown;
-    context.setTransform(1, 0, 0, 1, 0, 0);
-    context.drawImage(this.contexts.ground.canvas, 0, 0);
-    this.#toUnits(context);
-    const toUnits = (uv) => this.display.toView(uv).map((value) => value / this.unit);
-    this.#paintMarks(context, toUnits, this.display.zoom / this.unit, null);
-    this.#paintTexts(context, toUnits);
-    if (this.lens) this.#drawLens(context);
-    this.stage.classList.toggle("xray-lens", this.lens !== null); // the focus ring would cover the magnifier
-    if (!this.lens) this.buttons.place((id) => this.display.toView(this.state.points.get(id).uv)); // the magnifier hides them
-  }
-
-  #toUnits(context) {
-    const [sx, sy] = this.density;
-    context.setTransform(sx * this.unit, 0, 0, sy * this.unit, 0, 0);
-  }
-
-  // Without texts: those are painted once, and not in the magnifier.
-  #paintMarks(context, toUnits, zoom, without) {
-    for (const shape of this.#shownShapes()) {
-      paintShape(context, shape, toUnits, zoom, this.state.stale, this.#colourOf(shape));
-    }
-    for (const point of this.#placed()) {
-      if (point.id !== without) paintPoint(context, point, toUnits(point.uv), point.id === this.state.selected);
-    }
-    const aiming = this.state.points.get(this.state.placing);
-    if (aiming && aiming.slides && this.lens && !without) {
-      paintPoint(context, { ...aiming, snapped: true }, toUnits(this.lens.uv), true); // it slides on its curve
-    }
-  }
-
-  #paintTexts(context, toUnits) {
-    const { stale, selected, hovered, dragging } = this.state;
-    const [width, height] = [this.display.viewWidth / this.unit, this.display.viewHeight / this.unit];
-    const labels = new Labels(measureOn(context), [width, height - 15 * this.chrome.footEm]);
-    const shapes = this.#shownShapes().filter(({ style }) => !stale || !STYLES[style].plan);
-    arrange(
-      labels,
-      shapes.map((shape) => [shape, shape.points.map(toUnits)]),
-      this.#placed().map((point) => [point, toUnits(point.uv)]),
-      new Set([selected, hovered, dragging]),
-      (id) => this.#curveOf(id),
-    );
-    paintTexts(context, labels.texts);
-  }
-
-  #placed() {
-    return [...this.state.points.values()].filter((point) => point.uv);
-  }
-
-  // A curve has the name and the colour of its point, ticks are all alike.
-  #curveOf(id) {
-    const point = this.state.points.get(id);
-    return point ? { name: point.label, colour: STYLES[point.style].colour } : null;
-  }
-
-  #colourOf({ of, shape }) {
-    return of === undefined || shape === "ticks" ? null : (this.#curveOf(of) || { colour: null }).colour;
-  }
-
-  #drawLens(context) {
-    paintLens(context, this.lens, this.display, this.unit, {
-      bitmap: (uv, at, times) => this.#paintBitmap(context, uv, at, times),
-      units: () => this.#toUnits(context),
-      marks: (toUnits, zoom) => this.#paintMarks(context, toUnits, zoom, this.state.dragging),
-    });
-  }
-
-  #layerShapes() {
-    return [...this.state.layers.values()].flatMap((layer) => layer.shapes);
-  }
-
-  #shownShapes() {
-    return this.matching.over(this.#layerShapes(), this.#moving);
   }
 
   // ------------------------------------------------------------------------------------------------------------ inside
 
   #actions() {
     return {
-      fit: () => this.#changeView(() => this.display.fit()),
+      fit: () => {
+        this.display.fit();
+        this.movedView();
+      },
       link: () => this.#link(!this.state.linked),
       window: () => this.#setTool(this.state.tool === "window" ? "pan" : "window"),
       invert: () => this.#changeDisplay(() => this.#setInverted(!this.state.inverted)),
       flip: () => this.#changeDisplay(() => this.display.flip()),
       rotate: () => this.#changeDisplay(() => this.display.turnClockwise()),
+      /** @param {Window_} shown */
       preset: (shown) => this.#changeDisplay(() => this.setWindow(shown)),
       reset: () => this.#changeDisplay(() => this.#reset()),
       maximise: () => this.maximise(!this.state.maximised),
     };
   }
 
-  // Moved to the top level of the page: within its own box, later elements would cover it.
+  /** Moved to the top level of the page: within its own box, later elements would cover it.
+   * @param {boolean} on */
   maximise(on) {
     if (on === this.state.maximised) return;
     const focused = /** @type {HTMLElement} */ (document.activeElement);
@@ -609,11 +463,7 @@ export class XrayCore {
     this.chrome.press("maximise", on);
   }
 
-  #changeView(change) {
-    change();
-    this.movedView();
-  }
-
+  /** @param {() => void} change */
   #changeDisplay(change) {
     change();
     this.#turned();
@@ -621,30 +471,34 @@ export class XrayCore {
   }
 
   #turned() {
-    this.#showState();
+    this.reading.showState();
     this.movedView();
   }
 
   #reset() {
     this.display.orient((360 - (this.word.head ?? 0)) % 360, false);
     this.display.fit();
-    if (this.asked) this.setWindow(this.asked.window);
+    const { asked } = this.stream;
+    if (asked) this.setWindow(asked.window);
     this.#setInverted(false);
   }
 
+  /** @param {boolean} on */
   #setInverted(on) {
     this.state.inverted = on;
-    this.invalidate("table");
-    this.#showState();
+    this.canvas.invalidate("table");
+    this.reading.showState();
   }
 
+  /** @param {"pan" | "window"} tool */
   #setTool(tool) {
     this.state.tool = tool;
-    this.#showState();
+    this.reading.showState();
     this.gestures.showCursor();
   }
 
-  // The window; null: none.
+  /** The pixels have arrived; null: there is no image.
+   * @param {Image | null} image */
   #takeImage(image) {
     this.state.image = image;
     if (image !== null) {
@@ -653,36 +507,46 @@ export class XrayCore {
       this.#showDisplay();
       this.chrome.showLine(this.chrome.fault, "");
     }
-    this.invalidate("table", "image", "overlay", "readout");
+    this.canvas.invalidate("table", "image", "overlay", "readout");
   }
 
-  // Hides the plan while the image is out of date.
+  /** @param {string} message */
+  #loadFailed(message) {
+    this.chrome.showLine(this.chrome.fault, this.texts.load_failed);
+    this.#report(message);
+  }
+
+  /** Hides the plan while the image is out of date.
+   * @param {boolean} stale */
   #showStale(stale) {
     this.state.stale = stale;
     this.chrome.showLine(this.chrome.stale, stale ? this.texts.stale : "");
-    this.invalidate("overlay");
+    this.canvas.invalidate("overlay");
   }
 
   // Another image ends the gesture on the one before.
   #letGo() {
     const [held, waiting] = [this.gestures.leaveImage(), this.moves.abandon()];
-    this.undone = { points: new Map(), placing: null, display: null };
-    if (held !== null || waiting !== null) this.sayLost(held ?? waiting);
+    const lost = held ?? waiting;
+    this.undone = nothingUndone();
+    if (lost !== null) this.sayLost(lost);
   }
 
-  // A move has ended: announce its position to screen readers, and clear the notice of an earlier loss.
+  /** A move has ended: announce its position to screen readers, and clear the notice of an earlier loss.
+   * @param {Placed} point */
   #settled(point) {
     this.#showPoints();
-    this.chrome.say(this.describe(point));
+    this.chrome.say(this.reading.describe(point));
     this.chrome.showLine(this.chrome.lost, "");
   }
 
+  /** @type {(sent: PointSent, before: Point | undefined) => Point} */
   #point({ id, label, uv, style, movable, snapped, slides }, before) {
     if (!STYLES[style]) this.#report(`point ${id}: unknown style ${JSON.stringify(style)}`);
     return {
       id,
       label: label || id,
-      uv: before && (this.#held(id) || (snapped && this.#moving.has(id))) ? before.uv : uv || null,
+      uv: before && (this.#held(id) || (snapped && this.following.moving.has(id))) ? before.uv : uv || null,
       style: STYLES[style] ? style : "aid",
       movable: movable !== false,
       snapped: Boolean(snapped),
@@ -690,81 +554,46 @@ export class XrayCore {
     };
   }
 
+  /** @param {string} id */
   #held(id) {
     return this.state.dragging === id || this.undone.points.has(id);
   }
 
+  /** @param {string} id */
   #dropPoint(id) {
     this.moves.forget(id);
     this.undone.points.delete(id);
     if (this.state.dragging === id) this.gestures.letGo();
-    for (const what of ["selected", "hovered"]) if (this.state[what] === id) this.state[what] = null;
+    if (this.state.selected === id) this.state.selected = null;
+    if (this.state.hovered === id) this.state.hovered = null;
   }
 
+  /** @param {string} id */
   #nameOf(id) {
-    const point = this.state.points.get(id);
-    return point ? point.label : id;
+    return this.point(id)?.label ?? id;
   }
 
   #showPoints() {
-    this.buttons.show(this.#placed(), (point) => this.describe(point));
+    this.buttons.show(this.placed, (point) => this.reading.describe(point));
   }
 
+  /** @param {string} id */
   focusPoint(id) {
     this.buttons.focus(id);
   }
 
-  #showReadout() {
-    const uv = this.pointer && this.display.toImage(this.pointer);
-    const value = uv && this.valueAt(uv);
-    const off = value === null || value === undefined || value === "";
-    const [u, v] = uv ? uv.map((number) => number.toFixed(1)) : ["", ""];
-    const text = this.texts.readout.replace("{u}", u).replace("{v}", v).replace("{value}", String(value));
-    this.chrome.showText(this.chrome.readout, off ? this.texts.outside : text);
-    this.#showState();
-  }
-
-  #showState() {
-    const { mirrored } = this.display;
-    const { window: shown, inverted, tool } = this.state;
-    const turned = [this.#orientation(), mirrored ? this.texts.mirrored : ""];
-    this.chrome.showState(
-      `C ${Math.round(shown.centre)}  W ${Math.round(shown.width)}  ×${this.display.zoom.toFixed(2)}`,
-      turned.filter(Boolean).join(", "),
-      turned.every((text) => !text || text === this.texts.head_up),
-    );
-    this.chrome.press("window", tool === "window");
-    this.chrome.press("invert", inverted);
-    this.chrome.press("flip", mirrored);
-    const { asked } = this;
-    this.chrome.showPresets((asked && asked.presets) || {}, shown);
-  }
-
-  // Where the head is on the screen; where that is unknown, how far the image is rotated.
-  #orientation() {
-    const { rotation, mirrored } = this.display;
-    const { head = null } = this.word;
-    if (head === null) return rotation ? this.texts.rotated.replace("{degrees}", String(rotation)) : "";
-    const at = ((mirrored ? 360 - head : head) + rotation) % 360;
-    return this.texts[["head_up", "head_right", "head_down", "head_left"][at / 90]];
-  }
-
+  /** @param {string} message */
   #report(message) {
     this.emit({ type: "error", message });
   }
 
   #resize() {
-    const { clientWidth, clientHeight } = this.stage;
-    const ratio = window.devicePixelRatio || 1;
-    const [wide, high] = [Math.max(Math.round(clientWidth * ratio), 1), Math.max(Math.round(clientHeight * ratio), 1)];
-    for (const { canvas } of Object.values(this.contexts)) {
-      canvas.width = wide;
-      canvas.height = high;
-    }
-    this.density = [wide / Math.max(clientWidth, 1), high / Math.max(clientHeight, 1)];
-    this.unit = parseFloat(getComputedStyle(this.root).fontSize) / 15; // marks scale with the text size
-    this.display.setView(clientWidth, clientHeight);
+    this.canvas.resize();
     this.gestures.viewChanged();
     this.movedView();
   }
 }
+
+/** Numbers of actions that are not acknowledged.
+ * @returns {{ points: Map<string, number>, placing: number | null, display: number | null }} */
+const nothingUndone = () => ({ points: new Map(), placing: null, display: null });

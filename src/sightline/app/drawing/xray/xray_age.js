@@ -8,8 +8,10 @@ export class Age {
     this.onChange = onChange;
     this.stale = false;
     this.until = Infinity; // time until which the image on the screen is current
-    this.coming = null; // {url, until} of an image that is not yet on the screen
-    this.timer = null;
+    /** @type {{ url: string | null, until: number } | null} */
+    this.coming = null; // of an image that is not yet on the screen
+    /** @type {number | undefined} */
+    this.timer = undefined;
   }
 
   // The image at `url` is current for `ms`, null: for ever. `shown`: address of the one on the screen.

@@ -178,7 +178,7 @@ export class Chrome {
       this.presets.replaceChildren(...Object.entries(presets).map(([name, window]) => this.#preset(name, window)));
     }
     for (const button of this.presets.children) {
-      const { centre, width } = presets[/** @type {HTMLElement} */ (button).dataset.preset];
+      const { centre, width } = presets[/** @type {HTMLElement} */ (button).dataset.preset ?? ""];
       button.setAttribute("aria-pressed", String(centre === shown.centre && width === shown.width));
     }
   }

@@ -102,6 +102,12 @@ export class Display {
     return true;
   }
 
+  /** The middle of the view, CSS pixels.
+   * @returns {[number, number]} */
+  get middle() {
+    return [this.viewWidth / 2, this.viewHeight / 2];
+  }
+
   panBy(dx, dy) {
     const [du, dv] = this.toImageStep([dx, dy]);
     this.moveCentre(-du, -dv);

@@ -118,9 +118,9 @@ export class Gestures {
     if (event.button === 1) return { kind: "pan", ...base };
     if (event.button === 2) return { kind: "window", ...base };
     if (state.placing !== null) return { kind: "place", ...base };
-    const point = this.core.pointAt(at, this.#reach(event));
+    const point = this.core.reading.pointAt(at, this.#reach(event));
     if (point) this.core.focusPoint(point.id);
-    if (point && point.movable) {
+    if (point?.movable) {
       state.dragging = point.id;
       const drag = { kind: "drag", ...base, id: point.id, start: point.uv };
       this.#startFrom(drag, at);
@@ -136,7 +136,7 @@ export class Gestures {
   }
 
   #reach(event) {
-    return (REACH[event.pointerType] || REACH.mouse) * this.core.unit;
+    return (REACH[event.pointerType] || REACH.mouse) * this.core.canvas.unit;
   }
 
   #move(event) {
@@ -156,10 +156,10 @@ export class Gestures {
 
   #hover(event, at) {
     const { core } = this;
-    const point = core.pointAt(at, this.#reach(event));
-    this.overPoint = Boolean(point && point.movable);
+    const point = core.reading.pointAt(at, this.#reach(event));
+    this.overPoint = Boolean(point?.movable);
     core.hover(point ? point.id : null);
-    core.chrome.showTip(core.state.placing === null && !point ? core.titleAt(at) : "", at);
+    core.chrome.showTip(core.state.placing === null && !point ? core.reading.titleAt(at) : "", at);
   }
 
   #continue(at) {
@@ -233,8 +233,8 @@ export class Gestures {
     if (gesture.kind === "window" && gesture.moved) core.displayChanged();
     if (gesture.kind === "drag") this.#drop(gesture.moved ? "drop" : null, gesture);
     if (gesture.kind === "pan" && !gesture.moved) {
-      if (!core.pointAt(at, REACH.mouse * core.unit)) core.select(null);
-      core.chrome.showTip(core.titleAt(at), at);
+      if (!core.reading.pointAt(at, REACH.mouse * core.canvas.unit)) core.select(null);
+      core.chrome.showTip(core.reading.titleAt(at), at);
     }
   }
 
@@ -242,7 +242,7 @@ export class Gestures {
     this.core.state.dragging = null;
     if (type) this.core.move(type, id, this.core.state.points.get(id).uv);
     else this.core.release();
-    this.core.invalidate("overlay");
+    this.core.canvas.invalidate("overlay");
   }
 
   #cancel(event) {
@@ -283,8 +283,8 @@ export class Gestures {
     } else if (at && placing !== null && core.state.image && (!this.now || this.now.kind === "place")) {
       core.lens = { uv: core.aimed(core.display.toImage(at)), at };
     }
-    if (had || core.lens) core.invalidate("overlay");
-    core.invalidate("readout");
+    if (had || core.lens) core.canvas.invalidate("overlay");
+    core.canvas.invalidate("readout");
     this.showCursor();
   }
 

@@ -110,7 +110,7 @@ export function arrange(labels, shapes, points, named, curveOf) {
 function writeNumbers(labels, numbers, places) {
   const across = normals(places);
   places.forEach((place, k) => {
-    if (numbers && numbers[k]) labels.write(numbers[k], beside(place, across[k], labels.measure(numbers[k])));
+    if (numbers?.[k]) labels.write(numbers[k], beside(place, across[k], labels.measure(numbers[k])));
   });
 }
 

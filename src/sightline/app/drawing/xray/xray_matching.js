@@ -6,8 +6,8 @@ import { curveShapes, depthAt, matchingCurve, nearest, pixelAt, pixelAtDepth, Si
 
 /** @typedef {import("./xray_sight.js").Pair} Pair */
 /** @typedef {import("./xray_sight.js").Curve} Curve */
-/** @typedef {{ shape: string, of?: string, points: Pair[], halfWidth?: number[], from?: number }} Shape */
-/** @typedef {{ from: string, title: string, sights: string[] }} Word */
+/** @typedef {import("./types").Shape} Shape */
+/** @typedef {import("./types").Matching} Word */
 
 /** @type {Map<string, Promise<Sight>>} */
 const sights = new Map(); // by address, of all views of the page
@@ -44,7 +44,7 @@ export class Matching {
    * @param {(message: string) => void} report */
   show(word, shapes, report) {
     for (const { of, shape, halfWidth, from } of shapes) {
-      if (of === undefined || shape !== "band" || !halfWidth || from === undefined) continue;
+      if (of === undefined || shape !== "band" || !Array.isArray(halfWidth) || from === undefined) continue;
       this.widths.set(of, (depth) => {
         const at = Math.round((depth - from) / STEP_MM);
         return halfWidth[Math.min(Math.max(at, 0), halfWidth.length - 1)];
@@ -79,7 +79,7 @@ export class Matching {
   /** The shapes, with those of the points `moving` (id to place in the other view) replaced.
    * @param {Shape[]} shapes
    * @param {Map<string, Pair>} moving
-   * @returns {object[]} */
+   * @returns {Shape[]} */
   over(shapes, moving) {
     const { sights: both, word } = this;
     if (!both || !word || moving.size === 0) return shapes;

@@ -196,7 +196,7 @@ const PAINTERS = {
 
 // The error in a shape as text; null if it can be painted.
 export function shapeFault(shape) {
-  if (!shape || !PAINTERS[shape.shape]) return `unknown shape ${JSON.stringify(shape && shape.shape)}`;
+  if (!shape || !PAINTERS[shape.shape]) return `unknown shape ${JSON.stringify(shape?.shape)}`;
   if (!STYLES[shape.style]) return `unknown style ${JSON.stringify(shape.style)}`;
   const finite = (pair) => Array.isArray(pair) && pair.length === 2 && pair.every(Number.isFinite);
   if (!Array.isArray(shape.points) || !shape.points.every(finite)) return `${shape.shape} with points that are not numbers`;

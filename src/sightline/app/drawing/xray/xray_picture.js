@@ -23,6 +23,7 @@ export function heldWindow({ centre, width }) {
 export class Picture {
   constructor() {
     this.bitmap = document.createElement("canvas"); // one bitmap pixel per image pixel
+    this.context = /** @type {CanvasRenderingContext2D} */ (this.bitmap.getContext("2d", { alpha: false }));
     this.shown = null;
   }
 
@@ -35,7 +36,7 @@ export class Picture {
     const table = greyTable(window, inverted);
     const out = new Uint32Array(this.shown.data.buffer);
     for (let index = 0; index < out.length; index++) out[index] = table[pixels[index]];
-    this.bitmap.getContext("2d", { alpha: false }).putImageData(this.shown, 0, 0);
+    this.context.putImageData(this.shown, 0, 0);
   }
 
   /** Draws the bitmap with `uv` at `at` (CSS pixels), by the linear part [a, b, c, d] of a display.

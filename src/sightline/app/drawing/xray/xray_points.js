@@ -18,10 +18,13 @@ export class PointButtons {
     }
   }
 
-  // Moves them to their places in the view, `where(id)` in CSS pixels.
-  place(where) {
+  // Moves them to the places of these points in the view, `where(uv)` in CSS pixels.
+  place(points, where) {
+    const places = new Map(points.map(({ id, uv }) => [id, uv]));
     for (const button of this.holder.children) {
-      const [x, y] = where(button.dataset.id);
+      const uv = places.get(button.dataset.id);
+      if (!uv) continue;
+      const [x, y] = where(uv);
       button.style.transform = `translate(${x}px, ${y}px)`;
     }
   }

@@ -147,7 +147,7 @@ export const depthAt = (curve, uv) => between(curve.depth, nearest(curve, uv));
 export const pixelAtDepth = (curve, depth) => pixelAt(curve, (depth - curve.depth[0]) / STEP_MM);
 
 /** The shapes of a curve, as shapes.py has them. `widths`: the band's half width by depth; null: unknown.
- * @type {(curve: Curve, of: string, title: string, widths: ((depth: number) => number) | null) => object[]} */
+ * @type {(curve: Curve, of: string, title: string, widths: ((depth: number) => number) | null) => import("./types").Shape[]} */
 export function curveShapes({ depth, uv }, of, title, widths) {
   const ticks = depth.map((_, k) => k).filter((k) => depth[k] % TICK_MM === 0);
   const label = ticks.map((k) => (depth[k] % (5 * TICK_MM) === 0 ? String(depth[k]) : ""));

@@ -1,0 +1,186 @@
+// Draws a view: image, marks, texts and magnifier, in an animation frame and only what has changed.
+//
+// There is one canvas on the page, because each costs the browser a millisecond per frame; the image without marks is
+// on another, off the page.
+
+import { COLOURS } from "colours";
+import { arrange, Labels, measureOn, paintTexts } from "./xray_labels.js";
+import { paintLens } from "./xray_lens.js";
+import { paintPoint, paintShape, STYLES } from "./xray_paint.js";
+import { Picture } from "./xray_picture.js";
+
+/** @typedef {import("./types").Pair} Pair */
+/** @typedef {import("./types").Point} Point */
+/** @typedef {import("./types").Shape} Shape */
+/** @typedef {"table" | "image" | "overlay" | "readout"} Part table: the grey levels */
+
+const FRAMES_KEPT = 2000;
+const BREAK_MS = 250; // a longer gap between frames means that the person paused
+const TEXT_PX = 15; // CSS pixels of the text for which `unit` is 1
+
+export class Canvas {
+  /** @param {import("./xray.js").XrayCore} core */
+  constructor(core) {
+    this.core = core;
+    this.ground = opaque(document.createElement("canvas"));
+    this.shown = opaque(core.chrome.canvas);
+    this.picture = new Picture();
+    this.dirty = { table: false, image: true, overlay: true, readout: true };
+    this.draws = { table: 0, image: 0, overlay: 0 };
+    /** @type {number[]} */
+    this.frames = []; // ms between consecutive frames
+    this.lastFrame = 0;
+    /** @type {number | null} */
+    this.request = null;
+    /** @type {Pair} */
+    this.density = [1, 1]; // device pixels per CSS pixel, across and down
+    this.unit = 1; // CSS pixels per unit of the marks, which scale with the text
+  }
+
+  end() {
+    if (this.request !== null) cancelAnimationFrame(this.request);
+  }
+
+  /** Draws these parts again in the next frame.
+   * @param {...Part} parts */
+  invalidate(...parts) {
+    for (const part of parts) this.dirty[part] = true;
+    this.request ??= requestAnimationFrame((now) => this.#frame(now));
+  }
+
+  /** The view or the screen has another size. */
+  resize() {
+    const { root, stage, display } = this.core;
+    const { clientWidth, clientHeight } = stage;
+    const ratio = window.devicePixelRatio || 1;
+    const [wide, high] = [Math.max(Math.round(clientWidth * ratio), 1), Math.max(Math.round(clientHeight * ratio), 1)];
+    for (const { canvas } of [this.ground, this.shown]) Object.assign(canvas, { width: wide, height: high });
+    this.density = [wide / Math.max(clientWidth, 1), high / Math.max(clientHeight, 1)];
+    this.unit = parseFloat(getComputedStyle(root).fontSize) / TEXT_PX;
+    display.setView(clientWidth, clientHeight);
+  }
+
+  /** @param {number} now */
+  #frame(now) {
+    this.request = null;
+    const since = now - this.lastFrame;
+    this.lastFrame = now;
+    if (since < BREAK_MS) this.frames.push(since);
+    if (this.frames.length > FRAMES_KEPT) this.frames.splice(0, FRAMES_KEPT / 2);
+    const { table, image, overlay, readout } = this.dirty;
+    this.dirty = { table: false, image: false, overlay: false, readout: false };
+    if (table) this.#drawTable();
+    if (image || table) this.#drawImage();
+    if (image || table || overlay) this.#drawOverlay();
+    if (readout || table) this.core.reading.show();
+  }
+
+  #drawTable() {
+    const { image, inverted, window: shown } = this.core.state;
+    if (!image) return;
+    this.draws.table++;
+    this.picture.draw(image, shown, inverted);
+  }
+
+  #drawImage() {
+    this.draws.image++;
+    const context = this.ground;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.fillStyle = COLOURS.stage;
+    context.fillRect(0, 0, context.canvas.width, context.canvas.height);
+    this.#paintBitmap(context, this.core.display.centre, this.core.display.middle, 1);
+  }
+
+  /** Draws the image with `uv` at position `at` of the view (CSS pixels), magnified `times` over the display's zoom.
+   * @type {(context: CanvasRenderingContext2D, uv: Pair, at: Pair, times: number) => void} */
+  #paintBitmap(context, uv, at, times) {
+    const { state, display } = this.core;
+    if (!state.image) return;
+    const linear = display.linear().map((number) => number * times);
+    this.picture.paint(context, linear, uv, at, this.density);
+  }
+
+  #drawOverlay() {
+    this.draws.overlay++;
+    const { core, shown: context } = this;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.drawImage(this.ground.canvas, 0, 0);
+    this.#toUnits(context);
+    /** @type {(uv: Pair) => Pair} */
+    const toUnits = (uv) => {
+      const [x, y] = core.display.toView(uv);
+      return [x / this.unit, y / this.unit];
+    };
+    this.#paintMarks(context, toUnits, core.display.zoom / this.unit, null);
+    this.#paintTexts(context, toUnits);
+    const { lens } = core;
+    if (lens) {
+      paintLens(context, lens, core.display, this.unit, {
+        bitmap: (uv, at, times) => this.#paintBitmap(context, uv, at, times),
+        units: () => this.#toUnits(context),
+        marks: (toLens, zoom) => this.#paintMarks(context, toLens, zoom, core.state.dragging),
+      });
+    }
+    core.stage.classList.toggle("xray-lens", lens !== null); // the focus ring would cover the magnifier
+    if (!lens) core.buttons.place(core.placed, (uv) => core.display.toView(uv)); // the magnifier hides them
+  }
+
+  /** @param {CanvasRenderingContext2D} context */
+  #toUnits(context) {
+    const [sx, sy] = this.density;
+    context.setTransform(sx * this.unit, 0, 0, sy * this.unit, 0, 0);
+  }
+
+  /** Without texts: those are painted once, and not in the magnifier. `without`: a point that is not drawn.
+   * @type {(context: CanvasRenderingContext2D, toUnits: (uv: Pair) => Pair, zoom: number, without: string | null) => void} */
+  #paintMarks(context, toUnits, zoom, without) {
+    const { core } = this;
+    for (const shape of core.shownShapes) {
+      paintShape(context, shape, toUnits, zoom, core.state.stale, this.#colourOf(shape));
+    }
+    for (const point of core.placed) {
+      if (point.id !== without) paintPoint(context, point, toUnits(point.uv), point.id === core.state.selected);
+    }
+    const aiming = core.point(core.state.placing);
+    if (aiming?.slides && core.lens && !without) {
+      paintPoint(context, { ...aiming, snapped: true }, toUnits(core.lens.uv), true); // it slides on its curve
+    }
+  }
+
+  /** @type {(context: CanvasRenderingContext2D, toUnits: (uv: Pair) => Pair) => void} */
+  #paintTexts(context, toUnits) {
+    const { core } = this;
+    const { stale, selected, hovered, dragging } = core.state;
+    const { viewWidth, viewHeight } = core.display;
+    const labels = new Labels(measureOn(context), [
+      viewWidth / this.unit,
+      viewHeight / this.unit - TEXT_PX * core.chrome.footEm,
+    ]);
+    arrange(
+      labels,
+      core.shownShapes
+        .filter(({ style }) => !stale || !STYLES[style].plan)
+        .map((shape) => [shape, shape.points.map(toUnits)]),
+      core.placed.map((point) => [point, toUnits(point.uv)]),
+      new Set([selected, hovered, dragging]),
+      (id) => this.#curveOf(id),
+    );
+    paintTexts(context, labels.texts);
+  }
+
+  /** A curve has the name and the colour of its point.
+   * @param {string} id */
+  #curveOf(id) {
+    const point = this.core.point(id);
+    return point ? { name: point.label, colour: STYLES[point.style].colour } : null;
+  }
+
+  /** Ticks are all alike.
+   * @param {Shape} shape */
+  #colourOf({ of, shape }) {
+    return of === undefined || shape === "ticks" ? null : (this.#curveOf(of)?.colour ?? null);
+  }
+}
+
+/** @param {HTMLCanvasElement} canvas */
+const opaque = (canvas) => /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d", { alpha: false }));
