@@ -89,12 +89,12 @@ def test_a_wire_past_its_end_point_has_no_error_of_depth():
 
 @pytest.mark.slow
 def test_wires_drilled_by_the_twin_end_within_the_stated_bound():
-    """Twelve robots at one bone, through the real link: at least ten ends; 2 % of right bounds have fewer."""
+    """Five robots at one bone, through the real link: at least four ends; 2 % of right bounds have fewer."""
     pytest.importorskip("mujoco")
     frame, rng = Frame.load("gamma"), np.random.default_rng(33)
     _, hip = shown_hip_scene(np.random.default_rng(9), frame)
     inside = []
-    while len(inside) < 12:
+    while len(inside) < 5:
         theatre = SimulatedTheatre.draw(ROBOT, hip, rng, confirmed_setup(frame, "right", IDENTITY.frame_serial))
         try:
             target = target_for(rng, theatre.imaged, hip.wire_mm, time.monotonic())
@@ -103,4 +103,4 @@ def test_wires_drilled_by_the_twin_end_within_the_stated_bound():
             continue
         tip = theatre.wire.axis_mm[1]
         inside.append(np.linalg.norm(tip - hip.wire_mm[1]) <= target.end_error_95_mm)
-    assert np.sum(inside) >= 10
+    assert np.sum(inside) >= 4

@@ -79,7 +79,7 @@ def check_shot(
             raise CaseError("the case holds no plan; make one with `sightline plan --case`")
         entry = _of_wire(entry, again.of_all_wires(entry), wire)
         asked = entry.content["asked"]
-        landmarks = _landmarks(points, asked["landmark_names"], asked["landmarks_uv_px"], pick_sd)
+        landmarks = landmarks_of(points, asked["landmark_names"], asked["landmarks_uv_px"], pick_sd)
         frame = frame_of(opened, opened.entry(entry.rests_on[0]).settings["frame"])
         with output.step("computing the plan again"):
             made, planned = again.plan(entry), again.images(entry)
@@ -125,7 +125,7 @@ def _of_wire(last: "Entry", of_all: "dict[str, Entry]", wire: str | None) -> "En
     return of_all[wire]
 
 
-def _landmarks(points: list[FoundAgain], names: list[str], picked: Any, sd_px: float) -> "Landmarks":
+def landmarks_of(points: list[FoundAgain], names: list[str], picked: Any, sd_px: float) -> "Landmarks":
     """Return landmarks found again; `names`, `picked` (V, L, 2): those of the plan, of which the first two views count.
 
     Raises UnusableInputError.

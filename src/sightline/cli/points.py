@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 Point = dict[str, tuple[float, ...]]
 VIEWS, CHECK_VIEWS = ("pa", "lateral"), ("check-pa", "check-lateral")
 OBLIQUE = "oblique"  # a third image
+MIN_WIRE_POINTS = 5  # four on the centre line, and the tip
 
 
 def parse_point(text: str, option: str) -> Point:
@@ -174,6 +175,26 @@ def parse_found_again(text: str) -> FoundAgain:
         )
     planned = [point[view] for view in VIEWS] if known else None
     return FoundAgain(name, [point[view] for view in CHECK_VIEWS], planned)
+
+
+def parse_wire_points(text: str) -> "np.ndarray":
+    """Return points on a wire in both images (2, M, 2), the tip last, of 'check-pa:U,V,U,V,... check-lateral:...'.
+
+    Raises UnusableInputError.
+    """
+    import numpy as np
+
+    from sightline.errors import UnusableInputError
+
+    clicked = _numbers(text)
+    counts = {len(clicked.get(view, ())) for view in CHECK_VIEWS}
+    count = counts.pop()
+    if counts or clicked.keys() != set(CHECK_VIEWS) or count % 2 or count < 2 * MIN_WIRE_POINTS:
+        raise UnusableInputError(
+            f"{text!r} is not a wire; write {MIN_WIRE_POINTS} points or more in each image, as many in both, the tip "
+            "last: 'check-pa:U,V,U,V,... check-lateral:U,V,U,V,...'"
+        )
+    return np.array([clicked[view] for view in CHECK_VIEWS]).reshape(2, -1, 2)
 
 
 def all_depths(points: Sequence[Point]) -> bool:

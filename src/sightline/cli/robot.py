@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from sightline.case.interop.plan_file import PlanFile
+    from sightline.cli.drive_shots import DriveShots
     from sightline.rehearsal.operation import SimulatedTheatre
     from sightline.robot.kinematics.measured import RobotFile
     from sightline.robot.kinematics.registration import Registration
@@ -277,6 +278,15 @@ def drive(
     frame_serial: Serial = None,
     rehearse: Seed = None,
     frame: FrameName = "gamma",
+    case: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the case with this plan: with a block, the shots at the skin and at the pause are measured "
+            "against it while the robot waits, and recorded.",
+            show_default=False,
+        ),
+    ] = None,
+    pick_sd: Annotated[float, typer.Option(help="Standard deviation of a pick in a shot, px.")] = 0.5,
     yes: Yes = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -284,32 +294,25 @@ def drive(
     """Drive a planned wire into the bone.
 
     Align, confirm, drill, pause, confirm, drill. A person confirms each motion. A real robot first makes a dry run
-    without the wire.
+    without the wire. A shot that says STOP ends it.
     """
     with Output(json=json, quiet=quiet) as out, ExitStack() as stack:
-        from sightline.errors import UnusableInputError
-        from sightline.planning.drill_shot import TURNED_AWAY
+        from sightline.cli.drive_shots import DriveShots, planned_in
         from sightline.robot.kinematics.measured import RobotFile
         from sightline.robot.link.client import RobotClient
         from sightline.robot.link.server import tune_process
 
         tune_process()
         known = read_plan(plan, wire)
+        measured_on = None if case is None or not known.of_solid else planned_in(case, known)
         stood = None if registration is None else RobotFile.read(registration)
+        _refuse_contradictions(address, stood, rehearse, frame_serial)
         if address is None:
-            if stood is not None:
-                raise UnusableInputError("--registration belongs to a robot at an address; give its HOST:PORT")
             with out.step("starting a simulator"):
                 theatre = _theatre(known.side or "", frame_serial, rehearse, frame, known.procedure)
             frame_serial = theatre.setup.frame_serial
             server = stack.enter_context(theatre.server(virtual=True))
             robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False))
-        elif rehearse is not None:
-            raise UnusableInputError(
-                "--rehearse starts a simulator and takes no address; leave out one of them, and state --frame-serial"
-            )
-        elif stood is not None and frame_serial is not None:
-            raise UnusableInputError("the robot file states the frame's serial; leave out --frame-serial")
         else:
             robot = stack.enter_context(RobotClient(*parse_address(address)))
         _refuse_yes(robot.simulated, yes)
@@ -319,9 +322,12 @@ def drive(
             else:
                 target = _send_registered(robot, known, known.identifier(plan.stem), stood)
         _show(out, target, robot)
+        shots = None
+        if case is not None and measured_on is not None and not yes:
+            shots = DriveShots(out, case, measured_on, robot, target, pick_sd)
         for name, question, go in _steps(robot, target, known_way=robot.simulated, block=known.of_solid):
-            if name in ("drill", "drill on") and not known.of_solid:
-                out.note(TURNED_AWAY)
+            if name in _SHOT_BEFORE:
+                _shot(out, robot, _SHOT_BEFORE[name], shots, block=known.of_solid)
             if not _agreed(robot.simulated, yes, question):
                 robot.stop()
                 out.note(f"stopped before: {name}")
@@ -331,6 +337,8 @@ def drive(
         state, tip_mm = robot.status().text.split(";")[0], robot.position().translation
         out.say(f"state of the robot: {state}")
         told = {"state": state, "tip_mm": tip_mm, "end_mm": known.points_mm[1]}
+        if shots is not None:
+            told["shots"] = shots.document()
         if rehearse is not None:
             told["true_wire_mm"] = robot.simulated_wire().axis_mm
         out.result(told)
@@ -409,6 +417,45 @@ def _close_with_stdin(server: "RobotServer") -> None:
     server.close()
 
 
+def _refuse_contradictions(
+    address: str | None, stood: "RobotFile | None", rehearse: int | None, frame_serial: str | None
+) -> None:
+    """Raise UnusableInputError for options of `drive` that exclude each other."""
+    from sightline.errors import UnusableInputError
+
+    if address is None and stood is not None:
+        raise UnusableInputError("--registration belongs to a robot at an address; give its HOST:PORT")
+    if address is not None and rehearse is not None:
+        raise UnusableInputError(
+            "--rehearse starts a simulator and takes no address; leave out one of them, and state --frame-serial"
+        )
+    if stood is not None and frame_serial is not None:
+        raise UnusableInputError("the robot file states the frame's serial; leave out --frame-serial")
+
+
+_SHOT_BEFORE = {"drill": "ALIGNED", "drill on": "PAUSED"}  # the robot's state at the shot before a step
+
+
+def _shot(out: Output, robot: "RobotClient", state: str, shots: "DriveShots | None", *, block: bool) -> None:
+    """Measure the shot before a step, or say why it is not measured. Stops the robot where the shot says STOP.
+
+    Raises RobotRefusedError.
+    """
+    from sightline.errors import RobotRefusedError
+    from sightline.planning.drill_shot import TURNED_AWAY
+
+    if not block:
+        out.note(f"{state}: {TURNED_AWAY}")
+    elif shots is None:
+        out.note(f"{state}: the shot is not measured: give --case, the case with this plan. The decision is yours.")
+    else:
+        try:
+            shots.ask(state)
+        except RobotRefusedError:
+            robot.stop()
+            raise
+
+
 _Step = tuple[str, str, "Callable[[], object]"]
 
 
@@ -425,6 +472,7 @@ def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool, bloc
         robot.retract()
         _tell(robot, target, time.time())
 
+    again_off = "Is the block off again? " if block else ""
     off: list[_Step] = [
         ("block off", "Take the block off the robot: the arm must not turn with it. Is it off?", lambda: None)
     ]
@@ -456,11 +504,15 @@ def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool, bloc
         ),
         (
             "drill",
-            "Does the sleeve stand on the bone, and does the confirmation shot show the guide on the plan? The robot "
-            "will drill.",
+            f"{again_off}Does the sleeve stand on the bone, and does the confirmation shot show the guide on the plan? "
+            "The robot will drill.",
             robot.drill,
         ),
-        ("drill on", "Does the second shot, 10 mm short of the tip, show the wire on the plan?", robot.drill),
+        (
+            "drill on",
+            f"{again_off}Does the second shot, 10 mm short of the tip, show the wire on the plan?",
+            robot.drill,
+        ),
     ]
 
 

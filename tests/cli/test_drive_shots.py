@@ -1,0 +1,189 @@
+"""`sightline robot drive --case`: shots given while the robot waits, measured against the plan, recorded and obeyed.
+
+The images show the block and soft tissue. Wire and landmarks are picked, with noise, where the robot holds the wire.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+from tests.cli.test_robot import run as robot
+from tests.cli.test_robot import written
+from tests.planning.test_drill_shot import drawn
+from tests.robot.rig import END_MM, ENTRY_MM
+
+from sightline.case.interop.plan_file import PlanFile
+from sightline.case.journal import Case, Kind
+from sightline.case.replay import ReplayOutcome, replay
+from sightline.cli.robot import _target
+from sightline.frame import Frame
+from sightline.imaging import write_dicom
+from sightline.planning.drill_shot import ALIGNED, PAUSED
+from sightline.rehearsal.operation import SimulatedTheatre, registered
+from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.kinematics.target import RobotTarget
+from sightline.studies.scenes import VIEWS
+from sightline.twin import Scene, SetUp, draw_setup, render
+from sightline.twin.specimens import tagged
+from sightline.twin.things import SoftTissue, frame_scene
+
+BLOCK = Frame.load("block60")
+PICK_PX = 0.2
+WIRE = "check-pa:1,1,2,2,3,3,4,4,5,5 check-lateral:1,1,2,2,3,3,4,4,5,5"  # as good as any where no file is read
+MARKS_MM = np.array([[-19.3, -12.6, 9.2], [14.7, 21.8, -11.3], [17.6, -18.9, 15.8]])
+SHORT_MM = {ALIGNED: -20.0, PAUSED: float(np.linalg.norm(END_MM - ENTRY_MM)) - 10.0}  # depth of the tip
+
+
+def imaged(rng: np.random.Generator, setup: SetUp, folder: Path, name: str) -> list[Path]:
+    """Write an image of each view, of the block in soft tissue."""
+    scene = frame_scene(setup.true_frame) + Scene(tissue=SoftTissue().around(setup.hip_mm))
+    images = {view: tagged(setup, view, render(setup, view, scene, rng)) for view in VIEWS}
+    return [write_dicom(image, folder / f"{name}-{view}.dcm") for view, image in images.items()]
+
+
+def written_as(uv: np.ndarray, names: tuple[str, str]) -> str:
+    """Pixels (2, N, 2) as a person writes them."""
+    return " ".join(f"{name}:{','.join(f'{v:.3f}' for v in one.ravel())}" for name, one in zip(names, uv, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A GO plan in a case, made on `setup`; `target`: what the simulated robot will be sent."""
+
+    folder: Path
+    setup: SetUp
+    wire_mm: np.ndarray
+    marks_mm: np.ndarray
+    target: RobotTarget
+
+    def shot(self, state: str, off_mm: np.ndarray | None = None, *, marks: int = 3) -> str:
+        """Return what a person answers: files, landmarks found again and points on a wire that lies `off_mm` aside."""
+        rng = np.random.default_rng([7, state == PAUSED])
+        stood = self.target.registration
+        q = self.target.q.copy()
+        q[FEED] += SHORT_MM[state]
+        tip = stood.T_mcs_cfcs.inv() * stood.robot.manipulator.T_mcs_tool(q)
+        along = tip.rotation.apply([0.0, 0.0, 1.0])
+        line = tip.translation - np.linspace(45.0, 0.0, 15)[:, None] * along + (0.0 if off_mm is None else off_mm)
+        moved: RigidTransform = stood.robot.frame_moved(stood.q, q, self.wire_mm.mean(axis=0))[0]
+        line, found = moved.apply(line), moved.apply(self.marks_mm)
+        setup = drawn(rng, np.concatenate([line, found]))
+        files = imaged(rng, setup, self.folder, state)
+
+        def picked(on: SetUp, xyz: np.ndarray) -> np.ndarray:
+            uv = np.stack([on.views[name].project(xyz) for name in VIEWS])
+            return uv + PICK_PX * rng.standard_normal(uv.shape)
+
+        checked = ("check-pa", "check-lateral")
+        lines = [" ".join(map(str, files))]
+        for before, after in list(zip(self.marks_mm, found, strict=True))[:marks]:
+            lines.append(
+                f"{written_as(picked(self.setup, before[None]), VIEWS)} "
+                f"{written_as(picked(setup, after[None]), checked)}"
+            )
+        return "\n".join([*lines, "", written_as(picked(setup, line), checked), ""])
+
+
+@pytest.fixture(scope="module")
+def planned(run, tmp_path_factory: pytest.TempPathFactory) -> Planned:
+    folder, rng = tmp_path_factory.mktemp("drive"), np.random.default_rng(3)
+    hip = draw_setup(np.random.default_rng(0), BLOCK).hip_mm
+    wire, marks = np.stack([ENTRY_MM, END_MM]) + hip, MARKS_MM + hip
+    setup = drawn(rng, np.concatenate([wire, marks]))
+
+    def pixels(xyz: np.ndarray) -> str:
+        return written_as(np.stack([setup.views[name].project(xyz[None]) for name in VIEWS]), VIEWS)
+
+    given = [
+        "plan",
+        *imaged(rng, setup, folder, "plan"),
+        "--frame",
+        "block60",
+        "--procedure",
+        "free-wire",
+        "--side",
+        "right",
+    ]
+    given += ["--entry", pixels(wire[0]), "--end", pixels(wire[1]), "--pick-sd", 0.2]
+    given += [text for mark in marks for text in ("--landmark", pixels(mark))]
+    ran = run(*given, "--out", folder / "plan", "--case", folder / "case")
+    assert ran.code == 0, ran.err
+    theatre, plan = SimulatedTheatre.in_air("right", "simulated", BLOCK), PlanFile.read(folder / "plan")
+    target = _target(plan, "plan", "simulated", registered(theatre.robot, theatre.wire.imaged, 0.0))
+    return Planned(folder, setup, wire, marks, target)
+
+
+def drive(planned: Planned, say: str):
+    given = ("--frame", "block60", "--case", planned.folder / "case", "--pick-sd", "0.2", "--json")
+    done = robot("drive", planned.folder / "plan", *given, say=say)
+    done.told = json.loads(done.stdout[done.stdout.index("{") :]) if "{" in done.stdout else None
+    done.said = " ".join(done.stderr.split())
+    return done
+
+
+def shots(planned: Planned) -> list:
+    with Case.open(planned.folder / "case", read_only=True) as case:
+        return case.entries(Kind.SHOT)
+
+
+@pytest.mark.slow
+def test_both_shots_say_go_are_recorded_and_the_depth_moves_the_robot_s_end(planned: Planned) -> None:
+    """At the pause the images show the tip 0.6 mm deeper than the encoders do: the robot drills by that less."""
+    along = (planned.wire_mm[1] - planned.wire_mm[0]) / np.linalg.norm(planned.wire_mm[1] - planned.wire_mm[0])
+    before, deeper = len(shots(planned)), 0.6 * along
+    done = drive(planned, f"y\ny\n{planned.shot(ALIGNED)}y\n{planned.shot(PAUSED, deeper)}y\n")
+    assert done.exit_code == 0, done.output
+    assert done.told["state"] == "DONE"
+    told = done.told["shots"]
+    assert {state: one["decision"] for state, one in told.items()} == {ALIGNED: "GO", PAUSED: "GO"}
+    assert told[PAUSED]["depth_mm"] == pytest.approx(SHORT_MM[PAUSED] + 0.6, abs=4 * told[PAUSED]["depth_sd_mm"])
+    weight = 0.5**2 / (0.5**2 + told[PAUSED]["depth_sd_mm"] ** 2)  # of the shot beside the plan
+    short = (np.array(done.told["tip_mm"]) - planned.wire_mm[1]) @ along
+    assert short == pytest.approx(-0.6 * weight, abs=0.35)  # the plan's own error is in it
+    assert short < -0.2
+    kept = shots(planned)[before:]
+    assert [one.content["state"] for one in kept] == [ALIGNED, PAUSED]
+    with Case.open(planned.folder / "case", read_only=True) as case:
+        again = [one.outcome for one in replay(case) if one.entry.kind is Kind.SHOT]
+    assert set(again) == {ReplayOutcome.SAME}
+
+
+@pytest.mark.slow
+def test_a_guide_beside_its_plan_stops_the_robot_before_it_drills(planned: Planned) -> None:
+    before = len(shots(planned))
+    done = drive(planned, f"y\ny\n{planned.shot(ALIGNED, np.array([0.0, 0.0, 3.0]))}y\ny\n")
+    assert done.exit_code == 3
+    assert "ALIGNED: STOP: " in done.said and "the shot at ALIGNED says STOP: " in done.stdout
+    assert [one.content["decision"] for one in shots(planned)[before:]] == ["STOP"]
+
+
+@pytest.mark.slow
+def test_an_incomplete_shot_is_asked_for_again_and_without_one_the_person_decides(planned: Planned) -> None:
+    done = drive(planned, f"y\ny\n{planned.shot(ALIGNED, marks=0)}nowhere.dcm none.dcm\n\n{WIRE}\n\nn\n")
+    assert done.exit_code == 0, done.output
+    assert "ALIGNED: INCOMPLETE" in done.said
+    assert "ALIGNED: not measured" in done.said
+    assert "ALIGNED: no shot was given; the decision is yours" in done.said
+    assert done.told["state"] == "STOP"
+
+
+@pytest.mark.slow
+def test_without_a_case_or_with_another_s_plan_no_shot_is_measured(planned: Planned, tmp_path: Path) -> None:
+    document = json.loads((planned.folder / "plan" / "plan.json").read_text())
+    document["trajectory"]["end_mm"][0] += 0.5
+    other = written(tmp_path / "plan.json", **{key: one for key, one in document.items() if key != "digest"})
+    refused = robot("drive", other, "--frame", "block60", "--case", planned.folder / "case", say="y\n")
+    assert refused.exit_code == 3
+    assert "the case does not hold this plan" in " ".join(refused.stderr.split())
+    done = robot("drive", planned.folder / "plan", "--frame", "block60", say="y\ny\nn\n")
+    assert "ALIGNED: the shot is not measured: give --case" in " ".join(done.stderr.split())
+
+
+def test_with_a_frame_that_turned_away_it_says_so(tmp_path: Path) -> None:
+    """A plan without a block: no shot is asked for, with a case or without."""
+    done = robot("drive", written(tmp_path / "plan.json"), "--case", tmp_path / "none", say="y\nn\n")
+    assert done.exit_code == 0, done.output
+    assert "ALIGNED: This shot cannot be measured: the frame has turned away" in " ".join(done.stderr.split())
