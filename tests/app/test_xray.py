@@ -793,6 +793,21 @@ def test_delete_asks_and_enter_places(view: View) -> None:
     assert placed["uv"] == [(SIDE - 1) / 2, (SIDE - 1) / 2]
 
 
+def test_the_keyboard_steers_a_cross_hair_that_places(view: View) -> None:
+    view.do("place")
+    view.stage.focus()
+    for key in ("ArrowRight", "ArrowRight", "ArrowRight", "Shift+ArrowDown"):
+        view.page.keyboard.press(key)
+    view.settle()
+    uv = ((SIDE - 1) / 2 + 20 * view.core("core.canvas.unit") / view.zoom(), (SIDE - 1) / 2 + 1.0)
+    assert view.core("core.lens.uv") == pytest.approx(uv)
+    expect(view.root.get_by_test_id("live")).to_have_text(f"Aim: column {uv[0]:.1f}, row {uv[1]:.1f}")
+    view.page.keyboard.press("Enter")
+    (placed,) = view.heard("place")
+    assert placed["uv"] == pytest.approx(uv)
+    assert view.core("core.lens") is None
+
+
 def test_plus_and_minus_zoom(view: View) -> None:
     before = view.zoom()
     view.stage.focus()

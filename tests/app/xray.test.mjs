@@ -11,6 +11,7 @@ register("data:text/javascript," + encodeURIComponent(`
   export const resolve = (name, context, next) =>
     next(name === "colours" ? "${new URL("../../src/sightline/app/drawing/colours.js", import.meta.url)}" : name, context);`));
 const root = new URL("../../src/sightline/app/drawing/xray/", import.meta.url);
+const { Crosshair } = await import(new URL("xray_crosshair.js", root));
 const { Display } = await import(new URL("xray_display.js", root));
 const { Gestures } = await import(new URL("xray_gestures.js", root));
 const { arrange, Labels } = await import(new URL("xray_labels.js", root));
@@ -167,7 +168,7 @@ function held() {
       setPointerCapture() {},
       getBoundingClientRect: () => ({ left: 10, top: 20 }),
     }),
-    chrome: { showTip() {} },
+    chrome: { showTip() {}, say: (text) => said.push(["say", text]) },
     display,
     lens: null,
     moves: { flush() {} },
@@ -177,6 +178,7 @@ function held() {
       pointAt: ([x, y], reach) => (Math.hypot(x - display.toView(point.uv)[0], y - display.toView(point.uv)[1]) <= reach ? point : null),
     },
     aimed: (uv) => uv,
+    point: (id) => core.state.points.get(id) || null,
     move(type, id, uv) {
       point.uv = uv;
       said.push([type, ...uv]);
@@ -189,12 +191,16 @@ function held() {
     movedView() {},
     maximise() {},
   };
+  core.crosshair = new Crosshair(core);
+  core.reading.describe = ({ uv }) => uv.map((value) => value.toFixed(1)).join(" ");
+  core.placeAt = (uv) => said.push(["place", ...uv]);
   new Gestures(core);
+  const key = (name, more = {}) => core.stage.dispatchEvent(Object.assign(new Event("keydown", { cancelable: true }), { key: name, ...more }));
   const send = (type, x, y, more = {}) => {
     const event = Object.assign(new Event(type, { cancelable: true }), { clientX: x + 10, clientY: y + 20, pointerId: 1, ...more });
     core.stage.dispatchEvent(Object.assign(event, { pointerType: more.pointerType || "mouse", button: 0 }));
   };
-  return { core, point, said, send };
+  return { core, point, said, send, key };
 }
 
 test("a drag keeps the grip, and ends where it is dropped", () => {
@@ -232,4 +238,45 @@ test("a pinch zooms about the middle of both fingers", () => {
   near([core.display.zoom], [1.0], 1e-9); // from 0.5
   near(core.display.toImage([250, 100]), before, 1e-9);
   assert.deepEqual(said, []);
+});
+
+test("the keyboard's cross-hair steps on the screen, finely with shift, and Enter places it", () => {
+  const { core, said, key } = held();
+  core.display.orient(90, false); // down on the screen is to the right in the image
+  core.state.placing = "end";
+  key("ArrowDown");
+  near(core.crosshair.uv, [499.5, 499.5], 1e-9); // it appears in the middle
+  key("ArrowDown");
+  key("ArrowDown", { shiftKey: true });
+  near(core.crosshair.uv, [499.5 + 10 / core.display.zoom + 1, 499.5], 1e-9);
+  near(core.lens.uv, core.crosshair.uv, 1e-9);
+  near(core.lens.at, core.display.toView(core.crosshair.uv), 1e-9);
+  assert.deepEqual(said.at(-1), ["say", "520.5 499.5"]);
+  key("Enter");
+  assert.deepEqual(said.at(-1)[0], "place");
+  near(said.at(-1).slice(1), core.crosshair.uv, 1e-9);
+});
+
+test("the cross-hair slides on a curve, stays in the field and in view, and gives way to the pointer", () => {
+  const { core, key, send } = held();
+  core.state.placing = "end";
+  core.aimed = ([u]) => [u, 200];
+  key("ArrowRight");
+  key("ArrowRight");
+  near(core.crosshair.uv, [519.5, 200], 1e-9);
+  core.display.zoomAt(4, [0, 0]);
+  for (let k = 0; k < 300; k++) key("ArrowRight");
+  near(core.crosshair.uv, [999.5, 200], 1e-9);
+  const [x, y] = core.display.toView(core.crosshair.uv);
+  assert.ok(x >= 0 && x <= 500 && y >= 0 && y <= 500, `${x}, ${y}`);
+  send("pointermove", 100, 100);
+  assert.equal(core.crosshair.uv, null);
+});
+
+test("without a point to place the arrow keys pan", () => {
+  const { core, key } = held();
+  const before = core.display.toView([499.5, 499.5]);
+  key("ArrowRight");
+  near(core.display.toView([499.5, 499.5]), [before[0] - 40, before[1]], 1e-9);
+  assert.equal(core.crosshair.uv, null);
 });

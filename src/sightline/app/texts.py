@@ -28,7 +28,7 @@ XRAY = {
     "restore": "Show both images",
     "point": "{name}: column {u}, row {v}",
     "snapped": "on the matching curve",
-    "placing": "Click to place: {name}. Escape cancels.",
+    "placing": "Click to place: {name}, or steer by arrow keys and press Enter. Escape cancels.",
     "mirrored": "mirrored",
     "rotated": "rotated by {degrees}°",
     "head_up": "head up",

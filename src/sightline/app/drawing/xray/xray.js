@@ -10,6 +10,7 @@
 import { Age } from "./xray_age.js";
 import { Canvas } from "./xray_canvas.js";
 import { Chrome } from "./xray_chrome.js";
+import { Crosshair } from "./xray_crosshair.js";
 import { Display } from "./xray_display.js";
 import { Following } from "./xray_following.js";
 import { Gestures } from "./xray_gestures.js";
@@ -90,6 +91,7 @@ export class XrayCore {
     this.reading = new Reading(this);
     this.matching = new Matching();
     this.following = new Following(this);
+    this.crosshair = new Crosshair(this);
     /** @type {{ uv: Pair, at: Pair } | null} */
     this.lens = null; // the pixel in the magnifier, and its position in the view
     /** @type {Pair | null} */
@@ -195,6 +197,7 @@ export class XrayCore {
     const id = this.undone.placing === null ? this.word.placing : null;
     if (id === this.state.placing) return;
     this.state.placing = id;
+    this.crosshair.end();
     if (id === null) this.lens = null;
     this.chrome.showLine(this.chrome.hint, id === null ? "" : this.texts.placing.replace("{name}", this.#nameOf(id)));
     this.gestures.showCursor();

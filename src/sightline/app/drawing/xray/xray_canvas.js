@@ -6,7 +6,7 @@
 import { COLOURS } from "colours";
 import { arrange, Labels, measureOn, paintTexts } from "./xray_labels.js";
 import { paintLens } from "./xray_lens.js";
-import { paintPoint, paintShape, STYLES } from "./xray_paint.js";
+import { paintCrosshair, paintPoint, paintShape, STYLES } from "./xray_paint.js";
 import { Picture } from "./xray_picture.js";
 
 /** @typedef {import("./types").Pair} Pair */
@@ -16,6 +16,7 @@ import { Picture } from "./xray_picture.js";
 
 const FRAMES_KEPT = 2000;
 const BREAK_MS = 250; // a longer gap between frames means that the person paused
+const CROSS = 24; // half the size of the keyboard's cross-hair
 const TEXT_PX = 15; // CSS pixels of the text for which `unit` is 1
 
 export class Canvas {
@@ -113,6 +114,7 @@ export class Canvas {
     };
     this.#paintMarks(context, toUnits, core.display.zoom / this.unit, null);
     this.#paintTexts(context, toUnits);
+    if (core.crosshair.uv) paintCrosshair(context, toUnits(core.crosshair.uv), CROSS);
     const { lens } = core;
     if (lens) {
       paintLens(context, lens, core.display, this.unit, {

@@ -102,6 +102,14 @@ export class Display {
     return true;
   }
 
+  /** Moves the image so that a pixel is in the view.
+   * @param {number[]} uv */
+  reveal(uv) {
+    const [x, y] = this.toView(uv);
+    const [dx, dy] = [Math.min(Math.max(x, 0), this.viewWidth) - x, Math.min(Math.max(y, 0), this.viewHeight) - y];
+    if (dx || dy) this.panBy(dx, dy);
+  }
+
   /** The middle of the view, CSS pixels.
    * @returns {[number, number]} */
   get middle() {

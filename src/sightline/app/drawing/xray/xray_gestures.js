@@ -276,6 +276,8 @@ export class Gestures {
     const { dragging, placing, points } = core.state;
     const had = core.lens !== null;
     core.pointer = at;
+    if (at === null && core.crosshair.uv) return;
+    core.crosshair.end();
     core.lens = null;
     if (at && dragging !== null && this.now && this.now.moved) {
       const { uv } = points.get(dragging);
@@ -310,7 +312,9 @@ export class Gestures {
     const direction = ARROWS[event.key];
     if (!direction) return false;
     const { core } = this;
-    if (!point) {
+    if (!point && core.state.placing !== null) {
+      core.crosshair.step(direction, event.shiftKey);
+    } else if (!point) {
       core.display.panBy(-direction[0] * PAN_KEY, -direction[1] * PAN_KEY);
       core.movedView();
     } else if (point.movable) {
@@ -327,7 +331,7 @@ export class Gestures {
     if (event.key === "+" || event.key === "=") core.zoom(true);
     else if (event.key === "-" || event.key === "_") core.zoom(false);
     else if (event.key === "Delete" && point) core.remove(point.id);
-    else if (event.key === "Enter" && core.state.placing !== null) core.placeAt(core.display.centre);
+    else if (event.key === "Enter" && core.state.placing !== null) core.placeAt(core.crosshair.uv ?? core.display.centre);
     else return false;
     return true;
   }
