@@ -82,8 +82,12 @@ class Page:
         return [arguments for name, called, arguments in self.told if (name, called) == (view, method)]
 
     def word(self, view: str) -> dict[str, Any]:
-        """The content of a view's newest message."""
-        return self.of(view, "show")[-1][0]
+        """The content of a view after its newest message: a layer that is None is as it was before."""
+        told = [word for (word,) in self.of(view, "show")]
+        layers: dict[str, Any] = {}
+        for word in told:
+            layers = {name: layers.get(name) if sent is None else sent for name, sent in word["layers"].items()}
+        return {**told[-1], "layers": layers}
 
     def elements(self) -> list[ui.element]:
         return list(self.tab.views.pair[0].client.elements.values())
@@ -185,7 +189,7 @@ def test_a_drag_is_followed(opened: Page) -> None:
     _drag_and_meanwhile(opened, lambda: None)
     assert opened.tab.dragging.preview is not None
     assert opened.tab.known is opened.tab.dragging.preview.known is not opened.planning.planned
-    assert opened.word("lateral")["layers"]["curves"]
+    assert _uv(opened, "pa", "end") == (300.0, 400.0)
     opened.hear("pa", _move("/image/101", "end"))
     assert opened.tab.known is opened.planning.planned
 
@@ -198,7 +202,7 @@ def test_what_follows_a_drag_late_is_not_shown_where_it_was_dropped_and_undone_m
         opened.planning.undo()
 
     _drag_and_meanwhile(opened, drop_and_undo)
-    assert not any("curves" in word["layers"] for view in NAMES for (word,) in opened.of(view, "show"))
+    assert opened.tab.dragging.preview is None
     assert opened.tab.known is opened.planning.planned
 
 
@@ -207,7 +211,7 @@ def test_nor_where_it_was_dropped_where_it_had_been(opened: Page) -> None:
     revision = opened.planning.history.revision
     _drag_and_meanwhile(opened, lambda: asyncio.create_task(opened.heard("pa", _move("/image/101", "end"))))
     assert opened.planning.history.revision == revision
-    assert not any("curves" in word["layers"] for view in NAMES for (word,) in opened.of(view, "show"))
+    assert opened.tab.dragging.preview is None
     assert opened.tab.known is opened.planning.planned
 
 
@@ -300,6 +304,19 @@ def test_metrics_that_are_refused_leave_those_of_the_plan(opened: Page, side: Si
     assert ("wire to shaft" in html) is not refused
 
 
+def test_layers_that_stay_as_they_are_are_not_sent_again(opened: Page) -> None:
+    _place_all(opened, "right")
+    opened.tab.refresh()
+    u, v = _uv(opened, "pa", "end")
+    opened.told.clear()
+    opened.hear("pa", _move("/image/101", "end", "drag") | {"uv": [u + 9.0, v]})
+    for view in NAMES:
+        ((word,),) = opened.of(view, "show")
+        assert {name for name, sent in word["layers"].items() if sent is not None} == {"wire"}
+    opened.hear("pa", _move("/image/101", "end") | {"uv": [u + 9.0, v]})
+    assert opened.word("lateral")["layers"]["curves"]
+
+
 def test_a_layer_that_cannot_be_drawn_is_empty_and_the_others_are_there(
     opened: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -348,7 +365,9 @@ def test_a_drop_that_is_refused_leaves_both_views_as_they_were(opened: Page, mon
         now, was = opened.word(view), before[view]
         assert now["version"] > was["version"]
         assert {key: now[key] for key in ("layers", "points")} == {key: was[key] for key in ("layers", "points")}
-        assert opened.told.index((view, "show", (now,))) < opened.told.index(("pa", "acknowledge", (7,)))
+        assert opened.told.index((view, "show", opened.of(view, "show")[-1])) < opened.told.index(
+            ("pa", "acknowledge", (7,))
+        )
     assert opened.tab.message == "outside the calibrated area"
     assert opened.tab.known is opened.planning.planned
 

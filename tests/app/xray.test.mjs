@@ -85,7 +85,7 @@ test("a curve that moves replaces the server's, with the widths of its newest ba
   const band = { shape: "band", of: "end", points: [], halfWidth: [3, 4], from: 400 };
   const given = [band, { shape: "line", of: "end", points: [] }, { shape: "line", of: "entry", points: [] }];
   matching.show({ from: "pa", title: "of {name}", sights: ["/a", "/b"] }, given, assert.fail);
-  assert.equal(matching.over(given, new Map([["end", [612, 487]]])), given); // the maps have not arrived
+  assert.deepEqual(matching.over(given, new Map([["end", [612, 487]]])), given.filter(({ of }) => of !== "end")); // no maps yet
   await new Promise((done) => setTimeout(done));
   assert.equal(matching.over(given, new Map()), given);
   const shown = matching.over(given, new Map([["end", [612, 487]]]));

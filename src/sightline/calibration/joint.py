@@ -63,16 +63,21 @@ class JointFit:
         prior = np.zeros((3 + 2 * n, 3 + 2 * n))
         prior[3:, 3:] = twice(self.map.kernel(at, at))
         weights, total = self.solution.predict(design, cross, prior)
-        frame_factor = -weights @ self._frame_in_data
+        factor, felt = self._frame_in_data
+        frame_factor = np.zeros((len(weights), len(felt)))
+        frame_factor[:, felt] = -weights @ factor
         noise = weights @ self.noise @ weights.T
         misfit = total - noise - frame_factor @ frame_factor.T
         return LineErrors(noise, _without_negative(misfit), frame_factor)
 
     @cached_property
-    def _frame_in_data(self) -> np.ndarray:
-        """(2N, K): response of the data to the unit-variance errors of `Frame.error_factor`."""
+    def _frame_in_data(self) -> tuple[np.ndarray, np.ndarray]:
+        """(2N, F): response of the data to those of the K unit-variance errors of `Frame.error_factor` that they feel,
+        and which these are, (K,) bool: not those of the other views' beads."""
         factor = self.beads.frame_factor()
-        return (self.jacobian @ factor.reshape(len(self.beads), 3, -1)).reshape(-1, factor.shape[1])
+        felt = np.any(factor, axis=0, keepdims=True)[0]
+        kept = factor[:, felt].reshape(len(self.beads), 3, -1)
+        return (self.jacobian @ kept).reshape(2 * len(self.beads), -1), felt
 
     def prediction_sigma(self, others: Beads) -> np.ndarray:
         """Return (M,): Mahalanobis distances of other beads from their predictions (two degrees of freedom each)."""

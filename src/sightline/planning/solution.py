@@ -1,6 +1,7 @@
 """The least-squares solution of N points from their lines of sight in two or more views."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from typing import Literal, get_args
@@ -38,26 +39,63 @@ def solve(lines: Sequence[LinesOfSight], picks: PickArrays, method: Method) -> "
     xyz = _start(lines, picks.seen)
     _refuse_behind(lines, picks.seen, xyz)
     used: Method = "nearest" if any(one.covariance is None for one in lines) else method
-    solution = Solution(lines, picks, xyz, used)
+    given = Given(lines, picks)
+    solution = Solution(given, xyz, used)
     # Of two lines the start is already the nearest point.
     for _ in range(_ITERATIONS if used == "weighted" or (picks.seen.sum(axis=0) > 2).any() else 0):
         xyz = xyz + solution.step_mm()
-        solution = Solution(lines, picks, xyz, used)
+        solution = Solution(given, xyz, used)
     return solution
 
 
-class Solution:
-    """The problem linearised at given points: residuals of all views, their covariance, and the weights for X.
+@dataclass(frozen=True, eq=False)
+class Given:
+    """Lines and picks, and what follows from them wherever the points are.
 
     A point has 2V residuals (view, axis); those of a view that does not show it are zero, with no weight.
     """
 
-    def __init__(self, lines: Sequence[LinesOfSight], picks: PickArrays, xyz_mm: np.ndarray, method: Method) -> None:
-        self.lines, self.picks, self.xyz_mm, self.method = lines, picks, xyz_mm, method
+    lines: Sequence[LinesOfSight]
+    picks: PickArrays
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """Number of points, and of the residuals of each."""
+        return self.picks.uv_px.shape[1], 2 * len(self.lines)
+
+    @cached_property
+    def at(self) -> np.ndarray:
+        """Place of each residual that a view shows (view, point, axis) in those of all points (point, view, axis)."""
+        shown = [np.flatnonzero(seen) for seen in self.picks.seen]
+        places = [self.size[1] * at[:, None] + [2 * k, 2 * k + 1] for k, at in enumerate(shown)]
+        return np.concatenate(places).ravel()
+
+    @cached_property
+    def picks_mm2(self) -> np.ndarray:
+        """(N, 2V, 2V): the picks' own covariances."""
+        out = np.zeros((*self.size, self.size[1]))
+        for k, (one, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
+            own = slice(2 * k, 2 * k + 2)
+            out[seen, own, own] = pick_covariance_mm2(one, self.picks.covariance_px2[k, seen])
+        return out
+
+    @cached_property
+    def snapped(self) -> np.ndarray:
+        """(V, N, 2V): for each view's picks the direction of the residuals in which a pick measures nothing, zero for
+        a free pick."""
+        out = np.zeros((len(self.lines), *self.size))
+        for k, (one, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
+            out[k, seen, 2 * k : 2 * k + 2] = np.einsum("ijk,ik->ij", one.jacobian, self.picks.across_px[k, seen])
+        return out
+
+
+class Solution:
+    """The problem linearised at given points: residuals of all views, their covariance, and the weights for X."""
+
+    def __init__(self, given: Given, xyz_mm: np.ndarray, method: Method) -> None:
+        lines, picks = self.lines, self.picks = given.lines, given.picks
+        self.given, self.xyz_mm, self.method = given, xyz_mm, method
         self.residuals = tuple(LineResiduals.at(one, xyz_mm[s]) for one, s in zip(lines, picks.seen, strict=True))
-        shown = [np.flatnonzero(seen) for seen in picks.seen]
-        self._size = len(xyz_mm), 2 * len(lines)
-        self._at = np.concatenate([2 * len(lines) * at[:, None] + [2 * k, 2 * k + 1] for k, at in enumerate(shown)])
         total = total_covariance(self.residuals) if method == "weighted" else None
         information = self._distance_form() if total is None else self._information(total)
         information = self._without_direction(information)
@@ -67,9 +105,10 @@ class Solution:
 
     def by_point(self, of_views: Sequence[np.ndarray]) -> np.ndarray:
         """Return (N, 2V, ...) of values (n, 2, ...) for the n points that each view shows; zero for the others."""
-        out = np.zeros((self._size[0] * self._size[1], *of_views[0].shape[2:]))
-        out[self._at.ravel()] = np.concatenate(of_views).reshape(-1, *out.shape[1:])
-        return out.reshape(*self._size, *out.shape[1:])
+        size = self.given.size
+        out = np.zeros((size[0] * size[1], *of_views[0].shape[2:]))
+        out[self.given.at] = np.concatenate(of_views).reshape(-1, *out.shape[1:])
+        return out.reshape(*size, *out.shape[1:])
 
     def step_mm(self) -> np.ndarray:
         """Return the Gauss-Newton step (N, 3)."""
@@ -93,7 +132,7 @@ class Solution:
         """Return the covariance (3N, 3N) of the points for each source of BUDGET; None where an error is unknown."""
         if self.covariances is None:
             return None
-        n, size = self._size
+        n, size = self.given.size
         out = {}
         for source, covariance in self.covariances.items():
             half = (self.weights @ covariance.reshape(n, size, size * n)).reshape(3 * n, n, size)
@@ -106,35 +145,27 @@ class Solution:
         by_source = covariance_by_source(self.residuals)
         if by_source is None:
             return None
-        n, size = self._size
+        n, size = self.given.size
         picks = np.zeros((n, size, n, size))
-        picks[range(n), :, range(n)] = self._of_picks()
+        picks[range(n), :, range(n)] = self.given.picks_mm2
         return {source: self._of_all(covariance) for source, covariance in by_source.items()} | {"picks": picks}
 
     def _of_all(self, covariance: np.ndarray) -> np.ndarray:
         """Return (N, 2V, N, 2V) of a covariance (R, R) of the residuals that the views show."""
-        n, size = self._size
-        whole, at = np.zeros((n * size, n * size)), self._at.ravel()
+        n, size = self.given.size
+        whole, at = np.zeros((n * size, n * size)), self.given.at
         whole[np.ix_(at, at)] = covariance
         return whole.reshape(n, size, n, size)
 
-    def _of_picks(self) -> np.ndarray:
-        """Return (N, 2V, 2V): the picks' own covariances."""
-        out = np.zeros((*self._size, self._size[1]))
-        for k, (one, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
-            own = slice(2 * k, 2 * k + 2)
-            out[seen, own, own] = pick_covariance_mm2(one, self.picks.covariance_px2[k, seen])
-        return out
-
     def _information(self, total: np.ndarray) -> np.ndarray:
         """Return (N, 2V, 2V): the inverse of the covariance of each point's residuals, zero where not seen."""
-        own = np.einsum("ipiq->ipq", self._of_all(total)) + self._of_picks()
+        own = np.einsum("ipiq->ipq", self._of_all(total)) + self.given.picks_mm2
         shown = np.repeat(self.picks.seen.T, 2, axis=1)
-        return inverse(own + np.eye(self._size[1]) * ~shown[:, None]) * (shown[:, None] & shown[:, :, None])
+        return inverse(own + np.eye(self.given.size[1]) * ~shown[:, None]) * (shown[:, None] & shown[:, :, None])
 
     def _distance_form(self) -> np.ndarray:
         """Return (N, 2V, 2V): the form of the residuals that equals X's summed squared distance from its lines."""
-        n, size = self._size
+        n, size = self.given.size
         out = np.zeros((n, size, size))
         for k, (r, seen) in enumerate(zip(self.residuals, self.picks.seen, strict=True)):
             axes, along = r.lines.plane.axes, r.lines.directions @ r.lines.plane.axes.T
@@ -142,17 +173,9 @@ class Solution:
             out[seen, 2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = r.reach[:, None, None] ** 2 * across
         return out
 
-    def snapped(self) -> np.ndarray:
-        """Return (V, N, 2V): for each view's picks the direction of the residuals in which a pick measures nothing,
-        zero for a free pick."""
-        out = np.zeros((len(self.lines), *self._size))
-        for k, (one, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
-            out[k, seen, 2 * k : 2 * k + 2] = np.einsum("ijk,ik->ij", one.jacobian, self.picks.across_px[k, seen])
-        return out
-
     def _without_direction(self, information: np.ndarray) -> np.ndarray:
         """Return the information (N, 2V, 2V) in the limit of infinite variance in the directions `snapped`."""
-        for direction in self.snapped():
+        for direction in self.given.snapped:
             carried = np.einsum("ipq,iq->ip", information, direction)
             weight = np.einsum("ip,ip->i", direction, carried)
             weight = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)

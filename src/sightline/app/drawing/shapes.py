@@ -59,18 +59,17 @@ def rejected(seen: SeenImage) -> list[Shape]:
 CURVE_TITLE = "where the {name} point may lie"
 
 
-def curves(drawn: Mapping[str, MatchingCurve], moving: str = "") -> list[Shape]:
-    """Return image-matching curves with their bands and depth ticks, for the lateral image. `moving`: a point whose
-    band is left out, because it takes half as long as the plan."""
-    return [shape for name, curve in drawn.items() for shape in _curve(name, curve, banded=name != moving)]
+def curves(drawn: Mapping[str, MatchingCurve]) -> list[Shape]:
+    """Return image-matching curves with their bands and depth ticks, for the lateral image."""
+    return [shape for name, curve in drawn.items() for shape in _curve(name, curve)]
 
 
-def _curve(name: str, curve: MatchingCurve, *, banded: bool) -> list[Shape]:
+def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
     line = curve.uv_px.tolist()
     ticks = curve.uv_px[curve.is_tick].tolist()
     depths = [f"{depth:.0f}" if depth % 50 == 0 else "" for depth in curve.depth_mm[curve.is_tick]]
     out: list[Shape] = []
-    if banded and curve.half_width_px is not None:
+    if curve.half_width_px is not None:
         half = curve.half_width_px.tolist()
         band = {"shape": "band", "points": line, "halfWidth": half, "style": "curve-band"}
         out.append({**band, "from": float(curve.depth_mm[0])})

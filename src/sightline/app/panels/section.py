@@ -7,6 +7,7 @@ from typing import Any
 from markupsafe import Markup
 from nicegui import ui
 
+from sightline.app.drawing.calls import Calling
 from sightline.app.panels import markup
 from sightline.app.session.failures import failure_of
 from sightline.app.tab.tab import Tab
@@ -28,7 +29,8 @@ class _Part:
     def refresh(self) -> None:
         """Fill it if its key has changed."""
         if self._box.is_deleted:
-            self._tab.on_refresh.remove(self.refresh)
+            for called in (self._tab.on_refresh, self._tab.on_drag):
+                called[:] = [one for one in called if one != self.refresh]
             return
         found: list[Hashable] = []
         refused = failure_of(lambda: found.append(self._key(self._tab)))
@@ -72,10 +74,11 @@ class PersistentSection(_Part):
 
 
 class HtmlSection(_Part):
-    """A part that `html(tab)` fills with HTML. A change is one message to the browser, fast enough to follow a drag."""
+    """A part that `html(tab)` fills with HTML: fast enough to follow a drag, which the other parts do not."""
 
     def __init__(self, tab: Tab, key: Key, html: Callable[[Tab], Markup], *, classes: str = "") -> None:
         self._html, self._element = html, _Html()
+        tab.on_drag.append(self.refresh)
         super().__init__(tab, key, self._element.classes(classes))
 
     def _fill(self, refused: str) -> None:
@@ -84,7 +87,7 @@ class HtmlSection(_Part):
         self._element.show(markup.note(refused, kind="bad", testid="section-refused") if refused else made[0])
 
 
-class _Html(ui.element, component=Path(__file__).parent / "html_section.js"):
+class _Html(Calling, component=Path(__file__).parent / "html_section.js"):
     def __init__(self) -> None:
         super().__init__()
         self.html = Markup()

@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 
 from sightline.app.drawing import shapes
@@ -11,16 +10,17 @@ from sightline.app.plan.marks import names_of
 from sightline.app.plan.planner import Planned, planned
 from sightline.app.session.planning import Planning
 from sightline.calibration import BeadView
-from sightline.case.views import ALL_NAMES, NAMES
+from sightline.case.views import ALL_NAMES
 from sightline.errors import SightlineError
+from sightline.threads import one_blas_thread
 
 _Views = tuple[BeadView, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """Preview of a dragged point. `revision`: of the decisions it started from. `layers`: changed layers, by image.
-    `known`: the plan."""
+    """Preview of a dragged point. `revision`: of the decisions it started from. `layers`: changed layers, by image,
+    without the curves, which the page draws. `known`: the plan."""
 
     revision: int
     decisions: Decisions
@@ -76,24 +76,15 @@ class Dragging:
         return drag == (self._ended, self._planning.history.revision)
 
 
+@one_blas_thread
 def _preview(
     planning: Planning, views: _Views, name: str, image: str, uv: Pixel
 ) -> tuple[Decisions, Planned, dict[str, shapes.Layers]]:
     """Return decisions, plan and changed layers after moving a mark; runs on another thread."""
     decisions = planning.moved(name, image, uv)
-    known, layers = _planned_layers(decisions, views, name)
-    if name in known.curves and image == NAMES[0]:
-        layers[NAMES[1]]["curves"] = shapes.curves(known.curves, moving=name)
-    return decisions, known, layers
-
-
-def _planned_layers(decisions: Decisions, views: _Views, moved: str) -> tuple[Planned, dict[str, shapes.Layers]]:
-    """Return the plan with its metrics, and the changed layers by image; runs on another thread."""
     known = planned(decisions, views)
     layers = {image: {"wire": shapes.wire(known, image)} for image in ALL_NAMES}
-    if moved in names_of(decisions.kind, "aid"):
-        for image, drawn in layers.items():
-            drawn["aids"] = shapes.aids(known, image)
-    with suppress(SightlineError):  # compute them here; the panel reports errors
-        _ = known.metrics
-    return known, layers
+    if name in names_of(decisions.kind, "aid"):
+        for shown, drawn in layers.items():
+            drawn["aids"] = shapes.aids(known, shown)
+    return decisions, known, layers

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 class Tab:
     """State of one page. `message`: a sentence for the person, empty for none. `on_refresh`: called to update the parts
-    beside the views. `on_step`: called with the step before and the new one.
+    beside the views; `on_drag`: those of them that follow a drag. `on_step`: called with the step before and the new
+    one.
     """
 
     def __init__(
@@ -39,6 +40,7 @@ class Tab:
         self._placing = Placing(self.planning)
         self.step, self.message = STEPS[0], ""
         self.on_refresh: list[Callable[[], None]] = []
+        self.on_drag: list[Callable[[], None]] = []
         self.on_step: Callable[[str, str], None] = lambda before, step: None
         self._waiting = False
 
@@ -99,8 +101,11 @@ class Tab:
 
     def refresh(self) -> None:
         """Update the views and the parts beside them; an error in one part does not stop the others."""
+        self._refresh(self.on_refresh)
+
+    def _refresh(self, parts: list[Callable[[], None]]) -> None:
         self._show_views()
-        refused = [why for why in map(failure_of, list(self.on_refresh)) if why]
+        refused = [why for why in map(failure_of, list(parts)) if why]
         if refused and not self.message:
             self.message = refused[0]
             self.later()
@@ -179,8 +184,7 @@ class Tab:
 
     async def _drag(self, name: str, image: str, uv: tuple[float, float]) -> None:
         try:
-            changed = await self.dragging.follow(name, image, uv)
+            if await self.dragging.follow(name, image, uv):
+                self._refresh(self.on_drag)
         except Exception as error:
-            self.message, changed = report(error), True
-        if changed:
-            self.refresh()
+            self.say(report(error))

@@ -142,7 +142,7 @@ class _Server(uvicorn.Server):
             uvicorn.Config(
                 app,  # pyright: ignore[reportArgumentType]  # its own ASGI types are typed dicts
                 http=_Http,
-                ws="wsproto",
+                ws="websockets-sansio",
                 ws_max_size=MAX_BODY_BYTES,
                 ws_per_message_deflate=False,
                 limit_concurrency=MAX_CONNECTIONS,

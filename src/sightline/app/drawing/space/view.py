@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import nicegui.elements.scene  # noqa: F401 # pyright: ignore[reportUnusedImport] - makes its three.js known to the page; ours is no copy of it
-from nicegui.element import Element
+
+from sightline.app.drawing.calls import Calling
 
 _COLOURS = Path(__file__).parents[1] / "colours.js"
 TEXTS = {
@@ -22,7 +23,7 @@ TEXTS = {
 Objects = Sequence[Mapping[str, Any]]
 
 
-class SpaceView(Element, component="space_view.js", dependencies=["space*.js", _COLOURS]):
+class SpaceView(Calling, component="space_view.js", dependencies=["space*.js", _COLOURS]):
     """The 3-D scene. Its objects are those of `document`, in named groups that a person can hide."""
 
     def __init__(self, *, label: str, groups: Mapping[str, str]) -> None:

@@ -1,8 +1,8 @@
 """The X-ray view as a NiceGUI element; events from the browser are validated before they are handled.
 
 Coordinates are image pixels, (0, 0) the centre of the top-left pixel. Every change is one message with the complete
-content of the view. The browser shows a person's action at once; when the action is acknowledged, the newest message
-replaces it.
+content of the view, but for layers that are as in the message before. The browser shows a person's action at once; when
+the action is acknowledged, the newest message replaces it.
 """
 
 import inspect
@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any, Literal, TypeGuard, get_args
 
 import numpy as np
-from nicegui.element import Element
 from nicegui.events import GenericEventArguments
+
+from sightline.app.drawing.calls import Calling
 
 _COLOURS = Path(__file__).parents[1] / "colours.js"
 PRESETS = ("bone", "metal", "beads")
@@ -149,7 +150,7 @@ class XrayEvent:
 Handler = Callable[["XrayView", XrayEvent], Awaitable[None] | None]
 
 
-class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COLOURS]):
+class XrayView(Calling, component="xray_view.js", dependencies=["xray*.js", _COLOURS]):
     """An X-ray image in the browser, with layers of shapes and points to place and move."""
 
     def __init__(self, name: str, *, label: str, texts: Mapping[str, str]) -> None:
@@ -178,9 +179,11 @@ class XrayView(Element, component="xray_view.js", dependencies=["xray*.js", _COL
         """Show this content. `fresh_s`: for a live image, how long from now it counts as current; unless extended by
         another call, the browser then hides the plan and says so."""
         if shown != self.shown or self._version == 0:
-            self.shown, self._version = shown, self._version + 1
+            before, self.shown, self._version = self.shown.layers, shown, self._version + 1
             fresh_ms = None if fresh_s is None else 1000.0 * fresh_s
-            self.run_method("show", {"version": self._version, "freshMs": fresh_ms, **shown.document()})
+            word = shown.document()
+            word["layers"] |= {name: None for name, drawn in shown.layers.items() if before.get(name) is drawn}
+            self.run_method("show", {"version": self._version, "freshMs": fresh_ms, **word})
         elif fresh_s is not None and shown.picture is not None:
             self.run_method("setFresh", shown.picture.url, 1000.0 * fresh_s)
 

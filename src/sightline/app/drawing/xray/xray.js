@@ -169,11 +169,13 @@ export class XrayCore {
     this.stream.load(picture);
   }
 
-  /** Layers by name, drawn in this order.
-   * @param {Record<string, Shape[]>} layers */
+  /** Layers by name, drawn in this order; null: as in the message before.
+   * @param {Record<string, Shape[] | null>} layers */
   #showLayers(layers) {
+    const before = new Map(this.state.layers);
     this.state.layers.clear();
-    for (const [name, shapes] of Object.entries(layers)) {
+    for (const [name, sent] of Object.entries(layers)) {
+      const shapes = sent ?? before.get(name)?.shapes ?? [];
       const faults = shapes.map(shapeFault).filter(Boolean);
       if (faults.length) this.#report(`layer ${name}: ${faults[0]}`);
       this.state.layers.set(name, { shapes: faults.length ? shapes.filter((shape) => !shapeFault(shape)) : shapes });

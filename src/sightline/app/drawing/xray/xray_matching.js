@@ -76,13 +76,14 @@ export class Matching {
     return curve;
   }
 
-  /** The shapes, with those of the points `moving` (id to place in the other view) replaced.
+  /** The shapes, with those of the points `moving` (id to place in the other view) replaced; left out before the maps
+   * have arrived.
    * @param {Shape[]} shapes
    * @param {Map<string, Pair>} moving
    * @returns {Shape[]} */
   over(shapes, moving) {
-    const { sights: both, word } = this;
-    if (!both || !word || moving.size === 0) return shapes;
+    const { word } = this;
+    if (!word || moving.size === 0) return shapes;
     const own = [...moving].flatMap(([id, uv]) => {
       const curve = this.curve(id, uv);
       return curve ? curveShapes(curve, id, word.title.replace("{name}", id), this.widths.get(id) || null) : [];
