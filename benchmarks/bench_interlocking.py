@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import sightline as sl
-from benchmarks.gvxr_nails import image, lengths, window_px
+from benchmarks.gvxr_nails import cast, image, window_px
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from benchmarks.scenes_hole import Sight, Trial, ends_of_outlines, scored, seen
@@ -171,11 +171,11 @@ def project_nail(case: tuple[tuple[str, str], int], stream: int = JUDGED) -> Pai
     truths = list(setup.views.values())
     strokes, clicks = _drawn(nail, truths)
     windows = [window_px(truth, own) for truth, own in zip(truths, strokes, strict=True)]
-    cast = [lengths(truth, nail, setup.true_frame, px) for truth, px in zip(truths, windows, strict=True)]
+    rays = [cast(truth, nail, setup.true_frame, px) for truth, px in zip(truths, windows, strict=True)]
     strokes = strokes + CLICK_PX * rng.standard_normal(strokes.shape)
     clicks = clicks + CLICK_PX * rng.standard_normal(clicks.shape)
     whole, hidden = (
-        [image(*one, rng, material=nail.material, hidden=hides) for one in zip(truths, cast, windows, strict=True)]
+        [image(*one, rng, material=nail.material, hidden=hides) for one in zip(truths, rays, windows, strict=True)]
         for hides in (False, True)
     )
     return (

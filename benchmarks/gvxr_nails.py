@@ -5,10 +5,11 @@ and video of the detector, and the nail's mesh. Only the pixels around the nail 
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates, uniform_filter
 
 from benchmarks.gvxr_projector import Window, path_lengths_mm
 from sightline.frame import Frame
@@ -29,36 +30,45 @@ MARGIN_PX = 40  # drawn beyond the strokes
 ROD_MM = 4.0  # diameter of what hides a part of the lens
 SUBDIVISIONS = 2  # of a ball's mesh
 
-Lengths = Mapping[str, np.ndarray]
+RAYS = 3  # along each side of a pixel: a pixel shows the mean light of its area, which is not that of its mean length
 
 
-def lengths(view: ViewTruth, nail: DistalNail, frame: Frame, window_px: np.ndarray) -> Lengths:
-    """Return the path lengths (h, w), mm, of the rays of a window's pixels (h, w, 2) in each material but tissue, and
-    in the whole thigh.
+@dataclass(frozen=True, eq=False)
+class Cast:
+    """Path lengths (H, W), mm, by material and part, of a lattice of rays; `at` (2, h, w): row and column on it of the
+    pixels of a window."""
+
+    lengths_mm: Mapping[str, np.ndarray]
+    at: np.ndarray
+
+
+def cast(view: ViewTruth, nail: DistalNail, frame: Frame, window_px: np.ndarray) -> Cast:
+    """Return the path lengths of rays near a window's pixels (h, w, 2) in each material but tissue, and in the thigh.
 
     "rod": a steel rod along the nail, before the hole, that covers about 30 % of the lens's rim.
     """
     xy = view.intensifier.to_detector(window_px)
-    low, high, pitch = xy.min(axis=(0, 1)), xy.max(axis=(0, 1)), view.chain.pitch_mm
-    count = np.ceil((high - low) / pitch - 1e-6).astype(int) + 1
-    window = Window(low + (count - 1) / 2 * pitch, (int(count[1]), int(count[0])))
-    cast = path_lengths_mm(view, _meshes(view, nail, frame), window)
-    at = np.moveaxis((xy - low) / pitch, -1, 0)[::-1]
-    return {name: map_coordinates(length, at, order=1, mode="nearest") for name, length in cast.items()}
+    pitch = view.chain.pitch_mm / RAYS
+    low, high = xy.min(axis=(0, 1)) - RAYS * pitch, xy.max(axis=(0, 1)) + RAYS * pitch
+    count = np.ceil((high - low) / pitch).astype(int) + 1
+    window = Window(low + (count - 1) / 2 * pitch, (int(count[1]), int(count[0])), pitch)
+    lengths = path_lengths_mm(view, _meshes(view, nail, frame), window)
+    return Cast(lengths, np.moveaxis((xy - low) / pitch, -1, 0)[::-1])
 
 
 def image(
-    view: ViewTruth, cast: Lengths, window_px: np.ndarray, rng: np.random.Generator, *, material: str, hidden: bool
+    view: ViewTruth, rays: Cast, window_px: np.ndarray, rng: np.random.Generator, *, material: str, hidden: bool
 ) -> Radiograph:
     """Draw the image of a window (h, w, 2); `hidden`: with the rod. The nail is of this material."""
-    chain, dose = view.chain, DOSES["medium"]
-    steel = cast["balls"] + (cast["rod"] if hidden else 0.0)
-    primary = np.zeros(window_px.shape[:2])
+    chain, dose, lengths = view.chain, DOSES["medium"], rays.lengths_mm
+    steel = lengths["balls"] + (lengths["rod"] if hidden else 0.0)
+    light = np.zeros(steel.shape)
     for k, share in enumerate(SHARES):
         tissue = PER_MM["tissue"][k]
-        depth = tissue * cast["thigh"] + (PER_MM["bone"][k] - tissue) * (cast["shaft"] - cast["canal"])
-        depth += (PER_MM[material][k] - tissue) * cast["nail"] + (PER_MM["steel"][k] - tissue) * steel
-        primary += share * np.exp(-depth)
+        depth = tissue * lengths["thigh"] + (PER_MM["bone"][k] - tissue) * (lengths["shaft"] - lengths["canal"])
+        depth += (PER_MM[material][k] - tissue) * lengths["nail"] + (PER_MM["steel"][k] - tissue) * steel
+        light += share * np.exp(-depth)
+    primary = map_coordinates(uniform_filter(light, RAYS), rays.at, order=1, mode="nearest")
     arriving = primary + chain.scatter_to_primary * gaussian_filter(primary, 30.0 / chain.pitch_mm)
     wanted = dose.quanta(chain)
     quanta = wanted * arriving / arriving.mean()

@@ -72,8 +72,8 @@ def image(view: ViewTruth, parts: Meshes, rng: np.random.Generator) -> Radiograp
 def path_lengths_mm(
     view: ViewTruth, meshes: Mapping[str, trimesh.Trimesh], window: "Window | None" = None
 ) -> dict[str, np.ndarray]:
-    """Return the path length (H, W), mm, of rays in each mesh, by gVirtualXray: of a panel's pixels, or of a window."""
-    gvxr, window = _gvxr(), window or Window(np.zeros(2), view.chain.shape)
+    """Return the path length (H, W), mm, of rays in each mesh, by gVirtualXray: at a panel's pixels, or in a window."""
+    gvxr, window = _gvxr(), window or Window(np.zeros(2), view.chain.shape, view.chain.pitch_mm)
     right, down = view.detector.axes
     height, width = window.shape
     gvxr.setSourcePosition(*view.focal_point_mm.tolist(), "mm")
@@ -81,7 +81,7 @@ def path_lengths_mm(
     gvxr.setDetectorUpVector(*(-down).tolist())
     gvxr.setDetectorRightVector(*right.tolist())
     gvxr.setDetectorNumberOfPixels(width, height)
-    gvxr.setDetectorPixelSize(view.chain.pitch_mm, view.chain.pitch_mm, "mm")
+    gvxr.setDetectorPixelSize(window.pitch_mm, window.pitch_mm, "mm")
     out = {}
     for label, mesh in meshes.items():
         gvxr.makeTriangularMesh(label, mesh.vertices.ravel().tolist(), mesh.faces.ravel().tolist(), "mm")
@@ -95,10 +95,11 @@ def path_lengths_mm(
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A part of a detector's plane: its middle (2,), mm, and its size in pixels."""
+    """A part of a detector's plane: its middle (2,), mm, and its size in samples with the distance `pitch_mm`."""
 
     middle_mm: np.ndarray
     shape: tuple[int, int]
+    pitch_mm: float
 
 
 @lru_cache(maxsize=1)

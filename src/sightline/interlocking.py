@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sightline.calibration import BeadView, CalibratedView
+from sightline.calibration import CalibratedView
+from sightline.calibration.bead_view import bead_shadows_px
 from sightline.detection.metal_edges import MetalEdge, MetalTube, agreement, find_outline, find_rims
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import nearest_approach
@@ -18,7 +19,7 @@ from sightline.planning import Hole, HoleSeen, Nail, WirePicks, WirePlans, fit_h
 from sightline.planning.directions import caudal, towards, unit
 from sightline.planning.hole import farthest_apart, nail_line, turned_to_rims
 from sightline.planning.hole_expected import (
-    OFFSETS_PX,
+    GRID_PX,
     LocalCamera,
     expected_rims,
     hole_candidates,
@@ -30,7 +31,7 @@ from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import document_of
 from sightline.threads import one_blas_thread
 
-_HARDNESS = (0.6, 0.7, 0.8, 0.9, 1.0, 1.15)  # of beams of about 60 to 110 kV [ours]
+_HARDNESS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15)  # of beams of about 60 to 120 kV [ours]
 _FIRST_BLUR_PX = 1.0  # for a first look at the rims
 _BEAD_MARGIN_PX = 4.0  # from a bead's shadow to a usable point of a rim: half of its profile, and the blur [ours]
 _MAX_SPACING_MM = 1.0  # of a nail's holes from the stated spacing: nails differ by 2 mm or more [ours]
@@ -238,7 +239,7 @@ def _seen(found: FoundNail, pose: HolePose, blur_px: float | None = None) -> lis
     seen = zip(found.views, found.images, found.outlines, found.cameras, strict=True)
     for view, image, outlines, camera in seen:
         expected = expected_rims(camera, pose, found.nail)
-        rims = find_rims(image, expected, OFFSETS_PX, found.nail.material, hardness=found.hardness, blur_px=blur_px)
+        rims = find_rims(image, expected, GRID_PX, found.nail.material, found.hardness, blur_px)
         clear = ~_beside_bead(view, expected.uv_px)
         out.append(HoleSeen(outlines, rims.edge(clear & ~expected.is_exit), rims.edge(clear & expected.is_exit)))
     return out
@@ -246,6 +247,6 @@ def _seen(found: FoundNail, pose: HolePose, blur_px: float | None = None) -> lis
 
 def _beside_bead(view: CalibratedView, uv_px: np.ndarray) -> np.ndarray:
     """Return which pixels (N,) lie so near to the shadow of one of the frame's beads that it disturbs a rim there."""
-    discs = np.array(list(view.shadows_px.values())).reshape(-1, 3) if isinstance(view, BeadView) else np.zeros((0, 3))
+    discs = bead_shadows_px(view)
     off = np.linalg.norm(uv_px[:, None] - discs[:, :2], axis=2) - discs[:, 2]
     return (off < _BEAD_MARGIN_PX).any(axis=1)

@@ -1,5 +1,7 @@
 """The wire in an image: centre line and tip against the truth, and refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.detection.wire_images import PX_PER_MM, SIZE, Drawn, Expected, expected, image_of
@@ -212,3 +214,28 @@ def test_what_cannot_be_a_wire_is_unusable(wrong):
     }[wrong]
     with pytest.raises(UnusableInputError):
         find_wire(image, *bad, *NONE)
+
+
+@pytest.mark.parametrize(("along_px", "across_px"), [(0.0, 14.0), (-15.0, 12.0)])
+def test_a_bead_that_touches_the_tip_is_left_out_where_the_view_knows_it(along_px, across_px):
+    """Detection misses a bead that a wire touches. Unknown, it moved the tip by 5 px and more, with a small error."""
+    across = np.array([-WIRE.along[1], WIRE.along[0]])
+    at, radius = np.array(WIRE.tip_px) + along_px * WIRE.along + across_px * across, 9.0
+    v, u = np.mgrid[:SIZE, :SIZE]
+    chord = np.sqrt(np.clip(1 - ((u - at[0]) ** 2 + (v - at[1]) ** 2) / radius**2, 0.0, None))
+    image = image_of([WIRE], np.random.default_rng(1), metal=np.exp(-4 * chord))
+    known = replace(expected(WIRE), beads_px=np.array([[*at, radius]]))
+    seen = find_wire(image, known, 2.5, *NONE)
+    assert abs(at_tip(seen, WIRE)) < 1.2  # three standard deviations
+    assert seen.tip_variance_px2 < 0.5**2
+    with pytest.raises(WireRefusedError, match="tip is hidden"):
+        find_wire(image, expected(WIRE), 2.5, *NONE)
+
+
+def test_a_bone_edge_across_the_tip_is_refused():
+    v, u = np.mgrid[:SIZE, :SIZE]
+    along, across = np.array(WIRE.along), np.array([-WIRE.along[1], WIRE.along[0]])
+    off = (np.stack([u, v], axis=-1) - WIRE.tip_px) @ (0.8 * along + 0.6 * across)
+    bone = 0.55 + 0.45 / (1 + np.exp(3 - np.abs(off) / 2))
+    with pytest.raises(WireRefusedError, match="tip is hidden"):
+        find_wire(image_of([WIRE], np.random.default_rng(1), background=bone), expected(WIRE), 2.5, *NONE)

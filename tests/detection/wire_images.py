@@ -1,6 +1,6 @@
 """Images of a steel wire with known truth: chords of a cylinder with a conical point, Poisson counts, blur."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from tests.detection.bead_images import radiograph
@@ -35,6 +35,7 @@ class Expected:
     along_mm: np.ndarray
     px_per_mm: np.ndarray
     sine: np.ndarray
+    beads_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def expected(wire: Drawn, aside_mm: float = 0.0, turned_rad: float = 0.0, length_mm: float = 52.0) -> Expected:

@@ -16,7 +16,7 @@ from sightline.calibration.polynomial import Affine
 from sightline.calibration.posterior import Posterior
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.support import MIN_STRIP, Support
-from sightline.calibration.view import Deferred, LinesOfSight, PlaneMap
+from sightline.calibration.view import CalibratedView, Deferred, LinesOfSight, PlaneMap
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
@@ -266,3 +266,8 @@ class BeadView(Plotted):
             beads_near=None if self.method == SOLID else self._support.near(uv),  # a solid's map is not local
             adjustment=self.adjustment,
         )
+
+
+def bead_shadows_px(view: CalibratedView) -> np.ndarray:
+    """Return centre (u, v) and radius (K, 3) of the shadows of the frame's beads; none for a view without beads."""
+    return np.array(list(view.shadows_px.values()) if isinstance(view, BeadView) else []).reshape(-1, 3)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, map_coordinates
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
 from sightline.errors import UnusableInputError, WireRefusedError
 from sightline.imaging import Radiograph
@@ -17,11 +17,11 @@ from sightline.imaging import Radiograph
 # [physics.md, C-arm; calc].
 PER_MM = {"steel": (3.03, 1.60, 1.01), "titanium": (0.941, 0.527, 0.328)}
 _SHARE = np.array([0.22, 0.39, 0.39])
-_BLURS_PX = (0.7, 1.0, 1.5, 2.2)  # s.d. of detector and focal spot that are tried
+_BLURS_PX = (0.6, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5)  # s.d. of detector and focal spot that are tried
 _STEP_PX = 0.5  # of samples along a profile
 # S.d. of errors that the points of one edge share, from blur, scatter and spectrum that differ from the model, px
 # [twin; rims: 50 nails whose rays another projector cast].
-OUTLINE_COMMON_PX, RIM_COMMON_PX = 0.15, 0.4
+OUTLINE_COMMON_PX, RIM_COMMON_PX = 0.15, 0.15
 _MODEL_PX = 0.1  # s.d. of each point without noise: structure beside the edge [twin]
 # Variance of a fit over that of independent samples, 0.5 px apart: of an outline's piece, and of a rim's point [twin].
 _CORRELATED, _CORRELATED_RIM = 4.0, 20.0
@@ -30,6 +30,7 @@ _PIECE_PX = 16.0  # length of edge for each point
 _MIN_PIECES = 5
 _FAR_OFF = 4.0  # s.d. from the parabola through an outline's points
 _RIM_WINDOW_PX = 6.0
+_PROFILE_PX = np.arange(-9.0, 9.0 + _STEP_PX / 2, _STEP_PX)  # across a rim
 _CONTRAST = (0.4, 2.0)  # of a rim's point, over the median of all
 _MAX_SHIFT_PX = 5.0
 _TANGENTIAL_PX = (-1.0, 0.0, 1.0)  # profiles beside each other that are averaged
@@ -60,7 +61,7 @@ class MetalTube:
 
 
 class RimsExpected(Protocol):
-    """Points of rims in an image, and the lengths in metal on profiles across them."""
+    """Points of rims in an image, and the lengths in metal around them."""
 
     @property
     def uv_px(self) -> np.ndarray:
@@ -74,7 +75,12 @@ class RimsExpected(Protocol):
 
     @property
     def metal_mm(self) -> np.ndarray:
-        """(N, M) at offsets along the normal."""
+        """(H, W) on a grid."""
+        ...
+
+    @property
+    def corner_px(self) -> np.ndarray:
+        """(2,) first pixel of the grid."""
         ...
 
 
@@ -127,29 +133,35 @@ def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray
     return MetalEdge(uv, variance, OUTLINE_COMMON_PX, misfit)
 
 
-def find_rims(
+def find_rims(  # noqa: PLR0917
     image: Radiograph,
     expected: RimsExpected,
-    offsets_px: np.ndarray,
+    grid_px: float,
     material: str,
-    *,
     hardness: float,
     blur_px: float | None = None,
 ) -> "RimsFound":
     """Return the expected rims where the image shows them, at most 5 px away; points that it does not show are NaN.
 
-    `hardness` as for `transmission`. `blur_px`: s.d. of the image's blur; by default the one of four that fits best.
+    The expected light is blurred in the plane of the image: near the corners of a lens both rims shape each profile.
+    `grid_px`: step of the expected grid; `hardness` as for `transmission`. `blur_px`: s.d. of the image's blur; by
+    default the one of seven that fits best.
     """
     uv, normal = expected.uv_px, expected.normal
     if not len(uv):
         return RimsFound(uv, np.zeros(0), np.inf)
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
     beside = np.array(_TANGENTIAL_PX)[:, None, None, None] * tangent[:, None]
-    seen = _light(image, uv[:, None] + offsets_px[:, None] * normal[:, None] + beside).mean(axis=0)
+    at = uv[:, None] + _PROFILE_PX[:, None] * normal[:, None] + beside
+    seen = _light(image, at).mean(axis=0)
     sharp = transmission(expected.metal_mm, material, hardness)
-    window = np.abs(offsets_px) <= _RIM_WINDOW_PX
-    blurs = _BLURS_PX if blur_px is None else (blur_px,)
-    shift, variance, misfit = min((_rim_shifts(seen, sharp, offsets_px, window, blur) for blur in blurs), key=_badness)
+    on_grid = np.moveaxis((at - expected.corner_px) / grid_px, -1, 0)[::-1]
+
+    def shifts(blur: float) -> tuple[np.ndarray, np.ndarray, float]:
+        blurred = gaussian_filter(sharp, blur / grid_px, mode="nearest")
+        return _rim_shifts(seen, map_coordinates(blurred, on_grid, order=1, mode="nearest").mean(axis=0))
+
+    shift, variance, misfit = min(map(shifts, _BLURS_PX if blur_px is None else (blur_px,)), key=_badness)
     return RimsFound(uv + shift[:, None] * normal, variance, misfit)
 
 
@@ -232,15 +244,13 @@ def _not_zero(values: np.ndarray) -> np.ndarray:
     return np.where(np.abs(values) > 1e-9, values, 1e-9)
 
 
-def _rim_shifts(
-    seen: np.ndarray, sharp: np.ndarray, offsets_px: np.ndarray, window: np.ndarray, blur_px: float
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return shifts (N,) of profiles of light against those of the model, NaN where they disagree, and variances."""
-    model = gaussian_filter1d(sharp, blur_px / (offsets_px[1] - offsets_px[0]), axis=1, mode="nearest")
+def _rim_shifts(seen: np.ndarray, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return shifts (N,) of profiles (N, M) of light against the model's, NaN where they disagree, and variances."""
+    window = np.abs(_PROFILE_PX) <= _RIM_WINDOW_PX
 
     def fitted(shift: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        moved = np.stack([np.interp(offsets_px - d, offsets_px, row) for d, row in zip(shift, model, strict=True)])
-        basis = np.stack([np.ones_like(moved), moved, -np.gradient(moved, offsets_px, axis=1)], axis=-1)[:, window]
+        moved = np.stack([np.interp(_PROFILE_PX - d, _PROFILE_PX, row) for d, row in zip(shift, model, strict=True)])
+        basis = np.stack([np.ones_like(moved), moved, -np.gradient(moved, _STEP_PX, axis=1)], axis=-1)[:, window]
         inverse = np.linalg.inv(np.swapaxes(basis, 1, 2) @ basis + 1e-9 * np.eye(3))
         return basis, inverse, np.einsum("nij,nmj,nm->ni", inverse, basis, seen[:, window])
 
@@ -251,10 +261,11 @@ def _rim_shifts(
     basis, inverse, fit = fitted(shift)
     light = fit[:, 1]
     rest = ((seen[:, window] - np.einsum("nmj,nj->nm", basis, fit)) ** 2).sum(axis=1)
-    variance = _CORRELATED_RIM * rest / (window.sum() - 3) * inverse[:, 2, 2] / _not_zero(light) ** 2 + _MODEL_PX**2
-    usual = float(np.median(light))
+    usual, typical = float(np.median(light)), float(np.median(rest))
+    noise = np.maximum(rest, typical) / (window.sum() - 3)  # a rest below the usual one is chance
+    variance = _CORRELATED_RIM * noise * inverse[:, 2, 2] / _not_zero(light) ** 2 + _MODEL_PX**2
     shown = (light > _CONTRAST[0] * usual) & (light < _CONTRAST[1] * usual) & (np.abs(shift) < _MAX_SHIFT_PX)
-    return np.where(shown, shift, np.nan), variance, float(np.median(rest))
+    return np.where(shown, shift, np.nan), variance, typical
 
 
 def _badness(fit: tuple[np.ndarray, np.ndarray, float]) -> float:

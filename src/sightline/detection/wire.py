@@ -37,6 +37,7 @@ _MIN_MEASURED = 0.4
 _MIN_CONTRAST = 0.15  # log light; wires have 0.4 and more [twin]
 _MAX_MOVES = 8  # of the window that follows the tip
 _MIN_SINE = 0.3  # of the angle between wire and rays: seen end-on, a wire has no direction [ours]
+_MAX_TIP_MISFIT = 4.0  # of the tip's light over that of the wire; wrong tips had 5 and more, others rarely 4 [twin]
 _MIN_TIP_VISIBLE = 0.3  # share of the pixels around the tip that must be usable [ours]
 _TIP_BEHIND, _TIP_BEYOND = 5.0, 3.0  # radii around the tip that are fitted [ours]
 _MIN_SHOWN_PX = 50  # length of the expected wire inside the field [ours]
@@ -65,6 +66,11 @@ class ProjectedWire(Protocol):
     @property
     def sine(self) -> np.ndarray:
         """(M,) of the angle between wire and rays."""
+        ...
+
+    @property
+    def beads_px(self) -> np.ndarray:
+        """(K, 3) centre and radius of shadows of the frame's beads, whether or not detection finds them."""
         ...
 
 
@@ -102,7 +108,8 @@ def find_wire(  # noqa: PLR0917
 ) -> WireShadow:
     """Return the wire within `corridor_mm` and 5° of its expected place.
 
-    `bead_uv_px` (K, 2), `bead_radius_px` (K,): the frame's beads, found or known, which are left out. `point_mm`:
+    `bead_uv_px` (K, 2), `bead_radius_px` (K,): beads that were detected; they and the expected ones are left out,
+    because detection misses a bead that a wire touches. `point_mm`:
     length of the conical (trocar) point, by default 1.5 diameters; 0: a plain end. `others`: where other wires are
     expected that may be in the image too: they are told from this one by their places and left out, and this one must
     have its own width over half of its length. Raises UnusableInputError, and WireRefusedError where there is no wire,
@@ -116,7 +123,8 @@ def find_wire(  # noqa: PLR0917
     noise = estimate_noise(logs, mask)
     if noise is None:
         raise WireRefusedError("the image has no area in which its noise can be measured; give a larger image")
-    usable = _without(mask, bead_uv_px, bead_radius_px + _ROUND_BEAD_PX)
+    beads = np.concatenate([np.column_stack([bead_uv_px, bead_radius_px]), expected.beads_px])
+    usable = _without(mask, beads[:, :2], beads[:, 2] + _ROUND_BEAD_PX)
     usable &= image.pixels < image.white
     shown = _shown(path, mask)
     path, scale, stretch, sine = ImagePath.through(path.uv_px[shown]), scale[shown], stretch[shown], sine[shown]
@@ -155,7 +163,7 @@ def find_wire(  # noqa: PLR0917
         variance_px2=np.array([strip.variance(piece.pixels, piece.fit.influence[0], correlation) for piece in pieces])
         + _MODEL_ACROSS_PX**2,
         tip_uv_px=(tip_on + tip_x * tip_normal)[0],
-        tip_variance_px2=tip_variance + _MODEL_TIP_PX**2,
+        tip_variance_px2=tip_variance,
         point_mm=point,
         width_mm=width_mm,
         contrast=float(np.median([piece.fit.contrast for piece in pieces])),
@@ -238,6 +246,11 @@ class _Strip:
                 out.append(_Piece(first + step / 2, pixels, fit))
         return _on_a_curve(out)
 
+    def shows(self, s_px: float, x_px: float) -> bool:
+        """Return whether the pixel at s and x is usable."""
+        nearest = np.hypot(self.s - s_px, self.x - x_px).min()
+        return bool(nearest < 1.0)
+
     def residuals(self, pieces: list[_Piece]) -> np.ndarray:
         """Return the light minus the model (N,), over its noise; NaN outside the pieces."""
         out = np.full(len(self.s), np.nan)
@@ -253,20 +266,29 @@ class _Strip:
 
     def outliers(self, pieces: list[_Piece]) -> np.ndarray:
         """Return the pixels (H, W) bool that the model does not explain, such as a part of a bead or another wire."""
-        rest = self.residuals(pieces)
-        known = np.isfinite(rest)
-        total, share = (
-            gaussian_filter(self.image(a), 1.5) for a in (np.where(known, rest, 0.0), known.astype(np.float64))
-        )
-        smooth = (total / np.maximum(share, 0.2))[self.row - self.row.min(), self.column - self.column.min()]
+        smooth = self.smoothed(self.residuals(pieces))
+        known = np.isfinite(smooth)
         if not known.any():
             return np.zeros(self.usable.shape, dtype=bool)
-        spread = 1.4826 * float(np.median(np.abs(smooth[known])))
-        spread = max(spread, _MODEL_LIGHT * float(np.median(self.light / self.noise)))
+        spread = self.spread(smooth)
         out = np.zeros(self.usable.shape, dtype=bool)
         far = known & (np.abs(smooth) > _OUTLIER * spread)
         out[self.row[far], self.column[far]] = True
         return binary_dilation(out, iterations=2)
+
+    def smoothed(self, rest: np.ndarray) -> np.ndarray:
+        """Return residuals (N,) averaged over neighbours; NaN where there are none."""
+        known = np.isfinite(rest)
+        total, share = (
+            gaussian_filter(self.image(a), 1.5) for a in (np.where(known, rest, 0.0), known.astype(np.float64))
+        )
+        mean = (total / np.maximum(share, 0.2))[self.row - self.row.min(), self.column - self.column.min()]
+        return np.where(known, mean, np.nan)
+
+    def spread(self, smooth: np.ndarray) -> float:
+        """Return the usual size of smoothed residuals (N,) of the wire's pieces."""
+        usual = 1.4826 * float(np.nanmedian(np.abs(smooth)))
+        return max(usual, _MODEL_LIGHT * float(np.median(self.light / self.noise)))
 
     def correlation(self, pieces: list[_Piece]) -> np.ndarray:
         """Return the covariance (2 L + 1, 2 L + 1) of the residuals by lag: noise, and structure beside the wire."""
@@ -368,8 +390,12 @@ def _through(path: ImagePath, pieces: list[_Piece]) -> ImagePath:
 def _tip(
     strip: _Strip, pieces: list[_Piece], near_px: float, point_px: float, correlation: np.ndarray
 ) -> tuple[float, float, float]:
-    """Return s and x of the tip, and the variance of s. Raises WireRefusedError."""
+    """Return s and x of the tip, and the variance of s. Raises WireRefusedError.
+
+    The error of the model grows with the light that it leaves unexplained, beside that along the wire.
+    """
     radius, blur = (float(np.median([piece.fit.values[k] for piece in pieces[-6:]])) for k in (1, 2))
+    spread = strip.spread(strip.smoothed(strip.residuals(pieces)))
     for _ in range(_MAX_MOVES):
         pixels = strip.within(near_px - point_px - _TIP_BEHIND * radius, near_px + _TIP_BEYOND * radius)
         s, x, light, noise = (a[pixels] for a in (strip.s, strip.x, strip.light, strip.noise))
@@ -379,8 +405,14 @@ def _tip(
         fit = fit_tip(s, x, light, noise, (near_px, 0.0), strip.wire, (radius, blur))
         moved, near_px = float(fit.values[0]) - near_px, float(fit.values[0])
         if fit.converged and abs(moved) < 1.0:
+            rest = np.full(len(strip.s), np.nan)
+            rest[pixels] = (light - fit.model) / noise
+            shown = (np.abs(x) < 1.5 * radius) & (s > near_px - point_px - 2 * radius) & (s < near_px + radius)
+            misfit = float(np.sqrt(np.mean(strip.smoothed(rest)[pixels][shown] ** 2))) / spread
+            if misfit > _MAX_TIP_MISFIT or not strip.shows(near_px, float(fit.values[1])):
+                break
             variance = strip.variance(pixels, fit.influence[0], correlation)
-            return near_px, float(fit.values[1]), variance
+            return near_px, float(fit.values[1]), variance + (_MODEL_TIP_PX * max(misfit, 1.0)) ** 2
     raise WireRefusedError(
         "the wire's tip is hidden by a bead or other metal, or cannot be distinguished from its background; move the "
         "C-arm a little and take the image again"

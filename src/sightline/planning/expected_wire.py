@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.calibration.bead_view import bead_shadows_px
 from sightline.calibration.view import CalibratedView
 from sightline.errors import OutsideRegionError
 
@@ -17,13 +18,15 @@ class ExpectedWire:
     """M points of the planned axis in an image, from outside the entry to beyond the tip.
 
     `uv_px` (M, 2), IDCS; `along_mm` (M,): distance from the entry; `px_per_mm` (M,): scale across the wire at its
-    depth; `sine` (M,): sine of the angle between wire and rays.
+    depth; `sine` (M,): sine of the angle between wire and rays. `beads_px` (K, 3): centre and radius of the shadows of
+    the frame's beads.
     """
 
     uv_px: np.ndarray
     along_mm: np.ndarray
     px_per_mm: np.ndarray
     sine: np.ndarray
+    beads_px: np.ndarray
 
 
 def expected_wire(
@@ -58,4 +61,4 @@ def expected_wire(
     first, last = edges[np.argmax(np.diff(edges, axis=1))]
     uv = seen[first:last]
     scale = np.linalg.norm(uv[:, 2] - uv[:, 1], axis=1)
-    return ExpectedWire(uv[:, 0], along[first:last], scale, sine[first:last])
+    return ExpectedWire(uv[:, 0], along[first:last], scale, sine[first:last], bead_shadows_px(view))

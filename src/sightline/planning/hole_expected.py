@@ -18,7 +18,8 @@ from sightline.planning.hole_result import HolePose, Nail
 _MIN_OPEN_PX = 2.0  # of the lens beside a point of its rim [ours]
 _CUBE_MM = 8.0  # half the side of the cube around a point in which a camera is fitted [ours]
 _AROUND = 30  # points of each rim, 4 px apart
-OFFSETS_PX = np.arange(-9.0, 9.25, 0.5)  # samples across a rim
+GRID_PX = 0.5  # steps of the grid of metal
+_AROUND_PX = 12.0  # of the grid beyond the rims' points: half a profile, its shift and the blur
 _ROLLS_RAD = np.deg2rad(np.arange(-40.0, 41.0, 5.0))  # of the hole about the nail, from the mean beam
 _ALONG_MM = np.array([-0.6, 0.0, 0.6])  # of the hole along the nail, from the clicks
 _PATCH = 1.3  # half the side of the patch that is compared, hole radii
@@ -66,16 +67,17 @@ class LocalCamera:
 
 @dataclass(frozen=True, eq=False)
 class ExpectedRims:
-    """Points of both rims that bound the open lens in an image.
+    """Points of both rims that bound the open lens in an image, and the metal around them.
 
-    `uv_px` (N, 2); `normal` (N, 2): unit vectors away from the lens; `is_exit` (N,) bool; `metal_mm` (N, M): lengths in
-    metal on the rays at OFFSETS_PX (M,) along the normal.
+    `uv_px` (N, 2); `normal` (N, 2): unit vectors away from the lens; `is_exit` (N,) bool; `metal_mm` (H, W): lengths in
+    metal on the rays of a grid in steps of GRID_PX, whose first pixel is `corner_px` (2,).
     """
 
     uv_px: np.ndarray
     normal: np.ndarray
     is_exit: np.ndarray
     metal_mm: np.ndarray
+    corner_px: np.ndarray
 
 
 def expected_rims(camera: LocalCamera, pose: HolePose, nail: Nail) -> ExpectedRims:
@@ -88,10 +90,15 @@ def expected_rims(camera: LocalCamera, pose: HolePose, nail: Nail) -> ExpectedRi
     tangent = unit(camera.project(points + 0.01 * np.cross(pose.axis, outward)) - uv)
     normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
     normal *= np.sign((normal * (camera.project(points + 0.01 * outward) - uv)).sum(axis=1))[:, None]
-    across_px = uv[:, None] + OFFSETS_PX[:, None] * normal[:, None]
-    metal = metal_mm(camera.focal_mm, camera.rays(across_px), pose, nail)
-    wide = metal[:, np.abs(OFFSETS_PX + _MIN_OPEN_PX).argmin()] < 1e-6  # not in a corner of the lens
-    return ExpectedRims(uv[wide], normal[wide], is_exit[wide], metal[wide])
+    inside = camera.rays(uv - _MIN_OPEN_PX * normal)
+    wide = metal_mm(camera.focal_mm, inside, pose, nail) < 1e-6  # not in a corner of the lens
+    uv, normal, is_exit = uv[wide], normal[wide], is_exit[wide]
+    if not len(uv):
+        return ExpectedRims(uv, normal, is_exit, np.zeros((0, 0)), np.zeros(2))
+    corner, end = uv.min(axis=0) - _AROUND_PX, uv.max(axis=0) + _AROUND_PX
+    u, v = (np.arange(a, b + GRID_PX, GRID_PX) for a, b in zip(corner, end, strict=True))
+    rays = camera.rays(np.stack(np.meshgrid(u, v), axis=-1))
+    return ExpectedRims(uv, normal, is_exit, metal_mm(camera.focal_mm, rays, pose, nail), corner)
 
 
 def metal_mm(focal_mm: np.ndarray, rays: np.ndarray, pose: HolePose, nail: Nail) -> np.ndarray:
