@@ -34,7 +34,7 @@ def build(site: ServedApp, session: Session, pictures: Pictures, settings: Setti
     if site.reachable_from_outside:
         ui.label(texts.REACHABLE).classes("outside").props("role=alert data-testid=reachable")
     with ui.element("div").classes("work"):
-        with ui.element("main").classes("sight"):
+        with ui.element("div").classes("sight"):  # Quasar's page is the main landmark
             ui.html(f"<h1>{texts.TITLE}</h1>", sanitize=False).classes("unseen")
             with ui.element("div").classes("views").props("data-testid=views"):
                 boxes = [ui.element("div").classes("view") for _ in range(2)]

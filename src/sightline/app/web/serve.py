@@ -94,11 +94,13 @@ def guarded(page_root: PageRoot, site: ServedApp) -> Guard:
         title="Sightline",
         favicon=_ICON,
         dark=True,
+        language="en-US",
         reconnect_timeout=RECONNECT_S,
         gzip_middleware_factory=None,  # compression is slower than the loopback
         tailwind=False,  # saves 270 kB of compiler per page
         show_welcome_message=False,
     )
+    core.app.config.quasar_config["loadingBar"]["skipHijack"] = True  # no bar over the page at each download
     core.sio.on("alive", _alive)
     core.sio.eio.cors_allowed_origins = []  # send no header that admits other pages; the guard checks Origin
     core.sio.eio.max_http_buffer_size = MAX_BODY_BYTES
