@@ -17,8 +17,10 @@ PLAN_SD_MM = 0.5
 CONTACT_LEAD_MM, POINT_SD_MM = 0.6, 0.35
 SURFACE_SD_MM = 0.5  # of the bone surface as a person marks it in the images, along the wire [ours]
 CONTACT_SD_MM = hypot(POINT_SD_MM, SURFACE_SD_MM)
-# By which contact shifts the end of a wire along it, 1 s.d.: 0.25 mm, its own error by its weight beside the plan's.
-CONTACT_SHIFT_SD_MM = CONTACT_SD_MM * PLAN_SD_MM**2 / (PLAN_SD_MM**2 + CONTACT_SD_MM**2)
+# Share of a difference between plan and contact by which contact moves the zero, and with it the wire's end: the error
+# of contact alone moves both by 0.25 mm, 1 s.d.
+CONTACT_WEIGHT = PLAN_SD_MM**2 / (PLAN_SD_MM**2 + CONTACT_SD_MM**2)
+CONTACT_SHIFT_SD_MM = CONTACT_WEIGHT * CONTACT_SD_MM
 SHOT_SD_MM = 0.2  # of the tip along the wire for a shot that states no error: clicked landmarks [docs/check-shot.md]
 # Largest correction of the zero: four standard deviations of plan and contact.
 MAX_ZERO_SHIFT_MM = 3.0

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from sightline.checks import Check, Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import length_quantile, line_direction
-from sightline.robot.kinematics.depth import CONTACT_SHIFT_SD_MM
+from sightline.robot.kinematics.depth import CONTACT_SHIFT_SD_MM, CONTACT_WEIGHT
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.kinematics.registration import Registration
 
@@ -160,8 +160,10 @@ def robot_target(
     budget = {source: to_mcs @ covariance @ to_mcs.T for source, covariance in budget_mm2.items()}
     budget |= robot.wire_against_frame(registration.q, q, np.stack([entry, end]))
     budget["skiving"] = _skiving(entry, end)
-    budget["depth_zero"] = _depth_zero(entry, end) if limits.beyond_mm == 0 else np.zeros((6, 6))
     covariance = np.sum(list(budget.values()), axis=0)
+    # A wire that goes past its end point passes it whatever its depth.
+    budget["depth_zero"] = _depth_zero(entry, end, covariance) if limits.beyond_mm == 0 else np.zeros((6, 6))
+    covariance = covariance + budget["depth_zero"]
     expires_s = registration.imaged_s + LIFETIME_S
     return RobotTarget(identity, registration, entry, end, q, covariance, budget, expires_s, limits)
 
@@ -174,13 +176,13 @@ def _skiving(entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
     return out
 
 
-def _depth_zero(entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
-    """Return the covariance (6, 6) mm² of (entry, end) from contact, which shifts the zero of depth, and so the end.
+def _depth_zero(entry_mm: np.ndarray, end_mm: np.ndarray, others_mm2: np.ndarray) -> np.ndarray:
+    """Return the covariance (6, 6) mm² of (entry, end) that contact adds along the wire to that of the other sources.
 
-    A wire that goes past its end point passes it whatever its depth. The plan's own error along the wire, which contact
-    reduces, is counted in full: without bone at the entry, as in a bore, it remains.
+    Contact shifts the zero of depth by CONTACT_WEIGHT of its difference from the planned entry: it corrects part of the
+    other errors and adds its own. Where it corrects more, nothing is added: in a bore there is no contact.
     """
     along = (end_mm - entry_mm) / np.linalg.norm(end_mm - entry_mm)
-    out = np.zeros((6, 6))
-    out[3:, 3:] = CONTACT_SHIFT_SD_MM**2 * np.outer(along, along)
-    return out
+    corrected, end = np.concatenate([-CONTACT_WEIGHT * along, along]), np.concatenate([np.zeros(3), along])
+    added = corrected @ others_mm2 @ corrected + CONTACT_SHIFT_SD_MM**2 - end @ others_mm2 @ end
+    return max(float(added), 0.0) * np.outer(end, end)
