@@ -18,7 +18,7 @@ from sightline.planning import Axis, Plan, reconstruct
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_shot import Landmarks
 from sightline.planning.check_shot import check_shot as adjusted
-from sightline.planning.expected_wire import ExpectedWire, expected_wire
+from sightline.planning.expected_wire import BEFORE_MM, GUIDED_MM, ExpectedWire, expected_wire, nail_px
 from sightline.planning.placed_wires import placed_wires
 from sightline.threads import one_blas_thread
 
@@ -91,7 +91,10 @@ def check_shot(
         view = view_of(observations, image, frame, c_arm=known_arm(image))
         wires.append(find_planned_wire(plan, image, beads, view, plan.kind.wire_mm, others_mm))
         views.append(view)
-    return adjusted(plan.trajectory, plan.picks, planned, views, wires, landmarks=landmarks, limits=plan.kind.limits)
+    through, limits = plan.hole is not None, plan.kind.limits
+    return adjusted(
+        plan.trajectory, plan.picks, planned, views, wires, landmarks=landmarks, limits=limits, through=through
+    )
 
 
 def find_planned_wire(  # noqa: PLR0917
@@ -104,10 +107,13 @@ def find_planned_wire(  # noqa: PLR0917
 ) -> WireShadow:
     """Return the wire of diameter `wire_mm` in a check image, searched for about its plan.
 
-    `others_mm`: as of `check_shot`. Raises what `expected_wire` and `find_wire` raise.
+    A drill through the hole of a nail is searched for outside the nail, farther out, where its sleeve keeps it
+    straight. `others_mm`: as of `check_shot`. Raises what `expected_wire` and `find_wire` raise.
     """
-    expected = expected_wire(view, plan.trajectory.points.xyz_mm, plan.kind.limits.beyond_mm)
-    return find_wire(image, expected, wire_mm, beads.uv_px, beads.radius_px, others=expected_wires(others_mm, view))
+    before_mm, covered = (BEFORE_MM, ()) if plan.hole is None else (GUIDED_MM, [nail_px(view, plan.hole)])
+    expected = expected_wire(view, plan.trajectory.points.xyz_mm, plan.kind.limits.beyond_mm, before_mm)
+    others = expected_wires(others_mm, view)
+    return find_wire(image, expected, wire_mm, beads.uv_px, beads.radius_px, others=others, covered_px=covered)
 
 
 def find_placed_wires(

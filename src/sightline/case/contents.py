@@ -206,7 +206,14 @@ class CheckRequest:
         wires = [find_planned_wire(made, *_with_wire(one), one.view, self.wire_mm, others_mm) for one in checked]
         before, after = ([image.view for image in pair] for pair in (planned, checked))
         return check_shot(
-            made.trajectory, made.picks, before, after, wires, landmarks=self.landmarks, limits=made.kind.limits
+            made.trajectory,
+            made.picks,
+            before,
+            after,
+            wires,
+            landmarks=self.landmarks,
+            limits=made.kind.limits,
+            through=made.hole is not None,
         )
 
 

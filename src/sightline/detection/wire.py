@@ -17,6 +17,7 @@ from sightline.imaging import Radiograph
 
 POINT_DIAMETERS = 1.5  # length of a trocar point over the wire's diameter [ours]
 _PIECE = 3.5  # length of the pieces, radii; each gives one point of the centre line [ours]
+_THICK_MM = 2.8  # pieces of thicker wires are as long as those of one of this diameter: beside a nail little is seen
 _BESIDE_PX = 14.0  # width of background to either side [ours]
 _BLUR_PX = 1.2  # initial value: detector 1.0, focal spot and pixel [physics.md]
 _ROUND_BEAD_PX = 2.5  # around a bead: its rim and the blur of that
@@ -105,6 +106,7 @@ def find_wire(  # noqa: PLR0917
     point_mm: float | None = None,
     others: Sequence[ProjectedWire] = (),
     corridor_mm: float = CORRIDOR_MM,
+    covered_px: Sequence[np.ndarray] = (),
 ) -> WireShadow:
     """Return the wire within `corridor_mm` and 5° of its expected place.
 
@@ -112,7 +114,8 @@ def find_wire(  # noqa: PLR0917
     because detection misses a bead that a wire touches. `point_mm`:
     length of the conical (trocar) point, by default 1.5 diameters; 0: a plain end. `others`: where other wires are
     expected that may be in the image too: they are told from this one by their places and left out, and this one must
-    have its own width over half of its length. Raises UnusableInputError, and WireRefusedError where there is no wire,
+    have its own width over half of its length. `covered_px`: polygons (M, 2) in which other metal lies over the wire;
+    they are left out. Raises UnusableInputError, and WireRefusedError where there is no wire,
     it is too faint or hidden, two lines compete, another wire may be meant or lies over it, the tip is not visible, or
     the width differs.
     """
@@ -126,6 +129,7 @@ def find_wire(  # noqa: PLR0917
     beads = np.concatenate([np.column_stack([bead_uv_px, bead_radius_px]), expected.beads_px])
     usable = _without(mask, beads[:, :2], beads[:, 2] + _ROUND_BEAD_PX)
     usable &= image.pixels < image.white
+    usable = _without_polygons(usable, covered_px)
     shown = _shown(path, mask)
     path, scale, stretch, sine = ImagePath.through(path.uv_px[shown]), scale[shown], stretch[shown], sine[shown]
     found = search(logs, usable, path, scale * diameter_mm / 2, scale, [other.uv_px for other in others], corridor_mm)
@@ -141,7 +145,7 @@ def find_wire(  # noqa: PLR0917
     pieces = strip.pieces(end)
     if others:
         pieces = _alone(pieces, scale * diameter_mm / 2)
-    looked_at = max(int(end / (_PIECE * radius)), 1)
+    looked_at = max(int(end / strip.piece_px), 1)
     if len(pieces) < max(_MIN_PIECES, _MIN_MEASURED * looked_at):
         raise WireRefusedError(
             f"only {len(pieces)} of {looked_at} pieces of the wire can be measured, the others are hidden or too "
@@ -221,13 +225,18 @@ class _Strip:
             path, *wire, usable, row, column, s, x, light, np.exp(smooth - level) * np.sqrt(noise.variance(smooth))
         )
 
+    @property
+    def piece_px(self) -> float:
+        """Length of a piece."""
+        return _PIECE * self.radius_px * min(_THICK_MM / self.wire.diameter_mm, 1.0)
+
     def within(self, first: float, last: float) -> np.ndarray:
         """Return the indices of pixels with s from `first` to `last`."""
         return np.flatnonzero((self.s >= first) & (self.s < last))
 
     def pieces(self, end: float) -> list[_Piece]:
         """Return the pieces from the path's beginning to `end` that can be measured and lie on one curve."""
-        step, area = _PIECE * self.radius_px, 2 * _PIECE * self.radius_px * (self.radius_px + _BESIDE_PX)
+        step, area = self.piece_px, 2 * self.piece_px * (self.radius_px + _BESIDE_PX)
         out = []
         for first in np.arange(0.0, end - step, step):
             pixels = self.within(first, first + step)
@@ -457,6 +466,14 @@ def _without_lines(mask: np.ndarray, lines_uv_px: Sequence[np.ndarray], half_px:
     covered = np.zeros(mask.shape, np.uint8)
     for line in lines_uv_px:
         cv2.polylines(covered, [np.rint(line).astype(np.int32)], False, 1, max(round(2 * half_px), 1))
+    return mask & (covered == 0)
+
+
+def _without_polygons(mask: np.ndarray, polygons_px: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the mask without the insides of polygons (M, 2) each."""
+    covered = np.zeros(mask.shape, np.uint8)
+    for polygon in polygons_px:
+        cv2.fillPoly(covered, [np.rint(polygon).astype(np.int32)], 1)
     return mask & (covered == 0)
 
 

@@ -109,8 +109,8 @@ class Adjustment:
             first += len(wire.uv_px) + 1
         return None
 
-    def result(self, limits: Limits) -> CheckShot:
-        """Return the check shot with its errors and its checks."""
+    def result(self, limits: Limits, *, through: bool = False) -> CheckShot:
+        """Return the check shot with its errors and its checks; `through`: as of `check_shot`."""
         residual, design, gain, covariance = self._linearised()
         # An uninformative prior does not count as an observation.
         free = 6 if self._n >= MIN_LANDMARKS else 3 if self._n else 0
@@ -140,7 +140,8 @@ class Adjustment:
             residual_rms=float(np.sqrt(square)),
             outlier_sigma=float(_standardised_residuals(residual, design, covariance).max()),
         )
-        return replace(shot, checks=checks(shot, limits, self._views[1]))
+        walls_mm = self._trajectory.length_mm if through else None
+        return replace(shot, checks=checks(shot, limits, self._views[1], walls_mm))
 
     @property
     def _middle(self) -> np.ndarray:

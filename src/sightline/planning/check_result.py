@@ -77,6 +77,14 @@ class CheckShot(Shown):
         """Distance of the tip from the planned one."""
         return float(np.linalg.norm(self.deviation_mm[2:]))
 
+    def beside(self, along_mm: float) -> tuple[float, float]:
+        """Return how far a straight wire lies beside the plan at a distance from the entry, mm, and the 95 % bound of
+        that value's error."""
+        share = along_mm / (self.length_mm + self.deviation_mm[4])
+        across = np.hstack([(1 - share) * np.eye(2), share * np.eye(2), np.zeros((2, 1))])
+        covariance = across @ self.covariance_mm2 @ across.T
+        return float(np.linalg.norm(across @ self.deviation_mm)), float(length_quantile(covariance))
+
     @property
     def angle_rad(self) -> float:
         """Angle between the chord (entry to tip) and the planned axis."""
@@ -134,12 +142,18 @@ class CheckShot(Shown):
         }
 
 
-def checks(shot: CheckShot, limits: Limits, views: Sequence[CalibratedView]) -> tuple[Check, ...]:
-    """Return the checks of the drilled wire, the check images' own checks first."""
+def checks(
+    shot: CheckShot, limits: Limits, views: Sequence[CalibratedView], walls_mm: float | None = None
+) -> tuple[Check, ...]:
+    """Return the checks of the drilled wire, the check images' own checks first.
+
+    `walls_mm`: of a drill through a nail, between its walls along the plan; it is judged at both instead of at its tip.
+    """
+    far_mm = shot.tip_error_95_mm if walls_mm is None else shot.beside(walls_mm)[1]
     return (
         *(replace(check, sentence=f"{view.name}: {check.sentence}") for view in views for check in view.checks),
-        *_deviations(shot, limits),
-        error_check(max(shot.entry_error_95_mm, shot.tip_error_95_mm), shot, limits),
+        *_deviations(shot, limits, walls_mm),
+        error_check(max(shot.entry_error_95_mm, far_mm), shot, limits),
         _landmarks(shot),
         _residuals(shot),
         _outlier(shot),
@@ -147,7 +161,7 @@ def checks(shot: CheckShot, limits: Limits, views: Sequence[CalibratedView]) -> 
     )
 
 
-def _deviations(shot: CheckShot, limits: Limits) -> tuple[Check, ...]:
+def _deviations(shot: CheckShot, limits: Limits, walls_mm: float | None) -> tuple[Check, ...]:
     entry, tip, limit = shot.entry_deviation_mm, shot.tip_deviation_mm, limits.position_mm
     angle, angle_limit, angle_95 = (
         float(np.rad2deg(a)) for a in (shot.angle_rad, limits.direction_rad, shot.direction_error_95_rad)
@@ -160,11 +174,27 @@ def _deviations(shot: CheckShot, limits: Limits) -> tuple[Check, ...]:
         f"(known to {shot.tip_error_95_mm:.2f} mm, 95 %)."
     )
     chord = f"The chord from entry to tip lies at {angle:.2f}° to the plan (known to {angle_95:.2f}°, 95 %)."
+    tips = [Check("wire tip", tip <= limit, tip, limit, "mm", at_tip)]
+    if walls_mm is not None:
+        tips = _through(shot, limits, walls_mm)
     return (
         Check("wire entry", entry <= limit, entry, limit, "mm", at_entry),
-        Check("wire tip", tip <= limit, tip, limit, "mm", at_tip),
+        *tips,
         Check("wire direction", angle <= angle_limit, angle, angle_limit, "°", chord),
     )
+
+
+def _through(shot: CheckShot, limits: Limits, walls_mm: float) -> list[Check]:
+    """Return the checks of a drill at the far wall of a nail, and of its tip beyond that."""
+    (far, error), limit = shot.beside(walls_mm), limits.position_mm
+    past, most = shot.length_mm + float(shot.deviation_mm[4]) - walls_mm, limits.beyond_mm + limits.position_mm
+    at_far = f"At the far hole the wire lies {far:.2f} mm from the plan (known to {error:.2f} mm, 95 %)."
+    at_tip = f"The tip lies {past:.1f} mm beyond the far hole"
+    at_tip += "." if 0.0 < past <= most else f"; it must have passed it, and lie at most {most:g} mm beyond it."
+    return [
+        Check("wire at far hole", far <= limit, far, limit, "mm", at_far),
+        Check("wire tip", 0.0 < past <= most, past, most, "mm", at_tip),
+    ]
 
 
 def error_check(position_95_mm: float, shot: CheckShot, limits: Limits) -> Check:

@@ -38,16 +38,18 @@ def check_shot(
     landmarks: Landmarks | None = None,
     limits: Limits | None = None,
     known: Beforehand = STILL,
+    through: bool = False,
 ) -> CheckShot:
     """Return the wire that two check images show, against the plan made on two or more others.
 
     `trajectory`, `picks` (entry, end): of a `Plan` made on the views `planned`; `landmarks`: of the first two of them.
     `wires`: found in the images of the views `checked`, in the same order. The picks define the plan, so their errors
     are not counted. Outlying points of the centre lines are left out, the worst first, a fifth at most; a tip or a
-    landmark is never left out. `known`: of images taken while drilling.
+    landmark is never left out. `known`: of images taken while drilling. `through`: the wire is a drill through both
+    walls of a nail, at the plan's two points: it is taken to be straight, and judged at both walls.
     Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError, ErrorUnknownError.
     """
-    landmarks = landmarks or Landmarks()
+    landmarks, known = landmarks or Landmarks(), replace(known, straight=True) if through else known
     each = {len(point) for point in picks} == {len(planned)}
     if len(planned) < 2 or not each or len(checked) != 2 or len(wires) != 2 or len(picks) != 2:
         raise UnusableInputError(
@@ -61,7 +63,7 @@ def check_shot(
             break
         wires = [_without(wire, outlier[1]) if k == outlier[0] else wire for k, wire in enumerate(shot.wires)]
         shot = _adjusted(trajectory, picks, (planned, checked), wires, landmarks, known=known)
-    return shot.result(limits or Limits())
+    return shot.result(limits or Limits(), through=through)
 
 
 def _adjusted(

@@ -7,10 +7,14 @@ import numpy as np
 from sightline.calibration.bead_view import bead_shadows_px
 from sightline.calibration.view import CalibratedView
 from sightline.errors import OutsideRegionError
+from sightline.planning.directions import unit
+from sightline.planning.hole_result import Hole
 
 BEFORE_MM, BEYOND_MM = 25.0, 15.0  # lengths added outside the entry and beyond the planned depth [ours]
 GUIDED_MM = 80.0  # the same outside the entry for a wire that waits in its guide [ours]
 _STEP_MM = 1.0
+_NAIL_MM = 30.0  # of a nail to either side of its hole [ours]
+_BESIDE_NAIL_MM = 2.0  # the bone may move so far between plan and check [ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +31,14 @@ class ExpectedWire:
     px_per_mm: np.ndarray
     sine: np.ndarray
     beads_px: np.ndarray
+
+
+def nail_px(view: CalibratedView, hole: Hole) -> np.ndarray:
+    """Return a polygon (M, 2), IDCS, around the nail near one of its holes, as far as the view is calibrated."""
+    half = hole.nail.diameter_mm / 2 + _BESIDE_NAIL_MM
+    sideways = unit(np.cross(hole.nail_direction, hole.nail_mm - view.focal_point_mm))
+    ahead = np.linspace(-_NAIL_MM, _NAIL_MM, 31)[:, None] * hole.nail_direction
+    return view.project_seen(hole.nail_mm + np.concatenate([ahead + half * sideways, ahead[::-1] - half * sideways]))[0]
 
 
 def expected_wire(
