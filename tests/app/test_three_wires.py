@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from sightline.case.views import NAMES
 from sightline.planning.procedures.files import document_of
 from sightline.rehearsal.patient import CANNULATED, RehearsedPatient
 from sightline.robot.control.states import State
+from sightline.robot.link.simulated import SimulatedWire
 
 WIRES = tuple(wire.key for wire in document_of(CANNULATED).wires)
 KINDS = tuple(f"{CANNULATED}:{key}" for key in WIRES)
@@ -69,9 +71,11 @@ def test_three_wires_are_planned_drilled_and_verified(
     hands.page.reload()
     for key in WIRES:
         _wait_for(hands, key, "drilled")
+    _verify_all(hands, tmp_path / "case", shoot)
     with Case.open(tmp_path / "case", read_only=True) as case:
         sent = [Decisions.of(one.content["decisions"]).kind for one in case.entries(Kind.SENT)]
         assert sent == [f"{CANNULATED}:{key}" for key in order] and len(case.entries(Kind.DRILLED)) == len(WIRES)
+        assert {one.content["passed"] for one in case.entries(Kind.VERIFIED)[-3:]} == {True}
         assert all(one.passed for one in replay(case) if one.outcome is not ReplayOutcome.RECORDED)
 
 
@@ -122,7 +126,9 @@ def _choose(hands: Hands, key: str) -> None:
 
 
 def _wait_for(hands: Hands, key: str, state: str) -> None:
-    expect(hands.see(f"wire-{key}")).to_contain_text(re.compile(rf"(?<!NO-){re.escape(state)}$"), timeout=PATIENCE_MS)
+    expect(hands.see(f"wire-{key}")).to_contain_text(
+        re.compile(rf"(?<!NO-)(?<!NOT ){re.escape(state)}$"), timeout=PATIENCE_MS
+    )
 
 
 def _drill_all(hands: Hands, shoot) -> list[str]:
@@ -151,3 +157,29 @@ def _drill_all(hands: Hands, shoot) -> list[str]:
             return order
         hands.press("next-wire")
         expect(hands.see(f"wire-{key}")).to_have_attribute("aria-pressed", "false")
+
+
+def _verify_all(hands: Hands, folder: Path, shoot) -> None:
+    """One check shot shows all wires; each is compared with its plan, and they with each other."""
+    hands.step("Verify")
+    hands.press("take-check")
+    with Case.open(folder, read_only=True) as case:
+        *before, newest = [SimulatedWire.of(one.content["simulated_wire"]) for one in case.entries(Kind.DRILLED)]
+    for view in NAMES:
+        hands.until(view, "core.state.layers.get('found')?.shapes.length > 0")
+    patient = replace(rehearsal(), procedure=CANNULATED)
+    axes = {key: one.axis_mm for key, one in zip(WIRES, before, strict=False)}
+    check = patient.check_images(newest, WIRES[2], axes)
+    for key, name in zip(patient.landmark_keys, patient.landmarks, strict=True):
+        for view in NAMES:
+            at = check.setup.views[view].project(check.landmarks_mm[name][None])[0]
+            hands.place(f"landmark-{key}", view, (float(at[0]), float(at[1])))
+    for key in WIRES:
+        _wait_for(hands, key, "verified")
+    hands.press("details")
+    expect(hands.see("relation-checks").locator("li.failed")).to_have_text([])
+    expect(hands.see("relation-checks").locator("li")).to_have_count(3)
+    shoot(hands.page, "three-verified")
+    hands.page.reload()
+    for key in WIRES:
+        _wait_for(hands, key, "verified")

@@ -7,6 +7,8 @@ IMAGE_LABELS = {
     "oblique": "Oblique image",
     "check-pa": "PA check image",
     "check-lateral": "Lateral check image",
+    "shot-pa": "PA shot",
+    "shot-lateral": "Lateral shot",
 }
 DROP_LABELS = {**IMAGE_LABELS, "oblique": "Oblique image (optional)"}
 LIVE_LABELS = {"pa": "PA, live", "lateral": "Lateral, live"}
@@ -93,6 +95,7 @@ IMAGE_SIZE = "{image}: {width} × {height}"
 IMAGE_BEADS = "{image}: {width} × {height}, {beads} beads found"
 REHEARSING = "This case rehearses on a simulated patient."
 TAKE_AGAIN = "Take both images again"
+TAKE_OBLIQUE = "Take the oblique image"
 SIDE_HEADING = "Patient's side"
 SIDE_HINT = "Check both images, the side marker or the patient, and confirm:"
 SIDES = {"right": "Right hip", "left": "Left hip"}
@@ -162,6 +165,8 @@ IN_IMAGE = {
     "oblique": "OBLIQUE",
     "check-pa": "PA CHECK",
     "check-lateral": "LATERAL CHECK",
+    "shot-pa": "PA SHOT",
+    "shot-lateral": "LATERAL SHOT",
 }
 PLACE_WHERE = "{point}: {sentence}"
 PLACE_ON_CURVE = "{point}: slide along its curve and click"
@@ -262,6 +267,19 @@ RETRACT = "Retract"
 CANCEL = "Cancel"
 DRILLED = "Drilled to the planned depth. Verify the wire in two check images."
 SHOT_HEADING = "Second shot"
+SHOT_HEADINGS = {"ALIGNED": "Confirmation shot", "PAUSED": "Second shot"}
+TAKE_SHOT = "Take the shot"
+SHOT_DROP = "Drop both images of the shot onto the page, with the block on its mount again."
+SHOT_WORDS = {  # decision of a shot: class and sentence
+    "GO": ("go", "The wire is on the plan. A person decides."),
+    "STOP": ("no-go", ""),
+    "INCOMPLETE": ("incomplete", ""),
+}
+SHOT_COLUMNS = ("", "measured", "± 95 %")
+SHOT_ROWS = ("entry, perpendicular", "end, drilled on", "direction", "depth of the tip")
+SEND_MEASURED = "Send the measured depth"
+SHOT_SAYS_STOP = "The shot says STOP: {why}"
+SHOT_NOT_WAITING = "take the shot with a block while the robot waits, aligned or at the pause; send a depth only at GO"
 SHOT_DEPTH = "Depth of the tip, mm"
 SHOT_ERROR = "Its 95 % error, ± mm"
 SEND_DEPTH = "Send the depth"

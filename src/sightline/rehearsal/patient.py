@@ -33,7 +33,8 @@ from sightline.twin.nails import SPACING_MM
 from sightline.twin.scene import placed_hip, shown_setup
 from sightline.twin.specimens import tagged
 
-PARTS = (*VIEWS, "robot", "check", "picks", "ALIGNED", "PAUSED")  # each has its own generator; add new parts at the end
+# Each has its own generator; add new parts at the end.
+PARTS = (*VIEWS, "robot", "check", "picks", "ALIGNED", "PAUSED", "oblique")
 LANDMARK_MARGIN_PX = 30.0  # landmarks nearer to the edge of a field are not picked [ours]
 RIM_ANGLES_RAD = np.array([0.3, 2.4, 4.5])  # about a third of the outline apart
 CAP_ANGLES_RAD = np.deg2rad([-65.0, 0.0, 65.0])  # on a cap that a plane cuts off, from its top: the rim is round [ours]
@@ -269,14 +270,16 @@ class RehearsedPatient:
             shown_mm=list(wires_mm.values())[-1] if shown_mm is None else shown_mm,
         )
 
-    def _set_up_again(self, rng: np.random.Generator) -> SetUp:
-        """Draw another set-up of the same C-arm."""
+    def _set_up_again(self, rng: np.random.Generator, views: Mapping[str, np.ndarray] | None = None) -> SetUp:
+        """Draw another set-up of the same C-arm; `views`: nominal beams (3,) of other images of a block, by name."""
         frame, chain, side = self.setup.frame, self.setup.views[VIEWS[0]].chain.name, self.side
         if self.procedure in _BONES_OF:
             again = BONES[_BONES_OF[self.procedure]].setup(rng, frame, side, self.setup.tube, check=True, chain=chain)
             return again.renamed(VIEWS)
         beams = CANNULATED_BEAMS if self.procedure == CANNULATED and frame.solid is not None else None
-        return draw_setup(rng, frame, side=side, chain=chain, variation=Variation(tube=self.setup.tube), views=beams)
+        return draw_setup(
+            rng, frame, side=side, chain=chain, variation=Variation(tube=self.setup.tube), views=views or beams
+        )
 
 
 def draw_patient(

@@ -9,18 +9,23 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.case.views import NAMES as VIEWS
+from sightline.case.views import OBLIQUE
+from sightline.errors import SetUpError
 from sightline.frame import Frame
+from sightline.imaging import Radiograph
 from sightline.planning.drill_shot import ALIGNED
-from sightline.rehearsal.check_images import CheckImages
+from sightline.rehearsal.check_images import ATTEMPTS, CheckImages
 from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup
 from sightline.rehearsal.patient import LANDMARK_MARGIN_PX, AidClicks, RehearsedPatient, anatomical_wires
 from sightline.rehearsal.robots import SHOWN_FEED_MM, calibrated_robot, drawn_robot, shown_wire_mm
 from sightline.robot.kinematics.calibrated import REMOUNT_SD, CalibratedRobot
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.link.simulated import SimulatedWire
-from sightline.twin import HipScene, Scene, shown_hip_scene
+from sightline.twin import HipScene, Scene, render, shown_hip_scene
+from sightline.twin.carm import BEAMS
 from sightline.twin.femur import draw_femur
 from sightline.twin.implants import guide_wire
+from sightline.twin.specimens import tagged
 
 SHOWN_MM, MAX_SHOWN_MM = 25.0, 60.0  # length of the robot's own wire, to its tip, in images of a block [ours]
 PICKED = 7  # points that a person picks on the robot's wire, its tip last [ours]
@@ -105,6 +110,20 @@ class Rehearsal(RehearsedPatient):
         uv = self.pixels(wire)
         shown = [self.setup.views[name].in_field(uv[k], LANDMARK_MARGIN_PX) for k, name in enumerate(VIEWS)]
         return wire[[int(np.argmax(shown[0] & shown[1])), -1]]
+
+    def oblique_image(self) -> Radiograph:
+        """Render a third image of a block, its beam between those of the others, that shows wires and landmarks.
+
+        Raises SetUpError.
+        """
+        rng, landmarks = self.generator(OBLIQUE), [self.bone.landmarks_mm[name] for name in self.landmarks]
+        points = np.array([*self.wires_mm.reshape(-1, 3), *landmarks])
+        for _ in range(ATTEMPTS):
+            setup = replace(self._set_up_again(rng, {OBLIQUE: BEAMS[OBLIQUE]}), true_frame=self.setup.true_frame)
+            view = setup.views[OBLIQUE]
+            if view.in_field(view.project(points), LANDMARK_MARGIN_PX).all():
+                return tagged(setup, OBLIQUE, render(setup, OBLIQUE, self.scene, rng))
+        raise SetUpError(f"none of {ATTEMPTS} oblique images shows wires and landmarks")
 
     def check_images(
         self, wire: SimulatedWire, key: str = "", before_mm: Mapping[str, np.ndarray] = MappingProxyType({})

@@ -6,15 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from sightline.app.plan.marks import CHECK_NAMES, marks_of
+from sightline.app.plan.marks import CHECK_NAMES, SHOT_NAMES, marks_of
 from sightline.app.plan.planner import Planned, aid_pixels, landmarks_of
 from sightline.app.session.seen import SeenImage
+from sightline.app.session.sent import SentPlan
 from sightline.app.session.session import Session
 from sightline.app.texts import EXPECTED_HERE
 from sightline.calibration import BeadView
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import SightlineError
 from sightline.planning import MatchingCurve, reconstruct
+from sightline.planning.check_result import CheckShot
 from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.head import outline
 
@@ -159,7 +161,8 @@ def found(session: Session, image: str) -> list[Shape]:
     for kind, seen in session.verifying.found.items():
         if (wire := seen.get(image)) is not None:
             line = {"shape": "line", "points": wire.uv_px.tolist(), "style": "found"}
-            out += _planned_there(session, kind, image)
+            shot, sent = session.verifying.shots.get(kind), session.planning.all_sent.get(kind)
+            out += _planned_there(session, shot, sent, image, CHECK_NAMES)
             out += [
                 {**line, "title": "the wire as this image shows it"},
                 {"shape": "cross", "points": [wire.tip_uv_px.tolist()], "style": "found", "label": "tip"},
@@ -167,16 +170,23 @@ def found(session: Session, image: str) -> list[Shape]:
     return out
 
 
-def _planned_there(session: Session, kind: str, image: str) -> list[Shape]:
-    """Return a wire's plan projected into a check image, with the bone's movement applied."""
-    shot, sent = session.verifying.shots.get(kind), session.planning.all_sent.get(kind)
-    views = session.planning.views(CHECK_NAMES)
+def shot(session: Session, image: str) -> list[Shape]:
+    """Return the plan in an image taken while drilling, once the shot is measured."""
+    found = session.shots.found
+    return _planned_there(session, None if found is None else found.wire, session.drilling.held, image, SHOT_NAMES)
+
+
+def _planned_there(
+    session: Session, shot: CheckShot | None, sent: SentPlan | None, image: str, names: tuple[str, ...]
+) -> list[Shape]:
+    """Return a wire's plan projected into one of two images taken later, with the bone's movement applied."""
+    views = session.planning.views(names)
     if shot is None or sent is None or views is None:
         return []
     path = sent.plan.trajectory
     along = np.linspace(0.0, 1.0, 40)[:, None]
     points = shot.movement.apply((1.0 - along) * path.entry_mm + along * path.end_mm)
-    uv, _ = views[CHECK_NAMES.index(image)].project_seen(points)
+    uv, _ = views[names.index(image)].project_seen(points)
     return [{"shape": "line", "points": uv.tolist(), "style": "plan", "title": "the plan"}] if len(uv) > 1 else []
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import live, wires
+from sightline.app.panels import live, shots, wires
 from sightline.app.panels.section import Section, action, checks, heading, note, table
 from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
@@ -30,6 +30,7 @@ def key(tab: Tab) -> Hashable:
     planning, decisions = tab.planning, tab.planning.decisions
     plan = (planning.planned, decisions.side, decisions.serial, tab.session.readiness.can_send)
     held = (tab.session.drilling.held, tab.session.drilling.changed, decisions.kind)
+    held = (*held, tab.session.shots.objection)
     return (told, held, planning.drilled, planning.sent_is_current, plan, tab.session.jobs.working)
 
 
@@ -44,6 +45,7 @@ def _shot_key(tab: Tab) -> Hashable:
 def build(tab: Tab) -> None:
     """Build the panel: the robot's state and depth, the second shot, the live image."""
     Section(tab, key, _robot)
+    Section(tab, shots.key, shots.build)
     Section(tab, _shot_key, _second_shot)
     live.build(tab)
 
@@ -146,7 +148,7 @@ def build_next(tab: Tab) -> None:
         return
     idle, state = not now.activity, now.state
     held = drilling.held is not None and not drilling.changed
-    ready = idle and held
+    ready = idle and held and not tab.session.shots.objection
     if now.fault:
         _confirmed_action(
             tab, texts.RESET_FAULT, texts.RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle
@@ -196,7 +198,7 @@ def _send(tab: Tab, *, enabled: bool) -> None:
 def _second_shot(tab: Tab) -> None:
     """Build the form for the depth measured in the second shot, during the pause."""
     drilling, now = tab.session.drilling, tab.session.drilling.now
-    if now is None or now.state != State.PAUSED.value:
+    if now is None or now.state != State.PAUSED.value or tab.planning.frame.solid is not None:
         return
     enabled = not now.activity and drilling.held is not None and not drilling.changed
     known = {"zero": _zero_words(now), "error": _error_words(now)}

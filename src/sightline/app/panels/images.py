@@ -21,10 +21,10 @@ def build_drop_zone(tab: Tab, site: ServedApp) -> None:
 
     def taker(view: str):
         async def take(upload: Upload) -> None:
-            check = tab.step == texts.STEPS[-1]
-            if check and view == OBLIQUE:
+            taken_for = {texts.STEPS[3]: "shot-", texts.STEPS[4]: "check-"}.get(tab.step, "")
+            if taken_for and view == OBLIQUE:
                 raise UnusableInputError(texts.CHECK_TAKES_TWO)
-            image = f"check-{view}" if check else view
+            image = f"{taken_for}{view}"
             where = await tab.planning.take(upload.data, upload.suffix, image=image)
             if where != image:
                 tab.say(texts.PUT_WHERE_IT_BELONGS.format(image=texts.IMAGE_LABELS[where]))
@@ -34,7 +34,8 @@ def build_drop_zone(tab: Tab, site: ServedApp) -> None:
     zone = DropZone(site.uploads, {texts.DROP_LABELS[name]: taker(name) for name in tab.planning.slots})
 
     def show() -> None:
-        zone.set_visibility(tab.step in (texts.STEPS[0], texts.STEPS[-1]))
+        shot = tab.step == texts.STEPS[3] and bool(tab.session.shots.state)
+        zone.set_visibility(shot or tab.step in (texts.STEPS[0], texts.STEPS[-1]))
 
     tab.on_refresh.append(show)
 
@@ -101,6 +102,9 @@ def _images(tab: Tab) -> None:
         note(texts.REHEARSING, kind="quiet")
         retake = tab.doing(planning.take_rehearsed)
         action(texts.TAKE_AGAIN, retake, testid="retake", enabled=not jobs.working)
+        if OBLIQUE in planning.slots:
+            third = tab.doing(lambda: planning.take_rehearsed((OBLIQUE,)))
+            action(texts.TAKE_OBLIQUE, third, testid="take-oblique", enabled=not jobs.working)
 
 
 def _side(tab: Tab) -> None:

@@ -9,8 +9,9 @@ from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.document import AidAsked
 
-Group = Literal["wire", "landmark", "aid"]
+Group = Literal["wire", "landmark", "aid", "guide"]
 CHECK_NAMES = (f"check-{NAMES[0]}", f"check-{NAMES[1]}")
+SHOT_NAMES = (f"shot-{NAMES[0]}", f"shot-{NAMES[1]}")  # while drilling
 ENTRY, END = "entry", "end"
 
 
@@ -29,11 +30,29 @@ class MarkSpec:
     def shown_in(self, image: str) -> bool:
         """Return True if it may be placed in an image.
 
-        In check images these are the landmarks, in a third image the landmarks and the points of the wire.
+        In check images these are the landmarks, in shots while drilling also points on the robot's wire, in a third
+        image the landmarks and the points of the wire.
         """
-        if image in CHECK_NAMES:
-            return self.group == "landmark"
+        if image in (*CHECK_NAMES, *SHOT_NAMES):
+            return self.group == "landmark" or image in self.images
         return image in self.images or (image == OBLIQUE and self.group != "aid")
+
+
+def _on_guide(k: int) -> MarkSpec:
+    what = "its tip, the end in the field" if k > GUIDE_POINTS else f"point {k}, from the far end towards its tip"
+    return MarkSpec(
+        f"guide-{k}",
+        f"Wire {'tip' if k > GUIDE_POINTS else k}",
+        f"The middle of the robot's wire: {what}.",
+        "guide",
+        "guide",
+        SHOT_NAMES,
+    )
+
+
+# On the robot's wire in its guide, the tip last: it lies in part before a saturated background, so a person picks it.
+GUIDE_POINTS = 5  # one more than its curve needs [ours]
+GUIDE = tuple(map(_on_guide, range(1, GUIDE_POINTS + 2)))
 
 
 def marks_of(kind: str) -> tuple[MarkSpec, ...]:

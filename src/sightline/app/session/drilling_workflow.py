@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +35,7 @@ TO_BONE = "tip to bone along wire"
 
 class DrillingWorkflow:
     """Sending and drilling of the current wire's plan. `session` and `now`: None until the robot is started. `held`:
-    the plan that the robot holds."""
+    the plan that the robot holds; `objection`: returns why it must not be drilled on, "" where nothing says so."""
 
     def __init__(self, planning: Planning, age: PlanAge, readiness: Readiness) -> None:
         self._planning, self._age, self._readiness = planning, age, readiness
@@ -42,6 +43,7 @@ class DrillingWorkflow:
         self._starting = False
         self.session: RobotSession | None = None
         self.held: SentPlan | None = None
+        self.objection: Callable[[], str] = str
 
     @property
     def now(self) -> "RobotNow | None":
@@ -158,6 +160,8 @@ class DrillingWorkflow:
         Raises RobotRefusedError, LinkError, CaseError."""
         session = self._running()
         held = self._refuse_changed()
+        if why := self.objection():
+            raise RobotRefusedError(why)
         if await session.drill(since) != State.DONE.value:
             return
         planning, record = self._planning, session.record

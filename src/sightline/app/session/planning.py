@@ -7,7 +7,6 @@ from functools import cached_property, lru_cache
 from typing import cast
 
 from sightline.app.plan.decisions import Decisions, Display, History, Pixel, Side
-from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.plan.planner import Planned, moved, planned
 from sightline.app.session import rehearsing
 from sightline.app.session.jobs import Jobs
@@ -213,11 +212,10 @@ class Planning:
     async def take(self, data: bytes, suffix: str, *, image: str, by: Actor = Actor.RADIOGRAPHER) -> str:
         """Add a new image and return the name it was assigned to. The datum markers of plates determine the view;
         `image` is used if they cannot be read, and for a solid. Raises ImageError, CaseError."""
-        check = image in CHECK_NAMES
         seen = await self.lightbox.acquire(data, suffix, by, _view_in(image))
         name = image
         if seen.observations is not None:
-            name = f"check-{seen.observations.view}" if check else seen.observations.view
+            name = image.removesuffix(_view_in(image)) + seen.observations.view
         before = self.seen(name)
         same = before is not None and before.acquired.content["original"] == seen.acquired.content["original"]
         if same and by is not Actor.DEMO:
@@ -246,13 +244,13 @@ class Planning:
                 if seen.view is not None:
                     self.edit(self.decisions.with_image(seen.view.name, entry.number, same_pixels=False))
 
-    async def take_rehearsed(self) -> None:
-        """Acquire both planning images of the rehearsed patient."""
+    async def take_rehearsed(self, names: tuple[str, ...] = NAMES) -> None:
+        """Acquire planning images of the rehearsed patient, by default PA and lateral."""
         patient = self.patient
         if patient is None:
             raise UnusableInputError("take the images with the C-arm: this case is not a rehearsal")
         files = await self.jobs.during(
-            "taking both images of the simulated patient", lambda: self.worker.do(rehearsing.images, patient)
+            "taking images of the simulated patient", lambda: self.worker.do(rehearsing.images, patient, names)
         )
         for name, data in files.items():
             entry = await self.lightbox.store(data, ".dcm", Actor.DEMO)
@@ -293,7 +291,7 @@ class Planning:
 
 def _view_in(image: str) -> str:
     """Return the view that an image's slot is for."""
-    return image.removeprefix("check-")
+    return image.rpartition("-")[2]
 
 
 @lru_cache(maxsize=4)  # planning and check images, before and after a change

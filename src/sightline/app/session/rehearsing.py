@@ -3,18 +3,22 @@
 Only that process imports the twin, so that the first page does not wait for it.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sightline.atomic import scratch_folder
-from sightline.case.views import NAMES
+from sightline.case.views import NAMES, OBLIQUE
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_dicom
+from sightline.planning.procedures import kind as kind_of
 
 if TYPE_CHECKING:
     from sightline.rehearsal.rehearsal import Rehearsal
+    from sightline.robot.link.simulated import SimulatedWire
 
 
 @dataclass(frozen=True)
@@ -39,20 +43,38 @@ def rehearsal_of(patient: Patient) -> "Rehearsal":
     return Rehearsal.draw(patient.seed, Frame.load(patient.frame), patient.side)
 
 
-def images(patient: Patient) -> dict[str, bytes]:
-    """Return the planning images as DICOM, by view."""
-    return _files(rehearsal_of(patient).images, patient)
+def images(patient: Patient, names: Sequence[str] = NAMES) -> dict[str, bytes]:
+    """Return planning images as DICOM, by view; of a block also the oblique one."""
+    rehearsal = rehearsal_of(patient)
+    taken = {name: rehearsal.oblique_image() if name == OBLIQUE else rehearsal.images[name] for name in names}
+    return _files(taken, patient)
+
+
+def shot_images(patient: Patient, wires: Mapping[str, str], q: Sequence[float], state: str) -> dict[str, bytes]:
+    """Return both images while drilling, with the robot waiting in a state at its joints `q` (5,); `wires` as of
+    `check_images`, the one that is drilled last."""
+    rehearsal, newest, key, before_mm = _in_bone(patient, wires)
+    return _files(rehearsal.drilling_images(newest, np.array(q), state, key, before_mm).images, patient)
 
 
 def check_images(patient: Patient, wires: Mapping[str, str]) -> dict[str, bytes]:
     """Return the check images as DICOM, by view, with the wires (`SimulatedWire.text`) in the bone, by kind."""
+    rehearsal, newest, key, before_mm = _in_bone(patient, wires)
+    return _files(rehearsal.check_images(newest, key, before_mm).images, patient)
+
+
+def _in_bone(
+    patient: Patient, wires: Mapping[str, str]
+) -> "tuple[Rehearsal, SimulatedWire, str, dict[str, np.ndarray]]":
+    """Return the rehearsal of the procedure, the newest wire and its key, and the axes (2, 3) of the others by key."""
     from sightline.robot.link.simulated import SimulatedWire
 
-    *_, newest = map(SimulatedWire.of, wires.values())
-    return _files(rehearsal_of(patient).check_images(newest).images, patient)
+    *before, (kind, newest) = [(kind_of(kind), SimulatedWire.of(text)) for kind, text in wires.items()]
+    rehearsal = replace(rehearsal_of(patient), procedure=kind.document.key)
+    return rehearsal, newest, kind.wire.key, {one.wire.key: wire.axis_mm for one, wire in before}
 
 
 def _files(radiographs: Mapping[str, Radiograph], patient: Patient) -> dict[str, bytes]:
     with scratch_folder() as folder:
-        written = {name: write_dicom(radiographs[name], folder / f"{name}.dcm", patient.side) for name in NAMES}
+        written = {name: write_dicom(one, folder / f"{name}.dcm", patient.side) for name, one in radiographs.items()}
         return {name: file.read_bytes() for name, file in written.items()}

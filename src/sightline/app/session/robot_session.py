@@ -174,6 +174,10 @@ class RobotSession:
         """Reset the robot after a fault that a person has dealt with. Raises RobotRefusedError, LinkError."""
         await self._do("resetting", lambda client: client.reset(fault))
 
+    async def joints(self) -> np.ndarray:
+        """Return the robot's joints (5,) by its encoders, now. Raises RobotRefusedError, LinkError."""
+        return await self._do("reporting its joints", lambda client: client.joints()[0])
+
     async def simulated_wire(self) -> SimulatedWire:
         """Return the true pose of a simulated robot's wire. Raises RobotRefusedError from a real one."""
         return await self._do("reporting where the wire is", lambda client: client.simulated_wire())

@@ -6,13 +6,15 @@ from datetime import datetime
 import numpy as np
 
 from sightline.app.plan.decisions import Decisions
-from sightline.app.plan.planner import Planned, planned
+from sightline.app.plan.marks import names_of
+from sightline.app.plan.planner import PICK_SD_PX, Planned, planned
 from sightline.app.texts import CHANGED_SINCE_SENT
 from sightline.calibration import BeadView
 from sightline.case.journal import Case, Entry, Kind
-from sightline.case.views import ALL_NAMES
+from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import UnusableInputError
 from sightline.planning import Plan
+from sightline.planning.check_start import Landmarks
 from sightline.planning.procedures import kind as kind_of
 from sightline.robot.link.record import DrillingRecord
 from sightline.robot.link.simulated import SimulatedWire
@@ -57,6 +59,20 @@ class DrilledWire:
 
     record: DrillingRecord
     wire: SimulatedWire
+
+
+def found_again(then: Decisions, now: Decisions, images: tuple[str, ...]) -> Landmarks:
+    """Return the landmarks that a plan was made with and that are placed in both of two later images."""
+    names = [
+        name
+        for name in names_of(then.kind, "landmark")
+        if then.mark(name).complete() and now.mark(name).complete(images)
+    ]
+    planned_px, found_px = (
+        np.array([[decisions.mark(name).at(image) for name in names] for image in places]).reshape(2, -1, 2)
+        for decisions, places in ((then, NAMES), (now, images))
+    )
+    return Landmarks(planned_px, found_px, PICK_SD_PX)
 
 
 def restored(

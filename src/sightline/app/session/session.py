@@ -9,6 +9,7 @@ from sightline.app.session.live import Live
 from sightline.app.session.planning import Planning
 from sightline.app.session.readiness import Readiness
 from sightline.app.session.rehearsing import Patient
+from sightline.app.session.shots import Shots
 from sightline.app.session.verifying import Verifying
 from sightline.app.session.worker import WorkerProcess
 from sightline.case import stages
@@ -28,7 +29,9 @@ class Session:
         self.drilling = DrillingWorkflow(self.planning, self.age, self.readiness)
         self.live = Live(self.planning)
         self.verifying = Verifying(self.planning)
-        self.jobs.listeners.append(self.verifying.update)
+        self.shots = Shots(self.planning, self.drilling)
+        self.drilling.objection = lambda: self.shots.objection
+        self.jobs.listeners += [self.verifying.update, self.shots.update]
 
     @staticmethod
     def open(folder: Path, frame_name: str | None, patient: Patient | None, worker: WorkerProcess) -> "Session":

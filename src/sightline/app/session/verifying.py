@@ -5,19 +5,15 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from sightline.app.plan.marks import CHECK_NAMES, names_of
-from sightline.app.plan.planner import PICK_SD_PX
+from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.session.planning import Planning
 from sightline.app.session.rehearsing import check_images
 from sightline.app.session.seen import SeenImage, entry_of
-from sightline.app.session.sent import SentPlan
+from sightline.app.session.sent import SentPlan, found_again
 from sightline.calibration import BeadView
 from sightline.case.contents import CheckRequest
 from sightline.case.journal import Actor
 from sightline.case.stages import record_verified
-from sightline.case.views import NAMES
 from sightline.checks import Check
 from sightline.errors import RefusedError, SightlineError, UnusableInputError
 from sightline.pipeline import expected_wires
@@ -111,20 +107,10 @@ class Verifying:
             return []
         # Images acquired before a plan was sent show another wire, or none.
         sent = [one for one in planning.all_sent.values() if all(image.acquired.number > one.number for image in seen)]
-        return [_CheckRequest(one, tuple(seen), views, self._landmarks(one)) for one in sent]
-
-    def _landmarks(self, sent: SentPlan) -> Landmarks:
-        then, now = sent.planned.decisions, self._planning.decisions
-        names = [
-            name
-            for name in names_of(then.kind, "landmark")
-            if then.mark(name).complete() and now.mark(name).complete(CHECK_NAMES)
+        now = planning.decisions
+        return [
+            _CheckRequest(one, tuple(seen), views, found_again(one.planned.decisions, now, CHECK_NAMES)) for one in sent
         ]
-        planned_px, checked_px = (
-            np.array([[decisions.mark(name).at(image) for name in names] for image in images]).reshape(2, -1, 2)
-            for decisions, images in ((then, NAMES), (now, CHECK_NAMES))
-        )
-        return Landmarks(planned_px, checked_px, PICK_SD_PX)
 
     def _forget(self, kind: str) -> None:
         """Discard the result of a wire."""

@@ -4,10 +4,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sightline.app.plan.decisions import Decisions, Pixel
-from sightline.app.plan.marks import CHECK_NAMES, MarkSpec, marks_of
+from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, MarkSpec, marks_of
 from sightline.app.session.planning import Planning
+from sightline.app.session.shots import Shots
 from sightline.app.texts import STEPS
 from sightline.case.views import NAMES, OBLIQUE
+from sightline.planning.drill_shot import ALIGNED
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,8 @@ class Goal:
 class Placing:
     """The goals of one page: those that the person chose, or else those of the step."""
 
-    def __init__(self, planning: Planning) -> None:
-        self._planning = planning
+    def __init__(self, planning: Planning, shots: Shots) -> None:
+        self._planning, self._shots = planning, shots
         self._chosen: tuple[Goal, ...] | None = None  # None: the goals of the step
 
     def goal(self, step: str) -> Goal | None:
@@ -63,6 +65,9 @@ class Placing:
         specs = marks_of(planning.decisions.kind)
         if step == STEPS[4] and planning.views(CHECK_NAMES) is not None:
             return _goals([one for one in specs if one.group == "landmark"], CHECK_NAMES)
+        if step == STEPS[3] and self._shots.shown and planning.views(SHOT_NAMES) is not None:
+            guide = GUIDE if self._shots.shown == ALIGNED else ()
+            return _goals([*guide, *(one for one in specs if one.group == "landmark")], SHOT_NAMES)
         if step == STEPS[2] and planning.planned is not None:
             pair = _goals([one for one in specs if one.group != "aid"], NAMES)
             third = [one for one in specs if one.group == "landmark" and OBLIQUE in planning.names]

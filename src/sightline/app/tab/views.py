@@ -11,7 +11,7 @@ from sightline.app.drawing.head_up import head_in, head_up
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.drawing.xray.view import Window, XrayContent, XrayDisplay, XrayEvent, XrayView
 from sightline.app.plan.decisions import Decisions, Display
-from sightline.app.plan.marks import CHECK_NAMES, marks_of
+from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, marks_of
 from sightline.app.session.failures import failure_of
 from sightline.app.session.live import fresh_s
 from sightline.app.session.seen import SeenImage
@@ -73,6 +73,8 @@ class Views:
         """Return the names of the images in the two views."""
         if step == STEPS[4] and self._planning.seen(CHECK_NAMES[0]):
             return CHECK_NAMES
+        if step == STEPS[3] and self._session.shots.shown:
+            return SHOT_NAMES
         third = (self.show_oblique or self._placing_oblique) and self._planning.seen(OBLIQUE) is not None
         return (NAMES[0], OBLIQUE) if third else NAMES
 
@@ -130,7 +132,13 @@ class Views:
     def _layers(self, image: str, seen: SeenImage) -> tuple[shapes.Layers, str]:
         """Return the layers over an image and the reason for a missing one; cached for the same plan."""
         verifying, known = self._session.verifying, self._planning.planned
-        of = (seen, known, *(ends.get(image) for ends in verifying.found.values()), *verifying.shots.values())
+        of = (
+            seen,
+            known,
+            self._session.shots.found,
+            *(ends.get(image) for ends in verifying.found.values()),
+            *verifying.shots.values(),
+        )
         if image in self._drawn and self._drawn[image][0] == of:
             return self._drawn[image][1:]
         makers: dict[str, Callable[[], list[shapes.Shape]]] = {
@@ -139,6 +147,8 @@ class Views:
         }
         if image in CHECK_NAMES:
             makers["found"] = lambda: shapes.found(self._session, image)
+        elif image in SHOT_NAMES:
+            makers["found"] = lambda: shapes.shot(self._session, image)
         elif known is not None:
             makers["curves"] = lambda: shapes.curves(known.curves) if image == NAMES[1] else []
             makers["expected"] = lambda: shapes.expected(known) if image == OBLIQUE else []
@@ -158,7 +168,7 @@ def _display(chosen: Display, head: int | None, window: Window) -> XrayDisplay:
 def _points(image: str, step: str, decisions: Decisions) -> list[dict[str, Any]]:
     """Return the points of an image, placed or not, as JSON types."""
     out = []
-    for spec in marks_of(decisions.kind):
+    for spec in (*marks_of(decisions.kind), *GUIDE):
         if not spec.shown_in(image):
             continue
         mark, on_curve = decisions.mark(spec.name), image == NAMES[1] and spec.group == "wire"
@@ -167,8 +177,8 @@ def _points(image: str, step: str, decisions: Decisions) -> list[dict[str, Any]]
                 "id": spec.name,
                 "label": spec.label,
                 "uv": mark.at(image),
-                "style": spec.of if spec.group == "wire" else spec.group,
-                "movable": step in (STEPS[2], STEPS[4]),
+                "style": {"wire": spec.of, "guide": "aid"}.get(spec.group, spec.group),
+                "movable": step in (STEPS[2], STEPS[4]) or image in SHOT_NAMES,
                 "snapped": on_curve and not mark.free,
                 "slides": on_curve and decisions.snapping and mark.at(NAMES[0]) is not None,
             }

@@ -1,0 +1,156 @@
+"""Shots while drilling: two images of a block at ALIGNED and at PAUSED show where the wire goes, before it goes on."""
+
+import asyncio
+
+import numpy as np
+
+from sightline.app.plan.marks import GUIDE, SHOT_NAMES
+from sightline.app.session.drilling_workflow import DrillingWorkflow
+from sightline.app.session.planning import Planning
+from sightline.app.session.rehearsing import shot_images
+from sightline.app.session.seen import SeenImage, entry_of
+from sightline.app.session.sent import SentPlan, found_again
+from sightline.app.texts import SHOT_NOT_WAITING, SHOT_SAYS_STOP
+from sightline.case.contents import CheckRequest, DrillShotRequest
+from sightline.case.journal import Actor
+from sightline.case.stages import record_shot
+from sightline.errors import RefusedError, RobotRefusedError, SightlineError
+from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.planning.drill_shot import ALIGNED, PAUSED, DrillShot
+from sightline.robot.kinematics.manipulator import FEED
+
+STOP = "STOP"
+
+
+class Shots:
+    """The shots of the wire that the robot drills. `found`: the newest one measured, for the robot's present state;
+    `refused`: why it could not be measured."""
+
+    def __init__(self, planning: Planning, drilling: DrillingWorkflow) -> None:
+        self._planning, self._drilling = planning, drilling
+        self._since: tuple[str, SentPlan | None, int] = "", None, 0  # state and plan, and the journal's last entry then
+        self._asking: tuple[int, int] | None = None
+        self._stood: tuple[tuple[int, int], np.ndarray] | None = None  # both images, and the robot's joints at them
+        self._measured: tuple[object, ...] = ()
+        self.found: DrillShot | None = None
+        self.refused = ""
+
+    @property
+    def state(self) -> str:
+        """The robot's state while it waits for a shot; empty at other times, and with plates, which turn away."""
+        now = self._drilling.now
+        if now is None or now.lost or now.state not in (ALIGNED, PAUSED) or self._planning.frame.solid is None:
+            return ""
+        return now.state
+
+    @property
+    def shown(self) -> str:
+        """The robot's state in both images, if it is still in it; else empty."""
+        held = self._since[:2] == (self.state, self._drilling.held)
+        return self.state if held and self._stood is not None and self._stood[0] == self._numbers else ""
+
+    @property
+    def objection(self) -> str:
+        """Why the robot must not drill on: the shot says STOP. Empty where it does not."""
+        if not self.shown or self.found is None or self.found.decision != STOP:
+            return ""
+        failed = "; ".join(one.sentence for one in self.found.verdict.checks if not one.passed)
+        return SHOT_SAYS_STOP.format(why=failed)
+
+    async def take_rehearsed(self) -> None:
+        """Acquire both images of the rehearsed patient where the robot waits. Raises SightlineError."""
+        planning, drilling, state = self._planning, self._drilling, self.state
+        session, held, patient = drilling.session, drilling.held, planning.patient
+        if session is None or held is None or patient is None or not state:
+            raise RobotRefusedError(SHOT_NOT_WAITING)
+        wire, q = await session.simulated_wire(), await session.joints()
+        kind = held.planned.decisions.kind
+        wires = {key: one.wire.text() for key, one in planning.all_drilled.items() if key != kind}
+        wires[kind] = wire.text()
+        files = await planning.jobs.during(
+            "taking the shot", lambda: planning.worker.do(shot_images, patient, wires, q.tolist(), state)
+        )
+        for name, data in files.items():
+            await planning.take(data, ".dcm", image=f"shot-{name}", by=Actor.DEMO)
+
+    async def send_depth(self) -> None:
+        """Send the measured depth to the robot. Raises RobotRefusedError, LinkError, CaseError."""
+        if self.shown != PAUSED or self.found is None or self.found.decision != "GO":
+            raise RobotRefusedError(SHOT_NOT_WAITING)
+        await self._drilling.send_shot_depth(self.found.depth_mm, TWO_SIDED_95 * self.found.depth_sd_mm)
+
+    def update(self) -> None:
+        """Note where the robot stands at new images, and start measuring where images or points are new."""
+        jobs, case, held, state = self._planning.jobs, self._planning.case, self._drilling.held, self.state
+        if self._since[:2] != (state, held):  # images of before show another moment
+            self._since, self._asking, self._stood = (state, held, case.last), None, None
+        numbers, session = self._numbers, self._drilling.session
+        new = numbers is not None and min(numbers) > self._since[2] and numbers != self._asking
+        if state and new and session is not None and not session.now.activity:
+            self._asking = numbers
+            jobs.start(self._note())
+        request = self._request()
+        key = () if request is None else request[0]
+        if key != self._measured:
+            self._measured, self.found, self.refused = key, None, ""
+            if request is not None:
+                jobs.start(self._measure(*request))
+
+    @property
+    def _numbers(self) -> tuple[int, int] | None:
+        """Numbers of both images; None before they are taken."""
+        images = self._planning.decisions.images
+        both = [images[name] for name in SHOT_NAMES if name in images]
+        return (both[0], both[1]) if len(both) == len(SHOT_NAMES) else None
+
+    async def _note(self) -> None:
+        session, numbers, since = self._drilling.session, self._numbers, self._since
+        q = None if session is None else await session.joints()
+        if q is not None and numbers is not None and numbers == self._numbers and since == self._since:
+            self._stood = numbers, q
+            self._planning.jobs.notify()
+
+    def _request(self) -> "tuple[tuple[object, ...], SentPlan, list[SeenImage], DrillShotRequest] | None":
+        """Return key, plan, images and input of the measurement; None before all of them are there."""
+        planning, drilling, held = self._planning, self._drilling, self._drilling.held
+        seen = [one for one in map(planning.seen, SHOT_NAMES) if one is not None and one.view is not None]
+        session, numbers = drilling.session, self._numbers
+        if not self.shown or len(seen) < 2 or held is None or drilling.changed or session is None or numbers is None:
+            return None
+        state, target, plan = self.shown, session.target, held.plan
+        guide = [planning.decisions.mark(spec.name) for spec in GUIDE] if state == ALIGNED else []
+        if target is None or self._stood is None or not all(mark.complete(SHOT_NAMES) for mark in guide):
+            return None
+        picked = np.array([[mark.at(name) for mark in guide] for name in SHOT_NAMES]) if guide else None
+        q, middle_mm = self._stood[1], plan.trajectory.points.xyz_mm.mean(axis=0)
+        movement, covariance = session.robot.frame_moved(target.registration.q, q, middle_mm)
+        landmarks = found_again(held.planned.decisions, planning.decisions, SHOT_NAMES)
+        check, tip_mm = CheckRequest(plan.kind.wire_mm, landmarks), float(q[FEED] - target.q[FEED])
+        asked = DrillShotRequest(check, tip_mm, state == ALIGNED, movement.as_matrix(), covariance, picked)
+        points = () if picked is None else picked.tobytes()
+        return (held, *numbers, landmarks.checked_uv_px.tobytes(), points), held, seen, asked
+
+    async def _measure(
+        self, key: tuple[object, ...], held: SentPlan, seen: list[SeenImage], asked: DrillShotRequest
+    ) -> None:
+        """Measure the shot and record the result or the refusal."""
+        planning, wires = self._planning, held.planned.wires
+        before = [one.calibrated for one in map(planning.seen, planning.names) if one is not None]
+        planned = [one for one in before if one is not None]
+        taken = [one.calibrated for one in seen if one.calibrated is not None]
+        others = () if wires is None else wires.others_mm(held.plan.kind.wire.key)
+        found: DrillShot | str
+        try:
+            found = await asyncio.to_thread(asked.shot, held.plan, planned, taken, others)
+        except RefusedError as error:
+            found = str(error)
+        if key != self._measured:
+            return  # the input has changed meanwhile
+        self.found, self.refused = (None, found) if isinstance(found, str) else (found, "")
+        case = planning.case
+        try:
+            entries = [entry_of(case, one) for one in seen]
+            record_shot(case, case.entry(case.entry(held.number).rests_on[0]), entries, asked, found, by=Actor.APP)
+        except SightlineError as error:
+            self.found, self.refused = None, str(error)
+        planning.jobs.notify()
