@@ -86,7 +86,9 @@ def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
 def wire(planned: Planned, image: str) -> list[Shape]:
     """Return the wires for one view: the current one last, at its true width with its 95 % corridor."""
     view, out = _view(planned, image), []
-    for plan in sorted(planned.plans.values(), key=lambda one: one is planned.plan) if view is not None else ():
+    if view is None:
+        return []
+    for plan in sorted(planned.plans.values(), key=lambda one: one is planned.plan):
         kind = plan.kind
         with suppress(SightlineError):  # it is outside the view; the plan's checks say so
             found = corridor(view, plan.trajectory, wire_mm=kind.wire_mm, beyond_mm=kind.limits.beyond_mm)
