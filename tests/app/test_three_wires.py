@@ -109,9 +109,6 @@ def _place_wires(hands: Hands, shoot) -> None:
     hands.press("redo")
     expect(hands.see("verdict")).to_contain_text("Every check passed")
     shoot(hands.page, "three-planned")
-    hands.press("space-toggle")
-    shoot(hands.page, "three-space")
-    hands.press("space-toggle")
 
 
 def _place(hands: Hands, ends: dict[str, Pixels]) -> None:
