@@ -52,7 +52,7 @@ def test_the_three_earlier_kinds_have_the_limits_that_they_had():
     hip, holes, free = (kind(key) for key in ("hip-screw", "distal-interlocking", "free-wire"))
     assert hip.limits == free.limits == Limits()
     assert holes.limits == Limits(0.5, atan2(1.0, 11.0), 15.0)  # to the last bit
-    assert hip.proposal == ProposalRule() and free.proposal is None and holes.proposal is None
+    assert hip.proposal == ProposalRule(wire="guide-wire") and free.proposal is None
     assert (hip.wire_mm, holes.wire_mm, free.wire_mm) == (2.5, 4.0, 2.5)
     assert hip.ends_before_joint and not holes.checks and not free.checks
     assert kind("interlocking") is holes

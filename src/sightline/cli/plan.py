@@ -25,6 +25,7 @@ from sightline.cli.points import (
     parse_wires,
     pixels,
 )
+from sightline.cli.proposed import wires_to_propose, with_proposals
 
 if TYPE_CHECKING:
     import numpy as np
@@ -79,6 +80,14 @@ def plan(
         list[str] | None,
         typer.Option(help="End point, the tip of the wire; written like the entry point.", show_default=False),
     ] = None,
+    propose: Annotated[
+        bool,
+        typer.Option(
+            "--propose",
+            help="Propose the wires without --entry and --end by the procedure's rule, from --aid and --head, and "
+            "plan them. A person must look at the proposal in both images.",
+        ),
+    ] = False,
     oblique: Annotated[
         Path | None,
         typer.Option(
@@ -189,6 +198,7 @@ def plan(
     with Output(json=json, quiet=quiet) as output, ExitStack() as stack:
         drawn_nail = _nail_drawn(nail, nail_edges, hole, placed, picked=[*(entry or ()), *(end or ())])
         wires = parse_wires(entry or [], end or []) if drawn_nail is None else _holes_to_plan(hole or [], placed or ())
+        unpicked = () if drawn_nail else wires_to_propose(procedure, wires, propose=propose)
         points = [point for wire in wires.values() for point in wire]
         names, landmarks = zip(*map(parse_landmark, landmark or []), strict=True) if landmark else ((), ())
         views = _views(oblique, [*points, *landmarks], pa)
@@ -205,11 +215,10 @@ def plan(
         from sightline.case.stages import frame_in_use, frame_of, record_plans
         from sightline.case.views import calibrate_images
         from sightline.frame import Frame
-        from sightline.planning import Procedure, WirePicks, kind
-        from sightline.planning.procedures.files import document_of, keeping
+        from sightline.planning import WirePicks
+        from sightline.planning.procedures.files import keeping
 
-        first = next((name for name in wires if name not in (placed or ())), "")
-        known = Procedure.of(document_of(procedure), first) if first else kind(procedure)
+        first, known = _first_of(procedure, [name for name in (*wires, *unpicked) if name not in (placed or ())])
         opened = None if case is None else case_of(stack, case, files)
         in_use = None if opened is None or frame is not None else frame_in_use(opened)
         known_frame = Frame.load(frame or "gamma") if opened is None or in_use is None else frame_of(opened, in_use)
@@ -223,10 +232,16 @@ def plan(
             calibrated = [image.view for image in images]
             ends = {name: [pixels(point, calibrated, pick_sd) for point in wire] for name, wire in wires.items()}
             in_bone = _in_bone(() if drawn_nail else placed or (), ends, images, known.document)
+            aids, given = (
+                _aids(known, *drawn, pick_sd),
+                {name: WirePicks(*at, snapped=snapped) for name, at in ends.items()},
+            )
+            picked, proposed = with_proposals(given, unpicked, known, calibrated, aids=aids, side=side)
             asked = PlanRequest(
-                *ends.pop(first),
+                np.asarray(picked[first].entry_uv_px),
+                np.asarray(picked[first].end_uv_px),
                 pick_sd_px=pick_sd,
-                snapped=snapped,
+                snapped=picked[first].snapped,
                 landmarks_uv_px=np.reshape(
                     [[point.get(view, (np.nan, np.nan)) for point in landmarks] for view in views], (len(views), -1, 2)
                 ),
@@ -234,8 +249,8 @@ def plan(
                 kind=known.key,
                 procedure=keeping(known),
                 side=side,
-                aids=_aids(known, *drawn, pick_sd),
-                others={name: WirePicks(a, b, snapped) for name, (a, b) in ends.items()} if first else None,
+                aids=aids,
+                others={name: one for name, one in picked.items() if name != first} if first else None,
                 placed=in_bone or None,
                 nail=drawn_nail,
             )
@@ -250,13 +265,30 @@ def plan(
                 "images": image_numbers(opened, made_on, views),
             }
         if out is not None:
-            given = {"entry": entry, "end": end, "hole": hole, "nail": nail, "nail's edges": nail_edges}
-            words = _words({**given, "landmark": landmark, "head": head, "aid": aid}, pick_sd, snapped=snapped)
+            picks = {"entry": entry, "end": end, "hole": hole, "nail": nail, "nail's edges": nail_edges}
             with output.step("writing the report"):
-                pages = reports(planned, images, known_frame, words)
+                pages = reports(
+                    planned,
+                    images,
+                    known_frame,
+                    _words(
+                        {**picks, "landmark": landmark, "head": head, "aid": aid, "wire": proposed},
+                        pick_sd,
+                        snapped=snapped,
+                    ),
+                )
                 document["files"] = write(out, planned, pages, document)
-        show(output, planned, document)
+        show(output, planned, document, proposed)
         output.result(document, planned.verdict.checks)
+
+
+def _first_of(procedure: str, wires: Sequence[str]) -> "tuple[str, Procedure]":
+    """Return the key of the first wire, "" for a wire alone, and its procedure. Raises UnusableInputError."""
+    from sightline.planning import Procedure, kind
+    from sightline.planning.procedures.files import document_of
+
+    first = next(iter(wires), "")
+    return first, Procedure.of(document_of(procedure), first) if first else kind(procedure)
 
 
 def _words(given: Mapping[str, str | list[str] | None], pick_sd: float, *, snapped: bool) -> str:

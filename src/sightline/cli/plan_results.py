@@ -1,6 +1,6 @@
 """What `sightline plan` prints and writes: the plan of one wire, or of several."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,8 +56,10 @@ def planned_document(planned: "Plan | WirePlans", images: "Images", frame: "Fram
     }
 
 
-def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any]) -> None:
+def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], proposed: Sequence[str] = ()) -> None:
     """Print the plan for people: verdict and what failed, relations, trajectories, and where it is kept (`document`).
+
+    `proposed`: sentences on proposed wires.
 
     Where a gap contradicts the stated error, no error is shown beside the coordinates.
     """
@@ -66,6 +68,8 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any]) 
     output.failures(verdict.checks)
     for check in planned.relations:
         output.say(f"{check.name}: {check.sentence}")
+    for sentence in proposed:
+        output.say(sentence)
     rows = [row for one in plans.values() for row in _rows(one, alone="" in plans)]
     output.table("Trajectory in CFCS, mm (no robot is known)", ("point", "x", "y", "z", "95 % error"), rows)
     said = {key: _sentences(one) for key, one in plans.items()}

@@ -14,7 +14,8 @@ from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import Pick
 from sightline.planning.plan import Plan, plan
 from sightline.planning.procedures import PROCEDURES, PlanInput, Procedure, kind, procedures
-from sightline.planning.proposal import Proposal, ProposalRule, propose
+from sightline.planning.proposal import Proposal, propose
+from sightline.planning.proposal_rules import ProposalRule
 from sightline.planning.reconstruct import reconstruct
 from sightline.planning.relations import WireLines
 from sightline.planning.results import SpacePoints, Verdict
@@ -22,7 +23,7 @@ from sightline.planning.shares import Share, error_shares, error_shares_of
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import judge
 from sightline.planning.wires import WirePicks, WirePlans, plan_wires
-from sightline.planning.wires_proposal import propose_others
+from sightline.planning.wires_proposal import propose_others, propose_wires
 
 __all__ = [
     "PROCEDURES",
@@ -72,6 +73,7 @@ __all__ = [
     "procedures",
     "propose",
     "propose_others",
+    "propose_wires",
     "reconstruct",
     "snap",
 ]

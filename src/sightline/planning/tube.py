@@ -89,6 +89,25 @@ def entry_to_oval(entry: np.ndarray, tip: np.ndarray, tube: Tube, name: str) -> 
     return ((middle - entry) * along).sum(axis=-1) / (wire * along).sum(axis=-1)
 
 
+def axis_of_tube(tube: Tube, name: str) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Return a point (3,) of the axis of one tube, its direction (3,), and for both images the places (1, 2), mm along
+    it from the point, where its drawn borders end. Raises ReconstructionRefusedError."""
+    (one, a), (other, b) = ((tube[:, k, 0], tube[:, k, 1:].mean(axis=1) - tube[:, k, 0]) for k in (0, 1))
+    seen = _Seen.of(tube, nearest_approach(one, a, other, b).middle_mm, name)
+    return seen.middle[0], seen.way[0], seen.ends
+
+
+def axis_of_oval(tube: Tube, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the middle (3,) of one tube that the first image shows as an oval, the ray (3,) of that image through it,
+    and the unit vector (3,) across the tube from one border of the second image to the other.
+
+    Raises ReconstructionRefusedError.
+    """
+    middle, along = _middle_of_oval(tube, name)
+    inward = _inward(tube[:, 1, 0], _one_way(tube[:, 1, 1:].reshape(-1, 2, 2, 3)))
+    return middle[0], along[0], unit(inward[:, 0] - inward[:, 1])[0]
+
+
 def cylinder(tube: Tube, on: np.ndarray, name: str) -> np.ndarray:
     """Return a point of the axis near `on` (K, 3), its direction, and the radius, (K, 7), of a cylinder's borders.
 

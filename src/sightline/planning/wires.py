@@ -20,6 +20,7 @@ from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import document_of
 from sightline.planning.procedures.procedure import fingerprint
+from sightline.planning.proposal import Proposal
 from sightline.planning.reconstruct import reconstruct
 from sightline.planning.relations import WireLines, judge_relations
 from sightline.planning.results import Verdict
@@ -36,6 +37,14 @@ class WirePicks:
     end_uv_px: ArrayLike
     snapped: bool | Sequence[bool] = False
     hole: Hole | None = None
+
+    @staticmethod
+    def of_proposal(proposal: Proposal) -> "WirePicks":
+        """Return the picks of a proposed wire in the first two of its views; in others it is not picked."""
+        both = [np.array(uv) for uv in (proposal.entry_uv_px, proposal.end_uv_px)]
+        for uv in both:
+            uv[2:] = np.nan
+        return WirePicks(*both, snapped=True)
 
     @staticmethod
     def of_hole(hole: Hole, views: Sequence[CalibratedView]) -> "WirePicks":

@@ -1,22 +1,56 @@
-"""Wires proposed beside a planned one, parallel to it, as an inverted triangle of the file's spacing."""
+"""Proposed wires of a procedure: each by its rule, or beside a planned one as an inverted triangle of the file's
+spacing."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from sightline.calibration.together import adjusted_together
+from sightline.calibration.view import CalibratedView
 from sightline.errors import ReconstructionRefusedError
-from sightline.planning.anatomy import Anatomy
+from sightline.planning.aids import Aids
+from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.directions import across, caudal, unit
 from sightline.planning.metrics import metric
-from sightline.planning.plan import Plan
+from sightline.planning.plan import Plan, plan
+from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.document import ProcedureDocument, Relation
-from sightline.planning.proposal import Proposal
+from sightline.planning.proposal import Proposal, propose
 from sightline.planning.relations import across_axes
+from sightline.planning.wires import WirePicks
 
 # Kept from the limits of spacing and of the distance to the neck's surface, for the errors of the picks [ours].
 MARGIN_MM = 1.0
 _STEP_MM = 0.5
+
+
+def propose_wires(
+    views: Sequence[CalibratedView],
+    document: ProcedureDocument,
+    aids: Aids,
+    side: str | None,
+    given: Mapping[str, WirePicks] | None = None,
+) -> Mapping[str, Proposal]:
+    """Return the wires of a procedure that are not `given`, by their keys: by its rule, or beside the given lowest one
+    of an inverted triangle.
+
+    Raises ReconstructionRefusedError where the procedure has no rule for them, and what `propose`, `propose_others` and
+    `plan` raise.
+    """
+    given = given or {}
+    missing = [wire.key for wire in document.wires if wire.key not in given]
+    if document.proposal is not None:
+        at_rest = adjusted_together(views)
+        found = locate(at_rest, aids)
+        return {key: propose(at_rest, found, side, Procedure.of(document, key).proposal) for key in missing}
+    lowest = next((one.wires[0] for one in document.relations if one.relation == "inverted triangle"), "")
+    if lowest not in given:
+        first = f"give entry and end of the {lowest} wire first" if lowest else "pick entry and end"
+        raise ReconstructionRefusedError(f"the procedure {document.key} states no rule for a proposal: {first}")
+    picks, kind = given[lowest], Procedure.of(document, lowest)
+    planned = plan(views, picks.entry_uv_px, picks.end_uv_px, snapped=picks.snapped, kind=kind, side=side, aids=aids)
+    return {key: one for key, one in propose_others(planned).items() if key in missing}
 
 
 def propose_others(lowest: Plan) -> Mapping[str, Proposal]:

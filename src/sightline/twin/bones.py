@@ -26,6 +26,7 @@ AROUND = 8  # directions around the best that a step of the refinement tries
 COARSE_MM, FINE_MM = 0.02, 1e-6  # lengths of rays: first, refined
 REACH_MM = 300.0  # of this search
 BOUND = 0.85  # share of a depth that a distance is at least: barrels and ellipsoids are exact to first order only
+BORDER_MM = 15.0  # of the entry of a wire from the border that a person draws, along the wire, at most [ours]
 HARD, HARD_TEXTURE, SPONGY_TEXTURE = 0.92, 0.03, 0.7  # share of bone in cortex; its textures, as of the femur
 FIELDS = ("surface", "outline", "cancellous", "gap")
 PART, JOIN, BLEND, CORTEX, KIND, FIRST = range(6)  # columns of the table of shapes
@@ -220,6 +221,35 @@ class BoneModel:
         `short_mm` before it. Raises SetUpError."""
         end = self.surface_mm(inside_mm, along) - short_mm * along
         return np.stack([self.surface_mm(inside_mm, -along), end])
+
+    def with_wire(self, wire_mm: np.ndarray, surfaces: Mapping[str, tuple[float, float, float] | None]) -> "BoneModel":
+        """Return the bone with a standard wire (2, 3), and the aids that show where it enters, by name.
+
+        `surfaces`: the beam (3,) of the image that shows the bone's outer border across the wire, which lies outside
+        the entry, or None for the surface at the entry itself. A border farther than BORDER_MM is not drawn.
+        """
+        made = {name: self._surface(wire_mm, beam) for name, beam in surfaces.items()}
+        known = {name: one for name, one in made.items() if one is not None}
+        return replace(self, wires_mm=wire_mm[None], aids={**self.aids, **known})
+
+    def _surface(self, wire_mm: np.ndarray, beam: tuple[float, float, float] | None) -> PlaneAid | None:
+        entry, along = wire_mm[0], (wire_mm[1] - wire_mm[0]) / np.linalg.norm(wire_mm[1] - wire_mm[0])
+        if beam is None:
+            return PlaneAid(entry, self._normal(entry))
+        back, deep = np.arange(0.0, BORDER_MM, 0.25), np.arange(-120.0, 120.0, 1.0)
+        on_rays = (entry - back[:, None] * along)[:, None] + deep[:, None] * np.array(beam)
+        depth = self.depth_mm(on_rays, "outline")
+        beside = np.flatnonzero((depth > 0.0).all(axis=1))
+        if not len(beside):
+            return None
+        first = beside[0]
+        return PlaneAid(entry - back[first] * along, self._normal(on_rays[first, depth[first].argmin()]))
+
+    def _normal(self, at_mm: np.ndarray) -> np.ndarray:
+        """Return the unit normal (3,) of the outline near a point (3,)."""
+        steps = 0.3 * np.eye(3)
+        slope = self.depth_mm(at_mm + steps, "outline") - self.depth_mm(at_mm - steps, "outline")
+        return slope / np.linalg.norm(slope)
 
     def volume(self, side: str, origin_mm: np.ndarray, rng: np.random.Generator | None) -> Volume:
         """Return the bone as a volume, CFCS, with its origin at (3,), and a random trabecular texture unless `rng` is

@@ -117,7 +117,9 @@ class GrowingFemur:
             "greater trochanter": bone.surface_mm(greater, -CAUDAL),
             "lesser trochanter": bone.surface_mm(lesser, np.array([-1.0, 0.0, -1.0])),
         }
-        return replace(bone, wires_mm=bone.wire_through(np.zeros(3), along, SHORT_MM)[None], landmarks_mm=landmarks)
+        surfaces = {"entry cortex": (0.0, 0.0, 1.0), "entry cortex lateral": (1.0, 0.0, 0.0)}
+        wire = bone.wire_through(np.zeros(3), along, SHORT_MM)
+        return replace(bone, landmarks_mm=landmarks).with_wire(wire, surfaces)
 
 
 def _socket(head_mm: float, spongy: float) -> BonePart:

@@ -106,11 +106,9 @@ class Pelvis:
             "ala": bone.surface_mm(self.at(self.sacrum_width_mm / 2 - 14.0, 2.0, -6.0), -self.axes[1]),
             "posterior superior iliac spine": bone.surface_mm(PSIS, np.array([0.0, -0.91, -0.42])),
         }
-        return replace(
-            bone,
-            wires_mm=np.stack([bone.surface_mm(self.corridor_mm, -along), end])[None],
-            landmarks_mm=landmarks | {f"opposite {name}": at * MIRROR for name, at in landmarks.items() if at[0] > 0},
-        )
+        landmarks |= {f"opposite {name}": at * MIRROR for name, at in landmarks.items() if at[0] > 0}
+        wire = np.stack([bone.surface_mm(self.corridor_mm, -along), end])
+        return replace(bone, landmarks_mm=landmarks).with_wire(wire, {"entry cortex": None})
 
     def _corridor(self) -> TubeAid:
         """Return the corridor of S1 from the ala to beyond the wire's end, with its narrowest section."""

@@ -119,7 +119,8 @@ class Vertebra:
         }
         landmarks |= {f"opposite {name}": at * [-1.0, 1.0, 1.0] for name, at in landmarks.items() if at[0] > 0}
         bone = replace(bone, landmarks_mm=landmarks)
-        return replace(bone, wires_mm=bone.wire_through(self.pedicle_mm, self.along, SHORT_MM)[None])
+        wire = bone.wire_through(self.pedicle_mm, self.along, SHORT_MM)
+        return bone.with_wire(wire, {"entry cortex": (1.0, 0.0, 0.0)})
 
 
 def draw_vertebra(rng: np.random.Generator) -> Vertebra:

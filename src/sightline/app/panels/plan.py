@@ -137,8 +137,10 @@ def _propose(tab: Tab) -> None:
 def _missing(tab: Tab) -> str:
     """Return what a proposal still needs, as text."""
     known = tab.planning.planned
-    absent = {} if known is None else known.anatomy.absent
-    return "; ".join(text for name, text in absent.items() if name in ("head", "shaft", "cortex"))
+    rule = None if known is None else known.kind.proposal
+    if known is None or rule is None:
+        return ""
+    return "; ".join(known.anatomy.why_absent(name) for name in rule.lacking(known.anatomy))
 
 
 def metrics_html(tab: Tab) -> Markup:

@@ -82,9 +82,9 @@ class Planned:
         return () if side is None else metrics(self.anatomy, side)
 
     def proposal(self) -> Proposal:
-        """Return a wire proposed from head and shaft by the procedure's rule. Raises SightlineError."""
+        """Return a wire proposed from the drawn aids by the procedure's rule. Raises SightlineError."""
         side, rule = self.decisions.side, self.kind.proposal
-        if side is None:
+        if side is None and (rule is None or rule.side):
             raise _NoSideError
         assert rule is not None  # noqa: S101 - the page offers it only where there is one
         return propose(self.views, self.anatomy, side, rule=rule)

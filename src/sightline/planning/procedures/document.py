@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 
 from sightline.planning.aids import CLICKS
 from sightline.planning.procedures.rules import CHECKS, END_CHECKS, IN_CORRIDOR, CheckRule, Strict, Text
+from sightline.planning.proposal_rules import RULES
 
 Key = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]{0,39}$")]
 Name = Annotated[str, Field(min_length=1, max_length=80)]
@@ -143,12 +144,31 @@ class Catalogue(Strict):
 
 
 class ProposalAsked(Strict):
-    """The rule of a proposed wire: through the head's centre, at an angle to the shaft, its tip below the surface."""
+    """The rule of a proposed wire.
 
-    rule: Literal["through-head"]
-    angle_deg: Annotated[float, Field(ge=90, le=170)]
-    under_surface_mm: Annotated[float, Field(gt=0, le=30)]
+    `angle_deg`: of "through-head" between wire and shaft, measured like the neck-shaft angle; of "through-pedicle" from
+    the first view's beam towards the middle of the body. `under_surface_mm`: of the tip below the head's surface,
+    behind the front of the body, or before the end of the drawn corridor.
+    """
+
+    rule: Literal["through-head", "through-corridor", "through-pedicle", "across-growth-plate", "through-rims"]
+    angle_deg: Annotated[float, Field(ge=0, le=170)] | None = None
+    under_surface_mm: Annotated[float, Field(gt=0, le=30)] | None = None
     source: Text
+
+    @model_validator(mode="after")
+    def _numbers(self) -> Self:
+        takes = RULES[self.rule].takes
+        for name in ("angle_deg", "under_surface_mm"):
+            if (getattr(self, name) is None) == (name in takes):
+                raise ValueError(
+                    f"is the proposal {self.rule!r}, which takes {' and '.join(takes) or 'no numbers'}; "
+                    f"{'give' if name in takes else 'remove'} {name!r}"
+                )
+        low, high = (90.0, 170.0) if self.rule == "through-head" else (0.0, 45.0)
+        if self.angle_deg is not None and not low <= self.angle_deg <= high:
+            raise ValueError(f"is the proposal {self.rule!r} at {self.angle_deg:g}°; give {low:g}° to {high:g}°")
+        return self
 
 
 class LimitAsked(Strict):
@@ -234,8 +254,14 @@ class ProcedureDocument(Strict):
                     f"has the check {rule.check!r} from {rule.low:g} mm, less than half of implant_mm and margin_mm of "
                     f"its corridor, {needed:g} mm; raise it"
                 )
-        if self.proposal is not None and not {"head", "shaft", "cortex"} <= set(given):
-            raise ValueError("a proposal through the head needs the aids head, shaft and cortex; add them")
+        return self
+
+    @model_validator(mode="after")
+    def _proposable(self) -> Self:
+        rule = None if self.proposal is None else self.proposal.rule
+        needed = {key for wire in self.wires for key in (() if rule is None else RULES[rule].of_wire(wire.key))}
+        if lacking := sorted(needed - {aid.key for aid in self.aids}):
+            raise ValueError(f"the proposal {rule!r} needs the aids {', '.join(lacking)}; add them")
         return self
 
 

@@ -11,7 +11,7 @@ from sightline.checks import Limits
 from sightline.errors import UnusableInputError
 from sightline.planning.procedures.document import AidAsked, ProcedureDocument, WireAsked
 from sightline.planning.procedures.rules import CheckRule
-from sightline.planning.proposal import ProposalRule
+from sightline.planning.proposal_rules import ProposalRule
 
 
 def fingerprint(document: ProcedureDocument) -> str:
@@ -123,7 +123,9 @@ class Procedure:
     def proposal(self) -> ProposalRule | None:
         """The rule of a proposed wire, or None."""
         given = self.document.proposal
-        return None if given is None else ProposalRule(radians(given.angle_deg), given.under_surface_mm)
+        if given is None:
+            return None
+        return ProposalRule(radians(given.angle_deg or 0.0), given.under_surface_mm or 0.0, given.rule, self.wire.key)
 
     def sentences(self) -> list[str]:
         """Return what a reader of a plan must know: of several wires, that the others are not in it."""
