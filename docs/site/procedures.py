@@ -26,6 +26,11 @@ def tables(document: ProcedureDocument) -> Iterable[tuple[str, Sequence[str], li
         space = document.corridor
         limits.append(("implant and bone around it", f"{space.implant_mm:g} + {space.margin_mm:g} mm", space.source))
     relations = [(f"relation: {one.relation}", within(one), one.source) for one in document.relations]
+    if document.proposal is not None:
+        rule = document.proposal
+        numbers = {"°": rule.angle_deg, " mm": rule.under_surface_mm}
+        said = ", ".join(f"{value:g}{unit}" for unit, value in numbers.items() if value is not None)
+        limits.append((f"proposal: {rule.rule}", said, rule.source))
     checks = [
         (f"{one.check}{' (required)' if one.required else ''}", within(one), one.source) for one in document.checks
     ]

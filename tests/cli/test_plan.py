@@ -10,6 +10,9 @@ from sightline.cli.points import parse_point
 from sightline.detection.files import write_observations
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
+from sightline.frame import Frame
+from sightline.rehearsal.patient import draw_patient
+from sightline.studies.scenes import measure
 from sightline.twin.bones import SphereAid
 from sightline.twin.drawn_aids import drawn_aids
 
@@ -298,3 +301,34 @@ def test_files_that_are_not_there_are_named(run, tmp_path: Path, wire_px) -> Non
     ran = run("plan", tmp_path / "none.dcm", tmp_path / "none.dcm", *picks(wire_px))
     assert ran.code == 2
     assert "none.dcm" in ran.err
+
+
+def test_a_wire_is_proposed_from_what_is_drawn(run, tmp_path: Path) -> None:
+    """No entry, no end: the rule of the procedure gives them, the checks judge them, and the case keeps its picks."""
+    patient = draw_patient("slipped-epiphysis-pin", 3, Frame.load("gamma"), imaged=False)
+    rng = np.random.default_rng(5)
+    beads = write_observations(measure(rng, patient.setup, 0.1).values(), tmp_path / "beads.csv")
+
+    def written(uv) -> str:
+        each = zip(("pa", "lateral"), uv, strict=True)
+        return " ".join(
+            f"{name}:{','.join(f'{x:.2f}' for x in np.ravel(one))}" for name, one in each if one is not None
+        )
+
+    given = ["plan", beads, beads, "--procedure", "slipped-epiphysis-pin", "--propose", "--side", "right"]
+    for key, uv in zip(patient.landmark_keys, patient.landmarks.values(), strict=True):
+        given += ["--landmark", f"{key} {written(uv)}"]
+    aids = [f"{key} {written(uv)}" for key, uv in patient.aids_px.items()]
+    drawn = [word for aid in aids for word in ("--aid", aid)]
+    made = run(*given, *drawn, "--case", tmp_path / "case", "--out", tmp_path / "out", "--json")
+    assert made.code == 0, made.out
+    wire = patient.wires_mm[0]
+    end = np.array(made.document["trajectory"]["end_mm"])
+    assert np.linalg.norm(np.cross(end - wire[1], wire[1] - wire[0])) / np.linalg.norm(wire[1] - wire[0]) < 1.0
+    assert "perpendicular to the growth plate" in (tmp_path / "out" / "report.html").read_text()
+    assert run("case", "replay", tmp_path / "case").code == 0
+    without = [word for aid in aids if not aid.startswith("growth-plate") for word in ("--aid", aid)]
+    refused = run(*given, *without)
+    assert refused.code == 3
+    assert "no wire can be proposed: the growth-plate is not drawn" in refused.err
+    assert run("plan", beads, beads, "--side", "right").code == 2  # neither picked nor to be proposed

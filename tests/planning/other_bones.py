@@ -55,7 +55,7 @@ def drawn(name: str, seed: int = 3, side: str = "right") -> Drawn:
     origin = np.array([1.3, -2.2, 0.7]) - to_cfcs(bone.wires_mm[0].mean(axis=0), side, np.zeros(3))
     aids = {key: aid.mapped(lambda at: to_cfcs(at, side, origin)) for key, aid in bone.aids.items()}
     seen = {view.name: view for view in views(name)}
-    asked = {aid.key: aid.views for aid in kind(PROCEDURES[name]).aids}
+    asked = {aid.key: aid.views for aid in kind(PROCEDURES[name]).aids if aid.key.replace("-", " ") in aids}
     true = drawn_aids({key: aid for key, aid in aids.items() if key.replace(" ", "-") in asked}, seen)
     uv = {key: [true[key][view] if view in each else None for view in seen] for key, each in asked.items()}
     return Drawn(name, bone, origin, to_cfcs(bone.wires_mm[0], side, origin), aids, uv)

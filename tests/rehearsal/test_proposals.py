@@ -117,10 +117,14 @@ def test_its_covariance_holds_by_sampling(procedure: str) -> None:
     samples = []
     for seed in range(20, 60):
         patient = _patient(procedure, seed)
-        made = _proposed(patient, np.random.default_rng([seed, 9]), PICK_PX, BEAD_PX)[2]
-        off, covariance = _ends(made) - _ends(_exact(patient)), made.covariance_mm2
+        try:
+            made, exact = _proposed(patient, np.random.default_rng([seed, 9]), PICK_PX, BEAD_PX)[2], _exact(patient)
+        except ReconstructionRefusedError:  # the border at the entry runs along the wire
+            continue
+        off, covariance = _ends(made) - _ends(exact), made.covariance_mm2
         assert covariance is not None
         samples.append(off @ np.linalg.solve(covariance, off))
+    assert len(samples) > 34
     assert np.mean(samples) == pytest.approx(6.0, abs=1.9)
 
 
