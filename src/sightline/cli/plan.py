@@ -232,11 +232,15 @@ def plan(
             calibrated = [image.view for image in images]
             ends = {name: [pixels(point, calibrated, pick_sd) for point in wire] for name, wire in wires.items()}
             in_bone = _in_bone(() if drawn_nail else placed or (), ends, images, known.document)
-            aids, given = (
-                _aids(known, *drawn, pick_sd),
+            aids = _aids(known, *drawn, pick_sd)
+            picked, proposed = with_proposals(
                 {name: WirePicks(*at, snapped=snapped) for name, at in ends.items()},
+                unpicked,
+                known,
+                calibrated,
+                aids=aids,
+                side=side,
             )
-            picked, proposed = with_proposals(given, unpicked, known, calibrated, aids=aids, side=side)
             asked = PlanRequest(
                 np.asarray(picked[first].entry_uv_px),
                 np.asarray(picked[first].end_uv_px),
