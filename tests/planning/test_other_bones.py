@@ -1,14 +1,15 @@
 """Checks of wires in pedicle, sacrum and slipped epiphysis: the twin's wrong wires are refused and right ones pass."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning import Procedure, kind
-from sightline.planning.bone_checks import judge_in_bone
+from sightline.planning import Anatomy, Procedure, kind
+from sightline.planning.bone_checks import judge_in_bone, measures, metric_measures, noticed_beyond_mm
 from sightline.planning.metrics import metric
 from sightline.planning.procedures.files import copy_text, document_from_json
 from sightline.planning.procedures.rules import CHECKS
@@ -184,3 +185,31 @@ def test_each_limit_of_these_checks_decides(name: str):
                 (judged,) = (c for c in judge_in_bone(found, rules, None, {}).checks if c.name == check)
                 assert judged.passed == passes, (check, limit)
                 assert judged.unit == CHECKS[check].unit and judged.unit in judged.sentence
+
+
+@pytest.mark.parametrize("name", ["vertebra", "growing-femur"])
+def test_how_far_a_point_may_be_wrong_along_its_line_of_sight_counts_the_drawn_borders(name: str):
+    """Moved by 1 mm more than is stated either way along either line of sight, some check fails; by 1 mm less, in one
+    way none does. The error of a check changes a little with the wire. Without borders the figure would be 60 mm."""
+    bone, rules = drawn(name, 4), kind(PROCEDURES[name]).checks
+    found = bone.found(bone.wire_mm, bone.uv_px, SD_PX)
+    known = found, rules, "right", {}
+    stated = noticed_beyond_mm((*measures(*known), *metric_measures(*known)), found)
+    for point, reach in enumerate(stated):
+        assert reach is not None and reach < 40.0
+        passed = []
+        for view in views(name):
+            ray = bone.wire_mm[point] - view.focal_point_mm
+            for along in (ray / np.linalg.norm(ray), -ray / np.linalg.norm(ray)):
+                wires = np.repeat(bone.wire_mm[None], 2, axis=0)
+                wires[:, point] += np.outer([reach + 1.0, reach - 1.0], along)
+                far, near = (not _failed(judge_in_bone(_with_wire(found, one), rules, "right", {})) for one in wires)
+                assert not far
+                passed.append(near)
+        assert any(passed)
+
+
+def _with_wire(found: Anatomy, wire_mm: np.ndarray) -> Anatomy:
+    values = found.values.copy()
+    values[found.at["wire"]] = wire_mm.ravel()
+    return replace(found, values=values)

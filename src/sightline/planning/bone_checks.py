@@ -10,7 +10,7 @@ from sightline.checks import Check
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.anatomy import NOT_PLACED, Anatomy
 from sightline.planning.directions import ANTERIOR, MEDIAL, caudal
-from sightline.planning.metrics import metric, tip_depth
+from sightline.planning.metrics import Metric, metric, metric_of_wires, tip_depth
 from sightline.planning.procedures.rules import CHECKS, HEAD_CENTRE, LESSER, CheckRule
 from sightline.planning.results import Verdict
 
@@ -101,13 +101,8 @@ def measures(
 def _of_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
     """Return the checks of metrics of the implant: the 95 % interval must lie within the limits."""
     out = []
-    for rule in rules:
-        name, unit = rule.check, CHECKS[rule.check].unit
-        known_side = bone.side is not None or not CHECKS[name].side
-        if name in MEASURES or bone.exchanged or not known_side or _undrawn(bone.found, rule):
-            continue
-        known = metric(bone.found, name, bone.side)
-        low, high = rule.range
+    for rule, known in _known_metrics(bone, rules):
+        name, unit, (low, high) = rule.check, CHECKS[rule.check].unit, rule.range
         if known.value is None or known.sd is None:
             why = known.sentence if known.value is None else "Not known: the error of a view is not stated."
             out.append(Check(name, False, None, rule.high, unit, f"The {name} cannot be judged. {why}"))
@@ -121,6 +116,32 @@ def _of_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
         sentence += "." if passed else f"; {advice}."
         out.append(Check(name, passed, known.value, float(limit), unit, sentence))
     return out
+
+
+def _known_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[tuple[CheckRule, Metric]]:
+    """Return the rules of metrics whose aids are drawn, and whose side is known where they need it."""
+    return [
+        (rule, metric(bone.found, rule.check, bone.side))
+        for rule in rules
+        if rule.check not in MEASURES and not bone.exchanged and not _undrawn(bone.found, rule)
+        if bone.side is not None or not CHECKS[rule.check].side
+    ]
+
+
+def metric_measures(
+    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+) -> tuple[Measure, ...]:
+    """Return the checks of metrics that can be made, as measures whose limits keep the 95 % error of this wire."""
+    bone, out = _Bone(found, side, landmarks_mm), []
+    for rule, known in _known_metrics(bone, rules):
+        if known.value is not None and known.sd is not None:
+            low, high, error = *rule.range, TWO_SIDED_95 * known.sd
+
+            def value(entry: np.ndarray, end: np.ndarray, name: str = rule.check) -> np.ndarray:
+                return metric_of_wires(found, name, side, np.stack([entry, end], axis=1))
+
+            out.append(Measure(rule.check, value, low + error, high - error, known.unit, "", ""))
+    return tuple(out)
 
 
 # What to do where a metric fails that depends on more than the end point.

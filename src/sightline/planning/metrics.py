@@ -89,6 +89,19 @@ def metric(found: Anatomy, name: str, side: str | None) -> Metric:
     return _metric(found, next(one for one in _DEFINITIONS if one.name == name), side)
 
 
+def metric_of_wires(found: Anatomy, name: str, side: str | None, wires_mm: np.ndarray) -> np.ndarray:
+    """Return a metric (K,) of other wires (K, 2, 3) in the same bone; NaN where a wire has none.
+
+    The wire in `found` must have a value: its refusals and signs hold for all.
+    """
+    definition = next(one for one in _DEFINITIONS if one.name == name)
+    values = np.tile(found.values, (len(wires_mm) + 1, 1))
+    values[1:, found.at["wire"]] = wires_mm.reshape(-1, 6)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        made = definition.value(_Parts(found, values, side))[1:]
+    return made if made.ndim == 1 else np.linalg.norm(made, axis=-1)
+
+
 def _metric(found: Anatomy, definition: _Definition, side: str | None) -> Metric:
     unit, end = definition.unit, (definition.source, definition.low, definition.high)
     missing = next((part for part in definition.needs if part not in found.at), None)

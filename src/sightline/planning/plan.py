@@ -14,7 +14,7 @@ from sightline.checks import Check
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning.aids import Aids
 from sightline.planning.anatomy import Anatomy, Drawings, located
-from sightline.planning.bone_checks import judge_in_bone, measures, noticed_beyond_mm
+from sightline.planning.bone_checks import judge_in_bone, measures, metric_measures, noticed_beyond_mm
 from sightline.planning.curve import MatchingCurve, matching_curve, snap
 from sightline.planning.hole_advice import perfect_circles
 from sightline.planning.hole_result import Hole
@@ -302,7 +302,8 @@ def plan(
         known = dict(zip(names, seen.xyz_mm[2:], strict=False))
         verdict = verdict.joined(judge_in_bone(anatomy, kind.checks, side, known))
         verdict = verdict.joined(judge_directions(kind, at_rest, trajectory, side))
-        noticed = noticed_beyond_mm(measures(anatomy, kind.checks, side, known), anatomy)
+        given = anatomy, kind.checks, side, known
+        noticed = noticed_beyond_mm((*measures(*given), *metric_measures(*given)), anatomy)
     return Plan(
         trajectory=trajectory,
         picks=(entry, end),
