@@ -175,7 +175,7 @@ def test_options_of_a_nail_are_given_together(run, tmp_path: Path) -> None:
     hole, point = "distal pa:1,2 lateral:3,4", "pa:1,2 lateral:3,4"
     whole = ["--nail", sizes, "--nail-edges", edges, "--hole", hole]
     for given, words in (
-        ([], "give --entry and --end of each wire, or for the holes of a nail --hole"),
+        ([], "give --entry and --end of each wire, or for the holes of a nail --hole, or --propose"),
         (whole[:4], "all three"),
         (whole[2:], "all three"),
         ([*whole, "--entry", point, "--end", point], "without --entry and --end"),

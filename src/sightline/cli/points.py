@@ -73,8 +73,6 @@ def parse_wires(entries: Sequence[str], ends: Sequence[str]) -> dict[str, tuple[
     """
     from sightline.errors import UnusableInputError
 
-    if not entries and not ends:
-        raise UnusableInputError("give --entry and --end of each wire, or for the holes of a nail --hole")
     split = [[(text, *_named(text)) for text in texts] for texts in (entries, ends)]
     named = [[(name, rest) if rest else ("", text) for text, name, rest in one] for one in split]
     first, second = ([name for name, _ in one] for one in named)

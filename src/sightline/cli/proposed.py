@@ -3,8 +3,6 @@
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
-import typer
-
 if TYPE_CHECKING:
     from sightline.calibration.view import CalibratedView
     from sightline.planning import Aids, Procedure, WirePicks
@@ -13,19 +11,22 @@ if TYPE_CHECKING:
 def wires_to_propose(procedure: str, picked: Collection[str], *, propose: bool) -> tuple[str, ...]:
     """Return the keys of the wires to propose; "" for a wire alone.
 
-    Raises BadParameter where nothing is picked or to be proposed, UnusableInputError for an unknown procedure.
+    Raises UnusableInputError where nothing is picked or to be proposed, or for an unknown procedure.
     """
+    from sightline.errors import UnusableInputError
     from sightline.planning.procedures.files import document_of
 
     if not propose:
         if not picked:
-            raise typer.BadParameter("give entry and end point, or --propose", param_hint="--entry")
+            raise UnusableInputError(
+                "give --entry and --end of each wire, or for the holes of a nail --hole, or --propose"
+            )
         return ()
     document = None if ":" in procedure else document_of(procedure)
     keys = ("",) if document is None or len(document.wires) == 1 else document.drilling_order
     missing = tuple(key for key in keys if key not in picked)
     if not missing or (missing == ("",) and picked):
-        raise typer.BadParameter("all wires have --entry and --end; leave --propose out", param_hint="--propose")
+        raise UnusableInputError("all wires have --entry and --end; leave --propose out")
     return missing
 
 
