@@ -152,7 +152,8 @@ class Aids:
                 made[key] = made[key] if count > 1 else made[key][0]
             elif key not in _OF_HIP and drawn:
                 others[key] = Drawing(types[key], tuple(each), sd_px)
-        return Aids(**made, others=others)
+        # Sorted, as a case keeps them: another order changes the last bit of a sum.
+        return Aids(**made, others=dict(sorted(others.items())))
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> "Aids":

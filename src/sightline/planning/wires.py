@@ -41,7 +41,8 @@ class WirePicks:
     @staticmethod
     def of_proposal(proposal: Proposal) -> "WirePicks":
         """Return the picks of a proposed wire in the first two of its views; in others it is not picked."""
-        both = [np.array(uv) for uv in (proposal.entry_uv_px, proposal.end_uv_px)]
+        # Contiguous, as when they are read back: another memory order changes the last bit of a sum.
+        both = [np.array(uv, order="C") for uv in (proposal.entry_uv_px, proposal.end_uv_px)]
         for uv in both:
             uv[2:] = np.nan
         return WirePicks(*both, snapped=True)
