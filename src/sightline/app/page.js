@@ -14,6 +14,28 @@ for (const kind of ["keydown", "keyup"]) {
   );
 }
 
+// Arrow keys move between the radios of a group, and choose.
+const STEP = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 };
+window.addEventListener("keydown", (event) => {
+  const radio = event.target.closest && event.target.closest("[role=radio]");
+  if (!radio || !STEP[event.key]) return;
+  event.preventDefault();
+  const all = [...radio.closest("[role=radiogroup]").querySelectorAll("[role=radio]")];
+  const next = all[(all.indexOf(radio) + STEP[event.key] + all.length) % all.length];
+  next.focus();
+  next.click();
+});
+
+// A control that was built again keeps the focus.
+let focused = null; // the named control that has it
+window.addEventListener("focusin", ({ target }) => (focused = target.closest("[data-testid]")));
+const keepFocus = () => {
+  if (!focused || focused.isConnected || document.activeElement !== document.body) return;
+  const again = document.querySelector(`[data-testid="${focused.dataset.testid}"]`);
+  focused = null;
+  if (again) (again.matches("input, button") ? again : again.querySelector("input, button") || again).focus({ preventScroll: true });
+};
+
 // The page probes the program five times a second. Without an answer the page may be out of date and STOP does not
 // reach the robot: body.dead shows that (page.css). Nothing is shown before the first connection, while the page is built.
 const ASK_MS = 200; // [ours]
@@ -66,5 +88,5 @@ window.addEventListener("DOMContentLoaded", () => {
     if (panel) document.body.style.setProperty("--xray-right", `${panel.offsetWidth}px`);
   };
   new ResizeObserver(measure).observe(document.body);
-  new MutationObserver(measure).observe(document.body, { childList: true, subtree: true });
+  new MutationObserver(() => (measure(), keepFocus())).observe(document.body, { childList: true, subtree: true });
 });

@@ -39,9 +39,10 @@ def build(site: ServedApp, session: Session, pictures: Pictures, settings: Setti
             with ui.element("div").classes("views").props("data-testid=views"):
                 boxes = [ui.element("div").classes("view") for _ in range(2)]
                 tab.build_views(*boxes)
+                images.build_side(tab)
             space, drawer = Space(tab), Drawer(tab)
         with ui.element("aside").classes("panel").props(f'aria-label="{texts.PANEL_LABEL}"'):
-            _panel(tab, site, drawer, space)
+            _panel(tab, site, boxes, drawer, space)
     ui.keyboard(on_key=lambda event: _key(tab, event), ignore=["input", "select", "textarea"])
     session.jobs.listeners.append(tab.later)
     ui.context.client.on_delete(lambda: session.jobs.listeners.remove(tab.later))
@@ -55,7 +56,7 @@ def build(site: ServedApp, session: Session, pictures: Pictures, settings: Setti
     tab.on_step = lambda *steps: ui.run_javascript(f"sightlineStep(...{json.dumps(steps)})") and None
 
 
-def _panel(tab: Tab, site: ServedApp, drawer: Drawer, space: Space) -> None:
+def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, space: Space) -> None:
     """Build the column: verdict and figures, the step's own part, and the button that leads on."""
     Section(tab, lambda t: (t.step, wires.key(t)), wires.build)
     HtmlSection(tab, lambda t: (_planning(t), verdict.key(t)), lambda t: verdict.html(t) if _planning(t) else Markup())
@@ -66,7 +67,7 @@ def _panel(tab: Tab, site: ServedApp, drawer: Drawer, space: Space) -> None:
         classes="figures",
     )
     with ui.element("div").classes("step-box"):
-        images.build_drop_zone(tab, site)
+        images.build_drop_zone(tab, site, boxes)
         Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
     with ui.element("div").classes("feet"):
         action(texts.DETAILS, drawer.toggle, testid="details", kind="plain small")

@@ -10,6 +10,10 @@ IMAGE_LABELS = {
     "shot-pa": "PA shot",
     "shot-lateral": "Lateral shot",
 }
+DROP_HERE = "Drop the {image} here"
+DROP_OR = "or"
+DROP_CHOOSE = "Choose a file"
+DROP_ANOTHER = "Load another image"
 DROP_LABELS = {**IMAGE_LABELS, "oblique": "Oblique image (optional)"}
 LIVE_LABELS = {"pa": "PA, live", "lateral": "Lateral, live"}
 LIVE_UNKNOWN = "Live, view unknown"
@@ -97,7 +101,7 @@ REHEARSING = "This case rehearses on a simulated patient."
 TAKE_AGAIN = "Take both images again"
 TAKE_OBLIQUE = "Take the oblique image"
 SIDE_HEADING = "Patient's side"
-SIDE_HINT = "Check both images, the side marker or the patient, and confirm:"
+SIDE_HINT = "Which side? Check the marker in the image, or the patient:"
 SIDES = {"right": "Right hip", "left": "Left hip"}
 SERIAL_HEADING = "Frame's serial"
 SERIAL_CONFIRMED = "Confirmed: {serial}"
@@ -256,6 +260,9 @@ STATES = {
     "GUIDE": "Holding the drill guide",
     "RETRACT": "Retracting the wire",
 }
+DEPTH_MARKS = ("cortex", "pause", "tip", "limit")
+DEPTHS = {False: "{value:.1f} mm", True: "{value:.1f} mm before"}  # in bone, and before it
+DRILLED_TITLE = "the wire, drilled so far"
 READING = "Depth {depth} · thrust {force}"
 FAULT = "Fault {number}: {what}"
 RESET_FAULT = "Reset the fault"

@@ -11,7 +11,7 @@ from sightline.app.plan.planner import Planned, aid_pixels, landmarks_of
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.sent import SentPlan
 from sightline.app.session.session import Session
-from sightline.app.texts import EXPECTED_HERE
+from sightline.app.texts import DRILLED_TITLE, EXPECTED_HERE
 from sightline.calibration import BeadView
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import SightlineError
@@ -95,6 +95,19 @@ def wire(planned: Planned, image: str) -> list[Shape]:
             beside: Shape = {"shape": "line", "points": found.uv_px.tolist(), "style": "plan", "title": kind.wire.name}
             out += band(found) if plan is planned.plan else [beside]
     return out
+
+
+def drilled(planned: Planned, image: str, depth_mm: float) -> list[Shape]:
+    """Return the part of the planned wire that is drilled, to this depth beyond the entry point, for one view."""
+    view = _view(planned, image)
+    if planned.plan is None or view is None or depth_mm <= 0.0:
+        return []
+    path = planned.plan.trajectory
+    along = path.entry_mm + np.linspace(0.0, min(depth_mm / path.length_mm, 1.0), 12)[:, None] * (
+        path.end_mm - path.entry_mm
+    )
+    uv, _ = view.project_seen(along)
+    return [{"shape": "line", "points": uv.tolist(), "style": "found", "title": DRILLED_TITLE}] if len(uv) > 1 else []
 
 
 def band(found: Corridor) -> list[Shape]:

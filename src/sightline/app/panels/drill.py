@@ -4,11 +4,12 @@ from collections.abc import Awaitable, Callable, Hashable
 from functools import partial
 from typing import TYPE_CHECKING
 
+from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import live, shots, wires
-from sightline.app.panels.section import Section, action, checks, heading, note, table
+from sightline.app.panels import live, markup, shots, wires
+from sightline.app.panels.section import Section, action, checks, heading, note, put, table
 from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -18,6 +19,11 @@ from sightline.robot.control.states import State
 if TYPE_CHECKING:
     from sightline.app.session.robot_session import RobotNow
 
+_BEFORE_MM = 10.0  # the bar of the depth begins this far before the entry point [ours]
+_DEPTH = (
+    '<div class="depth" data-testid="depth"><div class="depth-value">{}</div><div class="depth-bar" aria-hidden="true">'
+    '<i style="width:{}%"></i>{}</div><div class="depth-marks">{}</div></div>'
+)
 _PLOT_PX = 400.0  # about the panel's width, so that its text is as large as the panel's [ours]
 _LIVE_S = 0.2  # update period of the robot's readings [ours]
 _RETRACTABLE = tuple(one.value for one in (State.DONE, State.STOP, State.ALIGNED, State.PAUSED))
@@ -109,19 +115,54 @@ def _state(tab: Tab) -> None:
         ui.label(texts.STATES.get(now.state, texts.STATE_UNKNOWN)).classes("state-word")
     if now.last_error:
         note(now.last_error, kind="bad", testid="robot-said")
-    reading = ui.label().classes("live").props("data-testid=robot-live")
+    bar = put(_depth(tab))
+    reading = ui.label().classes("note quiet").props("data-testid=robot-live")
 
     def tell() -> None:
         at = tab.session.drilling.now
         if at is not None:
+            bar.set_content(_depth(tab))
             reading.set_text(texts.READING.format(depth=depth_words(at), force=_force_words(at)))
+            tab.show_views()  # the wire fills along the plan
 
     tell()
     ui.timer(_LIVE_S, tell)
 
 
+def _depth(tab: Tab) -> Markup:
+    """Return the depth as HTML: its value, and a bar with cortex, pause, planned tip and limit."""
+    # Imported here so that the first page does not wait for it.
+    from sightline.robot.control.motion.drilling import PAUSE_MM
+    from sightline.robot.control.motion.supervision import EventKind
+
+    session, now = tab.session.drilling.session, tab.session.drilling.now
+    if session is None or now is None or session.target is None or session.depth_limit_mm is None:
+        return Markup()
+    end = session.target.depth_mm
+    touched = next((event.depth_mm for event in session.record.events if event.name == EventKind.CORTEX.value), 0.0)
+    at = dict(zip(texts.DEPTH_MARKS, (touched, end - PAUSE_MM, end, session.depth_limit_mm), strict=True))
+    low, high = -_BEFORE_MM, session.depth_limit_mm + _BEFORE_MM / 2
+
+    def percent(depth_mm: float) -> str:
+        return f"{100 * min(max((depth_mm - low) / (high - low), 0.0), 1.0):.1f}"
+
+    ticks = (markup.filled('<b style="left:{}%">{}</b>', percent(mm), name[:1].upper()) for name, mm in at.items())
+    rows = (
+        markup.filled("<div><b>{}</b> {} <span>{} mm</span></div>", name[:1].upper(), name, f"{mm:.1f}")
+        for name, mm in at.items()
+    )
+    depth = now.depth_mm
+    return markup.filled(
+        _DEPTH,
+        "–" if depth is None else texts.DEPTHS[depth < 0.0].format(value=abs(depth)),
+        percent(low if depth is None else depth),
+        markup.joined(*ticks),
+        markup.joined(*rows),
+    )
+
+
 def _force_words(now: "RobotNow") -> str:
-    return "–" if now.force_n is None else f"{now.force_n + 0.0:.1f} N".replace("-0.0", "0.0")
+    return "–" if now.force_n is None else f"{max(now.force_n, 0.0):.1f} N"
 
 
 def depth_words(now: "RobotNow") -> str:

@@ -26,25 +26,54 @@ function sentence(request) {
 
 export default {
   template: `
-    <div style="display:flex;flex-wrap:wrap;align-items:center;gap:8px">
+    <div class="drop-row" v-show="!told || Object.keys(states).length">
       <template v-for="(target, i) in targets" :key="target.address">
-        <q-btn outline no-caps icon="upload_file" :label="target.label" :loading="busy === i" :percentage="percent"
-               @click="$refs.inputs[i].click()"></q-btn>
+        <q-btn v-show="!told || target.label in states" outline no-caps icon="upload_file" :label="target.label" :loading="busy === i"
+               :percentage="percent" @click="$refs.inputs[i].click()"></q-btn>
         <input ref="inputs" type="file" multiple hidden :aria-label="target.label" :data-testid="'drop-' + target.label"
                accept=".dcm,.dicom,.png,.tif,.tiff,.bmp,.npy,application/dicom" @change="chosen($event, i)">
       </template>
-      <span data-testid="drop-message" role="status" :style="{color: bad ? 'var(--orange)' : 'inherit'}">{{ message }}</span>
+      <span data-testid="drop-message" role="status" :class="{ 'drop-bad': bad }">{{ message }}</span>
+      <template v-for="(target, i) in targets" :key="'in-' + target.address">
+        <teleport v-if="asks(i)" :to="'#' + target.box">
+          <div :class="['drop-in', states[target.label]]" :data-testid="'drop-in-' + target.label">
+            <div v-if="states[target.label] === 'empty'" class="drop-word">{{ texts.here.replace("{image}", target.label) }}</div>
+            <div v-if="failed === i" class="drop-bad" role="alert">{{ message }}</div>
+            <div v-if="states[target.label] === 'empty'" class="drop-or">{{ texts.or }}</div>
+            <button type="button" class="action primary" @click="$refs.inputs[i].click()">
+              {{ states[target.label] === "empty" ? texts.choose : texts.another }}</button>
+          </div>
+        </teleport>
+      </template>
       <teleport to="body">
         <div v-if="dragging" style="${PAGE}" data-testid="drop-page">
-          <div v-for="(target, i) in targets" :key="target.address" @dragenter="over = i" @drop.prevent="dropped($event, i)"
-               :style="'${PANEL};' + (over === i ? 'border-color:var(--sky);color:var(--sky)' : 'border-color:var(--edge);color:var(--text)')"
+          <div v-for="target in shown" :key="target.address" @dragenter="over = target" @drop.prevent="dropped($event, target)"
+               :style="'${PANEL};' + place(target) + (over === target ? 'border-color:var(--sky);color:var(--sky)' : 'border-color:var(--edge);color:var(--text)')"
                :data-testid="'drop-panel-' + target.label">{{ target.label }}</div>
         </div>
       </teleport>
     </div>`,
-  props: { targets: Array, maxBytes: Number },
-  data: () => ({ dragging: false, over: null, busy: null, waiting: [], percent: 0, message: "", bad: false }),
+  props: { targets: Array, texts: Object, maxBytes: Number },
+  data: () => ({
+    ready: false,
+    told: false,
+    states: {},
+    dragging: false,
+    over: null,
+    busy: null,
+    waiting: [],
+    percent: 0,
+    message: "",
+    bad: false,
+    failed: null,
+  }),
+  computed: {
+    shown() {
+      return this.told ? this.targets.filter(({ label }) => label in this.states) : this.targets;
+    },
+  },
   mounted() {
+    this.ready = true; // the boxes are in the page now
     this.listeners = {
       dragenter: (event) => this.dragged(event),
       dragover: (event) => this.dragged(event),
@@ -60,8 +89,28 @@ export default {
     for (const [name, listener] of Object.entries(this.listeners)) window.removeEventListener(name, listener);
   },
   methods: {
+    // What each target shows now: empty, here or failed; files for others are not taken.
+    tell(states) {
+      this.told = true;
+      this.states = states;
+    },
+    // A target says in its box that it wants an image: it has none, or one that failed.
+    asks(i) {
+      const { box, label } = this.targets[i];
+      const first = this.targets.findIndex((other) => other.box === box) === i;
+      return this.ready && box && first && label in this.states && (this.states[label] !== "here" || this.failed === i);
+    },
+    // Over its box; targets that share one divide it.
+    place(target) {
+      const box = target.box && document.getElementById(target.box);
+      if (!box) return "";
+      const same = this.shown.filter((other) => other.box === target.box);
+      const { left, top, width, height } = box.getBoundingClientRect();
+      const part = height / same.length;
+      return `position:absolute;box-sizing:border-box;left:${left}px;top:${top + part * same.indexOf(target)}px;width:${width}px;height:${part}px;`;
+    },
     dragged(event) {
-      if (!event.dataTransfer?.types.includes("Files")) return;
+      if (!this.shown.length || !event.dataTransfer?.types.includes("Files")) return;
       event.preventDefault();
       this.dragging = true;
     },
@@ -75,7 +124,7 @@ export default {
       this.take(files, target);
     },
     dropped(event, target) {
-      this.take([...event.dataTransfer.files], target);
+      this.take([...event.dataTransfer.files], this.targets.indexOf(target));
     },
     // Several files dropped at once go to this target and the following ones, one after another.
     async take(files, target) {
@@ -90,9 +139,11 @@ export default {
       }
       this.busy = target;
       this.percent = 0;
+      this.failed = null;
       this.say(`reading ${file.name}`, false);
       const refusal = await send(file, this.targets[target].address, (part) => (this.percent = 100 * part));
       this.busy = null;
+      this.failed = refusal ? target : null;
       this.say(refusal ? `${file.name}: ${refusal}` : file.name, Boolean(refusal));
     },
     say(message, bad) {

@@ -1,21 +1,35 @@
 """Drop zone for images: buttons in place, and the whole page while a file is dragged over it."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from nicegui import ui
 
+from sightline.app.texts import DROP_ANOTHER, DROP_CHOOSE, DROP_HERE, DROP_OR
 from sightline.app.web.uploads import MAX_UPLOAD_BYTES, OnUpload, Upload, Uploads
 
 
 class DropZone(ui.element, component=Path(__file__).parent / "drop.js"):
     """Accepts images for named targets; each goes to its target's `on_upload`, run in this element's slot."""
 
-    def __init__(self, uploads: Uploads, targets: dict[str, OnUpload]) -> None:
+    def __init__(
+        self, uploads: Uploads, targets: dict[str, OnUpload], boxes: Mapping[str, ui.element] = MappingProxyType({})
+    ) -> None:
+        """`boxes`: by target the part of the page that takes its files; while nothing is in it, it says so."""
         self._uploads = uploads
         self._addresses = {label: uploads.open(self._here(on_upload)) for label, on_upload in targets.items()}
         super().__init__()
         self._props["targets"] = [{"label": label, "address": where} for label, where in self._addresses.items()]
+        for target in self._props["targets"]:
+            box = boxes.get(target["label"])
+            target["box"] = None if box is None else f"c{box.id}"
+        self._props["texts"] = {"here": DROP_HERE, "or": DROP_OR, "choose": DROP_CHOOSE, "another": DROP_ANOTHER}
         self._props["maxBytes"] = MAX_UPLOAD_BYTES
+
+    def tell(self, states: Mapping[str, str]) -> None:
+        """Say what each target shows: "empty", "here", or "failed"; targets that are not named take nothing now."""
+        self.run_method("tell", dict(states))
 
     def _here(self, on_upload: OnUpload) -> OnUpload:
         async def run(upload: Upload) -> None:

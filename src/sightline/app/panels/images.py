@@ -1,23 +1,25 @@
 """Step 1, Images: both images, the patient's side, the frame's serial."""
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 
 from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels.drop import DropZone
-from sightline.app.panels.section import Section, action, heading, note
+from sightline.app.panels.section import Section, action, heading, note, radio
 from sightline.app.tab.tab import Tab
 from sightline.app.web.serve import ServedApp
 from sightline.app.web.uploads import Upload
-from sightline.case.views import OBLIQUE
+from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
 
 _SERIAL_LENGTH = 64  # characters of a serial [ours]
 
 
-def build_drop_zone(tab: Tab, site: ServedApp) -> None:
-    """Build the drop zone, which persists while panels are rebuilt. On the last step it takes the check images."""
+def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> None:
+    """Build the drop zone, which persists while panels are rebuilt. On the last step it takes the check images.
+
+    `boxes`: of the two views, which take the files of their images."""
 
     def taker(view: str):
         async def take(upload: Upload) -> None:
@@ -31,19 +33,46 @@ def build_drop_zone(tab: Tab, site: ServedApp) -> None:
 
         return take
 
-    zone = DropZone(site.uploads, {texts.DROP_LABELS[name]: taker(name) for name in tab.planning.slots})
+    slots = {name: texts.DROP_LABELS[name] for name in tab.planning.slots}
+    taken_in = {label: boxes[name != NAMES[0]] for name, label in slots.items()}
+    zone = DropZone(site.uploads, {label: taker(name) for name, label in slots.items()}, taken_in)
+    told: dict[str, str] | None = None
 
     def show() -> None:
-        shot = tab.step == texts.STEPS[3] and bool(tab.session.shots.state)
-        zone.set_visibility(shot or tab.step in (texts.STEPS[0], texts.STEPS[-1]))
+        nonlocal told
+        states = {slots[name]: state for name, state in _wanted(tab).items()}
+        if states != told:
+            told = states
+            zone.tell(states)
 
     tab.on_refresh.append(show)
+    show()
+
+
+def _wanted(tab: Tab) -> dict[str, str]:
+    """Return the state of each image that the step takes, by view: empty, here or failed."""
+    check, shot = tab.step == texts.STEPS[-1], tab.step == texts.STEPS[3] and bool(tab.session.shots.state)
+    if tab.session.jobs.working or not (check or shot or tab.step == texts.STEPS[0]):
+        return {}
+    slots = [name for name in tab.planning.slots if not check or name != OBLIQUE]
+    if shot or (check and tab.planning.patient is not None):  # which replaces what the views show, or is simulated
+        return dict.fromkeys(slots, "here")
+    seen = {name: tab.planning.seen(f"check-{name}" if check else name) for name in slots}
+    return {name: "empty" if one is None else "failed" if one.refused else "here" for name, one in seen.items()}
+
+
+def build_side(tab: Tab) -> None:
+    """Build the question for the patient's side, over the images that answer it."""
+    Section(tab, lambda t: (_asks_side(t), t.planning.decisions.side), _side)
+
+
+def _asks_side(tab: Tab) -> bool:
+    return tab.step == texts.STEPS[0] and all(tab.planning.seen(name) is not None for name in NAMES)
 
 
 def build(tab: Tab) -> None:
     """Build the panel."""
     Section(tab, _state, _images)
-    Section(tab, lambda t: t.planning.decisions.side, _side)
     Section(tab, lambda t: t.planning.decisions.serial, _serial)
     Section(tab, _untimed, _taken)
     Section(tab, _mirrored_key, _mirrored)
@@ -52,7 +81,14 @@ def build(tab: Tab) -> None:
 def build_details(tab: Tab) -> None:
     """Build the details: how the images are shown."""
     build_oblique(tab)
+    Section(tab, lambda t: t.planning.decisions.side, _orientation)
     Section(tab, lambda t: tuple(t.planning.decisions.display.items()), _display)
+
+
+def _orientation(tab: Tab) -> None:
+    side = tab.planning.decisions.side
+    if side is not None:
+        note(texts.ORIENTATION[side], testid="orientation")
 
 
 def build_oblique(tab: Tab) -> None:
@@ -108,10 +144,11 @@ def _images(tab: Tab) -> None:
 
 
 def _side(tab: Tab) -> None:
-    heading(texts.SIDE_HEADING)
+    if not _asks_side(tab):
+        return
     side = tab.planning.decisions.side
-    note(texts.SIDE_HINT, kind="quiet")
-    with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{texts.SIDE_HEADING}"'):
+    with ui.element("div").classes("on-images").props(f'role=radiogroup aria-label="{texts.SIDE_HEADING}"'):
+        ui.label(texts.SIDE_HINT if side is None else texts.SIDE_HEADING)
         for one in ("right", "left"):
             button = action(
                 texts.SIDES[one],
@@ -119,9 +156,7 @@ def _side(tab: Tab) -> None:
                 testid=f"side-{one}",
                 kind="primary" if side == one else "plain",
             )
-            button.props(f"role=radio aria-checked={'true' if side == one else 'false'}")
-    if side is not None:
-        note(texts.ORIENTATION[side], testid="orientation")
+            radio(button, chosen=side == one, first=side is None and one == "right")
 
 
 def _serial(tab: Tab) -> None:
@@ -199,7 +234,7 @@ def _mirrored(tab: Tab) -> None:
                     testid=f"mirrored-{name}-{word}",
                     kind="primary" if chosen else "plain",
                 )
-                button.props(f"role=radio aria-checked={'true' if chosen else 'false'}")
+                radio(button, chosen=chosen, first=said is None and answer)
 
 
 def _display(tab: Tab) -> None:

@@ -14,6 +14,13 @@ _CHECK = (
 )
 
 
+_LONG = 95  # characters of a card's sentence that is written smaller, to fit [ours]
+_CARD = (
+    '<div class="verdict {}" data-testid="{}"><div class="verdict-word">{}</div>'
+    '<div class="verdict-sentence {}">{}</div><div class="verdict-more">{}</div></div>'
+)
+
+
 def filled(template: str, *values: object) -> Markup:
     """Return a template filled with values; those that are not `Markup` are escaped. (`Markup.format` takes ten times
     as long, too long for a page that follows a drag.)"""
@@ -33,6 +40,11 @@ def heading(text: str) -> Markup:
 def note(text: str, *, kind: str = "", testid: str = "") -> Markup:
     """Return a sentence; `kind`: good, warn, bad or quiet."""
     return filled('<div class="note {}"{}>{}</div>', kind, _testid(testid), text)
+
+
+def card(state: str, word: str, sentence: str, more: str = "", *, testid: str) -> Markup:
+    """Return a card with a verdict; `state`: go, no-go or incomplete."""
+    return filled(_CARD, state, testid, word, "long" if len(sentence) > _LONG else "", sentence, more)
 
 
 def checks(listed: Sequence[Check], *, testid: str) -> Markup:

@@ -123,6 +123,12 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, testid: str)
     put(markup.table(columns, rows, testid=testid))
 
 
+def radio(button: ui.button, *, chosen: bool, first: bool) -> None:
+    """Make a button one of a radio group; arrow keys move between them (page.js). `first`: Tab reaches it while none
+    is chosen."""
+    button.props(f"role=radio aria-checked={'true' if chosen else 'false'} tabindex={0 if chosen or first else -1}")
+
+
 def action(text: str, handler: Any, *, testid: str, kind: str = "", enabled: bool = True) -> ui.button:
     """Add a button and return it; `kind`: primary, danger or plain."""
     button = ui.button(text, on_click=handler, color=None).classes(f"action {kind}".strip())

@@ -24,12 +24,6 @@ SOURCES = {  # sources of error, with their colours (colours.js)
     "robot": "vermillion",
 }
 
-_LONG = 95  # characters of a sentence that is written smaller, to fit [ours]
-_VERDICT = (
-    '<div class="verdict {0}" data-testid="verdict"><div class="verdict-word">{1}</div>'
-    '<div class="verdict-sentence {4}">{2}</div><div class="verdict-more">{3}</div></div>'
-)
-
 
 def key(tab: Tab) -> Hashable:
     """Key of the verdict."""
@@ -71,7 +65,7 @@ def html(tab: Tab) -> Markup:
         wrong = [check for check in failed(verdict.checks) if check not in verdict.unmade]
         told, more = (wrong[0].sentence if wrong else texts.EVERY_CHECK), len(wrong) - 1
     said = texts.MORE.format(count=more) if more > 0 else ""
-    return markup.filled(_VERDICT, state, texts.VERDICTS[state], told, said, "long" if len(told) > _LONG else "")
+    return markup.card(state, texts.VERDICTS[state], told, said, testid="verdict")
 
 
 def build_details(tab: Tab) -> None:

@@ -11,11 +11,6 @@ from sightline.app.plan.marks import CHECK_NAMES, marks_of
 from sightline.app.tab.tab import Tab
 from sightline.checks import failed
 
-_CARD = (
-    '<div class="verdict {}" data-testid="check-verdict"><div class="verdict-word">{}</div>'
-    '<div class="verdict-sentence">{}</div></div>'
-)
-
 
 def key(tab: Tab) -> Hashable:
     """Key of the check shot: its images, its result, and the landmarks found again."""
@@ -105,6 +100,13 @@ def _landmarks(tab: Tab) -> None:
         note(f"{'●' if placed else '○'} {point}", kind="good" if placed else "quiet")
 
 
+def _missing(tab: Tab) -> list[str]:
+    """Return the landmarks that are not found again."""
+    decisions = tab.planning.decisions
+    listed = (spec for spec in marks_of(decisions.kind) if spec.group == "landmark")
+    return [spec.label for spec in listed if not decisions.mark(spec.name).complete(CHECK_NAMES)]
+
+
 def _result(tab: Tab) -> None:
     verifying = tab.session.verifying
     if verifying.refused:
@@ -112,9 +114,15 @@ def _result(tab: Tab) -> None:
     shot = verifying.shot
     if shot is None:
         return
-    state, (word, sentence) = ("go" if shot.passed else "no-go"), texts.CHECK_VERDICT[shot.passed]
-    wrong = failed(shot.checks)
-    put(markup.filled(_CARD, state, word, wrong[0].sentence if wrong else sentence))
+    wrong, missing = failed(shot.checks), _missing(tab)
+    if wrong and missing:
+        told = texts.LEFT.format(what=", ".join(missing))
+        put(markup.card("incomplete", texts.VERDICTS["incomplete"], told, testid="check-verdict"))
+    else:
+        word, sentence = texts.CHECK_VERDICT[shot.passed]
+        told = wrong[0].sentence if wrong else sentence
+        more = texts.MORE.format(count=len(wrong) - 1) if wrong[1:] else ""
+        put(markup.card("go" if shot.passed else "no-go", word, told, more, testid="check-verdict"))
     entry, tip, direction = texts.DEVIATIONS
     rows = [
         (entry, f"{shot.entry_deviation_mm:.2f} mm", f"{shot.entry_error_95_mm:.2f}"),

@@ -72,7 +72,7 @@ class RobotSession:
         self, robot: CalibratedRobot, port: int, changed: Callable[[], None], *, heartbeat: bool = True
     ) -> None:
         """Block until the link is open. Raises LinkError."""
-        self.robot, self.now, self.target = robot, RobotNow(), None
+        self.robot, self.now, self.target, self.depth_limit_mm = robot, RobotNow(), None, None
         self._changed, self._heartbeat = changed, heartbeat
         self._recorder = Recorder()
         self._sending_shot = False
@@ -88,6 +88,7 @@ class RobotSession:
         self._thread.start()
 
     target: RobotTarget | None
+    depth_limit_mm: float | None  # of the target, from the entry point
 
     @property
     def record(self) -> DrillingRecord:
@@ -118,7 +119,7 @@ class RobotSession:
 
         self._recorder, self.target = Recorder(), None
         await self._do("receiving the plan", command)
-        self.target = target
+        self.target, self.depth_limit_mm = target, depth_limit_mm
 
     async def align(self) -> None:
         """Align the arm with the plan, and wait there. Raises RobotRefusedError, LinkError."""

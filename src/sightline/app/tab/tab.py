@@ -80,7 +80,7 @@ class Tab:
         ended = watched is None and self.views.watched is not None
         self.views.watch(watched)
         if watched is not None:
-            self._show_views()
+            self.show_views()
         elif ended:
             self.refresh()
 
@@ -104,13 +104,14 @@ class Tab:
         self._refresh(self.on_refresh)
 
     def _refresh(self, parts: list[Callable[[], None]]) -> None:
-        self._show_views()
+        self.show_views()
         refused = [why for why in map(failure_of, list(parts)) if why]
         if refused and not self.message:
             self.message = refused[0]
             self.later()
 
-    def _show_views(self) -> None:
+    def show_views(self) -> None:
+        """Update the two views."""
         self.views.show(self.step, self.goal, self.dragging.preview)
 
     # Actions of the person.

@@ -24,6 +24,8 @@ from sightline.case.views import NAMES, OBLIQUE
 if TYPE_CHECKING:
     from sightline.case.watch.analyser import Watched
 
+_FILLED_MM = 0.5  # the drilled wire grows in steps of this, so that images are not redrawn all the time [ours]
+
 
 class Views:
     """The X-ray views of one page. `pair`: both, once built. `watched`: the live image in one of them, if any.
@@ -97,6 +99,8 @@ class Views:
         if seen is None:
             return XrayContent(IMAGE_LABELS[image])
         layers, undrawn = self._layers(image, seen)
+        if step == STEPS[3]:
+            layers = {**layers, "drilled": self._filled(image)}
         if preview is not None:
             layers = {**layers, **preview.layers.get(image, {})}
         hidden = {name for name, on in (("beads", self.show_beads), ("rejected", self.show_rejected)) if not on}
@@ -128,6 +132,13 @@ class Views:
             if one is not None
         ]
         return {"from": NAMES[0], "title": shapes.CURVE_TITLE, "sights": drawn}
+
+    def _filled(self, image: str) -> list[shapes.Shape]:
+        """Return the wire that the robot has drilled, over an image of the plan that it has."""
+        now, known = self._session.drilling.now, self._planning.planned
+        if now is None or now.depth_mm is None or known is None or not self._planning.sent_is_current:
+            return []
+        return shapes.drilled(known, image, round(now.depth_mm / _FILLED_MM) * _FILLED_MM)
 
     def _layers(self, image: str, seen: SeenImage) -> tuple[shapes.Layers, str]:
         """Return the layers over an image and the reason for a missing one; cached for the same plan."""

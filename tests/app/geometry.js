@@ -1,0 +1,32 @@
+// What is wrong with the place of things on the page: text that is cut, controls that overlap, parts off the screen, a
+// column that scrolls. `scrolls`: whether the middle of the column may.
+(scrolls) => {
+  const shown = { opacityProperty: true, visibilityProperty: true };
+  const seen = (element) => element.checkVisibility(shown) && element.getClientRects().length > 0;
+  const what = (element) => `${element.tagName}.${element.className} ${element.textContent.trim().slice(0, 40)}`;
+  const out = [];
+  const all = (selector) => [...document.querySelectorAll(selector)].filter(seen);
+  const box = document.querySelector(".step-box");
+  if (!scrolls && box.scrollHeight > box.clientHeight + 1) out.push(`the column scrolls: ${box.scrollHeight} in ${box.clientHeight}`);
+  for (const part of all("[data-testid=stop], .say, .steps .step, .time, .undo button, .lead button, .feet button, .verdict")) {
+    const { left, top, right, bottom } = part.getBoundingClientRect();
+    if (left < 0 || top < 0 || right > innerWidth + 0.5 || bottom > innerHeight + 0.5) out.push(`off the screen: ${what(part)}`);
+    const at = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);
+    if (!part.contains(at)) out.push(`covered: ${what(part)} by ${at && what(at)}`);
+  }
+  const cut = ".say, .step, .time, .stop-box, .verdict, .figure, .pick-place, .feet button, .lead button, .group, .depth-marks div, .on-images button";
+  for (const part of all(cut)) {
+    if (part.scrollWidth > part.clientWidth + 1 || part.scrollHeight > part.clientHeight + 1)
+      out.push(`cut: ${what(part)} ${part.scrollWidth}x${part.scrollHeight} in ${part.clientWidth}x${part.clientHeight}`);
+  }
+  const parts = all(".top .action, .time, .say, .panel .action, .figure, .verdict, .kind");
+  const inside = (part) => part.getBoundingClientRect().bottom <= box.getBoundingClientRect().bottom || !box.contains(part);
+  const boxes = parts.filter(inside).map((part) => [part, part.getBoundingClientRect()]);
+  boxes.forEach(([one, a], k) => {
+    for (const [other, b] of boxes.slice(k + 1)) {
+      const [x, y] = [Math.min(a.right, b.right) - Math.max(a.left, b.left), Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top)];
+      if (x > 1 && y > 1 && !one.contains(other) && !other.contains(one)) out.push(`overlap: ${what(one)} / ${what(other)}`);
+    }
+  });
+  return out;
+}

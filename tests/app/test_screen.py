@@ -1,0 +1,90 @@
+"""The page on screens of four sizes: nothing overlaps, no text is cut, STOP is seen, and planning never scrolls."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+from tests.app.browser import Server
+from tests.app.hands import SEED, Hands
+
+from sightline.app.texts import STEPS
+from sightline.planning import PROCEDURES
+
+GEOMETRY = Path(__file__).with_name("geometry.js").read_text("utf-8")
+SIZES = ((1280, 800), (1920, 1080), (1024, 768), (800, 1280))
+PLANNED_AT = (1280, 800)  # from this size on the column does not scroll on the step Plan
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def server(serve: Callable[..., Server], tmp_path_factory: pytest.TempPathFactory) -> Server:
+    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet"]
+    return serve(*command, "--case", str(tmp_path_factory.mktemp("case")), "--rehearse", str(SEED))
+
+
+@pytest.fixture
+def hands(server: Server, open_page: Callable[..., Page]) -> Hands:
+    person = Hands(open_page(server.url))
+    person.wait_for_step("Calibrate", "done")
+    return person
+
+
+def wrong(page: Page, *, scrolls: bool) -> list[str]:
+    """What is wrong with the page's geometry, once it has come to rest."""
+    page.wait_for_function("document.getAnimations().every(({ playState }) => playState === 'finished')")
+    return page.evaluate(GEOMETRY, scrolls)
+
+
+def _rest(page: Page) -> None:
+    """Move the pointer where it shows no tooltip."""
+    page.mouse.move(5, page.viewport_size["height"] - 5)  # type: ignore[index]
+    expect(page.get_by_role("tooltip")).to_have_count(0)
+
+
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
+def test_every_step_fits_every_screen(hands: Hands, size: tuple[int, int], shoot) -> None:
+    page = hands.page
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    for step in STEPS:
+        hands.step(step)
+        _rest(page)
+        assert not wrong(page, scrolls=step != "Plan"), step
+        shoot(page, f"{step.lower()}-{size[0]}")
+    pa, lateral = (hands.core(name, "core.root.getBoundingClientRect().toJSON()") for name in ("pa", "lateral"))
+    if size[0] < size[1]:
+        assert pa["bottom"] <= lateral["top"] and pa["left"] == lateral["left"]  # stacked
+    else:
+        assert pa["right"] <= lateral["left"] and pa["top"] == lateral["top"]
+
+
+def test_the_checklist_of_every_procedure_fits(hands: Hands) -> None:
+    page = hands.page
+    page.set_viewport_size({"width": PLANNED_AT[0], "height": PLANNED_AT[1]})
+    hands.step("Plan")
+    column = page.locator(".panel").bounding_box()
+    assert column is not None and 290 <= column["width"] <= 310
+    for number in range(len(PROCEDURES)):
+        hands.see("kind").click()
+        option = page.get_by_role("option").nth(number)
+        name = option.inner_text()
+        option.click()
+        expect(hands.see("kind")).to_contain_text(name)
+        _rest(page)
+        assert not wrong(page, scrolls=False), name
+
+
+def test_the_measure_finds_what_does_not_fit(hands: Hands) -> None:
+    page = hands.page
+    hands.step("Plan")
+    _rest(page)
+    assert not wrong(page, scrolls=False)
+    for style, found in (
+        (".stop-box { translate: 99em }", "off the screen"),
+        (".say { width: 3em; flex: none }", "cut"),
+        (".feet { margin-top: -3em; height: 0.1em }", "overlap"),
+        (".checklist { min-height: 99em }", "scrolls"),
+    ):
+        added = page.add_style_tag(content=style)
+        assert any(found in line for line in wrong(page, scrolls=False)), style
+        added.evaluate("element => element.remove()")
