@@ -189,7 +189,7 @@ GAP_NOT_TESTED = "not tested (snapped)"
 # The verdict.
 VERDICTS = {"go": "GO", "no-go": "NO-GO", "incomplete": "INCOMPLETE"}
 EVERY_CHECK = "Every check passed. A person decides."
-MORE = "and {count} more, under Details"
+MORE = "(and {count} more: Details)"
 LEFT = "Left: {what}."
 LEFT_CALIBRATION = "two calibrated images"
 LEFT_SIDE = "patient's side"

@@ -17,7 +17,7 @@ _CHECK = (
 _LONG = 95  # characters of a card's sentence that is written smaller, to fit [ours]
 _CARD = (
     '<div class="verdict {}" data-testid="{}"><div class="verdict-word">{}</div>'
-    '<div class="verdict-sentence {}">{}</div><div class="verdict-more">{}</div></div>'
+    '<div class="verdict-sentence {}">{} <span class="verdict-more">{}</span></div></div>'
 )
 
 
