@@ -72,7 +72,7 @@ def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, s
     with ui.element("div").classes("feet"):
         action(texts.DETAILS, drawer.toggle, testid="details", kind="plain small")
         action(texts.SPACE, space.toggle, testid="space-toggle", kind="plain small")
-    lead.build(tab)
+        lead.build(tab)
 
 
 def _planning(tab: Tab) -> bool:

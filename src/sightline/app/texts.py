@@ -137,7 +137,7 @@ RESIDUAL = "residual, rms per axis"
 FOCAL_POINT = "focal point"
 
 # Plan.
-POINT_GROUPS = {"wire": "Wire", "landmark": "Landmarks: did the bone move?", "aid": "Aids, optional"}
+POINT_GROUPS = {"wire": "Wire", "landmark": "Landmarks: did the bone move?", "aid": "Aids"}
 IMAGES_SHORT = {"pa": "PA", "lateral": "lat", "oblique": "obl"}
 KIND_FIELD = "Procedure"
 SNAP = "Snap lateral points of the wire to their curves"

@@ -11,7 +11,7 @@ from sightline.app.panels import markup
 from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import HtmlSection, Section, action, heading, note
 from sightline.app.plan.marks import MarkSpec, marks_of
-from sightline.app.plan.planner import Planned, landmarks_of, proposed
+from sightline.app.plan.planner import Planned, landmarks_of, lowest_wire, proposed
 from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
@@ -77,6 +77,9 @@ def _points(tab: Tab) -> None:
     for group, listed in groupby(marks_of(decisions.kind), key=lambda one: one.group):
         with ui.element("div").classes(f"group {group}"):
             heading(texts.POINT_GROUPS[group])
+            if group == "aid" and lowest_wire(kind_of(decisions.kind).document) is not None:
+                others = tab.doing(tab.planning.propose_others)
+                action(texts.PROPOSE_OTHERS, others, testid="propose-others", kind="small")
             if group == "aid" and kind_of(decisions.kind).proposal is not None:
                 action(texts.PROPOSE, tab.doing(lambda: _propose(tab)), testid="propose", kind="small").props(
                     f'title="{texts.PROPOSE_WHAT}"'

@@ -7,7 +7,6 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels.section import action, note
-from sightline.app.plan.planner import lowest_wire
 from sightline.app.tab.tab import Tab
 from sightline.planning.procedures import kind as kind_of
 
@@ -39,13 +38,11 @@ def build(tab: Tab) -> None:
     with ui.element("div").classes("wires").props(f'role=group aria-label="{texts.WIRES_LABEL}"'):
         for kind in tab.planning.kinds:
             wire, here, now = kind_of(kind).wire, kind == tab.planning.decisions.kind, state(tab, kind)
-            name = wire.name[:1].upper() + wire.name[1:]
+            name = (wire.name[:1].upper() + wire.name[1:]).removesuffix(" wire")
             button = action(name, partial(tab.choose_kind, kind), testid=f"wire-{wire.key}", kind="small")
             button.classes(f"wire-{now} {'here' if here else ''}").props(f"aria-pressed={'true' if here else 'false'}")
             with button:
-                ui.label(texts.WIRE_STATES[now]).classes("wire-state")
-    if tab.step == texts.STEPS[2] and lowest_wire(kind_of(tab.planning.decisions.kind).document) is not None:
-        action(texts.PROPOSE_OTHERS, tab.doing(tab.planning.propose_others), testid="propose-others", kind="small")
+                ui.label(texts.WIRE_STATES[now]).classes("wire-state unseen")
     order = tab.planning.drilling_order
     if tab.step == texts.STEPS[3] and order is not None:
         names = {kind_of(kind).wire.key: kind_of(kind).wire.name for kind in tab.planning.kinds}
