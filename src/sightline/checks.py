@@ -37,3 +37,19 @@ class Limits:
 def failed(checks: Iterable[Check]) -> tuple[Check, ...]:
     """Return the failed checks, in order."""
     return tuple(check for check in checks if not check.passed)
+
+
+def error_check(name: str, what: str, error_95: float, limit: float, unit: str, *, advice: str) -> Check:
+    """Return the check of a 95 % error against its limit; a failure's sentence ends with `advice`."""
+    passed = error_95 <= limit
+    if passed:
+        sentence = (
+            f"With 95 % probability the error of the {what} is less than {error_95:.2f} {unit} (limit {limit:.2f} "
+            f"{unit})."
+        )
+    else:
+        shown = max(error_95, limit + 0.01)  # never rounded down to the limit that it exceeds
+        sentence = (
+            f"The 95 % error of the {what}, {shown:.2f} {unit}, is above its limit of {limit:.2f} {unit}; {advice}."
+        )
+    return Check(name, passed, error_95, limit, unit, sentence)

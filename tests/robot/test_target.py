@@ -103,7 +103,7 @@ def test_a_target_is_refused_by_its_errors_its_plan_and_its_age():
         good.refuse_unfit(39.95 - 60.0)
     with pytest.raises(RobotRefusedError, match="NO-GO"):
         aimed(replace(IDENTITY, go=False)).refuse_unfit(40.0)
-    with pytest.raises(RobotRefusedError, match=r"the error of the drilled tip is less than .*largest share: picks"):
+    with pytest.raises(RobotRefusedError, match=r"drilled tip, .* is above its limit of .*largest share: picks"):
         aimed(scale=20.0).refuse_unfit(40.0)
 
 

@@ -11,6 +11,7 @@ from sightline.app import texts
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.panels import calibrate, drill, figures, images, lead, plan, top, verdict, verify, wires
 from sightline.app.panels.drawer import Drawer
+from sightline.app.panels.menu import Menu
 from sightline.app.panels.section import HtmlSection, Section, action
 from sightline.app.panels.space import Space
 from sightline.app.panels.steps import steps
@@ -40,10 +41,11 @@ def build(site: ServedApp, session: Session, pictures: Pictures, settings: Setti
                 boxes = [ui.element("div").classes("view") for _ in range(2)]
                 tab.build_views(*boxes)
                 images.build_side(tab)
-            space, drawer = Space(tab), Drawer(tab)
+            menu = Menu(tab)
+            space, drawer = Space(tab), Drawer(tab, menu)
         with ui.element("aside").classes("panel").props(f'aria-label="{texts.PANEL_LABEL}"'):
             _panel(tab, site, boxes, drawer, space)
-    ui.keyboard(on_key=lambda event: _key(tab, event), ignore=["input", "select", "textarea"])
+    ui.keyboard(on_key=lambda event: _key(tab, menu, event), ignore=["input", "select", "textarea"])
     session.jobs.listeners.append(tab.later)
     ui.context.client.on_delete(lambda: session.jobs.listeners.remove(tab.later))
     leaving = _leave_question()
@@ -96,10 +98,12 @@ def _first_open(session: Session) -> str:
     return next((step.name for step in steps(session) if step.status != "done"), texts.STEPS[-1])
 
 
-async def _key(tab: Tab, event) -> None:
+async def _key(tab: Tab, menu: Menu, event) -> None:
     if not event.action.keydown or event.action.repeat:
         return
     name = str(event.key.name).lower()
+    if name == "?":
+        menu.show_shortcuts()
     if event.modifiers.ctrl and name == "z":
         await tab.act(tab.planning.redo if event.modifiers.shift else tab.planning.undo)
     elif event.modifiers.ctrl and name == "y":

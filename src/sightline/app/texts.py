@@ -371,3 +371,28 @@ NO_DEPTH_LIMIT = (
     "wire is unknown."
 )
 BUG = "Reload the page and report this: something in Sightline failed ({kind}). The plan is unchanged."
+
+# Shortcuts, cases and report.
+CLOSE = "Close"
+SHORTCUTS = "Keyboard and mouse"
+SHORTCUTS_BUTTON = "Shortcuts (?)"
+SHORTCUT_COLUMNS = ("to", "do")
+SHORTCUT_ROWS = (
+    ("stop the robot", "space bar"),
+    ("undo, redo", "Ctrl+Z, Ctrl+Y"),
+    ("place a point", "click, or Enter at the cross-hair"),
+    ("move a point", "drag, or arrow keys: 1 pixel, with Shift 0.1"),
+    ("remove a point", "Delete"),
+    ("cancel", "Escape"),
+    ("zoom, pan", "wheel or pinch; drag the background"),
+    ("brightness and contrast", "drag with the right button"),
+    ("next, previous control", "Tab, Shift+Tab"),
+    ("this sheet", "?"),
+)
+REPORT = "Save the report"
+WRITING_REPORT = "writing the report"
+CASES = "Cases"
+CASE_COLUMNS = ("case", "newest entry, UTC", "reached", "folder")
+CASE_HERE = "{number} (this one)"
+CASE_REACHED = {"acquired": "images", "planned": "planned", "drilled": "drilled", "verified": "verified"}
+CASE_OPEN = "To open another case, start: sightline app --case FOLDER"

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check, Limits
+from sightline.checks import Check, Limits, error_check
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.planning.gaps import CONFIDENCE, Movement
 from sightline.planning.results import MAX_GAP_SIGMA, SpacePoints, Verdict, error_known
@@ -51,13 +51,8 @@ def _errors(trajectory: Trajectory, limits: Limits) -> list[Check]:
     )
     out = []
     for name, what, error_95, limit, unit in errors:
-        passed = error_95 <= limit
-        sentence = (
-            f"With 95 % probability the error of the {what} is less than {error_95:.2f} {unit} (limit {limit:.2f} "
-            f"{unit})"
-        )
-        sentence += "." if passed else f"; the largest source is {_largest_source(trajectory, name)}: reduce it first."
-        out.append(Check(name, passed, error_95, limit, unit, sentence))
+        advice = f"the largest source is {_largest_source(trajectory, name)}: reduce it first"
+        out.append(error_check(name, what, error_95, limit, unit, advice=advice))
     return out
 
 
@@ -101,8 +96,8 @@ def _movement(points: SpacePoints, views: Sequence[str]) -> Check:
         return _movement_between(points.movement, free, views)
     if free < MIN_FREE_POINTS or points.shift_mm is None or points.shift_sd_mm is None:
         sentence = (
-            f"A movement of the patient between the views is not tested: {free} points are picked freely in both views "
-            f"(a snapped pick has no gap); pick {MIN_FREE_POINTS} landmarks freely in both."
+            f"A movement of the patient between the views is not tested: {free} point{' is' if free == 1 else 's are'} "
+            f"picked freely in both views (a snapped pick has no gap); pick {MIN_FREE_POINTS} landmarks freely in both."
         )
         return Check("movement", False, None, MAX_GAP_SIGMA, "σ", sentence)
     shift, sd = abs(points.shift_mm), points.shift_sd_mm

@@ -6,6 +6,7 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels import calibrate, drill, images, plan, verdict, verify
+from sightline.app.panels.menu import Menu
 from sightline.app.panels.section import Section
 from sightline.app.tab.tab import Tab
 
@@ -21,8 +22,8 @@ _DETAILS: dict[str, Callable[[Tab], None]] = dict(
 class Drawer:
     """The drawer of one page; its content is built only while it is open."""
 
-    def __init__(self, tab: Tab) -> None:
-        self._tab, self.open = tab, False
+    def __init__(self, tab: Tab, menu: Menu) -> None:
+        self._tab, self._menu, self.open = tab, menu, False
         self._box = ui.element("section").classes("drawer").props(f'data-testid=drawer aria-label="{texts.DETAILS}"')
         self._box.set_visibility(False)
         with self._box:
@@ -36,6 +37,7 @@ class Drawer:
 
     def _build(self, tab: Tab) -> None:
         if self.open:
+            self._menu.build()
             _DETAILS[tab.step](tab)
             if texts.STEPS.index(tab.step) in (2, 3):
                 verdict.build_details(tab)

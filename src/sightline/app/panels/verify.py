@@ -1,11 +1,13 @@
 """Step 5, Verify: the wire measured in two check images and compared with its plan."""
 
 from collections.abc import Hashable
+from functools import partial
 
 import numpy as np
 
 from sightline.app import texts
 from sightline.app.panels import markup
+from sightline.app.panels.menu import save_report
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
 from sightline.app.plan.marks import CHECK_NAMES, marks_of
 from sightline.app.tab.tab import Tab
@@ -56,9 +58,13 @@ def build_next(tab: Tab) -> None:
         take = tab.doing(verifying.take_rehearsed)
         enabled = bool(planning.all_drilled) and not jobs.working
         action(texts.TAKE_CHECK, take, testid="take-check", kind="primary", enabled=enabled)
-    elif all(planning.seen(name) for name in CHECK_NAMES) and verifying.shot is None:
+    elif all(planning.seen(name) for name in CHECK_NAMES) and _missing(tab):
         listed = tuple(spec for spec in marks_of(planning.decisions.kind) if spec.group == "landmark")
-        action(texts.PLACE_LANDMARKS, lambda: tab.place(listed, CHECK_NAMES), testid="place-check", kind="primary")
+        place = partial(tab.place, listed, CHECK_NAMES)
+        action(texts.PLACE_LANDMARKS, place, testid="place-check", kind="primary")
+    else:
+        save = tab.doing(lambda: save_report(tab))
+        action(texts.REPORT, save, testid="save-report", kind="primary", enabled=verifying.shot is not None)
 
 
 def _check(tab: Tab) -> None:

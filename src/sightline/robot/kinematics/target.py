@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sightline.checks import Check, Limits
+from sightline.checks import Check, Limits, error_check
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.robot.kinematics.depth import CONTACT_SHIFT_SD_MM, CONTACT_WEIGHT
@@ -85,7 +85,7 @@ class RobotTarget:
 
     @cached_property
     def direction_error_95_rad(self) -> float:
-        """With a probability of 95 % the wire's direction errs by less."""
+        """With a probability of 95 % the error of the wire's direction is smaller."""
         to_direction = line_direction(self.entry_mm, self.end_mm)
         return float(length_quantile(to_direction @ self.covariance_mm2 @ to_direction.T))
 
@@ -119,10 +119,7 @@ class RobotTarget:
             )
 
     def _check(self, name: str, what: str, value: float, limit: float, unit: str) -> Check:
-        passed = value <= limit
-        sentence = f"With 95 % probability the error of the drilled {what} is less than {value:.2f} {unit} "
-        sentence += f"(limit {limit:.2f} {unit})" + ("." if passed else f"; largest share: {self._largest()}.")
-        return Check(name, passed, value, limit, unit, sentence)
+        return error_check(name, f"drilled {what}", value, limit, unit, advice=f"largest share: {self._largest()}")
 
     def _largest(self) -> str:
         return max(self.budget_mm2, key=lambda source: np.trace(self.budget_mm2[source])).replace("_", " ")
