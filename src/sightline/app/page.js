@@ -17,7 +17,7 @@ for (const kind of ["keydown", "keyup"]) {
 // Arrow keys move between the radios of a group, and choose.
 const STEP = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 };
 window.addEventListener("keydown", (event) => {
-  const radio = event.target.closest && event.target.closest("[role=radio]");
+  const radio = event.target.closest?.("[role=radio]");
   if (!radio || !STEP[event.key]) return;
   event.preventDefault();
   const all = [...radio.closest("[role=radiogroup]").querySelectorAll("[role=radio]")];
@@ -88,5 +88,9 @@ window.addEventListener("DOMContentLoaded", () => {
     if (panel) document.body.style.setProperty("--xray-right", `${panel.offsetWidth}px`);
   };
   new ResizeObserver(measure).observe(document.body);
-  new MutationObserver(() => (measure(), keepFocus())).observe(document.body, { childList: true, subtree: true });
+  const changed = new MutationObserver(() => {
+    measure();
+    keepFocus();
+  });
+  changed.observe(document.body, { childList: true, subtree: true });
 });
