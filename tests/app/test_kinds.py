@@ -16,6 +16,7 @@ from sightline.twin.femur import to_cfcs
 pytestmark = pytest.mark.slow
 SEEN_PX = 1.2  # a click is a whole pixel of the screen, the image drawn at 0.45: half of one over that
 SIDE = "right"
+HOLES_APART_MM = 25.0
 _BESIDE = re.compile(r"position AP\s*-[1-9]")  # mm from the head's centre, where it was 0.0
 
 
@@ -47,9 +48,9 @@ def _from_base(xyz_mm: list[list[float]]) -> np.ndarray:
     return patient.pixels(to_cfcs(patient.hip.femur.base_mm + np.array(xyz_mm), SIDE, patient.hip.head_mm))
 
 
-def _holes() -> dict[str, Pixels]:
-    """Two holes 11 mm apart, one behind the other as the lateral image sees them, and the nail's landmarks."""
-    uv = _from_base([[5.7, 6.3, 0.4], [-5.3, 6.1, 0.2], [0.3, 41.7, 0.6], [2.1, 21.3, 3.9]])
+def _holes(up_mm: float = 0.0) -> dict[str, Pixels]:
+    """The walls of a hole, one behind the other as the lateral image sees them, and the nail's landmarks."""
+    uv = _from_base([[5.7, 6.3 - up_mm, 0.4], [-5.3, 6.1 - up_mm, 0.2], [0.3, 41.7, 0.6], [2.1, 21.3, 3.9]])
     names = ("entry", "end", "landmark-nail-tip", "landmark-other-hole")
     return by_image({name: uv[:, k] for k, name in enumerate(names)})
 
@@ -67,7 +68,13 @@ def test_a_pair_of_holes_is_planned_beside_a_hip_screw(hands: Hands, shoot) -> N
     for name, where in known.items():
         for view in NAMES:
             assert np.hypot(*np.subtract(hands.placed(name, view), where[view])) < 2 * SEEN_PX, (name, view)
+    expect(hands.see("verdict")).to_contain_text("INCOMPLETE")
+    hands.press("wire-proximal")
+    for view in NAMES:
+        for name in ("entry", "end"):
+            hands.place(name, view, _holes(HOLES_APART_MM)[name][view])
     expect(hands.see("verdict")).to_contain_text("Every check passed")
+    expect(hands.see("propose-others")).to_have_count(0)
     expect(hands.see("figures")).not_to_contain_text("Tip to joint")  # it does not belong to a hip screw
     expect(hands.see("propose")).to_have_count(0)
     shoot(hands.page, "interlocking")

@@ -101,11 +101,14 @@ def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
     def mark(places, *, free: bool) -> Mark:
         return Mark({name: (float(u), float(v)) for name, (u, v) in places.items()}, free)
 
-    # Lateral picks as they were used: on their curves.
-    marks = {
-        name: mark({view: pick.uv_px for view, pick in zip(NAMES, picks, strict=True)}, free=False)
-        for name, picks in zip((ENTRY, END), kept.plan.picks, strict=True)
-    }
+    def ends(plan: "Plan") -> dict[str, Mark]:
+        """Return entry and end, lateral picks as they were used: on their curves."""
+        return {
+            name: mark({view: pick.uv_px for view, pick in zip(NAMES, picks, strict=True)}, free=False)
+            for name, picks in zip((ENTRY, END), plan.picks, strict=True)
+        }
+
+    marks = ends(kept.plan)
     for k, name in enumerate(kept.asked.landmark_names):
         assert kept.asked.landmarks_uv_px is not None  # noqa: S101 - they have names
         marks[f"landmark-{name}"] = mark(dict(zip(NAMES, kept.asked.landmarks_uv_px[:, k], strict=True)), free=True)
@@ -114,4 +117,7 @@ def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
         for k in range(len(next(iter(drawn.values())))):
             marks[f"{key}-{k + 1}"] = mark({name: uv[k] for name, uv in drawn.items()}, free=True)
     images, kind = MappingProxyType(acquired), kept.plan.kind.key
-    return Decisions(images=images, kind=kind, marks=MappingProxyType(marks)).document()
+    decisions = Decisions(images=images, kind=kind, marks=MappingProxyType(marks))
+    for plan in () if kept.wires is None else kept.wires.plans.values():
+        decisions = decisions.with_ends(plan.kind.key, ends(plan))
+    return decisions.document()
