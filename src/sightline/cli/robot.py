@@ -390,7 +390,10 @@ def read_plan(file: Path, wire: str | None = None) -> "PlanFile":
 def _theatre(
     side: str, frame_serial: str | None, rehearse: int | None, frame: str, procedure: str
 ) -> "SimulatedTheatre":
-    """Return a robot in air, or at the bone of a procedure's rehearsal. Raises UnusableInputError, SetUpError."""
+    """Return a robot in air, or at the hip of a procedure's rehearsal; of a file of the user's, at that of a hip screw.
+
+    Raises UnusableInputError, SetUpError.
+    """
     from sightline.errors import UnusableInputError
     from sightline.frame import Frame
     from sightline.rehearsal.operation import SimulatedTheatre
@@ -399,12 +402,13 @@ def _theatre(
         return SimulatedTheatre.in_air(side, frame_serial or SERIAL, Frame.load(frame))
     if frame_serial is not None:
         raise UnusableInputError("--rehearse uses the serial of its own frame; leave out --frame-serial")
-    from sightline.rehearsal.patient import AT_HIP
+    from sightline.rehearsal.patient import AT_HIP, BONE_OF
     from sightline.rehearsal.rehearsal import Rehearsal
 
-    if procedure not in AT_HIP:
+    if procedure in BONE_OF:
         raise UnusableInputError(f"--rehearse simulates a hip; the plan is of {procedure!r}: leave it out")
-    return Rehearsal.draw(rehearse, Frame.load(frame), side, procedure).theatre()
+    at_hip = procedure if procedure in AT_HIP else "hip-screw"
+    return Rehearsal.draw(rehearse, Frame.load(frame), side, at_hip).theatre()
 
 
 def _close_with_stdin(server: "RobotServer") -> None:
