@@ -43,6 +43,7 @@ def _planned(setup: SetUp, scene: BoneScene, views, wire_mm: np.ndarray, key: st
             for name, wanted in zip(setup.views, order, strict=False)
         ]
         for aid in known.aids
+        if aid.key in true
     }
     points = np.concatenate([wire_mm, list(scene.landmarks_mm.values())[:3]])
     picks = clicked(np.array([view.project(points) for view in setup.views.values()]))

@@ -10,7 +10,7 @@ import pytest
 from sightline.calibration.view import LinesOfSight
 from sightline.planning import Plan, Procedure, kind, plan
 from sightline.planning.procedures.files import copy_text, document_from_json
-from sightline.planning.view_directions import angles_of, beam_of, unknown_directions
+from sightline.planning.view_directions import angles_of, assumed_axes, beam_of, unknown_directions
 
 from . import bone
 from .standin import StandInView, stand_in, turned
@@ -96,3 +96,5 @@ def test_a_block_does_not_say_how_the_patient_lies():
     assert {"view directions"} <= {check.name for check in required.verdict.unmade}
     assert not any("nothing says how" in said for said in _plan(_views(25, -42)).sentences())
     assert unknown_directions(kind("hip-screw"), views) == ""  # it has no such check
+    assert "axes are taken for the patient's" in assumed_axes(kind("hip-screw"), views)  # by its check of the side
+    assert assumed_axes(kind("hip-screw"), _views(25, -42)) == assumed_axes(kind("pedicle-screw"), views) == ""

@@ -28,7 +28,7 @@ from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.solution import Method
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import judge
-from sightline.planning.view_directions import judge_directions, unknown_directions
+from sightline.planning.view_directions import assumed_axes, judge_directions, unknown_directions
 from sightline.show import Plotted, dataframe
 from sightline.show.words import checks_lines
 from sightline.threads import one_blas_thread
@@ -135,11 +135,11 @@ class Plan(Plotted):
     def sentences(self) -> list[str]:
         """Return what else a reader must know: errors that no check shows, other wires, and the implant that fits."""
         fits, pair = self.implant, [_PAIR] if len(self.views) == 2 else []
-        directions = unknown_directions(self.kind, self.views)
+        axes = [assumed_axes(self.kind, self.views), unknown_directions(self.kind, self.views)]
         said = [*self.along_sentences(), *pair, *self._alone(), *([] if fits is None else [fits.sentence])]
         if self.hole is not None:
             said += [self.hole.sentence, *(turn.sentence for turn in perfect_circles(self.hole, self.views))]
-        return [*said, directions] if directions else said
+        return [*said, *(sentence for sentence in axes if sentence)]
 
     @property
     def unchecked_relations(self) -> tuple[str, ...]:

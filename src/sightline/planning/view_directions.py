@@ -16,6 +16,12 @@ _UNKNOWN = (
     "The directions of the images are not checked: nothing says how the patient lies to this frame. Compare both "
     "images with the views that `sightline procedure show` names."
 )
+# Checks along lateral, caudal or anterior: those of the frame, by the stated side.
+_ALONG_AXES = ("side", "lateral of lesser trochanter", "anterior of lesser trochanter")
+_ASSUMED = (
+    "The block's axes are taken for the patient's: x towards the operated side, z forwards. No image confirms this, so "
+    "the checks of the side and of the lesser trochanter hold only if the block was placed like this."
+)
 
 
 def judge_directions(
@@ -60,6 +66,14 @@ def unknown_directions(procedure: Procedure, views: Sequence[CalibratedView]) ->
         return ""
     lines = [view.lines_of_sight(np.zeros((0, 2))) for view in views]
     return _UNKNOWN if any(one.frame_key is None or one.adjustment is not None for one in lines) else ""
+
+
+def assumed_axes(procedure: Procedure, views: Sequence[CalibratedView]) -> str:
+    """Return what the procedure's checks along a block's axes take for granted, or "" for plates or without such."""
+    if all(one.check not in _ALONG_AXES for one in procedure.checks):
+        return ""
+    lines = [view.lines_of_sight(np.zeros((0, 2))) for view in views]
+    return _ASSUMED if any(one.adjustment is not None for one in lines) else ""
 
 
 def beam_of(orbit_deg: float, tilt_deg: float, side: str | None) -> np.ndarray:
