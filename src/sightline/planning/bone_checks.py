@@ -135,12 +135,12 @@ def metric_measures(
     bone, out = _Bone(found, side, landmarks_mm), []
     for rule, known in _known_metrics(bone, rules):
         if known.value is not None and known.sd is not None:
-            low, high, error = *rule.range, TWO_SIDED_95 * known.sd
+            name, (low, high), error = rule.check, rule.range, TWO_SIDED_95 * known.sd
 
-            def value(entry: np.ndarray, end: np.ndarray, name: str = rule.check) -> np.ndarray:
+            def value(entry: np.ndarray, end: np.ndarray, name: str = name) -> np.ndarray:
                 return metric_of_wires(found, name, side, np.stack([entry, end], axis=1))
 
-            out.append(Measure(rule.check, value, low + error, high - error, known.unit, "", ""))
+            out.append(Measure(name, value, low + error, high - error, known.unit, "", ""))
     return tuple(out)
 
 
