@@ -114,3 +114,13 @@ def test_tab_reaches_every_control_which_has_a_name_and_shows_it(hands: Hands, s
     assert not missed
     assert not [one["what"] for one in reached.values() if not one["name"]]
     assert not [one["what"] for one in reached.values() if not one["seen"]]
+
+
+def test_the_space_bar_presses_controls_while_there_is_no_robot_to_stop(hands: Hands) -> None:
+    hands.step("Plan")
+    hands.details()
+    box = hands.see("show-beads")
+    for checked in ("true", "false"):
+        box.focus()
+        hands.page.keyboard.press("Space")
+        expect(box).to_have_attribute("aria-checked", checked)

@@ -5,7 +5,7 @@ for (const kind of ["keydown", "keyup"]) {
     kind,
     (event) => {
       const stop = document.querySelector("[data-testid=stop]");
-      if (event.key !== " " || !stop || typing(event.target)) return;
+      if (event.key !== " " || !stop || stop.disabled || typing(event.target)) return; // disabled without a robot
       event.preventDefault();
       event.stopPropagation();
       if (kind === "keydown" && !event.repeat) stop.click();

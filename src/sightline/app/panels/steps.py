@@ -99,7 +99,7 @@ def _plan(session: Session) -> _Found:
         left = [spec.label for spec in wire if not decisions.complete([spec.name])]
         return StepStatus.OPEN, texts.PLACE_WIRE.format(points=", ".join(left))
     verdict = session.readiness.verdict
-    wrong = () if verdict is None else failed(verdict.checks)
+    wrong = [] if verdict is None else sorted(failed(verdict.checks), key=lambda one: one in verdict.unmade)
     return (StepStatus.ATTENTION, wrong[0].sentence) if wrong else (StepStatus.DONE, texts.PLAN_DONE)
 
 

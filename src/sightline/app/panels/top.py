@@ -148,7 +148,7 @@ def _stop(tab: Tab) -> Callable[[], None]:
 
     def update() -> None:
         lost = _link(tab)
-        button.set_enabled(lost is False)
+        button.set_enabled(lost is not None)  # of a lost link it says what to do
         name = {None: "none", True: "lost", False: "open"}[lost]
         state.set_text(texts.LINKS[name])
         state.classes(name, remove=" ".join(texts.LINKS))
