@@ -36,11 +36,15 @@ def placed_wires(
     or where it does not rule out another assignment of the lines to wires; ErrorUnknownError, OutsideRegionError.
     """
     keys, both = list(wires), views[:2]
+    lines = [[_Line.of(wire) for wire in wires[key]] for key in keys]
     points = [
-        [_point(wire, view.project(entries_mm[key][None])[0], 0.0) for view, wire in zip(both, wires[key], strict=True)]
-        for key in keys
+        [line.point(view.project(entries_mm[key][None])[0], 0.0) for view, line in zip(both, each, strict=True)]
+        for key, each in zip(keys, lines, strict=True)
     ]
-    tips = [[_point(wire, wire.tip_uv_px, wire.tip_variance_px2) for wire in wires[key]] for key in keys]
+    tips = [
+        [line.point(wire.tip_uv_px, wire.tip_variance_px2) for wire, line in zip(wires[key], each, strict=True)]
+        for key, each in zip(keys, lines, strict=True)
+    ]
     for key, shown in zip(keys, tips, strict=True):
         if (gap := _gap_mm(both, shown)) is not None:
             raise ReconstructionRefusedError(
@@ -77,21 +81,37 @@ def _gap_mm(views: Sequence[CalibratedView], tips: Sequence[_Point]) -> float | 
     return float(seen.gap_mm[0]) if seen.gap_failed[0] else None
 
 
-def _point(wire: WireSeen, near_px: np.ndarray, along_px2: float) -> _Point:
-    """Return the point of a wire's line beside a pixel (2,), with the variance `along_px2` along the line."""
-    middle = wire.uv_px.mean(axis=0)
-    along = np.linalg.svd(wire.uv_px - middle)[2][0]
-    normal = np.array([-along[1], along[0]])
-    s, x = (wire.uv_px - middle) @ along, (wire.uv_px - middle) @ normal
-    scale = float(np.abs(s).max())
-    weight = 1 / np.sqrt(wire.variance_px2)
-    gain = np.linalg.pinv(weight[:, None] * np.polynomial.polynomial.polyvander(s / scale, _CURVE))
-    curve = np.polynomial.Polynomial(gain @ (weight * x))
-    at = float((near_px - middle) @ along) / scale
-    powers = np.polynomial.polynomial.polyvander(np.array([at]), _CURVE)[0]
-    tangent = along + curve.deriv()(at) / scale * normal
-    tangent /= np.linalg.norm(tangent)
-    beside = np.array([-tangent[1], tangent[0]])
-    variance = float(np.sum((powers @ gain) ** 2))
-    spread = variance * np.outer(beside, beside) + along_px2 * np.outer(tangent, tangent)
-    return _Point(middle + at * scale * along + curve(at) * normal, spread, tangent)
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """A wire's line in an image as a polynomial: x across `along` (2,) by s along it, in units of `scale_px`, from the
+    `middle_px` (2,). `gain` maps the line's weighted offsets to the coefficients."""
+
+    middle_px: np.ndarray
+    along: np.ndarray
+    normal: np.ndarray
+    scale_px: float
+    gain: np.ndarray
+    curve: np.polynomial.Polynomial
+
+    @staticmethod
+    def of(wire: WireSeen) -> "_Line":
+        middle = wire.uv_px.mean(axis=0)
+        along = np.linalg.svd(wire.uv_px - middle)[2][0]
+        normal = np.array([-along[1], along[0]])
+        s, x = (wire.uv_px - middle) @ along, (wire.uv_px - middle) @ normal
+        scale = float(np.abs(s).max())
+        weight = 1 / np.sqrt(wire.variance_px2)
+        gain = np.linalg.pinv(weight[:, None] * np.polynomial.polynomial.polyvander(s / scale, _CURVE))
+        return _Line(middle, along, normal, scale, gain, np.polynomial.Polynomial(gain @ (weight * x)))
+
+    def point(self, near_px: np.ndarray, along_px2: float) -> _Point:
+        """Return the line's point beside a pixel (2,), with the variance `along_px2` along the line."""
+        at = float((near_px - self.middle_px) @ self.along) / self.scale_px
+        powers = np.polynomial.polynomial.polyvander(np.array([at]), _CURVE)[0]
+        tangent = self.along + self.curve.deriv()(at) / self.scale_px * self.normal
+        tangent /= np.linalg.norm(tangent)
+        beside = np.array([-tangent[1], tangent[0]])
+        variance = float(np.sum((powers @ self.gain) ** 2))
+        spread = variance * np.outer(beside, beside) + along_px2 * np.outer(tangent, tangent)
+        uv = self.middle_px + at * self.scale_px * self.along + self.curve(at) * self.normal
+        return _Point(uv, spread, tangent)
