@@ -3,6 +3,7 @@
 Points are those of scenes_hole.py, on views calibrated from their beads. The sizes of the nail differ from the stated
 ones by machining tolerances. Images are the twin's, and those whose rays gVirtualXray casts (gvxr_nails.py; optional:
 `pip install gvxr`). `python -m benchmarks.bench_interlocking COUNT` prints the rows of so many nails as points.
+Finished nails are kept in out/bench: the same command goes on with a stopped run.
 """
 
 import sys
@@ -56,12 +57,14 @@ def run(quick: bool) -> list[Row]:
     rows = points(NAILS // 10 if quick else NAILS) + rendered(1 if quick else RENDERED)
     if find_spec("gvxrPython3") is None:
         return [*rows, Row(PROJECTED, "images", "not installed", "", "pip install gvxr")]
-    return rows + projected(in_parallel(project_nail, product(CHAINS, range(1 if quick else CAST))))
+    return rows + projected(
+        in_parallel(project_nail, product(CHAINS, range(1 if quick else CAST)), "interlocking-cast")
+    )
 
 
 def rendered(number: int) -> list[Row]:
     """Return the rows of a number of rendered nails for each image chain."""
-    trials = in_parallel(_rendered, product(CHAINS, range(number)))
+    trials = in_parallel(_rendered, product(CHAINS, range(number)), "interlocking-rendered")
     rows: list[Row] = []
     for k, (frame, chain) in enumerate(CHAINS):
         own = trials[k * number : (k + 1) * number]
@@ -92,7 +95,7 @@ def points(number: int) -> list[Row]:
     rows: list[Row] = []
     for frame, hidden, count in (("block30", 0.0, number), *((one, share, number // 4) for one, share in OTHERS)):
         name = POINTS + frame + (f", {hidden:.0%} of each rim hidden" if hidden else "")
-        trials = in_parallel(_trial, product((frame,), (hidden,), range(count)))
+        trials = in_parallel(_trial, product((frame,), (hidden,), range(count)), "interlocking-points")
         rows += _rows(name, trials, required=count == number)
     return rows
 
