@@ -953,6 +953,7 @@ ON = XrayContent("one", XrayPicture("/one", 100, 50, Window(5.0, 9.0)), points=[
 IN_FIELD = XrayContent("one", XrayPicture("/one", 100, 50, Window(5.0, 9.0), FIELD), points=[{"id": "a"}])
 MOVE = {"type": "drop", "id": "a", "uv": [1, 2.5], "seq": 3, "image": "/one"}
 REMOVE = {"type": "remove", "id": "a", "uv": "x", "image": "/one"}
+RULED = {"type": "measure", "image": "/one", "points": [[1, 2], [3.5, 4]]}
 SHOWN = {
     "type": "display",
     "image": "/one",
@@ -968,6 +969,7 @@ def test_good_events_are_taken_as_they_are() -> None:
     assert checked(MOVE, ON) == XrayEvent("drop", "a", (1.0, 2.5), 3)
     assert checked(REMOVE, ON) == XrayEvent("remove", "a")
     assert checked({"type": "select", "id": None}, ON) == XrayEvent("select")
+    assert checked(RULED, ON) == XrayEvent("measure", points=((1.0, 2.0), (3.5, 4.0)))
     assert checked({"type": "ready"}, ON) == XrayEvent("ready")
     assert checked({"type": "error", "message": "a\nb" * 1000}, ON) == XrayEvent("error", message="a b" * 100)
     event = checked(SHOWN, ON)
@@ -1012,6 +1014,8 @@ def test_good_events_are_taken_as_they_are() -> None:
         *(MOVE | {"image": "/other", "type": kind} for kind in ("place", "drag", "nudge")),
         REMOVE | {"image": "/other"},
         SHOWN | {"image": "/other"},
+        *(RULED | {"points": points} for points in (None, [], [[1, 2]], [[1, 2]] * 4, [[1, 2], [1, 99]], [[1, 2], 3])),
+        RULED | {"image": "/other"},
         SHOWN | {"rotation": 45},
         SHOWN | {"rotation": True},
         SHOWN | {"mirrored": 1},

@@ -15,6 +15,7 @@ const { Crosshair } = await import(new URL("xray_crosshair.js", root));
 const { Display } = await import(new URL("xray_display.js", root));
 const { Gestures } = await import(new URL("xray_gestures.js", root));
 const { arrange, Labels } = await import(new URL("xray_labels.js", root));
+const { Ruler } = await import(new URL("xray_ruler.js", root));
 const { Matching } = await import(new URL("xray_matching.js", root));
 const { Moves } = await import(new URL("xray_moves.js", root));
 const sight = await import(new URL("xray_sight.js", root));
@@ -168,7 +169,7 @@ function held() {
       setPointerCapture() {},
       getBoundingClientRect: () => ({ left: 10, top: 20 }),
     }),
-    chrome: { showTip() {}, say: (text) => said.push(["say", text]) },
+    chrome: { showTip() {}, showLine() {}, say: (text) => said.push(["say", text]) },
     display,
     lens: null,
     moves: { flush() {} },
@@ -184,6 +185,9 @@ function held() {
       said.push([type, ...uv]);
     },
     focusPoint() {},
+    shownUrl: "/image",
+    emit: (event) => said.push([event.type, event.points]),
+    setTool: (tool) => (core.state.tool = tool),
     select() {},
     hover() {},
     release: () => said.push(["release"]),
@@ -192,6 +196,7 @@ function held() {
     maximise() {},
   };
   core.crosshair = new Crosshair(core);
+  core.ruler = new Ruler(core);
   core.reading.describe = ({ uv }) => uv.map((value) => value.toFixed(1)).join(" ");
   core.placeAt = (uv) => said.push(["place", ...uv]);
   new Gestures(core);
@@ -279,4 +284,24 @@ test("without a point to place the arrow keys pan", () => {
   key("ArrowRight");
   near(core.display.toView([499.5, 499.5]), [before[0] - 40, before[1]], 1e-9);
   assert.equal(core.crosshair.uv, null);
+});
+
+test("the ruler asks for a length after two clicks, for an angle after three, and then begins anew", () => {
+  const { core, said, send } = held();
+  core.state.tool = "measure";
+  core.state.placing = "end"; // nothing is placed meanwhile
+  const click = (x, y) => [send("pointerdown", x, y), send("pointerup", x, y)];
+  click(100, 100);
+  assert.deepEqual(said, []);
+  click(200, 300); // on the point, which stays
+  click(50, 60);
+  const asked = said.map(([type, points]) => [type, points.length]);
+  assert.deepEqual(asked, [["measure", 2], ["measure", 3]]);
+  near(said[1][1][2], core.display.toImage([50, 60]), 1e-9);
+  core.ruler.show("31.4 mm", "");
+  assert.equal(core.ruler.shapes[0].label, "31.4 mm");
+  click(10, 10);
+  assert.equal(core.ruler.points.length, 1);
+  window.dispatchEvent(Object.assign(new Event("keydown", { cancelable: true }), { key: "Escape" }));
+  assert.equal(core.state.tool, "pan");
 });

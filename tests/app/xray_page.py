@@ -37,6 +37,7 @@ HOSTILE = "<img src=x onerror='window.hacked=1'>"
 TEXTS = {
     "fit": "Fit to view",
     "window": "Brightness and contrast",
+    "measure": "Ruler",
     "link": "Zoom together",
     "bone": "Bone",
     "metal": "Metal",

@@ -22,6 +22,7 @@ STEP_STATUS = {"done": "done", "open": "to do", "attention": "needs attention", 
 XRAY = {
     "fit": "Show the whole image",
     "window": "Brightness and contrast: drag on the image",
+    "measure": "Ruler: click two places for a length, a third for an angle",
     "link": "Zoom all images together",
     "bone": "Bone",
     "metal": "Metal",
@@ -175,6 +176,17 @@ IN_IMAGE = {
 PLACE_WHERE = "{point}: {sentence}"
 PLACE_ON_CURVE = "{point}: slide along its curve and click"
 PLACE_IN_OBLIQUE = "{point}: click where this image shows it; the cross is where the other two expect it"
+RULER_LENGTH = "{value:.1f}{off} mm"
+RULER_ANGLE = "{value:.1f}°{off}"
+RULER_PLANE = (
+    "Of what lies in the plane of the wire, parallel to the image; {percent:.1f} % more or less for each 10 mm before "
+    "or behind it. Error: 95 %."
+)
+RULER_PLANE_ANGLE = "Between lines parallel to the image. Error: 95 %."
+RULER_NEEDS_WIRE = "Place the wire first: the ruler measures in its plane."
+DEVIATION_OF = ("entry", "tip")
+DEVIATION = "{name} {mm:.2f} mm off"
+DEVIATION_TITLE = "{deviation} its plan; the arrow is drawn {times} times as long"
 EXPECTED_HERE = "{point}: expected here by the PA and the lateral image"
 METRICS_HEADING = "Measurements"
 METRIC_COLUMNS = ("", "± 95 %", "")

@@ -1,6 +1,6 @@
 """Overlays of an image: beads, curves, wire and corridor, aids; plain shapes in image pixels."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -23,6 +23,7 @@ from sightline.planning.head import outline
 Shape = dict[str, Any]
 Layers = dict[str, list[Shape]]
 RESIDUAL_MM = 0.3  # end of the colour scale: six times the default tolerance of a plate [ours]
+_ARROW_TIMES = 10  # a millimetre is two pixels of a screen [ours]
 _AXIS_PX = 4000.0  # extends an aid's axis across the whole image
 
 
@@ -178,9 +179,10 @@ def found(session: Session, image: str) -> list[Shape]:
             line = {"shape": "line", "points": wire.uv_px.tolist(), "style": "found"}
             shot, sent = session.verifying.shots.get(kind), session.planning.all_sent.get(kind)
             out += _planned_there(session, shot, sent, image, CHECK_NAMES)
+            out += _deviations_there(session, kind, image)
             out += [
                 {**line, "title": "the wire as this image shows it"},
-                {"shape": "cross", "points": [wire.tip_uv_px.tolist()], "style": "found", "label": "tip"},
+                {"shape": "cross", "points": [wire.tip_uv_px.tolist()], "style": "found", "title": "its tip"},
             ]
     return out
 
@@ -203,6 +205,33 @@ def _planned_there(
     points = shot.movement.apply((1.0 - along) * path.entry_mm + along * path.end_mm)
     uv, _ = views[names.index(image)].project_seen(points)
     return [{"shape": "line", "points": uv.tolist(), "style": "plan", "title": "the plan"}] if len(uv) > 1 else []
+
+
+def _deviations_there(session: Session, kind: str, image: str) -> list[Shape]:
+    """Return the deviations of a wire from its plan in a check image, with the bone's movement applied."""
+    shot, sent = session.verifying.shots.get(kind), session.planning.all_sent.get(kind)
+    views = session.planning.views(CHECK_NAMES)
+    if shot is None or sent is None or views is None:
+        return []
+    path = sent.plan.trajectory
+    planned = shot.movement.apply(np.stack([path.entry_mm, path.end_mm]))
+    measured = shot.movement.apply(np.stack([shot.entry_mm, shot.tip_mm]))
+    off = (shot.entry_deviation_mm, shot.tip_deviation_mm)
+    return deviations(views[CHECK_NAMES.index(image)], planned, measured, off)
+
+
+def deviations(view: BeadView, planned_mm: np.ndarray, measured_mm: np.ndarray, off_mm: Sequence[float]) -> list[Shape]:
+    """Return an arrow from the planned to the measured place (2, 3) of entry and tip, drawn longer than it is, with the
+    deviation in space; none for a place outside the view."""
+    out: list[Shape] = []
+    for name, planned, measured, mm in zip(DEVIATION_OF, planned_mm, measured_mm, off_mm, strict=True):
+        uv, seen = view.project_seen(np.stack([planned, measured]))
+        if seen.all():
+            ends = [uv[0].tolist(), (uv[0] + _ARROW_TIMES * (uv[1] - uv[0])).tolist()]
+            said = DEVIATION.format(name=name, mm=mm)
+            title = DEVIATION_TITLE.format(deviation=said, times=_ARROW_TIMES)
+            out.append({"shape": "arrow", "points": ends, "style": "deviation", "label": said, "title": title})
+    return out
 
 
 def _radius(seen: SeenImage, uv: np.ndarray) -> float:

@@ -15,6 +15,7 @@ from sightline.app.plan.planner import Planned
 from sightline.app.session.failures import failure_of, report
 from sightline.app.session.session import Session
 from sightline.app.tab.dragging import Dragging
+from sightline.app.tab.measuring import measured
 from sightline.app.tab.placing import Goal, Placing
 from sightline.app.tab.views import Views
 from sightline.app.texts import STEPS, XRAY
@@ -154,6 +155,8 @@ class Tab:
             self._let_go()
         elif event.type == "error":
             self.say(event.message or XRAY["load_failed"])
+        elif event.type == "measure":
+            view.say_measured(*measured(self.planning, self.views.image_in(view, self.step), event.points))
         elif event.type in ("place", "drop", "nudge", "drag", "remove", "display"):
             image = self.views.image_in(view, self.step)
             if image is None:

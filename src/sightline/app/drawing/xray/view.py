@@ -21,7 +21,8 @@ _COLOURS = Path(__file__).parents[1] / "colours.js"
 PRESETS = ("bone", "metal", "beads")
 """Names of the windows for what a person looks at."""
 TEXT_KEYS = (
-    *("fit", "link", "window", "invert", "flip", "rotate", "reset", "maximise", "restore"),  # names of the buttons
+    *("fit", "link", "measure", "window", "invert", "flip", "rotate", "reset"),  # names of the buttons
+    *("maximise", "restore"),
     *PRESETS,
     *("head_up", "head_right", "head_down", "head_left"),
     *("point", "snapped", "placing", "mirrored", "rotated", "stale", "readout", "outside", "edit_lost", "load_failed"),
@@ -31,14 +32,14 @@ TEXT_KEYS = (
 {value}, edit_lost {name}."""
 
 EventType = Literal[
-    "place", "drag", "drop", "nudge", "select", "remove", "cancel", "display", "ready", "error", "refused"
+    "place", "drag", "drop", "nudge", "select", "remove", "cancel", "display", "measure", "ready", "error", "refused"
 ]
 _TYPES = frozenset(get_args(EventType)) - {"refused"}
 _MOVES = frozenset({"place", "drag", "drop", "nudge"})
 _EDITS = _MOVES - {"drag"}
 _OF_A_POINT = _MOVES | {"select", "remove", "cancel"}
 _ANSWERED = _MOVES | {"cancel", "display"}  # each has a number; the browser waits for its acknowledgement
-_ON_AN_IMAGE = _MOVES | {"remove", "display"}  # valid only for the image on which they were made
+_ON_AN_IMAGE = _MOVES | {"remove", "display", "measure"}  # valid only for the image on which they were made
 _MARGIN_PX = 1.0  # tolerance for rounding; the browser keeps points in the field [ours]
 _MAX_MESSAGE = 300  # characters of an error that are kept [ours]
 _MAX_NUMBER = 2**31  # largest number: moves of one page at one a second would take 68 years [calc]
@@ -137,7 +138,7 @@ class XrayContent:
 @dataclass(frozen=True)
 class XrayEvent:
     """A validated action of a person; "refused" stands for an invalid event. `uv` (u, v) px; `seq`: number for the
-    acknowledgement."""
+    acknowledgement. `points`: two or three clicks of the ruler."""
 
     type: EventType
     id: str | None = None
@@ -145,6 +146,7 @@ class XrayEvent:
     seq: int | None = None
     display: XrayDisplay | None = None
     message: str | None = None
+    points: tuple[tuple[float, float], ...] = ()
 
 
 Handler = Callable[["XrayView", XrayEvent], Awaitable[None] | None]
@@ -191,6 +193,10 @@ class XrayView(Calling, component="xray_view.js", dependencies=["xray*.js", _COL
         """Acknowledge the action of this number: the newest message holds, and the next move may come."""
         self.run_method("acknowledge", seq)
 
+    def say_measured(self, label: str, note: str) -> None:
+        """Show what the ruler measured, and under the image's title what that means."""
+        self.run_method("measured", label, note)
+
     def drop(self, event: XrayEvent) -> None:
         """Reject an action because the view now shows another image, and tell the person."""
         self._say_lost(event.type, event.id)
@@ -228,13 +234,8 @@ def checked(said: object, shown: XrayContent) -> XrayEvent | None:
         return None
     if kind in _OF_A_POINT:
         return _of_a_point(kind, said, shown)
-    if kind == "display":
-        display = _display(said)
-        return None if display is None else XrayEvent("display", seq=said["seq"], display=display)
-    if kind == "error":
-        message = said.get("message")
-        return XrayEvent("error", message=_one_line(message)) if isinstance(message, str) else None
-    return XrayEvent("ready")
+    read = {"measure": _measure, "display": _displayed, "error": _error}.get(kind)
+    return XrayEvent("ready") if read is None else read(said, shown)
 
 
 def _of_a_point(kind: Any, said: dict[str, Any], shown: XrayContent) -> XrayEvent | None:
@@ -256,6 +257,24 @@ def _place(uv: object, picture: XrayPicture | None) -> tuple[float, float] | Non
     if u is None or v is None or not picture.contains((u, v), _MARGIN_PX):
         return None
     return u, v
+
+
+def _measure(said: dict[str, Any], shown: XrayContent) -> XrayEvent | None:
+    clicks = said.get("points")
+    if not isinstance(clicks, list) or not 2 <= len(clicks) <= 3:
+        return None
+    points = tuple(uv for uv in (_place(one, shown.picture) for one in clicks) if uv is not None)
+    return XrayEvent("measure", points=points) if len(points) == len(clicks) else None
+
+
+def _displayed(said: dict[str, Any], _: XrayContent) -> XrayEvent | None:
+    display = _display(said)
+    return None if display is None else XrayEvent("display", seq=said["seq"], display=display)
+
+
+def _error(said: dict[str, Any], _: XrayContent) -> XrayEvent | None:
+    message = said.get("message")
+    return XrayEvent("error", message=_one_line(message)) if isinstance(message, str) else None
 
 
 def _display(said: dict[str, Any]) -> XrayDisplay | None:

@@ -20,6 +20,7 @@ import { shapeFault, STYLES } from "./xray_paint.js";
 import { heldWindow } from "./xray_picture.js";
 import { PointButtons } from "./xray_points.js";
 import { Reading } from "./xray_reading.js";
+import { Ruler } from "./xray_ruler.js";
 import { Stream } from "./xray_stream.js";
 
 /** @typedef {import("./types").Pair} Pair */
@@ -32,9 +33,10 @@ import { Stream } from "./xray_stream.js";
 /** @typedef {import("./types").Window} Window_ */
 /** @typedef {import("./types").Word} Word */
 /** @typedef {import("./types").Move} Move */
+/** @typedef {"pan" | "window" | "measure"} Tool what a drag or click with the left button does */
 /**
  * @typedef {{ image: Image | null, window: Window_, inverted: boolean, linked: boolean, stale: boolean,
- *   maximised: boolean, tool: "pan" | "window", placing: string | null, selected: string | null, hovered: string | null,
+ *   maximised: boolean, tool: Tool, placing: string | null, selected: string | null, hovered: string | null,
  *   dragging: string | null, points: Map<string, Point>, layers: Map<string, { shapes: Shape[] }> }} State
  */
 
@@ -92,6 +94,7 @@ export class XrayCore {
     this.matching = new Matching();
     this.following = new Following(this);
     this.crosshair = new Crosshair(this);
+    this.ruler = new Ruler(this);
     /** @type {{ uv: Pair, at: Pair } | null} */
     this.lens = null; // the pixel in the magnifier, and its position in the view
     /** @type {Pair | null} */
@@ -341,7 +344,7 @@ export class XrayCore {
 
   /** All shapes, with the curves of points that are moving. */
   get shownShapes() {
-    return this.matching.over(this.#layerShapes, this.following.moving);
+    return [...this.matching.over(this.#layerShapes, this.following.moving), ...this.ruler.shapes];
   }
 
   get #layerShapes() {
@@ -439,7 +442,8 @@ export class XrayCore {
         this.movedView();
       },
       link: () => this.#link(!this.state.linked),
-      window: () => this.#setTool(this.state.tool === "window" ? "pan" : "window"),
+      measure: () => this.setTool(this.state.tool === "measure" ? "pan" : "measure"),
+      window: () => this.setTool(this.state.tool === "window" ? "pan" : "window"),
       invert: () => this.#changeDisplay(() => this.#setInverted(!this.state.inverted)),
       flip: () => this.#changeDisplay(() => this.display.flip()),
       rotate: () => this.#changeDisplay(() => this.display.turnClockwise()),
@@ -495,9 +499,11 @@ export class XrayCore {
     this.reading.showState();
   }
 
-  /** @param {"pan" | "window"} tool */
-  #setTool(tool) {
+  /** @param {Tool} tool */
+  setTool(tool) {
     this.state.tool = tool;
+    this.ruler.end();
+    this.lens = null;
     this.reading.showState();
     this.gestures.showCursor();
   }
@@ -534,6 +540,7 @@ export class XrayCore {
     const [held, waiting] = [this.gestures.leaveImage(), this.moves.abandon()];
     const lost = held ?? waiting;
     this.undone = nothingUndone();
+    this.ruler.end();
     if (lost !== null) this.sayLost(lost);
   }
 

@@ -6,6 +6,7 @@ const SVG = "http://www.w3.org/2000/svg";
 const ICONS = {
   fit: "M4 9V4h5M20 9V4h-5M4 15v5h5M20 15v5h-5M9 9h6v6H9z",
   link: "M10 14a4 4 0 0 1 0-5.6l2.5-2.5a4 4 0 0 1 5.6 5.6L16.5 13M14 10a4 4 0 0 1 0 5.6l-2.5 2.5a4 4 0 0 1-5.6-5.6L7.5 11",
+  measure: "M3 16L16 3l5 5L8 21zM7 12l2.5 2.5M10 9l1.5 1.5M13 6l2.5 2.5",
   window: "M12 3v2M12 19v2M3 12h2M19 12h2M5.6 5.6l1.4 1.4M17 17l1.4 1.4M18.4 5.6L17 7M7 17l-1.4 1.4M12 8a4 4 0 0 0 0 8zM12 8a4 4 0 0 1 0 8",
   invert: "M12 3a9 9 0 1 0 0 18a9 9 0 0 0 0-18M12 3v18M12 7.5h4.8M12 12h9M12 16.5h4.8",
   flip: "M12 3v18M9 7L4 17h5zM15 7l5 10h-5z",
@@ -105,6 +106,7 @@ export class Chrome {
     this.fault = this.#line("fault");
     this.lost = this.#line("lost");
     this.hint = this.#line("hint");
+    this.measured = this.#line("measured");
     this.readout = element("div", "xray-panel", { "data-testid": "readout" });
     this.state = element("div", "xray-panel", { "data-testid": "state" });
     this.title = element("span", "");
@@ -126,7 +128,7 @@ export class Chrome {
   // A line of text over the image, hidden while empty.
   #line(name) {
     const line = element("div", "xray-panel xray-notice", { role: "status", "data-testid": name, hidden: "" });
-    line.classList.toggle("xray-hint", name === "hint");
+    line.classList.toggle("xray-hint", name === "hint" || name === "measured");
     return line;
   }
 
@@ -135,7 +137,7 @@ export class Chrome {
     this.name = element("div", "xray-panel xray-name");
     this.name.append(this.title, this.turned);
     const notices = element("div", "xray-notices");
-    notices.append(this.fault, this.lost, this.notice, this.stale, this.hint);
+    notices.append(this.fault, this.lost, this.notice, this.stale, this.hint, this.measured);
     this.tools = element("div", "xray-panel xray-tools", { role: "toolbar" });
     this.presets = element("span", "xray-presets");
     this.choose = preset;

@@ -85,7 +85,7 @@ export class Gestures {
     const { state } = this.core;
     let cursor = "";
     if (state.dragging !== null) cursor = "none";
-    else if (state.placing !== null) cursor = "place";
+    else if (state.placing !== null || state.tool === "measure") cursor = "place";
     else if (this.now) cursor = this.now.kind;
     else if (state.tool === "window") cursor = "window";
     else if (this.overPoint) cursor = "grab";
@@ -117,6 +117,7 @@ export class Gestures {
     const base = { pointer: event.pointerId, type: event.pointerType, from: at, last: at, moved: false };
     if (event.button === 1) return { kind: "pan", ...base };
     if (event.button === 2) return { kind: "window", ...base };
+    if (state.tool === "measure") return { kind: "measure", ...base };
     if (state.placing !== null) return { kind: "place", ...base };
     const point = this.core.reading.pointAt(at, this.#reach(event));
     if (point) this.core.focusPoint(point.id);
@@ -229,6 +230,7 @@ export class Gestures {
 
   #finish(gesture, at) {
     const { core } = this;
+    if (gesture.kind === "measure") core.ruler.add(core.display.toImage(at));
     if (gesture.kind === "place") core.placeAt(core.display.toImage(at));
     if (gesture.kind === "window" && gesture.moved) core.displayChanged();
     if (gesture.kind === "drag") this.#drop(gesture.moved ? "drop" : null, gesture);
@@ -282,6 +284,8 @@ export class Gestures {
     if (at && dragging !== null && this.now && this.now.moved) {
       const { uv } = points.get(dragging);
       core.lens = { uv, at: core.display.toView(uv) };
+    } else if (at && core.state.tool === "measure" && core.state.image) {
+      core.lens = { uv: core.display.toImage(at), at };
     } else if (at && placing !== null && core.state.image && (!this.now || this.now.kind === "place")) {
       core.lens = { uv: core.aimed(core.display.toImage(at)), at };
     }
@@ -348,7 +352,7 @@ export class Gestures {
     if (event.key !== "Escape" || event.defaultPrevented) return;
     if ([...document.querySelectorAll(OVER_THE_PAGE)].some((element) => element.checkVisibility())) return;
     const ends = (what) => [...gestures].some((each) => each[what]());
-    if (ends("endDrag") || ends("endPlacing") || ends("endEnlarged")) event.preventDefault();
+    if (ends("endDrag") || ends("endMeasuring") || ends("endPlacing") || ends("endEnlarged")) event.preventDefault();
   }
 
   // Returns true if there was something to end.
@@ -357,6 +361,12 @@ export class Gestures {
     this.#takeBack();
     this.#draw(this.core.pointer);
     return true;
+  }
+
+  endMeasuring() {
+    const measures = this.core.state.tool === "measure";
+    if (measures) this.core.setTool("pan");
+    return measures;
   }
 
   endPlacing() {

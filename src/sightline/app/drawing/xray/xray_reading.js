@@ -41,7 +41,7 @@ export class Reading {
       turned.join(", "),
       turned.every((text) => text === texts.head_up),
     );
-    chrome.press("window", tool === "window");
+    for (const name of ["window", "measure"]) chrome.press(name, tool === name);
     chrome.press("invert", inverted);
     chrome.press("flip", display.mirrored);
     chrome.showPresets(stream.asked?.presets ?? {}, shown);

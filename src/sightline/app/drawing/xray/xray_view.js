@@ -47,6 +47,9 @@ export default {
     setFresh(url, ms) {
       this.core.setFresh(url, ms);
     },
+    measured(label, note) {
+      this.core.ruler.show(label, note);
+    },
     sayLost(id) {
       this.core.sayLost(id);
     },
