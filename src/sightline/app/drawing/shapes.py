@@ -11,7 +11,7 @@ from sightline.app.plan.planner import Planned, aid_pixels, landmarks_of
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.sent import SentPlan
 from sightline.app.session.session import Session
-from sightline.app.texts import DRILLED_TITLE, EXPECTED_HERE
+from sightline.app.texts import DEVIATION, DEVIATION_OF, DEVIATION_TITLE, DRILLED_TITLE, EXPECTED_HERE
 from sightline.calibration import BeadView
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import SightlineError
