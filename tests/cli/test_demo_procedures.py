@@ -7,14 +7,14 @@ from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.cli.demo_procedures import PLACED, frame_for
 from sightline.planning.procedures.files import document_of
-from sightline.rehearsal.patient import AT_HIP, BONE_OF, CANNULATED
+from sightline.rehearsal.patient import AT_HIP, BONE_OF, CANNULATED, NAILED
 
 # Words of a hip that no report of another bone may say. "The hip" of the frame's coordinates and of the robot may.
 HIP_WORDS = ("femoral head", "lesser trochanter", "neck", "right hip", "hip screw")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("procedure", [*BONE_OF, CANNULATED, "free-wire"])
+@pytest.mark.parametrize("procedure", [*BONE_OF, CANNULATED, NAILED, "free-wire"])
 def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure: str) -> None:
     ran = run("demo", "--procedure", procedure, "--out", tmp_path / "demo", "--json")
     assert ran.code == 0, ran.err
@@ -35,18 +35,26 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
             ("parallel", True),
             ("spacing", True),
         ]
+    if procedure == NAILED:
+        assert told["all_wires"]["verdict"] == "go"
+        assert {key: one["passed"] for key, one in told["all_drilled"].items()} == {"distal": True, "proximal": True}
+        tips = np.array([one["tip_mm"] for one in told["all_drilled"].values()])
+        assert 20.0 < np.linalg.norm(tips[0] - tips[1]) < 35.0  # not one drill measured twice
     of_plan = told["comparison"][0]  # with the picks of a person; the seed is fixed
     for name in ("entry_mm", "end_mm", "direction_deg"):
         assert of_plan["error"][name] < 1.5 * of_plan["stated_95"][name]
     assert told["drilled"]["passed"] is True
     page = (tmp_path / "demo" / "report.html").read_text()
-    assert (PLACED in page.replace("&#39;", "'")) is (procedure in BONE_OF)
+    assert (PLACED in page.replace("&#39;", "'")) is (procedure in (*BONE_OF, NAILED))
     for view in document_of(procedure).views[:2]:
         assert f"{'PA' if view.name == 'pa' else view.name} image" in page
     if procedure in ("iliosacral-screw", "pedicle-screw"):
         assert not [word for word in HIP_WORDS if word in page]
     with Case.open(tmp_path / "demo" / "case", read_only=True) as case:
         made = list(replay(case))
+        plans = [entry.content["asked"].get("nail") for entry in case.entries(Kind.PLANNED)]
+    if procedure == NAILED:  # the second hole again, beside the first one
+        assert [one["drilled"] for one in plans] == [[], [], ["distal"]]
     assert {one.outcome for one in made} == {ReplayOutcome.SAME, ReplayOutcome.RECORDED}
     assert Kind.VERIFIED in {one.entry.kind for one in made if one.outcome is ReplayOutcome.SAME}
 
@@ -60,6 +68,7 @@ def test_the_frame_is_gamma_unless_the_views_need_a_block(run, tmp_path) -> None
         "iliosacral-screw": "block60",
         "pedicle-screw": "block60",
     }
+    assert frame_for(NAILED, None) == "block60" and frame_for(NAILED, "block30") == "block30"
     assert frame_for("pedicle-screw", "gamma") == "gamma"
     ran = run("demo", "--procedure", "hip", "--out", tmp_path / "demo")
     assert ran.code == 2

@@ -24,6 +24,7 @@ OF_SOLIDS: "tuple[Method, ...]" = METHODS[:1]  # the others are for plates
 # The first seed whose beads surround the whole wire in both images; otherwise `localized` gives no result to compare.
 SEED = 9
 PICK_SD_PX = 0.5  # a careful click (physics.md, Picks) [ours]
+OF_NAIL = "measured in the images, from clicks with 2 px of noise"
 BY_HAND = f"picked by hand: {PICK_SD_PX:g} px of noise, lateral picks snapped to their curves"
 EXACT = "located exactly: no noise, 0.1 px assumed"
 
@@ -110,10 +111,11 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
     rng = rehearsal.generator("picks")
     asked, drawn_px = rehearsal.asked(rng, PICK_SD_PX)
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):
-        wires = asked.plan_wires_on([image.view for image in images[METHODS[0]]]) if asked.others else None
+        wires = asked.plan_wires(images[METHODS[0]]) if asked.others else None
         planned = wires.plans[rehearsal.document.wires[0].key] if wires else asked.plan(images[METHODS[0]])
     with output.step("5/8 comparing with the truth"):
-        compared = _compare(images, asked, truth, planned) + others_compared(rehearsal, wires, BY_HAND)
+        compared = _compare(images, asked, truth, planned)
+        compared += others_compared(rehearsal, wires, compared[0].picks)
     whole = DemoPlan(rehearsal, frame_name, asked, planned, images[METHODS[0]], wires)
     inserted = carry_out(output, whole, rng)
     drilled = inserted[whole.key].drilled if whole.key in inserted else None
@@ -131,7 +133,9 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
             exposures=exposed,
             provenance={
                 "images": f"made by the digital twin, seed {seed}, written as DICOM without geometry and read back",
-                "picks": picks_told(planned.kind, asked.landmark_names, drawn_px, PICK_SD_PX),
+                "picks": picks_told(planned.kind, asked.landmark_names, drawn_px, PICK_SD_PX)
+                if asked.nail is None
+                else f"points {OF_NAIL}; landmarks clicked with {PICK_SD_PX:g} px of noise",
                 "side": rehearsal.side,
                 "command": command(seed, procedure, frame_name),
             }
@@ -170,7 +174,8 @@ def _compare(
     from sightline.planning import kind, plan
 
     picks = np.stack([asked.entry_uv_px, asked.end_uv_px], axis=1)
-    out: list[Compared | Refused] = [Compared(METHODS[0], BY_HAND, planned.trajectory, truth)]
+    by_hand = BY_HAND if asked.nail is None else OF_NAIL
+    out: list[Compared | Refused] = [Compared(METHODS[0], by_hand, planned.trajectory, truth)]
     for how, uv, sd, snapped in ((BY_HAND, picks, PICK_SD_PX, True), (EXACT, truth.uv_px, 0.1, False)):
         for method in images:
             if (method, how) == (METHODS[0], BY_HAND):

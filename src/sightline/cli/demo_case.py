@@ -58,6 +58,8 @@ def record(folder: Path, kept: Kept) -> None:
         made = stages.record_plans(case, (first, second), kept.asked, kept.wires or kept.plan, by=by)
         for key, wire in kept.inserted.items():
             plan = case.entry(made["entries"][key] if kept.wires else made["entry"])
+            if wire.again is not None:
+                plan = stages.record_planned(case, (first, second), wire.again, wire.plan, by=by)
             for shot in wire.shots.values():
                 if entries := _record_images(case, shot.images, frame_ref):
                     stages.record_shot(case, plan, entries, shot.asked, shot.found, by=by)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Who_co = TypeVar("Who_co", bound="RehearsedPatient", covariant=True)
 BY_ENCODERS, BY_IMAGES = "encoders", "images"
+THROUGH_MM = 12.0  # that a drill passes a nail: to the far cortex [ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +81,14 @@ class Checked:
 @dataclass(frozen=True, eq=False)
 class Inserted:
     """A wire in the bone, its axis `wire_mm` (2, 3), CFCS of the planning images: how it was drilled, its check shot,
-    and the shots while drilling by the robot's state."""
+    and the shots while drilling by the robot's state. `again`: the inputs, where it was planned again before."""
 
     plan: "Plan"
     wire_mm: "np.ndarray"
     drilled: "Drilled"
     checked: Checked
     shots: "dict[str, ShotTaken]"
+    again: "PlanRequest | None" = None
 
 
 def carry_out(
@@ -105,13 +107,24 @@ def carry_out(
     if not drills:
         output.say(PLACED)
     for one in planned.each():
-        beside = replace(one, before_mm={key: other.wire_mm for key, other in done.items()})
+        beside = replace(_again(one, tuple(done)), before_mm={key: other.wire_mm for key, other in done.items()})
         by_robot = cast("DemoPlan[Rehearsal]", beside)
         inserted = drill(output, by_robot, rng) if drills else place(output, beside, rng)
         if inserted is None:
             break
         done[one.key] = inserted
     return done
+
+
+def _again(planned: "DemoPlan[Who_co]", drilled: tuple[str, ...]) -> "DemoPlan[Who_co]":
+    """Return a hole of a nail planned again on the same images, beside the holes that are drilled; other plans as they
+    are."""
+    asked = planned.asked
+    if asked.nail is None or not drilled:
+        return planned
+    left = {key: picks for key, picks in (asked.others or {}).items() if key not in drilled}
+    asked = replace(asked, nail=replace(asked.nail, drilled=drilled), others=left)
+    return replace(planned, asked=asked, plan=asked.plan(planned.images))
 
 
 def drill(output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator") -> Inserted | None:
@@ -135,11 +148,13 @@ def place(output: "Output", planned: "DemoPlan[RehearsedPatient]", rng: "np.rand
     """Return a wire put into the twin's bone where it is planned, without a robot."""
     from sightline.case.report.drilled import Drilled
 
-    wire_mm = planned.plan.trajectory.points.xyz_mm
+    path, nail = planned.plan.trajectory, planned.asked.nail
+    wire_mm = path.points.xyz_mm if nail is None else path.points.xyz_mm + THROUGH_MM * path.direction * [[0.0], [1.0]]
     with output.step(f"7/8 the check shot{_of(planned)}: two more images, finding the wire in both"):
         checked = check(planned, planned.rehearsal.shown_again({**planned.before_mm, planned.key: wire_mm}), rng)
-    drilled = Drilled(None, None, checked.found, _physics(planned, wire_mm)[1:])
-    return Inserted(planned.plan, wire_mm, drilled, checked, {})
+    drilled = Drilled(None, None, checked.found, _physics(planned, path.points.xyz_mm)[1:])
+    again = planned.asked if nail is not None and nail.drilled else None
+    return Inserted(planned.plan, wire_mm, drilled, checked, {}, again)
 
 
 def _of(planned: "DemoPlan[RehearsedPatient]") -> str:
