@@ -17,7 +17,7 @@ from sightline.imaging import Radiograph
 
 POINT_DIAMETERS = 1.5  # length of a trocar point over the wire's diameter [ours]
 _PIECE = 3.5  # length of the pieces, radii; each gives one point of the centre line [ours]
-_THICK_MM = 2.8  # pieces of thicker wires are as long as those of one of this diameter: beside a nail little is seen
+_THICK_MM = 2.8  # pieces of thicker drills are half as long in radii: beside a nail little of them is seen [ours]
 _BESIDE_PX = 14.0  # width of background to either side [ours]
 _BLUR_PX = 1.2  # initial value: detector 1.0, focal spot and pixel [physics.md]
 _ROUND_BEAD_PX = 2.5  # around a bead: its rim and the blur of that
@@ -145,7 +145,8 @@ def find_wire(  # noqa: PLR0917
     pieces = strip.pieces(end)
     if others:
         pieces = _alone(pieces, scale * diameter_mm / 2)
-    looked_at = max(int(end / strip.piece_px), 1)
+    open_px = end - _covered_px(strip.path, covered_px)
+    looked_at = max(int(open_px / strip.piece_px), 1)
     if len(pieces) < max(_MIN_PIECES, _MIN_MEASURED * looked_at):
         raise WireRefusedError(
             f"only {len(pieces)} of {looked_at} pieces of the wire can be measured, the others are hidden or too "
@@ -171,7 +172,7 @@ def find_wire(  # noqa: PLR0917
         point_mm=point,
         width_mm=width_mm,
         contrast=float(np.median([piece.fit.contrast for piece in pieces])),
-        hidden=1 - len(pieces) / looked_at,
+        hidden=max(1 - len(pieces) / looked_at, 0.0),
     )
 
 
@@ -228,7 +229,7 @@ class _Strip:
     @property
     def piece_px(self) -> float:
         """Length of a piece."""
-        return _PIECE * self.radius_px * min(_THICK_MM / self.wire.diameter_mm, 1.0)
+        return _PIECE * self.radius_px * (0.5 if self.wire.diameter_mm > _THICK_MM else 1.0)
 
     def within(self, first: float, last: float) -> np.ndarray:
         """Return the indices of pixels with s from `first` to `last`."""
@@ -459,6 +460,17 @@ def _without(mask: np.ndarray, uv_px: np.ndarray, radius_px: np.ndarray) -> np.n
     for (u, v), radius in zip(uv_px, radius_px, strict=True):
         cv2.circle(covered, (round(16 * u), round(16 * v)), round(16 * radius), 1, -1, cv2.LINE_8, 4)
     return mask & (covered == 0)
+
+
+def _covered_px(path: ImagePath, polygons_px: Sequence[np.ndarray]) -> float:
+    """Return the length of a path inside polygons (M, 2), px; its points are a pixel apart."""
+    return float(
+        sum(
+            cv2.pointPolygonTest(polygon.astype(np.float32), (float(u), float(v)), False) >= 0
+            for polygon in polygons_px
+            for u, v in path.uv_px
+        )
+    )
 
 
 def _without_lines(mask: np.ndarray, lines_uv_px: Sequence[np.ndarray], half_px: float) -> np.ndarray:
