@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 SEEN_PX = 1.2  # a click is a whole pixel of the screen, the image drawn at 0.45: half of one over that
 SIDE = "right"
 HOLES_APART_MM = 25.0
-_BESIDE = re.compile(r"position AP\s*-[1-9]")  # mm from the head's centre, where it was 0.0
+_BESIDE = re.compile(r"position AP\s*-?[1-9]")  # mm from the head's centre, where it was 0.0
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def _holes(up_mm: float = 0.0) -> dict[str, Pixels]:
 def test_a_pair_of_holes_is_planned_beside_a_hip_screw(hands: Hands, shoot) -> None:
     _choose(hands, "Interlocking holes")
     known = _holes()
-    assert set(known) == {one.name for one in marks_of("interlocking")}
+    assert set(known) <= {one.name for one in marks_of("interlocking")}
     for view in NAMES:
         for name in ("entry", "end"):
             hands.place(name, view, known[name][view])

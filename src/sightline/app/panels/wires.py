@@ -22,6 +22,8 @@ def state(tab: Tab, kind: str) -> str:
     planning, shot = tab.planning, tab.session.verifying.shots.get(kind)
     if shot is not None:
         return "verified" if shot.passed else "refuted"
+    if kind in tab.session.verifying.refusals:
+        return "refuted"
     if kind in planning.all_drilled:
         return "drilled"
     plan = None if tab.known is None else tab.known.plans.get(kind)
