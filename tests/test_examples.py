@@ -5,6 +5,8 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pytest
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -24,12 +26,14 @@ def test_every_example_is_run_here() -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_plan_from_csv(demo_folder: Path) -> None:
     said = run("plan_from_csv.py", demo_folder / "observations.csv")
     assert "within" in said
     assert said.count("mm rms at the tip") == 5
 
 
+@pytest.mark.slow
 def test_the_picture_of_the_readme_is_whole_and_small(demo_folder: Path, tmp_path: Path) -> None:
     run("readme_picture.py", demo_folder, tmp_path / "plan.svg")
     drawn = tmp_path / "plan.svg"
@@ -38,6 +42,7 @@ def test_the_picture_of_the_readme_is_whole_and_small(demo_folder: Path, tmp_pat
     assert len(list(root.iter("{http://www.w3.org/2000/svg}image"))) == 2
 
 
+@pytest.mark.slow
 def test_the_accuracy_of_a_frame() -> None:
     said = run("frame_accuracy.py", "gamma", "3")
     assert "careful clicks" in said

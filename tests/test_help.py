@@ -59,6 +59,7 @@ def test_dir_lists_the_public_names_and_the_rooms_that_pages_use() -> None:
     assert set(sl.__all__) <= set(dir(sl))
 
 
+@pytest.mark.slow
 def test_a_room_is_an_attribute_and_comes_when_it_is_used() -> None:
     program = "import sys, sightline as sl; before = 'sightline.planning' in sys.modules; "
     program += "sl.planning.PROCEDURES; sl.twin; print(before, 'numba' in sys.modules, sl.frame.Frame is sl.Frame)"

@@ -23,7 +23,14 @@ WALKED = (
     "interop.md",
     "answers.md",
 )
-LONG = {"robot-link.md", "twin.md", "check-shot.md"}  # seconds of physics or images
+LONG = {
+    "robot-link.md",
+    "twin.md",
+    "check-shot.md",
+    "bones.md",
+    "planning.md",
+    "watch.md",
+}  # seconds of physics or images
 # tests/test_docs.py runs README.md and compares its plan with the truth; tests/test_interlocking.py calls what
 # interlocking.md shows, on images that it renders.
 ELSEWHERE = {"README.md", "interlocking.md"}

@@ -50,6 +50,7 @@ def movement(session: Session):
     return next(check for check in known.plan.verdict.checks if check.name == "movement")
 
 
+@pytest.mark.slow
 def test_two_images_of_a_block_are_planned_on_and_a_third_shows_a_movement(
     folder: Path, three: SetUp, worker: WorkerProcess
 ) -> None:
@@ -93,6 +94,7 @@ def test_two_images_of_a_block_are_planned_on_and_a_third_shows_a_movement(
         assert len(found) == 13
 
 
+@pytest.mark.slow
 def test_an_image_in_both_slots_is_refused_and_images_from_elsewhere_are_named_by_their_angles(
     folder: Path, three: SetUp, worker: WorkerProcess, tmp_path: Path
 ) -> None:

@@ -63,6 +63,7 @@ def _recorded(folder: Path) -> Decisions:
         return Decisions.of(case.latest(Kind.CHANGED, where={"what": "edit"}).content["to"])
 
 
+@pytest.mark.slow
 def test_the_whole_procedure_by_mouse_and_keyboard(hands: Hands, folder: Path, clock: Path, shoot) -> None:
     """From two images to a wire in the bone that two more images show where it was planned."""
     shoot(hands.page, "images")
@@ -179,6 +180,7 @@ def _find_landmarks_again(hands: Hands, folder: Path) -> None:
             hands.place(name, view, (float(at[0]), float(at[1])))
 
 
+@pytest.mark.slow
 @needs_posix
 def test_the_live_image_is_calibrated_overlaid_and_watched(hands: Hands, server: Server, shoot) -> None:
     """And marked as old by the browser itself where the server says nothing more."""
@@ -239,6 +241,7 @@ def test_arrow_keys_move_a_point_by_a_tenth_of_a_pixel(hands: Hands) -> None:
     hands.until("pa", f"{_AWAY} === 0", ["entry", u, v])
 
 
+@pytest.mark.slow
 def test_a_plan_outlives_a_reload_a_second_tab_and_a_killed_server(
     server: Server, open_page: Callable[..., Page], folder: Path
 ) -> None:
@@ -325,6 +328,7 @@ def test_a_reload_stays_on_its_step_and_back_goes_one_step_back(hands: Hands) ->
     here(first)
 
 
+@pytest.mark.slow
 def test_no_text_moves_the_images_or_covers_the_instruction(hands: Hands) -> None:
     hands.step("Plan")
     top = hands.core("pa", "core.stage.getBoundingClientRect().top")
@@ -342,6 +346,7 @@ def test_no_text_moves_the_images_or_covers_the_instruction(hands: Hands) -> Non
         expect(shown).to_have_count(0)
 
 
+@pytest.mark.slow
 def test_an_enlarged_image_lies_over_all_but_the_bar(hands: Hands, shoot) -> None:
     hands.step("Plan")
     for width, height in ((1280, 800), (1920, 1080)):
@@ -365,6 +370,7 @@ def test_an_enlarged_image_lies_over_all_but_the_bar(hands: Hands, shoot) -> Non
         hands.see("xray-pa").get_by_role("button", name=XRAY["restore"]).click()
 
 
+@pytest.mark.slow
 @needs_posix
 def test_a_server_that_does_not_answer_is_said_over_the_whole_page(hands: Hands, server: Server, shoot) -> None:
     """Within a second: verdict and STOP must not look valid without a program behind them."""
@@ -392,6 +398,7 @@ def test_a_server_that_does_not_answer_is_said_over_the_whole_page(hands: Hands,
     expect(hands.see("red-button")).to_be_hidden()
 
 
+@pytest.mark.slow
 def test_what_a_person_does_wrong_ends_in_a_sentence(
     server: Server, open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
@@ -433,6 +440,7 @@ def obstructed(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [write_dicom(mirrored[name], folder / f"{name}.dcm") for name in NAMES]
 
 
+@pytest.mark.slow
 def test_mirrored_images_with_hidden_beads_are_dropped_planned_and_not_sent(
     serve: Callable[..., Server], open_page: Callable[..., Page], obstructed: list[Path], tmp_path: Path, shoot
 ) -> None:

@@ -23,6 +23,7 @@ def _distance(rng, xyz_mm, sd_mm=0.02):
     )
 
 
+@pytest.mark.slow
 def test_ten_images_and_one_distance_measure_a_printed_block():
     """Eight blocks: as-printed errors of 0.2 mm become 0.02 mm rms, and chi-square is that of the stated covariance."""
     rng, off, squares = np.random.default_rng(21), [], []

@@ -126,6 +126,7 @@ def test_a_frame_that_unpacks_to_more_than_its_file_says_never_reaches_a_decoder
         read_image(tmp_path / "j2k.dcm")
 
 
+@pytest.mark.slow
 def test_a_decoder_that_dies_refuses_that_file_and_reads_the_next(files: dict[str, Path], monkeypatch) -> None:
     decoder = Decoder()
     try:

@@ -332,6 +332,7 @@ def test_the_patient_reaches_neither_our_types_nor_the_log(tmp_path: Path) -> No
     assert "Secr" not in done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_kernels_compile_after_a_dicom_file_was_read(tmp_path: Path) -> None:
     # gdcm 3.2 loaded before numpy breaks the heap; the compiler is what falls over it.
     path = write_dicom(Radiograph(np.full((64, 64), 500, np.uint16), 4095), tmp_path / "a.dcm")

@@ -53,9 +53,11 @@ def test_perfect_drawings_give_the_planes_of_the_bone(name: str):
         for key, aid in bone.aids.items():
             if isinstance(aid, PlaneAid) and (part := key.replace(" ", "-")) in found.at:
                 point, normal = found.part(part).reshape(2, 3)
-                # Seen end-on but not exactly so: the front of the body is drawn 0.4° off the beam to its middle.
-                assert abs(normal @ aid.normal) > np.cos(np.deg2rad(0.05 if part != "front" else 5.0))
-                assert abs((point - aid.point_mm) @ aid.normal) < (0.05 if part != "front" else np.inf)
+                # Of one image, and seen end-on but not exactly so: the front of the body is drawn 0.4° off the beam to
+                # its middle, the surface at the entry is curved.
+                one_image = part == "front" or part.startswith("entry-cortex")
+                assert abs(normal @ aid.normal) > np.cos(np.deg2rad(5.0 if one_image else 0.05))
+                assert abs((point - aid.point_mm) @ aid.normal) < (np.inf if one_image else 0.05)
 
 
 def test_a_plane_seen_obliquely_in_both_images_is_found():
@@ -180,7 +182,7 @@ def test_drawings_come_back_from_a_case_and_bad_ones_are_refused():
     bone = drawn("vertebra")
     aids = bone.made(bone.uv_px)
     back = Aids.of(json.loads(json.dumps(plain(aids))))
-    assert set(back.others) == {"pedicle", "front", "upper-endplate", "lower-endplate"}
+    assert set(back.others) == {"pedicle", "front", "upper-endplate", "lower-endplate", "entry-cortex"}
     assert back.others["front"].uv_px[0] is None
     assert np.array_equal(back.others["pedicle"].uv_px[0], aids.others["pedicle"].uv_px[0])
     for kind, uv in (("plane", np.zeros((3, 2))), ("oval tube", np.full((4, 2), np.nan)), ("blob", np.zeros((2, 2)))):
@@ -191,7 +193,8 @@ def test_drawings_come_back_from_a_case_and_bad_ones_are_refused():
 def test_aids_of_clicks_are_those_of_the_procedure():
     bone = drawn("growing-femur")
     aids = bone.made(bone.uv_px, 0.7)
-    assert aids.head is not None and aids.shaft is not None and set(aids.others) == {"growth-plate"}
+    assert aids.head is not None and aids.shaft is not None
+    assert set(aids.others) == {"growth-plate", "entry-cortex", "entry-cortex-lateral"}
     assert aids.shaft[1].sd_px == 0.7 and len(aids.head[0].uv_px) == 3
     alone = bone.made({**bone.uv_px, "head": [bone.uv_px["head"][0], None]})
     assert alone.head is None  # drawn in one image

@@ -54,6 +54,7 @@ def end_error_mm(rng: np.random.Generator) -> tuple[np.ndarray, RobotTarget]:
     return tip(zero.feed_mm + target.length_mm) + skived - (skived @ along) * along - end, target
 
 
+@pytest.mark.slow
 def test_ends_lie_within_the_stated_bound_with_the_shift_by_contact():
     """500 drawn drillings. Without the shift by contact the error along the wire is a third beyond its stated one."""
     rng = np.random.default_rng(31)
