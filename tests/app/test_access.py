@@ -11,7 +11,7 @@ from tests.app.colour import GRAPHIC, TEXT, contrast, over
 from tests.app.hands import SEED, Hands
 
 from sightline.app.texts import STEPS
-from sightline.planning import PROCEDURES
+from sightline.planning.procedures.files import shipped
 
 EYES, CONTROLS = (Path(__file__).with_name(name).read_text("utf-8") for name in ("eyes.js", "controls.js"))
 pytestmark = pytest.mark.slow
@@ -66,7 +66,7 @@ def test_words_are_read_on_every_step(hands: Hands) -> None:
         assert not unread(words), step
     hands.step("Plan")
     hands.see("kind").click()
-    expect(hands.page.get_by_role("option")).to_have_count(len(PROCEDURES))
+    expect(hands.page.get_by_role("option")).to_have_count(len(shipped()))
     assert not unread(written(hands.page))
     hands.page.keyboard.press("Escape")
     hands.see("step-Verify").hover()

@@ -9,7 +9,7 @@ from tests.app.browser import Server
 from tests.app.hands import SEED, Hands
 
 from sightline.app.texts import STEPS
-from sightline.planning import PROCEDURES
+from sightline.planning.procedures.files import shipped
 
 GEOMETRY = Path(__file__).with_name("geometry.js").read_text("utf-8")
 SIZES = ((1280, 800), (1920, 1080), (1024, 768), (800, 1280))
@@ -64,7 +64,7 @@ def test_the_checklist_of_every_procedure_fits(hands: Hands) -> None:
     hands.step("Plan")
     column = page.locator(".panel").bounding_box()
     assert column is not None and 290 <= column["width"] <= 310
-    for number in range(len(PROCEDURES)):
+    for number in range(len(shipped())):
         hands.see("kind").click()
         option = page.get_by_role("option").nth(number)
         name = option.inner_text()

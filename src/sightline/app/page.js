@@ -1,5 +1,5 @@
 // The space bar stops the robot wherever the focus is, except in a text field; it presses no other control.
-const typing = (target) => target.closest?.("input, textarea, select, [contenteditable=true]");
+const typing = (target) => target.closest?.("input:not([readonly]), textarea, select, [contenteditable=true]");
 for (const kind of ["keydown", "keyup"]) {
   window.addEventListener(
     kind,
@@ -26,14 +26,19 @@ window.addEventListener("keydown", (event) => {
   next.click();
 });
 
-// A control that was built again keeps the focus.
+// A control that was built again keeps the focus. Of a list that is chosen from its box has it: in a field, keys such as
+// those of undo would be taken for text.
 let focused = null; // the named control that has it
 window.addEventListener("focusin", ({ target }) => (focused = target.closest("[data-testid]")));
 const keepFocus = () => {
   if (!focused || focused.isConnected || document.activeElement !== document.body) return;
   const again = document.querySelector(`[data-testid="${focused.dataset.testid}"]`);
   focused = null;
-  if (again) (again.matches("input, button") ? again : again.querySelector("input, button") || again).focus({ preventScroll: true });
+  if (!again) return;
+  const field = "input:not([readonly]), button";
+  const within = again.matches(field) ? again : again.querySelector(field) || again;
+  if (within.tabIndex < 0) within.tabIndex = -1; // so that a box can have it
+  within.focus({ preventScroll: true });
 };
 
 // The page probes the program five times a second. Without an answer the page may be out of date and STOP does not
