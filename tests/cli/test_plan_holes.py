@@ -160,7 +160,10 @@ def test_what_shows_no_two_holes_of_this_nail_is_refused(
         ({"side": "left"}, "the holes are exchanged"),
         ({"distal": distal, "proximal": distal + 1.0}, "both holes are the same one"),
         ({"nail": _nail(replace(drawn, nail=replace(drawn.nail, spacing_mm=31.0)))}, "it is another nail"),
-        ({"nail": _nail(replace(drawn, nail=replace(drawn.nail, hole_mm=5.4)))}, "hole's diameter is 5.0 mm"),
+        (
+            {"nail": _nail(replace(drawn, nail=replace(drawn.nail, hole_mm=5.4)))},
+            "mm in the images and 5.4 mm as stated",
+        ),
         ({"on": [files[0], files[0]]}, "the views are 6° apart (at least 20° is needed"),
         ({"on": bowed}, "the nail is bent by 9."),
         ({"on": _half_hidden(patient, tmp_path)}, "one rim alone gives no axis"),

@@ -188,7 +188,7 @@ def test_the_plans_own_limits_and_depth_are_those_of_the_robot(tmp_path):
     narrow = {"position_mm": 0.3, "direction_deg": 0.6, "beyond_mm": 0.0}
     done = run("drive", written(tmp_path / "plan.json", limits=narrow), "--yes")
     assert done.exit_code == 3
-    assert "limit 0.30 mm" in done.stderr
+    assert "above its limit of 0.30 mm" in done.stderr
     past = {"position_mm": 1.0, "direction_deg": 0.6, "beyond_mm": 4.0}
     done = run("drive", written(tmp_path / "plan.json", limits=past), "--yes", "--json")
     assert done.exit_code == 0, done.output
