@@ -9,8 +9,8 @@ CHANGES = {
     5: "wires of iliosacral, pedicle and slipped epiphysis screws are checked against drawn borders and planes",
     6: "a hip screw's tip-apex distance is checked, and that its entry, or a cannulated screw's, is not in air",
     7: "a check shot's wire is measured where two fifths of its pieces are seen; before, half of them were asked",
-    8: "a check shot leaves out beads that the view knows, its tip's error grows with light that is not explained; rims "
-    "of a nail's hole are compared with light blurred in the image plane",
+    8: "a check shot leaves out beads that the view knows, its tip's error grows with light that is not explained; "
+    "rims of a nail's hole are compared with light blurred in the image plane",
     9: "how far a point may be wrong along its line of sight counts the checks of borders and of the tip-apex distance",
 }
 FIRST = 1
