@@ -18,9 +18,11 @@ from sightline.case.views import NAMES
 
 pytestmark = pytest.mark.slow
 _CONTROL, _ENTER = "\ue009", "\ue007"
-# The middle of the last button of this text that is enabled and not covered.
-_BUTTON = """(text => {
+_QUESTION = "[role=dialog]"
+# The middle of the last button of this text within some part of the page that is enabled and not covered.
+_BUTTON = """((text, part) => {
   for (const button of [...document.querySelectorAll("button, label, [role=radio]")].reverse()) {
+    if (!button.closest(part)) continue;
     if (button.innerText.trim() !== text || button.disabled) continue;
     const { left, top, width, height } = button.getBoundingClientRect();
     const middle = [left + width / 2, top + height / 2];
@@ -29,8 +31,12 @@ _BUTTON = """(text => {
 })"""
 
 
-def _press(page: Firefox, text: str) -> None:
-    page.click(*page.until(f"{_BUTTON}({json.dumps(text)})"))
+def _press(page: Firefox, text: str, part: str = "body") -> None:
+    """Press a button once it rests."""
+    found, before = f"{_BUTTON}({json.dumps(text)}, {json.dumps(part)})", None
+    while (at := page.until(found)) != before:
+        before = at
+    page.click(*at)
 
 
 def _see(page: Firefox, text: str) -> None:
@@ -38,10 +44,10 @@ def _see(page: Firefox, text: str) -> None:
 
 
 def _agree(page: Firefox, text: str) -> None:
-    """Press a button, and again in its question."""
+    """Press a button, once no question is open, and again in its question."""
+    page.until(f"!document.querySelector('{_QUESTION}')")
     _press(page, text)
-    page.until(f"{_BUTTON}({json.dumps(texts.CANCEL)})")
-    _press(page, text)
+    _press(page, text, _QUESTION)
 
 
 def _place(page: Firefox, name: str, view: str) -> None:
