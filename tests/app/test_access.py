@@ -1,14 +1,12 @@
 """What the page asks of eyes and hands: words that are read, controls that Tab reaches, names, a focus that is seen."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.app.browser import Server
 from tests.app.colour import GRAPHIC, TEXT, contrast, over
-from tests.app.hands import SEED, Hands
+from tests.app.hands import Hands
 
 from sightline.app.texts import STEPS
 from sightline.planning.procedures.files import shipped
@@ -17,19 +15,6 @@ EYES, CONTROLS = (Path(__file__).with_name(name).read_text("utf-8") for name in 
 pytestmark = pytest.mark.slow
 LARGE_PX, LARGE_BOLD_PX = 24.0, 18.66  # 18 pt, 14 pt bold: WCAG 2.2, 1.4.3
 SMALLEST_PX = 11.0  # on a screen of 1280 pixels [ours]
-
-
-@pytest.fixture(scope="module")
-def server(serve: Callable[..., Server], tmp_path_factory: pytest.TempPathFactory) -> Server:
-    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet"]
-    return serve(*command, "--case", str(tmp_path_factory.mktemp("case")), "--rehearse", str(SEED))
-
-
-@pytest.fixture
-def hands(server: Server, open_page: Callable[..., Page]) -> Hands:
-    person = Hands(open_page(server.url))
-    person.wait_for_step("Calibrate", "done")
-    return person
 
 
 def written(page: Page) -> list[dict[str, Any]]:

@@ -6,18 +6,12 @@ from importlib.resources import files
 import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
-from tests.app.hands import SEED, Hands
+from tests.app.hands import Hands
 
 from sightline.app.texts import STEPS
 
 pytestmark = pytest.mark.slow
 _WRONG = {"moderate", "serious", "critical"}
-
-
-@pytest.fixture(scope="module")
-def server(serve: Callable[..., Server], tmp_path_factory: pytest.TempPathFactory) -> Server:
-    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet"]
-    return serve(*command, "--case", str(tmp_path_factory.mktemp("case")), "--rehearse", str(SEED))
 
 
 def found(page: Page) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 import re
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,14 +48,6 @@ def clock(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def server(serve: Callable[..., Server], folder: Path, clock: Path) -> Server:
     command = ["tests.app.clock_app", str(clock), "app", "--port", "{port}", "--no-browser", "--case", str(folder)]
     return serve(*command, "--rehearse", str(SEED), "--fast-robot", "--quiet")
-
-
-@pytest.fixture
-def hands(server: Server, open_page: Callable[..., Page]) -> Iterator[Hands]:
-    """A person before the page, its images calibrated."""
-    person = Hands(open_page(server.url))
-    person.wait_for_step("Calibrate", "done")
-    yield person
 
 
 def _recorded(folder: Path) -> Decisions:

@@ -1,12 +1,10 @@
 """The page on screens of four sizes: nothing overlaps, no text is cut, STOP is seen, and planning never scrolls."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.app.browser import Server
-from tests.app.hands import SEED, Hands
+from tests.app.hands import Hands
 
 from sightline.app.texts import STEPS
 from sightline.planning.procedures.files import shipped
@@ -15,19 +13,6 @@ GEOMETRY = Path(__file__).with_name("geometry.js").read_text("utf-8")
 SIZES = ((1280, 800), (1920, 1080), (1024, 768), (800, 1280))
 PLANNED_AT = (1280, 800)  # from this size on the column does not scroll on the step Plan
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def server(serve: Callable[..., Server], tmp_path_factory: pytest.TempPathFactory) -> Server:
-    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet"]
-    return serve(*command, "--case", str(tmp_path_factory.mktemp("case")), "--rehearse", str(SEED))
-
-
-@pytest.fixture
-def hands(server: Server, open_page: Callable[..., Page]) -> Hands:
-    person = Hands(open_page(server.url))
-    person.wait_for_step("Calibrate", "done")
-    return person
 
 
 def wrong(page: Page, *, scrolls: bool) -> list[str]:

@@ -2,30 +2,19 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
 from sightline.checks import Check, Limits
-from sightline.planning.check_result import CheckShot, checks
+from sightline.planning.check_result import checks
+
+from .shots import straight_shot
 
 WALLS_MM, BEYOND_MM = 11.0, 15.0
 LIMITS = Limits(position_mm=0.5, direction_rad=np.deg2rad(5.2), beyond_mm=BEYOND_MM)
 
 
 def _judged(*deviation_mm: float, sd_mm: float = 0.05, walls_mm: float | None = WALLS_MM) -> dict[str, Check]:
-    shot = CheckShot(
-        entry_mm=np.zeros(3),
-        tip_mm=np.array([0.0, 0.0, WALLS_MM + BEYOND_MM]),
-        deviation_mm=np.array(deviation_mm),
-        covariance_mm2=sd_mm**2 * np.eye(5),
-        across=np.eye(3)[:2],
-        length_mm=WALLS_MM + BEYOND_MM,
-        movement=RigidTransform.identity(),
-        landmarks=3,
-        bow_mm=0.0,
-        bow_sigma=0.0,
-        residual_rms=1.0,
-        outlier_sigma=1.0,
-    )
+    wire = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, WALLS_MM + BEYOND_MM]])
+    shot = straight_shot(wire, np.eye(3)[:2], deviation_mm, sd_mm)
     return {check.name: check for check in checks(shot, LIMITS, (), walls_mm)}
 
 

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import UnusableInputError
 from sightline.planning import WirePicks, WirePlans, plan_wires
@@ -13,6 +12,7 @@ from sightline.planning.measured_wires import judge_measured, measured_lines
 from sightline.planning.procedures.files import copy_text, document_from_json
 
 from .bone import END_MM, ENTRY_MM, curve_once, views
+from .shots import straight_shot
 
 KEYS = ("inferior", "anterior", "posterior")
 WIRES_MM = np.array([ENTRY_MM, END_MM]) + np.array([[0.0, 0.0, 0.0], [7.0, -7.0, 8.0], [6.0, -6.0, -8.0]])[:, None]
@@ -31,23 +31,10 @@ def planned(high_deg: float = 1.0) -> WirePlans:
 
 def shot(key: str, tip_off_mm: float = 0.0, sd_mm: float = SD_MM) -> CheckShot:
     """A check shot of a wire whose tip lies beside its plan."""
-    entry, end = WIRES_MM[KEYS.index(key)]
-    along = (end - entry) / np.linalg.norm(end - entry)
+    wire = WIRES_MM[KEYS.index(key)]
+    along = (wire[1] - wire[0]) / np.linalg.norm(wire[1] - wire[0])
     across = np.linalg.svd(along[None])[2][1:]
-    return CheckShot(
-        entry_mm=entry,
-        tip_mm=end + tip_off_mm * across[0],
-        deviation_mm=np.array([0.0, 0.0, tip_off_mm, 0.0, 0.0]),
-        covariance_mm2=sd_mm**2 * np.eye(5),
-        across=across,
-        length_mm=float(np.linalg.norm(end - entry)),
-        movement=RigidTransform.identity(),
-        landmarks=3,
-        bow_mm=0.0,
-        bow_sigma=0.0,
-        residual_rms=1.0,
-        outlier_sigma=1.0,
-    )
+    return straight_shot(wire, across, (0.0, 0.0, tip_off_mm, 0.0, 0.0), sd_mm)
 
 
 def test_wires_that_lie_as_planned_are_parallel_and_one_that_does_not_is_named():
