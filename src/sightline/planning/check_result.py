@@ -153,7 +153,7 @@ def checks(
     return (
         *(replace(check, sentence=f"{view.name}: {check.sentence}") for view in views for check in view.checks),
         *_deviations(shot, limits, walls_mm),
-        error_check(max(shot.entry_error_95_mm, far_mm), shot, limits),
+        check_shot_error(max(shot.entry_error_95_mm, far_mm), shot, limits),
         _landmarks(shot),
         _residuals(shot),
         _outlier(shot),
@@ -197,7 +197,7 @@ def _through(shot: CheckShot, limits: Limits, walls_mm: float) -> list[Check]:
     ]
 
 
-def error_check(position_95_mm: float, shot: CheckShot, limits: Limits) -> Check:
+def check_shot_error(position_95_mm: float, shot: CheckShot, limits: Limits) -> Check:
     """Return the check that the deviations are known to within their limits; otherwise passing them means little."""
     share = max(position_95_mm / limits.position_mm, shot.direction_error_95_rad / limits.direction_rad)
     sentence = (

@@ -14,7 +14,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.checks import Check, Limits, failed
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import length_quantile
-from sightline.planning.check_result import CheckShot, error_check
+from sightline.planning.check_result import CheckShot, check_shot_error
 from sightline.planning.check_shot import check_shot
 from sightline.planning.check_start import Beforehand, Landmarks, WireSeen
 from sightline.planning.picks import Pick
@@ -137,7 +137,7 @@ def _unmade(of: Check, shot: DrillShot, checks: Sequence[Check]) -> bool:
 def _checks(of_wire: Check, shot: DrillShot, limits: Limits) -> list[Check]:
     """Return what replaces one of the wire's checks: of the end ahead and the depth, not of the tip."""
     if of_wire.name == "check shot error":
-        return [error_check(max(shot.wire.entry_error_95_mm, shot.end_error_95_mm), shot.wire, limits)]
+        return [check_shot_error(max(shot.wire.entry_error_95_mm, shot.end_error_95_mm), shot.wire, limits)]
     if of_wire.name != "wire tip":
         return [of_wire]
     end, off = float(np.linalg.norm(shot.end_mm)), float(shot.wire.deviation_mm[4])

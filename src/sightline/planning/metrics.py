@@ -86,7 +86,7 @@ def metric(found: Anatomy, name: str, side: str | None) -> Metric:
     """
     if side is not None:
         caudal(side)
-    return _metric(found, next(one for one in _DEFINITIONS if one.name == name), side)
+    return _metric(found, _definition(name), side)
 
 
 def metric_of_wires(found: Anatomy, name: str, side: str | None, wires_mm: np.ndarray) -> np.ndarray:
@@ -94,12 +94,15 @@ def metric_of_wires(found: Anatomy, name: str, side: str | None, wires_mm: np.nd
 
     The wire in `found` must have a value: its refusals and signs hold for all.
     """
-    definition = next(one for one in _DEFINITIONS if one.name == name)
     values = np.tile(found.values, (len(wires_mm) + 1, 1))
     values[1:, found.at["wire"]] = wires_mm.reshape(-1, 6)
     with np.errstate(invalid="ignore", divide="ignore"):
-        made = definition.value(_Parts(found, values, side))[1:]
+        made = _definition(name).value(_Parts(found, values, side))[1:]
     return made if made.ndim == 1 else np.linalg.norm(made, axis=-1)
+
+
+def _definition(name: str) -> _Definition:
+    return next(one for one in _DEFINITIONS if one.name == name)
 
 
 def _metric(found: Anatomy, definition: _Definition, side: str | None) -> Metric:

@@ -9,7 +9,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.errors import ReconstructionRefusedError
 from sightline.geometry.covariance import length_quantile, response
 from sightline.planning.anatomy import Anatomy
-from sightline.planning.proposal_rules import LENGTHS_MM, RULES, ProposalRule
+from sightline.planning.proposal_rules import RULES, ProposalRule
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def propose(
 
     wire, own = response(of, found.values)
     entry, end = wire.reshape(2, 3)
-    length, (low, high) = float(np.linalg.norm(end - entry)), LENGTHS_MM[rule.name]
+    length, (low, high) = float(np.linalg.norm(end - entry)), known.lengths_mm
     if not low <= length <= high:
         drawn = "head, shaft and lateral cortex" if rule.name == "through-head" else "what is drawn"
         raise ReconstructionRefusedError(

@@ -16,16 +16,6 @@ from sightline.planning.tube import axis_of_oval, axis_of_tube
 CORTEX_RADII_MM = (5.0, 40.0)
 # Minimum distance of the head's centre from the shaft's axis; in adults it is 30 to 50 mm [ours].
 MIN_OFFSET_MM = 15.0
-# Accepted lengths of a wire in the bone: hip screws have 70 to 120 mm, pedicle screws 40 to 50 mm [ours].
-LENGTHS_MM: Mapping[str, tuple[float, float]] = MappingProxyType(
-    {
-        "through-head": (40.0, 150.0),
-        "through-corridor": (40.0, 200.0),
-        "through-pedicle": (25.0, 80.0),
-        "across-growth-plate": (30.0, 120.0),
-        "through-rims": (5.0, 30.0),
-    }
-)
 ENTRY, ENTRY_LATERAL = "entry-cortex", "entry-cortex-lateral"  # the bone's surface at the entry, as one image shows it
 MIN_ACROSS = (
     0.3  # cosine between the wire and the normal of the drawn surface; below it the crossing is uncertain [ours]
@@ -72,11 +62,12 @@ Ends = Callable[[Anatomy, str, ProposalRule], np.ndarray]
 class KnownRule:
     """A rule that a procedure's file may name.
 
-    `takes`: the numbers of the file. `needs`: keys of aids, with "{wire}" for that of the wire. `words`: how the wire
-    runs.
+    `lengths_mm`: least and greatest length of a wire. `takes`: the numbers of the file. `needs`: keys of aids, with
+    "{wire}" for that of the wire. `words`: how the wire runs.
     """
 
     ends: Ends
+    lengths_mm: tuple[float, float]
     takes: tuple[str, ...]
     needs: tuple[str, ...]
     words: str
@@ -159,22 +150,26 @@ def _through_rims(found: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
     return found.part(rule.needs[0]).reshape(2, 3)
 
 
+# Accepted lengths: hip screws have 70 to 120 mm, pedicle screws 40 to 50 mm [ours].
 RULES: Mapping[str, KnownRule] = MappingProxyType(
     {
         "through-head": KnownRule(
             _through_head,
+            (40.0, 150.0),
             ("angle_deg", "under_surface_mm"),
             ("head", "shaft", "cortex"),
             "through the head's centre at {angle:.0f}° to the shaft, the tip {depth:.0f} mm below the head's surface",
         ),
         "through-corridor": KnownRule(
             _through_corridor,
+            (40.0, 200.0),
             ("under_surface_mm",),
             ("s1-corridor", ENTRY),
             "along the middle of the drawn corridor, the tip {depth:.0f} mm before its end",
         ),
         "through-pedicle": KnownRule(
             _through_pedicle,
+            (25.0, 80.0),
             ("angle_deg", "under_surface_mm"),
             ("pedicle", "upper-endplate", "lower-endplate", "front", ENTRY),
             "through the middle of the pedicle, {angle:.0f}° towards the middle of the body, the tip {depth:.0f} mm "
@@ -182,13 +177,18 @@ RULES: Mapping[str, KnownRule] = MappingProxyType(
         ),
         "across-growth-plate": KnownRule(
             _across_growth_plate,
+            (30.0, 120.0),
             ("under_surface_mm",),
             ("head", "growth-plate", ENTRY),
             "through the centre of the epiphysis, perpendicular to the growth plate, the tip {depth:.0f} mm below the "
             "surface",
         ),
         "through-rims": KnownRule(
-            _through_rims, (), ("{wire}-rims",), "through the middles of both rims of the hole, the first one first"
+            _through_rims,
+            (5.0, 30.0),
+            (),
+            ("{wire}-rims",),
+            "through the middles of both rims of the hole, the first one first",
         ),
     }
 )

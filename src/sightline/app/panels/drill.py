@@ -195,10 +195,10 @@ def build_next(tab: Tab) -> None:
             tab, texts.RESET_FAULT, texts.RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle
         )
     elif state == State.ALIGNED.value:
-        drill = lambda: drilling.drill(State.ALIGNED)  # noqa: E731
+        drill = partial(drilling.drill, State.ALIGNED)
         _confirmed_action(tab, texts.DRILL, texts.DRILL_QUESTION, drill, "drill", enabled=ready)
     elif state == State.PAUSED.value:
-        drill = lambda: drilling.drill(State.PAUSED)  # noqa: E731
+        drill = partial(drilling.drill, State.PAUSED)
         _confirmed_action(tab, texts.DRILL_ON, texts.DRILL_ON_QUESTION, drill, "drill-on", enabled=ready)
     elif planning.drilled is not None and (after := wires.following(tab)) is not None:
         said = texts.NEXT_WIRE.format(wire=kind_of(after).wire.name)

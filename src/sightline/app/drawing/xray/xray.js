@@ -508,7 +508,7 @@ export class XrayCore {
     this.gestures.showCursor();
   }
 
-  /** The pixels have arrived; null: there is no image.
+  /** Take the pixels that arrived, or null where there is no image.
    * @param {Image | null} image */
   #takeImage(image) {
     this.state.image = image;

@@ -19,7 +19,6 @@ export const STYLES = {
   "curve-band": { colour: COLOURS.sky, width: 1, fill: 0.2, plan: true },
   tick: { colour: COLOURS.text, width: 1.5, plan: true },
   wire: { colour: COLOURS.yellow, width: 3, fill: 0.6, plan: true, arrow: true },
-  "other-wire": { colour: COLOURS.quiet, width: 2, fill: 0.3, plan: true, arrow: true },
   corridor: { colour: COLOURS.yellow, width: 2, fill: 0.16, dash: [8, 5], plan: true },
   plan: { colour: COLOURS.yellow, width: 2, fill: 0.14, dash: [10, 6], plan: true },
   deviation: { colour: COLOURS.text, width: 2.5, mark: "arrow" },
