@@ -45,7 +45,7 @@ PATIENCE_MS = 120_000
 _WATCH = """() => {
   const watch = (window.watch = { curve: [], figures: [], moves: 0 });
   const { pa, lateral } = window.sightlineXray;
-  const [request, push, show] = [window.requestAnimationFrame, pa.moves.push, pa.show];
+  const [request, push, show] = [window.requestAnimationFrame, pa.edits.moves.push, pa.show];
   const times = new Map();
   let pointer = 0;
   let shown = null;
@@ -53,7 +53,7 @@ _WATCH = """() => {
   window.addEventListener("pointermove", (event) => { pointer = event.timeStamp; watch.moves++; }, true);
   window.addEventListener("pointerrawupdate", (event) => { pointer = event.timeStamp; }, true);
   const after = (then) => request(() => setTimeout(then));
-  pa.moves.push = (type, id, uv, image) => {
+  pa.edits.moves.push = (type, id, uv, image) => {
     times.set(String(uv), pointer);
     after(() => {
       const drawn = lateral.matching.drawn.get(id);
@@ -61,7 +61,7 @@ _WATCH = """() => {
       if (of !== curve) watch.curve.push(performance.now() - times.get(of));
       curve = of;
     });
-    return push.call(pa.moves, type, id, uv, image);
+    return push.call(pa.edits.moves, type, id, uv, image);
   };
   pa.show = (word) => {
     const end = word.points.find(({ id }) => id === "end");
@@ -156,7 +156,7 @@ def _start(browser: Browser, folder: Path) -> tuple[_Server, Page, tuple[float, 
     began = time.perf_counter()
     server = _Server(folder / "log.txt", *command, "--case", str(folder / "case"), "--rehearse", str(SEED))
     page.goto(server.url, timeout=PATIENCE_MS)
-    page.get_by_test_id("step-Images").wait_for(timeout=PATIENCE_MS)
+    page.get_by_test_id("step-images").wait_for(timeout=PATIENCE_MS)
     seen = time.perf_counter() - began
     both = "['pa', 'lateral'].every((name) => window.sightlineXray?.[name]?.state.image)"
     page.wait_for_function(both, timeout=PATIENCE_MS)
@@ -202,7 +202,7 @@ async def _measure(path: str, server: _Server, times: int) -> dict[str, Any]:
         browser = await playwright.chromium.launch(executable_path=path, args=FLAGS)
         page = await browser.new_page(viewport={"width": 1280, "height": 800})
         await page.goto(server.url)
-        await page.get_by_test_id("step-Plan").click()
+        await page.get_by_test_id("step-plan").click()
         await page.get_by_test_id("figures").wait_for()
         await page.wait_for_function("window.sightlineXray.lateral.state.layers.get('curves')?.shapes.length")
         await page.wait_for_function("window.sightlineXray.lateral.matching.sights")

@@ -25,7 +25,7 @@ from sightline.planning import Hole, Nail, WirePicks, WirePlans, fit_hole, plan_
 from sightline.rehearsal.operation import registered
 from sightline.rehearsal.robots import SHOWN_FEED_MM, calibrated_robot, drawn_robot, shown_wire_mm
 from sightline.robot.kinematics.calibrated import CalibratedRobot
-from sightline.robot.kinematics.manipulator import FEED, Manipulator
+from sightline.robot.kinematics.manipulator import FEED, Manipulator, imaging_yaw
 from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, robot_target
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp, draw_setup
@@ -136,7 +136,7 @@ class _Arm:
     @staticmethod
     def draw(rng: np.random.Generator, setup: SetUp) -> "_Arm":
         known = calibrated_robot(SIDE, setup.frame)
-        true, imaged = drawn_robot(known, SIDE, rng, 0.0 if setup.frame.solid is None else SHOWN_FEED_MM)
+        true, imaged = drawn_robot(known, imaging_yaw(SIDE), rng, 0.0 if setup.frame.solid is None else SHOWN_FEED_MM)
         joints = imaged + _play(rng, known)
         pose = true.T_mcs_flange(joints) * _bent(rng, known) * true.T_flange_cfcs
         return _Arm(known, true, imaged, pose, shown_wire_mm(true, joints, SHOWN_BEHIND_MM))

@@ -40,7 +40,7 @@ _REPAINT = """async (times) => {
   const core = window.sightlineXray.pa;
   window.watch.frame = [];
   for (let index = 0; index < times; index++) {
-    core.setWindow({ centre: 20000 + 100 * (index % 50), width: 30000 });
+    core.settings.setWindow({ centre: 20000 + 100 * (index % 50), width: 30000 });
     await new Promise((done) => requestAnimationFrame(done));
   }
   return window.watch.frame.filter((ms) => ms > 0.2); // without those of this loop, that draw nothing

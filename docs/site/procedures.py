@@ -22,6 +22,10 @@ def tables(document: ProcedureDocument) -> Iterable[tuple[str, Sequence[str], li
     limits = [("95 % error of position", f"{given.position_mm.limit:g} mm", given.position_mm.source)]
     limits += [("95 % error of direction", f"{given.direction_deg.limit:.3g}°", given.direction_deg.source)]
     limits += [("drilled past the end point", f"{given.beyond_mm.limit:g} mm", given.beyond_mm.source)]
+    if given.before_mm is not None:
+        limits.append(
+            ("bone begins before the entry point", f"by up to {given.before_mm.limit:g} mm", given.before_mm.source)
+        )
     if document.corridor is not None:
         space = document.corridor
         limits.append(("implant and bone around it", f"{space.implant_mm:g} + {space.margin_mm:g} mm", space.source))
@@ -31,6 +35,14 @@ def tables(document: ProcedureDocument) -> Iterable[tuple[str, Sequence[str], li
         numbers = {"°": rule.angle_deg, " mm": rule.under_surface_mm}
         said = ", ".join(f"{value:g}{unit}" for unit, value in numbers.items() if value is not None)
         limits.append((f"proposal: {rule.rule}", said, rule.source))
+    relations += [
+        (
+            f"direction: {one.label}",
+            f"orbit {one.orbit_deg:g}°, tilt {one.tilt_deg:g}°, s.d. {one.sd_deg:g}°",
+            one.source,
+        )
+        for one in document.directions
+    ]
     checks = [
         (f"{one.check}{' (required)' if one.required else ''}", within(one), one.source) for one in document.checks
     ]

@@ -4,6 +4,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from math import radians
 
+# An entry point within the bone, such as a nail's wall, lies at least so far in it: four standard deviations of a
+# planned entry along the wire. At most: half of a large femur above the knee [ours].
+CLEAR_MM, MAX_BEFORE_MM = 2.0, 40.0
+
 
 @dataclass(frozen=True)
 class Check:
@@ -25,13 +29,15 @@ class Check:
 class Limits:
     """Limits of a procedure: of the predicted 95 % errors of position and direction.
 
-    `beyond_mm`: how far the drill goes past the end point. The defaults are what the paper reached with its robot
-    [paper].
+    `beyond_mm`: how far the drill goes past the end point. `before_mm`: bone begins up to this far before the entry
+    point, which then lies in the bone; 0: the entry lies on the bone. The defaults are what the paper reached with its
+    robot [paper].
     """
 
     position_mm: float = 1.0
     direction_rad: float = radians(0.6)
     beyond_mm: float = 0.0
+    before_mm: float = 0.0
 
 
 def failed(checks: Iterable[Check]) -> tuple[Check, ...]:

@@ -12,6 +12,9 @@ CHANGES = {
     8: "a check shot leaves out beads that the view knows, its tip's error grows with light that is not explained; "
     "rims of a nail's hole are compared with light blurred in the image plane",
     9: "how far a point may be wrong along its line of sight counts the checks of borders and of the tip-apex distance",
+    10: "with a block the directions of the views, and the side, are checked by the anatomy; "
+    "errors that a wire found in the planning images shares with the planned ones cancel in their relations",
+    11: "the second look knows size, shape and blur of a shadow from its plate; beads found predict those further out",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

@@ -1,7 +1,7 @@
 """From clicks in images to the holes of a nail and their plans: outlines along strokes, then both rims about a click in
 each image."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -106,6 +106,12 @@ def find_hole(found: FoundNail, clicks_px: ArrayLike) -> Hole:
     return fit_hole(found.views, _seen(found, near), found.nail, near)  # rims expected where they are
 
 
+@one_blas_thread
+def hole_edges(found: FoundNail, hole: Hole) -> list[HoleSeen]:
+    """Return the edges of the nail and of both rims that each of the two images shows where `hole` has them."""
+    return _seen(found, hole.pose)
+
+
 def find_holes(found: FoundNail, distal_px: ArrayLike, proximal_px: ArrayLike, side: str) -> dict[str, Hole]:
     """Return both distal holes of a nail, "distal" and "proximal", each near a click in each view, (2, 2).
 
@@ -181,16 +187,38 @@ def plan_holes(
             f"{document.key} has no hole {unknown[0]!r} that was clicked; click in both images one or more of "
             f"{', '.join(wire.key for wire in document.wires)}"
         )
-    if side is None and len(keys) > 1:
-        raise UnusableInputError("the side tells which hole is the distal one; give the side of the patient")
+    _refuse_without_side(keys, side)
     found = find_nail(views[:2], images[:2], drawn.strokes_px, drawn.nail)
     holes = {key: find_hole(found, drawn.clicks_px[key]) for key in keys}
-    for distal, proximal in pairwise(keys):
-        refuse_confused(holes[distal], holes[proximal], drawn.nail, side or "")
+    return plan_found_holes(views, holes, procedure=document, drilled=drawn.drilled, side=side, **shared)
+
+
+def plan_found_holes(
+    views: Sequence[CalibratedView],
+    holes: Mapping[str, Hole],
+    *,
+    procedure: ProcedureDocument,
+    drilled: Sequence[str] = (),
+    side: str | None = None,
+    **shared: Any,
+) -> WirePlans:
+    """Return the plans of holes of one nail that `find_hole` found, by the procedure's wires in their order, and their
+    relations.
+
+    `drilled`: as of `NailDrawn`; the others as of `plan_holes`, which also names what is raised.
+    """
+    _refuse_without_side(holes, side)
+    for (_, distal), (_, proximal) in pairwise(holes.items()):
+        refuse_confused(distal, proximal, distal.nail, side or "")
     picks = {key: WirePicks.of_hole(hole, views) for key, hole in holes.items()}
-    axes = {key: hole.axis for key in drawn.drilled if (hole := picks[key].hole) is not None}
+    axes = {key: hole.axis for key in drilled if (hole := picks[key].hole) is not None}
     wanted = {key: one for key, one in picks.items() if key not in axes}
-    return plan_wires(views, wanted, procedure=document, placed=axes, side=side, **shared)
+    return plan_wires(views, wanted, procedure=procedure, placed=axes, side=side, **shared)
+
+
+def _refuse_without_side(holes: Collection[str], side: str | None) -> None:
+    if side is None and len(holes) > 1:
+        raise UnusableInputError("the side tells which hole is the distal one; give the side of the patient")
 
 
 def _px_per_mm(camera: LocalCamera, at_mm: np.ndarray) -> float:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,12 +15,12 @@ from sightline.detection.wire import WireShadow, find_wire
 from sightline.errors import DetectionRefusedError, LabellingRefusedError, OutsideRegionError, WireRefusedError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph, as_radiograph, image_checks
-from sightline.planning import Axis, Plan, reconstruct
+from sightline.planning import Plan, reconstruct
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_shot import Landmarks
 from sightline.planning.check_shot import check_shot as adjusted
 from sightline.planning.expected_wire import BEFORE_MM, GUIDED_MM, ExpectedWire, expected_wire, nail_px
-from sightline.planning.placed_wires import placed_wires
+from sightline.planning.placed_wires import PlacedWire, placed_wires
 from sightline.threads import one_blas_thread
 
 # A line within this of a placed wire must be another that was clicked: parallel screws are up to 25 mm apart [ours].
@@ -110,17 +111,22 @@ def find_planned_wire(  # noqa: PLR0917
     A drill through the hole of a nail is searched for outside the nail, farther out, where its sleeve keeps it
     straight. `others_mm`: as of `check_shot`. Raises what `expected_wire` and `find_wire` raise.
     """
+    search = planned_search(plan, view, others_mm)
+    return find_wire(image, diameter_mm=wire_mm, bead_uv_px=beads.uv_px, bead_radius_px=beads.radius_px, **search)
+
+
+def planned_search(plan: Plan, view: CalibratedView, others_mm: Sequence[np.ndarray] = ()) -> dict[str, Any]:
+    """Return where `find_planned_wire` searches, as arguments of `find_wire`: `expected`, `others`, `covered_px`."""
     before_mm, covered = (BEFORE_MM, ()) if plan.hole is None else (GUIDED_MM, [nail_px(view, plan.hole)])
     expected = expected_wire(view, plan.trajectory.points.xyz_mm, plan.kind.limits.beyond_mm, before_mm)
-    others = expected_wires(others_mm, view)
-    return find_wire(image, expected, wire_mm, beads.uv_px, beads.radius_px, others=others, covered_px=covered)
+    return {"expected": expected, "others": expected_wires(others_mm, view), "covered_px": covered}
 
 
 def find_placed_wires(
     seen: Sequence[tuple[Radiograph, Detections, CalibratedView]],
     clicked_uv_px: Mapping[str, np.ndarray],
     wire_mm: Mapping[str, float],
-) -> dict[str, Axis]:
+) -> dict[str, PlacedWire]:
     """Return wires that are in the bone already, from entry to tip, by key; each is found in two planning images.
 
     `seen`: image, beads and view of the plan, of which the first two count. `clicked_uv_px`: entry and tip (2, 2) of

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
+from sightline.app import texts
 from sightline.app.drawing.space.document import (
     bone_objects,
     drilled_objects,
@@ -70,7 +71,7 @@ def show(space: SpaceView, groups: dict[str, Any]) -> None:
 
 def page(site: ServedApp) -> None:
     with ui.element("div").style("position: absolute; inset: 0 0 60px 0"):
-        space = SpaceView(label="The set-up in space", groups=GROUPS)
+        space = SpaceView(label="The set-up in space", groups=GROUPS, texts=texts.SPACE_TEXTS)
     space.orient("right")
     show(space, FIRST)
     with ui.element("div").style("position: absolute; bottom: 0"):

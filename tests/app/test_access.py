@@ -43,7 +43,7 @@ def test_words_are_read_on_every_step(hands: Hands) -> None:
         hands.step(step)
         hands.page.mouse.move(640, 795)
         expect(hands.page.get_by_role("tooltip")).to_have_count(0)
-        if step == "Plan":
+        if step == "plan":
             hands.press("space-toggle")
             hands.page.wait_for_function("window.sightlineSpace?.renders > 0")
         words = written(hands.page)
@@ -54,7 +54,7 @@ def test_words_are_read_on_every_step(hands: Hands) -> None:
     expect(hands.page.get_by_role("option")).to_have_count(len(shipped()))
     assert not unread(written(hands.page))
     hands.page.keyboard.press("Escape")
-    hands.see("step-Verify").hover()
+    hands.see("step-verify").hover()
     expect(hands.page.get_by_role("tooltip")).to_be_visible()
     assert not unread(written(hands.page))
 

@@ -16,7 +16,7 @@ from sightline.app.session.seen import entry_of
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
 from sightline.app.tab.placing import Placing
-from sightline.app.texts import STEPS
+from sightline.app.tab.step import ProcedureStep
 from sightline.case.journal import Actor, Case
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.stages import keep_frame, record_acquired, record_changed, record_planned
@@ -68,7 +68,7 @@ def test_two_images_of_a_block_are_planned_on_and_a_third_shows_a_movement(
         assert await planning.take((folder / "oblique.dcm").read_bytes(), ".dcm", image=OBLIQUE) == OBLIQUE
         assert planning.names == (*NAMES, OBLIQUE)
         assert movement(session).figure is None  # a new image has no marks: not tested
-        goal = Placing(planning, session.shots).goal(STEPS[2])
+        goal = Placing(planning, session.shots).goal(ProcedureStep.PLAN)
         assert goal is not None and (goal.image, goal.spec.name) == (OBLIQUE, LANDMARKS[0])
         assert planning.planned is not None
         crosses = {one["title"].split(":")[0]: one["points"][0] for one in shapes.expected(planning.planned)}

@@ -3,9 +3,12 @@
 import asyncio
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from sightline.app.session.rehearsing import Patient, images
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
 from sightline.case.journal import Case
@@ -63,3 +66,16 @@ def test_work_that_is_refused_while_other_work_goes_on_is_not_begun(tmp_path: Pa
     assert first == "first"
     assert isinstance(second, UnusableInputError) and "first is not done yet" in str(second)
     assert begun == ["first", "third"]
+
+
+def test_the_images_of_a_rehearsal_are_begun_ahead_until_the_case_has_them(tmp_path: Path) -> None:
+    """Taking them again at each start would cost seconds."""
+    begun: list[Any] = []
+    worker: Any = SimpleNamespace(begin=lambda *what: begun.append(what))
+    planning = Session.open(tmp_path, None, Patient(9), worker).planning
+    planning.begin()
+    assert begun == [(images, Patient(9))]
+    planning.edit(planning.decisions.with_image("pa", 1, same_pixels=False))
+    planning.begin()
+    assert len(begun) == 1
+    planning.case.close()

@@ -13,7 +13,7 @@ from sightline.app.plan.marks import GUIDE, SHOT_NAMES
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
-from sightline.app.texts import BY_SHOT
+from sightline.app.session.zero import ZeroSource
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES
@@ -137,7 +137,7 @@ def test_both_shots_are_measured_and_the_depth_is_sent(worker: WorkerProcess, tm
         now = drilling.now
         assert now is not None and now.depth_mm is not None and abs(shots.found.depth_mm - now.depth_mm) < 2.0
         await shots.send_depth()
-        await _until(lambda: drilling.now is not None and BY_SHOT in drilling.now.zero)
+        await _until(lambda: drilling.now is not None and ZeroSource.SHOT in drilling.now.zero)
         await drilling.drill(State.PAUSED)
         assert session.planning.drilled is not None
         await session.close()

@@ -98,17 +98,17 @@ def test_a_whole_walk_in_firefox(serve: Callable[..., Server], tmp_path: Path) -
         page.until(f"{field} && ({field}.focus(), document.activeElement === {field})")
         page.type("none" + _ENTER)
         _press(page, texts.SERIAL_CONFIRM)
-        for step in texts.STEPS[1:3]:
-            _press(page, texts.CONTINUE_TO.format(step=step))
+        for step in ("calibrate", "plan"):
+            _press(page, texts.CONTINUE_TO.format(step=texts.STEPS[step]))
         _plan(page)
         page.until("document.querySelector('.verdict-word').innerText === 'GO'")
         _drag_and_undo(page)
-        _press(page, texts.CONTINUE_TO.format(step=texts.STEPS[3]))
+        _press(page, texts.CONTINUE_TO.format(step=texts.STEPS["drill"]))
         _press(page, texts.START_ROBOT)
         for order in (texts.SEND, texts.ALIGN, texts.DRILL, texts.DRILL_ON):
             _agree(page, order)
         _see(page, texts.STATES["DONE"])
-        _press(page, texts.CONTINUE_TO.format(step=texts.STEPS[4]))
+        _press(page, texts.CONTINUE_TO.format(step=texts.STEPS["verify"]))
         _press(page, texts.TAKE_CHECK)
         for view in NAMES:
             page.until(f"sightlineXray.{view}.state.layers.get('found')?.shapes.length")

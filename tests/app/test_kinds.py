@@ -30,7 +30,7 @@ def server(serve: Callable[..., Server], tmp_path_factory: pytest.TempPathFactor
 def hands(server: Server, open_page: Callable[..., Page]) -> Hands:
     person = Hands(open_page(server.url))
     person.wait_for_step("Calibrate", "done")
-    if "done" not in person.see("step-Images").inner_text():
+    if "done" not in person.see("step-images").inner_text():
         person.confirm(SIDE)
     person.step("Plan")
     return person
@@ -69,6 +69,7 @@ def test_a_pair_of_holes_is_planned_beside_a_hip_screw(hands: Hands, shoot) -> N
         for view in NAMES:
             assert np.hypot(*np.subtract(hands.placed(name, view), where[view])) < 2 * SEEN_PX, (name, view)
     expect(hands.see("verdict")).to_contain_text("INCOMPLETE")
+    expect(hands.see("wire-distal")).to_contain_text("GO")  # then the buttons of the wires are not built again
     hands.press("wire-proximal")
     for view in NAMES:
         for name in ("entry", "end"):

@@ -54,7 +54,7 @@ def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[
     decisions = SimpleNamespace(
         images={"pa": 1, "lateral": 2}, side="right", serial="1", kind="hip-screw", mirrored={}, document=dict
     )
-    decisions.ends = lambda kind: {}
+    decisions.ends, decisions.of_nail = lambda kind: {}, False
     known: Any = SimpleNamespace(plan=SimpleNamespace(trajectory=stub, kind=kind("hip-screw")), decisions=decisions)
     case: Any = SimpleNamespace(number="C", last=1, record=record)
     planning: Any = _Planning(case, known)

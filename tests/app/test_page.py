@@ -214,8 +214,8 @@ def test_a_drag_moves_curve_wire_and_figures_and_is_undone(hands: Hands) -> None
 
 def _planned(hands: Hands) -> None:
     """The plan of the first test, or one like it."""
-    if hands.see("step-Plan").inner_text().find("done") < 0:
-        if "done" not in hands.see("step-Images").inner_text():
+    if hands.see("step-plan").inner_text().find("done") < 0:
+        if "done" not in hands.see("step-images").inner_text():
             hands.confirm()
         hands.plan()
     hands.step("Plan")
@@ -301,7 +301,7 @@ def test_undo_steps_the_guide_back_and_a_click_in_the_black_corner_places_nothin
 
 def test_a_reload_stays_on_its_step_and_back_goes_one_step_back(hands: Hands) -> None:
     first = next(name for name in STEPS if hands.see(f"step-{name}").get_attribute("aria-current") == "step")
-    second, third = [name for name in STEPS[:4] if name != first][:2]
+    second, third = [name for name in list(STEPS)[:4] if name != first][:2]
 
     def here(step: str) -> None:
         expect(hands.see(f"step-{step}")).to_have_attribute("aria-current", "step")
@@ -351,7 +351,7 @@ def test_an_enlarged_image_lies_over_all_but_the_bar(hands: Hands, shoot) -> Non
                 "pa", "core.root.contains(document.elementFromPoint(...value))", [at[0] * width, at[1] * height]
             )
         shoot(hands.page, f"enlarged-{width}")
-        hands.press("step-Plan")  # the top row is in reach, and verdict and STOP are seen
+        hands.press("step-plan")  # the top row is in reach, and verdict and STOP are seen
         assert hands.page.evaluate(
             "['verdict', 'stop'].every((id) => { const one = document.querySelector(`[data-testid=${id}]`),"
             " { x, y, width, height } = one.getBoundingClientRect();"
@@ -412,7 +412,7 @@ def test_what_a_person_does_wrong_ends_in_a_sentence(
     hands.place("end", "pa", truth()["end"]["pa"])
     hands.until("lateral", "core.state.placing === value", "end")
     hands.click("lateral", (u + 150.0, v + 150.0))  # far from the curve: the point slides on it
-    hands.until("lateral", "core.state.points.get('end').uv && !core.moved.size")
+    hands.until("lateral", "core.state.points.get('end').uv && !core.edits.moved.size")
     expect(hands.see("row-end")).to_contain_text("● lat")
     assert np.hypot(*np.subtract(hands.placed("end", "lateral"), (u + 150.0, v + 150.0))) > 25.0
     expect(hands.see("message")).to_have_count(0)

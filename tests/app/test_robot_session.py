@@ -11,7 +11,7 @@ from tests.robot.test_depth import Bone
 
 from sightline.app.panels.drill import depth_words
 from sightline.app.session.robot_session import RobotNow, RobotSession
-from sightline.app.texts import BY_CONTACT, BY_PLAN, BY_SHOT
+from sightline.app.session.zero import ZeroSource
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.rehearsal.operation import SimulatedTheatre
@@ -91,7 +91,7 @@ def paused() -> Iterator[RobotSession]:
     with RobotServer(controller, plant, port=0, advance=plant.advance, virtual=True) as server:
         session = RobotSession(ROBOT, server.port, lambda: None, heartbeat=False)
         asyncio.run(session._do("aiming", ready))
-        assert session.now.zero == (BY_PLAN,)
+        assert session.now.zero == (ZeroSource.PLAN,)
         asyncio.run(session.align())
         _until(session, lambda now: now.state == "ALIGNED")
         asyncio.run(session.drill(State.ALIGNED))
@@ -116,7 +116,7 @@ def _until(session: RobotSession, there) -> None:
         (RobotNow(), "–"),
         (RobotNow(depth_mm=3.04), "3.0 mm ± ? (zero: plan)"),
         (
-            RobotNow(depth_mm=80.0, depth_sd_mm=0.1, zero=(BY_PLAN, BY_CONTACT, BY_SHOT)),
+            RobotNow(depth_mm=80.0, depth_sd_mm=0.1, zero=(ZeroSource.PLAN, ZeroSource.CONTACT, ZeroSource.SHOT)),
             "80.0 mm ± 0.2 mm (zero: plan, contact and second shot)",
         ),
     ],
@@ -128,16 +128,16 @@ def test_a_depth_without_an_error_says_so(now: RobotNow, words: str) -> None:
 def test_a_second_shot_is_told_with_its_error_and_counts_once(paused: RobotSession) -> None:
     before = paused.now.depth_mm
     assert before is not None
-    assert paused.now.zero == (BY_PLAN, BY_CONTACT)
+    assert paused.now.zero == (ZeroSource.PLAN, ZeroSource.CONTACT)
     assert paused.now.depth_sd_mm == pytest.approx(AT_CONTACT_MM)
     words = f"± {TWO_SIDED_95 * AT_CONTACT_MM:.1f} mm (zero: plan and contact)"
     assert depth_words(paused.now) == f"{before:.1f} mm {words}"
     shot, error = before + 0.7, 0.5
     asyncio.run(paused.send_shot_depth(shot, error))
-    _until(paused, lambda now: BY_SHOT in now.zero)
+    _until(paused, lambda now: ZeroSource.SHOT in now.zero)
     now, sd = paused.now, error / TWO_SIDED_95
     weight = AT_CONTACT_MM**2 / (AT_CONTACT_MM**2 + sd**2)
-    assert now.zero == (BY_PLAN, BY_CONTACT, BY_SHOT)
+    assert now.zero == (ZeroSource.PLAN, ZeroSource.CONTACT, ZeroSource.SHOT)
     assert now.depth_sd_mm == pytest.approx(AT_CONTACT_MM * np.sqrt(1 - weight))
     _until(paused, lambda now: now.depth_mm == pytest.approx(before + weight * 0.7, abs=0.02))
     with pytest.raises(RobotRefusedError, match="already sent"):

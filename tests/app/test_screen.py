@@ -34,8 +34,8 @@ def test_every_step_fits_every_screen(hands: Hands, size: tuple[int, int], shoot
     for step in STEPS:
         hands.step(step)
         _rest(page)
-        assert not wrong(page, scrolls=step != "Plan"), step
-        shoot(page, f"{step.lower()}-{size[0]}")
+        assert not wrong(page, scrolls=step != "plan"), step
+        shoot(page, f"{step}-{size[0]}")
     pa, lateral = (hands.core(name, "core.root.getBoundingClientRect().toJSON()") for name in ("pa", "lateral"))
     if size[0] < size[1]:
         assert pa["bottom"] <= lateral["top"] and pa["left"] == lateral["left"]  # stacked

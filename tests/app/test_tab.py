@@ -27,8 +27,8 @@ from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
+from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
-from sightline.app.texts import STEPS
 from sightline.case.views import NAMES
 from sightline.case.watch.analyser import STALE_S
 from sightline.errors import UnusableInputError
@@ -123,7 +123,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
     with loop.run_until_complete(build()):
         for number, name in enumerate(NAMES, 101):
             made.add_image(name, number)
-        made.tab.go_to(STEPS[2])
+        made.tab.go_to(ProcedureStep.PLAN)
         yield made
     session.planning.case.close()
     worker.close()
@@ -144,7 +144,7 @@ def _check_images(opened: Page) -> None:
 
 def test_a_move_made_on_the_planned_image_is_not_taken_for_the_check_image(opened: Page) -> None:
     _check_images(opened)
-    opened.tab.go_to(STEPS[4])
+    opened.tab.go_to(ProcedureStep.VERIFY)
     before = opened.planning.decisions
     for kind in ("place", "drop", "nudge", "drag"):
         opened.told.clear()
@@ -161,7 +161,7 @@ def test_a_move_made_on_the_planned_image_is_not_taken_for_the_check_image(opene
 
 
 def test_nor_before_the_page_has_drawn_what_the_procedure_has_already(opened: Page) -> None:
-    opened.tab.go_to(STEPS[4])  # still the images of the plan
+    opened.tab.go_to(ProcedureStep.VERIFY)  # still the images of the plan
     _check_images(opened)
     before = opened.planning.decisions
     opened.hear("pa", _move("/image/101", LANDMARK))

@@ -1,4 +1,4 @@
-"""The page's texts are in texts.py: no panel contains a sentence."""
+"""The page's texts are in texts: no panel contains a sentence."""
 
 import ast
 import re

@@ -61,7 +61,7 @@ class View:
     def _said(self) -> dict[str, Any]:
         """What the server has heard, once everything has arrived that the browser has sent so far."""
         if self.answering:
-            self.page.wait_for_function("!sightlineXray.pa.moves.inFlight.size")  # nor anything that waits behind it
+            self.page.wait_for_function("!sightlineXray.pa.edits.moves.inFlight.size")  # nor what waits behind it
         mark = f"mark {next(MARKS)}"
         self.core("core.emit({type: 'error', message: value})", mark)
         for _ in range(PATIENCE_MS // 10):
@@ -630,7 +630,7 @@ def test_a_curve_follows_the_hand_though_the_server_says_nothing(view: View) -> 
     view.forget()
     view.do("refuse")
     view.drag((x + 12.0, y + 31.0), (x + 40.0, y))
-    view.page.wait_for_function("!window.sightlineXray.pa.moved.size")
+    view.page.wait_for_function("!window.sightlineXray.pa.edits.moved.size")
     assert _lateral(view, "core.state.points.get('end').uv") == before
 
 
@@ -971,6 +971,7 @@ def test_good_events_are_taken_as_they_are() -> None:
     assert checked(REMOVE, ON) == XrayEvent("remove", "a")
     assert checked({"type": "select", "id": None}, ON) == XrayEvent("select")
     assert checked(RULED, ON) == XrayEvent("measure", points=((1.0, 2.0), (3.5, 4.0)))
+    assert checked(RULED | {"points": []}, ON) == XrayEvent("measure")  # it was taken away
     assert checked({"type": "ready"}, ON) == XrayEvent("ready")
     assert checked({"type": "error", "message": "a\nb" * 1000}, ON) == XrayEvent("error", message="a b" * 100)
     event = checked(SHOWN, ON)
@@ -1015,7 +1016,7 @@ def test_good_events_are_taken_as_they_are() -> None:
         *(MOVE | {"image": "/other", "type": kind} for kind in ("place", "drag", "nudge")),
         REMOVE | {"image": "/other"},
         SHOWN | {"image": "/other"},
-        *(RULED | {"points": points} for points in (None, [], [[1, 2]], [[1, 2]] * 4, [[1, 2], [1, 99]], [[1, 2], 3])),
+        *(RULED | {"points": points} for points in (None, [[1, 2]], [[1, 2]] * 4, [[1, 2], [1, 99]], [[1, 2], 3])),
         RULED | {"image": "/other"},
         SHOWN | {"rotation": 45},
         SHOWN | {"rotation": True},

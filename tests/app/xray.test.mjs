@@ -13,6 +13,7 @@ register("data:text/javascript," + encodeURIComponent(`
 const root = new URL("../../src/sightline/app/drawing/xray/", import.meta.url);
 const { Crosshair } = await import(new URL("xray_crosshair.js", root));
 const { Display } = await import(new URL("xray_display.js", root));
+const { Edits } = await import(new URL("xray_edits.js", root));
 const { Gestures } = await import(new URL("xray_gestures.js", root));
 const { arrange, Labels } = await import(new URL("xray_labels.js", root));
 const { Ruler } = await import(new URL("xray_ruler.js", root));
@@ -172,33 +173,33 @@ function held() {
     chrome: { showTip() {}, showLine() {}, say: (text) => said.push(["say", text]) },
     display,
     lens: null,
-    moves: { flush() {} },
     state: { points: new Map([["end", point]]), dragging: null, placing: null, selected: null, tool: "pan", image: {}, maximised: false },
     reading: {
       titleAt: () => "",
       pointAt: ([x, y], reach) => (Math.hypot(x - display.toView(point.uv)[0], y - display.toView(point.uv)[1]) <= reach ? point : null),
     },
-    aimed: (uv) => uv,
     point: (id) => core.state.points.get(id) || null,
-    move(type, id, uv) {
-      point.uv = uv;
-      said.push([type, ...uv]);
+    edits: {
+      moves: { flush() {} },
+      aimed: (uv) => uv,
+      move(type, id, uv) {
+        point.uv = uv;
+        said.push([type, ...uv]);
+      },
+      placeAt: (uv) => said.push(["place", ...uv]),
     },
+    settings: { setTool: (tool) => (core.state.tool = tool), movedView() {}, maximise() {} },
     focusPoint() {},
     shownUrl: "/image",
     emit: (event) => said.push([event.type, event.points]),
-    setTool: (tool) => (core.state.tool = tool),
     select() {},
     hover() {},
     release: () => said.push(["release"]),
     canvas: { unit: 1, invalidate() {} },
-    movedView() {},
-    maximise() {},
   };
   core.crosshair = new Crosshair(core);
   core.ruler = new Ruler(core);
   core.reading.describe = ({ uv }) => uv.map((value) => value.toFixed(1)).join(" ");
-  core.placeAt = (uv) => said.push(["place", ...uv]);
   new Gestures(core);
   const key = (name, more = {}) => core.stage.dispatchEvent(Object.assign(new Event("keydown", { cancelable: true }), { key: name, ...more }));
   const send = (type, x, y, more = {}) => {
@@ -265,7 +266,7 @@ test("the keyboard's cross-hair steps on the screen, finely with shift, and Ente
 test("the cross-hair slides on a curve, stays in the field and in view, and gives way to the pointer", () => {
   const { core, key, send } = held();
   core.state.placing = "end";
-  core.aimed = ([u]) => [u, 200];
+  core.edits.aimed = ([u]) => [u, 200];
   key("ArrowRight");
   key("ArrowRight");
   near(core.crosshair.uv, [519.5, 200], 1e-9);
@@ -304,4 +305,77 @@ test("the ruler asks for a length after two clicks, for an angle after three, an
   assert.equal(core.ruler.points.length, 1);
   window.dispatchEvent(Object.assign(new Event("keydown", { cancelable: true }), { key: "Escape" }));
   assert.equal(core.state.tool, "pan");
+});
+
+// A view with one point, as `Edits` needs it. Its curve is the row v = 200.
+function edited(sent) {
+  const nothing = () => {};
+  const display = new Display();
+  display.setImage({ width: 1000, height: 1000, field: null });
+  const said = [];
+  const core = {
+    word: { points: [sent], placing: null },
+    state: { points: new Map(), placing: null, dragging: null, image: {} },
+    following: { moving: new Map(), followers: [], slid: (_, [u]) => [u, 200] },
+    chrome: { showLine: nothing, say: nothing },
+    reading: { describe: nothing },
+    buttons: { show: nothing },
+    canvas: { invalidate: nothing },
+    crosshair: { end: nothing },
+    gestures: { showCursor: nothing },
+    texts: { placing: "{name}", off_field: "", edit_lost: "{name}" },
+    emit: (event) => said.push(event),
+    point: (id) => core.state.points.get(id) ?? null,
+    select: nothing,
+    release: nothing,
+    report: assert.fail,
+    get placed() {
+      return [...core.state.points.values()].filter(({ uv }) => uv);
+    },
+    display,
+    shownUrl: "/image",
+    url: "/image",
+  };
+  core.edits = new Edits(core, nothing);
+  core.edits.merge();
+  return { core, edits: core.edits, said };
+}
+
+const uvOf = ({ state }) => state.points.get("end").uv;
+
+test("a moved point stays until its move is acknowledged, and is then where the server has it", () => {
+  const { core, edits, said } = edited({ id: "end", style: "aid", uv: [10, 20] });
+  edits.move("drop", "end", [30, 40]);
+  core.word = { points: [{ id: "end", style: "aid", uv: [11, 21] }], placing: null };
+  edits.merge();
+  assert.deepEqual([uvOf(core), [...edits.moved.keys()]], [[30, 40], ["end"]]);
+  edits.acknowledge(said[0].seq + 1); // of another action
+  edits.merge();
+  assert.deepEqual(uvOf(core), [30, 40]);
+  edits.acknowledge(said[0].seq);
+  edits.merge();
+  assert.deepEqual([uvOf(core), edits.moved.size], [[11, 21], 0]);
+});
+
+test("a snapped point moves on its curve, and one that is placed goes there only if it slides", () => {
+  const snapped = edited({ id: "end", style: "aid", uv: [10, 200], snapped: true });
+  snapped.edits.move("drag", "end", [30, 40]);
+  assert.deepEqual(uvOf(snapped.core), [30, 200]);
+  snapped.edits.move("place", "end", [30, 40]);
+  assert.deepEqual(uvOf(snapped.core), [30, 40]);
+  const slides = edited({ id: "end", style: "aid", slides: true });
+  slides.core.word.placing = "end";
+  slides.edits.showPlacing();
+  slides.edits.placeAt([50, 60]);
+  assert.deepEqual([uvOf(slides.core), slides.core.state.placing], [[50, 200], null]);
+});
+
+test("nothing is placed off the field or over an image that is being replaced", () => {
+  const { core, edits, said } = edited({ id: "end", style: "aid" });
+  core.word.placing = "end";
+  edits.showPlacing();
+  edits.placeAt([-5, 60]);
+  core.url = "/next";
+  edits.placeAt([50, 60]);
+  assert.deepEqual([uvOf(core), core.state.placing, said], [null, "end", []]);
 });

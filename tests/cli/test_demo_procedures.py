@@ -1,8 +1,12 @@
 """`sightline demo --procedure KEY`: every procedure, the whole way from drawing images to the check shot."""
 
+import json
+
 import numpy as np
 import pytest
 
+from sightline.app.plan.decisions import Decisions
+from sightline.app.plan.holes import nail_drawn
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.cli.demo_procedures import PLACED, frame_for
@@ -40,12 +44,19 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
         assert {key: one["passed"] for key, one in told["all_drilled"].items()} == {"distal": True, "proximal": True}
         tips = np.array([one["tip_mm"] for one in told["all_drilled"].values()])
         assert 20.0 < np.linalg.norm(tips[0] - tips[1]) < 35.0  # not one drill measured twice
+        drilling = json.loads((tmp_path / "demo" / "drilling.json").read_text())
+        off = drilling["physics"][0]  # against the plan
+        assert max(off["entry_mm"], off["tip_mm"]) < 0.5  # a drill of 4 mm in a hole of 5 mm
+        events = [event["name"] for event in drilling["record"]["events"]]
+        assert events[:5] == ["contact", "cortex", "break-through", "cortex", "break-through"]
+        assert events[5:] in ([], ["planned depth"])  # where the far cortex ends less than 3 mm before it
+        assert drilling["record"]["events"][0]["depth_mm"] < -5.0  # before the nail
     of_plan = told["comparison"][0]  # with the picks of a person; the seed is fixed
     for name in ("entry_mm", "end_mm", "direction_deg"):
         assert of_plan["error"][name] < 1.5 * of_plan["stated_95"][name]
     assert told["drilled"]["passed"] is True
     page = (tmp_path / "demo" / "report.html").read_text()
-    assert (PLACED in page.replace("&#39;", "'")) is (procedure in (*BONE_OF, NAILED))
+    assert (PLACED in page.replace("&#39;", "'")) is (procedure in BONE_OF)
     for view in document_of(procedure).views[:2]:
         assert f"{'PA' if view.name == 'pa' else view.name} image" in page
     if procedure in ("iliosacral-screw", "pedicle-screw"):
@@ -53,8 +64,11 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
     with Case.open(tmp_path / "demo" / "case", read_only=True) as case:
         made = list(replay(case))
         plans = [entry.content["asked"].get("nail") for entry in case.entries(Kind.PLANNED)]
+        edit = case.latest(Kind.CHANGED, where={"what": "edit"})
     if procedure == NAILED:  # the second hole again, beside the first one
         assert [one["drilled"] for one in plans] == [[], [], ["distal"]]
+        shown = None if edit is None else nail_drawn(Decisions.of(edit.content["to"]))  # in the app
+        assert shown is not None and shown.strokes_px.tolist() == plans[0]["strokes_px"]
     assert {one.outcome for one in made} == {ReplayOutcome.SAME, ReplayOutcome.RECORDED}
     assert Kind.VERIFIED in {one.entry.kind for one in made if one.outcome is ReplayOutcome.SAME}
 

@@ -13,6 +13,7 @@ from sightline.frame import Frame
 from sightline.geometry.covariance import length_quantile
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.rehearsal.robots import SHOWN_FEED_MM, drawn_robot, shown_wire_mm
+from sightline.robot.kinematics.manipulator import imaging_yaw
 from sightline.robot.kinematics.registration import Registration
 from sightline.studies.scenes import VIEWS, measure
 
@@ -30,7 +31,7 @@ def planned() -> DemoPlan:
 
 def joints(planned: DemoPlan) -> np.ndarray:
     of = planned.rehearsal
-    return drawn_robot(of.robot, of.side, of.generator("robot"), SHOWN_FEED_MM)[1]
+    return drawn_robot(of.robot, imaging_yaw(of.side), of.generator("robot"), SHOWN_FEED_MM)[1]
 
 
 def test_both_registrations_know_the_wire_as_they_state_and_images_better(planned):

@@ -182,7 +182,8 @@ def test_a_hip_screw_is_go_with_all_it_asks_for_and_incomplete_without(run, bead
     assert whole.code == 0, failing(whole)
     assert (whole.document["go"], whole.document["verdict"], whole.document["missing"]) == (True, "go", [])
     assert (whole.document["kind"], whole.document["side"]) == ("hip-screw", "right")
-    assert whole.document["limits"] == {"position_mm": 1.0, "direction_deg": pytest.approx(0.6), "beyond_mm": 0.0}
+    limits = {"position_mm": 1.0, "direction_deg": pytest.approx(0.6), "before_mm": 0.0, "beyond_mm": 0.0}
+    assert whole.document["limits"] == limits
     assert [mark["name"] for mark in whole.document["landmarks"]] == ["lesser-trochanter"]
     for option, check, words in (
         ("--side", "side", "right or the left"),
@@ -211,6 +212,12 @@ def test_an_aid_is_drawn_by_its_clicks(run, beads_csv: Path, wire_px, setup) -> 
     assert ran.code == 0, failing(ran)
     one = run(*plan, "--aid", f"head {rims[0]}")
     assert (one.code, one.document["verdict"]) == (3, "incomplete")
+
+
+def test_a_table_of_beads_has_no_edges_to_fit_a_head_to(run, beads_csv: Path, wire_px, setup) -> None:
+    plan = ["plan", beads_csv, beads_csv, *picks(wire_px)[:4], "--fit-head"]
+    assert "table of beads" in run(*plan, *options(of_a_hip(setup))).err
+    assert "draw it with --aid" in run(*plan).err
 
 
 def test_a_hip_screw_that_is_wrong_in_its_bone_is_no_go(run, beads_csv: Path, wire_px, setup) -> None:

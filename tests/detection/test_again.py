@@ -9,7 +9,7 @@ import pytest
 from bead_images import Bead, radiograph, transmission
 
 from sightline.detection import Observations, detect, label, look_again, refine
-from sightline.detection.again import without_overlaps
+from sightline.detection.covered import without_overlaps
 from sightline.detection.detector import bead_fitter
 from sightline.errors import ObservationsError
 from sightline.frame import Frame, FrameView, Plate
@@ -117,18 +117,20 @@ def lonely(one: Seen, rng: np.random.Generator, most: int) -> list[str]:
     return list(rng.permutation(names)[:most])
 
 
-def test_beads_half_under_metal_come_back_with_their_covariance() -> None:
+@pytest.mark.parametrize(("cover", "found"), [(0.4, 0.9), pytest.param(0.6, 0.6, marks=pytest.mark.slow)])
+def test_beads_half_under_metal_come_back_with_their_covariance(cover: float, found: float) -> None:
+    """By their own rims alone, without the shape of the others, 70 % and none of them do."""
     rng = np.random.default_rng(41)
     before, chi2, hidden = 0, [], 0
     for turn in range(5):
         one = seen(turn)
         names = lonely(one, rng, 14)
-        labelled, again = looked(image(one, rng, beside(one, names, rng, 0.4)))
+        labelled, again = looked(image(one, rng, beside(one, names, rng, cover)))
         hidden += len(names)
         before += sum(name in labelled.ids for name in names)
         chi2 += squares(again, one, [name for name in names if name in again.ids])
     assert before < 0.2 * hidden
-    assert len(chi2) > 0.6 * hidden
+    assert len(chi2) > found * hidden
     # Half of chi-square with two degrees of freedom: mean 1, standard error 0.15; 0.1 for the noise estimate.
     assert 0.6 < np.mean(chi2) < 1.6
 
@@ -175,35 +177,63 @@ def test_a_bead_that_is_absent_is_never_found(cover: float | None) -> None:
     assert absent == 48
 
 
+def overlapping(
+    one: Seen, rng: np.random.Generator, overlap: tuple[float, float]
+) -> tuple[Seen, tuple[str, str]] | None:
+    """Return the balls with the source plate's shifted until one overlaps a random ball of the other plate.
+
+    By a random overlap, in units of the smaller radius; None where a ball would leave the image.
+    """
+    names, radius = np.array(one.ids), one.radius_px
+    of_source = np.array(["-s-" in name for name in one.ids])
+    i, j = rng.choice(np.flatnonzero(~of_source)), rng.choice(np.flatnonzero(of_source))
+    apart = radius[i] + radius[j] - rng.uniform(*overlap) * min(radius[i], radius[j])
+    turn = rng.uniform(0, 2 * np.pi)
+    shift = one.uv_px[i] + apart * np.array([np.cos(turn), np.sin(turn)]) - one.uv_px[j]
+    uv = one.uv_px + shift * of_source[:, None]
+    if np.hypot(*shift) > 60 or uv.min() < 30 or uv.max() > SHAPE[0] - 30:
+        return None
+    return replace(one, uv_px=uv), (str(names[i]), str(names[j]))
+
+
 @pytest.mark.slow
-def test_beads_under_one_another_are_fitted_both() -> None:
-    rng = np.random.default_rng(43)
-    chi2 = []
-    for turn in range(10):
-        one = seen(turn)
-        names = [one.ids[i] for i in np.flatnonzero(one.gaps() < -5.0)]
-        _, again = looked(image(one, rng))
-        chi2 += squares(again, one, [name for name in names if name in again.ids])
-    assert len(chi2) > 25
-    assert 0.6 < np.mean(chi2) < 1.5
+@pytest.mark.parametrize(("overlap", "found"), [((0.4, 0.8), 0.95), ((0.8, 1.2), 0.95), ((1.2, 1.6), 0.75)])
+def test_beads_under_one_another_are_fitted_both(overlap: tuple[float, float], found: float) -> None:
+    """And one of them that is absent is not found: the other's rim, or its shadow, is no evidence of it."""
+    rng = np.random.default_rng([43, int(10 * overlap[0])])
+    chi2, count = [], 0
+    while count < 24:
+        drawn = overlapping(seen(int(rng.integers(8))), rng, overlap)
+        if drawn is None:
+            continue
+        two, pair = drawn
+        count += 2
+        _, again = looked(image(two, rng))
+        chi2 += squares(again, two, [name for name in pair if name in again.ids])
+        absent = pair[count // 2 % 2]
+        _, again = looked(image(two, rng, without=(absent,)))
+        assert absent not in again.ids
+    assert len(chi2) > found * count
+    assert 0.55 < np.mean(chi2) < 1.6
     assert max(chi2) < 8.0  # 1 in 3000
 
 
-def test_a_bead_that_hides_another_is_dropped() -> None:
-    """A ball of the source plate lies within 2-3 px of a ball of the other plate."""
+def test_a_bead_that_hides_another_has_its_own_error_or_is_dropped() -> None:
+    """A ball of the source plate lies within 2-3 px of a ball of the other plate: detection sees one, between them."""
     rng = np.random.default_rng(46)
     one = seen(9)
     pairs = [(x, s) for x in one.ids for s in one.ids if "-x-" in x and "-s-" in s]
     apart = np.array([np.hypot(*(one.at(x) - one.at(s))) for x, s in pairs])
     merged = 0
     for i in np.argsort(apart)[:6]:
-        x, s = pairs[i]
+        pair = x, s = pairs[i]
         of_source = np.array(["-s-" in name for name in one.ids])
         shift = one.at(x) + rng.uniform(1.5, 2.0, 2) - one.at(s)
-        labelled, again = looked(image(replace(one, uv_px=one.uv_px + shift * of_source[:, None]), rng))
+        two = replace(one, uv_px=one.uv_px + shift * of_source[:, None])
+        labelled, again = looked(image(two, rng))
         merged += x in labelled.ids or s in labelled.ids
-        assert x not in again.ids
-        assert s not in again.ids
+        assert all(square < 8.0 for square in squares(again, two, [name for name in pair if name in again.ids]))
+        assert not {tuple(uv) for uv in again.uv_px[[i in pair for i in again.ids]]} & set(map(tuple, labelled.uv_px))
     assert merged > 2
 
 

@@ -4,10 +4,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.lines import meeting_point, nearest_approach
+from sightline.geometry.lines import cross, meeting_point, nearest_approach
 
 FOCAL = np.array([13.7, -8.2, -617.3])
 GRID = np.stack([*np.meshgrid([-66.0, -22, 22, 66], [-66.0, -22, 22, 66], [300.0])], axis=-1).reshape(-1, 3)
+
+
+def test_cross_products_are_those_of_numpy_for_many_vectors_and_for_one():
+    first, second = np.random.default_rng(3).normal(size=(2, 2, 5, 3))
+    np.testing.assert_array_equal(cross(first, second), np.cross(first, second))
+    np.testing.assert_array_equal(cross(first[0, 0], second), np.cross(first[0, 0], second))
 
 
 def test_lines_through_a_point_meet_there():

@@ -1,21 +1,27 @@
 """Placed wires in space: place, covariance by sampling, and wires that are exchanged between the views."""
 
+import json
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from sightline.case.canonical import plain
+from sightline.case.contents import PlanRequest
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError
-from sightline.planning import Axis
+from sightline.planning import Axis, PlacedWire, WireLines, WirePicks, WirePlans, plan_wires
+from sightline.planning.directions import unit
 from sightline.planning.placed_wires import placed_wires
+from sightline.planning.procedures.files import copy_text, document_from_json
+from sightline.planning.relations import spacing_mm
 
-from .bone import END_MM, ENTRY_MM, views
+from .bone import END_MM, ENTRY_MM, curve_once, views
 from .standin import StandInView
 
 WIRE = np.array([ENTRY_MM, END_MM])
 UP = np.array([6.0, -7.0, 2.0])  # to a wire whose tip lies on other epipolar planes
 FRONT = np.array([7.0, -0.465, 5.0])  # to one whose tip both images show at the same height
-ACROSS_PX, TIP_PX = 0.1, 0.5
+ACROSS_PX, TIP_PX, CLICK_PX = 0.1, 0.5, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +45,7 @@ def seen(view: StandInView, wire: np.ndarray, rng: np.random.Generator | None = 
     return Seen(uv, np.full(20, ACROSS_PX**2), tip, TIP_PX**2)
 
 
-def found(*wires: np.ndarray, shown: tuple[StandInView, ...] | None = None, rng=None) -> list[Axis]:
+def found(*wires: np.ndarray, shown: tuple[StandInView, ...] | None = None, rng=None) -> list[PlacedWire]:
     """The wires as found, with entries clicked 2 mm beside them."""
     true = shown or tuple(views())
     both = {f"wire {k}": [seen(view, wire, rng) for view in true] for k, wire in enumerate(wires)}
@@ -58,6 +64,13 @@ def test_wires_lie_where_they_are():
         assert np.linalg.norm(axis.ends_mm[0] - wire[0]) < 3.0  # near the click
 
 
+def erring_views(rng: np.random.Generator):
+    """Return the views with drawn errors, of which the frame's are the same in both."""
+    pa, lateral = (view.draw_errors(rng) for view in views())
+    lateral["frame"] = pa["frame"]
+    return tuple(view.erring(errors) for view, errors in zip(views(), (pa, lateral), strict=True))
+
+
 @pytest.mark.slow
 def test_the_stated_covariance_is_that_of_the_errors():
     """Errors of the views and of the images, drawn; the place along the wire of the chosen entry does not count."""
@@ -65,9 +78,7 @@ def test_the_stated_covariance_is_that_of_the_errors():
     along = (WIRE[1] - WIRE[0]) / np.linalg.norm(WIRE[1] - WIRE[0])
     beside = np.linalg.svd(along[None])[2][1:]
     for _ in range(100):
-        pa, lateral = (view.draw_errors(rng) for view in views())
-        lateral["frame"] = pa["frame"]
-        true = tuple(view.erring(errors) for view, errors in zip(views(), (pa, lateral), strict=True))
+        true = erring_views(rng)
         try:
             (axis,) = found(WIRE, shown=true, rng=rng)
         except ReconstructionRefusedError:  # once in a thousand
@@ -100,3 +111,72 @@ def test_a_tip_that_is_wrong_in_one_image_is_refused():
         placed_wires(views(), {"a": [replace(pa, tip_uv_px=pa.tip_uv_px + 15.0 * way), lateral]}, {"a": ENTRY_MM})
     with pytest.raises(OutsideRegionError):
         placed_wires(views(), {"a": [pa, lateral]}, {"a": ENTRY_MM + 500.0})
+
+
+def related(placed: Axis, wire: np.ndarray, shown: tuple[StandInView, ...], noise: np.ndarray) -> WirePlans:
+    """A wire planned beside a placed one, clicked with noise (2, 2, 2) on views as they are."""
+    uv = np.array([view.project(wire) for view in shown]) + noise
+    given = json.loads(copy_text("cannulated-hip-screws", "mine")) | {"checks": []}
+    return plan_wires(
+        views(),
+        {"anterior": WirePicks(uv[:, 0], uv[:, 1])},
+        procedure=document_from_json(json.dumps(given)),
+        placed={"inferior": placed},
+        side="right",
+        pick_sd_px=CLICK_PX,
+        curve=lambda *_: curve_once(),
+    )
+
+
+def relations(lines: WireLines, wires: np.ndarray) -> tuple[float, float]:
+    """Squared errors of parallelism (of its two components, their mean) and spacing, over their variances."""
+
+    def directions(ends: np.ndarray) -> np.ndarray:
+        return unit(ends[:, 1, 1] - ends[:, 1, 0]) - unit(ends[:, 0, 1] - ends[:, 0, 0])
+
+    def spacing(ends: np.ndarray) -> np.ndarray:
+        return spacing_mm(ends, 0, 1)[:, None]
+
+    out = []
+    for of in (directions, spacing):
+        value, covariance = lines.linear(of)
+        error = value - of(wires[None])[0]
+        out.append(float(error @ np.linalg.pinv(covariance, rcond=1e-6) @ error) / min(len(error), 2))
+    return out[0], out[1]
+
+
+@pytest.mark.slow
+def test_relations_to_a_placed_wire_have_the_errors_that_they_state():
+    """Views, images and clicks drawn: 200 pairs of numbers, whose root mean squares are known to 4 and 5 %."""
+    rng, squares, apart = np.random.default_rng(11), [], []
+    both = np.array([WIRE + UP, WIRE])  # planned, placed
+    for _ in range(200):
+        true = erring_views(rng)
+        try:
+            (axis,) = found(WIRE, shown=true, rng=rng)
+        except ReconstructionRefusedError:  # once in a thousand
+            continue
+        noise = CLICK_PX * rng.standard_normal((2, 2, 2))
+        for kept, wire in ((squares, axis), (apart, Axis(axis.ends_mm, axis.covariance_mm2))):
+            kept.append(relations(related(wire, both[0], true, noise).lines, both))
+    assert len(squares) > 195
+    parallel, spacing = np.sqrt(np.mean(squares, axis=0))
+    assert 0.9 < parallel < 1.15
+    assert 0.9 < spacing < 1.15
+    assert (np.sqrt(np.mean(apart, axis=0)) < 0.85).any(), apart  # taken for independent, the errors are overstated
+
+
+def test_a_placed_wire_shares_the_errors_of_its_images_and_not_those_of_others():
+    (wire,) = found(WIRE)
+    lines = related(wire, WIRE + UP, tuple(views()), np.zeros((2, 2, 2))).lines
+    assert lines.keys == ("anterior", "inferior")
+    assert lines.ends_mm[1] == pytest.approx(wire.ends_mm, abs=1e-9)
+    assert lines.joint_covariance_mm2[6:, 6:] == pytest.approx(wire.covariance_mm2, abs=1e-12)
+    assert np.abs(lines.joint_covariance_mm2[:6, 6:]).max() > 0.1 * wire.covariance_mm2[3, 3]
+    other = Axis(wire.ends_mm, wire.covariance_mm2)
+    elsewhere = related(other, WIRE + UP, tuple(views()), np.zeros((2, 2, 2))).lines
+    assert (elsewhere.joint_covariance_mm2[:6, 6:] == 0.0).all()
+    again = PlanRequest.of(
+        json.loads(json.dumps(plain(PlanRequest([[1, 2]] * 2, [[3, 4]] * 2, 0.5, True, placed={"a": wire}))))
+    )
+    assert all((a == b).all() for a, b in zip(again.placed["a"].picks, wire.picks, strict=True))

@@ -51,7 +51,7 @@ def test_shipped_files_are_complete():
 def test_the_three_earlier_kinds_have_the_limits_that_they_had():
     hip, holes, free = (kind(key) for key in ("hip-screw", "distal-interlocking", "free-wire"))
     assert hip.limits == free.limits == Limits()
-    assert holes.limits == Limits(0.5, atan2(1.0, 11.0), 15.0)  # to the last bit
+    assert holes.limits == Limits(0.5, atan2(1.0, 11.0), 15.0, 30.0)  # to the last bit
     assert hip.proposal == ProposalRule(wire="guide-wire") and free.proposal is None
     assert (hip.wire_mm, holes.wire_mm, free.wire_mm) == (2.5, 4.0, 2.5)
     assert hip.ends_before_joint and not holes.checks and not free.checks
@@ -65,6 +65,9 @@ def test_what_files_may_name_is_what_the_program_evaluates():
     assert {*LOCATED, "others"} == set(Aids.__dataclass_fields__)
 
 
+CAUDAL = {"from": ["head"], "to": ["shaft"], "orbit_deg": 0, "tilt_deg": -90, "sd_deg": 2, "source": "a test"}
+
+
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
@@ -75,6 +78,7 @@ def test_what_files_may_name_is_what_the_program_evaluates():
         (("limits", "position_mm", "limit"), 0, "position_mm must be above zero"),
         (("limits", "beyond_mm", "limit"), float("nan"), "NaN is not a number"),
         (("limits", "beyond_mm", "limit"), 1e4, "less than or equal to 1000"),
+        (("limits", "before_mm"), {"limit": 1.0, "source": "mine"}, "before_mm must be above 2"),
         (("key",), "Mine Own", "key must be lower-case letters"),
         (("wires", 0, "diameter_mm"), -1, "greater than 0"),
         (("checks", 8, "check"), "wire colour", "names the check 'wire colour', which is not known; choose from"),
@@ -93,6 +97,10 @@ def test_what_files_may_name_is_what_the_program_evaluates():
         (("relations",), [{"relation": "parallel", "wires": ["a", "b"], "source": "ours"}], "which takes high"),
         (("catalogue", "lengths_mm"), [60, 50], "lengths_mm must ascend"),
         (("aids",), [], "needs"),
+        (("directions",), [CAUDAL], "two or three, at large angles"),
+        (("directions",), [CAUDAL, {**CAUDAL, "tilt_deg": -70}], "two or three, at large angles"),
+        (("directions",), [CAUDAL, {**CAUDAL, "to": ["knee"]}], "a direction names 'knee'; name 'entry'"),
+        (("directions",), [CAUDAL, {**CAUDAL, "along": "head"}], "runs along 'head'; name a line"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_said(path: tuple[Any, ...], value: Any, words: str):

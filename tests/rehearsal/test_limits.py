@@ -30,7 +30,7 @@ def _file(folder: Path, changed: dict[str, float]) -> Path:
     """A procedure like the free wire with other limits."""
     given = json.loads(copy_text("free-wire", "mine"))
     for name, value in changed.items():
-        given["limits"][name]["limit"] = value
+        given["limits"].setdefault(name, {"source": "mine"})["limit"] = value
     (folder / "mine.json").write_text(json.dumps(given))
     return folder / "mine.json"
 
@@ -103,17 +103,28 @@ def _seen(made: Plan, views: list[StandInView], folder: Path, patch: pytest.Monk
             "check shot's tip": shot["beyond"] - shot["along"],
             "report": document["limits"]["beyond_mm"],
         },
+        "before_mm": {
+            "file": read.limits.before_mm,
+            "robot": target.limits.before_mm,
+            "message": float(said["before_mm"]),
+            "exported message": float(sent["before_mm"]),
+            "report": document["limits"]["before_mm"],
+        },
     }
 
 
-@pytest.mark.parametrize("changed", [{}, {"position_mm": 0.7}, {"direction_deg": 2.9}, {"beyond_mm": 9.0}], ids=str)
+@pytest.mark.parametrize(
+    "changed",
+    [{}, {"position_mm": 0.7}, {"direction_deg": 2.9}, {"beyond_mm": 9.0}, {"before_mm": 8.0}],
+    ids=str,
+)
 def test_each_limit_in_a_file_is_that_of_every_consumer(
     changed: dict[str, float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     views = [stand_in("pa", 0.4, 0.05), stand_in("lateral", -0.2, 0.05)]
     uv = np.array([view.project(POINTS) for view in views])
     made = plan(views, uv[:, 0], uv[:, 1], kind=kind(str(_file(tmp_path, changed))), side="right")
-    wanted = {"position_mm": 1.0, "direction_deg": 0.6, "beyond_mm": 0.0} | changed
+    wanted = {"position_mm": 1.0, "direction_deg": 0.6, "beyond_mm": 0.0, "before_mm": 0.0} | changed
     assert made.kind.limits.direction_rad == radians(wanted["direction_deg"])
     for name, by_consumer in _seen(made, views, tmp_path, monkeypatch).items():
         for consumer, value in by_consumer.items():

@@ -77,7 +77,8 @@ def test_the_sleeve_is_at_the_bone_however_soon_drilling_is_ordered(state, monke
     plant, server = theatre.plant, theatre.server(virtual=True)
     machine = server.dialogue.controller.machine
     feed = plant.read().encoders[FEED] + 40.0
-    monkeypatch.setattr(machine, "insertion", SimpleNamespace(q=np.array([0.0, 0.0, 0.0, 0.0, feed])))
+    insertion = SimpleNamespace(q=np.array([0.0, 0.0, 0.0, 0.0, feed]), limits=Limits())
+    monkeypatch.setattr(machine, "insertion", insertion)
     monkeypatch.setattr(machine, "state", state)
     assert plant.guide_mm != pytest.approx(feed - SLEEVE_MM)
     server._advance(1e-3)

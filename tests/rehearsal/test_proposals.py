@@ -99,7 +99,7 @@ def test_without_a_drawing_it_is_refused_by_its_name(procedure: str, aid: str) -
 
 
 def test_one_of_the_two_borders_at_a_pins_entry_is_enough() -> None:
-    patient = next(one for one in (_patient("slipped-epiphysis-pin", k) for k in range(3, 30)) if len(one.aids_px) == 5)
+    patient = next(one for one in (_patient("slipped-epiphysis-pin", k) for k in range(3, 30)) if len(one.aids_px) == 6)
     ends = []
     for without in ((), ("entry-cortex",), ("entry-cortex-lateral",)):
         ends.append(_proposed(patient, np.random.default_rng(4), PICK_PX, BEAD_PX, *without)[2])

@@ -13,7 +13,7 @@ from sightline.frame import Frame
 from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup, registered
 from sightline.rehearsal.robots import calibrated_robot, drawn_robot
 from sightline.robot.kinematics.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, CONTACT_SHIFT_SD_MM, DepthZero
-from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.kinematics.manipulator import FEED, imaging_yaw
 from sightline.robot.kinematics.target import SKIVING_RAD, RobotTarget, robot_target
 from sightline.twin import shown_hip_scene
 
@@ -36,7 +36,7 @@ def end_error_mm(rng: np.random.Generator) -> tuple[np.ndarray, RobotTarget]:
         return joints, RigidTransform.from_exp_coords(ROBOT.compliance_sd * rng.standard_normal(6))
 
     play = ROBOT.manipulator.backlash
-    true, imaged = drawn_robot(ROBOT, "right", rng)
+    true, imaged = drawn_robot(ROBOT, imaging_yaw("right"), rng)
     target = target_for(rng, imaged, WIRE_MM)
     joints, bent = stood(imaged)
     entry, end = (true.T_mcs_flange(joints) * bent * true.T_flange_cfcs).apply(WIRE_MM)
@@ -75,7 +75,7 @@ def test_ends_lie_within_the_stated_bound_with_the_shift_by_contact():
 def test_a_wire_past_its_end_point_has_no_error_of_depth():
     """Both bounds are the same but for the feed's own play."""
     rng = np.random.default_rng(32)
-    _, imaged = drawn_robot(ROBOT, "right", rng)
+    _, imaged = drawn_robot(ROBOT, imaging_yaw("right"), rng)
     budget = {"planning": PLAN_SD_MM**2 * np.eye(6)}
     ending, passing = (
         robot_target(IDENTITY, WIRE_MM, budget, registered(ROBOT, imaged, 0.0), Limits(beyond_mm=beyond))

@@ -4,19 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.robot.rig import END_MM, ENTRY_MM, SETUP, IdealPlant, Rig
+from tests.robot.rig import END_MM, ENTRY_MM, SETUP, IdealPlant, Rig, code, metadata, wire
 
 from sightline.errors import RobotRefusedError
 from sightline.robot.contract import DEPTH, DEPTH_SD
 from sightline.robot.control.states import State
-from sightline.robot.igtl import MILLIMETRE, NEWTON, Capability, Message, Sensor, Status, String
+from sightline.robot.igtl import MILLIMETRE, NEWTON, Capability, Message, Sensor, Status, String, Transform
 from sightline.robot.kinematics.depth import (
     CONTACT_LEAD_MM,
     CONTACT_SD_MM,
     MAX_ZERO_SHIFT_MM,
     PLAN_SD_MM,
     DepthZero,
-    before_contact,
+    contact_range,
 )
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.link.record import Recorder
@@ -53,8 +53,7 @@ def test_an_error_that_is_none_is_refused(sd):
 
 
 def test_bone_may_be_met_until_its_contact_could_no_longer_be_taken():
-    assert before_contact(MAX_ZERO_SHIFT_MM - CONTACT_LEAD_MM - 0.01)
-    assert not before_contact(MAX_ZERO_SHIFT_MM - CONTACT_LEAD_MM + 0.01)
+    assert contact_range() == (-MAX_ZERO_SHIFT_MM - CONTACT_LEAD_MM, MAX_ZERO_SHIFT_MM - CONTACT_LEAD_MM)
 
 
 class Bone(IdealPlant):
@@ -107,6 +106,97 @@ def test_bone_where_none_is_planned_stops_with_the_reason(bone_mm, why):
     assert rig.run(0.2) == []
     assert rig.speed() < 0.01
     assert rig.plant.q[FEED] - rig.plant.zero_mm < MAX_ZERO_SHIFT_MM
+
+
+BEFORE = {"before_mm": "12"}  # bone begins up to 12 mm before the entry point, a nail's wall, and
+THROUGH = BEFORE | {"beyond_mm": "15"}  # the drill goes past the nail, to the far cortex
+SKIN_N, CORTEX_N, METAL_N = 2.0, 20.0, 90.0
+
+
+class Layers(IdealPlant):
+    """Pushes back with the forces of layers, each from a depth on."""
+
+    def __init__(self, forces: dict[float, float]) -> None:
+        super().__init__()
+        self.forces, self.zero_mm = forces, np.inf
+
+    def read(self):
+        depth = self.q[FEED] - self.zero_mm
+        felt = [force for at, force in self.forces.items() if depth > at]
+        return replace(super().read(), force_n=felt[-1] if felt else 0.0)
+
+
+def through(forces: dict[float, float], said: dict[str, str] = THROUGH) -> Rig:
+    """In DRILL, before layers; the target says that its entry point lies in the bone."""
+    plant = Layers(forces)
+    rig = Rig(moved=plant, setup=replace(SETUP, into_bone=True))
+    rig.reach(State.CALIBRATION)
+    rig.go(("CLB", "TARGETING"))
+    assert code(rig.send("TGT_1", Transform.of(wire()), version=2, metadata=metadata(**said)), "TARGET") == 1
+    rig.go(("MOVE_TO_TARGET", State.ALIGNED))
+    plant.zero_mm = float(rig.controller.machine.insertion.q[FEED])
+    rig.command("DRILL")
+    return rig
+
+
+def test_a_hole_s_drill_waits_before_the_bone_pauses_before_the_nail_and_keeps_its_zero():
+    rig = through({-9.0: CORTEX_N, -4.0: 0.0, 24.0: CORTEX_N, 27.0: 0.0})
+    machine = rig.controller.machine
+    assert machine.snapshot().depth_mm == pytest.approx(-32.0, abs=0.02)  # 20 mm before where bone may begin
+    planned = machine.drilling.zero
+    rig.run_until(State.PAUSED)
+    assert machine.snapshot().depth_mm == pytest.approx(-6.0, abs=0.02)
+    assert machine.drilling.zero == planned  # nobody knew where the bone begins
+    rig.command("DRILL")
+    said = rig.run_until(State.DONE)
+    assert code(said, "DRILL") == 1
+    assert 30.0 < machine.snapshot().depth_mm < 30.5 < LENGTH_MM  # the far cortex is behind the drill and its point
+
+
+def test_bone_before_the_entry_of_a_wire_that_ends_in_bone_leaves_the_pause_near_its_end():
+    rig = through({-9.0: CORTEX_N, -4.0: 2.0}, BEFORE)
+    planned = rig.controller.machine.drilling.zero
+    rig.run_until(State.PAUSED)
+    assert rig.controller.machine.snapshot().depth_mm == pytest.approx(LENGTH_MM - 10.0, abs=0.02)
+    assert rig.controller.machine.drilling.zero == planned
+
+
+@pytest.mark.parametrize(
+    ("forces", "why"),
+    [
+        ({-18.0: SKIN_N}, "met something 17.9 mm before"),  # 6 mm earlier than bone can begin
+        ({-18.0: CORTEX_N}, "met something 18.0 mm before"),
+        ({-8.0: SKIN_N, 0.0: METAL_N}, "no cortex was met up to 2.6 mm before"),
+        ({0.0: METAL_N}, "no bone was met up to 2.6 mm before"),  # the nail at the entry point is no bone
+    ],
+    ids=["soft tissue", "something hard", "no cortex", "nothing before the nail"],
+)
+def test_bone_where_no_hole_s_bone_can_be_stops_before_the_nail(forces, why):
+    rig, said = through(forces), []
+    for _ in range(600):
+        said += rig.run(0.1)
+        if rig.state is State.PAUSED:  # 6 mm before the nail; bone may still be met
+            rig.command("DRILL")
+    assert rig.state is State.STOP
+    assert any(why in message.body.text for message in said if isinstance(message.body, Status))
+    assert rig.plant.q[FEED] - rig.plant.zero_mm < -1.5
+
+
+def test_a_drill_that_touches_the_nail_is_a_fault():
+    rig = through({-9.0: CORTEX_N, -4.0: 0.0, 0.0: METAL_N})
+    rig.run_until(State.PAUSED)
+    rig.command("DRILL")
+    said = rig.run_until(State.EMERGENCY, 20.0)
+    assert any("above its limit" in message.body.text for message in said if isinstance(message.body, Status))
+    assert rig.plant.q[FEED] - rig.plant.zero_mm < 0.5
+
+
+@pytest.mark.parametrize("said", [{"before_mm": "41"}, {"before_mm": "2"}, {"before_mm": "nan"}, {"beyond_mm": "99"}])
+def test_a_target_that_says_what_cannot_be_is_refused(said):
+    rig = Rig(setup=replace(SETUP, into_bone=True))
+    rig.reach(State.CALIBRATION)
+    rig.go(("CLB", "TARGETING"))
+    assert code(rig.send("TGT_1", Transform.of(wire()), version=2, metadata=metadata(**said)), "TARGET") == 10
 
 
 def test_a_hole_begun_anew_begins_with_the_plan_s_zero():

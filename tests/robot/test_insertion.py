@@ -78,7 +78,7 @@ def test_a_registration_in_metres_puts_the_base_within_ten_millimetres():
 def test_the_collision_check_has_the_patient_where_the_hip_lies_in_the_frames_coordinates(monkeypatch):
     """At a block's place beside the hip; a Γ frame's origin is the hip."""
     seen = []
-    monkeypatch.setattr(insertion, "hip_surroundings", lambda pose, *_: seen.append(pose) or Surroundings(()))
+    monkeypatch.setattr(insertion, "hip_surroundings", lambda pose, *_, **__: seen.append(pose) or Surroundings(()))
     known = read(END_MM)
     for hip_mm in ((0.0, 0.0, 0.0), (2.0, -76.8, -22.4)):
         known.refuse_collision(ROBOT.manipulator, known.q, replace(SETUP, hip_mm=hip_mm))

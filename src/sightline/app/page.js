@@ -72,6 +72,8 @@ window.sightlineStep = (before, step) => {
   if (!at) history.replaceState({ sightline: LEAVE }, "");
   history.pushState({ sightline: step }, "", `?step=${encodeURIComponent(step)}`);
 };
+// Another case is open: the page shows it on the step that it has reached.
+window.sightlineOpened = () => location.replace("/");
 window.sightlineLeave = () => history.go(-2);
 window.addEventListener("popstate", ({ state }) => {
   const to = state?.sightline;

@@ -2,32 +2,43 @@
 
 import json
 from importlib.resources import files
-from typing import Any
+from typing import Any, get_args
 
 from markupsafe import Markup
 from nicegui import ui
+from nicegui.language import Language
 
 from sightline.app import texts
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.panels import calibrate, drill, figures, images, lead, plan, top, verdict, verify, wires
 from sightline.app.panels.drawer import Drawer
-from sightline.app.panels.menu import Menu
+from sightline.app.panels.menu import Menu, OpenCase
 from sightline.app.panels.section import HtmlSection, Section, action
 from sightline.app.panels.space import Space
 from sightline.app.panels.steps import steps
 from sightline.app.session.session import Session
 from sightline.app.settings import Settings
+from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.web.serve import ServedApp
 
 _CSS, _SCRIPT = ((files("sightline.app") / name).read_text("utf-8") for name in ("page.css", "page.js"))
-_PANELS: dict[str, Any] = dict(zip(texts.STEPS, (images, calibrate, plan, drill, verify), strict=True))
+_PANELS: dict[ProcedureStep, Any] = dict(zip(ProcedureStep, (images, calibrate, plan, drill, verify), strict=True))
 
 
-def build(site: ServedApp, session: Session, pictures: Pictures, settings: Settings) -> None:
-    """Build the page for one browser tab."""
+def build(site: ServedApp, session: Session, pictures: Pictures, settings: Settings, open_case: OpenCase) -> None:
+    """Build the page for one browser tab, in its language. `open_case`: shows another case on all pages."""
+    client = ui.context.client
+    asked = None if client.request is None else client.request.headers.get("accept-language")
+    with texts.spoken(settings.language or texts.language_of(asked)):
+        if texts.now().tag in get_args(Language):
+            client.page.language = texts.now().tag  # what NiceGUI says by itself
+        _build(site, session, pictures, settings, open_case)
+
+
+def _build(site: ServedApp, session: Session, pictures: Pictures, settings: Settings, open_case: OpenCase) -> None:
     ui.add_css(_CSS)
-    ui.add_head_html(f"<script>{_SCRIPT}</script>")
+    ui.add_head_html(f"<script>document.documentElement.lang = {json.dumps(texts.now().tag)};\n{_SCRIPT}</script>")
     tab = Tab(session, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
     with ui.element("header").classes("top"):
         top.build(tab)
@@ -41,18 +52,18 @@ def build(site: ServedApp, session: Session, pictures: Pictures, settings: Setti
                 boxes = [ui.element("div").classes("view") for _ in range(2)]
                 tab.build_views(*boxes)
                 images.build_side(tab)
-            menu = Menu(tab)
+            menu = Menu(tab, open_case)
             space, drawer = Space(tab), Drawer(tab, menu)
         with ui.element("aside").classes("panel").props(f'aria-label="{texts.PANEL_LABEL}"'):
             _panel(tab, site, boxes, drawer, space)
     ui.keyboard(on_key=lambda event: _key(tab, menu, event), ignore=["input", "select", "textarea"])
     session.jobs.listeners.append(tab.later)
-    ui.context.client.on_delete(lambda: session.jobs.listeners.remove(tab.later))
+    ui.context.client.on_delete(lambda: session.jobs.forget(tab.later))
     leaving = _leave_question()
     ui.on("leave", leaving.open)
     request = ui.context.client.request
     asked = None if request is None else request.query_params.get("step")
-    first = asked if asked in texts.STEPS else _first_open(session)
+    first = ProcedureStep(asked) if asked in list(ProcedureStep) else _first_open(session)
     tab.go_to(first)
     ui.run_javascript(f"sightlineStep(null, {json.dumps(first)})")
     tab.on_step = lambda *steps: ui.run_javascript(f"sightlineStep(...{json.dumps(steps)})") and None
@@ -68,7 +79,7 @@ def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, s
     HtmlSection(
         tab,
         lambda t: (t.step, t.known, t.planning.decisions.kind),
-        lambda t: figures.html(t) if t.step == texts.STEPS[2] else Markup(),
+        lambda t: figures.html(t) if t.step is ProcedureStep.PLAN else Markup(),
         classes="figures",
     )
     with ui.element("div").classes("step-box"):
@@ -81,7 +92,7 @@ def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, s
 
 
 def _planning(tab: Tab) -> bool:
-    return texts.STEPS.index(tab.step) in (2, 3)
+    return tab.step in (ProcedureStep.PLAN, ProcedureStep.DRILL)
 
 
 def _leave_question() -> ui.dialog:
@@ -96,9 +107,9 @@ def _leave_question() -> ui.dialog:
     return dialog
 
 
-def _first_open(session: Session) -> str:
+def _first_open(session: Session) -> ProcedureStep:
     """Return the step to begin with: the first that is not done."""
-    return next((step.name for step in steps(session) if step.status != "done"), texts.STEPS[-1])
+    return next((one.step for one in steps(session) if one.status != "done"), ProcedureStep.VERIFY)
 
 
 async def _key(tab: Tab, menu: Menu, event) -> None:

@@ -3,46 +3,69 @@
 import asyncio
 import sys
 from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from sightline.app.drawing.pictures import Pictures
-from sightline.app.page import build
+from sightline.app import texts
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
 from sightline.app.settings import Settings
-from sightline.app.web.serve import ServedApp, serve
+
+if TYPE_CHECKING:
+    from sightline.app.web.serve import ServedApp
 
 # Thread switch interval, so that computing threads do not delay the page's thread. At Python's default of 5 ms a curve
 # waits for the plan behind it: figures follow a drag 11 ms later [measured].
 _SWITCH_S = 0.0005
 
 
-def run(settings: Settings, on_ready: Callable[[ServedApp], None]) -> None:
-    """Serve until Ctrl-C. Raises CaseError, FrameError, UnusableInputError."""
+def run(settings: Settings, worker: WorkerProcess, on_ready: Callable[["ServedApp"], None]) -> None:
+    """Serve until Ctrl-C, and end the worker. Raises CaseError, FrameError, UnusableInputError."""
     sys.setswitchinterval(_SWITCH_S)
-    worker = WorkerProcess()
-    session = Session.open(settings.folder, settings.frame, settings.patient, worker)
-    pictures: list[Pictures] = []
-    started: list[asyncio.Task[None]] = []
+    with closing(worker):
+        session = Session.open(settings.folder, settings.frame, settings.patient, worker)
+        session.planning.begin()
 
-    def page(site: ServedApp) -> None:
-        build(site, session, pictures[0], settings)
+        # The worker takes the images meanwhile: NiceGUI takes a second to import.
+        from nicegui import Client
 
-    def ready(site: ServedApp) -> None:
-        pictures.append(Pictures(site.images))
-        loop = asyncio.get_running_loop()
-        started.append(loop.create_task(session.planning.start()))  # while the browser still loads
-        on_ready(site)
+        from sightline.app.drawing.pictures import Pictures
+        from sightline.app.page import build
+        from sightline.app.web.serve import serve
 
-    try:
-        serve(
-            page,
-            host=settings.host,
-            port=settings.port,
-            token=settings.token,
-            open_browser=settings.open_browser,
-            on_ready=ready,
-        )
-    finally:
-        asyncio.run(session.close())
-        worker.close()
-        session.planning.case.close()
+        shown: list[Pictures] = []  # of the open case
+
+        def page(site: "ServedApp") -> None:
+            async def open_case(folder: Path) -> None:
+                nonlocal session
+                before = session
+                session = before.succeeded_by(folder)
+                shown.pop().forget()
+                start(site)
+                for client in list(Client.instances.values()):
+                    client.run_javascript("sightlineOpened()")
+                await before.close()
+
+            build(site, session, shown[0], settings, open_case)
+
+        def start(site: "ServedApp") -> None:
+            shown.append(Pictures(site.images))
+            session.jobs.start(session.planning.start())  # while the browser still loads
+
+        def ready(site: "ServedApp") -> None:
+            start(site)
+            on_ready(site)
+
+        try:
+            with texts.spoken(settings.language or texts.ENGLISH):
+                serve(
+                    page,
+                    host=settings.host,
+                    port=settings.port,
+                    token=settings.token,
+                    open_browser=settings.open_browser,
+                    on_ready=ready,
+                )
+        finally:
+            asyncio.run(session.close())

@@ -1,6 +1,7 @@
 """The inverse of a smooth plane map, by Newton's method."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -62,8 +63,7 @@ class Inverse:
 
     def find(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the pixels (M, 2) of the points (N, 2) that have one near the controls, and which do, (N,) bool."""
-        low_mm, high_mm = self.controls_mm.min(axis=0), self.controls_mm.max(axis=0)
-        low, high = self.controls_px.min(axis=0), self.controls_px.max(axis=0)
+        (low_mm, high_mm), (low, high) = self._boxes
         size = float((high - low).max())
         # Twice the limit for pixels: no usable map stretches by more than that outside its controls.
         at = np.flatnonzero(_within(xy_mm, low_mm, high_mm, 2 * MAX_OUTSIDE * float((high_mm - low_mm).max())))
@@ -85,10 +85,15 @@ class Inverse:
         found &= _within(uv, low, high, MAX_OUTSIDE * size)
         return uv[found], found
 
+    @cached_property
+    def _boxes(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Lowest and highest coordinates (2,) of the controls, mm, and those of their pixels."""
+        return [(one.min(axis=0), one.max(axis=0)) for one in (self.controls_mm, self.controls_px)]
+
 
 def _within(points: np.ndarray, low: np.ndarray, high: np.ndarray, margin: float) -> np.ndarray:
     """Return (N,) bool: whether points (N, 2) lie in a box widened by `margin`."""
-    return np.all((points >= low - margin) & (points <= high + margin), axis=1)
+    return np.asarray(((points >= low - margin) & (points <= high + margin)).all(axis=1))
 
 
 def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -159,8 +159,8 @@ class _Start:
     """A cubic and F fitted by ordinary least squares.
 
     `unit`: pixels to normalised pixels; `radius_mm`: length of the normalised unit on the plane; `at` (N, 2): the
-    beads' normalised pixels; `basis` (N, 10): monomials there; `pencil`: F; `slopes` (N, 2, 2): derivative of the cubic
-    by the pixel, mm/px; `fixed` (23, 2N): orthonormal rows that span the design matrix's columns.
+    beads' normalised pixels; `basis` (N, 10): monomials there; `pencil`: F; `cubic` (10, 2): coefficients of `basis`;
+    `design` (2N, 23): the design matrix, and `r` (23, 23) the lower factor of its normal equations.
     """
 
     unit: Affine
@@ -168,8 +168,9 @@ class _Start:
     at: np.ndarray
     basis: np.ndarray
     pencil: Pencil
-    slopes: np.ndarray
-    fixed: np.ndarray
+    cubic: np.ndarray
+    design: np.ndarray
+    r: np.ndarray
 
     @staticmethod
     def of(beads: Beads, pencil: Pencil) -> "_Start":
@@ -182,9 +183,15 @@ class _Start:
         theta, r = least_squares(design, y.reshape(-1))
         moved = Pencil(beads.plane, pencil.pq + theta[-3:])
         refuse_misplaced(moved, beads.xyz_mm)
-        cubic = theta[:-3].reshape(_CUBIC, 2)
-        slopes = np.einsum("nkd,kc->ncd", monomial_gradients(at, DEGREE), cubic) @ unit.matrix
-        return _Start(unit, radius, at, basis, moved, slopes, solve_lower(r, design.T))
+        return _Start(unit, radius, at, basis, moved, theta[:-3].reshape(_CUBIC, 2), design, r)
+
+    def slopes(self) -> np.ndarray:
+        """Return the derivative (N, 2, 2) of the cubic by the pixel, mm/px."""
+        return np.einsum("nkd,kc->ncd", monomial_gradients(self.at, DEGREE), self.cubic) @ self.unit.matrix
+
+    def fixed(self) -> np.ndarray:
+        """Return orthonormal rows (23, 2N) that span the design matrix's columns."""
+        return solve_lower(self.r, self.design.T)
 
 
 def _first_pencil(beads: Beads) -> Pencil:
@@ -208,8 +215,9 @@ def _first_pencil(beads: Beads) -> Pencil:
 def _prior_data(beads: Beads, start: _Start) -> PriorData:
     """Return the data from which kernel and noise scale are learned, with isotropic noise for each bead."""
     y, by_pq = start.pencil.linearised(beads.xyz_mm)
-    own = np.einsum("iab,ibc,iac->i", start.slopes, _noise_px2(beads), start.slopes) / 2
-    frame_mm2 = _frame_variance(beads, start.pencil.by_point(beads.xyz_mm), start.fixed)
+    slopes = start.slopes()
+    own = np.einsum("iab,ibc,iac->i", slopes, _noise_px2(beads), slopes) / 2
+    frame_mm2 = _frame_variance(beads, start.pencil.by_point(beads.xyz_mm), start.fixed())
     common = np.column_stack([start.basis, by_pq[:, 0, 0]])
     return PriorData(start.at, common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
 

@@ -52,7 +52,9 @@ class Kernel:
     def __call__(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Return (N, M), mm², for unit coordinates (N, 2) and (M, 2)."""
         d2 = squared_distances(a, b)
-        out = self.quintic_mm2 * (monomials(a, QUINTIC) @ _quintics()) @ (monomials(b, QUINTIC) @ _quintics()).T
+        of_a = monomials(a, QUINTIC) @ _quintics()
+        of_b = of_a if b is a else monomials(b, QUINTIC) @ _quintics()
+        out = self.quintic_mm2 * of_a @ of_b.T
         for variance, length in zip(self.variances_mm2, self.lengths, strict=True):
             out += variance * squared_exponential(d2, length)
         return out

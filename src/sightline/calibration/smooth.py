@@ -37,6 +37,8 @@ class SmoothMap:
 
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
         """Return the plane coordinates (N, 2), mm, of pixels (N, 2): the posterior mean."""
+        if uv_px is self.controls_px:
+            return self._at_controls[0]
         return np.concatenate([self._terms(at)[:, :2] for at in self._blocks(uv_px)])
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
@@ -45,6 +47,16 @@ class SmoothMap:
 
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `to_plane` and `jacobian`."""
+        return self._at_controls if uv_px is self.controls_px else self._linearised(uv_px)
+
+    @cached_property
+    def _at_controls(self) -> tuple[np.ndarray, np.ndarray]:
+        """`linearised` at the controls, read-only: residuals, checks and the inverse map ask for it."""
+        xy, jacobian = self._linearised(self.controls_px)
+        xy.flags.writeable = jacobian.flags.writeable = False
+        return xy, jacobian
+
+    def _linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         blocks = self._blocks(uv_px)
         terms, at = np.concatenate([self._terms(at) for at in blocks]), np.concatenate(blocks)
         by_unit = terms[:, 2:6].reshape(-1, 2, 2) - terms[:, 6:, None] * at[:, None, :]

@@ -115,19 +115,17 @@ class LinesOfSight:
         together = self.adjustment == other.adjustment
         return [source for source in self.shared if source in other.shared and (together or source == "frame")]
 
-    def only(self, rows: slice) -> "LinesOfSight":
-        """Return the lines in `rows` with their part of the covariance."""
-        numbers = np.arange(3 + 2 * len(self.xy_mm))
-        kept = np.concatenate([numbers[:3], numbers[3:].reshape(-1, 2)[rows].ravel()])
-        each = self.covariance
+    def first(self, count: int) -> "LinesOfSight":
+        """Return the first `count` lines with their part of the covariance."""
+        each, kept = self.covariance, 3 + 2 * count
         return replace(
             self,
-            xy_mm=self.xy_mm[rows],
-            jacobian=self.jacobian[rows],
-            covariance=None if each is None else {source: c[np.ix_(kept, kept)] for source, c in each.items()},
-            shared={source: response[kept] for source, response in self.shared.items()},
-            inside_hull=self.inside_hull[rows],
-            beads_near=None if self.beads_near is None else self.beads_near[rows],
+            xy_mm=self.xy_mm[:count],
+            jacobian=self.jacobian[:count],
+            covariance=None if each is None else {source: c[:kept, :kept] for source, c in each.items()},
+            shared={source: response[:kept] for source, response in self.shared.items()},
+            inside_hull=self.inside_hull[:count],
+            beads_near=None if self.beads_near is None else self.beads_near[:count],
         )
 
 

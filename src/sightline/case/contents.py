@@ -15,10 +15,11 @@ from sightline.checks import Limits
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, UnusableInputError
 from sightline.imaging import Radiograph
-from sightline.interlocking import NailDrawn, plan_holes
+from sightline.interlocking import NailDrawn, plan_found_holes, plan_holes
 from sightline.planning import (
     Aids,
     Axis,
+    Hole,
     MatchingCurve,
     Plan,
     Procedure,
@@ -30,6 +31,8 @@ from sightline.planning import (
 )
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_start import Beforehand, Landmarks, picked_wire
+from sightline.planning.picks import PickArrays
+from sightline.planning.placed_wires import PlacedWire
 from sightline.planning.procedures.files import kept
 
 if TYPE_CHECKING:
@@ -106,6 +109,20 @@ class PlanRequest:
         kind, shared = self.known_kind, self._shared(len(views), matching_curve)
         return plan_holes(views, shown, self.nail, procedure=kind.document, side=self.side, **shared)
 
+    def plan_holes_on(
+        self,
+        views: Sequence[CalibratedView],
+        holes: Mapping[str, Hole],
+        curve: Callable[..., MatchingCurve] = matching_curve,
+    ) -> WirePlans:
+        """Make the plans of a nail's holes that were found in the images of calibrated views, as `plan_wires` does.
+
+        Raises what `plan_found_holes` raises.
+        """
+        document, drilled = self.known_kind.document, () if self.nail is None else self.nail.drilled
+        shared = self._shared(len(views), curve)
+        return plan_found_holes(views, holes, procedure=document, drilled=drilled, side=self.side, **shared)
+
     def plan_on(self, views: Sequence[CalibratedView], curve: Callable[..., MatchingCurve] = matching_curve) -> Plan:
         """Make the plan on calibrated views, PA first. Raises what `planning.plan` raises."""
         if self.others is not None:
@@ -171,8 +188,11 @@ class PlanRequest:
 
 
 def _placed(document: dict[str, Any]) -> Axis:
-    covariance = document["covariance_mm2"]
-    return Axis(np.array(document["ends_mm"]), None if covariance is None else np.array(covariance))
+    """Return a placed wire; entries of earlier versions do not hold its picks."""
+    ends, stated = np.array(document["ends_mm"]), document["covariance_mm2"]
+    covariance = None if stated is None else np.array(stated)
+    picks = document.get("picks")
+    return Axis(ends, covariance) if picks is None else PlacedWire(ends, covariance, PickArrays(*map(np.array, picks)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,11 +277,12 @@ class DrillShotRequest:
         from sightline.detection.wire import find_wire
         from sightline.pipeline import expected_wires
         from sightline.planning.drill_shot import drill_shot
-        from sightline.planning.expected_wire import BEFORE_MM, GUIDED_MM, expected_wire
+        from sightline.planning.expected_wire import BEFORE_MM, GUIDED_MM, expected_wire, nail_px
 
-        trajectory, wires = made.trajectory, []
+        trajectory, hole, limits, wires = made.trajectory, made.hole, made.kind.limits, []
         known = Beforehand(RigidTransform.from_matrix(self.movement), self.covariance, self.straight)
-        beyond_mm, before_mm = self.tip_mm - trajectory.length_mm, GUIDED_MM if self.straight else BEFORE_MM
+        beyond_mm = self.tip_mm - trajectory.length_mm
+        before_mm = (GUIDED_MM if self.straight or hole is not None else BEFORE_MM) + limits.before_mm
         for one, picked in zip(taken, (None, None) if self.wire_uv_px is None else self.wire_uv_px, strict=True):
             if picked is not None:
                 wires.append(picked_wire(picked, self.check.landmarks.sd_px))
@@ -269,7 +290,9 @@ class DrillShotRequest:
             image, beads = _with_wire(one)
             path = expected_wire(one.view, known.movement.apply(trajectory.points.xyz_mm), beyond_mm, before_mm)
             others = expected_wires([known.movement.apply(line) for line in others_mm], one.view)
-            wires.append(find_wire(image, path, self.check.wire_mm, beads.uv_px, beads.radius_px, others=others))
+            covered = () if hole is None else [nail_px(one.view, hole, known.movement)]
+            at = (beads.uv_px, beads.radius_px)
+            wires.append(find_wire(image, path, self.check.wire_mm, *at, others=others, covered_px=covered))
         before, after = ([image.view for image in pair] for pair in (planned, taken))
         return drill_shot(
             trajectory,
@@ -280,7 +303,8 @@ class DrillShotRequest:
             tip_mm=self.tip_mm,
             known=known,
             landmarks=self.check.landmarks,
-            limits=made.kind.limits,
+            limits=limits,
+            through=hole is not None,
         )
 
 

@@ -40,6 +40,10 @@ def app_command(
     live: Annotated[
         str | None, typer.Option(help="Live image for the step Drill: a source as of `sightline watch`.")
     ] = None,
+    language: Annotated[
+        str | None,
+        typer.Option(help="Of the page: en, de, or a language file.", show_default="the browser's"),
+    ] = None,
     fast_robot: Annotated[
         bool, typer.Option("--fast-robot", help="Run the simulated robot as fast as the machine computes.")
     ] = False,
@@ -55,18 +59,25 @@ def app_command(
 
         if find_spec("nicegui") is None:
             raise UnusableInputError("the app needs NiceGUI: pip install 'sightline[app]'")
+        from sightline.app.session.worker import WorkerProcess, warm_up
+
+        worker = WorkerProcess()
+        worker.begin(warm_up)  # its imports take as long as those below: one core each
+
         from sightline.app.run import run
         from sightline.app.session.rehearsing import Patient
         from sightline.app.settings import Settings
+        from sightline.app.texts import load
 
         folder = Path("out/app") if case is None else case
         seed = DEMO_SEED if case is None and rehearse is None else rehearse
         patient = None if seed is None else Patient(seed, frame or "gamma")
         token = environ.get("SIGHTLINE_TOKEN") or None  # not an option: other users can read command lines
-        settings = Settings(folder, frame, patient, live, host, port, token, browser, fast_robot)
+        spoken = None if language is None else load(language)
+        settings = Settings(folder, frame, patient, live, host, port, token, browser, fast_robot, spoken)
 
         def ready(site: "ServedApp") -> None:
             output.say(f"open {site.url} in a browser; stop with Ctrl-C")
 
-        run(settings, ready)
+        run(settings, worker, ready)
         output.result({"case": folder})

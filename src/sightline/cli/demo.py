@@ -57,7 +57,8 @@ def demo(
     """Simulate, plan and drill one case.
 
     Makes two images with the digital twin, plans a wire on them, drills it with the simulated robot, and compares the
-    result with the truth. The robot is simulated at the hip; at other bones the wire is put where it was planned.
+    result with the truth. The robot is simulated at the hip and beside a nail; at other bones the wire is put where it
+    was planned.
     """
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import whole_folder

@@ -97,6 +97,7 @@ def _record_images(case: "Case", images: "Pair | None", frame_ref: str) -> "list
 def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
     """Return the picks as the app keeps them; side and serial are left for a person to confirm."""
     from sightline.app.plan.decisions import Decisions, Mark
+    from sightline.app.plan.holes import with_nail
     from sightline.app.plan.marks import END, ENTRY
     from sightline.case.views import NAMES
 
@@ -110,7 +111,8 @@ def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
             for name, picks in zip((ENTRY, END), plan.picks, strict=True)
         }
 
-    marks = ends(kept.plan)
+    nail = kept.asked.nail
+    marks = ends(kept.plan) if nail is None else {}
     for k, name in enumerate(kept.asked.landmark_names):
         assert kept.asked.landmarks_uv_px is not None  # noqa: S101 - they have names
         marks[f"landmark-{name}"] = mark(dict(zip(NAMES, kept.asked.landmarks_uv_px[:, k], strict=True)), free=True)
@@ -120,6 +122,8 @@ def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
             marks[f"{key}-{k + 1}"] = mark({name: uv[k] for name, uv in drawn.items()}, free=True)
     images, kind = MappingProxyType(acquired), kept.plan.kind.key
     decisions = Decisions(images=images, kind=kind, marks=MappingProxyType(marks))
+    if nail is not None:
+        return with_nail(decisions, nail).document()
     for plan in () if kept.wires is None else kept.wires.plans.values():
         decisions = decisions.with_ends(plan.kind.key, ends(plan))
     return decisions.document()

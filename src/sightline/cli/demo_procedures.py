@@ -39,10 +39,10 @@ def frame_for(procedure: str, frame: str | None) -> str:
 
 def drawn_patient(procedure: str, seed: int, frame: "Frame") -> "RehearsedPatient":
     """Return the patient of a procedure. Raises SetUpError."""
-    from sightline.rehearsal.patient import AT_HIP, draw_patient
+    from sightline.rehearsal.patient import AT_HIP, NAILED, draw_patient
     from sightline.rehearsal.rehearsal import Rehearsal
 
-    if procedure in AT_HIP:
+    if procedure in AT_HIP or procedure == NAILED:
         return Rehearsal.draw(seed, frame, procedure=procedure)
     return draw_patient(procedure, seed, frame)
 

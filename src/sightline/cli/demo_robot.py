@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Who_co = TypeVar("Who_co", bound="RehearsedPatient", covariant=True)
 BY_ENCODERS, BY_IMAGES = "encoders", "images"
-THROUGH_MM = 12.0  # that a drill passes a nail: to the far cortex [ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,13 +147,11 @@ def place(output: "Output", planned: "DemoPlan[RehearsedPatient]", rng: "np.rand
     """Return a wire put into the twin's bone where it is planned, without a robot."""
     from sightline.case.report.drilled import Drilled
 
-    path, nail = planned.plan.trajectory, planned.asked.nail
-    wire_mm = path.points.xyz_mm if nail is None else path.points.xyz_mm + THROUGH_MM * path.direction * [[0.0], [1.0]]
+    wire_mm = planned.plan.trajectory.points.xyz_mm
     with output.step(f"7/8 the check shot{_of(planned)}: two more images, finding the wire in both"):
         checked = check(planned, planned.rehearsal.shown_again({**planned.before_mm, planned.key: wire_mm}), rng)
-    drilled = Drilled(None, None, checked.found, _physics(planned, path.points.xyz_mm)[1:])
-    again = planned.asked if nail is not None and nail.drilled else None
-    return Inserted(planned.plan, wire_mm, drilled, checked, {}, again)
+    drilled = Drilled(None, None, checked.found, _physics(planned, wire_mm)[1:])
+    return Inserted(planned.plan, wire_mm, drilled, checked, {})
 
 
 def _of(planned: "DemoPlan[RehearsedPatient]") -> str:
@@ -162,22 +159,33 @@ def _of(planned: "DemoPlan[RehearsedPatient]") -> str:
 
 
 def _physics(planned: "DemoPlan[RehearsedPatient]", wire_mm: "np.ndarray") -> "tuple[Deviation, ...]":
-    """Return the true deviations of a wire (2, 3) from the plan and from the ideal wire."""
+    """Return the true deviations of a wire (2, 3) from the plan and from the ideal wire; of a drill that goes past its
+    end point, at the end point."""
     import numpy as np
 
     from sightline.case.report.drilled import Deviation
     from sightline.rehearsal.operation import InsertionOutcome
 
-    ideal_mm = planned.rehearsal.ideal_mm[planned.key]
+    ideal_mm, past = planned.rehearsal.ideal_mm[planned.key], planned.plan.kind.limits.beyond_mm > 0
     lines = (("the plan", planned.plan.trajectory.points.xyz_mm), ("the ideal wire", ideal_mm))
-    found = [(name, InsertionOutcome.of(wire_mm, line)) for name, line in lines]
+    ends = {name: _beside(wire_mm, line) if past else wire_mm for name, line in lines}
+    found = [(name, InsertionOutcome.of(ends[name], line)) for name, line in lines]
     return tuple(Deviation(name, one.entry_mm, one.end_mm, float(np.rad2deg(one.angle_rad))) for name, one in found)
+
+
+def _beside(wire_mm: "np.ndarray", line_mm: "np.ndarray") -> "np.ndarray":
+    """Return the points (2, 3) of a wire's axis that are nearest to entry and end (2, 3)."""
+    import numpy as np
+
+    along = (wire_mm[1] - wire_mm[0]) / np.linalg.norm(wire_mm[1] - wire_mm[0])
+    return wire_mm[0] + ((line_mm - wire_mm[0]) @ along)[:, None] * along
 
 
 def _drill(output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator") -> Inserted:
     from time import monotonic
 
     from sightline.case.report.drilled import Drilled
+    from sightline.checks import failed
     from sightline.cli.demo_shots import confirming
     from sightline.rehearsal.operation import insert
     from sightline.rehearsal.process import RobotProcess
@@ -190,16 +198,18 @@ def _drill(output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Gen
         RobotClient(port=process.port, heartbeat=False) as robot,
     ):
         targets = targets_by(registrations(planned, robot.joints()[0], monotonic(), rng), planned)
-        target = targets[BY_ENCODERS]
+        fit = [target for target in targets.values() if not failed(target.checks)]
+        target = fit[0] if fit else targets[BY_ENCODERS]  # a hole's limit needs the images
         confirm, shots = confirming(output, planned, robot, target, rng)
-        record = insert(robot, target, depth_limit_mm(planned, target.end_error_95_mm, rng), confirm)
+        record = insert(robot, target, depth_limit_mm(planned, target, rng), confirm)
         wire = robot.simulated_wire()
     with output.step(f"7/8 the check shot{_of(planned)}: two more images, finding the wire in both"):
         checked = check(planned, rehearsal.check_images(wire, planned.key, planned.before_mm), rng)
     physics = _physics(planned, wire.axis_mm)
     seen = {state: one.found for state, one in shots.items()}
     drilled = Drilled(target, record, checked.found, physics, targets.get(BY_IMAGES), seen)
-    return Inserted(planned.plan, wire.axis_mm, drilled, checked, shots)
+    again = planned.asked if planned.asked.nail is not None and planned.before_mm else None
+    return Inserted(planned.plan, wire.axis_mm, drilled, checked, shots, again)
 
 
 def registrations(
@@ -256,19 +266,22 @@ def read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
         return calibrate_pair(see_pair(pa, lateral, frame), frame, "smooth")
 
 
-def depth_limit_mm(planned: "DemoPlan[Rehearsal]", end_error_95_mm: float, rng: "np.random.Generator") -> float:
+def depth_limit_mm(planned: "DemoPlan[Rehearsal]", target: "RobotTarget", rng: "np.random.Generator") -> float:
     """Return the depth limit beyond the planned entry, mm: the distance along the wire to the head's surface, picked in
-    both views, less the 95 % error of both."""
+    both views, less the 95 % error of both. A drill through a nail has that of a plan without a surface."""
     import numpy as np
 
     from sightline.geometry.covariance import TWO_SIDED_95
+    from sightline.robot.control.insertion import DEPTH_SLACK_MM
     from sightline.robot.control.motion.supervision import depth_limit
 
+    if planned.asked.nail is not None:
+        return target.depth_mm + DEPTH_SLACK_MM
     surface = _picked(planned, planned.rehearsal.surface_mm(planned.key)[None], rng)
     assert surface.covariance_mm2 is not None  # noqa: S101 - both views state their errors
     entry_mm, along = planned.plan.trajectory.entry_mm, planned.plan.trajectory.direction
     sd_mm = np.sqrt(along @ surface.covariance_mm2[0] @ along)
-    error_mm = np.hypot(TWO_SIDED_95 * sd_mm, end_error_95_mm)
+    error_mm = np.hypot(TWO_SIDED_95 * sd_mm, target.end_error_95_mm)
     return depth_limit(float((surface.xyz_mm[0] - entry_mm) @ along), float(error_mm))
 
 

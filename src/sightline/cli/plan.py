@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from sightline.case.pairs import SeenImages
     from sightline.frame import Frame
     from sightline.interlocking import NailDrawn
-    from sightline.planning import Aids, Axis, Procedure
+    from sightline.planning import Aids, PlacedWire, Procedure
     from sightline.planning.procedures.document import ProcedureDocument
 
 Side = Literal["right", "left"]
@@ -132,6 +132,14 @@ def plan(
             show_default=False,
         ),
     ] = None,
+    fit_head: Annotated[
+        bool,
+        typer.Option(
+            "--fit-head",
+            help="Fit the circles of the femoral head to the edges in the images, at most 12 px away. A circle without "
+            "a clear edge is kept, with the reason.",
+        ),
+    ] = False,
     hole: Annotated[
         list[str] | None,
         typer.Option(
@@ -143,7 +151,8 @@ def plan(
     nail: Annotated[
         str | None,
         typer.Option(
-            help="The nail as its maker states it, mm: 'diameter:11 hole:5 bore:5 spacing:28 titanium', or steel.",
+            help="The nail as its maker states it, mm: 'diameter:11 hole:5 bore:5 spacing:28 titanium', or steel. Or a "
+            "nail's file, or the key of a shipped one: titanium-11 (docs/interlocking.md).",
             show_default=False,
         ),
     ] = None,
@@ -232,7 +241,7 @@ def plan(
             calibrated = [image.view for image in images]
             ends = {name: [pixels(point, calibrated, pick_sd) for point in wire] for name, wire in wires.items()}
             in_bone = _in_bone(() if drawn_nail else placed or (), ends, images, known.document)
-            aids = _aids(known, *drawn, pick_sd)
+            aids, unfitted = _aids(known, *drawn, pick_sd, fitted_to=images if fit_head else None)
             picked, proposed = with_proposals(
                 {name: WirePicks(*at, snapped=snapped) for name, at in ends.items()},
                 unpicked,
@@ -259,7 +268,7 @@ def plan(
                 nail=drawn_nail,
             )
             planned = asked.plan_wires(images) if first else asked.plan(images)
-        document = planned_document(planned, images, known_frame)
+        document = planned_document(planned, images, known_frame) | ({"head_not_fitted": unfitted} if fit_head else {})
         if case is not None:
             opened = opened or stack.enter_context(Case.create(case, exist_ok=True))  # now that there is a plan
             made_on = record_images(opened, taken, images, known_frame, by=Actor.COMMAND)
@@ -282,7 +291,7 @@ def plan(
                     ),
                 )
                 document["files"] = write(out, planned, pages, document)
-        show(output, planned, document, proposed)
+        show(output, planned, document, [*unfitted, *proposed])
         output.result(document, planned.verdict.checks)
 
 
@@ -347,29 +356,40 @@ def _aids(
     circles: tuple[tuple[float, ...], tuple[float, ...]] | None,
     clicked: dict[str, Point],
     sd_px: float,
-) -> "Aids | None":
-    """Return what is drawn, None for nothing. Raises UnusableInputError for an aid that the procedure does not have."""
+    fitted_to: "Images | None",
+) -> "tuple[Aids | None, list[str]]":
+    """Return what is drawn, None for nothing, and a sentence for each circle that could not be fitted to its image.
+
+    Raises UnusableInputError for an aid that the procedure does not have, and where there is nothing to fit.
+    """
     import numpy as np
 
     from sightline.errors import UnusableInputError
+    from sightline.fitted_head import fit_head, refuse_tables
     from sightline.planning import Aids, Circle
 
     types = {one.key: one.type for one in known.aids}
     if unknown := sorted(clicked.keys() - types.keys()):
         raise UnusableInputError(f"{known.key} has no aid {unknown[0]!r}; choose one of {', '.join(types)}")
-    if circles is None and not clicked:
-        return None
+    if circles is None and not clicked and fitted_to is None:
+        return None, []
     uv = {key: [np.reshape(one[v], (-1, 2)) if v in one else None for v in VIEWS] for key, one in clicked.items()}
     aids = Aids.clicked(types, uv, sd_px)
-    if circles is None:
-        return aids
-    first, second = (Circle.of(np.array(one[:2]), one[2], sd_px) for one in circles)
-    return replace(aids, head=(first, second))
+    if circles is not None:
+        first, second = (Circle.of(np.array(one[:2]), one[2], sd_px) for one in circles)
+        aids = replace(aids, head=(first, second))
+    if fitted_to is None:
+        return aids, []
+    if aids.head is None:
+        raise UnusableInputError("--fit-head fits a head that is drawn; draw it with --aid or --head")
+    shown = refuse_tables([one.seen.image for one in fitted_to])
+    head, kept = fit_head([one.view for one in fitted_to], shown, aids.head)
+    return replace(aids, head=head), [f"{view} image: kept as drawn; {why}" for view, why in kept.items()]
 
 
 def _in_bone(
     keys: Sequence[str], ends: "dict[str, list[np.ndarray]]", images: "Images", procedure: "ProcedureDocument"
-) -> "dict[str, Axis]":
+) -> "dict[str, PlacedWire]":
     """Return the wires that are in the bone already, found in the images; they are taken out of `ends`.
 
     Raises UnusableInputError, and what `find_placed_wires` raises.

@@ -56,10 +56,10 @@ def planned_document(planned: "Plan | WirePlans", images: "Images", frame: "Fram
     }
 
 
-def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], proposed: Sequence[str] = ()) -> None:
+def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], remarks: Sequence[str] = ()) -> None:
     """Print the plan for people: verdict and what failed, relations, trajectories, and where it is kept (`document`).
 
-    `proposed`: sentences on proposed wires.
+    `remarks`: sentences on proposed wires and on aids that were not fitted.
 
     Where a gap contradicts the stated error, no error is shown beside the coordinates.
     """
@@ -68,7 +68,7 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], 
     output.failures(verdict.checks)
     for check in planned.relations:
         output.say(f"{check.name}: {check.sentence}")
-    for sentence in proposed:
+    for sentence in remarks:
         output.say(sentence)
     rows = [row for one in plans.values() for row in _rows(one, alone="" in plans)]
     output.table("Trajectory in CFCS, mm (no robot is known)", ("point", "x", "y", "z", "95 % error"), rows)

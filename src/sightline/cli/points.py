@@ -122,27 +122,38 @@ def parse_hole(text: str) -> tuple[str, Point]:
 
 
 def parse_nail(strokes: str, sizes: str) -> "tuple[Nail, np.ndarray]":
-    """Return a nail of 'diameter:11 hole:5 bore:5 spacing:28 titanium' and its strokes (2, 2, 2, 2) of 'pa:U,V,U,V,...
-    lateral:...', in each view two clicks on one edge, then two on the other. Raises UnusableInputError."""
+    """Return a nail and its strokes (2, 2, 2, 2) of 'pa:U,V,U,V,... lateral:...', in each view two clicks on one edge,
+    then two on the other. `sizes`: as of `--nail`. Raises UnusableInputError."""
     import numpy as np
 
     from sightline.errors import UnusableInputError
-    from sightline.planning import Nail
+    from sightline.planning.nail_files import nail_of
 
-    material, rest = _named(sizes)
-    mm, clicked = _numbers(rest), _numbers(strokes)
-    if not set(NAIL_SIZES[:3]) <= mm.keys() <= set(NAIL_SIZES) or any(n != 1 for n in _lengths(mm).values()):
-        raise UnusableInputError(
-            f"--nail {sizes!r} does not give the nail's sizes; write what its maker states, mm and the metal: "
-            "'diameter:11 hole:5 bore:5 spacing:28 titanium' (the holes' spacing may be left out)"
-        )
+    clicked = _numbers(strokes)
+    nail = nail_of(sizes) or _nail_of_sizes(sizes)
     if _lengths(clicked) != dict.fromkeys(VIEWS, 8):
         raise UnusableInputError(
             f"--nail-edges {strokes!r} does not give both edges of the nail; click two points on one edge, then two on "
             "the other, in both images: 'pa:U,V,U,V,U,V,U,V lateral:U,V,U,V,U,V,U,V'"
         )
-    given = {f"{name}_mm": value[0] for name, value in mm.items()}
-    return Nail(material=material, **given), np.reshape([clicked[view] for view in VIEWS], (2, 2, 2, 2))
+    return nail, np.reshape([clicked[view] for view in VIEWS], (2, 2, 2, 2))
+
+
+def _nail_of_sizes(sizes: str) -> "Nail":
+    """Return the nail of 'diameter:11 hole:5 bore:5 spacing:28 titanium'. Raises UnusableInputError."""
+    from sightline.errors import UnusableInputError
+    from sightline.planning import Nail
+    from sightline.planning.nail_files import known_nails
+
+    material, rest = _named(sizes)
+    mm = _numbers(rest)
+    if not set(NAIL_SIZES[:3]) <= mm.keys() <= set(NAIL_SIZES) or any(n != 1 for n in _lengths(mm).values()):
+        raise UnusableInputError(
+            f"--nail {sizes!r} does not give the nail's sizes; write what its maker states, mm and the metal: "
+            "'diameter:11 hole:5 bore:5 spacing:28 titanium' (the holes' spacing may be left out); or give a nail's "
+            f"file, or one of {', '.join(known_nails())}"
+        )
+    return Nail(material=material, **{f"{name}_mm": value[0] for name, value in mm.items()})
 
 
 @dataclass(frozen=True)

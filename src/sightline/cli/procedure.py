@@ -77,6 +77,8 @@ def check(
         document = read_document(file)
         ends = open_ends(document)
         idle = [f"corridor: no check shows whether the {end} leaves the bone" for end in ends]
+        if not document.directions and any(one.check == "view directions" for one in document.checks):
+            idle.append("view directions with a block: state 'directions' of the bone, which tell how the patient lies")
         out.say(f"{file.name} is a procedure: {document.name}, {len(document.checks)} checks of the bone")
         for one in idle:
             out.say(f"not evaluated: {one}")
@@ -124,9 +126,14 @@ def _show(out: Output, document: "ProcedureDocument") -> None:
     limits = [
         (f"limit {name}", "", f"{one.limit:.4g}", one.source)
         for name, one in ((name, getattr(document.limits, name)) for name in type(document.limits).model_fields)
+        if one is not None
     ]
     relations = [
         (f"relation {one.relation}", ", ".join(one.wires), _range(one), one.source) for one in document.relations
+    ]
+    directions = [
+        (f"direction {one.label}", one.along or "", f"orbit {one.orbit_deg:g}°, tilt {one.tilt_deg:g}°", one.source)
+        for one in document.directions
     ]
     checks = [
         (f"check {one.check}", "required" if one.required else "if drawn", _range(one), one.source)
@@ -135,7 +142,7 @@ def _show(out: Output, document: "ProcedureDocument") -> None:
     out.table(
         "Wires, limits, relations and checks",
         ("what", "of", "accepted", "source"),
-        [*wires, *limits, *relations, *checks],
+        [*wires, *limits, *relations, *directions, *checks],
     )
     if (catalogue := document.catalogue) is not None:
         lengths = catalogue.lengths_mm

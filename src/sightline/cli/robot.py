@@ -37,7 +37,7 @@ FrameName = Annotated[
     str, typer.Option(help="Frame on the simulated robot: a file, gamma, biplane, stereo or a block.")
 ]
 AtHip = Annotated[
-    Literal["hip-screw", "cannulated-hip-screws", "free-wire"],
+    Literal["hip-screw", "cannulated-hip-screws", "free-wire", "distal-interlocking"],
     typer.Option(help="Procedure of the rehearsed patient: its images show the wires of this one."),
 ]
 Yes = Annotated[bool, typer.Option("--yes", help="Answer yes to every question; simulators only.")]
@@ -390,7 +390,7 @@ def read_plan(file: Path, wire: str | None = None) -> "PlanFile":
 def _theatre(
     side: str, frame_serial: str | None, rehearse: int | None, frame: str, procedure: str
 ) -> "SimulatedTheatre":
-    """Return a robot in air, or at the hip of a procedure's rehearsal; of a file of the user's, at that of a hip screw.
+    """Return a robot in air, or at the patient of a procedure's rehearsal; of a file of the user's, at a hip screw's.
 
     Raises UnusableInputError, SetUpError.
     """
@@ -402,13 +402,13 @@ def _theatre(
         return SimulatedTheatre.in_air(side, frame_serial or SERIAL, Frame.load(frame))
     if frame_serial is not None:
         raise UnusableInputError("--rehearse uses the serial of its own frame; leave out --frame-serial")
-    from sightline.rehearsal.patient import AT_HIP, BONE_OF
+    from sightline.rehearsal.patient import AT_HIP, BONE_OF, NAILED
     from sightline.rehearsal.rehearsal import Rehearsal
 
     if procedure in BONE_OF:
-        raise UnusableInputError(f"--rehearse simulates a hip; the plan is of {procedure!r}: leave it out")
-    at_hip = procedure if procedure in AT_HIP else "hip-screw"
-    return Rehearsal.draw(rehearse, Frame.load(frame), side, at_hip).theatre()
+        raise UnusableInputError(f"--rehearse simulates no robot for {procedure!r}, of which the plan is: leave it out")
+    known = procedure if procedure in (*AT_HIP, NAILED) else "hip-screw"
+    return Rehearsal.draw(rehearse, Frame.load(frame), side, known).theatre()
 
 
 def _close_with_stdin(server: "RobotServer") -> None:
@@ -530,7 +530,7 @@ def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str, 
 
     from sightline.errors import RobotRefusedError
     from sightline.frame import Frame
-    from sightline.rehearsal.robots import calibrated_robot
+    from sightline.rehearsal.rehearsal import robot_at
     from sightline.robot.kinematics.registration import PoseAtImage, register
 
     if not robot.simulated:
@@ -549,7 +549,8 @@ def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str, 
     q = robot.simulated_wire().imaged  # where it stood at the images, not where an earlier drive left it
     poses = {view: PoseAtImage(q, now, now) for view in ("pa", "lateral")}
     # A new name each time: a robot refuses a plan that it has drilled.
-    target = _target(plan, f"{name}-{now:.0f}", frame_serial, register(calibrated_robot(plan.side or "", held), poses))
+    stood = register(robot_at(plan.procedure, plan.side or "", held), poses)
+    target = _target(plan, f"{name}-{now:.0f}", frame_serial, stood)
     _tell(robot, target, now)
     return target
 

@@ -4,11 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from sightline.detection import columns, refine, window
+from sightline.detection import columns, refine
+from sightline.detection.covered import DEEPEST_OF_KNOWN_SHAPE, overlap_of, without_overlaps
 from sightline.detection.detector import bead_fitter, fine_reasons
+from sightline.detection.fit import PRIOR_SD
 from sightline.detection.labelling.growth import Field
 from sightline.detection.labelling.map_prior import CENTRE_PX, REMAINDER_SD, features, map_covariance
 from sightline.detection.labelling.patterns import Pattern, patterns
@@ -16,6 +17,8 @@ from sightline.detection.labelling.seeds import best_similarity
 from sightline.detection.labelling.solve import MIN_BEADS
 from sightline.detection.results import Detections, Observations, RejectedCandidate
 from sightline.detection.scale import FACTOR, coarser, coarser_observations, finer_observations, is_fine
+from sightline.detection.shadow import BEAD_RADIUS
+from sightline.detection.shapes import SHAPE, expected_shapes
 from sightline.errors import ObservationsError
 from sightline.fitting.kernels import distances
 from sightline.fitting.kriging import PlanarKriging
@@ -24,19 +27,13 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph, as_radiograph
 from sightline.threads import one_blas_thread
 
+_ROUNDS = 6  # of fitting, each further out [ours]
+_NOT_STATED = [columns.BLUR, columns.AXIAL, columns.DIAGONAL, columns.STATUS]  # by detections, of their fits
 _NEIGHBOURS = 6  # nearest beads of the plate that predict a bead's size and contrast [ours]
 _MAX_PREDICTION_SD_PX = 2.0  # with a less certain prediction, the fit may find something else [ours]
-# Overlaps are in units of the smaller radius. Beyond _DEEP_OVERLAP, detection finds one bead, or the two bias each
-# other: chi-square / 2 of labelled beads is 1.2-4.4 there, 0.8-1.4 where they overlap less [twin].
+# Overlap beyond which detection finds one bead, or the two bias each other: chi-square / 2 of labelled beads is 1.2-4.4
+# there, 0.8-1.4 where they overlap less [twin].
 _DEEP_OVERLAP = 0.4
-_MAX_OVERLAP = 1.4  # beyond, two shadows cannot be separated; the fit's own limit is 1.5 [ours]
-# Pixels within this margin of an overlap are left out: two balls stop less light than the product of single shadows
-# predicts. The margin lowers chi-square / 2 of overlapping beads from 6-10 to 0.5-1.5 [twin].
-_MARGIN_PX = 2.5
-_MIN_RIM_SHARE = 0.3  # of the rim, not covered by metal or other beads [ours]
-_AROUND_PX = -1.0, 4.0  # the ring around a bead, from its rim [ours]
-# Largest clipped share of that ring: without the foot of its edge, a rim has a larger error than stated [twin].
-_MAX_CLIPPED_SHARE = 0.4
 # Limits for accepting a fit: the image must determine it, and it must agree with the frame and the neighbours.
 _MAX_SD_PX = 0.5  # as for beads that an image determines (docs/benchmarks.md)
 _MAX_M2 = 16.0  # squared Mahalanobis distance from the prediction, whose s.d. is 1.2 times too small at the edge [twin]
@@ -94,28 +91,44 @@ def look_again_with(
     observations: Observations,
     frame: Frame,
 ) -> Observations:
-    """`look_again` with the image's bead fitter, which is made only if a bead is to be fitted."""
+    """`look_again` with the image's bead fitter, which is made only if a bead is to be fitted.
+
+    Beads found in one round predict those further out in the next.
+    """
     plates = [pattern for pattern in patterns(frame) if pattern.view == observations.view]
-    row_of = _rows_of(observations, beads)
-    if not plates:
+    ids = np.array([name for pattern in plates for name in pattern.ids], dtype=object)
+    before = row_of = _rows_of(observations, beads)
+    _require_enough(plates, row_of)
+    rows = refine.start(beads.uv_px, beads.radius_px, beads.contrast)
+    rows[:, columns.CENTRE_COVARIANCE] = beads.covariance_px2.reshape(-1, 4)[:, [0, 1, 3]]
+    fitter, settled, tried = None, np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
+    for _ in range(_ROUNDS if plates else 0):
+        expected = _expected(plates, rows, row_of)
+        which = _rows_to_fit(image, plates, expected, settled)
+        if len(which) == 0:
+            break
+        if fitter is None:
+            fitter = fitter_of_image()
+            rows[:, _NOT_STATED] = fitter(rows)[:, _NOT_STATED]
+        initial, prior_sd = _initial(plates, rows, expected, which)
+        fit = _fitted(fitter, image, initial, which, prior_sd)
+        clear = _clear(fit, initial, expected, which)
+        tried[which] = settled[which[clear]] = True
+        row_of = {name: row for name, row in row_of.items() if name not in ids[which]}
+        row_of |= {name: len(rows) + k for k, name in enumerate(ids[which[clear]])}
+        rows = np.concatenate([rows, fit[clear]])
+        if len(clear) == 0 or _too_few(plates, row_of):
+            break
+    if not tried.any():
         return observations
-    expected = _expected(plates, beads, row_of)
-    which = _rows_to_fit(image, plates, expected)
-    if len(which) == 0:
-        return observations
-    fit = _fitted(fitter_of_image(), image, _initial_rows(beads, expected, which), which)
-    clear = _clear(fit, expected, which)
-    ids = [name for pattern in plates for name in pattern.ids]
-    looked_at, good = {ids[i] for i in which}, fit[clear]
-    kept = [name for name in observations.ids if name not in looked_at]
-    rows = [row_of[name] for name in kept]
+    row = list(row_of.values())
     return replace(
         observations,
-        ids=(*kept, *(ids[i] for i in which[clear])),
-        uv_px=np.concatenate([beads.uv_px[rows], good[:, :2]]),
-        covariance_px2=np.concatenate([beads.covariance_px2[rows], columns.centre_covariances(good)]),
-        radius_px=np.concatenate([beads.radius_px[rows], good[:, columns.RADIUS]]),
-        rejected=_rejected(observations, beads, [row_of[i] for i in observations.ids if i in looked_at], good),
+        ids=tuple(row_of),
+        uv_px=rows[row, :2],
+        covariance_px2=columns.centre_covariances(rows[row]),
+        radius_px=rows[row, columns.RADIUS],
+        rejected=_rejected(observations, beads, [before[i] for i in ids[tried] if i in before], rows[len(beads) :]),
     )
 
 
@@ -146,29 +159,38 @@ def _rows_of(observations: Observations, beads: Detections) -> dict[str, int]:
         raise ObservationsError("these observations are not what `label` returned for these detections") from None
 
 
-def _expected(plates: list[Pattern], beads: Detections, row_of: dict[str, int]) -> _Expected:
-    """Return the predicted beads of all plates of the view, plate after plate. Raises ObservationsError."""
+def _require_enough(plates: list[Pattern], row_of: dict[str, int]) -> None:
+    """Raise ObservationsError where a plate has too few labelled beads to predict the others."""
+    for pattern in _too_few(plates, row_of):
+        raise ObservationsError(
+            f"fewer than {MIN_BEADS} beads of the {pattern.role_name} plate are labelled; `label` gives more"
+        )
+
+
+def _too_few(plates: list[Pattern], row_of: dict[str, int]) -> list[Pattern]:
+    """Return the plates with too few labelled beads to predict the others."""
+    return [pattern for pattern in plates if sum(name in row_of for name in pattern.ids) < MIN_BEADS]
+
+
+def _expected(plates: list[Pattern], rows: np.ndarray, row_of: dict[str, int]) -> _Expected:
+    """Return the predicted beads of all plates of the view, plate after plate; `rows` (M, COUNT): the beads known."""
     parts = []
     for pattern in plates:
         row = np.array([row_of.get(name, -1) for name in pattern.ids])
-        if np.count_nonzero(row >= 0) < MIN_BEADS:
-            raise ObservationsError(
-                f"fewer than {MIN_BEADS} beads of the {pattern.role_name} plate are labelled; `label` gives more"
-            )
-        parts.append((*_predicted(pattern, beads, row), row))
+        parts.append((*_predicted(pattern, rows, row), row))
     return _Expected(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def _predicted(pattern: Pattern, beads: Detections, row: np.ndarray) -> tuple[np.ndarray, ...]:
+def _predicted(pattern: Pattern, rows: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return centres, variances, radii and contrasts of a plate's beads, each predicted by all others that were seen.
 
     The map from plate to image has the form of labelling's inverse map: a polynomial of degree 5 and a smooth
     remainder.
     """
     seen = np.flatnonzero(row >= 0)
-    uv, covariance = beads.uv_px[row[seen]], beads.covariance_px2[row[seen]]
+    uv, covariance = rows[row[seen], :2], columns.centre_covariances(rows[row[seen]])
     similarity = best_similarity(pattern.xy_mm[seen], uv)
-    field = Field.of(beads.uv_px)
+    field = Field.of(rows[:, :2])
     middle, half = field.centre_px, field.radius_px
     laid, measured = (similarity.to_image(pattern.xy_mm) - middle) / half, (uv - middle) / half
     phi = features(laid)[0]
@@ -189,8 +211,8 @@ def _predicted(pattern: Pattern, beads: Detections, row: np.ndarray) -> tuple[np
     variance[seen] = others.variance - factor * noise
     gap2[seen, np.arange(len(seen))] = np.inf
     near = np.argsort(gap2, axis=1)[:, :_NEIGHBOURS]
-    size = np.median(np.log(beads.radius_px[row[seen]] / pattern.diameter_mm[seen])[near], axis=1)
-    contrast = np.median(beads.contrast[row[seen]][near], axis=1)
+    size = np.median(np.log(rows[row[seen], columns.RADIUS] / pattern.diameter_mm[seen])[near], axis=1)
+    contrast = np.median(rows[row[seen], columns.CONTRAST][near], axis=1)
     return (
         place * half + middle,
         (np.maximum(variance, 0.0) + factor * own) * half**2,
@@ -199,15 +221,20 @@ def _predicted(pattern: Pattern, beads: Detections, row: np.ndarray) -> tuple[np
     )
 
 
-def _rows_to_fit(image: Radiograph, plates: list[Pattern], expected: _Expected) -> np.ndarray:
-    """Return the rows of the beads to fit: missing ones and those with a deep overlap, without washers."""
+def _rows_to_fit(image: Radiograph, plates: list[Pattern], expected: _Expected, settled: np.ndarray) -> np.ndarray:
+    """Return the rows of the beads to fit: missing ones and those with a deep overlap.
+
+    Without washers and those that are `settled` (P,).
+    """
     radius, height_width = expected.radius_px, np.array(image.shape)
     apart = distances(expected.uv_px, expected.uv_px)
-    overlap = _overlap(apart, radius[:, None], radius)
+    overlap = overlap_of(apart, radius[:, None], radius)
     np.fill_diagonal(overlap, 0.0)
     wanted = (expected.row < 0) | (overlap.max(axis=1) > _DEEP_OVERLAP)
-    wanted &= (expected.variance_px2 < _MAX_PREDICTION_SD_PX**2) & ~np.concatenate(
-        [pattern.washer for pattern in plates]
+    wanted &= (
+        ~settled
+        & (expected.variance_px2 < _MAX_PREDICTION_SD_PX**2)
+        & ~np.concatenate([pattern.washer for pattern in plates])
     )
     nearest = np.rint(expected.uv_px[:, ::-1]).astype(int)
     wanted &= ((nearest >= 0) & (nearest < height_width)).all(axis=1)
@@ -215,13 +242,32 @@ def _rows_to_fit(image: Radiograph, plates: list[Pattern], expected: _Expected) 
     return which[image.field_mask[tuple(nearest[which].T)]]
 
 
-def _initial_rows(beads: Detections, expected: _Expected, which: np.ndarray) -> np.ndarray:
-    """Return initial rows of `columns`: the expected beads, then the detections that are none of these."""
-    uv, radius, contrast = expected.uv_px.copy(), expected.radius_px.copy(), expected.contrast.copy()
-    kept = np.setdiff1d(np.flatnonzero(expected.row >= 0), which)
-    row = expected.row[kept]
-    uv[kept], radius[kept], contrast[kept] = beads.uv_px[row], beads.radius_px[row], beads.contrast[row]
-    return rows_with_others(beads, uv, radius, contrast)[0]
+def _initial(
+    plates: list[Pattern], rows: np.ndarray, expected: _Expected, which: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return initial rows of `columns`: the expected beads, then the known `rows` that are none of these.
+
+    And their prior s.d. (2, N, BEAD_TERMS). The shape of each ball is that of the other balls of its plate.
+    """
+    known = np.setdiff1d(np.flatnonzero(expected.row >= 0), which)
+    own = refine.start(expected.uv_px, expected.radius_px, expected.contrast)
+    own[known] = rows[expected.row[known]]
+    initial = np.concatenate([own, rows[_others(rows, own)]])
+    prior_sd = np.repeat(PRIOR_SD[:, None], len(initial), axis=1)
+    first = 0
+    for pattern in plates:
+        of_plate = np.arange(first, first + len(pattern.ids))
+        first += len(of_plate)
+        seen = np.flatnonzero(
+            np.isin(of_plate, known) & ~pattern.washer & (own[of_plate, columns.STATUS] == columns.FITTED)
+        )
+        if len(seen) < MIN_BEADS:
+            continue
+        shape, sd = expected_shapes(pattern, seen, own[of_plate[seen]])
+        balls = of_plate[~pattern.washer]
+        initial[np.ix_(balls, SHAPE)] = shape[~pattern.washer]
+        prior_sd[:, balls, BEAD_RADIUS:] = np.minimum(prior_sd[:, balls, BEAD_RADIUS:], sd[~pattern.washer])
+    return initial, prior_sd
 
 
 def rows_with_others(
@@ -231,98 +277,37 @@ def rows_with_others(
 
     And (M,) bool: which detections these are.
     """
-    apart = distances(beads.uv_px, uv_px)
-    other = np.asarray((apart > np.maximum(beads.radius_px[:, None], radius_px)).all(axis=1))
-    rows = refine.start(
-        np.concatenate([uv_px, beads.uv_px[other]]),
-        np.concatenate([radius_px, beads.radius_px[other]]),
-        np.concatenate([contrast, beads.contrast[other]]),
-    )
-    return rows, other
+    rows = refine.start(uv_px, radius_px, contrast)
+    every = refine.start(beads.uv_px, beads.radius_px, beads.contrast)
+    other = _others(every, rows)
+    return np.concatenate([rows, every[other]]), other
 
 
-def _fitted(fit: refine.BeadFitter, image: Radiograph, rows: np.ndarray, which: np.ndarray) -> np.ndarray:
+def _others(every: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return which rows of `every` are none of the beads `rows`: a bool for each."""
+    apart = distances(every[:, :2], rows[:, :2])
+    return np.asarray((apart > np.maximum(every[:, columns.RADIUS, None], rows[:, columns.RADIUS])).all(axis=1))
+
+
+def _fitted(
+    fit: refine.BeadFitter, image: Radiograph, rows: np.ndarray, which: np.ndarray, prior_sd: np.ndarray
+) -> np.ndarray:
     """Fit the rows `which` outside metal and overlaps; status TOO_FEW_PIXELS where too little is left."""
-    usable, enough = without_overlaps(image, fit, rows, which)
+    usable, enough = without_overlaps(image, fit, rows, which, DEEPEST_OF_KNOWN_SHAPE)
     out = rows[which]
     out[:, columns.STATUS] = columns.TOO_FEW_PIXELS
-    out[enough] = fit.within(usable)(rows, which[enough])
+    out[enough] = fit.within(usable)(rows, which[enough], prior_sd)
     return out
 
 
-def without_overlaps(
-    image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray, which: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the usable pixels (H, W) outside metal and overlaps of the beads `which` (M,) of `rows`.
-
-    And (M,) bool: whether enough of each bead is left.
-    """
-    usable = fit.usable.copy()
-    return usable, np.array([_clear_covered(image, fit, rows, i, usable) for i in which], dtype=bool)
-
-
-def _clear_covered(image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.ndarray) -> bool:
-    """Clear metal around bead `i` and its overlaps in `usable`; return whether enough of the bead is left."""
-    u, v, radius = rows[i, :3]
-    reach = radius + window.BEYOND
-    apart = distances(rows[i : i + 1, :2], rows[:, :2])[0]
-    near = np.flatnonzero(apart < 1.5 * reach + 4.0 + rows[:, columns.RADIUS])  # the window's corners too
-    near = near[np.argsort(apart[near])]  # itself first
-    half = int(reach) + 1
-    left, top = int(u + 0.5) - half, int(v + 0.5) - half
-    light = window.window_light(
-        fit.log_image, left, top, half, window.log_level(fit.log_image, fit.usable, rows[i], reach)
-    )
-    state = window.pixel_states(fit.log_image, fit.usable, rows, near, left, top, 2 * half + 1, np.inf)
-    outside = state == window.HIDDEN
-    window.hide_metal(state, rows, near, left, top, light)
-    state[_hull_of_metal((state == window.HIDDEN) & ~outside)] = window.HIDDEN
-    metal = (state == window.HIDDEN) & ~outside
-    hidden = cv2.dilate(metal.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    y, x = np.arange(len(state))[:, None] + top, np.arange(len(state)) + left
-    from_centre = np.hypot(x - u, y - v)
-    overlap = _overlap(apart[near[1:]], radius, rows[near[1:], columns.RADIUS])
-    for j in near[1:][overlap > 0]:
-        from_other = np.hypot(x - rows[j, 0], y - rows[j, 1])
-        hidden |= (from_centre < radius + _MARGIN_PX) & (from_other < rows[j, columns.RADIUS] + _MARGIN_PX)
-    height, width = usable.shape
-    seen = slice(max(-top, 0), max(height - top, 0)), slice(max(-left, 0), max(width - left, 0))
-    there = slice(max(top, 0), top + len(state)), slice(max(left, 0), left + len(state))
-    usable[there] &= ~hidden[seen]
-    around = (from_centre > radius + _AROUND_PX[0]) & (from_centre < radius + _AROUND_PX[1])
-    visible = around[seen] & usable[there]
-    clipped = visible & (image.pixels[there] >= image.white)
-    rim = window.visible_rim(state, rows, near, left, top)
-    foot = np.count_nonzero(clipped) < _MAX_CLIPPED_SHARE * np.count_nonzero(visible)
-    return bool(rim > _MIN_RIM_SHARE and foot and overlap.max(initial=0.0) < _MAX_OVERLAP)
-
-
-def _hull_of_metal(metal: np.ndarray) -> np.ndarray:
-    """Return the convex hull (H, W) of what `hide_metal` found, without the margin that `metal` (H, W) has.
-
-    Metal under a bead is not visible: a wire seen on two sides of a bead continues between them.
-    """
-    side = 2 * window.METAL + 1
-    found = cv2.erode(metal.view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
-    points = cv2.findNonZero(found)
-    if points is not None:
-        cv2.fillConvexPoly(found, cv2.convexHull(points), 1)
-    return found > 0
-
-
-def _overlap(apart: np.ndarray, radius: np.ndarray | float, other: np.ndarray) -> np.ndarray:
-    """Return the overlap of discs in units of the smaller radius: 0 where they touch, 2 where one is in the other."""
-    return (radius + other - apart) / np.minimum(radius, other)
-
-
-def _clear(fit: np.ndarray, expected: _Expected, which: np.ndarray) -> np.ndarray:
+def _clear(fit: np.ndarray, initial: np.ndarray, expected: _Expected, which: np.ndarray) -> np.ndarray:
     """Return the fits that are well-determined beads and agree with the prediction of the beads `which`."""
     clear = np.flatnonzero(fine_reasons(fit) == "")
     fit, which = fit[clear], which[clear]
     covariance, off = columns.centre_covariances(fit), fit[:, :2] - expected.uv_px[which]
     total = covariance + expected.variance_px2[which, None, None] * np.eye(2)
     off_m2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(total), off)
-    size = fit[:, columns.RADIUS] / expected.radius_px[which]
+    size = fit[:, columns.RADIUS] / initial[which, columns.RADIUS]
     contrast = np.maximum(fit[:, columns.CONTRAST] / expected.contrast[which], 1e-9)
     good = (covariance.max(axis=(1, 2)) < _MAX_SD_PX**2) & (off_m2 < _MAX_M2)
     return clear[good & (abs(np.log(size)) < _MAX_LOG_SIZE) & (abs(np.log(contrast)) < _MAX_LOG_CONTRAST)]

@@ -4,6 +4,7 @@ import numba as nb
 import numpy as np
 
 from sightline.detection.columns import (
+    AXIAL,
     BLUR,
     CCC,
     CHI2,
@@ -11,6 +12,7 @@ from sightline.detection.columns import (
     CUU,
     CUV,
     CVV,
+    DIAGONAL,
     EXCESS,
     FITTED,
     RADIUS,
@@ -76,7 +78,6 @@ _COUPLING, _COUPLING_SD, _UNCOUPLED_SD = 0.35, 0.5, 0.01
 # known, because the background is clipped.
 _MAX_SLOPE = 0.1
 _MIN_CUBIC = 0.005  # smallest cubic terms that the covariance allows for [ours]
-_ELLIPTICITY_SD = 0.05  # of a shadow: distortion and oblique rays give 0.00-0.08 [twin]
 # S.d. of the background's level, slopes and quadratic terms; they matter where the background is clipped [ours].
 _BACKGROUND_SD = np.array([1.0, 0.5, 0.5, 0.3, 0.3, 0.3])
 _CLIPPING_MARGIN_SD = 2.0  # of the noise, below the brightest value [ours]
@@ -87,10 +88,10 @@ _MAX_ELLIPTICITY = 0.12  # beads in images have up to 0.09, pieces of wire more 
 # Covariance beyond the linear approximation, in units of the centre's variance over the squared blur [twin].
 _RIM_NONLINEARITY = 3.0
 _MAX_RIM_LOST = 0.15  # share of the rim that sharpening may cost; above it, the window is not sharpened [ours]
-# Prior s.d. of x, y, radius and blur about their initial values, for the bead and its neighbours: px, px, share of the
-# radius, share of the blur [ours].
-_OWN_SD = np.array([2.0, 2.0, 0.2, 0.5])
-_NEIGHBOUR_SD = np.array([0.7, 0.7, 0.06, 0.3])
+# Prior s.d. of x, y, radius, blur and ellipticity about their initial values, for the bead and its neighbours: px, px,
+# share of the radius, share of the blur [ours], of a shadow's ellipticity: distortion and oblique rays give 0.00-0.08
+# [twin].
+PRIOR_SD = np.array([[2.0, 2.0, 0.2, 0.5, 0.05, 0.05], [0.7, 0.7, 0.06, 0.3, 0.05, 0.05]])
 
 
 @exact
@@ -127,7 +128,7 @@ def _joint_rows(spots, i, reach):
 
 
 @part_of_caller
-def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, out):  # noqa: PLR0917
+def _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state, window, out):  # noqa: PLR0917
     """Fit the beads `rows` jointly to the visible pixels and write the first bead's result into `out`."""
     left, top, reach, zero = window
     row, radius = rows[0], spots[rows[0], RADIUS]
@@ -158,7 +159,7 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
             return
         fill_slopes(at, optics[0], inverse_sd, behind, effect, columns)
         chi2 = normal_equations(columns, A, b)
-        coupling = _add_priors(beads, initial, scatter, background, prior, A, b)
+        coupling = _add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b)
         if not solve(A, b, L, step):
             out[STATUS] = SINGULAR
             return
@@ -186,13 +187,14 @@ def _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, 
         spots[row, V] + beads[0, BEAD_Y],
         beads[0, BEAD_RADIUS],
     )
+    out[AXIAL], out[DIAGONAL] = beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]
     out[CONTRAST] = np.log(inside / max(background[0], 1e-3))
     blurs, work = (blur2, together2), (behind, effect, columns)
     _assess(table, at, where, light, beads, scatter, background, optics, blurs, gain, inverse_sd, pixels, work, out)
 
 
 @nb.njit(cache=True, fastmath=FAST, nogil=True)
-def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain, tables, out):  # noqa: PLR0917
+def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain, prior_sd, tables, out):  # noqa: PLR0917
     """Fit rows `which[part::parts]` of `spots` and write row `which[i]` into row i of `out`.
 
     `noise`: offset, slope, and the log intensity at which pixels are clipped. `sharpening`: taps, gain, change of the
@@ -212,7 +214,7 @@ def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain,
         window = left, top, reach, zero
         for again in range(2):
             _copy(spots[row], result)
-            _solve(spots, rows, noise, sharpening, plain, tables, light, state, window, result)
+            _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state, window, result)
             better = result[STATUS] == FITTED and (out[i, STATUS] != FITTED or result[EXCESS] < out[i, EXCESS])
             if better or not again:
                 _copy(result, out[i])
@@ -232,6 +234,7 @@ def _initial(spots, rows, blur2):
         bead = spots[rows[k]]
         beads[k, BEAD_X], beads[k, BEAD_Y], beads[k, BEAD_RADIUS] = bead[U] - one[U], bead[V] - one[V], bead[RADIUS]
         beads[k, BEAD_BLUR] = np.sqrt(max(bead[BLUR] ** 2 + blur2, 0.4**2))
+        beads[k, BEAD_AXIAL], beads[k, BEAD_DIAGONAL] = bead[AXIAL], bead[DIAGONAL]
     scatter, background = np.zeros(SCATTER_TERMS), np.zeros(BACKGROUND_TERMS)
     background[0] = 1.0
     scatter[0] = np.exp(one[CONTRAST]) - (1.0 - STOPPED_BY_BALL if one[CONTRAST] < 0 else 1.0)
@@ -267,19 +270,16 @@ def _weigh(light, counting, brightest, inverse_sds, inverse_sd):
 
 
 @exact
-def _add_priors(beads, initial, scatter, background, prior, A, b):  # noqa: PLR0917
+def _add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b):  # noqa: PLR0917
     """Add the priors to the normal equations `A`, `b` and fill `prior` with their precisions (1 / s.d.²).
 
-    Ellipticity and cubic terms are near zero; a bead's centre, radius and blur are near their initial values; scatter
+    Cubic terms are near zero; a bead's centre, shape and blur are near their initial values; scatter
     slopes follow the background's. Returns the coupling: expected scatter slope over background slope.
     """
     prior[:] = 0.0
     for k in range(len(beads)):
-        for m in range(BEAD_AXIAL, BEAD_TERMS):
-            prior[BEAD_TERMS * k + m] = 1.0 / _ELLIPTICITY_SD**2
-            b[BEAD_TERMS * k + m] -= beads[k, m] / _ELLIPTICITY_SD**2
-        for m in range(BEAD_AXIAL):
-            sd = (_NEIGHBOUR_SD[m] if k > 0 else _OWN_SD[m]) * (abs(initial[k, m]) if m >= BEAD_RADIUS else 1.0)
+        for m in range(BEAD_TERMS):
+            sd = prior_sd[min(k, 1), rows[k], m] * (abs(initial[k, m]) if BEAD_RADIUS <= m < BEAD_AXIAL else 1.0)
             prior[BEAD_TERMS * k + m] = 1.0 / sd**2
             b[BEAD_TERMS * k + m] += (initial[k, m] - beads[k, m]) / sd**2
     at, to, slope = BEAD_TERMS * len(beads) + 1, len(b) - BACKGROUND_TERMS + 1, np.hypot(background[1], background[2])

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
 from sightline.errors import UnusableInputError, WireRefusedError
+from sightline.fitting.robust import MAD_TO_SD
 from sightline.imaging import Radiograph
 
 # Attenuation at 40, 50 and 60 keV, 1/mm, and the energies' shares behind 20 cm of tissue, as in wire_model.py
@@ -126,7 +127,7 @@ def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray
         if kept.sum() < _MIN_PIECES:
             raise WireRefusedError("no edge of a nail lies along a stroke; draw it along the edge, within 8 px")
         rest = offset - np.polynomial.Polynomial.fit(s[kept], offset[kept], 2)(s)
-        spread = max(1.4826 * float(np.median(np.abs(rest[kept]))), _MODEL_PX)
+        spread = max(MAD_TO_SD * float(np.median(np.abs(rest[kept]))), _MODEL_PX)
         kept = np.isfinite(offset) & (np.abs(rest) < _FAR_OFF * spread)
     variance = np.maximum(variance, spread**2)[kept]
     uv = first + s[kept, None] * along + offset[kept, None] * normal
@@ -147,7 +148,7 @@ def find_rims(  # noqa: PLR0917
     `grid_px`: step of the expected grid; `hardness` as for `transmission`. `blur_px`: s.d. of the image's blur; by
     default the one of seven that fits best.
     """
-    uv, normal = expected.uv_px, expected.normal
+    uv, normal, blurs = expected.uv_px, expected.normal, _BLURS_PX if blur_px is None else (blur_px,)
     if not len(uv):
         return RimsFound(uv, np.zeros(0), np.inf)
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
@@ -157,12 +158,11 @@ def find_rims(  # noqa: PLR0917
     sharp = transmission(expected.metal_mm, material, hardness)
     on_grid = np.moveaxis((at - expected.corner_px) / grid_px, -1, 0)[::-1]
 
-    def shifts(blur: float) -> tuple[np.ndarray, np.ndarray, float]:
-        blurred = gaussian_filter(sharp, blur / grid_px, mode="nearest")
-        return _rim_shifts(seen, map_coordinates(blurred, on_grid, order=1, mode="nearest").mean(axis=0))
-
-    shift, variance, misfit = min(map(shifts, _BLURS_PX if blur_px is None else (blur_px,)), key=_badness)
-    return RimsFound(uv + shift[:, None] * normal, variance, misfit)
+    blurred = (gaussian_filter(sharp, blur / grid_px, mode="nearest") for blur in blurs)
+    models = [map_coordinates(one, on_grid, order=1, mode="nearest").mean(axis=0) for one in blurred]
+    shift, variance, misfit = _rim_shifts(seen, np.stack(models))
+    best = int(misfit.argmin())
+    return RimsFound(uv + shift[best][:, None] * normal, variance[best], float(misfit[best]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,28 +244,36 @@ def _not_zero(values: np.ndarray) -> np.ndarray:
     return np.where(np.abs(values) > 1e-9, values, 1e-9)
 
 
-def _rim_shifts(seen: np.ndarray, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return shifts (N,) of profiles (N, M) of light against the model's, NaN where they disagree, and variances."""
-    window = np.abs(_PROFILE_PX) <= _RIM_WINDOW_PX
+def _rim_shifts(seen: np.ndarray, models: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return shifts (B, N) of profiles (N, M) of light against those of B models (B, N, M), NaN where they disagree,
+    variances (B, N), and costs (B,)."""
+    window = np.flatnonzero(np.abs(_PROFILE_PX) <= _RIM_WINDOW_PX)
+    seen, around = seen[:, window], np.arange(window[0] - 1, window[-1] + 2)
 
     def fitted(shift: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        moved = np.stack([np.interp(_PROFILE_PX - d, _PROFILE_PX, row) for d, row in zip(shift, model, strict=True)])
-        basis = np.stack([np.ones_like(moved), moved, -np.gradient(moved, _STEP_PX, axis=1)], axis=-1)[:, window]
-        inverse = np.linalg.inv(np.swapaxes(basis, 1, 2) @ basis + 1e-9 * np.eye(3))
-        return basis, inverse, np.einsum("nij,nmj,nm->ni", inverse, basis, seen[:, window])
+        steps = np.floor(-shift / _STEP_PX)
+        share = -shift / _STEP_PX - steps
+        at = around + steps.astype(int)[..., None]
+        low, high = (np.take_along_axis(models, np.clip(at + one, 0, models.shape[-1] - 1), axis=-1) for one in (0, 1))
+        moved = low + share[..., None] * (high - low)
+        slope = (moved[..., 2:] - moved[..., :-2]) / (2 * _STEP_PX)
+        basis = np.stack([np.ones_like(slope), moved[..., 1:-1], -slope], axis=-1)
+        turned = np.swapaxes(basis, -1, -2)
+        inverse = np.linalg.inv(turned @ basis + 1e-9 * np.eye(3))
+        return basis, inverse, (inverse @ (turned @ seen[..., None]))[..., 0]
 
-    shift = np.zeros(len(seen))
+    shift = np.zeros(models.shape[:2])
     for _ in range(3):
         fit = fitted(shift)[2]
-        shift = shift + np.clip(fit[:, 2] / _not_zero(fit[:, 1]), -1.5, 1.5)
+        shift = shift + np.clip(fit[..., 2] / _not_zero(fit[..., 1]), -1.5, 1.5)
     basis, inverse, fit = fitted(shift)
-    light = fit[:, 1]
-    rest = ((seen[:, window] - np.einsum("nmj,nj->nm", basis, fit)) ** 2).sum(axis=1)
-    usual, typical = float(np.median(light)), float(np.median(rest))
-    noise = np.maximum(rest, typical) / (window.sum() - 3)  # a rest below the usual one is chance
-    variance = _CORRELATED_RIM * noise * inverse[:, 2, 2] / _not_zero(light) ** 2 + _MODEL_PX**2
+    light = fit[..., 1]
+    rest = ((seen - (basis @ fit[..., None])[..., 0]) ** 2).sum(axis=-1)
+    usual, typical = (np.median(one, axis=-1, keepdims=True) for one in (light, rest))
+    noise = np.maximum(rest, typical) / (len(window) - 3)  # a rest below the usual one is chance
+    variance = _CORRELATED_RIM * noise * inverse[..., 2, 2] / _not_zero(light) ** 2 + _MODEL_PX**2
     shown = (light > _CONTRAST[0] * usual) & (light < _CONTRAST[1] * usual) & (np.abs(shift) < _MAX_SHIFT_PX)
-    return np.where(shown, shift, np.nan), variance, typical
+    return np.where(shown, shift, np.nan), variance, typical[:, 0]
 
 
 def _badness(fit: tuple[np.ndarray, np.ndarray, float]) -> float:

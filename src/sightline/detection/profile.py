@@ -23,26 +23,34 @@ def _sharp(rho: np.ndarray, ball: bool) -> np.ndarray:
     return np.where(inside, (1 - np.exp(-_BALL_DEPTH * chord)) / (1 - np.exp(-_BALL_DEPTH)), 0.0)
 
 
-@cache
 def profile_table(ball: bool) -> np.ndarray:
     """Return the profile (Q_COUNT, T_COUNT) of a ball, or a disc, of radius 1 blurred by a Gaussian of sigma q.
 
     Column t is at radius 1 + t q; radii below 0 have the value at 0. Computed by a Hankel transform. Read-only.
     """
+    return _tables()[0 if ball else 1]
+
+
+@cache
+def _tables() -> tuple[np.ndarray, np.ndarray]:
+    """Return the tables of a ball and of a disc, which share the quadratures and the Bessel functions."""
     q = Q_STEP * (1 + np.arange(Q_COUNT))
     t = T_FIRST + T_STEP * np.arange(T_COUNT)
-    rho, weight = np.polynomial.legendre.leggauss(_NODES)
+    rho, rho_weight = np.polynomial.legendre.leggauss(_NODES)
     angle = (rho + 1) * np.pi / 4  # rho = sin(angle) resolves the square root at the rim
-    node, weight = np.sin(angle), weight * np.pi / 4 * np.cos(angle)
-    k, k_weight = np.polynomial.legendre.leggauss(_NODES)
+    node, weight = np.sin(angle), rho_weight * np.pi / 4 * np.cos(angle)
     k_max = 6.0 / Q_STEP
-    k, k_weight = (k + 1) * k_max / 2, k_weight * k_max / 2
-    spectrum = j0(np.outer(k, node)) @ (_sharp(node, ball) * node * weight)
+    k, k_weight = (rho + 1) * k_max / 2, rho_weight * k_max / 2
+    inner = j0(np.outer(k, node))
+    spectra = [inner @ (_sharp(node, ball) * node * weight) for ball in (True, False)]
     furthest = q[-1] * t[-1]
     from_rim = 1e-3 * np.sinh(np.linspace(-np.arcsinh(1e3), np.arcsinh(1e3 * furthest), _RADII))
-    blurred = np.exp(-0.5 * np.outer(k, q) ** 2) * (spectrum * k * k_weight)[:, None]
-    values = j0(np.outer(1 + from_rim, k)) @ blurred
-    table = np.stack([np.interp(t * sigma, from_rim, values[:, i]) for i, sigma in enumerate(q)])
-    np.clip(table, 0.0, 1.0, out=table)
-    table.flags.writeable = False
-    return table
+    waves, blur = j0(np.outer(1 + from_rim, k)), np.exp(-0.5 * np.outer(k, q) ** 2)
+    out = []
+    for spectrum in spectra:
+        values = waves @ (blur * (spectrum * k * k_weight)[:, None])
+        table = np.stack([np.interp(t * sigma, from_rim, values[:, i]) for i, sigma in enumerate(q)])
+        np.clip(table, 0.0, 1.0, out=table)
+        table.flags.writeable = False
+        out.append(table)
+    return out[0], out[1]

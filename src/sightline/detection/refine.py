@@ -4,8 +4,8 @@ from copy import copy
 
 import numpy as np
 
-from sightline.detection.columns import BLUR, CONTRAST, COUNT, RADIUS
-from sightline.detection.fit import fit_part
+from sightline.detection.columns import AXIAL, BLUR, CONTRAST, COUNT, DIAGONAL, RADIUS
+from sightline.detection.fit import PRIOR_SD, fit_part
 from sightline.detection.noise import NoiseModel
 from sightline.detection.profile import profile_table
 from sightline.detection.sharpen import Sharpening, design, noise_blur_px
@@ -60,12 +60,20 @@ class BeadFitter:
         other._line = np.array([*self._line[:2], float(log_image.max())])
         return other
 
-    def __call__(self, rows: np.ndarray, which: np.ndarray | None = None) -> np.ndarray:
+    def __call__(
+        self, rows: np.ndarray, which: np.ndarray | None = None, prior_sd: np.ndarray | None = None
+    ) -> np.ndarray:
         """Fit `rows` (N, COUNT) of `columns` from their values, or only rows `which` (M,); return (N or M, COUNT).
+
+        `prior_sd` (2, N, BEAD_TERMS): as `fit.PRIOR_SD`, of each row as a bead to fit and as a neighbour; without it
+        ellipticities are about zero, whatever the rows say.
 
         Dark spots that reach into each other's windows are fitted jointly; pixels of other spots are left out.
         """
         which = np.arange(len(rows)) if which is None else which
+        if prior_sd is None:
+            prior_sd, rows = np.repeat(PRIOR_SD[:, None], len(rows), axis=1), rows.copy()
+            rows[:, [AXIAL, DIAGONAL]] = 0.0
         out = np.empty((len(which), COUNT))
         in_parts(
             fit_part,
@@ -76,6 +84,7 @@ class BeadFitter:
             self._line,
             self._sharpening,
             self._plain,
+            prior_sd,
             self._tables,
             out,
         )

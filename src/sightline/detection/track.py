@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.detection import columns, refine
-from sightline.detection.again import look_again_with, rows_with_others, without_overlaps
+from sightline.detection.again import look_again_with, rows_with_others
+from sightline.detection.covered import without_overlaps
 from sightline.detection.detector import bead_fitter, fine_reasons, without_middles
 from sightline.detection.log_image import field_inset, log_image, logs_of
 from sightline.detection.noise import estimate_noise

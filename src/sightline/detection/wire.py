@@ -13,6 +13,7 @@ from sightline.detection.noise import NoiseModel, estimate_noise
 from sightline.detection.wire_model import BEND, ImagePath, SteelWire, WireFit, fit_across, fit_tip
 from sightline.detection.wire_search import CORRIDOR_MM, search
 from sightline.errors import UnusableInputError, WireRefusedError
+from sightline.fitting.robust import MAD_TO_SD
 from sightline.imaging import Radiograph
 
 POINT_DIAMETERS = 1.5  # length of a trocar point over the wire's diameter [ours]
@@ -297,7 +298,7 @@ class _Strip:
 
     def spread(self, smooth: np.ndarray) -> float:
         """Return the usual size of smoothed residuals (N,) of the wire's pieces."""
-        usual = 1.4826 * float(np.nanmedian(np.abs(smooth)))
+        usual = MAD_TO_SD * float(np.nanmedian(np.abs(smooth)))
         return max(usual, _MODEL_LIGHT * float(np.median(self.light / self.noise)))
 
     def correlation(self, pieces: list[_Piece]) -> np.ndarray:
@@ -328,7 +329,7 @@ def _on_a_curve(pieces: list[_Piece]) -> list[_Piece]:
     kept = _near_one_line(pieces)
     while len(kept) > _MIN_PIECES:
         off = _left_out_residuals(kept)
-        spread = max(1.4826 * float(np.median(np.abs(off))), _MODEL_ACROSS_PX)
+        spread = max(MAD_TO_SD * float(np.median(np.abs(off))), _MODEL_ACROSS_PX)
         worst = int(np.abs(off).argmax())
         if abs(off[worst]) < _FAR_OFF * spread:
             break
@@ -367,7 +368,7 @@ def _near_one_line(pieces: list[_Piece]) -> list[_Piece]:
     off = np.abs(x - x[first, None] - slope[:, None] * (s - s[first, None]))
     median = np.median(off, axis=1)
     best = int(median.argmin())
-    near = off[best] < _FAR_OFF_LINE * max(1.4826 * float(median[best]), _MODEL_ACROSS_PX)
+    near = off[best] < _FAR_OFF_LINE * max(MAD_TO_SD * float(median[best]), _MODEL_ACROSS_PX)
     return [piece for piece, kept in zip(pieces, near, strict=True) if kept]
 
 

@@ -58,7 +58,8 @@ def _seeds(pixels: np.ndarray, field: np.ndarray, least: float) -> np.ndarray:
     Every second row is searched, well inside the field: letters are higher than two rows.
     """
     rows = pixels[::2]
-    steps = np.flatnonzero(cv2.absdiff(rows[:, 1:], rows[:, :-1]) > least)  # few; searching along one axis is faster
+    beyond = least if pixels.dtype == np.float32 else int(least)  # integers are compared with an integer faster
+    steps = np.flatnonzero(cv2.absdiff(rows[:, 1:], rows[:, :-1]) > beyond)  # few; searching along one axis is faster
     row, before = np.divmod(steps, pixels.shape[1] - 1)
     first, last = before[:-1] + 1, before[1:]  # of the run between one step and the next
     run = (row[:-1] == row[1:]) & (last > first)

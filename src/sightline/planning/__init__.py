@@ -12,6 +12,7 @@ from sightline.planning.hole_advice import Turn, perfect_circle
 from sightline.planning.hole_result import Hole, HolePose, Nail
 from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import Pick
+from sightline.planning.placed_wires import PlacedWire
 from sightline.planning.plan import Plan, plan
 from sightline.planning.procedures import PROCEDURES, PlanInput, Procedure, kind, procedures
 from sightline.planning.proposal import Proposal, propose
@@ -43,6 +44,7 @@ __all__ = [
     "Metric",
     "Nail",
     "Pick",
+    "PlacedWire",
     "Plan",
     "PlanInput",
     "Procedure",

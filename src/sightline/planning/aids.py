@@ -62,13 +62,17 @@ class Circle:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A straight line in one image through two clicks `uv_px` (2, 2); they need not match the other image's clicks.
+    """A straight line in one image through two pixels `uv_px` (2, 2); they need not match the other image's.
+
+    `borders_px` (2, 2, 2): the borders that an axis lies between, where these were drawn. The axis is then midway on
+    the plane of the view, and `uv_px` midway in the image.
 
     >>> shaft = sl.Line([[220, 710], [520, 560]])
     """
 
     uv_px: np.ndarray
     sd_px: float = DEFAULT_PICK_SD_PX
+    borders_px: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         uv = np.array(self.uv_px, dtype=np.float64)
@@ -76,6 +80,20 @@ class Line:
             raise UnusableInputError(f"a line needs two finite pixels (u, v), shape (2, 2); got the shape {uv.shape}")
         _refuse_sd(self.sd_px)
         object.__setattr__(self, "uv_px", uv)
+
+    @staticmethod
+    def between(borders_px: ArrayLike, sd_px: float = DEFAULT_PICK_SD_PX) -> "Line":
+        """Return the axis midway between two borders, (2, 2, 2): two clicks on each. Raises UnusableInputError."""
+        borders = np.array(borders_px, dtype=np.float64)
+        if borders.shape != (2, 2, 2) or not np.isfinite(borders).all():
+            raise UnusableInputError(
+                f"an axis between borders needs two finite clicks on each, shape (2, 2, 2); got {borders.shape}"
+            )
+        first, second = borders[:, 1] - borders[:, 0]
+        if first @ second < 0.0:  # clicked the other way
+            borders[1] = borders[1, ::-1]
+        _refuse_sd(sd_px)
+        return Line(borders.mean(axis=0), sd_px / np.sqrt(2), borders_px=borders)
 
 
 # Clicks that make one drawing of a type in one image.
@@ -174,11 +192,16 @@ class Aids:
         return Aids(**made, others=others)
 
 
+def _axis(uv: np.ndarray, sd_px: float) -> Line:
+    """Return an axis by two clicks on it, or by four: two on one border of the bone and two on the other."""
+    return Line.between(uv.reshape(2, 2, 2), sd_px) if uv.shape == (4, 2) else Line(uv, sd_px)
+
+
 # Images that each aid of a hip is drawn in, and what makes it of its clicks in one of them.
 _OF_HIP: Mapping[str, tuple[int, Callable[[np.ndarray, float], Any]]] = {
     "head": (2, Circle.through),
-    "neck": (2, Line),
-    "shaft": (2, Line),
+    "neck": (2, _axis),
+    "shaft": (2, _axis),
     "calcar": (1, lambda uv, sd_px: Pick.free(uv[0], sd_px)),
     "cortex": (1, lambda uv, sd_px: Pick.free(uv[0], sd_px)),
     "outline": (2, lambda uv, sd_px: (Line(uv[:2], sd_px), Line(uv[2:], sd_px))),

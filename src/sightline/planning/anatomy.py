@@ -1,6 +1,7 @@
 """The drawn parts of the bone in space: a sphere for the head, axes of neck and shaft."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +12,7 @@ from sightline.checks import Check
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, SightlineError, UnusableInputError
 from sightline.geometry.covariance import response
 from sightline.geometry.lines import nearest_approach
-from sightline.planning.aids import Aids, Circle
+from sightline.planning.aids import Aids, Circle, Line
 from sightline.planning.axis import Axis, find_axis
 from sightline.planning.directions import caudal
 from sightline.planning.drawings import find_drawing
@@ -114,8 +115,10 @@ def locate(
     return located(drawn, None if picks is None else lambda: drawn.solve(stack(picks).regular(), method))
 
 
-def located(drawings: "Drawings", solution: Callable[[], Solution] | None) -> Anatomy:
+def located(drawings: "Drawings", solution: Callable[[], Solution] | None, landmarks: bool = False) -> Anatomy:
     """Return `locate` of drawings whose lines of sight are known. `solution`: returns that of their picks, if any.
+
+    `landmarks`: the picked landmarks are a part too, "landmarks" (3 for each, in their order).
 
     Raises UnusableInputError.
     """
@@ -125,7 +128,9 @@ def located(drawings: "Drawings", solution: Callable[[], Solution] | None) -> An
         raise UnusableInputError("give the views 'pa' and 'lateral' first, in this order, to locate the anatomy")
     found = _Finder(sights, dict(drawings.absent))
     if solution is not None:
-        found.add("wire", lambda: _wire(sights, solution()))
+        found.add("wire", lambda: _picked(sights, solution(), "wire"))
+    if solution is not None and landmarks:
+        found.add("landmarks", lambda: _picked(sights, solution(), "landmarks"))
     for name in ("neck", "shaft"):
         found.add(name, lambda name=name: find_axis(sights, name))
     if aids.head is not None:
@@ -193,9 +198,11 @@ def _not_placed(name: str) -> str:
     return NOT_PLACED.get(name) or f"the {name} is not drawn: draw it as the procedure says"
 
 
-def _drawn(aids: Aids, picks: Sequence[Sequence[Pick]] | None, views: int) -> list[dict[str, Drawn]]:
+def _drawn(
+    views: Sequence[CalibratedView], aids: Aids, picks: Sequence[Sequence[Pick]] | None
+) -> list[dict[str, Drawn]]:
     """Return the drawings of each view by name, the picks first."""
-    out: list[dict[str, Drawn]] = [{} for _ in range(views)]
+    out: list[dict[str, Drawn]] = [{} for _ in views]
     for k, drawn in enumerate(out if picks is not None else ()):
         for name, points in (("wire", (picks or ())[:2]), ("landmarks", (picks or ())[2:])):
             own = [pick[k] for pick in points if not np.isnan(pick[k].uv_px).any()]
@@ -206,19 +213,31 @@ def _drawn(aids: Aids, picks: Sequence[Sequence[Pick]] | None, views: int) -> li
         for name in ("neck", "shaft"):
             lines = getattr(aids, name)
             if lines is not None:
-                drawn[name] = lines[k].uv_px, lines[k].sd_px ** 2 * np.eye(4)
+                drawn[name] = _axis_in(views[k], lines[k]), lines[k].sd_px ** 2 * np.eye(4)
         if aids.outline is not None:
             variances = np.repeat([line.sd_px**2 for line in aids.outline[k]], 4)
             drawn["outline"] = np.concatenate([line.uv_px for line in aids.outline[k]]), np.diag(variances)
     for name, drawing in aids.others.items():
         for k, uv in enumerate(drawing.uv_px):
-            if uv is not None and k < views:
+            if uv is not None and k < len(views):
                 out[k][name] = uv, drawing.sd_px**2 * np.eye(2 * len(uv))
     for name in ("calcar", "cortex"):
         pick = getattr(aids, name)
         if pick is not None:
             out[0][name] = pick.uv_px[None], pick.covariance_px2
     return out
+
+
+def _axis_in(view: CalibratedView, line: Line) -> np.ndarray:
+    """Return both pixels (2, 2) of an axis: midway between its borders on the view's plane, since images are distorted.
+
+    Outside the calibrated region, where the axis is refused, they are those of the line itself.
+    """
+    if line.borders_px is not None:
+        with suppress(OutsideRegionError):
+            lines = view.lines_of_sight(line.borders_px.reshape(4, 2))
+            return view.project(lines.points_mm.reshape(2, 2, 3).mean(axis=0))
+    return line.uv_px
 
 
 def _blocks(covariances: list[np.ndarray]) -> np.ndarray:
@@ -242,7 +261,7 @@ class Drawings:
     def of(views: Sequence[CalibratedView], aids: Aids, picks: Sequence[Sequence[Pick]] | None) -> "Drawings":
         """Return the drawings; `picks`: entry, end, then landmarks. Raises ReconstructionRefusedError."""
         absent: dict[str, str] = {}
-        return Drawings(views, aids, _sights(views, _drawn(aids, picks, len(views)), absent), absent)
+        return Drawings(views, aids, _sights(views, _drawn(views, aids, picks), absent), absent)
 
     def solve(self, picks: PickArrays, method: Method) -> Solution:
         """Return the solution of the picks. Raises OutsideRegionError, ReconstructionRefusedError."""
@@ -250,7 +269,7 @@ class Drawings:
             if name in self.absent:
                 raise OutsideRegionError(self.absent[name])
         counts = picks.seen.sum(axis=1)
-        lines = [one.only(slice(0, int(count))) for one, count in zip(self.sights.lines, counts, strict=True)]
+        lines = [one.first(int(count)) for one, count in zip(self.sights.lines, counts, strict=True)]
         return solve(lines, picks, method)
 
 
@@ -268,11 +287,20 @@ def _sights(views: Sequence[CalibratedView], drawn: list[dict[str, Drawn]], abse
         return Sights.of(views, [{n: d for n, d in named.items() if n not in absent} for named in drawn])
 
 
-def _wire(sights: Sights, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Return entry and end point (6,) of the picks' solution, and their derivatives by the drawing's numbers."""
-    counts = [rows["wire"].stop for rows in sights.rows]
-    own = [by_line[:6, : 3 + 2 * count] for by_line, count in zip(solution.response, counts, strict=True)]
-    return solution.xyz_mm[:2].ravel(), np.hstack(own)
+# Points of a solution: entry and end, then the landmarks.
+_POINTS = {"wire": slice(0, 2), "landmarks": slice(2, None)}
+
+
+def _picked(sights: Sights, solution: Solution, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points (3n,) of the picks' solution that are drawn as `name`, and their derivatives by the drawing's
+    numbers."""
+    points = np.arange(len(solution.xyz_mm))[_POINTS[name]]
+    rows = (3 * points[:, None] + np.arange(3)).ravel()
+    own = [
+        np.hstack([by_line[rows, :3], by_line[rows, 3 + 2 * at[name].start : 3 + 2 * at[name].stop]])
+        for by_line, at in zip(solution.response, sights.rows, strict=True)
+    ]
+    return solution.xyz_mm[points].ravel(), np.hstack(own)
 
 
 def _nearest_to_axis(sights: Sights, name: str, ends: np.ndarray) -> np.ndarray:

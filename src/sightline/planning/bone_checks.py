@@ -203,7 +203,7 @@ def _missing(
     required = {rule.check for rule in rules if rule.required}
     wanted = {}
     if "side" in required and side is None:
-        wanted["side"] = "The side is not given: look at both images and state whether it is the right or the left hip."
+        wanted["side"] = "The side is not given: look at both images and state whether it is the right or the left one."
     if required & {"entry and end", "tip in head"} and found.absent.get("head") == NOT_PLACED["head"]:
         wanted["head"] = (
             "The head is not drawn: draw its outline in both images. Without it neither the order of the wire's ends "

@@ -265,7 +265,8 @@ class Adjustment:
         """Return the wire without its points far outside the entry."""
         lines = view.lines_of_sight(wire.uv_px)
         along = self._places(lines.focal_point_mm, lines.directions)
-        kept = (along > -(GUIDED_MM if self._known.straight else _OUTSIDE_MM)) & (along < self._tip_mm)
+        outside_mm = (GUIDED_MM if self._known.straight else _OUTSIDE_MM) + self._known.before_mm
+        kept = (along > -outside_mm) & (along < self._tip_mm)
         if np.count_nonzero(kept) < CURVE:
             raise ReconstructionRefusedError(
                 f"view {view.name!r} shows {np.count_nonzero(kept)} points of the wire within the bone (at least "

@@ -83,12 +83,13 @@ class Beforehand:
 
     `movement`: of a bone at rest, from planning CFCS to that of the images; `covariance` (6, 6) of its rotation (rad,
     about the middle of the plan) and shift (mm, there), axes of the latter CFCS. `straight`: the wire is in its guide,
-    outside the bone.
+    outside the bone. `before_mm`: how far before the entry bone may begin, so that more of the wire outside it counts.
     """
 
     movement: RigidTransform = field(default_factory=RigidTransform.identity)
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     straight: bool = False
+    before_mm: float = 0.0
 
 
 STILL = Beforehand()

@@ -7,6 +7,7 @@ import numpy as np
 from sightline.calibration.view import CalibratedView
 from sightline.errors import OutsideRegionError
 from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.geometry.lines import cross
 from sightline.planning.trajectory import Trajectory
 
 WIRE_DIAMETER_MM = 2.5  # physics.md, Planning figures [paper]
@@ -45,7 +46,7 @@ def corridor(
     length = trajectory.length_mm
     along = np.linspace(0.0, length + beyond_mm, 2 + int((length + beyond_mm) / _STEP_MM))
     xyz = trajectory.entry_mm + along[:, None] * trajectory.direction
-    sideways = np.cross(trajectory.direction, xyz - view.focal_point_mm)
+    sideways = cross(trajectory.direction, xyz - view.focal_point_mm)
     sideways /= np.linalg.norm(sideways, axis=1, keepdims=True)
     uv, seen = view.project_seen(np.concatenate([xyz, xyz - sideways / 2, xyz + sideways / 2]))
     whole = seen.reshape(3, -1).all(axis=0)

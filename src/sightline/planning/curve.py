@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
@@ -80,7 +80,7 @@ def matching_curve(
     tangent = np.gradient(curve_px, depth, axis=0, edge_order=2)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     pick = DEFAULT_PICK_SD_PX**2 * np.eye(2) if uv_covariance_px2 is None else np.asarray(uv_covariance_px2)
-    refuse_two_frames((line, to_view.lines_of_sight(curve_px[:0])))
+    refuse_two_frames((line, _no_lines(to_view)))
     return MatchingCurve(
         from_view=from_view.name,
         to_view=to_view.name,
@@ -134,6 +134,12 @@ def _seen(view: CalibratedView, xyz_mm: np.ndarray) -> tuple[np.ndarray, slice]:
     first, last = (int(k) for k in edges[np.argmin(away)])
     before = int(np.count_nonzero(seen[:first]))
     return uv[before : before + last - first], slice(first, last)
+
+
+@lru_cache(maxsize=8)  # the views of a few cases [ours]
+def _no_lines(view: CalibratedView) -> LinesOfSight:
+    """Return no lines of sight of a view: they tell its frame."""
+    return view.lines_of_sight(np.zeros((0, 2)))
 
 
 def _perpendicular(tangent_px: np.ndarray) -> np.ndarray:

@@ -20,6 +20,15 @@ def across(vector: np.ndarray, along: np.ndarray) -> np.ndarray:
     return vector - (vector * along).sum(axis=-1, keepdims=True) * along
 
 
+def anatomical(orbit_deg: float, tilt_deg: float) -> np.ndarray:
+    """Return the unit vector (3,) of a direction: lateral, caudal, anterior.
+
+    `orbit_deg` 0 is towards anterior, 90 towards the operated side; `tilt_deg` is positive towards the head.
+    """
+    orbit, tilt = np.deg2rad([orbit_deg, tilt_deg])
+    return np.array([np.cos(tilt) * np.sin(orbit), -np.sin(tilt), np.cos(tilt) * np.cos(orbit)])
+
+
 def caudal(side: str) -> np.ndarray:
     """Return the caudal direction (3,): +Y for a right hip, -Y for a left one. Raises UnusableInputError."""
     if side not in ("right", "left"):

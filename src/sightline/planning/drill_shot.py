@@ -96,12 +96,14 @@ def drill_shot(
     known: Beforehand,
     landmarks: Landmarks | None = None,
     limits: Limits | None = None,
+    through: bool = False,
 ) -> DrillShot:
     """Return where two images that were `taken` while drilling show the wire, against the plan.
 
     `tip_mm`: depth of the tip beyond the planned entry by the robot, negative before it. `known`: how the frame moved
-    since the planning images (`CalibratedRobot.frame_moved`); `known.straight` in ALIGNED. The others as of
-    `check_shot`, which also says what is raised; UnusableInputError too for a tip at the entry, from which no line to
+    since the planning images (`CalibratedRobot.frame_moved`); `known.straight` in ALIGNED. `through`: the wire is a
+    drill for the hole of a nail, straight in PAUSED too, where it waits before the nail. The others as of `check_shot`,
+    which also says what is raised; UnusableInputError too for a tip at the entry, from which no line to
     the end follows.
     """
     if abs(tip_mm) < MIN_TIP_MM:
@@ -110,7 +112,8 @@ def drill_shot(
         )
     limits = limits or Limits()
     here = replace(limits, beyond_mm=tip_mm - trajectory.length_mm)
-    wire = check_shot(trajectory, picks, planned, taken, wires, landmarks=landmarks, limits=here, known=known)
+    of_wire = replace(known, straight=known.straight or through, before_mm=limits.before_mm)
+    wire = check_shot(trajectory, picks, planned, taken, wires, landmarks=landmarks, limits=here, known=of_wire)
     share = (trajectory.length_mm + limits.beyond_mm) / tip_mm
     to_end = np.hstack([(1 - share) * np.eye(2), share * np.eye(2), np.zeros((2, 1))])
     end, spread = to_end @ wire.deviation_mm, to_end @ wire.covariance_mm2 @ to_end.T

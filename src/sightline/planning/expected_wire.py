@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.bead_view import bead_shadows_px
 from sightline.calibration.view import CalibratedView
@@ -13,6 +14,7 @@ from sightline.planning.hole_result import Hole
 BEFORE_MM, BEYOND_MM = 25.0, 15.0  # lengths added outside the entry and beyond the planned depth [ours]
 GUIDED_MM = 80.0  # the same outside the entry for a wire that waits in its guide [ours]
 _STEP_MM = 1.0
+_STILL = RigidTransform.identity()
 _NAIL_MM = 30.0  # of a nail to either side of its hole [ours]
 _BESIDE_NAIL_MM = 2.0  # the bone may move so far between plan and check [ours]
 
@@ -33,12 +35,16 @@ class ExpectedWire:
     beads_px: np.ndarray
 
 
-def nail_px(view: CalibratedView, hole: Hole) -> np.ndarray:
-    """Return a polygon (M, 2), IDCS, around the nail near one of its holes, as far as the view is calibrated."""
+def nail_px(view: CalibratedView, hole: Hole, movement: RigidTransform = _STILL) -> np.ndarray:
+    """Return a polygon (M, 2), IDCS, around the nail near one of its holes, as far as the view is calibrated.
+
+    `movement`: from the CFCS of the hole to that of the view.
+    """
     half = hole.nail.diameter_mm / 2 + _BESIDE_NAIL_MM
-    sideways = unit(np.cross(hole.nail_direction, hole.nail_mm - view.focal_point_mm))
-    ahead = np.linspace(-_NAIL_MM, _NAIL_MM, 31)[:, None] * hole.nail_direction
-    return view.project_seen(hole.nail_mm + np.concatenate([ahead + half * sideways, ahead[::-1] - half * sideways]))[0]
+    nail_mm, along = movement.apply(hole.nail_mm), movement.rotation.apply(hole.nail_direction)
+    sideways = unit(np.cross(along, nail_mm - view.focal_point_mm))
+    ahead = np.linspace(-_NAIL_MM, _NAIL_MM, 31)[:, None] * along
+    return view.project_seen(nail_mm + np.concatenate([ahead + half * sideways, ahead[::-1] - half * sideways]))[0]
 
 
 def expected_wire(

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.special import chndtrinc, gammaincc, ndtri
 
 from sightline.geometry.covariance import ellipsoid_factor
-from sightline.planning.solution import MIN_ANGLE_RAD, Solution, approach, inverse, pairs
+from sightline.geometry.lines import cross
+from sightline.planning.solution import MIN_ANGLE_RAD, Solution, approach, inverse
 
 # Correct plans exceed the limits of all gaps and of a movement together once in a thousand [ours].
 CONFIDENCE = 0.999
@@ -132,7 +133,7 @@ def gap_mm(solution: Solution) -> np.ndarray:
     Pairs nearly parallel do not count: they approach each other far from the point.
     """
     out = np.zeros(len(solution.xyz_mm))
-    for i, j, directions, sine in pairs(solution.lines, solution.picks.seen):
+    for i, j, directions, sine in solution.given.pairs:
         own = sine >= np.sin(MIN_ANGLE_RAD)
         out[own] = np.maximum(out[own], approach(solution.lines, i, j, directions[:, own]).gap_mm)
     return out
@@ -142,9 +143,9 @@ def _of_pairs(solution: Solution) -> list[tuple[np.ndarray, np.ndarray, np.ndarr
     """Return point, value and row of the points that just two views show, with free picks, for each pair of views."""
     picks, out = solution.picks, []
     reach = solution.by_point([np.repeat(r.reach[:, None], 2, axis=1) for r in solution.residuals])
-    for i, j, directions, sine in pairs(solution.lines, picks.seen):
+    for i, j, directions, sine in solution.given.pairs:
         own = (sine >= 0.0) & (picks.seen.sum(axis=0) == 2)
-        common = np.cross(*directions[:, own])
+        common = cross(*directions[:, own])
         common = common / np.linalg.norm(common, axis=1, keepdims=True)
         rows = np.zeros((len(common), reach.shape[1]))
         for k, sign in ((i, -1.0), (j, 1.0)):

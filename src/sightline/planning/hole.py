@@ -18,10 +18,11 @@ from scipy.linalg import cho_factor, cho_solve
 from sightline.calibration.view import SOURCES, CalibratedView
 from sightline.checks import Check, failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
+from sightline.fitting.robust import MAD_TO_SD
 from sightline.geometry.covariance import TWO_SIDED_999, ellipsoid_factor
 from sightline.geometry.lines import nearest_approach
 from sightline.planning.directions import across, unit
-from sightline.planning.hole_expected import LocalCamera
+from sightline.planning.hole_expected import LocalCamera, through_surface
 from sightline.planning.hole_result import Hole, HolePose, Nail
 from sightline.planning.results import error_unknown
 from sightline.planning.sights import Sights
@@ -239,25 +240,30 @@ class _Points:
 def _residuals(states: np.ndarray, focal: np.ndarray, points: np.ndarray, kind: np.ndarray) -> np.ndarray:
     """Return (K, N), mm, for states (K or 1, 17) and lines of sight (K or 1, N, 3): of an outline, distance from the
     nail's axis minus the radius; of a rim, the same of the hole where the line meets the nail's surface."""
-    nail, hole = states[:, None, _NAIL], states[:, None, _HOLE]
-    along, axis = unit(states[:, None, _ALONG]), unit(states[:, None, _AXIS])
+    nail, along, hole, axis = states[:, _NAIL], unit(states[:, _ALONG]), states[:, _HOLE], unit(states[:, _AXIS])
     ray = unit(points - focal)
-    cosine = (ray * along).sum(-1)
-    from_nail = focal - nail
-    ahead, beside = (from_nail * ray).sum(-1), (from_nail * along).sum(-1)
+    moment = np.cross(focal, ray)
+    cosine = _dot(ray, along)
+    ahead = (focal * ray).sum(-1) - _dot(ray, nail)
+    beside = _dot(focal, along) - (nail * along).sum(-1)[:, None]
     sine2 = 1 - cosine**2
     place = (beside - cosine * ahead) / sine2
-    normal = np.cross(ray, along)
-    bend = 0.5 * place[..., None] ** 2 * _bend(states)[:, None]
-    outline = np.abs(((from_nail - bend) * normal).sum(-1)) / np.sqrt(sine2) - states[:, _OUTER, None]
-    # Where the line meets the surface: (ray t + from_nail) perpendicular to the nail has the length of the radius.
-    half = ahead - cosine * beside
-    square = (from_nail**2).sum(-1) - beside**2 - states[:, _WALL, None] ** 2
-    root = np.sqrt(np.maximum(half**2 - sine2 * square, 1e-12))
-    forwards = np.where((ray * axis).sum(-1) > 0, 1.0, -1.0) * np.where(kind == _EXIT, 1.0, -1.0)
-    on_surface = focal + ((forwards * root - half) / sine2)[..., None] * ray
-    rim = np.linalg.norm(across(on_surface - hole, axis), axis=-1) - states[:, _RADIUS, None]
-    return np.where(kind < _ENTRY, outline, rim)
+    # Distance between both lines, straight and bent, times the sine of the angle between them.
+    straight = _dot(moment, along) - _dot(ray, np.cross(along, nail))
+    bent = straight - 0.5 * place**2 * _dot(ray, np.cross(along, _bend(states)))
+    outline = np.abs(bent) / np.sqrt(sine2) - states[:, _OUTER, None]
+    # Where the line meets the surface, it has the distance of the radius from the axis.
+    root = np.sqrt(np.maximum(sine2 * states[:, _WALL, None] ** 2 - straight**2, 1e-12))
+    forwards = np.where(_dot(ray, axis) > 0, 1.0, -1.0) * np.where(kind == _EXIT, 1.0, -1.0)
+    length = (forwards * root - ahead + cosine * beside) / sine2
+    from_hole = focal - hole[:, None] + length[..., None] * ray
+    square = np.einsum("kni,kni->kn", from_hole, from_hole) - _dot(from_hole, axis) ** 2
+    return np.where(kind < _ENTRY, outline, np.sqrt(np.maximum(square, 0.0)) - states[:, _RADIUS, None])
+
+
+def _dot(vectors: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Return (K, N): products of vectors (K or 1, N, 3) with one vector (K or 1, 3) each."""
+    return (vectors @ own[..., None])[..., 0]
 
 
 def _bend(states: np.ndarray) -> np.ndarray:
@@ -371,7 +377,7 @@ def _fitted(points: _Points, state: np.ndarray, nail: Nail) -> _Solved:
         at = solved.state, solved.numbers
         if not np.isfinite(solved.state).all():
             break
-        spread = max(1.0, 1.4826 * float(np.median(np.abs(solved.own))))
+        spread = max(1.0, MAD_TO_SD * float(np.median(np.abs(solved.own))))
         inflation = 1 + (solved.own / (2.0 * spread)) ** 2
         if iteration > 0 and solved.step < 30 * _CONVERGED:
             return solved
@@ -501,7 +507,7 @@ def turned_to_rims(cameras: Sequence[LocalCamera], seen: Sequence[HoleSeen], nai
         tried = move + np.vstack([np.zeros(2), *np.diag(_TURN_STEPS), *-np.diag(_TURN_STEPS)])
         values = _residuals(states(tried), focal_mm, points_mm, kinds)
         design = (values[1:3] - values[3:]) / (2 * _TURN_STEPS[:, None])
-        weight = 1 / (1 + (values[0] / max(1.4826 * float(np.median(np.abs(values[0]))), 1e-3)) ** 2)
+        weight = 1 / (1 + (values[0] / max(MAD_TO_SD * float(np.median(np.abs(values[0]))), 1e-3)) ** 2)
         move = move - np.linalg.solve((design * weight) @ design.T + 1e-9 * np.eye(2), (design * weight) @ values[0])
     state = states(move[None])[0]
     return HolePose(start.nail_mm, start.along, state[_HOLE], state[_AXIS])
@@ -510,16 +516,14 @@ def turned_to_rims(cameras: Sequence[LocalCamera], seen: Sequence[HoleSeen], nai
 def _ends(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return entry and exit (6,), where the hole's axis crosses the nail's surface, and derivatives (6, 13)."""
     moves = (_tangents(state) * _STEPS).T
-    values = np.array([_crossings(one) for one in (state, *(state + moves), *(state - moves))])
+    values = _crossings(np.concatenate([state[None], state + moves, state - moves]))
     return values[0], ((values[1:14] - values[14:]) / (2 * _STEPS[:, None])).T
 
 
-def _crossings(state: np.ndarray) -> np.ndarray:
-    along, axis = unit(state[_ALONG]), unit(state[_AXIS])
-    off, step = across(state[_HOLE] - state[_NAIL], along), across(axis, along)
-    a, b, c = step @ step, step @ off, off @ off - state[_WALL] ** 2
-    root = np.sqrt(max(b * b - a * c, 0.0))
-    return np.concatenate([state[_HOLE] + (s * root - b) / a * axis for s in (-1, 1)])
+def _crossings(states: np.ndarray) -> np.ndarray:
+    hole, axis, line = states[:, _HOLE], unit(states[:, _AXIS]), (states[:, _NAIL], unit(states[:, _ALONG]))
+    near, far = through_surface(hole, axis, line, states[:, _WALL])[..., None]
+    return np.hstack([hole + near * axis, hole + far * axis])
 
 
 def _budget(points: _Points, solved: _Solved, kept: np.ndarray, by_parameters: np.ndarray) -> dict[str, np.ndarray]:

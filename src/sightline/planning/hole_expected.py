@@ -108,15 +108,12 @@ def metal_mm(focal_mm: np.ndarray, rays: np.ndarray, pose: HolePose, nail: Nail)
 
 def metals_mm(focal_mm: np.ndarray, rays: np.ndarray, poses: Sequence[HolePose], nail: Nail) -> np.ndarray:
     """Return `metal_mm` (K, ...) of K poses of one nail."""
-    outer, bore = (
-        _span(focal_mm, rays, (poses[0].nail_mm, poses[0].along), d / 2) for d in (nail.diameter_mm, nail.bore_mm)
-    )
-    whole = _length(outer) - _length(bore)
-    out = np.empty((len(poses), *whole.shape))
-    for k, pose in enumerate(poses):
-        hole = _span(focal_mm, rays, (pose.hole_mm, pose.axis), nail.hole_mm / 2)
-        out[k] = whole - _length(outer, hole) + _length(bore, hole)
-    return out
+    first, flat = poses[0], rays.reshape(-1, 3)
+    tube = _Beside.of(focal_mm, flat, first.nail_mm[None], first.along[None])
+    holes = _Beside.of(focal_mm, flat, np.array([p.hole_mm for p in poses]), np.array([p.axis for p in poses]))
+    outer, bore, hole = tube.span(nail.diameter_mm / 2), tube.span(nail.bore_mm / 2), holes.span(nail.hole_mm / 2)
+    metal = _length(outer) - _length(bore) - _length(outer, hole) + _length(bore, hole)
+    return metal.reshape(len(poses), *rays.shape[:-1])
 
 
 def hole_candidates(
@@ -158,23 +155,44 @@ def rim(pose: HolePose, nail: Nail, side: float) -> tuple[np.ndarray, np.ndarray
     first = unit(across(pose.along, pose.axis))
     outward = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * np.cross(pose.axis, first)
     start = pose.hole_mm + nail.hole_mm / 2 * outward
-    axes = np.broadcast_to(pose.axis, start.shape)
-    near, far = _span(start, axes, (pose.nail_mm, pose.along), nail.diameter_mm / 2)
+    near, far = through_surface(start, pose.axis, (pose.nail_mm, pose.along), nail.diameter_mm / 2)
     return start + (far if side > 0 else near)[:, None] * pose.axis, outward
 
 
-def _span(
-    origin_mm: np.ndarray, rays: np.ndarray, line: tuple[np.ndarray, np.ndarray], radius_mm: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return where rays (..., 3) enter and leave a cylinder about a line, mm from their origin; enter > leave: not."""
-    point, along = line
-    start = origin_mm - point
-    cosine, beside = rays @ along, start @ along
-    a, b = 1 - cosine**2, (rays * start).sum(-1) if start.ndim > 1 else rays @ start
-    b = b - cosine * beside
-    inside = b * b - a * ((start * start).sum(-1) - beside**2 - radius_mm**2)
-    root = np.sqrt(np.maximum(inside, 0.0))
-    return np.where(inside > 0, (-b - root) / a, 1e9), np.where(inside > 0, (-b + root) / a, -1e9)
+def through_surface(
+    start_mm: np.ndarray, along: np.ndarray, line: tuple[np.ndarray, np.ndarray], radius_mm: float | np.ndarray
+) -> np.ndarray:
+    """Return where lines from points (..., 3) along vectors (..., 3) enter and leave a cylinder about a line (points
+    and unit vectors (..., 3)): (2, ...), in lengths of the vectors."""
+    point, axis = line
+    off, step = across(start_mm - point, axis), across(along, axis)
+    a, b, c = ((p * q).sum(axis=-1) for p, q in ((step, step), (off, step), (off, off)))
+    root = np.sqrt(np.maximum(b * b - a * (c - radius_mm**2), 0.0))
+    return np.stack([-b - root, root - b]) / a
+
+
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """M rays beside K lines, (K, M): the place of a ray nearest to a line, mm from the ray's origin; the squared
+    distance there, mm²; and the squared sine of the angle between them."""
+
+    place_mm: np.ndarray
+    apart_mm2: np.ndarray
+    sine2: np.ndarray
+
+    @staticmethod
+    def of(origin_mm: np.ndarray, rays: np.ndarray, points_mm: np.ndarray, along: np.ndarray) -> "_Beside":
+        """Return it for unit rays (M, 3) from one origin (3,), and lines through points (K, 3) along unit (K, 3)."""
+        start = origin_mm - points_mm
+        cosine, ahead, moment = (one @ rays.T for one in (along, start, np.cross(along, start)))
+        sine2 = 1 - cosine**2
+        return _Beside(((start * along).sum(axis=1)[:, None] * cosine - ahead) / sine2, moment**2 / sine2, sine2)
+
+    def span(self, radius_mm: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return where the rays enter and leave cylinders about the lines, (K, M) each, mm; one place if they do not
+        meet."""
+        half = np.sqrt(np.maximum(radius_mm**2 - self.apart_mm2, 0.0) / self.sine2)
+        return self.place_mm - half, self.place_mm + half
 
 
 def _length(*spans: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

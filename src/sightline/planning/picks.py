@@ -55,6 +55,12 @@ class PickArrays(NamedTuple):
         """(V, N) bool: the pick is snapped to a curve."""
         return np.any(self.across_px != 0.0, axis=-1)
 
+    def in_views(self, count: int) -> "PickArrays":
+        """Return the picks with further views that do not show the points, up to `count` views."""
+        more = count - len(self.uv_px), self.uv_px.shape[1]
+        filled = np.full((*more, 2), np.nan), np.tile(np.eye(2), (*more, 1, 1)), np.zeros((*more, 2))
+        return PickArrays(*(np.concatenate(pair) for pair in zip(self, filled, strict=True)))
+
     def regular(self) -> "PickArrays":
         """Return the picks with a variance above zero across their curves, which keeps matrices regular; it is not
         used."""

@@ -10,6 +10,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning.axis import Axis
 from sightline.planning.check_start import WireSeen
+from sightline.planning.picks import PickArrays
 from sightline.planning.reconstruct import reconstruct
 from sightline.planning.results import error_unknown
 
@@ -26,9 +27,17 @@ class _Point:
     along: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class PlacedWire(Axis):
+    """A wire found in the planning images. `picks`: its two ends in the first two views, of which it is made: with them
+    its errors are joint with those of wires that are planned on the same views."""
+
+    picks: PickArrays
+
+
 def placed_wires(
     views: Sequence[CalibratedView], wires: Mapping[str, Sequence[WireSeen]], entries_mm: Mapping[str, np.ndarray]
-) -> dict[str, Axis]:
+) -> dict[str, PlacedWire]:
     """Return the wires by key, each from near its entry (3,) to its tip, with its covariance, CFCS.
 
     `wires`: each as the first and the second of two `views` show it. The distance between the lines of sight of the
@@ -58,17 +67,24 @@ def placed_wires(
                 "cannot be told which line is which wire; take one of the images from another direction"
             )
     ends = [point for pair in zip(points, tips, strict=True) for point in pair]
-    uv, spread = (np.array([[getattr(one, n) for one in end] for end in ends]) for n in ("uv_px", "covariance_px2"))
+    uv, spread = (
+        np.array([[getattr(one, n) for one in end] for end in ends]).swapaxes(0, 1) for n in ("uv_px", "covariance_px2")
+    )
     across = np.zeros_like(uv)
     for k, (chosen, other) in enumerate(points):
-        spread[2 * k, 0] += _CHOSEN_PX**2 * np.outer(chosen.along, chosen.along)
-        across[2 * k, 1] = other.along
-    seen = reconstruct(both, uv.swapaxes(0, 1), spread.swapaxes(0, 1), across_px=across.swapaxes(0, 1))
-    if seen.joint_covariance_mm2 is None:
+        spread[0, 2 * k] += _CHOSEN_PX**2 * np.outer(chosen.along, chosen.along)
+        across[1, 2 * k] = other.along
+    picks = PickArrays(uv, spread, across)
+    seen = reconstruct(both, *picks[:2], across_px=across)
+    joint = seen.joint_covariance_mm2
+    if joint is None:
         raise error_unknown()
+    rows = [slice(2 * k, 2 * k + 2) for k in range(len(keys))]
     return {
-        key: Axis(seen.xyz_mm[2 * k : 2 * k + 2], seen.joint_covariance_mm2[6 * k : 6 * k + 6, 6 * k : 6 * k + 6])
-        for k, key in enumerate(keys)
+        key: PlacedWire(
+            seen.xyz_mm[at], joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], PickArrays(*(one[:, at] for one in picks))
+        )
+        for k, (key, at) in enumerate(zip(keys, rows, strict=True))
     }
 
 

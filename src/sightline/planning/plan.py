@@ -28,7 +28,7 @@ from sightline.planning.results import SpacePoints, Verdict
 from sightline.planning.solution import Method
 from sightline.planning.trajectory import Trajectory
 from sightline.planning.verdict import judge
-from sightline.planning.view_directions import assumed_axes, judge_directions, unknown_directions
+from sightline.planning.view_directions import Located, assumed_axes, rules_of_bone
 from sightline.show import Plotted, dataframe
 from sightline.show.words import checks_lines
 from sightline.threads import one_blas_thread
@@ -135,7 +135,9 @@ class Plan(Plotted):
     def sentences(self) -> list[str]:
         """Return what else a reader must know: errors that no check shows, other wires, and the implant that fits."""
         fits, pair = self.implant, [_PAIR] if len(self.views) == 2 else []
-        axes = [assumed_axes(self.kind, self.views), unknown_directions(self.kind, self.views)]
+        axes = [assumed_axes(self.kind, self.views)]
+        if self.anatomy is not None:
+            axes.append(Located(self.kind, self.views, self.anatomy, self.landmark_names, self.side).unknown_directions)
         said = [*self.along_sentences(), *pair, *self._alone(), *([] if fits is None else [fits.sentence])]
         if self.hole is not None:
             said += [self.hole.sentence, *(turn.sentence for turn in perfect_circles(self.hole, self.views))]
@@ -213,6 +215,7 @@ class Plan(Plotted):
                 "position_mm": limits.position_mm,
                 "direction_deg": float(np.rad2deg(limits.direction_rad)),
                 "beyond_mm": limits.beyond_mm,
+                "before_mm": limits.before_mm,
             },
         }
 
@@ -294,15 +297,19 @@ def plan(
     if hole is not None:
         seen = hole.located(seen)
     trajectory = Trajectory(seen.first(2) if free else seen)
-    anatomy = None if aids is None and not kind.checks else located(drawings, lambda: solution)
+    anatomy = (
+        None
+        if aids is None and not kind.checks
+        else located(drawings, lambda: solution, bool(kind.document.directions))
+    )
     verdict, noticed = judge(trajectory, at_rest, kind.limits, seen), (None, None)
     if hole is not None:
         verdict = verdict.joined(Verdict(hole.checks))
     if kind.checks and anatomy is not None:
         known = dict(zip(names, seen.xyz_mm[2:], strict=False))
-        verdict = verdict.joined(judge_in_bone(anatomy, kind.checks, side, known))
-        verdict = verdict.joined(judge_directions(kind, at_rest, trajectory, side))
-        given = anatomy, kind.checks, side, known
+        given = anatomy, rules_of_bone(kind, at_rest), side, known
+        verdict = verdict.joined(judge_in_bone(*given))
+        verdict = verdict.joined(Located(kind, at_rest, anatomy, names, side).judge())
         noticed = noticed_beyond_mm((*measures(*given), *metric_measures(*given)), anatomy)
     return Plan(
         trajectory=trajectory,

@@ -34,9 +34,10 @@ class WireLines:
 
     @staticmethod
     def of(keys: Sequence[str], points: SpacePoints | None, placed: Mapping[str, Axis]) -> "WireLines":
-        """Return planned wires, whose `points` are (entry, end) of each of `keys`, and wires that are placed already.
+        """Return wires of these images, whose `points` are (entry, end) of each of `keys`, and wires that are `placed`
+        already, as other images or a hole's rims measured them.
 
-        The errors of a placed wire are taken to be independent of the others'.
+        The errors of the latter are taken to be independent of the others'.
         """
         planned = [] if points is None else [points.xyz_mm]
         covariances = [] if points is None else [points.joint_covariance_mm2]

@@ -10,7 +10,7 @@ import numpy as np
 
 from sightline.calibration.view import LinesOfSight
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
-from sightline.geometry.lines import NearestApproach, nearest_approach
+from sightline.geometry.lines import NearestApproach, cross, nearest_approach
 from sightline.planning.line_residuals import (
     LineResiduals,
     covariance_by_source,
@@ -36,10 +36,10 @@ def solve(lines: Sequence[LinesOfSight], picks: PickArrays, method: Method) -> "
     if method not in get_args(Method):
         raise UnusableInputError(f"unknown method {method!r}; choose 'weighted' or 'nearest'")
     refuse_two_frames(lines)
-    xyz = _start(lines, picks.seen)
+    given = Given(lines, picks)
+    xyz = _start(given)
     _refuse_behind(lines, picks.seen, xyz)
     used: Method = "nearest" if any(one.covariance is None for one in lines) else method
-    given = Given(lines, picks)
     solution = Solution(given, xyz, used)
     # Of two lines the start is already the nearest point.
     for _ in range(_ITERATIONS if used == "weighted" or (picks.seen.sum(axis=0) > 2).any() else 0):
@@ -62,6 +62,20 @@ class Given:
     def size(self) -> tuple[int, int]:
         """Number of points, and of the residuals of each."""
         return self.picks.uv_px.shape[1], 2 * len(self.lines)
+
+    @cached_property
+    def pairs(self) -> list[tuple[int, int, np.ndarray, np.ndarray]]:
+        """For each pair of views (i, j) the directions (2, N, 3) of both lines of each point, and the sine (N,) of
+        their angle; NaN and -1 where not both show the point."""
+        seen = self.picks.seen
+        directions = np.full((*seen.shape, 3), np.nan)
+        for k, one in enumerate(self.lines):
+            directions[k, seen[k]] = one.directions
+        out = []
+        for i, j in combinations(range(len(self.lines)), 2):
+            sine = np.linalg.norm(cross(directions[i], directions[j]), axis=1)
+            out.append((i, j, directions[[i, j]], np.where(seen[i] & seen[j], sine, -1.0)))
+        return out
 
     @cached_property
     def at(self) -> np.ndarray:
@@ -183,19 +197,6 @@ class Solution:
         return information
 
 
-def pairs(lines: Sequence[LinesOfSight], seen: np.ndarray) -> list[tuple[int, int, np.ndarray, np.ndarray]]:
-    """Return for each pair of views (i, j) the directions (2, N, 3) of both lines of each point, and the sine (N,) of
-    their angle; NaN and -1 where not both show the point."""
-    directions = np.full((*seen.shape, 3), np.nan)
-    for k, one in enumerate(lines):
-        directions[k, seen[k]] = one.directions
-    out = []
-    for i, j in combinations(range(len(lines)), 2):
-        sine = np.linalg.norm(np.cross(directions[i], directions[j]), axis=1)
-        out.append((i, j, directions[[i, j]], np.where(seen[i] & seen[j], sine, -1.0)))
-    return out
-
-
 def approach(lines: Sequence[LinesOfSight], i: int, j: int, directions: np.ndarray) -> NearestApproach:
     """Return the closest approach of lines along `directions` (2, N, 3) of the views i and j."""
     return nearest_approach(lines[i].focal_point_mm, directions[0], lines[j].focal_point_mm, directions[1])
@@ -212,23 +213,22 @@ def inverse(covariance: np.ndarray) -> np.ndarray:
         ) from None
 
 
-def _start(lines: Sequence[LinesOfSight], seen: np.ndarray) -> np.ndarray:
+def _start(given: Given) -> np.ndarray:
     """Return for each point the middle of the closest approach of the two lines with the largest angle.
 
     Raises ReconstructionRefusedError where all lines of a point are too nearly parallel to determine it.
     """
-    of_pairs = pairs(lines, seen)
-    sines = np.array([sine for _, _, _, sine in of_pairs])
+    sines = np.array([sine for _, _, _, sine in given.pairs])
     best, largest = sines.argmax(axis=0), sines.max(axis=0).min()
     if largest < np.sin(MIN_ANGLE_RAD):
         raise ReconstructionRefusedError(
             f"the lines of sight of a point are nearly parallel ({np.rad2deg(np.arcsin(largest)):.1f}°; at least "
             f"{np.rad2deg(MIN_ANGLE_RAD):.0f}° is needed); acquire an image from another direction"
         )
-    xyz = np.empty((seen.shape[1], 3))
-    for k, (i, j, directions, _) in enumerate(of_pairs):
+    xyz = np.empty((given.size[0], 3))
+    for k, (i, j, directions, _) in enumerate(given.pairs):
         own = best == k
-        xyz[own] = approach(lines, i, j, directions[:, own]).middle_mm
+        xyz[own] = approach(given.lines, i, j, directions[:, own]).middle_mm
     return xyz
 
 

@@ -92,9 +92,16 @@ def entry_to_oval(entry: np.ndarray, tip: np.ndarray, tube: Tube, name: str) -> 
 def axis_of_tube(tube: Tube, name: str) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Return a point (3,) of the axis of one tube, its direction (3,), and for both images the places (1, 2), mm along
     it from the point, where its drawn borders end. Raises ReconstructionRefusedError."""
-    (one, a), (other, b) = ((tube[:, k, 0], tube[:, k, 1:].mean(axis=1) - tube[:, k, 0]) for k in (0, 1))
-    seen = _Seen.of(tube, nearest_approach(one, a, other, b).middle_mm, name)
+    seen = _seen(tube, name)
     return seen.middle[0], seen.way[0], seen.ends
+
+
+def line_of_tube(tube: Tube, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return points of the axes of tubes, (K, 3), beside the middle of what is drawn, and their directions (K, 3).
+
+    Raises ReconstructionRefusedError."""
+    seen = _seen(tube, name)
+    return seen.middle, seen.way
 
 
 def axis_of_oval(tube: Tube, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -189,6 +196,14 @@ class _Seen:
             ((axis - self.focal[:, k, None]) * normals[:, :1]).sum(axis=-1) for k, normals in enumerate(self.inward)
         )
         return first, second
+
+
+def _seen(tube: Tube, name: str) -> _Seen:
+    """Return tubes, with points of their axes beside the middle of what is drawn.
+
+    Raises ReconstructionRefusedError."""
+    (one, a), (other, b) = ((tube[:, k, 0], tube[:, k, 1:].mean(axis=1) - tube[:, k, 0]) for k in (0, 1))
+    return _Seen.of(tube, nearest_approach(one, a, other, b).middle_mm, name)
 
 
 def _middle_of_oval(tube: Tube, name: str) -> tuple[np.ndarray, np.ndarray]:

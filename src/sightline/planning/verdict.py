@@ -49,17 +49,16 @@ def _errors(trajectory: Trajectory, limits: Limits) -> list[Check]:
         ("end error", "end point", trajectory.end_error_95_mm, limits.position_mm, "mm"),
         ("direction error", "direction", direction_deg, float(np.rad2deg(limits.direction_rad)), "°"),
     )
-    out = []
+    out, budget = [], trajectory.budget_rms()
     for name, what, error_95, limit, unit in errors:
-        advice = f"the largest source is {_largest_source(trajectory, name)}: reduce it first"
+        advice = f"the largest source is {_largest_source(budget, name)}: reduce it first"
         out.append(error_check(name, what, error_95, limit, unit, advice=advice))
     return out
 
 
-def _largest_source(trajectory: Trajectory, check: str) -> str:
-    """Return the source with the largest share of an error, in words."""
+def _largest_source(budget: dict[str, dict[str, float]], check: str) -> str:
+    """Return the source with the largest share of an error, in words; `budget`: rms errors by source."""
     key = {"entry error": "entry_mm", "end error": "end_mm", "direction error": "direction_rad"}[check]
-    budget = trajectory.budget_rms()
     return max(budget, key=lambda source: budget[source][key]).replace("_", " ")
 
 

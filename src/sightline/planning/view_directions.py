@@ -1,21 +1,24 @@
-"""The directions from which the images of a plan were taken, against those that its procedure wants."""
+"""The directions from which the images of a plan were taken, and its side, against what its procedure wants."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check
-from sightline.planning.directions import ANTERIOR, MEDIAL, caudal, unit
+from sightline.errors import ReconstructionRefusedError
+from sightline.geometry.covariance import TWO_SIDED_95, response
+from sightline.planning.anatomy import Anatomy
+from sightline.planning.directions import anatomical, unit
+from sightline.planning.patient_axes import BoneAxes, frame_axes
 from sightline.planning.procedures import Procedure
+from sightline.planning.procedures.document import WantedView
+from sightline.planning.procedures.rules import HEAD_CENTRE, CheckRule
 from sightline.planning.results import Verdict
-from sightline.planning.trajectory import Trajectory
 
 _NAME = "view directions"
-_UNKNOWN = (
-    "The directions of the images are not checked: nothing says how the patient lies to this frame. Compare both "
-    "images with the views that `sightline procedure show` names."
-)
+_WAYS = (("lateral", "medial"), ("caudal", "cranial"), ("in front", "behind"))  # lateral, caudal, anterior
 # Checks along lateral, caudal or anterior: those of the frame, by the stated side.
 _ALONG_AXES = ("side", "lateral of lesser trochanter", "anterior of lesser trochanter")
 _ASSUMED = (
@@ -24,71 +27,197 @@ _ASSUMED = (
 )
 
 
-def judge_directions(
-    procedure: Procedure, views: Sequence[CalibratedView], trajectory: Trajectory, side: str | None
-) -> Verdict:
-    """Return the check of the views' beams at the wire's middle, if the procedure has it.
+@dataclass(frozen=True, eq=False)
+class Located:
+    """What a plan knows of how the patient lies: its `views` as they were taken, the `anatomy` with the picked
+    landmarks, their keys ("" for none), and the stated `side`."""
 
-    `views`: in the order of the procedure's; further ones are compared by their names. The axes of a frame with plates
-    are those of the patient (docs/conventions.md). Those of a block are not, and a view may have no frame: then the
-    check is missing if the procedure requires it, and left out otherwise.
-    """
-    rule = next((one for one in procedure.checks if one.check == _NAME), None)
-    if rule is None:
-        return Verdict((), ())
-    why = unknown_directions(procedure, views)
-    if not why and side is None and any(one.tilt_deg for one in procedure.document.views):
-        why = "The directions of the images are not checked: the side is not given, which tells head from feet."
-    if why:
-        missing = (Check("view directions", False, None, None, "°", why),) if rule.required else ()
-        return Verdict(missing, missing)
-    middle = (trajectory.entry_mm + trajectory.end_mm) / 2
-    wanted = [one for k, one in enumerate(procedure.document.views) if k < 2 or one.name in [v.name for v in views[2:]]]
-    seen = [*views[:2], *(next(v for v in views[2:] if v.name == one.name) for one in wanted[2:])]
-    judged = []
-    for one, view in zip(wanted, seen, strict=False):
-        beam = unit(middle - view.focal_point_mm)
-        away = np.rad2deg(np.arccos(np.clip(beam @ beam_of(one.orbit_deg, one.tilt_deg, side), -1.0, 1.0)))
-        judged.append((float(away) - one.within_deg, float(away), one, angles_of(beam, side)))
-    over, away, one, (orbit, tilt) = max(judged, key=lambda each: each[0])
-    sentence = f"The view {one.name} is {away:.0f}° from its wanted direction (at most {one.within_deg:.0f}°)"
-    if over > 0.0:
-        sentence += (
-            f"; its beam is at orbit {orbit:.0f}°, tilt {tilt:.0f}°: acquire it at orbit {one.orbit_deg:.0f}°, tilt "
-            f"{one.tilt_deg:.0f}°, or check the side and the order of the images"
+    procedure: Procedure
+    views: Sequence[CalibratedView]
+    anatomy: Anatomy
+    landmarks: Sequence[str]
+    side: str | None
+
+    def judge(self) -> Verdict:
+        """Return the checks of the views' directions and of the bone's side, as far as the procedure asks for them."""
+        return self._directions().joined(self._side())
+
+    @property
+    def unknown_directions(self) -> str:
+        """Why the procedure's check of directions cannot be made, or ""."""
+        if all(one.check != _NAME for one in self.procedure.checks):
+            return ""
+        if self.side is None and any(one.tilt_deg for one in self.procedure.document.views):
+            return "The directions of the images are not checked: the side is not given, which tells head from feet."
+        if _axes_of_frame(self.views):
+            return ""
+        unsaid = "The directions of the images are not checked: nothing says how the patient lies to this frame"
+        directions = self.procedure.document.directions
+        if not directions:
+            return (
+                f"{unsaid}, and the procedure's file states no directions of the bone. Compare both images with the "
+                "views that `sightline procedure show` names."
+            )
+        lacking = self._bone.lacking(directions[:2])
+        lacking += ["the side is not given"] if self.side is None else []
+        lacking += ["the error of a view is not stated"] if self.anatomy.covariance is None else []
+        return f"{unsaid}; {'; '.join(lacking)}." if lacking else ""
+
+    @property
+    def _bone(self) -> BoneAxes:
+        return BoneAxes(self.anatomy, self.procedure.document, self.landmarks, self.side or "right")
+
+    def beside(self) -> tuple[float, float]:
+        """Return how far the third direction of the bone points as on the stated side, mm, and its 95 % error."""
+        value, sd = self._bone.beside()
+        return value, TWO_SIDED_95 * sd
+
+    @property
+    def unknown_side(self) -> str:
+        """Why the bone's directions do not show the side, or ""."""
+        lacking = self._bone.lacking(self.procedure.document.directions)
+        lacking += ["the side is not given"] if self.side is None else []
+        lacking += ["the error of a view is not stated"] if self.anatomy.covariance is None else []
+        return f"The bone does not confirm the side: {'; '.join(lacking)}." if lacking else ""
+
+    def _directions(self) -> Verdict:
+        rule = next((one for one in self.procedure.checks if one.check == _NAME), None)
+        if rule is None:
+            return Verdict((), ())
+        if why := self.unknown_directions:
+            missing = (Check("view directions", False, None, None, "°", why),) if rule.required else ()
+            return Verdict(missing, missing)
+        try:
+            return Verdict((self.worst_view().check(),), ())
+        except ReconstructionRefusedError as refusal:
+            return Verdict((Check("view directions", False, None, None, "°", f"Not known: {refusal}."),), ())
+
+    def worst_view(self) -> "JudgedView":
+        """Return the view that is farthest beyond its tolerance, with its error. Raises ReconstructionRefusedError."""
+        wanted = self.procedure.document.views
+        names = [view.name for view in self.views[2:]]
+        asked = [one for k, one in enumerate(wanted) if k < 2 or one.name in names]
+        beams, errors = self.beams([0, 1, *(2 + names.index(one.name) for one in asked[2:])])
+        judged = [JudgedView.of(*each) for each in zip(asked, beams, errors, strict=False)]
+        return max(judged, key=lambda one: one.over_deg)
+
+    def beams(self, of: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the beams (V, 3) at the wire's middle of some views, anatomical, and their 95 % errors (V,), rad.
+
+        An error is that of the direction in which it is largest.
+        """
+        found, at = self.anatomy, self.anatomy.at
+        further = [self.views[k].focal_point_mm for k in of[2:]]
+
+        def beams(values: np.ndarray) -> np.ndarray:
+            middle = values[:, at["wire"]].reshape(-1, 2, 3).mean(axis=1)
+            focal = [values[:, at["focal"]][:, :3], values[:, at["focal"]][:, 3:], *further]
+            return unit(np.stack([middle - one for one in focal], axis=1))
+
+        if _axes_of_frame(self.views):
+            return beams(found.values[None])[0] @ frame_axes(self.side).T, np.zeros(len(of))
+        bone = self._bone
+        assert found.covariance is not None  # noqa: S101 - else `unknown_directions`
+        flat, own = response(
+            lambda values: (beams(values) @ np.swapaxes(bone.axes(values), 1, 2)).reshape(len(values), -1), found.values
         )
-    return Verdict((Check("view directions", over <= 0.0, away, one.within_deg, "°", f"{sentence}."),), ())
+        out, by_values = flat.reshape(-1, 3), own.reshape(len(of), 3, -1)
+        turned = np.cross(out[:, None], np.eye(3))  # of a beam, by a small rotation about each axis
+        scatter = np.swapaxes(turned, 1, 2) @ bone.scatter_rad2() @ turned
+        measured = by_values @ found.covariance @ np.swapaxes(by_values, 1, 2)
+        return out, TWO_SIDED_95 * np.sqrt(np.linalg.eigvalsh(measured + scatter)[:, -1])
+
+    def _side(self) -> Verdict:
+        """Return the check that the bone is one of the stated side, where its directions show that."""
+        document, none = self.procedure.document, Verdict((), ())
+        rule = next((one for one in self.procedure.checks if one.check == "side"), None)
+        stated_before = self.side is None and rule in rules_of_bone(self.procedure, self.views)
+        if rule is None or len(document.directions) < 3 or stated_before:
+            return none
+        if sentence := self.unknown_side:
+            by_frame = _axes_of_frame(self.views) and not {"head", HEAD_CENTRE}.isdisjoint(document.given)
+            asked = rule.required and not by_frame
+            missing = (Check("side", False, None, None, "mm", sentence),) if asked else ()
+            return Verdict(missing, missing)
+        try:
+            value, error = self.beside()
+        except ReconstructionRefusedError as refusal:
+            return Verdict((Check("side", False, None, None, "mm", f"Not known: {refusal}."),), ())
+        third = document.directions[2]
+        to, start = (" and ".join(keys).replace("-", " ") for keys in (third.to, third.from_))
+        axis = int(np.argmax(np.abs(third.nominal)))
+        way = _WAYS[axis][int(third.nominal[axis] < 0.0)]
+        sentence = (
+            f"For a {self.side} side the {to} must lie {way} of the {start}: it lies {value:.1f} mm {way} of it, with "
+            f"95 % probability within {error:.1f} mm"
+        )
+        if value <= error:
+            sentence += (
+                f"; this is not a {self.side} side, an image is mirrored, or points are exchanged: look at both "
+                "images, then give the other side or pick again"
+            )
+        return Verdict((Check("side", value > error, value, error, "mm", f"{sentence}."),), ())
 
 
-def unknown_directions(procedure: Procedure, views: Sequence[CalibratedView]) -> str:
-    """Return why the procedure's check of directions cannot be made on these views, or ""."""
-    if all(one.check != _NAME for one in procedure.checks):
-        return ""
+@dataclass(frozen=True, eq=False)
+class JudgedView:
+    """A view's `beam` (3,), anatomical, against the wanted one: `away_deg` from it, with its 95 % error."""
+
+    wanted: WantedView
+    beam: np.ndarray
+    away_deg: float
+    error_deg: float
+
+    @staticmethod
+    def of(wanted: WantedView, beam: np.ndarray, error_rad: float) -> "JudgedView":
+        """Return the view of a beam with its 95 % error, rad."""
+        cosine = beam @ anatomical(wanted.orbit_deg, wanted.tilt_deg)
+        away = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        return JudgedView(wanted, beam, away, float(np.rad2deg(error_rad)))
+
+    @property
+    def over_deg(self) -> float:
+        """How far the view is beyond its tolerance, with its error; negative within."""
+        return self.away_deg + self.error_deg - self.wanted.within_deg
+
+    def check(self) -> Check:
+        """Return the check that the whole 95 % interval lies within the tolerance."""
+        one = self.wanted
+        known = f", with 95 % probability within {self.error_deg:.0f}°" if self.error_deg else ""
+        sentence = (
+            f"The view {one.name} is {self.away_deg:.0f}° from its wanted direction{known} (at most "
+            f"{one.within_deg:.0f}°{', with its error' if known else ''})"
+        )
+        if self.over_deg > 0.0:
+            orbit, tilt = angles_of(self.beam)
+            sentence += (
+                f"; its beam is at orbit {orbit:.0f}°, tilt {tilt:.0f}°: acquire it at orbit {one.orbit_deg:.0f}°, "
+                f"tilt {one.tilt_deg:.0f}°, or check the side and the order of the images"
+            )
+            sentence += ", or draw the aids more accurately" if known else ""
+        return Check("view directions", self.over_deg <= 0.0, self.away_deg, one.within_deg, "°", f"{sentence}.")
+
+
+def _axes_of_frame(views: Sequence[CalibratedView]) -> bool:
+    """Return True where the axes of the views' frame are those of the patient: of plates (docs/conventions.md)."""
     lines = [view.lines_of_sight(np.zeros((0, 2))) for view in views]
-    return _UNKNOWN if any(one.frame_key is None or one.adjustment is not None for one in lines) else ""
+    return all(one.frame_key is not None and one.adjustment is None for one in lines)
+
+
+def rules_of_bone(procedure: Procedure, views: Sequence[CalibratedView]) -> tuple[CheckRule, ...]:
+    """Return the procedure's rules without that of the side, where only directions of the bone show it."""
+    by_bone = len(procedure.document.directions) == 3 and not _axes_of_frame(views)
+    return tuple(one for one in procedure.checks if one.check != "side" or not by_bone)
 
 
 def assumed_axes(procedure: Procedure, views: Sequence[CalibratedView]) -> str:
     """Return what the procedure's checks along a block's axes take for granted, or "" for plates or without such."""
-    if all(one.check not in _ALONG_AXES for one in procedure.checks):
+    if all(one.check not in _ALONG_AXES for one in rules_of_bone(procedure, views)):
         return ""
     lines = [view.lines_of_sight(np.zeros((0, 2))) for view in views]
     return _ASSUMED if any(one.adjustment is not None for one in lines) else ""
 
 
-def beam_of(orbit_deg: float, tilt_deg: float, side: str | None) -> np.ndarray:
-    """Return the unit vector (3,), CFCS of a frame with plates, of a beam from source to detector.
-
-    `orbit_deg` 0 is towards anterior, 90 towards the operated side; `tilt_deg` is positive towards the head. `side` may
-    be None for a tilt of 0. Raises UnusableInputError.
-    """
-    orbit, tilt = np.deg2rad([orbit_deg, tilt_deg])
-    level = np.sin(orbit) * -MEDIAL + np.cos(orbit) * ANTERIOR
-    return level if tilt == 0.0 else np.cos(tilt) * level - np.sin(tilt) * caudal(side or "")
-
-
-def angles_of(beam: np.ndarray, side: str | None) -> tuple[float, float]:
-    """Return orbit and tilt, °, of a unit vector (3,); without a side the tilt of a right one."""
-    orbit = np.arctan2(beam @ -MEDIAL, beam @ ANTERIOR)
-    tilt = np.arcsin(np.clip(-beam @ caudal(side or "right"), -1.0, 1.0))
-    return float(np.rad2deg(orbit)), float(np.rad2deg(tilt))
+def angles_of(beam: np.ndarray) -> tuple[float, float]:
+    """Return orbit and tilt, °, of a unit vector (3,): lateral, caudal, anterior."""
+    return float(np.rad2deg(np.arctan2(beam[0], beam[2]))), float(np.rad2deg(np.arcsin(np.clip(-beam[1], -1.0, 1.0))))

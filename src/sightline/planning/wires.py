@@ -14,7 +14,8 @@ from sightline.errors import UnusableInputError
 from sightline.planning.axis import Axis
 from sightline.planning.directions import MEDIAL, towards
 from sightline.planning.hole_result import Hole
-from sightline.planning.picks import stack
+from sightline.planning.picks import PickArrays, stack
+from sightline.planning.placed_wires import PlacedWire
 from sightline.planning.plan import Plan, plan
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.document import ProcedureDocument
@@ -126,7 +127,9 @@ def plan_wires(
     first. `side` and `shared`: arguments of `plan` that hold for all wires: landmarks, aids, method, error of a pick.
 
     The wires' points are reconstructed together for the relations, so that their errors are correlated as the views
-    share them; those of measured holes are taken to be independent. Raises UnusableInputError, and what `plan` raises.
+    share them, and so are those of a `PlacedWire`, which was found in these images. Those of measured holes, and of a
+    wire that was measured in other images, are taken to be independent.
+    Raises UnusableInputError, and what `plan` raises.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
     >>> picks = sl.planning.WirePicks([[162, 689], [684, 692]], [[818, 366], [378, 276]])
@@ -176,12 +179,17 @@ def _refuse_unknown(document: ProcedureDocument, wires: Mapping[str, Any], place
 
 
 def _lines(views: Sequence[CalibratedView], plans: Mapping[str, Plan], placed: Mapping[str, Axis]) -> WireLines:
+    """Return all wires; those of which picks on these views are known are reconstructed together."""
     if not plans:
         return WireLines.of((), None, placed)
-    picks = stack([point for one in plans.values() for point in one.picks])
+    found = {key: one for key, one in placed.items() if isinstance(one, PlacedWire)}
+    planned = stack([point for one in plans.values() for point in one.picks])
+    each = [planned, *(one.picks.in_views(len(views)) for one in found.values())]
+    picks = PickArrays(*(np.concatenate(parts, axis=1) for parts in zip(*each, strict=True)))
     methods = {one.arguments["method"] for one in plans.values()}
     points = reconstruct(views, picks.uv_px, picks.covariance_px2, methods.pop(), picks.across_px)
-    return WireLines.of(list(plans), points, placed)
+    others = {key: one for key, one in placed.items() if key not in found}
+    return WireLines.of([*plans, *found], points, others)
 
 
 def _judged_of(key: str, document: ProcedureDocument, judged: Verdict) -> tuple[Check, ...]:

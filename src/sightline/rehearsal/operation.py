@@ -16,7 +16,7 @@ from sightline.planning import Plan
 from sightline.planning.relations import refuse_unrelated
 from sightline.rehearsal.robots import calibrated_robot, drawn_robot
 from sightline.robot.control.controller import Controller
-from sightline.robot.control.insertion import OwnFrames, Setup
+from sightline.robot.control.insertion import Insertion, OwnFrames, Setup
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED, YAW, imaging_yaw
@@ -28,9 +28,10 @@ from sightline.robot.link.record import DrillingRecord, Recorder
 from sightline.robot.link.server import RobotServer
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.robot.transport import LOOPBACK
-from sightline.twin import HipScene
+from sightline.twin import BoneScene, HipScene
 from sightline.twin.carm import hip_of
 from sightline.twin.drilling import Bone
+from sightline.twin.implants import WIRE_DIAMETER_MM
 from sightline.twin.manipulator import SimulatedPlant
 
 SLEEVE_MM = 5.0  # distance from the mouth of the wire's sleeve to the entry point, at the bone [ours]
@@ -74,14 +75,24 @@ class SimulatedTheatre:
 
     @staticmethod
     def draw(
-        robot: CalibratedRobot, hip: HipScene, rng: np.random.Generator, setup: Setup, feed_mm: float = 0.0
+        robot: CalibratedRobot,
+        hip: HipScene | BoneScene,
+        rng: np.random.Generator,
+        setup: Setup,
+        feed_mm: float = 0.0,
+        *,
+        yaw_rad: float | None = None,
+        drill_mm: float = WIRE_DIAMETER_MM,
     ) -> "SimulatedTheatre":
-        """Draw a true robot at the images of a hip, its wire fed by `feed_mm`. Raises SetUpError without MuJoCo."""
-        true, start = drawn_robot(robot, setup.side, rng, feed_mm)
+        """Draw a true robot at the images of a hip or another bone, its wire of `drill_mm` fed by `feed_mm`. `yaw_rad`:
+        at the images, by default that of a wire in a hip. Raises SetUpError without MuJoCo."""
+        yaw_rad = imaging_yaw(setup.side) if yaw_rad is None else yaw_rad
+        true, start = drawn_robot(robot, yaw_rad, rng, feed_mm)
         # A separate generator, because the number of samples depends on the link, but the images must not.
         plant = SimulatedPlant(true, None, rng.spawn(1)[0], start=start)
         place = plant.true_T_mcs_cfcs()
-        plant.meet(Bone(hip.bone.volumes, place))
+        metal = hip.in_nail if isinstance(hip, BoneScene) else None
+        plant.meet(Bone(hip.bone.volumes, place, metal), drill_mm)
         return SimulatedTheatre(robot, plant, plant.read().encoders, place, setup)
 
     @staticmethod
@@ -107,12 +118,15 @@ class SimulatedTheatre:
             setup = replace(setup, frames=own_frames(self.robot, self.imaged, setup.hip_mm))
         # Start fault numbers at the time of day, so that a reset for an earlier run's fault cannot clear a new one.
         controller = Controller(self.robot, self.plant, setup, first_fault=int(time.time()) % 1_000_000 + 1)
+        pushed: Insertion | None = None
 
         def advance(dt_s: float) -> None:
-            machine = controller.machine
+            nonlocal pushed
+            state, insertion = controller.machine.state, controller.machine.insertion
             # Also while drilling: a client may order it before the robot's next cycle.
-            if machine.state in (State.ALIGNED, State.DRILL) and machine.insertion is not None:
-                self.plant.guide_mm = float(machine.insertion.q[FEED]) - SLEEVE_MM
+            if state in (State.ALIGNED, State.DRILL) and insertion is not None and insertion is not pushed:
+                pushed = insertion
+                self.plant.guide_mm = float(insertion.q[FEED]) + self._surface_mm(insertion) - SLEEVE_MM
             self.plant.advance(dt_s)
 
         return RobotServer(
@@ -125,6 +139,15 @@ class SimulatedTheatre:
             truth=self._truth,
             dialect=dialect,
         )
+
+    def _surface_mm(self, insertion: Insertion) -> float:
+        """Return the depth of the bone's surface on an insertion's line, where a person pushes the sleeve against it:
+        the entry point, unless bone begins before it."""
+        off, wire = insertion.limits.before_mm, self.plant.wire
+        if off == 0 or wire is None:
+            return 0.0
+        along = (insertion.end_mm - insertion.entry_mm) / insertion.length_mm
+        return wire.bone.first_met_mm(insertion.entry_mm - off * along, insertion.end_mm) - off
 
     def target(self, plan: Plan, name: str) -> RobotTarget:
         """Return the robot's target for a plan. Raises RobotRefusedError."""
@@ -150,12 +173,14 @@ class SimulatedTheatre:
         return InsertionOutcome.of(self.wire.axis_mm, ideal_mm)
 
 
-def confirmed_setup(frame: Frame, side: str, serial: str) -> Setup:
+def confirmed_setup(frame: Frame, side: str, serial: str, *, c_arm_away: bool = False) -> Setup:
     """Return what a person confirms at a robot that holds a frame for the images.
 
-    A block comes off its mount after them: so near to the patient the arm cannot turn with it."""
+    A block comes off its mount after them: so near to the patient the arm cannot turn with it. `c_arm_away`: so does
+    the C-arm go, whose beams lie along the wire."""
     x, y, z = hip_of(frame, side).tolist()
-    return Setup(side, serial, frame_mounted=frame.solid is None, frame=frame.fingerprint, hip_mm=(x, y, z))
+    mounted = frame.solid is None
+    return Setup(side, serial, frame_mounted=mounted, frame=frame.fingerprint, hip_mm=(x, y, z), c_arm_away=c_arm_away)
 
 
 def own_frames(

@@ -49,12 +49,12 @@ AidClicks: TypeAlias = Mapping[str, Sequence[np.ndarray | None]]
 NAILED = "distal-interlocking"
 NAIL_CLICK_PX = 2.0  # s.d. of a click on a nail's edge or in its hole, per axis [ours]
 BONE_OF = {"slipped-epiphysis-pin": "growing-femur", "iliosacral-screw": "pelvis", "pedicle-screw": "vertebra"}
-_BONES_OF = {**BONE_OF, NAILED: "nailed-femur"}
+BONES_OF = {**BONE_OF, NAILED: "nailed-femur"}
 
 
 def frame_of(procedure: str) -> str:
     """Return the name of the frame that shows a procedure's views, those of its check shot too: Γ, or a block."""
-    bone = BONES.get(_BONES_OF.get(procedure, ""))
+    bone = BONES.get(BONES_OF.get(procedure, ""))
     return "block60" if bone is not None and (bone.beams or bone.check_beams) else "gamma"
 
 
@@ -273,8 +273,8 @@ class RehearsedPatient:
     def _set_up_again(self, rng: np.random.Generator, views: Mapping[str, np.ndarray] | None = None) -> SetUp:
         """Draw another set-up of the same C-arm; `views`: nominal beams (3,) of other images of a block, by name."""
         frame, chain, side = self.setup.frame, self.setup.views[VIEWS[0]].chain.name, self.side
-        if self.procedure in _BONES_OF:
-            again = BONES[_BONES_OF[self.procedure]].setup(rng, frame, side, self.setup.tube, check=True, chain=chain)
+        if self.procedure in BONES_OF:
+            again = BONES[BONES_OF[self.procedure]].setup(rng, frame, side, self.setup.tube, check=True, chain=chain)
             return again.renamed(VIEWS)
         beams = CANNULATED_BEAMS if self.procedure == CANNULATED and frame.solid is not None else None
         return draw_setup(
@@ -291,8 +291,8 @@ def draw_patient(
     Raises SetUpError, also for plates whose beams are not those of the procedure.
     """
     rng = np.random.default_rng(seed)
-    if procedure in _BONES_OF:
-        setup, bone = shown_bone_scene(rng, frame, _BONES_OF[procedure], side, imaged=imaged)
+    if procedure in BONES_OF:
+        setup, bone = shown_bone_scene(rng, frame, BONES_OF[procedure], side, imaged=imaged)
         return RehearsedPatient(seed, setup.renamed(VIEWS), bone, procedure)
     femur = draw_femur(rng)
     setup, head = shown_setup(rng, frame, side, femur, wires_mm=anatomical_wires(femur, procedure))

@@ -1,4 +1,4 @@
-"""A rehearsed procedure at the hip: patient, set-up, images, robot and check images, all drawn from one seed."""
+"""A rehearsed procedure with a robot: patient, set-up, images, robot and check images, all drawn from one seed."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -16,15 +16,23 @@ from sightline.imaging import Radiograph
 from sightline.planning.drill_shot import ALIGNED
 from sightline.rehearsal.check_images import ATTEMPTS, CheckImages
 from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup
-from sightline.rehearsal.patient import LANDMARK_MARGIN_PX, AidClicks, RehearsedPatient, anatomical_wires
+from sightline.rehearsal.patient import (
+    BONES_OF,
+    LANDMARK_MARGIN_PX,
+    NAILED,
+    AidClicks,
+    RehearsedPatient,
+    anatomical_wires,
+)
 from sightline.rehearsal.robots import SHOWN_FEED_MM, calibrated_robot, drawn_robot, shown_wire_mm
 from sightline.robot.kinematics.calibrated import REMOUNT_SD, CalibratedRobot
-from sightline.robot.kinematics.manipulator import Manipulator
+from sightline.robot.kinematics.manipulator import Manipulator, imaging_yaw
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.twin import HipScene, Scene, render, shown_hip_scene
+from sightline.twin.bone_scene import shown_bone_scene
 from sightline.twin.carm import BEAMS
 from sightline.twin.femur import draw_femur
-from sightline.twin.implants import guide_wire
+from sightline.twin.implants import WIRE_DIAMETER_MM, guide_wire
 from sightline.twin.specimens import tagged
 
 SHOWN_MM, MAX_SHOWN_MM = 25.0, 60.0  # length of the robot's own wire, to its tip, in images of a block [ours]
@@ -34,9 +42,7 @@ NO_SERIAL = "none"  # sent to the robot for a frame without a serial
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal(RehearsedPatient):
-    """A patient with a hip, and the robot that holds the frame."""
-
-    bone: HipScene
+    """A patient, and the robot that holds the frame: with a hip, or with a nail in the femur (`procedure`)."""
 
     @staticmethod
     def draw(seed: int, frame: Frame, side: str = "right", procedure: str = "hip-screw") -> "Rehearsal":
@@ -46,16 +52,21 @@ class Rehearsal(RehearsedPatient):
         room for that. Raises SetUpError.
         """
         rng = np.random.default_rng(seed)
-        femur, also = draw_femur(rng), None
+        femur, also = None if procedure == NAILED else draw_femur(rng), None
         if frame.solid is not None and frame.detector is None:
-            imaged = np.array([0.0, 0.0, 0.0, 0.0, SHOWN_FEED_MM])
-            also = shown_wire_mm(calibrated_robot(side, frame).manipulator, imaged, [SHOWN_MM, 0.0])
+            imaged = np.array([0.0, 0.0, _yaw(procedure, side), 0.0, SHOWN_FEED_MM])
+            also = shown_wire_mm(robot_at(procedure, side, frame).manipulator, imaged, [SHOWN_MM, 0.0])
+        if femur is None:
+            setup, nailed = shown_bone_scene(rng, frame, BONES_OF[procedure], side, also_mm=also)
+            return Rehearsal(seed, setup.renamed(VIEWS), nailed, procedure)
         wires = anatomical_wires(femur, procedure)
         return Rehearsal(seed, *shown_hip_scene(rng, frame, side, femur, also_mm=also, wires_mm=wires), procedure)
 
     @property
     def hip(self) -> HipScene:
-        """The bone."""
+        """The hip. Raises SetUpError for another bone."""
+        if not isinstance(self.bone, HipScene):
+            raise SetUpError(f"the patient of {self.procedure!r} has no hip")
         return self.bone
 
     @property
@@ -66,7 +77,7 @@ class Rehearsal(RehearsedPatient):
     @property
     def scene(self) -> Scene:
         """Everything in the beam. Images of a block show the robot's own wire besides."""
-        scene = self.hip.scene
+        scene = self.bone.scene
         return scene if self.robot_wire_mm is None else scene + guide_wire(self.robot_wire_mm)
 
     @property
@@ -92,12 +103,15 @@ class Rehearsal(RehearsedPatient):
     @cached_property
     def robot(self) -> CalibratedRobot:
         """The calibrated model of the robot."""
-        return calibrated_robot(self.side, self.setup.frame)
+        return robot_at(self.procedure, self.side, self.setup.frame)
 
     def theatre(self) -> SimulatedTheatre:
         """Return the true robot at its place at the images, beside this bone. Raises SetUpError without MuJoCo."""
-        setup = confirmed_setup(self.setup.frame, self.side, self.serial)
-        return SimulatedTheatre.draw(self.robot, self.hip, self.generator("robot"), setup, self._feed_mm)
+        nailed, yaw_rad = self.procedure == NAILED, _yaw(self.procedure, self.side)
+        setup = confirmed_setup(self.setup.frame, self.side, self.serial, c_arm_away=nailed)
+        drill_mm = self.document.wires[0].diameter_mm if nailed else WIRE_DIAMETER_MM
+        held = self.generator("robot"), setup, self._feed_mm
+        return SimulatedTheatre.draw(self.robot, self.bone, *held, yaw_rad=yaw_rad, drill_mm=drill_mm)
 
     @cached_property
     def robot_wire_mm(self) -> np.ndarray | None:
@@ -176,8 +190,18 @@ class Rehearsal(RehearsedPatient):
     @property
     def _at_images(self) -> tuple[Manipulator, np.ndarray]:
         """The true robot, and its joints (5,) at the images."""
-        return drawn_robot(self.robot, self.side, self.generator("robot"), self._feed_mm)
+        return drawn_robot(self.robot, _yaw(self.procedure, self.side), self.generator("robot"), self._feed_mm)
 
     @property
     def _feed_mm(self) -> float:
         return 0.0 if self.setup.frame.solid is None else SHOWN_FEED_MM
+
+
+def robot_at(procedure: str, side: str, frame: Frame) -> CalibratedRobot:
+    """Return the calibrated model of the robot that holds a frame for a procedure."""
+    return calibrated_robot(side, frame, _yaw(procedure, side))
+
+
+def _yaw(procedure: str, side: str) -> float:
+    """Return the yaw at the images, rad: that of a wire in a hip; beside a nail the robot stands square to the leg."""
+    return 0.0 if procedure == NAILED else imaging_yaw(side)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.frame import Frame
 from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot
-from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, YAW, Manipulator, imaging_yaw, nominal_manipulator
+from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, YAW, Manipulator, nominal_manipulator
 from sightline.robot.kinematics.mounts import Mount
 from sightline.twin.carm import hip_of
 
@@ -25,10 +25,10 @@ BASE_SPREAD = np.array([10.0, 10.0, np.deg2rad(2.0), np.deg2rad(2.0), 0.0])
 SHOWN_FEED_MM = 75.0
 
 
-def calibrated_robot(side: str = "right", frame: Frame | None = None) -> CalibratedRobot:
+def calibrated_robot(side: str = "right", frame: Frame | None = None, yaw_rad: float | None = None) -> CalibratedRobot:
     """Return the nominal manipulator that holds a frame (default: one with plates), with axes and mounts calibrated to
-    the accuracy of a workshop."""
-    manipulator = nominal_manipulator(side, np.zeros(3) if frame is None else hip_of(frame, side))
+    the accuracy of a workshop. `yaw_rad`: at the images, by default that of a wire in a hip."""
+    manipulator = nominal_manipulator(side, np.zeros(3) if frame is None else hip_of(frame, side), yaw_rad)
     sd = np.tile(REMAINING_SHARE * MACHINED_SD, ARM_JOINTS)
     axes = CalibratedAxes(manipulator, np.diag(sd**2), np.zeros((0, 0)))
     known = (manipulator.T_flange_cfcs, manipulator.T_flange_tool)
@@ -56,10 +56,10 @@ def true_manipulator(robot: CalibratedRobot, rng: np.random.Generator) -> Manipu
 
 
 def drawn_robot(
-    known: CalibratedRobot, side: str, rng: np.random.Generator, feed_mm: float = 0.0
+    known: CalibratedRobot, yaw_rad: float, rng: np.random.Generator, feed_mm: float = 0.0
 ) -> tuple[Manipulator, np.ndarray]:
-    """Draw a true robot, and its joints (5,) at the images, with the frame about level and upright at the hip."""
+    """Draw a true robot, and its joints (5,) at the images: about at `yaw_rad`, with the frame level and upright."""
     start = BASE_SPREAD * rng.uniform(-1, 1, 5)
-    start[YAW] += imaging_yaw(side)
+    start[YAW] += yaw_rad
     start[FEED] += feed_mm
     return true_manipulator(known, rng), start

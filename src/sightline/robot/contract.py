@@ -41,14 +41,15 @@ UNITS, COORDINATES, PLAN = "units", "coordinates", "plan"
 SIDE, FRAME_SERIAL, GO = "side", "frame_serial", "go"
 LENGTH_MM, DEPTH_LIMIT_MM, VALID_S = "length_mm", "depth_limit_mm", "valid_s"
 PLAN_KEYS = (PLAN, SIDE, FRAME_SERIAL, GO, UNITS, COORDINATES, LENGTH_MM, DEPTH_LIMIT_MM, VALID_S)
-# Optional metadata: the fingerprint of the frame's file, the procedure's key, the plan's accuracy limits, and how
-# much of LENGTH_MM lies past the planned end point.
-FRAME, KIND, POSITION_LIMIT_MM, DIRECTION_LIMIT_DEG, BEYOND_MM = (
+# Optional metadata: the fingerprint of the frame's file, the procedure's key, the plan's accuracy limits, how much of
+# LENGTH_MM lies past the planned end point, and how far before the entry point bone may begin.
+FRAME, KIND, POSITION_LIMIT_MM, DIRECTION_LIMIT_DEG, BEYOND_MM, BEFORE_MM = (
     "frame",
     "kind",
     "position_limit_mm",
     "direction_limit_deg",
     "beyond_mm",
+    "before_mm",
 )
 YES, NO = "yes", "no"
 MM, CFCS, MCS = "mm", "CFCS", "MCS"

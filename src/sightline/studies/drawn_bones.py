@@ -4,14 +4,16 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sightline.calibration.view import CalibratedView
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.planning import Aids, MatchingCurve, Plan, Procedure, plan
+from sightline.planning.directions import across, anatomical, unit
 from sightline.studies.scenes import MARGIN_PX, VIEWS
 from sightline.twin import SetUp, ViewTruth
-from sightline.twin.bone_scene import BONES, draw_origin
+from sightline.twin.bone_scene import BONES, BoneKind, draw_origin
 from sightline.twin.bones import BoneModel
 from sightline.twin.drawn_aids import drawn_aids, key_of
 from sightline.twin.femur import Femur, draw_femur, to_cfcs
@@ -22,7 +24,6 @@ RIM_CLICKS = 6
 # Places of the clicks on a line or border, of the way from the head's centre to the shaft [ours].
 NECK_AXIS, NECK_BORDER = (0.25, 0.75), (0.35, 0.55)
 SHAFT_MM, CORTEX_MM = (-8.0, 12.0), 5.0  # caudal of the entry: ends of the shaft's line, click on the lateral cortex
-LANDMARKS = ("head-centre", "lesser-trochanter", "greater-trochanter")
 Pixels = Mapping[str, np.ndarray]
 
 
@@ -112,6 +113,7 @@ class DrawnBone:
     side: str
     origin_mm: np.ndarray
     procedure: Procedure
+    kind: BoneKind
 
     @staticmethod
     def drawn(rng: np.random.Generator, frame: Frame, name: str, procedure: Procedure) -> "DrawnBone":
@@ -119,7 +121,18 @@ class DrawnBone:
         side, of = str(rng.choice(["right", "left"])), BONES[name]
         bone, setup = of.draw(rng).bone(), of.setup(rng, frame, side)
         origin = setup.hip_mm + draw_origin(bone, side, rng)
-        return DrawnBone(setup.renamed(VIEWS), bone, side, origin, procedure)
+        return DrawnBone(setup.renamed(VIEWS), bone, side, origin, procedure, of)
+
+    def turned(self, which: int, by_deg: float, about: np.ndarray, rng: np.random.Generator) -> "DrawnBone":
+        """Return the bone in another set-up with a solid, with the nominal beam of one of the two views turned by an
+        angle about the part of `about` (3,), anatomical, that is perpendicular to it. Raises SetUpError."""
+        wanted = self.procedure.document.views[: len(VIEWS)]
+        beams = {one.name: anatomical(one.orbit_deg, one.tilt_deg) for one in wanted}
+        beam = beams[wanted[which].name]
+        turn = Rotation.from_rotvec(np.deg2rad(by_deg) * unit(across(about, beam)))
+        beams[wanted[which].name] = turn.apply(beam)
+        setup = replace(self.kind, beams=beams).setup(rng, self.setup.frame, self.side)
+        return replace(self, setup=setup.renamed(VIEWS))
 
     def pixels(self, wire_mm: np.ndarray) -> dict[str, np.ndarray]:
         """Return the true pixels as `DrawnHip.pixels` does; without aids of which a click lies outside."""
@@ -134,17 +147,9 @@ class DrawnBone:
         return out
 
     def _landmarks(self) -> np.ndarray:
-        """Return the pixels of the procedure's landmarks if the bone has all; else of the first that are shown."""
-        known = {key_of(name): self.in_cfcs(at) for name, at in self.bone.landmarks_mm.items()}
-        asked = [one.key for one in self.procedure.landmarks]
-        if set(asked) <= known.keys():
-            return _projected(self.setup, np.stack([known[key] for key in asked]))
-        uv = np.stack([view.project(np.stack(list(known.values()))) for view in self.setup.views.values()])
-        seen = [view.in_field(one, MARGIN_PX) for view, one in zip(self.setup.views.values(), uv, strict=True)]
-        shown = np.flatnonzero(np.all(seen, axis=0))[: len(asked)]
-        if len(shown) < len(asked):
-            raise SetUpError("too few landmarks are shown")
-        return uv[:, shown]
+        """Return the pixels of the procedure's landmarks."""
+        known = {key_of(name): at for name, at in self.bone.landmarks_mm.items()}
+        return self.projected(np.stack([known[one.key] for one in self.procedure.landmarks]))
 
     def moved(self, by_mm: np.ndarray) -> "DrawnBone":
         """Return the same bone moved against the frame by (3,), CFCS."""
@@ -170,14 +175,13 @@ def plan_of(
     """Return the plan of clicks and drawings, without the aids `undrawn`. Raises SightlineError."""
     types = {aid.key: aid.type for aid in procedure.aids if aid.key in pixels and aid.key not in undrawn}
     clicked = {key: [None if np.isnan(uv).any() else uv for uv in pixels[key]] for key in types}
-    keys = [one.key for one in procedure.landmarks]
     wire = pixels["wire"]
     return plan(
         views,
         wire[:, 0],
         wire[:, 1],
         landmarks_uv_px=pixels["landmarks"],
-        landmark_names=LANDMARKS if keys == list(LANDMARKS) else (),
+        landmark_names=[one.key for one in procedure.landmarks],
         kind=procedure,
         side=side,
         aids=Aids.clicked(types, clicked),

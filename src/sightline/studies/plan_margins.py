@@ -9,6 +9,7 @@ from sightline.planning import Anatomy, Plan
 from sightline.planning.bone_checks import MEASURES, measures
 from sightline.planning.metrics import metric
 from sightline.planning.procedures.rules import CHECKS, CheckRule
+from sightline.planning.view_directions import Located
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +25,7 @@ class KnownBone:
     names: tuple[str, ...]
     marks_mm: np.ndarray
     covariance: np.ndarray
+    lying: Located
 
     @staticmethod
     def of(made: Plan) -> "KnownBone":
@@ -35,7 +37,21 @@ class KnownBone:
         covariance[:n, :n], covariance[n:, n:] = found.covariance, joint[6:, 6:]
         covariance[found.at["wire"], n:] = joint[:6, 6:]
         covariance[n:, found.at["wire"]] = joint[6:, :6]
-        return KnownBone(found, made.side, made.landmark_names, marks, covariance)
+        lying = Located(made.kind, made.views, found, made.landmark_names, made.side)
+        return KnownBone(found, made.side, made.landmark_names, marks, covariance, lying)
+
+    def _by_bone(self, rule: CheckRule) -> tuple[float, float] | None:
+        """Return how far the value of a check that `Located` makes lies beyond its limit, and its 95 % error."""
+        lying = replace(self.lying, anatomy=self.found)
+        if rule.check == "view directions":
+            if lying.unknown_directions:
+                return -np.inf, np.nan
+            worst = lying.worst_view()
+            return worst.away_deg - worst.wanted.within_deg, worst.error_deg
+        if rule.check == "side" and len(lying.procedure.document.directions) == 3:
+            value, error = (np.inf, np.nan) if lying.unknown_side else lying.beside()
+            return -value, error
+        return None
 
     def with_wire(self, wire_mm: np.ndarray) -> "KnownBone":
         """Return the same bone with another wire (2, 3), CFCS."""
@@ -45,6 +61,8 @@ class KnownBone:
 
     def beyond(self, rule: CheckRule) -> float:
         """Return how far the value of a check lies beyond its limits: negative inside, -inf where it is not made."""
+        if (by_bone := self._by_bone(rule)) is not None:
+            return by_bone[0]
         if rule.check not in MEASURES:
             value = metric(self.found, rule.check, self.side).value
             return -np.inf if value is None else _beyond(value, rule)
@@ -55,6 +73,8 @@ class KnownBone:
 
     def error_95(self, rule: CheckRule) -> float:
         """Return the 95 % error of the value of a check."""
+        if (by_bone := self._by_bone(rule)) is not None:
+            return by_bone[1]
         if rule.check not in MEASURES:
             sd = metric(self.found, rule.check, self.side).sd
             return np.nan if sd is None else TWO_SIDED_95 * sd

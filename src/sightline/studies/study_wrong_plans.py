@@ -22,7 +22,8 @@ from sightline.detection import Observations
 from sightline.errors import SetUpError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Plan, Procedure, kind
-from sightline.planning.directions import unit
+from sightline.planning.directions import anatomical, unit
+from sightline.planning.patient_axes import frame_axes
 from sightline.studies.drawn_bones import PICK_PX, DrawnBone, DrawnHip, jittered, plan_of
 from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import share
@@ -32,6 +33,7 @@ from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.studies.wrong_kinds import (
     BONE_OF,
     KINDS,
+    MAX_AMOUNT,
     MAX_TIMES,
     MIN_TIMES,
     NEAR_SHARE,
@@ -78,12 +80,14 @@ class WrongPlans:
         Raises SetUpError where no hip is found.
         """
         frame, of = self.frames[rng.integers(len(self.frames))], _KINDS[self.kinds[rng.integers(len(self.kinds))]]
-        frame = SOLID if of.procedure in SOLID_ONLY else frame
+        frame = SOLID if of.procedure in SOLID_ONLY or of.turned else frame
         drawn = _drawn(rng, Frame.load(frame), of)
         setup, side, asked = drawn.bone.setup, drawn.bone.side, self._asked(of)
-        views = _calibrated(setup, measure(rng, setup, BEAD_PX))
+        views = dict.fromkeys(drawn.pixels, _calibrated(setup, measure(rng, setup, BEAD_PX)))
+        if drawn.turned is not None:
+            views["wrong"] = _calibrated(drawn.turned, measure(rng, drawn.turned, BEAD_PX))
         ended = {
-            name: _ended(views, jittered(px, rng), asked, of.side(side) if name == "wrong" else side, of)
+            name: _ended(views[name], jittered(px, rng), asked, of.side(side) if name == "wrong" else side, of)
             for name, px in drawn.pixels.items()
         }
         return {"frame": frame, "kind": of.name, "times": drawn.times, "hidden": drawn.unseen, **ended}
@@ -190,13 +194,15 @@ _AT_CORTEX = (
 class PlanPixels:
     """The exact pixels of plans of one bone, by name of the plan: "right", "wrong", "unseen".
 
-    `times`: of the wrong one beyond its limit, in 95 % errors. `unseen`: which of UNSEEN.
+    `times`: of the wrong one beyond its limit, in 95 % errors. `unseen`: which of UNSEEN. `turned`: the set-up of the
+    wrong one where it has its own.
     """
 
     bone: DrawnHip | DrawnBone
     pixels: dict[str, dict[str, np.ndarray]]
     times: float
     unseen: str
+    turned: SetUp | None = None
 
 
 def _drawn(rng: np.random.Generator, frame: Frame, of: WrongKind) -> PlanPixels:
@@ -213,7 +219,9 @@ def _drawn(rng: np.random.Generator, frame: Frame, of: WrongKind) -> PlanPixels:
 
 def _planned(rng: np.random.Generator, bone: DrawnHip | DrawnBone, of: WrongKind, asked: Procedure) -> PlanPixels:
     """Return the plans of this bone. Raises SightlineError where it has none."""
-    rules = [rule for rule in asked.checks if rule.check != "view directions"]  # of images, not of the wire
+    # Plates stand in their directions.
+    plates = bone.setup.frame.solid is None
+    rules = [rule for rule in asked.checks if rule.check != "view directions" or not plates]
     rule = next(rule for rule in rules if rule.check == of.check)
     wire, views = right_wire(rng, bone.bone, of.procedure), _exact(bone.setup)
     right_px = bone.pixels(wire)
@@ -222,14 +230,43 @@ def _planned(rng: np.random.Generator, bone: DrawnHip | DrawnBone, of: WrongKind
     inside = [-right.times_beyond(rule) for rule in rules]
     if not np.isfinite(inside).all() or min(inside) < 1.0:
         raise SetUpError("not a right plan")
-    wrong = of.wrong_wire(bone.bone, wire, draw_times(rng), rule, lambda one: right.with_wire(bone.in_cfcs(one)))
-    wrong_px = {**right_px, "wire": bone.projected(wrong)}
-    times = KnownBone.of(plan_of(views, wrong_px, asked, of.side(bone.side), of.undrawn)).times_beyond(rule)
+    turned = None
+    if of.turned:
+        assert isinstance(bone, DrawnBone)  # noqa: S101 - no hip's views are judged
+        other, times = _from_elsewhere(rng, bone, wire, draw_times(rng), right.error_95(rule))
+        wrong_px, turned = other.pixels(wire), other.setup
+    else:
+        wrong = of.wrong_wire(bone.bone, wire, draw_times(rng), rule, lambda one: right.with_wire(bone.in_cfcs(one)))
+        wrong_px = {**right_px, "wire": bone.projected(wrong)}
+        times = KnownBone.of(plan_of(views, wrong_px, asked, of.side(bone.side), of.undrawn)).times_beyond(rule)
     if times < VIOLATED:
         raise SetUpError("not a wrong plan")
     unseen = UNSEEN[rng.integers(len(UNSEEN))]
     unseen_px = _unseen(bone, wire, right_px, unseen, draw_times(rng) * made.trajectory.entry_error_95_mm)
-    return PlanPixels(bone, {"right": right_px, "wrong": wrong_px, "unseen": unseen_px}, times, unseen)
+    return PlanPixels(bone, {"right": right_px, "wrong": wrong_px, "unseen": unseen_px}, times, unseen, turned)
+
+
+def _from_elsewhere(
+    rng: np.random.Generator, bone: DrawnBone, wire_mm: np.ndarray, times: float, error_95_deg: float
+) -> tuple[DrawnBone, float]:
+    """Return the bone with one of its two views turned beyond its tolerance by so many times the 95 % error, and by how
+    many times that is. Raises SetUpError.
+
+    Measured along the patient's axes in the twin, not along those that the drawings show.
+    """
+    which, seed, about = int(rng.integers(2)), int(rng.integers(2**32)), rng.standard_normal(3)
+    wanted = bone.procedure.document.views[which]
+    amount, away, aim = 0.0, 0.0, wanted.within_deg + times * error_95_deg
+    turned = bone
+    for _ in range(4):  # its pose varies about the nominal beam
+        amount += aim - away
+        if not 0.0 < amount <= MAX_AMOUNT:
+            raise SetUpError("no view is turned so far")
+        turned = bone.turned(which, amount, about, np.random.default_rng(seed))
+        middle, view = bone.in_cfcs(wire_mm.mean(axis=0)), list(turned.setup.views.values())[which]
+        beam = frame_axes(bone.side) @ unit(middle - view.focal_point_mm)
+        away = float(np.rad2deg(np.arccos(beam @ anatomical(wanted.orbit_deg, wanted.tilt_deg))))
+    return turned, (away - wanted.within_deg) / error_95_deg
 
 
 def _unseen(

@@ -21,7 +21,7 @@ from sightline.twin.wrong_wires import smallest_amount
 HIP_SCREW, CANNULATED = "hip-screw", "cannulated-hip-screws:inferior"
 PEDICLE, SACRAL, EPIPHYSIS = "pedicle-screw", "iliosacral-screw", "slipped-epiphysis-pin"
 BONE_OF = {PEDICLE: "vertebra", SACRAL: "pelvis", EPIPHYSIS: "growing-femur"}  # others are of a femur
-SOLID_ONLY = (SACRAL,)  # no plates have its views
+SOLID_ONLY = (SACRAL,)  # no plates have its views; those of the others stand in their directions
 # Sizes: uniform between the first two for NEAR_SHARE of the plans, else between the last two. Kinds without a size
 # (exchanged points, the other side) are far beyond: with them half of all plans lie within NEAR_TIMES.
 MIN_TIMES, NEAR_TIMES, MAX_TIMES, NEAR_SHARE = 3.1, 5.0, 15.0, 0.75
@@ -74,7 +74,7 @@ class WrongKind:
 
     `check`: the check of the procedure's file whose limit it violates; `also`: others that the same wire violates.
     `wire`: makes the wrong wire; None for a kind without a size: `exchanged` points or the `other_side`.
-    `undrawn`: aids that are left out.
+    `undrawn`: aids that are left out. `turned`: the wire is right, and one image is taken from a wrong direction.
     """
 
     name: str
@@ -85,6 +85,7 @@ class WrongKind:
     exchanged: bool = False
     other_side: bool = False
     undrawn: tuple[str, ...] = ()
+    turned: bool = False
 
     def side(self, side: str) -> str:
         """Return the side that is stated for a hip of a side."""
@@ -232,6 +233,30 @@ KINDS = (
         also=("tip to bone nearest",),
     ),
     WrongKind("epiphysis: pin hardly across its plate", EPIPHYSIS, "tip beyond growth plate", shorter_end),
+    WrongKind("vertebra: the other side", PEDICLE, "side", also=("view directions",), other_side=True),
+    WrongKind("sacrum: the other side", SACRAL, "side", also=("view directions",), other_side=True),
+    WrongKind("epiphysis: the other side", EPIPHYSIS, "side", also=("view directions",), other_side=True),
+    WrongKind(
+        "vertebra: view from a wrong direction",
+        PEDICLE,
+        "view directions",
+        also=("angle between views", "wire in pedicle", "entry to pedicle", "tip behind front"),
+        turned=True,
+    ),
+    WrongKind(
+        "sacrum: view from a wrong direction",
+        SACRAL,
+        "view directions",
+        also=("angle between views", "wire in sacral corridor", "tip in sacral corridor", "side"),
+        turned=True,
+    ),
+    WrongKind(
+        "epiphysis: view from a wrong direction",
+        EPIPHYSIS,
+        "view directions",
+        also=("angle between views",),
+        turned=True,
+    ),
 )
 
 

@@ -15,7 +15,7 @@ from sightline.twin.distributions import HipPlace, SolidPlace
 from sightline.twin.draw import FlatPanel, Tube
 from sightline.twin.femur import to_cfcs
 from sightline.twin.growing_femur import draw_growing_femur
-from sightline.twin.nailed_femur import draw_nailed_femur
+from sightline.twin.nailed_femur import NailedFemur, draw_nailed_femur
 from sightline.twin.nails import THIGH_MM
 from sightline.twin.pelvis import draw_pelvis
 from sightline.twin.things import Scene, SoftTissue, frame_scene
@@ -84,10 +84,14 @@ INLET, OUTLET = radians(24.9), radians(42.4)
 PELVIC_VIEWS = {"inlet": (0.0, -sin(INLET), cos(INLET)), "outlet": (0.0, sin(OUTLET), cos(OUTLET))}
 # The PA view shows a pedicle's wire nearly end on: turned by 30° towards the operated side it is 38° to 46° off [ours].
 OBLIQUE, LATERAL = (sin(radians(30.0)), 0.0, cos(radians(30.0))), (1.0, 0.0, 0.0)
-# Both views look through the holes of a nail, from 14° to either side; the drill through them is seen from 40° [ours].
+# Both views look through the holes of a nail, from 14° to either side. The drill through them is seen from 40°, with
+# the C-arm tilted by 20° too: otherwise both beams and the drill lie in one plane, which hides its place [ours].
 NAIL_VIEWS, DRILL_VIEWS = (
-    {name: (-cos(turn), 0.0, sin(turn)) for name, turn in (("posterior oblique", -off), ("anterior oblique", off))}
-    for off in (radians(14.0), radians(40.0))
+    {
+        name: (-cos(turn) * cos(tilt), sin(tilt), sin(turn) * cos(tilt))
+        for name, turn in (("posterior oblique", -off), ("anterior oblique", off))
+    }
+    for off, tilt in ((radians(14.0), 0.0), (radians(40.0), radians(-20.0)))
 )
 BONES: dict[str, BoneKind] = {
     "pelvis": BoneKind(
@@ -138,18 +142,36 @@ class BoneScene:
 
     def distance_mm(self, xyz_mm: np.ndarray, of: str = "surface") -> np.ndarray:
         """Return the signed distances (...) of points (..., 3), CFCS; see `BoneModel.distance_mm`."""
-        back = to_cfcs(np.asarray(xyz_mm) - self.origin_mm, self.side, np.zeros(3))
-        return self.truth.distance_mm(back, of)
+        return self.truth.distance_mm(self.anatomical(xyz_mm), of)
+
+    def anatomical(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Convert points (..., 3), CFCS, to the bone's anatomical coordinates."""
+        return to_cfcs(np.asarray(xyz_mm) - self.origin_mm, self.side, np.zeros(3))
+
+    def in_nail(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Return whether points (N, 3), CFCS, lie in the metal of a nail; False for a bone without one."""
+        if not isinstance(self.dimensions, NailedFemur):
+            return np.zeros(len(xyz_mm), dtype=bool)
+        return self.dimensions.nail.inside(self.anatomical(xyz_mm))
 
     def _to_cfcs(self, anatomical_mm: np.ndarray) -> np.ndarray:
         return to_cfcs(anatomical_mm, self.side, self.origin_mm)
 
 
 def shown_bone_scene(
-    rng: np.random.Generator, frame: Frame, name: str, side: str = "right", *, imaged: bool = True, **drawn: Any
+    rng: np.random.Generator,
+    frame: Frame,
+    name: str,
+    side: str = "right",
+    *,
+    imaged: bool = True,
+    also_mm: np.ndarray | None = None,
+    **drawn: Any,
 ) -> tuple[SetUp, BoneScene]:
-    """Draw a set-up and a bone of BONES so that all views show its wires. `drawn`: arguments of `draw_setup`, besides
-    views and variation. `imaged`: False leaves out what absorbs, for studies of points.
+    """Draw a set-up and a bone of BONES so that all views show its wires, and the points `also_mm` (N, 3), CFCS.
+
+    `drawn`: arguments of `draw_setup`, besides views and variation. `imaged`: False leaves out what absorbs, for
+    studies of points.
 
     Raises SetUpError if none is found.
     """
@@ -159,9 +181,11 @@ def shown_bone_scene(
     for _ in range(ATTEMPTS):
         setup = kind.setup(rng, frame, side, **drawn)
         origin = setup.hip_mm + draw_origin(bone, side, rng)
-        wires = to_cfcs(bone.wires_mm, side, origin)
+        shown = to_cfcs(bone.wires_mm, side, origin).reshape(-1, 3)
+        if also_mm is not None:
+            shown = np.vstack([shown, also_mm])
         margin = HipPlace().margin_px
-        if all(view.in_field(view.project(wires), margin).all() for view in setup.views.values()):
+        if all(view.in_field(view.project(shown), margin).all() for view in setup.views.values()):
             if not imaged:
                 return setup, BoneScene(Scene(), Scene(), bone, side, origin, dimensions)
             return setup, placed_bone(setup, name, dimensions, origin, rng)

@@ -4,8 +4,9 @@ The bone is the scene's own volumes, so cortex, cancellous bone, their texture, 
 images show them. Lengths mm, forces N, points in MCS.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 
 import numpy as np
 from numba import njit
@@ -31,16 +32,20 @@ GRIP_MM, SLEEVE_LENGTH_MM = 10.0, 80.0
 HELD_SHARE = 0.3  # with this share of cortical bone all round the tip, the tip is in a hole and follows it [ours]
 SLIDE_MM = 0.02  # maximum lateral step, so that the tip does not jump over bone [ours]
 _AROUND = 8  # density samples on a ring
+_ANGLES = 2 * np.pi * np.arange(_AROUND) / _AROUND
+_RIM = np.stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_AROUND)], axis=1)  # of a tip of radius 1, tool axes
 _AIR_N = 1e-3  # a smaller resistance counts as air
 
 
 @dataclass(frozen=True, eq=False)
 class Bone:
     """The bone that a wire is drilled into: volumes of a scene, CFCS, at the pose `T_mcs_cfcs`. Materials that are not
-    in DENSITY_G_CM3 offer no resistance. Raises SetUpError if no volume's material is in it."""
+    in DENSITY_G_CM3 offer no resistance. `metal`: says which points (N, 3), CFCS, lie in an implant, which is not cut.
+    Raises SetUpError if no volume's material is in it."""
 
     volumes: tuple[Volume, ...]
     T_mcs_cfcs: RigidTransform
+    metal: Callable[[np.ndarray], np.ndarray] | None = None
     _index: tuple[np.ndarray, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -63,6 +68,10 @@ class Bone:
             _add_density(total, volume.values, index, xyz_mm, DENSITY_G_CM3[volume.material])
         return total
 
+    def is_metal(self, xyz_mm: np.ndarray) -> bool:
+        """Return whether any of the points (N, 3), MCS, lies in an implant."""
+        return self.metal is not None and bool(self.metal(self.T_mcs_cfcs.inv().apply(xyz_mm)).any())
+
     def first_met_mm(self, start_mm: np.ndarray, end_mm: np.ndarray, density: float = 0.5) -> float:
         """Return the distance from `start_mm` towards `end_mm`, (3,), at which the line meets bone of this density.
 
@@ -82,7 +91,8 @@ class Wire:
 
     Axially: a spring from chuck to tip, whose tip cuts at the rate that the thrust allows. Laterally: a cantilever from
     the guide's mouth, pushed down the slope of the bone it touches; once bone surrounds the tip, the wire is pinned at
-    its entry and the tip advances along its own slope. Quasi-static: no vibration, no side-cutting, no heat.
+    its entry and the tip advances along its own slope. Quasi-static: no vibration, no side-cutting, no heat. Metal that
+    the tip's rim touches is not cut and does not guide: the thrust rises with the feed, until supervision stops it.
     """
 
     def __init__(self, bone: Bone, diameter_mm: float = WIRE_DIAMETER_MM) -> None:
@@ -121,7 +131,10 @@ class Wire:
             self.tip_mm = straight_mm - self._squeeze_mm * along + self._offset
         front, lateral, axial, ring = self._sense(axes)
         before = self._squeeze_mm
-        self._cut(moved, 0.0 if self._in_own_hole(along) else front, turning, dt_s)
+        if self.bone.is_metal(self.tip_mm + self.radius_mm * _RIM @ axes):
+            self._cut(moved, inf, turning, dt_s)
+        else:
+            self._cut(moved, 0.0 if self._in_own_hole(along) else front, turning, dt_s)
         advance = moved - (self._squeeze_mm - before)
         if self.entry_mm is None:
             self._skive(lateral, axial, axes, free if free_mm > 0 else 0.0)
@@ -150,7 +163,7 @@ class Wire:
         squeeze = max(self._squeeze_mm + moved_mm, 0.0)
         if resists < _AIR_N:
             squeeze = 0.0
-        elif turning and squeeze > 0.0:
+        elif turning and squeeze > 0.0 and resists < inf:
             power = 1 / FEED_POWER
             rate = dt_s * REVS_PER_S * FEED_PER_REV_MM * (AXIAL_N_PER_MM / resists) ** power
             squeeze = _squeezed(squeeze, rate, power)
@@ -198,9 +211,7 @@ class Wire:
 def _density_samples(radius_mm: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the points (19, 3), tool axes, at which density is sampled, and the weights (4, 19) for the mean over the
     tip and the gradient along x, y, z. The last eight points lie around the wire behind the tip."""
-    angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
-    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(_AROUND)], axis=1)
-    disc = 0.8 * radius_mm
+    ring, disc = _RIM, 0.8 * radius_mm
     along = np.array([[0.0, 0.0, disc]])
     behind = 1.4 * radius_mm * ring - [0.0, 0.0, radius_mm]
     points = np.concatenate([np.zeros((1, 3)), disc * ring, along, -along, behind])

@@ -9,6 +9,7 @@ from sightline.errors import SetUpError
 from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag, Reading
 from sightline.twin.drilling import Bone, Wire, sensed
+from sightline.twin.implants import WIRE_DIAMETER_MM
 from sightline.twin.mjcf import STEP_S, Build, M, mjcf, unit
 
 STEPS = round(CYCLE_S / STEP_S)
@@ -67,9 +68,9 @@ class SimulatedPlant:
         """See Plant."""
         self._goal, self._drill_on = np.zeros(len(JOINTS)), False
 
-    def meet(self, bone: Bone) -> None:
+    def meet(self, bone: Bone, diameter_mm: float = WIRE_DIAMETER_MM) -> None:
         """Mount a new wire in front of this bone."""
-        self.wire = Wire(bone)
+        self.wire = Wire(bone, diameter_mm)
         self._drill()
 
     def advance(self, dt_s: float) -> None:

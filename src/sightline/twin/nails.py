@@ -60,6 +60,20 @@ class DistalNail:
         x, y = own_mm[:, :1], own_mm[:, 1:2]
         return self.hole_mm + middle / curvature + (cos * x - sin * y) * still + (sin * x + cos * y) * turned
 
+    def inside(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Return whether points (N, 3) lie in the nail's metal: within its tube, and in neither hole."""
+        first, second = np.cross(self.axis, self.along), self.axis
+        cos, sin = np.cos(self.bend_angle), np.sin(self.bend_angle)
+        towards, still = cos * second + sin * first, cos * first - sin * second
+        radius = BENT_MM / max(self.bend, 1e-9)
+        off = xyz_mm - (self.hole_mm + radius * towards)  # from the centre of the bend
+        along, inwards = off @ self.along, off @ towards
+        s, t, across = radius * np.arctan2(along, -inwards), radius - np.hypot(along, inwards), off @ still
+        x, y = cos * across + sin * t, cos * t - sin * across
+        rho = np.hypot(x, y)
+        tube = (rho < self.diameter_mm / 2) & (rho > self.bore_mm / 2) & (s > -REACH_MM) & (s < SPACING_MM + TIP_MM)
+        return tube & (np.hypot(x[:, None], s[:, None] - [0.0, SPACING_MM]).min(axis=1) > self.hole_diameter_mm / 2)
+
     def mesh(self) -> Mesh:
         """Return the nail as one mesh: its tube, less the material that both holes remove."""
         parts = [_tube(self.diameter_mm / 2, max(self.bore_mm / 2, 0.01))]

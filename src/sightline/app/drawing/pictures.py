@@ -49,6 +49,12 @@ class Pictures:
             self._images.publish(pixels), width, height, _window(levels, _WINDOW), _field(image), presets
         )
 
+    def forget(self) -> None:
+        """Publish none of them any more."""
+        live = [picture.url for _, picture in self._live]
+        for url in (*live, *(one.url for one in self._pictures.values()), *self._sights.values()):
+            self._images.forget(url)
+
     def sight(self, view: BeadView, picture: XrayPicture) -> str:
         """Return the address of the map of a view (`sight`), whose image is `picture`."""
         if view not in self._sights:

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from sightline.app.plan.marks import CHECK_NAMES, SHOT_NAMES, marks_of
+from sightline.app import texts
+from sightline.app.plan.marks import CHECK_NAMES, SHOT_NAMES
 from sightline.app.plan.planner import Planned, aid_pixels, landmarks_of
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.sent import SentPlan
 from sightline.app.session.session import Session
-from sightline.app.texts import DEVIATION, DEVIATION_OF, DEVIATION_TITLE, DRILLED_TITLE, EXPECTED_HERE
 from sightline.calibration import BeadView
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import SightlineError
@@ -24,6 +24,7 @@ Shape = dict[str, Any]
 Layers = dict[str, list[Shape]]
 RESIDUAL_MM = 0.3  # end of the colour scale: six times the default tolerance of a plate [ours]
 _ARROW_TIMES = 10  # a millimetre is two pixels of a screen [ours]
+_NAIL_MM = 40.0  # of a nail's axis to either side of the strokes' middle [ours]
 _AXIS_PX = 4000.0  # extends an aid's axis across the whole image
 
 
@@ -42,9 +43,9 @@ def beads(seen: SeenImage) -> list[Shape]:
         size = float(np.linalg.norm(residual))
         shape: Shape = {"shape": "circle", "points": [uv.tolist()], "radius": _radius(seen, uv), "style": "bead-good"}
         if used:
-            shape |= {"value": min(size / RESIDUAL_MM, 1.0), "title": f"{name}: residual {size:.3f} mm"}
+            shape |= {"value": min(size / RESIDUAL_MM, 1.0), "title": texts.BEAD_USED.format(name=name, mm=size)}
         else:
-            shape |= {"style": "bead-bad", "title": f"{name}: left out, it contradicts the others by {size:.2f} mm"}
+            shape |= {"style": "bead-bad", "title": texts.BEAD_LEFT_OUT.format(name=name, mm=size)}
         out.append(shape)
     return out
 
@@ -57,9 +58,6 @@ def rejected(seen: SeenImage) -> list[Shape]:
         {"shape": "cross", "points": [list(one.uv_px)], "style": "rejected", "title": one.reason}
         for one in seen.beads.rejected
     ]
-
-
-CURVE_TITLE = "where the {name} point may lie"
 
 
 def curves(drawn: Mapping[str, MatchingCurve]) -> list[Shape]:
@@ -76,7 +74,14 @@ def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
         half = curve.half_width_px.tolist()
         band = {"shape": "band", "points": line, "halfWidth": half, "style": "curve-band"}
         out.append({**band, "from": float(curve.depth_mm[0])})
-    out.append({"shape": "line", "points": line, "style": "curve", "title": CURVE_TITLE.format(name=name)})
+    out.append(
+        {
+            "shape": "line",
+            "points": line,
+            "style": "curve",
+            "title": texts.CURVE_TITLE.format(name=texts.CURVE_NAMES[name]),
+        }
+    )
     if ticks:
         out.append({"shape": "ticks", "points": ticks, "style": "tick", "label": depths})
     for shape in out:
@@ -93,9 +98,42 @@ def wire(planned: Planned, image: str) -> list[Shape]:
         kind = plan.kind
         with suppress(SightlineError):  # it is outside the view; the plan's checks say so
             found = corridor(view, plan.trajectory, wire_mm=kind.wire_mm, beyond_mm=kind.limits.beyond_mm)
-            beside: Shape = {"shape": "line", "points": found.uv_px.tolist(), "style": "plan", "title": kind.wire.name}
-            out += band(found) if plan is planned.plan else [beside]
+            beside: Shape = {
+                "shape": "line",
+                "points": found.uv_px.tolist(),
+                "style": "plan",
+                "title": texts.word(kind.wire.name),
+            }
+            if plan is planned.plan:
+                out += band(found, "wire" if plan.hole is None else "plan")  # the hole in the image must stay visible
+            else:
+                out.append(beside)
     return out
+
+
+def nail_found(planned: Planned, image: str) -> list[Shape]:
+    """Return a nail as the images show it, for one view: the edges found along its strokes, its axis, and the rims of
+    its holes."""
+    found = planned.holes
+    if found is None or found.nail is None or image not in NAMES:
+        return []
+    k, nail = NAMES.index(image), found.nail
+    axis = nail.point_mm + _NAIL_MM * np.linspace(-1.0, 1.0, 31)[:, None] * nail.along
+    out = [_edge(edge.uv_px, texts.NAIL_EDGE_FOUND) for edge in nail.outlines[k]]
+    out.append({**_edge(found.views[k].project_seen(axis)[0], texts.NAIL_AXIS), "style": "aid"})
+    rims = [rim.uv_px for edges in found.edges.values() for rim in (edges[k].entry, edges[k].exit)]
+    out += [_edge(_around(uv), texts.RIM_FOUND) for uv in rims if len(uv) > 1]
+    return out
+
+
+def _edge(uv_px: np.ndarray, title: str) -> Shape:
+    return {"shape": "line", "points": uv_px.tolist(), "style": "edge", "title": title}
+
+
+def _around(uv_px: np.ndarray) -> np.ndarray:
+    """Return points (N, 2) in their order around a rim, begun after the largest gap between them."""
+    gaps = np.linalg.norm(np.roll(uv_px, -1, axis=0) - uv_px, axis=1)
+    return np.roll(uv_px, -1 - int(np.argmax(gaps)), axis=0)
 
 
 def drilled(planned: Planned, image: str, depth_mm: float) -> list[Shape]:
@@ -108,17 +146,21 @@ def drilled(planned: Planned, image: str, depth_mm: float) -> list[Shape]:
         path.end_mm - path.entry_mm
     )
     uv, _ = view.project_seen(along)
-    return [{"shape": "line", "points": uv.tolist(), "style": "found", "title": DRILLED_TITLE}] if len(uv) > 1 else []
+    return (
+        [{"shape": "line", "points": uv.tolist(), "style": "found", "title": texts.DRILLED_TITLE}]
+        if len(uv) > 1
+        else []
+    )
 
 
-def band(found: Corridor) -> list[Shape]:
-    """Return a wire and its corridor in an image."""
+def band(found: Corridor, style: str = "wire") -> list[Shape]:
+    """Return a wire, in a style, and its corridor in an image."""
     line = found.uv_px.tolist()
     out: list[Shape] = []
     if found.half_95_px is not None:
         half = (found.wire_half_px + found.half_95_px).tolist()
         out.append({"shape": "band", "points": line, "halfWidth": half, "style": "corridor"})
-    out.append({"shape": "band", "points": line, "halfWidth": found.wire_half_px.tolist(), "style": "wire"})
+    out.append({"shape": "band", "points": line, "halfWidth": found.wire_half_px.tolist(), "style": style})
     return out
 
 
@@ -131,13 +173,15 @@ def aids(planned: Planned, image: str) -> list[Shape]:
             if (length := float(np.linalg.norm(second - first))) > 0.0:
                 beyond = (_AXIS_PX if aid.type == "line" else 0.0) * (second - first) / length
                 ends = [(first - beyond).tolist(), (second + beyond).tolist()]
-                title = f"{aid.key} axis" if aid.type == "line" else aid.name
+                title = texts.word(f"{aid.key} axis" if aid.type == "line" else aid.name)
                 out.append({"shape": "line", "points": ends, "style": "aid", "title": title})
     head, view = planned.anatomy.head, _view(planned, image)
     if head is not None and view is not None:
         seen = outline(view, head)
         if len(seen) > 2:
-            out.append({"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": "femoral head"})
+            out.append(
+                {"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": texts.word("femoral head")}
+            )
     return out
 
 
@@ -147,7 +191,7 @@ def expected(planned: Planned) -> list[Shape]:
     The lines of sight of both cross there. After a movement the bone shows the landmark elsewhere.
     """
     decisions, pair = planned.decisions, planned.views[: len(NAMES)]
-    wire = [spec for spec in marks_of(decisions.kind) if spec.group == "wire" and decisions.complete((spec.name,))]
+    wire = [spec for spec in decisions.specs if spec.group == "wire" and decisions.complete((spec.name,))]
     listed = [*wire, *landmarks_of(decisions, len(NAMES))]
     if not listed or len(planned.views) == len(pair):
         return []
@@ -159,7 +203,7 @@ def expected(planned: Planned) -> list[Shape]:
             "shape": "cross",
             "points": [at.tolist()],
             "style": "rejected",
-            "title": EXPECTED_HERE.format(point=spec.label),
+            "title": texts.EXPECTED_HERE.format(point=texts.word(spec.label)),
         }
         for at, spec in named
     ]
@@ -181,8 +225,8 @@ def found(session: Session, image: str) -> list[Shape]:
             out += _planned_there(session, shot, sent, image, CHECK_NAMES)
             out += _deviations_there(session, kind, image)
             out += [
-                {**line, "title": "the wire as this image shows it"},
-                {"shape": "cross", "points": [wire.tip_uv_px.tolist()], "style": "found", "title": "its tip"},
+                {**line, "title": texts.WIRE_SEEN},
+                {"shape": "cross", "points": [wire.tip_uv_px.tolist()], "style": "found", "title": texts.TIP_SEEN},
             ]
     return out
 
@@ -204,7 +248,7 @@ def _planned_there(
     along = np.linspace(0.0, 1.0, 40)[:, None]
     points = shot.movement.apply((1.0 - along) * path.entry_mm + along * path.end_mm)
     uv, _ = views[names.index(image)].project_seen(points)
-    return [{"shape": "line", "points": uv.tolist(), "style": "plan", "title": "the plan"}] if len(uv) > 1 else []
+    return [{"shape": "line", "points": uv.tolist(), "style": "plan", "title": texts.PLAN_THERE}] if len(uv) > 1 else []
 
 
 def _deviations_there(session: Session, kind: str, image: str) -> list[Shape]:
@@ -224,12 +268,12 @@ def deviations(view: BeadView, planned_mm: np.ndarray, measured_mm: np.ndarray, 
     """Return an arrow from the planned to the measured place (2, 3) of entry and tip, drawn longer than it is, with the
     deviation in space; none for a place outside the view."""
     out: list[Shape] = []
-    for name, planned, measured, mm in zip(DEVIATION_OF, planned_mm, measured_mm, off_mm, strict=True):
+    for name, planned, measured, mm in zip(texts.DEVIATION_OF, planned_mm, measured_mm, off_mm, strict=True):
         uv, seen = view.project_seen(np.stack([planned, measured]))
         if seen.all():
             ends = [uv[0].tolist(), (uv[0] + _ARROW_TIMES * (uv[1] - uv[0])).tolist()]
-            said = DEVIATION.format(name=name, mm=mm)
-            title = DEVIATION_TITLE.format(deviation=said, times=_ARROW_TIMES)
+            said = texts.DEVIATION.format(name=name, mm=mm)
+            title = texts.DEVIATION_TITLE.format(deviation=said, times=_ARROW_TIMES)
             out.append({"shape": "arrow", "points": ends, "style": "deviation", "label": said, "title": title})
     return out
 

@@ -38,7 +38,7 @@ def _views(tab: Tab) -> None:
         elif seen.refused:
             note(seen.refused, kind="bad", testid=f"refused-{name}")
         elif seen.view is None:
-            note(f"{seen.doing.capitalize()} …", kind="quiet")
+            note(f"{texts.titled(texts.word(seen.doing))} …", kind="quiet")
         else:
             left = seen.view.residuals
             rows = [
@@ -48,7 +48,7 @@ def _views(tab: Tab) -> None:
             ]
             table(("", ""), rows, testid=f"calibration-{name}")
             wrong = failed(seen.view.checks)
-            said = texts.ALL_PASSED.format(count=len(seen.view.checks)) if not wrong else wrong[0].sentence
+            said = texts.ALL_PASSED.format(count=len(seen.view.checks)) if not wrong else texts.said(wrong[0])
             note(said, kind="bad" if wrong else "good")
 
 

@@ -8,11 +8,12 @@ from sightline.app import texts
 from sightline.app.panels import calibrate, drill, images, plan, verdict, verify
 from sightline.app.panels.menu import Menu
 from sightline.app.panels.section import Section
+from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 
-_DETAILS: dict[str, Callable[[Tab], None]] = dict(
+_DETAILS: dict[ProcedureStep, Callable[[Tab], None]] = dict(
     zip(
-        texts.STEPS,
+        ProcedureStep,
         (images.build_details, calibrate.build_details, plan.build_details, drill.build_details, verify.build_details),
         strict=True,
     )
@@ -39,6 +40,6 @@ class Drawer:
         if self.open:
             self._menu.build()
             _DETAILS[tab.step](tab)
-            if texts.STEPS.index(tab.step) in (2, 3):
+            if tab.step in (ProcedureStep.PLAN, ProcedureStep.DRILL):
                 verdict.build_details(tab)
-            ui.label(f"{texts.NOT_A_DEVICE} Case {tab.planning.case.number}").classes("foot")
+            ui.label(texts.FOOT.format(case=tab.planning.case.number)).classes("foot")

@@ -10,6 +10,7 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels import live, markup, shots, wires
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
+from sightline.app.session.zero import ZeroSource
 from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -79,7 +80,7 @@ def _robot(tab: Tab) -> None:
         if planning.patient is None:
             note(texts.NO_ROBOT, kind="warn", testid="no-robot")
         elif tab.session.jobs.working:
-            note(f"{tab.session.jobs.working.capitalize()} …")
+            note(f"{texts.titled(texts.word(tab.session.jobs.working))} …")
         else:
             note(texts.ROBOT_OFF, kind="quiet")
             if planning.drilled is not None and planning.sent_is_current:
@@ -132,15 +133,16 @@ def _state(tab: Tab) -> None:
 def _depth(tab: Tab) -> Markup:
     """Return the depth as HTML: its value, and a bar with cortex, pause, planned tip and limit."""
     # Imported here so that the first page does not wait for it.
-    from sightline.robot.control.motion.drilling import PAUSE_MM
     from sightline.robot.control.motion.supervision import EventKind
+    from sightline.robot.kinematics.depth import pause_depth
 
     session, now = tab.session.drilling.session, tab.session.drilling.now
     if session is None or now is None or session.target is None or session.depth_limit_mm is None:
         return Markup()
     end = session.target.depth_mm
     touched = next((event.depth_mm for event in session.record.events if event.name == EventKind.CORTEX.value), 0.0)
-    at = dict(zip(texts.DEPTH_MARKS, (touched, end - PAUSE_MM, end, session.depth_limit_mm), strict=True))
+    pause = pause_depth(end, session.target.limits)
+    at = dict(zip(texts.DEPTH_MARKS, (touched, pause, end, session.depth_limit_mm), strict=True))
     low, high = -_BEFORE_MM, session.depth_limit_mm + _BEFORE_MM / 2
 
     def percent(depth_mm: float) -> str:
@@ -169,7 +171,7 @@ def depth_words(now: "RobotNow") -> str:
     """Return the depth with its 95 % error and the source of its zero, as text."""
     if now.depth_mm is None:
         return "–"
-    return f"{now.depth_mm:.1f} mm {_error_words(now)} (zero: {_zero_words(now)})"
+    return texts.READING_DEPTH.format(value=now.depth_mm, error=_error_words(now), zero=_zero_words(now))
 
 
 def _error_words(now: "RobotNow") -> str:
@@ -177,7 +179,8 @@ def _error_words(now: "RobotNow") -> str:
 
 
 def _zero_words(now: "RobotNow") -> str:
-    return " and ".join([", ".join(now.zero[:-1]), now.zero[-1]] if now.zero[1:] else now.zero)
+    *others, last = (texts.ZEROS[one] for one in now.zero)
+    return texts.DISPLAY_AND.join([", ".join(others), last] if others else [last])
 
 
 def build_next(tab: Tab) -> None:
@@ -201,7 +204,7 @@ def build_next(tab: Tab) -> None:
         drill = partial(drilling.drill, State.PAUSED)
         _confirmed_action(tab, texts.DRILL_ON, texts.DRILL_ON_QUESTION, drill, "drill-on", enabled=ready)
     elif planning.drilled is not None and (after := wires.following(tab)) is not None:
-        said = texts.NEXT_WIRE.format(wire=kind_of(after).wire.name)
+        said = texts.NEXT_WIRE.format(wire=texts.word(kind_of(after).wire.name))
         action(said, partial(tab.choose_kind, after), testid="next-wire", kind="primary")
     elif state in (State.TARGETING.value, State.STOP.value) and held:
         _confirmed_action(tab, texts.ALIGN, texts.ALIGN_QUESTION, drilling.align, "align", enabled=ready)
@@ -228,7 +231,7 @@ def _send(tab: Tab, *, enabled: bool) -> None:
     what = texts.SEND_WHAT.format(
         robot=texts.ROBOT_NAMES[planning.patient is not None],
         length=known.plan.trajectory.length_mm,
-        side=side,
+        side=texts.SIDE_WORDS[side],
         serial=planning.decisions.serial,
     )
     _confirmed_action(
@@ -244,7 +247,7 @@ def _second_shot(tab: Tab) -> None:
     enabled = not now.activity and drilling.held is not None and not drilling.changed
     known = {"zero": _zero_words(now), "error": _error_words(now)}
     heading(texts.SHOT_HEADING)
-    if texts.BY_SHOT in now.zero:
+    if ZeroSource.SHOT in now.zero:
         note(texts.SHOT_TOLD.format(**known), kind="good", testid="shot-told")
         return
     note(texts.SHOT_UNMEASURED.format(**known), testid="shot-unmeasured")
@@ -289,7 +292,7 @@ def _force(tab: Tab) -> None:
     if tab.session.drilling.session is None and tab.planning.drilled is None:
         return
     heading(texts.THRUST_HEADING)
-    drawing = ui.html("", sanitize=False).classes("force").props("data-testid=force")
+    drawing = ui.html("", sanitize=False).classes("force").props("data-testid=force lang=en")
     events = ui.column().classes("events").props("data-testid=events")
     shown = -1
 
@@ -311,7 +314,7 @@ def _force(tab: Tab) -> None:
         with events:
             table(
                 texts.EVENT_COLUMNS,
-                [(one.name, f"{one.depth_mm:.1f} mm", f"{one.force_n:.1f} N") for one in record.events],
+                [(texts.word(one.name), f"{one.depth_mm:.1f} mm", f"{one.force_n:.1f} N") for one in record.events],
                 testid="events-table",
             )
 

@@ -5,22 +5,22 @@ const PAGE = "position:fixed;inset:0;z-index:7000;display:flex;gap:16px;padding:
 const PANEL =
   "flex:1;display:flex;align-items:center;justify-content:center;border:2px dashed;border-radius:16px;font-size:1.6rem";
 
-function send(file, address, onProgress) {
+function send(file, address, onProgress, texts) {
   return new Promise((resolve) => {
     const request = new XMLHttpRequest(); // fetch reports no progress
     request.open("POST", address);
     request.upload.onprogress = (event) => event.total && onProgress(event.loaded / event.total);
-    request.onload = () => resolve(request.status === 200 ? null : sentence(request));
-    request.onerror = () => resolve("the image did not reach the app; is it still running?");
+    request.onload = () => resolve(request.status === 200 ? null : sentence(request, texts));
+    request.onerror = () => resolve(texts.lost);
     request.send(file);
   });
 }
 
-function sentence(request) {
+function sentence(request, texts) {
   try {
     return JSON.parse(request.responseText).error;
   } catch {
-    return request.responseText || `refused (${request.status})`;
+    return request.responseText || texts.refused.replace("{status}", String(request.status));
   }
 }
 
@@ -128,20 +128,22 @@ export default {
     },
     // Several files dropped at once go to this target and the following ones, one after another.
     async take(files, target) {
-      if (files.length > this.targets.length) return this.say(`at most ${this.targets.length} images at a time`, true);
+      if (files.length > this.targets.length) return this.say(this.texts.many.replace("{count}", this.targets.length), true);
       files.forEach((file, n) => this.waiting.push([file, (target + n) % this.targets.length]));
       if (this.busy !== null) return;
       while (this.waiting.length) await this.hand(...this.waiting.shift());
     },
     async hand(file, target) {
       if (file.size > this.maxBytes) {
-        return this.say(`${file.name} has more than ${Math.floor(this.maxBytes / 1e6)} MB; export a single image`, true);
+        const size = Math.floor(this.maxBytes / 1e6);
+        return this.say(this.texts.large.replace("{file}", file.name).replace("{size}", size), true);
       }
       this.busy = target;
       this.percent = 0;
       this.failed = null;
-      this.say(`reading ${file.name}`, false);
-      const refusal = await send(file, this.targets[target].address, (part) => (this.percent = 100 * part));
+      this.say(this.texts.reading.replace("{file}", file.name), false);
+      const onProgress = (part) => (this.percent = 100 * part);
+      const refusal = await send(file, this.targets[target].address, onProgress, this.texts);
       this.busy = null;
       this.failed = refusal ? target : null;
       this.say(refusal ? `${file.name}: ${refusal}` : file.name, Boolean(refusal));

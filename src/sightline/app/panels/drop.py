@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 from nicegui import ui
 
-from sightline.app.texts import DROP_ANOTHER, DROP_CHOOSE, DROP_HERE, DROP_OR
+from sightline.app import texts
 from sightline.app.web.uploads import MAX_UPLOAD_BYTES, OnUpload, Upload, Uploads
 
 
@@ -24,7 +24,17 @@ class DropZone(ui.element, component=Path(__file__).parent / "drop.js"):
         for target in self._props["targets"]:
             box = boxes.get(target["label"])
             target["box"] = None if box is None else f"c{box.id}"
-        self._props["texts"] = {"here": DROP_HERE, "or": DROP_OR, "choose": DROP_CHOOSE, "another": DROP_ANOTHER}
+        self._props["texts"] = {
+            "here": texts.DROP_HERE,
+            "or": texts.DROP_OR,
+            "choose": texts.DROP_CHOOSE,
+            "another": texts.DROP_ANOTHER,
+            "reading": texts.DROP_READING,
+            "many": texts.DROP_TOO_MANY,
+            "large": texts.DROP_TOO_LARGE,
+            "lost": texts.DROP_LOST,
+            "refused": texts.DROP_REFUSED,
+        }
         self._props["maxBytes"] = MAX_UPLOAD_BYTES
 
     def tell(self, states: Mapping[str, str]) -> None:

@@ -7,6 +7,7 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels.drop import DropZone
 from sightline.app.panels.section import Section, action, heading, note, radio
+from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.web.serve import ServedApp
 from sightline.app.web.uploads import Upload
@@ -23,7 +24,11 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
 
     def taker(view: str):
         async def take(upload: Upload) -> None:
-            taken_for = {texts.STEPS[3]: "shot-", texts.STEPS[4]: "check-"}.get(tab.step, "")
+            with texts.spoken(tab.language):
+                await put(upload)
+
+        async def put(upload: Upload) -> None:
+            taken_for = {ProcedureStep.DRILL: "shot-", ProcedureStep.VERIFY: "check-"}.get(tab.step, "")
             if taken_for and view == OBLIQUE:
                 raise UnusableInputError(texts.CHECK_TAKES_TWO)
             image = f"{taken_for}{view}"
@@ -51,8 +56,8 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
 
 def _wanted(tab: Tab) -> dict[str, str]:
     """Return the state of each image that the step takes, by view: empty, here or failed."""
-    check, shot = tab.step == texts.STEPS[-1], tab.step == texts.STEPS[3] and bool(tab.session.shots.state)
-    if tab.session.jobs.working or not (check or shot or tab.step == texts.STEPS[0]):
+    check, shot = tab.step is ProcedureStep.VERIFY, tab.step is ProcedureStep.DRILL and bool(tab.session.shots.state)
+    if tab.session.jobs.working or not (check or shot or tab.step is ProcedureStep.IMAGES):
         return {}
     slots = [name for name in tab.planning.slots if not check or name != OBLIQUE]
     if shot or (check and tab.planning.patient is not None):  # which replaces what the views show, or is simulated
@@ -67,7 +72,7 @@ def build_side(tab: Tab) -> None:
 
 
 def _asks_side(tab: Tab) -> bool:
-    return tab.step == texts.STEPS[0] and all(tab.planning.seen(name) is not None for name in NAMES)
+    return tab.step is ProcedureStep.IMAGES and all(tab.planning.seen(name) is not None for name in NAMES)
 
 
 def build(tab: Tab) -> None:
@@ -131,7 +136,7 @@ def _images(tab: Tab) -> None:
         if seen.refused:
             note(seen.refused, kind="bad")
     if jobs.working:
-        note(f"{jobs.working.capitalize()} …", testid="working")
+        note(f"{texts.titled(texts.word(jobs.working))} …", testid="working")
     if jobs.trouble:
         note(jobs.trouble, kind="bad", testid="trouble")
     if planning.patient is not None:
@@ -226,12 +231,12 @@ def _mirrored(tab: Tab) -> None:
         label = texts.MIRRORED_FIELD.format(image=texts.IMAGE_LABELS[name])
         note(label if said is None else texts.MIRRORED_SAID[said].format(image=texts.IMAGE_LABELS[name]))
         with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{label}"'):
-            for answer, word in texts.MIRRORED_ANSWERS.items():
+            for answer in (True, False):
                 chosen = said is not None and answer == (said != _is_turned(tab, name))
                 button = action(
-                    word,
+                    texts.MIRRORED_ANSWERS[answer],
                     tab.doing(lambda name=name, answer=answer: planning.state_mirrored(name, answer)),
-                    testid=f"mirrored-{name}-{word}",
+                    testid=f"mirrored-{name}-{'backwards' if answer else 'forwards'}",
                     kind="primary" if chosen else "plain",
                 )
                 radio(button, chosen=chosen, first=said is None and answer)

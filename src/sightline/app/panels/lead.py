@@ -6,6 +6,7 @@ from sightline.app import texts
 from sightline.app.panels import drill, verify
 from sightline.app.panels.section import Section, action
 from sightline.app.panels.steps import steps
+from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 
 
@@ -15,21 +16,21 @@ def build(tab: Tab) -> None:
 
 
 def _key(tab: Tab) -> Hashable:
-    of = {texts.STEPS[3]: drill.key, texts.STEPS[4]: verify.key}.get(tab.step)
+    of = {ProcedureStep.DRILL: drill.key, ProcedureStep.VERIFY: verify.key}.get(tab.step)
     return tab.step, _done(tab), None if of is None else of(tab)
 
 
 def _done(tab: Tab) -> bool:
-    return next(step.status == "done" for step in steps(tab.session) if step.name == tab.step)
+    return next(one.status == "done" for one in steps(tab.session) if one.step is tab.step)
 
 
 def _build(tab: Tab) -> None:
-    number, done = texts.STEPS.index(tab.step), _done(tab)
-    if number == 3 and not (done and tab.planning.sent_is_current):
+    done = _done(tab)
+    if tab.step is ProcedureStep.DRILL and not (done and tab.planning.sent_is_current):
         drill.build_next(tab)
-    elif number == 4:
+    elif tab.step is ProcedureStep.VERIFY:
         verify.build_next(tab)
     else:
-        after = texts.STEPS[number + 1]
-        said = texts.CONTINUE_TO.format(step=after)
+        after = list(ProcedureStep)[tab.step.number]
+        said = texts.CONTINUE_TO.format(step=texts.STEPS[after])
         action(said, lambda: tab.go_to(after), testid="continue", kind="primary", enabled=done)

@@ -5,19 +5,20 @@ from functools import lru_cache
 
 from markupsafe import Markup, escape
 
+from sightline.app import texts
 from sightline.checks import Check
 
 _CHECK = (
     '<li class="{0}"><div class="check-head"><div class="mark" aria-hidden="true">{1}</div>'
     '<div class="check-name">{2}</div><div class="check-figure">{3}</div>'
-    '<div class="unseen">{0}</div></div><div class="check-sentence">{4}</div></li>'
+    '<div class="unseen">{5}</div></div>{6}<div class="check-sentence"{7}>{4}</div></li>'
 )
 
 
 _LONG = 95  # characters of a card's sentence that is written smaller, to fit [ours]
 _CARD = (
     '<div class="verdict {}" data-testid="{}"><div class="verdict-word">{}</div>'
-    '<div class="verdict-sentence {}">{} <span class="verdict-more">{}</span></div></div>'
+    '<div class="verdict-sentence {}"{}>{} <span class="verdict-more">{}</span></div></div>'
 )
 
 
@@ -39,17 +40,17 @@ def heading(text: str) -> Markup:
 
 def note(text: str, *, kind: str = "", testid: str = "") -> Markup:
     """Return a sentence; `kind`: good, warn, bad or quiet."""
-    return filled('<div class="note {}"{}>{}</div>', kind, _testid(testid), text)
+    return filled('<div class="note {}"{}{}>{}</div>', kind, _testid(testid), lang(text), text)
 
 
 def card(state: str, word: str, sentence: str, more: str = "", *, testid: str) -> Markup:
     """Return a card with a verdict; `state`: go, no-go or incomplete."""
-    return filled(_CARD, state, testid, word, "long" if len(sentence) > _LONG else "", sentence, more)
+    return filled(_CARD, state, testid, word, "long" if len(sentence) > _LONG else "", lang(sentence), sentence, more)
 
 
 def checks(listed: Sequence[Check], *, testid: str) -> Markup:
     """Return checks with value, limit and sentence, the failed ones first."""
-    items = map(_check, sorted(listed, key=lambda one: one.passed))
+    items = (_check(one, texts.now()) for one in sorted(listed, key=lambda one: one.passed))
     return filled('<ul class="checks"{}>{}</ul>', _testid(testid), joined(*items))
 
 
@@ -68,6 +69,12 @@ def table(
     )
 
 
+def lang(sentence: str) -> Markup:
+    """Return the attribute that tells the language of a sentence, where it is not the page's."""
+    tag = texts.tag(sentence)
+    return filled(' lang="{}"', tag) if tag else Markup()
+
+
 def _testid(testid: str) -> Markup:
     return filled(' data-testid="{}"', testid) if testid else Markup()
 
@@ -79,13 +86,16 @@ def _row(cells: Sequence[str]) -> Markup:
 
 
 @lru_cache(maxsize=256)  # most checks stay as they are when a point moves
-def _check(check: Check) -> Markup:
-    name, sign = ("passed", "✓") if check.passed else ("failed", "✕")
-    return filled(_CHECK, name, sign, check.name, _figure(check), check.sentence)
+def _check(check: Check, language: texts.Language) -> Markup:
+    state, sign = ("passed", "✓") if check.passed else ("failed", "✕")
+    name, do = language.checks.get(check.name, (check.name, ""))
+    first = filled('<div class="check-sentence">{}</div>', do) if do and not check.passed else Markup()
+    status = texts.CHECK_STATUS[state]
+    return filled(_CHECK, state, sign, name, _figure(check), check.sentence, status, first, lang(check.sentence))
 
 
 def _figure(check: Check) -> str:
     if check.figure is None:
         return ""
     limit = "" if check.limit is None else f" / {check.limit:.3g}"
-    return f"{check.figure:.3g}{limit} {check.unit}".strip()
+    return f"{check.figure:.3g}{limit} {texts.word(check.unit)}".strip()

@@ -1,20 +1,25 @@
 """The sheet of shortcuts, the cases beside this one, and the case's report to print or to keep."""
 
 import asyncio
+from collections.abc import Awaitable, Callable
+from functools import partial
+from pathlib import Path
 
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels.section import action, heading, note, table
-from sightline.app.session.reporting import cases_beside, report_files
+from sightline.app.panels.section import action, heading, table
+from sightline.app.session.reporting import CaseInFolder, cases_beside, report_files
 from sightline.app.tab.tab import Tab
+
+OpenCase = Callable[[Path], Awaitable[None]]
 
 
 class Menu:
     """The dialogs of one page."""
 
-    def __init__(self, tab: Tab) -> None:
-        self._tab = tab
+    def __init__(self, tab: Tab, open_case: OpenCase) -> None:
+        self._tab, self._open_case = tab, open_case
         with ui.dialog() as self._shortcuts, ui.card().classes("question").props("data-testid=shortcuts-sheet"):
             heading(texts.SHORTCUTS)
             table(texts.SHORTCUT_COLUMNS, texts.SHORTCUT_ROWS, testid="shortcuts-table")
@@ -41,23 +46,51 @@ class Menu:
         self._listed.clear()
         with self._listed:
             heading(texts.CASES)
-            rows = [
-                (
-                    texts.CASE_HERE.format(number=one.number) if one.folder == folder.resolve() else one.number,
-                    f"{one.at:%Y-%m-%d %H:%M}",
-                    texts.CASE_REACHED[one.reached],
-                    one.folder.name,
-                )
-                for one in found
-            ]
-            table(texts.CASE_COLUMNS, rows, testid="cases-table")
-            note(texts.CASE_OPEN, kind="quiet")
+            with ui.element("table").props("data-testid=cases-table"):
+                with ui.element("tr"):
+                    for name in (*texts.CASE_COLUMNS, ""):
+                        _cell("th", name).props("scope=col")
+                for one in found:
+                    self._row(one, here=one.folder == folder.resolve())
         self._cases.open()
+
+    def _row(self, one: CaseInFolder, *, here: bool) -> None:
+        with ui.element("tr"):
+            _cell("th", texts.CASE_HERE.format(number=one.number) if here else one.number).props("scope=row")
+            for text in (f"{one.at:%Y-%m-%d %H:%M}", texts.CASE_REACHED[one.reached], one.folder.name):
+                _cell("td", text)
+            with ui.element("td"):
+                if not here:
+                    button = action(texts.CASE_OPEN, partial(self._ask, one), testid=f"open-{one.number}", kind="small")
+                    button.props(f'aria-label="{texts.CASE_OPEN} {one.number}"')
+
+    def _ask(self, one: CaseInFolder) -> None:
+        """Ask whether to leave this case for another one."""
+        now = self._tab.session.drilling.now
+        robot = () if now is None or now.lost else (texts.CASE_ROBOT,)
+
+        async def agreed() -> None:
+            self._cases.close()
+            await self._tab.act(lambda: self._open_case(one.folder))
+
+        self._listed.clear()
+        with texts.spoken(self._tab.language), self._listed:
+            for text in (texts.CASE_QUESTION.format(number=one.number), *robot):
+                ui.label(text).classes("question-text")
+            action(texts.CASE_OPEN, agreed, testid="open-yes", kind="primary")
+
+
+def _cell(tag: str, text: str) -> ui.element:
+    with ui.element(tag) as cell:
+        ui.label(text)
+    return cell
 
 
 async def save_report(tab: Tab) -> None:
-    """Send the report of the last plan to the browser, as a PDF to print and as a page. Raises SightlineError."""
+    """Keep the plan shown in the case, and send its report to the browser, as a PDF to print and as a page. Raises
+    SightlineError."""
     planning = tab.planning
+    planning.keep_plan()
     files = await planning.jobs.during(
         texts.WRITING_REPORT, lambda: planning.worker.do(report_files, planning.case.folder)
     )

@@ -10,12 +10,15 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import HtmlSection, Section, action, heading, note
-from sightline.app.plan.marks import MarkSpec, marks_of
+from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import Planned, landmarks_of, lowest_wire, proposed
 from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.planning import Nail
+from sightline.planning.hole_advice import perfect_circles
+from sightline.planning.nail_files import known_nails
 from sightline.planning.procedures import Procedure, procedures
 from sightline.planning.procedures import kind as kind_of
 
@@ -23,7 +26,9 @@ from sightline.planning.procedures import kind as kind_of
 def build(tab: Tab) -> None:
     """Build the panel: kind, and the checklist of points and aids."""
     Section(tab, lambda t: t.planning.decisions.kind, _kind)
-    Section(tab, lambda t: t.planning.decisions.kind, _points, classes="checklist")
+    Section(tab, _nail_key, _nail)
+    Section(tab, lambda t: (t.planning.decisions.kind, t.planning.decisions.of_nail), _points, classes="checklist")
+    HtmlSection(tab, lambda t: t.known, _turns_html)
 
 
 def build_details(tab: Tab) -> None:
@@ -44,8 +49,8 @@ def build_details(tab: Tab) -> None:
 
 def _purpose(tab: Tab) -> None:
     known = kind_of(tab.planning.decisions.kind)
-    heading(known.name)
-    note(known.purpose, kind="quiet")
+    heading(texts.titled(texts.word(known.name)))
+    note(texts.word(known.purpose), kind="quiet")
 
 
 def _kind(tab: Tab) -> None:
@@ -53,7 +58,7 @@ def _kind(tab: Tab) -> None:
     kinds: dict[str, str] = {}  # each procedure once, by its first wire
     for key, one in procedures().items():
         if one.wire == one.document.wires[0]:
-            kinds[key] = one.document.name[:1].upper() + one.document.name[1:]
+            kinds[key] = texts.titled(texts.word(one.document.name))
 
     async def choose(event) -> None:
         await tab.choose_kind(event.value)
@@ -61,6 +66,44 @@ def _kind(tab: Tab) -> None:
     shown = Procedure.of(known.document, known.document.wires[0].key).key
     ui.select(kinds, value=shown, on_change=choose).classes("kind").props(
         f'dense options-dense data-testid=kind aria-label="{texts.KIND_FIELD}"'
+    )
+
+
+def _turns_html(tab: Tab) -> Markup:
+    """Return how to turn the C-arm until the current hole is a circle, as HTML; empty without a measured hole."""
+    plan = None if tab.known is None else tab.known.plan
+    if plan is None or plan.hole is None:
+        return Markup()
+    turns = [
+        texts.TURN.format(
+            image=texts.IMAGES_SHORT[turn.view], orbit=np.rad2deg(turn.orbit_rad), tilt=np.rad2deg(turn.tilt_rad)
+        )
+        for turn in perfect_circles(plan.hole, plan.views)
+    ]
+    return markup.note(texts.TURNS.format(turns="; ".join(turns)), kind="quiet", testid="turns")
+
+
+def _nail_key(tab: Tab) -> tuple[str, Nail | None]:
+    return tab.planning.decisions.kind, tab.planning.decisions.nail
+
+
+def _nail(tab: Tab) -> None:
+    """Build the choice of the nail, for a procedure through its holes."""
+    decisions = tab.planning.decisions
+    if not kind_of(decisions.kind).document.through_holes:
+        return
+    files, chosen = known_nails(), decisions.nail
+    known = {key: file.nail for key, file in files.items()}
+    names = {"": texts.NAIL_NONE, **{key: texts.NAIL_CHOICE.format(name=file.name) for key, file in files.items()}}
+    shown = "" if chosen is None else next((key for key, nail in known.items() if nail == chosen), "other")
+    if chosen is not None and shown == "other":  # its file is elsewhere
+        known[shown], names[shown] = chosen, texts.NAIL_OTHER.format(mm=chosen.diameter_mm, material=chosen.material)
+
+    async def choose(event) -> None:
+        await tab.choose_nail(known.get(event.value))
+
+    ui.select(names, value=shown, on_change=choose).classes("kind").props(
+        f'dense options-dense data-testid=nail aria-label="{texts.NAIL_FIELD}"'
     )
 
 
@@ -74,9 +117,10 @@ def _snapping(tab: Tab) -> None:
 
 def _points(tab: Tab) -> None:
     decisions = tab.planning.decisions
-    for group, listed in groupby(marks_of(decisions.kind), key=lambda one: one.group):
+    for group, listed in groupby(decisions.specs, key=lambda one: one.group):
         with ui.element("div").classes(f"group {group}"):
-            heading(texts.POINT_GROUPS[group])
+            if group != "nail":  # named by its choice above
+                heading(texts.POINT_GROUPS[group])
             if group == "aid" and lowest_wire(kind_of(decisions.kind).document) is not None:
                 others = tab.doing(tab.planning.propose_others)
                 action(texts.PROPOSE_OTHERS, others, testid="propose-others", kind="small")
@@ -92,7 +136,7 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
     """Build the row of one point, or of one aid's clicks. Its buttons persist, so that a refresh does not lose
     clicks."""
     first, names = same[0], tuple(one.name for one in same)
-    label = first.label if len(same) == 1 else first.label.rsplit(" ", 1)[0]
+    label = texts.word(first.label if len(same) == 1 else first.label.rsplit(" ", 1)[0])
 
     def images_of(t: Tab) -> tuple[str, ...]:
         return tuple(image for image in t.planning.names if first.shown_in(image))
@@ -120,7 +164,7 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
         with action("", lambda: tab.place(same), testid=f"place-{first.of}", kind="pick-place") as place:
             ui.label(label).classes("pick-name")
             status = ui.element("div")
-            ui.tooltip(first.sentence).props('anchor="center left" self="center right"')
+            ui.tooltip(texts.word(first.sentence)).props('anchor="center left" self="center right"')
         remove = action("✕", tab.doing(lambda: tab.planning.remove(names)), testid=f"remove-{first.of}", kind="small")
         remove.props(f'aria-label="{texts.REMOVE_WHAT.format(what=label)}"')
     with status:
@@ -171,7 +215,7 @@ def metrics_html(tab: Tab) -> Markup:
             space = "" if metric.unit == "°" else " "
             sd = "" if metric.sd is None else f" ± {TWO_SIDED_95 * metric.sd:.1f}"
             mark = {True: "✓", False: "!", None: ""}[metric.within]
-            rows.append((metric.name, f"{metric.value:.1f}{sd}{space}{metric.unit}", mark))
+            rows.append((texts.word(metric.name), f"{metric.value:.1f}{sd}{space}{metric.unit}", mark))
     table = markup.table(texts.METRIC_COLUMNS, rows, testid="metrics")
     return markup.joined(markup.heading(texts.METRICS_HEADING), *said, table)
 
@@ -188,7 +232,7 @@ def _gaps(tab: Tab) -> list[tuple[str, str, str]]:
     assert known is not None and known.plan is not None  # noqa: S101
     seen, decisions = known.plan.seen, known.decisions
     landmarks = landmarks_of(decisions, len(known.views))
-    names = [*texts.GAP_ENDS, *(a.label[:1].lower() + a.label[1:] for a in landmarks)]
+    names = [*texts.GAP_ENDS, *(texts.word(a.label[:1].lower() + a.label[1:]) for a in landmarks)]
     out = []
     for name, gap, tested in zip(names, seen.gap_mm, seen.gap_tested, strict=True):
         out.append((texts.GAP_OF.format(point=name), f"{gap:.2f} mm" if tested else texts.GAP_NOT_TESTED, ""))
@@ -207,5 +251,8 @@ def instruction(tab: Tab) -> tuple[str, str, str] | None:
         spec.group == "wire" and goal.image == NAMES[1] and decisions.snapping and decisions.mark(spec.name).at("pa")
     )
     where = texts.PLACE_IN_OBLIQUE if goal.image == OBLIQUE else texts.PLACE_ON_CURVE if slides else texts.PLACE_WHERE
-    said = where.format(point=spec.label, sentence=spec.sentence[:1].lower() + spec.sentence[1:])
+    sentence = texts.word(spec.sentence)
+    said = where.format(point=texts.word(spec.label), sentence=sentence[:1].lower() + sentence[1:])
+    if number == 1 and spec.group == "wire" and kind_of(decisions.kind).document.through_holes:
+        said = texts.NAIL_FIRST.format(said=said)
     return texts.COUNTER.format(number=number, count=count), texts.IN_IMAGE[goal.image], said

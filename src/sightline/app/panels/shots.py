@@ -8,13 +8,15 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.section import action, heading, note, put, table
 from sightline.app.plan.marks import SHOT_NAMES
+from sightline.app.session.zero import ZeroSource
 from sightline.app.tab.tab import Tab
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.drill_shot import ALIGNED, PAUSED, TURNED_AWAY, DrillShot
 
+_STATES = {"GO": "go", "STOP": "no-go", "INCOMPLETE": "incomplete"}  # of a card, by the decision
 _CARD = (
     '<div class="verdict {}" data-testid="shot-verdict"><div class="verdict-word">{}</div>'
-    '<div class="verdict-sentence">{}</div></div>'
+    '<div class="verdict-sentence"{}>{}</div></div>'
 )
 
 
@@ -45,7 +47,7 @@ def build(tab: Tab) -> None:
     for name in SHOT_NAMES:
         seen = tab.planning.seen(name)
         if seen is not None and (seen.refused or seen.doing):
-            state = seen.refused or f"{seen.doing} …"
+            state = seen.refused or f"{texts.word(seen.doing)} …"
             note(
                 texts.CHECK_IMAGE.format(image=texts.IMAGE_LABELS[name], state=state),
                 kind="bad" if seen.refused else "",
@@ -54,14 +56,14 @@ def build(tab: Tab) -> None:
         note(shots.refused, kind="bad", testid="shot-refused")
     if shots.found is not None:
         _result(shots.found)
-        if shots.shown == PAUSED and shots.found.decision == "GO" and texts.BY_SHOT not in now.zero:
+        if shots.shown == PAUSED and shots.found.decision == "GO" and ZeroSource.SHOT not in now.zero:
             action(texts.SEND_MEASURED, tab.doing(shots.send_depth), testid="send-measured", enabled=not now.activity)
 
 
 def _result(found: DrillShot) -> None:
-    state, sentence = texts.SHOT_WORDS[found.decision]
-    wrong = [one.sentence for one in found.verdict.checks if not one.passed]
-    put(markup.filled(_CARD, state, found.decision, wrong[0] if wrong else sentence))
+    wrong = [texts.said(one) for one in found.verdict.checks if not one.passed]
+    told = wrong[0] if wrong else texts.SHOT_ON_PLAN if found.decision == "GO" else ""
+    put(markup.filled(_CARD, _STATES[found.decision], texts.SHOT_DECISIONS[found.decision], markup.lang(told), told))
     wire, (entry, end, direction, depth) = found.wire, texts.SHOT_ROWS
     angle, error = np.rad2deg(wire.angle_rad), np.rad2deg(wire.direction_error_95_rad)
     rows = [

@@ -10,7 +10,6 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.drawing.space import document as space
 from sightline.app.drawing.space.view import SpaceView
-from sightline.app.plan.marks import marks_of
 from sightline.app.plan.planner import landmarks_of
 from sightline.app.tab.tab import Tab
 from sightline.errors import SightlineError
@@ -29,7 +28,7 @@ class Space:
         self._box = ui.element("div").classes("space-box")
         self._box.set_visibility(False)
         with self._box:
-            self._view = SpaceView(label=texts.SPACE_LABEL, groups=texts.SPACE_GROUPS)
+            self._view = SpaceView(label=texts.SPACE_LABEL, groups=texts.SPACE_GROUPS, texts=texts.SPACE_TEXTS)
         tab.on_refresh.append(self.refresh)
         ui.timer(_LIVE_S, self._robot)
 
@@ -84,7 +83,7 @@ class Space:
         planning, out = self._tab.planning, []
         decisions = planning.decisions
         for view, name in zip(planning.views() or (), planning.names, strict=False):
-            placed = [decisions.mark(spec.name) for spec in marks_of(decisions.kind)]
+            placed = [decisions.mark(spec.name) for spec in decisions.specs]
             for mark in placed:
                 at = mark.at(name)
                 if at is not None:
@@ -98,7 +97,7 @@ class Space:
         known = self._tab.known
         if known is None or known.plan is None:
             return []
-        words = [spec.label for spec in landmarks_of(known.decisions, len(known.views))]
+        words = [texts.word(spec.label) for spec in landmarks_of(known.decisions, len(known.views))]
         return space.point_objects(known.plan.seen.xyz_mm[2:], words)
 
     def _wires(self) -> list[dict[str, Any]]:
@@ -108,7 +107,7 @@ class Space:
             if current:
                 out += space.wire_objects(plan.trajectory, kind.wire_mm)
             else:
-                out += space.other_wire_objects(plan.trajectory, kind.wire_mm, kind.wire.name)
+                out += space.other_wire_objects(plan.trajectory, kind.wire_mm, texts.word(kind.wire.name))
         return out
 
     def _drilled(self) -> list[dict[str, Any]]:

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from sightline.app import texts
-from sightline.app.plan.marks import marks_of
+from sightline.app.plan.planner import Planned
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
+from sightline.app.tab.step import ProcedureStep
 from sightline.case.views import NAMES
 from sightline.checks import failed
 from sightline.robot.control.states import State
@@ -24,9 +25,9 @@ class StepStatus(StrEnum):
 
 @dataclass(frozen=True)
 class WorkflowStep:
-    """One step: its name, its status, and the reason for it as a sentence."""
+    """One step, its status, and the reason for it as a sentence."""
 
-    name: str
+    step: ProcedureStep
     status: StepStatus
     reason: str
 
@@ -40,7 +41,7 @@ def steps(session: Session) -> tuple[WorkflowStep, ...]:
         _drill(session),
         _verify(session),
     )
-    return tuple(WorkflowStep(name, *one) for name, one in zip(texts.STEPS, found, strict=True))
+    return tuple(WorkflowStep(step, *one) for step, one in zip(ProcedureStep, found, strict=True))
 
 
 _Found = tuple[StepStatus, str]
@@ -55,10 +56,10 @@ def _images(session: Session) -> _Found:
     decisions = planning.decisions
     missing = [name for name in NAMES if name not in decisions.images]
     if working and missing:
-        return StepStatus.OPEN, texts.DOING.format(doing=working.capitalize())
+        return StepStatus.OPEN, texts.DOING.format(doing=texts.titled(texts.word(working)))
     if missing:
         return StepStatus.OPEN, texts.DROP_MISSING.format(
-            images=" and the ".join(texts.IMAGE_LABELS[name] for name in missing)
+            images=texts.DROP_AND.join(texts.IMAGE_LABELS[name] for name in missing)
         )
     if decisions.side is None or decisions.serial is None:
         return StepStatus.ATTENTION, texts.CONFIRM_BOTH
@@ -75,7 +76,7 @@ def _calibrate(planning: Planning) -> _Found:
     if any(planning.seen(name) is None for name in NAMES):
         return StepStatus.BLOCKED, texts.IMAGES_FIRST
     if busy := next((one.doing for one in seen if one.doing), ""):
-        return StepStatus.OPEN, texts.DOING.format(doing=busy.capitalize())
+        return StepStatus.OPEN, texts.DOING.format(doing=texts.titled(texts.word(busy)))
     if refused := next((one.refused for one in seen if one.refused), ""):
         return StepStatus.ATTENTION, refused
     views = planning.views()
@@ -83,7 +84,7 @@ def _calibrate(planning: Planning) -> _Found:
         return StepStatus.ATTENTION, texts.SAME_VIEW
     wrong = failed(check for view in views for check in view.checks)
     if wrong:
-        return StepStatus.ATTENTION, wrong[0].sentence
+        return StepStatus.ATTENTION, texts.said(wrong[0])
     return StepStatus.DONE, texts.CALIBRATED
 
 
@@ -92,15 +93,23 @@ def _plan(session: Session) -> _Found:
     if known is None:
         return StepStatus.BLOCKED, texts.CALIBRATE_FIRST
     if known.plan is None:
-        refused = next(iter(known.refused.values()), None)
-        if refused is not None:
-            return StepStatus.ATTENTION, refused
-        wire = [spec for spec in marks_of(decisions.kind) if spec.group == "wire"]
-        left = [spec.label for spec in wire if not decisions.complete([spec.name])]
+        if refused := refusals(known):
+            return StepStatus.ATTENTION, refused[0]
+        if decisions.of_nail and session.planning.nail.searching:
+            return StepStatus.OPEN, texts.SEARCHING_NAIL
+        wire = [spec for spec in decisions.specs if spec.group in ("wire", "nail")]
+        left = [texts.word(spec.label) for spec in wire if not decisions.complete([spec.name])]
         return StepStatus.OPEN, texts.PLACE_WIRE.format(points=", ".join(left))
     verdict = session.readiness.verdict
     wrong = [] if verdict is None else sorted(failed(verdict.checks), key=lambda one: one in verdict.unmade)
-    return (StepStatus.ATTENTION, wrong[0].sentence) if wrong else (StepStatus.DONE, texts.PLAN_DONE)
+    return (StepStatus.ATTENTION, texts.said(wrong[0])) if wrong else (StepStatus.DONE, texts.PLAN_DONE)
+
+
+def refusals(known: Planned) -> tuple[str, ...]:
+    """Return why results are missing, each reason once; that of one of a nail's holes names it."""
+    holes = {spec.name: texts.word(spec.label) for spec in known.decisions.specs if spec.group == "nail"}
+    named = (f"{holes[name]}: {why}" if name in holes else why for name, why in known.refused.items())
+    return tuple(dict.fromkeys(named))
 
 
 def _drill(session: Session) -> _Found:
@@ -125,7 +134,7 @@ def _verify(session: Session) -> _Found:
     if shots:
         wrong = failed((*(check for one in shots for check in one.checks), *verifying.relations()))
         if wrong:
-            return StepStatus.ATTENTION, wrong[0].sentence
+            return StepStatus.ATTENTION, texts.said(wrong[0])
         if len(shots) == len(kinds):
             return StepStatus.DONE, texts.VERIFIED
     if not session.planning.all_sent:

@@ -10,6 +10,7 @@ from sightline.app import texts
 from sightline.app.panels import markup, plan
 from sightline.app.panels.section import HtmlSection, PersistentSection, action
 from sightline.app.panels.steps import steps
+from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.robot.kinematics.target import LIFETIME_S
 
@@ -32,17 +33,18 @@ def build(tab: Tab) -> None:
 
 def _steps(tab: Tab) -> Callable[[], None]:
     made: list[tuple[ui.button, ui.label, ui.tooltip]] = []
-    for number, name in enumerate(texts.STEPS, 1):
-        with action(f"{number} {name}", partial(tab.go_to, name), testid=f"step-{name}").classes("step") as button:
+    for step in ProcedureStep:
+        said = f"{step.number} {texts.STEPS[step]}"
+        with action(said, partial(tab.go_to, step), testid=f"step-{step}").classes("step") as button:
             made.append((button, ui.label().classes("unseen"), ui.tooltip("").classes("step-reason")))
 
     def update() -> None:
-        for step, (button, status, tip) in zip(steps(tab.session), made, strict=True):
-            here = step.name == tab.step
-            button.classes(f"{step.status} {'here' if here else ''}", remove=" ".join((*texts.STEP_STATUS, "here")))
+        for one, (button, status, tip) in zip(steps(tab.session), made, strict=True):
+            here = one.step is tab.step
+            button.classes(f"{one.status} {'here' if here else ''}", remove=" ".join((*texts.STEP_STATUS, "here")))
             button.props(f"aria-current={'step' if here else 'false'}")
-            status.set_text(texts.STEP_STATUS[step.status])
-            tip.set_text(f"{texts.STEP_STATUS[step.status]}: {step.reason}")
+            status.set_text(texts.STEP_STATUS[one.status])
+            tip.set_text(f"{texts.STEP_STATUS[one.status]}: {one.reason}")
 
     return update
 
@@ -55,11 +57,11 @@ def _say(tab: Tab) -> Markup:
     """Return the message, or else the next instruction: to place a point, or what the step waits for."""
     if tab.message:
         return markup.filled(
-            '<div class="message {}" role="alert" data-testid="message">{}</div>', *_sized(tab.message)
+            '<div class="message {}"{} role="alert" data-testid="message">{}</div>', *_sized(tab.message)
         )
     told = plan.instruction(tab)
     if told is None:
-        return markup.filled('<div class="instruction {}" data-testid="instruction">{}</div>', *_sized(_reason(tab)))
+        return markup.filled('<div class="instruction {}"{} data-testid="instruction">{}</div>', *_sized(_reason(tab)))
     counter, image, what = told
     return markup.filled(
         '<div class="instruction {}" data-testid="instruction"><span class="counter">{}</span> · '
@@ -71,8 +73,8 @@ def _say(tab: Tab) -> Markup:
     )
 
 
-def _sized(text: str) -> tuple[str, str]:
-    return _size(text), text
+def _sized(text: str) -> tuple[str, Markup, str]:
+    return _size(text), markup.lang(text), text
 
 
 def _size(text: str) -> str:
@@ -80,7 +82,7 @@ def _size(text: str) -> str:
 
 
 def _reason(tab: Tab) -> str:
-    return next(step.reason for step in steps(tab.session) if step.name == tab.step)
+    return next(one.reason for one in steps(tab.session) if one.step is tab.step)
 
 
 def _time(tab: Tab) -> None:

@@ -8,7 +8,7 @@ from markupsafe import Markup
 from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.section import HtmlSection
-from sightline.app.plan.marks import marks_of
+from sightline.app.panels.steps import refusals
 from sightline.app.tab.tab import Tab
 from sightline.checks import Check, failed
 from sightline.errors import SightlineError
@@ -28,7 +28,7 @@ SOURCES = {  # sources of error, with their colours (colours.js)
 def key(tab: Tab) -> Hashable:
     """Key of the verdict."""
     listed = _listed(tab)
-    return len(listed), tuple(check.sentence for check in failed(listed)), left(tab)
+    return len(listed), tuple(check.sentence for check in failed(listed)), left(tab), _refused(tab)
 
 
 def left(tab: Tab) -> tuple[str, ...]:
@@ -36,9 +36,17 @@ def left(tab: Tab) -> tuple[str, ...]:
     decisions = tab.planning.decisions
     if tab.planning.planned is None:
         return (texts.LEFT_CALIBRATION,)
-    asked = [spec for spec in marks_of(decisions.kind) if spec.group != "aid" and not decisions.complete([spec.name])]
+    asked = [spec for spec in decisions.specs if spec.group != "aid" and not decisions.complete([spec.name])]
     confirmed = ((texts.LEFT_SIDE, decisions.side), (texts.LEFT_SERIAL, decisions.serial))
-    return (*(spec.label for spec in asked), *(what for what, value in confirmed if value is None))
+    return (*(texts.word(spec.label) for spec in asked), *(what for what, value in confirmed if value is None))
+
+
+def _refused(tab: Tab) -> tuple[str, ...]:
+    """Return the reasons, each once, why a nail that is drawn, or points that are all placed, give no plan."""
+    known, search = tab.known, tab.planning.nail
+    if known is None or not (known.decisions.of_nail or known.refused.get("plan")):
+        return ()
+    return (texts.SEARCHING_NAIL,) if search.searching else refusals(known)
 
 
 def details_key(tab: Tab) -> Hashable:
@@ -59,11 +67,13 @@ def html(tab: Tab) -> Markup:
     state = "incomplete" if verdict is None else verdict.state
     if verdict is None or state == "incomplete":
         unmade = () if verdict is None else tuple(dict.fromkeys(verdict.missing))
-        told = texts.LEFT.format(what=", ".join(missing)) if missing else next(iter(unmade), "")
-        more = 0 if missing else len(unmade) - 1
+        refused = _refused(tab)
+        left_said = () if not missing else (texts.LEFT.format(what=", ".join(missing)),)
+        told, *others = refused or left_said or unmade or ("",)
+        more = len(others)
     else:
         wrong = [check for check in failed(verdict.checks) if check not in verdict.unmade]
-        told, more = (wrong[0].sentence if wrong else texts.EVERY_CHECK), len(wrong) - 1
+        told, more = (texts.said(wrong[0]) if wrong else texts.EVERY_CHECK), len(wrong) - 1
     said = texts.MORE.format(count=more) if more > 0 else ""
     return markup.card(state, texts.VERDICTS[state], told, said, testid="verdict")
 
@@ -144,7 +154,7 @@ def _bar(percent: dict[str, float]) -> Markup:
 
 
 def _named(source: str) -> Markup:
-    return markup.filled('<i style="background:{}"></i>{}', _colour(source), source.replace("_", " "))
+    return markup.filled('<i style="background:{}"></i>{}', _colour(source), texts.word(source.replace("_", " ")))
 
 
 def _part(share: Share, percent: float) -> Markup:

@@ -9,7 +9,7 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.menu import save_report
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
-from sightline.app.plan.marks import CHECK_NAMES, marks_of
+from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.tab.tab import Tab
 from sightline.checks import failed
 
@@ -59,7 +59,7 @@ def build_next(tab: Tab) -> None:
         enabled = bool(planning.all_drilled) and not jobs.working
         action(texts.TAKE_CHECK, take, testid="take-check", kind="primary", enabled=enabled)
     elif all(planning.seen(name) for name in CHECK_NAMES) and _missing(tab):
-        listed = tuple(spec for spec in marks_of(planning.decisions.kind) if spec.group == "landmark")
+        listed = tuple(spec for spec in planning.decisions.specs if spec.group == "landmark")
         place = partial(tab.place, listed, CHECK_NAMES)
         action(texts.PLACE_LANDMARKS, place, testid="place-check", kind="primary")
     else:
@@ -76,7 +76,7 @@ def _check(tab: Tab) -> None:
     elif planning.patient is None:
         note(texts.DROP_CHECK, kind="quiet")
     if jobs.working:
-        note(f"{jobs.working.capitalize()} …")
+        note(f"{texts.titled(texts.word(jobs.working))} …")
     if jobs.trouble:
         note(jobs.trouble, kind="bad")
     for name in CHECK_NAMES:
@@ -84,7 +84,7 @@ def _check(tab: Tab) -> None:
         if seen is not None:
             wire = name in verifying.wires
             state = seen.refused or (
-                f"{seen.doing} …" if seen.doing else texts.WIRE_FOUND if wire else texts.CALIBRATED_ONLY
+                f"{texts.word(seen.doing)} …" if seen.doing else texts.WIRE_FOUND if wire else texts.CALIBRATED_ONLY
             )
             note(
                 texts.CHECK_IMAGE.format(image=texts.IMAGE_LABELS[name], state=state),
@@ -98,10 +98,11 @@ def _landmarks(tab: Tab) -> None:
     """Build the list of landmarks found again: they transfer the plan if the bone has moved."""
     heading(texts.FOUND_AGAIN_HEADING)
     decisions = tab.planning.decisions
-    listed = tuple(spec for spec in marks_of(decisions.kind) if spec.group == "landmark")
+    listed = tuple(spec for spec in decisions.specs if spec.group == "landmark")
     for spec in listed:
         planned = decisions.mark(spec.name).complete()
-        point = spec.label if planned else texts.NOT_IN_PLAN.format(point=spec.label)
+        label = texts.word(spec.label)
+        point = label if planned else texts.NOT_IN_PLAN.format(point=label)
         placed = decisions.mark(spec.name).complete(CHECK_NAMES)
         note(f"{'●' if placed else '○'} {point}", kind="good" if placed else "quiet")
 
@@ -109,8 +110,8 @@ def _landmarks(tab: Tab) -> None:
 def _missing(tab: Tab) -> list[str]:
     """Return the landmarks that are not found again."""
     decisions = tab.planning.decisions
-    listed = (spec for spec in marks_of(decisions.kind) if spec.group == "landmark")
-    return [spec.label for spec in listed if not decisions.mark(spec.name).complete(CHECK_NAMES)]
+    listed = (spec for spec in decisions.specs if spec.group == "landmark")
+    return [texts.word(spec.label) for spec in listed if not decisions.mark(spec.name).complete(CHECK_NAMES)]
 
 
 def _result(tab: Tab) -> None:
@@ -126,7 +127,7 @@ def _result(tab: Tab) -> None:
         put(markup.card("incomplete", texts.VERDICTS["incomplete"], told, testid="check-verdict"))
     else:
         word, sentence = texts.CHECK_VERDICT[shot.passed]
-        told = wrong[0].sentence if wrong else sentence
+        told = texts.said(wrong[0]) if wrong else sentence
         more = texts.MORE.format(count=len(wrong) - 1) if wrong[1:] else ""
         put(markup.card("go" if shot.passed else "no-go", word, told, more, testid="check-verdict"))
     entry, tip, direction = texts.DEVIATIONS

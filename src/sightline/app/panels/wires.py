@@ -7,6 +7,7 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels.section import action, note
+from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.planning.procedures import kind as kind_of
 
@@ -35,20 +36,20 @@ def state(tab: Tab, kind: str) -> str:
 
 def build(tab: Tab) -> None:
     """Build a button for each wire of the procedure; nothing for a single wire, and before they are planned."""
-    if len(tab.planning.kinds) == 1 or tab.step in texts.STEPS[:2]:
+    if len(tab.planning.kinds) == 1 or tab.step in (ProcedureStep.IMAGES, ProcedureStep.CALIBRATE):
         return
     with ui.element("div").classes("wires").props(f'role=group aria-label="{texts.WIRES_LABEL}"'):
         for kind in tab.planning.kinds:
             wire, here, now = kind_of(kind).wire, kind == tab.planning.decisions.kind, state(tab, kind)
-            name = (wire.name[:1].upper() + wire.name[1:]).removesuffix(" wire")
+            name = texts.titled(texts.word(wire.name)).removesuffix(texts.WIRE_SUFFIX)
             button = action(name, partial(tab.choose_kind, kind), testid=f"wire-{wire.key}", kind="small")
             button.classes(f"wire-{now} {'here' if here else ''}").props(f"aria-pressed={'true' if here else 'false'}")
             with button:
                 ui.label(texts.WIRE_STATES[now]).classes("wire-state unseen")
     order = tab.planning.drilling_order
-    if tab.step == texts.STEPS[3] and order is not None:
-        names = {kind_of(kind).wire.key: kind_of(kind).wire.name for kind in tab.planning.kinds}
-        said = texts.DRILLING_ORDER.format(wires=", then the ".join(names[key] for key in order.keys))
+    if tab.step is ProcedureStep.DRILL and order is not None:
+        names = {kind_of(kind).wire.key: texts.word(kind_of(kind).wire.name) for kind in tab.planning.kinds}
+        said = texts.DRILLING_ORDER.format(wires=texts.WIRES_THEN.join(names[key] for key in order.keys))
         note(said, kind="quiet", testid="drilling-order")
 
 

@@ -9,9 +9,11 @@ from datetime import datetime
 from types import MappingProxyType
 from typing import Any, Literal
 
-from sightline.app.plan.marks import END, ENTRY
+from sightline.app.plan.marks import END, ENTRY, MarkSpec, marks_of
 from sightline.case.views import NAMES
-from sightline.errors import CaseError
+from sightline.errors import CaseError, UnusableInputError
+from sightline.planning import Nail
+from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.files import current_key
 
 Side = Literal["right", "left"]
@@ -76,7 +78,7 @@ class Decisions:
     `serial`: of the frame, as read by a person. `snapping`: lateral points of the wire are snapped to their curves when
     placed. `taken`: time of acquisition stated by a person, by entry number, for images whose file does not state it.
     `mirrored`: whether a person saw, by writing in it, that the file shows the image mirrored, by entry number; needed
-    if no image shows the frame unmirrored.
+    if no image shows the frame unmirrored. `nail`: whose holes are found in the images; None: points are placed.
     """
 
     images: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -89,6 +91,17 @@ class Decisions:
     taken: Mapping[int, datetime] = field(default_factory=lambda: MappingProxyType({}))
     mirrored: Mapping[int, bool] = field(default_factory=lambda: MappingProxyType({}))
     wires: Mapping[str, Mapping[str, Mark]] = field(default_factory=lambda: MappingProxyType({}))
+    nail: Nail | None = None
+
+    @property
+    def of_nail(self) -> bool:
+        """True if the wires run through holes of a chosen nail. Raises UnusableInputError."""
+        return self.nail is not None and kind_of(self.kind).document.through_holes
+
+    @property
+    def specs(self) -> tuple[MarkSpec, ...]:
+        """The marks that the page asks for, in order. Raises UnusableInputError."""
+        return marks_of(self.kind, of_nail=self.of_nail)
 
     def mark(self, name: str) -> Mark:
         """Return the mark of a name; an empty one if it is not placed."""
@@ -168,6 +181,7 @@ class Decisions:
             "wires": {
                 kind: {name: mark.document() for name, mark in ends.items()} for kind, ends in self.wires.items()
             },
+            "nail": None if self.nail is None else vars(self.nail),
         }
 
     @staticmethod
@@ -190,8 +204,9 @@ class Decisions:
                 MappingProxyType({int(number): _instant(at) for number, at in document.get("taken", {}).items()}),
                 MappingProxyType({int(number): _truth(said) for number, said in document.get("mirrored", {}).items()}),
                 MappingProxyType(wires),
+                None if document.get("nail") is None else Nail(**document["nail"]),
             )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, UnusableInputError) as error:
             raise CaseError(
                 "a change in the case's journal cannot be read; run `sightline case check` on it"
             ) from error

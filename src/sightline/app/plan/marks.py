@@ -9,10 +9,16 @@ from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.document import AidAsked
 
-Group = Literal["wire", "landmark", "aid", "guide"]
+Group = Literal["wire", "nail", "landmark", "aid", "guide"]
 CHECK_NAMES = (f"check-{NAMES[0]}", f"check-{NAMES[1]}")
 SHOT_NAMES = (f"shot-{NAMES[0]}", f"shot-{NAMES[1]}")  # while drilling
 ENTRY, END = "entry", "end"
+_EDGES = {"a": "One edge of the nail", "b": "Other edge of the nail"}
+_STROKE = {  # the two clicks of a stroke
+    1: "Click on it, above all holes to be drilled, at most 8 pixels beside the edge.",
+    2: "Click on it, below all holes to be drilled, at most 8 pixels beside the edge.",
+}
+_HOLE = "Click the middle of its bright lens, where light passes both walls."
 
 
 @dataclass(frozen=True)
@@ -50,24 +56,39 @@ def _on_guide(k: int) -> MarkSpec:
     )
 
 
+# Both edges of a nail, each a stroke of two clicks.
+NAIL_EDGES = tuple(
+    MarkSpec(f"nail-edge-{edge}-{click}", f"{label} {click}", _STROKE[click], "nail", f"nail-edge-{edge}")
+    for edge, label in _EDGES.items()
+    for click in _STROKE
+)
+
 # On the robot's wire in its guide, the tip last: it lies in part before a saturated background, so a person picks it.
 GUIDE_POINTS = 5  # one more than its curve needs [ours]
 GUIDE = tuple(map(_on_guide, range(1, GUIDE_POINTS + 2)))
 
 
-def marks_of(kind: str) -> tuple[MarkSpec, ...]:
-    """Return all marks of a procedure, by its key, in the order in which the page asks for them. Raises
-    UnusableInputError."""
-    return _marks_of(kind_of(kind))
+def marks_of(kind: str, *, of_nail: bool = False) -> tuple[MarkSpec, ...]:
+    """Return all marks of a procedure, by its key, in the order in which the page asks for them.
+
+    `of_nail`: its wires run through holes that are found in the images; then strokes and clicks on the nail take the
+    place of the wires' points and of the aids. Raises UnusableInputError."""
+    return _marks_of(kind_of(kind), of_nail)
 
 
 @lru_cache
-def _marks_of(known: Procedure) -> tuple[MarkSpec, ...]:
+def _marks_of(known: Procedure, of_nail: bool) -> tuple[MarkSpec, ...]:
+    landmarks = [MarkSpec(f"landmark-{p.key}", _titled(p.name), p.sentence, "landmark", p.key) for p in known.landmarks]
+    if of_nail:
+        holes = [
+            MarkSpec(hole_mark(wire.key), _titled(wire.name), _HOLE, "nail", hole_mark(wire.key))
+            for wire in known.document.wires
+        ]
+        return (*NAIL_EDGES, *holes, *landmarks)
     wire = [
         MarkSpec(name, _titled(point.name), point.sentence, "wire", name)
         for name, point in zip((ENTRY, END), known.points, strict=True)
     ]
-    landmarks = [MarkSpec(f"landmark-{p.key}", _titled(p.name), p.sentence, "landmark", p.key) for p in known.landmarks]
     aids = []
     for aid in known.aids:
         images = images_of(known, aid)
@@ -75,6 +96,11 @@ def _marks_of(known: Procedure) -> tuple[MarkSpec, ...]:
             label = f"{_titled(aid.name)} {k + 1}" if aid.clicks > 1 else _titled(aid.name)
             aids.append(MarkSpec(f"{aid.key}-{k + 1}", label, aid.sentence, "aid", aid.key, images))
     return (*wire, *landmarks, *aids)
+
+
+def hole_mark(wire: str) -> str:
+    """Return the name of the mark in a wire's hole."""
+    return f"hole-{wire}"
 
 
 def images_of(known: Procedure, aid: AidAsked) -> tuple[str, ...]:

@@ -7,7 +7,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from sightline.app.plan.decisions import Decisions, Mark, Pixel
-from sightline.app.plan.marks import END, ENTRY, MarkSpec, images_of, marks_of
+from sightline.app.plan.holes import HolesFound, nail_drawn
+from sightline.app.plan.marks import END, ENTRY, MarkSpec, hole_mark, images_of
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import PlanRequest
 from sightline.case.views import ALL_NAMES, NAMES
@@ -41,7 +42,7 @@ _PICK_PX2 = PICK_SD_PX**2 * np.eye(2)
 class Planned:
     """The results of decisions. `curves`: image-matching curves in the lateral image, by point of the wire. `plan`: of
     the current wire; `wires`: the plans of all, where the procedure has several. `refused`: reasons for missing
-    results, by their names."""
+    results, by their names. `holes`: what was found of a nail, once it was looked for."""
 
     decisions: Decisions
     views: tuple[BeadView, ...]
@@ -49,6 +50,7 @@ class Planned:
     plan: Plan | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
     wires: WirePlans | None = None
+    holes: HolesFound | None = None
 
     @property
     def verdict(self) -> Verdict | None:
@@ -124,14 +126,17 @@ def proposed(ends: Mapping[str, Mark], proposal: Proposal) -> Mapping[str, Mark]
     return out
 
 
-def planned(decisions: Decisions, views: Sequence[BeadView]) -> Planned:
-    """Return the results of decisions on calibrated views: PA, lateral, and a third where there is one."""
+def planned(decisions: Decisions, views: Sequence[BeadView], holes: HolesFound | None = None) -> Planned:
+    """Return the results of decisions on calibrated views: PA, lateral, and a third where there is one.
+
+    `holes`: what the images show of the nail of these decisions; None where they have none, or it is not known yet."""
+    if decisions.of_nail:
+        return _planned_through(decisions, views, holes)
     curves, refused = _drawn_curves(decisions, views)
     found: Plan | None = None
     wires: WirePlans | None = None
-    kinds = [] if refused else wires_placed(decisions)
-    if kinds:
-        asked = plan_input(decisions, len(views), decisions.kind if decisions.kind in kinds else kinds[0])
+    if not refused and wires_placed(decisions):
+        asked = request_of(decisions, len(views))
         try:
             if asked.others is None:
                 found = asked.plan_on(views, _curve)
@@ -143,9 +148,26 @@ def planned(decisions: Decisions, views: Sequence[BeadView]) -> Planned:
     return Planned(decisions, tuple(views), curves, found, refused, wires)
 
 
+def _planned_through(decisions: Decisions, views: Sequence[BeadView], holes: HolesFound | None) -> Planned:
+    """Return the plans of the holes that were found, unless one of those clicked was refused."""
+    refused = {} if holes is None else dict(holes.refused)
+    wires: WirePlans | None = None
+    if holes is not None and holes.holes and not refused:
+        asked = request_of(decisions, len(views))
+        try:
+            wires = asked.plan_holes_on(holes.views, holes.holes, _curve)
+        except SightlineError as error:
+            refused["plan"] = str(error)
+    found = None if wires is None else wires.plans.get(kind_of(decisions.kind).wire.key)
+    return Planned(decisions, tuple(views), {}, found, refused, wires, holes)
+
+
 def wires_placed(decisions: Decisions) -> list[str]:
-    """Return the kinds of the procedure's wires whose entry and end are placed in both images."""
-    each = (one.key for one in each_wire(kind_of(decisions.kind).document))
+    """Return the kinds of the procedure's wires whose entry and end are placed in both images; of a nail those whose
+    holes are clicked in both."""
+    each = [one.key for one in each_wire(kind_of(decisions.kind).document)]
+    if decisions.of_nail:
+        return [kind for kind in each if decisions.complete([hole_mark(kind_of(kind).wire.key)])]
     return [kind for kind in each if all(decisions.ends(kind).get(name, Mark()).complete() for name in (ENTRY, END))]
 
 
@@ -180,14 +202,21 @@ def _remembered(from_view: CalibratedView, to_view: CalibratedView, uv_px: bytes
 
 def landmarks_of(decisions: Decisions, views: int) -> tuple[MarkSpec, ...]:
     """Return the landmarks that a plan on this number of views uses: those placed in two of their images or more."""
-    listed = (one for one in marks_of(decisions.kind) if one.group == "landmark")
+    listed = (one for one in decisions.specs if one.group == "landmark")
     images = ALL_NAMES[:views]
     return tuple(one for one in listed if sum(decisions.mark(one.name).at(name) is not None for name in images) > 1)
 
 
+def request_of(decisions: Decisions, views: int) -> PlanRequest:
+    """Return `plan_input` of the current wire, or of the first that is placed where the current one is not."""
+    kinds = wires_placed(decisions)
+    return plan_input(decisions, views, decisions.kind if decisions.kind in kinds else kinds[0])
+
+
 def plan_input(decisions: Decisions, views: int, kind: str = "") -> PlanRequest:
     """Return a plan's input besides its views, of this number: of the wire of this kind, default the current one. Its
-    entry and end must be placed in PA and lateral; the procedure's other wires are in it where theirs are."""
+    entry and end, or its hole, must be placed in PA and lateral; the procedure's other wires are in it where theirs
+    are."""
     known = kind_of(kind or decisions.kind)
     entry, end, snapped = _picks(decisions, known.key, views)
     others = {
@@ -209,11 +238,16 @@ def plan_input(decisions: Decisions, views: int, kind: str = "") -> PlanRequest:
         side=decisions.side,
         aids=_aids(decisions),
         others=others if known.several else None,
+        nail=nail_drawn(decisions),
     )
 
 
-def _picks(decisions: Decisions, kind: str, views: int) -> tuple[np.ndarray, np.ndarray, list[bool]]:
-    """Return the pixels (V, 2) of a wire's entry and end, and whether each is snapped."""
+def _picks(decisions: Decisions, kind: str, views: int) -> tuple[np.ndarray, np.ndarray, bool | list[bool]]:
+    """Return the pixels (V, 2) of a wire's entry and end, and whether each is snapped; the click in a nail's hole
+    stands for both."""
+    if decisions.of_nail:
+        clicked = _pixels(decisions.mark(hole_mark(kind_of(kind).wire.key)), views)
+        return clicked, clicked, False
     entry, end = (decisions.ends(kind)[name] for name in (ENTRY, END))
     return _pixels(entry, views), _pixels(end, views), [not entry.free, not end.free]
 

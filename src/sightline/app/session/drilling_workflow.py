@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sightline.app import texts
 from sightline.app.plan.planner import Planned, plan_input
 from sightline.app.session.age import PlanAge
 from sightline.app.session.planning import Planning
@@ -14,7 +15,6 @@ from sightline.app.session.readiness import Readiness
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.seen import entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan
-from sightline.app.texts import CHANGED_AFTER_SENDING, NO_DEPTH_LIMIT, NO_ROBOT, OTHER_WIRE_HELD
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_changed, record_planned
 from sightline.errors import RobotRefusedError, UnusableInputError
@@ -56,7 +56,7 @@ class DrillingWorkflow:
         `fast`: run its time as fast as possible. Raises RobotRefusedError, LinkError."""
         patient = self._planning.patient
         if patient is None:
-            raise RobotRefusedError(NO_ROBOT)
+            raise RobotRefusedError(texts.NO_ROBOT)
         if self._starting:
             raise RobotRefusedError("wait: the robot is already being started")
         self._starting = True
@@ -188,12 +188,12 @@ class DrillingWorkflow:
         if held is None or (held is planning.sent and planning.sent_is_current):
             return ""
         if held is planning.sent or not held.holds_for(planning.decisions):
-            return CHANGED_AFTER_SENDING
-        return OTHER_WIRE_HELD.format(wire=held.plan.kind.wire.name)
+            return texts.CHANGED_AFTER_SENDING
+        return texts.OTHER_WIRE_HELD.format(wire=held.plan.kind.wire.name)
 
     def _refuse_changed(self) -> SentPlan:
         if self.held is None or self.changed:
-            raise RobotRefusedError(self.changed or CHANGED_AFTER_SENDING)
+            raise RobotRefusedError(self.changed or texts.CHANGED_AFTER_SENDING)
         return self.held
 
     def _running(self) -> "RobotSession":
@@ -209,6 +209,6 @@ def _depth_limit(known: Planned, target: RobotTarget) -> float:
         return target.depth_mm + DEPTH_SLACK_MM
     left: Metric | None = next((one for one in known.metrics if one.name == TO_BONE), None)
     if left is None or left.value is None or left.sd is None:
-        raise UnusableInputError(NO_DEPTH_LIMIT)
+        raise UnusableInputError(texts.NO_DEPTH_LIMIT)
     error = float(np.hypot(TWO_SIDED_95 * left.sd, target.end_error_95_mm))
     return depth_limit(target.length_mm + left.value, error)

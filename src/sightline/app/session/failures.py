@@ -3,13 +3,13 @@
 import traceback
 from collections.abc import Callable
 
-from sightline.app.texts import BUG
+from sightline.app import texts
 from sightline.errors import SightlineError
 
 
 def sentence_of(error: Exception) -> str:
     """Return the message for an error: its own sentence, or for a defect that something in Sightline failed."""
-    return str(error) if isinstance(error, SightlineError) else BUG.format(kind=type(error).__name__)
+    return str(error) if isinstance(error, SightlineError) else texts.BUG.format(kind=type(error).__name__)
 
 
 def report(error: Exception) -> str:

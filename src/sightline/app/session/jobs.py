@@ -25,6 +25,10 @@ class Jobs:
         for listener in list(self.listeners):
             listener()
 
+    def forget(self, listener: Callable[[], None]) -> None:
+        """Remove a listener, if it is one."""
+        self.listeners[:] = [one for one in self.listeners if one != listener]
+
     async def during(self, what: str, work: Callable[[], Awaitable[T]]) -> T:
         """Run work while pages show `what`, and return its result. Pages also show its error. Raises
         UnusableInputError, without starting it, while other work is running."""

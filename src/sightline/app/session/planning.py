@@ -1,20 +1,23 @@
 """Planning on a case: its images, the decisions, and the resulting plan. Every decision is in the journal before a page
 shows it."""
 
+import asyncio
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import cast
 
+from sightline.app import texts
 from sightline.app.plan.decisions import Decisions, Display, History, Pixel, Side
-from sightline.app.plan.planner import Planned, moved, planned
+from sightline.app.plan.holes import HolesFound, nail_drawn
+from sightline.app.plan.planner import Planned, moved, planned, request_of
 from sightline.app.session import rehearsing
 from sightline.app.session.jobs import Jobs
+from sightline.app.session.nail import DrawnOn, NailInImages
 from sightline.app.session.rehearsing import Patient
-from sightline.app.session.seen import Lightbox, SeenImage
+from sightline.app.session.seen import Lightbox, SeenImage, entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan, restored
 from sightline.app.session.worker import WorkerProcess, warm_up
-from sightline.app.texts import MIRRORED_REFUSED
 from sightline.calibration import BeadView
 from sightline.calibration.together import adjusted_together
 from sightline.case import stages
@@ -22,7 +25,7 @@ from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, takes_oblique
 from sightline.drilling_order import DrillingOrder, propose_order
 from sightline.errors import CalibrationRefusedError, SightlineError, UnusableInputError
-from sightline.planning import WirePlans, kind
+from sightline.planning import Nail, WirePlans, kind
 from sightline.planning.procedures.files import each_wire
 
 _MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned to views [ours]
@@ -42,7 +45,10 @@ class Planning:
         kind(self.decisions.kind)  # its file may be gone: then the page could not be built
         self.all_sent: dict[str, SentPlan] = {}
         self.all_drilled: dict[str, DrilledWire] = {}
+        self.nail = NailInImages(lambda: self._drawn_on(self.decisions), jobs)
+        jobs.listeners.append(self.nail.update)
         self._planned: Planned | None = None
+        self._kept: Planned | None = None
         self._order: tuple[WirePlans, DrillingOrder] | None = None
 
     # State.
@@ -84,6 +90,15 @@ class Planning:
         known = [view for view in found if view is not None]
         return _together(*known) if len(known) == len(found) else None
 
+    def _drawn_on(self, decisions: Decisions) -> DrawnOn | None:
+        """Return the nail as drawn, and the images of the plan; None until it is drawn and they are calibrated."""
+        drawn = nail_drawn(decisions)
+        if drawn is None:
+            return None
+        seen = [one for one in map(self.seen, self.names) if one is not None]
+        views = tuple(one.view for one in seen if one.view is not None)
+        return (drawn, views, tuple(one.image for one in seen)) if len(views) == len(self.names) else None
+
     @property
     def asks_mirrored(self) -> tuple[str, ...]:
         """Names of the planning images if all show the frame mirrored, else empty. A person must then say whether the
@@ -98,8 +113,9 @@ class Planning:
         if views is None:
             return None
         old = self._planned
-        if old is None or old.decisions is not self.decisions or old.views != views:
-            self._planned = planned(self.decisions, views)
+        holes = self.nail.found
+        if old is None or old.decisions is not self.decisions or old.views != views or old.holes is not holes:
+            self._planned = planned(self.decisions, views, holes)
         return self._planned
 
     @property
@@ -177,6 +193,10 @@ class Planning:
         if known is not None:
             self.edit(known.with_others_proposed(self.all_drilled))
 
+    def choose_nail(self, nail: Nail | None) -> None:
+        """Choose the nail whose holes are found in the images; None: points are placed by hand."""
+        self.edit(replace(self.decisions, nail=nail))
+
     def choose_snapping(self, on: bool) -> None:
         """Switch snapping of lateral points of the wire to their curves on or off."""
         self.edit(replace(self.decisions, snapping=on))
@@ -201,7 +221,7 @@ class Planning:
         Raises UnusableInputError."""
         seen = self.seen(image)
         if seen is None or seen.view is None:
-            raise UnusableInputError(MIRRORED_REFUSED)
+            raise UnusableInputError(texts.MIRRORED_REFUSED)
         flipped = self.decisions.display.get(image, Display()).mirrored  # by the page, not in the file
         self.edit(self.decisions.with_mirrored(seen.acquired.number, backwards != flipped))
 
@@ -223,7 +243,23 @@ class Planning:
         self.edit(self.decisions.with_image(name, seen.acquired.number, same_pixels=same))
         return name
 
+    def keep_plan(self) -> None:
+        """Record the plan in the case as the command line does, once. One that was sent is recorded already. Raises
+        CaseError."""
+        known = self.planned
+        made = None if known is None else known.wires or known.plan
+        if known is None or made is None or self.all_sent or known is self._kept:
+            return
+        views = [entry_of(self.case, seen) for seen in map(self.seen, self.names) if seen is not None]
+        stages.record_plans(self.case, views, request_of(known.decisions, len(views)), made, by=Actor.SURGEON)
+        self._kept = known
+
     # Opening of a case.
+
+    def begin(self) -> None:
+        """Start ahead of `start` what it waits for longest: the images of a rehearsal without any."""
+        if self.patient is not None and not self.decisions.images:
+            self.worker.begin(rehearsing.images, self.patient)
 
     async def start(self) -> None:
         """Open the images named in the decisions; a rehearsal without images acquires them."""
@@ -269,20 +305,26 @@ class Planning:
         for name, number in named:
             with suppress(SightlineError):
                 await self.lightbox.open(self.case.entry(number), _view_in(name))
-        self._restore_sent()
+        await self._restore_sent()
         self.jobs.notify()
 
-    def _restore_sent(self) -> None:
+    async def _restore_sent(self) -> None:
         views = self.views()
         if views is None or self.all_sent:
             return
         try:
-            before = restored(self.case, self.decisions, views)
+            before = await asyncio.to_thread(restored, self.case, self.decisions, views, self._holes_of)
         except SightlineError as error:
             self.jobs.trouble = str(error)
             return
+        if self.all_sent:  # meanwhile a plan was sent
+            return
         self.all_sent = {kind: sent for kind, (sent, _) in before.items()}
         self.all_drilled = {kind: drilled for kind, (_, drilled) in before.items() if drilled is not None}
+
+    def _holes_of(self, decisions: Decisions) -> HolesFound | None:
+        drawn = self._drawn_on(decisions)
+        return None if drawn is None else HolesFound.find(*drawn)
 
     def _record(self, what: str, decisions: Decisions | None) -> None:
         to = None if decisions is None else decisions.document()

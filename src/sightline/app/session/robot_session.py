@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sightline.app.session.failures import sentence_of
-from sightline.app.texts import BY_CONTACT, BY_PLAN, BY_SHOT
+from sightline.app.session.zero import ZeroSource
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Plan
@@ -50,7 +50,7 @@ class RobotNow:
     last_error: str = ""
     depth_mm: float | None = None
     depth_sd_mm: float | None = None
-    zero: tuple[str, ...] = (BY_PLAN,)
+    zero: tuple[ZeroSource, ...] = (ZeroSource.PLAN,)
     force_n: float | None = None
     joints: np.ndarray | None = None
     lost: bool = False
@@ -136,7 +136,7 @@ class RobotSession:
         """Raise RobotRefusedError if a depth measured in the second shot contradicts the robot's depth, or was already
         sent: one shot counts once."""
         now, sd = self.now, error_95_mm / TWO_SIDED_95
-        if BY_SHOT in now.zero or self._sending_shot:
+        if ZeroSource.SHOT in now.zero or self._sending_shot:
             raise RobotRefusedError("the depth of this second shot was already sent; continue drilling, or stop")
         if not (np.isfinite([depth_mm, sd]).all() and sd > 0.0):
             raise RobotRefusedError("enter the depth of the tip in the second shot and its 95 % error, both in mm")
@@ -290,9 +290,9 @@ class RobotSession:
         An increase or a missing value means a new target, whose zero rests on the plan."""
         before, zero = self.now.depth_sd_mm, self.now.zero
         if sd_mm is None or before is None or sd_mm > before:
-            zero, self._sending_shot = (BY_PLAN,), False
+            zero, self._sending_shot = (ZeroSource.PLAN,), False
         elif sd_mm < before:
-            zero, self._sending_shot = (*zero, BY_SHOT if self._sending_shot else BY_CONTACT), False
+            zero, self._sending_shot = (*zero, ZeroSource.SHOT if self._sending_shot else ZeroSource.CONTACT), False
         self._put(depth_sd_mm=sd_mm, zero=zero)
 
     def _put(self, **news: Any) -> None:

@@ -1,14 +1,16 @@
 """The plan that was sent to the robot and the drilled wire; both are restored from the journal after a restart."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
 
+from sightline.app import texts
 from sightline.app.plan.decisions import Decisions
+from sightline.app.plan.holes import HolesFound, of_wire
 from sightline.app.plan.marks import names_of
 from sightline.app.plan.planner import PICK_SD_PX, Planned, planned
-from sightline.app.texts import CHANGED_SINCE_SENT
 from sightline.calibration import BeadView
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.views import ALL_NAMES, NAMES
@@ -49,7 +51,7 @@ class SentPlan:
                 for at in map(decisions.images.get, ALL_NAMES)
                 if at is not None
             )
-            and then.ends(then.kind) == decisions.ends(then.kind)
+            and of_wire(then, then.kind) == of_wire(decisions, then.kind)
         )
 
 
@@ -76,20 +78,25 @@ def found_again(then: Decisions, now: Decisions, images: tuple[str, ...]) -> Lan
 
 
 def restored(
-    case: Case, decisions: Decisions, views: tuple[BeadView, ...]
+    case: Case,
+    decisions: Decisions,
+    views: tuple[BeadView, ...],
+    holes_of: Callable[[Decisions], HolesFound | None] = lambda then: None,
 ) -> dict[str, tuple[SentPlan, DrilledWire | None]]:
     """Return what was sent and drilled on these images before the program ended, the last of each wire, by kind, from
-    the journal. Raises UnusableInputError if the same decisions now give another plan."""
+    the journal. `holes_of`: finds the holes of a nail. Raises UnusableInputError if the same decisions now give another
+    plan."""
     sent: dict[str, Entry] = {}
     for entry in case.entries(Kind.SENT):
         then = Decisions.of(entry.content["decisions"])
         if all(then.images.get(name) == decisions.images.get(name) for name in ALL_NAMES):
             sent[then.kind] = entry
-    return {kind: _restored(case, entry, views) for kind, entry in sent.items()}
+    made = {kind: Decisions.of(entry.content["decisions"]) for kind, entry in sent.items()}
+    again = {kind: planned(then, views, holes_of(then)) for kind, then in made.items()}
+    return {kind: _restored(case, entry, again[kind]) for kind, entry in sent.items()}
 
 
-def _restored(case: Case, sent: Entry, views: tuple[BeadView, ...]) -> tuple[SentPlan, DrilledWire | None]:
-    again = planned(Decisions.of(sent.content["decisions"]), views)
+def _restored(case: Case, sent: Entry, again: Planned) -> tuple[SentPlan, DrilledWire | None]:
     if (
         again.plan is None
         or sent.content.get("procedure", again.kind.fingerprint) != again.kind.fingerprint
@@ -100,7 +107,7 @@ def _restored(case: Case, sent: Entry, views: tuple[BeadView, ...]) -> tuple[Sen
             atol=_SAME_MM,
         )
     ):
-        raise UnusableInputError(CHANGED_SINCE_SENT)
+        raise UnusableInputError(texts.CHANGED_SINCE_SENT)
     made = SentPlan(again, sent.at, sent.number)
     later = [one.number for one in case.entries(Kind.SENT, sent.number)]
     drilled = next(iter(case.entries(Kind.DRILLED, sent.number)), None)

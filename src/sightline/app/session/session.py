@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from sightline.app import texts
 from sightline.app.session.age import PlanAge
 from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.jobs import Jobs
@@ -53,8 +54,24 @@ class Session:
             )
         return Session(case, kept, worker)
 
+    def succeeded_by(self, folder: Path) -> "Session":
+        """Return a session on another case, which exists. Nothing of this one is lost: a journal holds it.
+
+        Raises CaseError, FrameError, and UnusableInputError while work on this case is in progress or the robot moves.
+        """
+        seen = (self.planning.seen(name) for name in self.planning.decisions.images)
+        doing = self.jobs.working or next((one.doing for one in seen if one is not None and one.doing), "")
+        now = self.drilling.now
+        if doing:
+            raise UnusableInputError(texts.CASE_BUSY.format(doing=texts.word(doing)))
+        if now is not None and not now.lost and now.activity:
+            raise UnusableInputError(texts.CASE_MOVING)
+        Case.open(folder, read_only=True).close()  # a folder without a case is refused, and not made one
+        return Session.open(folder, None, None, self.planning.worker)
+
     async def close(self) -> None:
-        """End the link to the robot first, then the live image. No page is notified: its event loop has ended."""
+        """End the link to the robot first, then the live image, then close the case. No page is notified."""
         self.jobs.listeners.clear()
         await self.drilling.close()
         await self.live.close()
+        self.planning.case.close()

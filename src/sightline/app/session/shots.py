@@ -4,13 +4,13 @@ import asyncio
 
 import numpy as np
 
+from sightline.app import texts
 from sightline.app.plan.marks import GUIDE, SHOT_NAMES
 from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.planning import Planning
 from sightline.app.session.rehearsing import shot_images
 from sightline.app.session.seen import SeenImage, entry_of
 from sightline.app.session.sent import SentPlan, found_again
-from sightline.app.texts import SHOT_NOT_WAITING, SHOT_SAYS_STOP
 from sightline.case.contents import CheckRequest, DrillShotRequest
 from sightline.case.journal import Actor
 from sightline.case.stages import record_shot
@@ -55,14 +55,14 @@ class Shots:
         if not self.shown or self.found is None or self.found.decision != STOP:
             return ""
         failed = "; ".join(one.sentence for one in self.found.verdict.checks if not one.passed)
-        return SHOT_SAYS_STOP.format(why=failed)
+        return texts.SHOT_SAYS_STOP.format(why=failed)
 
     async def take_rehearsed(self) -> None:
         """Acquire both images of the rehearsed patient where the robot waits. Raises SightlineError."""
         planning, drilling, state = self._planning, self._drilling, self.state
         session, held, patient = drilling.session, drilling.held, planning.patient
         if session is None or held is None or patient is None or not state:
-            raise RobotRefusedError(SHOT_NOT_WAITING)
+            raise RobotRefusedError(texts.SHOT_NOT_WAITING)
         wire, q = await session.simulated_wire(), await session.joints()
         kind = held.planned.decisions.kind
         wires = {key: one.wire.text() for key, one in planning.all_drilled.items() if key != kind}
@@ -76,7 +76,7 @@ class Shots:
     async def send_depth(self) -> None:
         """Send the measured depth to the robot. Raises RobotRefusedError, LinkError, CaseError."""
         if self.shown != PAUSED or self.found is None or self.found.decision != "GO":
-            raise RobotRefusedError(SHOT_NOT_WAITING)
+            raise RobotRefusedError(texts.SHOT_NOT_WAITING)
         await self._drilling.send_shot_depth(self.found.depth_mm, TWO_SIDED_95 * self.found.depth_sd_mm)
 
     def update(self) -> None:

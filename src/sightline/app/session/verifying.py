@@ -16,10 +16,9 @@ from sightline.case.journal import Actor
 from sightline.case.stages import record_verified
 from sightline.checks import Check
 from sightline.errors import RefusedError, SightlineError, UnusableInputError
-from sightline.pipeline import expected_wires
+from sightline.pipeline import planned_search
 from sightline.planning.check_result import CheckShot
 from sightline.planning.check_shot import Landmarks, check_shot
-from sightline.planning.expected_wire import expected_wire
 from sightline.planning.measured_wires import judge_measured
 from sightline.planning.procedures import kind as kind_of
 
@@ -149,6 +148,7 @@ class Verifying:
                 wires,
                 landmarks=request.landmarks,
                 limits=plan.kind.limits,
+                through=plan.hole is not None,
             )
         except RefusedError as error:
             if self._is_asked(request):
@@ -173,11 +173,12 @@ class Verifying:
         if key not in self._found_in:
             view, beads, kind = seen.view, seen.beads, request.sent.plan.kind
             assert view is not None and beads is not None  # noqa: S101 - it is calibrated
-            expected = expected_wire(view, request.sent.plan.trajectory.points.xyz_mm, kind.limits.beyond_mm)
             wires = request.sent.planned.wires
-            others = expected_wires(() if wires is None else wires.others_mm(kind.wire.key), view)
+            others = () if wires is None else wires.others_mm(kind.wire.key)
+            discs = {"bead_uv_px": beads.uv_px, "bead_radius_px": beads.radius_px}
+            search = planned_search(request.sent.plan, view, others)
             self._found_in[key] = await self._planning.worker.do(
-                partial(find_wire, others=others), seen.image, expected, kind.wire_mm, beads.uv_px, beads.radius_px
+                partial(find_wire, seen.image, diameter_mm=kind.wire_mm, **search, **discs)
             )
         return self._found_in[key]
 

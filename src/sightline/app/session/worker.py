@@ -34,6 +34,10 @@ class WorkerProcess:
                 "open the image again: the process that reads images ended early (too little memory?) and was restarted"
             ) from error
 
+    def begin(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Start a function ahead of its need; what it returns or raises is dropped."""
+        self._pool.submit(function, *arguments)
+
     def close(self) -> None:
         """End the process; waiting work is dropped."""
         self._pool.shutdown(wait=False, cancel_futures=True)

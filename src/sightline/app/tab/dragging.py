@@ -53,6 +53,8 @@ class Dragging:
         """Compute the preview of a dragged point. Returns True if the page must be refreshed, False if the drag has
         ended meanwhile, a newer move waits, or there is no preview."""
         planning, drag = self._planning, (self._ended, self._planning.history.revision)
+        if name in {spec.name for spec in planning.decisions.specs if spec.group == "nail"}:
+            return False  # the images are searched once the mark is dropped
         move = self._newest = object()
         async with self._computing:
             views = planning.views()
@@ -82,7 +84,7 @@ def _preview(
 ) -> tuple[Decisions, Planned, dict[str, shapes.Layers]]:
     """Return decisions, plan and changed layers after moving a mark; runs on another thread."""
     decisions = planning.moved(name, image, uv)
-    known = planned(decisions, views)
+    known = planned(decisions, views, planning.nail.found)
     layers = {image: {"wire": shapes.wire(known, image)} for image in ALL_NAMES}
     if name in names_of(decisions.kind, "aid"):
         for shown, drawn in layers.items():

@@ -4,10 +4,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sightline.app.plan.decisions import Decisions, Pixel
-from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, MarkSpec, marks_of
+from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, MarkSpec
 from sightline.app.session.planning import Planning
 from sightline.app.session.shots import Shots
-from sightline.app.texts import STEPS
+from sightline.app.tab.step import ProcedureStep
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.planning.drill_shot import ALIGNED
 
@@ -32,16 +32,16 @@ class Placing:
         self._planning, self._shots = planning, shots
         self._chosen: tuple[Goal, ...] | None = None  # None: the goals of the step
 
-    def goal(self, step: str) -> Goal | None:
+    def goal(self, step: ProcedureStep) -> Goal | None:
         """Return the next goal; None if there is none."""
         return next((one for one in self._wanted(step) if not one.reached(self._planning.decisions)), None)
 
-    def progress(self, step: str) -> tuple[int, int]:
+    def progress(self, step: ProcedureStep) -> tuple[int, int]:
         """Return the number of the next goal, from 1, and the number of all."""
         wanted, goal = self._wanted(step), self.goal(step)
         return (len(wanted) if goal is None else wanted.index(goal) + 1), len(wanted)
 
-    def _wanted(self, step: str) -> tuple[Goal, ...]:
+    def _wanted(self, step: ProcedureStep) -> tuple[Goal, ...]:
         return self._requested_by(step) if self._chosen is None else self._chosen
 
     def choose(self, listed: Sequence[MarkSpec], images: tuple[str, ...]) -> None:
@@ -60,15 +60,15 @@ class Placing:
         """Return to the goals of the step."""
         self._chosen = None
 
-    def _requested_by(self, step: str) -> tuple[Goal, ...]:
+    def _requested_by(self, step: ProcedureStep) -> tuple[Goal, ...]:
         planning = self._planning
-        specs = marks_of(planning.decisions.kind)
-        if step == STEPS[4] and planning.views(CHECK_NAMES) is not None:
+        specs = planning.decisions.specs
+        if step is ProcedureStep.VERIFY and planning.views(CHECK_NAMES) is not None:
             return _goals([one for one in specs if one.group == "landmark"], CHECK_NAMES)
-        if step == STEPS[3] and self._shots.shown and planning.views(SHOT_NAMES) is not None:
+        if step is ProcedureStep.DRILL and self._shots.shown and planning.views(SHOT_NAMES) is not None:
             guide = GUIDE if self._shots.shown == ALIGNED else ()
             return _goals([*guide, *(one for one in specs if one.group == "landmark")], SHOT_NAMES)
-        if step == STEPS[2] and planning.planned is not None:
+        if step is ProcedureStep.PLAN and planning.planned is not None:
             pair = _goals([one for one in specs if one.group != "aid"], NAMES)
             third = [one for one in specs if one.group == "landmark" and OBLIQUE in planning.names]
             return (*pair, *_goals(third, (OBLIQUE,)))

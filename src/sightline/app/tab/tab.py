@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from sightline.app import texts
 from sightline.app.drawing.head_up import head_up
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.drawing.xray.view import XrayEvent, XrayView
@@ -15,19 +16,20 @@ from sightline.app.plan.planner import Planned
 from sightline.app.session.failures import failure_of, report
 from sightline.app.session.session import Session
 from sightline.app.tab.dragging import Dragging
-from sightline.app.tab.measuring import measured
+from sightline.app.tab.measuring import Clicks, measured, measured_in_both
 from sightline.app.tab.placing import Goal, Placing
+from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.views import Views
-from sightline.app.texts import STEPS, XRAY
+from sightline.planning import Nail
 
 if TYPE_CHECKING:
     from sightline.case.watch.analyser import Watched
 
 
 class Tab:
-    """State of one page. `message`: a sentence for the person, empty for none. `on_refresh`: called to update the parts
-    beside the views; `on_drag`: those of them that follow a drag. `on_step`: called with the step before and the new
-    one.
+    """State of one page, in the language it is built in. `message`: a sentence for the person, empty for none.
+    `on_refresh`: called to update the parts beside the views; `on_drag`: those of them that follow a drag. `on_step`:
+    called with the step before and the new one.
     """
 
     def __init__(
@@ -39,11 +41,13 @@ class Tab:
         self.views = Views(session, pictures)
         self.dragging = Dragging(self.planning)
         self._placing = Placing(self.planning, session.shots)
-        self.step, self.message = STEPS[0], ""
+        self.language = texts.now()
+        self.step, self.message = ProcedureStep.IMAGES, ""
         self.on_refresh: list[Callable[[], None]] = []
         self.on_drag: list[Callable[[], None]] = []
-        self.on_step: Callable[[str, str], None] = lambda before, step: None
+        self.on_step: Callable[[ProcedureStep, ProcedureStep], None] = lambda before, step: None
         self._waiting = False
+        self._ruled: dict[XrayView, tuple[str | None, object, Clicks]] = {}  # by view: image, its picture, clicks
 
     # Display.
 
@@ -67,11 +71,12 @@ class Tab:
         """Build the two X-ray views, each in its box."""
         self.views.build(self._heard, *boxes)
 
-    def go_to(self, step: str) -> None:
+    def go_to(self, step: ProcedureStep) -> None:
         """Go to another step; nothing is lost."""
         before, self.step, self.message = self.step, step, ""
         self.views.watched = None
-        self.views.show_beads = step in STEPS[:2]  # on later steps they would hide the bone
+        # On later steps they would hide the bone.
+        self.views.show_beads = step in (ProcedureStep.IMAGES, ProcedureStep.CALIBRATE)
         self._placing.begin_step()
         self.on_step(before, step)
         self.refresh()
@@ -105,8 +110,9 @@ class Tab:
         self._refresh(self.on_refresh)
 
     def _refresh(self, parts: list[Callable[[], None]]) -> None:
-        self.show_views()
-        refused = [why for why in map(failure_of, list(parts)) if why]
+        with texts.spoken(self.language):
+            self.show_views()
+            refused = [why for why in map(failure_of, list(parts)) if why]
         if refused and not self.message:
             self.message = refused[0]
             self.later()
@@ -125,19 +131,25 @@ class Tab:
 
     async def act(self, what: Callable[[], Awaitable[Any] | None]) -> None:
         """Run an action; an error becomes a message on the page."""
-        try:
-            pending = what()
-            self.message = ""
-            if pending is not None:
-                await pending
-        except Exception as error:
-            self.message = report(error)
+        with texts.spoken(self.language):
+            try:
+                pending = what()
+                self.message = ""
+                if pending is not None:
+                    await pending
+            except Exception as error:
+                self.message = report(error)
         self.refresh()
 
     async def choose_kind(self, kind: str) -> None:
         """Plan another procedure, or another wire of it, and ask for its points."""
         self._placing.begin_step()
         await self.act(lambda: self.planning.choose_kind(kind))
+
+    async def choose_nail(self, nail: Nail | None) -> None:
+        """Find the holes of this nail, or with None place points by hand, and ask for what is needed."""
+        self._placing.begin_step()
+        await self.act(lambda: self.planning.choose_nail(nail))
 
     def doing(self, what: Callable[[], Awaitable[Any] | None]) -> Callable[[], Awaitable[None]]:
         """Return a button's handler that runs an action."""
@@ -148,15 +160,19 @@ class Tab:
         return handler
 
     async def _heard(self, view: XrayView, event: XrayEvent) -> None:
+        with texts.spoken(self.language):
+            await self._answer(view, event)
+
+    async def _answer(self, view: XrayView, event: XrayEvent) -> None:
         if event.type == "cancel":
             self._placing.cancel()
             self.refresh()
         elif event.type == "refused":
             self._let_go()
         elif event.type == "error":
-            self.say(event.message or XRAY["load_failed"])
+            self.say(event.message or texts.XRAY["load_failed"])
         elif event.type == "measure":
-            view.say_measured(*measured(self.planning, self.views.image_in(view, self.step), event.points))
+            self._measure(view, event.points)
         elif event.type in ("place", "drop", "nudge", "drag", "remove", "display"):
             image = self.views.image_in(view, self.step)
             if image is None:
@@ -164,6 +180,15 @@ class Tab:
                 self._let_go()
             else:
                 await self._done_on(image, event, view.shown.head)
+
+    def _measure(self, view: XrayView, clicks: Clicks) -> None:
+        """Show what the ruler measures: in space where it has as many clicks in the other view, on the image shown."""
+        self._ruled[view] = (self.views.image_in(view, self.step), view.shown.picture, clicks)
+        now = {one: (self.views.image_in(one, self.step), one.shown.picture) for one in self.views.pair}
+        ruled = {one: each for one, each in self._ruled.items() if each[2] and each[:2] == now[one]}
+        said = measured_in_both(self.planning, {image: uv for image, _, uv in ruled.values() if image})
+        for one, (image, _, uv) in ruled.items():
+            one.say_measured(*(said or measured(self.planning, image, uv)))
 
     def _let_go(self) -> None:
         self.dragging.end()

@@ -6,19 +6,20 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from sightline.app import texts
 from sightline.app.drawing import shapes
 from sightline.app.drawing.head_up import head_in, head_up
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.drawing.xray.view import Window, XrayContent, XrayDisplay, XrayEvent, XrayView
 from sightline.app.plan.decisions import Decisions, Display
-from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, marks_of
+from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES
 from sightline.app.session.failures import failure_of
 from sightline.app.session.live import fresh_s
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
 from sightline.app.tab.dragging import Preview
 from sightline.app.tab.placing import Goal
-from sightline.app.texts import IMAGE_LABELS, LIVE_LABELS, LIVE_UNKNOWN, STALE, STEPS, XRAY
+from sightline.app.tab.step import ProcedureStep
 from sightline.case.views import NAMES, OBLIQUE
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ class Views:
         made = []
         for name, box in zip(NAMES, boxes, strict=True):
             with box:
-                made.append(XrayView(name, label=IMAGE_LABELS[name], texts=XRAY))
+                made.append(XrayView(name, label=texts.IMAGE_LABELS[name], texts=texts.XRAY))
             made[-1].on_event(heard)
         self.pair = (made[0], made[1])
 
@@ -56,13 +57,13 @@ class Views:
         if watched is not None and watched.view is not None:
             self._live_in = watched.view.name
 
-    def image_in(self, view: XrayView, step: str) -> str | None:
+    def image_in(self, view: XrayView, step: ProcedureStep) -> str | None:
         """Return the name of the image that a view shows; None for a live image, and for one replaced meanwhile."""
         image = self._images(step)[self.pair.index(view)]
         seen, shown = self._planning.seen(image), view.shown.picture
         return None if seen is None or shown is None or shown.url != self._pictures.of(seen).url else image
 
-    def show(self, step: str, goal: Goal | None, preview: Preview | None) -> None:
+    def show(self, step: ProcedureStep, goal: Goal | None, preview: Preview | None) -> None:
         """Update both views; the second shows the third image also while a mark is to be placed in it."""
         self._placing_oblique = goal is not None and goal.image == OBLIQUE
         for view, image in zip(self.pair, self._images(step), strict=True):
@@ -71,11 +72,11 @@ class Views:
             else:
                 view.show(self._shown(image, step, goal, preview))
 
-    def _images(self, step: str) -> tuple[str, str]:
+    def _images(self, step: ProcedureStep) -> tuple[str, str]:
         """Return the names of the images in the two views."""
-        if step == STEPS[4] and self._planning.seen(CHECK_NAMES[0]):
+        if step is ProcedureStep.VERIFY and self._planning.seen(CHECK_NAMES[0]):
             return CHECK_NAMES
-        if step == STEPS[3] and self._session.shots.shown:
+        if step is ProcedureStep.DRILL and self._session.shots.shown:
             return SHOT_NAMES
         third = (self.show_oblique or self._placing_oblique) and self._planning.seen(OBLIQUE) is not None
         return (NAMES[0], OBLIQUE) if third else NAMES
@@ -85,21 +86,21 @@ class Views:
         decisions = self._planning.decisions
         head = head_in(watched.view, self._planning.frame, decisions.side)
         return XrayContent(
-            LIVE_LABELS[view.name] if watched.view is not None else LIVE_UNKNOWN,
+            texts.LIVE_LABELS[view.name] if watched.view is not None else texts.LIVE_UNKNOWN,
             picture,
             replace(_display(decisions.display.get(view.name, Display()), head, picture.window), inverted=False),
             {"wire": [] if watched.corridor is None else shapes.band(watched.corridor)},
-            notice=STALE.format(age=watched.age_s) if watched.stale else None,
+            notice=texts.STALE.format(age=watched.age_s) if watched.stale else None,
             head=head,
         )
 
-    def _shown(self, image: str, step: str, goal: Goal | None, preview: Preview | None) -> XrayContent:
+    def _shown(self, image: str, step: ProcedureStep, goal: Goal | None, preview: Preview | None) -> XrayContent:
         """Return the content of an image's view."""
         planning, seen = self._planning, self._planning.seen(image)
         if seen is None:
-            return XrayContent(IMAGE_LABELS[image])
+            return XrayContent(texts.IMAGE_LABELS[image])
         layers, undrawn = self._layers(image, seen)
-        if step == STEPS[3]:
+        if step is ProcedureStep.DRILL:
             layers = {**layers, "drilled": self._filled(image)}
         if preview is not None:
             layers = {**layers, **preview.layers.get(image, {})}
@@ -109,15 +110,15 @@ class Views:
         head = head_in(seen.view, planning.frame, planning.decisions.side)
         # The revision includes case and image, so that an edit lost by a killed server is not applied to another one.
         return XrayContent(
-            IMAGE_LABELS[image],
+            texts.IMAGE_LABELS[image],
             picture,
             _display(display, head, window),
             {name: drawn for name, drawn in layers.items() if name not in hidden},
             _points(image, step, planning.decisions if preview is None else preview.decisions),
             goal.spec.name if goal is not None and goal.image == image else None,
-            (f"{seen.doing.capitalize()} …" if seen.doing else seen.refused) or undrawn or None,
+            (f"{texts.titled(texts.word(seen.doing))} …" if seen.doing else seen.refused) or undrawn or None,
             f"{planning.case.number} {image} {seen.acquired.number} {planning.history.revision}",
-            self._matching() if image == NAMES[1] and step == STEPS[2] else None,
+            self._matching() if image == NAMES[1] and step is ProcedureStep.PLAN else None,
             head,
         )
 
@@ -131,7 +132,7 @@ class Views:
             for view, one in zip(views, seen, strict=False)
             if one is not None
         ]
-        return {"from": NAMES[0], "title": shapes.CURVE_TITLE, "sights": drawn}
+        return {"from": NAMES[0], "title": texts.CURVE_TITLE, "names": texts.CURVE_NAMES, "sights": drawn}
 
     def _filled(self, image: str) -> list[shapes.Shape]:
         """Return the wire that the robot has drilled, over an image of the plan that it has."""
@@ -164,6 +165,7 @@ class Views:
             makers["curves"] = lambda: shapes.curves(known.curves) if image == NAMES[1] else []
             makers["expected"] = lambda: shapes.expected(known) if image == OBLIQUE else []
             makers["wire"] = lambda: shapes.wire(known, image)
+            makers["nail"] = lambda: shapes.nail_found(known, image)
             makers["aids"] = lambda: shapes.aids(known, image)
         layers: shapes.Layers = {}
         refused = [failure_of(lambda name=name: layers.update({name: makers[name]()})) for name in makers]
@@ -176,20 +178,20 @@ def _display(chosen: Display, head: int | None, window: Window) -> XrayDisplay:
     return XrayDisplay(turned, chosen.mirrored, chosen.inverted, window)
 
 
-def _points(image: str, step: str, decisions: Decisions) -> list[dict[str, Any]]:
+def _points(image: str, step: ProcedureStep, decisions: Decisions) -> list[dict[str, Any]]:
     """Return the points of an image, placed or not, as JSON types."""
     out = []
-    for spec in (*marks_of(decisions.kind), *GUIDE):
+    for spec in (*decisions.specs, *GUIDE):
         if not spec.shown_in(image):
             continue
         mark, on_curve = decisions.mark(spec.name), image == NAMES[1] and spec.group == "wire"
         out.append(
             {
                 "id": spec.name,
-                "label": spec.label,
+                "label": texts.word(spec.label),
                 "uv": mark.at(image),
-                "style": {"wire": spec.of, "guide": "aid"}.get(spec.group, spec.group),
-                "movable": step in (STEPS[2], STEPS[4]) or image in SHOT_NAMES,
+                "style": {"wire": spec.of, "guide": "aid", "nail": "aid"}.get(spec.group, spec.group),
+                "movable": step in (ProcedureStep.PLAN, ProcedureStep.VERIFY) or image in SHOT_NAMES,
                 "snapped": on_curve and not mark.free,
                 "slides": on_curve and decisions.snapping and mark.at(NAMES[0]) is not None,
             }

@@ -88,6 +88,7 @@ class LimitsPart(_Part):
     position_mm: Positive
     direction_deg: Positive
     beyond_mm: Annotated[float, Field(allow_inf_nan=False, ge=0.0, le=1e3)]
+    before_mm: Annotated[float, Field(allow_inf_nan=False, ge=0.0, le=1e3)] = 0.0
 
 
 class ProcedurePart(_Part):

@@ -205,7 +205,8 @@ class PlanFile:
         limits = self.document.limits
         if limits is None:
             raise UnusableInputError("the plan was written by an older version without its limits; plan again")
-        return Limits(limits.position_mm, float(np.deg2rad(limits.direction_deg)), limits.beyond_mm)
+        direction_rad = float(np.deg2rad(limits.direction_deg))
+        return Limits(limits.position_mm, direction_rad, limits.beyond_mm, limits.before_mm)
 
     @property
     def failed(self) -> list[str]:

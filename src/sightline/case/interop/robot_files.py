@@ -43,6 +43,7 @@ def write(plan: PlanFile, case: str) -> dict[str, bytes]:
         contract.POSITION_LIMIT_MM: repr(limits.position_mm),
         contract.DIRECTION_LIMIT_DEG: repr(degrees(limits.direction_rad)),
         contract.BEYOND_MM: repr(limits.beyond_mm),
+        contract.BEFORE_MM: repr(limits.before_mm),
     }
     pose = T_cfcs_wire(np.stack([entry, tip]))
     path = Path("planned wire", entry, tip, group="Sightline", owner="CFCS")

@@ -93,11 +93,13 @@ class ProcedureNamed(_Open):
 
 
 class LimitsDocument(_Open):
-    """The limits that a plan was judged by: of its 95 % errors, and how far past its end point it may be drilled."""
+    """The limits that a plan was judged by: of its 95 % errors, how far past its end point it may be drilled, and how
+    far before its entry point bone may begin."""
 
     position_mm: float
     direction_deg: float
     beyond_mm: float
+    before_mm: float = 0.0
 
 
 class ImplantDocument(_Open):

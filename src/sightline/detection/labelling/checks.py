@@ -6,6 +6,7 @@ import numpy as np
 
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.joint import Joint, Model
+from sightline.fitting.kernels import exact_squares
 
 MAX_SCATTER = 0.02  # of the pitch, rms of the beads about their places; 2 px at the design distance [ours]
 MAX_BEND = 4.5  # s.d. of the prior that a map may need [ours]
@@ -90,7 +91,7 @@ def _check_edge(model: Model, fit: Joint, pair: tuple[Grown, Grown], left: np.nd
     """Check for beads beyond a plate's edge, which show that all labels are shifted by one step of the grid."""
     for plate, own in zip(pair, left.T, strict=True):
         beyond = model.shadows.of_points(plate.pattern.beyond_mm, fit.focal_point_mm)
-        off2 = ((fit.xy_mm[own][:, None] - beyond) ** 2).sum(axis=2) / fit.variance_mm2[own][:, None]
+        off2 = exact_squares(fit.xy_mm[own], beyond) / fit.variance_mm2[own][:, None]
         seen = int((off2 < BEYOND_M2).any(axis=1).sum())
         if seen > MAX_BEYOND:
             raise AttemptError(

@@ -119,7 +119,7 @@ class Model:
         by_focal = np.zeros((len(rows), 2, 3))
         by_focal[of_source] = self.shadows.by_focal(focal_mm)[places[of_source] - count] * (FOCAL_STEP_MM / unit)
         noise = factor * self.noise
-        covariance = self.kernel[rows][:, rows]
+        covariance = self.kernel.take(rows, 0).take(rows, 1)
         covariance.flat[:: len(rows) + 1] += noise[rows]
         solution = PlanarKriging.of(covariance, y, columns=by_focal, precision=np.eye(3))
         focal = focal_mm - FOCAL_STEP_MM * solution.shared

@@ -10,6 +10,7 @@ from numba import njit
 
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.patterns import Pattern
+from sightline.fitting.kernels import exact_squares
 from sightline.fitting.robust import median
 
 # Cost of a bead: half the square of its log-radius error over RADIUS_SD, at most CONTRADICTION. That is the log odds
@@ -58,7 +59,8 @@ def _map_of(pattern: Pattern) -> _Map:
     low = pattern.xy_mm.min(axis=0) - pattern.pitch_mm
     cell = float((pattern.xy_mm.max(axis=0) + pattern.pitch_mm - low).max() / CELLS)
     middle = low + (np.indices((CELLS, CELLS)).reshape(2, -1).T + 0.5) * cell
-    distance = np.linalg.norm(middle[:, None] - pattern.xy_mm[None], axis=2)
+    distance = exact_squares(middle, pattern.xy_mm)
+    np.sqrt(distance, out=distance)
     table = np.where(distance.min(axis=1) < ON_PLACE * pattern.pitch_mm, distance.argmin(axis=1), -1)
     start, end = pattern.z[pattern.neighbours].T
     step = end - start

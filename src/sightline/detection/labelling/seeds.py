@@ -269,12 +269,23 @@ def _search(beads, plate, large, best):
 
 
 def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarray, most: int) -> Iterator[Seed]:
-    """Yield the `most` best seeds of each plate among the `usable` (N,) detections, best first."""
+    """Yield the `most` best seeds of each plate among the `usable` (N,) detections, best first.
+
+    The very best, which usually suffices, is searched for alone: far fewer triples can still become it.
+    """
     height, width = detections.image_shape
     w = detections.uv_px @ np.array([1.0, 1j])
     table = _nearest_table(w, usable, width, height)
     beads = _Beads(w, np.log(detections.radius_px), table, CELLS / height, CELLS / width)
     may_be = {kind: _may_be_datums(detections, kind, usable) for kind in {pattern.datum_kind for pattern in patterns}}
+    for count, ranks in ((1, slice(1)), (most, slice(1, None))):
+        for seed in _best_seeds(beads, patterns, may_be, count)[ranks]:
+            if seed.similarity.rotation != 0:  # 0: so far from the image that rounding removes its pixels
+                yield seed
+
+
+def _best_seeds(beads: _Beads, patterns: list[Pattern], may_be: dict[str, np.ndarray], most: int) -> list[Seed]:
+    """Return the `most` best seeds of each plate, best first; `may_be`: rows of possible datum markers by kind."""
     counts, scores = np.zeros((len(patterns), 1), np.int64), np.empty((len(patterns), most))
     what, found = np.empty((len(patterns), most, 7), np.int64), np.empty((len(patterns), most, 2), np.complex128)
     guesses = []
@@ -282,12 +293,12 @@ def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarr
         plate = _Plate(pattern.z, pattern.log_half, pattern.datums, pattern.pitch_mm)
         _search(beads, plate, may_be[pattern.datum_kind], _Best(counts[k], scores[k], what[k], found[k]))
         guesses += [(score, k, i) for i, score in enumerate(scores[k, : counts[k, 0]].tolist())]
+    out = []
     for score, k, i in sorted(guesses, key=lambda guess: -guess[0]):
         rotation, shift = found[k, i].tolist()
-        if rotation == 0:  # so far from the image that rounding removes its pixels
-            continue
         similarity = Similarity(rotation, shift, bool(what[k, i, 6]))
-        yield Seed(patterns[k], similarity, what[k, i, :3], what[k, i, 3:6], score)
+        out.append(Seed(patterns[k], similarity, what[k, i, :3], what[k, i, 3:6], score))
+    return out
 
 
 def _may_be_datums(detections: Detections, kind: str, usable: np.ndarray) -> np.ndarray:

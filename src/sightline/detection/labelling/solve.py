@@ -14,6 +14,7 @@ from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, best_similarity
 from sightline.detection.results import Detections
 from sightline.errors import ReconstructionRefusedError
+from sightline.fitting.kernels import exact_squares
 from sightline.fitting.robust import MAD_TO_SD, median, variance_ratio
 
 MIN_BEADS = 8  # of each plate [ours]
@@ -249,8 +250,7 @@ def solve(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> LabellingSolu
     ids = xrii.ids + source.ids
     normal_along_beam = model.shadows.height_mm.mean() < 0
     mirrored = pair[0].sheet.similarity.mirror == normal_along_beam
-    off2 = ((fit.xy_mm[:, None] - fit.target_mm) ** 2).sum(axis=2)
-    on_place = off2.min(axis=1) / fit.variance_mm2 < NEAR_M2
+    on_place = exact_squares(fit.xy_mm, fit.target_mm).min(axis=1) / fit.variance_mm2 < NEAR_M2
     return LabellingSolution(xrii.view, tuple(ids[p] for p in beads[:, 1]), beads[:, 0], bool(mirrored), on_place)
 
 

@@ -1,11 +1,14 @@
 """The schema of a procedure's file (docs/procedures.md)."""
 
 from math import inf
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
+from sightline.checks import CLEAR_MM, MAX_BEFORE_MM
 from sightline.planning.aids import CLICKS
+from sightline.planning.directions import anatomical
 from sightline.planning.procedures.rules import CHECKS, END_CHECKS, IN_CORRIDOR, CheckRule, Strict, Text
 from sightline.planning.proposal_rules import RULES
 
@@ -26,6 +29,8 @@ LOCATED: dict[str, AidType] = {
     "cortex": "point",
     "outline": "outline tube",
 }
+# Smallest singular value of the bone's directions: two unit vectors at 25° to each other have 0.3 [ours].
+_MIN_SINGULAR = 0.3
 
 
 class WantedView(Strict):
@@ -48,6 +53,34 @@ class PointAsked(Strict):
 
     name: Name
     sentence: Text
+
+
+class BoneDirection(Strict):
+    """A direction of the bone: from the mean of some points to that of others, and where it points in the patient.
+
+    Points, by their keys: "entry" and "end" of the wire, landmarks, and the middles of aids. `along`: an aid whose axis
+    (of a plane its perpendicular) is the direction instead, pointing the way from the first points to the others.
+    `orbit_deg`, `tilt_deg`: of a beam that runs along it, as of a `WantedView`. `sd_deg`: by how much bones differ from
+    that, standard deviation in each direction.
+    """
+
+    from_: Annotated[tuple[Key, ...], Field(alias="from", min_length=1, max_length=4)]
+    to: Annotated[tuple[Key, ...], Field(min_length=1, max_length=4)]
+    along: Key | None = None
+    orbit_deg: Annotated[float, Field(ge=-180, le=180)]
+    tilt_deg: Annotated[float, Field(ge=-90, le=90)]
+    sd_deg: Annotated[float, Field(allow_inf_nan=False, ge=0, le=45)]
+    source: Text
+
+    @property
+    def label(self) -> str:
+        """Its points as text."""
+        return f"{', '.join(self.from_)} to {', '.join(self.to)}"
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """(3,) unit vector: lateral, caudal, anterior."""
+        return anatomical(self.orbit_deg, self.tilt_deg)
 
 
 class WireAsked(Strict):
@@ -179,16 +212,30 @@ class LimitAsked(Strict):
 
 
 class LimitsAsked(Strict):
-    """Limits of the 95 % errors of position and direction, and how far past the end point the wire is drilled."""
+    """Limits of the 95 % errors of position and direction, and how far past the end point the wire is drilled.
+
+    `before_mm`: how far before an entry point within the bone the bone may begin.
+    """
 
     position_mm: LimitAsked
     direction_deg: LimitAsked
     beyond_mm: LimitAsked
+    before_mm: LimitAsked | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what is not given, so that files without it keep their fingerprints."""
+        return {key: value for key, value in write(self).items() if value is not None}
 
     @model_validator(mode="after")
     def _above_zero(self) -> Self:
         if self.position_mm.limit <= 0 or not 0 < self.direction_deg.limit <= 90:
             raise ValueError("position_mm must be above zero, direction_deg above zero and at most 90")
+        if self.before_mm is not None and not CLEAR_MM < self.before_mm.limit <= MAX_BEFORE_MM:
+            raise ValueError(
+                f"before_mm must be above {CLEAR_MM:g} and at most {MAX_BEFORE_MM:g}; leave it out where the entry "
+                "point lies on the bone"
+            )
         return self
 
 
@@ -204,11 +251,22 @@ class ProcedureDocument(Strict):
     relations: Annotated[tuple[Relation, ...], Field(max_length=20)] = ()
     landmarks: Annotated[tuple[LandmarkAsked, ...], Field(min_length=2, max_length=10)]
     aids: Annotated[tuple[AidAsked, ...], Field(max_length=10)] = ()
+    directions: Annotated[tuple[BoneDirection, ...], Field(max_length=3)] = ()
     corridor: CorridorAsked | None = None
     catalogue: Catalogue | None = None
     proposal: ProposalAsked | None = None
     limits: LimitsAsked
     checks: Annotated[tuple[CheckRule, ...], Field(max_length=30)] = ()
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out directions that are not given, so that files without them keep their fingerprints."""
+        return {key: value for key, value in write(self).items() if key != "directions" or value}
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Keys of the landmarks, then of the aids."""
+        return tuple(one.key for one in (*self.landmarks, *self.aids))
 
     @property
     def drilling_order(self) -> tuple[str, ...]:
@@ -216,14 +274,18 @@ class ProcedureDocument(Strict):
         first = [key for one in self.relations if one.relation == "order" for key in one.wires]
         return tuple(dict.fromkeys([*first, *(wire.key for wire in self.wires)]))
 
+    @property
+    def through_holes(self) -> bool:
+        """Whether the wires run through the holes of a nail: the file proposes them through rims."""
+        return self.proposal is not None and self.proposal.rule == "through-rims"
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         views, wires = ([one.name for one in self.views], [one.key for one in self.wires])
-        given = [one.key for one in (*self.landmarks, *self.aids)]
         for what, keys in (
             ("views", views),
             ("wires", wires),
-            ("landmarks and aids", given),
+            ("landmarks and aids", self.given),
             ("checks", [rule.check for rule in self.checks]),
         ):
             if twice := sorted({key for key in keys if keys.count(key) > 1}):
@@ -242,7 +304,8 @@ class ProcedureDocument(Strict):
                 raise ValueError(f"the aid {aid.key!r} is a {aid.type} drawn in one view; name two")
         for rule in self.checks:
             needs = CHECKS[rule.check].needs
-            if rule.required and needs and not any(one <= set(given) for one in needs):
+            by_bone = rule.check == "side" and len(self.directions) == 3
+            if rule.required and needs and not by_bone and not any(one <= set(self.given) for one in needs):
                 wanted = ", or ".join(" and ".join(sorted(one)) for one in needs)
                 raise ValueError(
                     f"requires the check {rule.check!r}, which needs {wanted}: add it to aids or landmarks"
@@ -254,6 +317,30 @@ class ProcedureDocument(Strict):
                     f"has the check {rule.check!r} from {rule.low:g} mm, less than half of implant_mm and margin_mm of "
                     f"its corridor, {needed:g} mm; raise it"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _directed(self) -> Self:
+        """Refuse directions of unknown parts, and those that do not determine how the bone lies."""
+        points = {"entry", "end", *(one.key for one in self.landmarks)}
+        drawn = [one for one in self.aids if len(one.views) > 1 or one.key in LOCATED]
+        aids = {one.key: one.type for one in drawn if one.type != "oval tube"}
+        for one in self.directions:
+            if unknown := [key for key in (*one.from_, *one.to) if key not in points | aids.keys()]:
+                raise ValueError(
+                    f"a direction names {unknown[0]!r}; name 'entry', 'end', a landmark, or an aid drawn in two "
+                    "images that is not an oval tube"
+                )
+            if one.along is not None and aids.get(one.along, "point") in ("point", "sphere"):
+                raise ValueError(
+                    f"a direction runs along {one.along!r}; name a line, plane, cylinder, tube or rim pair"
+                )
+        nominal = np.array([one.nominal for one in self.directions])
+        if len(nominal) == 1 or (len(nominal) and np.linalg.svd(nominal)[1][-1] < _MIN_SINGULAR):
+            raise ValueError(
+                "the directions must be two or three, at large angles to each other: the first two tell how the bone "
+                "lies, the third its side"
+            )
         return self
 
     @model_validator(mode="after")

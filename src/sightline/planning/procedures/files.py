@@ -25,7 +25,7 @@ MAX_FILES = 200  # [ours] of the user's folder
 _RENAMED = {"interlocking": "distal-interlocking"}  # keys of earlier versions
 # Files that had one wire in earlier versions: the wire that a plan by the file's key alone is of.
 _ONLY_WIRE = {"distal-interlocking": "distal-interlocking:distal"}
-_ADVICE = {
+ADVICE = {
     "extra_forbidden": "is not a key of a procedure's file; correct its spelling or remove it",
     "missing": "is missing; add it",
     "finite_number": "is not a finite number; write a number",
@@ -56,7 +56,7 @@ def read_document(path: Path) -> ProcedureDocument:
 
 def document_from_json(text: bytes | str) -> ProcedureDocument:
     """Return the content in the text of a procedure's file. Raises UnusableInputError."""
-    return read_strictly(text, ProcedureDocument, UnusableInputError, _ADVICE)
+    return read_strictly(text, ProcedureDocument, UnusableInputError, ADVICE)
 
 
 def own_files() -> dict[str, Path]:
@@ -163,7 +163,7 @@ def kept(key: str, content: dict[str, Any] | None) -> Procedure:
     try:
         document = ProcedureDocument.model_validate_json(json.dumps(content))
     except ValidationError as error:
-        raise UnusableInputError(f"the procedure {key} cannot be read: {explain(error, _ADVICE)}") from None
+        raise UnusableInputError(f"the procedure {key} cannot be read: {explain(error, ADVICE)}") from None
     return Procedure.of(document, key.partition(":")[2])
 
 

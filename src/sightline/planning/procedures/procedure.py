@@ -60,7 +60,8 @@ class Procedure:
                 else f"{document.key} has no wire {wire!r}; choose one of {names}"
             )
         given = document.limits
-        limits = Limits(given.position_mm.limit, radians(given.direction_deg.limit), given.beyond_mm.limit)
+        before_mm = 0.0 if given.before_mm is None else given.before_mm.limit
+        limits = Limits(given.position_mm.limit, radians(given.direction_deg.limit), given.beyond_mm.limit, before_mm)
         return Procedure(document, wires.get(wire, document.wires[0]), limits)
 
     @property

@@ -7,7 +7,7 @@ from math import isfinite
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sightline.checks import failed
+from sightline.checks import CLEAR_MM, MAX_BEFORE_MM, Limits, failed
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot import contract
 from sightline.robot.igtl import Message, Transform
@@ -46,7 +46,8 @@ class Setup:
     the arm moves: False); `remount_mm`: its repeatability if it was removed since its calibration; `into_bone`: bone is
     expected at the entry point, which is false in a dry run and in a bore. `frames`: None for registrations as in
     docs/robot-link.md. `frame`: fingerprint of the frame's file, "" if unknown. `hip_mm` (3,), CFCS: where the hip
-    lies, for the collision check: at the origin of a Γ frame, beside a block.
+    lies, for the collision check: at the origin of a Γ frame, beside a block. `c_arm_away`: the C-arm, whose beams lie
+    along the wire, is drawn back before the arm moves.
     """
 
     side: str
@@ -57,6 +58,7 @@ class Setup:
     frames: OwnFrames | None = None
     frame: str = ""
     hip_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    c_arm_away: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,7 @@ class Insertion:
     """A wire to be drilled. `entry_mm`, `end_mm` (3,) MCS; `q` (5,): the joints with the tip at the entry point.
 
     `sent`: the pose at the end point as received; `T_cfcs_wire`: the pose that the robot will reach. Depths count from
-    the entry point. `identity` is None for a bare transform.
+    the entry point. `identity` is None for a bare transform. `limits`: of them only `beyond_mm` and `before_mm` count.
     """
 
     identity: PlanIdentity | None
@@ -84,11 +86,17 @@ class Insertion:
     T_cfcs_wire: RigidTransform
     depth_limit_mm: float
     expires_s: float
+    limits: Limits
 
     @property
     def length_mm(self) -> float:
         """Distance from entry to end point, mm."""
         return float(np.linalg.norm(self.end_mm - self.entry_mm))
+
+    @property
+    def standoff_mm(self) -> float:
+        """Distance before the entry point at which the wire waits for the confirmation shot."""
+        return STANDOFF_MM + self.limits.before_mm
 
     def at_depth(self, depth_mm: float) -> np.ndarray:
         """Return the joints (5,) with the tip at this depth beyond the entry point."""
@@ -101,14 +109,14 @@ class Insertion:
         back = retracted(manipulator, q)
         on_line = self.q.copy()
         on_line[FEED] = back[FEED]
-        return np.stack([q, back, on_line, self.at_depth(-STANDOFF_MM)])
+        return np.stack([q, back, on_line, self.at_depth(-self.standoff_mm)])
 
     def refuse_collision(self, manipulator: Manipulator, q: np.ndarray, setup: Setup) -> None:
         """Raise RobotRefusedError if the path from the joints `q` (5,) to the end point comes too near an obstacle."""
         way = np.vstack([self.waypoints(manipulator, q), self.at_depth(self.length_mm)])
         at_hip = self.T_mcs_cfcs * RigidTransform.from_translation(setup.hip_mm)
         T_mcs_hip = at_hip if setup.frames is None else setup.frames.T_mcs_hip
-        theatre = hip_surroundings(T_mcs_hip, setup.frame_mounted, setup.remount_mm)
+        theatre = hip_surroundings(T_mcs_hip, setup.frame_mounted, setup.remount_mm, c_arm=not setup.c_arm_away)
         bad = failed(check_reach(manipulator, way, theatre))
         if bad:
             raise RobotRefusedError(" ".join(check.sentence for check in bad))
@@ -152,26 +160,29 @@ def read_target(
     if message.timestamp and registration.timestamp and message.timestamp < registration.timestamp:
         raise RobotRefusedError("the target is older than the registration; plan again on the images just taken")
     identity, length, limit, expires = None, BARE_LENGTH_MM, BARE_LENGTH_MM + DEPTH_SLACK_MM, now_s + LIFETIME_S
+    limits = Limits()
     if contract.PLAN in said:
         identity, length, limit, valid = _plan(said, setup)
-        expires = now_s + valid
+        expires, limits = now_s + valid, _beside_bone(said, length)
     end = registration.T_mcs_cfcs.apply(T_cfcs_wire.translation)
     along = (registration.T_mcs_cfcs * T_cfcs_wire).rotation.apply([0.0, 0.0, 1.0])
     entry = end - length * along
     q = robot.manipulator.inverse(entry, end)
-    refuse_feed(robot.manipulator, q, length)
+    refuse_feed(robot.manipulator, q, length, limits.before_mm)
     q_end = q + np.array([0.0, 0.0, 0.0, 0.0, length])
     laid = registration.T_mcs_cfcs.inv() * robot.manipulator.T_mcs_tool(q_end)
-    return Insertion(identity, registration.T_mcs_cfcs, entry, end, q, sent, laid, limit, expires)
+    return Insertion(identity, registration.T_mcs_cfcs, entry, end, q, sent, laid, limit, expires, limits)
 
 
-def refuse_feed(manipulator: Manipulator, q: np.ndarray, length_mm: float) -> None:
-    """Raise RobotRefusedError if the feed cannot go from the stand-off to the end point."""
-    before, beyond = q[FEED] - STANDOFF_MM - manipulator.lower[FEED], q[FEED] + length_mm - manipulator.upper[FEED]
+def refuse_feed(manipulator: Manipulator, q: np.ndarray, length_mm: float, before_mm: float = 0.0) -> None:
+    """Raise RobotRefusedError if the feed cannot go from the stand-off to the end point. `before_mm`: how far before
+    the entry point bone may begin."""
+    off = STANDOFF_MM + before_mm
+    before, beyond = q[FEED] - off - manipulator.lower[FEED], q[FEED] + length_mm - manipulator.upper[FEED]
     if before < 0:
         raise RobotRefusedError(
-            f"the entry point is {-before:.1f} mm too near: the wire must stop {STANDOFF_MM:g} mm before it; move the "
-            "robot's base away"
+            f"the entry point is {-before:.1f} mm too near: the wire must stop {off:g} mm before it; move the robot's "
+            "base away"
         )
     if beyond > 0:
         raise RobotRefusedError(
@@ -261,6 +272,19 @@ def _plan(said: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, f
             else f"the plan claims to be valid for {valid:.0f} s; at most {LIFETIME_S:.0f} s are"
         )
     return identity, length, limit, valid
+
+
+def _beside_bone(said: Mapping[str, str], length_mm: float) -> Limits:
+    """Return how far past the end point the wire is drilled, and how far before the entry point bone may begin."""
+    beyond, before = (_number(said, key) if key in said else 0.0 for key in (contract.BEYOND_MM, contract.BEFORE_MM))
+    if not 0.0 <= beyond < length_mm:
+        raise RobotRefusedError(f"{contract.BEYOND_MM} is {beyond:g}: it is a part of the length of {length_mm:.1f} mm")
+    if before != 0.0 and not CLEAR_MM < before <= MAX_BEFORE_MM:
+        raise RobotRefusedError(
+            f"bone is said to begin up to {before:g} mm before the entry point; this must be 0, or between "
+            f"{CLEAR_MM:g} and {MAX_BEFORE_MM:g} mm: correct before_mm of the procedure"
+        )
+    return Limits(beyond_mm=beyond, before_mm=before)
 
 
 def _number(said: Mapping[str, str], key: str) -> float:

@@ -6,6 +6,7 @@ Plan, contact and shot are combined with weights from their variances; every dep
 from dataclasses import dataclass
 from math import hypot, isfinite, sqrt
 
+from sightline.checks import CLEAR_MM, Limits
 from sightline.errors import RobotRefusedError
 
 # Error of the planned entry along the wire, 1 s.d.: targets with a 95 % error above 1 mm are refused [target.py].
@@ -24,6 +25,8 @@ CONTACT_SHIFT_SD_MM = CONTACT_WEIGHT * CONTACT_SD_MM
 SHOT_SD_MM = 0.2  # of the tip along the wire for a shot that states no error: clicked landmarks [docs/check-shot.md]
 # Largest correction of the zero: four standard deviations of plan and contact.
 MAX_ZERO_SHIFT_MM = 3.0
+PAUSE_MM = 10.0  # before the end point, for the second shot [physics.md, Drilling]
+HOLE_PAUSE_MM = 6.0  # before a nail: there a view from 40° shows the tip beside the nail [calc]
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,20 @@ class DepthZero:
         return DepthZero(self.feed_mm + weight * off, self.sd_mm * sqrt(1 - weight))
 
 
-def before_contact(depth_mm: float) -> bool:
-    """Return whether contact may still occur within tolerance of the planned entry."""
-    return depth_mm + CONTACT_LEAD_MM <= MAX_ZERO_SHIFT_MM
+def contact_range(before_mm: float = 0.0) -> tuple[float, float]:
+    """Return the first and the last depth, mm, at which contact with bone is plausible.
+
+    `before_mm`: how far before the entry point bone may begin (`Limits.before_mm`).
+    """
+    earliest = -before_mm - MAX_ZERO_SHIFT_MM - CONTACT_LEAD_MM
+    return earliest, (-CLEAR_MM if before_mm > 0 else MAX_ZERO_SHIFT_MM) - CONTACT_LEAD_MM
+
+
+def pause_depth(depth_mm: float, limits: Limits) -> float:
+    """Return the depth, mm, of the pause for the second shot, for a wire that is drilled to `depth_mm`.
+
+    A drill that goes through what lies in the bone, such as a nail's hole, pauses before it.
+    """
+    if limits.before_mm > 0 and limits.beyond_mm > 0:
+        return -HOLE_PAUSE_MM
+    return max(depth_mm - PAUSE_MM, 0.0)

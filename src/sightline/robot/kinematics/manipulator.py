@@ -242,12 +242,14 @@ def imaging_yaw(side: str) -> float:
     return WIRE_YAW_RAD if side == "right" else -WIRE_YAW_RAD
 
 
-def nominal_manipulator(side: str = "right", hip_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Manipulator:
+def nominal_manipulator(
+    side: str = "right", hip_mm: ArrayLike = (0.0, 0.0, 0.0), yaw_rad: float | None = None
+) -> Manipulator:
     """Return the manipulator as designed, with a frame mounted for a hip of the patient's `side`.
 
     `hip_mm` (3,), CFCS: where the hip lies, at the origin of a Γ frame, beside a block. The robot stands beside the
     patient: +X medial, +Z anterior. The mount rotates the frame relative to the wire, so that its beams are level and
-    upright at the yaw of a typical wire.
+    upright at `yaw_rad`, by default that of a typical wire.
     """
     if side not in ("right", "left"):
         raise UnusableInputError(f"a hip's side is 'right' or 'left', not {side!r}")
@@ -259,7 +261,7 @@ def nominal_manipulator(side: str = "right", hip_mm: ArrayLike = (0.0, 0.0, 0.0)
     axes[LIFT, 3:], axes[TRAVERSE, 3:], axes[FEED, 3:] = up, out, ahead
     for joint, axis in ((YAW, up), (PITCH, -out)):
         axes[joint] = np.concatenate([axis, np.cross(wrist, axis)])
-    yaw = imaging_yaw(side)
+    yaw = imaging_yaw(side) if yaw_rad is None else yaw_rad
     upright = Rotation.from_rotvec([0.0, 0.0, np.pi])  # CFCS in MCS: +X lateral, +Z up
     mount = (Rotation.from_rotvec([0.0, 0.0, yaw]) * home.rotation).inv() * upright
     return Manipulator(

@@ -75,9 +75,10 @@ SWING_RAD = np.deg2rad(np.arange(0.0, 90.1, 7.5))  # from the PA to the lateral 
 
 
 def hip_surroundings(
-    T_mcs_cfcs: RigidTransform, frame_mounted: bool = True, remount_mm: float | None = None
+    T_mcs_cfcs: RigidTransform, frame_mounted: bool = True, remount_mm: float | None = None, *, c_arm: bool = True
 ) -> Surroundings:
-    """Return a supine patient on a table, hip at the frame's origin, and the C-arm as it swings between its views."""
+    """Return a supine patient on a table, hip at the frame's origin, and the C-arm as it swings between its views,
+    unless it is drawn back (`c_arm` False)."""
     swings = [Rotation.from_euler("y", angle) for angle in SWING_RAD]  # +Z towards +X: anterior towards lateral
     out = (DETECTOR_FACE_MM + DETECTOR_HALF_MM[2]) * np.array([0.0, 0.0, 1.0])
     poses = [RigidTransform.from_components(swing.apply(out), swing) for swing in swings]
@@ -85,7 +86,7 @@ def hip_surroundings(
         (
             _box("patient", T_mcs_cfcs, *PATIENT_MM),
             _box("table", T_mcs_cfcs, *TABLE_MM),
-            *(Obstacle("C-arm", T_mcs_cfcs * pose, np.array(DETECTOR_HALF_MM)) for pose in poses),
+            *(Obstacle("C-arm", T_mcs_cfcs * pose, np.array(DETECTOR_HALF_MM)) for pose in poses if c_arm),
         ),
         frame_mounted,
         remount_mm,

@@ -158,8 +158,10 @@ def robot_target(
     budget |= robot.wire_against_frame(registration.q, q, np.stack([entry, end]))
     budget["skiving"] = _skiving(entry, end)
     covariance = np.sum(list(budget.values()), axis=0)
-    # A wire that goes past its end point passes it whatever its depth.
-    budget["depth_zero"] = _depth_zero(entry, end, covariance) if limits.beyond_mm == 0 else np.zeros((6, 6))
+    # A wire that goes past its end point passes it whatever its depth, and contact with bone that begins somewhere
+    # before the entry point says nothing of the depth.
+    by_contact = limits.beyond_mm == limits.before_mm == 0
+    budget["depth_zero"] = _depth_zero(entry, end, covariance) if by_contact else np.zeros((6, 6))
     covariance = covariance + budget["depth_zero"]
     expires_s = registration.imaged_s + LIFETIME_S
     return RobotTarget(identity, registration, entry, end, q, covariance, budget, expires_s, limits)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -47,6 +48,7 @@ class RobotClient(Closing):
         self.host, self.port = host, port
         self._target: RigidTransform | None = None
         self._length_mm: float | None = None
+        self._beyond_mm = 0.0
         self._doubts: dict[str, str] = {}  # "registration" or "target": why the robot may not move by it
         self.connection = SharedConnection(host, port)
         self.latest, self.listeners = self.connection.latest, self.connection.listeners
@@ -130,7 +132,9 @@ class RobotClient(Closing):
             reached = pose_of(reachable or echo)
             WireDeviation.of(reached, T_cfcs_wire).refuse_large("the robot would lay the wire")
         self._target = T_cfcs_wire
-        self._length_mm = float(metadata[contract.LENGTH_MM]) if metadata and contract.LENGTH_MM in metadata else None
+        said_mm = {} if metadata is None else metadata
+        self._length_mm = float(said_mm[contract.LENGTH_MM]) if contract.LENGTH_MM in said_mm else None
+        self._beyond_mm = float(said_mm.get(contract.BEYOND_MM, 0.0))
         return reached
 
     def aim_plan(self, target: RobotTarget, now_s: float, depth_limit_mm: float) -> RigidTransform:
@@ -200,7 +204,7 @@ class RobotClient(Closing):
     def wire_deviation(self) -> WireDeviation:
         """Return the wire's deviation from the target, by the robot's own position. Raises RobotRefusedError if it
         exceeds 0.5 mm or 0.2°. Along the wire the robot's stated depth counts, if any, because contact and check shot
-        move its zero."""
+        move its zero; past the end point a break-through may end drilling early."""
         if self._target is None:
             raise RobotRefusedError("send a target first: there is none to compare the wire with")
         deviation = WireDeviation.of(self.position(), self._target)
@@ -209,7 +213,9 @@ class RobotClient(Closing):
             deviation.refuse_large("the wire lies")
         else:
             depth_off_mm = float(depth.body.values[0]) - self._length_mm
-            deviation.refuse_large("the wire lies", depth_off_mm, MAX_ZERO_SHIFT_MM)
+            short_mm = min(max(-depth_off_mm, 0.0), self._beyond_mm)
+            ended = replace(deviation, along_mm=deviation.along_mm + short_mm)
+            ended.refuse_large("the wire lies", depth_off_mm + short_mm, MAX_ZERO_SHIFT_MM)
         return deviation
 
     def joints(self) -> np.ndarray:
@@ -288,4 +294,5 @@ def plan_metadata(target: RobotTarget, now_s: float, depth_limit_mm: float) -> d
         contract.POSITION_LIMIT_MM: repr(limits.position_mm),
         contract.DIRECTION_LIMIT_DEG: repr(math.degrees(limits.direction_rad)),
         contract.BEYOND_MM: repr(limits.beyond_mm),
+        contract.BEFORE_MM: repr(limits.before_mm),
     }

@@ -9,29 +9,19 @@ import nicegui.elements.scene  # noqa: F401 # pyright: ignore[reportUnusedImport
 from sightline.app.drawing.calls import Calling
 
 _COLOURS = Path(__file__).parents[1] / "colours.js"
-TEXTS = {
-    "feet": "From the feet",
-    "side": "From the side",
-    "above": "From above",
-    "hip": "Hip",
-    "frame": "Frame",
-    "room": "Room",
-    "keys": "Arrow keys rotate the scene, with Shift they move it; plus and minus zoom.",
-    "none": "This browser does not support 3-D graphics (WebGL). Planning works without it.",
-}
-
 Objects = Sequence[Mapping[str, Any]]
 
 
 class SpaceView(Calling, component="space_view.js", dependencies=["space*.js", _COLOURS]):
     """The 3-D scene. Its objects are those of `document`, in named groups that a person can hide."""
 
-    def __init__(self, *, label: str, groups: Mapping[str, str]) -> None:
-        """`label`: accessible description of the scene; `groups`: names of the groups, in the legend's order."""
+    def __init__(self, *, label: str, groups: Mapping[str, str], texts: Mapping[str, str]) -> None:
+        """`label`: accessible description of the scene; `groups`: names of the groups, in the legend's order; `texts`:
+        of its buttons and notes, by name."""
         super().__init__()
         self._props["label"] = label
         self._props["groups"] = dict(groups)
-        self._props["texts"] = TEXTS
+        self._props["texts"] = dict(texts)
         self._props["data-testid"] = "space"
 
     def draw(self, group: str, objects: Objects) -> None:

@@ -67,6 +67,7 @@ export interface Shown {
 export interface Matching {
   from: string;
   title: string;
+  names?: Record<string, string>;
   sights: string[];
 }
 

@@ -138,7 +138,8 @@ class XrayContent:
 @dataclass(frozen=True)
 class XrayEvent:
     """A validated action of a person; "refused" stands for an invalid event. `uv` (u, v) px; `seq`: number for the
-    acknowledgement. `points`: two or three clicks of the ruler."""
+    acknowledgement. `points`: two or three clicks of the ruler, none where it was
+    taken away."""
 
     type: EventType
     id: str | None = None
@@ -261,7 +262,7 @@ def _place(uv: object, picture: XrayPicture | None) -> tuple[float, float] | Non
 
 def _measure(said: dict[str, Any], shown: XrayContent) -> XrayEvent | None:
     clicks = said.get("points")
-    if not isinstance(clicks, list) or not 2 <= len(clicks) <= 3:
+    if not isinstance(clicks, list) or len(clicks) not in {0, 2, 3}:
         return None
     points = tuple(uv for uv in (_place(one, shown.picture) for one in clicks) if uv is not None)
     return XrayEvent("measure", points=points) if len(points) == len(clicks) else None

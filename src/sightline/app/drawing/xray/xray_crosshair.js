@@ -23,12 +23,12 @@ export class Crosshair {
     const size = fine ? FINE_STEP * core.display.zoom : STEP * core.canvas.unit;
     const [u, v] = this.uv ?? core.display.centre;
     const [du, dv] = this.uv ? core.display.toImageStep([right * size, down * size]) : [0, 0];
-    const uv = core.display.clamp(core.aimed([u + du, v + dv]));
+    const uv = core.display.clamp(core.edits.aimed([u + du, v + dv]));
     this.uv = uv;
     core.display.reveal(uv);
     core.lens = { uv, at: core.display.toView(uv) };
     core.chrome.say(core.reading.describe({ ...point, uv, snapped: point.slides }));
-    core.movedView();
+    core.settings.movedView();
   }
 
   /** The pointer aims again, or nothing is placed any more. */

@@ -25,7 +25,7 @@ export class Following {
   /** Points that the person moves in the other view, and where they are there.
    * @returns {Map<string, Pair>} */
   get moving() {
-    return this.leader ? this.leader.moved : new Map();
+    return this.leader ? this.leader.edits.moved : new Map();
   }
 
   /** The place on the point's image-matching curve nearest to `uv`; `uv` itself where it has none.
@@ -51,6 +51,6 @@ export class Following {
   settle() {
     const { core, moving } = this;
     for (const id of core.state.points.keys()) if (!moving.has(id)) core.matching.rest(id);
-    core.mergePoints();
+    core.edits.merge();
   }
 }

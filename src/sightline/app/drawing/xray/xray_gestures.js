@@ -1,7 +1,9 @@
-// Converts mouse, pen, touch and key events on the view to calls of the core.
+// Converts mouse, pen and touch events on the view to calls of the core.
 //
 // One gesture at a time: pan, window, drag (of a point), place, pinch. A finger covers its target, so touch has a
 // larger reach, and must move further before it counts as a drag.
+
+import { ARROWS, press } from "./xray_keys.js";
 
 const REACH = { mouse: 12, pen: 16, touch: 30 }; // CSS pixels around a point
 const SLOP = { mouse: 0, pen: 2, touch: 6 }; // CSS pixels before a press becomes a drag
@@ -9,10 +11,6 @@ const WHEEL_ZOOM = 0.0015; // per CSS pixel of wheel: 16 % for a notch of 100
 const PINCH_WHEEL_ZOOM = 0.01; // a trackpad's pinch arrives as wheel events with ctrl and small steps
 const LINE_PX = 16; // for a wheel that counts lines
 const WINDOW_PER_PX = 1 / 300; // [ours] a drag of 300 CSS pixels is one width of the window
-const PAN_KEY = 40; // CSS pixels
-const STEP = 1; // image pixels an arrow key moves a point
-const FINE_STEP = 0.1; // with shift
-const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 const OVER_THE_PAGE = "[role=dialog], [role=listbox], [role=menu]"; // open dialogs and lists handle the Escape key themselves
 const gestures = new Set(); // of all views of the page
@@ -36,7 +34,7 @@ export class Gestures {
     listen(this.stage, "pointerleave", (event) => this.#leave(event));
     listen(this.stage, "wheel", (event) => this.#wheel(event), { passive: false });
     listen(this.stage, "contextmenu", (event) => event.preventDefault());
-    listen(this.stage, "keydown", (event) => this.#key(event));
+    listen(this.stage, "keydown", (event) => press(core, event));
     listen(window, "keydown", (event) => this.#escape(event));
     gestures.add(this);
     // Capture the event anywhere on the page, before its target gets it.
@@ -175,10 +173,10 @@ export class Gestures {
     const [dx, dy] = [at[0] - gesture.last[0], at[1] - gesture.last[1]];
     gesture.last = at;
     if (gesture.kind === "window") this.#window(dx, dy);
-    if (gesture.kind === "drag") this.core.move("drag", gesture.id, this.#held(at));
+    if (gesture.kind === "drag") this.core.edits.move("drag", gesture.id, this.#held(at));
     if (gesture.kind === "pan") {
       this.core.display.panBy(dx, dy);
-      this.core.movedView();
+      this.core.settings.movedView();
     }
   }
 
@@ -201,7 +199,7 @@ export class Gestures {
   #window(dx, dy) {
     const { window: shown, inverted } = this.core.state;
     const width = shown.width * Math.exp(dx * WINDOW_PER_PX);
-    this.core.setWindow({ width, centre: shown.centre + (inverted ? -dy : dy) * shown.width * WINDOW_PER_PX });
+    this.core.settings.setWindow({ width, centre: shown.centre + (inverted ? -dy : dy) * shown.width * WINDOW_PER_PX });
   }
 
   #pinch() {
@@ -211,7 +209,7 @@ export class Gestures {
     this.core.display.panBy(middle[0] - this.now.middle[0], middle[1] - this.now.middle[1]);
     this.core.display.zoomAt(span / this.now.span, middle);
     Object.assign(this.now, { middle, span });
-    this.core.movedView();
+    this.core.settings.movedView();
   }
 
   #up(event) {
@@ -231,8 +229,8 @@ export class Gestures {
   #finish(gesture, at) {
     const { core } = this;
     if (gesture.kind === "measure") core.ruler.add(core.display.toImage(at));
-    if (gesture.kind === "place") core.placeAt(core.display.toImage(at));
-    if (gesture.kind === "window" && gesture.moved) core.displayChanged();
+    if (gesture.kind === "place") core.edits.placeAt(core.display.toImage(at));
+    if (gesture.kind === "window" && gesture.moved) core.settings.send();
     if (gesture.kind === "drag") this.#drop(gesture.moved ? "drop" : null, gesture);
     if (gesture.kind === "pan" && !gesture.moved) {
       if (!core.reading.pointAt(at, REACH.mouse * core.canvas.unit)) core.select(null);
@@ -242,7 +240,7 @@ export class Gestures {
 
   #drop(type, { id }) {
     this.core.state.dragging = null;
-    if (type) this.core.move(type, id, this.core.state.points.get(id).uv);
+    if (type) this.core.edits.move(type, id, this.core.state.points.get(id).uv);
     else this.core.release();
     this.core.canvas.invalidate("overlay");
   }
@@ -287,7 +285,7 @@ export class Gestures {
     } else if (at && core.state.tool === "measure" && core.state.image) {
       core.lens = { uv: core.display.toImage(at), at };
     } else if (at && placing !== null && core.state.image && (!this.now || this.now.kind === "place")) {
-      core.lens = { uv: core.aimed(core.display.toImage(at)), at };
+      core.lens = { uv: core.edits.aimed(core.display.toImage(at)), at };
     }
     if (had || core.lens) core.canvas.invalidate("overlay");
     core.canvas.invalidate("readout");
@@ -299,51 +297,16 @@ export class Gestures {
     const at = this.#at(event);
     const pixels = event.deltaY * (event.deltaMode === WheelEvent.DOM_DELTA_LINE ? LINE_PX : 1);
     this.core.display.zoomAt(Math.exp(-pixels * (event.ctrlKey ? PINCH_WHEEL_ZOOM : WHEEL_ZOOM)), at);
-    this.core.movedView();
+    this.core.settings.movedView();
     this.#draw(at);
   }
 
   // --------------------------------------------------------------------------------------------------------------- keys
 
-  #key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey) return; // shortcuts of the browser
-    const point = this.core.state.points.get(event.target.dataset.id);
-    const handled = this.#arrow(event, point) || this.#otherKey(event, point);
-    if (handled) event.preventDefault();
-  }
-
-  #arrow(event, point) {
-    const direction = ARROWS[event.key];
-    if (!direction) return false;
-    const { core } = this;
-    if (!point && core.state.placing !== null) {
-      core.crosshair.step(direction, event.shiftKey);
-    } else if (!point) {
-      core.display.panBy(-direction[0] * PAN_KEY, -direction[1] * PAN_KEY);
-      core.movedView();
-    } else if (point.movable) {
-      const { zoom } = core.display;
-      const size = (event.shiftKey ? FINE_STEP : STEP) * zoom; // one image pixel in the direction on screen
-      const [du, dv] = core.display.toImageStep([direction[0] * size, direction[1] * size]);
-      core.move("nudge", point.id, [point.uv[0] + du, point.uv[1] + dv]);
-    }
-    return true;
-  }
-
-  #otherKey(event, point) {
-    const { core } = this;
-    if (event.key === "+" || event.key === "=") core.zoom(true);
-    else if (event.key === "-" || event.key === "_") core.zoom(false);
-    else if (event.key === "Delete" && point) core.remove(point.id);
-    else if (event.key === "Enter" && core.state.placing !== null) core.placeAt(core.crosshair.uv ?? core.display.centre);
-    else return false;
-    return true;
-  }
-
   // Held arrow keys repeat faster than the server answers.
   #somethingElse(event) {
     if (ARROWS[event.key] && this.stage.contains(event.target)) return;
-    this.core.moves.flush();
+    this.core.edits.moves.flush();
   }
 
   // Escape works anywhere on the page, because the button that began the placing may still have the focus. One press
@@ -365,20 +328,20 @@ export class Gestures {
 
   endMeasuring() {
     const measures = this.core.state.tool === "measure";
-    if (measures) this.core.setTool("pan");
+    if (measures) this.core.settings.setTool("pan");
     return measures;
   }
 
   endPlacing() {
     if (this.core.state.placing === null) return false;
     this.now = null;
-    this.core.cancelPlacing();
+    this.core.edits.cancelPlacing();
     return true;
   }
 
   endEnlarged() {
     const { maximised } = this.core.state;
-    this.core.maximise(false);
+    this.core.settings.maximise(false);
     return maximised;
   }
 }

@@ -86,7 +86,7 @@ export class Matching {
     if (!word || moving.size === 0) return shapes;
     const own = [...moving].flatMap(([id, uv]) => {
       const curve = this.curve(id, uv);
-      return curve ? curveShapes(curve, id, word.title.replace("{name}", id), this.widths.get(id) || null) : [];
+      return curve ? curveShapes(curve, id, word.title.replace("{name}", word.names?.[id] ?? id), this.widths.get(id) || null) : [];
     });
     return [...own, ...shapes.filter(({ of }) => of === undefined || !moving.has(of))];
   }

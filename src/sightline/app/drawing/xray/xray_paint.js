@@ -9,7 +9,8 @@ import { COLOURS } from "colours";
 
 export const CASING = "rgba(5, 8, 11, 0.86)"; // under every line, because X-ray images may be white or black
 
-// plan: hidden while the image is stale. fill: opacity of an area. arrow: a band's direction is shown.
+// plan: hidden while the image is stale. fill: opacity of an area. arrow: a band's direction is shown. An edge is
+// measured more finely than a pixel, and thin.
 export const STYLES = {
   "bead-good": { colour: COLOURS.green, width: 2, mark: "ring" },
   "bead-warn": { colour: COLOURS.orange, width: 2, mark: "ring", dash: [4, 3] },
@@ -21,6 +22,7 @@ export const STYLES = {
   wire: { colour: COLOURS.yellow, width: 3, fill: 0.6, plan: true, arrow: true },
   corridor: { colour: COLOURS.yellow, width: 2, fill: 0.16, dash: [8, 5], plan: true },
   plan: { colour: COLOURS.yellow, width: 2, fill: 0.14, dash: [10, 6], plan: true },
+  edge: { colour: COLOURS.green, width: 1.25 },
   deviation: { colour: COLOURS.text, width: 2.5, mark: "arrow" },
   entry: { colour: COLOURS.sky, width: 2, mark: "ring" },
   end: { colour: COLOURS.purple, width: 2, mark: "diamond" },

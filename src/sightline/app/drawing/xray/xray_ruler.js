@@ -1,4 +1,5 @@
-// The ruler: two clicks are a length, a third makes an angle of them. The server measures; nothing is kept.
+// The ruler: two clicks are a length, a third makes an angle of them. The server measures, in
+// space where the other view has as many clicks.
 
 /** @typedef {import("./types").Pair} Pair */
 /** @typedef {import("./types").Shape} Shape */
@@ -18,7 +19,8 @@ export class Ruler {
    * @param {Pair} uv */
   add(uv) {
     const { core } = this;
-    this.points = [...(this.points.length < MOST ? this.points : []), core.display.clamp(uv)];
+    if (this.points.length === MOST) this.#takeAway();
+    this.points = [...this.points, core.display.clamp(uv)];
     this.show("", "");
     if (this.points.length > 1) core.emit({ type: "measure", image: core.shownUrl, points: this.points });
   }
@@ -34,8 +36,16 @@ export class Ruler {
   }
 
   end() {
-    this.points = [];
+    this.#takeAway();
     this.show("", "");
+  }
+
+  // The other view's ruler measures in space only while this one is shown.
+  #takeAway() {
+    const { core } = this;
+    const told = this.points.length > 1 && core.shownUrl === core.url;
+    this.points = [];
+    if (told) core.emit({ type: "measure", image: core.shownUrl, points: [] });
   }
 
   /** @returns {Shape[]} */

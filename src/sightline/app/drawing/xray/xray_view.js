@@ -51,7 +51,7 @@ export default {
       this.core.ruler.show(label, note);
     },
     sayLost(id) {
-      this.core.sayLost(id);
+      this.core.edits.sayLost(id);
     },
     stashName() {
       return `sightline-xray-${this.name}`;
@@ -66,9 +66,9 @@ export default {
       if (stash === null) return;
       this.keep(null);
       const { move, revision } = JSON.parse(stash);
-      if (revision && revision === this.revision && this.core.resend(move)) return;
+      if (revision && revision === this.revision && this.core.edits.resend(move)) return;
       this.core.giveUp();
-      this.core.sayLost(move.id);
+      this.core.edits.sayLost(move.id);
     },
   },
 };

@@ -3,16 +3,16 @@
 import numpy as np
 
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.control.insertion import STANDOFF_MM, Insertion
+from sightline.robot.control.insertion import Insertion
 from sightline.robot.control.motion.course import Course, Leg, Step, limit_feed
 from sightline.robot.control.motion.supervision import EventKind, Supervision, SupervisionEvent
 from sightline.robot.control.states import Trigger
 from sightline.robot.kinematics.depth import (
     CONTACT_LEAD_MM,
     CONTACT_SD_MM,
-    MAX_ZERO_SHIFT_MM,
     DepthZero,
-    before_contact,
+    contact_range,
+    pause_depth,
 )
 from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator
 from sightline.robot.plant import Reading
@@ -20,23 +20,28 @@ from sightline.robot.plant import Reading
 # Feed towards the entry point, and the distance before it at which drilling feed begins: twice its 95 % error [ours].
 APPROACH_MM_S, NEAR_MM = 5.0, 2.0
 DRILL_MM_S = 1.0  # 60 mm/min [physics.md, Drilling]
-PAUSE_MM = 10.0  # before the end point, for the check shot [physics.md, Drilling]
 # A break-through beyond this share of the path is at the far cortex, not the near one [ours].
 FAR_SHARE = 0.5
+# A drill that goes past its end point goes on by the length of its point once it breaks through the far cortex [ours].
+POINT_MM = 3.0
 
 
 class Drilling:
     """One hole, with its pause. `resume` starts it and continues after the pause. `zero`: the current zero of depth.
-    `into_bone`: bone is expected at the planned entry, and contact with it corrects the zero."""
+    `into_bone`: bone is expected at the planned entry, and contact with it corrects the zero. Where bone begins
+    somewhere before the entry (`Limits.before_mm`), a cortex must be met on the way, and the zero stays."""
 
     def __init__(self, manipulator: Manipulator, insertion: Insertion, into_bone: bool) -> None:
         self.noted: list[SupervisionEvent] = []
         self.zero = DepthZero(float(insertion.q[FEED]))
         self._manipulator, self._insertion = manipulator, insertion
-        self.position = self._at(-STANDOFF_MM)
+        self.position = self._at(-insertion.standoff_mm)
         self._supervision: Supervision
         self._sampled_s = -np.inf
-        self._pause_mm = max(insertion.length_mm - PAUSE_MM, 0.0)
+        self._pause_mm = pause_depth(insertion.length_mm, insertion.limits)
+        self._end_mm = insertion.length_mm
+        self._before_mm = insertion.limits.before_mm
+        self._contact_mm = contact_range(self._before_mm)
         self._paused = self._touched = False
         self._seeks_bone = into_bone
 
@@ -77,11 +82,12 @@ class Drilling:
         return q
 
     def _begin(self) -> None:
-        goal = self._insertion.length_mm if self._paused else self._pause_mm
+        goal = self._end_mm if self._paused else self._pause_mm
         speed = self._manipulator.speed
         legs = [Leg(self._at(goal), limit_feed(speed, DRILL_MM_S))]
-        if self.zero.depth_mm(self.position[FEED]) < -NEAR_MM and not self._touched:
-            legs.insert(0, Leg(self._at(-NEAR_MM), limit_feed(speed, APPROACH_MM_S)))
+        near = -self._before_mm - NEAR_MM
+        if self.zero.depth_mm(self.position[FEED]) < near and not self._touched:
+            legs.insert(0, Leg(self._at(near), limit_feed(speed, APPROACH_MM_S)))
         self._course = Course(self._manipulator, self.position, legs)
 
     def _watch(self, reading: Reading) -> Step | None:
@@ -100,20 +106,19 @@ class Drilling:
             stopped = self._on_contact(feed, depth) if event.kind is EventKind.CONTACT else self._on_event(event)
             if stopped is not None:
                 return stopped
-        if self._seeks_bone and not before_contact(depth):
-            return _stop(
-                Trigger.HALT, f"no bone was met up to {depth:.1f} mm beyond the planned entry point: {_ASTRAY}"
-            )
+        if self._seeks_bone and depth > self._contact_mm[1]:
+            what = "no cortex" if self._touched else "no bone"
+            return _stop(Trigger.HALT, f"{what} was met up to {_place(depth)}: {_ASTRAY}")
         return None
 
     def _on_contact(self, feed_mm: float, depth_mm: float) -> Step | None:
-        """Contact: continue with drilling feed; if bone was expected, correct the zero of depth."""
+        """Contact: continue with drilling feed; if bone was expected at the entry, correct the zero of depth."""
         self._touched = True
-        if self._seeks_bone:
+        earliest, latest = self._contact_mm
+        if self._seeks_bone and not earliest <= depth_mm <= latest:
+            return _stop(Trigger.HALT, f"the wire met something {_place(depth_mm)}: {_ASTRAY}")
+        if self._seeks_bone and self._before_mm == 0:
             self._seeks_bone = False
-            if abs(depth_mm + CONTACT_LEAD_MM) > MAX_ZERO_SHIFT_MM:
-                where = f"{abs(depth_mm):.1f} mm {'before' if depth_mm < 0 else 'beyond'} the planned entry point"
-                return _stop(Trigger.HALT, f"the wire met something {where}: {_ASTRAY}")
             try:
                 self.correct_depth(feed_mm, -CONTACT_LEAD_MM, CONTACT_SD_MM)
             except RobotRefusedError as error:
@@ -125,13 +130,26 @@ class Drilling:
         said = _SAID.get(noted.kind)
         if said is not None:
             return _stop(Trigger.FAULT, said.format(force=noted.force_n, depth=noted.depth_mm))
-        if noted.kind is EventKind.BREAK_THROUGH and noted.depth_mm > FAR_SHARE * self._insertion.length_mm:
+        if noted.kind is EventKind.CORTEX:
+            self._seeks_bone = False
+        length, beyond = self._insertion.length_mm, self._insertion.limits.beyond_mm
+        if noted.kind is EventKind.BREAK_THROUGH and noted.depth_mm > FAR_SHARE * length:
+            if beyond > 0 and noted.depth_mm >= length - beyond:  # the far cortex, which is what the drill is to reach
+                self._end_mm = min(noted.depth_mm + POINT_MM, length)
+                self._begin()
+                return None
             where = f"at {noted.depth_mm:.1f} mm, on the far side"
             return _stop(Trigger.HALT, f"the wire broke through a cortex {where}: take a check shot")
         return None
 
 
 _ASTRAY = "the plan is not where this patient's bone is, or something is in the way; take a shot, and plan again"
+
+
+def _place(depth_mm: float) -> str:
+    return f"{abs(depth_mm):.1f} mm {'before' if depth_mm < 0 else 'beyond'} the planned entry point"
+
+
 _SAID = {
     EventKind.FORCE_LIMIT: "the thrust of {force:.0f} N at {depth:.1f} mm is above its limit",
     EventKind.DEPTH_LIMIT: "the wire reached its depth limit at {depth:.1f} mm",

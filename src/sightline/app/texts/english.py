@@ -1,6 +1,6 @@
-"""All texts of the page."""
+"""All texts of the page, in English. Other languages have files with the same keys (`languages.py`)."""
 
-STEPS = ("Images", "Calibrate", "Plan", "Drill", "Verify")
+STEPS = {"images": "Images", "calibrate": "Calibrate", "plan": "Plan", "drill": "Drill", "verify": "Verify"}
 IMAGE_LABELS = {
     "pa": "PA image",
     "lateral": "Lateral image",
@@ -14,6 +14,12 @@ DROP_HERE = "Drop the {image} here"
 DROP_OR = "or"
 DROP_CHOOSE = "Choose a file"
 DROP_ANOTHER = "Load another image"
+DROP_AND = " and the "
+DROP_READING = "reading {file}"
+DROP_TOO_MANY = "at most {count} images at a time"
+DROP_TOO_LARGE = "{file} has more than {size} MB; export a single image"
+DROP_LOST = "the image did not reach the app; is it still running?"
+DROP_REFUSED = "refused ({status})"
 DROP_LABELS = {**IMAGE_LABELS, "oblique": "Oblique image (optional)"}
 LIVE_LABELS = {"pa": "PA, live", "lateral": "Lateral, live"}
 LIVE_UNKNOWN = "Live, view unknown"
@@ -55,6 +61,19 @@ ORIENTATION = {
     "left": "Left hip: +Y of the frame points to the head.",
 }
 SPACE_LABEL = "3-D scene: frame, views, wire, robot"
+SPACE_TEXTS = {
+    "feet": "From the feet",
+    "side": "From the side",
+    "above": "From above",
+    "hip": "Hip",
+    "frame": "Frame",
+    "room": "Room",
+    "keys": "Arrow keys rotate the scene, with Shift they move it; plus and minus zoom.",
+    "none": "This browser does not support 3-D graphics (WebGL). Planning works without it.",
+}
+SPACE_FOCUS = "focal point, {view}"
+SPACE_ERROR_UNKNOWN = "the error of the wire's ends is unknown"
+SPACE_ELLIPSOIDS = "ellipsoids hold 95 % of the error of entry and tip, {times:g} times as large"
 SPACE_GROUPS = {
     "frame": "frame",
     "views": "focal points and images",
@@ -122,8 +141,8 @@ MIRRORED_HINT = (
     "point. Look at writing in an image, as this page shows it, and answer for at least one image:"
 )
 MIRRORED_FIELD = "{image}: writing reads"
-MIRRORED_ANSWERS = {True: "backwards", False: "forwards"}
-MIRRORED_SAID = {True: "{image}: the file shows it mirrored", False: "{image}: the file shows it unmirrored"}
+MIRRORED_ANSWERS = ("forwards", "backwards")
+MIRRORED_SAID = ("{image}: the file shows it unmirrored", "{image}: the file shows it mirrored")
 MIRRORED_REFUSED = "wait until the image is calibrated, then answer"
 DISPLAY_HEADING = "Display"
 DISPLAY_SHOWN = "{image}: {how}"
@@ -159,6 +178,8 @@ WIRE_STATES = {  # of a wire, by its verdict and by what was done
     "verified": "verified",
     "refuted": "NOT verified",
 }
+WIRE_SUFFIX = " wire"  # of a wire's name, which its button leaves out
+WIRES_THEN = ", then the "
 DRILLING_ORDER = "Drill the {wires}: so the wires in the bone hide the fewest beads."
 NEXT_WIRE = "Next: {wire}"
 RELATIONS_HEADING = "The wires to each other"
@@ -173,6 +194,17 @@ IN_IMAGE = {
     "shot-pa": "PA SHOT",
     "shot-lateral": "LATERAL SHOT",
 }
+NAIL_FIELD = "Nail"
+NAIL_NONE = "No nail: points by hand"
+NAIL_CHOICE = "Nail: {name}"
+NAIL_OTHER = "Nail: {mm:g} mm, {material}, of this case"
+NAIL_FIRST = "Choose the nail on the right. Or by hand: {said}"
+NAIL_EDGE_FOUND = "the nail's edge, as found in the image"
+NAIL_AXIS = "axis of the nail"
+RIM_FOUND = "rim of the hole, as found in the image"
+TURNS = "Perfect circle, turn the C-arm: {turns}."
+TURN = "{image} orbit {orbit:+.0f}°, tilt {tilt:+.0f}°"
+SEARCHING_NAIL = "Searching the nail in both images."
 PLACE_WHERE = "{point}: {sentence}"
 PLACE_ON_CURVE = "{point}: slide along its curve and click"
 PLACE_IN_OBLIQUE = "{point}: click where this image shows it; the cross is where the other two expect it"
@@ -183,10 +215,18 @@ RULER_PLANE = (
     "or behind it. Error: 95 %."
 )
 RULER_PLANE_ANGLE = "Between lines parallel to the image. Error: 95 %."
+RULER_SPACE = "In space, from both images. Error: 95 %."
 RULER_NEEDS_WIRE = "Place the wire first: the ruler measures in its plane."
 DEVIATION_OF = ("entry", "tip")
 DEVIATION = "{name} {mm:.2f} mm off"
 DEVIATION_TITLE = "{deviation} its plan; the arrow is drawn {times} times as long"
+CURVE_TITLE = "where the {name} point may lie"
+CURVE_NAMES = {"entry": "entry", "end": "end"}
+BEAD_USED = "{name}: residual {mm:.3f} mm"
+BEAD_LEFT_OUT = "{name}: left out, it contradicts the others by {mm:.2f} mm"
+WIRE_SEEN = "the wire as this image shows it"
+TIP_SEEN = "its tip"
+PLAN_THERE = "the plan"
 EXPECTED_HERE = "{point}: expected here by the PA and the lateral image"
 METRICS_HEADING = "Measurements"
 METRIC_COLUMNS = ("", "± 95 %", "")
@@ -206,6 +246,7 @@ LEFT = "Left: {what}."
 LEFT_CALIBRATION = "two calibrated images"
 LEFT_SIDE = "patient's side"
 LEFT_SERIAL = "frame's serial"
+CHECK_STATUS = {"passed": "passed", "failed": "failed"}
 ALL_CHECKS = "All {count} checks"
 FIGURES = {  # by the name of the check that states them; of a procedure's own ones the first that it has
     "entry error": "Entry, 95 % error",
@@ -249,7 +290,7 @@ SHARES_WHOLE = "together"
 
 # Drill.
 ROBOT_HEADING = "Robot"
-ROBOT_NAMES = {True: "simulated robot", False: "robot"}  # whether the patient is simulated
+ROBOT_NAMES = ("robot", "simulated robot")  # the latter for a simulated patient
 STARTING_ROBOT = "starting the simulated robot"
 START_ROBOT = "Start the simulated robot"
 ROBOT_OFF = "The robot is not started."
@@ -273,8 +314,9 @@ STATES = {
     "RETRACT": "Retracting the wire",
 }
 DEPTH_MARKS = ("cortex", "pause", "tip", "limit")
-DEPTHS = {False: "{value:.1f} mm", True: "{value:.1f} mm before"}  # in bone, and before it
+DEPTHS = ("{value:.1f} mm", "{value:.1f} mm before")  # in bone, and before it
 DRILLED_TITLE = "the wire, drilled so far"
+READING_DEPTH = "{value:.1f} mm {error} (zero: {zero})"
 READING = "Depth {depth} · thrust {force}"
 FAULT = "Fault {number}: {what}"
 RESET_FAULT = "Reset the fault"
@@ -289,11 +331,8 @@ SHOT_HEADING = "Second shot"
 SHOT_HEADINGS = {"ALIGNED": "Confirmation shot", "PAUSED": "Second shot"}
 TAKE_SHOT = "Take the shot"
 SHOT_DROP = "Drop both images of the shot onto the page, with the block on its mount again."
-SHOT_WORDS = {  # decision of a shot: class and sentence
-    "GO": ("go", "The wire is on the plan. A person decides."),
-    "STOP": ("no-go", ""),
-    "INCOMPLETE": ("incomplete", ""),
-}
+SHOT_ON_PLAN = "The wire is on the plan. A person decides."
+SHOT_DECISIONS = {"GO": "GO", "STOP": "STOP", "INCOMPLETE": "INCOMPLETE"}
 SHOT_COLUMNS = ("", "measured", "± 95 %")
 SHOT_ROWS = ("entry, perpendicular", "end, drilled on", "direction", "depth of the tip")
 SEND_MEASURED = "Send the measured depth"
@@ -326,13 +365,13 @@ AGAINST_PLAN_HEADING = "Wire compared with the plan"
 DEVIATION_COLUMNS = ("", "measured", "± 95 %")
 DEVIATIONS = ("entry, perpendicular", "tip", "direction")
 BENT = "The wire is bent by up to {bow_mm:.2f} mm."
-CHECK_VERDICT = {  # word and sentence
-    True: ("PASSED", "The check shot passed: the wire lies as planned."),
-    False: ("FAILED", "The check shot did not pass."),
-}
+CHECK_VERDICT = (  # word and sentence, of a failed and of a passed one
+    ("FAILED", "The check shot did not pass."),
+    ("PASSED", "The check shot passed: the wire lies as planned."),
+)
 
 # Software, robot and safety.
-NOT_A_DEVICE = "Research software, not a medical device."
+FOOT = "Research software, not a medical device. Case {case}"
 STOP_IS_NO_EMERGENCY_STOP = (
     "In an emergency press the red button at the robot. STOP and the space bar only ask the robot's program to stop."
 )
@@ -345,6 +384,7 @@ STAY = "Stay"
 LEAVE = "Leave"
 REACHABLE = "Other machines can reach this page; anyone with its address and token can move the robot."
 SEND_QUESTION = "Send this plan to the robot?"
+SIDE_WORDS = {"right": "right", "left": "left"}
 SEND_WHAT = (
     "The {robot} receives a wire of {length:.1f} mm in a {side} hip, in the coordinates of frame {serial}. "
     "Nothing moves yet. “Align” will then move the arm until the wire's guide points along the plan, "
@@ -358,7 +398,7 @@ DRILL_QUESTION = (
     "Does the sleeve stand on the bone, and does the confirmation shot show the guide on the plan?"
 )
 DRILL_ON_QUESTION = "Continue drilling: the last 10 mm. Does the second shot show the wire on the plan?"
-BY_PLAN, BY_CONTACT, BY_SHOT = "plan", "contact", "second shot"  # sources of the zero of depth
+ZEROS = {"plan": "plan", "contact": "contact", "shot": "second shot"}  # sources of the zero of depth
 SHOT_QUESTION = "Send this depth to the robot? It counts the last 10 mm from it. A depth can be sent only once."
 SHOT_UNMEASURED = (
     "If you measured the tip's depth beyond the planned entry point in the second shot, enter it here. Sightline "
@@ -407,4 +447,8 @@ CASES = "Cases"
 CASE_COLUMNS = ("case", "newest entry, UTC", "reached", "folder")
 CASE_HERE = "{number} (this one)"
 CASE_REACHED = {"acquired": "images", "planned": "planned", "drilled": "drilled", "verified": "verified"}
-CASE_OPEN = "To open another case, start: sightline app --case FOLDER"
+CASE_OPEN = "Open"
+CASE_QUESTION = "Open case {number}? All that was done in this case is saved; it can be opened again."
+CASE_ROBOT = "The link to the robot is closed: it stops and forgets its plan."
+CASE_BUSY = "open the other case when this is done: {doing}"
+CASE_MOVING = "stop the robot, or wait until its motion has ended, then open the other case"

@@ -1,0 +1,211 @@
+"""The holes of a nail in the app, without a page: what is asked for, planned, searched again, and refused."""
+
+import asyncio
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks.scenes_hole import seen
+from tests.planning.test_two_holes import ERRORS, KNOWN, NAIL, SIGHTS, VIEWS, _matrix
+
+from sightline.app.drawing import shapes
+from sightline.app.plan.decisions import Decisions, Mark
+from sightline.app.plan.holes import NAIL as STROKES
+from sightline.app.plan.holes import HolesFound, nail_drawn, of_wire, with_nail
+from sightline.app.plan.marks import NAIL_EDGES, hole_mark
+from sightline.app.plan.planner import plan_input, planned
+from sightline.app.session.jobs import Jobs
+from sightline.app.session.nail import NailInImages
+from sightline.app.tab.placing import _goals
+from sightline.calibration import view_from_matrix
+from sightline.case.views import NAMES
+from sightline.imaging import Radiograph
+from sightline.planning import Hole, Nail, WirePicks, fit_hole, plan_wires
+from sightline.planning.procedures.files import document_of
+
+KEYS = ("distal", "proximal")
+KINDS = tuple(f"distal-interlocking:{key}" for key in KEYS)
+MIDDLES = dict(zip(KEYS, NAIL.holes[::-1, 0], strict=True))
+
+
+@pytest.fixture(scope="module")
+def holes() -> dict[str, Hole]:
+    rng = np.random.default_rng(5)
+    return {key: fit_hole(VIEWS, seen(rng, NAIL, SIGHTS, n), KNOWN) for n, key in ((1, "distal"), (0, "proximal"))}
+
+
+def _mark(uv_px: np.ndarray) -> Mark:
+    return Mark({name: (float(u), float(v)) for name, (u, v) in zip(NAMES, uv_px, strict=True)})
+
+
+def _decided(keys: tuple[str, ...] = KEYS, **given: Any) -> Decisions:
+    """The strokes drawn, these holes clicked, and two landmarks."""
+    rng = np.random.default_rng(6)
+    decisions = Decisions(
+        **{"images": {"pa": 1, "lateral": 2}, "kind": KINDS[0], "side": "right", "nail": KNOWN, **given}
+    )
+    for spec in NAIL_EDGES:
+        decisions = decisions.with_mark(spec.name, _mark(rng.uniform(100.0, 900.0, (2, 2))))
+    for key in keys:
+        uv = np.array([view.project(MIDDLES[key][None])[0] for view in VIEWS])
+        decisions = decisions.with_mark(hole_mark(key), _mark(uv))
+    marks = NAIL.placed(np.array([[0.0, 0.0, 40.0], [4.0, 0.0, 14.0]]))
+    for name, at in zip(("nail-tip", "lateral-epicondyle"), marks, strict=True):
+        decisions = decisions.with_mark(
+            f"landmark-{name}", _mark(np.array([view.project(at[None])[0] for view in VIEWS]))
+        )
+    return decisions
+
+
+def _found(decisions: Decisions, holes: dict[str, Hole], **given: Any) -> HolesFound:
+    drawn: Any = nail_drawn(decisions)
+    return HolesFound(drawn, tuple(VIEWS), (), holes=holes, **given)  # type: ignore[arg-type]
+
+
+def test_a_chosen_nail_is_asked_for_by_strokes_and_clicks_image_by_image() -> None:
+    decisions = replace(Decisions(kind=KINDS[0]), nail=KNOWN)
+    edges = [spec.name for spec in NAIL_EDGES]
+    asked = [goal.spec.name for goal in _goals([s for s in decisions.specs if s.group == "nail"], NAMES)]
+    assert asked == 2 * [*edges, "hole-distal", "hole-proximal"] and len(edges) == 4
+    assert {spec.group for spec in decisions.specs} == {"nail", "landmark"}
+    assert {spec.group for spec in replace(decisions, nail=None).specs} == {"wire", "landmark", "aid"}
+    assert {spec.group for spec in replace(decisions, kind="hip-screw").specs} == {"wire", "landmark", "aid"}
+    assert nail_drawn(decisions) is None and nail_drawn(replace(_decided(), nail=None)) is None
+
+
+def test_strokes_and_clicks_are_kept_in_their_order_and_with_the_case() -> None:
+    decisions = _decided(("proximal",))
+    again = Decisions.of(decisions.document())
+    assert again == decisions and again.nail == KNOWN
+    drawn = nail_drawn(again)
+    assert drawn is not None and drawn.strokes_px.shape == (2, 2, 2, 2) and list(drawn.clicks_px) == ["proximal"]
+    for k, image in enumerate(NAMES):
+        for n, spec in enumerate(NAIL_EDGES):
+            assert tuple(drawn.strokes_px[k, n // 2, n % 2]) == decisions.mark(spec.name).at(image)
+    assert with_nail(Decisions(kind=KINDS[0]), drawn).marks.items() <= decisions.marks.items()
+    assert of_wire(with_nail(Decisions(kind=KINDS[0]), drawn), KINDS[1]) == of_wire(decisions, KINDS[1])
+    old = decisions.document()
+    del old["nail"]
+    assert Decisions.of(old).nail is None
+    assert nail_drawn(decisions.with_image("lateral", 3, same_pixels=False)) is None
+
+
+def test_the_plan_is_that_of_the_command_line_on_the_same_holes(holes: dict[str, Hole]) -> None:
+    decisions = _decided()
+    known = planned(decisions, VIEWS, _found(decisions, holes))  # type: ignore[arg-type]
+    asked = plan_input(decisions, 2)
+    assert asked.landmarks_uv_px is not None and asked.nail is not None and asked.others is not None
+    wanted = plan_wires(
+        VIEWS,
+        {key: WirePicks.of_hole(hole, VIEWS) for key, hole in holes.items()},
+        procedure=document_of("distal-interlocking"),
+        side="right",
+        landmarks_uv_px=asked.landmarks_uv_px,
+        landmark_names=asked.landmark_names,
+    )
+    assert known.verdict is not None and known.verdict.state == wanted.verdict.state == "go"
+    for kind, key in zip(KINDS, KEYS, strict=True):
+        np.testing.assert_array_equal(known.plans[kind].trajectory.entry_mm, wanted.plans[key].trajectory.entry_mm)
+        assert known.plans[kind].hole is not None
+    np.testing.assert_array_equal(asked.entry_uv_px, asked.nail.clicks_px["distal"])
+    np.testing.assert_array_equal(asked.others["proximal"].end_uv_px, asked.nail.clicks_px["proximal"])
+    assert plan_input(decisions, 2, KINDS[1]).of_wire("distal").kind == KINDS[0]
+    other = planned(replace(decisions, kind=KINDS[1]), VIEWS, _found(decisions, holes))  # type: ignore[arg-type]
+    assert other.plan is not None and other.plan.kind.key == KINDS[1]
+
+
+def test_one_hole_alone_is_incomplete_and_no_hole_is_no_plan(holes: dict[str, Hole]) -> None:
+    decisions = _decided(("distal",))
+    known = planned(decisions, VIEWS, _found(decisions, {"distal": holes["distal"]}))  # type: ignore[arg-type]
+    assert known.plan is not None and known.verdict is not None and known.verdict.state == "incomplete"
+    assert "proximal hole" in " ".join(check.sentence for check in known.verdict.unmade)
+    for found in (None, _found(_decided(()), {})):
+        none = planned(decisions, VIEWS, found)  # type: ignore[arg-type]
+        assert none.plan is None and none.verdict is None and not none.refused
+
+
+@pytest.mark.parametrize(
+    ("which", "words"),
+    [("exchanged", "the holes are exchanged"), ("side", "the holes are exchanged"), ("spacing", "it is another nail")],
+)
+def test_holes_that_may_be_confused_are_refused_with_a_sentence(which: str, words: str, holes: dict[str, Hole]) -> None:
+    decisions, given = _decided(side="left" if which == "side" else "right"), dict(holes)
+    if which == "exchanged":
+        given = {"distal": holes["proximal"], "proximal": holes["distal"]}
+    if which == "spacing":
+        given = {key: replace(hole, nail=replace(KNOWN, spacing_mm=31.0)) for key, hole in holes.items()}
+    known = planned(decisions, VIEWS, _found(decisions, given))  # type: ignore[arg-type]
+    assert known.plan is None and known.verdict is None and words in known.refused["plan"]
+
+
+def test_without_a_side_and_with_a_refused_hole_there_is_no_plan(holes: dict[str, Hole]) -> None:
+    decisions = _decided()
+    unsure = planned(replace(decisions, side=None), VIEWS, _found(decisions, holes))  # type: ignore[arg-type]
+    assert unsure.verdict is None and "give the side of the patient" in unsure.refused["plan"]
+    found = _found(decisions, {"distal": holes["distal"]}, refused={"hole-proximal": "one rim alone"})
+    refused = planned(decisions, VIEWS, found)  # type: ignore[arg-type]
+    assert refused.verdict is None and refused.refused == {"hole-proximal": "one rim alone"}
+
+
+def test_views_less_than_20_degrees_apart_and_images_without_a_nail_are_refused() -> None:
+    drawn: Any = nail_drawn(_decided())
+    dark: Any = [Radiograph(np.full((1024, 1024), 900, dtype=np.uint16), white=1000)] * 2
+    near: Any = [VIEWS[0], view_from_matrix(_matrix(-100.0), ERRORS, "lateral")]
+    refused = HolesFound.find(drawn, near, dark)
+    assert "at least 20° is needed" in refused.refused[STROKES] and not refused.holes
+    views: Any = VIEWS
+    empty = HolesFound.find(drawn, views, dark)
+    assert "the nail" in empty.refused[STROKES] and empty.nail is None
+    assert empty.is_of(drawn, views) and not empty.is_of(drawn, near) and not empty.is_of(None, views)
+    moved = replace(drawn, clicks_px={"distal": drawn.clicks_px["distal"] + 0.1})
+    assert not empty.is_of(moved, views)
+    known = planned(_decided(), views, empty)
+    assert known.verdict is None and shapes.nail_found(known, "pa") == []
+
+
+def test_a_search_runs_beside_the_page_again_after_a_change_and_not_after_a_defect(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn: list[Any] = [nail_drawn(_decided())]
+    searched: list[Any] = []
+
+    def find(now: Any, views: Any, images: Any, before: Any) -> HolesFound:
+        searched.append(now)
+        if len(searched) == 1:
+            drawn[0] = replace(now, nail=Nail(12.0))  # changed while it is searched
+        if len(searched) == 3:
+            raise ZeroDivisionError
+        return HolesFound(now, views, images)
+
+    monkeypatch.setattr(HolesFound, "find", find)
+
+    async def work() -> None:
+        jobs = Jobs()
+        nail = NailInImages(lambda: (drawn[0], (), ()), jobs)
+        jobs.listeners.append(nail.update)
+        jobs.notify()
+        assert nail.searching and nail.found is None
+        jobs.notify()  # one search at a time
+        while nail.searching or nail.found is None:
+            await asyncio.sleep(0.001)
+        assert len(searched) == 2 and nail.found.drawn is drawn[0]
+        drawn[0] = nail_drawn(_decided(("distal",)))
+        jobs.notify()
+        while nail.searching:
+            await asyncio.sleep(0.001)
+        jobs.notify()
+        assert len(searched) == 3 and nail.found is not None
+        assert "something in Sightline failed (ZeroDivisionError)" in nail.found.refused[STROKES]
+
+    asyncio.run(work())
+
+
+def test_a_sent_hole_holds_until_its_own_marks_change() -> None:
+    decisions = _decided()
+    moved = decisions.with_mark("hole-proximal", _mark(np.array([[1.0, 2.0], [3.0, 4.0]])))
+    assert of_wire(moved, KINDS[0]) == of_wire(decisions, KINDS[0])
+    assert of_wire(moved, KINDS[1]) != of_wire(decisions, KINDS[1])
+    edge = decisions.with_mark(NAIL_EDGES[2].name, _mark(np.array([[1.0, 2.0], [3.0, 4.0]])))
+    for other in (edge, replace(decisions, nail=Nail(12.0)), replace(decisions, nail=None)):
+        assert of_wire(other, KINDS[0]) != of_wire(decisions, KINDS[0])
