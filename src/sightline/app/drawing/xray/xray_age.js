@@ -3,7 +3,8 @@
 // Times are by performance.now(). The browser itself notices that nothing was received; no message is needed for it.
 
 export class Age {
-  // `onChange(stale)` hears when the image on the screen goes out of date, and when it is current again.
+  /** `onChange(stale)` hears when the image on the screen goes out of date, and when it is current again.
+   * @param {(stale: boolean) => void} onChange */
   constructor(onChange) {
     this.onChange = onChange;
     this.stale = false;
@@ -14,7 +15,10 @@ export class Age {
     this.timer = undefined;
   }
 
-  // The image at `url` is current for `ms`, null: for ever. `shown`: address of the one on the screen.
+  /** The image at `url` is current for `ms`, null: for ever. `shown`: address of the one on the screen.
+   * @param {string | null} url
+   * @param {number | null} ms
+   * @param {string | null} shown */
   extend(url, ms, shown) {
     const until = ms === null ? Infinity : performance.now() + ms;
     this.coming = shown === url ? null : { url, until };
@@ -22,7 +26,8 @@ export class Age {
     this.#look();
   }
 
-  // The image at `url` is on the screen.
+  /** The image at `url` is on the screen.
+   * @param {string | null} url */
   arrived(url) {
     if (!this.coming || this.coming.url !== url) return;
     this.until = this.coming.until;

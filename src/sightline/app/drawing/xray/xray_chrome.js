@@ -2,7 +2,11 @@
 //
 // Texts come from outside and are inserted as text nodes, never as HTML.
 
+/** @typedef {import("./types").Pair} Pair */
+/** @typedef {import("./types").Window} Window_ */
+
 const SVG = "http://www.w3.org/2000/svg";
+/** @type {Record<string, string>} */
 const ICONS = {
   fit: "M4 9V4h5M20 9V4h-5M4 15v5h5M20 15v5h-5M9 9h6v6H9z",
   link: "M10 14a4 4 0 0 1 0-5.6l2.5-2.5a4 4 0 0 1 5.6 5.6L16.5 13M14 10a4 4 0 0 1 0 5.6l-2.5 2.5a4 4 0 0 1-5.6-5.6L7.5 11",
@@ -63,6 +67,7 @@ const SHEET = `
 @container (max-width: 34em) { .xray-tools button { width: 2.1em; height: 2.5em; } .xray-name { padding-inline: 0.55em; } }
 `;
 
+/** @type {CSSStyleSheet | null} */
 let sheet = null; // shared by all views of the page
 
 function useSheet() {
@@ -72,6 +77,10 @@ function useSheet() {
   document.adoptedStyleSheets = [...document.adoptedStyleSheets, sheet];
 }
 
+/** @template {keyof HTMLElementTagNameMap} Tag
+ * @param {Tag} tag
+ * @param {string} className
+ * @param {Record<string, string>} [attributes] */
 function element(tag, className, attributes = {}) {
   const made = document.createElement(tag);
   made.className = className;
@@ -79,6 +88,7 @@ function element(tag, className, attributes = {}) {
   return made;
 }
 
+/** @param {string} name */
 function icon(name) {
   const svg = document.createElementNS(SVG, "svg");
   svg.setAttribute("viewBox", "0 0 24 24");
@@ -90,7 +100,11 @@ function icon(name) {
 }
 
 export class Chrome {
-  // `actions` maps each button's name to its action.
+  /** `actions` maps each button's name to its action.
+   * @param {HTMLElement} root
+   * @param {string} label
+   * @param {import("./types").Texts} texts
+   * @param {import("./xray_settings.js").Settings["actions"]} actions */
   constructor(root, label, texts, actions) {
     useSheet();
     this.texts = texts;
@@ -114,39 +128,44 @@ export class Chrome {
     this.legend = element("div", "xray-panel xray-legend", { "data-testid": "legend", hidden: "" });
     this.tip = element("div", "xray-panel xray-tip", { role: "tooltip", "data-testid": "tip", hidden: "" });
     this.live = element("div", "xray-live", { "aria-live": "polite", "data-testid": "live" });
+    /** @type {Record<string, HTMLButtonElement>} */
     this.buttons = {};
+    this.name = element("div", "xray-panel xray-name");
+    this.tools = element("div", "xray-panel xray-tools", { role: "toolbar" });
+    this.presets = element("span", "xray-presets");
+    this.choose = actions.preset;
     root.append(this.stage, this.#head(actions), this.#foot(), this.tip, this.live);
     this.setLabel(label);
   }
 
-  // The image's title.
+  /** The image's title.
+   * @param {string} label */
   setLabel(label) {
     this.title.textContent = label;
     for (const named of [this.root, this.stage, this.tools]) named.setAttribute("aria-label", label);
   }
 
-  // A line of text over the image, hidden while empty.
+  /** A line of text over the image, hidden while empty.
+   * @param {string} name */
   #line(name) {
     const line = element("div", "xray-panel xray-notice", { role: "status", "data-testid": name, hidden: "" });
     line.classList.toggle("xray-hint", name === "hint" || name === "measured");
     return line;
   }
 
+  /** @param {import("./xray_settings.js").Settings["actions"]} actions */
   #head({ preset, ...actions }) {
     const head = element("div", "xray-head");
-    this.name = element("div", "xray-panel xray-name");
     this.name.append(this.title, this.turned);
     const notices = element("div", "xray-notices");
     notices.append(this.fault, this.lost, this.notice, this.stale, this.hint, this.measured);
-    this.tools = element("div", "xray-panel xray-tools", { role: "toolbar" });
-    this.presets = element("span", "xray-presets");
-    this.choose = preset;
     for (const [action, act] of Object.entries(actions)) this.tools.append(this.#button(action, act));
     this.buttons.window.after(this.presets);
     head.append(this.name, this.tools, notices);
     return head;
   }
 
+  /** @type {(action: string, act: () => void) => HTMLButtonElement} */
   #button(action, act) {
     const button = element("button", "", { type: "button" });
     this.buttons[action] = button;
@@ -163,6 +182,8 @@ export class Chrome {
     return foot;
   }
 
+  /** @param {string} action
+   * @param {string} name */
   relabel(action, name) {
     const button = this.buttons[action];
     button.setAttribute("aria-label", this.texts[name]);
@@ -185,6 +206,7 @@ export class Chrome {
     }
   }
 
+  /** @type {(name: string, window: Window_) => HTMLButtonElement} */
   #preset(name, window) {
     const button = element("button", "", { type: "button", "data-preset": name });
     button.textContent = this.texts[name];
@@ -197,30 +219,42 @@ export class Chrome {
     return this.legend.hidden ? 2.6 : 4.8;
   }
 
+  /** @param {string} action
+   * @param {boolean} on */
   press(action, on) {
     this.buttons[action].setAttribute("aria-pressed", String(on));
   }
 
+  /** @param {string} text */
   say(text) {
     this.live.textContent = text;
   }
 
+  /** @param {HTMLElement} line
+   * @param {string | null} text */
   showLine(line, text) {
     line.hidden = !text;
     line.textContent = text || "";
   }
 
+  /** @param {string} numbers
+   * @param {string} turned
+   * @param {boolean} usual */
   showState(numbers, turned, usual) {
     this.showText(this.state, numbers);
     this.showText(this.turned, turned);
     this.turned.classList.toggle("unusual", !usual);
   }
 
-  // Set a text only if it differs: setting it causes a new layout.
+  /** Set a text only if it differs: setting it causes a new layout.
+   * @param {HTMLElement} where
+   * @param {string} text */
   showText(where, text) {
     if (where.textContent !== text) where.textContent = text;
   }
 
+  /** @param {string} text
+   * @param {Pair} at */
   showTip(text, [x, y]) {
     this.tip.hidden = !text;
     if (!text) return;

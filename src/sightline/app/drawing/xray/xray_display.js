@@ -4,6 +4,9 @@
 // View:  (x, y) in CSS pixels from the top-left corner of the view, x right, y down.
 // The image is mirrored first (u -> -u), then rotated clockwise. Only the drawing is rotated, not the coordinates.
 
+/** @typedef {import("./types").Pair} Pair */
+
+/** @type {Record<number, Pair>} */
 const ROTATIONS = { 0: [1, 0], 90: [0, 1], 180: [-1, 0], 270: [0, -1] }; // cos, sin, exact
 const ZOOM_MAX = 64; // [ours] CSS pixels per image pixel: 1/64 px is finer than anyone can point
 const ZOOM_MIN_OF_FIT = 0.5; // [ours] smallest zoom, as a share of the fitted zoom
@@ -12,6 +15,7 @@ export class Display {
   constructor() {
     this.width = 1; // image size, pixels
     this.height = 1;
+    /** @type {Pair[]} */
     this.field = [];
     this.viewWidth = 1; // view size, CSS pixels
     this.viewHeight = 1;
@@ -53,7 +57,8 @@ export class Display {
     return [(d * dx - c * dy) / determinant, (a * dy - b * dx) / determinant];
   }
 
-  // `field`: corners of the convex part that X-rays reach, clockwise as the image is stored; null: all of it.
+  /** `field`: corners of the convex part that X-rays reach, clockwise as the image is stored; null: all of it.
+   * @param {{ width: number, height: number, field: Pair[] | null }} image */
   setImage({ width, height, field }) {
     this.field = field || [[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]];
     const same = width === this.width && height === this.height;
@@ -62,6 +67,8 @@ export class Display {
     if (!same) this.fit();
   }
 
+  /** @param {number} width
+   * @param {number} height */
   setView(width, height) {
     this.viewWidth = Math.max(width, 1);
     this.viewHeight = Math.max(height, 1);
@@ -81,7 +88,9 @@ export class Display {
     this.zoom = this.fitZoom();
   }
 
-  // Zoom by a factor about the position `at` (CSS pixels).
+  /** Zoom by a factor about the position `at` (CSS pixels).
+   * @param {number} factor
+   * @param {number[]} at */
   zoomAt(factor, at) {
     const held = this.toImage(at);
     const least = this.fitZoom() * ZOOM_MIN_OF_FIT;
@@ -116,12 +125,16 @@ export class Display {
     return [this.viewWidth / 2, this.viewHeight / 2];
   }
 
+  /** @param {number} dx
+   * @param {number} dy */
   panBy(dx, dy) {
     const [du, dv] = this.toImageStep([dx, dy]);
     this.moveCentre(-du, -dv);
   }
 
-  // Keeps the centre of the view on the image, so that the image stays visible.
+  /** Keeps the centre of the view on the image, so that the image stays visible.
+   * @param {number} du
+   * @param {number} dv */
   moveCentre(du, dv) {
     this.fitted = false;
     this.centre = [
@@ -130,6 +143,8 @@ export class Display {
     ];
   }
 
+  /** @param {number} rotation
+   * @param {boolean} mirrored */
   orient(rotation, mirrored) {
     this.rotation = rotation;
     this.mirrored = mirrored;
@@ -145,7 +160,9 @@ export class Display {
     this.orient((360 - this.rotation) % 360, !this.mirrored);
   }
 
-  // The position itself, or the nearest one in the field.
+  /** The position itself, or the nearest one in the field.
+   * @param {Pair} uv
+   * @returns {Pair} */
   clamp(uv) {
     if (this.contains(uv)) return uv;
     let best = uv;
@@ -154,6 +171,7 @@ export class Display {
       const [du, dv] = this.#side(index);
       const along = ((uv[0] - u) * du + (uv[1] - v) * dv) / (du * du + dv * dv);
       const share = Math.min(Math.max(along, 0), 1);
+      /** @type {Pair} */
       const at = [u + share * du, v + share * dv];
       const away = Math.hypot(at[0] - uv[0], at[1] - uv[1]);
       if (away < least) [best, least] = [at, away];
@@ -161,7 +179,8 @@ export class Display {
     return best;
   }
 
-  // Whether X-rays reach a position.
+  /** Whether X-rays reach a position.
+   * @param {Pair} uv */
   contains(uv) {
     return this.field.every(([u, v], index) => {
       const [du, dv] = this.#side(index);
@@ -169,6 +188,8 @@ export class Display {
     });
   }
 
+  /** @param {number} index
+   * @returns {Pair} */
   #side(index) {
     const [u, v] = this.field[index];
     const [nextU, nextV] = this.field[(index + 1) % this.field.length];

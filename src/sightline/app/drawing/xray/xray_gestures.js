@@ -5,7 +5,17 @@
 
 import { ARROWS, press } from "./xray_keys.js";
 
+/** @typedef {import("./types").Pair} Pair */
+/** What the person does: presses with one button, drags a point, or pinches with two fingers.
+ * @typedef {{ pointer: number, type: string, from: Pair, last: Pair, moved: boolean }} Press
+ * @typedef {Press & { kind: "pan" | "window" | "measure" | "place" }} Hold
+ * @typedef {Press & { kind: "drag", id: string, start: Pair, grip: Pair }} Drag
+ * @typedef {{ kind: "pinch", middle: Pair, span: number }} Pinch
+ * @typedef {Hold | Drag | Pinch} Gesture */
+
+/** @type {Record<string, number>} */
 const REACH = { mouse: 12, pen: 16, touch: 30 }; // CSS pixels around a point
+/** @type {Record<string, number>} */
 const SLOP = { mouse: 0, pen: 2, touch: 6 }; // CSS pixels before a press becomes a drag
 const WHEEL_ZOOM = 0.0015; // per CSS pixel of wheel: 16 % for a notch of 100
 const PINCH_WHEEL_ZOOM = 0.01; // a trackpad's pinch arrives as wheel events with ctrl and small steps
@@ -13,33 +23,38 @@ const LINE_PX = 16; // for a wheel that counts lines
 const WINDOW_PER_PX = 1 / 300; // [ours] a drag of 300 CSS pixels is one width of the window
 
 const OVER_THE_PAGE = "[role=dialog], [role=listbox], [role=menu]"; // open dialogs and lists handle the Escape key themselves
+/** @type {Set<Gestures>} */
 const gestures = new Set(); // of all views of the page
 
 export class Gestures {
+  /** @param {import("./xray.js").XrayCore} core */
   constructor(core) {
     this.core = core;
     this.stage = core.stage;
-    /** @type {any} */
-    this.now = null; // {kind, ...}
+    /** @type {Gesture | null} */
+    this.now = null;
+    /** @type {DOMRect | null} */
     this.box = null; // the stage's rectangle when the gesture began
+    this.overPoint = false;
+    /** @type {Map<number, Pair>} */
     this.pointers = new Map(); // id -> position in the view
     this.end = new AbortController();
-    const listen = (target, type, handler, options = {}) =>
-      target.addEventListener(type, handler, { signal: this.end.signal, ...options });
-    listen(this.stage, "pointerdown", (event) => this.#down(event));
-    listen(this.stage, "pointermove", (event) => this.#move(event));
-    listen(this.stage, "pointerrawupdate", (event) => this.#hurry(event));
-    listen(this.stage, "pointerup", (event) => this.#up(event));
-    listen(this.stage, "pointercancel", (event) => this.#cancel(event));
-    listen(this.stage, "pointerleave", (event) => this.#leave(event));
-    listen(this.stage, "wheel", (event) => this.#wheel(event), { passive: false });
-    listen(this.stage, "contextmenu", (event) => event.preventDefault());
-    listen(this.stage, "keydown", (event) => press(core, event));
-    listen(window, "keydown", (event) => this.#escape(event));
+    const { stage } = this;
+    const { signal } = this.end;
+    stage.addEventListener("pointerdown", (event) => this.#down(event), { signal });
+    stage.addEventListener("pointermove", (event) => this.#move(event), { signal });
+    stage.addEventListener("pointerrawupdate", (event) => this.#hurry(/** @type {PointerEvent} */ (event)), { signal });
+    stage.addEventListener("pointerup", (event) => this.#up(event), { signal });
+    stage.addEventListener("pointercancel", (event) => this.#cancel(event), { signal });
+    stage.addEventListener("pointerleave", (event) => this.#leave(event), { signal });
+    stage.addEventListener("wheel", (event) => this.#wheel(event), { signal, passive: false });
+    stage.addEventListener("contextmenu", (event) => event.preventDefault(), { signal });
+    stage.addEventListener("keydown", (event) => press(core, event), { signal });
+    window.addEventListener("keydown", (event) => this.#escape(event), { signal });
     gestures.add(this);
     // Capture the event anywhere on the page, before its target gets it.
     for (const deed of ["pointerdown", "keydown", "click"]) {
-      listen(window, deed, (event) => this.#somethingElse(event), { capture: true });
+      window.addEventListener(deed, (event) => this.#somethingElse(event), { signal, capture: true });
     }
   }
 
@@ -55,13 +70,15 @@ export class Gestures {
 
   // The view was resized or moved: the gesture continues from its current position.
   viewChanged() {
-    if (!this.now || !this.box) return;
-    const { left, top } = this.box;
-    this.box = this.stage.getBoundingClientRect();
-    const moved = ([x, y]) => [x + left - this.box.left, y + top - this.box.top];
+    const { now, box: before } = this;
+    if (!now || !before) return;
+    const box = (this.box = this.stage.getBoundingClientRect());
+    /** @type {(at: Pair) => Pair} */
+    const moved = ([x, y]) => [x + before.left - box.left, y + before.top - box.top];
     for (const [id, at] of this.pointers) this.pointers.set(id, moved(at));
-    for (const what of ["from", "last", "middle"]) if (this.now[what]) this.now[what] = moved(this.now[what]);
-    if (this.now.kind === "drag") this.#grip(this.now, this.core.state.points.get(this.now.id).uv);
+    if (now.kind === "pinch") now.middle = moved(now.middle);
+    else Object.assign(now, { from: moved(now.from), last: moved(now.last) });
+    if (now.kind === "drag") this.#grip(now, this.#place(now));
   }
 
   // The dragged point was removed.
@@ -92,12 +109,15 @@ export class Gestures {
 
   // ----------------------------------------------------------------------------------------------------------- pointers
 
+  /** @param {MouseEvent} event
+   * @returns {Pair} */
   #at(event) {
     // Once per gesture, because it may force a layout of the page.
     if (!this.now || !this.box) this.box = this.stage.getBoundingClientRect();
     return [event.clientX - this.box.left, event.clientY - this.box.top];
   }
 
+  /** @param {PointerEvent} event */
   #down(event) {
     const at = this.#at(event);
     this.pointers.set(event.pointerId, at);
@@ -110,6 +130,9 @@ export class Gestures {
     this.#draw(at);
   }
 
+  /** @param {PointerEvent} event
+   * @param {Pair} at
+   * @returns {Hold | Drag} */
   #start(event, at) {
     const { state } = this.core;
     const base = { pointer: event.pointerId, type: event.pointerType, from: at, last: at, moved: false };
@@ -121,38 +144,46 @@ export class Gestures {
     if (point) this.core.focusPoint(point.id);
     if (point?.movable) {
       state.dragging = point.id;
-      const drag = { kind: "drag", ...base, id: point.id, start: point.uv };
-      this.#startFrom(drag, at);
+      /** @type {Drag} */
+      const drag = { kind: "drag", ...base, id: point.id, start: point.uv, grip: [0, 0] };
+      this.#grip(drag, point.uv);
       return drag;
     }
     return { kind: state.tool === "window" ? "window" : "pan", ...base };
   }
 
+  /** @returns {Pinch} */
   #startPinch() {
     this.core.lens = null;
     const [first, second] = [...this.pointers.values()];
     return { kind: "pinch", middle: middleOf(first, second), span: spanOf(first, second) };
   }
 
+  /** @param {PointerEvent} event */
   #reach(event) {
     return (REACH[event.pointerType] || REACH.mouse) * this.core.canvas.unit;
   }
 
+  /** @param {PointerEvent} event */
   #move(event) {
     const at = this.#at(event);
     if (this.pointers.has(event.pointerId)) this.pointers.set(event.pointerId, at);
-    if (!this.now) this.#hover(event, at);
-    else if (this.now.kind === "pinch") this.#pinch();
-    else if (this.now.pointer === event.pointerId) this.#continue(at);
+    const { now } = this;
+    if (!now) this.#hover(event, at);
+    else if (now.kind === "pinch") this.#pinch(now);
+    else if (now.pointer === event.pointerId) this.#continue(now, at);
     this.#draw(at);
   }
 
-  // Send a dragged point at once: the browser delays "pointermove" until its next frame.
+  /** Send a dragged point at once: the browser delays "pointermove" until its next frame.
+   * @param {PointerEvent} event */
   #hurry(event) {
     const { now } = this;
-    if (now && now.kind === "drag" && now.pointer === event.pointerId) this.#continue(this.#at(event));
+    if (now && now.kind === "drag" && now.pointer === event.pointerId) this.#continue(now, this.#at(event));
   }
 
+  /** @param {PointerEvent} event
+   * @param {Pair} at */
   #hover(event, at) {
     const { core } = this;
     const point = core.reading.pointAt(at, this.#reach(event));
@@ -161,57 +192,64 @@ export class Gestures {
     core.chrome.showTip(core.state.placing === null && !point ? core.reading.titleAt(at) : "", at);
   }
 
-  #continue(at) {
-    const gesture = this.now;
+  /** @type {(gesture: Hold | Drag, at: Pair) => void} */
+  #continue(gesture, at) {
     if (gesture.moved && at[0] === gesture.last[0] && at[1] === gesture.last[1]) return;
     if (!gesture.moved) {
       const slop = SLOP[gesture.type] || 0;
       if (Math.hypot(at[0] - gesture.from[0], at[1] - gesture.from[1]) < slop) return;
       gesture.moved = true;
-      if (slop > 0) this.#startFrom(gesture, at); // so that the point does not jump by the slop
+      if (slop > 0) gesture.last = at; // so that the point does not jump by the slop
+      if (slop > 0 && gesture.kind === "drag") this.#grip(gesture, gesture.start);
     }
     const [dx, dy] = [at[0] - gesture.last[0], at[1] - gesture.last[1]];
     gesture.last = at;
     if (gesture.kind === "window") this.#window(dx, dy);
-    if (gesture.kind === "drag") this.core.edits.move("drag", gesture.id, this.#held(at));
+    if (gesture.kind === "drag") this.core.edits.move("drag", gesture.id, this.#held(gesture, at));
     if (gesture.kind === "pan") {
       this.core.display.panBy(dx, dy);
       this.core.settings.movedView();
     }
   }
 
-  #startFrom(gesture, at) {
-    gesture.last = at;
-    if (gesture.kind !== "drag") return;
-    this.#grip(gesture, gesture.start);
-  }
-
-  #grip(gesture, uv) {
+  /** @type {(drag: Drag, uv: Pair) => void} */
+  #grip(drag, uv) {
     const [x, y] = this.core.display.toView(uv);
-    gesture.grip = [x - gesture.last[0], y - gesture.last[1]];
+    drag.grip = [x - drag.last[0], y - drag.last[1]];
   }
 
-  #held(at) {
-    return this.core.display.toImage([at[0] + this.now.grip[0], at[1] + this.now.grip[1]]);
+  /** Where the dragged point is now.
+   * @param {Drag} drag */
+  #place(drag) {
+    return this.core.point(drag.id)?.uv ?? drag.start;
   }
 
-  // Right: wider window; up: brighter.
+  /** @type {(drag: Drag, at: Pair) => Pair} */
+  #held(drag, at) {
+    return this.core.display.toImage([at[0] + drag.grip[0], at[1] + drag.grip[1]]);
+  }
+
+  /** Right: wider window; up: brighter.
+   * @param {number} dx
+   * @param {number} dy */
   #window(dx, dy) {
     const { window: shown, inverted } = this.core.state;
     const width = shown.width * Math.exp(dx * WINDOW_PER_PX);
     this.core.settings.setWindow({ width, centre: shown.centre + (inverted ? -dy : dy) * shown.width * WINDOW_PER_PX });
   }
 
-  #pinch() {
+  /** @param {Pinch} gesture */
+  #pinch(gesture) {
     if (this.pointers.size < 2) return;
     const [first, second] = [...this.pointers.values()];
     const [middle, span] = [middleOf(first, second), spanOf(first, second)];
-    this.core.display.panBy(middle[0] - this.now.middle[0], middle[1] - this.now.middle[1]);
-    this.core.display.zoomAt(span / this.now.span, middle);
-    Object.assign(this.now, { middle, span });
+    this.core.display.panBy(middle[0] - gesture.middle[0], middle[1] - gesture.middle[1]);
+    this.core.display.zoomAt(span / gesture.span, middle);
+    Object.assign(gesture, { middle, span });
     this.core.settings.movedView();
   }
 
+  /** @param {PointerEvent} event */
   #up(event) {
     const at = this.#at(event);
     this.pointers.delete(event.pointerId);
@@ -226,6 +264,7 @@ export class Gestures {
     this.#draw(at);
   }
 
+  /** @type {(gesture: Hold | Drag, at: Pair) => void} */
   #finish(gesture, at) {
     const { core } = this;
     if (gesture.kind === "measure") core.ruler.add(core.display.toImage(at));
@@ -238,30 +277,34 @@ export class Gestures {
     }
   }
 
-  #drop(type, { id }) {
+  /** @type {(type: string | null, drag: Drag) => void} */
+  #drop(type, drag) {
     this.core.state.dragging = null;
-    if (type) this.core.edits.move(type, id, this.core.state.points.get(id).uv);
+    if (type) this.core.edits.move(type, drag.id, this.#place(drag));
     else this.core.release();
     this.core.canvas.invalidate("overlay");
   }
 
+  /** @param {PointerEvent} event */
   #cancel(event) {
     this.pointers.delete(event.pointerId);
-    if (this.now && this.now.kind === "drag" && this.now.pointer === event.pointerId) this.#takeBack();
+    if (this.now && this.now.kind === "drag" && this.now.pointer === event.pointerId) this.#takeBack(this.now);
     this.now = null;
     this.core.lens = null;
     this.core.release();
     this.#draw(null);
   }
 
-  // Cancel the drag: the point returns to its start.
-  #takeBack() {
-    const gesture = this.now;
+  /** Cancel the drag: the point returns to its start.
+   * @param {Drag} drag */
+  #takeBack(drag) {
     this.now = null;
-    this.core.state.points.get(gesture.id).uv = gesture.start;
-    this.#drop(gesture.moved ? "drop" : null, gesture);
+    const point = this.core.point(drag.id);
+    if (point) point.uv = drag.start;
+    this.#drop(drag.moved ? "drop" : null, drag);
   }
 
+  /** @param {PointerEvent} event */
   #leave(event) {
     if (this.pointers.has(event.pointerId)) return;
     this.overPoint = false;
@@ -270,7 +313,8 @@ export class Gestures {
     this.#draw(null);
   }
 
-  // Update the magnifier, the readout and the cursor.
+  /** Update the magnifier, the readout and the cursor.
+   * @param {Pair | null} at */
   #draw(at) {
     const { core } = this;
     const { dragging, placing, points } = core.state;
@@ -279,8 +323,8 @@ export class Gestures {
     if (at === null && core.crosshair.uv) return;
     core.crosshair.end();
     core.lens = null;
-    if (at && dragging !== null && this.now && this.now.moved) {
-      const { uv } = points.get(dragging);
+    const uv = points.get(dragging ?? "")?.uv;
+    if (at && uv && this.now?.kind === "drag" && this.now.moved) {
       core.lens = { uv, at: core.display.toView(uv) };
     } else if (at && core.state.tool === "measure" && core.state.image) {
       core.lens = { uv: core.display.toImage(at), at };
@@ -292,6 +336,7 @@ export class Gestures {
     this.showCursor();
   }
 
+  /** @param {WheelEvent} event */
   #wheel(event) {
     event.preventDefault();
     const at = this.#at(event);
@@ -303,17 +348,20 @@ export class Gestures {
 
   // --------------------------------------------------------------------------------------------------------------- keys
 
-  // Held arrow keys repeat faster than the server answers.
+  /** Held arrow keys repeat faster than the server answers.
+   * @param {Event} event */
   #somethingElse(event) {
-    if (ARROWS[event.key] && this.stage.contains(event.target)) return;
+    if (event instanceof KeyboardEvent && ARROWS[event.key] && this.stage.contains(/** @type {Node} */ (event.target))) return;
     this.core.edits.moves.flush();
   }
 
-  // Escape works anywhere on the page, because the button that began the placing may still have the focus. One press
-  // ends one thing in any view, a current gesture first.
+  /** Escape works anywhere on the page, because the button that began the placing may still have the focus. One press
+   * ends one thing in any view, a current gesture first.
+   * @param {KeyboardEvent} event */
   #escape(event) {
     if (event.key !== "Escape" || event.defaultPrevented) return;
     if ([...document.querySelectorAll(OVER_THE_PAGE)].some((element) => element.checkVisibility())) return;
+    /** @param {"endDrag" | "endMeasuring" | "endPlacing" | "endEnlarged"} what */
     const ends = (what) => [...gestures].some((each) => each[what]());
     if (ends("endDrag") || ends("endMeasuring") || ends("endPlacing") || ends("endEnlarged")) event.preventDefault();
   }
@@ -321,7 +369,7 @@ export class Gestures {
   // Returns true if there was something to end.
   endDrag() {
     if (!this.now || this.now.kind !== "drag") return false;
-    this.#takeBack();
+    this.#takeBack(this.now);
     this.#draw(this.core.pointer);
     return true;
   }
@@ -346,5 +394,7 @@ export class Gestures {
   }
 }
 
+/** @type {(first: Pair, second: Pair) => Pair} */
 const middleOf = (first, second) => [(first[0] + second[0]) / 2, (first[1] + second[1]) / 2];
+/** @type {(first: Pair, second: Pair) => number} */
 const spanOf = (first, second) => Math.max(Math.hypot(first[0] - second[0], first[1] - second[1]), 1);

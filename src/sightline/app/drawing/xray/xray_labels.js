@@ -83,8 +83,8 @@ export class Labels {
 
 /** Arranges the texts over an image.
  * @param {Labels} labels
- * @param {[any, Pair[]][]} shapes with their places in the view
- * @param {[any, Pair][]} points with theirs
+ * @param {[import("./types").Shape, Pair[]][]} shapes with their places in the view
+ * @param {[import("./types").Point, Pair][]} points with theirs
  * @param {Set<string | null>} named ids of the points whose names are shown
  * @param {(id: string) => { name: string, colour: string } | null} curveOf what a point's curve is called */
 export function arrange(labels, shapes, points, named, curveOf) {
@@ -99,18 +99,18 @@ export function arrange(labels, shapes, points, named, curveOf) {
     if (curve) labels.write(curve.name, alongside(places, labels.measure(curve.name)), { colour: curve.colour });
   }
   for (const [{ shape, label }, places] of shapes) {
-    if (shape === "ticks") writeNumbers(labels, label, places);
+    if (shape === "ticks") writeNumbers(labels, Array.isArray(label) ? label : [], places);
     else if (typeof label !== "string" || places.length === 0) continue;
     else if (shape === "text") for (const place of places) labels.write(label, [place], { always: true });
     else labels.writeBeside(label, places[places.length - 1]);
   }
 }
 
-/** @type {(labels: Labels, numbers: string[] | undefined, places: Pair[]) => void} */
+/** @type {(labels: Labels, numbers: string[], places: Pair[]) => void} */
 function writeNumbers(labels, numbers, places) {
   const across = normals(places);
   places.forEach((place, k) => {
-    if (numbers?.[k]) labels.write(numbers[k], beside(place, across[k], labels.measure(numbers[k])));
+    if (numbers[k]) labels.write(numbers[k], beside(place, across[k], labels.measure(numbers[k])));
   });
 }
 

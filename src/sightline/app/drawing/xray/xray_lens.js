@@ -3,13 +3,21 @@
 import { COLOURS } from "colours";
 import { paintCrosshair } from "./xray_paint.js";
 
+/** @typedef {import("./types").Pair} Pair */
+
 const TIMES = 4;
 const ZOOM_MAX = 32; // [ours] CSS pixels per image pixel: enough to point at 1/32 of a pixel
 const RADIUS = 84; // CSS pixels
 const CLEAR = 44; // CSS pixels between its rim and the pointer
 
-// `lens`: {uv, at}, the pixel in its middle and the pointer's position in the view. `paint`: bitmap(uv, at, times),
-// units() sets the context's units, marks(toUnits, zoom).
+/** `lens`: {uv, at}, the pixel in its middle and the pointer's position in the view. `paint`: bitmap(uv, at, times),
+ * units() sets the context's units, marks(toUnits, zoom).
+ * @param {CanvasRenderingContext2D} context
+ * @param {{ uv: Pair, at: Pair }} lens
+ * @param {import("./xray_display.js").Display} display
+ * @param {number} unit
+ * @param {{ bitmap: (uv: Pair, at: Pair, times: number) => void, units: () => void,
+ *   marks: (toUnits: (uv: Pair) => Pair, zoom: number) => void }} paint */
 export function paintLens(context, { uv, at }, display, unit, paint) {
   const radius = RADIUS * unit;
   const clear = radius + CLEAR * unit;
@@ -18,6 +26,7 @@ export function paintLens(context, { uv, at }, display, unit, paint) {
   const times = Math.max(Math.min(TIMES, ZOOM_MAX / display.zoom), 1);
   const middle = [x / unit, y / unit];
   const [px, py] = display.toView(uv);
+  /** @type {(place: Pair) => Pair} */
   const toUnits = (place) => {
     const [qx, qy] = display.toView(place);
     return [middle[0] + ((qx - px) * times) / unit, middle[1] + ((qy - py) * times) / unit];
@@ -37,7 +46,7 @@ export function paintLens(context, { uv, at }, display, unit, paint) {
   paintCrosshair(context, middle, RADIUS);
   context.restore();
   rim();
-  for (const [width, colour] of [[5, COLOURS.stage], [2, COLOURS.text]]) {
+  for (const { width, colour } of [{ width: 5, colour: COLOURS.stage }, { width: 2, colour: COLOURS.text }]) {
     context.lineWidth = width;
     context.strokeStyle = colour;
     context.stroke();

@@ -5,12 +5,19 @@
 
 import { COLOURS } from "colours";
 
-/** @typedef {[number, number]} Pair */
+/** @typedef {import("./types").Pair} Pair */
+/** @typedef {import("./types").Shape} Shape */
+/** @typedef {CanvasRenderingContext2D} Context */
+/** How something is drawn. `plan`: hidden while the image is stale; `fill`: opacity of an area; `arrow`: a band's
+ * direction is shown.
+ * @typedef {{ colour: string, width: number, mark?: string, dash?: number[], fill?: number, plan?: boolean,
+ *   arrow?: boolean }} Look */
+/** @typedef {(uv: Pair) => Pair} ToView */
 
 export const CASING = "rgba(5, 8, 11, 0.86)"; // under every line, because X-ray images may be white or black
 
-// plan: hidden while the image is stale. fill: opacity of an area. arrow: a band's direction is shown. An edge is
-// measured more finely than a pixel, and thin.
+/** An edge is measured more finely than a pixel, and thin.
+ * @type {Record<string, Look>} */
 export const STYLES = {
   "bead-good": { colour: COLOURS.green, width: 2, mark: "ring" },
   "bead-warn": { colour: COLOURS.orange, width: 2, mark: "ring", dash: [4, 3] },
@@ -39,7 +46,8 @@ const MARK_RADIUS = 7; // CSS pixels, for marks without a size in the image
 export const POINT_RADIUS = 11;
 const ARROW = 15; // CSS pixels, an arrow head's sides
 
-// The colour of a residual: 0 sky blue, 0.5 yellow, 1 vermillion; blue to yellow survives every colour blindness.
+/** The colour of a residual: 0 sky blue, 0.5 yellow, 1 vermillion; blue to yellow survives every colour blindness.
+ * @param {number} value */
 export function residualColour(value) {
   const at = Math.min(Math.max(value, 0), 1) * (SCALE.length - 1);
   const low = Math.min(Math.floor(at), SCALE.length - 2);
@@ -47,16 +55,22 @@ export function residualColour(value) {
   return `rgb(${mixed.join(", ")})`;
 }
 
+/** @template Value
+ * @param {Value | null | undefined} value
+ * @returns {value is Value} */
 const given = (value) => value !== undefined && value !== null;
-const each = (list, index) => (Array.isArray(list) ? list[index] : list);
+/** @type {(list: number | number[] | undefined, index: number) => number} */
+const each = (list, index) => (Array.isArray(list) ? list[index] : (list ?? 0));
 
+/** @type {(context: Context, places: Pair[], closed: boolean) => void} */
 function path(context, places, closed) {
   context.beginPath();
   places.forEach(([x, y], index) => (index ? context.lineTo(x, y) : context.moveTo(x, y)));
   if (closed) context.closePath();
 }
 
-// Strokes the path twice: dark and wider below, coloured above.
+/** Strokes the path twice: dark and wider below, coloured above.
+ * @type {(context: Context, look: Look) => void} */
 function strokeCased(context, look) {
   context.setLineDash([]);
   context.lineWidth = look.width + 2.5;
@@ -69,6 +83,7 @@ function strokeCased(context, look) {
   context.setLineDash([]);
 }
 
+/** @type {(context: Context, look: Look) => void} */
 function fillArea(context, look) {
   context.globalAlpha = look.fill || 0.15;
   context.fillStyle = look.colour;
@@ -76,6 +91,7 @@ function fillArea(context, look) {
   context.globalAlpha = 1;
 }
 
+/** @type {(context: Context, place: Pair, arm: number) => void} */
 function crossPath(context, [x, y], arm) {
   context.moveTo(x - arm, y - arm);
   context.lineTo(x + arm, y + arm);
@@ -83,6 +99,7 @@ function crossPath(context, [x, y], arm) {
   context.lineTo(x + arm, y - arm);
 }
 
+/** @type {(context: Context, place: Pair, radius: number, look: Look) => void} */
 function paintMark(context, place, radius, look) {
   context.beginPath();
   if (look.mark !== "cross") {
@@ -107,8 +124,10 @@ export function normals(places) {
   });
 }
 
+/** @type {(context: Context, from: Pair, tip: Pair, size: number) => void} */
 function headPath(context, from, tip, size) {
   const angle = Math.atan2(tip[1] - from[1], tip[0] - from[0]);
+  /** @param {number} turn */
   const back = (turn) => [tip[0] - size * Math.cos(angle + turn), tip[1] - size * Math.sin(angle + turn)];
   const [left, right] = [back(0.55), back(-0.55)];
   context.moveTo(left[0], left[1]);
@@ -116,20 +135,24 @@ function headPath(context, from, tip, size) {
   context.lineTo(right[0], right[1]);
 }
 
-// An arrow head in the middle of a wire, where it is long enough to have one.
+/** An arrow head in the middle of a wire, where it is long enough to have one.
+ * @type {(context: Context, places: Pair[]) => void} */
 function paintDirection(context, places) {
   const [first, last] = [places[0], places[places.length - 1]];
   const [dx, dy] = [last[0] - first[0], last[1] - first[1]];
   const length = Math.hypot(dx, dy);
   if (length < 5 * ARROW) return;
+  /** @type {Pair} */
   const tip = [first[0] + dx * 0.5 + (dx / length) * ARROW * 0.5, first[1] + dy * 0.5 + (dy / length) * ARROW * 0.5];
   context.beginPath();
   headPath(context, first, tip, ARROW);
   strokeCased(context, { colour: COLOURS.text, width: 3 });
 }
 
+/** @type {(places: Pair[], shape: Shape, zoom: number) => [Pair[], Pair[]]} */
 function bandEdges(places, shape, zoom) {
   const across = normals(places);
+  /** @type {(sign: number) => Pair[]} */
   const side = (sign) =>
     places.map(([x, y], index) => {
       const half = sign * each(shape.halfWidth, index) * zoom;
@@ -138,6 +161,7 @@ function bandEdges(places, shape, zoom) {
   return [side(1), side(-1)];
 }
 
+/** @type {Record<string, (context: Context, places: Pair[], shape: Shape, look: Look, zoom: number) => void>} */
 const PAINTERS = {
   line(context, places, shape, look) {
     path(context, places, false);
@@ -161,7 +185,7 @@ const PAINTERS = {
     strokeCased(context, { ...look, dash: undefined });
   },
   dots(context, places, shape, look) {
-    for (const [radius, colour] of [[4.5, CASING], [3, look.colour]]) {
+    for (const { radius, colour } of [{ radius: 4.5, colour: CASING }, { radius: 3, colour: look.colour }]) {
       context.fillStyle = colour;
       places.forEach(([x, y]) => {
         context.beginPath();
@@ -196,17 +220,21 @@ const PAINTERS = {
   },
 };
 
-// The error in a shape as text; null if it can be painted.
+/** The error in a shape as text; null if it can be painted.
+ * @param {Shape} shape
+ * @returns {string | null} */
 export function shapeFault(shape) {
   if (!shape || !PAINTERS[shape.shape]) return `unknown shape ${JSON.stringify(shape?.shape)}`;
   if (!STYLES[shape.style]) return `unknown style ${JSON.stringify(shape.style)}`;
+  /** @param {unknown} pair */
   const finite = (pair) => Array.isArray(pair) && pair.length === 2 && pair.every(Number.isFinite);
   if (!Array.isArray(shape.points) || !shape.points.every(finite)) return `${shape.shape} with points that are not numbers`;
   if (shape.shape === "band" && !given(shape.halfWidth)) return "band without halfWidth";
   return null;
 }
 
-// `colour`: instead of its style's; a curve has the colour of its point.
+/** `colour`: instead of its style's; a curve has the colour of its point.
+ * @type {(context: Context, shape: Shape, toView: ToView, zoom: number, staleImage: boolean, colour: string | null) => void} */
 export function paintShape(context, shape, toView, zoom, staleImage, colour) {
   const look = colour ? { ...STYLES[shape.style], colour } : STYLES[shape.style];
   if (shape.points.length === 0 || (staleImage && look.plan)) return;
@@ -216,7 +244,8 @@ export function paintShape(context, shape, toView, zoom, staleImage, colour) {
   PAINTERS[shape.shape](context, places, shape, look, zoom);
 }
 
-// Distance in CSS pixels from `at` to the shape, for the tooltip.
+/** Distance in CSS pixels from `at` to the shape, for the tooltip.
+ * @type {(shape: Shape, toView: ToView, zoom: number, at: Pair) => number} */
 export function shapeDistance(shape, toView, zoom, at) {
   const places = shape.points.map(toView);
   const distances = places.map(([x, y], index) => {
@@ -231,6 +260,7 @@ export function shapeDistance(shape, toView, zoom, at) {
   return Math.min(...distances, Infinity);
 }
 
+/** @type {(at: Pair, from: Pair, to: Pair) => number} */
 function distanceToSegment([x, y], [x0, y0], [x1, y1]) {
   const [dx, dy] = [x1 - x0, y1 - y0];
   const along = ((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy || 1);
@@ -238,8 +268,9 @@ function distanceToSegment([x, y], [x0, y0], [x1, y1]) {
   return Math.hypot(x - x0 - t * dx, y - y0 - t * dy);
 }
 
-// A pick: an open mark, so that its pixel stays visible. A free point has the arms of a cross-hair; one on its curve
-// has none, because the curve passes through it.
+/** A pick: an open mark, so that its pixel stays visible. A free point has the arms of a cross-hair; one on its curve
+ * has none, because the curve passes through it.
+ * @type {(context: Context, point: import("./types").Point, at: Pair, selected: boolean) => void} */
 export function paintPoint(context, point, [x, y], selected) {
   const look = STYLES[point.style];
   const radius = selected ? POINT_RADIUS + 2 : POINT_RADIUS;

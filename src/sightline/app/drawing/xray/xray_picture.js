@@ -1,9 +1,15 @@
 // The pixels of an image, and its bitmap through a grey-level window.
 
+/** @typedef {import("./types").Window} Window_ */
+
 const GREY_LEVELS = 65536;
 const CRISP_ZOOM = 3; // device pixels per image pixel from which pixels are drawn as squares, without interpolation
 
-// Raw little-endian uint16 from `url`, by rows. Throws unless there are `width * height` of them.
+/** Raw little-endian uint16 from `url`, by rows. Throws unless there are `width * height` of them.
+ * @param {string} url
+ * @param {number} width
+ * @param {number} height
+ * @param {AbortSignal} signal */
 export async function fetchPixels(url, width, height, signal) {
   const answer = await fetch(url, { signal });
   if (!answer.ok) throw new Error(`image: HTTP ${answer.status}`);
@@ -14,8 +20,11 @@ export async function fetchPixels(url, width, height, signal) {
   return new Uint16Array(bytes);
 }
 
-// A valid window: at least two grey levels, at most all.
+/** A valid window: at least two grey levels, at most all.
+ * @param {Window_} window
+ * @returns {Window_} */
 export function heldWindow({ centre, width }) {
+  /** @type {(value: number, low: number) => number} */
   const held = (value, low) => Math.min(Math.max(value, low), GREY_LEVELS);
   return { centre: held(centre, 0), width: held(width, 2) };
 }
@@ -24,10 +33,14 @@ export class Picture {
   constructor() {
     this.bitmap = document.createElement("canvas"); // one bitmap pixel per image pixel
     this.context = /** @type {CanvasRenderingContext2D} */ (this.bitmap.getContext("2d", { alpha: false }));
+    /** @type {ImageData | null} */
     this.shown = null;
   }
 
-  // grey = (value - centre) / width + 1/2, clipped to black and white, by a look-up table.
+  /** grey = (value - centre) / width + 1/2, clipped to black and white, by a look-up table.
+   * @param {import("./types").Image} image
+   * @param {Window_} window
+   * @param {boolean} inverted */
   draw({ width, height, pixels }, window, inverted) {
     if (!this.shown || this.shown.width !== width || this.shown.height !== height) {
       Object.assign(this.bitmap, { width, height });
@@ -53,6 +66,8 @@ export class Picture {
   }
 }
 
+/** @param {Window_} window
+ * @param {boolean} inverted */
 function greyTable({ centre, width }, inverted) {
   const table = new Uint32Array(GREY_LEVELS);
   for (let value = 0; value < GREY_LEVELS; value++) {
