@@ -349,9 +349,9 @@ export class Gestures {
   // --------------------------------------------------------------------------------------------------------------- keys
 
   /** Held arrow keys repeat faster than the server answers.
-   * @param {Event} event */
+   * @param {Event & { key?: string }} event */
   #somethingElse(event) {
-    if (event instanceof KeyboardEvent && ARROWS[event.key] && this.stage.contains(/** @type {Node} */ (event.target))) return;
+    if (ARROWS[event.key ?? ""] && this.stage.contains(/** @type {Node} */ (event.target))) return;
     this.core.edits.moves.flush();
   }
 
