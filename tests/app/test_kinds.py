@@ -59,6 +59,8 @@ def test_a_pair_of_holes_is_planned_beside_a_hip_screw(hands: Hands, shoot) -> N
     _choose(hands, "Interlocking holes")
     known = _holes()
     assert set(known) <= {one.name for one in marks_of("interlocking")}
+    expect(hands.see("wire-distal")).to_contain_text("not placed")
+    button = hands.see("wire-distal").element_handle()
     for view in NAMES:
         for name in ("entry", "end"):
             hands.place(name, view, known[name][view])
@@ -69,7 +71,8 @@ def test_a_pair_of_holes_is_planned_beside_a_hip_screw(hands: Hands, shoot) -> N
         for view in NAMES:
             assert np.hypot(*np.subtract(hands.placed(name, view), where[view])) < 2 * SEEN_PX, (name, view)
     expect(hands.see("verdict")).to_contain_text("INCOMPLETE")
-    expect(hands.see("wire-distal")).to_contain_text("GO")  # then the buttons of the wires are not built again
+    expect(hands.see("wire-distal")).to_contain_text("GO")
+    assert button.evaluate("(button) => button.isConnected")  # a button that is built again loses a click
     hands.press("wire-proximal")
     for view in NAMES:
         for name in ("entry", "end"):

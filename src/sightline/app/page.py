@@ -71,7 +71,7 @@ def _build(site: ServedApp, session: Session, pictures: Pictures, settings: Sett
 
 def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, space: Space) -> None:
     """Build the column: verdict and figures, the step's own part, and the button that leads on."""
-    Section(tab, lambda t: (t.step, wires.key(t)), wires.build)
+    wires.build(tab)
     with ui.element("div").props("role=status"):
         HtmlSection(
             tab, lambda t: (_planning(t), verdict.key(t)), lambda t: verdict.html(t) if _planning(t) else Markup()

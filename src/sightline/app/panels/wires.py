@@ -1,21 +1,38 @@
 """The chooser of the current wire, where a procedure has several, with the state of each."""
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from functools import partial
 
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels.section import action, note
+from sightline.app.panels.section import PersistentSection, Section, action, note
 from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.planning.procedures import kind as kind_of
 
+_BEFORE = (ProcedureStep.IMAGES, ProcedureStep.CALIBRATE)  # steps before wires are planned
 
-def key(tab: Tab) -> Hashable:
-    """Return the key of the chooser: the current wire, and the state of each."""
-    planning = tab.planning
-    return planning.decisions.kind, tuple((kind, state(tab, kind)) for kind in planning.kinds), planning.drilling_order
+
+def build(tab: Tab) -> None:
+    """Build the chooser, whose buttons persist while states change, and the order of drilling below it."""
+    Section(tab, _listed, _listed_wires)
+    Section(tab, lambda t: (t.step, t.planning.kinds, t.planning.drilling_order), _order)
+
+
+def _listed(tab: Tab) -> tuple[str, ...]:
+    """Return the wires to choose from; none for a single wire, and before they are planned."""
+    kinds = tab.planning.kinds
+    return () if len(kinds) == 1 or tab.step in _BEFORE else kinds
+
+
+def _listed_wires(tab: Tab) -> None:
+    if _listed(tab):
+        PersistentSection(tab, _states, _chooser)
+
+
+def _states(tab: Tab) -> Hashable:
+    return tab.planning.decisions.kind, tuple((kind, state(tab, kind)) for kind in tab.planning.kinds)
 
 
 def state(tab: Tab, kind: str) -> str:
@@ -34,22 +51,34 @@ def state(tab: Tab, kind: str) -> str:
     return "missing" if plan is None else plan.verdict.state
 
 
-def build(tab: Tab) -> None:
-    """Build a button for each wire of the procedure; nothing for a single wire, and before they are planned."""
-    if len(tab.planning.kinds) == 1 or tab.step in (ProcedureStep.IMAGES, ProcedureStep.CALIBRATE):
-        return
+def _chooser(tab: Tab) -> Callable[[], None]:
+    """Build a button for each wire of the procedure, and return what updates them."""
+    made: dict[str, tuple[ui.button, ui.label]] = {}
     with ui.element("div").classes("wires").props(f'role=group aria-label="{texts.WIRES_LABEL}"'):
         for kind in tab.planning.kinds:
-            wire, here, now = kind_of(kind).wire, kind == tab.planning.decisions.kind, state(tab, kind)
+            wire = kind_of(kind).wire
             name = texts.titled(texts.word(wire.name)).removesuffix(texts.WIRE_SUFFIX)
-            button = action(name, partial(tab.choose_kind, kind), testid=f"wire-{wire.key}", kind="small")
-            button.classes(f"wire-{now} {'here' if here else ''}").props(f"aria-pressed={'true' if here else 'false'}")
-            with button:
-                ui.label(texts.WIRE_STATES[now]).classes("wire-state unseen")
-    order = tab.planning.drilling_order
-    if tab.step is ProcedureStep.DRILL and order is not None:
+            with action(name, partial(tab.choose_kind, kind), testid=f"wire-{wire.key}", kind="small") as button:
+                made[kind] = button, ui.label().classes("wire-state unseen")
+
+    states = " ".join(("here", *(f"wire-{one}" for one in texts.WIRE_STATES)))
+
+    def update() -> None:
+        for kind, (button, label) in made.items():
+            here, now = kind == tab.planning.decisions.kind, state(tab, kind)
+            button.classes(f"wire-{now} {'here' if here else ''}", remove=states)
+            button.props(f"aria-pressed={'true' if here else 'false'}")
+            label.set_text(texts.WIRE_STATES[now])
+
+    return update
+
+
+def _order(tab: Tab) -> None:
+    """Build the sentence on the order of drilling, on the step Drill; nothing where there is none."""
+    found = tab.planning.drilling_order
+    if tab.step is ProcedureStep.DRILL and found is not None and len(tab.planning.kinds) > 1:
         names = {kind_of(kind).wire.key: texts.word(kind_of(kind).wire.name) for kind in tab.planning.kinds}
-        said = texts.DRILLING_ORDER.format(wires=texts.WIRES_THEN.join(names[key] for key in order.keys))
+        said = texts.DRILLING_ORDER.format(wires=texts.WIRES_THEN.join(names[key] for key in found.keys))
         note(said, kind="quiet", testid="drilling-order")
 
 
