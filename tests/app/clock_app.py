@@ -12,6 +12,13 @@ from sightline.app.session import age
 from sightline.cli import main
 
 
+def set_ahead(file: Path, seconds: float) -> None:
+    """Set the clock: the program that reads it never finds the file empty."""
+    new = file.with_suffix(".new")
+    new.write_text(str(seconds))
+    new.replace(file)
+
+
 class _Clock(datetime):
     """`now` is ahead by what the file says."""
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
+from tests.app.clock_app import set_ahead
 from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, rehearsal, truth
 from tests.systems import needs_posix
 
@@ -40,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def clock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Holds by how many seconds the server's clock is ahead."""
     file = tmp_path_factory.mktemp("clock") / "ahead.txt"
-    file.write_text("0")
+    set_ahead(file, 0.0)
     return file
 
 
@@ -91,17 +92,17 @@ def test_the_whole_procedure_by_mouse_and_keyboard(hands: Hands, folder: Path, c
 
 def _expire(hands: Hands, clock: Path) -> None:
     """The page says it by itself, and takes it back."""
-    clock.write_text(str(LIFETIME_S + 1.0))
+    set_ahead(clock, LIFETIME_S + 1.0)
     expect(hands.see("verdict")).to_contain_text("NO-GO")
     expect(hands.see("age")).to_contain_text("expired")
-    clock.write_text("0")
+    set_ahead(clock, 0.0)
     expect(hands.see("verdict")).not_to_contain_text("NO-GO")
     expect(hands.see("age")).to_contain_text("min left")
 
 
 def _stay_drilled(hands: Hands, clock: Path) -> None:
     """What is drilled grows no older; another plan on the same images does."""
-    clock.write_text(str(LIFETIME_S + 1.0))
+    set_ahead(clock, LIFETIME_S + 1.0)
     hands.step("Plan")
     expect(hands.see("age")).to_contain_text("drilled")
     expect(hands.see("verdict")).not_to_contain_text("NO-GO")
@@ -110,7 +111,7 @@ def _stay_drilled(hands: Hands, clock: Path) -> None:
     expect(hands.see("verdict")).to_contain_text("NO-GO")
     hands.page.keyboard.press("Control+z")
     expect(hands.see("verdict")).not_to_contain_text("NO-GO")
-    clock.write_text("0")
+    set_ahead(clock, 0.0)
 
 
 def _drill(hands: Hands, shoot) -> None:

@@ -272,19 +272,26 @@ def _confirmed_action(
     kind: str = "primary",
 ) -> None:
     """Build a button that asks for confirmation before it acts."""
-    with ui.dialog() as dialog, ui.card().classes("question"):
-        ui.label(question).classes("question-text")
-        if what:
-            ui.label(what)
 
-        async def agreed() -> None:
-            dialog.close()
-            await tab.act(command)
+    def ask() -> None:
+        # On the page, not in this section: the question stays when the robot's state rebuilds the section. A command
+        # that no longer fits is refused by what it calls.
+        with texts.spoken(tab.language), ui.context.client, ui.dialog() as dialog, ui.card().classes("question"):
+            ui.label(question).classes("question-text")
+            if what:
+                ui.label(what)
 
-        with ui.element("div").classes("choice"):
-            action(texts.CANCEL, dialog.close, testid=f"{testid}-cancel", kind="plain")
-            action(text, agreed, testid=f"{testid}-yes", kind="primary")
-    action(text, dialog.open, testid=testid, kind=kind, enabled=enabled)
+            async def agreed() -> None:
+                dialog.close()
+                await tab.act(command)
+
+            with ui.element("div").classes("choice"):
+                action(texts.CANCEL, dialog.close, testid=f"{testid}-cancel", kind="plain")
+                action(text, agreed, testid=f"{testid}-yes", kind="primary")
+        dialog.on("hide", dialog.delete)
+        dialog.open()
+
+    action(text, ask, testid=testid, kind=kind, enabled=enabled)
 
 
 def _force(tab: Tab) -> None:

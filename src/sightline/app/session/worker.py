@@ -39,8 +39,10 @@ class WorkerProcess:
         self._pool.submit(function, *arguments)
 
     def close(self) -> None:
-        """End the process; waiting work is dropped."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        """End the process, after the function at work; those that wait are dropped."""
+        # Python waits for the pool at its own end too, but wakes the pool's thread through a pipe that this thread may
+        # be closing just then: OSError, bad file descriptor.
+        self._pool.shutdown(wait=True, cancel_futures=True)
 
     @staticmethod
     def _start() -> ProcessPoolExecutor:
