@@ -114,12 +114,31 @@ def _stay_drilled(hands: Hands, clock: Path) -> None:
     set_ahead(clock, 0.0)
 
 
+def _answer_after_the_plan_changed(hands: Hands) -> None:
+    """The question stays when what lies behind it is built anew; its answer for a plan that is no more is refused."""
+    button = hands.see("send").element_handle()
+    other = Hands(hands.page.context.new_page())
+    other.page.goto(hands.page.url)
+    other.step("Plan")
+    other.until("lateral", "core.state.points.get('end')?.uv")
+    other.page.get_by_test_id("xray-lateral").get_by_test_id("point-end").focus()
+    other.page.keyboard.press("ArrowRight")
+    hands.page.wait_for_function("button => !button.isConnected", arg=button)
+    hands.press("send-yes")
+    expect(hands.page.get_by_text("the plan changed after you confirmed it")).to_be_visible()
+    other.page.keyboard.press("Control+z")
+    other.page.close()
+    expect(hands.see("send")).to_be_enabled()
+
+
 def _drill(hands: Hands, shoot) -> None:
     hands.step("Drill")
     hands.press("start-robot")
     expect(hands.see("robot-state")).to_be_visible(timeout=PATIENCE_MS)
     hands.press("send")
     expect(hands.page.get_by_text("Nothing moves yet")).to_be_visible()
+    _answer_after_the_plan_changed(hands)
+    hands.press("send")
     hands.press("send-yes")
     for order, state in (("align", State.ALIGNED), ("drill", State.PAUSED), ("drill-on", State.DONE)):
         expect(hands.see(order)).to_be_enabled(timeout=PATIENCE_MS)
