@@ -13,6 +13,7 @@ makes four Gauss-Newton steps: two by ordinary least squares, one with isotropic
 shared errors are noise with a prior: they enter the weights and the covariance at the target, and are not estimated.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,7 +28,7 @@ from sightline.calibration.smooth import DEGREE, SmoothMap
 from sightline.calibration.well_conditioned import well_conditioned
 from sightline.errors import CalibrationRefusedError
 from sightline.fitting.kriging import Kriging, PlanarKriging
-from sightline.fitting.triangular import least_squares, solve_lower
+from sightline.fitting.triangular import cholesky, least_squares, solve_lower
 
 # The cubic has 20 parameters and F 3; with fewer beads too few degrees of freedom are left to test them [ours].
 MIN_BEADS = 16
@@ -267,5 +268,9 @@ def twice(matrix: np.ndarray) -> np.ndarray:
 
 def _without_negative(matrix: np.ndarray) -> np.ndarray:
     """Return the nearest positive semi-definite matrix: rounding of a difference can give eigenvalues of -1e-16."""
-    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    symmetric = 0.5 * (matrix + matrix.T)
+    with suppress(np.linalg.LinAlgError):
+        cholesky(symmetric)  # it succeeds for most, in a fifth of the time that the eigenvalues take
+        return symmetric
+    values, vectors = np.linalg.eigh(symmetric)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T

@@ -53,8 +53,7 @@ def length_quantile(covariance: np.ndarray, probability: float = 0.95) -> np.nda
     largest = np.sqrt(variances[..., 0])
     with np.errstate(invalid="ignore", divide="ignore"):
         shape = np.nan_to_num(variances[..., 1:] / variances[..., :1])
-    low, high = ndtri((1 + probability) / 2) * 0.999, ellipsoid_factor(probability, 3) * 1.001
-    return largest * _radius(probability, shape[..., 0], shape[..., 1], low, high)
+    return largest * _radius(probability, shape[..., 0], shape[..., 1])
 
 
 def line_direction(start_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
@@ -76,14 +75,17 @@ def response(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tu
     return values[0], (up - down).T / (2 * _STEP_MM)
 
 
-def _radius(probability: float, b: np.ndarray, c: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Return the quantile of the length between `low` and `high`, by bracketed Newton iterations."""
+def _radius(probability: float, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Return the quantile of the length of a Gaussian with variances 1, b and c, by bracketed Newton iterations."""
     root = np.sqrt(
         _HEIGHTS[:, None] ** 2
         + _RING * (b[..., None, None] * np.cos(_AZIMUTHS) ** 2 + c[..., None, None] * np.sin(_AZIMUTHS) ** 2)
     )
+    low, high = ndtri((1 + probability) / 2) * 0.999, ellipsoid_factor(probability, 3) * 1.001
     below, above = np.full(b.shape, low), np.full(b.shape, high)
-    radius = below
+    # Start with the quantile of the scaled chi-square that has the same mean and variance, which is near.
+    mean, half = 1 + b + c, 1 + b**2 + c**2
+    radius = np.clip(np.sqrt(2 * half / mean * gammaincinv(mean**2 / half / 2, probability)), below, above)
     for _ in range(_ITERATIONS):
         within, density = _within(radius, root)
         below, above = np.where(within < probability, radius, below), np.where(within < probability, above, radius)

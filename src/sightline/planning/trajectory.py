@@ -119,20 +119,29 @@ class Trajectory(Plotted):
     def _to_direction(self) -> np.ndarray:
         return line_direction(self.entry_mm, self.end_mm)
 
-    @cached_property
+    @property
     def entry_error_95_mm(self) -> float:
         """95 % bound of the entry point's error. Raises ErrorUnknownError."""
-        return float(length_quantile(self.covariance_mm2[:3, :3]))
+        return self._errors_95[0]
 
-    @cached_property
+    @property
     def end_error_95_mm(self) -> float:
         """95 % bound of the end point's error. Raises ErrorUnknownError."""
-        return float(length_quantile(self.covariance_mm2[3:, 3:]))
+        return self._errors_95[1]
 
-    @cached_property
+    @property
     def direction_error_95_rad(self) -> float:
         """95 % bound of the direction's error. Raises ErrorUnknownError."""
-        return float(length_quantile(self.direction_covariance_rad2))
+        return self._errors_95[2]
+
+    @cached_property
+    def _errors_95(self) -> tuple[float, float, float]:
+        """The bounds of entry, end and direction, together: in less than half of the time that three take."""
+        covariances = np.zeros((3, 3, 3))
+        covariances[0], covariances[1] = self.covariance_mm2[:3, :3], self.covariance_mm2[3:, 3:]
+        covariances[2, :2, :2] = self.direction_covariance_rad2
+        entry, end, direction = length_quantile(covariances).tolist()
+        return entry, end, direction
 
     def budget_rms(self) -> dict[str, dict[str, float]]:
         """Return for each source of BUDGET its rms error: "entry_mm", "end_mm", "direction_rad"; the squares add up.

@@ -90,13 +90,16 @@ class XrayPicture:
             return False
         if self.field is None:
             return True
+        return all(a * u + b * v + c >= -margin_px for a, b, c in self._sides)
+
+    @cached_property
+    def _sides(self) -> list[tuple[float, float, float]]:
+        """For each side of the field (a, b, c): a u + b v + c is the distance (px) of (u, v) from it, inwards."""
         corners = np.array(self.field)
-        along = np.roll(corners, -1, axis=0) - corners
-        to = np.array(uv) - corners
-        beside = (along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]) / np.linalg.norm(
-            along, axis=1
-        )  # clockwise on screen
-        return bool((beside >= -margin_px).all())
+        along = np.roll(corners, -1, axis=0) - corners  # clockwise on the screen
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        offset = along[:, 1] * corners[:, 0] - along[:, 0] * corners[:, 1]
+        return [(-dv, du, c) for (du, dv), c in zip(along.tolist(), offset.tolist(), strict=True)]
 
 
 @dataclass(frozen=True)
