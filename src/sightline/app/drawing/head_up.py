@@ -1,7 +1,5 @@
 """Where the patient's head is in an image, for its default orientation."""
 
-from functools import lru_cache
-
 import numpy as np
 
 from sightline.app.plan.decisions import Side
@@ -11,7 +9,6 @@ from sightline.frame import Frame
 _STEP_MM = 10.0  # far more than a pixel
 
 
-@lru_cache(maxsize=16)  # both views of a few pages, before and after a change; each refresh asks for them [ours]
 def head_in(view: BeadView | None, frame: Frame, side: Side | None) -> int | None:
     """Return the direction of the patient's head in an image as it is stored: degrees clockwise from up, to the nearest
     quarter turn. None where it is unknown: no side confirmed, not calibrated, or a block, which may stand anyhow."""

@@ -11,7 +11,7 @@ from sightline.app.drawing import shapes
 from sightline.app.drawing.head_up import head_in, head_up
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.drawing.xray.view import Window, XrayContent, XrayDisplay, XrayEvent, XrayView
-from sightline.app.plan.decisions import Decisions, Display
+from sightline.app.plan.decisions import Decisions, Display, Side
 from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES
 from sightline.app.session.failures import failure_of
 from sightline.app.session.live import fresh_s
@@ -20,6 +20,7 @@ from sightline.app.session.session import Session
 from sightline.app.tab.dragging import Preview
 from sightline.app.tab.placing import Goal
 from sightline.app.tab.step import ProcedureStep
+from sightline.calibration import BeadView
 from sightline.case.views import NAMES, OBLIQUE
 
 if TYPE_CHECKING:
@@ -41,6 +42,9 @@ class Views:
         self.watched: Watched | None = None
         self._live_in = NAMES[0]  # the view that shows the live image
         self._drawn: dict[str, tuple[tuple[object, ...], shapes.Layers, str]] = {}  # by image: input, layers, error
+        self._heads: dict[
+            str, tuple[tuple[BeadView | None, Side | None], int | None]
+        ] = {}  # by image: input, direction
 
     def build(self, heard: Callable[[XrayView, XrayEvent], Awaitable[None]], *boxes: ui.element) -> None:
         """Build both views, each in its box. `heard` is called with the person's actions in them."""
@@ -107,7 +111,7 @@ class Views:
         hidden = {name for name, on in (("beads", self.show_beads), ("rejected", self.show_rejected)) if not on}
         picture, display = self._pictures.of(seen), planning.decisions.display.get(image, Display())
         window = picture.window if display.window is None else Window(*display.window)
-        head = head_in(seen.view, planning.frame, planning.decisions.side)
+        head = self._head(image, seen.view)
         # The revision includes case and image, so that an edit lost by a killed server is not applied to another one.
         return XrayContent(
             texts.IMAGE_LABELS[image],
@@ -121,6 +125,13 @@ class Views:
             self._matching() if image == NAMES[1] and step is ProcedureStep.PLAN else None,
             head,
         )
+
+    def _head(self, image: str, view: BeadView | None) -> int | None:
+        """Return `head_in` of an image, computed once: each move of a dragged point refreshes both views."""
+        of = view, self._planning.decisions.side
+        if self._heads.get(image, (None,))[0] != of:
+            self._heads[image] = of, head_in(view, self._planning.frame, of[1])
+        return self._heads[image][1]
 
     def _matching(self) -> dict[str, Any] | None:
         """Return what the lateral view needs to draw curves by itself; None until both views are calibrated."""
