@@ -2,7 +2,7 @@
 
 A simulated patient, two views of 1024 x 1024, a complete plan (wire, landmarks, the head's outline). The tip is dragged
 in the PA image at 60 Hz for 5 s. Times are measured in the page, from the pointer event's time stamp to the end of the
-frame that draws it.
+frame that draws it. Of four starts the first, which compiles the modules, does not count.
 """
 
 import asyncio
@@ -12,7 +12,9 @@ import tempfile
 import time
 import urllib.error
 import urllib.request
+from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -104,8 +106,8 @@ def run(quick: bool) -> list[Row]:
     server: _Server | None = None
     try:
         with tempfile.TemporaryDirectory() as folder:
-            with chromium(path) as browser:
-                for _ in range(1 if quick else 3):
+            with _installed(Path(folder)), chromium(path) as browser:
+                for _ in range(2 if quick else 4):  # the first compiles the modules
                     if server is not None:
                         server.stop()
                     server, page, seconds = _start(browser, Path(tempfile.mkdtemp(dir=folder)))
@@ -119,7 +121,7 @@ def run(quick: bool) -> list[Row]:
     finally:
         if server is not None:
             server.stop()
-    first, drawn, calibrated = np.median(starts, axis=0)
+    first, drawn, calibrated = np.median(starts[1:], axis=0)
     return [
         _start_row(f"start to the first page, load {busy}", first, REQUIRED_PAGE_S),
         _start_row("start to both images on the screen", drawn, REQUIRED_DRAWN_S),
@@ -127,6 +129,20 @@ def run(quick: bool) -> list[Row]:
         *loads,
         *_drag_rows(seen),
     ]
+
+
+@contextmanager
+def _installed(folder: Path) -> Generator[None]:
+    """Let Python keep compiled modules, in `folder`, as those of an installed program are; a machine's settings, or a
+    checkout, may have none."""
+    before = dict(os.environ)
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = str(folder / "modules")
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def _start_row(what: str, seconds: float, required: float) -> Row:
