@@ -54,7 +54,7 @@ class Shot:
 def run(quick: bool) -> list[Row]:
     """Return the rows of this benchmark."""
     number = SETUPS // 10 if quick else SETUPS
-    trials = in_parallel(trial, range(number))
+    trials = in_parallel(trial, range(number), keep="check-shot")
     rows = [Row("check shot", "trials refused", f"{sum(isinstance(t, str) for t in trials)} of {number}")]
     done = [one for one in trials if not isinstance(one, str)]
     for name in SD_PX:

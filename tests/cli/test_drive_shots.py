@@ -27,6 +27,7 @@ from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.kinematics.target import RobotTarget
 from sightline.studies.scenes import VIEWS
 from sightline.twin import Scene, SetUp, draw_setup, render
+from sightline.twin.motion import BoneMotion, draw_motion
 from sightline.twin.specimens import tagged
 from sightline.twin.things import SoftTissue, frame_scene
 
@@ -38,7 +39,7 @@ SHORT_MM = {ALIGNED: -20.0, PAUSED: float(np.linalg.norm(END_MM - ENTRY_MM)) - 1
 
 
 def imaged(rng: np.random.Generator, setup: SetUp, folder: Path, name: str) -> list[Path]:
-    """Write an image of each view, of the block in soft tissue."""
+    """Write an image of each view, of the frame in soft tissue."""
     scene = frame_scene(setup.true_frame) + Scene(tissue=SoftTissue().around(setup.hip_mm))
     images = {view: tagged(setup, view, render(setup, view, scene, rng)) for view in VIEWS}
     return [write_dicom(image, folder / f"{name}-{view}.dcm") for view, image in images.items()]
@@ -59,8 +60,13 @@ class Planned:
     marks_mm: np.ndarray
     target: RobotTarget
 
-    def shot(self, state: str, off_mm: np.ndarray | None = None, *, marks: int = 3) -> str:
-        """Return what a person answers: files, landmarks found again and points on a wire that lies `off_mm` aside."""
+    def shot(
+        self, state: str, off_mm: np.ndarray | None = None, *, marks: int = 3, on_patient: Frame | None = None
+    ) -> str:
+        """Return what a person answers: files, landmarks found again and points on a wire that lies `off_mm` aside.
+
+        `on_patient`: the frame in the images, where no encoder knows it; else the block on its mount.
+        """
         rng = np.random.default_rng([7, state == PAUSED])
         stood = self.target.registration
         q = self.target.q.copy()
@@ -69,9 +75,11 @@ class Planned:
         along = tip.rotation.apply([0.0, 0.0, 1.0])
         line = tip.translation - np.linspace(45.0, 0.0, 15)[:, None] * along + (0.0 if off_mm is None else off_mm)
         moved: RigidTransform = stood.robot.frame_moved(stood.q, q, self.wire_mm.mean(axis=0))[0]
+        if on_patient is not None:
+            moved = draw_motion(rng, self.wire_mm.mean(axis=0), BoneMotion(15.0, 0.2))
         line, found = moved.apply(line), moved.apply(self.marks_mm)
-        setup = drawn(rng, np.concatenate([line, found]))
-        files = imaged(rng, setup, self.folder, state)
+        setup = drawn(rng, np.concatenate([line, found]), on_patient or BLOCK)
+        files = imaged(rng, setup, self.folder, state if on_patient is None else f"{state}-on-patient")
 
         def picked(on: SetUp, xyz: np.ndarray) -> np.ndarray:
             uv = np.stack([on.views[name].project(xyz) for name in VIEWS])
@@ -116,8 +124,8 @@ def planned(run, tmp_path_factory: pytest.TempPathFactory) -> Planned:
     return Planned(folder, setup, wire, marks, target)
 
 
-def drive(planned: Planned, say: str):
-    given = ("--frame", "block60", "--case", planned.folder / "case", "--pick-sd", "0.2", "--json")
+def drive(planned: Planned, say: str, *more: str):
+    given = ("--frame", "block60", "--case", planned.folder / "case", "--pick-sd", "0.2", "--json", *more)
     done = robot("drive", planned.folder / "plan", *given, say=say)
     done.told = json.loads(done.stdout[done.stdout.index("{") :]) if "{" in done.stdout else None
     done.said = " ".join(done.stderr.split())
@@ -161,6 +169,28 @@ def test_a_guide_beside_its_plan_stops_the_robot_before_it_drills(planned: Plann
 
 
 @pytest.mark.slow
+def test_a_frame_on_the_patient_shows_the_guide_and_needs_landmarks(planned: Planned) -> None:
+    """Another block, anywhere: with two landmarks nothing is measured, with three a guide 3 mm aside is a STOP."""
+    other, before = Frame.load("block40"), len(shots(planned))
+    aside = np.array([0.0, 0.0, 3.0])
+    few, good, bad = (
+        planned.shot(ALIGNED, marks=2, on_patient=other),
+        planned.shot(ALIGNED, on_patient=other),
+        planned.shot(PAUSED, aside, on_patient=other),
+    )
+    done = drive(planned, f"y\ny\n{few}{good}y\n{bad}y\n", "--patient-frame", "block40")
+    assert done.exit_code == 3, done.output
+    assert "leave the frame on the patient" in done.said
+    assert "ALIGNED: not measured: find 3 landmarks of the bone or more in all four images, not 2" in done.said
+    assert "ALIGNED: GO" in done.said and "PAUSED: STOP: " in done.said
+    kept = [one.content for one in shots(planned)[before:]]
+    assert [one["decision"] for one in kept] == ["GO", "STOP"]  # without its landmarks a shot was not taken
+    with Case.open(planned.folder / "case", read_only=True) as case:
+        again = [one.outcome for one in replay(case) if one.entry.kind is Kind.SHOT]
+    assert set(again) == {ReplayOutcome.SAME}
+
+
+@pytest.mark.slow
 def test_an_incomplete_shot_is_asked_for_again_and_without_one_the_person_decides(planned: Planned) -> None:
     done = drive(planned, f"y\ny\n{planned.shot(ALIGNED, marks=0)}nowhere.dcm none.dcm\n\n{WIRE}\n\nn\n")
     assert done.exit_code == 0, done.output
@@ -180,6 +210,12 @@ def test_without_a_case_or_with_another_s_plan_no_shot_is_measured(planned: Plan
     assert "the case does not hold this plan" in " ".join(refused.stderr.split())
     done = robot("drive", planned.folder / "plan", "--frame", "block60", say="y\ny\nn\n")
     assert "ALIGNED: the shot is not measured: give --case" in " ".join(done.stderr.split())
+
+
+def test_a_frame_on_the_patient_serves_measured_shots_only(tmp_path: Path) -> None:
+    done = robot("drive", written(tmp_path / "plan.json"), "--patient-frame", "block40", say="y\nn\n")
+    assert done.exit_code == 2
+    assert "give --case too" in " ".join(done.stderr.split())
 
 
 def test_with_a_frame_that_turned_away_it_says_so(tmp_path: Path) -> None:

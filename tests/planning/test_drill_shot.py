@@ -14,7 +14,7 @@ from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
 from sightline.planning.check_shot import Landmarks
-from sightline.planning.check_start import Beforehand
+from sightline.planning.check_start import Beforehand, on_patient
 from sightline.planning.drill_shot import ALIGNED, PAUSED, DrillShot, drill_shot
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import SetUp, draw_setup
@@ -69,15 +69,20 @@ class Taken:
         return stated - np.concatenate([*true[:2], [short], true[2]])
 
 
-def drawn(rng: np.random.Generator, xyz: np.ndarray) -> SetUp:
+def drawn(rng: np.random.Generator, xyz: np.ndarray, frame: Frame = BLOCK) -> SetUp:
     while True:
-        setup = draw_setup(rng, BLOCK)
+        setup = draw_setup(rng, frame)
         if shows(setup, xyz):
             return setup
 
 
-def taken(seed: int, state: str, off_mm: float = 0.3, bone: BoneMotion | None = None) -> Taken:
-    """Draw a shot of a wire that lies off its plan by `off_mm` per axis at entry and end."""
+def taken(
+    seed: int, state: str, off_mm: float = 0.3, bone: BoneMotion | None = None, frame: Frame | None = None
+) -> Taken:
+    """Draw a shot of a wire that lies off its plan by `off_mm` per axis at entry and end.
+
+    `frame`: fixed to the patient in the shot, anywhere: encoders do not know where. Without it the plan's block.
+    """
     rng = np.random.default_rng([seed, state == PAUSED])
     hip = draw_setup(np.random.default_rng(0), BLOCK).hip_mm
     points, marks = PLAN + hip, MARKS + hip
@@ -85,41 +90,44 @@ def taken(seed: int, state: str, off_mm: float = 0.3, bone: BoneMotion | None = 
     middle = points.mean(axis=0)
     ends = points + rng.normal(0.0, off_mm, (2, 3))
     line = ends[0] + np.outer(np.array(FROM_MM[state]) / LENGTH_MM, ends[1] - ends[0])
-    arm = draw_motion(rng, middle, BoneMotion(4.0, np.deg2rad(3.0)))
+    arm = draw_motion(rng, middle, BoneMotion(4.0, np.deg2rad(3.0)) if frame is None else BoneMotion(20.0, 0.3))
     at = arm.apply(middle)
     unseen = draw_motion(rng, at, bone or BoneMotion())
     size = ENCODERS_SD * rng.standard_normal(6)
     rotation = Rotation.from_rotvec(size[:3])
     motion = RigidTransform.from_components(at + size[3:] - rotation.apply(at), rotation) * unseen * arm
     first = drawn(rng, np.concatenate([points, marks]))
-    second = replace(drawn(rng, motion.apply(np.concatenate([line[1:], marks]))), true_frame=first.true_frame)
+    shown = motion.apply(np.concatenate([line[1:], marks]))
+    second = replace(drawn(rng, shown), true_frame=first.true_frame) if frame is None else drawn(rng, shown, frame)
     views = []
-    for setup in (first, second):
+    for setup, held in ((first, BLOCK), (second, frame or BLOCK)):
         seen = measure(rng, setup, 0.05)
-        views.append([sl.calibrate(seen[name], BLOCK, view=name) for name in VIEWS])
+        views.append([sl.calibrate(seen[name], held, view=name) for name in VIEWS])
     picks = np.array([first.views[name].project(points) for name in VIEWS])
     found = (
         np.array([setup.views[name].project(xyz) for name in VIEWS]) + MARK_PX * rng.standard_normal((2, len(marks), 2))
         for setup, xyz in ((first, marks), (second, motion.apply(marks)))
     )
     curve = motion.apply(line[0] + np.linspace(0.0, 1.0, 101)[:, None] * (line[1] - line[0]))
+    landmarks, straight = Landmarks(*found, MARK_PX), state == ALIGNED
+    moved = Beforehand(arm, np.diag(ENCODERS_SD**2), straight=straight)
     return Taken(
         plan(views[0], picks[:, 0], picks[:, 1], kind=kind("free-wire")),
         *views,
         [wire_in(rng, second, name, curve) for name in VIEWS],
-        Landmarks(*found, MARK_PX),
-        Beforehand(arm, np.diag(ENCODERS_SD**2), straight=state == ALIGNED),
+        landmarks,
+        moved if frame is None else on_patient((views[0], views[1]), landmarks, straight=straight),
         float((line[1] - points[0]) @ along),
         line,
         points,
     )
 
 
-def scatter(state: str, count: int, **others) -> tuple[np.ndarray, np.ndarray]:
+def scatter(state: str, count: int, frame: Frame | None = None, **others) -> tuple[np.ndarray, np.ndarray]:
     """Return chi-squares (count,) of the five deviations, and depth errors over their s.d. (count,)."""
     squares, depths = [], []
     for seed in range(count):
-        one = taken(500 + seed, state)
+        one = taken(500 + seed, state, frame=frame)
         shot = one.shot(**others)
         error = one.error(shot)
         squares.append(error[:5] @ np.linalg.solve(shot.wire.covariance_mm2, error[:5]))
@@ -136,6 +144,31 @@ def test_errors_are_those_stated(state, marked):
     # Mean of 24 chi-squares of 5 degrees of freedom over 5: 1 ± 0.13; rms of 24 normal numbers: 1 ± 0.14.
     assert 0.55 < squares.mean() / 5 < 1.5
     assert 0.55 < np.sqrt((depths**2).mean()) < 1.45
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frame", ["block60", "block40"])
+def test_errors_with_a_frame_on_the_patient_are_those_stated(frame):
+    """The plan's block, or one of another size: shared errors of the frame would be wrong for the second."""
+    squares, depths = scatter(PAUSED, 24, Frame.load(frame))
+    assert 0.55 < squares.mean() / 5 < 1.5  # as above
+    assert 0.55 < np.sqrt((depths**2).mean()) < 1.45
+
+
+def test_another_frame_on_the_patient_goes_and_stops():
+    good, bad = (taken(5, PAUSED, off, frame=Frame.load("block40")) for off in (0.3, 2.5))
+    assert good.shot().decision == "GO", [check.sentence for check in failed(good.shot().verdict.checks)]
+    assert np.linalg.norm(good.error(good.shot())[5:]) < 1.5 * good.shot().end_error_95_mm
+    assert bad.shot().decision == "STOP"
+
+
+def test_a_frame_on_the_patient_needs_landmarks_and_a_person_who_says_so():
+    one = taken(5, PAUSED, frame=Frame.load("block40"))
+    two = Landmarks(one.landmarks.planned_uv_px[:, :2], one.landmarks.checked_uv_px[:, :2], MARK_PX)
+    with pytest.raises(UnusableInputError, match="find 3 landmarks of the bone or more in all four images, not 2"):
+        on_patient((one.before, one.after), two, straight=False)
+    with pytest.raises(ReconstructionRefusedError, match="whose coordinates differ"):
+        one.shot(known=replace(one.known, by_landmarks=False))
 
 
 @pytest.fixture(scope="module")

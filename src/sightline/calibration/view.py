@@ -113,7 +113,8 @@ class LinesOfSight:
     def sources_shared_with(self, other: "LinesOfSight") -> list[str]:
         """Return the sources whose errors are the same in both views."""
         together = self.adjustment == other.adjustment
-        return [source for source in self.shared if source in other.shared and (together or source == "frame")]
+        common = [source for source in self.shared if source in other.shared]
+        return [source for source in common if together or (source == "frame" and self.frame_key == other.frame_key)]
 
     def first(self, count: int) -> "LinesOfSight":
         """Return the first `count` lines with their part of the covariance."""

@@ -30,7 +30,7 @@ from sightline.planning import (
     plan_wires,
 )
 from sightline.planning.check_result import CheckShot
-from sightline.planning.check_start import Beforehand, Landmarks, picked_wire
+from sightline.planning.check_start import Beforehand, Landmarks, on_patient, picked_wire
 from sightline.planning.picks import PickArrays
 from sightline.planning.placed_wires import PlacedWire
 from sightline.planning.procedures.files import kept
@@ -242,15 +242,16 @@ class DrillShotRequest:
     """The inputs of a shot while drilling besides its images: `check` as of a check shot, `tip_mm` as of `drill_shot`.
 
     `straight`: the wire is in its guide, in ALIGNED. `movement` (4, 4), `covariance` (6, 6): as of `Beforehand`; a
-    matrix, so that replay computes with the recorded numbers. `wire_uv_px` (2, M, 2): points on the wire's centre line
-    picked in both images, the tip last, with the error of the landmarks' picks; without them the wire is found.
+    matrix, so that replay computes with the recorded numbers; None where the images' frame is fixed to the patient, of
+    which encoders say nothing. `wire_uv_px` (2, M, 2): points on the wire's centre line picked in both images, the tip
+    last, with the error of the landmarks' picks; without them the wire is found.
     """
 
     check: CheckRequest
     tip_mm: float
     straight: bool
-    movement: np.ndarray
-    covariance: np.ndarray
+    movement: np.ndarray | None
+    covariance: np.ndarray | None
     wire_uv_px: np.ndarray | None = None
 
     @staticmethod
@@ -280,7 +281,11 @@ class DrillShotRequest:
         from sightline.planning.expected_wire import BEFORE_MM, GUIDED_MM, expected_wire, nail_px
 
         trajectory, hole, limits, wires = made.trajectory, made.hole, made.kind.limits, []
-        known = Beforehand(RigidTransform.from_matrix(self.movement), self.covariance, self.straight)
+        before, after = ([image.view for image in pair] for pair in (planned, taken))
+        if self.movement is None or self.covariance is None:
+            known = on_patient((before, after), self.check.landmarks, straight=self.straight)
+        else:
+            known = Beforehand(RigidTransform.from_matrix(self.movement), self.covariance, self.straight)
         beyond_mm = self.tip_mm - trajectory.length_mm
         before_mm = (GUIDED_MM if self.straight or hole is not None else BEFORE_MM) + limits.before_mm
         for one, picked in zip(taken, (None, None) if self.wire_uv_px is None else self.wire_uv_px, strict=True):
@@ -293,7 +298,6 @@ class DrillShotRequest:
             covered = () if hole is None else [nail_px(one.view, hole, known.movement)]
             at = (beads.uv_px, beads.radius_px)
             wires.append(find_wire(image, path, self.check.wire_mm, *at, others=others, covered_px=covered))
-        before, after = ([image.view for image in pair] for pair in (planned, taken))
         return drill_shot(
             trajectory,
             made.picks,

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from sightline.case.journal import Case, Entry
     from sightline.case.replay import Recomputed
     from sightline.cli.output import Output
+    from sightline.frame import Frame
     from sightline.planning.drill_shot import DrillShot
     from sightline.robot.kinematics.target import RobotTarget
     from sightline.robot.link.client import RobotClient
@@ -47,7 +48,8 @@ def planned_in(folder: Path, plan: "PlanFile") -> int:
 class DriveShots:
     """The shots of one drilling, against the plan of the entry `planned` in the case of `folder`.
 
-    `pick_sd_px`: standard deviation of a pick. `taken`: the results by the robot's state.
+    `pick_sd_px`: standard deviation of a pick. `on_patient`: the frame fixed to the patient; None for the plan's own
+    block, put back on its mount. `taken`: the results by the robot's state.
     """
 
     output: "Output"
@@ -56,6 +58,7 @@ class DriveShots:
     robot: "RobotClient"
     target: "RobotTarget"
     pick_sd_px: float
+    on_patient: "Frame | None" = None
     taken: "dict[str, DrillShot]" = field(default_factory=dict)
 
     def ask(self, state: str) -> None:
@@ -66,10 +69,11 @@ class DriveShots:
         from sightline.errors import RobotRefusedError, SightlineError
         from sightline.planning.drill_shot import PAUSED
 
+        with_it = "put the block on its mount" if self.on_patient is None else "leave the frame on the patient"
         while True:
             given = typer.prompt(
-                f"Shot at {state}: put the block on its mount, take two images, and give both files 'PA LATERAL', or "
-                f"'{FROM_CASE}' for the newest of the case; with nothing you decide by eye",
+                f"Shot at {state}: {with_it}, take two images, and give both files 'PA LATERAL', or '{FROM_CASE}' for "
+                "the newest of the case; with nothing you decide by eye",
                 default="",
                 show_default=False,
                 err=True,
@@ -110,7 +114,7 @@ class DriveShots:
         paths = None if files == [FROM_CASE] else tuple(map(Path, files))
         with Case.open(self.folder) as case:
             plan, again = case.entry(self.planned), Recomputed(case)
-            frame = frame_of(case, case.entry(plan.rests_on[0]).settings["frame"])
+            frame = self.on_patient or frame_of(case, case.entry(plan.rests_on[0]).settings["frame"])
             asked = self._asked(state, again, plan)
             with self.output.step("finding and labelling the beads"):
                 seen = images_of(self.output, case, paths, frame, invert=False, after=self._newest(case))
@@ -145,9 +149,11 @@ class DriveShots:
         stood, straight = self.target.registration, state == ALIGNED
         check, picked = self._picks(again, plan, straight=straight)
         q = self.robot.joints()[0]
+        tip_mm = float(q[FEED] - self.target.q[FEED])
+        if self.on_patient is not None:
+            return DrillShotRequest(check, tip_mm, straight, None, None, picked)
         middle_mm = again.plan(plan).trajectory.points.xyz_mm.mean(axis=0)
         movement, covariance = stood.robot.frame_moved(stood.q, q, middle_mm)
-        tip_mm = float(q[FEED] - self.target.q[FEED])
         return DrillShotRequest(check, tip_mm, straight, movement.as_matrix(), covariance, picked)
 
     def _picks(self, again: "Recomputed", plan: "Entry", *, straight: bool) -> "tuple[CheckRequest, np.ndarray | None]":

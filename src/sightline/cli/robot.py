@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from sightline.case.interop.plan_file import PlanFile
     from sightline.cli.drive_shots import DriveShots
+    from sightline.frame import Frame
     from sightline.rehearsal.operation import SimulatedTheatre
     from sightline.robot.kinematics.measured import RobotFile
     from sightline.robot.kinematics.registration import Registration
@@ -218,7 +219,8 @@ def register_image(
         with RobotClient(*parse_address(address), heartbeat=False, streams=False) as robot:
             before = robot.joints()[0]
             question = (
-                f"Take the {view} image now; robot {known.robot_serial} must not move. Is the image in {image.name}?"
+                f"Take the {view} image now, with the frame {known.frame_serial} on the robot's flange and nowhere "
+                f"else; robot {known.robot_serial} must not move. Is the image in {image.name}?"
             )
             if not _said_yes(question):
                 raise RobotRefusedError("no image was taken, so nothing was registered; run the command again")
@@ -281,8 +283,16 @@ def drive(
     case: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the case with this plan: with a block, the shots at the skin and at the pause are measured "
-            "against it while the robot waits, and recorded.",
+            help="Folder of the case with this plan: with a block or --patient-frame, the shots at the skin and at the "
+            "pause are measured against it while the robot waits, and recorded.",
+            show_default=False,
+        ),
+    ] = None,
+    patient_frame: Annotated[
+        str | None,
+        typer.Option(
+            help="Frame that is fixed to the patient in these shots: a file, or a built-in frame. The robot must not "
+            "hold it; three landmarks found again tell where it is.",
             show_default=False,
         ),
     ] = None,
@@ -304,7 +314,9 @@ def drive(
 
         tune_process()
         known = read_plan(plan, wire)
-        measured_on = None if case is None or not known.of_solid else planned_in(case, known)
+        fixed = _frame_on_patient(patient_frame, case)
+        block = known.of_solid and fixed is None  # that a person puts back on its mount for the shots
+        measured_on = None if case is None or not (block or fixed) else planned_in(case, known)
         stood = None if registration is None else RobotFile.read(registration)
         _refuse_contradictions(address, stood, rehearse, frame_serial)
         if address is None:
@@ -324,10 +336,10 @@ def drive(
         _show(out, target, robot)
         shots = None
         if case is not None and measured_on is not None and not yes:
-            shots = DriveShots(out, case, measured_on, robot, target, pick_sd)
-        for name, question, go in _steps(robot, target, known_way=robot.simulated, block=known.of_solid):
+            shots = DriveShots(out, case, measured_on, robot, target, pick_sd, fixed)
+        for name, question, go in _steps(robot, target, known_way=robot.simulated, taken_off=(known.of_solid, block)):
             if name in _SHOT_BEFORE:
-                _shot(out, robot, _SHOT_BEFORE[name], shots, block=known.of_solid)
+                _shot(out, robot, _SHOT_BEFORE[name], shots, measurable=block or fixed is not None)
             if not _agreed(robot.simulated, yes, question):
                 robot.stop()
                 out.note(f"stopped before: {name}")
@@ -437,10 +449,20 @@ def _refuse_contradictions(
         raise UnusableInputError("the robot file states the frame's serial; leave out --frame-serial")
 
 
+def _frame_on_patient(frame: str | None, case: Path | None) -> "Frame | None":
+    """Return the frame of `--patient-frame`. Raises FrameError, and UnusableInputError where no shot is measured."""
+    from sightline.errors import UnusableInputError
+    from sightline.frame import Frame
+
+    if frame is not None and case is None:
+        raise UnusableInputError("--patient-frame serves the shots that are measured: give --case too")
+    return None if frame is None else Frame.load(frame)
+
+
 _SHOT_BEFORE = {"drill": "ALIGNED", "drill on": "PAUSED"}  # the robot's state at the shot before a step
 
 
-def _shot(out: Output, robot: "RobotClient", state: str, shots: "DriveShots | None", *, block: bool) -> None:
+def _shot(out: Output, robot: "RobotClient", state: str, shots: "DriveShots | None", *, measurable: bool) -> None:
     """Measure the shot before a step, or say why it is not measured. Stops the robot where the shot says STOP.
 
     Raises RobotRefusedError.
@@ -448,7 +470,7 @@ def _shot(out: Output, robot: "RobotClient", state: str, shots: "DriveShots | No
     from sightline.errors import RobotRefusedError
     from sightline.planning.drill_shot import TURNED_AWAY
 
-    if not block:
+    if not measurable:
         out.note(f"{state}: {TURNED_AWAY}")
     elif shots is None:
         out.note(f"{state}: the shot is not measured: give --case, the case with this plan. The decision is yours.")
@@ -463,10 +485,13 @@ def _shot(out: Output, robot: "RobotClient", state: str, shots: "DriveShots | No
 _Step = tuple[str, str, "Callable[[], object]"]
 
 
-def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool, block: bool) -> "list[_Step]":
+def _steps(
+    robot: "RobotClient", target: "RobotTarget", *, known_way: bool, taken_off: tuple[bool, bool]
+) -> "list[_Step]":
     """Return each motion: its name, the question a person must answer first, and the call that starts it.
 
-    `block`: the robot held a block, which a person takes off first.
+    `taken_off`: whether the robot held a block at the images, which a person takes off first, and whether it is put
+    back for each shot.
     """
     import time
 
@@ -476,7 +501,8 @@ def _steps(robot: "RobotClient", target: "RobotTarget", *, known_way: bool, bloc
         robot.retract()
         _tell(robot, target, time.time())
 
-    again_off = "Is the block off again? " if block else ""
+    block, put_back = taken_off
+    again_off = "Is the block off again? " if put_back else ""
     off: list[_Step] = [
         ("block off", "Take the block off the robot: the arm must not turn with it. Is it off?", lambda: None)
     ]

@@ -78,7 +78,8 @@ class Adjustment:
             view.lines_of_sight(np.concatenate([marks, wire.uv_px, wire.tip_uv_px[None]]))
             for view, marks, wire in zip(views[1], landmarks.checked_uv_px, wires, strict=True)
         ]
-        refuse_two_frames([*self._before, *self._after])
+        for together in (self._before, self._after) if known.by_landmarks else ([*self._before, *self._after],):
+            refuse_two_frames(together)
 
     def step(self) -> None:
         """Make one Gauss-Newton step."""

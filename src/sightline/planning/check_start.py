@@ -84,12 +84,15 @@ class Beforehand:
     `movement`: of a bone at rest, from planning CFCS to that of the images; `covariance` (6, 6) of its rotation (rad,
     about the middle of the plan) and shift (mm, there), axes of the latter CFCS. `straight`: the wire is in its guide,
     outside the bone. `before_mm`: how far before the entry bone may begin, so that more of the wire outside it counts.
+    `by_landmarks`: the images' frame is fixed to the patient, so that landmarks alone tell `movement`; the plan's frame
+    may be another one.
     """
 
     movement: RigidTransform = field(default_factory=RigidTransform.identity)
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     straight: bool = False
     before_mm: float = 0.0
+    by_landmarks: bool = False
 
 
 STILL = Beforehand()
@@ -137,6 +140,20 @@ def start_movement(
     if len(landmarks) >= MIN_LANDMARKS:
         rotation = Rotation.align_vectors(after - after.mean(axis=0), before - before.mean(axis=0))[0]
     return before, RigidTransform.from_components(after.mean(axis=0) - rotation.apply(before.mean(axis=0)), rotation)
+
+
+def on_patient(
+    views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]], landmarks: Landmarks, *, straight: bool
+) -> Beforehand:
+    """Return what is known of images whose frame is fixed to the patient. Raises UnusableInputError for fewer landmarks
+    than determine where it is."""
+    if len(landmarks) < MIN_LANDMARKS:
+        raise UnusableInputError(
+            f"find {MIN_LANDMARKS} landmarks of the bone or more in all four images, not {len(landmarks)}: the robot "
+            "does not know where a frame is that is fixed to the patient"
+        )
+    movement = start_movement(views, landmarks, RigidTransform.identity())[1]
+    return Beforehand(movement, straight=straight, by_landmarks=True)
 
 
 def start_wire(

@@ -290,7 +290,8 @@ class RobotFile(_Part):
             raise RobotRefusedError(
                 f"the plan's frame file is {frame or 'not stated'}, the robot was calibrated with "
                 f"{self.frame or 'a frame file that it does not state'}: their coordinates differ; plan with the file "
-                "that the robot was calibrated with (`sightline robot calibrate --frame FILE`)"
+                "that the robot was calibrated with (`sightline robot calibrate --frame FILE`). A frame that was fixed "
+                "to the patient at the plan's images registers no robot: its encoders tell where its flange is"
             )
 
 
