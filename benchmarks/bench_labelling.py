@@ -102,6 +102,9 @@ def run(quick: bool = False) -> list[Row]:
     every = outcomes(SCENES // 10 if quick else SCENES)
     solvable = [one for one in every if one.solvable]
     labelled = [one for one in every if one.refusal is None]
+    fewer = [one for one in every if not one.solvable]
+    known = [one for one in fewer if one.refusal is None]
+    mistaken = sum(one.wrong + one.false > 0 or one.misread for one in known)
     rate = np.mean([one.refusal is None for one in solvable])
     wrong = sum(one.wrong for one in every)
     false = sum(one.false for one in every)
@@ -116,6 +119,13 @@ def run(quick: bool = False) -> list[Row]:
             f"{rate:.2%}",
             ">= 98 %",
             met=bool(rate >= 0.98),
+        ),
+        Row(
+            group,
+            f"fewer than 3 datums of a plate remain ({len(fewer)} scenes): labelled / refused / wrong",
+            f"{len(known)} / {len(fewer) - len(known)} / {mistaken}",
+            "wrong 0",
+            met=mistaken == 0,
         ),
         Row(group, "labelled, of all scenes", f"{len(labelled) / len(every):.2%}"),
         Row(group, "beads labelled wrongly", str(wrong), "0", met=wrong == 0),
