@@ -14,7 +14,8 @@ CHANGES = {
     9: "how far a point may be wrong along its line of sight counts the checks of borders and of the tip-apex distance",
     10: "with a block the directions of the views, and the side, are checked by the anatomy; "
     "errors that a wire found in the planning images shares with the planned ones cancel in their relations",
-    11: "the second look knows size, shape and blur of a shadow from its plate; beads found predict those further out",
+    11: "the second look knows size, shape and blur of a shadow from its plate; beads found predict those further out; "
+    "rims before a clipped background state a larger error, and the second look finds them",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

@@ -146,19 +146,72 @@ def test_metal_beside_a_bead_is_hidden_under_it_too() -> None:
     beads = detect(seen_image)
     (u, v), radius, (normal, place) = one.at(large[0]), one.radius_px[one.ids.index(large[0])], bars[0]
     rows = refine.start(np.array([[u, v]]), np.array([radius]), np.array([-0.9]))
-    usable, enough = without_overlaps(seen_image, bead_fitter(seen_image, beads), rows, np.array([0]))
+    usable, enough = without_overlaps(bead_fitter(seen_image, beads), rows, np.array([0]))
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     in_disc = np.hypot(x - u, y - v) < radius
     under = normal[0] * (x - place[0]) + normal[1] * (y - place[1]) > 0
     assert enough.all()
     assert not (usable & in_disc & under).any()
     assert (usable & in_disc & ~under).sum() > 0.5 * in_disc.sum()
-    # Where all that the bar leaves of its surroundings is clipped, the rim has no foot.
-    pixels = seen_image.pixels.copy()
-    pixels[(np.hypot(x - u, y - v) > radius + 1.5) & ~under] = np.uint16(seen_image.white)
-    clipped = replace(seen_image, pixels=pixels)
-    _, enough = without_overlaps(clipped, bead_fitter(clipped, beads), rows, np.array([0]))
-    assert not enough.any()
+
+
+def clipped(one: Seen, rng: np.random.Generator, without: tuple[str, ...] = ()) -> tuple[Radiograph, np.ndarray]:
+    """Return an image whose light grows across the field until it clips, and the background's clipped pixels.
+
+    Its balls stop more than those that the fit knows, as datum balls do: a depth of 5 instead of 3.
+    """
+    u = np.broadcast_to(np.arange(SHAPE[1]), SHAPE)
+    bright = np.exp(2.2 * np.clip((u - 500) / 524, 0, None) ** 1.3)
+    primary = bright.copy()
+    scatter = SCATTER * np.minimum(primary, 2.0)
+    for name, (x, y), radius in zip(one.ids, one.uv_px, one.radius_px, strict=True):
+        if name not in without:
+            left, top, half = int(x) - 24, int(y) - 24, 48
+            primary[top : top + half, left : left + half] *= transmission(
+                Bead(x - left, y - top, radius, depth=5.0), (half, half)
+            )
+    level = 0.6 / float(np.median(primary + scatter))  # as `radiograph` exposes, share of white
+    return radiograph(LEVEL * (primary + scatter), rng), level * (bright + scatter) > 1.05
+
+
+def before_clipped(one: Seen, over: np.ndarray) -> list[str]:
+    """Return the isolated balls with a clipped background all around."""
+    rows = np.flatnonzero(one.gaps() > 10)
+    u, v = one.uv_px[rows].astype(int).T
+    return [one.ids[i] for i in rows[over[v, np.maximum(u - 25, 0)]]]
+
+
+def test_beads_before_a_clipped_background_come_back_with_their_error() -> None:
+    """The covariance of the fit alone, which assumes the shadow's profile, gives a mean half of chi-square of 10."""
+    rng = np.random.default_rng(49)
+    chi2, before, count = [], 0, 0
+    for turn in range(4):
+        one = seen(turn)
+        shown, over = clipped(one, rng)
+        names = before_clipped(one, over)
+        labelled, again = looked(shown)
+        count += len(names)
+        before += sum(name in labelled.ids for name in names)
+        chi2 += squares(again, one, [name for name in names if name in again.ids])
+    assert count > 30
+    assert before < 0.2 * count
+    assert len(chi2) > 0.9 * count
+    # Below 1: this background bends less than those of the twin's hips, on which the error was measured.
+    assert 0.2 < np.mean(chi2) < 1.3
+    assert max(chi2) < 8.0  # 1 in 3000
+
+
+@pytest.mark.slow
+def test_a_bead_absent_before_a_clipped_background_is_never_found() -> None:
+    rng = np.random.default_rng(50)
+    absent = 0
+    for turn in range(4):
+        one = seen(turn)
+        names = before_clipped(one, clipped(one, rng)[1])[::2]
+        _, again = looked(clipped(one, rng, without=tuple(names))[0])
+        assert not set(names) & set(again.ids)
+        absent += len(names)
+    assert absent > 10
 
 
 @pytest.mark.slow

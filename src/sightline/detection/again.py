@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.detection import columns, refine
+from sightline.detection.clipping import WITHOUT_FOOT, allow_for_missing_foot, clipped_shares
 from sightline.detection.covered import DEEPEST_OF_KNOWN_SHAPE, overlap_of, without_overlaps
 from sightline.detection.detector import bead_fitter, fine_reasons
 from sightline.detection.fit import PRIOR_SD
@@ -39,6 +40,8 @@ _MAX_SD_PX = 0.5  # as for beads that an image determines (docs/benchmarks.md)
 _MAX_M2 = 16.0  # squared Mahalanobis distance from the prediction, whose s.d. is 1.2 times too small at the edge [twin]
 _MAX_LOG_SIZE = 0.07  # log radius against the neighbours'; more is a pair of beads, or another object's rim [twin]
 _MAX_LOG_CONTRAST = np.log(2.0)  # against the neighbours'; metal around a bead changes the contrast by a half [twin]
+# Before a clipped background, whose level is unknown, a rim is fitted too small and too faint [twin].
+_MIN_LOG_SIZE_WITHOUT_FOOT, _MIN_LOG_CONTRAST_WITHOUT_FOOT = -0.3, -1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +68,9 @@ def look_again(
     """Return `observations` (of `label`) with beads that `detect` missed, where the image shows them clearly.
 
     Beads partly under metal or under each other are fitted where the labelled beads of their plate predict them. They
-    are accepted only if centre, size and contrast agree with the prediction. Labelled beads with a deep overlap are
-    fitted again, both at once, or left out. Fitted beads stand last. Washers are not searched for, nor balls of a
+    are accepted only if centre, size and contrast agree with the prediction. Before a clipped background, detections
+    too small for labelling are accepted too, with a larger covariance. Labelled beads with a deep overlap are fitted
+    again, both at once, or left out. Fitted beads stand last. Washers are not searched for, nor balls of a
     solid. `image`, `white`: as of `detect`; `frame`: as of `label`.
     Raises ObservationsError where `observations` are not what `label` returned for `beads`.
 
@@ -107,28 +111,39 @@ def look_again_with(
         which = _rows_to_fit(image, plates, expected, settled)
         if len(which) == 0:
             break
+        own = refine.start(expected.uv_px, expected.radius_px, expected.contrast)
+        shares = clipped_shares(image, image.field_mask, own)
+        found = _detected(rows, expected, which[shares[which] > WITHOUT_FOOT])
+        row_of = row_of | {ids[k]: row for k, row in found.items()}
+        settled[list(found)] = True
+        which = which[~settled[which]]
+        if len(which) == 0:
+            continue
         if fitter is None:
             fitter = fitter_of_image()
             rows[:, _NOT_STATED] = fitter(rows)[:, _NOT_STATED]
         initial, prior_sd = _initial(plates, rows, expected, which)
-        fit = _fitted(fitter, image, initial, which, prior_sd)
-        clear = _clear(fit, initial, expected, which)
+        # Before a clipped background, the radius must take up what the fit does not know of the shadow's profile.
+        prior_sd[:, np.flatnonzero(shares > WITHOUT_FOOT)] = PRIOR_SD[:, None]
+        fit = _fitted(fitter, initial, which, prior_sd)
+        allow_for_missing_foot(fit, shares[which])
+        clear = _clear(fit, initial, expected, which, shares[which] > WITHOUT_FOOT)
         tried[which] = settled[which[clear]] = True
         row_of = {name: row for name, row in row_of.items() if name not in ids[which]}
         row_of |= {name: len(rows) + k for k, name in enumerate(ids[which[clear]])}
         rows = np.concatenate([rows, fit[clear]])
-        if len(clear) == 0 or _too_few(plates, row_of):
+        if len(clear) + len(found) == 0 or _too_few(plates, row_of):
             break
-    if not tried.any():
+    if row_of == before:
         return observations
-    row = list(row_of.values())
+    row, new = list(row_of.values()), [row for name, row in row_of.items() if before.get(name) != row]
     return replace(
         observations,
         ids=tuple(row_of),
         uv_px=rows[row, :2],
         covariance_px2=columns.centre_covariances(rows[row]),
         radius_px=rows[row, columns.RADIUS],
-        rejected=_rejected(observations, beads, [before[i] for i in ids[tried] if i in before], rows[len(beads) :]),
+        rejected=_rejected(observations, beads, [before[i] for i in ids[tried] if i in before], rows[new]),
     )
 
 
@@ -270,6 +285,24 @@ def _initial(
     return initial, prior_sd
 
 
+def _detected(rows: np.ndarray, expected: _Expected, which: np.ndarray) -> dict[int, int]:
+    """Return the detections, as rows, that show the missing beads `which`, isolated and before a clipped background.
+
+    Labelling does not take them, because their radii are too small.
+    """
+    left, found = np.setdiff1d(np.flatnonzero(rows[:, columns.CONTRAST] < 0), expected.row), {}
+    for k in which[expected.row[which] < 0]:
+        total = columns.centre_covariances(rows[left]) + expected.variance_px2[k] * np.eye(2)
+        off = rows[left, :2] - expected.uv_px[k]
+        m2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(total), off)
+        size = np.log(rows[left, columns.RADIUS] / expected.radius_px[k])
+        alike = np.flatnonzero((m2 < _MAX_M2) & (size > _MIN_LOG_SIZE_WITHOUT_FOOT) & (size < _MAX_LOG_SIZE))
+        apart = distances(expected.uv_px[[k]], expected.uv_px)[0] - expected.radius_px
+        if len(alike) == 1 and np.partition(apart, 1)[1] > expected.radius_px[k]:
+            found[int(k)] = int(left[alike[0]])
+    return found
+
+
 def rows_with_others(
     beads: Detections, uv_px: np.ndarray, radius_px: np.ndarray, contrast: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -289,25 +322,32 @@ def _others(every: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.asarray((apart > np.maximum(every[:, columns.RADIUS, None], rows[:, columns.RADIUS])).all(axis=1))
 
 
-def _fitted(
-    fit: refine.BeadFitter, image: Radiograph, rows: np.ndarray, which: np.ndarray, prior_sd: np.ndarray
-) -> np.ndarray:
+def _fitted(fit: refine.BeadFitter, rows: np.ndarray, which: np.ndarray, prior_sd: np.ndarray) -> np.ndarray:
     """Fit the rows `which` outside metal and overlaps; status TOO_FEW_PIXELS where too little is left."""
-    usable, enough = without_overlaps(image, fit, rows, which, DEEPEST_OF_KNOWN_SHAPE)
+    usable, enough = without_overlaps(fit, rows, which, DEEPEST_OF_KNOWN_SHAPE)
     out = rows[which]
     out[:, columns.STATUS] = columns.TOO_FEW_PIXELS
     out[enough] = fit.within(usable)(rows, which[enough], prior_sd)
     return out
 
 
-def _clear(fit: np.ndarray, initial: np.ndarray, expected: _Expected, which: np.ndarray) -> np.ndarray:
-    """Return the fits that are well-determined beads and agree with the prediction of the beads `which`."""
+def _clear(
+    fit: np.ndarray, initial: np.ndarray, expected: _Expected, which: np.ndarray, without_foot: np.ndarray
+) -> np.ndarray:
+    """Return the fits that are well-determined beads and agree with the prediction of the beads `which`.
+
+    `without_foot` (M,) bool: which of them have a clipped background.
+    """
     clear = np.flatnonzero(fine_reasons(fit) == "")
-    fit, which = fit[clear], which[clear]
+    fit, which, without_foot = fit[clear], which[clear], without_foot[clear]
     covariance, off = columns.centre_covariances(fit), fit[:, :2] - expected.uv_px[which]
     total = covariance + expected.variance_px2[which, None, None] * np.eye(2)
     off_m2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(total), off)
-    size = fit[:, columns.RADIUS] / initial[which, columns.RADIUS]
+    size = np.log(fit[:, columns.RADIUS] / initial[which, columns.RADIUS])
+    least = np.where(without_foot, _MIN_LOG_SIZE_WITHOUT_FOOT, -_MAX_LOG_SIZE)
     contrast = np.maximum(fit[:, columns.CONTRAST] / expected.contrast[which], 1e-9)
     good = (covariance.max(axis=(1, 2)) < _MAX_SD_PX**2) & (off_m2 < _MAX_M2)
-    return clear[good & (abs(np.log(size)) < _MAX_LOG_SIZE) & (abs(np.log(contrast)) < _MAX_LOG_CONTRAST)]
+    fainter = np.where(without_foot, _MIN_LOG_CONTRAST_WITHOUT_FOOT, -_MAX_LOG_CONTRAST)
+    good &= (size > least) & (size < _MAX_LOG_SIZE)
+    good &= (np.log(contrast) > fainter) & (np.log(contrast) < _MAX_LOG_CONTRAST)
+    return clear[good]

@@ -5,7 +5,6 @@ import numpy as np
 
 from sightline.detection import columns, refine, window
 from sightline.fitting.kernels import distances
-from sightline.imaging import Radiograph
 
 # Deepest overlaps, in units of the smaller radius, at which two shadows can be separated: by their own rims, and where
 # other beads say what shape they have [twin].
@@ -14,24 +13,21 @@ DEEPEST, DEEPEST_OF_KNOWN_SHAPE = 1.4, 1.9
 # predicts. The margin lowers chi-square / 2 of overlapping beads from 6-10 to 0.5-1.5 [twin].
 _MARGIN_PX = 2.5
 _MIN_RIM_SHARE = 0.3  # of the rim, not covered by metal or other beads [ours]
-_AROUND_PX = -1.0, 4.0  # the ring around a bead, from its rim [ours]
-# Largest clipped share of that ring: without the foot of its edge, a rim has a larger error than stated [twin].
-_MAX_CLIPPED_SHARE = 0.4
 
 
 def without_overlaps(
-    image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray, which: np.ndarray, deepest: float = DEEPEST
+    fit: refine.BeadFitter, rows: np.ndarray, which: np.ndarray, deepest: float = DEEPEST
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the usable pixels (H, W) outside metal and overlaps of the beads `which` (M,) of `rows`.
 
     And (M,) bool: whether enough of each bead is left. `deepest`: overlap beyond which it is not.
     """
     usable = fit.usable.copy()
-    enough = [_clear_covered(image, fit, rows, i, usable) < deepest for i in which]
+    enough = [_clear_covered(fit, rows, i, usable) < deepest for i in which]
     return usable, np.array(enough, dtype=bool)
 
 
-def _clear_covered(image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.ndarray) -> float:
+def _clear_covered(fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.ndarray) -> float:
     """Clear metal around bead `i` and its overlaps in `usable`; return its deepest overlap.
 
     Infinite where too little of the bead is left.
@@ -62,12 +58,8 @@ def _clear_covered(image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray, 
     seen = slice(max(-top, 0), max(height - top, 0)), slice(max(-left, 0), max(width - left, 0))
     there = slice(max(top, 0), top + len(state)), slice(max(left, 0), left + len(state))
     usable[there] &= ~hidden[seen]
-    around = (from_centre > radius + _AROUND_PX[0]) & (from_centre < radius + _AROUND_PX[1])
-    visible = around[seen] & usable[there]
-    clipped = visible & (image.pixels[there] >= image.white)
     rim = window.visible_rim(state, rows, near, left, top)
-    foot = np.count_nonzero(clipped) < _MAX_CLIPPED_SHARE * np.count_nonzero(visible)
-    return overlap.max(initial=0.0) if rim > _MIN_RIM_SHARE and foot else np.inf
+    return overlap.max(initial=0.0) if rim > _MIN_RIM_SHARE else np.inf
 
 
 def _hull_of_metal(metal: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from sightline.detection import columns, refine
 from sightline.detection.causes import NO_RIM, cause_of
+from sightline.detection.clipping import allow_for_missing_foot, clipped_shares
 from sightline.detection.find import distinct, find_candidates
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
@@ -98,6 +99,7 @@ def _detected(image: Radiograph) -> Detections:
         reason[_covered(beads, image.burnt_in) > _COVERED] = "covered by a burnt-in annotation"
     rejected += _rejected(beads[reason != ""], reason[reason != ""])
     beads = beads[reason == ""]
+    allow_for_missing_foot(beads, clipped_shares(image, usable, beads))
     if len(beads) == 0:
         why = _LARGE_BEADS if fine else cause_of(image, beads[:, :3], rejected) or _NO_BEADS
         raise DetectionRefusedError(f"no bead was found ({len(rejected)} candidates were rejected); {why}")

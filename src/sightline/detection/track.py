@@ -10,6 +10,7 @@ import numpy as np
 
 from sightline.detection import columns, refine
 from sightline.detection.again import look_again_with, rows_with_others
+from sightline.detection.clipping import allow_for_missing_foot, clipped_shares
 from sightline.detection.covered import without_overlaps
 from sightline.detection.detector import bead_fitter, fine_reasons, without_middles
 from sightline.detection.log_image import field_inset, log_image, logs_of
@@ -92,7 +93,7 @@ class Track:
         washer = np.concatenate([(row >= 0) & (kind[row] == "washer"), kind[other] == "washer"])
         mask, crowded = field_inset(image), row < 0
         fit = fit.within(without_middles(mask, rows[washer, :2], rows[washer, columns.RADIUS]))
-        free, free_for = without_overlaps(image, fit, rows, np.flatnonzero(crowded))
+        free, free_for = without_overlaps(fit, rows, np.flatnonzero(crowded))
         return Track(
             frame=frame,
             view=observations.view,
@@ -181,13 +182,14 @@ class Track:
     def _fitted(self, image: Radiograph, fit: refine.BeadFitter) -> "Track":
         """Return the state after fitting all beads to an image. Raises TrackLost."""
         rows, count = self._expected(), len(self.ids)
-        free, free_for, free_at = self._free(image, fit, rows)
+        free, free_for, free_at = self._free(fit, rows)
         crowded = np.flatnonzero(self.crowded)
         alone = np.setdiff1d(np.arange(len(rows)), crowded)
         out = rows.copy()
         out[crowded, columns.STATUS] = columns.TOO_FEW_PIXELS
         out[alone] = fit(rows, alone)
         out[crowded[free_for]] = fit.within(free)(rows, crowded[free_for])
+        allow_for_missing_foot(out, clipped_shares(image, fit.usable, out))
         good = fine_reasons(out) == ""
         moved = out[:, :2] - self.rows[:, :2]
         self._refuse_few(good[:count])
@@ -225,14 +227,12 @@ class Track:
         washer = self._expected()[self.washer]
         return without_middles(mask, washer[:, :2], washer[:, columns.RADIUS])
 
-    def _free(
-        self, image: Radiograph, fit: refine.BeadFitter, rows: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _free(self, fit: refine.BeadFitter, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return `free`, `free_for` and `free_at_px`, computed again where the usable pixels have changed."""
         if fit.usable is self.fit.usable:
             return self.free, self.free_for, self.free_at_px
         places = rows[: len(self.ids), :2]
-        return *without_overlaps(image, fit, rows, np.flatnonzero(self.crowded)), places
+        return *without_overlaps(fit, rows, np.flatnonzero(self.crowded)), places
 
     def _refuse_few(self, good: np.ndarray) -> None:
         """Raises TrackLost."""

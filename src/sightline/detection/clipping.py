@@ -1,0 +1,46 @@
+"""Beads before a clipped background: how much of the foot of a rim is clipped, and what its centre's error is then."""
+
+import numpy as np
+
+from sightline.detection import columns
+from sightline.detection.compiled import exact
+from sightline.imaging import Radiograph
+
+_AROUND_PX = -1.0, 4.0  # the ring around a bead, from its rim [ours]
+
+# Above this clipped share of the ring, a rim has lost the foot of its edge: radius, blur and background no longer
+# separate, and the error of the shadow's profile moves the centre where the background slopes [twin].
+WITHOUT_FOOT = 0.2
+_GROWS, _FLOOR_PX = 1.2, 0.06  # such a centre's s.d.: times what the fit states, and beside it, px per axis [twin]
+
+
+def clipped_shares(image: Radiograph, usable: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return the clipped share (N,) of the `usable` (H, W) pixels around each bead of `rows` (N, COUNT)."""
+    shares, clipped = np.zeros(len(rows)), image.pixels >= image.white
+    if clipped.any():
+        _fill_shares(clipped, usable, rows, shares)
+    return shares
+
+
+def allow_for_missing_foot(rows: np.ndarray, shares: np.ndarray) -> None:
+    """Enlarge the covariances of the centres of `rows` (N, COUNT) whose rims have no foot, by `shares` (N,)."""
+    lost = shares > WITHOUT_FOOT
+    for column in columns.CENTRE_COVARIANCE:
+        rows[lost, column] *= _GROWS**2
+    for column in (columns.CUU, columns.CVV):
+        rows[lost, column] += _FLOOR_PX**2
+
+
+@exact
+def _fill_shares(clipped, usable, rows, shares):
+    height, width = clipped.shape
+    for k in range(len(rows)):
+        u, v, radius = rows[k, columns.U], rows[k, columns.V], rows[k, columns.RADIUS]
+        inner2, outer2 = (radius + _AROUND_PX[0]) ** 2, (radius + _AROUND_PX[1]) ** 2
+        reach, seen, count = radius + _AROUND_PX[1], 0, 0
+        for i in range(max(int(v - reach), 0), min(int(v + reach) + 2, height)):
+            for j in range(max(int(u - reach), 0), min(int(u + reach) + 2, width)):
+                if inner2 < (j - u) ** 2 + (i - v) ** 2 < outer2 and usable[i, j]:
+                    seen += 1
+                    count += clipped[i, j]
+        shares[k] = count / max(seen, 1)
