@@ -337,7 +337,9 @@ def drive(
         shots = None
         if case is not None and measured_on is not None and not yes:
             shots = DriveShots(out, case, measured_on, robot, target, pick_sd, fixed)
-        for name, question, go in _steps(robot, target, known_way=robot.simulated, taken_off=(known.of_solid, block)):
+        for name, question, go in _steps(
+            robot, target, known_way=robot.simulated, block=known.of_solid, put_back=block
+        ):
             if name in _SHOT_BEFORE:
                 _shot(out, robot, _SHOT_BEFORE[name], shots, measurable=block or fixed is not None)
             if not _agreed(robot.simulated, yes, question):
@@ -486,12 +488,11 @@ _Step = tuple[str, str, "Callable[[], object]"]
 
 
 def _steps(
-    robot: "RobotClient", target: "RobotTarget", *, known_way: bool, taken_off: tuple[bool, bool]
+    robot: "RobotClient", target: "RobotTarget", *, known_way: bool, block: bool, put_back: bool
 ) -> "list[_Step]":
     """Return each motion: its name, the question a person must answer first, and the call that starts it.
 
-    `taken_off`: whether the robot held a block at the images, which a person takes off first, and whether it is put
-    back for each shot.
+    `block`: the robot held one at the images, which a person takes off first; `put_back`: and puts back for each shot.
     """
     import time
 
@@ -501,7 +502,6 @@ def _steps(
         robot.retract()
         _tell(robot, target, time.time())
 
-    block, put_back = taken_off
     again_off = "Is the block off again? " if put_back else ""
     off: list[_Step] = [
         ("block off", "Take the block off the robot: the arm must not turn with it. Is it off?", lambda: None)

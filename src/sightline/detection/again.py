@@ -57,6 +57,10 @@ class _Expected:
     contrast: np.ndarray
     row: np.ndarray
 
+    def start(self) -> np.ndarray:
+        """Return the beads as initial rows (P, COUNT) of `columns`."""
+        return refine.start(self.uv_px, self.radius_px, self.contrast)
+
 
 def look_again(
     image: Radiograph | np.ndarray | str | Path,
@@ -111,8 +115,7 @@ def look_again_with(
         which = _rows_to_fit(image, plates, expected, settled)
         if len(which) == 0:
             break
-        own = refine.start(expected.uv_px, expected.radius_px, expected.contrast)
-        shares = clipped_shares(image, image.field_mask, own)
+        shares = clipped_shares(image, image.field_mask, expected.start())
         found = _detected(rows, expected, which[shares[which] > WITHOUT_FOOT])
         row_of = row_of | {ids[k]: row for k, row in found.items()}
         settled[list(found)] = True
@@ -265,7 +268,7 @@ def _initial(
     And their prior s.d. (2, N, BEAD_TERMS). The shape of each ball is that of the other balls of its plate.
     """
     known = np.setdiff1d(np.flatnonzero(expected.row >= 0), which)
-    own = refine.start(expected.uv_px, expected.radius_px, expected.contrast)
+    own = expected.start()
     own[known] = rows[expected.row[known]]
     initial = np.concatenate([own, rows[_others(rows, own)]])
     prior_sd = np.repeat(PRIOR_SD[:, None], len(initial), axis=1)

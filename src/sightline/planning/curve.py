@@ -2,14 +2,20 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning.line_residuals import LineResiduals, pick_covariance_mm2, refuse_repeated, refuse_two_frames
+from sightline.planning.line_residuals import (
+    LineResiduals,
+    no_lines,
+    pick_covariance_mm2,
+    refuse_repeated,
+    refuse_two_frames,
+)
 from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick
 
 STEP_MM = 2.0  # about 10 px: the chord of a distorted line then deviates from it by less than 0.01 px [ours]
@@ -80,7 +86,7 @@ def matching_curve(
     tangent = np.gradient(curve_px, depth, axis=0, edge_order=2)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     pick = DEFAULT_PICK_SD_PX**2 * np.eye(2) if uv_covariance_px2 is None else np.asarray(uv_covariance_px2)
-    refuse_two_frames((line, _no_lines(to_view)))
+    refuse_two_frames((line, no_lines(to_view)))
     return MatchingCurve(
         from_view=from_view.name,
         to_view=to_view.name,
@@ -134,12 +140,6 @@ def _seen(view: CalibratedView, xyz_mm: np.ndarray) -> tuple[np.ndarray, slice]:
     first, last = (int(k) for k in edges[np.argmin(away)])
     before = int(np.count_nonzero(seen[:first]))
     return uv[before : before + last - first], slice(first, last)
-
-
-@lru_cache(maxsize=8)  # the views of a few cases [ours]
-def _no_lines(view: CalibratedView) -> LinesOfSight:
-    """Return no lines of sight of a view: they tell its frame."""
-    return view.lines_of_sight(np.zeros((0, 2)))
 
 
 def _perpendicular(tangent_px: np.ndarray) -> np.ndarray:

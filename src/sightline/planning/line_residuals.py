@@ -6,7 +6,7 @@ plane map minus the central projection of X from the focal point F. Its error fo
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -75,6 +75,12 @@ def _between(views: Sequence[LineResiduals], sources: Sequence[str], i: int, j: 
         if source in sources:
             out += (a.to_line @ a.lines.shared[source]) @ (b.to_line @ b.lines.shared[source]).T
     return out
+
+
+@lru_cache(maxsize=8)  # the views of a few cases [ours]
+def no_lines(view: CalibratedView) -> LinesOfSight:
+    """Return no lines of sight of a view: they tell its frame."""
+    return view.lines_of_sight(np.zeros((0, 2)))
 
 
 def refuse_two_frames(lines: Sequence[LinesOfSight]) -> None:

@@ -18,6 +18,7 @@ from sightline.strict import read_strictly
 
 NAILS_FOLDER = "SIGHTLINE_NAILS"  # environment variable: the folder of the user's files
 _MAX_BYTES, _MAX_FILES = 2**14, 200  # [ours] forty times a shipped file
+_ADVICE = {**ADVICE, "extra_forbidden": "is not a key of a nail's file; correct its spelling or remove it"}
 
 
 class NailFile(Strict):
@@ -43,7 +44,7 @@ def shipped_nails() -> dict[str, NailFile]:
     """Return the shipped files by key."""
     folder = files("sightline.planning") / "nails"
     texts = sorted((one.name.removesuffix(".json"), one.read_bytes()) for one in folder.iterdir())
-    return {key: read_strictly(text, NailFile, UnusableInputError, ADVICE) for key, text in texts}
+    return {key: read_strictly(text, NailFile, UnusableInputError, _ADVICE) for key, text in texts}
 
 
 def known_nails() -> dict[str, NailFile]:
@@ -71,7 +72,7 @@ def nail_of(name: str) -> Nail | None:
 def _read(path: Path) -> NailFile:
     try:
         text = read_bounded(path, _MAX_BYTES, UnusableInputError, "give a nail's file")
-        made = read_strictly(text, NailFile, UnusableInputError, ADVICE)
+        made = read_strictly(text, NailFile, UnusableInputError, _ADVICE)
         _ = made.nail  # its sizes fit each other
     except UnusableInputError as error:
         raise UnusableInputError(f"{path.name}: {error}") from None

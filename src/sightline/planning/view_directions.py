@@ -11,9 +11,10 @@ from sightline.errors import ReconstructionRefusedError
 from sightline.geometry.covariance import TWO_SIDED_95, response
 from sightline.planning.anatomy import Anatomy
 from sightline.planning.directions import anatomical, unit
+from sightline.planning.line_residuals import no_lines
 from sightline.planning.patient_axes import BoneAxes, frame_axes
 from sightline.planning.procedures import Procedure
-from sightline.planning.procedures.document import WantedView
+from sightline.planning.procedures.document import BoneDirection, WantedView
 from sightline.planning.procedures.rules import HEAD_CENTRE, CheckRule
 from sightline.planning.results import Verdict
 
@@ -58,10 +59,8 @@ class Located:
                 f"{unsaid}, and the procedure's file states no directions of the bone. Compare both images with the "
                 "views that `sightline procedure show` names."
             )
-        lacking = self._bone.lacking(directions[:2])
-        lacking += ["the side is not given"] if self.side is None else []
-        lacking += ["the error of a view is not stated"] if self.anatomy.covariance is None else []
-        return f"{unsaid}; {'; '.join(lacking)}." if lacking else ""
+        lacking = self._lacking(directions[:2])
+        return f"{unsaid}; {lacking}." if lacking else ""
 
     @property
     def _bone(self) -> BoneAxes:
@@ -75,10 +74,15 @@ class Located:
     @property
     def unknown_side(self) -> str:
         """Why the bone's directions do not show the side, or ""."""
-        lacking = self._bone.lacking(self.procedure.document.directions)
+        lacking = self._lacking(self.procedure.document.directions)
+        return f"The bone does not confirm the side: {lacking}." if lacking else ""
+
+    def _lacking(self, directions: Sequence[BoneDirection]) -> str:
+        """Return what is missing for some directions of the bone, as text."""
+        lacking = self._bone.lacking(directions)
         lacking += ["the side is not given"] if self.side is None else []
         lacking += ["the error of a view is not stated"] if self.anatomy.covariance is None else []
-        return f"The bone does not confirm the side: {'; '.join(lacking)}." if lacking else ""
+        return "; ".join(lacking)
 
     def _directions(self) -> Verdict:
         rule = next((one for one in self.procedure.checks if one.check == _NAME), None)
@@ -200,8 +204,7 @@ class JudgedView:
 
 def _axes_of_frame(views: Sequence[CalibratedView]) -> bool:
     """Return True where the axes of the views' frame are those of the patient: of plates (docs/conventions.md)."""
-    lines = [view.lines_of_sight(np.zeros((0, 2))) for view in views]
-    return all(one.frame_key is not None and one.adjustment is None for one in lines)
+    return all(one.frame_key is not None and one.adjustment is None for one in map(no_lines, views))
 
 
 def rules_of_bone(procedure: Procedure, views: Sequence[CalibratedView]) -> tuple[CheckRule, ...]:
@@ -214,8 +217,7 @@ def assumed_axes(procedure: Procedure, views: Sequence[CalibratedView]) -> str:
     """Return what the procedure's checks along a block's axes take for granted, or "" for plates or without such."""
     if all(one.check not in _ALONG_AXES for one in rules_of_bone(procedure, views)):
         return ""
-    lines = [view.lines_of_sight(np.zeros((0, 2))) for view in views]
-    return _ASSUMED if any(one.adjustment is not None for one in lines) else ""
+    return _ASSUMED if any(one.adjustment is not None for one in map(no_lines, views)) else ""
 
 
 def angles_of(beam: np.ndarray) -> tuple[float, float]:

@@ -38,7 +38,7 @@ def _views(tab: Tab) -> None:
         elif seen.refused:
             note(seen.refused, kind="bad", testid=f"refused-{name}")
         elif seen.view is None:
-            note(f"{texts.titled(texts.word(seen.doing))} …", kind="quiet")
+            note(texts.in_progress(seen.doing), kind="quiet")
         else:
             left = seen.view.residuals
             rows = [

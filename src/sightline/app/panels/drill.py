@@ -80,7 +80,7 @@ def _robot(tab: Tab) -> None:
         if planning.patient is None:
             note(texts.NO_ROBOT, kind="warn", testid="no-robot")
         elif tab.session.jobs.working:
-            note(f"{texts.titled(texts.word(tab.session.jobs.working))} …")
+            note(texts.in_progress(tab.session.jobs.working))
         else:
             note(texts.ROBOT_OFF, kind="quiet")
             if planning.drilled is not None and planning.sent_is_current:

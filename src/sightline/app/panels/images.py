@@ -136,7 +136,7 @@ def _images(tab: Tab) -> None:
         if seen.refused:
             note(seen.refused, kind="bad")
     if jobs.working:
-        note(f"{texts.titled(texts.word(jobs.working))} …", testid="working")
+        note(texts.in_progress(jobs.working), testid="working")
     if jobs.trouble:
         note(jobs.trouble, kind="bad", testid="trouble")
     if planning.patient is not None:

@@ -76,7 +76,7 @@ def _check(tab: Tab) -> None:
     elif planning.patient is None:
         note(texts.DROP_CHECK, kind="quiet")
     if jobs.working:
-        note(f"{texts.titled(texts.word(jobs.working))} …")
+        note(texts.in_progress(jobs.working))
     if jobs.trouble:
         note(jobs.trouble, kind="bad")
     for name in CHECK_NAMES:

@@ -120,7 +120,7 @@ class Views:
             {name: drawn for name, drawn in layers.items() if name not in hidden},
             _points(image, step, planning.decisions if preview is None else preview.decisions),
             goal.spec.name if goal is not None and goal.image == image else None,
-            (f"{texts.titled(texts.word(seen.doing))} …" if seen.doing else seen.refused) or undrawn or None,
+            (texts.in_progress(seen.doing) if seen.doing else seen.refused) or undrawn or None,
             f"{planning.case.number} {image} {seen.acquired.number} {planning.history.revision}",
             self._matching() if image == NAMES[1] and step is ProcedureStep.PLAN else None,
             head,

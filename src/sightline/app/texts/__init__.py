@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from sightline.app.texts.languages import ENGLISH as ENGLISH
 from sightline.app.texts.languages import Language as Language
+from sightline.app.texts.languages import in_progress as in_progress
 from sightline.app.texts.languages import language_of as language_of
 from sightline.app.texts.languages import load as load
 from sightline.app.texts.languages import now as now

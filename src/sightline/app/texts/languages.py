@@ -112,6 +112,11 @@ def titled(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+def in_progress(work: str) -> str:
+    """Return a note that work, named in English, is in progress."""
+    return f"{titled(word(work))} …"
+
+
 def tag(sentence: str) -> str:
     """Return the language of a sentence, as HTML's `lang`: "en" for one that is not in the spoken language; else
     empty."""

@@ -141,8 +141,7 @@ class XrayContent:
 @dataclass(frozen=True)
 class XrayEvent:
     """A validated action of a person; "refused" stands for an invalid event. `uv` (u, v) px; `seq`: number for the
-    acknowledgement. `points`: two or three clicks of the ruler, none where it was
-    taken away."""
+    acknowledgement. `points`: two or three clicks of the ruler, none where it was taken away."""
 
     type: EventType
     id: str | None = None
