@@ -272,11 +272,12 @@ def test_a_plan_outlives_a_reload_a_second_tab_and_a_killed_server(
     other.until("lateral", "core.state.points.get('end')?.uv")
     assert other.placed("end", "lateral") == here
     decided = _recorded(folder)
+    other.page.evaluate("window.ofTheServerThatWasKilled = true")
     assert server._process is not None
     server._process.kill()
     server._process.wait()
     server.start()
-    other.page.reload()
+    other.page.wait_for_function("!window.ofTheServerThatWasKilled")  # it loads anew, unasked
     other.wait_for_step("Calibrate", "done")
     other.step("Plan")
     other.until("lateral", "core.state.points.get('end')?.uv")
