@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pydicom
@@ -144,7 +145,7 @@ def test_the_report_holds_the_figures_of_the_json(demo_folder) -> None:
 
 
 def test_an_interrupted_demo_leaves_nothing(run, tmp_path: Path, monkeypatch) -> None:
-    def interrupted(output, folder, *drawn):
+    def interrupted(output, folder, *ahead, **drawn):
         (folder / "demo_pa.dcm").write_bytes(b"half")
         raise KeyboardInterrupt
 
@@ -179,5 +180,6 @@ def test_without_mujoco_the_rest_is_made_and_the_reason_said(monkeypatch, capsys
     from sightline.cli.output import Output
 
     monkeypatch.setattr(demo_robot, "find_spec", lambda name: None)
-    assert demo_robot.drill(Output(json=False, quiet=False), None, None) is None
+    planned = SimpleNamespace(rehearsal=None)
+    assert demo_robot.drill(Output(json=False, quiet=False), planned, None, None) is None
     assert "sightline[robot]" in capsys.readouterr().err

@@ -82,15 +82,27 @@ def test_a_controller_that_is_killed_while_it_moves():
 
 @pytest.mark.slow
 def test_one_that_cannot_start_says_why():
-    with pytest.raises(LinkError, match=r"did not start: .*unobtainium"):
-        RobotProcess(SEED, frame="unobtainium")
+    with (
+        RobotProcess(SEED, frame="unobtainium") as process,
+        pytest.raises(LinkError, match=r"did not start: .*unobtainium"),
+    ):
+        _ = process.port
+
+
+@pytest.mark.slow
+def test_one_that_nobody_waited_for_ends_with_its_block():
+    with RobotProcess(SEED) as process:
+        pass
+    assert not process.alive
 
 
 @pytest.mark.slow
 def test_it_does_not_outlive_who_started_it():
     """Even one that was killed without a word."""
     starts = "import sys\nfrom sightline.rehearsal.process import RobotProcess\n"
-    starts += f"robot = RobotProcess({SEED}, virtual=True)\nprint(robot.pid, flush=True)\nsys.stdin.read()\n"
+    starts += (
+        f"robot = RobotProcess({SEED}, virtual=True)\nprint(robot.port and robot.pid, flush=True)\nsys.stdin.read()\n"
+    )
     with Popen([sys.executable, "-c", starts], stdin=PIPE, stdout=PIPE) as parent:  # noqa: S603
         pid = int(parent.stdout.readline())
         parent.kill()

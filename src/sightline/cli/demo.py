@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.demo_case import Kept, record
-from sightline.cli.demo_robot import DemoPlan, Inserted, carry_out
+from sightline.cli.demo_robot import DemoPlan, Inserted, RobotAhead, carry_out
 from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
@@ -68,15 +68,17 @@ def demo(
         seed = SEEDS.get(procedure, SEED) if seed is None else seed
         how_long = "about half a minute, of three wires twice that"
         output.note(f"Sightline demo, seed {seed}: {how_long}; the first run compiles and takes a minute more")
-        with whole_folder(out, units=("case",)) as scratch:
-            document = _run(output, scratch, seed, frame_name, procedure)
+        with whole_folder(out, units=("case",)) as scratch, RobotAhead() as ahead:
+            document = _run(output, scratch, ahead, seed=seed, frame_name=frame_name, procedure=procedure)
             files = [out / file.name for file in sorted(scratch.iterdir())]
         output.say(f"report: {out / 'report.html'}")
         output.say(f"images and results: {', '.join(file.name for file in files if file.suffix != '.html')} in {out}")
         output.result({**document, "files": files})
 
 
-def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: str) -> dict[str, Any]:
+def _run(
+    output: Output, folder: Path, ahead: RobotAhead, *, seed: int, frame_name: str, procedure: str
+) -> dict[str, Any]:
     """Do all steps and return the result. The images are read back from their files, as a user's images are."""
     from sightline.case.report import exposures
     from sightline.case.report.comparison import Truth
@@ -104,6 +106,7 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
         pa, lateral = (
             write_dicom(rehearsal.images[name], folder / f"demo_{name}.dcm", rehearsal.side) for name in NAMES
         )
+        ahead.start(rehearsal, frame_name)
     with output.step("2/8 reading the images, finding and labelling the beads"):
         seen = see_pair(pa, lateral, frame)
     methods = METHODS if frame.solid is None else OF_SOLIDS
@@ -118,7 +121,7 @@ def _run(output: Output, folder: Path, seed: int, frame_name: str, procedure: st
         compared = _compare(images, asked, truth, planned)
         compared += others_compared(rehearsal, wires, compared[0].picks)
     whole = DemoPlan(rehearsal, frame_name, asked, planned, images[METHODS[0]], wires)
-    inserted = carry_out(output, whole, rng)
+    inserted = carry_out(output, whole, ahead, rng)
     drilled = inserted[whole.key].drilled if whole.key in inserted else None
     exposed = exposures.of_images(images[METHODS[0]], exposures.PLANNING, planned.kind)
     for one in inserted.values():

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
+from sightline.closing import Closing
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from sightline.planning.results import SpacePoints
     from sightline.rehearsal.check_images import CheckImages
     from sightline.rehearsal.patient import RehearsedPatient
+    from sightline.rehearsal.process import RobotProcess
     from sightline.rehearsal.rehearsal import Rehearsal
     from sightline.robot.kinematics.registration import Registration
     from sightline.robot.kinematics.target import RobotTarget
@@ -90,8 +93,36 @@ class Inserted:
     again: "PlanRequest | None" = None
 
 
+class RobotAhead(Closing):
+    """The process of the simulated robot, started before it is needed: it starts while the images are calibrated."""
+
+    def __init__(self) -> None:
+        self._running: RobotProcess | None = None
+
+    def start(self, rehearsal: "RehearsedPatient", frame_name: str) -> None:
+        """Start it if this patient is drilled by the robot."""
+        if _drills(rehearsal) and _not_drilled(rehearsal) is None:
+            self._running = _robot(rehearsal, frame_name)
+
+    def take(self, planned: "DemoPlan[Rehearsal]") -> "RobotProcess":
+        """The one that was started, or a new one for another wire."""
+        taken, self._running = self._running, None
+        return taken or _robot(planned.rehearsal, planned.frame_name)
+
+    def close(self) -> None:
+        """End it, if nobody took it."""
+        if self._running is not None:
+            self._running.close()
+
+
+def _robot(rehearsal: "RehearsedPatient", frame_name: str) -> "RobotProcess":
+    from sightline.rehearsal.process import RobotProcess
+
+    return RobotProcess(rehearsal.seed, frame_name, rehearsal.side, rehearsal.procedure, virtual=True)
+
+
 def carry_out(
-    output: "Output", planned: "DemoPlan[RehearsedPatient]", rng: "np.random.Generator"
+    output: "Output", planned: "DemoPlan[RehearsedPatient]", ahead: RobotAhead, rng: "np.random.Generator"
 ) -> dict[str, Inserted]:
     """Return the wires by key, put in one after another in the proposed order, each checked before the next.
 
@@ -99,16 +130,15 @@ def carry_out(
     not drill (`drill`).
     """
     from sightline.cli.demo_procedures import PLACED
-    from sightline.rehearsal.rehearsal import Rehearsal
 
     done: dict[str, Inserted] = {}
-    drills = isinstance(planned.rehearsal, Rehearsal)
+    drills = _drills(planned.rehearsal)
     if not drills:
         output.say(PLACED)
     for one in planned.each():
         beside = replace(_again(one, tuple(done)), before_mm={key: other.wire_mm for key, other in done.items()})
         by_robot = cast("DemoPlan[Rehearsal]", beside)
-        inserted = drill(output, by_robot, rng) if drills else place(output, beside, rng)
+        inserted = drill(output, by_robot, ahead, rng) if drills else place(output, beside, rng)
         if inserted is None:
             break
         done[one.key] = inserted
@@ -126,18 +156,32 @@ def _again(planned: "DemoPlan[Who_co]", drilled: tuple[str, ...]) -> "DemoPlan[W
     return replace(planned, asked=asked, plan=asked.plan(planned.images))
 
 
-def drill(output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator") -> Inserted | None:
+def _drills(rehearsal: "RehearsedPatient") -> bool:
+    from sightline.rehearsal.rehearsal import Rehearsal
+
+    return isinstance(rehearsal, Rehearsal)
+
+
+def _not_drilled(rehearsal: "RehearsedPatient") -> str | None:
+    """Return why the robot does not drill though its simulation knows the procedure."""
+    if find_spec("mujoco") is None:
+        return "the robot is left out: it needs MuJoCo (pip install 'sightline[robot]')"
+    if rehearsal.setup.frame.detector is not None:
+        return "not drilled: beside a block the field of an image intensifier has no room for the robot's wire"
+    return None
+
+
+def drill(
+    output: "Output", planned: "DemoPlan[Rehearsal]", ahead: RobotAhead, rng: "np.random.Generator"
+) -> Inserted | None:
     """Return a wire drilled by the robot; None, with a message, if the robot is not installed or refuses."""
     from sightline.errors import RefusedError
 
-    if find_spec("mujoco") is None:
-        output.note("the robot is left out: it needs MuJoCo (pip install 'sightline[robot]')")
-        return None
-    if planned.rehearsal.setup.frame.detector is not None:
-        output.say("not drilled: beside a block the field of an image intensifier has no room for the robot's wire")
+    if why := _not_drilled(planned.rehearsal):
+        output.note(why)
         return None
     try:
-        return _drill(output, planned, rng)
+        return _drill(output, planned, ahead, rng)
     except RefusedError as error:
         output.say(f"not drilled: {error}")
         return None
@@ -181,20 +225,19 @@ def _beside(wire_mm: "np.ndarray", line_mm: "np.ndarray") -> "np.ndarray":
     return wire_mm[0] + ((line_mm - wire_mm[0]) @ along)[:, None] * along
 
 
-def _drill(output: "Output", planned: "DemoPlan[Rehearsal]", rng: "np.random.Generator") -> Inserted:
+def _drill(output: "Output", planned: "DemoPlan[Rehearsal]", ahead: RobotAhead, rng: "np.random.Generator") -> Inserted:
     from time import monotonic
 
     from sightline.case.report.drilled import Drilled
     from sightline.checks import failed
     from sightline.cli.demo_shots import confirming
     from sightline.rehearsal.operation import insert
-    from sightline.rehearsal.process import RobotProcess
     from sightline.robot.link.client import RobotClient
 
     rehearsal = planned.rehearsal
     with (
         output.step(f"6/8 the robot{_of(planned)}: registering, aligning, drilling under force supervision"),
-        RobotProcess(rehearsal.seed, planned.frame_name, rehearsal.side, rehearsal.procedure, virtual=True) as process,
+        ahead.take(planned) as process,
         RobotClient(port=process.port, heartbeat=False) as robot,
     ):
         targets = targets_by(registrations(planned, robot.joints()[0], monotonic(), rng), planned)

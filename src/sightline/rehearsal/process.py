@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from contextlib import suppress
+from functools import cached_property
 from json import JSONDecodeError, loads
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryFile
@@ -20,10 +21,9 @@ _SHOWN = 2000  # last characters of its error output that a message repeats
 class RobotProcess(Closing):
     """The robot of `Rehearsal.draw(seed, Frame.load(frame), side, procedure)`, listening at `port` on loopback.
 
-    Use it as `with RobotProcess(seed) as robot:`, with a RobotClient at `robot.port`. The constructor blocks until the
-    robot listens. The process ends with the block, with `close`, and when this process ends in any way. `virtual`: run
-    as fast as possible, for clients without heartbeats. Raises LinkError, with the robot's error output, if it does not
-    start.
+    Use it as `with RobotProcess(seed) as robot:`, with a RobotClient at `robot.port`, which waits until the robot
+    listens. The process ends with the block, with `close`, and when this process ends in any way. `virtual`: run as
+    fast as possible, for clients without heartbeats.
     """
 
     def __init__(
@@ -42,11 +42,9 @@ class RobotProcess(Closing):
         self._process = subprocess.Popen(  # noqa: S603 - our own program, no shell
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors
         )
-        try:
-            self.port = self._listening_port()
-        except BaseException:
-            self.close()
-            raise
+        self._lines: SimpleQueue[bytes] = SimpleQueue()
+        # Reading a pipe has no time limit; waiting for a thread that reads it has.
+        Thread(target=self._read_line, name="robot's first line", daemon=True).start()
 
     def close(self) -> None:
         """End the process: ask, then terminate, then kill it. A second call does nothing."""
@@ -72,14 +70,11 @@ class RobotProcess(Closing):
         """Whether the process is running."""
         return self._process.poll() is None
 
-    def _listening_port(self) -> int:
-        lines: SimpleQueue[bytes] = SimpleQueue()
-        stdout = self._process.stdout
-        assert stdout is not None  # noqa: S101
-        # Reading a pipe has no time limit; waiting for a thread that reads it has.
-        Thread(target=lambda: lines.put(stdout.readline()), name="robot's first line", daemon=True).start()
+    @cached_property
+    def port(self) -> int:
+        """Where it listens; waits until it does. Raises LinkError, with its error output, if it does not start."""
         try:
-            return int(loads(lines.get(timeout=START_S))["port"])
+            return int(loads(self._lines.get(timeout=START_S))["port"])
         except Empty:
             raise LinkError(f"the simulated robot did not start within {START_S:g} s") from None
         except (JSONDecodeError, KeyError, TypeError, ValueError):
@@ -87,6 +82,11 @@ class RobotProcess(Closing):
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(END_S)
             raise LinkError(f"the simulated robot did not start: {self._error_output()}") from None
+
+    def _read_line(self) -> None:
+        assert self._process.stdout is not None  # noqa: S101
+        with suppress(ValueError):  # closed meanwhile
+            self._lines.put(self._process.stdout.readline())
 
     def _error_output(self) -> str:
         self._errors.seek(0)
