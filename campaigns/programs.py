@@ -333,10 +333,11 @@ def demonstrated() -> Write:
         Output(json=False, quiet=True) as output,
         patch.object(demo, "record", lambda _, what: steps.append(lambda out: record(out / "case", what))),
         patch.object(demo, "_write_results", lambda _, *what: steps.append(lambda out: results(out, *what))),
+        demo.RobotAhead() as ahead,
     ):
-        demo._run(output, computed, demo.SEED, "gamma", "hip-screw")
+        demo._run(output, computed, ahead, seed=demo.SEED, frame_name="gamma", procedure="hip-screw")
 
-    def run(output: Output, scratch: Path, seed: int, frame: str, procedure: str) -> dict[str, Any]:
+    def run(output: Output, scratch: Path, ahead: demo.RobotAhead, **drawn: Any) -> dict[str, Any]:
         for image in sorted(computed.iterdir()):
             atomic.write_whole(scratch / image.name, image.read_bytes())
         for step in steps:

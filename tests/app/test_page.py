@@ -126,7 +126,9 @@ def _answer_after_the_plan_changed(hands: Hands) -> None:
     hands.page.wait_for_function("button => !button.isConnected", arg=button)
     hands.press("send-yes")
     expect(hands.page.get_by_text("the plan changed after you confirmed it")).to_be_visible()
+    button = hands.see("send").element_handle()
     other.page.keyboard.press("Control+z")
+    hands.page.wait_for_function("button => !button.isConnected", arg=button)
     other.page.close()
     expect(hands.see("send")).to_be_enabled()
 
@@ -138,7 +140,7 @@ def _drill(hands: Hands, shoot) -> None:
     hands.press("send")
     expect(hands.page.get_by_text("Nothing moves yet")).to_be_visible()
     _answer_after_the_plan_changed(hands)
-    hands.press("send")
+    hands.ask("send")
     hands.press("send-yes")
     for order, state in (("align", State.ALIGNED), ("drill", State.PAUSED), ("drill-on", State.DONE)):
         expect(hands.see(order)).to_be_enabled(timeout=PATIENCE_MS)
