@@ -1,11 +1,10 @@
 """A person before the planning page: looks, clicks, drags, types. What they know of the patient is the twin's truth."""
 
-from contextlib import suppress
 from functools import cache
 from typing import Any
 
 import numpy as np
-from playwright.sync_api import Locator, Page, TimeoutError, expect  # noqa: A004
+from playwright.sync_api import Locator, Page, expect
 
 from sightline.app.plan.marks import marks_of
 from sightline.case.views import NAMES
@@ -15,7 +14,6 @@ from sightline.rehearsal.rehearsal import Rehearsal
 SEED = 9
 KIND = "hip-screw"
 LANDMARKS = ("head centre", "lesser trochanter", "greater trochanter")  # as the twin names the kind's, in its order
-TIMES, QUESTION_MS = 5, 20_000
 PATIENCE_MS = 300_000  # for images that are taken and calibrated on a busy machine
 Pixels = dict[str, tuple[float, float]]
 
@@ -63,14 +61,6 @@ class Hands:
     def press(self, testid: str) -> None:
         """Click a button."""
         self.see(testid).click()
-
-    def ask(self, testid: str) -> None:
-        """Click a button until its question is there: a click while the server replaces the button is lost."""
-        for _ in range(TIMES):
-            self.press(testid)
-            with suppress(TimeoutError):
-                return self.see(f"{testid}-yes").wait_for(timeout=QUESTION_MS)
-        raise AssertionError(f"{testid} asks nothing")
 
     def step(self, name: str) -> None:
         """Go to a step, by its key or its name in English."""

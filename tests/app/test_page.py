@@ -140,7 +140,7 @@ def _drill(hands: Hands, shoot) -> None:
     hands.press("send")
     expect(hands.page.get_by_text("Nothing moves yet")).to_be_visible()
     _answer_after_the_plan_changed(hands)
-    hands.ask("send")
+    hands.press("send")
     hands.press("send-yes")
     for order, state in (("align", State.ALIGNED), ("drill", State.PAUSED), ("drill-on", State.DONE)):
         expect(hands.see(order)).to_be_enabled(timeout=PATIENCE_MS)

@@ -4,7 +4,6 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pydicom
@@ -180,6 +179,5 @@ def test_without_mujoco_the_rest_is_made_and_the_reason_said(monkeypatch, capsys
     from sightline.cli.output import Output
 
     monkeypatch.setattr(demo_robot, "find_spec", lambda name: None)
-    planned = SimpleNamespace(rehearsal=None)
-    assert demo_robot.drill(Output(json=False, quiet=False), planned, None, None) is None
+    assert demo_robot.drill(Output(json=False, quiet=False), None, None, None) is None
     assert "sightline[robot]" in capsys.readouterr().err

@@ -100,9 +100,8 @@ def test_one_that_nobody_waited_for_ends_with_its_block():
 def test_it_does_not_outlive_who_started_it():
     """Even one that was killed without a word."""
     starts = "import sys\nfrom sightline.rehearsal.process import RobotProcess\n"
-    starts += (
-        f"robot = RobotProcess({SEED}, virtual=True)\nprint(robot.port and robot.pid, flush=True)\nsys.stdin.read()\n"
-    )
+    starts += f"robot = RobotProcess({SEED}, virtual=True)\nassert robot.port\n"
+    starts += "print(robot.pid, flush=True)\nsys.stdin.read()\n"
     with Popen([sys.executable, "-c", starts], stdin=PIPE, stdout=PIPE) as parent:  # noqa: S603
         pid = int(parent.stdout.readline())
         parent.kill()

@@ -101,7 +101,7 @@ class RobotAhead(Closing):
 
     def start(self, rehearsal: "RehearsedPatient", frame_name: str) -> None:
         """Start it if this patient is drilled by the robot."""
-        if _drills(rehearsal) and _not_drilled(rehearsal) is None:
+        if _drills(rehearsal) and _installed() and _has_room(rehearsal):
             self._running = _robot(rehearsal, frame_name)
 
     def take(self, planned: "DemoPlan[Rehearsal]") -> "RobotProcess":
@@ -162,13 +162,12 @@ def _drills(rehearsal: "RehearsedPatient") -> bool:
     return isinstance(rehearsal, Rehearsal)
 
 
-def _not_drilled(rehearsal: "RehearsedPatient") -> str | None:
-    """Return why the robot does not drill though its simulation knows the procedure."""
-    if find_spec("mujoco") is None:
-        return "the robot is left out: it needs MuJoCo (pip install 'sightline[robot]')"
-    if rehearsal.setup.frame.detector is not None:
-        return "not drilled: beside a block the field of an image intensifier has no room for the robot's wire"
-    return None
+def _installed() -> bool:
+    return find_spec("mujoco") is not None
+
+
+def _has_room(rehearsal: "RehearsedPatient") -> bool:
+    return rehearsal.setup.frame.detector is None
 
 
 def drill(
@@ -177,8 +176,11 @@ def drill(
     """Return a wire drilled by the robot; None, with a message, if the robot is not installed or refuses."""
     from sightline.errors import RefusedError
 
-    if why := _not_drilled(planned.rehearsal):
-        output.note(why)
+    if not _installed():
+        output.note("the robot is left out: it needs MuJoCo (pip install 'sightline[robot]')")
+        return None
+    if not _has_room(planned.rehearsal):
+        output.say("not drilled: beside a block the field of an image intensifier has no room for the robot's wire")
         return None
     try:
         return _drill(output, planned, ahead, rng)
