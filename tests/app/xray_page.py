@@ -307,12 +307,12 @@ def _map(name: str) -> dict[str, Any]:
 
 
 @app.get("/heard")
-def _heard() -> dict[str, Any]:
-    return {"events": heard, "refused": sum(views["pa"].refused for views in pages)}
+async def _heard() -> dict[str, Any]:  # in the loop of the events: what is counted and what is listed are of one moment
+    return {"events": list(heard), "refused": sum(views["pa"].refused for views in pages)}
 
 
 @app.post("/forget")
-def _forget(answering: bool) -> None:
+async def _forget(answering: bool) -> None:
     heard.clear()
     state["answering"] = answering
 
