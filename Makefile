@@ -7,6 +7,8 @@ TOOLS  := $(VENV)/.tools
 KERNELS := $(VENV)/.kernels
 # Most of what is installed is never imported: Python compiles at the first import, which takes half the time.
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+# A lock names all that is needed. With --no-deps pip asks no index what else there is: a release of tomorrow changes nothing.
+LOCKED := $(PIP) --require-hashes --no-deps
 
 .PHONY: demo test slow bench campaign mutants busy coverage docs lint lock wheel clean
 .DEFAULT_GOAL := demo
@@ -14,7 +16,7 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Sightline needs Python 3.11 or newer; try: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) --require-hashes -r requirements.lock
+	$(LOCKED) -r requirements.lock
 	$(PIP) --no-deps --no-build-isolation -e .
 	@touch $@
 
@@ -24,7 +26,7 @@ $(KERNELS): $(READY)
 	@touch $@
 
 $(TOOLS): $(READY) requirements-dev.lock
-	$(PIP) --require-hashes -r requirements-dev.lock
+	$(LOCKED) -r requirements-dev.lock
 	@touch $@
 
 demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo/report.html
@@ -68,7 +70,7 @@ docs: $(VENV)/.docs  ## the site: out/docs/index.html; three notebooks are execu
 	OPENBLAS_NUM_THREADS=1 $(BIN)/sphinx-build --fail-on-warning --jobs auto --quiet -d out/doctrees docs out/docs
 
 $(VENV)/.docs: $(READY) requirements-docs.lock
-	$(PIP) --require-hashes -r requirements-docs.lock
+	$(LOCKED) -r requirements-docs.lock
 	@touch $@
 
 wheel: $(TOOLS)
