@@ -8,6 +8,7 @@ from benchmarks.scenes_hole import scored
 from tests.nail_images import NailImages, nail_images
 
 from sightline.errors import ReconstructionRefusedError, SightlineError, UnusableInputError, WireRefusedError
+from sightline.imaging import Radiograph
 from sightline.interlocking import find_hole, find_holes, find_nail
 from sightline.planning import Nail
 from sightline.twin.arm import beam_at
@@ -97,6 +98,25 @@ def test_a_stroke_without_an_edge_is_refused(titanium):
     strokes[0, 0] += [40.0 * np.sign(strokes[0, 0, 0, 0] - strokes[0, 1, 0, 0]), 0.0]
     with pytest.raises((WireRefusedError, ReconstructionRefusedError)):
         find_hole(find_nail(titanium.views, titanium.images, strokes, _known(NAIL)), titanium.clicks_px)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
+def test_an_image_without_a_nail_is_refused(titanium, noise):
+    """A fit finds an offset that is best in any image: one that asks nothing of the light takes it for an edge."""
+    rng = np.random.default_rng(4)
+    level = float(np.median(titanium.images[0].pixels))
+    flat = [
+        Radiograph(
+            np.clip(level * (1 + noise * rng.standard_normal(one.pixels.shape)), 0, one.white).astype(one.pixels.dtype),
+            one.white,
+        )
+        for one in titanium.images
+    ]
+    with pytest.raises(WireRefusedError, match=r"no edge of a nail .* light falls by \d+%"):
+        find_nail(titanium.views, flat, titanium.strokes_px, _known(NAIL))
+    one_without = [titanium.images[0], flat[1]]
+    with pytest.raises(WireRefusedError, match="no edge of a nail"):
+        find_nail(titanium.views, one_without, titanium.strokes_px, _known(NAIL))
 
 
 def test_bad_clicks_and_strokes_are_refused(titanium):
