@@ -39,6 +39,11 @@ class Limits:
     beyond_mm: float = 0.0
     before_mm: float = 0.0
 
+    @property
+    def through_walls(self) -> bool:
+        """Whether the drill passes both of its points within the bone, as through a nail's walls."""
+        return self.before_mm > 0 and self.beyond_mm > 0
+
 
 def failed(checks: Iterable[Check]) -> tuple[Check, ...]:
     """Return the failed checks, in order."""

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from sightline.geometry.covariance import ellipsoid_factor, length_quantile
+from sightline.geometry.covariance import both_within, ellipsoid_factor, length_quantile
 
 
 @pytest.mark.parametrize("probability", [0.5, 0.95, 0.99])
@@ -45,3 +45,22 @@ def test_many_covariances_at_once_and_none_at_all():
 def test_a_negative_variance_is_refused():
     with pytest.raises(ValueError, match="negative variance"):
         length_quantile(np.diag([1.0, 1.0, -0.1]))
+
+
+def test_two_plane_errors_are_both_short_with_the_share_of_samples():
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        root = rng.standard_normal((4, 4)) * rng.uniform(0.02, 0.15, 4)
+        off = np.linalg.norm((root @ rng.standard_normal((4, 400_000))).reshape(2, 2, -1), axis=1)
+        share = float((off < 0.3).all(axis=0).mean())
+        assert both_within(root @ root.T, 0.3) == pytest.approx(share, abs=0.003)  # 4 s.d. of the share
+
+
+def test_equal_and_independent_plane_errors_have_known_shares():
+    alone = 1 - np.exp(-0.5 * (0.5 / 0.2) ** 2)  # Rayleigh
+    apart, same = 0.04 * np.eye(4), 0.04 * np.kron(np.ones((2, 2)), np.eye(2))
+    assert both_within(apart, 0.5) == pytest.approx(alone**2, abs=1e-4)
+    assert both_within(same, 0.5) == pytest.approx(alone, abs=1e-6)
+    assert both_within(np.zeros((4, 4)), 0.5) == 1.0
+    with pytest.raises(ValueError, match="negative"):
+        both_within(np.diag([1.0, 1.0, 1.0, -0.1]), 0.5)

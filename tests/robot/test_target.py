@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.checks import Limits
+from sightline.checks import Check, Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.planning.directions import unit
 from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.kinematics.registration import PoseAtImage, Registration, register
 from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity, RobotTarget, robot_target
@@ -112,8 +113,8 @@ def test_the_plans_limits_decide_and_its_depth_is_drilled():
         {check.name: check for check in aimed(limits=limits).checks}
         for limits in (Limits(), Limits(0.2, 1e-4), Limits(0.9, 0.2))
     )
-    for name, unit in (("wire entry error", 1.0), ("wire end error", 1.0), ("wire direction error", 0.6)):
-        assert plain[name].limit == pytest.approx(unit)
+    for name, limit in (("wire entry error", 1.0), ("wire end error", 1.0), ("wire direction error", 0.6)):
+        assert plain[name].limit == pytest.approx(limit)
         assert not strict[name].passed
     assert (strict["wire end error"].limit, loose["wire end error"].limit) == (0.2, 0.9)
     assert loose["wire direction error"].limit == pytest.approx(np.rad2deg(0.2))
@@ -128,6 +129,39 @@ def test_the_plans_limits_decide_and_its_depth_is_drilled():
     )
     with pytest.raises(RobotRefusedError, match="feed ends"):
         aimed(limits=Limits(beyond_mm=200.0))
+
+
+def test_a_drill_through_walls_must_pass_both_with_97_percent():
+    through = Limits(0.75, 0.1, beyond_mm=15.0, before_mm=30.0)
+    hole = np.stack([POINTS[0], POINTS[0] + 11.0 * unit(POINTS[1] - POINTS[0])])
+
+    def checked(scale: float, limits: Limits = through) -> tuple[RobotTarget, dict[str, Check]]:
+        target = aimed(points=hole, scale=scale, limits=limits)
+        return target, {check.name: check for check in target.checks}
+
+    # A program that judges each end by its 95 % error accepts the second; errors along the drill would refuse the last.
+    refused = []
+    for scale in np.linspace(0.1, 3.0, 30):
+        target, checks = checked(float(scale))
+        values, vectors = np.linalg.eigh(target.covariance_mm2)
+        drawn = (vectors * np.sqrt(np.clip(values, 0.0, None))) @ np.random.default_rng(5).standard_normal((6, 200_000))
+        along = unit(target.end_mm - target.entry_mm)
+        both = drawn.reshape(2, 3, -1)
+        off = np.linalg.norm(both - along[:, None] * np.einsum("i,kin->kn", along, both)[:, None], axis=1)
+        passes = 100 * float((off < 0.75).all(axis=0).mean())
+        check = checks["wire through both walls"]
+        assert check.figure is not None
+        assert check.figure == pytest.approx(passes, abs=0.2)  # 5 s.d. of the share of 200,000 draws
+        assert check.passed == (check.figure >= 97.0)
+        refused += [not check.passed and checks["wire entry error"].passed and checks["wire end error"].passed]
+        if not check.passed:
+            with pytest.raises(
+                RobotRefusedError, match=r"passes both walls with a probability of 9\d\.\d % \(at least 97"
+            ):
+                target.refuse_unfit(40.0)
+            break
+    assert any(refused)  # by this check alone
+    assert "wire through both walls" not in checked(1.0, Limits(beyond_mm=15.0))[1]
 
 
 def test_lines_that_no_wire_can_follow_are_refused():

@@ -18,6 +18,18 @@ _AZIMUTHS = (np.arange(12) + 0.5) * np.pi / 24
 _WEIGHTS = _COSINE_WEIGHTS[:, None] / (2 * len(_AZIMUTHS))
 
 
+def _sphere() -> tuple[np.ndarray, np.ndarray]:
+    """Return unit vectors (N, 4) and weights (N,) that integrate a function of opposite directions alike."""
+    angle = (np.arange(32) + 0.5) * np.pi / 32
+    height, first, second = (one.ravel() for one in np.meshgrid(_HEIGHTS, angle, 2 * angle, indexing="ij"))
+    a, b = np.sqrt(height), np.sqrt(1 - height)
+    nodes = np.stack([a * np.cos(first), a * np.sin(first), b * np.cos(second), b * np.sin(second)], axis=1)
+    return nodes, np.repeat(_COSINE_WEIGHTS / 2, len(angle) ** 2) / len(angle) ** 2
+
+
+_SPHERE, _SPHERE_WEIGHTS = _sphere()
+
+
 def ellipsoid_factor(probability: float, dimension: int) -> float:
     """Return the semi-axes, in s.d., of the ellipsoid that contains a Gaussian of `dimension` with `probability`."""
     # The chi-square quantile without scipy.stats, whose import takes half a second.
@@ -54,6 +66,23 @@ def length_quantile(covariance: np.ndarray, probability: float = 0.95) -> np.nda
     with np.errstate(invalid="ignore", divide="ignore"):
         shape = np.nan_to_num(variances[..., 1:] / variances[..., :1])
     return largest * _radius(probability, shape[..., 0], shape[..., 1])
+
+
+def both_within(covariance: np.ndarray, radius: float) -> float:
+    """Return the probability that two plane errors, jointly Gaussian with covariance (4, 4), are both shorter than a
+    radius.
+
+    In each direction of the four-dimensional space the Gaussian's length is chi with 4 degrees of freedom; the
+    directions are integrated numerically, to about 1e-4 (tests/geometry/test_covariance.py). Raises ValueError for a
+    covariance with a negative variance.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    if values[0] < -1e-9 * abs(values[-1]):
+        raise ValueError("a covariance has a negative variance")
+    first, second = (vectors * np.sqrt(np.clip(values, 0.0, None))).reshape(2, 2, 4)
+    longest = np.maximum(*(((_SPHERE @ half.T) ** 2).sum(axis=1) for half in (first, second)))
+    half = radius**2 / np.maximum(longest, 1e-300) / 2
+    return float(((1 - np.exp(-half) * (1 + half)) * _SPHERE_WEIGHTS).sum())
 
 
 def line_direction(start_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:

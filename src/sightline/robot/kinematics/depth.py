@@ -67,6 +67,6 @@ def pause_depth(depth_mm: float, limits: Limits) -> float:
 
     A drill that goes through what lies in the bone, such as a nail's hole, pauses before it.
     """
-    if limits.before_mm > 0 and limits.beyond_mm > 0:
+    if limits.through_walls:
         return -HOLE_PAUSE_MM
     return max(depth_mm - PAUSE_MM, 0.0)

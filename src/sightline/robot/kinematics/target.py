@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.checks import Check, Limits, error_check
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.geometry.covariance import length_quantile, line_direction
+from sightline.geometry.covariance import both_within, length_quantile, line_direction
 from sightline.robot.kinematics.depth import CONTACT_SHIFT_SD_MM, CONTACT_WEIGHT
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.kinematics.registration import Registration
@@ -20,6 +20,8 @@ _CLOCK_S = 1.0  # tolerated disagreement of two readings of one clock [ours]
 # Deflection of a wire by an oblique cortex with its sleeve at the bone, 1 s.d. per axis: 60 holes of 130° to 138°
 # drilled in the twin, the sleeve 5 mm before the bone, gave 0.9 mrad, at most 3.5 [calc]. Four times that at 10 mm.
 SKIVING_RAD = 1e-3
+# Probability with which a drill must pass both walls of a nail: 97 % of the accepted drills are asked to [ours].
+MIN_PASSING = 0.97
 SIDES = ("right", "left")
 
 
@@ -100,7 +102,8 @@ class RobotTarget:
         )
         go = self.identity.go
         said = "Planning says GO." if go else "Planning says NO-GO: see its checks, and plan again."
-        return (Check("plan go", go, None, None, "", said), *(self._check(*value) for value in values))
+        errors = tuple(self._check(*value) for value in values)
+        return (Check("plan go", go, None, None, "", said), *errors, *self._through_walls())
 
     def refuse_unfit(self, now_s: float) -> None:
         """Raise RobotRefusedError if a check failed, the target has expired, or its images are dated in the future."""
@@ -117,6 +120,21 @@ class RobotTarget:
                 f"the plan's images are dated {ahead_s:.0f} s in the future: the clock was set back since, so their "
                 "age is unknown; take new images and plan again"
             )
+
+    def _through_walls(self) -> tuple[Check, ...]:
+        """Return the check of a drill that passes both of its points, as through a nail's walls: a drill that misses at
+        either end touches. Errors along the drill do not count."""
+        if not self.limits.through_walls:
+            return ()
+        across = np.kron(np.eye(2), np.linalg.svd((self.end_mm - self.entry_mm)[None])[2][1:])
+        share = both_within(across @ self.covariance_mm2 @ across.T, self.limits.position_mm)
+        passed = share >= MIN_PASSING
+        shown = 100 * share if passed else min(100 * share, 100 * MIN_PASSING - 0.1)  # never rounded up to its limit
+        said = f"By the stated errors the drill passes both walls with a probability of {shown:.1f} % "
+        said += (
+            f"(at least {100 * MIN_PASSING:g} %{'' if passed else f' is needed; largest share: {self._largest()}'})."
+        )
+        return (Check("wire through both walls", passed, 100 * share, 100 * MIN_PASSING, "%", said),)
 
     def _check(self, name: str, what: str, value: float, limit: float, unit: str) -> Check:
         return error_check(name, f"drilled {what}", value, limit, unit, advice=f"largest share: {self._largest()}")
