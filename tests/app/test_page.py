@@ -116,19 +116,18 @@ def _stay_drilled(hands: Hands, clock: Path) -> None:
 
 def _answer_after_the_plan_changed(hands: Hands) -> None:
     """The question stays when what lies behind it is built anew; its answer for a plan that is no more is refused."""
-    button = hands.see("send").element_handle()
     other = Hands(hands.page.context.new_page())
     other.page.goto(hands.page.url)
     other.step("Plan")
     other.until("lateral", "core.state.points.get('end')?.uv")
     other.page.get_by_test_id("xray-lateral").get_by_test_id("point-end").focus()
+    before = other.placed("end", "lateral")
     other.page.keyboard.press("ArrowRight")
-    hands.page.wait_for_function("button => !button.isConnected", arg=button)
+    other.until("lateral", f"{_AWAY} > 0 && !core.edits.moved.size", ["end", *before])  # the program has it
     hands.press("send-yes")
     expect(hands.page.get_by_text("the plan changed after you confirmed it")).to_be_visible()
-    button = hands.see("send").element_handle()
     other.page.keyboard.press("Control+z")
-    hands.page.wait_for_function("button => !button.isConnected", arg=button)
+    other.until("lateral", f"{_AWAY} === 0 && !core.edits.moved.size", ["end", *before])
     other.page.close()
     expect(hands.see("send")).to_be_enabled()
 

@@ -1,11 +1,13 @@
 """Parts of the page that are redrawn only when their content changes."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 from nicegui import ui
+from nicegui.events import handle_event
 
 from sightline.app.drawing.calls import Calling
 from sightline.app.panels import markup
@@ -45,19 +47,51 @@ class _Part:
 
 class Section(_Part):
     """A part that `build(tab)` fills with elements. Sections may contain sections, so that rebuilding one does not lose
-    text typed into another."""
+    text typed into another. A button that is built again is the same element, so that a click on its way to the
+    program is not lost; it does what it does now."""
 
     def __init__(self, tab: Tab, key: Key, build: Callable[[Tab], None], *, classes: str = "") -> None:
-        self._build = build
-        super().__init__(tab, key, ui.element("section").classes(classes))
+        self._build, self._buttons = build, _Box().classes(classes)
+        super().__init__(tab, key, self._buttons)
 
     def _fill(self, refused: str) -> None:
-        self._box.clear()
-        with self._box:
+        with self._buttons.keeping(), self._box:
             refused = refused or failure_of(lambda: self._build(self._tab))
             if refused:
                 self._box.clear()  # half a section could mislead
                 note(refused, kind="bad", testid="section-refused")
+
+
+class _Box(ui.element):
+    """The element of a section. `kept`: its buttons from before, by test hook and text, while it is built again."""
+
+    def __init__(self) -> None:
+        super().__init__("section")
+        self.kept: dict[tuple[str, str], _Action] = {}
+
+    @contextmanager
+    def keeping(self) -> Iterator[None]:
+        """Clear it, and delete the buttons that are not built again."""
+        with self.client.layout:
+            aside = ui.element()
+        aside.set_visibility(False)
+        for button in [one for one in self.descendants() if isinstance(one, _Action)]:
+            self.kept[button.key] = button.move(aside)
+        self.clear()
+        try:
+            yield
+        finally:
+            self.kept.clear()
+            aside.delete()
+
+
+class _Action(ui.button):
+    """A button whose handler can be replaced. `key`: test hook and text."""
+
+    def __init__(self, key: tuple[str, str], handler: Any) -> None:
+        self.key, self.handler = key, handler
+        super().__init__(key[1], color=None)
+        self.on_click(lambda event: handle_event(self.handler, event))
 
 
 class PersistentSection(_Part):
@@ -130,8 +164,23 @@ def radio(button: ui.button, *, chosen: bool, first: bool) -> None:
 
 
 def action(text: str, handler: Any, *, testid: str, kind: str = "", enabled: bool = True) -> ui.button:
-    """Add a button and return it; `kind`: primary, danger or plain."""
-    button = ui.button(text, on_click=handler, color=None).classes(f"action {kind}".strip())
+    """Add a button and return it, empty but for its text; `kind`: primary, danger or plain."""
+    button = _again((testid, text), handler) or _Action((testid, text), handler)
+    button.classes(replace=f"action {kind}".strip())
     button.props(f"no-caps unelevated data-testid={testid}")
     button.set_enabled(enabled)
     return button
+
+
+def _again(key: tuple[str, str], handler: Any) -> _Action | None:
+    """Return the button from before of a section that is built again, moved to where it is built now."""
+    here = ui.context.slot.parent
+    boxes = (one for one in here.ancestors(include_self=True) if isinstance(one, _Box) and key in one.kept)
+    box = next(boxes, None)
+    if box is None:
+        return None
+    button = box.kept.pop(key)
+    button.clear()
+    button.set_visibility(True)
+    button.handler = handler
+    return button.move(here)
