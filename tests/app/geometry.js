@@ -14,7 +14,16 @@
     const at = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);
     if (!part.contains(at)) out.push(`covered: ${what(part)} by ${at && what(at)}`);
   }
-  const cut = ".say, .step, .time, .stop-box, .verdict, .figure, .pick-place, .feet button, .lead button, .group, .depth-marks div, .on-images button";
+  const page = document.documentElement;
+  if (page.scrollWidth > innerWidth || page.scrollHeight > innerHeight) out.push(`the page scrolls: ${page.scrollWidth}x${page.scrollHeight}`);
+  for (const tools of all(".xray-tools")) {
+    const rows = new Set([...tools.querySelectorAll("button")].filter(seen).map((one) => one.offsetTop));
+    if (innerWidth >= 1280 && rows.size > 1) out.push(`tools in ${rows.size} rows`);
+  }
+  const hint = all("[data-testid=hint]")[0]?.getBoundingClientRect();
+  const name = all("[data-testid=hint]")[0]?.parentElement.querySelector(".xray-name").getBoundingClientRect();
+  if (hint && hint.top > name.bottom) out.push("the hint is below the image's name"); // over the image and its labels
+  const cut = ".say, .step, .time, .stop-box, .verdict, .figure, .pick-place, .feet button, .lead button, .group, .depth-marks div, .on-images button, .xray-hint, .xray-name, .xray-tools button";
   for (const part of all(cut)) {
     if (part.scrollWidth > part.clientWidth + 1 || part.scrollHeight > part.clientHeight + 1)
       out.push(`cut: ${what(part)} ${part.scrollWidth}x${part.scrollHeight} in ${part.clientWidth}x${part.clientHeight}`);

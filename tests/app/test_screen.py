@@ -1,10 +1,13 @@
-"""The page on screens of four sizes: nothing overlaps, no text is cut, STOP is seen, and planning never scrolls."""
+"""The page on screens of four sizes, in English and German: no overlap, nothing cut, planning never scrolls."""
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.app.hands import Hands
+from tests.app.browser import Server
+from tests.app.hands import PATIENCE_MS, Hands
 
 from sightline.app.texts import STEPS
 from sightline.planning.procedures.files import shipped
@@ -27,15 +30,21 @@ def _rest(page: Page) -> None:
     expect(page.get_by_role("tooltip")).to_have_count(0)
 
 
+@pytest.mark.parametrize("language", ["en-GB", "de-DE"])
 @pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
-def test_every_step_fits_every_screen(hands: Hands, size: tuple[int, int], shoot) -> None:
-    page = hands.page
+def test_every_step_fits_every_screen(
+    server: Server, open_page: Callable[..., Page], size: tuple[int, int], language: str, shoot
+) -> None:
+    page = open_page(server.url, locale=language)
+    hands = Hands(page)
+    expect(page.locator("html")).to_have_attribute("lang", language[:2])
+    expect(hands.see("step-calibrate")).to_have_class(re.compile("done"), timeout=PATIENCE_MS)
     page.set_viewport_size({"width": size[0], "height": size[1]})
     for step in STEPS:
         hands.step(step)
         _rest(page)
         assert not wrong(page, scrolls=step != "plan"), step
-        shoot(page, f"{step}-{size[0]}")
+        shoot(page, f"{step}-{size[0]}-{language[:2]}")
     pa, lateral = (hands.core(name, "core.root.getBoundingClientRect().toJSON()") for name in ("pa", "lateral"))
     if size[0] < size[1]:
         assert pa["bottom"] <= lateral["top"] and pa["left"] == lateral["left"]  # stacked
@@ -43,8 +52,11 @@ def test_every_step_fits_every_screen(hands: Hands, size: tuple[int, int], shoot
         assert pa["right"] <= lateral["left"] and pa["top"] == lateral["top"]
 
 
-def test_the_checklist_of_every_procedure_fits(hands: Hands) -> None:
-    page = hands.page
+@pytest.mark.parametrize("language", ["en-GB", "de-DE"])
+def test_the_checklist_of_every_procedure_fits(server: Server, open_page: Callable[..., Page], language: str) -> None:
+    page = open_page(server.url, locale=language)
+    hands = Hands(page)
+    expect(hands.see("step-calibrate")).to_have_class(re.compile("done"), timeout=PATIENCE_MS)
     page.set_viewport_size({"width": PLANNED_AT[0], "height": PLANNED_AT[1]})
     hands.step("Plan")
     column = page.locator(".panel").bounding_box()
@@ -67,6 +79,8 @@ def test_the_measure_finds_what_does_not_fit(hands: Hands) -> None:
     for style, found in (
         (".stop-box { translate: 99em }", "off the screen"),
         (".say { width: 3em }", "cut"),
+        (".xray-tools.xray-tools { max-width: 16em }", "tools in"),
+        (".xray .xray-hint { translate: 0 9em }", "the hint"),
         (".figure-grid { translate: 0 3em }", "overlap"),
         (".checklist { min-height: 99em }", "scrolls"),
     ):

@@ -20,7 +20,7 @@ def build(tab: Tab) -> None:
     heading(texts.LIVE_HEADING)
     Section(tab, lambda t: t.session.live.watch is not None, _switch)
     said = ui.label().classes("note").props("data-testid=live-state role=status")
-    note(BLIND_TO, kind="quiet")
+    note(texts.word(BLIND_TO), kind="quiet")
 
     def update() -> None:
         watched = tab.session.live.latest()

@@ -1,6 +1,6 @@
 """Parts of the page that are redrawn only when their content changes."""
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Generator, Hashable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -70,7 +70,7 @@ class _Box(ui.element):
         self.kept: dict[tuple[str, str], _Action] = {}
 
     @contextmanager
-    def keeping(self) -> Iterator[None]:
+    def keeping(self) -> Generator[None]:
         """Clear it, and delete the buttons that are not built again."""
         with self.client.layout:
             aside = ui.element()

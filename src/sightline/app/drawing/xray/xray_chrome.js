@@ -43,6 +43,7 @@ const SHEET = `
 .xray-name { padding: 0.42em 0.8em; font-weight: 650; white-space: nowrap; }
 .xray-notices { flex-basis: 100%; display: flex; flex-direction: column; gap: 0.3em; align-items: flex-start; }
 .xray-notice { padding: 0.42em 0.8em; color: var(--orange); border-left: 0.25em solid currentColor; }
+.xray-head > .xray-hint { flex: 1; min-width: 0; align-self: stretch; padding-block: 0.1em; display: flex; align-items: center; font-size: 0.87em; line-height: 1.2; }
 .xray-hint { color: var(--text); border-left-color: var(--sky); }
 .xray-tools { display: flex; flex-wrap: wrap; gap: 0.15em; padding: 0.2em; pointer-events: auto; }
 .xray-tools button { width: 2.75em; height: 2.75em; padding: 0; display: grid; place-items: center; color: var(--text); background: none; border: 0;
@@ -64,7 +65,9 @@ const SHEET = `
   background: rgba(12, 16, 20, 0.95); border: 1px solid var(--line); }
 .xray-live { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); white-space: nowrap; }
 .xray [hidden] { display: none; }
-@container (max-width: 34em) { .xray-tools button { width: 2.1em; height: 2.5em; } .xray-name { padding-inline: 0.55em; } }
+@container (max-width: 38em) { /* one row of tools, in German too */
+  .xray-tools { gap: 0; } .xray-tools button { width: 2em; height: 2.5em; } .xray-tools .xray-presets button { padding: 0 0.25em; } .xray-name { padding-inline: 0.55em; }
+}
 `;
 
 /** @type {CSSStyleSheet | null} */
@@ -158,10 +161,10 @@ export class Chrome {
     const head = element("div", "xray-head");
     this.name.append(this.title, this.turned);
     const notices = element("div", "xray-notices");
-    notices.append(this.fault, this.lost, this.notice, this.stale, this.hint, this.measured);
+    notices.append(this.fault, this.lost, this.notice, this.stale, this.measured);
     for (const [action, act] of Object.entries(actions)) this.tools.append(this.#button(action, act));
     this.buttons.window.after(this.presets);
-    head.append(this.name, this.tools, notices);
+    head.append(this.name, this.hint, this.tools, notices); // the hint is beside the name, where it covers no label
     return head;
   }
 
