@@ -95,7 +95,7 @@ def _view(seed: int) -> _View | str:
     xyz, radius = np.array([one.xyz_mm for one in beads_there]), np.array([one.diameter_mm / 2 for one in beads_there])
     shadows = shadow_centres_px(scene.projection.view, xyz, radius)
     place = {one.id: uv for one, uv in zip(beads_there, shadows, strict=True)}
-    kind, false, plates = _kinds(truth), 0, frame.view(labelled.view).by_id
+    kind, false, plates = covers(truth), 0, frame.view(labelled.view).by_id
     for name, seen in (("before", labelled), ("after", look_again(image, beads, labelled, frame))):
         assert seen.covariance_px2 is not None
         row = {one: i for i, one in enumerate(seen.ids)}
@@ -108,8 +108,8 @@ def _view(seed: int) -> _View | str:
     return dict(stages), false
 
 
-def _kinds(truth: BeadTruth) -> list[str]:
-    """Return a key of KINDS for each bead."""
+def covers(truth: BeadTruth) -> list[str]:
+    """Return what covers each bead, as a key of KINDS."""
     radius = truth.radius_px
     between = np.linalg.norm(truth.shadow_px[:, None] - truth.shadow_px, axis=-1) - radius[:, None] - radius
     np.fill_diagonal(between, np.inf)

@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.stats import chi2
 
 import sightline as sl
 from benchmarks.parallel import in_parallel
-from benchmarks.rows import Row
+from benchmarks.rows import Row, coverage_row
 from benchmarks.scenes_solid import BEAD_PX, PICK_PX, block, calibrated, gamma_in, pick_covariance
 from benchmarks.solid_peer import located_by_dlt
 from sightline.detection import Observations
@@ -51,11 +50,11 @@ def coverage(number: int) -> list[Row]:
     """Return the rows of the coverage over a number of set-ups."""
     drawn = in_parallel(_covered, range(FIRST_SEED, FIRST_SEED + number))
     kept = [one for one in drawn if one is not None]
-    rows = [_row_of_coverage("all", kept, REQUIRED)]
+    rows = [coverage_row("solid, coverage", "all", [one.square for one in kept], REQUIRED)]
     for name in sorted({name for one in kept for name in one.strata}):
         members = [one for one in kept if name in one.strata]
         limits = {p: 0.01 + 3 * np.sqrt(p * (1 - p) / len(members)) for p in REQUIRED}
-        rows.append(_row_of_coverage(name, members, limits))
+        rows.append(coverage_row("solid, coverage", name, [one.square for one in members], limits))
     square = np.mean([one.square for one in kept]) / 3
     return [
         *rows,
@@ -158,19 +157,6 @@ def _fewer(rng: np.random.Generator, seen: Observations, hidden: float) -> Obser
     kept = np.sort(rng.permutation(len(seen))[round(hidden * len(seen)) :])
     ids = tuple(seen.ids[k] for k in kept)
     return replace(seen, ids=ids, uv_px=seen.uv_px[kept], covariance_px2=seen.covariance_px2[kept])
-
-
-def _row_of_coverage(name: str, members: list[_Covered], limits: dict[float, float]) -> Row:
-    squares = np.array([one.square for one in members])
-    shares = {p: float(np.mean(squares <= chi2.ppf(p, 3))) for p in limits}
-    return Row(
-        "solid, coverage",
-        f"{name}: 50 / 95 / 99 % ellipsoids cover",
-        " / ".join(f"{100 * share:.1f}" for share in shares.values()) + f" % of {len(members)}",
-        "± " + " / ".join(f"{100 * limit:.1f}" for limit in limits.values()) + " %",
-        "",
-        all(abs(shares[p] - p) <= limit for p, limit in limits.items()),
-    )
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import pytest
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.twin import draw_setup, shown_hip_scene, write_truth
 from sightline.twin.femur import Femur, _femur_distance, draw_femur, to_cfcs, voxelise
-from sightline.twin.hard import hard_scene
+from sightline.twin.hard import hard_scene, hard_views
 from sightline.twin.scene import four_balls
 
 
@@ -135,6 +135,20 @@ def test_a_hard_scene_tells_where_its_beads_are(frame):
     assert np.mean(darker) > 0.97
     assert (truth.quanta > 0).all()
     assert ((truth.blur_px > 0.9) & (truth.blur_px < 1.3)).all()
+
+
+@pytest.mark.slow  # projects a scene twice at full size
+def test_hard_views_show_one_scene_from_all_sides(frame):
+    views = hard_views(np.random.default_rng(9), frame)
+    pa, lateral = views["pa"], views["lateral"]
+    assert pa.scene is lateral.scene  # a scene drawn for each view has other metal in each
+    assert pa.setup is lateral.setup
+    assert pa.level != lateral.level
+    for name, one in views.items():
+        truth = one.exposed(np.random.default_rng(9), "high")[1]
+        assert len(set(truth.ids) & set(frame.view(name).by_id)) > 60
+        exact = {b.id: one.setup.views[name].project(np.array([b.xyz_mm]))[0] for b in one.setup.true_frame.fiducials}
+        assert np.allclose(truth.uv_px, [exact[i] for i in truth.ids], atol=1e-6)
 
 
 def test_bad_dose_class(frame):

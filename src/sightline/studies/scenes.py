@@ -5,7 +5,7 @@ cube around the hip. They are drawn again unless all images show them and, with 
 the convex hull of the visible beads of each plate (the paper's map is undefined outside).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,7 +86,7 @@ def draw_scene(
     observations = measure(rng, setup, bead_px, uneven)
     hulls = {n: _plate_hulls(setup, n, observations[n]) if surrounded else [] for n in frame.views}
     return TargetScene.of(
-        setup, observations, np.array([_draw_target(rng, setup, reach_mm, hulls) for _ in range(targets)])
+        setup, observations, np.array([draw_target(rng, setup, reach_mm, hulls) for _ in range(targets)])
     )
 
 
@@ -132,9 +132,10 @@ def _plate_hulls(setup: SetUp, name: str, seen: Observations) -> list[Delaunay]:
     return [Delaunay(seen.uv_px[np.isin(seen.ids, plate.ids)]) for plate in (view.xrii, view.source)]
 
 
-def _draw_target(
-    rng: np.random.Generator, setup: SetUp, reach_mm: float, hulls: dict[str, list[Delaunay]]
+def draw_target(
+    rng: np.random.Generator, setup: SetUp, reach_mm: float, hulls: Mapping[str, Sequence[Delaunay]]
 ) -> np.ndarray:
+    """Draw a target (3,), CFCS, in a cube around the hip, until all views show it, inside the `hulls` of each view."""
     while True:
         xyz = setup.hip_mm + rng.uniform(-reach_mm, reach_mm, 3)
         uv = {name: view.project(xyz[None]) for name, view in setup.views.items()}

@@ -99,15 +99,38 @@ def hard_view(
     rng: np.random.Generator, frame: Frame | None = None, spread: HardScene | None = None, *, chain: str | None = None
 ) -> HardView:
     """Draw the scene of `hard_scene`, projected once for several doses and scatters. Raises SetUpError."""
-    spread = spread or HardScene()
-    setup = draw_setup(rng, frame or Frame.load("gamma"), side=str(rng.choice(["right", "left"])), chain=chain)
+    spread, setup = spread or HardScene(), _setup(rng, frame, chain)
     view = setup.views[str(rng.choice(list(setup.views)))]
+    scene = _hard_scene(rng, spread, setup)
+    level = float(rng.uniform(*spread.level))
+    return HardView(setup, scene, project(view, scene), level)
+
+
+def hard_views(
+    rng: np.random.Generator, frame: Frame | None = None, spread: HardScene | None = None, *, chain: str | None = None
+) -> dict[str, HardView]:
+    """Draw one scene as of `hard_scene` in all views of its set-up, by name, each exposed by itself.
+
+    Raises SetUpError.
+    """
+    spread, setup = spread or HardScene(), _setup(rng, frame, chain)
+    scene = _hard_scene(rng, spread, setup)
+    return {
+        name: HardView(setup, scene, project(view, scene), float(rng.uniform(*spread.level)))
+        for name, view in setup.views.items()
+    }
+
+
+def _setup(rng: np.random.Generator, frame: Frame | None, chain: str | None) -> SetUp:
+    return draw_setup(rng, frame or Frame.load("gamma"), side=str(rng.choice(["right", "left"])), chain=chain)
+
+
+def _hard_scene(rng: np.random.Generator, spread: HardScene, setup: SetUp) -> Scene:
+    """Draw the hip with metal in it, in a body of any size."""
     hip = hip_scene(setup, rng).scene
     body, scale = SoftTissue().around(setup.hip_mm), rng.uniform(*spread.tissue_scale)
     half = (body.half_mm[0] * scale, body.half_mm[1] * scale)
-    scene = replace(hip, solids=hip.solids + _metal(rng, spread, setup.hip_mm), tissue=replace(body, half_mm=half))
-    level = float(rng.uniform(*spread.level))
-    return HardView(setup, scene, project(view, scene), level)
+    return replace(hip, solids=hip.solids + _metal(rng, spread, setup.hip_mm), tissue=replace(body, half_mm=half))
 
 
 def _dose(dose_class: str) -> Dose:
