@@ -100,6 +100,13 @@ def test_a_stroke_without_an_edge_is_refused(titanium):
         find_hole(find_nail(titanium.views, titanium.images, strokes, _known(NAIL)), titanium.clicks_px)
 
 
+def test_a_narrow_lens_is_refused():
+    """One view looks through the hole so obliquely that it shows four points of each rim, the other shows twelve."""
+    images = nail_images(replace(NAIL, axis=beam_at(0.14)), 3)
+    with pytest.raises(ReconstructionRefusedError, match=r"only \d points? of a rim \(at least 5 .* lens is narrow"):
+        _found(images, np.random.default_rng(0), 1.0)
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
 def test_an_image_without_a_nail_is_refused(titanium, noise):
     """A fit finds an offset that is best in any image: one that asks nothing of the light takes it for an edge."""

@@ -15,7 +15,8 @@ CHANGES = {
     10: "with a block the directions of the views, and the side, are checked by the anatomy; "
     "errors that a wire found in the planning images shares with the planned ones cancel in their relations",
     11: "the second look knows size, shape and blur of a shadow from its plate; beads found predict those further out; "
-    "rims before a clipped background state a larger error, and the second look finds them",
+    "rims before a clipped background state a larger error, and the second look finds them; "
+    "a hole's error is larger where halves of its rims disagree, and a nail's images with a narrow lens are refused",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

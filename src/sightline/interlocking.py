@@ -35,6 +35,9 @@ _HARDNESS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15)  # of beams of about 60 to
 _FIRST_BLUR_PX = 1.0  # for a first look at the rims
 _BEAD_MARGIN_PX = 4.0  # from a bead's shadow to a usable point of a rim: half of its profile, and the blur [ours]
 _MAX_SPACING_MM = 1.0  # of a nail's holes from the stated spacing: nails differ by 2 mm or more [ours]
+# Points of each rim in each view: of 26 holes with four in images, nine were outside of their 95 % regions [rays of
+# another projector].
+_MIN_ARC_POINTS = 5
 _MIN_AGREEMENT = 0.5  # correlation of the best candidate with the images [ours]
 
 
@@ -103,7 +106,14 @@ def find_hole(found: FoundNail, clicks_px: ArrayLike) -> Hole:
         raise UnusableInputError(f"give one finite click (u, v) in each of two views; got the shape {clicks.shape}")
     pose = _best(found, hole_candidates(found.cameras, found.point_mm, found.along, list(clicks)))
     near = turned_to_rims(found.cameras, _seen(found, pose, _FIRST_BLUR_PX), found.nail, pose)
-    return fit_hole(found.views, _seen(found, near), found.nail, near)  # rims expected where they are
+    hole = fit_hole(found.views, _seen(found, near), found.nail, near)  # rims expected where they are
+    if (fewest := hole.kept[:, 2:].min()) < _MIN_ARC_POINTS:
+        raise ReconstructionRefusedError(
+            f"a view shows only {fewest} points of a rim (at least {_MIN_ARC_POINTS} are needed): the lens is narrow, "
+            "or other metal hides it, and its edge cannot be told from others; turn the C-arm until both views show "
+            "the lens widely, and take metal away"
+        )
+    return hole
 
 
 @one_blas_thread

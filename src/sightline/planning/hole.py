@@ -25,6 +25,7 @@ from sightline.planning.directions import across, unit
 from sightline.planning.hole_expected import LocalCamera, through_surface
 from sightline.planning.hole_result import Hole, HolePose, Nail
 from sightline.planning.results import error_unknown
+from sightline.planning.rim_halves import rims_disagree
 from sightline.planning.sights import Sights
 
 MIN_ANGLE_RAD = np.deg2rad(20.0)
@@ -116,12 +117,17 @@ def fit_hole(
     _refuse_one_rim(points, kept)
     _refuse_another(solved, nail)
     ends, by_parameters = _ends(solved.state)
+    covariance = by_parameters @ solved.covariance @ by_parameters.T
+    disagreement = rims_disagree(
+        ends, covariance, by_parameters @ solved.gain, solved.left, solved.redundant, points.rims(kept)
+    )
+    covariance = covariance * max(1.0, disagreement)
     counts = points.counts(np.ones(len(kept), dtype=bool))
     return Hole(
         entry_mm=ends[:3],
         exit_mm=ends[3:],
-        covariance_mm2=by_parameters @ solved.covariance @ by_parameters.T,
-        budget_mm2=_budget(points, solved, kept, by_parameters),
+        covariance_mm2=covariance,
+        budget_mm2=_budget(points, solved, kept, by_parameters, covariance),
         nail_mm=solved.state[_NAIL],
         nail_direction=solved.state[_ALONG],
         given=counts,
@@ -203,6 +209,13 @@ class _Points:
         out = np.zeros((len(self.names), 4), dtype=int)
         np.add.at(out, (self.view[kept], self.kind[kept]), 1)
         return out
+
+    def rims(self, kept: np.ndarray) -> list[np.ndarray]:
+        """Return the places of each rim's points of each view among the kept ones, in their order along the rim."""
+        kind, view = self.kind[kept], self.view[kept]
+        return [
+            np.flatnonzero((view == v) & (kind == which)) for v in range(len(self.names)) for which in (_ENTRY, _EXIT)
+        ]
 
     def rays(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return focal points and points on the planes, (N, 3) each, of the lines' numbers (Z,)."""
@@ -303,7 +316,8 @@ class _Solved:
     """A least-squares step: the state (17,) and the lines' numbers (Z,) after it, the covariance (13, 13) of the
     parameters, and what checks need.
 
-    `gain` (13, K): response of the parameters to the residuals of the K points used.
+    `gain` (13, K): response of the parameters to the residuals of the K points used; `left` (K,): their weighted
+    residuals, and `redundant` (K, K) the covariance of these.
     `own` (N,): each point's own error over its s.d., as far as the lines' errors do not explain it; `standard` (N,):
     residual over its s.d. given all others, 0 where not used; `freely`: each size without its own prior, minus the
     stated one, and its s.d. (2, 3); `step`: largest change, mm.
@@ -313,6 +327,8 @@ class _Solved:
     numbers: np.ndarray
     covariance: np.ndarray
     gain: np.ndarray
+    left: np.ndarray
+    redundant: np.ndarray
     own: np.ndarray
     standard: np.ndarray
     chi_square: float
@@ -350,9 +366,9 @@ def _solved(points: _Points, nail: Nail, at: tuple[np.ndarray, np.ndarray], infl
     step = own @ (right - precision * off)
     left = np.zeros(len(kept))
     left[kept] = by_residual + by_design @ step
-    redundancy = np.diag(inverse) - np.einsum("np,pq,nq->n", by_design, own, by_design)
+    redundant = inverse - by_design @ own @ by_design.T
     standard = np.zeros(len(kept))
-    standard[kept] = left[kept] / np.sqrt(np.maximum(redundancy, 1e-12))
+    standard[kept] = left[kept] / np.sqrt(np.maximum(np.diag(redundant), 1e-12))
     after = off + step
     sizes = [(off + one @ (right - weak * off))[k] for k, (one, weak) in enumerate(zip(freed, free, strict=True), 10)]
     return _Solved(
@@ -360,6 +376,8 @@ def _solved(points: _Points, nail: Nail, at: tuple[np.ndarray, np.ndarray], infl
         points.measured - to_lines @ left,
         own,
         own @ by_design.T,
+        left[kept],
+        redundant,
         np.sqrt(variance) * np.where(kept, inflation, 0.0) * left,
         standard,
         float((residual + design @ step) @ left[kept] + precision @ after**2),
@@ -526,14 +544,17 @@ def _crossings(states: np.ndarray) -> np.ndarray:
     return np.hstack([hole + near * axis, hole + far * axis])
 
 
-def _budget(points: _Points, solved: _Solved, kept: np.ndarray, by_parameters: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the covariance (6, 6) of entry and exit from each source of the lines' errors; "picks": all others."""
+def _budget(
+    points: _Points, solved: _Solved, kept: np.ndarray, by_parameters: np.ndarray, whole: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return the covariance (6, 6) of entry and exit from each source of the lines' errors; "picks": all others of the
+    whole one."""
     by, columns = points.by_numbers(solved.state, solved.numbers)[kept], points.columns[kept]
     to_ends = by_parameters @ solved.gain
     response = np.zeros((6, len(points.measured)))
     np.add.at(response.T, columns.ravel(), (to_ends.T[:, None, :] * by[:, :, None]).reshape(-1, 6))
     out = {source: response @ points.sights.covariance_of(source) @ response.T for source in SOURCES}
-    out["picks"] = by_parameters @ solved.covariance @ by_parameters.T - np.sum(list(out.values()), axis=0)
+    out["picks"] = whole - np.sum(list(out.values()), axis=0)
     return out
 
 
