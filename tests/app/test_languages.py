@@ -45,6 +45,8 @@ def names_below() -> set[str]:
     found = {name for spec in marks for name in (spec.label, spec.sentence)}
     for one in procedures().values():
         found |= {one.document.name, one.document.purpose, one.wire.name}
+        if one.document.catalogue is not None and one.document.catalogue.along_wire:
+            found.add(one.document.catalogue.implants)
     return found
 
 

@@ -1,11 +1,18 @@
-"""The implant of a catalogue that fits a planned wire: its length, and the angle of its plate."""
+"""The implant of a catalogue that fits a planned wire: its length, the angle of its plate, and its outline."""
 
 from dataclasses import dataclass
 
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from sightline.calibration.view import CalibratedView
+from sightline.errors import OutsideRegionError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.anatomy import Anatomy
+from sightline.planning.corridor import corridor
 from sightline.planning.metrics import metric
-from sightline.planning.procedures.document import Catalogue
+from sightline.planning.procedures.document import Catalogue, ProcedureDocument
+from sightline.planning.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -29,9 +36,8 @@ def fitting(catalogue: Catalogue, length_mm: float, found: Anatomy | None, side:
     if not catalogue.along_wire:
         return None
     lengths, angles, of = catalogue.lengths_mm, catalogue.plate_angles_deg, catalogue.implants
-    length = max((mm for mm in lengths if mm <= length_mm), default=None)
-    if length is None or length_mm > lengths[-1] + _step_mm(lengths):
-        length = None
+    length = _fitting_mm(lengths, length_mm)
+    if length is None:
         said = (
             f"None of the {of} fits: the wire runs {length_mm:.1f} mm, they have {lengths[0]:g} to {lengths[-1]:g} mm."
         )
@@ -48,6 +54,61 @@ def fitting(catalogue: Catalogue, length_mm: float, found: Anatomy | None, side:
     plates = " or ".join(f"{one:g}°" for one in near)
     said += f" Neck and shaft enclose {angle:.1f}° ± {error:.1f}° (95 %): plate of {plates}."
     return Implant(length, near[0] if len(near) == 1 else None, said)
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """The outline of an implant in one view, as far as the view is calibrated.
+
+    It begins at the entry point. `length_mm`, `diameter_mm`: of the implant. `uv_px` (S, 2): its axis and `half_px`
+    (S,): half its width in the image, IDCS. `thread`: from which of the S stations on the thread is; None without one,
+    and where the view does not show it.
+    """
+
+    length_mm: float
+    diameter_mm: float
+    uv_px: np.ndarray
+    half_px: np.ndarray
+    thread: int | None
+
+
+def template(view: CalibratedView, trajectory: Trajectory, document: ProcedureDocument) -> Template | None:
+    """Return the outline of the implant that fits a trajectory, at its true size; None where none fits, its length does
+    not follow from the wire, or the file states no single diameter.
+
+    Raises OutsideRegionError where the view does not show it.
+    """
+    catalogue, diameter = document.catalogue, _diameter_mm(document)
+    if catalogue is None or diameter is None or not catalogue.along_wire:
+        return None
+    length = _fitting_mm(catalogue.lengths_mm, trajectory.length_mm)
+    if length is None:
+        return None
+    seen = corridor(view, trajectory, wire_mm=diameter)
+    thread = np.inf if catalogue.thread_mm is None else max(length - catalogue.thread_mm, 0.0)
+    at = np.union1d(seen.along_mm, [mm for mm in (thread, length) if seen.along_mm[0] <= mm <= seen.along_mm[-1]])
+    at = at[at <= length]
+    if len(at) < 2:
+        raise OutsideRegionError(f"view {view.name!r} does not show the implant in its calibrated region")
+    # Cubic, because places along a wire towards the detector do not lie evenly in the image.
+    u, v, half = CubicSpline(seen.along_mm, np.column_stack([seen.uv_px, seen.wire_half_px]))(at).T
+    first = int(np.searchsorted(at, thread))
+    return Template(length, diameter, np.column_stack([u, v]), half, first if first < len(at) - 1 else None)
+
+
+def _diameter_mm(document: ProcedureDocument) -> float | None:
+    """Return the diameter that the corridor's checks hold for, or the catalogue's only one; None where it has more."""
+    if document.corridor is not None:
+        return document.corridor.implant_mm
+    sizes = () if document.catalogue is None else document.catalogue.diameters_mm
+    return sizes[0] if len(sizes) == 1 else None
+
+
+def _fitting_mm(lengths: tuple[float, ...], wire_mm: float) -> float | None:
+    """Return the longest of the lengths that is not longer than the wire; None where none fits."""
+    if wire_mm > lengths[-1] + _step_mm(lengths):
+        return None
+    return max((mm for mm in lengths if mm <= wire_mm), default=None)
 
 
 def _step_mm(lengths: tuple[float, ...]) -> float:

@@ -15,10 +15,11 @@ from sightline.app.session.session import Session
 from sightline.calibration import BeadView
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import SightlineError
-from sightline.planning import MatchingCurve, reconstruct
+from sightline.planning import MatchingCurve, Plan, reconstruct
 from sightline.planning.check_result import CheckShot
 from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.head import outline
+from sightline.planning.implant import template
 
 Shape = dict[str, Any]
 Layers = dict[str, list[Shape]]
@@ -90,7 +91,8 @@ def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
 
 
 def wire(planned: Planned, image: str) -> list[Shape]:
-    """Return the wires for one view: the current one last, at its true width with its 95 % corridor."""
+    """Return the wires for one view: the current one last, at its true width with its 95 % corridor, over the implant
+    that fits it."""
     view, out = _view(planned, image), []
     if view is None:
         return []
@@ -105,10 +107,33 @@ def wire(planned: Planned, image: str) -> list[Shape]:
                 "title": texts.word(kind.wire.name),
             }
             if plan is planned.plan:
+                with suppress(SightlineError):  # the wire is drawn where a view shows no more of the implant
+                    out += _implant(view, plan)
                 out += band(found, "wire" if plan.hole is None else "plan")  # the hole in the image must stay visible
             else:
                 out.append(beside)
     return out
+
+
+def _implant(view: BeadView, plan: Plan) -> list[Shape]:
+    """Return the outline of the implant that fits a wire, and its thread; nothing where none fits."""
+    catalogue, found = plan.kind.document.catalogue, template(view, plan.trajectory, plan.kind.document)
+    if catalogue is None or found is None:
+        return []
+    title = texts.IMPLANT_TITLE.format(
+        implants=texts.titled(texts.word(catalogue.implants)), length=found.length_mm, diameter=found.diameter_mm
+    )
+    parts = [("implant", 0)] if found.thread is None else [("implant", 0), ("thread", found.thread)]
+    return [
+        {
+            "shape": "band",
+            "points": found.uv_px[first:].tolist(),
+            "halfWidth": found.half_px[first:].tolist(),
+            "style": style,
+            "title": title,
+        }
+        for style, first in parts
+    ]
 
 
 def nail_found(planned: Planned, image: str) -> list[Shape]:

@@ -227,6 +227,7 @@ BEAD_LEFT_OUT = "{name}: left out, it contradicts the others by {mm:.2f} mm"
 WIRE_SEEN = "the wire as this image shows it"
 TIP_SEEN = "its tip"
 PLAN_THERE = "the plan"
+IMPLANT_TITLE = "{implants}: {length:g} mm from the entry point, {diameter:g} mm thick"
 EXPECTED_HERE = "{point}: expected here by the PA and the lateral image"
 METRICS_HEADING = "Measurements"
 METRIC_COLUMNS = ("", "± 95 %", "")

@@ -29,6 +29,8 @@ export const STYLES = {
   wire: { colour: COLOURS.yellow, width: 3, fill: 0.6, plan: true, arrow: true },
   corridor: { colour: COLOURS.yellow, width: 2, fill: 0.16, dash: [8, 5], plan: true },
   plan: { colour: COLOURS.yellow, width: 2, fill: 0.14, dash: [10, 6], plan: true },
+  implant: { colour: COLOURS.text, width: 1.25, fill: 0.06, plan: true },
+  thread: { colour: COLOURS.text, width: 1.25, fill: 0.12, dash: [2, 3], plan: true },
   edge: { colour: COLOURS.green, width: 1.25 },
   deviation: { colour: COLOURS.text, width: 2.5, mark: "arrow" },
   entry: { colour: COLOURS.sky, width: 2, mark: "ring" },
