@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 
 from numba import config
@@ -19,15 +19,28 @@ def in_parts(kernel: Callable[..., object], *arguments: object) -> None:
     """Call kernel(part, parts, *arguments) for every part; the kernel must release the GIL (nogil).
 
     Not numba's parallel loops: they take twice as long to compile, and busy waiting is slow next to other programs.
+    The calling thread takes parts too: on a busy machine the others may start too late to help, and are not waited for.
     """
     if THREADS == 1:
         kernel(0, 1, *arguments)
         return
     parts = _SHARES * THREADS
-    for done in [_pool(os.getpid()).submit(kernel, part, parts, *arguments) for part in range(parts)]:
-        done.result()
+    left = iter(range(parts))
+
+    def work() -> None:
+        for part in left:  # the interpreter's lock gives each part to one thread
+            kernel(part, parts, *arguments)
+
+    helpers = [_pool(os.getpid()).submit(work) for _ in range(THREADS - 1)]
+    try:
+        work()
+    finally:
+        started = [helper for helper in helpers if not helper.cancel()]
+        wait(started)
+    for helper in started:
+        helper.result()
 
 
 @cache
 def _pool(process: int) -> ThreadPoolExecutor:  # one per process: threads do not survive a fork
-    return ThreadPoolExecutor(THREADS, "sightline")
+    return ThreadPoolExecutor(max(THREADS - 1, 1), "sightline")
