@@ -1,6 +1,7 @@
 """Work in parts: all of it is done, once, whatever the number of threads; an error comes through. Linear algebra in
 one thread: results do not depend on the user's setting, which is back afterwards."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -63,3 +64,18 @@ def test_the_users_threads_are_back_after_an_estimate_and_after_an_error() -> No
         with pytest.raises(sl.SightlineError):
             sl.detect(np.zeros((64, 64)))
         assert _threads() == {3}
+
+
+def test_a_part_in_another_thread_that_fails_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The calling thread works too; a program that forgets what became of its helpers would return in silence."""
+    monkeypatch.setattr(threads, "THREADS", 2)
+    caller, begun = threading.get_ident(), threading.Event()
+
+    def fail_elsewhere(part: int, parts: int) -> None:
+        if threading.get_ident() != caller:
+            begun.set()
+            raise ZeroDivisionError
+        begun.wait(10)
+
+    with pytest.raises(ZeroDivisionError):
+        threads.in_parts(fail_elsewhere)

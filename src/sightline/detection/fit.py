@@ -25,6 +25,7 @@ from sightline.detection.columns import (
     V,
 )
 from sightline.detection.compiled import FAST, exact, exact_unchecked, part_of_caller
+from sightline.detection.noise import LAGS
 from sightline.detection.shadow import (
     BACKGROUND,
     BACKGROUND_TERMS,
@@ -51,9 +52,9 @@ from sightline.detection.window import (
     BEYOND,
     MARGIN,
     along_both_axes,
+    correlated_product,
     gather_pixels,
     hide_metal,
-    in_one_row,
     log_level,
     mark_near_unusable,
     pixel_states,
@@ -338,13 +339,12 @@ def _effective_parameters(columns, where, L, side, correlation):
     The fit lowers the expected sum of squared residuals by so much. For white noise it is the number of parameters.
     """
     size, pixels = len(L), columns.shape[1]
-    reach = np.uint32(len(correlation) - 1)
+    reach = np.uint32(LAGS)
     width = np.uint32(side) + 2 * reach
     rows, at = np.empty((size, pixels), np.float32), np.empty(pixels, np.uint32)
     for p in range(pixels):
         at[p] = (where[0, p] + reach) * width + where[1, p] + reach
-    field = np.zeros(width * width, np.float32)
-    inner, products = field[reach * width + reach : (reach + side) * width], np.zeros(width * side, np.float32)
+    field, total = np.zeros(width * width, np.float32), np.float32(0.0)
     for k in range(size):  # rows of L^-1 J'
         row = rows[k]
         _copy(columns[k], row)
@@ -356,10 +356,8 @@ def _effective_parameters(columns, where, L, side, correlation):
         for p in range(pixels):
             row[p] *= scale
             field[at[p]] = row[p]
-        noise = in_one_row(field, correlation, width)
-        for p in range(len(inner)):
-            products[p] += inner[p] * noise[p]
-    return products.sum()
+        total += correlated_product(field, field, correlation, width)
+    return total
 
 
 @exact
@@ -376,7 +374,7 @@ def _covariance(columns, where, L, side, correlation, scale2, prior, coupling, b
         unit[:] = 0.0
         unit[parameter] = 1.0
         substitute(L, unit, influence[row])
-    reach = np.uint32(len(correlation) - 1)
+    reach = np.uint32(LAGS)
     width, pixels = np.uint32(side) + 2 * reach, columns.shape[1]
     total, field = np.zeros((3, pixels), np.float32), np.zeros((3, width * width), np.float32)
     for k in range(size):
@@ -389,13 +387,10 @@ def _covariance(columns, where, L, side, correlation, scale2, prior, coupling, b
     for p in range(pixels):
         at = (where[0, p] + reach) * width + where[1, p] + reach
         field[0, at], field[1, at], field[2, at] = total[0, p], total[1, p], total[2, p]
-    noise = in_one_row(field.reshape(-1), correlation, width)
-    across, along, middle = noise[: width * side], noise[width * width :], noise[2 * width * width :]
-    inner = field[:, reach * width + reach : (reach + side) * width]
-    out[CUU] = scale2 * _product(inner[0], across)
-    out[CUV] = scale2 * _product(inner[1], across)
-    out[CVV] = scale2 * _product(inner[1], along)
-    out[CCC] = scale2 * _product(inner[2], middle)
+    out[CUU] = scale2 * correlated_product(field[0], field[0], correlation, width)
+    out[CUV] = scale2 * correlated_product(field[0], field[1], correlation, width)
+    out[CVV] = scale2 * correlated_product(field[1], field[1], correlation, width)
+    out[CCC] = scale2 * correlated_product(field[2], field[2], correlation, width)
     for m in range(SCATTER_TERMS - 1):
         for row in range(2):
             influence[row, of_scatter + 1 + m] -= coupling * influence[row, of_background + 1 + m]
@@ -409,15 +404,6 @@ def _covariance(columns, where, L, side, correlation, scale2, prior, coupling, b
         out[CVV] += influence[1, k] ** 2 * missing
     bent = 1.0 + _RIM_NONLINEARITY * 0.5 * (out[CUU] + out[CVV]) / max(out[BLUR], _MIN_BLUR_PX) ** 2
     out[CUU], out[CUV], out[CVV] = bent * out[CUU], bent * out[CUV], bent * out[CVV]
-
-
-@exact
-def _product(field, correlated):
-    """Sum of products of a field with a field that was convolved with the noise correlation."""
-    total = np.float32(0.0)
-    for p in range(len(field)):
-        total += field[p] * correlated[p]
-    return total
 
 
 @exact_unchecked

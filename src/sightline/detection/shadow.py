@@ -201,17 +201,20 @@ def normal_equations(columns, A, b):
 def solve(A, b, L, x):
     """Solve A x = b for symmetric A by Cholesky into `L`; return False where A is not positive definite."""
     n = len(b)
+    column = np.empty(n)
     for i in range(n):
         for j in range(i + 1):
-            s = A[i, j]
-            for k in range(j):
-                s -= L[i, k] * L[j, k]
-            if i == j:
-                if s <= 1e-7 * A[i, i] or s <= 0:
-                    return False
-                L[i, i] = np.sqrt(s)
-            else:
-                L[i, j] = s / L[j, j]
+            L[i, j] = A[i, j]
+    for j in range(n):
+        if L[j, j] <= 1e-7 * A[j, j] or L[j, j] <= 0:
+            return False
+        L[j, j] = np.sqrt(L[j, j])
+        for i in range(j + 1, n):
+            L[i, j] /= L[j, j]
+            column[i] = L[i, j]
+            row, share = L[i], L[i, j]
+            for k in range(j + 1, i + 1):  # all columns at once, which the compiler vectorises
+                row[k] -= share * column[k]
     return substitute(L, b, x)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from sightline.detection.columns import CONTRAST, RADIUS, U, V
 from sightline.detection.compiled import exact, fast, part_of_caller
+from sightline.detection.noise import LAGS
 
 BEYOND = 5.0  # px of background around the rim, enough for five blurs [ours]
 MARGIN = 6  # px around the window that the filter may need
@@ -237,20 +238,37 @@ def gather_pixels(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
 def along_both_axes(field, taps):
     """Return `field` convolved along both axes with the symmetric `taps`, cropped by len(taps) - 1 on each side."""
     t, width = len(taps) - 1, field.shape[1]
-    out = in_one_row(field.reshape(-1), taps, width)
-    return out.reshape(len(out) // width, width)[:, : width - 2 * t]
+    values = field.reshape(-1)
+    size = len(values) - 2 * t * width
+    once, twice = np.empty(size, np.float32), np.empty(size, np.float32)
+    _along(values, taps, width, once)
+    _along(once, taps, 1, twice[: size - 2 * t])
+    twice[size - 2 * t :] = 0.0
+    return twice.reshape(size // width, width)[:, : width - 2 * t]
 
 
 @fast
-def in_one_row(field, taps, width):
-    """`along_both_axes` of a flattened field with rows of `width`; in the result, each row's margin is undefined."""
-    t = len(taps) - 1
-    size = len(field) - 2 * t * width
-    once, twice = np.empty(size, np.float32), np.empty(size, np.float32)
-    _along(field, taps, width, once)
-    _along(once, taps, 1, twice[: size - 2 * t])
-    twice[size - 2 * t :] = 0.0
-    return twice
+def correlated_product(one, other, correlation, width):
+    """Return the sum of products of `one` with `other` convolved with a noise `correlation` along both axes.
+
+    Both are flattened fields with rows of `width` and LAGS of zeros on each side. The correlation is symmetric, so
+    one field is convolved along the rows and the other along the columns, in one loop that stores nothing.
+    """
+    c = np.zeros(LAGS + 1, np.float32)
+    for k in range(len(correlation)):
+        c[k] = correlation[k]
+    c0, c1, c2, c3, c4 = c[0], c[1], c[2], c[3], c[4]
+    at, total = LAGS * width, np.float32(0.0)
+    x0, y0 = one[at:], other[at:]
+    x1, x2, x3, x4 = one[at - 1 :], one[at - 2 :], one[at - 3 :], one[at - 4 :]
+    X1, X2, X3, X4 = one[at + 1 :], one[at + 2 :], one[at + 3 :], one[at + 4 :]
+    y1, y2, y3, y4 = other[3 * width :], other[2 * width :], other[width:], other
+    Y1, Y2, Y3, Y4 = other[5 * width :], other[6 * width :], other[7 * width :], other[8 * width :]
+    for p in range(len(one) - 2 * at):
+        row = c0 * x0[p] + c1 * (x1[p] + X1[p]) + c2 * (x2[p] + X2[p]) + c3 * (x3[p] + X3[p]) + c4 * (x4[p] + X4[p])
+        column = c0 * y0[p] + c1 * (y1[p] + Y1[p]) + c2 * (y2[p] + Y2[p]) + c3 * (y3[p] + Y3[p]) + c4 * (y4[p] + Y4[p])
+        total += row * column
+    return total
 
 
 @fast

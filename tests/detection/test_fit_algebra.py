@@ -1,0 +1,41 @@
+"""The sums of a bead's fit against NumPy: products through correlated noise, and the solution by Cholesky."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import convolve1d
+
+from sightline.detection.noise import LAGS
+from sightline.detection.shadow import solve
+from sightline.detection.window import correlated_product
+
+
+@pytest.mark.parametrize("lags", [3, 4])
+def test_a_product_through_correlated_noise_is_that_of_the_convolved_field(lags: int) -> None:
+    # Fields that differ and are not symmetric: a program that swaps fields or axes, or drops the last lag, fails.
+    rng = np.random.default_rng(5)
+    side, correlation = 17, np.append(1.0, rng.uniform(-0.3, 0.5, lags)).astype(np.float32)
+    one, other = (np.pad(rng.normal(size=(side, side)), LAGS).astype(np.float32) for _ in range(2))
+    kernel = np.concatenate([correlation[:0:-1], correlation]).astype(np.float64)
+    convolved = convolve1d(convolve1d(other.astype(np.float64), kernel, 0, mode="constant"), kernel, 1, mode="constant")
+    got = correlated_product(one.ravel(), other.ravel(), correlation, np.uint32(side + 2 * LAGS))
+    size = float(np.linalg.norm(one) * np.linalg.norm(convolved))
+    assert got == pytest.approx(float((one * convolved).sum()), abs=1e-5 * size)  # single precision, 600 terms
+
+
+def test_symmetric_equations_are_solved_from_their_lower_half() -> None:
+    rng = np.random.default_rng(6)
+    jacobian = rng.normal(size=(40, 19))
+    matrix, right = jacobian.T @ jacobian, rng.normal(size=19)
+    held = np.full((21, 21), np.nan)  # as in a fit: two rows more, and an upper half that means nothing
+    held[:19, :19] = np.where(np.tri(19, dtype=bool), matrix, np.nan)
+    lower, found = np.zeros((19, 19)), np.zeros(19)
+    assert solve(held, right, lower, found)
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9)
+    np.testing.assert_allclose(np.tril(lower), np.linalg.cholesky(matrix), rtol=1e-10, atol=1e-10)
+
+
+def test_equations_that_do_not_determine_every_unknown_are_refused() -> None:
+    jacobian = np.random.default_rng(7).normal(size=(40, 5))
+    jacobian[:, 3] = jacobian[:, 0] + jacobian[:, 1]
+    matrix = jacobian.T @ jacobian
+    assert not solve(matrix, np.ones(5), np.zeros((5, 5)), np.zeros(5))
