@@ -156,7 +156,7 @@ def test_views_less_than_20_degrees_apart_and_images_without_a_nail_are_refused(
     assert "at least 20° is needed" in refused.refused[STROKES] and not refused.holes
     views: Any = VIEWS
     empty = HolesFound.find(drawn, views, dark)
-    assert "the nail" in empty.refused[STROKES] and empty.nail is None
+    assert "no edge of a nail lies along a stroke" in empty.refused[STROKES] and empty.nail is None
     assert empty.is_of(drawn, views) and not empty.is_of(drawn, near) and not empty.is_of(None, views)
     moved = replace(drawn, clicks_px={"distal": drawn.clicks_px["distal"] + 0.1})
     assert not empty.is_of(moved, views)

@@ -77,7 +77,7 @@ def test_relations_are_judged_and_the_current_wire_is_the_same_as_alone(current:
     assert {check.name for check in relations} == RELATIONS and all(check.passed for check in relations)
     np.testing.assert_allclose(known.plan.trajectory.points.xyz_mm, WIRES_MM[current], atol=1e-6)
     styles = [one["style"] for one in shapes.wire(known, "pa")]
-    assert styles == ["plan"] * 2 + ["corridor", "wire"]
+    assert styles == ["plan"] * 2 + ["implant", "thread", "corridor", "wire"]
 
 
 def test_with_wires_missing_the_plan_is_incomplete_and_names_them() -> None:
