@@ -52,7 +52,7 @@ def _half_hidden(patient: RehearsedPatient, folder: Path) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def patient() -> RehearsedPatient:
-    return draw_patient(NAILED, 3, Frame.load("block60"))
+    return draw_patient(NAILED, 11, Frame.load("block60"))
 
 
 @pytest.fixture(scope="module")
