@@ -16,7 +16,8 @@ CHANGES = {
     "errors that a wire found in the planning images shares with the planned ones cancel in their relations",
     11: "the second look knows size, shape and blur of a shadow from its plate; beads found predict those further out; "
     "rims before a clipped background state a larger error, and the second look finds them; "
-    "a hole's error is larger where halves of its rims disagree, and a nail's images with a narrow lens are refused",
+    "a hole's error is larger where halves of its rims disagree, and a nail's images with a narrow lens are refused; "
+    "calibration takes the centroids of shadows, which distortion shifts, to the images of the balls' centres",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

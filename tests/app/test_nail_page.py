@@ -33,7 +33,7 @@ pytestmark = pytest.mark.slow  # images of a nail are rendered; a server and a b
 
 @pytest.fixture(scope="module")
 def patient() -> RehearsedPatient:
-    return draw_patient(NAILED, 11, Frame.load("block60"))
+    return draw_patient(NAILED, 14, Frame.load("block60"))
 
 
 @pytest.fixture(scope="module")

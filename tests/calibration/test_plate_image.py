@@ -144,7 +144,8 @@ def test_an_intensifiers_image_of_the_block_alone_fails_with_the_evidence(seed):
         kept = [k for k, name in enumerate(seen.ids) if name in alone.solid.ids]
         ids = tuple(seen.ids[k] for k in kept)
         noise = None if seen.covariance_px2 is None else seen.covariance_px2[kept]
-        given.append(replace(seen, ids=ids, uv_px=seen.uv_px[kept], covariance_px2=noise))
+        radius = None if seen.radius_px is None else seen.radius_px[kept]
+        given.append(replace(seen, ids=ids, uv_px=seen.uv_px[kept], covariance_px2=noise, radius_px=radius))
     try:
         views = calibrate_together(given, alone, [CArm(1000.0, 0.21)] * 2)
     except CalibrationRefusedError as refusal:
@@ -160,7 +161,8 @@ def test_too_few_balls_and_a_plate_put_on_back_to_front_are_refused():
 
     def only(rows):
         noise = None if seen.covariance_px2 is None else seen.covariance_px2[rows]
-        return replace(seen, ids=tuple(seen.ids[k] for k in rows), uv_px=seen.uv_px[rows], covariance_px2=noise)
+        ids, radius = tuple(seen.ids[k] for k in rows), None if seen.radius_px is None else seen.radius_px[rows]
+        return replace(seen, ids=ids, uv_px=seen.uv_px[rows], covariance_px2=noise, radius_px=radius)
 
     few = [k for k in range(len(seen)) if k not in of_plate[MIN_PLATE_BALLS - 1 :]]
     with pytest.raises(CalibrationRefusedError, match="11 balls of the plate"):

@@ -166,7 +166,7 @@ def test_without_an_image_the_middle_of_the_beads_counts(panel):
     seen = measured(panel)
     view = calibrate(replace(seen, image_shape=None), GAMMA, c_arm=CArm(1020.0, panel.views["pa"].chain.pitch_mm))
     assert check(view, "focal length").passed
-    expected = FocalLength.of(view.joint, seen.uv_px.mean(axis=0)).value_px
+    expected = FocalLength.of(view.joint, view.residuals.uv_px.mean(axis=0)).value_px
     assert view.focal_length.value_px == pytest.approx(expected, rel=1e-12)
 
 

@@ -13,17 +13,19 @@ HEADER = "view,id,u_px,v_px\n"
 FULL = "view,id,u_px,v_px,suu_px2,suv_px2,svv_px2\n"
 
 
-def observed(view: str, *, covariance: bool) -> Observations:
+def observed(view: str, *, covariance: bool, radius: bool = False) -> Observations:
     rng = np.random.default_rng(5)
     uv_px = rng.uniform(0, 1000, (7, 2))
     factor = rng.normal(size=(7, 2, 2))
     noise = factor @ factor.transpose(0, 2, 1) + 0.01 * np.eye(2) if covariance else None
-    return Observations(view, tuple(f"{view}-{i}" for i in range(7)), uv_px, noise)
+    radius_px = rng.uniform(3.0, 9.0, 7) if radius else None
+    return Observations(view, tuple(f"{view}-{i}" for i in range(7)), uv_px, noise, radius_px=radius_px)
 
 
+@pytest.mark.parametrize("radius", [True, False])
 @pytest.mark.parametrize("covariance", [True, False])
-def test_what_is_written_is_read_again_to_the_last_bit(tmp_path: Path, covariance: bool) -> None:
-    views = [observed("pa", covariance=covariance), observed("lateral", covariance=covariance)]
+def test_what_is_written_is_read_again_to_the_last_bit(tmp_path: Path, covariance: bool, radius: bool) -> None:
+    views = [observed(name, covariance=covariance, radius=radius) for name in ("pa", "lateral")]
     back = read_observations(write_observations(views, tmp_path / "beads.csv"))
     assert list(back) == ["pa", "lateral"]
     for view in views:
@@ -33,6 +35,9 @@ def test_what_is_written_is_read_again_to_the_last_bit(tmp_path: Path, covarianc
             np.testing.assert_array_equal(back[view.view].covariance_px2, view.covariance_px2)
         else:
             assert back[view.view].covariance_px2 is None
+        assert (back[view.view].radius_px is not None) == radius
+        if radius:
+            np.testing.assert_array_equal(back[view.view].radius_px, view.radius_px)
 
 
 def test_a_covariance_that_one_view_lacks_is_written_for_none(tmp_path: Path) -> None:
@@ -64,6 +69,9 @@ def test_a_spreadsheet_s_byte_order_mark_and_empty_lines_do_no_harm(tmp_path: Pa
         (HEADER + f"pa,{'b' * 65},1,2\n", "64 characters"),
         (FULL + "pa,b1,1,2,0.01,0.02,0.01\n", "positive definite"),
         (FULL + "pa,b1,1,2,0,0,0\n", "positive definite"),
+        (FULL[:-1] + ",radius_px\npa,b1,1,2,0.01,0.02,0.01,5\n", "positive definite"),
+        (FULL[:-1] + ",radius_px\npa,b1,1,2,0.01,0,0.01,0\n", "line 2.*radius"),
+        (HEADER[:-1] + ",radius_px\npa,b1,1,2,-5\n", "line 2.*radius"),
     ],
 )
 def test_a_bad_file_is_refused(tmp_path: Path, text: str, says: str) -> None:

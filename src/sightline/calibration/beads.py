@@ -6,6 +6,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from sightline.calibration.hull import refuse_collinear
+from sightline.calibration.shadow_centres import at_centres
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame, Plate
@@ -18,9 +19,9 @@ MIN_SD_PX, MAX_SD_PX = 1e-6, 1e3  # of a bead's centre: far below any measuremen
 class Beads:
     """N beads of one view, in the order of the frame: XRII plate first.
 
-    `uv_px` (N, 2); `covariance_px2` (N, 2, 2), None where the noise is unknown; `xyz_mm` (N, 3), CFCS; `on_xrii` (N,)
-    bool; `rows` (N,): their indices among the fiducials of the view; `radius_px` (N,) of their shadows, None where not
-    measured.
+    `uv_px` (N, 2): images of their centres; `covariance_px2` (N, 2, 2), None where the noise is unknown; `xyz_mm`
+    (N, 3), CFCS; `on_xrii` (N,) bool; `rows` (N,): their indices among the fiducials of the view; `radius_px` (N,) of
+    their shadows, None where not measured.
     """
 
     frame: Frame
@@ -78,7 +79,8 @@ def _view_covariance(frame: Frame, view: str) -> np.ndarray:
 
 
 def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
-    """Return the observations joined with their frame. `view`: the expected view; None: that of the observations.
+    """Return the observations joined with their frame, at the images of the beads' centres (`at_centres`). `view`: the
+    expected view; None: that of the observations.
 
     Raises ObservationsError for another view, an unknown fiducial or an impossible covariance; FrameError where the
     frame has no such view; CalibrationRefusedError where fewer than 4 beads of a plate are seen, or all on one line.
@@ -91,6 +93,7 @@ def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
     frame_view = frame.view(observations.view)
     place = {f.id: k for k, f in enumerate(frame_view.fiducials)}
     unknown = [i for i in observations.ids if i not in place]
+    observations = at_centres(observations, frame)
     if unknown:
         raise ObservationsError(
             f"view {observations.view!r} of frame {frame.name!r} has no fiducial {', '.join(map(repr, unknown[:5]))}; "

@@ -21,6 +21,7 @@ from sightline.calibration.focal_length import CArm
 from sightline.calibration.outliers import FALSE_ALARM, MAX_WRONG_SHARE
 from sightline.calibration.panel import PanelCamera
 from sightline.calibration.residuals import Residuals
+from sightline.calibration.shadow_centres import at_centres
 from sightline.calibration.solid import SolidAdjustment, adjust
 from sightline.calibration.solid_checks import adjustment_check, checks_of_image
 from sightline.calibration.solid_image import SolidBalls, SolidImage
@@ -56,14 +57,18 @@ def calibrate_together(
         raise ObservationsError("two images are of the same view; give each image a name of its own")
     known = c_arms or [None] * len(observations)
     solid = solid_of(frame)
-    images = [image_of(one, frame, solid, c_arm) for one, c_arm in zip(observations, known, strict=True)]
+    centred = [at_centres(one, frame) for one in observations]
+    images = [image_of(one, frame, solid, c_arm) for one, c_arm in zip(centred, known, strict=True)]
     with well_conditioned():
         cameras = [first_camera(solid, image, one.view) for image, one in zip(images, observations, strict=True)]
         fit, left = _robustly(solid, images, cameras, observations)
     adjustment = sha256(b"".join(one.view.encode() + one.uv_px.tobytes() for one in observations)).hexdigest()[:16]
     checks = (adjustment_check(fit), *tolerance_checks(frame))
     return tuple(
-        _view(_InOne(fit, k, adjustment), one, frame, c_arm, (left[k], checks))
+        replace(
+            _view(_InOne(fit, k, adjustment), centred[k], frame, c_arm, (left[k], checks)),
+            inputs=CalibrationInputs(one, frame),
+        )
         for k, (one, c_arm) in enumerate(zip(observations, known, strict=True))
     )
 
@@ -185,7 +190,6 @@ def _view(
         rejected_px=strays,
         c_arm=c_arm,
         adjustment=own.adjustment,
-        inputs=CalibrationInputs(seen, frame),
     )
 
 

@@ -103,7 +103,8 @@ class Observations(Plotted):
     """Labelled beads of one view: fiducial `ids[i]` is seen at `uv_px[i]`, in IDCS.
 
     `covariance_px2` (N, 2, 2), or None where the measurement noise is unknown. `mirrored`: the image is a mirror image
-    of the frame. `image_shape` (H, W), or None. `radius_px` (N,) as in `Detections`, or None. `rejected`: detections
+    of the frame. `image_shape` (H, W), or None. `radius_px` (N,) as in `Detections`: then `uv_px` are the centroids of
+    shadows, which distortion shifts from the images of the centres; None where these are known. `rejected`: detections
     that were not labelled, with reasons; None where only labelled beads are known. `pixels` (H, W): the image for
     plots, or None.
     Raises ObservationsError on wrong shapes, values that are not finite, and duplicate ids.

@@ -159,6 +159,7 @@ class Track:
             covariance_px2=columns.centre_covariances(rows),
             mirrored=self.mirrored,
             image_shape=self.mask.shape,
+            radius_px=rows[:, columns.RADIUS],
         )
         return self._in_image(seen)
 
@@ -271,7 +272,13 @@ class Track:
         first = slice(0, len(labelled))
         ids = tuple(self.ids[k] for k in labelled)
         seen = Observations(
-            self.view, ids, beads.uv_px[first], beads.covariance_px2[first], self.mirrored, self.mask.shape
+            self.view,
+            ids,
+            beads.uv_px[first],
+            beads.covariance_px2[first],
+            self.mirrored,
+            self.mask.shape,
+            beads.radius_px[first],
         )
         return beads, seen
 

@@ -21,6 +21,7 @@ from sightline.errors import SetUpError
 from sightline.frame import Frame, Tolerances
 from sightline.studies.bound import BoundData
 from sightline.twin import SetUp, bead_images, draw_setup
+from sightline.twin.carm import shadow_radius_px
 
 VIEWS = ("pa", "lateral")
 TARGET_REACH_MM = 34.0  # half of a 95 mm wire at 45° (physics.md, Frame)
@@ -106,15 +107,25 @@ def draw_showing(
 
 
 def measure(rng: np.random.Generator, setup: SetUp, bead_px: float, uneven: float = 0.0) -> dict[str, Observations]:
-    """Draw measurements of the beads of all views, each with the covariance of its noise."""
+    """Draw measurements of the beads of all views, each with the covariance of its noise; of a plate on the detector
+    the radii as well, since `bead_images` has the centroids of its shadows."""
     out = {}
     for name in setup.views:
         ids, exact = bead_images(setup, name, rng, sd_px=0.0)
         sd = bead_px * np.exp(uneven * rng.standard_normal(len(ids)))
         measured = exact + sd[:, None] * rng.standard_normal(exact.shape)
         shape = None if setup.frame.solid is None else setup.views[name].chain.shape  # its calibration needs it
-        out[name] = Observations(name, ids, measured, sd[:, None, None] ** 2 * np.eye(2), image_shape=shape)
+        radius = None if setup.frame.detector is None else _radii_px(setup, name, ids)
+        covariance = sd[:, None, None] ** 2 * np.eye(2)
+        out[name] = Observations(name, ids, measured, covariance, image_shape=shape, radius_px=radius)
     return out
+
+
+def _radii_px(setup: SetUp, name: str, ids: tuple[str, ...]) -> np.ndarray:
+    """Return the radii (N,) of the shadows of a view's balls."""
+    known = {one.id: one for one in setup.frame_in(name).fiducials_of(name)}
+    xyz, diameter = (np.array([getattr(known[i], what) for i in ids]) for what in ("xyz_mm", "diameter_mm"))
+    return shadow_radius_px(setup.views[name], xyz, diameter / 2)
 
 
 def calibrated_views(setup: SetUp, seen: Mapping[str, Observations], told: Frame | None = None) -> list[CalibratedView]:
