@@ -164,9 +164,9 @@ def test_what_shows_no_two_holes_of_this_nail_is_refused(
             {"nail": _nail(replace(drawn, nail=replace(drawn.nail, hole_mm=5.4)))},
             "mm in the images and 5.4 mm as stated",
         ),
-        ({"on": [files[0], files[0]]}, "° apart (at least 20° is needed"),
+        ({"on": [files[0], files[0]]}, "the views are 5° apart (at least 20° is needed"),
         ({"on": bowed}, "the nail is bent by 9."),
-        ({"on": _half_hidden(patient, tmp_path)}, "(at least 5 are needed)"),
+        ({"on": _half_hidden(patient, tmp_path)}, "shows 1 points of the hole's rims (at least 5 are needed)"),
     ):
         ran = run(*arguments(**given), "--json")
         assert ran.code == 3 and words in ran.document["error"]["message"], ran.out

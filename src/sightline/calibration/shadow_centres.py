@@ -13,6 +13,7 @@ import numpy as np
 from sightline.calibration.polynomial import monomial_gradients, monomials, terms
 from sightline.detection.results import Observations
 from sightline.frame import Frame, Plate
+from sightline.geometry.outlines import centroids
 
 MAX_DEGREE = 5  # leaves 0.004 px rms of 0.018 in the twin's images; degree 3 leaves 0.005 [twin]
 BALLS_PER_TERM = 3  # at least [ours]; with fewer than 18 balls of a plate nothing is known of the bending
@@ -63,10 +64,7 @@ class _PlateMap:
     def shift_px(self, xy_mm: np.ndarray, radius_mm: np.ndarray) -> np.ndarray:
         """Return (N, 2): the centroid of the image of each disc (N, 2) of the radius (N,), less its centre's image."""
         rim = xy_mm[:, None] + radius_mm[:, None, None] * _RIM
-        outline = self(rim.reshape(-1, 2)).reshape(rim.shape) - self(xy_mm)[:, None]
-        following = np.roll(outline, -1, axis=1)
-        twice_area = outline[..., 0] * following[..., 1] - outline[..., 1] * following[..., 0]
-        return np.einsum("nk,nka->na", twice_area, outline + following) / (3 * twice_area.sum(axis=1)[:, None])
+        return centroids(self(rim.reshape(-1, 2)).reshape(rim.shape)) - self(xy_mm)
 
 
 def at_centres(seen: Observations, frame: Frame) -> Observations:

@@ -38,7 +38,7 @@ def read_observations(path: str | Path) -> dict[str, Observations]:
             raise ObservationsError(f"{name}, line 1: the columns are {','.join(header)!r}; {expected} was expected")
         for cells in reader:
             if cells:
-                view, fiducial, numbers = _row(cells, len(header), f"{name}, line {reader.line_num}")
+                view, fiducial, numbers = _row(cells, header, f"{name}, line {reader.line_num}")
                 rows.setdefault(view, []).append((fiducial, numbers))
     except csv.Error as error:
         raise ObservationsError(f"{name}, line {reader.line_num}: {error}; write plain comma-separated text") from None
@@ -72,9 +72,9 @@ def _lines(view: Observations, header: tuple[str, ...]) -> Iterator[list[str]]:
         yield [view.view, fiducial, *(repr(float(number)) for number in numbers)]
 
 
-def _row(cells: list[str], width: int, where: str) -> tuple[str, str, list[float]]:
-    if len(cells) != width:
-        raise ObservationsError(f"{where}: {len(cells)} values where {width} were expected")
+def _row(cells: list[str], header: tuple[str, ...], where: str) -> tuple[str, str, list[float]]:
+    if len(cells) != len(header):
+        raise ObservationsError(f"{where}: {len(cells)} values where {len(header)} were expected")
     view, fiducial = cells[0].strip(), cells[1].strip()
     if not (0 < len(view) <= _MAX_TEXT and 0 < len(fiducial) <= _MAX_TEXT):
         raise ObservationsError(f"{where}: the view and the fiducial each need a name of 1 to {_MAX_TEXT} characters")
@@ -84,9 +84,9 @@ def _row(cells: list[str], width: int, where: str) -> tuple[str, str, list[float
         raise ObservationsError(f"{where}: {', '.join(cells[2:])} are not all numbers") from None
     if not all(isfinite(number) for number in numbers):
         raise ObservationsError(f"{where}: a value is not finite; leave out beads that were not measured")
-    if len(numbers) in (3, 6) and numbers[-1] <= 0:
+    if _RADIUS[0] in header and numbers[-1] <= 0:
         raise ObservationsError(f"{where}: the radius is not above zero; give that of the bead's shadow, px")
-    if len(numbers) >= 5:
+    if _COVARIANCE[0] in header:
         suu, suv, svv = numbers[2:5]
         if suu <= 0 or svv <= 0 or suv * suv >= suu * svv:
             raise ObservationsError(f"{where}: the covariance is not positive definite; check suu, suv and svv")

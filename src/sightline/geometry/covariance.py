@@ -1,6 +1,7 @@
 """Covariances of points and directions, and quantiles of error lengths."""
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +19,7 @@ _AZIMUTHS = (np.arange(12) + 0.5) * np.pi / 24
 _WEIGHTS = _COSINE_WEIGHTS[:, None] / (2 * len(_AZIMUTHS))
 
 
+@cache  # only the target of a drill through walls needs it
 def _sphere() -> tuple[np.ndarray, np.ndarray]:
     """Return unit vectors (N, 4) and weights (N,) that integrate a function of opposite directions alike."""
     angle = (np.arange(32) + 0.5) * np.pi / 32
@@ -25,9 +27,6 @@ def _sphere() -> tuple[np.ndarray, np.ndarray]:
     a, b = np.sqrt(height), np.sqrt(1 - height)
     nodes = np.stack([a * np.cos(first), a * np.sin(first), b * np.cos(second), b * np.sin(second)], axis=1)
     return nodes, np.repeat(_COSINE_WEIGHTS / 2, len(angle) ** 2) / len(angle) ** 2
-
-
-_SPHERE, _SPHERE_WEIGHTS = _sphere()
 
 
 def ellipsoid_factor(probability: float, dimension: int) -> float:
@@ -80,9 +79,10 @@ def both_within(covariance: np.ndarray, radius: float) -> float:
     if values[0] < -1e-9 * abs(values[-1]):
         raise ValueError("a covariance has a negative variance")
     first, second = (vectors * np.sqrt(np.clip(values, 0.0, None))).reshape(2, 2, 4)
-    longest = np.maximum(*(((_SPHERE @ half.T) ** 2).sum(axis=1) for half in (first, second)))
+    nodes, weights = _sphere()
+    longest = np.maximum(*(((nodes @ half.T) ** 2).sum(axis=1) for half in (first, second)))
     half = radius**2 / np.maximum(longest, 1e-300) / 2
-    return float(((1 - np.exp(-half) * (1 + half)) * _SPHERE_WEIGHTS).sum())
+    return float(((1 - np.exp(-half) * (1 + half)) * weights).sum())
 
 
 def line_direction(start_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:

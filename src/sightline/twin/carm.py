@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import OutsideRegionError, SetUpError
 from sightline.frame import Fiducial, Frame, nominal
+from sightline.geometry.outlines import centroids
 from sightline.geometry.planes import Plane
 from sightline.twin.arm import IndependentViews, Stance, beam_at, draw_arm
 from sightline.twin.distributions import NEAR_PLACE, Arm, Distortion, PlateMount, Pose, SolidPlace
@@ -247,13 +248,7 @@ def shadow_centres_px(view: ViewTruth, xyz_mm: np.ndarray, radius_mm: np.ndarray
     angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ across  # (N, around, 3)
     rim = radius_mm[:, None, None] / np.sqrt(1 - (radius_mm[:, None, None] / distance[..., None]) ** 2)
-    outline = view.project(xyz_mm[:, None, :] + rim * ring)
-    step = np.roll(outline, -1, axis=1)
-    middle = outline.mean(axis=1, keepdims=True)
-    a, b = outline - middle, step - middle
-    twice_area = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    moment = (twice_area[..., None] * (a + b)).sum(axis=1) / (3 * twice_area.sum(axis=1)[:, None])
-    return middle[:, 0] + moment
+    return centroids(view.project(xyz_mm[:, None, :] + rim * ring))
 
 
 def with_errors(frame: Frame, rng: np.random.Generator) -> Frame:
