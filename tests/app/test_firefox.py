@@ -19,11 +19,13 @@ from sightline.case.views import NAMES
 pytestmark = pytest.mark.slow
 _CONTROL, _ENTER = "\ue009", "\ue007"
 _QUESTION = "[role=dialog]"
-# The middle of the last button of this text within some part of the page that is enabled and not covered.
+# The middle of the last button of this text within some part of the page that is enabled, not covered, and at rest: a
+# question grows when it opens, and two looks within one frame of that find the button at one place, which it leaves.
 _BUTTON = """((text, part) => {
+  const moves = (element) => element && (element.getAnimations().length || moves(element.parentElement));
   for (const button of [...document.querySelectorAll("button, label, [role=radio]")].reverse()) {
     if (!button.closest(part)) continue;
-    if (button.innerText.trim() !== text || button.disabled) continue;
+    if (button.innerText.trim() !== text || button.disabled || moves(button)) continue;
     const { left, top, width, height } = button.getBoundingClientRect();
     const middle = [left + width / 2, top + height / 2];
     if (width && button.contains(document.elementFromPoint(...middle))) return middle;
