@@ -1,9 +1,9 @@
 """Both distal holes of a nail drilled by the robot: 300 holes with `block30` on the drill guide.
 
-Edges as points (scenes_hole.py), both holes in one plan, the robot registered by its own wire in the same images; the
-second hole is planned on the same images again. Targets and refusals are the robot's own functions. The arm's play and
-deflection are drawn from what its calibration states, the drill is the twin's `Wire` in a bone's shaft: no link, no
-real time. A drill passes if it touches neither wall of the nail: 4 mm in holes of 5 mm leave 0.5 mm.
+Edges as points (studies/nail_edges.py), both holes in one plan, the robot registered by its own wire in the same
+images; the second hole is planned on the same images again. Targets and refusals are the robot's own functions. The
+arm's play and deflection are drawn from what its calibration states, the drill is the twin's `Wire` in a bone's shaft:
+no link, no real time. A drill passes if it touches neither wall of the nail: 4 mm in holes of 5 mm leave 0.5 mm.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,6 @@ import sightline as sl
 from benchmarks.bench_interlocking import HALF_ANGLE_DEG, known_nail
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from benchmarks.scenes_hole import Sight, seen
 from benchmarks.scenes_solid import BEAD_PX, c_arms
 from sightline.calibration.together import calibrate_together
 from sightline.errors import RefusedError
@@ -27,6 +26,7 @@ from sightline.rehearsal.robots import SHOWN_FEED_MM, calibrated_robot, drawn_ro
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED, Manipulator, imaging_yaw
 from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, robot_target
+from sightline.studies.nail_edges import Sight, seen
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.drilling import Bone, Wire

@@ -1,9 +1,9 @@
 """Hole of a nail from two views: error, coverage, refusals, advice and time.
 
-Points are those of scenes_hole.py, on views calibrated from their beads. The sizes of the nail differ from the stated
-ones by machining tolerances. Images are the twin's, and those whose rays gVirtualXray casts (gvxr_nails.py; optional:
-`pip install gvxr`). `python -m benchmarks.bench_interlocking COUNT` prints the rows of so many nails as points.
-Finished nails are kept in out/bench: the same command goes on with a stopped run.
+Points are those of studies/nail_edges.py, on views calibrated from their beads. The sizes of the nail differ from the
+stated ones by machining tolerances. Images are the twin's, and those whose rays gVirtualXray casts (gvxr_nails.py;
+optional: `pip install gvxr`). `python -m benchmarks.bench_interlocking COUNT` prints the rows of so many nails as
+points. Finished nails are kept in out/bench: the same command goes on with a stopped run.
 """
 
 import sys
@@ -18,9 +18,9 @@ from scipy.stats import chi2
 
 import sightline as sl
 from benchmarks.gvxr_nails import cast, image, window_px
+from benchmarks.hole_scores import Trial, scored
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from benchmarks.scenes_hole import Sight, Trial, ends_of_outlines, scored, seen
 from benchmarks.scenes_solid import BEAD_PX, c_arms
 from sightline.calibration import CalibratedView
 from sightline.calibration.together import calibrate_together
@@ -29,6 +29,7 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.interlocking import find_hole, find_nail
 from sightline.planning import Hole, Nail, fit_hole, perfect_circle
+from sightline.studies.nail_edges import Sight, ends_of_outlines, seen
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp, ViewTruth, draw_setup
 from sightline.twin.arm import beam_at
@@ -47,6 +48,7 @@ CAST = 50  # nails of another projector for each of
 # Streams of seeds of these nails: on the first the method was tuned, on the second it is judged and never tuned.
 TUNED, JUDGED = 12, 13
 PROJECTED = "interlocking, rays cast by gVirtualXray"
+MOVED_MM = (0.5, 2.0)  # how far a nail moves between the images, along the beam of the second
 WRONG_MM, WRONG_DEG = 0.5, 5.2  # beyond these a drill of 4 mm touches a hole of 5 mm
 MAX_TURN_DEG = 2.0
 CLICK_PX, STROKE_MM = 2.0, 18.0  # s.d. of a click per axis; half the length of a stroke
@@ -97,7 +99,20 @@ def points(number: int) -> list[Row]:
         name = POINTS + frame + (f", {hidden:.0%} of each rim hidden" if hidden else "")
         trials = in_parallel(_trial, product((frame,), (hidden,), range(count)), "interlocking-points")
         rows += _rows(name, trials, required=count == number)
-    return rows
+    return rows + moved(number // 4)
+
+
+def moved(number: int) -> list[Row]:
+    """Return the rows of nails as points that move between the images along a beam, which no image shows."""
+    trials = in_parallel(_moved, range(number), "interlocking-moved")
+    wrong = [one.off_mm > WRONG_MM for one in trials if isinstance(one, Trial)]
+    off = np.quantile([one.off_mm for one in trials if isinstance(one, Trial)] or [np.nan], (0.5, 0.95))
+    group = f"{POINTS}block30, moved by {MOVED_MM[0]} to {MOVED_MM[1]} mm along the second beam"
+    return [
+        Row(group, "no check fails", f"{len(wrong)} of {number}"),
+        Row(group, f"of these, axis off by more than {WRONG_MM} mm", f"{sum(wrong)} of {len(wrong)}"),
+        Row(group, "error of the axis, median / 95 %", f"{off[0]:.2f} / {off[1]:.2f} mm"),
+    ]
 
 
 def views_and_nail(
@@ -144,6 +159,23 @@ def _trial(case: tuple[str, float, int]) -> Trial | str:
         return str(refused)
     outcome = _outcome(hole, nail, time.process_time() - start)
     return outcome if isinstance(outcome, str) else replace(outcome, turned_deg=_turned_deg(hole, nail, setup, views))
+
+
+def _moved(seed: int) -> Trial | str:
+    """Return the errors of one nail that moved along the second beam after the first image, from where it is at the
+    second; or why it was refused."""
+    rng = np.random.default_rng([seed, 31])
+    setup, views, nail = views_and_nail(rng, "block30")
+    (first, at), (second, then) = (
+        (name, Sight(view.focal_point_mm, view.project)) for name, view in setup.views.items()
+    )
+    beam = nail.hole_mm - then.focal_mm
+    moved = replace(nail, hole_mm=nail.hole_mm + rng.uniform(*MOVED_MM) * beam / np.linalg.norm(beam))
+    edges = seen(rng, nail, {first: at}) + seen(rng, moved, {second: then})
+    try:
+        return _outcome(fit_hole(views, edges, known_nail(nail)), moved, 0.0)
+    except RefusedError as refused:
+        return str(refused)
 
 
 def _rendered(case: tuple[tuple[str, str], int]) -> Trial | str:

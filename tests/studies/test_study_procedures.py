@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from sightline.rehearsal.patient import AT_HIP, BONE_OF
+from sightline.rehearsal.patient import AT_HIP, BONES_OF, NAILED
 from sightline.studies.study_procedures import Procedures
 
 SMALL = Procedures(("cannulated-hip-screws", "pedicle-screw"))
@@ -41,6 +41,24 @@ def test_the_row_of_a_procedure_counts_every_wire() -> None:
     assert SMALL.summary([dict.fromkeys(SMALL.procedures, refused)]).findings[0].endswith("every plan is refused.")
 
 
+@pytest.mark.parametrize("nail_images", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_both_holes_of_a_nail_are_compared_with_their_own_truth(nail_images: bool) -> None:
+    """Fails where the holes are exchanged (28 mm apart), where edges are drawn as on a right patient (trials 0 and 1
+    have left ones), and where a click in the middle of the lens is taken for both ends of a hole (5 mm off)."""
+    nailed = Procedures((NAILED,), nail_images)
+    for k in range(1 if nail_images else 3):
+        one = nailed.trial(np.random.default_rng([1, k]))[NAILED]
+        assert one["ended"] == "go", one
+        assert_within_the_drill_s_limits(np.array(one["errors"]))
+
+
+def assert_within_the_drill_s_limits(errors: np.ndarray) -> None:
+    assert errors.shape == (2, 3)
+    # The drill's limits: 0.5 mm at both ends and 5.2°, of which the errors of a right plan take a part.
+    assert 0.0 < errors[:, :2].max() < 0.5
+    assert 0.0 < errors[:, 2].max() < 2.0
+
+
 def test_all_patients_are_in_it() -> None:
-    assert Procedures().procedures == (*AT_HIP, *BONE_OF)
+    assert Procedures().procedures == (*AT_HIP, *BONES_OF)
     assert Procedures().configuration["frames"]["iliosacral-screw"] == "block60"

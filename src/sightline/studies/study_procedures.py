@@ -1,8 +1,9 @@
-"""Plans of each procedure on its own bone: errors, how often the stated bounds hold, and how many are GO. Points only.
+"""Plans of each procedure on its own bone: errors, how often the stated bounds hold, and how many are GO.
 
 Every trial draws a patient and a set-up for each procedure; its ideal wires are picked, its landmarks and aids drawn
-with a careful click's noise, and the beads measured with theirs. Nothing is rendered. Misjudgement of the person, who
-must find these points in an image, is not included.
+with a careful click's noise, and the beads measured with theirs. The edges of a nail are points with the noise of edges
+that were found in images; with `nail_images` they are found in rendered ones, from clicks 2 px off. Nothing else is
+rendered. Misjudgement of the person, who must find these points in an image, is not included.
 """
 
 from collections import Counter
@@ -12,15 +13,29 @@ from typing import Any
 
 import numpy as np
 
+from sightline.calibration.view import CalibratedView
 from sightline.case.report.comparison import Compared, Truth
 from sightline.checks import failed
 from sightline.errors import SightlineError
 from sightline.frame import Frame
-from sightline.planning import Plan
-from sightline.rehearsal.patient import AT_HIP, BONE_OF, draw_patient, frame_of
+from sightline.interlocking import NailDrawn, find_hole, find_nail
+from sightline.planning import Hole, Plan, WirePlans, fit_hole
+from sightline.rehearsal.patient import (
+    AT_HIP,
+    BONES_OF,
+    NAIL_CLICK_PX,
+    NAILED,
+    RehearsedPatient,
+    draw_patient,
+    frame_of,
+)
 from sightline.studies.intervals import quantile, share
+from sightline.studies.nail_edges import Sight, seen
 from sightline.studies.scenes import calibrated_views, measure
 from sightline.studies.study import Estimate, EstimateGroup, Summary, Table, Values
+from sightline.twin import BoneScene, ViewTruth
+from sightline.twin.femur import to_cfcs
+from sightline.twin.nailed_femur import NailedFemur
 
 BEAD_PX, PICK_PX = 0.1, 0.5  # physics.md: Centroid limit, Picks
 SIDES = ("right", "left")
@@ -29,23 +44,24 @@ _NAMES = ("entry", "end", "direction")
 
 @dataclass(frozen=True)
 class Procedures:
-    """The study; its fields can be varied."""
+    """The study; its fields can be varied. `nail_images`: render a nail, which takes 10 s of a core for each trial."""
 
     name = "procedures"
     about = "Right plans of every procedure on its own bone: errors, their bounds, and how many are GO"
 
-    procedures: tuple[str, ...] = (*AT_HIP, *BONE_OF)
+    procedures: tuple[str, ...] = (*AT_HIP, *BONES_OF)
+    nail_images: bool = False
 
     @property
     def configuration(self) -> dict[str, Any]:
         """The fields and the constants that they depend on."""
         frames = {name: frame_of(name) for name in self.procedures}
-        return {**asdict(self), "frames": frames, "bead_px": BEAD_PX, "pick_px": PICK_PX}
+        return {**asdict(self), "frames": frames, "bead_px": BEAD_PX, "pick_px": PICK_PX, "nail_px": NAIL_CLICK_PX}
 
     def trial(self, rng: np.random.Generator) -> Values:
         """Return for each procedure how its plan ended, the checks that failed, and of each wire the errors of entry
-        and end, mm, and direction, °, and whether each lies within its stated 95 % bound."""
-        return {name: _planned(name, int(rng.integers(2**32))) for name in self.procedures}
+        and end, mm, and direction, °, and whether each lies within its stated 95 % bound; of a refusal its message."""
+        return {name: _planned(name, int(rng.integers(2**32)), self.nail_images) for name in self.procedures}
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Return a row for each procedure."""
@@ -63,16 +79,16 @@ class Procedures:
         )
 
 
-def _planned(procedure: str, seed: int) -> Values:
+def _planned(procedure: str, seed: int, nail_images: bool) -> Values:
     rng = np.random.default_rng([seed, 1])  # of the noise; the patient has its own
     try:
         side = SIDES[seed % len(SIDES)]
-        patient = draw_patient(procedure, seed, Frame.load(frame_of(procedure)), side, imaged=False)
+        imaged = nail_images and procedure == NAILED
+        patient = draw_patient(procedure, seed, Frame.load(frame_of(procedure)), side, imaged=imaged)
         views = calibrated_views(patient.setup, measure(rng, patient.setup, BEAD_PX))
-        asked, _ = patient.asked(rng, PICK_PX)
-        made = asked.plan_on(views) if asked.others is None else asked.plan_wires_on(views)
+        made = _plan(patient, views, rng, imaged)
     except SightlineError as error:
-        return {"ended": "refused", "why": [type(error).__name__]}
+        return {"ended": "refused", "why": [type(error).__name__], "said": str(error)}
     plans = [made] if isinstance(made, Plan) else [made.plans[wire.key] for wire in patient.document.wires]
     compared = [
         Compared("smooth", "", plan.trajectory, Truth(wire, patient.pixels(wire)))
@@ -84,6 +100,40 @@ def _planned(procedure: str, seed: int) -> Values:
         "errors": [list(one.errors) for one in compared],
         "within": [[e <= b for e, b in zip(one.errors, one.bounds_95 or (), strict=False)] for one in compared],
     }
+
+
+def _plan(
+    patient: RehearsedPatient, views: Sequence[CalibratedView], rng: np.random.Generator, imaged: bool
+) -> Plan | WirePlans:
+    """Return the plan of what a person draws; holes of a nail are found in its images, or fitted to its edges."""
+    asked, _ = patient.asked(rng, PICK_PX)
+    if asked.nail is None:
+        return asked.plan_on(views) if asked.others is None else asked.plan_wires_on(views)
+    if imaged:
+        found = find_nail(views, list(patient.images.values()), asked.nail.strokes_px, asked.nail.nail)
+        holes = {key: find_hole(found, uv) for key, uv in asked.nail.clicks_px.items()}
+    else:
+        holes = _fitted(patient, views, asked.nail, rng)
+    return asked.plan_holes_on(views, holes)
+
+
+def _fitted(
+    patient: RehearsedPatient, views: Sequence[CalibratedView], drawn: NailDrawn, rng: np.random.Generator
+) -> dict[str, Hole]:
+    """Return the holes of a nail by the procedure's wires, fitted to points of their edges as the images show them."""
+    bone = patient.bone
+    assert isinstance(bone, BoneScene) and isinstance(bone.dimensions, NailedFemur)  # noqa: S101
+    sights = {name: _anatomical(view, bone) for name, view in patient.setup.views.items()}
+    nail, upwards = bone.dimensions.nail, range(len(drawn.clicks_px))[::-1]  # wires run from the nail's tip upwards
+    return {
+        key: fit_hole(views, seen(rng, nail, sights, hole), drawn.nail)
+        for key, hole in zip(drawn.clicks_px, upwards, strict=True)
+    }
+
+
+def _anatomical(view: ViewTruth, bone: BoneScene) -> Sight:
+    """Return a view of a bone's anatomical coordinates."""
+    return Sight(bone.anatomical(view.focal_point_mm), lambda mm: view.project(to_cfcs(mm, bone.side, bone.origin_mm)))
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ Nothing here is shared with the estimator: outlines are found on the bent surfac
 generators, and what a lens shows by polygons in the image.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from sightline.planning import Edge, Hole, HoleSeen
+from sightline.planning import Edge, HoleSeen
 from sightline.twin.nails import DistalNail
 
 OUTLINE_PX, RIM_PX = 0.15, 0.3  # s.d. of a point across its edge, and
@@ -82,7 +82,16 @@ def seen(
     return [_seen(rng, nail, sight, rims, hidden, lens, every, noise) for sight in sights.values()]
 
 
-def _seen(rng, nail, sight, rims, hidden, lens, every, noise) -> HoleSeen:  # noqa: PLR0917
+def _seen(  # noqa: PLR0917
+    rng: np.random.Generator,
+    nail: DistalNail,
+    sight: Sight,
+    rims: Sequence[np.ndarray],
+    hidden: float,
+    lens: bool,
+    every: int,
+    noise: float,
+) -> HoleSeen:
     def edge(uv: np.ndarray, sd: float, common: float, outwards: float, sides: np.ndarray) -> Edge:
         normal = np.gradient(uv, axis=0)[:, ::-1] * [1.0, -1.0]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -127,33 +136,6 @@ def _from_axis(nail: DistalNail, xyz_mm: np.ndarray) -> np.ndarray:
         on, ahead = (nail.placed(np.column_stack([np.zeros((len(near), 2)), near + d])) for d in (0.0, 1e-3))
         near = near + ((xyz_mm - on) * (ahead - on)).sum(axis=1) / 1e-3
     return np.linalg.norm(xyz_mm - nail.placed(np.column_stack([np.zeros((len(near), 2)), near])), axis=1)
-
-
-@dataclass(frozen=True)
-class Trial:
-    """Errors of one hole at its middle, mm, and of its direction, °; squared Mahalanobis lengths of both together (4
-    degrees of freedom); time of the fit, s; `turned_deg`: of the beam from the hole after the advised turn, °."""
-
-    off_mm: float
-    off_deg: float
-    square: float
-    time_s: float
-    turned_deg: float = float("nan")
-
-
-def scored(hole: Hole, nail: DistalNail, time_s: float = 0.0) -> Trial:
-    """Return how a measured hole differs from the first hole of a nail."""
-    point, axis = nail.holes[0]
-    axis = axis * np.sign(axis @ hole.direction)
-    ends = point + axis * ((np.stack([hole.entry_mm, hole.exit_mm]) - point) @ axis)[:, None]
-    across = np.linalg.svd(hole.direction[None])[2][1:]
-    to_axis = np.kron(np.eye(2), across)
-    error = to_axis @ (np.stack([hole.entry_mm, hole.exit_mm]) - ends).ravel()
-    square = float(error @ np.linalg.solve(to_axis @ hole.covariance_mm2 @ to_axis.T, error))
-    off = np.linalg.norm(np.cross(hole.middle_mm - point, axis))
-    return Trial(
-        float(off), float(np.rad2deg(np.arcsin(np.linalg.norm(np.cross(axis, hole.direction))))), square, time_s
-    )
 
 
 def ends_of_outlines(nail: DistalNail, sight: Sight, reach_mm: float) -> np.ndarray:
