@@ -39,15 +39,16 @@ def test_none_of_sixty_wrong_plans_is_go_and_nine_of_ten_right_ones_are():
 
 
 def test_the_summary_counts_what_is_go():
-    names = [one.name for one in KINDS[:2]]
+    other = next(one for one in KINDS if one.check == "side" and one.procedure != KINDS[0].procedure)
+    names = [KINDS[0].name, other.name]
     ended = {"GO": {"ended": "GO", "why": []}, "NO-GO": {"ended": "NO-GO", "why": ["gap", "side"]}}
     trials = [
         {"frame": frame, "kind": name, "times": times, "hidden": UNSEEN[0]}
-        | {"wrong": ended[wrong], "right": ended[right], "unseen": ended["GO"]}
-        for frame, name, times, wrong, right in [
-            ("gamma", names[0], 4.0, "GO", "GO"),
-            ("gamma", names[1], 9.0, "NO-GO", "GO"),
-            ("block60", names[1], 3.6, "NO-GO", "NO-GO"),
+        | {"wrong": ended[wrong], "right": ended[right], "unseen": ended[unseen]}
+        for frame, name, times, wrong, right, unseen in [
+            ("gamma", names[0], 4.0, "GO", "GO", "GO"),
+            ("gamma", names[1], 9.0, "NO-GO", "GO", "GO"),
+            ("block60", names[1], 3.6, "NO-GO", "NO-GO", "NO-GO"),
         ]
     ]
     summary = WrongPlans(kinds=tuple(names)).summary(trials)
@@ -57,7 +58,12 @@ def test_the_summary_counts_what_is_go():
     assert rows["Γ on the intensifier"][:2] == ("2", "1 of 2")
     assert "1 of 3 wrong plans are GO; 67% of them violate by 5 times or less." in summary.findings
     assert names[1] + ": 90 % lie between 3.87 and 8.73 times" in summary.plots[0].svg
-    assert [row[:2] for row in summary.tables[1].rows] == [(UNSEEN[0], "3"), (UNSEEN[1], "0")]
+    assert [row[:3] for row in summary.tables[1].rows] == [
+        (UNSEEN[0], "3", "0.667 (0.0943 to 0.992)"),
+        (f"{UNSEEN[0]}, {KINDS[0].procedure}", "1", "1 (0.025 to 1)"),
+        (f"{UNSEEN[0]}, {other.procedure}", "2", "0.5 (0.0126 to 0.987)"),
+        (UNSEEN[1], "0", "none"),
+    ]
 
 
 def test_the_stated_error_of_a_check_is_that_of_the_clicks():

@@ -13,9 +13,6 @@ from typing import Any
 
 import numpy as np
 
-import sightline as sl
-from sightline.calibration.focal_length import CArm
-from sightline.calibration.together import calibrate_together
 from sightline.calibration.view import CalibratedView
 from sightline.checks import failed
 from sightline.detection import Observations
@@ -28,7 +25,7 @@ from sightline.studies.drawn_bones import PICK_PX, DrawnBone, DrawnHip, jittered
 from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import share
 from sightline.studies.plan_margins import KnownBone
-from sightline.studies.scenes import ATTEMPTS, measure
+from sightline.studies.scenes import ATTEMPTS, calibrated_views, measure
 from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.studies.wrong_kinds import (
     BONE_OF,
@@ -83,9 +80,9 @@ class WrongPlans:
         frame = SOLID if of.procedure in SOLID_ONLY or of.turned else frame
         drawn = _drawn(rng, Frame.load(frame), of)
         setup, side, asked = drawn.bone.setup, drawn.bone.side, self._asked(of)
-        views = dict.fromkeys(drawn.pixels, _calibrated(setup, measure(rng, setup, BEAD_PX)))
+        views = dict.fromkeys(drawn.pixels, calibrated_views(setup, measure(rng, setup, BEAD_PX)))
         if drawn.turned is not None:
-            views["wrong"] = _calibrated(drawn.turned, measure(rng, drawn.turned, BEAD_PX))
+            views["wrong"] = calibrated_views(drawn.turned, measure(rng, drawn.turned, BEAD_PX))
         ended = {
             name: _ended(views[name], jittered(px, rng), asked, of.side(side) if name == "wrong" else side, of)
             for name, px in drawn.pixels.items()
@@ -117,7 +114,7 @@ class WrongPlans:
             "A wrong plan violates the limit of its own check by 3 times that check's 95 % error or more. A plan may "
             "fail several checks. Right plans lie inside the limits of all checks by their 95 % errors."
         )
-        hidden = [_hidden(name, [one["unseen"] for one in trials if one["hidden"] == name]) for name in UNSEEN]
+        hidden = [row for name in UNSEEN for row in _hidden_rows(name, [t for t in trials if t["hidden"] == name])]
         estimates = [estimate for one in found.values() for estimate in one.estimates]
         return Summary(
             findings=tuple(_findings(found["all"])),
@@ -293,15 +290,7 @@ def _exact(setup: SetUp) -> Sequence[CalibratedView]:
         ids, uv = bead_images(setup, name, np.random.default_rng(0), sd_px=0.0)
         shape = None if setup.frame.solid is None else view.chain.shape
         exact[name] = Observations(name, ids, uv, np.tile(BEAD_PX**2 * np.eye(2), (len(ids), 1, 1)), image_shape=shape)
-    return _calibrated(setup, exact, setup.true_frame)
-
-
-def _calibrated(setup: SetUp, seen: dict[str, Observations], told: Frame | None = None) -> Sequence[CalibratedView]:
-    told = told or setup.frame
-    if told.solid is None:
-        return [sl.calibrate(one, told) for one in seen.values()]
-    arms = [CArm(view.chain.sdd_mm, view.chain.pitch_mm) for view in setup.views.values()]
-    return calibrate_together(list(seen.values()), told, arms)
+    return calibrated_views(setup, exact, setup.true_frame)
 
 
 def _ended(
@@ -314,6 +303,16 @@ def _ended(
         return {"ended": "refused", "why": [type(error).__name__]}
     ended = {"go": "GO", "no-go": "NO-GO"}.get(made.verdict.state, made.verdict.state)
     return {"ended": ended, "why": sorted({check.name for check in failed(made.verdict.checks)})}
+
+
+def _hidden_rows(name: str, trials: Sequence[Values]) -> Iterable[tuple[Estimate, tuple[str, ...]]]:
+    """Return share and row of all plans of one of UNSEEN, then those of each procedure among them."""
+    yield _hidden(name, [one["unseen"] for one in trials])
+    by_procedure: dict[str, list[Values]] = {}
+    for one in trials:
+        by_procedure.setdefault(_KINDS[one["kind"]].procedure.split(":")[0], []).append(one["unseen"])
+    for procedure in sorted(by_procedure):
+        yield _hidden(f"{name}, {procedure}", by_procedure[procedure])
 
 
 def _hidden(name: str, ended: Sequence[Values]) -> tuple[Estimate, tuple[str, ...]]:
