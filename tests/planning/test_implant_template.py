@@ -5,8 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from sightline.calibration import CalibratedView
 from sightline.planning import Procedure, Trajectory, kind, reconstruct
-from sightline.planning.implant import template
+from sightline.planning.corridor import corridor
+from sightline.planning.implant import Template, template
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import copy_text, document_from_json
 
@@ -27,6 +29,11 @@ def _along(length_mm: float) -> np.ndarray:
     return bone.ENTRY_MM + length_mm * along / np.linalg.norm(along)
 
 
+def _drawn(view: CalibratedView, path: Trajectory, document: ProcedureDocument = HIP_SCREW) -> Template | None:
+    """The outline of the implant over a wire of 2.5 mm."""
+    return template(corridor(view, path), path.length_mm, document)
+
+
 def _without(*names: str, **catalogue: object) -> ProcedureDocument:
     """The hip screw's file without these entries, and with others in its catalogue."""
     given = json.loads(copy_text("hip-screw", "mine"))
@@ -41,7 +48,7 @@ def _without(*names: str, **catalogue: object) -> ProcedureDocument:
 def test_the_outline_ends_at_its_own_length_and_is_as_wide_as_the_implant(which: int) -> None:
     """Fails for an outline as long as the wire, one that ends at the wire's tip, or one of the wire's width."""
     view, path = bone.views()[which], _trajectory()
-    made = template(view, path, HIP_SCREW)
+    made = _drawn(view, path)
     assert made is not None and made.thread is not None
     assert made.length_mm == 5 * np.floor(path.length_mm / 5) < path.length_mm - 1.0
     places = path.entry_mm + np.array([[0.0], [made.length_mm - 22.0], [made.length_mm]]) * path.direction
@@ -57,14 +64,14 @@ def test_the_outline_ends_at_its_own_length_and_is_as_wide_as_the_implant(which:
 
 def test_no_outline_is_drawn_where_none_fits_or_its_size_is_not_known() -> None:
     view = bone.views()[0]
-    assert template(view, _trajectory(_along(49.0)), HIP_SCREW) is None  # the shortest has 50 mm
-    assert template(view, _trajectory(), kind("distal-interlocking").document) is None  # longer than the wire
-    assert template(view, _trajectory(), _without("catalogue")) is None
-    assert template(view, _trajectory(), _without("corridor", diameters_mm=[6.5, 7.3])) is None  # which of them?
-    only = template(view, _trajectory(), _without("corridor", diameters_mm=[7.3]))
+    assert _drawn(view, _trajectory(_along(49.0))) is None  # the shortest has 50 mm
+    assert _drawn(view, _trajectory(), kind("distal-interlocking").document) is None  # longer than the wire
+    assert _drawn(view, _trajectory(), _without("catalogue")) is None
+    assert _drawn(view, _trajectory(), _without("corridor", diameters_mm=[6.5, 7.3])) is None  # which of them?
+    only = _drawn(view, _trajectory(), _without("corridor", diameters_mm=[7.3]))
     assert only is not None and only.diameter_mm == 7.3
 
 
 def test_an_implant_without_a_thread_has_an_outline_alone() -> None:
-    made = template(bone.views()[0], _trajectory(), _without(thread_mm=None))
+    made = _drawn(bone.views()[0], _trajectory(), _without(thread_mm=None))
     assert made is not None and made.thread is None

@@ -19,13 +19,15 @@ class Corridor:
     """The planned wire in one view at S stations along it, as far as the view is calibrated.
 
     `along_mm` (S,): distance from the entry point; `uv_px` (S, 2): centre line and `across_px` (S, 2): unit vectors
-    across it, IDCS; `wire_half_px` (S,): half the wire's width. `half_95_px` (S,): half width of the band that holds
-    the drilled wire with a probability of 95 %; None where `trajectory.error_stated` is False.
+    across it, IDCS; `px_per_mm` (S,): scale across it; `wire_half_px` (S,): half the wire's width. `half_95_px` (S,):
+    half width of the band that holds the drilled wire with a probability of 95 %; None where
+    `trajectory.error_stated` is False.
     """
 
     along_mm: np.ndarray
     uv_px: np.ndarray
     across_px: np.ndarray
+    px_per_mm: np.ndarray
     wire_half_px: np.ndarray
     half_95_px: np.ndarray | None
 
@@ -67,4 +69,4 @@ def corridor(
         share = (along / length)[whole, None]
         response = np.hstack([(1.0 - share) * sideways[whole], share * sideways[whole]])
         half_95 = TWO_SIDED_95 * px_per_mm * np.sqrt(np.einsum("ip,pq,iq->i", response, covariance, response))
-    return Corridor(along[whole], middle, across, px_per_mm * wire_mm / 2, half_95)
+    return Corridor(along[whole], middle, across, px_per_mm, px_per_mm * wire_mm / 2, half_95)

@@ -5,14 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from sightline.calibration.view import CalibratedView
 from sightline.errors import OutsideRegionError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.anatomy import Anatomy
-from sightline.planning.corridor import corridor
+from sightline.planning.corridor import Corridor
 from sightline.planning.metrics import metric
 from sightline.planning.procedures.document import Catalogue, ProcedureDocument
-from sightline.planning.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -72,26 +70,27 @@ class Template:
     thread: int | None
 
 
-def template(view: CalibratedView, trajectory: Trajectory, document: ProcedureDocument) -> Template | None:
-    """Return the outline of the implant that fits a trajectory, at its true size; None where none fits, its length does
-    not follow from the wire, or the file states no single diameter.
+def template(seen: Corridor, wire_mm: float, document: ProcedureDocument) -> Template | None:
+    """Return the outline of the implant that fits a wire of the length `wire_mm`, at its true size; None where none
+    fits, its length does not follow from the wire, or the file states no single diameter.
 
-    Raises OutsideRegionError where the view does not show it.
+    `seen`: the wire in the view. Raises OutsideRegionError where it does not show the implant.
     """
     catalogue, diameter = document.catalogue, _diameter_mm(document)
     if catalogue is None or diameter is None or not catalogue.along_wire:
         return None
-    length = _fitting_mm(catalogue.lengths_mm, trajectory.length_mm)
+    length = _fitting_mm(catalogue.lengths_mm, wire_mm)
     if length is None:
         return None
-    seen = corridor(view, trajectory, wire_mm=diameter)
     thread = np.inf if catalogue.thread_mm is None else max(length - catalogue.thread_mm, 0.0)
     at = np.union1d(seen.along_mm, [mm for mm in (thread, length) if seen.along_mm[0] <= mm <= seen.along_mm[-1]])
     at = at[at <= length]
     if len(at) < 2:
-        raise OutsideRegionError(f"view {view.name!r} does not show the implant in its calibrated region")
+        raise OutsideRegionError(
+            "the implant lies outside the calibrated region of the image; move the frame so that its beads surround it"
+        )
     # Cubic, because places along a wire towards the detector do not lie evenly in the image.
-    u, v, half = CubicSpline(seen.along_mm, np.column_stack([seen.uv_px, seen.wire_half_px]))(at).T
+    u, v, half = CubicSpline(seen.along_mm, np.column_stack([seen.uv_px, seen.px_per_mm * diameter / 2]))(at).T
     first = int(np.searchsorted(at, thread))
     return Template(length, diameter, np.column_stack([u, v]), half, first if first < len(at) - 1 else None)
 

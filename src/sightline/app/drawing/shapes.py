@@ -108,16 +108,17 @@ def wire(planned: Planned, image: str) -> list[Shape]:
             }
             if plan is planned.plan:
                 with suppress(SightlineError):  # the wire is drawn where a view shows no more of the implant
-                    out += _implant(view, plan)
+                    out += _implant(found, plan)
                 out += band(found, "wire" if plan.hole is None else "plan")  # the hole in the image must stay visible
             else:
                 out.append(beside)
     return out
 
 
-def _implant(view: BeadView, plan: Plan) -> list[Shape]:
-    """Return the outline of the implant that fits a wire, and its thread; nothing where none fits."""
-    catalogue, found = plan.kind.document.catalogue, template(view, plan.trajectory, plan.kind.document)
+def _implant(wire: Corridor, plan: Plan) -> list[Shape]:
+    """Return the outline of the implant that fits a plan's wire, and its thread; nothing where none fits."""
+    document = plan.kind.document
+    catalogue, found = document.catalogue, template(wire, plan.trajectory.length_mm, document)
     if catalogue is None or found is None:
         return []
     title = texts.IMPLANT_TITLE.format(
