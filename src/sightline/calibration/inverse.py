@@ -67,21 +67,24 @@ class Inverse:
         size = float((high - low).max())
         # Twice the limit for pixels: no usable map stretches by more than that outside its controls.
         at = np.flatnonzero(_within(xy_mm, low_mm, high_mm, 2 * MAX_OUTSIDE * float((high_mm - low_mm).max())))
-        near = self.tree.query(xy_mm[at])[1]
-        uv = np.zeros((len(xy_mm), 2))
-        uv[at] = self.controls_px[near] + _times(self.back[near], xy_mm[at] - self.controls_mm[near])
-        before, found = np.full(len(uv), np.inf), np.zeros(len(uv), dtype=bool)
+        target = xy_mm[at]
+        near = self.tree.query(target)[1]
+        here = self.controls_px[near] + _times(self.back[near], target - self.controls_mm[near])
+        uv, before = np.zeros((len(xy_mm), 2)), np.full(len(at), np.inf)
+        found = np.zeros(len(uv), dtype=bool)
         for _ in range(ITERATIONS):
             if not len(at):
                 break
-            xy, jacobian = self.plane_map.linearised(uv[at])
-            step = _solve(jacobian, xy_mm[at] - xy)
-            length = np.linalg.norm(step, axis=1)
-            converges = length < 0.5 * before[at]  # converging Newton steps shrink fast; drop the others
-            at, step, length = at[converges], step[converges], length[converges]
-            uv[at] += step * np.minimum(1.0, 0.25 * size / np.maximum(length, 1e-300))[:, None]
-            before[at], found[at] = length, length < CONVERGED_PX
-            at = at[~found[at] & _within(uv[at], low, high, 1.25 * MAX_OUTSIDE * size)]  # others do not return
+            xy, jacobian = self.plane_map.linearised(here)
+            step = _solve(jacobian, target - xy)
+            length = np.sqrt(np.einsum("ni,ni->n", step, step))
+            converges = length < 0.5 * before  # converging Newton steps shrink fast; drop the others
+            if not converges.all():
+                at, target, here, step, length = (one[converges] for one in (at, target, here, step, length))
+            here = here + step * np.minimum(1.0, 0.25 * size / np.maximum(length, 1e-300))[:, None]
+            uv[at], found[at] = here, length < CONVERGED_PX
+            goes_on = ~found[at] & _within(here, low, high, 1.25 * MAX_OUTSIDE * size)  # others do not return
+            at, target, here, before = at[goes_on], target[goes_on], here[goes_on], length[goes_on]
         found &= _within(uv, low, high, MAX_OUTSIDE * size)
         return uv[found], found
 
@@ -93,7 +96,8 @@ class Inverse:
 
 def _within(points: np.ndarray, low: np.ndarray, high: np.ndarray, margin: float) -> np.ndarray:
     """Return (N,) bool: whether points (N, 2) lie in a box widened by `margin`."""
-    return np.asarray(((points >= low - margin) & (points <= high + margin)).all(axis=1))
+    inside = (points >= low - margin) & (points <= high + margin)
+    return inside[:, 0] & inside[:, 1]
 
 
 def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
@@ -105,8 +109,10 @@ def _solve(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
     (a, b), (c, d) = matrices.transpose(1, 2, 0)
     x, y = right.T
     det = a * d - b * c
-    folded = np.abs(det) < 1e-9 * (a * a + b * b + c * c + d * d)
-    det = np.where(folded, 1.0, det)
-    out = np.stack([d * x - b * y, a * y - c * x], axis=1) / det[:, None]
-    out[folded] = np.inf
+    out = np.empty_like(right)
+    out[:, 0], out[:, 1] = d * x - b * y, a * y - c * x
+    folded = np.abs(det) < 1e-9 * np.einsum("nij,nij->n", matrices, matrices)
+    if folded.any():
+        out[folded], det[folded] = np.inf, 1.0
+    out /= det[:, None]
     return out

@@ -40,7 +40,7 @@ def terms(degree: int) -> int:
 def monomials(xy: np.ndarray, degree: int) -> np.ndarray:
     """Return (N, terms): x^i y^j with i + j <= degree, by increasing degree."""
     (x, y), (i, j) = _powers(xy, degree), _exponents(degree)
-    return x[:, i] * y[:, j]
+    return x.take(i, axis=1) * y.take(j, axis=1)
 
 
 def monomial_gradients(xy: np.ndarray, degree: int) -> np.ndarray:

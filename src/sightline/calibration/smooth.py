@@ -58,9 +58,10 @@ class SmoothMap:
 
     def _linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         blocks = self._blocks(uv_px)
-        terms, at = np.concatenate([self._terms(at) for at in blocks]), np.concatenate(blocks)
+        terms = [self._terms(at) for at in blocks]
+        terms, at = (one[0] if len(blocks) == 1 else np.concatenate(one) for one in (terms, blocks))
         by_unit = terms[:, 2:6].reshape(-1, 2, 2) - terms[:, 6:, None] * at[:, None, :]
-        return terms[:, :2], by_unit @ self.unit.matrix
+        return terms[:, :2], (by_unit.reshape(-1, 2) @ self.unit.matrix).reshape(-1, 2, 2)
 
     def _terms(self, at: np.ndarray) -> np.ndarray:
         """Return (N, 8) at unit coordinates `at` (N, 2): xy (2), terms of its derivatives (4), and factors (2).
@@ -68,8 +69,11 @@ class SmoothMap:
         The derivatives by the unit coordinates are the terms minus factor times `at`, since the derivative of
         exp(-|a - b|² / 2 l²) by a is that times (b - a) / l².
         """
-        square = (at**2).sum(axis=1, keepdims=True)
-        rough = np.exp(np.hstack([at, square, np.ones_like(square)]) @ self._exponents)
+        factors = np.ones((len(at), 4))
+        factors[:, :2] = at
+        np.einsum("ni,ni->n", at, at, out=factors[:, 2])
+        rough = factors @ self._exponents
+        np.exp(rough, out=rough)
         return monomials(at, QUINTIC) @ self._polynomial + rough @ self._rough
 
     @cached_property

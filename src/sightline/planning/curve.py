@@ -135,9 +135,11 @@ def _seen(view: CalibratedView, xyz_mm: np.ndarray) -> tuple[np.ndarray, slice]:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(np.int8))).reshape(-1, 2)
     if not len(edges):
         return uv, slice(0, 0)
-    foot = int(np.argmin(np.linalg.norm(xyz_mm - view.focal_point_mm, axis=1)))
-    away = np.maximum(np.maximum(edges[:, 0] - foot, foot - edges[:, 1] + 1), 0)
-    first, last = (int(k) for k in edges[np.argmin(away)])
+    nearest = 0
+    if len(edges) > 1:
+        foot = int(np.argmin(np.linalg.norm(xyz_mm - view.focal_point_mm, axis=1)))
+        nearest = int(np.argmin(np.maximum(np.maximum(edges[:, 0] - foot, foot - edges[:, 1] + 1), 0)))
+    first, last = (int(k) for k in edges[nearest])
     before = int(np.count_nonzero(seen[:first]))
     return uv[before : before + last - first], slice(first, last)
 
