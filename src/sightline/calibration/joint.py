@@ -39,8 +39,8 @@ _CUBIC = terms(DEGREE)
 class JointFit:
     """The smooth method's result: map and pencil, with what their joint covariance needs.
 
-    `data_mm` (2N,): the beads projected onto the plane from F before the last step; `noise` (2N, 2N): covariance of
-    their measurement there; `jacobian` (N, 2, 3): derivative of that projection by the beads.
+    `data_mm` (2N,): the beads projected onto the plane from F before the last step; `noise` (N, 2, 2): covariance of
+    each bead's measurement there; `jacobian` (N, 2, 3): derivative of that projection by the beads.
     """
 
     beads: Beads
@@ -64,21 +64,22 @@ class JointFit:
         prior = np.zeros((3 + 2 * n, 3 + 2 * n))
         prior[3:, 3:] = twice(self.map.kernel(at, at))
         weights, total = self.solution.predict(design, cross, prior)
-        factor, felt = self._frame_in_data
-        frame_factor = np.zeros((len(weights), len(felt)))
-        frame_factor[:, felt] = -weights @ factor
-        noise = weights @ self.noise @ weights.T
-        misfit = total - noise - frame_factor @ frame_factor.T
-        return LineErrors(noise, _without_negative(misfit), frame_factor)
+        x, y = weights[:, 0::2, None], weights[:, 1::2, None]
+        noise = (x * self.noise[:, 0] + y * self.noise[:, 1]).reshape(weights.shape) @ weights.T
+        factor, felt, count = self._frame_in_data
+        own = -weights @ factor
+        frame_factor = np.zeros((len(weights), count))
+        frame_factor[:, felt] = own
+        return LineErrors(noise, _without_negative(total - noise - own @ own.T), frame_factor)
 
     @cached_property
-    def _frame_in_data(self) -> tuple[np.ndarray, np.ndarray]:
+    def _frame_in_data(self) -> tuple[np.ndarray, np.ndarray, int]:
         """(2N, F): response of the data to those of the K unit-variance errors of `Frame.error_factor` that they feel,
-        and which these are, (K,) bool: not those of the other views' beads."""
+        (F,): which these are, not those of the other views' beads, and K."""
         factor = self.beads.frame_factor()
-        felt = np.any(factor, axis=0, keepdims=True)[0]
+        felt = np.flatnonzero(np.any(factor, axis=0))
         kept = factor[:, felt].reshape(len(self.beads), 3, -1)
-        return (self.jacobian @ kept).reshape(2 * len(self.beads), -1), felt
+        return (self.jacobian @ kept).reshape(2 * len(self.beads), -1), felt, factor.shape[1]
 
     def prediction_sigma(self, others: Beads) -> np.ndarray:
         """Return (M,): Mahalanobis distances of other beads from their predictions (two degrees of freedom each)."""
@@ -87,8 +88,8 @@ class JointFit:
         total = errors.noise + errors.misfit + errors.frame_factor @ errors.frame_factor.T
         by_focal = self.pencil.by_pq(others.xyz_mm) @ np.linalg.inv(self.pencil.focal_point_by_pq)
         to_residual = np.concatenate([-by_focal.reshape(-1, 3), np.eye(2 * len(others))], axis=1)
-        covariance = to_residual @ total @ to_residual.T + pixel_noise_mm2(
-            others, self.map.jacobian(others.uv_px), self.learned.noise_scale
+        covariance = to_residual @ total @ to_residual.T + diagonal(
+            pixel_noise_mm2(others, self.map.jacobian(others.uv_px), self.learned.noise_scale)
         )
         covariance += _propagated(self.pencil.by_point(others.xyz_mm), others.frame_covariance)
         own = np.einsum("iaib->iab", covariance.reshape(len(xy), 2, len(xy), 2))
@@ -142,7 +143,7 @@ def _weighted_step(  # noqa: PLR0917
     y, by_pq = pencil.linearised(beads.xyz_mm)
     noise = pixel_noise_mm2(beads, slopes, learned.noise_scale)
     jacobian = pencil.by_point(beads.xyz_mm)
-    covariance = twice(kernel) + noise + _propagated(jacobian, beads.frame_covariance)
+    covariance = twice(kernel) + diagonal(noise) + _propagated(jacobian, beads.frame_covariance)
     basis = monomials(unit(beads.uv_px), DEGREE)
     design = np.concatenate([twice(basis), -by_pq.reshape(-1, 3)], axis=1)
     solution = Kriging.of(design, covariance, y.reshape(-1, 1))
@@ -243,9 +244,13 @@ def _noise_px2(beads: Beads) -> np.ndarray:
 
 
 def pixel_noise_mm2(beads: Beads, slopes: np.ndarray, scale: float) -> np.ndarray:
-    """Return the covariance (2N, 2N), mm², of the beads' pixels propagated to the plane by `slopes` (N, 2, 2)."""
-    n = len(beads)
-    blocks = slopes @ (scale**2 * _noise_px2(beads)) @ np.swapaxes(slopes, 1, 2)
+    """Return the covariances (N, 2, 2), mm², of the beads' pixels propagated to the plane by `slopes` (N, 2, 2)."""
+    return slopes @ (scale**2 * _noise_px2(beads)) @ np.swapaxes(slopes, 1, 2)
+
+
+def diagonal(blocks: np.ndarray) -> np.ndarray:
+    """Return the matrix (2N, 2N) with `blocks` (N, 2, 2) on its diagonal."""
+    n = len(blocks)
     out = np.zeros((n, 2, n, 2))
     out[range(n), :, range(n), :] = blocks
     return out.reshape(2 * n, 2 * n)

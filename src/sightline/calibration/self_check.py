@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from sightline.calibration.beads import Beads, match
-from sightline.calibration.joint import JointFit, pixel_noise_mm2, twice
+from sightline.calibration.joint import JointFit, diagonal, pixel_noise_mm2, twice
 from sightline.calibration.outliers import FALSE_ALARM, fit_robustly
 from sightline.calibration.plate_motion import Errors, InPlate, PlatePair, in_plate, plate_pairs
 from sightline.calibration.polynomial import monomials
@@ -121,7 +121,7 @@ class _Image:
         start = frame.rows(beads.view).start // 3
         at = fit.map.unit(beads.uv_px)
         kernel = fit.learned.kernel(at, at)
-        noise = pixel_noise_mm2(beads, fit.map.jacobian(beads.uv_px), fit.learned.noise_scale)
+        noise = diagonal(pixel_noise_mm2(beads, fit.map.jacobian(beads.uv_px), fit.learned.noise_scale))
         return _Image(beads, fit, start + beads.rows, twice(monomials(at, DEGREE)), cholesky(twice(kernel) + noise))
 
 
