@@ -63,10 +63,15 @@ class Pencil:
 
     def by_point(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return (N, 2, 3): the derivative of `project` by the points."""
+        return self.projected(xyz_mm)[1]
+
+    def projected(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return `project`, `by_point`, and (N,) the depth of the points from F over that of the plane."""
         h = self.plane.height_mm(xyz_mm)
-        lift = self.pq[2] * self.project(xyz_mm) - self.pq[:2]
-        in_space = self.plane.axes + lift[:, :, None] * self.plane.normal
-        return in_space / (1 - h * self.pq[2])[:, None, None]
+        depth = 1 - h * self.pq[2]
+        y = (self.plane.to_plane(xyz_mm) - h[:, None] * self.pq[:2]) / depth[:, None]
+        lift = self.pq[2] * y - self.pq[:2]
+        return y, (self.plane.axes + lift[:, :, None] * self.plane.normal) / depth[:, None, None], depth
 
 
 def refuse_misplaced(pencil: Pencil, xyz_mm: np.ndarray) -> None:

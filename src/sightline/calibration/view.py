@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from sightline.calibration.projection import Pencil
 from sightline.checks import Check
 from sightline.geometry.planes import Plane
 
@@ -98,6 +99,11 @@ class LinesOfSight:
     def total_covariance(self) -> np.ndarray | None:
         """The sum of `covariance` over its sources; None where the error is unknown."""
         return None if self.covariance is None else np.sum(list(self.covariance.values()), axis=0)
+
+    @cached_property
+    def pencil(self) -> Pencil:
+        """The pencil of lines through the focal point."""
+        return Pencil.through(self.plane, self.focal_point_mm)
 
     @property
     def points_mm(self) -> np.ndarray:

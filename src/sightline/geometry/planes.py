@@ -88,11 +88,7 @@ class Plane:
         """
         focal = np.asarray(focal_point_mm)
         ahead = self._ahead(focal, xyz_mm)
-        if not np.all(ahead > 0):
-            raise OutsideRegionError(
-                "a point lies level with the focal point or behind it and casts no shadow on the plate; "
-                "check its coordinates, and which plate is nearer to the source"
-            )
+        refuse_behind(ahead)
         return self.to_plane(focal + (np.asarray(xyz_mm) - focal) / np.asarray(ahead)[..., None])
 
     def shadows(self, focal_point_mm: np.ndarray, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -105,3 +101,12 @@ class Plane:
         """Return the depth (...) of points from the focal point, over that of the plane; 0 if F is in the plane."""
         h = self.height_mm(focal_point_mm)
         return 1 - self.height_mm(xyz_mm) / h if h else np.zeros(np.shape(xyz_mm)[:-1])
+
+
+def refuse_behind(depth: np.ndarray) -> None:
+    """Raise OutsideRegionError for points not in front of the focal point; `depth` (...): from it, over the plane's."""
+    if not np.all(depth > 0):
+        raise OutsideRegionError(
+            "a point lies level with the focal point or behind it and casts no shadow on the plate; "
+            "check its coordinates, and which plate is nearer to the source"
+        )

@@ -24,6 +24,7 @@ from sightline.geometry.lines import nearest_approach
 from sightline.planning.directions import across, unit
 from sightline.planning.hole_expected import LocalCamera, through_surface
 from sightline.planning.hole_result import Hole, HolePose, Nail
+from sightline.planning.line_residuals import joint_covariance
 from sightline.planning.results import error_unknown
 from sightline.planning.rim_halves import rims_disagree
 from sightline.planning.sights import Sights
@@ -553,7 +554,11 @@ def _budget(
     to_ends = by_parameters @ solved.gain
     response = np.zeros((6, len(points.measured)))
     np.add.at(response.T, columns.ravel(), (to_ends.T[:, None, :] * by[:, :, None]).reshape(-1, 6))
-    out = {source: response @ points.sights.covariance_of(source) @ response.T for source in SOURCES}
+    lines, out = points.sights.lines, {}
+    for source in SOURCES:
+        known = joint_covariance(lines, ((source,),))
+        assert known is not None  # noqa: S101 - `_Points.of` refuses views of unknown error
+        out[source] = response @ known[0] @ response.T
     out["picks"] = whole - np.sum(list(out.values()), axis=0)
     return out
 

@@ -6,15 +6,14 @@ plane map minus the central projection of X from the focal point F. Its error fo
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import combinations, pairwise
 
 import numpy as np
 
-from sightline.calibration.projection import Pencil
-from sightline.calibration.view import SOURCES, CalibratedView, LinesOfSight
+from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
-from sightline.geometry.covariance import joined
+from sightline.geometry.planes import refuse_behind
 
 # Two X-ray sources nearer than this belong to one exposure given twice [ours].
 MIN_BASELINE_MM = 1.0
@@ -24,7 +23,7 @@ MIN_BASELINE_MM = 1.0
 class LineResiduals:
     """Residuals of N points in one view.
 
-    `xy_mm` (N, 2); `to_point` (N, 2, 3): d projection / d X; `to_line` (2N, 3 + 2N): d residual / d (F, every xy).
+    `xy_mm` (N, 2); `to_point` (N, 2, 3): d projection / d X; `to_focal` (2N, 3): d residual / d F.
     `reach` (N,): distance of X from the focal point over that of the line's point on the plane: a line displaced by
     r on the plane is displaced by reach * r (perpendicular to itself) at X; negative behind the X-ray source.
     """
@@ -32,49 +31,66 @@ class LineResiduals:
     lines: LinesOfSight
     xy_mm: np.ndarray
     to_point: np.ndarray
-    to_line: np.ndarray
+    to_focal: np.ndarray
     reach: np.ndarray
 
     @staticmethod
     def at(lines: LinesOfSight, xyz_mm: np.ndarray) -> "LineResiduals":
-        """Return the residuals of points (N, 3), one for each line."""
-        plane, focal = lines.plane, lines.focal_point_mm
-        reach = 1.0 - plane.height_mm(xyz_mm) / plane.height_mm(focal)
-        to_point = Pencil.through(plane, focal).by_point(xyz_mm)
+        """Return the residuals of points (N, 3), one for each line. Raises OutsideRegionError."""
+        projected, to_point, reach = lines.pencil.projected(xyz_mm)
+        refuse_behind(reach)
         # On the plane, a shift of F by r has the effect of a shift of X by (reach - 1) r.
-        to_focal = (reach - 1.0)[:, None, None] * to_point
-        to_line = np.hstack([-to_focal.reshape(-1, 3), np.eye(2 * len(xyz_mm))])
-        residual = lines.xy_mm - plane.central_projection(focal, xyz_mm)
-        return LineResiduals(lines, residual, to_point, to_line, reach)
+        to_focal = ((1.0 - reach)[:, None, None] * to_point).reshape(-1, 3)
+        return LineResiduals(lines, lines.xy_mm - projected, to_point, to_focal, reach)
+
+    @property
+    def to_line(self) -> np.ndarray:
+        """(2N, 3 + 2N): d residual / d (F, every xy)."""
+        return np.hstack([self.to_focal, np.eye(len(self.to_focal))])
 
 
-def covariance_by_source(views: Sequence[LineResiduals]) -> dict[str, np.ndarray] | None:
-    """Return the covariance (R, R) of the residuals of all views (view, point, axis) for each of SOURCES.
+def joint_covariance(lines: Sequence[LinesOfSight], groups: Sequence[Sequence[str]]) -> np.ndarray | None:
+    """Return the covariance (G, Z, Z) of the numbers z = (F, xy, xy ... of the first view, then of the second, ...) by
+    the errors of each of G groups of SOURCES; None where a view's error is unknown.
 
-    None where a view's error is unknown. The views are correlated through the errors that they share.
+    The views are correlated through the errors that they share.
     """
-    known = [(one.to_line, one.lines.covariance) for one in views if one.lines.covariance is not None]
-    if len(known) < len(views):
-        return None
-    own = {source: [by @ covariance[source] @ by.T for by, covariance in known] for source in SOURCES}
-    return {source: joined(one, partial(_between, views, (source,))) for source, one in own.items()}
-
-
-def total_covariance(views: Sequence[LineResiduals]) -> np.ndarray | None:
-    """Return the sum of `covariance_by_source`, computed at once."""
-    known = [(one.to_line, one.lines.total_covariance) for one in views]
-    own = [by @ covariance @ by.T for by, covariance in known if covariance is not None]
-    return joined(own, partial(_between, views, SOURCES)) if len(own) == len(views) else None
-
-
-def _between(views: Sequence[LineResiduals], sources: Sequence[str], i: int, j: int) -> np.ndarray:
-    """Return the covariance between the residuals of two views by the errors of `sources` that they share."""
-    a, b = views[i], views[j]
-    out = np.zeros((len(a.to_line), len(b.to_line)))
-    for source in a.lines.sources_shared_with(b.lines):
-        if source in sources:
-            out += (a.to_line @ a.lines.shared[source]) @ (b.to_line @ b.lines.shared[source]).T
+    at = _places(lines)
+    out = np.zeros((len(groups), at[-1].stop, at[-1].stop))
+    for i, one in enumerate(lines):
+        if one.covariance is None:
+            return None
+        for covariance, group in zip(out, groups, strict=True):
+            for source in group:
+                covariance[at[i], at[i]] += one.covariance[source]
+        for j in range(i):
+            for source in one.sources_shared_with(lines[j]):
+                between = one.shared[source] @ lines[j].shared[source].T
+                for covariance in (each for each, group in zip(out, groups, strict=True) if source in group):
+                    covariance[at[i], at[j]] += between
+                    covariance[at[j], at[i]] += between.T
     return out
+
+
+def covariance_of_residuals(views: Sequence[LineResiduals], errors: np.ndarray) -> np.ndarray:
+    """Return the covariance (..., R, R) of the residuals of all views (view, point, axis), from that of their lines'
+    numbers, `errors` (..., Z, Z) as of `joint_covariance`."""
+    at = _places([one.lines for one in views])
+    half = [_residuals(errors[..., own, :], one.to_focal) for one, own in zip(views, at, strict=True)]
+    half = np.swapaxes(np.concatenate(half, axis=-2), -1, -2)
+    whole = [_residuals(half[..., own, :], one.to_focal) for one, own in zip(views, at, strict=True)]
+    return np.concatenate(whole, axis=-2)
+
+
+def _residuals(numbers: np.ndarray, to_focal: np.ndarray) -> np.ndarray:
+    """Return the response (..., 2N, n) of one view's residuals from that of its numbers (..., 3 + 2N, n)."""
+    return numbers[..., 3:, :] + to_focal @ numbers[..., :3, :]
+
+
+def _places(lines: Sequence[LinesOfSight]) -> list[slice]:
+    """Return the place of each view's numbers in z."""
+    ends = np.cumsum([0, *(3 + 2 * len(one.xy_mm) for one in lines)])
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
 
 @lru_cache(maxsize=8)  # the views of a few cases [ours]

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import SOURCES, CalibratedView, LinesOfSight
-from sightline.geometry.covariance import joined
-from sightline.planning.line_residuals import refuse_two_frames
+from sightline.planning.line_residuals import joint_covariance, refuse_two_frames
 
 # One drawing in one view: pixels (M, 2) and their covariance (2M, 2M).
 Drawn = tuple[np.ndarray, np.ndarray]
@@ -54,33 +53,18 @@ class Sights:
     @property
     def covariance(self) -> np.ndarray | None:
         """The covariance of z; None where a view's error is unknown."""
-        own: list[np.ndarray] = []
+        found, start = joint_covariance(self.lines, (SOURCES,)), 0
+        if found is None:
+            return None
+        (out,) = found
         for one, picks_px2 in zip(self.lines, self.picks_px2, strict=True):
-            if one.total_covariance is None:
-                return None
-            own.append(one.total_covariance.copy())
             count = len(one.xy_mm)
             on_plane = np.zeros((count, 2, count, 2))
             on_plane[range(count), :, range(count), :] = one.jacobian
             on_plane = on_plane.reshape(2 * count, 2 * count)
-            own[-1][3:, 3:] += on_plane @ picks_px2 @ on_plane.T
-        return joined(own, lambda i, j: self._between(i, j, SOURCES))
-
-    def covariance_of(self, source: str) -> np.ndarray:
-        """Return the part of the covariance of z that one of SOURCES makes; zero where no view states its error."""
-        numbers = [3 + 2 * len(one.xy_mm) for one in self.lines]
-        own = [
-            np.zeros((n, n)) if one.covariance is None else one.covariance.get(source, np.zeros((n, n)))
-            for n, one in zip(numbers, self.lines, strict=True)
-        ]
-        return joined(own, lambda i, j: self._between(i, j, (source,)))
-
-    def _between(self, i: int, j: int, sources: Sequence[str]) -> np.ndarray:
-        a, b = self.lines[i], self.lines[j]
-        out = np.zeros((3 + 2 * len(a.xy_mm), 3 + 2 * len(b.xy_mm)))
-        for source in a.sources_shared_with(b):
-            if source in sources:
-                out += a.shared[source] @ b.shared[source].T
+            own = slice(start + 3, start + 3 + 2 * count)
+            out[own, own] += on_plane @ picks_px2 @ on_plane.T
+            start = own.stop
         return out
 
     def index(self, name: str) -> np.ndarray:

@@ -8,15 +8,15 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from sightline.calibration.view import LinesOfSight
+from sightline.calibration.view import SOURCES, LinesOfSight
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import NearestApproach, cross, nearest_approach
 from sightline.planning.line_residuals import (
     LineResiduals,
-    covariance_by_source,
+    covariance_of_residuals,
+    joint_covariance,
     pick_covariance_mm2,
     refuse_two_frames,
-    total_covariance,
 )
 from sightline.planning.picks import PickArrays
 
@@ -62,6 +62,16 @@ class Given:
     def size(self) -> tuple[int, int]:
         """Number of points, and of the residuals of each."""
         return self.picks.uv_px.shape[1], 2 * len(self.lines)
+
+    @cached_property
+    def by_source(self) -> np.ndarray | None:
+        """(4, Z, Z): `joint_covariance` of the lines for each of SOURCES; None where a view's error is unknown."""
+        return joint_covariance(self.lines, [(source,) for source in SOURCES])
+
+    @cached_property
+    def total(self) -> np.ndarray | None:
+        """(Z, Z): the sum of `by_source`."""
+        return None if self.by_source is None else self.by_source.sum(axis=0)
 
     @cached_property
     def pairs(self) -> list[tuple[int, int, np.ndarray, np.ndarray]]:
@@ -110,7 +120,7 @@ class Solution:
         lines, picks = self.lines, self.picks = given.lines, given.picks
         self.given, self.xyz_mm, self.method = given, xyz_mm, method
         self.residuals = tuple(LineResiduals.at(one, xyz_mm[s]) for one, s in zip(lines, picks.seen, strict=True))
-        total = total_covariance(self.residuals) if method == "weighted" else None
+        total = given.total if method == "weighted" else None
         information = self._distance_form() if total is None else self._information(total)
         information = self._without_direction(information)
         self.to_point = self.by_point([r.to_point for r in self.residuals])
@@ -147,29 +157,27 @@ class Solution:
         if self.covariances is None:
             return None
         n, size = self.given.size
-        out = {}
-        for source, covariance in self.covariances.items():
-            half = (self.weights @ covariance.reshape(n, size, size * n)).reshape(3 * n, n, size)
-            out[source] = (self.weights @ half.transpose(1, 2, 0)).reshape(3 * n, 3 * n)
-        return out
+        each = np.array(list(self.covariances.values()))
+        half = (self.weights @ each.reshape(-1, n, size, size * n)).reshape(-1, 3 * n, n, size)
+        whole = (self.weights @ half.transpose(0, 2, 3, 1)).reshape(-1, 3 * n, 3 * n)
+        return dict(zip(self.covariances, whole, strict=True))
 
     @cached_property
     def covariances(self) -> dict[str, np.ndarray] | None:
         """(N, 2V, N, 2V) for each source of BUDGET: of all points' residuals; None where an error is unknown."""
-        by_source = covariance_by_source(self.residuals)
-        if by_source is None:
+        if self.given.by_source is None:
             return None
         n, size = self.given.size
         picks = np.zeros((n, size, n, size))
         picks[range(n), :, range(n)] = self.given.picks_mm2
-        return {source: self._of_all(covariance) for source, covariance in by_source.items()} | {"picks": picks}
+        return dict(zip(SOURCES, self._of_all(self.given.by_source), strict=True)) | {"picks": picks}
 
-    def _of_all(self, covariance: np.ndarray) -> np.ndarray:
-        """Return (N, 2V, N, 2V) of a covariance (R, R) of the residuals that the views show."""
+    def _of_all(self, errors: np.ndarray) -> np.ndarray:
+        """Return the covariance (..., N, 2V, N, 2V) of all points' residuals, from that of z, `errors` (..., Z, Z)."""
         n, size = self.given.size
-        whole, at = np.zeros((n * size, n * size)), self.given.at
-        whole[np.ix_(at, at)] = covariance
-        return whole.reshape(n, size, n, size)
+        whole, at = np.zeros((*errors.shape[:-2], n * size, n * size)), self.given.at
+        whole[..., at[:, None], at] = covariance_of_residuals(self.residuals, errors)
+        return whole.reshape(*errors.shape[:-2], n, size, n, size)
 
     def _information(self, total: np.ndarray) -> np.ndarray:
         """Return (N, 2V, 2V): the inverse of the covariance of each point's residuals, zero where not seen."""
@@ -189,7 +197,7 @@ class Solution:
 
     def _without_direction(self, information: np.ndarray) -> np.ndarray:
         """Return the information (N, 2V, 2V) in the limit of infinite variance in the directions `snapped`."""
-        for direction in self.given.snapped:
+        for direction in filter(np.any, self.given.snapped):
             carried = np.einsum("ipq,iq->ip", information, direction)
             weight = np.einsum("ip,ip->i", direction, carried)
             weight = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)

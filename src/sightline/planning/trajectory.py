@@ -77,15 +77,17 @@ class Trajectory(Plotted):
         """(3,) end point, CFCS."""
         return self.points.xyz_mm[1]
 
-    @property
+    @cached_property
     def length_mm(self) -> float:
         """Distance from entry to end."""
         return float(np.linalg.norm(self.end_mm - self.entry_mm))
 
-    @property
+    @cached_property
     def direction(self) -> np.ndarray:
         """(3,) unit vector from entry to end."""
-        return (self.end_mm - self.entry_mm) / self.length_mm
+        out = (self.end_mm - self.entry_mm) / self.length_mm
+        out.flags.writeable = False
+        return out
 
     @property
     def error_stated(self) -> bool:
