@@ -18,6 +18,8 @@ CHANGES = {
     "rims before a clipped background state a larger error, and the second look finds them; "
     "a hole's error is larger where halves of its rims disagree, and a nail's images with a narrow lens are refused; "
     "calibration takes the centroids of shadows, which distortion shifts, to the images of the balls' centres",
+    12: "whether a bead may be a false one in the place of a hidden one is judged by all places that are equally near; "
+    "before, rounding chose among them",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

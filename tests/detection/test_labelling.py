@@ -109,6 +109,14 @@ def test_a_hundred_scenes_are_right_or_refused() -> None:
     assert solved >= 0.95 * solvable
 
 
+@pytest.mark.parametrize("seed", [5, 11, 12, 46])
+def test_labels_do_not_depend_on_the_rounding_of_pixels(seed: int) -> None:
+    """Fails where rounding decides which of several places at the same distance is counted as a neighbour."""
+    one = draw_scene(np.random.default_rng([77, seed]), GAMMA).detections
+    labels = [label(replace(one, uv_px=one.uv_px * (1 + k * 1e-14)), GAMMA).ids for k in (0, 1, -1, 3, -3)]
+    assert len(labels[0]) > 40 and labels == labels[:1] * 5
+
+
 def labelled_clean_views(chain: str, count: int, cropped: bool) -> int:
     """Return how many of the first `count` set-ups' views can be labelled, and assert that all of these are."""
     able = [

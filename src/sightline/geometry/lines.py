@@ -45,15 +45,19 @@ def meeting_point(
     origin = np.asarray(origin_mm, dtype=np.float64)
     if len(origin) < 2:
         raise ReconstructionRefusedError("one line has no intersection; give at least two")
-    across = _across(_unit(direction))
+    unit = _unit(direction)
     weight = np.broadcast_to(1.0 if sd_mm is None else 1 / np.square(sd_mm), len(origin))
-    normal = np.einsum("n,nab->ab", weight, across)
+    weighted = weight[:, None] * unit
+    normal = weight.sum() * np.eye(3) - weighted.T @ unit  # the sum of the projections across the lines
     if np.linalg.eigvalsh(normal)[0] < weight.sum() * SPREAD_RAD**2:
         raise ReconstructionRefusedError(
             "the lines are nearly parallel and determine no intersection; use beads further apart"
         )
-    point = np.linalg.solve(normal, np.einsum("n,nab,nb->a", weight, across, origin))
-    distance = np.linalg.norm(np.einsum("nab,nb->na", across, point - origin), axis=1)
+    along = (unit * origin).sum(axis=1)
+    point = np.linalg.solve(normal, weight @ origin - along @ weighted)
+    off = point - origin
+    off -= (unit * off).sum(axis=1, keepdims=True) * unit
+    distance = np.sqrt((off**2).sum(axis=1))
     scatter = 1.0 if sd_mm is not None else (distance**2).sum() / (2 * len(origin) - 3)
     return MeetingPoint(point, scatter * np.linalg.inv(normal), distance)
 
@@ -92,8 +96,3 @@ def _unit(direction: np.ndarray) -> np.ndarray:
     if not (length > 0).all():
         raise ReconstructionRefusedError("a line has no direction; give two different points of it")
     return direction / length
-
-
-def _across(unit: np.ndarray) -> np.ndarray:
-    """Return projections (N, 3, 3) onto the planes perpendicular to the lines."""
-    return np.eye(3) - unit[:, :, None] * unit[:, None, :]

@@ -90,6 +90,8 @@ def _check_explained(beads: np.ndarray, ball_like: int) -> None:
 def _check_edge(model: Model, fit: Joint, pair: tuple[Grown, Grown], left: np.ndarray) -> None:
     """Check for beads beyond a plate's edge, which show that all labels are shifted by one step of the grid."""
     for plate, own in zip(pair, left.T, strict=True):
+        if not own.any():
+            continue
         beyond = model.shadows.of_points(plate.pattern.beyond_mm, fit.focal_point_mm)
         off2 = exact_squares(fit.xy_mm[own], beyond) / fit.variance_mm2[own][:, None]
         seen = int((off2 < BEYOND_M2).any(axis=1).sum())
@@ -105,9 +107,8 @@ def _check_pattern(pair: tuple[Grown, ...]) -> None:
     """Check the datum markers of each plate: a shifted grid still fits, its pattern of datum markers does not."""
     for plate in pair:
         pattern = plate.pattern
-        sizes = np.unique(pattern.diameter_mm)
-        seen = np.abs(plate.log_ratio[plate.all_rows][:, None] - np.log(sizes / 2)).argmin(axis=1)
-        said = np.searchsorted(sizes, pattern.diameter_mm)[plate.all_places]
+        seen = np.abs(plate.log_ratio[plate.all_rows][:, None] - pattern.log_sizes).argmin(axis=1)
+        said = pattern.size_of[plate.all_places]
         agree = int((pattern.datum[plate.all_places] & (seen == said)).sum())
         contradict = int((seen != said).sum())
         if contradict > max(SIZES_WRONG, agree):
@@ -139,8 +140,7 @@ def _check_ball_size(fit: Joint, pair: tuple[Grown, Grown]) -> None:
 
 def _check_focal_point(model: Model, fit: Joint, beads: np.ndarray) -> None:
     """Check that a C-arm can have the focal point there, beyond the source plate."""
-    shadows = model.shadows
-    away = shadows.normal * np.sign(shadows.height_mm.mean())
+    away = model.xrii.plane.normal * model.shadows.side
     ray = fit.focal_point_mm - model.xrii.plane.to_space(fit.target_mm[beads[:, 1]].mean(axis=0))
     far = float(ray @ away)
     aside = float(np.linalg.norm(ray - far * away))

@@ -41,7 +41,7 @@ class Readings:
 class _Map(NamedTuple):
     """A pattern in the form that kernels need.
 
-    `table`: the place within reach of each of CELLS x CELLS cells of `cell` mm from the corner `low`, or -1. Pairs of
+    `table`: the place within reach of each of CELLS x CELLS cells of `cell` mm from the corner `low`, or P. Pairs of
     neighbours are places `start` with steps `step` in directions `step_rad`; `larger`: log sizes over the median.
     """
 
@@ -61,7 +61,7 @@ def _map_of(pattern: Pattern) -> _Map:
     middle = low + (np.indices((CELLS, CELLS)).reshape(2, -1).T + 0.5) * cell
     distance = exact_squares(middle, pattern.xy_mm)
     np.sqrt(distance, out=distance)
-    table = np.where(distance.min(axis=1) < ON_PLACE * pattern.pitch_mm, distance.argmin(axis=1), -1)
+    table = np.where(distance.min(axis=1) < ON_PLACE * pattern.pitch_mm, distance.argmin(axis=1), len(pattern.z))
     start, end = pattern.z[pattern.neighbours].T
     step = end - start
     larger = pattern.log_half - median(pattern.log_half)
@@ -72,13 +72,15 @@ class _Beads(NamedTuple):
     """A lattice in the form that kernels need.
 
     Beads `z` = x + iy, mm; `larger`: log sizes over the median; two neighbours at `origin` and at `away` from it.
-    `tilt_rad`: rotation of the plate in the image; `mirror`: whether it is a mirror image.
+    `own`: the reading of its own pattern with which the lattice was grown. `tilt_rad`: rotation of the plate in the
+    image; `mirror`: whether it is a mirror image.
     """
 
     z: np.ndarray
     larger: np.ndarray
     origin: complex
     away: complex
+    own: int
     away_rad: float
     tilt_rad: float
     mirror: bool
@@ -119,14 +121,18 @@ def _cost_on_place(larger, sizes):
 def _cost(reading, z, pattern, of_place, limit):
     """Return the cost of the beads under a reading; stops counting beyond `limit`."""
     rotation, shift, flip = reading
-    table, low, per_mm, nowhere = pattern.table, pattern.low, 1.0 / pattern.cell, of_place.shape[1] - 1
-    cost, n = 0.0, 0
-    while n < len(z) and cost <= limit:
-        at = rotation * (z[n].conjugate() if flip else z[n]) + shift
-        x, y = (at.real - low[0]) * per_mm, (at.imag - low[1]) * per_mm
-        p = table[int(x), int(y)] if 0.0 <= x < CELLS and 0.0 <= y < CELLS else -1
-        cost += of_place[n, p if p >= 0 else nowhere]
-        n += 1
+    table, per_mm = pattern.table, 1.0 / pattern.cell
+    a, b, sign = rotation.real * per_mm, rotation.imag * per_mm, -1.0 if flip else 1.0
+    u, v = (shift.real - pattern.low[0]) * per_mm, (shift.imag - pattern.low[1]) * per_mm
+    cost = 0.0
+    for start in range(0, len(z), 4):
+        if cost > limit:
+            break
+        for n in range(start, min(start + 4, len(z))):
+            x, y = z[n].real, sign * z[n].imag
+            i = min(max(a * x - b * y + u, 0.0), CELLS - 1.0)
+            j = min(max(a * y + b * x + v, 0.0), CELLS - 1.0)
+            cost += of_place[n, table[int(i), int(j)]]
     return cost
 
 
@@ -141,10 +147,12 @@ def _class_of(step_rad, flip, beads):
 
 @njit(cache=True, error_model="numpy")
 def _cheapest(beads, pattern, least, costs):
-    """Fill `costs`; return the lowest cost of all and of `least`."""
+    """Fill `costs`; return the lowest cost of all and of `least`, which is infinite for the lattice's own pattern."""
     of_place = _cost_on_place(beads.larger, pattern.larger)
     first, second, index = costs
     z, step_rad = beads.z, pattern.step_rad
+    if least == np.inf:  # its own reading is usually cheap, so that most others are soon abandoned
+        least = _cost(_reading(beads.own, pattern, beads.origin, beads.away), z, pattern, of_place, np.inf)
     for t in range(2 * len(step_rad)):
         reading = _reading(t, pattern, beads.origin, beads.away)
         cost = _cost(reading, z, pattern, of_place, least + HOPELESS)
@@ -162,7 +170,8 @@ def _cheapest(beads, pattern, least, costs):
 class _Lattice:
     """A lattice to identify: beads `z` = x + iy, mm, and `larger`, log sizes over the median, largest beads first.
 
-    Large beads are the most informative. Two beads on neighbouring places lie at `origin` and at `away` from it.
+    Large beads are the most informative. Two beads on neighbouring places lie at `origin` and at `away` from it: the
+    pair `own` of the pattern's neighbours.
     """
 
     grown: Grown
@@ -170,6 +179,7 @@ class _Lattice:
     larger: np.ndarray
     origin: complex
     away: complex
+    own: int
 
     @staticmethod
     def of(grown: Grown) -> "_Lattice | None":
@@ -177,15 +187,16 @@ class _Lattice:
         pattern, rows = grown.pattern, grown.all_rows
         seen = np.zeros(len(pattern.ids), dtype=bool)
         seen[grown.all_places] = True
-        pairs = pattern.neighbours[seen[pattern.neighbours].all(axis=1)]
+        pairs = np.flatnonzero(seen[pattern.neighbours].all(axis=1))
         if not len(pairs):
             return None
         z = grown.xy_mm[rows] @ np.array([1.0, 1j])
-        ends = pattern.z[pairs]
-        origin, other = ends[np.abs(ends.sum(axis=1) / 2 - z.mean()).argmin()].tolist()  # near the middle
+        middles = pattern.z[pattern.neighbours[pairs]].sum(axis=1) / 2
+        own = int(pairs[np.abs(middles - z.mean()).argmin()])  # near the middle
+        origin, other = pattern.z[pattern.neighbours[own]].tolist()
         larger = grown.log_ratio[rows] - median(grown.log_ratio[rows])
         telling = np.argsort(-larger)
-        return _Lattice(grown, z[telling], larger[telling], origin, other - origin)
+        return _Lattice(grown, z[telling], larger[telling], origin, other - origin, own)
 
     def readings(self, patterns: Iterable[Pattern], reference_rad: float) -> dict[Pattern, Readings]:
         """Return the cheapest readings for each pattern; sectors are counted from `reference_rad`."""
@@ -196,11 +207,12 @@ class _Lattice:
             self.larger,
             self.origin,
             self.away,
+            self.own,
             float(np.angle(self.away)),
             float(np.angle(similarity.rotation)) - reference_rad,
             similarity.mirror,
         )
-        for pattern in sorted(patterns, key=lambda one: one is not self.grown.pattern):  # its own is usually cheap
+        for pattern in sorted(patterns, key=lambda one: one is not self.grown.pattern):
             costs = _Costs(np.full(24, np.inf), np.full(24, np.inf), np.full(24, -1))
             least = _cheapest(beads, _map_of(pattern), least, costs)
             out[pattern] = Readings(pattern, costs.first, costs.second, costs.cheapest)

@@ -44,6 +44,16 @@ class Pattern:
         return np.log(self.diameter_mm / 2)
 
     @cached_property
+    def log_sizes(self) -> np.ndarray:
+        """The different values of `log_half` in order."""
+        return np.log(np.unique(self.diameter_mm) / 2)
+
+    @cached_property
+    def size_of(self) -> np.ndarray:
+        """Which of `log_sizes` each fiducial has (N,)."""
+        return np.unique(self.diameter_mm, return_inverse=True)[1]
+
+    @cached_property
     def z(self) -> np.ndarray:
         """`xy_mm` as complex numbers x + iy (N,)."""
         return self.xy_mm @ np.array([1.0, 1j])

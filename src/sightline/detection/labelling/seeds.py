@@ -115,8 +115,10 @@ class _Best(NamedTuple):
     """The best triples so far, best first, and their number `filled` (1,).
 
     `scores` (K,); `what` (K, 7): three detections, their places, whether mirrored; `found` (K, 2): rotation and shift.
+    `least`: the score that all of them exceed.
     """
 
+    least: float
     filled: np.ndarray
     scores: np.ndarray
     what: np.ndarray
@@ -208,7 +210,7 @@ def _offer(triple, plate, beads, best):
     """Insert a triple into the sorted best ones, if it is one of them; the worst is dropped when they are full."""
     scores, what, found = best.scores, best.what, best.found
     full = best.filled[0] == len(scores)
-    score = _score(triple, plate, beads, scores[-1] if full else -np.inf)
+    score = _score(triple, plate, beads, scores[-1] if full else best.least)
     if score == -np.inf:
         return
     if not full:
@@ -271,7 +273,7 @@ def _search(beads, plate, large, best):
 def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarray, most: int) -> Iterator[Seed]:
     """Yield the `most` best seeds of each plate among the `usable` (N,) detections, best first.
 
-    The very best, which usually suffices, is searched for alone: far fewer triples can still become it.
+    The very best of all plates, which usually suffices, is searched for alone: far fewer triples can still become it.
     """
     height, width = detections.image_shape
     w = detections.uv_px @ np.array([1.0, 1j])
@@ -285,14 +287,18 @@ def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarr
 
 
 def _best_seeds(beads: _Beads, patterns: list[Pattern], may_be: dict[str, np.ndarray], most: int) -> list[Seed]:
-    """Return the `most` best seeds of each plate, best first; `may_be`: rows of possible datum markers by kind."""
+    """Return the `most` best seeds of each plate, best first; `may_be`: rows of possible datum markers by kind.
+
+    Where one is wanted, those that are worse than a previous plate's are left out.
+    """
     counts, scores = np.zeros((len(patterns), 1), np.int64), np.empty((len(patterns), most))
     what, found = np.empty((len(patterns), most, 7), np.int64), np.empty((len(patterns), most, 2), np.complex128)
-    guesses = []
+    guesses, least = [], -np.inf
     for k, pattern in enumerate(patterns):
         plate = _Plate(pattern.z, pattern.log_half, pattern.datums, pattern.pitch_mm)
-        _search(beads, plate, may_be[pattern.datum_kind], _Best(counts[k], scores[k], what[k], found[k]))
+        _search(beads, plate, may_be[pattern.datum_kind], _Best(least, counts[k], scores[k], what[k], found[k]))
         guesses += [(score, k, i) for i, score in enumerate(scores[k, : counts[k, 0]].tolist())]
+        least = max(guesses)[0] if most == 1 and guesses else least
     out = []
     for score, k, i in sorted(guesses, key=lambda guess: -guess[0]):
         rotation, shift = found[k, i].tolist()
