@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,10 +53,9 @@ class Plan(Plotted):
     `picks`: for entry and end, the pick in each view as it was used; snapped ones lie on their curve, those of points
     that a view does not show are NaN. `seen`: entry,
     end and landmarks, in this order; `landmark_names`: names of the landmarks, "" where none was given. `anatomy`: the
-    located parts of the bone. `noticed_mm`: how far entry and end can be wrong along a line of sight before a check of
-    the bone fails; None where no check would fail. `views`: the views that the plan was made on;
-    `arguments`: what else `plan` was given, but for the kind and `curve`. `relations`: checks of the relations to other
-    wires, which the verdict then includes (`plan_wires`). `hole`: the measured hole that entry and end are those of.
+    located parts of the bone. `views`: the views that the plan was made on; `arguments`: what else `plan` was given,
+    but for the kind and `curve`. `relations`: checks of the relations to other wires, which the verdict then includes
+    (`plan_wires`). `hole`: the measured hole that entry and end are those of.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
     >>> plan = sl.plan([pa, lateral], [[162, 689], [684, 692]], [[818, 366], [378, 276]], side="right")
@@ -75,7 +75,6 @@ class Plan(Plotted):
     side: str | None
     anatomy: Anatomy | None
     landmark_names: tuple[str, ...]
-    noticed_mm: tuple[float | None, float | None]
     views: tuple[CalibratedView, ...]
     arguments: Mapping[str, Any]
     relations: tuple[Check, ...] = ()
@@ -124,6 +123,16 @@ class Plan(Plotted):
             with suppress(OutsideRegionError):
                 draw.marks(panel, view.project(self.seen.xyz_mm[2:]), "+", draw.RED, "landmarks")
             draw.legend(panel)
+
+    @cached_property
+    def noticed_mm(self) -> tuple[float | None, float | None]:
+        """How far entry and end can be wrong along a line of sight before a check of the bone fails; None where no
+        check would fail."""
+        if not self.kind.checks or self.anatomy is None:
+            return None, None
+        rules = rules_of_bone(self.kind, adjusted_together(self.views))
+        given = self.anatomy, rules, self.side, _landmarks_mm(self.landmark_names, self.seen)
+        return noticed_beyond_mm((*measures(*given), *metric_measures(*given)), self.anatomy)
 
     @property
     def implant(self) -> Implant | None:
@@ -302,15 +311,13 @@ def plan(
         if aids is None and not kind.checks
         else located(drawings, lambda: solution, bool(kind.document.directions))
     )
-    verdict, noticed = judge(trajectory, at_rest, kind.limits, seen), (None, None)
+    verdict = judge(trajectory, at_rest, kind.limits, seen)
     if hole is not None:
         verdict = verdict.joined(Verdict(hole.checks))
     if kind.checks and anatomy is not None:
-        known = dict(zip(names, seen.xyz_mm[2:], strict=False))
-        given = anatomy, rules_of_bone(kind, at_rest), side, known
-        verdict = verdict.joined(judge_in_bone(*given))
+        rules = rules_of_bone(kind, at_rest)
+        verdict = verdict.joined(judge_in_bone(anatomy, rules, side, _landmarks_mm(names, seen)))
         verdict = verdict.joined(Located(kind, at_rest, anatomy, names, side).judge())
-        noticed = noticed_beyond_mm((*measures(*given), *metric_measures(*given)), anatomy)
     return Plan(
         trajectory=trajectory,
         picks=(entry, end),
@@ -322,7 +329,6 @@ def plan(
         side=side,
         anatomy=anatomy,
         landmark_names=names,
-        noticed_mm=noticed,
         views=tuple(views),
         arguments={
             "entry_uv_px": np.array(entry_uv_px, dtype=np.float64),
@@ -337,6 +343,11 @@ def plan(
         },
         hole=hole,
     )
+
+
+def _landmarks_mm(names: tuple[str, ...], seen: SpacePoints) -> dict[str, np.ndarray]:
+    """Return the landmarks (3,) by their keys."""
+    return dict(zip(names, seen.xyz_mm[2:], strict=False))
 
 
 def _by_view(views: Sequence[CalibratedView], residual_px: np.ndarray) -> dict[str, Any]:
