@@ -85,7 +85,7 @@ class Support:
         used = self.used[rows[nearest]].sum(axis=1)
         hidden = np.zeros_like(used)
         if self.stray_px is not None:
-            reach_px = np.take_along_axis(distance, nearest, axis=1).max(axis=1, initial=0.0)
+            reach_px = distance[np.arange(len(distance))[:, None], nearest].max(axis=1, initial=0.0)
             stray = (cdist(uv_px, self.stray_px) <= reach_px[:, None]).sum(axis=1)
             hidden = np.maximum(nearest.shape[1] - used - stray, 0)
         return np.stack([used, hidden, np.full_like(used, nearest.shape[1])], axis=1)

@@ -12,11 +12,18 @@ TWO_SIDED_999 = 3.29  # the same for 99.9 %: exceeded once in a thousand valid c
 # Nodes over one octant of directions: the probability is accurate to 1e-6 (tests/geometry/test_covariance.py).
 _COSINES, _COSINE_WEIGHTS = np.polynomial.legendre.leggauss(24)
 _HEIGHTS = (_COSINES + 1) / 2
-_RING = 1 - _HEIGHTS[:, None] ** 2
 _ITERATIONS, _PRECISION = 60, 1e-10  # bisection alone would need 35
 _STEP_MM = 1e-3  # of a central difference: the error, from the third derivative, is below 1e-9 here [calc]
 _AZIMUTHS = (np.arange(12) + 0.5) * np.pi / 24
-_WEIGHTS = _COSINE_WEIGHTS[:, None] / (2 * len(_AZIMUTHS))
+_WEIGHTS = np.repeat(_COSINE_WEIGHTS, len(_AZIMUTHS)) / (2 * len(_AZIMUTHS))
+# (3, N): squared components of the unit vectors at the nodes.
+_SQUARES = np.stack(
+    [
+        np.repeat(_HEIGHTS**2, len(_AZIMUTHS)),
+        np.outer(1 - _HEIGHTS**2, np.cos(_AZIMUTHS) ** 2).ravel(),
+        np.outer(1 - _HEIGHTS**2, np.sin(_AZIMUTHS) ** 2).ravel(),
+    ]
+)
 
 
 @cache  # only the target of a drill through walls needs it
@@ -106,17 +113,14 @@ def response(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tu
 
 def _radius(probability: float, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     """Return the quantile of the length of a Gaussian with variances 1, b and c, by bracketed Newton iterations."""
-    root = np.sqrt(
-        _HEIGHTS[:, None] ** 2
-        + _RING * (b[..., None, None] * np.cos(_AZIMUTHS) ** 2 + c[..., None, None] * np.sin(_AZIMUTHS) ** 2)
-    )
+    scale = 1 / np.sqrt(2 * (np.stack([np.ones_like(b), b, c], axis=-1) @ _SQUARES))
     low, high = ndtri((1 + probability) / 2) * 0.999, ellipsoid_factor(probability, 3) * 1.001
     below, above = np.full(b.shape, low), np.full(b.shape, high)
     # Start with the quantile of the scaled chi-square that has the same mean and variance, which is near.
     mean, half = 1 + b + c, 1 + b**2 + c**2
     radius = np.clip(np.sqrt(2 * half / mean * gammaincinv(mean**2 / half / 2, probability)), below, above)
     for _ in range(_ITERATIONS):
-        within, density = _within(radius, root)
+        within, density = _within(radius, scale)
         below, above = np.where(within < probability, radius, below), np.where(within < probability, above, radius)
         step = radius - (within - probability) / density
         following = np.where((step > below) & (step < above), step, (below + above) / 2)
@@ -126,10 +130,10 @@ def _radius(probability: float, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     return radius
 
 
-def _within(radius: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return P(length < radius) of a Gaussian, and its derivative by the radius; `root`: its s.d. in each direction."""
-    reach = radius[..., None, None] / root
-    reach2 = reach**2
-    tail = np.sqrt(2 / np.pi) * reach * np.exp(-reach2 / 2)
-    within = ((erf(reach / np.sqrt(2)) - tail) * _WEIGHTS).sum(axis=(-1, -2))
-    return within, (tail * reach2 * _WEIGHTS).sum(axis=(-1, -2)) / radius
+def _within(radius: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return P(length < radius) of a Gaussian, and its derivative by the radius; `scale` (..., N): 1 / sqrt(2) of its
+    s.d. in the direction of each node."""
+    reach = radius[..., None] * scale
+    square = reach**2
+    tail = 2 / np.sqrt(np.pi) * reach * np.exp(-square)
+    return (erf(reach) - tail) @ _WEIGHTS, 2 * ((tail * square) @ _WEIGHTS) / radius

@@ -401,7 +401,8 @@ def _between_views(found: Anatomy, low: float) -> Measure:
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(a - b, axis=-1)
+    off = a - b
+    return np.sqrt(np.einsum("...i,...i->...", off, off))
 
 
 _Make = Callable[[_Bone, CheckRule], list[Measure]]

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from sightline.errors import OutsideRegionError
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -90,9 +89,21 @@ def template(seen: Corridor, wire_mm: float, document: ProcedureDocument) -> Tem
             "the implant lies outside the calibrated region of the image; move the frame so that its beads surround it"
         )
     # Cubic, because places along a wire towards the detector do not lie evenly in the image.
-    u, v, half = CubicSpline(seen.along_mm, np.column_stack([seen.uv_px, seen.px_per_mm * diameter / 2]))(at).T
+    u, v, half = _cubic(seen.along_mm, np.column_stack([seen.uv_px, seen.px_per_mm * diameter / 2]), at).T
     first = int(np.searchsorted(at, thread))
     return Template(length, diameter, np.column_stack([u, v]), half, first if first < len(at) - 1 else None)
+
+
+def _cubic(x: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return the values (A, n) at places (A,), from those (S, n) at increasing places `x` (S,), S > 1: for each place
+    by the polynomial through the four stations nearest to it, or through all of fewer."""
+    count = min(4, len(x))
+    first = np.clip(np.searchsorted(x, at) - count // 2, 0, len(x) - count)
+    near = first[:, None] + np.arange(count)
+    other = ~np.eye(count, dtype=bool)
+    off = np.where(other, (at[:, None] - x[near])[:, None], 1.0)
+    apart = np.where(other, x[near][:, :, None] - x[near][:, None], 1.0)
+    return np.einsum("ak,akn->an", off.prod(axis=2) / apart.prod(axis=2), values[near])
 
 
 def _diameter_mm(document: ProcedureDocument) -> float | None:

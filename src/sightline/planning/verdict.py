@@ -49,17 +49,18 @@ def _errors(trajectory: Trajectory, limits: Limits) -> list[Check]:
         ("end error", "end point", trajectory.end_error_95_mm, limits.position_mm, "mm"),
         ("direction error", "direction", direction_deg, float(np.rad2deg(limits.direction_rad)), "°"),
     )
-    out, budget = [], trajectory.budget_rms()
-    for name, what, error_95, limit, unit in errors:
-        advice = f"the largest source is {_largest_source(budget, name)}: reduce it first"
-        out.append(error_check(name, what, error_95, limit, unit, advice=advice))
-    return out
+    return [
+        error_check(name, what, error_95, limit, unit, advice="" if error_95 <= limit else _advice(trajectory, name))
+        for name, what, error_95, limit, unit in errors
+    ]
 
 
-def _largest_source(budget: dict[str, dict[str, float]], check: str) -> str:
-    """Return the source with the largest share of an error, in words; `budget`: rms errors by source."""
+def _advice(trajectory: Trajectory, check: str) -> str:
+    """Return which source has the largest share of an error, in words."""
+    budget = trajectory.budget_rms()
     key = {"entry error": "entry_mm", "end error": "end_mm", "direction error": "direction_rad"}[check]
-    return max(budget, key=lambda source: budget[source][key]).replace("_", " ")
+    largest = max(budget, key=lambda source: budget[source][key]).replace("_", " ")
+    return f"the largest source is {largest}: reduce it first"
 
 
 def _gaps(points: SpacePoints) -> tuple[Check, ...]:

@@ -288,8 +288,10 @@ def _slid(views: Sequence[CalibratedView], mark: Mark, uv_px: Pixel) -> Pixel | 
     at = np.array(mark.at(NAMES[1]))
     nearest = int(np.argmin(np.linalg.norm(before.uv_px - at, axis=1)))
     ahead = float((at - before.uv_px[nearest]) @ before.tangent_px[nearest])
-    pitch = np.gradient(before.depth_mm) / np.maximum(np.linalg.norm(np.gradient(before.uv_px, axis=0), axis=1), 1e-9)
-    depth = before.depth_mm[nearest] + ahead * pitch[nearest]
+    first, last = max(nearest - 1, 0), min(nearest + 1, len(before.depth_mm) - 1)
+    step_px = float(np.linalg.norm(before.uv_px[last] - before.uv_px[first]))
+    pitch = (before.depth_mm[last] - before.depth_mm[first]) / max(step_px, 1e-9)
+    depth = before.depth_mm[nearest] + ahead * pitch
     return _pixel(np.array([np.interp(depth, after.depth_mm, after.uv_px[:, k]) for k in range(2)]))
 
 
