@@ -16,9 +16,9 @@ _GROWS, _FLOOR_PX = 1.2, 0.06  # such a centre's s.d.: times what the fit states
 
 def clipped_shares(image: Radiograph, usable: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return the clipped share (N,) of the `usable` (H, W) pixels around each bead of `rows` (N, COUNT)."""
-    shares, clipped = np.zeros(len(rows)), image.pixels >= image.white
-    if clipped.any():
-        _fill_shares(clipped, usable, rows, shares)
+    shares = np.zeros(len(rows))
+    if image.pixels.max() >= image.white:
+        _fill_shares(image.pixels, image.white, usable, rows, shares)
     return shares
 
 
@@ -32,8 +32,8 @@ def allow_for_missing_foot(rows: np.ndarray, shares: np.ndarray) -> None:
 
 
 @exact
-def _fill_shares(clipped, usable, rows, shares):
-    height, width = clipped.shape
+def _fill_shares(pixels, white, usable, rows, shares):
+    height, width = pixels.shape
     for k in range(len(rows)):
         u, v, radius = rows[k, columns.U], rows[k, columns.V], rows[k, columns.RADIUS]
         inner2, outer2 = (radius + _AROUND_PX[0]) ** 2, (radius + _AROUND_PX[1]) ** 2
@@ -42,5 +42,5 @@ def _fill_shares(clipped, usable, rows, shares):
             for j in range(max(int(u - reach), 0), min(int(u + reach) + 2, width)):
                 if inner2 < (j - u) ** 2 + (i - v) ** 2 < outer2 and usable[i, j]:
                     seen += 1
-                    count += clipped[i, j]
+                    count += pixels[i, j] >= white
         shares[k] = count / max(seen, 1)

@@ -24,7 +24,7 @@ from sightline.detection.columns import (
     U,
     V,
 )
-from sightline.detection.compiled import FAST, exact, exact_unchecked, part_of_caller
+from sightline.detection.compiled import FAST, exact, exact_unchecked, fast, part_of_caller
 from sightline.detection.noise import LAGS
 from sightline.detection.shadow import (
     BACKGROUND,
@@ -51,6 +51,7 @@ from sightline.detection.shadow import (
 from sightline.detection.window import (
     BEYOND,
     MARGIN,
+    VECTOR,
     along_both_axes,
     correlated_product,
     gather_pixels,
@@ -88,6 +89,7 @@ _NOISE_MARGIN = 1.3  # noise alone may reach this many times the expected sum of
 _MAX_ELLIPTICITY = 0.12  # beads in images have up to 0.09, pieces of wire more [twin]
 # Covariance beyond the linear approximation, in units of the centre's variance over the squared blur [twin].
 _RIM_NONLINEARITY = 3.0
+_LARGE_WINDOW = 320  # px [ours]
 _MAX_RIM_LOST = 0.15  # share of the rim that sharpening may cost; above it, the window is not sharpened [ours]
 # Prior s.d. of x, y, radius, blur and ellipticity about their initial values, for the bead and its neighbours: px, px,
 # share of the radius, share of the blur [ours], of a shadow's ellipticity: distortion and oblique rays give 0.00-0.08
@@ -137,7 +139,7 @@ def _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state
     size = BEAD_TERMS * len(rows) + SCATTER_TERMS + BACKGROUND_TERMS
     x0, y0 = spots[row, U] - left, spots[row, V] - top
     filtered = mark_near_unusable(state, x0, y0, radius) < _MAX_RIM_LOST
-    taps, gain, blur2, together2, correlation = sharpening if filtered else plain
+    taps, gain, blur2, together2, correlation, by_lag = sharpening if filtered else plain
     at, where, counting = gather_pixels(
         state, filtered, along_both_axes(light, taps) if filtered else light, x0, y0, reach
     )
@@ -177,7 +179,7 @@ def _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state
     if out[STATUS] != FITTED or np.hypot(beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]) > _MAX_ELLIPTICITY:
         out[STATUS] = max(out[STATUS], WANDERED)
         return
-    freedom = max(pixels - _effective_parameters(columns, where, L, len(state), correlation), 1.0)
+    freedom = max(pixels - _effective_parameters(columns, where, L, by_lag), 1.0)
     out[CHI2], scale2 = chi2 / freedom, (_PRIOR_PIXELS + chi2) / (_PRIOR_PIXELS + freedom)
     out[BLUR] = np.sqrt(max(beads[0, BEAD_BLUR] ** 2 - blur2, 0.0))
     _covariance(columns, where, L, len(state), correlation, scale2, prior, coupling, background, out)
@@ -199,7 +201,8 @@ def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain,
     """Fit rows `which[part::parts]` of `spots` and write row `which[i]` into row i of `out`.
 
     `noise`: offset, slope, and the log intensity at which pixels are clipped. `sharpening`: taps, gain, change of the
-    squared blur, remaining squared blur, noise correlation after sharpening. `plain`: the same without sharpening.
+    squared blur, remaining squared blur, noise correlation after sharpening by lag along an axis, and by distance.
+    `plain`: the same without sharpening.
     Where a large residual remains, metal around the bead is searched for and hidden, and the fit is repeated.
     """
     result = np.empty(spots.shape[1])
@@ -332,31 +335,51 @@ def _take_step(beads, scatter, background, step, share):
     return max(abs(step[BEAD_X]), abs(step[BEAD_Y]), abs(step[BEAD_RADIUS]), abs(step[at]))
 
 
-@exact
-def _effective_parameters(columns, where, L, side, correlation):
+@fast
+def _effective_parameters(columns, where, L, by_lag):
     """Return the effective number of parameters: tr(H C) with the projection H = J A^-1 J' and the noise correlation C.
 
     The fit lowers the expected sum of squared residuals by so much. For white noise it is the number of parameters.
+    `by_lag` (LAGS + 1,): the correlations of all neighbours at about this distance. H is nearly the same in all
+    directions, so neighbours in a row stand for all, and half of a large window for the other half: to 4 % of the
+    number, which is a tenth of the pixels [calc].
     """
     size, pixels = len(L), columns.shape[1]
-    reach = np.uint32(LAGS)
-    width = np.uint32(side) + 2 * reach
-    rows, at = np.empty((size, pixels), np.float32), np.empty(pixels, np.uint32)
-    for p in range(pixels):
-        at[p] = (where[0, p] + reach) * width + where[1, p] + reach
-    field, total = np.zeros(width * width, np.float32), np.float32(0.0)
+    count = pixels if pixels < _LARGE_WINDOW else (pixels // 2 + VECTOR - 1) // VECTOR * VECTOR
+    shares, rows = np.zeros((LAGS + 1, pixels), np.float32), np.zeros((size, count + LAGS), np.float32)
+    for lag in range(LAGS + 1):
+        share, later_row, later_column = shares[lag], where[0, lag:], where[1, lag:]
+        of_row, of_column, one, every, used = where[0], where[1], np.uint32(lag), np.uint32(0), np.uint32(0)
+        for p in range(pixels - lag):
+            beside = (later_row[p] == of_row[p]) & (later_column[p] == of_column[p] + one)
+            every += np.uint32(beside)
+            share[p] = np.float32(beside)
+        for p in range(count - lag, count):
+            share[p] = 0.0
+        for p in range(count):
+            used += np.uint32(share[p])
+        factor = np.float32(by_lag[lag] * every / max(used, 1))
+        for p in range(count):
+            share[p] *= factor
+    s0, s1, s2, s3, s4 = shares[0], shares[1], shares[2], shares[3], shares[4]
+    total = np.float32(0.0)
     for k in range(size):  # rows of L^-1 J'
-        row = rows[k]
-        _copy(columns[k], row)
-        for m in range(k):
-            share, other = np.float32(L[k, m]), rows[m]
-            for p in range(pixels):
-                row[p] -= share * other[p]
-        scale = np.float32(1.0 / L[k, k])
-        for p in range(pixels):
-            row[p] *= scale
-            field[at[p]] = row[p]
-        total += correlated_product(field, field, correlation, width)
+        row, scale, column = rows[k], np.float32(1.0 / L[k, k]), columns[k]
+        for p in range(count):
+            row[p] = scale * column[p]
+        for m in range(0, k - 3, 4):  # four at once, which saves loads and stores
+            a, b, c, d = rows[m], rows[m + 1], rows[m + 2], rows[m + 3]
+            x, y = scale * np.float32(L[k, m]), scale * np.float32(L[k, m + 1])
+            z, w = scale * np.float32(L[k, m + 2]), scale * np.float32(L[k, m + 3])
+            for p in range(count):
+                row[p] -= x * a[p] + y * b[p] + z * c[p] + w * d[p]
+        for m in range(k - k % 4, k):
+            part, other = scale * np.float32(L[k, m]), rows[m]
+            for p in range(count):
+                row[p] -= part * other[p]
+        r1, r2, r3, r4 = row[1:], row[2:], row[3:], row[4:]
+        for p in range(count):
+            total += row[p] * (s0[p] * row[p] + s1[p] * r1[p] + s2[p] * r2[p] + s3[p] * r3[p] + s4[p] * r4[p])
     return total
 
 
@@ -379,11 +402,11 @@ def _covariance(columns, where, L, side, correlation, scale2, prior, coupling, b
     total, field = np.zeros((3, pixels), np.float32), np.zeros((3, width * width), np.float32)
     for k in range(size):
         u, v, contrast = np.float32(influence[0, k]), np.float32(influence[1, k]), np.float32(influence[2, k])
-        column = columns[k]
+        column, of_u, of_v, of_contrast = columns[k], total[0], total[1], total[2]
         for p in range(pixels):
-            total[0, p] += u * column[p]
-            total[1, p] += v * column[p]
-            total[2, p] += contrast * column[p]
+            of_u[p] += u * column[p]
+            of_v[p] += v * column[p]
+            of_contrast[p] += contrast * column[p]
     for p in range(pixels):
         at = (where[0, p] + reach) * width + where[1, p] + reach
         field[0, at], field[1, at], field[2, at] = total[0, p], total[1, p], total[2, p]

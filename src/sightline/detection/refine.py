@@ -6,7 +6,7 @@ import numpy as np
 
 from sightline.detection.columns import AXIAL, BLUR, CONTRAST, COUNT, DIAGONAL, RADIUS
 from sightline.detection.fit import PRIOR_SD, fit_part
-from sightline.detection.noise import NoiseModel
+from sightline.detection.noise import LAGS, NoiseModel
 from sightline.detection.profile import profile_table
 from sightline.detection.sharpen import Sharpening, design, noise_blur_px
 from sightline.threads import in_parts
@@ -91,7 +91,24 @@ class BeadFitter:
         return out
 
 
-def _plain_numbers(sharp: Sharpening, blur2: float) -> tuple[np.ndarray, float, float, float, np.ndarray]:
-    """Return taps, gain, change of the squared blur, squared blur common to background and shadow, correlation."""
+def _plain_numbers(sharp: Sharpening, blur2: float) -> tuple[np.ndarray, float, float, float, np.ndarray, np.ndarray]:
+    """Return taps, gain, change of the squared blur, squared blur common to background and shadow, and correlations."""
     taps, correlation = sharp.taps.astype(np.float32), sharp.correlation.astype(np.float32)
-    return taps, float(sharp.gain), float(sharp.blur2_px2), float(blur2 + sharp.blur2_px2), correlation
+    blurs = float(sharp.blur2_px2), float(blur2 + sharp.blur2_px2)
+    return taps, float(sharp.gain), *blurs, correlation, _by_distance(sharp.correlation)
+
+
+def _by_distance(correlation: np.ndarray) -> np.ndarray:
+    """Return (LAGS + 1,) float32: the correlations of all neighbours, summed by their distance in whole px.
+
+    A neighbour between two distances counts for both, in shares that are linear in the squared distance.
+    """
+    lags = np.arange(LAGS + 1)
+    one = np.zeros(LAGS + 1)
+    one[: len(correlation)] = correlation
+    along, times = np.meshgrid(lags, lags), np.where(lags > 0, 2.0, 1.0)  # a lag to either side
+    together = np.outer(one * times, one * times)
+    return np.array(
+        [(together * np.interp(along[0] ** 2 + along[1] ** 2, lags**2, unit)).sum() for unit in np.eye(LAGS + 1)],
+        dtype=np.float32,
+    )

@@ -15,24 +15,30 @@ _METAL_SHARE = 0.3
 METAL = 4  # px around metal: its rim and the blur of that
 _MIN_METAL = 6  # px [ours]
 _RIM = 2.5  # px to either side of the rim, the zone that determines a centre
-_VECTOR = 32  # SIMD width; a scalar tail loop doubles the time
+VECTOR = 32  # SIMD width; a scalar tail loop doubles the time
 # States of a pixel, the most usable first: visible, but within the filter's reach of an unusable one (set by
 # `mark_near_unusable`); clipped; hidden, or outside the field.
 SEEN, NEAR_UNUSABLE, CLIPPED, HIDDEN = range(4)
 
 
-@exact
+@fast
 def log_level(image, usable, bead, reach):
     """Return the mean log light around the bead; 0 where no pixel there is usable."""
     height, width = image.shape
-    total, outside = 0.0, 0
-    inner2, outer2 = (bead[RADIUS] + 1.5) ** 2, reach**2
-    for i in range(max(int(bead[V] - reach), 0), min(int(bead[V] + reach) + 2, height)):
-        for j in range(max(int(bead[U] - reach), 0), min(int(bead[U] + reach) + 2, width)):
-            r2 = (j - bead[U]) ** 2 + (i - bead[V]) ** 2
-            if inner2 < r2 < outer2 and usable[i, j]:
-                total += image[i, j]
-                outside += 1
+    total, outside, zero = np.float32(0.0), 0, np.float32(0.0)
+    inner2, outer2 = np.float32((bead[RADIUS] + 1.5) ** 2), np.float32(reach**2)
+    u, left = np.float32(bead[U]), max(int(bead[U] - reach), 0)
+    for i in range(max(int(bead[V] - reach), 0), min(int(bead[V] + reach) + 2, height), 2):  # half of them are enough
+        dv2 = np.float32((i - bead[V]) ** 2)
+        values, known = image[i, left:], usable[i, left:]
+        count = np.int32(0)
+        for j in range(min(int(bead[U] + reach) + 2, width) - left):  # without branches, so that it is vectorised
+            du = np.float32(j + left) - u
+            r2 = du * du + dv2
+            counts = (r2 > inner2) & (r2 < outer2) & known[j]
+            total += values[j] if counts else zero
+            count += np.int32(counts)
+        outside += count
     return total / max(outside, 1)
 
 
@@ -211,12 +217,12 @@ def mark_near_unusable(state, x, y, radius):
 def gather_pixels(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
     """Return the counting pixels' x, y from (`x0`, `y0`) and values (3, N), rows and columns (2, N), and their number.
 
-    Where the values are filtered, only pixels count that no unusable one reaches. N is padded to a multiple of _VECTOR
+    Where the values are filtered, only pixels count that no unusable one reaches. N is padded to a multiple of VECTOR
     with pixels at (0, 0).
     """
     n = len(state)
     margin = (len(values) - n) // 2
-    capacity = n * n + _VECTOR
+    capacity = n * n + VECTOR
     at, where = np.empty((3, capacity), np.float32), np.empty((2, capacity), np.uint32)
     worst, reach2 = np.uint8(SEEN if filtered else CLIPPED), np.float32(reach * reach)
     pixels = np.uint32(0)
@@ -229,7 +235,7 @@ def gather_pixels(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
             counts = (x * x + y * y < reach2) & (row[j] <= worst)
             pixels += np.uint32(counts)  # branch-free: a pixel that does not count is overwritten
     count = int(pixels)
-    whole = (count + _VECTOR - 1) // _VECTOR * _VECTOR
+    whole = (count + VECTOR - 1) // VECTOR * VECTOR
     at[:, count:whole], where[:, count:whole] = 0.0, 0
     return at[:, :whole].copy(), where[:, :whole].copy(), count
 
