@@ -14,6 +14,7 @@ from tests.app.hands import SEED, Hands
 
 from sightline.app import texts
 from sightline.app.plan.marks import GUIDE, marks_of
+from sightline.app.plan.robot_wire import ROBOT_WIRE
 from sightline.checks import Check
 from sightline.errors import UnusableInputError
 from sightline.planning.procedures import procedures
@@ -41,7 +42,7 @@ def keys(value: Any, where: str = "") -> set[str]:
 def names_below() -> set[str]:
     """What the page shows of procedures and of the robot's wire, as the rooms below name it."""
     kinds = [(kind, of_nail) for kind in procedures() for of_nail in (False, True)]
-    marks = [*GUIDE, *(spec for kind, of_nail in kinds for spec in marks_of(kind, of_nail=of_nail))]
+    marks = [*GUIDE, *ROBOT_WIRE, *(spec for kind, of_nail in kinds for spec in marks_of(kind, of_nail=of_nail))]
     found = {name for spec in marks for name in (spec.label, spec.sentence)}
     for one in procedures().values():
         found |= {one.document.name, one.document.purpose, one.wire.name}

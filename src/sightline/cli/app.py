@@ -7,17 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sightline.cli.demo import SEED
+from sightline.cli.demo_procedures import DEFAULT
 from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.robot import Rehearsed
 
 if TYPE_CHECKING:
+    from sightline.app.session.rehearsing import Patient
     from sightline.app.web.serve import ServedApp
-
-DEMO_SEED = 9  # as of `sightline demo`
 
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    epilog = example("sightline app", "sightline app --case out/case --frame gamma")
+    examples = ("sightline app", "sightline app --case out/case --frame gamma")
+    epilog = example(*examples, "sightline app --procedure distal-interlocking")
     app.command("app", epilog=epilog)(app_command)
 
 
@@ -31,6 +34,13 @@ def app_command(
     ] = None,
     rehearse: Annotated[
         int | None, typer.Option(min=0, help="For a new case: a simulated patient and robot drawn from this seed.")
+    ] = None,
+    procedure: Annotated[
+        Rehearsed | None,
+        typer.Option(
+            help="For a new case: a simulated patient of this procedure. Beside a nail its frame is block60.",
+            show_default="hip-screw",
+        ),
     ] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one.")] = 8765,
     host: Annotated[
@@ -65,13 +75,13 @@ def app_command(
         worker.begin(warm_up)  # its imports take as long as those below: one core each
 
         from sightline.app.run import run
-        from sightline.app.session.rehearsing import Patient
         from sightline.app.settings import Settings
         from sightline.app.texts import load
 
-        folder = Path("out/app") if case is None else case
-        seed = DEMO_SEED if case is None and rehearse is None else rehearse
-        patient = None if seed is None else Patient(seed, frame or "gamma")
+        folder = case or Path("out/app" if procedure is None else f"out/app-{procedure}")
+        patient = None
+        if case is None or rehearse is not None or procedure is not None:
+            patient = _patient(rehearse, procedure or DEFAULT, frame)
         token = environ.get("SIGHTLINE_TOKEN") or None  # not an option: other users can read command lines
         spoken = None if language is None else load(language)
         settings = Settings(folder, frame, patient, live, host, port, token, browser, fast_robot, spoken)
@@ -81,3 +91,14 @@ def app_command(
 
         run(settings, worker, ready)
         output.result({"case": folder})
+
+
+def _patient(seed: int | None, procedure: str, frame: str | None) -> "Patient":
+    """Return the simulated patient of a procedure, as `sightline demo` draws it."""
+    from sightline.app.session.rehearsing import Patient
+    from sightline.cli.demo_procedures import SEEDS, frame_for
+
+    seed = SEEDS.get(procedure, SEED) if seed is None else seed
+    # The names of the frames import the twin, for which the first page would wait.
+    frame = frame or ("gamma" if procedure == DEFAULT else frame_for(procedure, None))
+    return Patient(seed, frame, procedure=procedure)

@@ -34,19 +34,19 @@ class Kept:
 
 def record(folder: Path, kept: Kept) -> None:
     """Create the case in a folder."""
+    from sightline.app.session.rehearsing import Patient
     from sightline.case import stages
     from sightline.case.journal import Actor, Case, Kind
     from sightline.case.views import NAMES
-    from sightline.cli.demo_procedures import SINGLE
     from sightline.rehearsal.rehearsal import Rehearsal
 
     rehearsal, by = kept.rehearsal, Actor.DEMO
     with Case.create(folder) as case:
         frame_ref = stages.keep_frame(case, rehearsal.setup.frame)
         stages.record_changed(case, "frame", frame_ref, by=by)
-        if isinstance(rehearsal, Rehearsal) and rehearsal.procedure in SINGLE:  # the app rehearses with a robot
-            patient = {"seed": rehearsal.seed, "frame": rehearsal.setup.frame.name, "side": rehearsal.side}
-            stages.record_changed(case, "rehearsal", patient, by=by)
+        if isinstance(rehearsal, Rehearsal):  # the app rehearses with a robot
+            patient = Patient(rehearsal.seed, rehearsal.setup.frame.name, rehearsal.side, rehearsal.procedure)
+            stages.record_changed(case, "rehearsal", vars(patient), by=by)
         before = case.last
         first, second = (
             stages.record_view(case, file, image, frame_ref=frame_ref, by=by)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sightline.planning.procedures import Procedure
     from sightline.rehearsal.patient import RehearsedPatient
 
-DEFAULT, SINGLE = "hip-screw", ("hip-screw", "free-wire")  # procedures of one wire, which the app rehearses
+DEFAULT = "hip-screw"
 # With seed 9 one click on the pelvis is 3.7 s.d. off, and the check shot refuses it. Of the nails of seeds 0 to 17 one
 # is refused, since a beam is 27° off its holes, and in half of the check shots a bead may hide the tip of a drill.
 SEEDS = {"iliosacral-screw": 10, "distal-interlocking": 2}

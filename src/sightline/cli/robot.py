@@ -37,8 +37,9 @@ Seed = Annotated[
 FrameName = Annotated[
     str, typer.Option(help="Frame on the simulated robot: a file, gamma, biplane, stereo or a block.")
 ]
+Rehearsed = Literal["hip-screw", "cannulated-hip-screws", "free-wire", "distal-interlocking"]
 AtHip = Annotated[
-    Literal["hip-screw", "cannulated-hip-screws", "free-wire", "distal-interlocking"],
+    Rehearsed,
     typer.Option(help="Procedure of the rehearsed patient: its images show the wires of this one."),
 ]
 Yes = Annotated[bool, typer.Option("--yes", help="Answer yes to every question; simulators only.")]

@@ -95,6 +95,14 @@ class RehearsedPatient:
         return {wire.key: mm for wire, mm in zip(self.document.wires, self.wires_mm, strict=True)}
 
     @property
+    def nail(self) -> Nail | None:
+        """The nail in the bone, as its maker states it; None for a bone without one."""
+        if not isinstance(self.bone, BoneScene) or not isinstance(self.bone.dimensions, NailedFemur):
+            return None
+        nail = self.bone.dimensions.nail
+        return Nail(nail.diameter_mm, nail.hole_diameter_mm, nail.bore_mm, nail.material, spacing_mm=SPACING_MM)
+
+    @property
     def scene(self) -> Scene:
         """Everything in the beam at the planning images."""
         return self.bone.scene
@@ -201,16 +209,15 @@ class RehearsedPatient:
 
     def _asked_of_nail(self, request: PlanRequest, rng: np.random.Generator) -> PlanRequest:
         """Return the request with strokes along the nail and a click on each hole in place of picked points."""
-        assert isinstance(self.bone, BoneScene) and isinstance(self.bone.dimensions, NailedFemur)  # noqa: S101
+        nail = self.nail
+        assert isinstance(self.bone, BoneScene) and nail is not None  # noqa: S101
         drawn = drawn_aids(self.bone.aids, self.setup.views)["nail"]
         strokes = np.stack([drawn[name].reshape(2, 2, 2) for name in VIEWS])
         middles = self.pixels(self.wires_mm.mean(axis=1)).swapaxes(0, 1)
         noise = NAIL_CLICK_PX * rng.standard_normal((8 + 2 * len(middles), 2))
         clicks = middles + noise[8:].reshape(middles.shape)
-        nail = self.bone.dimensions.nail
-        known = Nail(nail.diameter_mm, nail.hole_diameter_mm, nail.bore_mm, nail.material, spacing_mm=SPACING_MM)
         by_key = dict(zip((wire.key for wire in self.document.wires), clicks, strict=True))
-        given = NailDrawn(known, strokes + noise[:8].reshape(strokes.shape), by_key)
+        given = NailDrawn(nail, strokes + noise[:8].reshape(strokes.shape), by_key)
         first, *rest = (WirePicks(uv, uv, snapped=True) for uv in by_key.values())
         others = dict(zip(list(by_key)[1:], rest, strict=True))
         return replace(request, entry_uv_px=first.entry_uv_px, end_uv_px=first.end_uv_px, others=others, nail=given)
@@ -273,13 +280,13 @@ class RehearsedPatient:
     def _set_up_again(self, rng: np.random.Generator, views: Mapping[str, np.ndarray] | None = None) -> SetUp:
         """Draw another set-up of the same C-arm; `views`: nominal beams (3,) of other images of a block, by name."""
         frame, chain, side = self.setup.frame, self.setup.views[VIEWS[0]].chain.name, self.side
-        if self.procedure in BONES_OF:
+        if self.procedure in BONES_OF and views is None:
             again = BONES[BONES_OF[self.procedure]].setup(rng, frame, side, self.setup.tube, check=True, chain=chain)
             return again.renamed(VIEWS)
         beams = CANNULATED_BEAMS if self.procedure == CANNULATED and frame.solid is not None else None
-        return draw_setup(
-            rng, frame, side=side, chain=chain, variation=Variation(tube=self.setup.tube), views=views or beams
-        )
+        place = BONES[BONES_OF[self.procedure]].place if self.procedure in BONES_OF else None
+        variation = Variation(place=place, tube=self.setup.tube)
+        return draw_setup(rng, frame, side=side, chain=chain, variation=variation, views=views or beams)
 
 
 def draw_patient(

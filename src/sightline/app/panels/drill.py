@@ -18,7 +18,7 @@ from sightline.planning.procedures import kind as kind_of
 from sightline.robot.control.states import State
 
 if TYPE_CHECKING:
-    from sightline.app.session.robot_session import RobotNow
+    from sightline.app.session.robot_session import RobotNow, RobotSession
 
 _BEFORE_MM = 10.0  # the bar of the depth begins this far before the entry point [ours]
 _DEPTH = (
@@ -192,6 +192,7 @@ def build_next(tab: Tab) -> None:
         return
     idle, state = not now.activity, now.state
     held = drilling.held is not None and not drilling.changed
+    left = _left_mm(session)
     ready = idle and held and not tab.session.shots.objection
     if now.fault:
         _confirmed_action(
@@ -199,10 +200,12 @@ def build_next(tab: Tab) -> None:
         )
     elif state == State.ALIGNED.value:
         drill = partial(drilling.drill, State.ALIGNED)
-        _confirmed_action(tab, texts.DRILL, texts.DRILL_QUESTION, drill, "drill", enabled=ready)
+        question = texts.DRILL_QUESTION.format(left=left)
+        _confirmed_action(tab, texts.DRILL, question, drill, "drill", enabled=ready)
     elif state == State.PAUSED.value:
         drill = partial(drilling.drill, State.PAUSED)
-        _confirmed_action(tab, texts.DRILL_ON, texts.DRILL_ON_QUESTION, drill, "drill-on", enabled=ready)
+        question = texts.DRILL_ON_QUESTION.format(left=left)
+        _confirmed_action(tab, texts.DRILL_ON, question, drill, "drill-on", enabled=ready)
     elif planning.drilled is not None and (after := wires.following(tab)) is not None:
         said = texts.NEXT_WIRE.format(wire=texts.word(kind_of(after).wire.name))
         action(said, partial(tab.choose_kind, after), testid="next-wire", kind="primary")
@@ -210,6 +213,14 @@ def build_next(tab: Tab) -> None:
         _confirmed_action(tab, texts.ALIGN, texts.ALIGN_QUESTION, drilling.align, "align", enabled=ready)
     else:
         _send(tab, enabled=idle and state != State.DONE.value)
+
+
+def _left_mm(session: "RobotSession | None") -> float:
+    """Return the length that is drilled after the pause, mm; 0 without a plan in the robot."""
+    from sightline.robot.kinematics.depth import pause_depth
+
+    target = None if session is None else session.target
+    return 0.0 if target is None else target.depth_mm - pause_depth(target.depth_mm, target.limits)
 
 
 def _start(tab: Tab, kind: str) -> None:
@@ -257,7 +268,8 @@ def _second_shot(tab: Tab) -> None:
     def tell() -> Awaitable[None]:
         return drilling.send_shot_depth(*(float("nan" if one.value is None else one.value) for one in (depth, error)))
 
-    _confirmed_action(tab, texts.SEND_DEPTH, texts.SHOT_QUESTION, tell, "tell-shot", enabled=enabled, kind="plain")
+    question = texts.SHOT_QUESTION.format(left=_left_mm(drilling.session))
+    _confirmed_action(tab, texts.SEND_DEPTH, question, tell, "tell-shot", enabled=enabled, kind="plain")
 
 
 def _confirmed_action(

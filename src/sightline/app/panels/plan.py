@@ -1,5 +1,6 @@
 """Step 3, Plan: placing points, metrics of plan and implant, proposal."""
 
+from collections.abc import Hashable
 from itertools import groupby
 
 import numpy as np
@@ -16,7 +17,6 @@ from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning import Nail
 from sightline.planning.hole_advice import perfect_circles
 from sightline.planning.nail_files import known_nails
 from sightline.planning.procedures import Procedure, procedures
@@ -83,8 +83,8 @@ def _turns_html(tab: Tab) -> Markup:
     return markup.note(texts.TURNS.format(turns="; ".join(turns)), kind="quiet", testid="turns")
 
 
-def _nail_key(tab: Tab) -> tuple[str, Nail | None]:
-    return tab.planning.decisions.kind, tab.planning.decisions.nail
+def _nail_key(tab: Tab) -> Hashable:
+    return tab.planning.decisions.kind, tab.planning.decisions.nail, tab.planning.implanted
 
 
 def _nail(tab: Tab) -> None:
@@ -105,6 +105,9 @@ def _nail(tab: Tab) -> None:
     ui.select(names, value=shown, on_change=choose).classes("kind").props(
         f'dense options-dense data-testid=nail aria-label="{texts.NAIL_FIELD}"'
     )
+    if (own := tab.planning.implanted) is not None and chosen != own:
+        named = next((file.name for file in files.values() if file.nail == own), texts.NAIL_SIZE.format(**vars(own)))
+        note(texts.NAIL_IMPLANTED.format(name=named), kind="quiet", testid="nail-implanted")
 
 
 def _snapping(tab: Tab) -> None:
@@ -117,7 +120,7 @@ def _snapping(tab: Tab) -> None:
 
 def _points(tab: Tab) -> None:
     decisions = tab.planning.decisions
-    for group, listed in groupby(decisions.specs, key=lambda one: one.group):
+    for group, listed in groupby(tab.planning.specs, key=lambda one: one.group):
         with ui.element("div").classes(f"group {group}"):
             if group != "nail":  # named by its choice above
                 heading(texts.POINT_GROUPS[group])

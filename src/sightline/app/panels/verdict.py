@@ -36,7 +36,7 @@ def left(tab: Tab) -> tuple[str, ...]:
     decisions = tab.planning.decisions
     if tab.planning.planned is None:
         return (texts.LEFT_CALIBRATION,)
-    asked = [spec for spec in decisions.specs if spec.group != "aid" and not decisions.complete([spec.name])]
+    asked = [spec for spec in tab.planning.asked if not decisions.complete([spec.name])]
     confirmed = ((texts.LEFT_SIDE, decisions.side), (texts.LEFT_SERIAL, decisions.serial))
     return (*(texts.word(spec.label) for spec in asked), *(what for what, value in confirmed if value is None))
 

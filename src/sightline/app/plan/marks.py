@@ -9,7 +9,7 @@ from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.document import AidAsked
 
-Group = Literal["wire", "nail", "landmark", "aid", "guide"]
+Group = Literal["wire", "nail", "landmark", "aid", "guide", "robot"]
 CHECK_NAMES = (f"check-{NAMES[0]}", f"check-{NAMES[1]}")
 SHOT_NAMES = (f"shot-{NAMES[0]}", f"shot-{NAMES[1]}")  # while drilling
 ENTRY, END = "entry", "end"

@@ -9,6 +9,7 @@ import numpy as np
 
 from sightline.app import texts
 from sightline.app.plan.planner import Planned, plan_input
+from sightline.app.plan.robot_wire import ROBOT_WIRE, robot_wire_seen
 from sightline.app.session.age import PlanAge
 from sightline.app.session.planning import Planning
 from sightline.app.session.readiness import Readiness
@@ -17,6 +18,7 @@ from sightline.app.session.seen import entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_changed, record_planned
+from sightline.checks import failed
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.metrics import Metric
@@ -74,12 +76,12 @@ class DrillingWorkflow:
             from sightline.app.session.robot_session import RobotSession
             from sightline.frame import Frame
             from sightline.rehearsal.process import RobotProcess
-            from sightline.rehearsal.robots import calibrated_robot
+            from sightline.rehearsal.rehearsal import robot_at
 
-            process = RobotProcess(patient.seed, patient.frame, patient.side, virtual=fast)
+            process = RobotProcess(patient.seed, patient.frame, patient.side, patient.procedure, virtual=fast)
             try:
                 return process, RobotSession(
-                    calibrated_robot(patient.side, Frame.load(patient.frame)),
+                    robot_at(patient.procedure, patient.side, Frame.load(patient.frame)),
                     process.port,
                     lambda: loop.call_soon_threadsafe(notify) and None,
                     heartbeat=not fast,
@@ -122,7 +124,8 @@ class DrillingWorkflow:
             kind=plan.kind.key,
             frame=planning.frame.fingerprint,
         )
-        target = session.target_for(plan, identity, time.monotonic() - age_s)
+        seen = robot_wire_seen(decisions, known.views)
+        target = session.target_for(plan, identity, time.monotonic() - age_s, seen)
         limit = _depth_limit(known, target)
         views = [entry_of(case, seen) for seen in map(planning.seen, planning.names) if seen is not None]
         made = record_planned(case, views, plan_input(decisions, len(views)), plan, by=Actor.SURGEON)
@@ -130,7 +133,12 @@ class DrillingWorkflow:
         self.held = None
         planning.all_sent.pop(decisions.kind, None)
         planning.all_drilled.pop(decisions.kind, None)
-        await session.send(target, limit)
+        try:
+            await session.send(target, limit)
+        except RobotRefusedError as error:
+            if seen is None and ROBOT_WIRE[0] in planning.specs and failed(target.checks):
+                raise RobotRefusedError(texts.ROBOT_WIRE_HELPS.format(refused=error)) from error
+            raise
         entry = case.record(
             Kind.SENT,
             {
@@ -140,6 +148,7 @@ class DrillingWorkflow:
                 "trajectory": plan.trajectory.document(),
                 "joints": target.q,
                 "error_95_mm": [target.entry_error_95_mm, target.end_error_95_mm],
+                "registered_by": "encoders" if seen is None else "images",
                 "depth_limit_mm": limit,
             },
             by=Actor.SURGEON,

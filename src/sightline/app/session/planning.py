@@ -10,7 +10,9 @@ from typing import cast
 from sightline.app import texts
 from sightline.app.plan.decisions import Decisions, Display, History, Pixel, Side
 from sightline.app.plan.holes import HolesFound, nail_drawn
+from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import Planned, moved, planned, request_of
+from sightline.app.plan.robot_wire import ROBOT_WIRE
 from sightline.app.session import rehearsing
 from sightline.app.session.jobs import Jobs
 from sightline.app.session.nail import DrawnOn, NailInImages
@@ -26,7 +28,7 @@ from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, takes_oblique
 from sightline.drilling_order import DrillingOrder, propose_order
 from sightline.errors import CalibrationRefusedError, SightlineError, UnusableInputError
 from sightline.planning import Nail, WirePlans, kind
-from sightline.planning.procedures.files import each_wire
+from sightline.planning.procedures.files import document_of, each_wire
 
 _MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned to views [ours]
 _EDITS = ("edit", "undo", "redo")
@@ -34,8 +36,9 @@ _EDITS = ("edit", "undo", "redo")
 
 class Planning:
     """Images, decisions and plan of one case. `all_sent`: the plans that were sent to the robot, `all_drilled`: the
-    wires that are drilled to their depth, both by the wire's kind. The listeners of `jobs` are called on every change.
-    Raises UnusableInputError where the procedure of the decisions is not found."""
+    wires that are drilled to their depth, both by the wire's kind. `implanted`: the nail of a rehearsed patient, once
+    it is known. The listeners of `jobs` are called on every change. Raises UnusableInputError where the procedure of
+    the decisions is not found."""
 
     def __init__(self, case: Case, frame_ref: str, worker: WorkerProcess, jobs: Jobs) -> None:
         self.case, self.frame, self.worker, self.jobs = case, stages.frame_of(case, frame_ref), worker, jobs
@@ -46,6 +49,7 @@ class Planning:
         self.all_sent: dict[str, SentPlan] = {}
         self.all_drilled: dict[str, DrilledWire] = {}
         self.nail = NailInImages(lambda: self._drawn_on(self.decisions), jobs)
+        self.implanted: Nail | None = None
         jobs.listeners.append(self.nail.update)
         self._planned: Planned | None = None
         self._kept: Planned | None = None
@@ -63,6 +67,21 @@ class Planning:
         """The rehearsed patient; None if the images come from a C-arm."""
         entry = self.case.latest(Kind.CHANGED, where={"what": "rehearsal"})
         return None if entry is None else Patient.of(entry.content["to"])
+
+    @property
+    def specs(self) -> tuple[MarkSpec, ...]:
+        """The marks that the page asks for, in order: those of the decisions, and the robot's own wire where the images
+        show it, which those of an intensifier have no room for."""
+        frame, own = self.frame, self.decisions.specs
+        shown = self.patient is not None and frame.solid is not None and frame.detector is None
+        return (*own, *ROBOT_WIRE) if shown else own
+
+    @property
+    def asked(self) -> tuple[MarkSpec, ...]:
+        """Those of `specs` that a plan needs: no aids, and the robot's wire where its encoders alone are not accurate
+        enough."""
+        left_out = ("aid",) if self.decisions.of_nail else ("aid", "robot")
+        return tuple(one for one in self.specs if one.group not in left_out)
 
     def seen(self, image: str) -> SeenImage | None:
         """Return the state of an image, by its name; None if there is none."""
@@ -267,6 +286,8 @@ class Planning:
             await self.jobs.during("starting", lambda: self.worker.do(warm_up))
             if self.patient is not None and not self.decisions.images:
                 await self.take_rehearsed()
+            if self.patient is not None and document_of(self.patient.procedure).through_holes:
+                self.implanted = await self.worker.do(rehearsing.nail_of, self.patient)
             if not self.decisions.images:
                 await self._take_in()
         await self._open_named()

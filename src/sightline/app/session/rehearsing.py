@@ -14,7 +14,10 @@ from sightline.atomic import scratch_folder
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_dicom
+from sightline.planning import Nail
 from sightline.planning.procedures import kind as kind_of
+from sightline.planning.procedures.document import ProcedureDocument
+from sightline.planning.procedures.files import document_of
 
 if TYPE_CHECKING:
     from sightline.rehearsal.rehearsal import Rehearsal
@@ -23,16 +26,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Patient:
-    """The simulated patient of a rehearsal: `Rehearsal.draw(seed, Frame.load(frame), side)`."""
+    """The simulated patient of a rehearsal: `Rehearsal.draw(seed, Frame.load(frame), side, procedure)`."""
 
     seed: int
     frame: str = "gamma"
     side: str = "right"
+    procedure: str = "hip-screw"
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> "Patient":
-        """Return the patient from JSON types."""
-        return Patient(int(document["seed"]), str(document["frame"]), str(document["side"]))
+        """Return the patient from JSON types; earlier versions knew those of a hip screw only."""
+        procedure = str(document.get("procedure", Patient.procedure))
+        return Patient(int(document["seed"]), str(document["frame"]), str(document["side"]), procedure)
+
+    def takes(self, document: ProcedureDocument) -> bool:
+        """Return True if a procedure can be rehearsed on this patient: those through a nail's holes need the nail."""
+        return document.through_holes == document_of(self.procedure).through_holes
 
 
 @lru_cache(maxsize=1)
@@ -40,7 +49,7 @@ def rehearsal_of(patient: Patient) -> "Rehearsal":
     """Return the patient's rehearsal, drawn once in a process."""
     from sightline.rehearsal.rehearsal import Rehearsal
 
-    return Rehearsal.draw(patient.seed, Frame.load(patient.frame), patient.side)
+    return Rehearsal.draw(patient.seed, Frame.load(patient.frame), patient.side, patient.procedure)
 
 
 def images(patient: Patient, names: Sequence[str] = NAMES) -> dict[str, bytes]:
@@ -48,6 +57,11 @@ def images(patient: Patient, names: Sequence[str] = NAMES) -> dict[str, bytes]:
     rehearsal = rehearsal_of(patient)
     taken = {name: rehearsal.oblique_image() if name == OBLIQUE else rehearsal.images[name] for name in names}
     return _files(taken, patient)
+
+
+def nail_of(patient: Patient) -> Nail | None:
+    """Return the nail that the patient has, as its maker states it; None without one."""
+    return rehearsal_of(patient).nail
 
 
 def shot_images(patient: Patient, wires: Mapping[str, str], q: Sequence[float], state: str) -> dict[str, bytes]:

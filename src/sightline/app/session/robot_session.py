@@ -17,6 +17,7 @@ from sightline.app.session.zero import ZeroSource
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Plan
+from sightline.planning.results import SpacePoints
 from sightline.rehearsal.operation import target_of
 from sightline.robot import contract
 from sightline.robot.control.states import State
@@ -100,13 +101,20 @@ class RobotSession:
         self._end.set()
         self._thread.join(5.0)
 
-    def target_for(self, plan: Plan, identity: PlanIdentity, imaged_s: float) -> RobotTarget:
-        """Return the robot's target for a plan. `imaged_s`: time of the images, time.monotonic.
+    def target_for(
+        self, plan: Plan, identity: PlanIdentity, imaged_s: float, wire: SpacePoints | None = None
+    ) -> RobotTarget:
+        """Return the robot's target for a plan. `imaged_s`: time of the images, time.monotonic. `wire`: a point and the
+        tip of the robot's own wire in these images, which correct its registration (`CalibratedRobot.with_wire_seen`).
 
-        Raises RobotRefusedError."""
+        Raises UnusableInputError, RobotRefusedError."""
         # Both times are `imaged_s`, so that no age is checked: `imaged_q` holds for the simulated robot at its images.
         pose = PoseAtImage(self.imaged_q, imaged_s, imaged_s)
-        return target_of(plan, identity, register(self.robot, {"pa": pose, "lateral": pose}))
+        robot = self.robot
+        if wire is not None:
+            assert wire.joint_covariance_mm2 is not None  # noqa: S101 - of a wire that passed its checks
+            robot = robot.with_wire_seen(self.imaged_q, wire.xyz_mm, wire.joint_covariance_mm2)
+        return target_of(plan, identity, register(robot, {"pa": pose, "lateral": pose}))
 
     async def send(self, target: RobotTarget, depth_limit_mm: float) -> None:
         """Send the registration and the target. `depth_limit_mm` from the entry point. Raises RobotRefusedError,

@@ -11,6 +11,7 @@ from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.holes import HolesFound, of_wire
 from sightline.app.plan.marks import names_of
 from sightline.app.plan.planner import PICK_SD_PX, Planned, planned
+from sightline.app.plan.robot_wire import ROBOT_WIRE
 from sightline.calibration import BeadView
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.views import ALL_NAMES, NAMES
@@ -51,6 +52,7 @@ class SentPlan:
                 for at in map(decisions.images.get, ALL_NAMES)
                 if at is not None
             )
+            and all(then.mark(one.name) == decisions.mark(one.name) for one in ROBOT_WIRE)
             and of_wire(then, then.kind) == of_wire(decisions, then.kind)
         )
 

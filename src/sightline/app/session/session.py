@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from sightline.app import texts
+from sightline.app.plan.decisions import Decisions
 from sightline.app.session.age import PlanAge
 from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.jobs import Jobs
@@ -17,6 +18,7 @@ from sightline.case import stages
 from sightline.case.journal import Actor, Case
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
+from sightline.planning.procedures.files import document_of, each_wire
 
 
 class Session:
@@ -39,10 +41,14 @@ class Session:
         """Open the case in a folder, or create it with a frame and, if given, a patient to rehearse on.
 
         Raises CaseError, FrameError, UnusableInputError if the case has another frame than the one named."""
-        frame = Frame.load(frame_name or "gamma")  # an invalid frame is refused before the case is created
+        # An invalid frame is refused before the case is created.
+        frame = Frame.load(frame_name or ("gamma" if patient is None else patient.frame))
         case = Case.create(folder, exist_ok=True)
         if patient is not None and case.last == 0:
             stages.record_changed(case, "rehearsal", vars(patient), by=Actor.APP)
+            first = each_wire(document_of(patient.procedure))[0].key
+            if first != Decisions.kind:
+                stages.record_changed(case, "edit", Decisions(kind=first).document(), by=Actor.APP)
         # The frame is recorded last: a case without one was interrupted during creation, or has only acquired images.
         kept = stages.frame_in_use(case)
         if kept is None:

@@ -123,7 +123,8 @@ class Shots:
             return None
         picked = np.array([[mark.at(name) for mark in guide] for name in SHOT_NAMES]) if guide else None
         q, middle_mm = self._stood[1], plan.trajectory.points.xyz_mm.mean(axis=0)
-        movement, covariance = session.robot.frame_moved(target.registration.q, q, middle_mm)
+        registered = target.registration
+        movement, covariance = registered.robot.frame_moved(registered.q, q, middle_mm)
         landmarks = found_again(held.planned.decisions, planning.decisions, SHOT_NAMES)
         check, tip_mm = CheckRequest(plan.kind.wire_mm, landmarks), float(q[FEED] - target.q[FEED])
         asked = DrillShotRequest(check, tip_mm, state == ALIGNED, movement.as_matrix(), covariance, picked)

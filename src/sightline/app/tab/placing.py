@@ -69,7 +69,7 @@ class Placing:
             guide = GUIDE if self._shots.shown == ALIGNED else ()
             return _goals([*guide, *(one for one in specs if one.group == "landmark")], SHOT_NAMES)
         if step is ProcedureStep.PLAN and planning.planned is not None:
-            pair = _goals([one for one in specs if one.group != "aid"], NAMES)
+            pair = _goals(planning.asked, NAMES)
             third = [one for one in specs if one.group == "landmark" and OBLIQUE in planning.names]
             return (*pair, *_goals(third, (OBLIQUE,)))
         return ()

@@ -12,7 +12,7 @@ from sightline.app.drawing.head_up import head_in, head_up
 from sightline.app.drawing.pictures import Pictures
 from sightline.app.drawing.xray.view import Window, XrayContent, XrayDisplay, XrayEvent, XrayView
 from sightline.app.plan.decisions import Decisions, Display, Side
-from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES
+from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, MarkSpec
 from sightline.app.session.failures import failure_of
 from sightline.app.session.live import fresh_s
 from sightline.app.session.seen import SeenImage
@@ -118,7 +118,7 @@ class Views:
             picture,
             _display(display, head, window),
             {name: drawn for name, drawn in layers.items() if name not in hidden},
-            _points(image, step, planning.decisions if preview is None else preview.decisions),
+            _points(image, step, planning.specs, planning.decisions if preview is None else preview.decisions),
             goal.spec.name if goal is not None and goal.image == image else None,
             (texts.in_progress(seen.doing) if seen.doing else seen.refused) or undrawn or None,
             f"{planning.case.number} {image} {seen.acquired.number} {planning.history.revision}",
@@ -189,10 +189,10 @@ def _display(chosen: Display, head: int | None, window: Window) -> XrayDisplay:
     return XrayDisplay(turned, chosen.mirrored, chosen.inverted, window)
 
 
-def _points(image: str, step: ProcedureStep, decisions: Decisions) -> list[dict[str, Any]]:
+def _points(image: str, step: ProcedureStep, specs: tuple[MarkSpec, ...], decisions: Decisions) -> list[dict[str, Any]]:
     """Return the points of an image, placed or not, as JSON types."""
     out = []
-    for spec in (*decisions.specs, *GUIDE):
+    for spec in (*specs, *GUIDE):
         if not spec.shown_in(image):
             continue
         mark, on_curve = decisions.mark(spec.name), image == NAMES[1] and spec.group == "wire"
@@ -201,7 +201,7 @@ def _points(image: str, step: ProcedureStep, decisions: Decisions) -> list[dict[
                 "id": spec.name,
                 "label": texts.word(spec.label),
                 "uv": mark.at(image),
-                "style": {"wire": spec.of, "guide": "aid", "nail": "aid"}.get(spec.group, spec.group),
+                "style": {"wire": spec.of, "guide": "aid", "nail": "aid", "robot": "aid"}.get(spec.group, spec.group),
                 "movable": step in (ProcedureStep.PLAN, ProcedureStep.VERIFY) or image in SHOT_NAMES,
                 "snapped": on_curve and not mark.free,
                 "slides": on_curve and decisions.snapping and mark.at(NAMES[0]) is not None,

@@ -157,7 +157,12 @@ RESIDUAL = "residual, rms per axis"
 FOCAL_POINT = "focal point"
 
 # Plan.
-POINT_GROUPS = {"wire": "Wire", "landmark": "Landmarks: did the bone move?", "aid": "Aids"}
+POINT_GROUPS = {
+    "wire": "Wire",
+    "landmark": "Landmarks: did the bone move?",
+    "aid": "Aids",
+    "robot": "Where is the robot?",
+}
 IMAGES_SHORT = {"pa": "PA", "lateral": "lat", "oblique": "obl"}
 KIND_FIELD = "Procedure"
 SNAP = "Snap lateral points of the wire to their curves"
@@ -198,6 +203,8 @@ NAIL_FIELD = "Nail"
 NAIL_NONE = "No nail: points by hand"
 NAIL_CHOICE = "Nail: {name}"
 NAIL_OTHER = "Nail: {mm:g} mm, {material}, of this case"
+NAIL_SIZE = "{diameter_mm:g} mm, {material}"
+NAIL_IMPLANTED = "The simulated patient has this nail: {name}."
 NAIL_FIRST = "Choose the nail on the right. Or by hand: {said}"
 NAIL_EDGE_FOUND = "the nail's edge, as found in the image"
 NAIL_AXIS = "axis of the nail"
@@ -309,7 +316,7 @@ STATES = {
     "ALIGN": "Aligning the arm",
     "ALIGNED": "Aligned; waiting for you",
     "DRILL": "Drilling",
-    "PAUSED": "Paused 10 mm before the tip",
+    "PAUSED": "Paused for the second shot",
     "DONE": "Drilled to the planned depth",
     "GUIDE": "Holding the drill guide",
     "RETRACT": "Retracting the wire",
@@ -387,7 +394,7 @@ REACHABLE = "Other machines can reach this page; anyone with its address and tok
 SEND_QUESTION = "Send this plan to the robot?"
 SIDE_WORDS = {"right": "right", "left": "left"}
 SEND_WHAT = (
-    "The {robot} receives a wire of {length:.1f} mm in a {side} hip, in the coordinates of frame {serial}. "
+    "The {robot} receives a wire of {length:.1f} mm on the {side} side, in the coordinates of frame {serial}. "
     "Nothing moves yet. “Align” will then move the arm until the wire's guide points along the plan, "
     "20 mm before the bone."
 )
@@ -395,12 +402,12 @@ ALIGN_QUESTION = (
     "Align: the wire retracts into its sleeve, then the whole arm moves. Is its path clear of people, table and C-arm?"
 )
 DRILL_QUESTION = (
-    "Drill: the wire rotates and advances into the bone, to 10 mm before the planned tip. "
+    "Drill: the wire rotates and advances into the bone, to {left:.0f} mm before its planned depth. "
     "Does the sleeve stand on the bone, and does the confirmation shot show the guide on the plan?"
 )
-DRILL_ON_QUESTION = "Continue drilling: the last 10 mm. Does the second shot show the wire on the plan?"
+DRILL_ON_QUESTION = "Continue drilling: the last {left:.0f} mm. Does the second shot show the wire on the plan?"
 ZEROS = {"plan": "plan", "contact": "contact", "shot": "second shot"}  # sources of the zero of depth
-SHOT_QUESTION = "Send this depth to the robot? It counts the last 10 mm from it. A depth can be sent only once."
+SHOT_QUESTION = "Send this depth to the robot? It counts the last {left:.0f} mm from it. A depth can be sent only once."
 SHOT_UNMEASURED = (
     "If you measured the tip's depth beyond the planned entry point in the second shot, enter it here. Sightline "
     "does not measure this shot, because the frame has moved away with the arm. Without it the depth "
@@ -419,6 +426,10 @@ CHANGED_SINCE_SENT = (
 )
 CHANGED_AFTER_SENDING = "Send the plan again, or undo the change: it was changed after it was sent."
 OTHER_WIRE_HELD = "The robot holds the plan of the {wire}: choose that wire, or send the plan of this one."
+ROBOT_WIRE_HELPS = (
+    "{refused} Click both ends of the robot's wire in both images, on the step Plan: they register the robot more "
+    "accurately than its encoders."
+)
 NO_DEPTH_LIMIT = (
     "Place the rim of the femoral head in both images, which gives the distance to the joint: the depth limit of the "
     "wire is unknown."
