@@ -30,7 +30,7 @@ from sightline.rehearsal.patient import (
     frame_of,
 )
 from sightline.studies.intervals import quantile, share
-from sightline.studies.nail_edges import Sight, seen
+from sightline.studies.nail_edges import OUTLINE_PX, RIM_PX, Sight, seen
 from sightline.studies.scenes import calibrated_views, measure
 from sightline.studies.study import Estimate, EstimateGroup, Summary, Table, Values
 from sightline.twin import BoneScene, ViewTruth
@@ -56,7 +56,8 @@ class Procedures:
     def configuration(self) -> dict[str, Any]:
         """The fields and the constants that they depend on."""
         frames = {name: frame_of(name) for name in self.procedures}
-        return {**asdict(self), "frames": frames, "bead_px": BEAD_PX, "pick_px": PICK_PX, "nail_px": NAIL_CLICK_PX}
+        noise = {"bead_px": BEAD_PX, "pick_px": PICK_PX, "nail_px": NAIL_CLICK_PX, "edge_px": [OUTLINE_PX, RIM_PX]}
+        return {**asdict(self), "frames": frames, **noise}
 
     def trial(self, rng: np.random.Generator) -> Values:
         """Return for each procedure how its plan ended, the checks that failed, and of each wire the errors of entry
