@@ -51,11 +51,9 @@ def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[
     stub = SimpleNamespace(number=1, q=(), entry_error_95_mm=0.5, end_error_95_mm=0.5, document=dict)
     for name in ("entry_of", "record_planned", "_depth_limit", "plan_input"):
         monkeypatch.setattr(module, name, lambda *_, **__: stub)
-    decisions = SimpleNamespace(
-        images={"pa": 1, "lateral": 2}, side="right", serial="1", kind="hip-screw", mirrored={}, document=dict
-    )
-    decisions.ends, decisions.of_nail = lambda kind: {}, False
-    known: Any = SimpleNamespace(plan=SimpleNamespace(trajectory=stub, kind=kind("hip-screw")), decisions=decisions)
+    decisions = Decisions(images={"pa": 1, "lateral": 2}, side="right", serial="1")
+    plan = SimpleNamespace(trajectory=stub, kind=kind("hip-screw"))
+    known: Any = SimpleNamespace(plan=plan, decisions=decisions, views=())
     case: Any = SimpleNamespace(number="C", last=1, record=record)
     planning: Any = _Planning(case, known)
     age: Any = SimpleNamespace(now_s=1.0)
