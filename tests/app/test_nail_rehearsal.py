@@ -135,9 +135,11 @@ def test_both_holes_of_the_simulated_patient_are_drilled_and_checked(worker: Wor
         await drilling.start_robot(fast=True)
         known, wire_mm = planning.planned, patient.robot_wire_mm
         assert known is not None and wire_mm is not None
-        with pytest.raises(RobotRefusedError, match="Click both ends of the robot's wire"):
+        with pytest.raises(RobotRefusedError, match="Click tip and middle of the robot's wire"):
             await drilling.send(known)
-        for spec, uv in zip(ROBOT_WIRE, patient.pixels(wire_mm).swapaxes(0, 1) + noise_px, strict=True):
+        uv_px = patient.pixels(wire_mm)
+        uv_px[1, 0] = 0.8 * uv_px[1, 0] + 0.2 * uv_px[1, 1]  # another point of the wire than in the first image
+        for spec, uv in zip(ROBOT_WIRE, uv_px.swapaxes(0, 1) + noise_px, strict=True):
             _place(session, spec.name, NAMES, uv)
         for n, kind in enumerate(KINDS):
             await _drilled(session, kind)

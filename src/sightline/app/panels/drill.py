@@ -14,7 +14,6 @@ from sightline.app.session.zero import ZeroSource
 from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning.procedures import kind as kind_of
 from sightline.robot.control.states import State
 
 if TYPE_CHECKING:
@@ -206,9 +205,8 @@ def build_next(tab: Tab) -> None:
         drill = partial(drilling.drill, State.PAUSED)
         question = texts.DRILL_ON_QUESTION.format(left=left)
         _confirmed_action(tab, texts.DRILL_ON, question, drill, "drill-on", enabled=ready)
-    elif planning.drilled is not None and (after := wires.following(tab)) is not None:
-        said = texts.NEXT_WIRE.format(wire=texts.word(kind_of(after).wire.name))
-        action(said, partial(tab.choose_kind, after), testid="next-wire", kind="primary")
+    elif planning.drilled is not None and wires.following(tab) is not None:
+        wires.build_following(tab)
     elif state in (State.TARGETING.value, State.STOP.value) and held:
         _confirmed_action(tab, texts.ALIGN, texts.ALIGN_QUESTION, drilling.align, "align", enabled=ready)
     else:

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from sightline.app import texts
-from sightline.app.panels import markup
+from sightline.app.panels import markup, wires
 from sightline.app.panels.menu import save_report
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
 from sightline.app.plan.marks import CHECK_NAMES
@@ -59,9 +59,10 @@ def build_next(tab: Tab) -> None:
         enabled = bool(planning.all_drilled) and not jobs.working
         action(texts.TAKE_CHECK, take, testid="take-check", kind="primary", enabled=enabled)
     elif all(planning.seen(name) for name in CHECK_NAMES) and _missing(tab):
-        listed = tuple(spec for spec in planning.decisions.specs if spec.group == "landmark")
-        place = partial(tab.place, listed, CHECK_NAMES)
+        place = partial(tab.place, planning.landmarks, CHECK_NAMES)
         action(texts.PLACE_LANDMARKS, place, testid="place-check", kind="primary")
+    elif verifying.shot is not None and verifying.shot.passed and wires.following(tab) is not None:
+        wires.build_following(tab)
     else:
         save = tab.doing(lambda: save_report(tab))
         action(texts.REPORT, save, testid="save-report", kind="primary", enabled=verifying.shot is not None)
@@ -108,10 +109,9 @@ def _landmarks(tab: Tab) -> None:
 
 
 def _missing(tab: Tab) -> list[str]:
-    """Return the landmarks that are not found again."""
-    decisions = tab.planning.decisions
-    listed = (spec for spec in decisions.specs if spec.group == "landmark")
-    return [texts.word(spec.label) for spec in listed if not decisions.mark(spec.name).complete(CHECK_NAMES)]
+    """Return the landmarks of the plan that are not found again."""
+    mark = tab.planning.decisions.mark
+    return [texts.word(one.label) for one in tab.planning.landmarks if not mark(one.name).complete(CHECK_NAMES)]
 
 
 def _result(tab: Tab) -> None:

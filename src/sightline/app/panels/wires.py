@@ -88,3 +88,17 @@ def following(tab: Tab) -> str | None:
     order = () if planning.drilling_order is None else planning.drilling_order.keys
     kinds = [kind for key in order for kind in planning.kinds if kind_of(kind).wire.key == key]
     return next((kind for kind in kinds if kind not in planning.all_drilled), None)
+
+
+def build_following(tab: Tab) -> None:
+    """Build the button that leads to the wire to drill next."""
+    after = following(tab)
+    assert after is not None  # noqa: S101 - it is asked before
+
+    async def follow() -> None:
+        await tab.choose_kind(after)
+        if tab.step is not ProcedureStep.DRILL:
+            tab.go_to(ProcedureStep.DRILL)
+
+    said = texts.NEXT_WIRE.format(wire=texts.word(kind_of(after).wire.name))
+    action(said, follow, testid="next-wire", kind="primary")

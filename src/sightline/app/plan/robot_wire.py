@@ -19,7 +19,7 @@ ROBOT_WIRE = (
     MarkSpec(
         "robot-guide",
         "Robot's wire 1",
-        "Where the robot's own wire leaves its guide: the end that is farther from the bone.",
+        "Any point in the middle of the robot's own wire, 25 mm or more behind its tip.",
         "robot",
         "robot-wire",
     ),
@@ -29,18 +29,25 @@ ROBOT_WIRE = (
 
 def robot_wire_seen(decisions: Decisions, views: Sequence[CalibratedView]) -> SpacePoints | None:
     """Return a point of the robot's own wire and its tip as PA and lateral image show them; None where neither is
-    clicked. Raises RobotRefusedError where a click is missing or both images do not show the same points, and what
-    `reconstruct` raises."""
+    clicked.
+
+    Nothing on the wire tells the same point in both images, so the first click counts across the wire only: along it,
+    its error is the distance to the tip (1 s.d.). Raises RobotRefusedError where a click is missing or both images do
+    not show one tip, and what `reconstruct` raises.
+    """
     marks = [decisions.mark(spec.name) for spec in ROBOT_WIRE]
     if not any(mark.places for mark in marks):
         return None
     if not all(mark.complete() for mark in marks):
         raise RobotRefusedError(
-            "click both ends of the robot's wire in both images, or remove their marks: the robot is registered by all "
-            "four clicks, or by its encoders"
+            "click tip and middle of the robot's wire in both images, or remove their marks: the robot is registered "
+            "by all four clicks, or by its encoders"
         )
     uv = np.array([[mark.at(name) for mark in marks] for name in NAMES])
-    seen = reconstruct(views[: len(NAMES)], uv, np.broadcast_to(PICK_SD_PX**2 * np.eye(2), (*uv.shape, 2)))
-    if wrong := failed(seen.checks):  # point 1 is where it leaves its guide, point 2 its tip
+    spread = np.tile(PICK_SD_PX**2 * np.eye(2), (*uv.shape[:2], 1, 1))
+    for view, (point, tip) in enumerate(uv):
+        spread[view, 0] += np.outer(tip - point, tip - point)
+    seen = reconstruct(views[: len(NAMES)], uv, spread)
+    if wrong := failed(seen.checks):  # point 1 is on the wire, point 2 its tip
         raise RobotRefusedError(f"click the robot's wire again in both images: {wrong[0].sentence}")
     return seen

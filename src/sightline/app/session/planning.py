@@ -83,6 +83,12 @@ class Planning:
         left_out = ("aid",) if self.decisions.of_nail else ("aid", "robot")
         return tuple(one for one in self.specs if one.group not in left_out)
 
+    @property
+    def landmarks(self) -> tuple[MarkSpec, ...]:
+        """The landmarks of the plan: those that are placed in PA and lateral image, which later images find again."""
+        decisions = self.decisions
+        return tuple(one for one in decisions.specs if one.group == "landmark" and decisions.mark(one.name).complete())
+
     def seen(self, image: str) -> SeenImage | None:
         """Return the state of an image, by its name; None if there is none."""
         number = self.decisions.images.get(image)

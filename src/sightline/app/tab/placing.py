@@ -64,10 +64,10 @@ class Placing:
         planning = self._planning
         specs = planning.decisions.specs
         if step is ProcedureStep.VERIFY and planning.views(CHECK_NAMES) is not None:
-            return _goals([one for one in specs if one.group == "landmark"], CHECK_NAMES)
+            return _goals(planning.landmarks, CHECK_NAMES)
         if step is ProcedureStep.DRILL and self._shots.shown and planning.views(SHOT_NAMES) is not None:
             guide = GUIDE if self._shots.shown == ALIGNED else ()
-            return _goals([*guide, *(one for one in specs if one.group == "landmark")], SHOT_NAMES)
+            return _goals([*guide, *planning.landmarks], SHOT_NAMES)
         if step is ProcedureStep.PLAN and planning.planned is not None:
             pair = _goals(planning.asked, NAMES)
             third = [one for one in specs if one.group == "landmark" and OBLIQUE in planning.names]

@@ -427,7 +427,7 @@ CHANGED_SINCE_SENT = (
 CHANGED_AFTER_SENDING = "Send the plan again, or undo the change: it was changed after it was sent."
 OTHER_WIRE_HELD = "The robot holds the plan of the {wire}: choose that wire, or send the plan of this one."
 ROBOT_WIRE_HELPS = (
-    "{refused} Click both ends of the robot's wire in both images, on the step Plan: they register the robot more "
+    "{refused} Click tip and middle of the robot's wire in both images, on the step Plan: they register the robot more "
     "accurately than its encoders."
 )
 NO_DEPTH_LIMIT = (

@@ -1,0 +1,132 @@
+"""Both holes of a nail in a real browser: the simulated patient, from the images to the check shot of each hole."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+from tests.app.browser import Server
+from tests.app.hands import PATIENCE_MS, Hands
+
+from sightline.app.plan.decisions import Decisions
+from sightline.app.plan.marks import NAIL_EDGES
+from sightline.app.plan.robot_wire import ROBOT_WIRE
+from sightline.case.journal import Case, Kind
+from sightline.case.views import NAMES
+from sightline.frame import Frame
+from sightline.rehearsal.patient import NAILED
+from sightline.rehearsal.rehearsal import Rehearsal
+from sightline.robot.control.states import State
+from sightline.robot.link.simulated import SimulatedWire
+
+KEYS = ("distal", "proximal")
+ORDERS = (("align", State.ALIGNED), ("drill", State.PAUSED), ("drill-on", State.DONE))
+
+
+def _plan(hands: Hands, patient: Rehearsal, shoot) -> None:
+    """The nail that the page names, and the clicks in the order in which the page asks for them."""
+    asked = patient.asked(patient.generator("picks"), 0.5)[0]
+    nail, marks, wire_mm = asked.nail, asked.landmarks_uv_px, patient.robot_wire_mm
+    assert nail is not None and marks is not None and wire_mm is not None
+    hands.step("Plan")
+    expect(hands.see("kind")).to_contain_text("Interlocking holes")
+    told = hands.see("nail-implanted").inner_text()
+    named = re.fullmatch(r"The simulated patient has this nail: (.+)\.", told)
+    assert named is not None, told
+    hands.see("nail").click()
+    hands.page.get_by_role("option", name=f"Nail: {named[1]}", exact=True).click()
+    where = {spec.name: nail.strokes_px[:, n // 2, n % 2] for n, spec in enumerate(NAIL_EDGES)}
+    where |= {f"hole-{key}": nail.clicks_px[key] for key in KEYS}
+    uv_px = patient.pixels(wire_mm)
+    uv_px[1, 0] = 0.8 * uv_px[1, 0] + 0.2 * uv_px[1, 1]  # another point of the wire than in the first image
+    ends = zip(ROBOT_WIRE, uv_px.swapaxes(0, 1), strict=True)
+    where |= {spec.name: uv for spec, uv in ends}
+    for k, image in enumerate(NAMES):
+        for n, (name, uv) in enumerate(where.items(), 1):
+            expect(hands.see("instruction")).to_contain_text(f"{len(where) * k + n} of 24")
+            hands.place(name, image, tuple(uv[k]))
+    shoot(hands.page, "nail-walk-drawn")
+    for n, name in enumerate(asked.landmark_names):
+        hands.press(f"place-{name}")
+        for k, image in enumerate(NAMES):
+            hands.place(f"landmark-{name}", image, tuple(marks[k, n]))
+    expect(hands.see("verdict")).to_contain_text("Every check passed")
+    shoot(hands.page, "nail-walk-planned")
+
+
+def _drill(hands: Hands, shoot) -> str:
+    """Drill the chosen hole, retract, and return its key."""
+    chosen = hands.page.locator(".wires [aria-pressed=true]")
+    key = (chosen.get_attribute("data-testid") or "").removeprefix("wire-")
+    expect(hands.see("send")).to_be_enabled(timeout=PATIENCE_MS)
+    hands.press("send")
+    shoot(hands.page, f"nail-walk-send-{key}")
+    hands.press("send-yes")
+    for press, state in ORDERS:
+        expect(hands.see(press)).to_be_enabled(timeout=PATIENCE_MS)
+        hands.press(press)
+        shoot(hands.page, f"nail-walk-{press}-{key}")
+        hands.press(f"{press}-yes")
+        expect(hands.see("robot-state")).to_have_attribute("data-state", state.value, timeout=PATIENCE_MS)
+    _wait_for(hands, key, "drilled")
+    shoot(hands.page, f"nail-walk-drilled-{key}")
+    hands.press("retract")
+    hands.press("retract-yes")
+    expect(hands.see("robot-state")).to_have_attribute("data-state", State.PLANNING.value, timeout=PATIENCE_MS)
+    return key
+
+
+def _wait_for(hands: Hands, key: str, state: str) -> None:
+    expect(hands.see(f"wire-{key}")).to_contain_text(
+        re.compile(rf"(?<!NO-)(?<!NOT ){re.escape(state)}$"), timeout=PATIENCE_MS
+    )
+
+
+def _check(hands: Hands, patient: Rehearsal, folder: Path, shoot) -> None:
+    """Take the check shot of the newest hole, and find the landmarks again."""
+    hands.step("Verify")
+    hands.press("take-check")
+    with Case.open(folder, read_only=True) as case:
+        *before, newest = [SimulatedWire.of(one.content["simulated_wire"]) for one in case.entries(Kind.DRILLED)]
+    axes = {key: one.axis_mm for key, one in zip(KEYS, before, strict=False)}
+    key = KEYS[len(axes)]
+    true = patient.check_images(newest, key, axes)
+    for mark, name in zip(patient.landmark_keys, patient.landmarks, strict=True):
+        for view in NAMES:
+            at = true.setup.views[view].project(true.landmarks_mm[name][None])[0]
+            hands.place(f"landmark-{mark}", view, (float(at[0]), float(at[1])))
+    expect(hands.see("check-verdict")).to_contain_text("PASSED", timeout=PATIENCE_MS)
+    _wait_for(hands, key, "verified")
+    shoot(hands.page, f"nail-walk-checked-{key}")
+
+
+@pytest.mark.slow  # a server, a browser, and two holes drilled
+def test_both_holes_are_planned_drilled_and_checked_one_after_the_other(
+    serve: Callable[..., Server], open_page: Callable[..., Page], tmp_path: Path, shoot
+) -> None:
+    """Fails for a page that a person cannot follow by its buttons and instructions alone."""
+    folder = tmp_path / "case"
+    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet", "--fast-robot"]
+    server = serve(*command, "--case", str(folder), "--procedure", NAILED)
+    patient = Rehearsal.draw(2, Frame.load("block60"), procedure=NAILED)
+    hands = Hands(open_page(server.url))
+    hands.wait_for_step("Calibrate", "done")
+    hands.confirm()
+    shoot(hands.page, "nail-walk-images")
+    _plan(hands, patient, shoot)
+    hands.press("continue")
+    hands.press("start-robot")
+    expect(hands.see("robot-state")).to_be_visible(timeout=PATIENCE_MS)
+    assert _drill(hands, shoot) == KEYS[0]
+    _check(hands, patient, folder, shoot)
+    hands.press("next-wire")
+    expect(hands.see("step-drill")).to_have_attribute("aria-current", "step")
+    assert _drill(hands, shoot) == KEYS[1]
+    _check(hands, patient, folder, shoot)
+    hands.wait_for_step("Verify", "done")
+    shoot(hands.page, "nail-walk-done")
+    with Case.open(folder, read_only=True) as case:
+        sent = [Decisions.of(one.content["decisions"]).kind for one in case.entries(Kind.SENT)]
+        assert sent == [f"{NAILED}:{key}" for key in KEYS]
+        assert {one.content["registered_by"] for one in case.entries(Kind.SENT)} == {"images"}
