@@ -107,6 +107,23 @@ def test_pairs_of_one_column_are_left_out_alike(covariance, planar) -> None:
         np.testing.assert_allclose(getattr(one, name), getattr(pairs, name), rtol=1e-8)
 
 
+def test_every_tail_is_scored_as_a_column_of_its_own(points, covariance) -> None:
+    """Fails where a tail begins at another row, or where theta's part is not taken away."""
+    rng = np.random.default_rng(4)
+    data, pairs, order = rng.normal(size=(2 * N, 1)), rng.normal(size=(N, 2)), rng.permutation(N)
+    design, whole = both(np.column_stack([np.ones(N), points])), both(covariance)
+    first = np.array([0, 6, 17, N - 1])
+    found, sd = Kriging.of(design, whole, data).score_tails(pairs, order, first)
+    inverse = np.linalg.inv(whole)
+    fixed = inverse - inverse @ design @ np.linalg.solve(design.T @ inverse @ design, design.T @ inverse)
+    for k, begins in enumerate(first):
+        direction = np.zeros((N, 2))
+        direction[order[begins:]] = pairs[order[begins:]]
+        precision = direction.ravel() @ fixed @ direction.ravel()
+        assert found[k] == pytest.approx(direction.ravel() @ fixed @ data[:, 0] / precision, rel=1e-9)
+        assert sd[k] == pytest.approx(precision**-0.5, rel=1e-9)
+
+
 def test_the_diagonal_of_a_prediction(points, covariance, planar) -> None:
     made = Kriging.of(planar["design"], covariance, planar["data"])
     at = np.random.default_rng(3).uniform(-1, 1, (4, 2))

@@ -1,7 +1,7 @@
 """The beads of one view: image centres, coordinates in the frame, and the frame's errors there."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -64,18 +64,17 @@ class Beads:
         whole = self.frame.error_factor[self.frame.rows(self.view)]
         return whole.reshape(-1, 3, whole.shape[1])[self.rows].reshape(-1, whole.shape[1])
 
-    @cached_property
+    @property
     def frame_covariance(self) -> np.ndarray:
-        """(N, 3, N, 3) covariance of the beads' coordinates, mm²."""
-        return _view_covariance(self.frame, self.view).take(self.rows, 0).take(self.rows, 2)
+        """(3M, 3M) covariance, mm², of the coordinates of all M beads of the view, of which these are the `rows`."""
+        return _view_covariance(self.frame, self.view)
 
 
 @lru_cache(maxsize=16)
 def _view_covariance(frame: Frame, view: str) -> np.ndarray:
-    """Return the covariance (M, 3, M, 3) of all beads of a view, the same for every image of the frame."""
+    """Return the covariance (3M, 3M) of all beads of a view, the same for every image of the frame."""
     factor = frame.error_factor[frame.rows(view)]
-    n = len(factor) // 3
-    return (factor @ factor.T).reshape(n, 3, n, 3)
+    return factor @ factor.T
 
 
 def match(observations: Observations, frame: Frame, view: str | None) -> Beads:

@@ -105,11 +105,12 @@ def row_check(fit: JointFit) -> Check:
     between beads that follow each other in v, wherever at least `MIN_BESIDE_ROW` beads lie on either side.
     """
     uv, slopes = fit.beads.uv_px, fit.map.jacobian(fit.beads.uv_px)
-    order = np.sort(uv[:, 1])
-    rows = (order[MIN_BESIDE_ROW - 1 : -MIN_BESIDE_ROW] + order[MIN_BESIDE_ROW : len(order) - MIN_BESIDE_ROW + 1]) / 2
-    below = uv[:, 1, None] > rows
-    directions = np.concatenate([-slopes[:, :, k, None] * below[:, None] for k in range(2)], axis=2)
-    shifts_px, sds_px = fit.solution.score(directions.reshape(2 * len(uv), -1))
+    order = np.argsort(uv[:, 1])
+    v = uv[order, 1]
+    rows = (v[MIN_BESIDE_ROW - 1 : -MIN_BESIDE_ROW] + v[MIN_BESIDE_ROW : len(v) - MIN_BESIDE_ROW + 1]) / 2
+    below = np.searchsorted(v, rows, side="right")
+    scores = [fit.solution.score_tails(-slopes[:, :, k], order, below) for k in range(2)]
+    shifts_px, sds_px = (np.concatenate(one) for one in zip(*scores, strict=True))
     sigma = np.abs(shifts_px) / sds_px
     worst = int(sigma.argmax())
     largest, limit = float(sigma[worst]), float(np.sqrt(chdtri(1, CHI_SQUARE_FALSE_ALARM / len(sigma))))

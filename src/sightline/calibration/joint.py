@@ -22,11 +22,12 @@ import numpy as np
 from sightline.calibration.beads import Beads
 from sightline.calibration.polynomial import Affine, monomial_gradients, monomials, terms
 from sightline.calibration.posterior import LineErrors
-from sightline.calibration.prior import NOISE_SCALES_PX, Learned, PriorData, learn
+from sightline.calibration.prior import NOISE_SCALES_PX, Basis, Learned, PriorData, learn
 from sightline.calibration.projection import Pencil, refuse_misplaced
 from sightline.calibration.smooth import DEGREE, SmoothMap
 from sightline.calibration.well_conditioned import well_conditioned
 from sightline.errors import CalibrationRefusedError
+from sightline.fitting.dense import fast
 from sightline.fitting.kriging import Kriging, PlanarKriging
 from sightline.fitting.triangular import cholesky, least_squares, solve_lower
 
@@ -91,7 +92,7 @@ class JointFit:
         covariance = to_residual @ total @ to_residual.T + diagonal(
             pixel_noise_mm2(others, self.map.jacobian(others.uv_px), self.learned.noise_scale)
         )
-        covariance += _propagated(self.pencil.by_point(others.xyz_mm), others.frame_covariance)
+        covariance += _propagated(others, self.pencil.by_point(others.xyz_mm))
         own = np.einsum("iaib->iab", covariance.reshape(len(xy), 2, len(xy), 2))
         residual = xy - self.pencil.project(others.xyz_mm)
         return np.sqrt(np.einsum("ia,ia->i", residual, np.linalg.solve(own, residual[..., None])[..., 0]))
@@ -108,9 +109,10 @@ def fit_jointly(beads: Beads) -> JointFit:
     start = _Start.of(beads, _Start.of(beads, _first_pencil(beads)).pencil)
     data = _prior_data(beads, start)
     learned = learn(data, NOISE_SCALES_PX if beads.covariance_px2 is None else None)
-    kernel = learned.kernel(start.at, start.at)
+    kernel = learned.kernel.within(data.basis)
     pencil, plane_map = _isotropic_step(beads, start, data, learned, kernel)
-    return _weighted_step(beads, start.unit, learned, kernel, pencil, plane_map.jacobian(beads.uv_px))
+    slopes = plane_map.jacobian(beads.uv_px)
+    return _weighted_step(beads, start.unit, learned, data.basis, kernel, pencil, slopes)
 
 
 @well_conditioned()
@@ -120,9 +122,9 @@ def fit_jointly_from(last: JointFit, beads: Beads) -> JointFit:
     Raises CalibrationRefusedError.
     """
     unit, _ = Affine.fit(beads.uv_px, last.pencil.project(beads.xyz_mm))
-    at = unit(beads.uv_px)
-    kernel = last.learned.kernel(at, at)
-    return _weighted_step(beads, unit, last.learned, kernel, last.pencil, last.map.jacobian(beads.uv_px))
+    basis = Basis.of(unit(beads.uv_px))
+    kernel = last.learned.kernel.within(basis)
+    return _weighted_step(beads, unit, last.learned, basis, kernel, last.pencil, last.map.jacobian(beads.uv_px))
 
 
 def _isotropic_step(
@@ -133,25 +135,32 @@ def _isotropic_step(
     solution = PlanarKriging.of(covariance, data.data_mm, design=data.design, columns=data.shared)
     moved = Pencil(beads.plane, start.pencil.pq - np.append(solution.theta[-1], solution.shared))
     refuse_misplaced(moved, beads.xyz_mm)
-    return moved, SmoothMap(start.unit, learned.kernel, solution.theta[:-1], solution.dual, beads.uv_px)
+    return moved, SmoothMap(start.unit, learned.kernel, solution.theta[:-1], solution.dual, beads.uv_px, data.basis)
 
 
 def _weighted_step(  # noqa: PLR0917
-    beads: Beads, unit: Affine, learned: Learned, kernel: np.ndarray, pencil: Pencil, slopes: np.ndarray
+    beads: Beads,
+    unit: Affine,
+    learned: Learned,
+    basis: Basis,
+    kernel: np.ndarray,
+    pencil: Pencil,
+    slopes: np.ndarray,
 ) -> JointFit:
     """Make one Gauss-Newton step with full weights; a second changes the result negligibly (tests)."""
     y, by_pq = pencil.linearised(beads.xyz_mm)
     noise = pixel_noise_mm2(beads, slopes, learned.noise_scale)
     jacobian = pencil.by_point(beads.xyz_mm)
-    covariance = twice(kernel) + diagonal(noise) + _propagated(jacobian, beads.frame_covariance)
-    basis = monomials(unit(beads.uv_px), DEGREE)
-    design = np.concatenate([twice(basis), -by_pq.reshape(-1, 3)], axis=1)
+    covariance = _propagated(beads, jacobian)
+    covariance += diagonal(noise)
+    covariance += twice(kernel)
+    design = np.concatenate([twice(basis.monomials[:, :_CUBIC]), -by_pq.reshape(-1, 3)], axis=1)
     solution = Kriging.of(design, covariance, y.reshape(-1, 1))
     theta = solution.theta[:, 0]
     moved = Pencil(beads.plane, pencil.pq + theta[-3:])
     refuse_misplaced(moved, beads.xyz_mm)
     plane_map = SmoothMap(
-        unit, learned.kernel, theta[:-3].reshape(_CUBIC, 2), solution.dual.reshape(-1, 2), beads.uv_px
+        unit, learned.kernel, theta[:-3].reshape(_CUBIC, 2), solution.dual.reshape(-1, 2), beads.uv_px, basis
     )
     return JointFit(beads, moved, plane_map, learned, solution, y.reshape(-1), noise, jacobian)
 
@@ -221,7 +230,7 @@ def _prior_data(beads: Beads, start: _Start) -> PriorData:
     own = np.einsum("iab,ibc,iac->i", slopes, _noise_px2(beads), slopes) / 2
     frame_mm2 = _frame_variance(beads, start.pencil.by_point(beads.xyz_mm), start.fixed())
     common = np.column_stack([start.basis, by_pq[:, 0, 0]])
-    return PriorData(start.at, common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
+    return PriorData(Basis.of(start.at), common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
 
 
 def _frame_variance(beads: Beads, jacobian: np.ndarray, fixed: np.ndarray) -> float:
@@ -229,11 +238,9 @@ def _frame_variance(beads: Beads, jacobian: np.ndarray, fixed: np.ndarray) -> fl
 
     Errors within that subspace are absorbed by the cubic and F, and do not affect the estimate of the kernel.
     """
-    n = len(beads)
-    total = np.einsum("iab,ibic,iac->", jacobian, beads.frame_covariance, jacobian)
-    projected = (np.swapaxes(jacobian, 1, 2) @ fixed.T.reshape(n, 2, -1)).reshape(3 * n, -1)
-    absorbed = np.sum((beads.frame_covariance.reshape(3 * n, 3 * n) @ projected) * projected)
-    return max(float(total - absorbed), 0.0) / max(fixed.shape[1] - fixed.shape[0], 1)
+    covariance = _propagated(beads, jacobian)
+    absorbed = np.sum((fixed @ covariance) * fixed)
+    return max(float(covariance.trace() - absorbed), 0.0) / max(fixed.shape[1] - fixed.shape[0], 1)
 
 
 def _noise_px2(beads: Beads) -> np.ndarray:
@@ -256,11 +263,30 @@ def diagonal(blocks: np.ndarray) -> np.ndarray:
     return out.reshape(2 * n, 2 * n)
 
 
-def _propagated(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return (2N, 2N): J cov J^T for J (N, 2, 3) and cov (N, 3, N, 3)."""
-    n = len(jacobian)
-    half = (jacobian @ covariance.reshape(n, 3, 3 * n)).reshape(2 * n, 3 * n)
-    return (jacobian @ np.ascontiguousarray(half.T).reshape(n, 3, 2 * n)).reshape(2 * n, 2 * n)
+def _propagated(beads: Beads, jacobian: np.ndarray) -> np.ndarray:
+    """Return the covariance (2N, 2N), mm², of J x for the errors x of the beads in the frame, and J (N, 2, 3)."""
+    out = np.empty((2 * len(beads), 2 * len(beads)))
+    _fill_propagated(beads.frame_covariance, beads.rows, np.ascontiguousarray(jacobian), out)
+    return out
+
+
+@fast
+def _fill_propagated(covariance, rows, jacobian, out):
+    """Fill `out` from the covariance (3M, 3M) of all beads of the view, of which the rows, in order, are used."""
+    half = np.empty((2, len(covariance)))
+    for i in range(len(rows)):
+        first = 3 * rows[i]
+        for a in range(2):
+            x, y, z = jacobian[i, a, 0], jacobian[i, a, 1], jacobian[i, a, 2]
+            for k in range(first + 3):
+                half[a, k] = x * covariance[first, k] + y * covariance[first + 1, k] + z * covariance[first + 2, k]
+        for j in range(i + 1):
+            k = 3 * rows[j]
+            for a in range(2):
+                for c in range(2):
+                    value = half[a, k] * jacobian[j, c, 0] + half[a, k + 1] * jacobian[j, c, 1]
+                    value += half[a, k + 2] * jacobian[j, c, 2]
+                    out[2 * i + a, 2 * j + c] = out[2 * j + c, 2 * i + a] = value
 
 
 def twice(matrix: np.ndarray) -> np.ndarray:

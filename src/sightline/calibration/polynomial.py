@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
+from numba import njit
 
 from sightline.calibration.inverse import Inverse
 from sightline.errors import CalibrationRefusedError, UnusableInputError
@@ -39,8 +40,22 @@ def terms(degree: int) -> int:
 
 def monomials(xy: np.ndarray, degree: int) -> np.ndarray:
     """Return (N, terms): x^i y^j with i + j <= degree, by increasing degree."""
-    (x, y), (i, j) = _powers(xy, degree), _exponents(degree)
-    return x.take(i, axis=1) * y.take(j, axis=1)
+    out = np.empty((len(xy), terms(degree)))
+    _fill_monomials(np.asarray(xy, dtype=np.float64), degree, out)
+    return out
+
+
+@njit(cache=True)
+def _fill_monomials(xy, degree, out):
+    x, y = np.ones(degree + 1), np.ones(degree + 1)
+    for n in range(len(out)):
+        for k in range(degree):
+            x[k + 1], y[k + 1] = x[k] * xy[n, 0], y[k] * xy[n, 1]
+        term = 0
+        for total in range(degree + 1):
+            for j in range(total + 1):
+                out[n, term] = x[total - j] * y[j]
+                term += 1
 
 
 def monomial_gradients(xy: np.ndarray, degree: int) -> np.ndarray:
@@ -65,14 +80,6 @@ def derivatives(degree: int) -> tuple[np.ndarray, np.ndarray]:
 def _exponents(degree: int) -> np.ndarray:
     """Return (2, terms): i and j of `monomials`."""
     return np.array([(d - j, j) for d in range(degree + 1) for j in range(d + 1)]).T
-
-
-def _powers(xy: np.ndarray, degree: int) -> np.ndarray:
-    """Return (2, N, degree + 1): powers of x and of y from 0."""
-    out = np.ones((2, len(xy), degree + 1))
-    for k in range(degree):
-        np.multiply(out[:, :, k], xy.T, out=out[:, :, k + 1])
-    return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ the average over the grid. The covariance thus contains the uncertainty of ampli
 hyper-prior decides. Lengths are in unit coordinates (1 = radius of the region of the controls).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from heapq import heappop, heappush
@@ -15,8 +15,9 @@ from heapq import heappop, heappush
 import numpy as np
 
 from sightline.calibration.polynomial import monomials
+from sightline.fitting.dense import factor, fast
 from sightline.fitting.kernels import squared_distances, squared_exponential
-from sightline.fitting.triangular import cholesky, solve_lower
+from sightline.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
 
 # Grid and hyper-prior [ours]: chosen on real plates and the twin together, where results depend little on them
 # (docs/choosing-a-method.md). Amplitude: expected rms beyond a cubic, in radii of the region.
@@ -31,6 +32,31 @@ MAX_LOG_RATIO = 15.0  # smaller weights, exp(-this) of the largest, change no di
 # Where no noise is stated: centres picked by hand have errors of 0.1 to 1 px [ours]; log-normal.
 NOISE_SCALES_PX = np.geomspace(0.03, 3.0, 9)
 NOISE_MEDIAN_PX, NOISE_SPREAD = 0.3, 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """What covariances between N points have in common, whatever their amplitudes.
+
+    `monomials` (N, 21) to degree 5; `quintic` (N, 11): the polynomials of degree 4 and 5; `rough`: (N, N) for each of
+    LENGTHS.
+    """
+
+    monomials: np.ndarray
+    quintic: np.ndarray
+    rough: Mapping[float, np.ndarray]
+
+    @staticmethod
+    def of(unit_xy: np.ndarray) -> "Basis":
+        """Return the basis at unit coordinates (N, 2)."""
+        whole, d2 = monomials(unit_xy, QUINTIC), squared_distances(unit_xy, unit_xy)
+        rough = {length: squared_exponential(d2, length) for length in LENGTHS.tolist()}
+        return Basis(whole, whole @ _quintics(), rough)
+
+    def shapes(self) -> list[np.ndarray]:
+        """Return the covariance (N, N) of unit amplitude for each of LENGTHS."""
+        quintic = QUINTIC_SHARE * self.quintic @ self.quintic.T
+        return [quintic + (1 - QUINTIC_SHARE) / _beyond_cubic(length) * one for length, one in self.rough.items()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +83,13 @@ class Kernel:
         out = self.quintic_mm2 * of_a @ of_b.T
         for variance, length in zip(self.variances_mm2, self.lengths, strict=True):
             out += variance * squared_exponential(d2, length)
+        return out
+
+    def within(self, basis: Basis) -> np.ndarray:
+        """Return (N, N), mm², for the points of a basis."""
+        out = self.quintic_mm2 * basis.quintic @ basis.quintic.T
+        for variance, length in zip(self.variances_mm2.tolist(), self.lengths.tolist(), strict=True):
+            out += variance * basis.rough[length]
         return out
 
     def quintic_of(self, b: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -94,12 +127,12 @@ def _beyond_cubic(length: float) -> float:
 class PriorData:
     """Data from which the prior is learned: isotropic noise for each of N beads.
 
-    `unit_xy` (N, 2); `design` (N, a), the same columns for x and y; `shared` (N, 2, s): columns of parameters that
-    act on both coordinates; `data_mm` (N, 2); `noise_mm2` (N,): variance of one coordinate; `frame_mm2`: variance that
-    the frame's errors add to each; `radius_mm`: length of one unit.
+    `basis`: of the beads' unit coordinates; `design` (N, a), the same columns for x and y; `shared` (N, 2, s): columns
+    of parameters that act on both coordinates; `data_mm` (N, 2); `noise_mm2` (N,): variance of one coordinate;
+    `frame_mm2`: variance that the frame's errors add to each; `radius_mm`: length of one unit.
     """
 
-    unit_xy: np.ndarray
+    basis: Basis
     design: np.ndarray
     shared: np.ndarray
     data_mm: np.ndarray
@@ -122,17 +155,24 @@ def learn(data: PriorData, noise_scales: np.ndarray | None = None) -> Learned:
     `noise_scales`: grid of the noise's standard deviation, px, where it is unknown; `noise_mm2` is then that of 1 px.
     """
     scales = np.ones(1) if noise_scales is None else noise_scales
-    shapes = _shapes(data.unit_xy)
-    right = np.concatenate([data.design, data.data_mm, data.shared.reshape(len(data.data_mm), -1)], axis=1)
+    shapes = data.basis.shapes()
+    # The evidence does not depend on the design's share of the data, but its rounding errors grow with that.
+    r = cholesky(data.design.T @ data.design)
+    rest = data.data_mm - data.design @ solve_lower_transposed(r, solve_lower(r, data.design.T @ data.data_mm))
+    columns = [data.design, rest, np.swapaxes(data.shared, 1, 2).reshape(len(rest), -1)]
+    rows = np.ascontiguousarray(np.concatenate(columns, axis=1).T)
     hyper = -0.5 * (np.log(LENGTHS / LENGTH_MEDIAN) / LENGTH_SPREAD)[:, None, None] ** 2
     hyper = hyper - 0.5 * (np.log(AMPLITUDES / AMPLITUDE_MEDIAN) / AMPLITUDE_SPREAD)[:, None] ** 2
     hyper = hyper - (0 if noise_scales is None else 0.5 * (np.log(scales / NOISE_MEDIAN_PX) / NOISE_SPREAD) ** 2)
 
     def score(at: tuple[int, ...]) -> float:
         i, j, k = at
-        covariance = (AMPLITUDES[j] * data.radius_mm) ** 2 * shapes[i]
-        covariance.flat[:: len(right) + 1] += scales[k] ** 2 * data.noise_mm2 + data.frame_mm2
-        return _log_evidence(covariance, right, data.design.shape[1]) + hyper[at]
+        diagonal = scales[k] ** 2 * data.noise_mm2 + data.frame_mm2
+        amplitude2 = float(AMPLITUDES[j] * data.radius_mm) ** 2
+        evidence = _log_evidence(shapes[i], amplitude2, diagonal, rows, data.design.shape[1])
+        if np.isnan(evidence):
+            raise np.linalg.LinAlgError("a matrix is not positive definite")
+        return evidence + hyper[at]
 
     weight = _weights(score, hyper)
     squares = weight.sum(axis=2) @ (AMPLITUDES * data.radius_mm) ** 2
@@ -162,30 +202,73 @@ def _weights(score: Callable[[tuple[int, ...]], float], hyper: np.ndarray) -> np
     return weight / weight.sum()
 
 
-def _shapes(unit_xy: np.ndarray) -> list[np.ndarray]:
-    """Return the covariance (N, N) of unit amplitude for each of LENGTHS."""
-    d2 = squared_distances(unit_xy, unit_xy)
-    features = monomials(unit_xy, QUINTIC) @ _quintics()
-    quintic = QUINTIC_SHARE * features @ features.T
-    return [
-        quintic + (1 - QUINTIC_SHARE) / _beyond_cubic(length) * squared_exponential(d2, length) for length in LENGTHS
-    ]
+@fast
+def _log_evidence(shape, amplitude2, diagonal, rows, a):
+    """Return the REML log-likelihood up to a constant for covariance amplitude2 * shape + diag(diagonal), or NaN.
+
+    `rows` (m, N): design (a), data x and y, shared x, y, x, y ... It is NaN where a matrix is not positive definite.
+    """
+    n = len(diagonal)
+    lower, gram = np.empty((n, n)), np.empty((len(rows), len(rows)))
+    for i in range(n):
+        for j in range(i):
+            lower[i, j] = amplitude2 * shape[i, j]
+        lower[i, i] = amplitude2 * shape[i, i] + diagonal[i]
+    if not factor(n, lower):
+        return np.nan
+    _fill_gram(rows, lower, gram)
+    if not factor(a, gram):
+        return np.nan
+    both = _without_design(gram, a)
+    if not factor(len(both), both):
+        return np.nan
+    log_det = 0.0
+    for i in range(n):
+        log_det += 4 * np.log(lower[i, i])
+    for k in range(a):
+        log_det += 4 * np.log(gram[k, k])
+    for k in range(len(both) - 1):
+        log_det += 2 * np.log(both[k, k])
+    return -0.5 * (log_det + both[-1, -1] ** 2)
 
 
-def _log_evidence(covariance: np.ndarray, right: np.ndarray, a: int) -> float:
-    """Return the REML log-likelihood up to a constant; `right` = [design (a), data x and y, shared x, y, x, y ...]."""
-    factor = cholesky(covariance)
-    white = solve_lower(factor, right)
-    gram = white.T @ white
-    r = cholesky(gram[:a, :a])
-    fixed = solve_lower(r, gram[:a, a:])
-    rest = gram[a:, a:] - fixed.T @ fixed  # inner products of data and shared columns, orthogonal to the design
-    x, y = rest[0::2, 0::2], rest[1::2, 1::2]
-    both = x + y
-    log_det = 2 * (np.log(factor.diagonal()).sum() + np.log(r.diagonal()).sum()) * 2
-    misfit = both[0, 0]
-    if len(both) > 1:
-        shared = cholesky(both[1:, 1:])
-        misfit -= (solve_lower(shared, both[1:, :1]) ** 2).sum()
-        log_det += 2 * np.log(shared.diagonal()).sum()
-    return -0.5 * (log_det + misfit)
+@fast
+def _fill_gram(rows, lower, gram):
+    """Fill the lower triangle of `gram` (m, m): the inner products of the rows (m, N) times lower^-1."""
+    white = np.empty(rows.shape)
+    for r in range(len(rows)):
+        for i in range(len(lower)):
+            value = rows[r, i]
+            for k in range(i):
+                value -= lower[i, k] * white[r, k]
+            white[r, i] = value / lower[i, i]
+        for c in range(r + 1):
+            value = 0.0
+            for k in range(len(lower)):
+                value += white[r, k] * white[c, k]
+            gram[r, c] = value
+
+
+@fast
+def _without_design(gram, a):
+    """Return the inner products (1 + s, 1 + s) of the shared columns and, last, of the data, orthogonal to the design.
+
+    They are those of x and of y together. The Cholesky factor of the design is in the first `a` rows of `gram`. Of both
+    matrices only the lower triangles are used. The result's last pivot is what the shared columns leave of the data.
+    """
+    m = len(gram)
+    for r in range(a, m):
+        for k in range(a):
+            for j in range(k):
+                gram[r, k] -= gram[r, j] * gram[k, j]
+            gram[r, k] /= gram[k, k]
+        for c in range(a, r + 1):
+            for k in range(a):
+                gram[r, c] -= gram[r, k] * gram[c, k]
+    size = (m - a) // 2
+    both = np.empty((size, size))
+    for r in range(size):
+        for c in range(r + 1):
+            i, j = a + 2 * (size - 1 - c), a + 2 * (size - 1 - r)
+            both[r, c] = gram[i, j] + gram[i + 1, j + 1]
+    return both

@@ -7,7 +7,7 @@ import numpy as np
 
 from sightline.calibration.inverse import Inverse
 from sightline.calibration.polynomial import Affine, derivatives, monomial_gradients, monomials, terms
-from sightline.calibration.prior import NOISE_SCALES_PX, QUINTIC, Kernel, PriorData, learn
+from sightline.calibration.prior import NOISE_SCALES_PX, QUINTIC, Basis, Kernel, PriorData, learn
 from sightline.calibration.well_conditioned import well_conditioned
 from sightline.errors import CalibrationRefusedError
 from sightline.fitting.kriging import Kriging
@@ -22,13 +22,17 @@ BLOCK = 2**20  # kernel values held at once: 8 MB [ours]
 
 @dataclass(frozen=True, eq=False)
 class SmoothMap:
-    """`cubic` (10, 2) on normalised pixels plus kernel(., controls) @ `dual` (N, 2), mm."""
+    """`cubic` (10, 2) on normalised pixels plus kernel(., controls) @ `dual` (N, 2), mm.
+
+    `basis`: of the controls' unit coordinates, None where nobody computed it.
+    """
 
     unit: Affine
     kernel: Kernel
     cubic: np.ndarray
     dual: np.ndarray
     controls_px: np.ndarray
+    basis: Basis | None
 
     @cached_property
     def controls_unit(self) -> np.ndarray:
@@ -52,14 +56,20 @@ class SmoothMap:
     @cached_property
     def _at_controls(self) -> tuple[np.ndarray, np.ndarray]:
         """`linearised` at the controls, read-only: residuals, checks and the inverse map ask for it."""
-        xy, jacobian = self._linearised(self.controls_px)
+        if self.basis is None:
+            xy, jacobian = self._linearised(self.controls_px)
+        else:
+            rough = np.hstack([self.basis.rough[length] for length in self.kernel.lengths.tolist()])
+            xy, jacobian = self._of_terms(self._sums(self.basis.monomials, rough), self.controls_unit)
         xy.flags.writeable = jacobian.flags.writeable = False
         return xy, jacobian
 
     def _linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         blocks = self._blocks(uv_px)
         terms = [self._terms(at) for at in blocks]
-        terms, at = (one[0] if len(blocks) == 1 else np.concatenate(one) for one in (terms, blocks))
+        return self._of_terms(*(one[0] if len(blocks) == 1 else np.concatenate(one) for one in (terms, blocks)))
+
+    def _of_terms(self, terms: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         by_unit = terms[:, 2:6].reshape(-1, 2, 2) - terms[:, 6:, None] * at[:, None, :]
         return terms[:, :2], (by_unit.reshape(-1, 2) @ self.unit.matrix).reshape(-1, 2, 2)
 
@@ -74,7 +84,11 @@ class SmoothMap:
         np.einsum("ni,ni->n", at, at, out=factors[:, 2])
         rough = factors @ self._exponents
         np.exp(rough, out=rough)
-        return monomials(at, QUINTIC) @ self._polynomial + rough @ self._rough
+        return self._sums(monomials(at, QUINTIC), rough)
+
+    def _sums(self, whole: np.ndarray, rough: np.ndarray) -> np.ndarray:
+        """Return `_terms` from monomials (N, 21) and exponentials (N, lengths * controls)."""
+        return whole @ self._polynomial + rough @ self._rough
 
     @cached_property
     def _exponents(self) -> np.ndarray:
@@ -148,11 +162,13 @@ class FittedSmoothMap(SmoothMap):
         per_px2 = 0.5 * (slopes**2).sum(axis=(1, 2))
         some = np.arange(n) if n <= LEARN_FROM else np.random.default_rng(0).permutation(n)[:LEARN_FROM]
         noise = per_px2 if noise_px is None else per_px2 * noise_px**2
-        data = PriorData(at[some], design[some], np.zeros((len(some), 2, 0)), xy_mm[some], noise[some], 0.0, radius)
+        data = PriorData(
+            Basis.of(at[some]), design[some], np.zeros((len(some), 2, 0)), xy_mm[some], noise[some], 0.0, radius
+        )
         learned = learn(data, NOISE_SCALES_PX if noise_px is None else None)
         covariance = learned.kernel(at, at) + np.diag(learned.noise_scale**2 * noise)
         solution = Kriging.of(design, covariance, xy_mm)
-        return FittedSmoothMap(unit, learned.kernel, solution.theta, solution.dual, uv_px, solution)
+        return FittedSmoothMap(unit, learned.kernel, solution.theta, solution.dual, uv_px, None, solution)
 
     def covariance_mm2(self, uv_px: np.ndarray) -> np.ndarray:
         """Return the posterior covariance (N, N), mm², of one plane coordinate at pixels (N, 2).

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from sightline.fitting.dense import fast
 from sightline.fitting.triangular import cholesky, inverse_lower, solve_lower, solve_lower_transposed
 
 
@@ -69,13 +70,18 @@ class Kriging:
         """(m, n): r^-1 white^T."""
         return solve_lower(self.r, self.white.T)
 
+    @cached_property
+    def _back(self) -> np.ndarray:
+        """(m, n): `_fixed` factor^-1, so that P = factor^-T factor^-1 - back^T back (see `left_out`)."""
+        return self._fixed @ self._inverse
+
     def predict(self, design: np.ndarray, cross: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the weights (k, n) of the data in the prediction of design theta + g, and its covariance (k, k).
 
         `design` (k, m), `cross` (k, n) = cov(g, data) and `prior` (k, k) = cov(g), with g at the predicted points.
         """
         back, slope = self._halves(design, cross)
-        weights = (back + slope @ self._fixed) @ self._inverse
+        weights = back @ self._inverse + slope @ self._back
         return weights, prior - back @ back.T + slope @ slope.T
 
     def variances(self, cross: np.ndarray, prior: np.ndarray, design: np.ndarray) -> np.ndarray:
@@ -88,29 +94,26 @@ class Kriging:
         back = cross @ self._inverse.T
         return back, solve_lower(self.r, (design - back @ self.white).T).T
 
-    def score(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the least-squares coefficient (k,) of each direction (n, k) in the data, and its s.d. (k,).
+    def score_tails(self, pairs: np.ndarray, order: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least-squares coefficient (k,) of each direction in the data (2N, 1), and its s.d. (k,).
 
-        Each direction is fitted on its own, together with theta and g.
+        A direction is `pairs` (N, 2) in the pairs of rows `order`[first[k]:], and zero in the others. Each is fitted on
+        its own, together with theta and g.
         """
-        white = solve_lower(self.factor, directions)
-        fixed = solve_lower(self.r, self.white.T @ white)
-        precision = (white**2).sum(axis=0) - (fixed**2).sum(axis=0)
-        return directions.T @ self.dual[:, 0] / precision, 1.0 / np.sqrt(precision)
+        along = np.cumsum((pairs * self.dual.reshape(-1, 2)).sum(axis=1)[order[::-1]])[::-1]
+        precision = _tail_precisions(self._inverse.T, self._back.T.copy(), pairs, order)
+        return along[first] / precision[first], 1.0 / np.sqrt(precision[first])
 
     def left_out(self) -> LeftOut:
         """Return the leave-one-out residuals of each pair of the data (2N, 1).
 
         They follow from the diagonal blocks of P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1.
         """
-        pairs = (part.T.reshape(len(self.dual) // 2, 2, -1) for part in (self._inverse, self._fixed @ self._inverse))
-        whole, taken = (_products(pair) for pair in pairs)
-        return LeftOut.of(whole - taken, self.dual.reshape(-1, 2))
+        return LeftOut.of(_pair_precisions(self._inverse.T, self._back.T.copy()), self.dual.reshape(-1, 2))
 
     def precision(self) -> np.ndarray:
         """Return the diagonal (n,) of P: the inverse variances of the leave-one-out residuals of single numbers."""
-        fixed = self._fixed @ self._inverse
-        return (self._inverse**2).sum(axis=0) - (fixed**2).sum(axis=0)
+        return (self._inverse**2).sum(axis=0) - (self._back**2).sum(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,3 +178,36 @@ def _products(pairs: np.ndarray) -> np.ndarray:
     """Return the inner products xx, xy and yy (3, N) of pairs of vectors (N, 2, k)."""
     x, y = pairs[:, 0], pairs[:, 1]
     return np.stack([np.einsum("nk,nk->n", a, b) for a, b in ((x, x), (x, y), (y, y))])
+
+
+@fast
+def _tail_precisions(inverse, back, pairs, order):
+    """Return d^T P d (N,) of the directions d = pairs[order[k:]]; `inverse` (n, n) and `back` (n, m): transposed."""
+    white, fixed, out = np.zeros(inverse.shape[1]), np.zeros(back.shape[1]), np.empty(len(order))
+    for k in range(len(order) - 1, -1, -1):
+        i, total = order[k], 0.0
+        x, y = pairs[i, 0], pairs[i, 1]
+        for n in range(len(white)):
+            white[n] += x * inverse[2 * i, n] + y * inverse[2 * i + 1, n]
+            total += white[n] ** 2
+        for n in range(len(fixed)):
+            fixed[n] += x * back[2 * i, n] + y * back[2 * i + 1, n]
+            total -= fixed[n] ** 2
+        out[k] = total
+    return out
+
+
+@fast
+def _pair_precisions(inverse, back):
+    """Return entries xx, xy and yy (3, N) of the diagonal blocks of P; arguments as for `_tail_precisions`."""
+    out = np.zeros((3, len(inverse) // 2))
+    for i in range(out.shape[1]):
+        xx = xy = yy = 0.0
+        for n in range(2 * i, inverse.shape[1]):
+            x, y = inverse[2 * i, n], inverse[2 * i + 1, n]
+            xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
+        for n in range(back.shape[1]):
+            x, y = back[2 * i, n], back[2 * i + 1, n]
+            xx, xy, yy = xx - x * x, xy - x * y, yy - y * y
+        out[0, i], out[1, i], out[2, i] = xx, xy, yy
+    return out

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sightline.detection.compiled import exact_unchecked, fast
+from sightline.fitting.dense import factor
 from sightline.fitting.robust import MEDIAN_M2
 
 MIN_BEADS = 8  # of each plate [ours]
@@ -77,32 +78,16 @@ class _Work(NamedTuple):
 
 
 @fast
-def _factor(n, matrix, inverse):
-    """Replace the first n rows of a matrix by its Cholesky factor, and fill `inverse` with that of the factor.
-
-    Of all only the lower triangles are used. Return whether the matrix is positive definite.
-    """
-    for j in range(n):
-        own = matrix[j, j]
-        for k in range(j):
-            own -= matrix[j, k] * matrix[j, k]
-        if not own > 0.0:
-            return False
-        matrix[j, j] = np.sqrt(own)
-        for i in range(j + 1, n):
-            other = matrix[i, j]
-            for k in range(j):
-                other -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = other / matrix[j, j]
+def _inverse(n, lower, out):
+    """Fill the lower triangle of `out` with the inverse of the first n rows of a lower triangular matrix."""
     for i in range(n):
         for j in range(i):
-            inverse[i, j] = 0.0
+            out[i, j] = 0.0
         for k in range(i):
-            f = matrix[i, k] / matrix[i, i]
+            f = lower[i, k] / lower[i, i]
             for j in range(k + 1):
-                inverse[i, j] -= f * inverse[k, j]
-        inverse[i, i] = 1.0 / matrix[i, i]
-    return True
+                out[i, j] -= f * out[k, j]
+        out[i, i] = 1.0 / lower[i, i]
 
 
 @fast
@@ -182,21 +167,22 @@ def _fewest(on, places):
 
 
 @fast
-def _solve(beads, spots, places, fit, factor, work):  # noqa: PLR0917 - a kernel
+def _solve(beads, spots, places, fit, growth, work):  # noqa: PLR0917 - a kernel
     """Fill `matrix`, `inverse`, `right` and `solved` of `work`; return whether V is positive definite."""
     kernel, xyh, focal, right = spots.kernel, places.xyh, fit.focal, work.right
     for i in range(len(beads)):
         row, p = beads[i, 0], beads[i, 1]
         for j in range(i):
             work.matrix[i, j] = kernel[row, beads[j, 0]]
-        work.matrix[i, i] = kernel[row, row] + factor * spots.noise[row]
+        work.matrix[i, i] = kernel[row, row] + growth * spots.noise[row]
         share = xyh[p, 2] / (xyh[p, 2] - focal[2])
         right[2, i] = places.focal_sd * share
         for c in range(2):
             right[c, i] = fit.target[p, c] - spots.w[row, c]
             right[3 + c, i] = places.focal_sd * share * (focal[c] - xyh[p, c]) / (xyh[p, 2] - focal[2])
-    if not _factor(len(beads), work.matrix, work.inverse):
+    if not factor(len(beads), work.matrix):
         return False
+    _inverse(len(beads), work.matrix, work.inverse)
     for r in range(5):
         for j in range(len(beads)):
             work.solved[r, j] = 0.0
@@ -260,7 +246,7 @@ def _leave_out(beads, fit, work):
 
 
 @fast
-def _predict(n, spots, beads, factor, fit, work):  # noqa: PLR0917 - a kernel
+def _predict(n, spots, beads, growth, fit, work):  # noqa: PLR0917 - a kernel
     """Fill place and variance of detection `n`, which is not a bead."""
     solved, cross, sums = work.solved, work.matrix[0], np.zeros(5)  # V's factor is not needed any more
     for j in range(len(beads)):
@@ -268,7 +254,7 @@ def _predict(n, spots, beads, factor, fit, work):  # noqa: PLR0917 - a kernel
     for r in range(5):
         for j in range(len(beads)):
             sums[r] += cross[j] * solved[r, j]
-    variance = spots.kernel[n, n] + factor * spots.noise[n]
+    variance = spots.kernel[n, n] + growth * spots.noise[n]
     for i in range(len(beads)):
         back = 0.0
         for j in range(i + 1):
@@ -283,7 +269,7 @@ def _predict(n, spots, beads, factor, fit, work):  # noqa: PLR0917 - a kernel
 
 
 @fast
-def _step(on, spots, places, fit, factor, work):  # noqa: PLR0917 - a kernel
+def _step(on, spots, places, fit, growth, work):  # noqa: PLR0917 - a kernel
     """Replace the fit by that of the beads `on` (N,) after one Gauss-Newton step; return their number, or 0.
 
     0 where their covariance is not positive definite.
@@ -293,13 +279,13 @@ def _step(on, spots, places, fit, factor, work):  # noqa: PLR0917 - a kernel
     for i in range(len(rows)):
         beads[i, 0], beads[i, 1] = rows[i], on[rows[i]]
     _project(places, fit.focal, fit.target)
-    if not _solve(beads, spots, places, fit, factor, work):
+    if not _solve(beads, spots, places, fit, growth, work):
         return 0
     _move(len(beads), places, fit, work)
     _leave_out(beads, fit, work)
     for n in range(len(on)):
         if on[n] < 0:
-            _predict(n, spots, beads, factor, fit, work)
+            _predict(n, spots, beads, growth, fit, work)
     return len(beads)
 
 
@@ -312,20 +298,20 @@ def settle(spots, places, focal, on):
     n = len(on)
     fit = Fitted(focal.copy(), np.empty((n, 2)), np.empty(n), np.empty((len(places.xyh), 2)), np.empty((n, 2)))
     work = _Work(np.empty((n, n)), np.empty((n, n)), np.empty((5, n)), np.empty((5, n)), np.empty((3, 3)), np.empty(n))
-    new, factor = on.copy(), 1.0
+    new, growth = on.copy(), 1.0
     for iteration in range(MAX_FITS if _sees(places, focal) else 0):
-        count, before = _step(on, spots, places, fit, factor, work), factor
+        count, before = _step(on, spots, places, fit, growth, work), growth
         if count == 0:
             break
         if iteration < NOISE_FITS:  # later, gating has cut off the tails, and the noise would be underestimated
-            factor = min(max(factor * _median(work.m2, count) / MEDIAN_M2, 1.0), MAX_NOISE)
-        _match(fit, factor / before, spots, new)
+            growth = min(max(growth * _median(work.m2, count) / MEDIAN_M2, 1.0), MAX_NOISE)
+        _match(fit, growth / before, spots, new)
         changed = 0
         for k in range(n):
             if iteration >= NOISE_FITS and new[k] != on[k]:  # from here beads are only removed, so the loop terminates
                 new[k] = -1
             changed += new[k] != on[k]
-        if iteration and changed == 0 and abs(factor - before) < SAME_NOISE * before:
+        if iteration and changed == 0 and abs(growth - before) < SAME_NOISE * before:
             return fit, True
         on[:] = new
         if _fewest(on, places) < MIN_BEADS or not _sees(places, fit.focal):
