@@ -234,3 +234,39 @@ def test_on_plates_a_pin_needs_no_neck_and_a_pedicle_shows_its_side():
     assert not _judged(plates[1].plan("left"), "side").passed
     unpicked = replace(plates[1], marks_px={k: uv for k, uv in pedicle.marks_px.items() if k != "spinous-process"})
     assert [one.name for one in unpicked.plan().verdict.unmade] == ["side"]
+
+
+def _hip(views: list[StandInView], side: str = "right", neck: bool = True) -> Plan:
+    uv = bone.pixels(views)
+    drawn = bone.aids(uv)
+    lesser = np.array([view.project(bone.LESSER_MM[None]) for view in views])
+    return plan(
+        views,
+        *np.swapaxes(uv["wire"], 0, 1),
+        landmarks_uv_px=lesser,
+        landmark_names=["lesser-trochanter"],
+        aids=drawn if neck else Aids(head=drawn.head, shaft=drawn.shaft, cortex=drawn.cortex),
+        side=side,
+        curve=lambda *_: bone.curve_once(),
+    )
+
+
+@pytest.mark.parametrize("of_block", [False, True])
+def test_a_hip_screw_refuses_a_view_from_elsewhere(of_block: bool):
+    """Wanted within 20°: fails a program that judges no directions of a hip (30° off was GO)."""
+    views: list[StandInView] = [OfBlock(**vars(one)) if of_block else one for one in bone.views()]
+    right = _judged(_hip(views))
+    assert right.passed and right.figure is not None and right.figure < 8.0
+    away = _judged(_hip([turned(views[0], "y", 30.0, "pa"), views[1]]))
+    assert not away.passed and away.figure == pytest.approx(30.0, abs=3.0)
+    assert "The view pa is 30°" in away.sentence and "acquire it at orbit 0°, tilt 0°" in away.sentence
+
+
+def test_a_block_on_the_wrong_side_of_a_hip_fails_by_its_views_and_without_a_neck_says_so():
+    """Mirrored axes put the first beam at the back of the patient."""
+    views: list[StandInView] = [OfBlock(**vars(one)) for one in bone.views()]
+    wrong = _judged(_hip(views, "left"))
+    assert not wrong.passed and wrong.figure is not None and wrong.figure > 140.0
+    without = _hip(views, neck=False)
+    assert "view directions" not in {check.name for check in without.verdict.checks}
+    assert any("neck axis is not drawn" in said for said in without.sentences())
