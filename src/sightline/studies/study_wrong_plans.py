@@ -229,7 +229,7 @@ def _planned(rng: np.random.Generator, bone: DrawnHip | DrawnBone, of: WrongKind
         raise SetUpError("not a right plan")
     turned = None
     if of.turned:
-        assert isinstance(bone, DrawnBone)  # noqa: S101 - no hip's views are judged
+        assert isinstance(bone, DrawnBone)  # noqa: S101 - no kind turns a hip's views
         other, times = _from_elsewhere(rng, bone, wire, draw_times(rng), right.error_95(rule))
         wrong_px, turned = other.pixels(wire), other.setup
     else:
