@@ -12,6 +12,8 @@ import sightline as sl
 from sightline import threads
 from sightline.detection.files import read_observations
 from sightline.threads import one_blas_thread
+from sightline.twin import render
+from sightline.twin.things import frame_scene
 
 
 def _count(part: int, parts: int, done: np.ndarray) -> None:
@@ -79,3 +81,20 @@ def test_a_part_in_another_thread_that_fails_is_heard(monkeypatch: pytest.Monkey
 
     with pytest.raises(ZeroDivisionError):
         threads.in_parts(fail_elsewhere)
+
+
+@pytest.mark.slow
+def test_an_image_gives_the_same_bits_in_one_to_four_threads(monkeypatch: pytest.MonkeyPatch, setup) -> None:
+    """A program whose sums, or whose order of beads, depend on how the parts are shared out fails."""
+    rng = np.random.default_rng(5)
+    image = render(setup, "pa", frame_scene(setup.true_frame), rng)
+    frame, bits = sl.Frame.load("gamma"), set()
+    for count in (1, 2, 3, 4):
+        monkeypatch.setattr(threads, "THREADS", count)
+        threads._pool.cache_clear()  # the next count takes its own
+        beads = sl.detect(image)
+        assert len(beads) > 80
+        view = sl.calibrate(sl.label(beads, frame), frame)
+        bits.add(beads.uv_px.tobytes() + beads.covariance_px2.tobytes() + view.focal_point_mm.tobytes())
+    threads._pool.cache_clear()
+    assert len(bits) == 1

@@ -19,7 +19,8 @@ CHANGES = {
     "a hole's error is larger where halves of its rims disagree, and a nail's images with a narrow lens are refused; "
     "calibration takes the centroids of shadows, which distortion shifts, to the images of the balls' centres",
     12: "whether a bead may be a false one in the place of a hidden one is judged by all places that are equally near; "
-    "before, rounding chose among them",
+    "before, rounding chose among them; "
+    "a fit's effective parameters are counted from neighbours in a row, and a window's level from every second row",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)
