@@ -1,5 +1,6 @@
 """Both holes of a nail in a real browser: the simulated patient, from the images to the check shot of each hole."""
 
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +22,7 @@ from sightline.robot.control.states import State
 from sightline.robot.link.simulated import SimulatedWire
 
 KEYS = ("distal", "proximal")
+ARROW_PX = 250.0  # ten times 5 mm at 5 pixels to the millimetre; a drill is planned 15 mm past its far hole
 ORDERS = (("align", State.ALIGNED), ("drill", State.PAUSED), ("drill-on", State.DONE))
 
 
@@ -98,6 +100,10 @@ def _check(hands: Hands, patient: Rehearsal, folder: Path, shoot) -> None:
             hands.place(f"landmark-{mark}", view, (float(at[0]), float(at[1])))
     expect(hands.see("check-verdict")).to_contain_text("PASSED", timeout=PATIENCE_MS)
     _wait_for(hands, key, "verified")
+    drawn = "core.state.layers.get('found').shapes.filter((one) => one.shape === 'arrow').map((one) => one.points)"
+    for view in NAMES:
+        for start, end in hands.core(view, drawn):
+            assert math.dist(start, end) < ARROW_PX
     shoot(hands.page, f"nail-walk-checked-{key}")
 
 

@@ -1,4 +1,4 @@
-"""The robot's own wire from clicks in both images: any point on it counts across it only, its tip in every direction."""
+"""The robot's own wire from clicks in both images: a point on it counts across it only, its tip in every direction."""
 
 from typing import Any
 

@@ -284,7 +284,8 @@ def _deviations_there(session: Session, kind: str, image: str) -> list[Shape]:
     if shot is None or sent is None or views is None:
         return []
     path = sent.plan.trajectory
-    planned = shot.movement.apply(np.stack([path.entry_mm, path.end_mm]))
+    tip_mm = path.end_mm + sent.plan.kind.limits.beyond_mm * path.direction  # a drill is planned past its far hole
+    planned = shot.movement.apply(np.stack([path.entry_mm, tip_mm]))
     measured = shot.movement.apply(np.stack([shot.entry_mm, shot.tip_mm]))
     off = (shot.entry_deviation_mm, shot.tip_deviation_mm)
     return deviations(views[CHECK_NAMES.index(image)], planned, measured, off)
