@@ -1,11 +1,18 @@
 // The space bar stops the robot wherever the focus is, except in a text field; it presses no other control.
-const typing = (target) => target.closest?.("input:not([readonly]), textarea, select, [contenteditable=true]");
-for (const kind of ["keydown", "keyup"]) {
+/**
+ * The element that an event happened to; null for the window or the document.
+ * @param {Event} event
+ */
+const elementOf = (event) => (event.target instanceof Element ? event.target : null);
+/** @param {Event} event */
+const typing = (event) => elementOf(event)?.closest("input:not([readonly]), textarea, select, [contenteditable=true]");
+for (const kind of /** @type {const} */ (["keydown", "keyup"])) {
   window.addEventListener(
     kind,
     (event) => {
+      /** @type {HTMLButtonElement | null} */
       const stop = document.querySelector("[data-testid=stop]");
-      if (event.key !== " " || !stop || stop.disabled || typing(event.target)) return; // disabled without a robot
+      if (event.key !== " " || !stop || stop.disabled || typing(event)) return; // disabled without a robot
       event.preventDefault();
       event.stopPropagation();
       if (kind === "keydown" && !event.repeat) stop.click();
@@ -15,45 +22,59 @@ for (const kind of ["keydown", "keyup"]) {
 }
 
 // Arrow keys move between the radios of a group, and choose.
+/** @type {Record<string, number | undefined>} */
 const STEP = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 };
 window.addEventListener("keydown", (event) => {
-  const radio = event.target.closest?.("[role=radio]");
-  if (!radio || !STEP[event.key]) return;
+  /** @type {HTMLElement | null | undefined} */
+  const radio = elementOf(event)?.closest("[role=radio]");
+  const group = radio?.closest("[role=radiogroup]");
+  const by = STEP[event.key];
+  if (!radio || !group || !by) return;
   event.preventDefault();
-  const all = [...radio.closest("[role=radiogroup]").querySelectorAll("[role=radio]")];
-  const next = all[(all.indexOf(radio) + STEP[event.key] + all.length) % all.length];
+  const all = /** @type {HTMLElement[]} */ ([...group.querySelectorAll("[role=radio]")]);
+  const next = all[(all.indexOf(radio) + by + all.length) % all.length];
   next.focus();
   next.click();
 });
 
 // A button that was built again between press and release, at another place of the page's tree, gets the click that the
 // browser gives to neither. Its name and words must be the same.
+/** @type {HTMLElement | null} */
 let pressed = null;
-window.addEventListener("pointerdown", ({ target, button }) => (pressed = button === 0 ? target.closest("button[data-testid]") : null), true);
+window.addEventListener(
+  "pointerdown",
+  (event) => (pressed = (event.button === 0 && elementOf(event)?.closest("button[data-testid]")) || null),
+  true,
+);
 window.addEventListener(
   "pointerup",
   ({ clientX, clientY }) => {
     const before = pressed;
     pressed = null;
     if (!before || before.isConnected) return;
+    /** @type {HTMLElement | null | undefined} */
     const again = document.elementFromPoint(clientX, clientY)?.closest("button[data-testid]");
-    const same = again?.dataset.testid === before.dataset.testid && again.textContent === before.textContent;
-    if (same) again.click(); // of one that is disabled nothing comes
+    if (!again || again.dataset.testid !== before.dataset.testid) return;
+    if (again.textContent === before.textContent) again.click(); // of one that is disabled nothing comes
   },
   true,
 );
 
 // A control that was built again keeps the focus. Of a list that is chosen from its box has it: in a field, keys such as
 // those of undo would be taken for text.
+/** @type {HTMLElement | null} */
 let focused = null; // the named control that has it
-window.addEventListener("focusin", ({ target }) => (focused = target.closest("[data-testid]")));
+window.addEventListener("focusin", (event) => (focused = elementOf(event)?.closest("[data-testid]") ?? null));
 const keepFocus = () => {
   if (!focused || focused.isConnected || document.activeElement !== document.body) return;
+  /** @type {HTMLElement | null} */
   const again = document.querySelector(`[data-testid="${focused.dataset.testid}"]`);
   focused = null;
   if (!again) return;
   const field = "input:not([readonly]), button";
-  const within = again.matches(field) ? again : again.querySelector(field) || again;
+  /** @type {HTMLElement | null} */
+  const inner = again.querySelector(field);
+  const within = again.matches(field) ? again : inner || again;
   if (within.tabIndex < 0) within.tabIndex = -1; // so that a box can have it
   within.focus({ preventScroll: true });
 };
@@ -62,6 +83,7 @@ const keepFocus = () => {
 // reach the robot: body.dead shows that (page.css). Nothing is shown before the first connection, while the page is built.
 const ASK_MS = 200; // [ours]
 const DEAD_MS = 600; // [ours] without an answer; detection takes less than a second in all
+/** @type {number | null} */
 let asked = null; // time of an unanswered probe
 let looked = performance.now();
 let known = false;
@@ -74,7 +96,9 @@ setInterval(() => {
   if (!socket.connected) asked = null;
   else if (asked === null) {
     const mine = (asked = now);
-    socket.emit("alive", () => asked === mine && (asked = null));
+    socket.emit("alive", () => {
+      if (asked === mine) asked = null;
+    });
   }
   document.body.classList.toggle("dead", !socket.connected || (asked !== null && now - asked > DEAD_MS));
 }, ASK_MS);
@@ -98,6 +122,7 @@ window.addEventListener("popstate", ({ state }) => {
     history.forward();
     emitEvent("leave");
   } else if (to) {
+    /** @type {HTMLButtonElement | null} */
     const button = document.querySelector(`[data-testid="step-${to}"]`);
     if (button && button.getAttribute("aria-current") !== "step") button.click();
   }
@@ -107,6 +132,7 @@ window.addEventListener("popstate", ({ state }) => {
 window.addEventListener("DOMContentLoaded", () => {
   const measure = () => {
     const work = document.querySelector(".work");
+    /** @type {HTMLElement | null} */
     const panel = document.querySelector(".panel");
     if (work) document.body.style.setProperty("--xray-top", `${work.getBoundingClientRect().top}px`);
     if (panel) document.body.style.setProperty("--xray-right", `${panel.offsetWidth}px`);

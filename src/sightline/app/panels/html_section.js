@@ -4,6 +4,7 @@
 export default {
   template: "<section></section>",
   methods: {
+    /** @this {{ $el: HTMLElement }} @param {string} html */
     show(html) {
       this.$el.innerHTML = html;
     },
