@@ -11,8 +11,9 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import HtmlSection, Section, action, heading, note
+from sightline.app.plan.fitted import kept_as_drawn
 from sightline.app.plan.marks import MarkSpec
-from sightline.app.plan.planner import Planned, landmarks_of, lowest_wire, proposed
+from sightline.app.plan.planner import Planned, has_head, landmarks_of, lowest_wire, proposed
 from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
@@ -29,6 +30,7 @@ def build(tab: Tab) -> None:
     Section(tab, _nail_key, _nail)
     Section(tab, lambda t: (t.planning.decisions.kind, t.planning.decisions.of_nail), _points, classes="checklist")
     HtmlSection(tab, lambda t: t.known, _turns_html)
+    HtmlSection(tab, lambda t: t.known, _fitted_html)
 
 
 def build_details(tab: Tab) -> None:
@@ -83,6 +85,20 @@ def _turns_html(tab: Tab) -> Markup:
     return markup.note(texts.TURNS.format(turns="; ".join(turns)), kind="quiet", testid="turns")
 
 
+def _fitted_html(tab: Tab) -> Markup:
+    """Return the fitted head with its 95 % error, and which image's circle was kept and why; empty without a fit."""
+    known = tab.known
+    fitted = None if known is None or not has_head(known.decisions) else known.decisions.fitted_head
+    head = None if known is None or fitted is None else known.anatomy.head
+    if fitted is None or head is None or head.covariance_mm2 is None:
+        return Markup()
+    centre = TWO_SIDED_95 * float(np.sqrt(np.linalg.eigvalsh(head.covariance_mm2[:3, :3])[-1]))
+    radius = TWO_SIDED_95 * float(np.sqrt(head.covariance_mm2[3, 3]))
+    said = [texts.HEAD_FITTED.format(radius=head.radius_mm, radius_error=radius, centre_error=centre)]
+    said += kept_as_drawn(fitted.kept)
+    return markup.note(" ".join(said), kind="quiet", testid="head-fitted")
+
+
 def _nail_key(tab: Tab) -> Hashable:
     return tab.planning.decisions.kind, tab.planning.decisions.nail, tab.planning.implanted
 
@@ -131,6 +147,9 @@ def _points(tab: Tab) -> None:
                 action(texts.PROPOSE, tab.doing(lambda: _propose(tab)), testid="propose", kind="small").props(
                     f'title="{texts.PROPOSE_WHAT}"'
                 )
+            if group == "aid" and has_head(decisions):
+                fit = action(texts.FIT_HEAD, tab.doing(tab.planning.fit_head), testid="fit-head", kind="small")
+                fit.props(f'title="{texts.FIT_HEAD_WHAT}"')
         for _, same in groupby(listed, key=lambda one: one.of):
             _row(tab, tuple(same))
 

@@ -9,6 +9,7 @@ from datetime import datetime
 from types import MappingProxyType
 from typing import Any, Literal
 
+from sightline.app.plan.fitted import FittedHead
 from sightline.app.plan.marks import END, ENTRY, MarkSpec, marks_of
 from sightline.case.views import NAMES
 from sightline.errors import CaseError, UnusableInputError
@@ -18,6 +19,7 @@ from sightline.planning.procedures.files import current_key
 
 Side = Literal["right", "left"]
 Pixel = tuple[float, float]
+HEAD = "head"  # key of the aid whose circles can be fitted to edges
 MAX_MARKS = 64  # more than any procedure needs; a page that sends more is defective [ours]
 MAX_UNDO = 500  # changes that can be undone; the journal has all of them [ours]
 
@@ -79,6 +81,7 @@ class Decisions:
     placed. `taken`: time of acquisition stated by a person, by entry number, for images whose file does not state it.
     `mirrored`: whether a person saw, by writing in it, that the file shows the image mirrored, by entry number; needed
     if no image shows the frame unmirrored. `nail`: whose holes are found in the images; None: points are placed.
+    `fitted_head`: the head's circles as fitted to edges; None: as drawn.
     """
 
     images: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -92,6 +95,7 @@ class Decisions:
     mirrored: Mapping[int, bool] = field(default_factory=lambda: MappingProxyType({}))
     wires: Mapping[str, Mapping[str, Mark]] = field(default_factory=lambda: MappingProxyType({}))
     nail: Nail | None = None
+    fitted_head: FittedHead | None = None
 
     @property
     def of_nail(self) -> bool:
@@ -135,24 +139,26 @@ class Decisions:
         return all(self.mark(name).complete() for name in names)
 
     def with_mark(self, name: str, mark: Mark | None) -> "Decisions":
-        """Return the decisions with one mark set, or removed if it is None or empty. Raises CaseError if there are too
-        many."""
+        """Return the decisions with one mark set, or removed if it is None or empty; a click on the head's rim ends its
+        fit. Raises CaseError if there are too many."""
         marks = {key: value for key, value in self.marks.items() if key != name}
         if mark is not None and mark.places:
             marks[name] = mark
         if len(marks) > MAX_MARKS:
             raise CaseError(f"a case holds at most {MAX_MARKS} marks; remove some that are not needed")
-        return replace(self, marks=MappingProxyType(marks))
+        fitted = None if name.rpartition("-")[0] == HEAD else self.fitted_head
+        return replace(self, marks=MappingProxyType(marks), fitted_head=fitted)
 
     def with_image(self, name: str, acquired: int, *, same_pixels: bool) -> "Decisions":
         """Return the decisions with another image under a name. Unless the pixels are the same, the marks in it are
-        removed, and for a planning image also the patient's side."""
+        removed, and for a planning image also the patient's side and a fit of the head."""
         images = MappingProxyType({**self.images, name: acquired})
         if same_pixels:
             return replace(self, images=images)
         wires = MappingProxyType({kind: _without(name, ends) for kind, ends in self.wires.items()})
-        side = None if name in NAMES else self.side
-        return replace(self, images=images, marks=_without(name, self.marks), wires=wires, side=side)
+        side, fitted = (None, None) if name in NAMES else (self.side, self.fitted_head)
+        marks = _without(name, self.marks)
+        return replace(self, images=images, marks=marks, wires=wires, side=side, fitted_head=fitted)
 
     def with_display(self, view: str, display: Display) -> "Decisions":
         """Return the decisions with another display of one view."""
@@ -182,6 +188,7 @@ class Decisions:
                 kind: {name: mark.document() for name, mark in ends.items()} for kind, ends in self.wires.items()
             },
             "nail": None if self.nail is None else vars(self.nail),
+            "fitted_head": None if self.fitted_head is None else self.fitted_head.document(),
         }
 
     @staticmethod
@@ -205,6 +212,7 @@ class Decisions:
                 MappingProxyType({int(number): _truth(said) for number, said in document.get("mirrored", {}).items()}),
                 MappingProxyType(wires),
                 None if document.get("nail") is None else Nail(**document["nail"]),
+                None if document.get("fitted_head") is None else FittedHead.of(document["fitted_head"]),
             )
         except (KeyError, TypeError, ValueError, AttributeError, UnusableInputError) as error:
             raise CaseError(

@@ -1,12 +1,12 @@
 """Computes curves, plan, anatomy and metrics from decisions and two calibrated views, without state."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from sightline.app.plan.decisions import Decisions, Mark, Pixel
+from sightline.app.plan.decisions import HEAD, Decisions, Mark, Pixel
 from sightline.app.plan.holes import HolesFound, nail_drawn
 from sightline.app.plan.marks import END, ENTRY, MarkSpec, hole_mark, images_of
 from sightline.calibration import BeadView, CalibratedView
@@ -24,7 +24,7 @@ from sightline.planning import (
     propose_others,
     snap,
 )
-from sightline.planning.aids import Aids
+from sightline.planning.aids import Aids, Circle
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import DEFAULT_PICK_SD_PX
@@ -299,7 +299,25 @@ def _pixel(uv_px: np.ndarray) -> Pixel:
     return float(uv_px[0]), float(uv_px[1])
 
 
+def has_head(decisions: Decisions) -> bool:
+    """Return True if the procedure asks for the rim of a head."""
+    return not decisions.of_nail and any(aid.key == HEAD for aid in kind_of(decisions.kind).aids)
+
+
+def drawn_head(decisions: Decisions) -> tuple[Circle, Circle] | None:
+    """Return the circles through the clicks on the head's rim; None until all are placed."""
+    return _drawn(decisions).head
+
+
 def _aids(decisions: Decisions) -> Aids:
+    """Return the aids that are drawn, the head as fitted to edges where it was fitted."""
+    drawn = _drawn(decisions)
+    if drawn.head is None or decisions.fitted_head is None:
+        return drawn
+    return replace(drawn, head=decisions.fitted_head.head)
+
+
+def _drawn(decisions: Decisions) -> Aids:
     """Return the aids whose clicks are all placed, in all images that the procedure wants them in."""
     known = kind_of(decisions.kind)
     clicked: dict[str, list[np.ndarray | None]] = {}

@@ -7,11 +7,14 @@ from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import cast
 
+import numpy as np
+
 from sightline.app import texts
 from sightline.app.plan.decisions import Decisions, Display, History, Pixel, Side
+from sightline.app.plan.fitted import FittedHead, kept_as_drawn
 from sightline.app.plan.holes import HolesFound, nail_drawn
 from sightline.app.plan.marks import MarkSpec
-from sightline.app.plan.planner import Planned, moved, planned, request_of
+from sightline.app.plan.planner import Planned, drawn_head, moved, planned, request_of
 from sightline.app.plan.robot_wire import ROBOT_WIRE
 from sightline.app.session import rehearsing
 from sightline.app.session.jobs import Jobs
@@ -27,7 +30,8 @@ from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, takes_oblique
 from sightline.drilling_order import DrillingOrder, propose_order
 from sightline.errors import CalibrationRefusedError, SightlineError, UnusableInputError
-from sightline.planning import Nail, WirePlans, kind
+from sightline.fitted_head import fit_head
+from sightline.planning import Circle, Nail, WirePlans, kind
 from sightline.planning.procedures.files import document_of, each_wire
 
 _MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned to views [ours]
@@ -218,6 +222,23 @@ class Planning:
         if known is not None:
             self.edit(known.with_others_proposed(self.all_drilled))
 
+    async def fit_head(self) -> None:
+        """Fit the drawn circles of the head to the edges of the images, as one change that can be undone. Raises
+        UnusableInputError where no image shows a clear edge, or the drawing has changed meanwhile."""
+        before, views = self.decisions, self.views(NAMES)
+        drawn = drawn_head(before)
+        if drawn is None or views is None:
+            raise UnusableInputError(texts.FIT_HEAD_FIRST)
+        images = [seen.image for seen in map(self.seen, NAMES) if seen is not None]
+        work = asyncio.to_thread(fit_head, views, images, drawn)
+        head, kept = await self.jobs.during("fitting the head to its edges", lambda: work)
+        if len(kept) == len(NAMES):
+            raise UnusableInputError(" ".join(kept_as_drawn(kept)))
+        now = self.decisions
+        if now.images != before.images or now.fitted_head != before.fitted_head or not _same(drawn, drawn_head(now)):
+            raise UnusableInputError(texts.FIT_HEAD_AGAIN)
+        self.edit(replace(now, fitted_head=FittedHead.made(head, kept)))
+
     def choose_nail(self, nail: Nail | None) -> None:
         """Choose the nail whose holes are found in the images; None: points are placed by hand."""
         self.edit(replace(self.decisions, nail=nail))
@@ -361,6 +382,11 @@ class Planning:
 def _view_in(image: str) -> str:
     """Return the view that an image's slot is for."""
     return image.rpartition("-")[2]
+
+
+def _same(first: tuple[Circle, Circle], second: tuple[Circle, Circle] | None) -> bool:
+    """Return True if circles go through the same pixels."""
+    return second is not None and all(np.array_equal(a.uv_px, b.uv_px) for a, b in zip(first, second, strict=True))
 
 
 @lru_cache(maxsize=4)  # planning and check images, before and after a change

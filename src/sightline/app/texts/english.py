@@ -172,6 +172,12 @@ REMOVE_WHAT = "Remove {what}"
 PROPOSE = "Propose wire"
 PROPOSE_WHAT = "Propose a wire from femoral head, shaft and lateral cortex"
 PROPOSE_OTHERS = "Propose the other wires"
+FIT_HEAD = "Fit head"
+FIT_HEAD_WHAT = "Fit the drawn circles of the femoral head to its edges in both images"
+FIT_HEAD_FIRST = "click three points on the head's rim in both calibrated images first"
+FIT_HEAD_AGAIN = "fit the head again: its drawing or an image has changed meanwhile"
+HEAD_FITTED = "Head fitted: radius {radius:.1f} ± {radius_error:.1f} mm, centre ± {centre_error:.1f} mm (95 %)."
+KEPT_AS_DRAWN = "{image}: kept as drawn; {why}."
 WIRES_LABEL = "Wires of the procedure"
 WIRE_STATES = {  # of a wire, by its verdict and by what was done
     "missing": "not placed",
