@@ -11,9 +11,9 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import HtmlSection, Section, action, heading, note
-from sightline.app.plan.fitted import kept_as_drawn
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import Planned, has_head, landmarks_of, lowest_wire, proposed
+from sightline.app.session.planning import kept_as_drawn
 from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from sightline.app import texts
 from sightline.case.canonical import plain
 from sightline.planning import Circle
 
@@ -45,8 +44,3 @@ class FittedHead:
             if circle.uv_px.shape != (count, 2) or circle.covariance_px2.shape != (2 * count, 2 * count):
                 raise ValueError(circle.uv_px.shape)
         return made
-
-
-def kept_as_drawn(kept: Mapping[str, str]) -> list[str]:
-    """Return a sentence for each view whose circle was kept, from the reasons by view."""
-    return [texts.KEPT_AS_DRAWN.format(image=texts.IMAGE_LABELS[view], why=why) for view, why in kept.items()]

@@ -2,6 +2,7 @@
 shows it."""
 
 import asyncio
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
@@ -11,7 +12,7 @@ import numpy as np
 
 from sightline.app import texts
 from sightline.app.plan.decisions import Decisions, Display, History, Pixel, Side
-from sightline.app.plan.fitted import FittedHead, kept_as_drawn
+from sightline.app.plan.fitted import FittedHead
 from sightline.app.plan.holes import HolesFound, nail_drawn
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import Planned, drawn_head, moved, planned, request_of
@@ -230,8 +231,9 @@ class Planning:
         if drawn is None or views is None:
             raise UnusableInputError(texts.FIT_HEAD_FIRST)
         images = [seen.image for seen in map(self.seen, NAMES) if seen is not None]
-        work = asyncio.to_thread(fit_head, views, images, drawn)
-        head, kept = await self.jobs.during("fitting the head to its edges", lambda: work)
+        head, kept = await self.jobs.during(
+            "fitting the head to its edges", lambda: asyncio.to_thread(fit_head, views, images, drawn)
+        )
         if len(kept) == len(NAMES):
             raise UnusableInputError(" ".join(kept_as_drawn(kept)))
         now = self.decisions
@@ -382,6 +384,11 @@ class Planning:
 def _view_in(image: str) -> str:
     """Return the view that an image's slot is for."""
     return image.rpartition("-")[2]
+
+
+def kept_as_drawn(kept: Mapping[str, str]) -> list[str]:
+    """Return a sentence for each view whose circle was kept, from the reasons by view."""
+    return [texts.KEPT_AS_DRAWN.format(image=texts.IMAGE_LABELS[view], why=why) for view, why in kept.items()]
 
 
 def _same(first: tuple[Circle, Circle], second: tuple[Circle, Circle] | None) -> bool:
