@@ -16,8 +16,6 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_dicom
 from sightline.planning import Nail
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.procedures.document import ProcedureDocument
-from sightline.planning.procedures.files import document_of
 
 if TYPE_CHECKING:
     from sightline.rehearsal.rehearsal import Rehearsal
@@ -38,10 +36,6 @@ class Patient:
         """Return the patient from JSON types; earlier versions knew those of a hip screw only."""
         procedure = str(document.get("procedure", Patient.procedure))
         return Patient(int(document["seed"]), str(document["frame"]), str(document["side"]), procedure)
-
-    def takes(self, document: ProcedureDocument) -> bool:
-        """Return True if a procedure can be rehearsed on this patient: those through a nail's holes need the nail."""
-        return document.through_holes == document_of(self.procedure).through_holes
 
 
 @lru_cache(maxsize=1)
