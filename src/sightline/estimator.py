@@ -20,7 +20,8 @@ CHANGES = {
     "calibration takes the centroids of shadows, which distortion shifts, to the images of the balls' centres",
     12: "whether a bead may be a false one in the place of a hidden one is judged by all places that are equally near; "
     "before, rounding chose among them; "
-    "a fit's effective parameters are counted from neighbours in a row, and a window's level from every second row",
+    "a fit's effective parameters are counted from neighbours in a row, and a window's level from every second row; "
+    "clipped pixels are never data, also where the fill outside the field exceeded white by a rounding error",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

@@ -39,16 +39,24 @@ def logs_of(image: Radiograph, mask: np.ndarray, written: np.ndarray | None) -> 
         logs = _looked_up(pixels, _logarithms(np.iinfo(pixels.dtype).max + 1))
     if not mask.all():
         values, known = (np.ascontiguousarray(whole[::_COARSE, ::_COARSE]) for whole in (logs, mask))
-        _fill(logs, mask, _filled(np.where(known, values, np.float32(0)), known.astype(np.float32)))
+        _fill(logs, mask, _extrapolated(values, known))
     if written is not None:
-        known = ~written
-        logs = np.where(known, logs, _filled(np.where(known, logs, np.float32(0)), known.astype(np.float32)))
+        logs = np.where(written, _extrapolated(logs, ~written), logs)
     return logs
 
 
 @cache
 def _logarithms(count: int) -> np.ndarray:
     return np.log(np.maximum(np.arange(count), 0.5)).astype(np.float32)
+
+
+def _extrapolated(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return `values` (H, W), the unknown ones from a pyramid of the known, and none above the largest known value.
+
+    Averages round up: a pixel above the white level would make all clipped pixels look unclipped.
+    """
+    brightest = values.max(where=known, initial=-np.inf)
+    return np.minimum(_filled(np.where(known, values, np.float32(0)), known.astype(np.float32)), brightest)
 
 
 def _filled(total: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -217,14 +217,14 @@ def mark_near_unusable(state, x, y, radius):
 def gather_pixels(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
     """Return the counting pixels' x, y from (`x0`, `y0`) and values (3, N), rows and columns (2, N), and their number.
 
-    Where the values are filtered, only pixels count that no unusable one reaches. N is padded to a multiple of VECTOR
-    with pixels at (0, 0).
+    Clipped pixels never count; where the values are filtered, nor do those that an unusable one reaches. N is padded to
+    a multiple of VECTOR with pixels at (0, 0).
     """
     n = len(state)
     margin = (len(values) - n) // 2
     capacity = n * n + VECTOR
     at, where = np.empty((3, capacity), np.float32), np.empty((2, capacity), np.uint32)
-    worst, reach2 = np.uint8(SEEN if filtered else CLIPPED), np.float32(reach * reach)
+    worst, reach2 = np.uint8(SEEN if filtered else NEAR_UNUSABLE), np.float32(reach * reach)
     pixels = np.uint32(0)
     for i in range(n):
         y, row, seen = np.float32(i - y0), state[i], values[i + margin, margin:]
