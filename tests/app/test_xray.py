@@ -349,6 +349,7 @@ def test_linked_images_zoom_together(view: View) -> None:
 
 def test_how_an_image_is_shown_overtakes_its_pixels(view: View) -> None:
     view.do("show-again")
+    view.page.wait_for_function("sightlineXray.pa.shownUrl === '/picture?again'")  # else its pixels did not arrive
     assert view.core("core.state.window") == {"centre": 20000, "width": 30000}
     assert view.core("core.state.inverted")
     view.button("reset").click()
