@@ -177,7 +177,7 @@ def tilted(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
 
 KINDS = (
     WrongKind("entry and end exchanged", HIP_SCREW, "entry and end", exchanged=True),
-    WrongKind("the other side", HIP_SCREW, "side", other_side=True),
+    WrongKind("the other side", HIP_SCREW, "side", also=("view directions",), other_side=True),
     WrongKind("tip through the joint's surface", HIP_SCREW, "tip in head", deeper_end),
     WrongKind("tip too near to the joint", CANNULATED, "tip to bone nearest", deeper_end),
     WrongKind("tip too far from the apex", HIP_SCREW, "tip-apex distance", shorter_end),
