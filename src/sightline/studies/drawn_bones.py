@@ -11,8 +11,9 @@ from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.planning import Aids, MatchingCurve, Plan, Procedure, plan
 from sightline.planning.directions import across, anatomical, unit
+from sightline.planning.procedures.document import WantedView
 from sightline.studies.scenes import MARGIN_PX, VIEWS
-from sightline.twin import SetUp, ViewTruth
+from sightline.twin import SetUp, ViewTruth, draw_setup
 from sightline.twin.bone_scene import BONES, BoneKind, draw_origin
 from sightline.twin.bones import BoneModel
 from sightline.twin.drawn_aids import drawn_aids, key_of
@@ -57,6 +58,15 @@ class DrawnHip:
         cortex = self._shown("pa", self._edge("pa", on, np.array([0.0, 1.0, 0.0]), 1.0)[None])
         out["cortex"] = np.stack([cortex, np.full((1, 2), np.nan)])
         return out
+
+    def turned(
+        self, wanted: Sequence[WantedView], which: int, by_deg: float, about: np.ndarray, rng: np.random.Generator
+    ) -> "DrawnHip":
+        """Return the hip as `DrawnBone.turned` does. Raises SetUpError."""
+        beams = turned_beams(wanted, which, by_deg, about)
+        views = {name: to_cfcs(beam, self.side, np.zeros(3)) for name, beam in beams.items()}
+        setup = draw_setup(rng, self.setup.frame, side=self.side, views=views)
+        return replace(self, setup=setup.renamed(VIEWS))
 
     def moved(self, by_mm: np.ndarray) -> "DrawnHip":
         """Return the same bone moved against the frame by (3,), CFCS."""
@@ -123,16 +133,12 @@ class DrawnBone:
         origin = setup.hip_mm + draw_origin(bone, side, rng)
         return DrawnBone(setup.renamed(VIEWS), bone, side, origin, procedure, of)
 
-    def turned(self, which: int, by_deg: float, about: np.ndarray, rng: np.random.Generator) -> "DrawnBone":
-        """Return the bone in another set-up with a solid, with the nominal beam of one of the two views turned by an
-        angle about the part of `about` (3,), anatomical, that is perpendicular to it. Raises SetUpError."""
-        wanted = self.procedure.document.views[: len(VIEWS)]
-        beams = {one.name: anatomical(one.orbit_deg, one.tilt_deg) for one in wanted}
-        beam = beams[wanted[which].name]
-        turn = Rotation.from_rotvec(np.deg2rad(by_deg) * unit(across(about, beam)))
-        beams[wanted[which].name] = turn.apply(beam)
-        setup = replace(self.kind, beams=beams).setup(rng, self.setup.frame, self.side)
-        return replace(self, setup=setup.renamed(VIEWS))
+    def turned(
+        self, wanted: Sequence[WantedView], which: int, by_deg: float, about: np.ndarray, rng: np.random.Generator
+    ) -> "DrawnBone":
+        """Return the bone in another set-up with a solid, whose nominal beams are `turned_beams`. Raises SetUpError."""
+        of = replace(self.kind, beams=turned_beams(wanted, which, by_deg, about))
+        return replace(self, setup=of.setup(rng, self.setup.frame, self.side).renamed(VIEWS))
 
     def pixels(self, wire_mm: np.ndarray) -> dict[str, np.ndarray]:
         """Return the true pixels as `DrawnHip.pixels` does; without aids of which a click lies outside."""
@@ -162,6 +168,17 @@ class DrawnBone:
     def projected(self, points_mm: np.ndarray) -> np.ndarray:
         """Return the pixels (2, N, 2) of anatomical points (N, 3). Raises SetUpError where one lies outside."""
         return _projected(self.setup, self.in_cfcs(points_mm))
+
+
+def turned_beams(
+    wanted: Sequence[WantedView], which: int, by_deg: float, about: np.ndarray
+) -> dict[str, tuple[float, float, float]]:
+    """Return the nominal beams of two views by name, anatomical, one of them turned by an angle about the part of
+    `about` (3,) that is perpendicular to it."""
+    beams = {one.name: anatomical(one.orbit_deg, one.tilt_deg) for one in wanted[: len(VIEWS)]}
+    beam = beams[wanted[which].name]
+    beams[wanted[which].name] = Rotation.from_rotvec(np.deg2rad(by_deg) * unit(across(about, beam))).apply(beam)
+    return {name: tuple(beam.tolist()) for name, beam in beams.items()}
 
 
 def jittered(pixels: Pixels, rng: np.random.Generator) -> dict[str, np.ndarray]:

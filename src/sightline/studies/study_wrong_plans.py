@@ -229,9 +229,9 @@ def _planned(rng: np.random.Generator, bone: DrawnHip | DrawnBone, of: WrongKind
         raise SetUpError("not a right plan")
     turned = None
     if of.turned:
-        assert isinstance(bone, DrawnBone)  # noqa: S101 - no kind turns a hip's views
-        other, times = _from_elsewhere(rng, bone, wire, draw_times(rng), right.error_95(rule))
-        wrong_px, turned = other.pixels(wire), other.setup
+        error = right.error_95(rule)
+        other, beyond = _from_elsewhere(rng, bone, wire, asked, draw_times(rng) * error)
+        wrong_px, turned, times = other.pixels(wire), other.setup, beyond / error
     else:
         wrong = of.wrong_wire(bone.bone, wire, draw_times(rng), rule, lambda one: right.with_wire(bone.in_cfcs(one)))
         wrong_px = {**right_px, "wire": bone.projected(wrong)}
@@ -244,26 +244,25 @@ def _planned(rng: np.random.Generator, bone: DrawnHip | DrawnBone, of: WrongKind
 
 
 def _from_elsewhere(
-    rng: np.random.Generator, bone: DrawnBone, wire_mm: np.ndarray, times: float, error_95_deg: float
-) -> tuple[DrawnBone, float]:
-    """Return the bone with one of its two views turned beyond its tolerance by so many times the 95 % error, and by how
-    many times that is. Raises SetUpError.
+    rng: np.random.Generator, bone: DrawnHip | DrawnBone, wire_mm: np.ndarray, asked: Procedure, beyond_deg: float
+) -> tuple[DrawnHip | DrawnBone, float]:
+    """Return the bone with one of its two views turned so far beyond its tolerance, and by how much that is.
 
-    Measured along the patient's axes in the twin, not along those that the drawings show.
+    Measured along the patient's axes in the twin, not along those that the drawings show. Raises SetUpError.
     """
     which, seed, about = int(rng.integers(2)), int(rng.integers(2**32)), rng.standard_normal(3)
-    wanted = bone.procedure.document.views[which]
-    amount, away, aim = 0.0, 0.0, wanted.within_deg + times * error_95_deg
+    views = asked.document.views
+    amount, away, aim = 0.0, 0.0, views[which].within_deg + beyond_deg
     turned = bone
     for _ in range(4):  # its pose varies about the nominal beam
         amount += aim - away
         if not 0.0 < amount <= MAX_AMOUNT:
             raise SetUpError("no view is turned so far")
-        turned = bone.turned(which, amount, about, np.random.default_rng(seed))
+        turned = bone.turned(views, which, amount, about, np.random.default_rng(seed))
         middle, view = bone.in_cfcs(wire_mm.mean(axis=0)), list(turned.setup.views.values())[which]
         beam = frame_axes(bone.side) @ unit(middle - view.focal_point_mm)
-        away = float(np.rad2deg(np.arccos(beam @ anatomical(wanted.orbit_deg, wanted.tilt_deg))))
-    return turned, (away - wanted.within_deg) / error_95_deg
+        away = float(np.rad2deg(np.arccos(beam @ anatomical(views[which].orbit_deg, views[which].tilt_deg))))
+    return turned, away - views[which].within_deg
 
 
 def _unseen(

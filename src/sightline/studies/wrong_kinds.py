@@ -257,6 +257,10 @@ KINDS = (
         also=("angle between views",),
         turned=True,
     ),
+    WrongKind(
+        "hip: view from a wrong direction", HIP_SCREW, "view directions", also=("angle between views",), turned=True
+    ),
+    WrongKind("vertebra: longer than any implant", PEDICLE, "wire length", entry_in_air, also=("entry to pedicle",)),
 )
 
 
