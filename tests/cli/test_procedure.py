@@ -30,6 +30,8 @@ def test_a_procedure_of_ones_own_is_written_checked_planned_and_kept(run, beads_
     assert run("procedure", "new", mine, "--like", "free-wire").code == 0
     again = run("procedure", "new", mine, "--like", "free-wire")
     assert (again.code, "my-wire.json exists" in again.err) == (2, True)
+    unfound = run("procedure", "new", tmp_path / "my-wire", "--like", "free-wire")
+    assert (unfound.code, "name it my-wire.json" in " ".join(unfound.err.split())) == (2, True)
     mine.write_text(mine.read_text().replace('"position_mm": {"limit": 1,', '"position_mm": {"limit": 0.001,'))
     checked = run("procedure", "check", mine, "--json")
     assert (checked.code, checked.document["key"]) == (0, "my-wire")

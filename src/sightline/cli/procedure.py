@@ -99,6 +99,8 @@ def new(
         from sightline.errors import UnusableInputError
         from sightline.planning.procedures.files import copy_text
 
+        if file.suffix != ".json":
+            raise UnusableInputError(f"only files ending in .json are found as procedures: name it {file.name}.json")
         if file.exists():
             raise UnusableInputError(f"{file.name} exists; remove it, or name another file")
         write_whole(file, copy_text(like, file.stem))
