@@ -1,5 +1,6 @@
 """A wire checked against the bone: side, order of its ends, tip below the head's surface, entry at the cortex."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -82,6 +83,13 @@ def _lesser(wire_mm: np.ndarray, side: str) -> np.ndarray:
 
 
 @pytest.mark.slow
+def _said(verdict: Verdict, name: str) -> str:
+    """The sentences of the failed checks of a name, which state no negative length: a person reads a direction."""
+    said = " ".join(check.sentence for check in failed(verdict.checks) if check.name == name)
+    assert not re.search(r"-\d", said)
+    return said
+
+
 def test_right_plans_are_go_and_not_one_of_sixty_is_when_its_points_are_exchanged_or_its_side_is_the_other():
     other = {"right": "left", "left": "right"}
     noise = np.random.default_rng(22)
@@ -92,8 +100,10 @@ def test_right_plans_are_go_and_not_one_of_sixty_is_when_its_points_are_exchange
         assert right.state == "go", failed(right.checks)
         exchanged = _planned(wire[::-1], side=side, noise_px=noise_px, **known).verdict
         assert exchanged.state == "no-go" and "entry and end" in _names(exchanged)
+        assert "mm farther from the head's centre than" in _said(exchanged, "entry and end")
         wrong = _planned(wire, side=other[side], noise_px=noise_px, **known).verdict
         assert wrong.state == "no-go" and _names(wrong) == {"side"}
+        assert "mm above it" in _said(wrong, "side")
         both = _planned(wire[::-1], side=other[side], noise_px=noise_px, **known).verdict
         assert both.state == "no-go"
 
@@ -127,7 +137,8 @@ def test_the_tip_must_stay_under_the_heads_surface_by_more_than_its_error(short_
     assert check.passed == (depth > check.limit)
     assert verdict.go == (short_mm in (2.5, 8.0, 40.0))
     if not check.passed:
-        assert f"{check.limit:.1f} mm" in check.sentence and f"{depth:.1f} mm" in check.sentence
+        where = f"{abs(depth):.1f} mm {'under' if depth > 0 else 'beyond'} the nearest surface"
+        assert f"{check.limit:.1f} mm" in check.sentence and where in check.sentence
 
 
 @pytest.mark.parametrize("inside_mm", [0.0, 16.0, 25.0, 45.0])

@@ -122,6 +122,7 @@ def test_wrong_wires_are_no_go_each_of_them(wires_mm: np.ndarray, side: str, bro
     made = _planned(wires_mm, side=side)
     assert made.verdict.state == "no-go"
     assert broken <= _failed(made)
+    assert not any("lies -" in check.sentence for check in made.relations)  # a person reads a direction, not a sign
     assert not any(one.verdict.go for one in made.plans.values())
 
 

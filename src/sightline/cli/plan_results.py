@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from sightline.checks import failed
 from sightline.cli.output import Output
+from sightline.show.words import counted
 
 if TYPE_CHECKING:
     from sightline.case.contents import Images
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
 
 SAID = {
     "go": "GO: every check passed; a person decides",
-    "no-go": "NO-GO: {} checks failed. Do what they say, then plan again:",
-    "incomplete": "INCOMPLETE: {} checks could not be made. Give what they ask for:",
+    "no-go": "NO-GO: {} failed. Do what the sentences say, then plan again:",
+    "incomplete": "INCOMPLETE: {} could not be made. Give what the sentences ask for:",
 }
 
 
@@ -64,9 +65,9 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], 
     Where a gap contradicts the stated error, no error is shown beside the coordinates.
     """
     verdict, plans = planned.verdict, each_of(planned)
-    output.say(SAID[verdict.state].format(len(failed(verdict.checks))))
+    output.say(SAID[verdict.state].format(counted(len(failed(verdict.checks)), "check")))
     output.failures(verdict.checks)
-    for check in planned.relations:
+    for check in (one for one in planned.relations if one.passed):
         output.say(f"{check.name}: {check.sentence}")
     for sentence in remarks:
         output.say(sentence)

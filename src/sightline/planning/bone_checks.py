@@ -9,7 +9,7 @@ import numpy as np
 from sightline.checks import Check
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.anatomy import NOT_PLACED, Anatomy
-from sightline.planning.directions import ANTERIOR, MEDIAL, caudal
+from sightline.planning.directions import ANTERIOR, MEDIAL, caudal, lies
 from sightline.planning.metrics import Metric, metric, metric_of_wires, tip_depth
 from sightline.planning.procedures.rules import CHECKS, HEAD_CENTRE, LESSER, CheckRule
 from sightline.planning.results import Verdict
@@ -23,7 +23,8 @@ MAX_SHIFT_MM, _STEP_MM = 60.0, 0.5
 class Measure:
     """A measure of the wire that must lie between `low` and `high`: `value` maps entry and end (K, 3) to (K,).
 
-    `sentence` states the value; `otherwise` says what a value out of range means and what to do.
+    `sentence` states the value; `otherwise` says what a value out of range means and what to do. `ways`: words of the
+    sentence after a value in mm that is positive, and after one that is negative; else no value is negative.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Measure:
     unit: str
     sentence: str
     otherwise: str
+    ways: tuple[str, str] | None = None
 
     def passes(self, entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
         """Return (K,) bool for entries and ends (K, 3)."""
@@ -44,7 +46,8 @@ class Measure:
         value = float(self.value(entry_mm[None], end_mm[None])[0])
         limit = self.high if value > self.high or not np.isfinite(self.low) else self.low
         passed = self.low <= value <= self.high
-        sentence = self.sentence.format(f"{value:.1f}{'' if self.unit == '°' else ' '}{self.unit}")
+        figure = f"{value:.1f}{'' if self.unit == '°' else ' '}{self.unit}"
+        sentence = self.sentence.format(figure if self.ways is None else lies(value, self.ways))
         sentence += "." if passed else f"; {self.otherwise}."
         return Check(self.name, passed, value, float(limit), self.unit, sentence)
 
@@ -235,8 +238,9 @@ def _order(centre: np.ndarray) -> Measure:
         0.0,
         np.inf,
         "mm",
-        "The end point lies nearer to the head's centre than the entry point, by {}",
+        "The end point lies {} the head's centre than the entry point",
         "entry and end are exchanged, or the head is drawn in the wrong place: exchange them, or draw the head again",
+        ("nearer to", "farther from"),
     )
 
 
@@ -256,7 +260,8 @@ def _sides(
         f"with the frame placed like this it is not a {side} hip, or two points are exchanged: look at both images, "
         "then give the other side or pick again"
     )
-    sentence = f"For a {side} hip {{}} must lie below the centre of the head: it lies {{}} below"
+    sentence = f"For a {side} hip {{}} must lie below the centre of the head: it lies {{}} it"
+    ways = ("below", "above")
     out = [
         Measure(
             "side",
@@ -266,12 +271,15 @@ def _sides(
             "mm",
             sentence.format(f"the {name}", "{}"),
             otherwise,
+            ways,
         )
         for name, at in still.items()
     ]
     if by_wire:
         below = sentence.format("the entry", "{}")
-        out.append(Measure("side", lambda entry, end: (entry - centre) @ down, 0.0, np.inf, "mm", below, otherwise))
+        out.append(
+            Measure("side", lambda entry, end: (entry - centre) @ down, 0.0, np.inf, "mm", below, otherwise, ways)
+        )
     return out
 
 
@@ -287,9 +295,10 @@ def _tip(found: Anatomy) -> Measure:
         error,
         np.inf,
         "mm",
-        f"The tip lies {{}} under the nearest surface of the head (95 % error {error:.1f} mm)",
+        f"The tip lies {{}} the nearest surface of the head (95 % error {error:.1f} mm)",
         f"the depth must exceed its error of {error:.1f} mm, since the joint lies beyond the surface: move the end "
         "point, or draw the head again",
+        ("under", "beyond"),
     )
 
 
@@ -308,16 +317,17 @@ def _from_head(centre: np.ndarray, low: float) -> Measure:
 def _from_lesser(lesser: np.ndarray, rule: CheckRule) -> Measure:
     low, high = rule.range
     lateral = rule.check == "lateral of lesser trochanter"
-    way, name, where = (_LATERAL, "lateral", "inside") if lateral else (ANTERIOR, "anterior", "behind")
+    way, where = (_LATERAL, "inside") if lateral else (ANTERIOR, "behind")
     return Measure(
         "entry at cortex",
         lambda entry, end: (entry - lesser) @ way,
         low,
         high,
         "mm",
-        f"The entry lies {{}} {name} of the lesser trochanter's tip",
+        "The entry lies {} the lesser trochanter's tip",
         f"below {low:.0f} mm it lies {where} the bone, above {high:.0f} mm off the bone: pick the entry or the "
         "trochanter again; one may be wrong along its line of sight",
+        ("lateral of", "medial of") if lateral else ("anterior of", "posterior of"),
     )
 
 
@@ -341,8 +351,9 @@ def _from_cortex(found: Anatomy, centre: np.ndarray, rule: CheckRule) -> Measure
         -np.inf,
         high,
         "mm",
-        f"The entry lies {{}} {where} the lateral cortex that was clicked",
+        "The entry lies {} the lateral cortex that was clicked",
         f"more than {high:.0f} mm {where}, it lies {there}: pick it at the cortex, or click on the cortex again",
+        ("outside", "inside") if outside else ("inside", "outside"),
     )
 
 

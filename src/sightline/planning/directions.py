@@ -47,3 +47,8 @@ def towards(direction: np.ndarray, goal: np.ndarray, what: str) -> np.ndarray:
             f"{what} is nearly perpendicular to its expected direction; check the side and which lines were drawn"
         )
     return direction * np.sign(along)
+
+
+def lies(value_mm: float, ways: tuple[str, str]) -> str:
+    """Return a signed distance as text, "6.9 mm in front of", in words for a positive and for a negative one."""
+    return f"{abs(value_mm):.1f} mm {ways[value_mm < 0.0]}"

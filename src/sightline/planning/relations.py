@@ -13,7 +13,7 @@ from sightline.checks import Check
 from sightline.errors import RobotRefusedError
 from sightline.geometry.covariance import joined, length_quantile, response
 from sightline.planning.axis import Axis
-from sightline.planning.directions import ANTERIOR, across, caudal, unit
+from sightline.planning.directions import ANTERIOR, across, caudal, lies, unit
 from sightline.planning.procedures.document import Relation
 from sightline.planning.results import SpacePoints, Verdict, error_unknown
 
@@ -205,10 +205,12 @@ def _triangle(relation: Relation, wires: WireLines, names: Mapping[str, str], si
     least = float((values - errors)[worst])
     passed = least > 0.0
     other = known[1:][worst % len(ahead)]
-    where = "above" if worst < len(ahead) else ("in front of" if ahead[worst - len(ahead)] > 0 else "behind")
+    ways = ("above", "below") if worst < len(ahead) else ("in front of", "behind")
+    if worst >= len(ahead) and ahead[worst - len(ahead)] < 0:
+        ways = ways[::-1]
     sentence = (
-        f"The {names[wires.keys[other]]} must lie {where} the {names[keys[0]]}: it lies {values[worst]:.1f} mm {where} "
-        f"it, with 95 % probability at least {least:.1f} mm"
+        f"The {names[wires.keys[other]]} must lie {ways[0]} the {names[keys[0]]}: it lies "
+        f"{lies(float(values[worst]), ways)} it, with 95 % probability within {errors[worst]:.1f} mm"
     )
     sentence += "." if passed else "; wires are exchanged, or the side is wrong, or they are too close: pick again."
     return Check("inverted triangle", passed, least, 0.0, "mm", sentence)

@@ -10,7 +10,7 @@ from sightline.checks import Check
 from sightline.errors import ReconstructionRefusedError
 from sightline.geometry.covariance import TWO_SIDED_95, response
 from sightline.planning.anatomy import Anatomy
-from sightline.planning.directions import anatomical, unit
+from sightline.planning.directions import anatomical, lies, unit
 from sightline.planning.line_residuals import no_lines
 from sightline.planning.patient_axes import BoneAxes, frame_axes
 from sightline.planning.procedures import Procedure
@@ -19,7 +19,8 @@ from sightline.planning.procedures.rules import HEAD_CENTRE, CheckRule
 from sightline.planning.results import Verdict
 
 _NAME = "view directions"
-_WAYS = (("lateral", "medial"), ("caudal", "cranial"), ("in front", "behind"))  # lateral, caudal, anterior
+# Along lateral, caudal, anterior.
+_WAYS = (("lateral of", "medial of"), ("caudal of", "cranial of"), ("in front of", "behind"))
 # Checks along lateral, caudal or anterior: those of the frame, by the stated side.
 _ALONG_AXES = ("side", "lateral of lesser trochanter", "anterior of lesser trochanter")
 _ASSUMED = (
@@ -150,9 +151,9 @@ class Located:
         third = document.directions[2]
         to, start = (" and ".join(keys).replace("-", " ") for keys in (third.to, third.from_))
         axis = int(np.argmax(np.abs(third.nominal)))
-        way = _WAYS[axis][int(third.nominal[axis] < 0.0)]
+        ways = _WAYS[axis] if third.nominal[axis] > 0.0 else _WAYS[axis][::-1]
         sentence = (
-            f"For a {self.side} side the {to} must lie {way} of the {start}: it lies {value:.1f} mm {way} of it, with "
+            f"For a {self.side} side the {to} must lie {ways[0]} the {start}: it lies {lies(value, ways)} it, with "
             f"95 % probability within {error:.1f} mm"
         )
         if value <= error:
