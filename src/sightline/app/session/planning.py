@@ -42,8 +42,8 @@ _EDITS = ("edit", "undo", "redo")
 class Planning:
     """Images, decisions and plan of one case. `all_sent`: the plans that were sent to the robot, `all_drilled`: the
     wires that are drilled to their depth, both by the wire's kind. `implanted`: the nail of a rehearsed patient, once
-    it is known. The listeners of `jobs` are called on every change. Raises UnusableInputError where the procedure of
-    the decisions is not found."""
+    it is known; `lacking_in`: what that patient lacks, by procedure. The listeners of `jobs` are called on every
+    change. Raises UnusableInputError where the procedure of the decisions is not found."""
 
     def __init__(self, case: Case, frame_ref: str, worker: WorkerProcess, jobs: Jobs) -> None:
         self.case, self.frame, self.worker, self.jobs = case, stages.frame_of(case, frame_ref), worker, jobs
@@ -55,6 +55,7 @@ class Planning:
         self.all_drilled: dict[str, DrilledWire] = {}
         self.nail = NailInImages(lambda: self._drawn_on(self.decisions), jobs)
         self.implanted: Nail | None = None
+        self.lacking_in: Mapping[str, str] = {}
         jobs.listeners.append(self.nail.update)
         self._planned: Planned | None = None
         self._kept: Planned | None = None
@@ -72,6 +73,14 @@ class Planning:
         """The rehearsed patient; None if the images come from a C-arm."""
         entry = self.case.latest(Kind.CHANGED, where={"what": "rehearsal"})
         return None if entry is None else Patient.of(entry.content["to"])
+
+    @property
+    def lacking(self) -> str:
+        """What the chosen procedure needs and the rehearsed patient does not have; empty where there is no such thing.
+        Of a file of the user's only a nail is known to be needed."""
+        document, lacking = kind(self.decisions.kind).document, self.lacking_in
+        nail = rehearsing.NAIL if document.through_holes and rehearsing.NAIL in lacking.values() else ""
+        return lacking.get(document.key, nail)
 
     @property
     def specs(self) -> tuple[MarkSpec, ...]:
@@ -315,6 +324,8 @@ class Planning:
             await self.jobs.during("starting", lambda: self.worker.do(warm_up))
             if self.patient is not None and not self.decisions.images:
                 await self.take_rehearsed()
+            if self.patient is not None:
+                self.lacking_in = await self.worker.do(rehearsing.lacking_in, self.patient)
             if self.patient is not None and document_of(self.patient.procedure).through_holes:
                 self.implanted = await self.worker.do(rehearsing.nail_of, self.patient)
             if not self.decisions.images:
