@@ -5,27 +5,28 @@ FILE then holds the simulated wire and the joints at the last shot: what the twi
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from sightline.app.session.shots import Shots
+from sightline.app.session.rehearsing import shot_images
+from sightline.app.session.worker import WorkerProcess
 from sightline.cli import main
 
 
 def _telling(file: Path) -> None:
-    taken = Shots.take_rehearsed
+    do = WorkerProcess.do
 
-    async def told(self: Shots) -> None:
-        robot = self._drilling.session
-        if robot is not None:
-            wire, q = await robot.simulated_wire(), await robot.joints()
+    async def told(self: WorkerProcess, function: Callable[..., Any], *given: Any) -> Any:
+        if function is shot_images:
+            _, wires, q, *_ = given
             new = file.with_suffix(".new")
-            new.write_text(json.dumps({"wire": wire.text(), "q": q.tolist()}))
+            new.write_text(json.dumps({"wire": list(wires.values())[-1], "q": q}))
             new.replace(file)
-        await taken(self)
+        return await do(self, function, *given)
 
     replaced: Any = told
-    Shots.take_rehearsed = replaced
+    WorkerProcess.do = replaced
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ def _shot(patient: Rehearsal, told: Path, state: str) -> dict[str, Pixels]:
     """Where each mark of the shot that was taken belongs."""
     at = json.loads(told.read_text())
     true = patient.drilling_images(SimulatedWire.of(at["wire"]), np.array(at["q"]), state, on_patient=True)
-    return by_image(truth(patient, true))
+    return by_image(dict(truth(patient, true)))
 
 
 def _order(hands: Hands, what: str, state: str) -> None:
