@@ -324,13 +324,14 @@ class Planning:
             await self.jobs.during("starting", lambda: self.worker.do(warm_up))
             if self.patient is not None and not self.decisions.images:
                 await self.take_rehearsed()
-            if self.patient is not None:
-                self.lacking_in = await self.worker.do(rehearsing.lacking_in, self.patient)
             if self.patient is not None and document_of(self.patient.procedure).through_holes:
                 self.implanted = await self.worker.do(rehearsing.nail_of, self.patient)
             if not self.decisions.images:
                 await self._take_in()
         await self._open_named()
+        if self.patient is not None:  # last: it imports the twin, which images that are there do not need
+            self.lacking_in = await self.worker.do(rehearsing.lacking_in, self.patient)
+            self.jobs.notify()
 
     async def _take_in(self) -> None:
         """Assign the newest images that were acquired into this case by other programs, each by its datum markers, of a
