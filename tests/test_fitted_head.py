@@ -18,7 +18,7 @@ RING_RAD = 2 * np.pi * np.arange(40) / 40
 SIZE = 1024
 
 
-def _rays(view):
+def rays(view):
     """Directions (H, W, 3) of lines of sight, one for 2 x 2 pixels."""
     at = np.arange(0, SIZE, 2.0) + 0.5  # the middle of 2 x 2 pixels
     uv = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
@@ -26,21 +26,21 @@ def _rays(view):
     return (ray / np.linalg.norm(ray, axis=1, keepdims=True)).reshape(SIZE // 2, SIZE // 2, 3)
 
 
-def _shown(view, bone: np.ndarray, seed: int) -> Radiograph:
+def shown(view, bone: np.ndarray, seed: int) -> Radiograph:
     light = gaussian_filter(np.kron(20000 * np.exp(-bone), np.ones((2, 2))), 1.5)
     noise = 60.0 * np.random.default_rng(seed).standard_normal(light.shape)
     return Radiograph(np.rint(np.clip(light + noise, 1, 60000)).astype(np.uint16), 65535.0)
 
 
-def _chord(square: np.ndarray, radius_mm: float) -> np.ndarray:
+def chord(square: np.ndarray, radius_mm: float) -> np.ndarray:
     return 2 * np.sqrt(np.clip(radius_mm**2 - square, 0.0, None))
 
 
-def _head_image(view, seed: int = 1) -> Radiograph:
+def head_image(view, seed: int = 1) -> Radiograph:
     """A ball with a cortex of 1.2 mm."""
-    away = np.cross(CENTRE_MM - view.focal_point_mm, _rays(view))
+    away = np.cross(CENTRE_MM - view.focal_point_mm, rays(view))
     square = (away**2).sum(axis=-1)
-    return _shown(view, 0.02 * (_chord(square, RADIUS_MM) - 0.7 * _chord(square, RADIUS_MM - 1.2)), seed)
+    return shown(view, 0.02 * (chord(square, RADIUS_MM) - 0.7 * chord(square, RADIUS_MM - 1.2)), seed)
 
 
 def _drawn_circle(view) -> tuple[np.ndarray, float]:
@@ -56,7 +56,7 @@ def _drawn_head(off_px: tuple[float, float, float]) -> tuple[Circle, Circle]:
 
 def test_a_head_drawn_4_px_off_is_fitted_to_the_sphere_that_both_images_show() -> None:
     drawn = _drawn_head((3.0, -2.5, 2.0))
-    fitted, kept = fit_head(views(), [_head_image(view, k) for k, view in enumerate(views())], drawn)
+    fitted, kept = fit_head(views(), [head_image(view, k) for k, view in enumerate(views())], drawn)
     assert not kept
     before, after = (locate(views(), Aids(head=head)).head for head in (drawn, fitted))
     assert before is not None and after is not None and after.covariance_mm2 is not None
@@ -71,7 +71,7 @@ def test_a_head_drawn_4_px_off_is_fitted_to_the_sphere_that_both_images_show() -
 
 def test_a_head_without_an_edge_in_one_image_is_kept_there_and_one_that_is_no_sphere_in_both() -> None:
     drawn = _drawn_head((1.0, 0.0, 0.0))
-    pa, lateral = (_head_image(view, k) for k, view in enumerate(views()))
+    pa, lateral = (head_image(view, k) for k, view in enumerate(views()))
     empty = Radiograph(np.full_like(lateral.pixels, 9000), 65535.0)
     one, kept = fit_head(views(), [pa, empty], drawn)
     assert list(kept) == ["lateral"] and "edge" in kept["lateral"]

@@ -1,19 +1,22 @@
 """Sending and checking without a robot or a page: what fails leaves nothing that looks like success."""
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.planning import bone
 from tests.planning.standin import stand_in
 
-from sightline.app.plan.decisions import Decisions, Mark
+from sightline.app.plan.decisions import Decisions, Display, Mark
+from sightline.app.plan.fitted import FittedHead
 from sightline.app.plan.marks import END, ENTRY, marks_of
-from sightline.app.plan.planner import planned
+from sightline.app.plan.planner import drawn_head, planned
 from sightline.app.session import drilling_workflow as module
 from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.jobs import Jobs
@@ -26,6 +29,8 @@ from sightline.errors import CaseError, LinkError, RobotRefusedError, UnusableIn
 from sightline.frame import Frame
 from sightline.planning import PROCEDURES, kind
 
+LANDMARK = "landmark-lesser-trochanter"
+
 
 class _Planning(Planning):
     """Of a plan that was sent before."""
@@ -33,6 +38,7 @@ class _Planning(Planning):
     def __init__(self, case: Any, known: Any) -> None:
         self.case, self.jobs, self.known, self.frame = case, Jobs(), known, Frame.load("gamma")
         self.all_sent, self.all_drilled = {known.decisions.kind: SentPlan(known, datetime.now(UTC))}, {}
+        self.lacking_in = {}
 
     @property
     def decisions(self) -> Any:
@@ -85,6 +91,70 @@ def test_a_plan_that_the_robot_may_hold_gets_no_order_meant_for_the_one_before(
         asyncio.run(drilling.send(planning.known))
     assert not planning.sent_is_current
     with pytest.raises(RobotRefusedError, match="Send the plan again"):
+        asyncio.run(drilling.align())
+
+
+def _drawn(decisions: Decisions) -> Decisions:
+    """Three clicks on the head's rim, and a landmark, in both images."""
+    shown, turns = bone.views(), np.array([0.4, 2.3, 4.6])
+    rims = np.stack([bone.rim(view, turns) for view in shown], axis=1)
+    uv = {LANDMARK: np.stack([view.project(bone.LESSER_MM[None])[0] for view in shown])}
+    uv |= {f"head-{k + 1}": at for k, at in enumerate(rims)}
+    for name, at in uv.items():
+        places = {view: (u, v) for view, (u, v) in zip(NAMES, at.tolist(), strict=True)}
+        decisions = decisions.with_mark(name, Mark(places))
+    return decisions
+
+
+def _moved(decisions: Decisions, name: str, image: str) -> Decisions:
+    return decisions.with_mark(name, decisions.mark(name).placed(image, (500.0, 500.0)))
+
+
+def _fitted(decisions: Decisions) -> Decisions:
+    head = drawn_head(decisions)
+    assert head is not None
+    return replace(decisions, fitted_head=FittedHead.made(head, {}))
+
+
+@pytest.mark.parametrize(
+    ("change", "current"),
+    [
+        (_fitted, False),
+        (lambda now: _moved(now, "head-2", "lateral"), False),
+        (lambda now: now.with_mark("head-1", None), False),
+        (lambda now: _moved(now, "neck-1", "pa"), False),
+        (lambda now: _moved(now, LANDMARK, "pa"), False),
+        (lambda now: _moved(now, LANDMARK, "check-pa"), True),  # found again after drilling
+        (lambda now: _moved(now, LANDMARK, "shot-lateral"), True),
+        (lambda now: now.with_display("pa", Display(90)), True),
+        (lambda now: replace(now, snapping=False), True),
+    ],
+)
+def test_the_robot_does_not_drill_once_verdict_or_depth_limit_could_be_others(
+    monkeypatch: pytest.MonkeyPatch, change: Callable[[Decisions], Decisions], current: bool
+) -> None:
+    """The depth limit is counted from the head as it was when the plan was sent."""
+    drilling, planning = _drilling(monkeypatch, _taken, lambda *_, **__: None)
+    aligned: list[bool] = []
+
+    async def align() -> None:
+        aligned.append(True)
+
+    robot: Any = SimpleNamespace(now=SimpleNamespace(lost=False), align=align)
+    drilling.session = robot
+    decisions = _drawn(planning.decisions)
+    planning.known.decisions = decisions
+    known: Any = SimpleNamespace(plan=planning.known.plan, decisions=decisions)
+    drilling.held = planning.all_sent[decisions.kind] = SentPlan(known, datetime.now(UTC))
+    asyncio.run(drilling.align())
+    planning.known.decisions = change(decisions)
+    if current:
+        asyncio.run(drilling.align())
+        assert len(aligned) == 2
+    else:
+        with pytest.raises(RobotRefusedError, match="Send the plan again"):
+            asyncio.run(drilling.align())
+        planning.known.decisions = decisions  # undone
         asyncio.run(drilling.align())
 
 

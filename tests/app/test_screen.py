@@ -74,6 +74,9 @@ def test_the_checklist_of_every_procedure_fits(server: Server, open_page: Callab
 def test_the_measure_finds_what_does_not_fit(hands: Hands) -> None:
     page = hands.page
     hands.step("Plan")
+    hands.see("kind").click()
+    page.get_by_role("option").first.click()  # whose bone the patient has: then an image shows a hint
+    hands.until("pa", "Boolean(core.state.placing)")
     _rest(page)
     assert not wrong(page, scrolls=False)
     for style, found in (

@@ -10,7 +10,7 @@ from nicegui.language import Language
 
 from sightline.app import texts
 from sightline.app.drawing.pictures import Pictures
-from sightline.app.panels import calibrate, drill, figures, images, lead, plan, top, verdict, verify, wires
+from sightline.app.panels import calibrate, drill, figures, images, lead, plan, shots, top, verdict, verify, wires
 from sightline.app.panels.drawer import Drawer
 from sightline.app.panels.menu import Menu, OpenCase
 from sightline.app.panels.section import HtmlSection, Section, action
@@ -74,7 +74,9 @@ def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, s
     wires.build(tab)
     with ui.element("div").props("role=status"):
         HtmlSection(
-            tab, lambda t: (_planning(t), verdict.key(t)), lambda t: verdict.html(t) if _planning(t) else Markup()
+            tab,
+            lambda t: (_planning(t), t.step, verdict.key(t), shots.key(t)),
+            lambda t: shots.verdict_html(t) or verdict.html(t) if _planning(t) else Markup(),
         )
     HtmlSection(
         tab,

@@ -110,7 +110,7 @@ def _position(profiles: np.ndarray, t: np.ndarray, shape: np.ndarray) -> np.ndar
         raise NoBoneEdgeError(f"no edge of a bone is clear within {REACH_PX:.0f} px of it; draw it nearer, or keep it")
     for side in (-1.0, 1.0):
         room = REACH_PX - side * float(moved[best].mean())
-        if room < _OTHER_PX:
+        if room <= _OTHER_PX:
             continue
         along = _mean_at(gain, (moved[best] + side * np.arange(0.0, room)[:, None] - t[0]) / _STEP_PX)
         far = along[int(_OTHER_PX) :].argmax() + int(_OTHER_PX)

@@ -37,6 +37,8 @@ from sightline.twin.specimens import tagged
 
 SHOWN_MM, MAX_SHOWN_MM = 25.0, 60.0  # length of the robot's own wire, to its tip, in images of a block [ours]
 PICKED = 7  # points that a person picks on the robot's wire, its tip last [ours]
+# Of a frame fixed to the patient by hand, s.d. of a twist against its place at the images: 2° and 3 mm per axis [ours].
+ON_PATIENT_SD = np.array([np.deg2rad(2.0)] * 3 + [3.0] * 3)
 NO_SERIAL = "none"  # sent to the robot for a frame without a serial
 
 
@@ -165,9 +167,12 @@ class Rehearsal(RehearsedPatient):
         state: str,
         key: str = "",
         before_mm: Mapping[str, np.ndarray] = MappingProxyType({}),
+        *,
+        on_patient: bool = False,
     ) -> CheckImages:
         """Render two images in ALIGNED or PAUSED, at the encoders `q` (5,): a block is put back on its mount, and the
-        arm stands where it is, up to its play. `key`, `before_mm`: as of `check_images`.
+        arm stands where it is, up to its play. `key`, `before_mm`: as of `check_images`. `on_patient`: the frame was
+        taken off the arm and fixed to the patient, about where it was at the images (ON_PATIENT_SD).
 
         In ALIGNED the sleeve is drawn back. A person picks the wire there, since part of it lies before a saturated
         background: `picked_mm`. Raises SetUpError.
@@ -177,6 +182,8 @@ class Rehearsal(RehearsedPatient):
         play = self.robot.manipulator.backlash / 2 * rng.uniform(-1, 1, 5)
         now = true.T_mcs_cfcs(q + play) * RigidTransform.from_exp_coords(REMOUNT_SD * rng.standard_normal(6))
         motion = now.inv() * wire.T_mcs_cfcs
+        if on_patient:
+            motion = RigidTransform.from_exp_coords(ON_PATIENT_SD * rng.standard_normal(6))
         if state != ALIGNED:
             return self._check_images({**before_mm, key: wire.axis_mm}, motion, rng)
         along = (wire.T_mcs_cfcs.inv() * true.T_mcs_tool(q)).rotation.apply([0.0, 0.0, 1.0])

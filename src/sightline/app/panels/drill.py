@@ -1,6 +1,6 @@
 """Step 4, Drill: send the plan, align the arm, drill the wire; a person confirms each motion."""
 
-from collections.abc import Awaitable, Callable, Hashable
+from collections.abc import Awaitable, Hashable
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -9,6 +9,7 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels import live, markup, shots, wires
+from sightline.app.panels.confirming import confirmed_action
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
 from sightline.app.session.zero import ZeroSource
 from sightline.app.tab.tab import Tab
@@ -45,13 +46,14 @@ def _shot_key(tab: Tab) -> Hashable:
     now = tab.session.drilling.now
     if now is None:
         return None
-    return (now.state == State.PAUSED.value, now.zero, now.activity, tab.session.drilling.changed)
+    told = (now.state == State.PAUSED.value, now.zero, now.activity, tab.session.drilling.changed)
+    return (*told, tab.session.shots.on_patient)
 
 
 def build(tab: Tab) -> None:
-    """Build the panel: the robot's state and depth, the second shot, the live image."""
-    Section(tab, key, _robot)
+    """Build the panel: the shot that the robot waits for, its state and depth, the second shot, the live image."""
     Section(tab, shots.key, shots.build)
+    Section(tab, key, _robot)
     Section(tab, _shot_key, _second_shot)
     live.build(tab)
 
@@ -94,7 +96,7 @@ def _robot(tab: Tab) -> None:
         if tab.session.drilling.changed:
             note(tab.session.drilling.changed, kind="bad", testid="changed-after-sending")
         if session is not None and now.state in _RETRACTABLE:
-            _confirmed_action(
+            confirmed_action(
                 tab,
                 texts.RETRACT,
                 texts.RETRACT_QUESTION,
@@ -194,21 +196,21 @@ def build_next(tab: Tab) -> None:
     left = _left_mm(session)
     ready = idle and held and not tab.session.shots.objection
     if now.fault:
-        _confirmed_action(
+        confirmed_action(
             tab, texts.RESET_FAULT, texts.RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle
         )
     elif state == State.ALIGNED.value:
         drill = partial(drilling.drill, State.ALIGNED)
         question = texts.DRILL_QUESTION.format(left=left)
-        _confirmed_action(tab, texts.DRILL, question, drill, "drill", enabled=ready)
+        confirmed_action(tab, texts.DRILL, question, drill, "drill", enabled=ready)
     elif state == State.PAUSED.value:
         drill = partial(drilling.drill, State.PAUSED)
         question = texts.DRILL_ON_QUESTION.format(left=left)
-        _confirmed_action(tab, texts.DRILL_ON, question, drill, "drill-on", enabled=ready)
+        confirmed_action(tab, texts.DRILL_ON, question, drill, "drill-on", enabled=ready)
     elif planning.drilled is not None and wires.following(tab) is not None:
         wires.build_following(tab)
     elif state in (State.TARGETING.value, State.STOP.value) and held:
-        _confirmed_action(tab, texts.ALIGN, texts.ALIGN_QUESTION, drilling.align, "align", enabled=ready)
+        confirmed_action(tab, texts.ALIGN, texts.ALIGN_QUESTION, drilling.align, "align", enabled=ready)
     else:
         _send(tab, enabled=idle and state != State.DONE.value)
 
@@ -243,7 +245,7 @@ def _send(tab: Tab, *, enabled: bool) -> None:
         side=texts.SIDE_WORDS[side],
         serial=planning.decisions.serial,
     )
-    _confirmed_action(
+    confirmed_action(
         tab, texts.SEND, texts.SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=enabled
     )
 
@@ -251,7 +253,8 @@ def _send(tab: Tab, *, enabled: bool) -> None:
 def _second_shot(tab: Tab) -> None:
     """Build the form for the depth measured in the second shot, during the pause."""
     drilling, now = tab.session.drilling, tab.session.drilling.now
-    if now is None or now.state != State.PAUSED.value or tab.planning.frame.solid is not None:
+    measured = tab.planning.frame.solid is not None or tab.session.shots.on_patient
+    if now is None or now.state != State.PAUSED.value or measured:
         return
     enabled = not now.activity and drilling.held is not None and not drilling.changed
     known = {"zero": _zero_words(now), "error": _error_words(now)}
@@ -267,41 +270,7 @@ def _second_shot(tab: Tab) -> None:
         return drilling.send_shot_depth(*(float("nan" if one.value is None else one.value) for one in (depth, error)))
 
     question = texts.SHOT_QUESTION.format(left=_left_mm(drilling.session))
-    _confirmed_action(tab, texts.SEND_DEPTH, question, tell, "tell-shot", enabled=enabled, kind="plain")
-
-
-def _confirmed_action(
-    tab: Tab,
-    text: str,
-    question: str,
-    command: Callable[[], Awaitable[object]],
-    testid: str,
-    *,
-    what: str = "",
-    enabled: bool,
-    kind: str = "primary",
-) -> None:
-    """Build a button that asks for confirmation before it acts."""
-
-    def ask() -> None:
-        # On the page, not in this section: the question stays when the robot's state rebuilds the section. A command
-        # that no longer fits is refused by what it calls.
-        with texts.spoken(tab.language), ui.context.client, ui.dialog() as dialog, ui.card().classes("question"):
-            ui.label(question).classes("question-text")
-            if what:
-                ui.label(what)
-
-            async def agreed() -> None:
-                dialog.close()
-                await tab.act(command)
-
-            with ui.element("div").classes("choice"):
-                action(texts.CANCEL, dialog.close, testid=f"{testid}-cancel", kind="plain")
-                action(text, agreed, testid=f"{testid}-yes", kind="primary")
-        dialog.on("hide", dialog.delete)
-        dialog.open()
-
-    action(text, ask, testid=testid, kind=kind, enabled=enabled)
+    confirmed_action(tab, texts.SEND_DEPTH, question, tell, "tell-shot", enabled=enabled, kind="plain")
 
 
 def _force(tab: Tab) -> None:

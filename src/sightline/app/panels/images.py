@@ -59,7 +59,7 @@ def _wanted(tab: Tab) -> dict[str, str]:
     check, shot = tab.step is ProcedureStep.VERIFY, tab.step is ProcedureStep.DRILL and bool(tab.session.shots.state)
     if tab.session.jobs.working or not (check or shot or tab.step is ProcedureStep.IMAGES):
         return {}
-    slots = [name for name in tab.planning.slots if not check or name != OBLIQUE]
+    slots = [name for name in tab.planning.slots if not (check or shot) or name != OBLIQUE]
     if shot or (check and tab.planning.patient is not None):  # which replaces what the views show, or is simulated
         return dict.fromkeys(slots, "here")
     seen = {name: tab.planning.seen(f"check-{name}" if check else name) for name in slots}

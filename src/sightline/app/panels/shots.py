@@ -3,21 +3,22 @@
 from collections.abc import Hashable
 
 import numpy as np
+from markupsafe import Markup
 
 from sightline.app import texts
 from sightline.app.panels import markup
-from sightline.app.panels.section import action, heading, note, put, table
+from sightline.app.panels.confirming import confirmed_action
+from sightline.app.panels.section import action, heading, note, table
 from sightline.app.plan.marks import SHOT_NAMES
 from sightline.app.session.zero import ZeroSource
+from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
+from sightline.checks import failed
 from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.planning.check_start import MIN_LANDMARKS
 from sightline.planning.drill_shot import ALIGNED, PAUSED, TURNED_AWAY, DrillShot
 
 _STATES = {"GO": "go", "STOP": "no-go", "INCOMPLETE": "incomplete"}  # of a card, by the decision
-_CARD = (
-    '<div class="verdict {}" data-testid="shot-verdict"><div class="verdict-word">{}</div>'
-    '<div class="verdict-sentence"{}>{}</div></div>'
-)
 
 
 def key(tab: Tab) -> Hashable:
@@ -25,7 +26,39 @@ def key(tab: Tab) -> Hashable:
     shots, now = tab.session.shots, tab.session.drilling.now
     seen = tuple(tab.planning.seen(name) for name in SHOT_NAMES)
     told = None if now is None else (now.state, now.zero, now.activity)
-    return told, shots.state, shots.shown, shots.found, shots.refused, seen, tab.session.jobs.working
+    frame = shots.on_patient, shots.lacks_landmarks, shots.measuring, shots.objection
+    return told, shots.state, shots.shown, shots.found, shots.refused, seen, frame, tab.session.jobs.working
+
+
+def verdict_html(tab: Tab) -> Markup:
+    """Return the decision of the shot as HTML, in place of the plan's verdict; empty where no shot is taken."""
+    shots = tab.session.shots
+    if tab.step is not ProcedureStep.DRILL or not (shots.shown or shots.objection):
+        return Markup()
+    decision, told = _decided(tab)
+    now = tab.session.drilling.now
+    of = "" if now is None else texts.SHOT_HEADINGS[now.state]
+    return markup.card(_STATES[decision], texts.SHOT_DECISIONS[decision], told, of, testid="shot-verdict")
+
+
+def _decided(tab: Tab) -> tuple[str, str]:
+    """Return the decision of the shot and the first reason, or what is missing before it can be measured."""
+    shots = tab.session.shots
+    if shots.found is not None:
+        verdict = shots.found.verdict
+        wrong = sorted(failed(verdict.checks), key=lambda one: one in verdict.unmade)
+        return shots.found.decision, texts.said(wrong[0]) if wrong else texts.SHOT_ON_PLAN
+    if shots.objection:
+        return "STOP", shots.objection
+    for name in SHOT_NAMES:
+        seen = tab.planning.seen(name)
+        if seen is not None and (seen.refused or seen.doing):
+            state = seen.refused or f"{texts.word(seen.doing)} …"
+            return "INCOMPLETE", texts.CHECK_IMAGE.format(image=texts.IMAGE_LABELS[name], state=state)
+    if shots.lacks_landmarks:
+        known = len(tab.planning.landmarks)
+        return "INCOMPLETE", texts.SHOT_NEEDS_LANDMARKS.format(count=MIN_LANDMARKS, known=known)
+    return "INCOMPLETE", texts.SHOT_MEASURING if shots.measuring else shots.refused or texts.SHOT_LEFT
 
 
 def build(tab: Tab) -> None:
@@ -34,36 +67,38 @@ def build(tab: Tab) -> None:
     if now is None or now.lost or now.state not in (ALIGNED, PAUSED):
         return
     heading(texts.SHOT_HEADINGS[now.state])
-    if tab.planning.frame.solid is None:
+    if shots.on_patient:
+        note(texts.FRAME_ON_PATIENT, kind="quiet", testid="on-patient")
+    if not shots.state:
         note(TURNED_AWAY, kind="quiet", testid="turned-away")
-        return
-    if tab.planning.patient is None:
-        note(texts.SHOT_DROP, kind="quiet")
+    elif tab.planning.patient is None:
+        note(texts.SHOT_DROP_ON_PATIENT if shots.on_patient else texts.SHOT_DROP, kind="quiet")
     else:
         enabled = not now.activity and not tab.session.jobs.working
         action(texts.TAKE_SHOT, tab.doing(shots.take_rehearsed), testid="take-shot", kind="plain", enabled=enabled)
-    if not shots.shown:
-        return
-    for name in SHOT_NAMES:
-        seen = tab.planning.seen(name)
-        if seen is not None and (seen.refused or seen.doing):
-            state = seen.refused or f"{texts.word(seen.doing)} …"
-            note(
-                texts.CHECK_IMAGE.format(image=texts.IMAGE_LABELS[name], state=state),
-                kind="bad" if seen.refused else "",
-            )
-    if shots.refused:
-        note(shots.refused, kind="bad", testid="shot-refused")
     if shots.found is not None:
-        _result(shots.found)
+        _measured(shots.found)
         if shots.shown == PAUSED and shots.found.decision == "GO" and ZeroSource.SHOT not in now.zero:
             action(texts.SEND_MEASURED, tab.doing(shots.send_depth), testid="send-measured", enabled=not now.activity)
+    _frame_on_patient(tab)
 
 
-def _result(found: DrillShot) -> None:
-    wrong = [texts.said(one) for one in found.verdict.checks if not one.passed]
-    told = wrong[0] if wrong else texts.SHOT_ON_PLAN if found.decision == "GO" else ""
-    put(markup.filled(_CARD, _STATES[found.decision], texts.SHOT_DECISIONS[found.decision], markup.lang(told), told))
+def _frame_on_patient(tab: Tab) -> None:
+    """Build the button for a person's statement where the frame is."""
+    shots, now = tab.session.shots, tab.session.drilling.now
+    fixed = not shots.on_patient
+    confirmed_action(
+        tab,
+        texts.FRAME_IS_ON[fixed],
+        texts.FRAME_ON_QUESTIONS[fixed],
+        lambda: shots.state_on_patient(fixed=fixed),
+        "frame-on-patient" if fixed else "frame-on-arm",
+        enabled=now is not None and not now.activity,
+        kind="plain",
+    )
+
+
+def _measured(found: DrillShot) -> None:
     wire, (entry, end, direction, depth) = found.wire, texts.SHOT_ROWS
     angle, error = np.rad2deg(wire.angle_rad), np.rad2deg(wire.direction_error_95_rad)
     rows = [

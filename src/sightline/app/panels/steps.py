@@ -90,6 +90,8 @@ def _calibrate(planning: Planning) -> _Found:
 
 def _plan(session: Session) -> _Found:
     known, decisions = session.planning.planned, session.planning.decisions
+    if session.planning.lacking:
+        return StepStatus.ATTENTION, " ".join(texts.LACKS[session.planning.lacking])
     if known is None:
         return StepStatus.BLOCKED, texts.CALIBRATE_FIRST
     if known.plan is None:

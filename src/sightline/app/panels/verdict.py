@@ -27,8 +27,8 @@ SOURCES = {  # sources of error, with their colours (colours.js)
 
 def key(tab: Tab) -> Hashable:
     """Key of the verdict."""
-    listed = _listed(tab)
-    return len(listed), tuple(check.sentence for check in failed(listed)), left(tab), _refused(tab)
+    listed, lacking = _listed(tab), tab.planning.lacking
+    return len(listed), tuple(check.sentence for check in failed(listed)), left(tab), _refused(tab), lacking
 
 
 def left(tab: Tab) -> tuple[str, ...]:
@@ -62,7 +62,11 @@ def _listed(tab: Tab) -> tuple[Check, ...]:
 
 
 def html(tab: Tab) -> Markup:
-    """Return the verdict as HTML: of a plan that is NO-GO the first thing to do, of an incomplete one what is left."""
+    """Return the verdict as HTML: of a plan that is NO-GO the first thing to do, of an incomplete one what is left, or
+    what the patient does not have."""
+    if lacking := tab.planning.lacking:
+        state, (told, _) = "incomplete", texts.LACKS[lacking]
+        return markup.card(state, texts.VERDICTS[state], told, "", testid="verdict")
     verdict, missing = tab.session.readiness.verdict_of(tab.known), left(tab)
     state = "incomplete" if verdict is None else verdict.state
     if verdict is None or state == "incomplete":

@@ -107,6 +107,8 @@ class DrillingWorkflow:
 
         Raises RobotRefusedError if the plan has changed since, LinkError, CaseError."""
         planning, session = self._planning, self._running()
+        if planning.lacking:
+            raise RobotRefusedError(" ".join(texts.LACKS[planning.lacking]))
         plan = known.plan if known is planning.planned else None
         now = kind_of(known.decisions.kind).fingerprint
         if plan is None or plan.kind.fingerprint != now or not self._readiness.can_send:

@@ -29,11 +29,15 @@ class Jobs:
         """Remove a listener, if it is one."""
         self.listeners[:] = [one for one in self.listeners if one != listener]
 
+    def refuse_more(self) -> None:
+        """Raise UnusableInputError while work is running."""
+        if self.working:
+            raise UnusableInputError(f"wait: {self.working} is not done yet")
+
     async def during(self, what: str, work: Callable[[], Awaitable[T]]) -> T:
         """Run work while pages show `what`, and return its result. Pages also show its error. Raises
         UnusableInputError, without starting it, while other work is running."""
-        if self.working:
-            raise UnusableInputError(f"wait: {self.working} is not done yet")
+        self.refuse_more()
         self.working, self.trouble = what, ""
         self.notify()
         try:

@@ -42,8 +42,8 @@ _EDITS = ("edit", "undo", "redo")
 class Planning:
     """Images, decisions and plan of one case. `all_sent`: the plans that were sent to the robot, `all_drilled`: the
     wires that are drilled to their depth, both by the wire's kind. `implanted`: the nail of a rehearsed patient, once
-    it is known. The listeners of `jobs` are called on every change. Raises UnusableInputError where the procedure of
-    the decisions is not found."""
+    it is known; `lacking_in`: what that patient lacks, by procedure. The listeners of `jobs` are called on every
+    change. Raises UnusableInputError where the procedure of the decisions is not found."""
 
     def __init__(self, case: Case, frame_ref: str, worker: WorkerProcess, jobs: Jobs) -> None:
         self.case, self.frame, self.worker, self.jobs = case, stages.frame_of(case, frame_ref), worker, jobs
@@ -55,6 +55,7 @@ class Planning:
         self.all_drilled: dict[str, DrilledWire] = {}
         self.nail = NailInImages(lambda: self._drawn_on(self.decisions), jobs)
         self.implanted: Nail | None = None
+        self.lacking_in: Mapping[str, str] = {}
         jobs.listeners.append(self.nail.update)
         self._planned: Planned | None = None
         self._kept: Planned | None = None
@@ -72,6 +73,14 @@ class Planning:
         """The rehearsed patient; None if the images come from a C-arm."""
         entry = self.case.latest(Kind.CHANGED, where={"what": "rehearsal"})
         return None if entry is None else Patient.of(entry.content["to"])
+
+    @property
+    def lacking(self) -> str:
+        """What the chosen procedure needs and the rehearsed patient does not have; empty where there is no such thing.
+        Of a file of the user's only a nail is known to be needed."""
+        document, lacking = kind(self.decisions.kind).document, self.lacking_in
+        nail = rehearsing.NAIL if document.through_holes and rehearsing.NAIL in lacking.values() else ""
+        return lacking.get(document.key, nail)
 
     @property
     def specs(self) -> tuple[MarkSpec, ...]:
@@ -320,6 +329,9 @@ class Planning:
             if not self.decisions.images:
                 await self._take_in()
         await self._open_named()
+        if self.patient is not None:  # last: it imports the twin, which images that are there do not need
+            self.lacking_in = await self.worker.do(rehearsing.lacking_in, self.patient)
+            self.jobs.notify()
 
     async def _take_in(self) -> None:
         """Assign the newest images that were acquired into this case by other programs, each by its datum markers, of a

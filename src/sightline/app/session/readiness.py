@@ -31,9 +31,9 @@ class Readiness:
 
     @property
     def go(self) -> bool:
-        """True if all wires are planned and every check passed."""
+        """True if all wires are planned, every check passed, and the patient has what the procedure is for."""
         verdict = self.verdict
-        return verdict is not None and verdict.go
+        return verdict is not None and verdict.go and not self._planning.lacking
 
     @property
     def can_send(self) -> bool:

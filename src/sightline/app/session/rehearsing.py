@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from sightline.robot.link.simulated import SimulatedWire
 
 
+HIP, NAIL = "hip", "nail"  # what a patient has who is of a procedure at the hip; what a procedure through holes needs
+
+
 @dataclass(frozen=True)
 class Patient:
     """The simulated patient of a rehearsal: `Rehearsal.draw(seed, Frame.load(frame), side, procedure)`."""
@@ -53,16 +56,29 @@ def images(patient: Patient, names: Sequence[str] = NAMES) -> dict[str, bytes]:
     return _files(taken, patient)
 
 
+def lacking_in(patient: Patient) -> dict[str, str]:
+    """Return what a patient lacks for the procedures that need another bone: HIP, NAIL, or the bone's name in the twin,
+    by their keys."""
+    from sightline.rehearsal.patient import BONE_OF, CANNULATED, NAILED
+
+    needed = {"hip-screw": HIP, CANNULATED: HIP, NAILED: NAIL, **BONE_OF}
+    own = needed.get(patient.procedure, HIP)
+    return {key: what for key, what in needed.items() if what != own}
+
+
 def nail_of(patient: Patient) -> Nail | None:
     """Return the nail that the patient has, as its maker states it; None without one."""
     return rehearsal_of(patient).nail
 
 
-def shot_images(patient: Patient, wires: Mapping[str, str], q: Sequence[float], state: str) -> dict[str, bytes]:
+def shot_images(
+    patient: Patient, wires: Mapping[str, str], q: Sequence[float], state: str, on_patient: bool = False
+) -> dict[str, bytes]:
     """Return both images while drilling, with the robot waiting in a state at its joints `q` (5,); `wires` as of
-    `check_images`, the one that is drilled last."""
+    `check_images`, the one that is drilled last. `on_patient`: the frame is fixed to the patient."""
     rehearsal, newest, key, before_mm = _in_bone(patient, wires)
-    return _files(rehearsal.drilling_images(newest, np.array(q), state, key, before_mm).images, patient)
+    taken = rehearsal.drilling_images(newest, np.array(q), state, key, before_mm, on_patient=on_patient)
+    return _files(taken.images, patient)
 
 
 def check_images(patient: Patient, wires: Mapping[str, str]) -> dict[str, bytes]:

@@ -1,6 +1,6 @@
 """The plan that was sent to the robot and the drilled wire; both are restored from the journal after a restart."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -9,8 +9,8 @@ import numpy as np
 from sightline.app import texts
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.holes import HolesFound, of_wire
-from sightline.app.plan.marks import names_of
-from sightline.app.plan.planner import PICK_SD_PX, Planned, planned
+from sightline.app.plan.marks import MarkSpec, names_of
+from sightline.app.plan.planner import PICK_SD_PX, Planned, has_head, planned
 from sightline.app.plan.robot_wire import ROBOT_WIRE
 from sightline.calibration import BeadView
 from sightline.case.journal import Case, Entry, Kind
@@ -40,7 +40,8 @@ class SentPlan:
         return self.planned.plan
 
     def holds_for(self, decisions: Decisions) -> bool:
-        """Return True if decisions give the plan that was sent, whichever wire is the current one."""
+        """Return True if decisions give the plan that was sent, with the verdict and the depth limit that it was sent
+        with, whichever wire is the current one."""
         then = self.planned.decisions
         same = ("side", "serial")
         return (
@@ -54,6 +55,7 @@ class SentPlan:
             )
             and all(then.mark(one.name) == decisions.mark(one.name) for one in ROBOT_WIRE)
             and of_wire(then, then.kind) == of_wire(decisions, then.kind)
+            and _around(then, then.specs) == _around(decisions, then.specs)
         )
 
 
@@ -63,6 +65,14 @@ class DrilledWire:
 
     record: DrillingRecord
     wire: SimulatedWire
+
+
+def _around(decisions: Decisions, specs: Sequence[MarkSpec]) -> tuple[object, ...]:
+    """Return what verdict and depth limit of a wire follow from beside itself: landmarks and aids in the images of the
+    plan, and the fitted head."""
+    marks = [decisions.mark(one.name) for one in specs if one.group in ("landmark", "aid")]
+    fitted = decisions.fitted_head if has_head(decisions) else None
+    return tuple(mark.at(image) for mark in marks for image in ALL_NAMES), fitted
 
 
 def found_again(then: Decisions, now: Decisions, images: tuple[str, ...]) -> Landmarks:

@@ -1,4 +1,5 @@
-"""Shots while drilling: two images of a block at ALIGNED and at PAUSED show where the wire goes, before it goes on."""
+"""Shots while drilling: two images of a block, or of a frame fixed to the patient, at ALIGNED and at PAUSED show where
+the wire goes, before it goes on."""
 
 import asyncio
 
@@ -12,14 +13,18 @@ from sightline.app.session.rehearsing import shot_images
 from sightline.app.session.seen import SeenImage, entry_of
 from sightline.app.session.sent import SentPlan, found_again
 from sightline.case.contents import CheckRequest, DrillShotRequest
-from sightline.case.journal import Actor
-from sightline.case.stages import record_shot
-from sightline.errors import RefusedError, RobotRefusedError, SightlineError
+from sightline.case.journal import Actor, Kind
+from sightline.case.stages import record_changed, record_shot
+from sightline.case.views import ALL_NAMES
+from sightline.checks import failed
+from sightline.errors import RefusedError, RobotRefusedError, SetUpError, SightlineError
 from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.planning.check_start import MIN_LANDMARKS, Landmarks
 from sightline.planning.drill_shot import ALIGNED, PAUSED, DrillShot
 from sightline.robot.kinematics.manipulator import FEED
 
 STOP = "STOP"
+_ON_PATIENT = "frame on patient"  # what a person's statement changes, in the journal
 
 
 class Shots:
@@ -34,28 +39,64 @@ class Shots:
         self._measured: tuple[object, ...] = ()
         self.found: DrillShot | None = None
         self.refused = ""
+        self._stopping: DrillShot | None = None  # what was measured last in this state, if it says STOP
+        self._said = planning.case.latest(Kind.CHANGED, where={"what": _ON_PATIENT})
+
+    @property
+    def on_patient(self) -> bool:
+        """True if a person stated that the plan's frame was taken off the arm and is fixed to the patient; landmarks
+        alone then tell where it is. New images of the plan end it: they register the robot by the frame on its arm."""
+        images = self._planning.decisions.images
+        taken = max((images[name] for name in ALL_NAMES if name in images), default=0)
+        return self._said is not None and self._said.number > taken and bool(self._said.content["to"]["fixed"])
 
     @property
     def state(self) -> str:
-        """The robot's state while it waits for a shot; empty at other times, and with plates, which turn away."""
+        """The robot's state while it waits for a shot; empty at other times, and with plates on the arm, which turn
+        away."""
+        turned = self._planning.frame.solid is None and not self.on_patient
+        return "" if turned else self._waiting
+
+    @property
+    def _waiting(self) -> str:
         now = self._drilling.now
-        if now is None or now.lost or now.state not in (ALIGNED, PAUSED) or self._planning.frame.solid is None:
-            return ""
-        return now.state
+        return "" if now is None or now.lost or now.state not in (ALIGNED, PAUSED) else now.state
 
     @property
     def shown(self) -> str:
         """The robot's state in both images, if it is still in it; else empty."""
-        held = self._since[:2] == (self.state, self._drilling.held)
+        held = self._since[:2] == (self._waiting, self._drilling.held)
         return self.state if held and self._stood is not None and self._stood[0] == self._numbers else ""
 
     @property
     def objection(self) -> str:
-        """Why the robot must not drill on: the shot says STOP. Empty where it does not."""
-        if not self.shown or self.found is None or self.found.decision != STOP:
+        """Why the robot must not drill on: what was measured last in its present state says STOP. Empty where it does
+        not."""
+        if self._stopping is None or self._since[:2] != (self._waiting, self._drilling.held):
             return ""
-        failed = "; ".join(one.sentence for one in self.found.verdict.checks if not one.passed)
-        return texts.SHOT_SAYS_STOP.format(why=failed)
+        verdict = self._stopping.verdict
+        why = " ".join(one.sentence for one in failed(verdict.checks) if one not in verdict.unmade)
+        return texts.SHOT_SAYS_STOP.format(why=why)
+
+    @property
+    def lacks_landmarks(self) -> bool:
+        """True if the images are there, and fewer landmarks are found again than tell where a frame on the patient
+        is."""
+        return bool(self.shown) and self.on_patient and len(self._landmarks()) < MIN_LANDMARKS
+
+    @property
+    def measuring(self) -> bool:
+        """True while the shot is being measured."""
+        return bool(self._measured) and self.found is None and not self.refused
+
+    def state_on_patient(self, *, fixed: bool) -> None:
+        """Record a person's statement that the plan's frame is fixed to the patient, or on the arm again. Images of
+        before do not count. Raises UnusableInputError while images are being taken, CaseError."""
+        planning = self._planning
+        planning.jobs.refuse_more()
+        self._said = record_changed(planning.case, _ON_PATIENT, {"fixed": fixed}, by=Actor.SURGEON)
+        self._since, self._stood = (*self._since[:2], self._said.number), None
+        planning.jobs.notify()
 
     async def take_rehearsed(self) -> None:
         """Acquire both images of the rehearsed patient where the robot waits. Raises SightlineError."""
@@ -67,9 +108,15 @@ class Shots:
         kind = held.planned.decisions.kind
         wires = {key: one.wire.text() for key, one in planning.all_drilled.items() if key != kind}
         wires[kind] = wire.text()
-        files = await planning.jobs.during(
-            "taking the shot", lambda: planning.worker.do(shot_images, patient, wires, q.tolist(), state)
-        )
+        args = wires, q.tolist(), state, self.on_patient
+
+        async def taken() -> dict[str, bytes]:
+            try:
+                return await planning.worker.do(shot_images, patient, *args)
+            except SetUpError as error:
+                raise RobotRefusedError(texts.SHOT_OUT_OF_FIELD) from error
+
+        files = await planning.jobs.during("taking the shot", taken)
         for name, data in files.items():
             await planning.take(data, ".dcm", image=f"shot-{name}", by=Actor.DEMO)
 
@@ -81,12 +128,13 @@ class Shots:
 
     def update(self) -> None:
         """Note where the robot stands at new images, and start measuring where images or points are new."""
-        jobs, case, held, state = self._planning.jobs, self._planning.case, self._drilling.held, self.state
+        jobs, case, held, state = self._planning.jobs, self._planning.case, self._drilling.held, self._waiting
         if self._since[:2] != (state, held):  # images of before show another moment
             self._since, self._asking, self._stood = (state, held, case.last), None, None
+            self._stopping = None
         numbers, session = self._numbers, self._drilling.session
         new = numbers is not None and min(numbers) > self._since[2] and numbers != self._asking
-        if state and new and session is not None and not session.now.activity:
+        if self.state and new and session is not None and not session.now.activity:
             self._asking = numbers
             jobs.start(self._note())
         request = self._request()
@@ -117,19 +165,28 @@ class Shots:
         session, numbers = drilling.session, self._numbers
         if not self.shown or len(seen) < 2 or held is None or drilling.changed or session is None or numbers is None:
             return None
+        if self.lacks_landmarks:
+            return None
         state, target, plan = self.shown, session.target, held.plan
         guide = [planning.decisions.mark(spec.name) for spec in GUIDE] if state == ALIGNED else []
         if target is None or self._stood is None or not all(mark.complete(SHOT_NAMES) for mark in guide):
             return None
         picked = np.array([[mark.at(name) for mark in guide] for name in SHOT_NAMES]) if guide else None
         q, middle_mm = self._stood[1], plan.trajectory.points.xyz_mm.mean(axis=0)
-        registered = target.registration
-        movement, covariance = registered.robot.frame_moved(registered.q, q, middle_mm)
-        landmarks = found_again(held.planned.decisions, planning.decisions, SHOT_NAMES)
+        landmarks, moved = self._landmarks(), (None, None)
+        if not self.on_patient:
+            registered = target.registration
+            movement, covariance = registered.robot.frame_moved(registered.q, q, middle_mm)
+            moved = movement.as_matrix(), covariance
         check, tip_mm = CheckRequest(plan.kind.wire_mm, landmarks), float(q[FEED] - target.q[FEED])
-        asked = DrillShotRequest(check, tip_mm, state == ALIGNED, movement.as_matrix(), covariance, picked)
+        asked = DrillShotRequest(check, tip_mm, state == ALIGNED, *moved, picked)
         points = () if picked is None else picked.tobytes()
         return (held, *numbers, landmarks.checked_uv_px.tobytes(), points), held, seen, asked
+
+    def _landmarks(self) -> Landmarks:
+        """Return the landmarks of the plan that the robot holds, as far as they are found again."""
+        held, now = self._drilling.held, self._planning.decisions
+        return found_again(now if held is None else held.planned.decisions, now, SHOT_NAMES)
 
     async def _measure(
         self, key: tuple[object, ...], held: SentPlan, seen: list[SeenImage], asked: DrillShotRequest
@@ -148,6 +205,8 @@ class Shots:
         if key != self._measured:
             return  # the input has changed meanwhile
         self.found, self.refused = (None, found) if isinstance(found, str) else (found, "")
+        if self.found is not None:
+            self._stopping = self.found if self.found.decision == STOP else None
         case = planning.case
         try:
             entries = [entry_of(case, one) for one in seen]

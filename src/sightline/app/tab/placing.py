@@ -68,7 +68,7 @@ class Placing:
         if step is ProcedureStep.DRILL and self._shots.shown and planning.views(SHOT_NAMES) is not None:
             guide = GUIDE if self._shots.shown == ALIGNED else ()
             return _goals([*guide, *planning.landmarks], SHOT_NAMES)
-        if step is ProcedureStep.PLAN and planning.planned is not None:
+        if step is ProcedureStep.PLAN and planning.planned is not None and not planning.lacking:
             pair = _goals(planning.asked, NAMES)
             third = [one for one in specs if one.group == "landmark" and OBLIQUE in planning.names]
             return (*pair, *_goals(third, (OBLIQUE,)))

@@ -21,7 +21,7 @@ from sightline.app.tab.dragging import Preview
 from sightline.app.tab.placing import Goal
 from sightline.app.tab.step import ProcedureStep
 from sightline.calibration import BeadView
-from sightline.case.views import NAMES, OBLIQUE
+from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE
 
 if TYPE_CHECKING:
     from sightline.case.watch.analyser import Watched
@@ -104,7 +104,7 @@ class Views:
         if seen is None:
             return XrayContent(texts.IMAGE_LABELS[image])
         layers, undrawn = self._layers(image, seen)
-        if step is ProcedureStep.DRILL:
+        if step is ProcedureStep.DRILL and image in ALL_NAMES:  # a shot shows the wire itself
             layers = {**layers, "drilled": self._filled(image)}
         if preview is not None:
             layers = {**layers, **preview.layers.get(image, {})}

@@ -211,6 +211,25 @@ NAIL_CHOICE = "Nail: {name}"
 NAIL_OTHER = "Nail: {mm:g} mm, {material}, of this case"
 NAIL_SIZE = "{diameter_mm:g} mm, {material}"
 NAIL_IMPLANTED = "The simulated patient has this nail: {name}."
+LACKS = {  # of the chosen procedure, by what the simulated patient does not have: what is wrong, and what to do
+    "hip": ("The simulated patient has no hip.", "Choose another procedure, or begin another case: sightline app"),
+    "nail": (
+        "The simulated patient has no nail.",
+        "Choose another procedure, or begin another case: sightline app --procedure distal-interlocking",
+    ),
+    "pelvis": (
+        "The simulated patient has no sacrum.",
+        "The app simulates none; choose another procedure, or see: sightline demo --procedure iliosacral-screw",
+    ),
+    "vertebra": (
+        "The simulated patient has no vertebra.",
+        "The app simulates none; choose another procedure, or see: sightline demo --procedure pedicle-screw",
+    ),
+    "growing-femur": (
+        "The simulated patient has no growth plate.",
+        "The app simulates none; choose another procedure, or see: sightline demo --procedure slipped-epiphysis-pin",
+    ),
+}
 NAIL_FIRST = "Choose the nail on the right. Or by hand: {said}"
 NAIL_EDGE_FOUND = "the nail's edge, as found in the image"
 NAIL_AXIS = "axis of the nail"
@@ -345,13 +364,34 @@ SHOT_HEADING = "Second shot"
 SHOT_HEADINGS = {"ALIGNED": "Confirmation shot", "PAUSED": "Second shot"}
 TAKE_SHOT = "Take the shot"
 SHOT_DROP = "Drop both images of the shot onto the page, with the block on its mount again."
+SHOT_DROP_ON_PATIENT = "Drop both images of the shot onto the page, with the frame on the patient."
+SHOT_NEEDS_LANDMARKS = (
+    "Find {count} landmarks of the plan or more in both images; the plan has {known}. They alone tell where a frame on "
+    "the patient is."
+)
+SHOT_MEASURING = "Measuring the wire …"
+SHOT_LEFT = "Place the points that are asked for in both images."
+FRAME_ON_PATIENT = "The frame is fixed to the patient, as a person stated."
+FRAME_IS_ON = ("The frame is on the arm again", "The frame is fixed to the patient")
+FRAME_ON_QUESTIONS = (
+    "Is the frame on its mount on the robot again, as at the planning images?",
+    "Was the frame of the plan taken off the robot and fixed to the patient? It must stay at rest from the first to "
+    "the second image of each shot.",
+)
 SHOT_ON_PLAN = "The wire is on the plan. A person decides."
 SHOT_DECISIONS = {"GO": "GO", "STOP": "STOP", "INCOMPLETE": "INCOMPLETE"}
 SHOT_COLUMNS = ("", "measured", "± 95 %")
 SHOT_ROWS = ("entry, perpendicular", "end, drilled on", "direction", "depth of the tip")
 SEND_MEASURED = "Send the measured depth"
 SHOT_SAYS_STOP = "The shot says STOP: {why}"
-SHOT_NOT_WAITING = "take the shot with a block while the robot waits, aligned or at the pause; send a depth only at GO"
+SHOT_NOT_WAITING = (
+    "take the shot while the robot waits, aligned or at the pause, with a block or a frame fixed to the patient; send "
+    "a depth only at GO"
+)
+SHOT_OUT_OF_FIELD = (
+    "Decide by eye: this shot cannot be measured, because the field of the simulated C-arm does not show the robot's "
+    "wire and all landmarks together."
+)
 SHOT_DEPTH = "Depth of the tip, mm"
 SHOT_ERROR = "Its 95 % error, ± mm"
 SEND_DEPTH = "Send the depth"
