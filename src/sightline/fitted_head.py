@@ -78,5 +78,5 @@ def refuse_tables(images: Sequence[Radiograph | None]) -> list[Radiograph]:
     """Return the images. Raises UnusableInputError where a view has none."""
     shown = [image for image in images if image is not None]
     if len(shown) < len(images):
-        raise UnusableInputError("a head is fitted to edges of images; a table of beads shows no edge")
+        raise UnusableInputError("head and shaft are fitted to edges of images; a table of beads shows no edge")
     return shown
