@@ -1,18 +1,34 @@
 """The shaft of the step Plan drawn by both borders, and fitted to the edges of its images: kept, undone, and ended."""
 
+import asyncio
 import json
+import re
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from playwright.sync_api import Page, expect
+from tests.app.browser import Server
+from tests.app.hands import Hands, Pixels
 from tests.planning import bone
 
 from sightline.app.plan.decisions import Decisions, Mark
 from sightline.app.plan.fitted import FittedShaft
 from sightline.app.plan.planner import drawn_shaft, plan_input, planned
+from sightline.app.session.session import Session
+from sightline.app.session.worker import WorkerProcess
 from sightline.case.views import NAMES
 from sightline.errors import CaseError
+from sightline.frame import Frame
+from sightline.imaging import write_dicom
 from sightline.planning import Line
+from sightline.twin import HipScene, SetUp, render
+from sightline.twin.femur import to_cfcs
+from sightline.twin.scene import shown_hip_scene
 
 AXIS = ("shaft-1", "shaft-2")
 BORDERS = tuple(f"shaft-border-{k}" for k in range(1, 5))
@@ -103,3 +119,102 @@ def test_the_verdicts_angle_takes_the_fitted_axis_and_its_error() -> None:
     assert angles[1].sd > 1.3 * angles[0].sd
     assert after.anatomy.shaft is not None and after.anatomy.shaft.direction_covariance_rad2 is not None
     assert planned(replace(_fitted(_drawn()), borders=False), bone.views()).fitted_shaft is None  # type: ignore[arg-type]
+
+
+SIDE = "right"
+BELOW_MM = (54.0, 82.0)  # of the drawn borders, caudal of where the axes of neck and shaft meet
+CLICK_PX = 1.5
+
+
+@cache
+def _hip() -> tuple[SetUp, HipScene]:
+    return shown_hip_scene(np.random.default_rng(97), Frame.load("block60"), SIDE)
+
+
+def _clicks() -> dict[str, Pixels]:
+    """Clicks on the wire, and on both borders of the shaft below the lesser trochanter."""
+    setup, hip = _hip()
+    rng, out = np.random.default_rng(98), {}
+    for name, view in setup.views.items():
+        source = to_cfcs(view.focal_point_mm - hip.head_mm, SIDE, np.zeros(3))
+        at = []
+        for way in (1.0, -1.0):
+            for mm in BELOW_MM:
+                on = hip.femur.base_mm + np.array([0.0, mm, 0.0])
+                sideways = way * np.cross(on - source, [0.0, 1.0, 0.0])
+                at.append(hip.femur.surface_mm(on, sideways / np.linalg.norm(sideways)))
+        uv = view.project(np.vstack([hip.wire_mm, to_cfcs(np.array(at), SIDE, hip.head_mm)]))
+        uv[2:] += CLICK_PX * rng.standard_normal((4, 2))
+        for mark, pixel in zip(("entry", "end", *BORDERS), uv.tolist(), strict=True):
+            out.setdefault(mark, {})[name] = (pixel[0], pixel[1])
+    return out
+
+
+def _load(folder: Path, worker: WorkerProcess) -> None:
+    """Make a case of the hip's images in `folder / "case"`, with the wire placed."""
+    setup, hip = _hip()
+    rng = np.random.default_rng(99)
+    files = {name: write_dicom(render(setup, name, hip.scene, rng), folder / f"{name}.dcm") for name in NAMES}
+
+    async def work() -> None:
+        session = Session.open(folder / "case", "block60", None, worker)
+        for name in NAMES:
+            assert await session.planning.take(files[name].read_bytes(), ".dcm", image=name) == name
+        decisions, clicks = replace(session.planning.decisions, side=SIDE), _clicks()
+        for name in ("entry", "end"):
+            decisions = decisions.with_mark(name, Mark(clicks[name]))
+        session.planning.edit(decisions)
+        session.planning.case.close()
+
+    asyncio.run(work())
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A case with the hip's images."""
+    folder, worker = tmp_path_factory.mktemp("shaft"), WorkerProcess()
+    with ThreadPoolExecutor(1) as pool:  # Playwright holds an event loop in this thread
+        pool.submit(_load, folder, worker).result()
+    worker.close()
+    return folder / "case"
+
+
+@pytest.mark.slow
+def test_the_page_fits_the_shaft_states_its_error_and_undoes_it(
+    serve: Callable[..., Server], open_page: Callable[..., Page], prepared: Path, shoot
+) -> None:
+    """On a rendered hip: the angle of wire and shaft is that of the bone, within the error that the page states."""
+    server = serve("sightline", "app", "--port", "{port}", "--no-browser", "--case", str(prepared), "--quiet")
+    hands = Hands(open_page(server.url))
+    hands.wait_for_step("Calibrate", "done")
+    hands.step("Plan")
+    expect(hands.see("fit-shaft")).to_have_count(0)  # an axis has no edge
+    hands.details()
+    hands.press("borders")
+    hands.details()
+    hands.press("fit-shaft")
+    expect(hands.page.get_by_text("click two points on each border of the shaft")).to_be_visible()
+    hands.aid("shaft", _clicks())
+    expect(hands.see("row-shaft").locator(".placed")).to_have_count(2)
+    hands.press("fit-shaft")
+    expect(hands.see("shaft-fitted")).to_be_visible()
+    shoot(hands.page, "shaft-fitted")
+    words = hands.see("shaft-fitted").inner_text()
+    assert "kept as drawn" not in words
+    stated = re.search(r"direction ± ([\d.]+)°, place ± ([\d.]+) mm", words)
+    assert stated, words
+    assert 0.1 < float(stated[1]) < 3.0 and 0.1 < float(stated[2]) < 1.0
+    hands.details()
+    angle = hands.see("metrics").get_by_role("row").filter(has_text="wire to shaft").inner_text()
+    value, error = re.search(r"([\d.]+) ± ([\d.]+)°", angle).groups()  # type: ignore[union-attr]
+    assert abs(float(value) - 135.0) <= float(error) + 0.05  # as rounded; the ideal wire's
+    hands.details()
+    column = hands.page.locator(".panel")
+    assert column.evaluate("panel => panel.scrollHeight <= panel.clientHeight")
+    hands.page.keyboard.press("Control+z")
+    expect(hands.see("shaft-fitted")).to_have_count(0)
+    hands.page.keyboard.press("Control+y")
+    expect(hands.see("shaft-fitted")).to_have_text(words)
+    hands.page.get_by_test_id("xray-pa").get_by_test_id("point-shaft-border-1").focus()
+    hands.page.keyboard.press("ArrowRight")
+    expect(hands.see("shaft-fitted")).to_have_count(0)
