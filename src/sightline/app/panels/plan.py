@@ -11,6 +11,7 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import HtmlSection, Section, action, heading, note
+from sightline.app.plan.decisions import SHAFT
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import (
     Planned,
@@ -197,9 +198,6 @@ def _points(tab: Tab) -> None:
             if group == "aid" and has_head(decisions):
                 fit = action(texts.FIT_HEAD, tab.doing(tab.planning.fit_head), testid="fit-head", kind="small")
                 fit.props(f'title="{texts.FIT_HEAD_WHAT}"')
-            if group == "aid" and has_shaft_borders(decisions):
-                fit = action(texts.FIT_SHAFT, tab.doing(tab.planning.fit_shaft), testid="fit-shaft", kind="small")
-                fit.props(f'title="{texts.FIT_SHAFT_WHAT}"')
         for _, same in groupby(listed, key=lambda one: one.of):
             _row(tab, tuple(same))
 
@@ -237,6 +235,9 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
             ui.label(label).classes("pick-name")
             status = ui.element("div")
             ui.tooltip(texts.word(first.sentence)).props('anchor="center left" self="center right"')
+        if first.of == SHAFT and has_shaft_borders(tab.planning.decisions):
+            fit = action(texts.FIT_SHAFT, tab.doing(tab.planning.fit_shaft), testid="fit-shaft", kind="small fit")
+            fit.props(f'title="{texts.FIT_SHAFT_WHAT}" aria-label="{texts.FIT_SHAFT_WHAT}"')
         remove = action("✕", tab.doing(lambda: tab.planning.remove(names)), testid=f"remove-{first.of}", kind="small")
         remove.props(f'aria-label="{texts.REMOVE_WHAT.format(what=label)}"')
     with status:
