@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from tests.bone_images import rays, shown, with_cortex
 from tests.planning.bone import CENTRE_MM, RADIUS_MM, rim, views
 
 from sightline.case.canonical import plain
@@ -15,32 +15,12 @@ from sightline.planning import Aids, Circle
 from sightline.planning.anatomy import locate
 
 RING_RAD = 2 * np.pi * np.arange(40) / 40
-SIZE = 1024
-
-
-def rays(view):
-    """Directions (H, W, 3) of lines of sight, one for 2 x 2 pixels."""
-    at = np.arange(0, SIZE, 2.0) + 0.5  # the middle of 2 x 2 pixels
-    uv = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
-    ray = view.plane.to_space(view.to_plane(uv)) - view.focal_point_mm
-    return (ray / np.linalg.norm(ray, axis=1, keepdims=True)).reshape(SIZE // 2, SIZE // 2, 3)
-
-
-def shown(view, bone: np.ndarray, seed: int) -> Radiograph:
-    light = gaussian_filter(np.kron(20000 * np.exp(-bone), np.ones((2, 2))), 1.5)
-    noise = 60.0 * np.random.default_rng(seed).standard_normal(light.shape)
-    return Radiograph(np.rint(np.clip(light + noise, 1, 60000)).astype(np.uint16), 65535.0)
-
-
-def chord(square: np.ndarray, radius_mm: float) -> np.ndarray:
-    return 2 * np.sqrt(np.clip(radius_mm**2 - square, 0.0, None))
 
 
 def head_image(view, seed: int = 1) -> Radiograph:
     """A ball with a cortex of 1.2 mm."""
-    away = np.cross(CENTRE_MM - view.focal_point_mm, rays(view))
-    square = (away**2).sum(axis=-1)
-    return shown(view, 0.02 * (chord(square, RADIUS_MM) - 0.7 * chord(square, RADIUS_MM - 1.2)), seed)
+    away = np.linalg.norm(np.cross(CENTRE_MM - view.focal_point_mm, rays(view)), axis=-1)
+    return shown(with_cortex(away, RADIUS_MM), seed)
 
 
 def _drawn_circle(view) -> tuple[np.ndarray, float]:

@@ -5,14 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.detection.bone_edges import REACH_PX, NoBoneEdgeError, find_bone_edge
-from sightline.errors import ReconstructionRefusedError, UnusableInputError
+from sightline.detection.bone_edges import REACH_PX, UNEVEN, NoBoneEdgeError, find_bone_edge
+from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
 from sightline.imaging import Radiograph
 from sightline.planning.aids import Circle
 from sightline.planning.head import find_head
 
-# S.d. by which a head is not a sphere, over its radius: it blends into the neck [twin: 0.1 to 0.3 mm of 20 to 25].
-_UNEVEN = 0.008
 _MIN_RADIUS_PX = 4 * REACH_PX  # so that a circle is far from its other side
 
 
@@ -41,7 +39,7 @@ def _no_sphere(views: Sequence[CalibratedView], head: tuple[Circle, Circle]) -> 
     """Return why outlines are not those of one sphere; "" where they are."""
     try:
         agreement = find_head(views, head)[2]
-    except ReconstructionRefusedError as why:
+    except (ReconstructionRefusedError, OutsideRegionError) as why:
         return str(why)
     return "" if agreement is None or agreement.passed else "the edges near both drawings are not those of one sphere"
 
@@ -59,7 +57,7 @@ def _circle(image: Radiograph, drawn: Circle) -> Circle:
     uv = [u, v] + radius * outward
     edge = find_bone_edge(image, uv, -outward, np.column_stack([np.ones(len(turns)), outward]), oval)
     own = outward[edge.at]
-    uneven = (_UNEVEN * radius) ** 2 * own @ own.T
+    uneven = (UNEVEN * radius) ** 2 * own @ own.T
     at, covariance = _moved(uv[edge.at], -own, edge.offset_px, edge.covariance_px2 + uneven)
     # Three numbers of it measure the sphere: what else the edge shows, such as its flatness, is the bone's own.
     return Circle(at, covariance, np.linalg.pinv(np.column_stack([own, np.ones(len(at))])))
@@ -80,5 +78,5 @@ def refuse_tables(images: Sequence[Radiograph | None]) -> list[Radiograph]:
     """Return the images. Raises UnusableInputError where a view has none."""
     shown = [image for image in images if image is not None]
     if len(shown) < len(images):
-        raise UnusableInputError("a head is fitted to edges of images; a table of beads shows no edge")
+        raise UnusableInputError("head and shaft are fitted to edges of images; a table of beads shows no edge")
     return shown

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.bone_images import rays, shown, with_cortex
 from tests.planning.bone import CENTRE_MM, RADIUS_MM, rim, views
-from tests.test_fitted_head import chord, head_image, rays, shown
+from tests.test_fitted_head import head_image
 
 from sightline.app.plan.decisions import Decisions, Mark
 from sightline.app.plan.planner import drawn_head, plan_input
@@ -81,9 +82,8 @@ def _rolled(image: Radiograph) -> Radiograph:
 
 def _doubled(view: Any) -> Radiograph:
     """Two balls about one centre, whose edges are 1.8 mm apart."""
-    square = (np.cross(CENTRE_MM - view.focal_point_mm, rays(view)) ** 2).sum(axis=-1)
-    inner, outer = (chord(square, r) - 0.7 * chord(square, r - 1.0) for r in (RADIUS_MM - 0.9, RADIUS_MM + 0.9))
-    return shown(view, 0.02 * (inner + outer), 5)
+    away = np.linalg.norm(np.cross(CENTRE_MM - view.focal_point_mm, rays(view)), axis=-1)
+    return shown(sum(with_cortex(away, radius, 1.0) for radius in (RADIUS_MM - 0.9, RADIUS_MM + 0.9)), 5)
 
 
 def _fit(planning: Planning) -> None:

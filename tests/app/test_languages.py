@@ -41,8 +41,8 @@ def keys(value: Any, where: str = "") -> set[str]:
 
 def names_below() -> set[str]:
     """What the page shows of procedures and of the robot's wire, as the rooms below name it."""
-    kinds = [(kind, of_nail) for kind in procedures() for of_nail in (False, True)]
-    marks = [*GUIDE, *ROBOT_WIRE, *(spec for kind, of_nail in kinds for spec in marks_of(kind, of_nail=of_nail))]
+    ways: list[dict[str, bool]] = [{}, {"of_nail": True}, {"borders": True}]
+    marks = [*GUIDE, *ROBOT_WIRE, *(spec for kind in procedures() for way in ways for spec in marks_of(kind, **way))]
     found = {name for spec in marks for name in (spec.label, spec.sentence)}
     for one in procedures().values():
         found |= {one.document.name, one.document.purpose, one.wire.name}

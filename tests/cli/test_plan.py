@@ -214,9 +214,11 @@ def test_an_aid_is_drawn_by_its_clicks(run, beads_csv: Path, wire_px, setup) -> 
     assert (one.code, one.document["verdict"]) == (3, "incomplete")
 
 
-def test_a_table_of_beads_has_no_edges_to_fit_a_head_to(run, beads_csv: Path, wire_px, setup) -> None:
-    plan = ["plan", beads_csv, beads_csv, *picks(wire_px)[:4], "--fit-head"]
-    assert "table of beads" in run(*plan, *options(of_a_hip(setup))).err
+@pytest.mark.parametrize("key", ["head", "shaft"])
+def test_a_table_of_beads_has_no_edges_to_fit_to(run, beads_csv: Path, wire_px, setup, key: str) -> None:
+    plan = ["plan", beads_csv, beads_csv, *picks(wire_px)[:4], f"--fit-{key}"]
+    shaft = ["--aid", "shaft pa:600,700,700,800 lateral:600,600,700,700"]
+    assert "table of beads" in run(*plan, *options(of_a_hip(setup)), *(shaft if key == "shaft" else ())).err
     assert "draw it with --aid" in run(*plan).err
 
 

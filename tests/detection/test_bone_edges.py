@@ -91,6 +91,21 @@ def test_both_borders_of_a_shaft_are_found_along_a_line(seed: int = 4) -> None:
         assert np.abs(off).mean() < 3 * np.sqrt(edge.covariance_px2[0, 0])
 
 
+@pytest.mark.parametrize("off_px", [-7.0, 7.0])
+def test_an_edge_a_whole_number_of_pixels_away_has_no_other_edge_beyond_the_reach(off_px: float) -> None:
+    """7 px beside the drawing, 5 px are left of the reach: as many as another edge must be apart. There is no place to
+    look for one; a program that looks for it there ends with an error of its own."""
+    rng = np.random.default_rng(6)
+    u, _ = _places()
+    image = _image(_bone(u - 160.0, 60.0, rng), 1.4, rng)
+    along = np.linspace(-1.0, 1.0, 221)
+    uv = np.column_stack([np.full(221, 100.0 - off_px), 160 + 110 * along])
+    straight = np.column_stack([np.ones(221), along])
+    edge = find_bone_edge(image, uv, np.tile([1.0, 0.0], (221, 1)), straight, along[:, None] ** 2 - 1 / 3)
+    assert np.abs(edge.offset_px - off_px).mean() < 1.0
+    assert 0.02 < edge.fall < 0.5
+
+
 def test_an_edge_that_is_not_there_or_is_there_twice_is_refused() -> None:
     image, centre, radius = _ball(1)
     flat = Radiograph(np.full((SIZE, SIZE), 20000) + np.random.default_rng(3).normal(0, 150, (SIZE, SIZE)), 65535.0)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,6 +10,7 @@ import typer
 from sightline.cli.calibrate import PixelSize, Sid
 from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.plan_aids import drawn, fitted
 from sightline.cli.plan_results import planned_document, reports, show, write
 from sightline.cli.points import (
     OBLIQUE,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from sightline.case.pairs import SeenImages
     from sightline.frame import Frame
     from sightline.interlocking import NailDrawn
-    from sightline.planning import Aids, PlacedWire, Procedure
+    from sightline.planning import PlacedWire, Procedure
     from sightline.planning.procedures.document import ProcedureDocument
 
 Side = Literal["right", "left"]
@@ -140,6 +140,14 @@ def plan(
             "a clear edge is kept, with the reason.",
         ),
     ] = False,
+    fit_shaft: Annotated[
+        bool,
+        typer.Option(
+            "--fit-shaft",
+            help="Fit the borders of the shaft, four clicks in each image, to the edges in the images, at most 12 px "
+            "away. A line without clear, straight and parallel edges is kept, with the reason.",
+        ),
+    ] = False,
     hole: Annotated[
         list[str] | None,
         typer.Option(
@@ -211,7 +219,7 @@ def plan(
         points = [point for wire in wires.values() for point in wire]
         names, landmarks = zip(*map(parse_landmark, landmark or []), strict=True) if landmark else ((), ())
         views = _views(oblique, [*points, *landmarks], pa)
-        drawn = None if head is None else parse_head(head), dict(map(parse_aid, aid or []))
+        aids_drawn = None if head is None else parse_head(head), dict(map(parse_aid, aid or []))
         snapped = snap or all_depths(points)
         files = both_or_none(pa, lateral, oblique)
         if files is None and case is None:
@@ -241,7 +249,7 @@ def plan(
             calibrated = [image.view for image in images]
             ends = {name: [pixels(point, calibrated, pick_sd) for point in wire] for name, wire in wires.items()}
             in_bone = _in_bone(() if drawn_nail else placed or (), ends, images, known.document)
-            aids, unfitted = _aids(known, *drawn, pick_sd, fitted_to=images if fit_head else None)
+            aids, unfitted = fitted(drawn(known, *aids_drawn, pick_sd), images, head=fit_head, shaft=fit_shaft)
             picked, proposed = with_proposals(
                 {name: WirePicks(*at, snapped=snapped) for name, at in ends.items()},
                 unpicked,
@@ -268,7 +276,7 @@ def plan(
                 nail=drawn_nail,
             )
             planned = asked.plan_wires(images) if first else asked.plan(images)
-        document = planned_document(planned, images, known_frame) | ({"head_not_fitted": unfitted} if fit_head else {})
+        document = planned_document(planned, images, known_frame) | unfitted
         if case is not None:
             opened = opened or stack.enter_context(Case.create(case, exist_ok=True))  # now that there is a plan
             made_on = record_images(opened, taken, images, known_frame, by=Actor.COMMAND)
@@ -291,7 +299,7 @@ def plan(
                     ),
                 )
                 document["files"] = write(out, planned, pages, document)
-        show(output, planned, document, [*unfitted, *proposed])
+        show(output, planned, document, [*(one for said in unfitted.values() for one in said), *proposed])
         output.result(document, planned.verdict.checks)
 
 
@@ -349,42 +357,6 @@ def _nail_drawn(
     known, strokes = parse_nail(edges, sizes)
     uv = {key: np.array([point[view] for view in VIEWS]) for key, point in clicks.items()}
     return NailDrawn(known, strokes, uv, tuple(drilled or ()))
-
-
-def _aids(
-    known: "Procedure",
-    circles: tuple[tuple[float, ...], tuple[float, ...]] | None,
-    clicked: dict[str, Point],
-    sd_px: float,
-    fitted_to: "Images | None",
-) -> "tuple[Aids | None, list[str]]":
-    """Return what is drawn, None for nothing, and a sentence for each circle that could not be fitted to its image.
-
-    Raises UnusableInputError for an aid that the procedure does not have, and where there is nothing to fit.
-    """
-    import numpy as np
-
-    from sightline.errors import UnusableInputError
-    from sightline.fitted_head import fit_head, refuse_tables
-    from sightline.planning import Aids, Circle
-
-    types = {one.key: one.type for one in known.aids}
-    if unknown := sorted(clicked.keys() - types.keys()):
-        raise UnusableInputError(f"{known.key} has no aid {unknown[0]!r}; choose one of {', '.join(types)}")
-    if circles is None and not clicked and fitted_to is None:
-        return None, []
-    uv = {key: [np.reshape(one[v], (-1, 2)) if v in one else None for v in VIEWS] for key, one in clicked.items()}
-    aids = Aids.clicked(types, uv, sd_px)
-    if circles is not None:
-        first, second = (Circle.of(np.array(one[:2]), one[2], sd_px) for one in circles)
-        aids = replace(aids, head=(first, second))
-    if fitted_to is None:
-        return aids, []
-    if aids.head is None:
-        raise UnusableInputError("--fit-head fits a head that is drawn; draw it with --aid or --head")
-    shown = refuse_tables([one.seen.image for one in fitted_to])
-    head, kept = fit_head([one.view for one in fitted_to], shown, aids.head)
-    return replace(aids, head=head), [f"{view} image: kept as drawn; {why}" for view, why in kept.items()]
 
 
 def _in_bone(

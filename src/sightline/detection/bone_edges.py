@@ -18,6 +18,9 @@ from sightline.fitting.robust import MAD_TO_SD
 from sightline.imaging import Radiograph
 
 REACH_PX = 12.0  # how far from a drawn curve the edge is searched
+# S.d. by which a bone's outline is not of its shape, over its radius: a head blends into the neck by 0.1 to 0.3 mm of
+# 20 to 25, a shaft's borders are so far from straight [twin].
+UNEVEN = 0.008
 _WINDOW_PX, _STEP_PX = 14.0, 0.5  # what is fitted to either side of the edge; step of samples
 _PIECE_PX, _MIN_PIECES = 6.0, 20  # length of the curve for each profile, shorter for so many of them
 _STEP_WIDTH_PX = 5.0  # on either side, of the means whose difference shows where an edge may be
@@ -36,17 +39,23 @@ _LEFT_OUT = 6  # arcs of the jackknife, one of which is left out each time
 _ROUNDS = 4
 _BEGIN_PX = 7.0  # largest distance of the root's beginning from where the image is steepest
 # S.d. of errors that all points of an edge share, over the blur: of where the root begins in the mean profile [twin].
-_COMMON = 0.18
+_COMMON = 0.26
 
 
 @dataclass(frozen=True, eq=False)
 class BoneEdge:
     """An edge near a drawn curve: K places `at` (K,) among the curve's points, the edge's distance from them inwards,
-    `offset_px` (K,), and its covariance `covariance_px2` (K, K)."""
+    `offset_px` (K,), and its covariance `covariance_px2` (K, K).
+
+    `begin_px`: how far inwards of the clearest fall of brightness the edge lies; below zero where it begins outside of
+    it, as of a round bone. `fall`: of the logarithm of the image across the edge.
+    """
 
     at: np.ndarray
     offset_px: np.ndarray
     covariance_px2: np.ndarray
+    begin_px: float
+    fall: float
 
 
 class NoBoneEdgeError(UnusableInputError):
@@ -150,7 +159,8 @@ def _refined(  # noqa: PLR0917
     begin, blur = _beginning(usual, u)
     scatter = float(((now - form @ by_form)[kept] ** 2).sum() / (kept.sum() - form.shape[1]))
     at = np.array([int(np.median(middle[rows])) for rows in each])[kept]
-    return BoneEdge(at, now[kept] + begin, scatter * np.eye(len(at)) + (_COMMON * blur) ** 2)
+    covariance = scatter * np.eye(len(at)) + (_COMMON * blur) ** 2
+    return BoneEdge(at, now[kept] + begin, covariance, begin, float(np.ptp(usual)))
 
 
 def _jackknife(shape: np.ndarray, offset_px: np.ndarray) -> np.ndarray:

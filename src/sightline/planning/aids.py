@@ -65,7 +65,8 @@ class Line:
     """A straight line in one image through two pixels `uv_px` (2, 2); they need not match the other image's.
 
     `borders_px` (2, 2, 2): the borders that an axis lies between, where these were drawn. The axis is then midway on
-    the plane of the view, and `uv_px` midway in the image.
+    the plane of the view, and `uv_px` midway in the image. `covariance_px2` (4, 4): of both pixels of a line that was
+    fitted, u and v interleaved; None for `sd_px` in each coordinate.
 
     >>> shaft = sl.Line([[220, 710], [520, 560]])
     """
@@ -73,6 +74,7 @@ class Line:
     uv_px: np.ndarray
     sd_px: float = DEFAULT_PICK_SD_PX
     borders_px: np.ndarray | None = None
+    covariance_px2: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         uv = np.array(self.uv_px, dtype=np.float64)
@@ -80,6 +82,11 @@ class Line:
             raise UnusableInputError(f"a line needs two finite pixels (u, v), shape (2, 2); got the shape {uv.shape}")
         _refuse_sd(self.sd_px)
         object.__setattr__(self, "uv_px", uv)
+
+    @property
+    def spread_px2(self) -> np.ndarray:
+        """(4, 4): the covariance of both pixels."""
+        return self.sd_px**2 * np.eye(4) if self.covariance_px2 is None else self.covariance_px2
 
     @staticmethod
     def between(borders_px: ArrayLike, sd_px: float = DEFAULT_PICK_SD_PX) -> "Line":

@@ -213,7 +213,7 @@ def _drawn(
         for name in ("neck", "shaft"):
             lines = getattr(aids, name)
             if lines is not None:
-                drawn[name] = _axis_in(views[k], lines[k]), lines[k].sd_px ** 2 * np.eye(4)
+                drawn[name] = _axis_in(views[k], lines[k]), lines[k].spread_px2
         if aids.outline is not None:
             variances = np.repeat([line.sd_px**2 for line in aids.outline[k]], 4)
             drawn["outline"] = np.concatenate([line.uv_px for line in aids.outline[k]]), np.diag(variances)

@@ -38,6 +38,15 @@ class Axis:
         to_direction = line_direction(*self.ends_mm)
         return to_direction @ self.covariance_mm2 @ to_direction.T
 
+    @property
+    def offset_covariance_mm2(self) -> np.ndarray | None:
+        """(2, 2) covariance of the middle of both ends along two axes perpendicular to it."""
+        if self.covariance_mm2 is None:
+            return None
+        across = np.linalg.svd(self.direction[None])[2][1:]
+        to_offset = np.hstack([across, across]) / 2
+        return to_offset @ self.covariance_mm2 @ to_offset.T
+
     def distance_mm(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return the distances (...) of points (..., 3) from the axis."""
         return np.linalg.norm(np.cross(xyz_mm - self.ends_mm[0], self.direction), axis=-1)

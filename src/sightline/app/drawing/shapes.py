@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from sightline.app import texts
-from sightline.app.plan.marks import CHECK_NAMES, SHOT_NAMES
+from sightline.app.plan.decisions import SHAFT
+from sightline.app.plan.marks import CHECK_NAMES, SHOT_NAMES, by_borders
 from sightline.app.plan.planner import Planned, aid_pixels, landmarks_of
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.sent import SentPlan
@@ -15,11 +16,12 @@ from sightline.app.session.session import Session
 from sightline.calibration import BeadView
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import SightlineError
-from sightline.planning import MatchingCurve, Plan, reconstruct
+from sightline.planning import Line, MatchingCurve, Plan, reconstruct
 from sightline.planning.check_result import CheckShot
 from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.head import outline
 from sightline.planning.implant import template
+from sightline.planning.procedures.document import AidAsked
 
 Shape = dict[str, Any]
 Layers = dict[str, list[Shape]]
@@ -191,16 +193,15 @@ def band(found: Corridor, style: str = "wire") -> list[Shape]:
 
 
 def aids(planned: Planned, image: str) -> list[Shape]:
-    """Return the aids' axes and the outline of the head, for one view."""
+    """Return the aids' axes with the borders that they lie between, and the outline of the head, for one view."""
     out: list[Shape] = []
     for aid in planned.kind.aids:
-        uv = None if aid.type in ("point", "sphere") else aid_pixels(planned.decisions, aid.key, aid.clicks, image)
-        for first, second in () if uv is None else uv.reshape(-1, 2, 2):
-            if (length := float(np.linalg.norm(second - first))) > 0.0:
-                beyond = (_AXIS_PX if aid.type == "line" else 0.0) * (second - first) / length
-                ends = [(first - beyond).tolist(), (second + beyond).tolist()]
-                title = texts.word(f"{aid.key} axis" if aid.type == "line" else aid.name)
-                out.append({"shape": "line", "points": ends, "style": "aid", "title": title})
+        uv = None if aid.type in ("point", "sphere") else _lines(planned, aid, image)
+        title = texts.word(f"{aid.key} axis" if aid.type == "line" else aid.name)
+        for ends in () if uv is None else uv:
+            out += _line(ends, 0.0 if aid.type != "line" or len(uv) > 1 else _AXIS_PX, title)
+        if uv is not None and by_borders(aid, planned.decisions.borders):
+            out += _line(Line.between(uv).uv_px, _AXIS_PX, title)
     head, view = planned.anatomy.head, _view(planned, image)
     if head is not None and view is not None:
         seen = outline(view, head)
@@ -209,6 +210,26 @@ def aids(planned: Planned, image: str) -> list[Shape]:
                 {"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": texts.word("femoral head")}
             )
     return out
+
+
+def _lines(planned: Planned, aid: AidAsked, image: str) -> np.ndarray | None:
+    """Return the lines (N, 2, 2) of an aid in one image, each from end to end: borders as fitted where they were; None
+    until all clicks are placed."""
+    uv = aid_pixels(planned.decisions, aid, image)
+    fitted = planned.fitted_shaft if aid.key == SHAFT and image in NAMES else None
+    if uv is None or fitted is None:
+        return None if uv is None else uv.reshape(-1, 2, 2)
+    return fitted[NAMES.index(image)].borders_px
+
+
+def _line(ends: np.ndarray, beyond_px: float, title: str) -> list[Shape]:
+    """Return a line from end to end, and so far beyond both; nothing where they coincide."""
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    if length <= 0.0:
+        return []
+    beyond = beyond_px * (ends[1] - ends[0]) / length
+    points = [(ends[0] - beyond).tolist(), (ends[1] + beyond).tolist()]
+    return [{"shape": "line", "points": points, "style": "aid", "title": title}]
 
 
 def expected(planned: Planned) -> list[Shape]:

@@ -5,17 +5,23 @@ const PAGE = "position:fixed;inset:0;z-index:7000;display:flex;gap:16px;padding:
 const PANEL =
   "flex:1;display:flex;align-items:center;justify-content:center;border:2px dashed;border-radius:16px;font-size:1.6rem";
 
+/** Resolves to null once the file is received, or to the server's sentence on why not.
+ * @param {File} file @param {string} address @param {(part: number) => void} onProgress
+ * @param {import("./types").Texts} texts @returns {Promise<string | null>} */
 function send(file, address, onProgress, texts) {
   return new Promise((resolve) => {
     const request = new XMLHttpRequest(); // fetch reports no progress
     request.open("POST", address);
-    request.upload.onprogress = (event) => event.total && onProgress(event.loaded / event.total);
+    request.upload.onprogress = (event) => {
+      if (event.total) onProgress(event.loaded / event.total);
+    };
     request.onload = () => resolve(request.status === 200 ? null : sentence(request, texts));
     request.onerror = () => resolve(texts.lost);
     request.send(file);
   });
 }
 
+/** @param {XMLHttpRequest} request @param {import("./types").Texts} texts @returns {string} */
 function sentence(request, texts) {
   try {
     return JSON.parse(request.responseText).error;
@@ -24,7 +30,8 @@ function sentence(request, texts) {
   }
 }
 
-export default {
+/** @type {import("./types").Component & ThisType<import("./types").Drop>} */
+const drop = {
   template: `
     <div class="drop-row" v-show="!told || Object.keys(states).length">
       <template v-for="(target, i) in targets" :key="target.address">
@@ -77,7 +84,9 @@ export default {
     this.listeners = {
       dragenter: (event) => this.dragged(event),
       dragover: (event) => this.dragged(event),
-      dragleave: (event) => !event.relatedTarget && this.leave(),
+      dragleave: (event) => {
+        if (!event.relatedTarget) this.leave();
+      },
       drop: (event) => {
         event.preventDefault(); // a file dropped beside the panels must not replace the page
         this.leave();
@@ -98,7 +107,7 @@ export default {
     asks(i) {
       const { box, label } = this.targets[i];
       const first = this.targets.findIndex((other) => other.box === box) === i;
-      return this.ready && box && first && label in this.states && (this.states[label] !== "here" || this.failed === i);
+      return this.ready && Boolean(box) && first && label in this.states && (this.states[label] !== "here" || this.failed === i);
     },
     // Over its box; targets that share one divide it.
     place(target) {
@@ -119,7 +128,7 @@ export default {
       this.over = null;
     },
     chosen(event, target) {
-      const files = [...event.target.files];
+      const files = [...(event.target.files ?? [])];
       event.target.value = ""; // so that the same file can be chosen again
       this.take(files, target);
     },
@@ -128,21 +137,23 @@ export default {
     },
     // Several files dropped at once go to this target and the following ones, one after another.
     async take(files, target) {
-      if (files.length > this.targets.length) return this.say(this.texts.many.replace("{count}", this.targets.length), true);
+      if (files.length > this.targets.length) return this.say(this.texts.many.replace("{count}", String(this.targets.length)), true);
       files.forEach((file, n) => this.waiting.push([file, (target + n) % this.targets.length]));
       if (this.busy !== null) return;
-      while (this.waiting.length) await this.hand(...this.waiting.shift());
+      for (let next = this.waiting.shift(); next; next = this.waiting.shift()) await this.hand(...next);
     },
     async hand(file, target) {
       if (file.size > this.maxBytes) {
         const size = Math.floor(this.maxBytes / 1e6);
-        return this.say(this.texts.large.replace("{file}", file.name).replace("{size}", size), true);
+        return this.say(this.texts.large.replace("{file}", file.name).replace("{size}", String(size)), true);
       }
       this.busy = target;
       this.percent = 0;
       this.failed = null;
       this.say(this.texts.reading.replace("{file}", file.name), false);
-      const onProgress = (part) => (this.percent = 100 * part);
+      const onProgress = (/** @type {number} */ part) => {
+        this.percent = 100 * part;
+      };
       const refusal = await send(file, this.targets[target].address, onProgress, this.texts);
       this.busy = null;
       this.failed = refusal ? target : null;
@@ -154,3 +165,5 @@ export default {
     },
   },
 };
+
+export default drop;

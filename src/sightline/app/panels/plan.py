@@ -11,8 +11,17 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import HtmlSection, Section, action, heading, note
+from sightline.app.plan.decisions import SHAFT
 from sightline.app.plan.marks import MarkSpec
-from sightline.app.plan.planner import Planned, has_head, landmarks_of, lowest_wire, proposed
+from sightline.app.plan.planner import (
+    Planned,
+    has_borders,
+    has_head,
+    has_shaft_borders,
+    landmarks_of,
+    lowest_wire,
+    proposed,
+)
 from sightline.app.session.planning import kept_as_drawn
 from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES, OBLIQUE
@@ -28,9 +37,10 @@ def build(tab: Tab) -> None:
     """Build the panel: kind, and the checklist of points and aids."""
     Section(tab, lambda t: t.planning.decisions.kind, _kind)
     Section(tab, _nail_key, _nail)
-    Section(tab, lambda t: (t.planning.decisions.kind, t.planning.decisions.of_nail), _points, classes="checklist")
+    Section(tab, _points_key, _points, classes="checklist")
     HtmlSection(tab, lambda t: t.known, _turns_html)
     HtmlSection(tab, lambda t: t.known, _fitted_html)
+    HtmlSection(tab, lambda t: t.known, _fitted_shaft_html)
 
 
 def build_details(tab: Tab) -> None:
@@ -38,6 +48,7 @@ def build_details(tab: Tab) -> None:
     Section(tab, lambda t: t.planning.decisions.kind, _purpose)
     build_oblique(tab)
     Section(tab, lambda t: t.planning.decisions.snapping, _snapping)
+    Section(tab, lambda t: (t.planning.decisions.borders, has_borders(t.planning.decisions)), _borders)
 
     def show(event) -> None:
         tab.views.show_beads = bool(event.value)
@@ -99,6 +110,27 @@ def _fitted_html(tab: Tab) -> Markup:
     return markup.note(" ".join(said), kind="quiet", testid="head-fitted")
 
 
+def _fitted_shaft_html(tab: Tab) -> Markup:
+    """Return the 95 % errors of the fitted shaft, and which image's line was kept and why; empty without a fit."""
+    known = tab.known
+    fitted = None if known is None or known.fitted_shaft is None else known.decisions.fitted_shaft
+    shaft = None if known is None or fitted is None else known.anatomy.shaft
+    if (
+        fitted is None
+        or shaft is None
+        or shaft.direction_covariance_rad2 is None
+        or shaft.offset_covariance_mm2 is None
+    ):
+        return Markup()
+    turned, offset = (
+        TWO_SIDED_95 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+        for covariance in (shaft.direction_covariance_rad2, shaft.offset_covariance_mm2)
+    )
+    said = [texts.SHAFT_FITTED.format(direction_error=np.rad2deg(turned), place_error=offset)]
+    said += kept_as_drawn(fitted.kept)
+    return markup.note(" ".join(said), kind="quiet", testid="shaft-fitted")
+
+
 def _nail_key(tab: Tab) -> Hashable:
     return tab.planning.decisions.kind, tab.planning.decisions.nail, tab.planning.implanted
 
@@ -132,6 +164,22 @@ def _snapping(tab: Tab) -> None:
 
     on = tab.planning.decisions.snapping
     ui.checkbox(texts.SNAP, value=on, on_change=snap).props("data-testid=snapping")
+
+
+def _borders(tab: Tab) -> None:
+    if not has_borders(tab.planning.decisions):
+        return
+
+    async def choose(event) -> None:
+        await tab.act(lambda: tab.planning.choose_borders(bool(event.value)))
+
+    on = tab.planning.decisions.borders
+    ui.checkbox(texts.BY_BORDERS, value=on, on_change=choose).props("data-testid=borders")
+
+
+def _points_key(tab: Tab) -> Hashable:
+    decisions = tab.planning.decisions
+    return decisions.kind, decisions.of_nail, decisions.borders
 
 
 def _points(tab: Tab) -> None:
@@ -187,6 +235,9 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
             ui.label(label).classes("pick-name")
             status = ui.element("div")
             ui.tooltip(texts.word(first.sentence)).props('anchor="center left" self="center right"')
+        if first.of == SHAFT and has_shaft_borders(tab.planning.decisions):
+            fit = action(texts.FIT_SHAFT, tab.doing(tab.planning.fit_shaft), testid="fit-shaft", kind="small fit")
+            fit.props(f'title="{texts.FIT_SHAFT_WHAT}" aria-label="{texts.FIT_SHAFT_WHAT}"')
         remove = action("✕", tab.doing(lambda: tab.planning.remove(names)), testid=f"remove-{first.of}", kind="small")
         remove.props(f'aria-label="{texts.REMOVE_WHAT.format(what=label)}"')
     with status:

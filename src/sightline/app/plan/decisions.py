@@ -9,8 +9,8 @@ from datetime import datetime
 from types import MappingProxyType
 from typing import Any, Literal
 
-from sightline.app.plan.fitted import FittedHead
-from sightline.app.plan.marks import END, ENTRY, MarkSpec, marks_of
+from sightline.app.plan.fitted import FittedHead, FittedShaft
+from sightline.app.plan.marks import END, ENTRY, MarkSpec, border_mark, marks_of
 from sightline.case.views import NAMES
 from sightline.errors import CaseError, UnusableInputError
 from sightline.planning import Nail
@@ -19,7 +19,7 @@ from sightline.planning.procedures.files import current_key
 
 Side = Literal["right", "left"]
 Pixel = tuple[float, float]
-HEAD = "head"  # key of the aid whose circles can be fitted to edges
+HEAD, SHAFT = "head", "shaft"  # keys of the aids that can be fitted to edges
 MAX_MARKS = 64  # more than any procedure needs; a page that sends more is defective [ours]
 MAX_UNDO = 500  # changes that can be undone; the journal has all of them [ours]
 
@@ -81,7 +81,8 @@ class Decisions:
     placed. `taken`: time of acquisition stated by a person, by entry number, for images whose file does not state it.
     `mirrored`: whether a person saw, by writing in it, that the file shows the image mirrored, by entry number; needed
     if no image shows the frame unmirrored. `nail`: whose holes are found in the images; None: points are placed.
-    `fitted_head`: the head's circles as fitted to edges; None: as drawn.
+    `fitted_head`: the head's circles as fitted to edges; None: as drawn. `borders`: axes are drawn by both borders of
+    the bone; `fitted_shaft`: those of the shaft as fitted to edges.
     """
 
     images: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -96,6 +97,8 @@ class Decisions:
     wires: Mapping[str, Mapping[str, Mark]] = field(default_factory=lambda: MappingProxyType({}))
     nail: Nail | None = None
     fitted_head: FittedHead | None = None
+    borders: bool = False
+    fitted_shaft: FittedShaft | None = None
 
     @property
     def of_nail(self) -> bool:
@@ -105,7 +108,7 @@ class Decisions:
     @property
     def specs(self) -> tuple[MarkSpec, ...]:
         """The marks that the page asks for, in order. Raises UnusableInputError."""
-        return marks_of(self.kind, of_nail=self.of_nail)
+        return marks_of(self.kind, of_nail=self.of_nail, borders=self.borders)
 
     def mark(self, name: str) -> Mark:
         """Return the mark of a name; an empty one if it is not placed."""
@@ -139,26 +142,27 @@ class Decisions:
         return all(self.mark(name).complete() for name in names)
 
     def with_mark(self, name: str, mark: Mark | None) -> "Decisions":
-        """Return the decisions with one mark set, or removed if it is None or empty; a click on the head's rim ends its
-        fit. Raises CaseError if there are too many."""
+        """Return the decisions with one mark set, or removed if it is None or empty; a click on the head's rim or on
+        the shaft's borders ends their fit. Raises CaseError if there are too many."""
         marks = {key: value for key, value in self.marks.items() if key != name}
         if mark is not None and mark.places:
             marks[name] = mark
         if len(marks) > MAX_MARKS:
             raise CaseError(f"a case holds at most {MAX_MARKS} marks; remove some that are not needed")
-        fitted = None if name.rpartition("-")[0] == HEAD else self.fitted_head
-        return replace(self, marks=MappingProxyType(marks), fitted_head=fitted)
+        drawn = name.rpartition("-")[0]
+        head = None if drawn == HEAD else self.fitted_head
+        shaft = None if drawn == border_mark(SHAFT) else self.fitted_shaft
+        return replace(self, marks=MappingProxyType(marks), fitted_head=head, fitted_shaft=shaft)
 
     def with_image(self, name: str, acquired: int, *, same_pixels: bool) -> "Decisions":
         """Return the decisions with another image under a name. Unless the pixels are the same, the marks in it are
-        removed, and for a planning image also the patient's side and a fit of the head."""
+        removed, and for a planning image also the patient's side and what was fitted to its edges."""
         images = MappingProxyType({**self.images, name: acquired})
         if same_pixels:
             return replace(self, images=images)
         wires = MappingProxyType({kind: _without(name, ends) for kind, ends in self.wires.items()})
-        side, fitted = (None, None) if name in NAMES else (self.side, self.fitted_head)
-        marks = _without(name, self.marks)
-        return replace(self, images=images, marks=marks, wires=wires, side=side, fitted_head=fitted)
+        left = replace(self, images=images, marks=_without(name, self.marks), wires=wires)
+        return replace(left, side=None, fitted_head=None, fitted_shaft=None) if name in NAMES else left
 
     def with_display(self, view: str, display: Display) -> "Decisions":
         """Return the decisions with another display of one view."""
@@ -189,6 +193,8 @@ class Decisions:
             },
             "nail": None if self.nail is None else vars(self.nail),
             "fitted_head": None if self.fitted_head is None else self.fitted_head.document(),
+            "borders": self.borders,
+            "fitted_shaft": None if self.fitted_shaft is None else self.fitted_shaft.document(),
         }
 
     @staticmethod
@@ -213,6 +219,8 @@ class Decisions:
                 MappingProxyType(wires),
                 None if document.get("nail") is None else Nail(**document["nail"]),
                 None if document.get("fitted_head") is None else FittedHead.of(document["fitted_head"]),
+                bool(document.get("borders", False)),  # older cases have no entry: axes were always drawn themselves
+                None if document.get("fitted_shaft") is None else FittedShaft.of(document["fitted_shaft"]),
             )
         except (KeyError, TypeError, ValueError, AttributeError, UnusableInputError) as error:
             raise CaseError(

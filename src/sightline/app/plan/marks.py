@@ -18,6 +18,9 @@ _STROKE = {  # the two clicks of a stroke
     1: "Click on it, above all holes to be drilled, at most 8 pixels beside the edge.",
     2: "Click on it, below all holes to be drilled, at most 8 pixels beside the edge.",
 }
+# How an axis is drawn by both borders of the bone, in place of the procedure's own sentence.
+_BORDERS = "Two clicks on one border of the bone, two on the other, beside each other where both are straight."
+_BORDER_CLICKS = 4
 _HOLE = "Click the middle of its bright lens, where light passes both walls."
 
 
@@ -68,16 +71,34 @@ GUIDE_POINTS = 5  # one more than its curve needs [ours]
 GUIDE = tuple(map(_on_guide, range(1, GUIDE_POINTS + 2)))
 
 
-def marks_of(kind: str, *, of_nail: bool = False) -> tuple[MarkSpec, ...]:
+def marks_of(kind: str, *, of_nail: bool = False, borders: bool = False) -> tuple[MarkSpec, ...]:
     """Return all marks of a procedure, by its key, in the order in which the page asks for them.
 
     `of_nail`: its wires run through holes that are found in the images; then strokes and clicks on the nail take the
-    place of the wires' points and of the aids. Raises UnusableInputError."""
-    return _marks_of(kind_of(kind), of_nail)
+    place of the wires' points and of the aids. `borders`: axes are drawn by both borders of the bone. Raises
+    UnusableInputError."""
+    return _marks_of(kind_of(kind), of_nail, borders)
+
+
+def by_borders(aid: AidAsked, borders: bool) -> bool:
+    """Return True if an aid is an axis that is drawn by both borders of the bone."""
+    return borders and aid.type == "line"
+
+
+def aid_marks(aid: AidAsked, borders: bool) -> tuple[str, ...]:
+    """Return the names of an aid's marks. An axis has others where it is drawn by both `borders`."""
+    if by_borders(aid, borders):
+        return tuple(f"{border_mark(aid.key)}-{k + 1}" for k in range(_BORDER_CLICKS))
+    return tuple(f"{aid.key}-{k + 1}" for k in range(aid.clicks))
+
+
+def border_mark(aid: str) -> str:
+    """Return the names, without their numbers, of the marks on the borders of an axis, by its key."""
+    return f"{aid}-border"
 
 
 @lru_cache
-def _marks_of(known: Procedure, of_nail: bool) -> tuple[MarkSpec, ...]:
+def _marks_of(known: Procedure, of_nail: bool, borders: bool) -> tuple[MarkSpec, ...]:
     landmarks = [MarkSpec(f"landmark-{p.key}", _titled(p.name), p.sentence, "landmark", p.key) for p in known.landmarks]
     if of_nail:
         holes = [
@@ -92,9 +113,11 @@ def _marks_of(known: Procedure, of_nail: bool) -> tuple[MarkSpec, ...]:
     aids = []
     for aid in known.aids:
         images = images_of(known, aid)
-        for k in range(aid.clicks if images else 0):
-            label = f"{_titled(aid.name)} {k + 1}" if aid.clicks > 1 else _titled(aid.name)
-            aids.append(MarkSpec(f"{aid.key}-{k + 1}", label, aid.sentence, "aid", aid.key, images))
+        names = aid_marks(aid, borders) if images else ()
+        sentence = _BORDERS if by_borders(aid, borders) else aid.sentence
+        for k, name in enumerate(names):
+            label = f"{_titled(aid.name)} {k + 1}" if len(names) > 1 else _titled(aid.name)
+            aids.append(MarkSpec(name, label, sentence, "aid", aid.key, images))
     return (*wire, *landmarks, *aids)
 
 

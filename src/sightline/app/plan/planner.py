@@ -6,9 +6,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from sightline.app.plan.decisions import HEAD, Decisions, Mark, Pixel
+from sightline.app.plan.decisions import HEAD, SHAFT, Decisions, Mark, Pixel
 from sightline.app.plan.holes import HolesFound, nail_drawn
-from sightline.app.plan.marks import END, ENTRY, MarkSpec, hole_mark, images_of
+from sightline.app.plan.marks import END, ENTRY, MarkSpec, aid_marks, hole_mark, images_of
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import PlanRequest
 from sightline.case.views import ALL_NAMES, NAMES
@@ -24,13 +24,13 @@ from sightline.planning import (
     propose_others,
     snap,
 )
-from sightline.planning.aids import Aids, Circle
+from sightline.planning.aids import Aids, Circle, Line
 from sightline.planning.anatomy import Anatomy, locate
 from sightline.planning.metrics import Metric, metrics
 from sightline.planning.picks import DEFAULT_PICK_SD_PX
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.procedures.document import ProcedureDocument
+from sightline.planning.procedures.document import AidAsked, ProcedureDocument
 from sightline.planning.procedures.files import each_wire, keeping
 from sightline.planning.results import Verdict
 
@@ -76,6 +76,11 @@ class Planned:
         if self.plan is not None and self.plan.anatomy is not None:
             return self.plan.anatomy
         return locate(self.views, _aids(self.decisions))
+
+    @property
+    def fitted_shaft(self) -> tuple[Line, Line] | None:
+        """The shaft's lines as fitted to edges; None where its drawing is used."""
+        return fitted_shaft(self.decisions)
 
     @cached_property
     def metrics(self) -> tuple[Metric, ...]:
@@ -304,17 +309,40 @@ def has_head(decisions: Decisions) -> bool:
     return not decisions.of_nail and any(aid.key == HEAD for aid in kind_of(decisions.kind).aids)
 
 
+def has_borders(decisions: Decisions) -> bool:
+    """Return True if the procedure asks for axes, which may be drawn by both borders of the bone."""
+    return not decisions.of_nail and any(aid.type == "line" for aid in kind_of(decisions.kind).aids)
+
+
+def has_shaft_borders(decisions: Decisions) -> bool:
+    """Return True if the procedure asks for the shaft, and it is drawn by both borders."""
+    return (
+        has_borders(decisions) and decisions.borders and any(aid.key == SHAFT for aid in kind_of(decisions.kind).aids)
+    )
+
+
+def drawn_shaft(decisions: Decisions) -> tuple[Line, Line] | None:
+    """Return the shaft between its drawn borders; None until all clicks are placed."""
+    return _drawn(decisions).shaft if decisions.borders else None
+
+
+def fitted_shaft(decisions: Decisions) -> tuple[Line, Line] | None:
+    """Return the shaft's lines as fitted to edges; None where they are not, or the shaft is not drawn by borders."""
+    return decisions.fitted_shaft.shaft if decisions.fitted_shaft is not None and decisions.borders else None
+
+
 def drawn_head(decisions: Decisions) -> tuple[Circle, Circle] | None:
     """Return the circles through the clicks on the head's rim; None until all are placed."""
     return _drawn(decisions).head
 
 
 def _aids(decisions: Decisions) -> Aids:
-    """Return the aids that are drawn, the head as fitted to edges where it was fitted."""
+    """Return the aids that are drawn, head and shaft as fitted to edges where they were fitted."""
     drawn = _drawn(decisions)
-    if drawn.head is None or decisions.fitted_head is None:
-        return drawn
-    return replace(drawn, head=decisions.fitted_head.head)
+    if drawn.head is not None and decisions.fitted_head is not None:
+        drawn = replace(drawn, head=decisions.fitted_head.head)
+    shaft = fitted_shaft(decisions)
+    return drawn if drawn.shaft is None or shaft is None else replace(drawn, shaft=shaft)
 
 
 def _drawn(decisions: Decisions) -> Aids:
@@ -323,13 +351,13 @@ def _drawn(decisions: Decisions) -> Aids:
     clicked: dict[str, list[np.ndarray | None]] = {}
     for aid in known.aids:
         images = images_of(known, aid)
-        uv = [aid_pixels(decisions, aid.key, aid.clicks, image) if image in images else None for image in NAMES]
+        uv = [aid_pixels(decisions, aid, image) if image in images else None for image in NAMES]
         if images and sum(one is not None for one in uv) == len(images):
             clicked[aid.key] = uv
     return Aids.clicked({aid.key: aid.type for aid in known.aids}, clicked, PICK_SD_PX)
 
 
-def aid_pixels(decisions: Decisions, aid: str, clicks: int, image: str) -> np.ndarray | None:
+def aid_pixels(decisions: Decisions, aid: AidAsked, image: str) -> np.ndarray | None:
     """Return an aid's clicks in one image, (clicks, 2); None until all are placed."""
-    at = [decisions.mark(f"{aid}-{k + 1}").at(image) for k in range(clicks)]
+    at = [decisions.mark(name).at(image) for name in aid_marks(aid, decisions.borders)]
     return None if any(uv is None for uv in at) else np.array(at, dtype=np.float64)

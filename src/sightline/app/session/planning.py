@@ -2,20 +2,20 @@
 shows it."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from typing import cast
+from typing import TypeVar, cast
 
 import numpy as np
 
 from sightline.app import texts
 from sightline.app.plan.decisions import Decisions, Display, History, Pixel, Side
-from sightline.app.plan.fitted import FittedHead
+from sightline.app.plan.fitted import FittedHead, FittedShaft
 from sightline.app.plan.holes import HolesFound, nail_drawn
 from sightline.app.plan.marks import MarkSpec
-from sightline.app.plan.planner import Planned, drawn_head, moved, planned, request_of
+from sightline.app.plan.planner import Planned, drawn_head, drawn_shaft, moved, planned, request_of
 from sightline.app.plan.robot_wire import ROBOT_WIRE
 from sightline.app.session import rehearsing
 from sightline.app.session.jobs import Jobs
@@ -31,12 +31,16 @@ from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, takes_oblique
 from sightline.drilling_order import DrillingOrder, propose_order
 from sightline.errors import CalibrationRefusedError, SightlineError, UnusableInputError
+from sightline.fitted_axis import fit_shaft
 from sightline.fitted_head import fit_head
-from sightline.planning import Circle, Nail, WirePlans, kind
+from sightline.imaging import Radiograph
+from sightline.planning import Circle, Line, Nail, WirePlans, kind
 from sightline.planning.procedures.files import document_of, each_wire
 
 _MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned to views [ours]
 _EDITS = ("edit", "undo", "redo")
+Drawn = TypeVar("Drawn")
+Kept = dict[str, str]
 
 
 class Planning:
@@ -239,20 +243,43 @@ class Planning:
         drawn = drawn_head(before)
         if drawn is None or views is None:
             raise UnusableInputError(texts.FIT_HEAD_FIRST)
-        images = [seen.image for seen in map(self.seen, NAMES) if seen is not None]
-        head, kept = await self.jobs.during(
-            "fitting the head to its edges", lambda: asyncio.to_thread(fit_head, views, images, drawn)
-        )
-        if len(kept) == len(NAMES):
-            raise UnusableInputError(" ".join(kept_as_drawn(kept)))
+        head, kept = await self._fitted("fitting the head to its edges", lambda images: fit_head(views, images, drawn))
         now = self.decisions
         if now.images != before.images or now.fitted_head != before.fitted_head or not _same(drawn, drawn_head(now)):
             raise UnusableInputError(texts.FIT_HEAD_AGAIN)
         self.edit(replace(now, fitted_head=FittedHead.made(head, kept)))
 
+    async def fit_shaft(self) -> None:
+        """Fit the drawn borders of the shaft to the edges of the images, as `fit_head` does. Raises
+        UnusableInputError."""
+        before, views = self.decisions, self.views(NAMES)
+        drawn = drawn_shaft(before)
+        if drawn is None or views is None:
+            raise UnusableInputError(texts.FIT_SHAFT_FIRST)
+        shaft, kept = await self._fitted(
+            "fitting the shaft to its edges", lambda images: fit_shaft(views, images, drawn)
+        )
+        now = self.decisions
+        if now.images != before.images or now.fitted_shaft != before.fitted_shaft or not _same(drawn, drawn_shaft(now)):
+            raise UnusableInputError(texts.FIT_SHAFT_AGAIN)
+        self.edit(replace(now, fitted_shaft=FittedShaft.made(shaft, kept)))
+
+    async def _fitted(self, work: str, fit: Callable[[list[Radiograph]], tuple[Drawn, Kept]]) -> tuple[Drawn, Kept]:
+        """Return a fit to the edges of both images, made on another thread, and what it kept as drawn. Raises
+        UnusableInputError where it kept both."""
+        images = [seen.image for seen in map(self.seen, NAMES) if seen is not None]
+        fitted, kept = await self.jobs.during(work, lambda: asyncio.to_thread(fit, images))
+        if len(kept) == len(NAMES):
+            raise UnusableInputError(" ".join(kept_as_drawn(kept)))
+        return fitted, kept
+
     def choose_nail(self, nail: Nail | None) -> None:
         """Choose the nail whose holes are found in the images; None: points are placed by hand."""
         self.edit(replace(self.decisions, nail=nail))
+
+    def choose_borders(self, on: bool) -> None:
+        """Draw axes by both borders of the bone, or by themselves; the clicks of either stay."""
+        self.edit(replace(self.decisions, borders=on))
 
     def choose_snapping(self, on: bool) -> None:
         """Switch snapping of lateral points of the wire to their curves on or off."""
@@ -403,9 +430,17 @@ def kept_as_drawn(kept: Mapping[str, str]) -> list[str]:
     return [texts.KEPT_AS_DRAWN.format(image=texts.IMAGE_LABELS[view], why=why) for view, why in kept.items()]
 
 
-def _same(first: tuple[Circle, Circle], second: tuple[Circle, Circle] | None) -> bool:
-    """Return True if circles go through the same pixels."""
-    return second is not None and all(np.array_equal(a.uv_px, b.uv_px) for a, b in zip(first, second, strict=True))
+def _same(first: Sequence[Circle | Line], second: Sequence[Circle | Line] | None) -> bool:
+    """Return True if circles or lines go through the same pixels."""
+    return second is not None and all(
+        np.array_equal(_drawn_px(a), _drawn_px(b)) for a, b in zip(first, second, strict=True)
+    )
+
+
+def _drawn_px(drawn: Circle | Line) -> np.ndarray:
+    """Return the clicks of a circle or of a line between borders."""
+    borders = drawn.borders_px if isinstance(drawn, Line) else None
+    return drawn.uv_px if borders is None else borders
 
 
 @lru_cache(maxsize=4)  # planning and check images, before and after a change

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from sightline.app.drawing import shapes
 from sightline.app.plan.decisions import Decisions, Pixel
-from sightline.app.plan.marks import names_of
 from sightline.app.plan.planner import Planned, planned
 from sightline.app.session.planning import Planning
 from sightline.calibration import BeadView
@@ -86,7 +85,7 @@ def _preview(
     decisions = planning.moved(name, image, uv)
     known = planned(decisions, views, planning.nail.found)
     layers = {image: {"wire": shapes.wire(known, image)} for image in ALL_NAMES}
-    if name in names_of(decisions.kind, "aid"):
+    if any(spec.name == name and spec.group == "aid" for spec in decisions.specs):
         for shown, drawn in layers.items():
             drawn["aids"] = shapes.aids(known, shown)
     return decisions, known, layers

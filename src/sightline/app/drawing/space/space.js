@@ -7,12 +7,20 @@ import { COLOURS } from "colours";
 import { CSS2DRenderer, OrbitControls, THREE } from "nicegui-scene";
 import { dispose, make } from "space_objects";
 
+/** @typedef {import("./types").Reach} Reach */
+/** @typedef {import("./types").SpaceObject} SpaceObject */
+/** @typedef {import("./types").Xyz} Xyz */
+/** @typedef {[number, number]} Pair */
+/** @typedef {import("nicegui-scene").CSS2DObject} CSS2DObject */
+
 const FIELD_DEG = 30;
 const TURN = Math.PI / 36; // of an arrow key
 const NEARER = 1.15;
 const MAX_LINES = 4; // largest distance of a label from its place, in lines of text
+/** @type {Reach[]} */
 const REACHES = ["hip", "frame", "room"]; // each includes those before it
 // Viewing directions for a left hip, with the feet towards -Y; for a right one they are towards +Y.
+/** @type {Record<string, Xyz>} */
 const FROM = { feet: [0, -1, 0], side: [1, 0, 0], above: [0, -0.001, 1], aslant: [0.441, -0.83, 0.342] };
 
 const CSS = `
@@ -33,11 +41,20 @@ const CSS = `
 .space-notes:empty { display: none; }
 .space-none { position: absolute; inset: 0; display: grid; place-content: center; padding: 2em; text-align: center; }`;
 
+/** @type {Record<string, Pair>} */
+const MOVES = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+/** @type {Record<string, number>} */
+const ZOOMS = { "+": 1 / NEARER, "=": 1 / NEARER, "-": NEARER };
+
 export class SpaceCore {
+  /** @param {HTMLElement} box @param {import("./types").SpaceOptions} options */
   constructor(box, { label, groups, texts }) {
     this.texts = texts;
-    this.groups = new Map(); // name -> THREE.Group
-    this.objects = {}; // name -> the plain objects it was made from
+    /** @type {Map<string, THREE.Group>} */
+    this.groups = new Map();
+    /** The plain objects that each group was made from.
+     * @type {Record<string, SpaceObject[]>} */
+    this.objects = {};
     this.names = groups; // name -> text in the legend
     this.renders = 0;
     this.asked = 0;
@@ -49,13 +66,25 @@ export class SpaceCore {
     if (!document.getElementById("space-css")) {
       document.head.append(Object.assign(document.createElement("style"), { id: "space-css", textContent: CSS }));
     }
+    // Types of what `build` makes. It is missing where the browser has no WebGL: then nothing is drawn.
+    /** @type {CSS2DRenderer} */ this.labels;
+    /** @type {THREE.Scene} */ this.scene;
+    /** @type {THREE.PerspectiveCamera} */ this.camera;
+    /** @type {OrbitControls} */ this.controls;
+    /** @type {HTMLElement} */ this.legend;
+    /** @type {HTMLElement} */ this.notes;
+    /** State of the legend as it was drawn last.
+     * @type {string} */
+    this.legendState;
+    /** @type {THREE.WebGLRenderer | undefined} */
+    this.renderer = undefined;
     try {
       this.renderer = new THREE.WebGLRenderer({ antialias: true });
     } catch {
       this.sayNone();
       return;
     }
-    this.build(label);
+    this.build(label, this.renderer.domElement);
   }
 
   sayNone() {
@@ -65,8 +94,8 @@ export class SpaceCore {
     this.root.append(said);
   }
 
-  build(label) {
-    const canvas = this.renderer.domElement;
+  /** @param {string} label @param {HTMLCanvasElement} canvas */
+  build(label, canvas) {
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", `${label}. ${this.texts.keys}`);
@@ -86,7 +115,7 @@ export class SpaceCore {
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.addEventListener("change", () => this.draw());
     this.controls.addEventListener("start", () => (this.touched = true));
-    this.pressed = (event) => this.key(event);
+    this.pressed = (/** @type {KeyboardEvent} */ event) => this.key(event);
     canvas.addEventListener("keydown", this.pressed);
     canvas.addEventListener("webglcontextrestored", () => this.draw());
     this.watch = new ResizeObserver(() => this.resize());
@@ -100,6 +129,7 @@ export class SpaceCore {
     this.resize();
   }
 
+  /** @param {string} style */
   bar(style) {
     const made = document.createElement("div");
     made.className = "space-bar";
@@ -108,6 +138,7 @@ export class SpaceCore {
     return made;
   }
 
+  /** @param {HTMLElement} bar @param {string} words @param {string} id @param {() => void} onClick */
   button(bar, words, id, onClick) {
     const made = document.createElement("button");
     made.type = "button";
@@ -128,6 +159,7 @@ export class SpaceCore {
     }
   }
 
+  /** @param {() => void} change */
   chosen(change) {
     this.touched = true;
     change();
@@ -135,7 +167,8 @@ export class SpaceCore {
 
   // -------------------------------------------------------------------------------------------------------- content
 
-  // Replaces one group. Notes are shown as text below the scene.
+  /** Replaces one group. Notes are shown as text below the scene.
+   * @param {string} name @param {SpaceObject[]} objects */
   update(name, objects) {
     this.objects[name] = objects;
     if (!this.renderer) return;
@@ -155,6 +188,7 @@ export class SpaceCore {
     this.draw();
   }
 
+  /** @param {string} name @param {boolean} on */
   show(name, on) {
     const group = this.groups.get(name);
     if (!group) return;
@@ -165,14 +199,19 @@ export class SpaceCore {
   }
 
   drawLegend() {
-    const shown = Object.keys(this.names).filter((name) => this.groups.get(name)?.children.length);
-    const state = JSON.stringify(shown.map((name) => [name, this.groups.get(name).visible]));
+    /** @type {[string, boolean][]} */
+    const shown = [];
+    for (const name of Object.keys(this.names)) {
+      const group = this.groups.get(name);
+      if (group?.children.length) shown.push([name, group.visible]);
+    }
+    const state = JSON.stringify(shown);
     if (state === this.legendState) return; // an unnecessary update would take the focus away
     this.legendState = state;
-    const focused = this.legend.contains(document.activeElement) ? document.activeElement.dataset.testid : null;
+    const active = /** @type {HTMLElement | null} */ (document.activeElement);
+    const focused = this.legend.contains(active) ? active?.dataset.testid : null;
     this.legend.replaceChildren();
-    for (const name of shown) {
-      const { visible } = this.groups.get(name);
+    for (const [name, visible] of shown) {
       const made = this.button(this.legend, this.names[name], `space-show-${name}`, () => this.show(name, !visible));
       made.setAttribute("aria-pressed", String(visible));
       if (made.dataset.testid === focused) made.focus();
@@ -181,19 +220,21 @@ export class SpaceCore {
 
   drawNotes() {
     const shown = Object.keys(this.objects).filter((name) => this.groups.get(name)?.visible);
-    const notes = shown.flatMap((name) => this.objects[name].filter(({ kind }) => kind === "note"));
-    this.notes.textContent = notes.map(({ text }) => text).join(" · ");
+    const notes = shown.flatMap((name) => this.objects[name].flatMap((one) => (one.kind === "note" ? [one.text] : [])));
+    this.notes.textContent = notes.join(" · ");
   }
 
   // ---------------------------------------------------------------------------------------------------------- the camera
 
-  // Sets the side of the hip, "right" or other: the patient's feet are then towards the viewer, the head up.
+  /** Sets the side of the hip, "right" or other: the patient's feet are then towards the viewer, the head up.
+   * @param {string | null} side */
   orient(side) {
     this.feet = side === "right" ? -1 : 1;
     if (!this.touched) this.look("aslant");
   }
 
-  // Sets the viewing direction; target and distance stay.
+  /** Sets the viewing direction; target and distance stay.
+   * @param {string} from */
   look(from) {
     if (!this.renderer) return;
     const distance = this.camera.position.distanceTo(this.controls.target) || 1000;
@@ -203,14 +244,17 @@ export class SpaceCore {
     this.draw();
   }
 
-  // Fits the view to the objects of the hip, the frame or the whole room.
+  /** Fits the view to the objects of the hip, the frame or the whole room.
+   * @param {Reach} reach */
   fit(reach) {
     if (!this.renderer) return;
     const within = REACHES.slice(0, REACHES.indexOf(reach) + 1);
     const bounds = new THREE.Box3();
     for (const group of this.groups.values()) {
       if (!group.visible) continue;
-      for (const made of group.children) if (within.includes(made.userData.reach)) bounds.expandByObject(made);
+      for (const made of group.children) {
+        if (made.userData.reach && within.includes(made.userData.reach)) bounds.expandByObject(made);
+      }
     }
     if (bounds.isEmpty()) return;
     const ball = bounds.getBoundingSphere(new THREE.Sphere());
@@ -224,9 +268,10 @@ export class SpaceCore {
     this.draw();
   }
 
+  /** @param {KeyboardEvent} event */
   key(event) {
-    const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
-    const zoom = { "+": 1 / NEARER, "=": 1 / NEARER, "-": NEARER }[event.key];
+    const moves = MOVES[event.key];
+    const zoom = ZOOMS[event.key];
     if ((!moves && !zoom) || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
     this.touched = true;
@@ -239,6 +284,7 @@ export class SpaceCore {
     this.draw();
   }
 
+  /** @param {Pair} direction @param {THREE.Vector3} away */
   turn([right, up], away) {
     const polar = new THREE.Spherical().setFromVector3(new THREE.Vector3(away.x, away.z, -away.y)); // its up is +y
     polar.theta += right * TURN;
@@ -247,6 +293,7 @@ export class SpaceCore {
     away.set(turned.x, -turned.z, turned.y);
   }
 
+  /** @param {Pair} direction @param {number} distance */
   shift([right, up], distance) {
     const step = 0.04 * distance;
     const across = new THREE.Vector3().setFromMatrixColumn(this.camera.matrix, 0).multiplyScalar(right * step);
@@ -258,7 +305,7 @@ export class SpaceCore {
 
   resize() {
     const { clientWidth: width, clientHeight: height } = this.root;
-    if (!width || !height) return;
+    if (!width || !height || !this.renderer) return;
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     this.renderer.setSize(width, height);
     this.labels.setSize(width, height);
@@ -272,7 +319,7 @@ export class SpaceCore {
   draw() {
     this.asked ||= requestAnimationFrame(() => {
       this.asked = 0;
-      if (!this.root.clientWidth || !this.root.clientHeight) return; // hidden: `resize` draws when it is back
+      if (!this.root.clientWidth || !this.root.clientHeight || !this.renderer) return; // hidden: `resize` draws when it is back
       this.renderer.render(this.scene, this.camera);
       this.labels.render(this.scene, this.camera);
       this.spreadLabels();
@@ -282,10 +329,14 @@ export class SpaceCore {
 
   // Moves labels up until none overlaps another, the nearest to the viewer first; hides those that would end far away.
   spreadLabels() {
+    /** @type {{ x: number, top: number, width: number }[]} */
     const placed = [];
+    /** @type {CSS2DObject[]} */
     const shown = [];
-    this.scene.traverseVisible((made) => made.isCSS2DObject && shown.push(made));
-    const depth = (made) => made.getWorldPosition(new THREE.Vector3()).distanceTo(this.camera.position);
+    this.scene.traverseVisible((made) => {
+      if (made.isCSS2DObject) shown.push(/** @type {CSS2DObject} */ (made));
+    });
+    const depth = (/** @type {CSS2DObject} */ made) => made.getWorldPosition(new THREE.Vector3()).distanceTo(this.camera.position);
     shown.sort((a, b) => depth(a) - depth(b));
     for (const made of shown) {
       const [x, y] = this.toScreen(made.position.toArray());
@@ -300,7 +351,8 @@ export class SpaceCore {
     }
   }
 
-  // The position of a point in the box, CSS pixels.
+  /** The position of a point in the box, CSS pixels.
+   * @param {Xyz} xyz */
   toScreen(xyz) {
     const { x, y } = new THREE.Vector3(...xyz).project(this.camera);
     return [((x + 1) / 2) * this.root.clientWidth, ((1 - y) / 2) * this.root.clientHeight];

@@ -5,7 +5,9 @@
 import { COLOURS } from "colours";
 import { CSS2DObject, THREE } from "nicegui-scene";
 
-// dash: mm on, mm off.
+/** @typedef {import("./types").Xyz} Xyz */
+
+/** @type {Record<string, import("./types").Style>} */
 export const STYLES = {
   pa: { colour: COLOURS.sky },
   left: { colour: COLOURS.sky },
@@ -24,14 +26,20 @@ export const STYLES = {
 const FACETS = 16;
 const DOT_PX = 9;
 const SEEN_FROM_BEHIND = 0.25; // opacity of an image seen from behind, so that it does not hide the hip
-const styleOf = (object) => ({ opacity: 1, dash: null, ...(STYLES[object.style] ?? STYLES.quiet) });
-const vector = (xyz) => new THREE.Vector3(...xyz);
+const styleOf = (/** @type {{ style?: string }} */ object) => ({
+  opacity: 1,
+  dash: null,
+  ...(STYLES[object.style ?? ""] ?? STYLES.quiet),
+});
+const vector = (/** @type {Xyz} */ xyz) => new THREE.Vector3(...xyz);
 
+/** @param {{ style?: string }} object */
 function solid(object, more = {}) {
   const { colour, opacity } = styleOf(object);
   return new THREE.MeshLambertMaterial({ color: colour, opacity, transparent: opacity < 1, ...more });
 }
 
+/** @param {import("./types").Spheres} object */
 function spheres(object) {
   const made = new THREE.InstancedMesh(new THREE.SphereGeometry(1, FACETS, FACETS / 2), solid(object), object.at.length);
   const each = new THREE.Matrix4();
@@ -44,14 +52,15 @@ function spheres(object) {
 
 function disc() {
   const canvas = Object.assign(document.createElement("canvas"), { width: 32, height: 32 });
-  const context = canvas.getContext("2d");
+  const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
   context.fillStyle = "white";
   context.arc(16, 16, 15, 0, 2 * Math.PI);
   context.fill();
   return new THREE.CanvasTexture(canvas);
 }
 
-// Dots of constant size on the screen.
+/** Dots of constant size on the screen.
+ * @param {import("./types").Points} object */
 function points(object) {
   const { colour } = styleOf(object);
   const geometry = new THREE.BufferGeometry().setFromPoints(object.at.map(vector));
@@ -59,6 +68,7 @@ function points(object) {
   return new THREE.Points(geometry, new THREE.PointsMaterial(look));
 }
 
+/** @param {Omit<import("./types").Lines, "kind">} object */
 function lines(object) {
   const { colour, opacity, dash } = styleOf(object);
   const ends = object.lines.flatMap((line) => line.slice(1).flatMap((xyz, index) => [vector(line[index]), vector(xyz)]));
@@ -70,6 +80,7 @@ function lines(object) {
   return made.computeLineDistances();
 }
 
+/** @param {{ vertices: Xyz[], triangles: Xyz[] }} object */
 function surface(object) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.Float32BufferAttribute(object.vertices.flat(), 3));
@@ -77,6 +88,7 @@ function surface(object) {
   return geometry;
 }
 
+/** @param {import("./types").Mesh} object */
 function mesh(object) {
   const geometry = surface(object);
   geometry.computeVertexNormals();
@@ -85,8 +97,8 @@ function mesh(object) {
   return made;
 }
 
-// An image on a surface, facing where its triangles are counter-clockwise: `uv` from the top left, 0 to 1; `grey`
-// base64 bytes, row by row.
+/** An image on a surface, facing where its triangles are counter-clockwise.
+ * @param {import("./types").Picture} object */
 function picture(object) {
   const { width, height, grey } = object.image;
   const bytes = Uint8Array.from(atob(grey), (character) => character.charCodeAt(0));
@@ -108,7 +120,7 @@ function picture(object) {
   return made;
 }
 
-// `axes`: three half axes, each a vector.
+/** @param {import("./types").Ellipsoid} object */
 function ellipsoid(object) {
   const geometry = new THREE.SphereGeometry(1, FACETS, FACETS);
   const [a, b, c] = object.axes.map(vector);
@@ -118,6 +130,7 @@ function ellipsoid(object) {
   return made;
 }
 
+/** @param {import("./types").Cylinder} object */
 function cylinder(object) {
   const [from, to] = [vector(object.from), vector(object.to)];
   const along = to.clone().sub(from);
@@ -130,6 +143,7 @@ function cylinder(object) {
   return made;
 }
 
+/** @param {Omit<import("./types").Label, "kind">} object */
 function label(object) {
   const words = document.createElement("div");
   words.className = "space-label";
@@ -140,6 +154,7 @@ function label(object) {
   return made;
 }
 
+/** @param {import("./types").Axes} object */
 function axes(object) {
   const made = new THREE.Group();
   object.axes.forEach(([x, y, z], index) => {
@@ -150,8 +165,10 @@ function axes(object) {
   return made;
 }
 
+/** @type {Record<string, (object: any) => THREE.Object3D>} */
 const MAKERS = { spheres, points, lines, mesh, picture, ellipsoid, cylinder, label, axes };
 
+/** @param {import("./types").Drawn} object */
 export function make(object) {
   const maker = MAKERS[object.kind];
   if (!maker) throw new Error(`no kind of object: ${object.kind}`);
@@ -160,7 +177,8 @@ export function make(object) {
   return made;
 }
 
-// Frees an object's resources on the graphics card and in the page.
+/** Frees an object's resources on the graphics card and in the page.
+ * @param {THREE.Object3D} made */
 export function dispose(made) {
   made.traverse((part) => {
     part.geometry?.dispose();
