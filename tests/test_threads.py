@@ -41,6 +41,16 @@ def test_an_error_in_a_part_is_raised(monkeypatch: pytest.MonkeyPatch, count: in
         threads.in_parts(_fail)
 
 
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_each_job_gives_its_own_result(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    """A program that returns results in the order in which they came, or loses one, fails; so does a silent error."""
+    monkeypatch.setattr(threads, "THREADS", count)
+    jobs = [lambda k=k: 10 * k for k in range(30)]
+    assert threads.at_once(*jobs) == [10 * k for k in range(30)]
+    with pytest.raises(ZeroDivisionError):
+        threads.at_once(lambda: 1, lambda: 1 // 0)
+
+
 BLAS = ThreadpoolController().select(user_api="blas")
 
 

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
+from typing import Any
 
 from numba import config
 from threadpoolctl import threadpool_limits
@@ -39,6 +40,18 @@ def in_parts(kernel: Callable[..., object], *arguments: object) -> None:
         wait(started)
     for helper in started:
         helper.result()
+
+
+def at_once(*jobs: Callable[[], Any]) -> list[Any]:
+    """Return the results of `jobs`, which several threads run; jobs that hold the GIL wait for each other."""
+    out: list[Any] = [None] * len(jobs)
+
+    def work(part: int, parts: int) -> None:
+        for k in range(part, len(jobs), parts):
+            out[k] = jobs[k]()
+
+    in_parts(work)
+    return out
 
 
 @cache

@@ -18,7 +18,7 @@ from sightline.errors import DetectionRefusedError
 from sightline.fitting.kernels import distances
 from sightline.imaging import Radiograph, as_radiograph
 from sightline.imaging.defects import interlaced
-from sightline.threads import one_blas_thread
+from sightline.threads import at_once, one_blas_thread
 
 _MIN_RADIUS_PX, _MAX_RADIUS_PX = 1.7, 27.0  # the promised 2-25 px, and a margin for the fit
 _MAX_SD_PX = 1.0  # a less certain centre is of no use; recall is promised below 0.5 px [ours]
@@ -74,19 +74,20 @@ def detect(image: Radiograph | np.ndarray | str | Path, white: float | None = No
     True
     """
     image = as_radiograph(image, white)
-    defect = interlaced(image)
+    _ = image.field_mask  # once, before two threads ask for it
+    defect, measured = at_once(lambda: interlaced(image), lambda: _measured(image))
     if defect is not None:
         raise DetectionRefusedError(defect)
-    return replace(_detected(image), pixels=image.pixels)
+    return replace(_detected(image, *_with_noise(image, *measured)), pixels=image.pixels)
 
 
-def _detected(image: Radiograph) -> Detections:
+def _detected(image: Radiograph, mask: np.ndarray, logs: np.ndarray, noise: NoiseModel) -> Detections:
     """`detect` without the check for interlacing."""
-    mask, logs, noise = _prepared(image)
     spots = find_candidates(logs, mask, noise)
     fine = is_fine(*spots.sizes.T)
     if fine and np.count_nonzero(mask) > MIN_FIELD_PX * FACTOR**2:
-        return finer(_detected(image.binned(FACTOR)), image.shape)
+        binned = image.binned(FACTOR)
+        return finer(_detected(binned, *_prepared(binned)), image.shape)
     rows = refine.start(spots.uv_px, spots.radius_px, spots.response)
     rejected = _rejected(rows[~spots.round], np.full(len(rows), _NOT_ROUND))
     usable = without_middles(mask, spots.uv_px[spots.washer], spots.radius_px[spots.washer])
@@ -115,9 +116,20 @@ def bead_fitter(image: Radiograph, beads: Detections) -> refine.BeadFitter:
 
 def _prepared(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel]:
     """Return the mask of the field, the log image and its noise. Raises DetectionRefusedError."""
+    return _with_noise(image, *_measured(image))
+
+
+def _measured(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel | None]:
+    """Return the mask of the field, the log image and its noise, None where none can be measured."""
     mask = field_inset(image)
     logs = log_image(image, mask)
-    noise = estimate_noise(logs, mask)
+    return mask, logs, estimate_noise(logs, mask)
+
+
+def _with_noise(
+    image: Radiograph, mask: np.ndarray, logs: np.ndarray, noise: NoiseModel | None
+) -> tuple[np.ndarray, np.ndarray, NoiseModel]:
+    """Return what `_measured` did. Raises DetectionRefusedError where no noise could be measured."""
     if noise is None:
         raise DetectionRefusedError(_no_noise(image, mask))
     return mask, logs, noise

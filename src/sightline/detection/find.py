@@ -9,6 +9,7 @@ import numpy as np
 from sightline.detection.compiled import exact
 from sightline.detection.noise import NoiseModel
 from sightline.detection.rim import FAINTEST, HOLLOW, RADIUS, RESPONSE, SCORE, U, V, broad_noise, judged
+from sightline.threads import at_once
 
 # Extrema are searched for at half resolution, where a disc of 2 px with the usual blur is still well sampled. The bands
 # respond most to discs of 2.2, 3.8, 7.6, 15 and 30 px radius: each of 2-25 px is within a factor of sqrt 2 [calc].
@@ -55,15 +56,11 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     The log image is filled outside the mask. Extrema without a rim, hundreds in any image, are dropped without a
     report.
     """
-    base = cv2.GaussianBlur(log_image, (5, 5), 0.8)
-    half = cv2.resize(log_image, None, fx=1 / _HALF, fy=1 / _HALF, interpolation=cv2.INTER_AREA)
-    finest, first = cv2.GaussianBlur(half, (3, 3), 0.5), cv2.GaussianBlur(half, (7, 7), 1.0)
     line = np.array([noise.offset + 2 * np.log(noise.broad), noise.slope], np.float32)
-    bands = [_extrema(finest, first, mask, _HALF, _FINEST_RADIUS, line)]
-    for octave in range(_OCTAVES + _FURTHER_OCTAVES):
-        second = cv2.GaussianBlur(first, (11, 11), 3**0.5)
-        bands.append(_extrema(first, second, mask, _HALF << octave, _BAND_RADIUS, line))
-        first = np.ascontiguousarray(second[::2, ::2])
+    base, bands = at_once(
+        lambda: cv2.GaussianBlur(log_image, (5, 5), 0.8),
+        lambda: _bands(log_image, mask, line),
+    )
     every = judged(base, np.concatenate(bands), line)
     sizes = every[every[:, SCORE] > 0][:, [RADIUS, RESPONSE]]
     spots = every[: sum(map(len, bands[:-_FURTHER_OCTAVES]))]
@@ -77,6 +74,18 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     keep = ~_middles(spots, washer)
     columns = spots[:, :2], radius, spots[:, RESPONSE], washer, spots[:, SCORE] > 0
     return Candidates(*(column[keep] for column in columns), sizes=sizes)
+
+
+def _bands(log_image: np.ndarray, mask: np.ndarray, line: np.ndarray) -> list[np.ndarray]:
+    """Return the extrema (N, 4) of each band, the finest first."""
+    half = cv2.resize(log_image, None, fx=1 / _HALF, fy=1 / _HALF, interpolation=cv2.INTER_AREA)
+    finest, first = cv2.GaussianBlur(half, (3, 3), 0.5), cv2.GaussianBlur(half, (7, 7), 1.0)
+    bands = [_extrema(finest, first, mask, _HALF, _FINEST_RADIUS, line)]
+    for octave in range(_OCTAVES + _FURTHER_OCTAVES):
+        second = cv2.GaussianBlur(first, (11, 11), 3**0.5)
+        bands.append(_extrema(first, second, mask, _HALF << octave, _BAND_RADIUS, line))
+        first = np.ascontiguousarray(second[::2, ::2])
+    return bands
 
 
 def _washers_around(spots: np.ndarray) -> np.ndarray:
@@ -108,7 +117,7 @@ def _extrema(fine, coarse, mask, step: int, radius: float, line) -> np.ndarray: 
     return rows[: _band(np.subtract(fine, coarse, out=fine), coarse, mask, step, radius * step, line, rows)]
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, fastmath=True, nogil=True)
 def _band(difference, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
     """Fill `rows` with the extrema of a band; return their number."""
     height, width = difference.shape

@@ -26,6 +26,31 @@ _MIN_SLACK_PX = 0.8
 _MIN_SNR = 4.5  # step times root of the disc's area over the noise of a broad mean [ours]
 
 
+def _middle_network(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower and upper indices, in order, of the comparisons after which the middle two of a power of two
+    values are in their sorted places (Batcher's merge exchange; others may not be)."""
+    pairs, p = [], 1
+    while p < count:
+        k = p
+        while k >= 1:
+            for j in range(k % p, count - k, 2 * k):
+                for i in range(j, min(j + k, count - k)):
+                    if i // (2 * p) == (i + k) // (2 * p):
+                        pairs.append((i, i + k))
+            k //= 2
+        p *= 2
+    matter, kept = {count // 2 - 1, count // 2}, []
+    for pair in reversed(pairs):
+        if matter & set(pair):
+            matter |= set(pair)
+            kept.append(pair)
+    lower, upper = np.array(kept[::-1], np.uint32).T
+    return lower.copy(), upper.copy()
+
+
+_LOWER, _UPPER = _middle_network(_RAYS)
+
+
 @exact
 def broad_noise(level, line) -> float:
     """Return the noise of a mean over many pixels, times the root of their number, at the log intensity `level`."""
@@ -41,25 +66,26 @@ def judged(base: np.ndarray, extrema: np.ndarray, line: np.ndarray) -> np.ndarra
 
 @nb.njit(cache=True, nogil=True)
 def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917
-    seen = np.empty((_PLACES, _RAYS), np.float32)
+    work = np.empty((4, _PLACES * _RAYS), np.float32), np.empty(_PLACES * _RAYS, np.uint32)
     rim, step = np.empty(_RAYS, np.float32), np.empty(_RAYS, np.float32)
     ordered = np.empty(_RAYS, np.float32)
     for i in range(part, len(extrema), parts):
-        _judge(base, extrema[i], line, seen, rim, step, ordered, out[i])
+        _judge(base, extrema[i], line, work, rim, step, ordered, out[i])
 
 
 @exact
-def _judge(base, start, line, seen, rim, step, ordered, out):  # noqa: PLR0917
+def _judge(base, start, line, work, rim, step, ordered, out):  # noqa: PLR0917
     """Fit a circle to the rim points around an extremum and write the candidate into `out`."""
     u, v, radius, sign = start[U], start[V], start[RADIUS], 1.0 if start[RESPONSE] > 0 else -1.0
     noise = broad_noise(_at(base, v, u), line)
-    if not _has_all_sides(base, u, v, radius, sign, noise, step):
+    seen = work[0][0].reshape(_PLACES, _RAYS)
+    if not _has_all_sides(base, u, v, radius, sign, noise, work):
         return
     sound, middle = 0, 0.0
     for iteration in range(_ITERATIONS):
         spacing = max(_SPACING[0] * radius, _SPACING[1])
         first = max(radius - (_PLACES // 2) * spacing, 0.3)
-        _cast(base, u, v, first, spacing, sign, iteration == _ITERATIONS - 1 and radius > _LARGE, seen)
+        _cast(base, u, v, first, spacing, sign, iteration == _ITERATIONS - 1 and radius > _LARGE, work)
         _steepest(seen, first, spacing, rim, step)
         middle = _median(step, ordered)
         if middle < max(FAINTEST, _MIN_SNR * 0.56 * noise / radius):
@@ -80,35 +106,67 @@ def _judge(base, start, line, seen, rim, step, ordered, out):  # noqa: PLR0917
 
 
 @exact
-def _has_all_sides(base, u, v, radius, sign, noise, falls) -> bool:  # noqa: PLR0917
-    """Return whether values fall from inside the disc to outside in at least 5 of 8 directions; overwrites `falls`."""
-    whole = 0.0
+def _has_all_sides(base, u, v, radius, sign, noise, work) -> bool:  # noqa: PLR0917
+    """Return whether values fall from inside the disc to outside in at least 5 of 8 directions; overwrites `work`."""
+    x, y, values, at = work[0][1, :16], work[0][2, :16], work[0][0, :16], work[1][:16]
     for k in range(8):
         c, s = _COS[0, 2 * k], _SIN[0, 2 * k]
-        inner = _at(base, v + 0.4 * radius * s, u + 0.4 * radius * c)
-        outer = _at(base, v + 1.7 * radius * s, u + 1.7 * radius * c)
-        falls[k] = sign * (inner - outer)
-        whole += falls[k] / 8
+        x[k], y[k] = u + 0.4 * radius * c, v + 0.4 * radius * s
+        x[8 + k], y[8 + k] = u + 1.7 * radius * c, v + 1.7 * radius * s
+    _interpolate(base, x, y, at, values)
+    whole = 0.0
+    for k in range(8):
+        values[k] = sign * (values[k] - values[8 + k])
+        whole += values[k] / 8
     if whole < max(0.8 * FAINTEST, 0.8 * _MIN_SNR * 0.56 * noise / radius):
         return False
     down = 0
     for k in range(8):
-        down += falls[k] > 0.3 * whole
+        down += values[k] > 0.3 * whole
     return down >= 5
 
 
 @exact
-def _cast(base, u, v, first, spacing, sign, averaged, seen):  # noqa: PLR0917
-    """Fill `seen` (_PLACES, _RAYS) with signed values along rays from (u, v), or their means over adjacent rays."""
+def _cast(base, u, v, first, spacing, sign, averaged, work):  # noqa: PLR0917
+    """Fill the first row of `work` with signed values along rays from (u, v), or their means over adjacent rays.
+
+    For each of _PLACES, all _RAYS.
+    """
+    seen, x, y, values, at = work[0][0], work[0][1], work[0][2], work[0][3], work[1]
     count = _BESIDE if averaged else 1
     part = np.float32(sign / count)
     u, v = np.float32(u), np.float32(v)
     seen[:] = 0
     for b in range(count):
         for j in range(_PLACES):
-            r = np.float32(first + j * spacing)
+            r, first_ray = np.float32(first + j * spacing), j * _RAYS
             for k in range(_RAYS):
-                seen[j, k] += part * _at(base, v + r * _SIN[b, k], u + r * _COS[b, k])
+                x[first_ray + k], y[first_ray + k] = u + r * _COS[b, k], v + r * _SIN[b, k]
+        _interpolate(base, x, y, at, values)
+        for n in range(len(seen)):
+            seen[n] += part * values[n]
+
+
+@exact
+def _interpolate(image, x, y, at, values):
+    """Fill `values` (N,) with the bilinear values at `x`, `y` (N,); the border repeats. Overwrites all but the image.
+
+    Places come first and values after them, so that the compiler vectorises the first loop and most of the second.
+    """
+    zero, last_x, last_y = np.float32(0), np.float32(image.shape[1] - 1.01), np.float32(image.shape[0] - 1.01)
+    width, one, pixels = np.int32(image.shape[1]), np.uint32(1), image.reshape(-1)
+    below = np.uint32(width)
+    for n in range(len(x)):
+        u, v = min(max(x[n], zero), last_x), min(max(y[n], zero), last_y)
+        column, row = np.int32(u), np.int32(v)
+        x[n], y[n] = u - np.float32(column), v - np.float32(row)
+        at[n] = np.uint32(row * width + column)
+    for n in range(len(x)):
+        k = at[n]
+        top, low = pixels[k], pixels[k + below]
+        top += (pixels[k + one] - top) * x[n]
+        low += (pixels[k + below + one] - low) * x[n]
+        values[n] = top + (low - top) * y[n]
 
 
 @exact
@@ -134,11 +192,11 @@ def _steepest(seen, first, spacing, rim, step):
 def _median(values, ordered) -> float:
     """Return the median of the rays' values; overwrites `ordered`."""
     for k in range(_RAYS):
-        j = k
-        while j > 0 and ordered[j - 1] > values[k]:
-            ordered[j] = ordered[j - 1]
-            j -= 1
-        ordered[j] = values[k]
+        ordered[k] = values[k]
+    for n in range(len(_LOWER)):
+        i, j = _LOWER[n], _UPPER[n]
+        x, y = ordered[i], ordered[j]
+        ordered[i], ordered[j] = min(x, y), max(x, y)
     return 0.5 * (ordered[_RAYS // 2 - 1] + ordered[_RAYS // 2])
 
 
@@ -151,12 +209,13 @@ def _circle(rim, step, least, slack, radius, ordered):  # noqa: PLR0917
     for _ in range(3):
         n = c1 = s1 = cc = ss = cs = r1 = rc = rs = 0.0
         for k in range(_RAYS):
-            c, s = _COS[0, k], _SIN[0, k]
-            if step[k] < least or abs(rim[k] - size - a * c - b * s) > slack:
-                continue
-            n += 1
-            c1, s1, cc, ss, cs = c1 + c, s1 + s, cc + c * c, ss + s * s, cs + c * s
-            r1, rc, rs = r1 + rim[k], rc + rim[k] * c, rs + rim[k] * s
+            counts = (step[k] >= least) & (abs(rim[k] - size - a * _COS[0, k] - b * _SIN[0, k]) <= slack)
+            ordered[k] = 1.0 if counts else 0.0
+        for k in range(_RAYS):  # all rays with a weight: branches on noise stall the processor
+            c, s, w = _COS[0, k], _SIN[0, k], float(ordered[k])
+            n += w
+            c1, s1, cc, ss, cs = c1 + w * c, s1 + w * s, cc + w * (c * c), ss + w * (s * s), cs + w * (c * s)
+            r1, rc, rs = r1 + w * rim[k], rc + w * (rim[k] * c), rs + w * (rim[k] * s)
         sound = int(n)
         if sound < 6:
             return sound, a, b, radius

@@ -1,12 +1,12 @@
 """The schema of a frame file."""
 
 from datetime import date
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from sightline.frame.plate import Fiducial, RigidBody, Shape
+from sightline.frame.plate import Fiducial, Shape
 
 MIN_BEADS = 4  # the perspective image of a plate has eight unknowns: four balls
 MIN_SOLID_BEADS = 6  # a view of a solid has 9 to 11 unknowns: six balls give twelve equations
@@ -151,12 +151,3 @@ def _check_covariance(rows: list[list[float]], size: int) -> None:
 def fiducials_of(fiducials: tuple[FiducialDocument, ...]) -> tuple[Fiducial, ...]:
     """Return the fiducials that a valid document describes."""
     return tuple(Fiducial(f.id, f.xyz, f.diameter, f.datum, f.shape) for f in fiducials)
-
-
-def body_document(body: RigidBody) -> list[dict[str, Any]]:
-    """Return the document of a plate or a solid as plain values, unchecked."""
-    out: list[dict[str, Any]] = []
-    for f in body.fiducials:
-        one: dict[str, Any] = {"id": f.id, "xyz": list(f.xyz_mm), "diameter": f.diameter_mm, "datum": f.datum}
-        out.append(one if f.shape == "ball" else {**one, "shape": f.shape})
-    return out

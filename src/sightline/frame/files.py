@@ -1,10 +1,7 @@
-"""The text of frame files (docs/frame-file.md): reading with strict checks, and writing in a readable layout."""
+"""Read frame files (docs/frame-file.md) with strict checks."""
 
 import csv
-import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -62,23 +59,3 @@ def read_cube(path: Path, diameter_mm: float = DIAMETER_MM, unit: str | None = N
 def document_from_json(text: bytes) -> FrameDocument:
     """Return the document in the text of a frame file. Raises FrameError."""
     return read_strictly(text, FrameDocument, FrameError, ADVICE)
-
-
-def json_of(document: Mapping[str, Any]) -> bytes:
-    """Return the text of a frame file, with a line for each fiducial and each row of the covariance."""
-    blocks = ("views", "solid", "covariance_mm2")
-    parts = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in document.items() if key not in blocks]
-    if "views" in document:
-        views = [_view_text(name, view) for name, view in document["views"].items()]
-        parts.append(' "views": {\n' + ",\n".join(views) + "\n }")
-    parts += [f' "{key}": ' + _lines(document[key], "  ") for key in ("solid", "covariance_mm2") if key in document]
-    return ("{\n" + ",\n".join(parts) + "\n}\n").encode()
-
-
-def _view_text(name: str, view: dict[str, list[Any]]) -> str:
-    plates = ",\n".join(f'   "{role}": {_lines(fiducials, "    ")}' for role, fiducials in view.items())
-    return f"  {json.dumps(name)}: {{\n{plates}\n  }}"
-
-
-def _lines(entries: list[Any], indent: str) -> str:
-    return "[\n" + ",\n".join(indent + json.dumps(entry) for entry in entries) + f"\n{indent[:-1]}]"

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -15,14 +15,17 @@ from sightline.errors import FrameError, UnusableInputError
 from sightline.frame.builtin import BUILTIN, builtin_design
 from sightline.frame.design import FrameDesign, views_of
 from sightline.frame.detector_plate import DETECTOR_PLATE, WITH_PLATE
-from sightline.frame.document import FrameDocument, SdRad, body_document, fiducials_of
-from sightline.frame.files import document_from_json, json_of, read_document
 from sightline.frame.handed import is_mirror_image
 from sightline.frame.plate import Fiducial, FrameView, Plate, RigidBody
 from sightline.frame.solids import SOLIDS
+from sightline.frame.text import body_document, json_of
 from sightline.frame.tolerances import InUse, Tolerances, error_factor, solid_error_factor
 from sightline.show import Plotted
 
+if TYPE_CHECKING:
+    from sightline.frame.document import FrameDocument
+
+# Reading is imported where it is done: its schema takes 0.1 s, which the built-in frames need not wait for.
 _MAX_VIEWS = 6  # of a summary
 _Body = TypeVar("_Body", bound=RigidBody)
 
@@ -220,6 +223,8 @@ class Frame(Plotted):
         elif isinstance(source, str) and source in WITH_PLATE:
             frame = Frame.load(WITH_PLATE[source]).with_plate()
         else:
+            from sightline.frame.files import read_document
+
             frame = Frame.from_document(read_document(Path(source)))
         frame.refuse_mirror_image(before)
         return frame
@@ -241,6 +246,8 @@ class Frame(Plotted):
 
         Raises FrameError for a frame that could not be loaded again; then nothing is written.
         """
+        from sightline.frame.files import document_from_json
+
         text = self.to_json()
         document_from_json(text)
         write_whole(path, text)
@@ -269,8 +276,10 @@ class Frame(Plotted):
         return Frame(design.name, views_of(design))
 
     @staticmethod
-    def from_document(document: FrameDocument) -> "Frame":
+    def from_document(document: "FrameDocument") -> "Frame":
         """Return the frame that a valid document describes."""
+        from sightline.frame.document import SdRad, fiducials_of
+
         mm, rad, solid = document.sd_mm, document.sd_rad or SdRad(plate=0.0, arm=0.0), document.solid
         covariance = None
         if document.covariance_mm2 is not None:
@@ -295,6 +304,8 @@ class Frame(Plotted):
     @staticmethod
     def from_json(text: bytes) -> "Frame":
         """Return the frame in the text of a frame file. Raises FrameError."""
+        from sightline.frame.files import document_from_json
+
         return Frame.from_document(document_from_json(text))
 
     def to_json(self) -> bytes:

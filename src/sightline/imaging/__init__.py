@@ -1,10 +1,15 @@
 """Radiographs: reading, writing, the field of view."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from sightline.imaging.defects import image_checks
-from sightline.imaging.dicom import write as write_dicom
 from sightline.imaging.files import as_radiograph, frames_in, read_image, suffix_of, taken_at, write_png
 from sightline.imaging.radiograph import GeometryTags, Radiograph
 from sightline.imaging.source import Source, SourceFrame
+
+if TYPE_CHECKING:
+    from sightline.imaging.dicom import write as write_dicom
 
 __all__ = [
     "GeometryTags",
@@ -20,3 +25,9 @@ __all__ = [
     "write_dicom",
     "write_png",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "write_dicom":  # imported on first use, with pydicom, which arrays do not need
+        return import_module("sightline.imaging.dicom").write
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -88,20 +88,24 @@ def _marks_of(
     """
     alike = (pixels == value).view(np.uint8)
     count, part, stats, _ = cv2.connectedComponentsWithStats(alike, connectivity=8)
-    size, inside = stats[:, cv2.CC_STAT_AREA], np.bincount(part[field], minlength=count)
-    keep = (size >= _SMALLEST) & (2 * inside > size)
-    keep[0] = False  # the pixels with other values
-    seeded = np.unique(part[seeds[:, 0], seeds[:, 1]])
 
     def is_mark(i: np.intp) -> bool:
-        left, top, width, height = (int(n) for n in stats[i, :4])
+        left, top, width, height, size = (int(n) for n in stats[i])
+        if i == 0 or size < _SMALLEST:  # component 0 is the pixels with other values
+            return False
+        box = np.s_[top : top + height, left : left + width]
+        if 2 * np.count_nonzero(field[box] & (part[box] == i)) <= size:
+            return False
         about = np.s_[max(top - 1, 0) : top + height + 1, max(left - 1, 0) : left + width + 1]
         mark = (part[about] == i).view(np.uint8)
         return _is_sharp(mark, pixels[about], value, least) and (not clipped or _is_stroke(mark))
 
-    if not any(keep[i] and is_mark(i) for i in seeded):
+    # Most images have no mark, and then only the components with a seed are looked at.
+    if not any(is_mark(i) for i in np.unique(part[seeds[:, 0], seeds[:, 1]])):
         return np.zeros(pixels.shape, bool)
-    keep[keep] = [is_mark(i) for i in np.flatnonzero(keep)]
+    keep = np.zeros(count, bool)
+    for i in np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= _SMALLEST):
+        keep[i] = is_mark(i)
     return keep[part]
 
 

@@ -2,8 +2,6 @@
 
 import struct
 
-from pydicom.uid import JPEG2000TransferSyntaxes, JPEGLSTransferSyntaxes, JPEGTransferSyntaxes, RLELossless
-
 _J2K_SIZE = b"\xff\x4f\xff\x51"  # start of a codestream and its SIZ segment (ISO/IEC 15444-1, A.4 and A.5)
 _JP2 = b"\x00\x00\x00\x0cjP  "  # a JP2 file around the codestream; the standard forbids it, some devices write it
 _FRAME_HEADERS = {*range(0xC0, 0xD0), 0xF7} - {0xC4, 0xC8, 0xCC}  # SOF of JPEG; F7: of JPEG-LS
@@ -12,6 +10,9 @@ _RLE_SEGMENTS = 15  # PS3.5, annex G
 
 def unpacks_to(coded: bytes, syntax: str, shape: tuple[int, int]) -> bool:
     """Return whether a frame's header states `shape` (H, W), with three components and two bytes at most."""
+    # Here, because other formats are read without pydicom.
+    from pydicom.uid import JPEG2000TransferSyntaxes, JPEGLSTransferSyntaxes, JPEGTransferSyntaxes, RLELossless
+
     if syntax == RLELossless:
         return _rle_fits(coded, shape[0] * shape[1])
     if syntax in JPEGTransferSyntaxes or syntax in JPEGLSTransferSyntaxes:

@@ -4,7 +4,9 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import cv2
 import numpy as np
@@ -12,7 +14,7 @@ import numpy as np
 from sightline.atomic import write_whole
 from sightline.bounded import read_bounded, regular_file
 from sightline.errors import ImageError, UnusableInputError
-from sightline.imaging import dicom, headers
+from sightline.imaging import headers
 from sightline.imaging.limits import MAX_FILE_BYTES, check_size
 from sightline.imaging.radiograph import Radiograph
 from sightline.npy import npy_array
@@ -84,7 +86,7 @@ def _full_scale(pixels: np.ndarray) -> float:
 def _read(file: Path, frame_index: int | None) -> Radiograph:
     start = _first_bytes(file)
     if start[128:132] == b"DICM":
-        return dicom.read(file, frame_index)
+        return _dicom().read(file, frame_index)
     if frame_index not in (None, 0):
         raise ImageError(f"{file.name} holds one image, so there is no frame {frame_index}; leave the frame out")
     if start.startswith(b"\x93NUMPY"):
@@ -95,10 +97,15 @@ def _read(file: Path, frame_index: int | None) -> Radiograph:
     raise ImageError(f"{file.name} is not an image that can be read; give DICOM, PNG, TIFF, BMP, JPEG or NumPy (.npy)")
 
 
+def _dicom() -> ModuleType:
+    """Return the module that reads DICOM, imported on first use: arrays need not wait 0.1 s for pydicom."""
+    return import_module("sightline.imaging.dicom")
+
+
 def frames_in(path: str | Path) -> int:
     """Return the number of frames of a file; 1 for all but DICOM runs. Raises ImageError."""
     file = Path(path)
-    return dicom.frames_in(file) if _first_bytes(file)[128:132] == b"DICM" else 1
+    return _dicom().frames_in(file) if _first_bytes(file)[128:132] == b"DICM" else 1
 
 
 def taken_at(path: str | Path) -> datetime | None:
@@ -107,7 +114,7 @@ def taken_at(path: str | Path) -> datetime | None:
     Only DICOM states it. Raises ImageError.
     """
     file = Path(path)
-    return dicom.taken_at(file) if _first_bytes(file)[128:132] == b"DICM" else None
+    return _dicom().taken_at(file) if _first_bytes(file)[128:132] == b"DICM" else None
 
 
 def suffix_of(start: bytes) -> str | None:
