@@ -10,7 +10,7 @@ from sightline.app import texts
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.holes import HolesFound, of_wire
 from sightline.app.plan.marks import MarkSpec, names_of
-from sightline.app.plan.planner import PICK_SD_PX, Planned, has_head, planned
+from sightline.app.plan.planner import PICK_SD_PX, Planned, has_borders, has_head, planned
 from sightline.app.plan.robot_wire import ROBOT_WIRE
 from sightline.calibration import BeadView
 from sightline.case.journal import Case, Entry, Kind
@@ -69,10 +69,11 @@ class DrilledWire:
 
 def _around(decisions: Decisions, specs: Sequence[MarkSpec]) -> tuple[object, ...]:
     """Return what verdict and depth limit of a wire follow from beside itself: landmarks and aids in the images of the
-    plan, and the fitted head."""
+    plan, how axes are drawn, and what was fitted to edges."""
     marks = [decisions.mark(one.name) for one in specs if one.group in ("landmark", "aid")]
-    fitted = decisions.fitted_head if has_head(decisions) else None
-    return tuple(mark.at(image) for mark in marks for image in ALL_NAMES), fitted
+    head = decisions.fitted_head if has_head(decisions) else None
+    axes = (decisions.borders, decisions.fitted_shaft) if has_borders(decisions) else None
+    return tuple(mark.at(image) for mark in marks for image in ALL_NAMES), head, axes
 
 
 def found_again(then: Decisions, now: Decisions, images: tuple[str, ...]) -> Landmarks:
