@@ -205,9 +205,10 @@ def _triangle(relation: Relation, wires: WireLines, names: Mapping[str, str], si
     least = float((values - errors)[worst])
     passed = least > 0.0
     other = known[1:][worst % len(ahead)]
-    ways = ("above", "below") if worst < len(ahead) else ("in front of", "behind")
-    if worst >= len(ahead) and ahead[worst - len(ahead)] < 0:
-        ways = ways[::-1]
+    if worst < len(ahead):
+        ways = ("above", "below")
+    else:
+        ways = ("in front of", "behind") if ahead[worst - len(ahead)] > 0 else ("behind", "in front of")
     sentence = (
         f"The {names[wires.keys[other]]} must lie {ways[0]} the {names[keys[0]]}: it lies "
         f"{lies(float(values[worst]), ways)} it, with 95 % probability within {errors[worst]:.1f} mm"

@@ -151,7 +151,8 @@ class Located:
         third = document.directions[2]
         to, start = (" and ".join(keys).replace("-", " ") for keys in (third.to, third.from_))
         axis = int(np.argmax(np.abs(third.nominal)))
-        ways = _WAYS[axis] if third.nominal[axis] > 0.0 else _WAYS[axis][::-1]
+        positive, negative = _WAYS[axis]
+        ways = (positive, negative) if third.nominal[axis] > 0.0 else (negative, positive)
         sentence = (
             f"For a {self.side} side the {to} must lie {ways[0]} the {start}: it lies {lies(value, ways)} it, with "
             f"95 % probability within {error:.1f} mm"

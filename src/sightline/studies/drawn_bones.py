@@ -64,7 +64,7 @@ class DrawnHip:
     ) -> "DrawnHip":
         """Return the hip as `DrawnBone.turned` does. Raises SetUpError."""
         beams = turned_beams(wanted, which, by_deg, about)
-        views = {name: to_cfcs(beam, self.side, np.zeros(3)) for name, beam in beams.items()}
+        views = {name: to_cfcs(np.array(beam), self.side, np.zeros(3)) for name, beam in beams.items()}
         setup = draw_setup(rng, self.setup.frame, side=self.side, views=views)
         return replace(self, setup=setup.renamed(VIEWS))
 
