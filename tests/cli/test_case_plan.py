@@ -79,7 +79,7 @@ def planned(run: Callable[..., Any], pair, setup, tmp_path_factory: pytest.TempP
         word for name, xyz_mm in hip.landmarks_mm.items() for word in ("--landmark", f"{name} {text(setup, xyz_mm)}")
     ]
     ran = run("plan", "--case", folder / "case", *picks(setup, hip.wire_mm), *marks, "--side", "right")
-    assert "INCOMPLETE: 1 checks" in ran.out, ran.err  # the head is not drawn
+    assert "INCOMPLETE: 1 check could" in ran.out, ran.err  # the head is not drawn
     assert "image of entry 3 skipped" in ran.err
     return folder / "case"
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 from sightline.checks import failed
 from sightline.cli.output import Output
-from sightline.show.words import counted
 
 if TYPE_CHECKING:
     from sightline.case.contents import Images
@@ -64,6 +63,8 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], 
 
     Where a gap contradicts the stated error, no error is shown beside the coordinates.
     """
+    from sightline.show.words import counted
+
     verdict, plans = planned.verdict, each_of(planned)
     output.say(SAID[verdict.state].format(counted(len(failed(verdict.checks)), "check")))
     output.failures(verdict.checks)
