@@ -2,15 +2,17 @@
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
-from tests.app.hands import SEED, Hands, Pixels, by_image, rehearsal, truth
+from tests.app.hands import Hands, Pixels, by_image, rehearsal, truth
 
 from sightline.app.plan.marks import marks_of
 from sightline.case.views import NAMES
+from sightline.imaging import write_dicom
 from sightline.twin.femur import to_cfcs
 
 pytestmark = pytest.mark.slow
@@ -22,16 +24,22 @@ _BESIDE = re.compile(r"position AP\s*-?[1-9]")  # mm from the head's centre, whe
 
 @pytest.fixture(scope="module")
 def server(serve: Callable[..., Server], tmp_path_factory: pytest.TempPathFactory) -> Server:
-    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet", "--fast-robot"]
-    return serve(*command, "--case", str(tmp_path_factory.mktemp("case")), "--rehearse", str(SEED))
+    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet"]
+    return serve(*command, "--case", str(tmp_path_factory.mktemp("case")))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Images of a hip as a person's own: a simulated patient takes no plan of a nail that it does not have."""
+    folder = tmp_path_factory.mktemp("hip")
+    return [write_dicom(rehearsal().images[name], folder / f"{name}.dcm") for name in NAMES]
 
 
 @pytest.fixture
-def hands(server: Server, open_page: Callable[..., Page]) -> Hands:
+def hands(server: Server, files: list[Path], open_page: Callable[..., Page]) -> Hands:
     person = Hands(open_page(server.url))
-    person.wait_for_step("Calibrate", "done")
     if "done" not in person.see("step-images").inner_text():
-        person.confirm(SIDE)
+        person.load(files, SIDE)
     person.step("Plan")
     return person
 

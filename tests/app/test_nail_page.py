@@ -42,22 +42,6 @@ def files(patient: RehearsedPatient, tmp_path_factory: pytest.TempPathFactory) -
     return [write_dicom(patient.images[name], folder / f"{name}.dcm") for name in NAMES]
 
 
-def _ready(hands: Hands, files: list[Path]) -> None:
-    """Both images loaded, and what the step Images asks for confirmed."""
-    hands.step("Images")
-    for name, file in zip(("PA", "Lateral"), files, strict=True):
-        hands.see(f"drop-{name} image").set_input_files(file)
-    hands.wait_for_step("Calibrate", "done")
-    hands.press("side-right")
-    hands.page.locator("input[data-testid=serial], [data-testid=serial] input").fill("none")
-    hands.press("confirm-serial")
-    for name in NAMES:
-        hands.page.locator(f"input[data-testid=taken-{name}], [data-testid=taken-{name}] input").fill("2")
-        hands.press(f"confirm-taken-{name}")
-        expect(hands.see(f"taken-unknown-{name}")).to_have_count(0)
-    hands.wait_for_step("Images", "done")
-
-
 def _choose(hands: Hands, what: str, name: str) -> None:
     hands.see(what).click()
     hands.page.get_by_role("option", name=name, exact=True).click()
@@ -147,7 +131,7 @@ def test_holes_planned_by_mouse_are_those_of_the_command_line(
     command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet", "--frame", "block60"]
     server = serve(*command, "--case", str(case))
     hands = Hands(open_page(server.url))
-    _ready(hands, files)
+    hands.load(files)
     hands.step("Plan")
     _choose(hands, "kind", "Interlocking holes")
     expect(hands.see("instruction")).to_contain_text("Choose the nail on the right")
