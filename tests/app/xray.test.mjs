@@ -16,6 +16,7 @@ const { Display } = await import(new URL("xray_display.js", root));
 const { Edits } = await import(new URL("xray_edits.js", root));
 const { Gestures } = await import(new URL("xray_gestures.js", root));
 const { arrange, Labels } = await import(new URL("xray_labels.js", root));
+const { thinned } = await import(new URL("xray_paint.js", root));
 const { Ruler } = await import(new URL("xray_ruler.js", root));
 const { Matching } = await import(new URL("xray_matching.js", root));
 const { Moves } = await import(new URL("xray_moves.js", root));
@@ -378,4 +379,23 @@ test("nothing is placed off the field or over an image that is being replaced", 
   core.url = "/next";
   edits.placeAt([50, 60]);
   assert.deepEqual([uvOf(core), core.state.placing, said], [null, "end", []]);
+});
+
+test("a thinned polyline keeps its course, its corners and its ends", () => {
+  const arc = Array.from({ length: 200 }, (_, k) => [300 * Math.cos(k / 80), 300 * Math.sin(k / 80)]);
+  const few = thinned(arc);
+  assert.ok(few.length < 80 && few.length > 20);
+  for (const [x, y] of arc) {
+    const away = few.slice(1).map(([x1, y1], k) => {
+      const [x0, y0] = few[k];
+      const t = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / ((x1 - x0) ** 2 + (y1 - y0) ** 2);
+      return Math.hypot(x - x0 - Math.min(Math.max(t, 0), 1) * (x1 - x0), y - y0 - Math.min(Math.max(t, 0), 1) * (y1 - y0));
+    });
+    assert.ok(Math.min(...away) <= 0.05);
+  }
+  assert.deepEqual(thinned([[0, 0], [1, 0.01], [2, -0.01], [3, 0]]), [[0, 0], [3, 0]]);
+  assert.deepEqual(thinned([[0, 0], [5, 0.2], [10, 0]]), [[0, 0], [5, 0.2], [10, 0]]);
+  assert.deepEqual(thinned([[0, 0], [9, 0], [9, 9], [0, 0]]), [[0, 0], [9, 0], [9, 9], [0, 0]]); // closed
+  assert.deepEqual(thinned([[1, 2]]), [[1, 2]]);
+  assert.deepEqual(thinned([]), []);
 });

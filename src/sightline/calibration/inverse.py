@@ -10,9 +10,9 @@ from scipy.spatial import KDTree
 from sightline.errors import OutsideRegionError
 
 ITERATIONS = 10  # four are enough wherever a view is calibrated [calc]
-# Steps below this end the iteration: the next would be its square times the map's curvature (1e-3 per px), less than
-# the rounding of a pixel [calc].
-CONVERGED_PX = 1e-5
+# Steps below this end the iteration: the next would be its square times the map's curvature (1e-3 per px), 1e-9 px
+# [calc].
+CONVERGED_PX = 1e-3
 # How far outside the controls' bounding box a pixel may lie, in sizes of that box [ours]: further out a polynomial is
 # meaningless.
 MAX_OUTSIDE = 0.5

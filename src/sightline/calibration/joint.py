@@ -65,8 +65,10 @@ class JointFit:
         prior = np.zeros((3 + 2 * n, 3 + 2 * n))
         prior[3:, 3:] = twice(self.map.kernel(at, at))
         weights, total = self.solution.predict(design, cross, prior)
-        x, y = weights[:, 0::2, None], weights[:, 1::2, None]
-        noise = (x * self.noise[:, 0] + y * self.noise[:, 1]).reshape(weights.shape) @ weights.T
+        x, y = np.ascontiguousarray(weights.T).reshape(-1, 2, len(weights)).transpose(1, 2, 0)
+        noise = x * self.noise[:, 0, 0] @ x.T + y * self.noise[:, 1, 1] @ y.T
+        mixed = x * self.noise[:, 0, 1] @ y.T
+        noise += mixed + mixed.T
         factor, felt, count = self._frame_in_data
         own = -weights @ factor
         frame_factor = np.zeros((len(weights), count))
