@@ -3,6 +3,10 @@
 The data are counted quanta (Poisson), blurred, with white electronic and rounding noise: covariance G Q G' + e². The
 unknowns are centre, radius, contrast and blur of each bead in the window, and a quadratic background. Pixels changed by
 another sharp object, saturated pixels and pixels outside the field carry no information.
+
+Where two shadows overlap, this bound takes the light that both balls let through for known: the product of what each
+lets through. No image says so: scatter and the beam's hardening change it. The bound with `own` pixels alone gives
+pixels of two shadows no information.
 """
 
 from dataclasses import dataclass
@@ -20,6 +24,7 @@ _STRANGE = 0.08  # difference from the beads' shadows, share of the light, that 
 _ALIKE = 0.05  # relative difference in radius of beads pooled for one profile
 _STEPS = 40
 _PRECISION = 1e-4
+_RIM_BLURS = 2.0  # from a shadow's rim to where its blur no longer changes the light, in s.d. of the blur
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,15 +35,31 @@ class _Profile:
     contrast: float
 
 
-def centroid_bounds(truth: BeadTruth) -> np.ndarray:
-    """Return the bounds (N, 2, 2), px²; infinite where the image does not determine a centre."""
+def centroid_bounds(truth: BeadTruth, *, own: bool = False) -> np.ndarray:
+    """Return the bounds (N, 2, 2), px²; infinite where the image does not determine a centre.
+
+    `own`: from the pixels that a single shadow changes alone.
+    """
     exposure = truth.exposure
     ratio = np.where(exposure.field, exposure.quanta / np.maximum(exposure.open_quanta, 1e-9), 1.0)
     mean, white = exposure.mean_pixels(), exposure.chain.white
     sd = np.sqrt(np.maximum(mean, 1.0) * exposure.gain / (4 * np.pi * exposure.core_px**2))
     clear = exposure.field & (mean + sd < white)
+    if own:
+        clear &= ~_shared(truth)
     profiles = [_profile(truth, ratio, i) for i in range(len(truth))]
     return np.stack([_bound(truth, ratio, clear, profiles, i) for i in range(len(truth))])
+
+
+def _shared(truth: BeadTruth) -> np.ndarray:
+    """Return the pixels (H, W) bool that the shadows of two beads or more change."""
+    count = np.zeros(truth.exposure.field.shape, np.uint8)
+    for (u, v), radius, blur in zip(truth.shadow_px, truth.radius_px, truth.blur_px, strict=True):
+        reach = radius + _RIM_BLURS * blur
+        rows, columns = _box(count.shape, u, v, reach)
+        x, y = np.arange(columns.start, columns.stop) - u, (np.arange(rows.start, rows.stop) - v)[:, None]
+        count[rows, columns] += np.hypot(x, y) < reach
+    return count > 1
 
 
 def _profile(truth: BeadTruth, ratio: np.ndarray, i: int) -> _Profile | None:

@@ -23,6 +23,7 @@ CHANGES = {
     "a fit's effective parameters are counted from neighbours in a row, and a window's level from every second row; "
     "clipped pixels are never data, also where the fill outside the field exceeded white by a rounding error",
     13: "a head fitted to edges states a larger error, as sampled on rendered heads",
+    14: "the second look keeps a bead whose own rim is seen, however deep a smaller one lies in its shadow",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

@@ -290,6 +290,28 @@ def test_a_bead_that_hides_another_has_its_own_error_or_is_dropped() -> None:
     assert merged > 2
 
 
+@pytest.mark.slow
+def test_a_ball_within_a_larger_shadow_costs_only_itself() -> None:
+    """Of a small ball behind a datum ball the image shows nothing; the datum ball's rim is whole, and is measured."""
+    rng = np.random.default_rng(47)
+    chi2 = []
+    for number in range(16):
+        one = seen(number)
+        of_source = np.array(["-s-" in name for name in one.ids])
+        room = one.radius_px[:, None] - one.radius_px
+        apart = np.linalg.norm(one.uv_px[:, None] - one.uv_px, axis=2)
+        apart[~((room > 3.0) & ~of_source[:, None] & of_source)] = np.inf
+        large, small = np.unravel_index(np.argmin(apart), apart.shape)
+        turn = rng.uniform(0, 2 * np.pi)
+        off = rng.uniform(0.2, 0.8) * room[large, small] * np.array([np.cos(turn), np.sin(turn)])
+        two = replace(one, uv_px=one.uv_px + (one.uv_px[large] + off - one.uv_px[small]) * of_source[:, None])
+        _, again = looked(image(two, rng))
+        assert one.ids[small] not in again.ids
+        chi2 += squares(again, two, [one.ids[large]])
+    assert 0.4 < np.mean(chi2) < 1.75
+    assert max(chi2) < 8.0  # 1 in 3000
+
+
 def test_radii_and_what_was_rejected_follow_the_second_look() -> None:
     """Candidates covered by a newly fitted bead are no longer rejected; an unknown `rejected` stays unknown."""
     rng = np.random.default_rng(48)

@@ -13,6 +13,9 @@ DEEPEST, DEEPEST_OF_KNOWN_SHAPE = 1.4, 1.9
 # predicts. The margin lowers chi-square / 2 of overlapping beads from 6-10 to 0.5-1.5 [twin].
 _MARGIN_PX = 2.5
 _MIN_RIM_SHARE = 0.3  # of the rim, not covered by metal or other beads [ours]
+# A smaller ball behind a bead hides less of its rim: then the rest determines the bead, however deep the overlap [twin].
+_MOST_RIM_HIDDEN = 0.5
+_RIM_PX = 0.8  # half the width of the ring of pixels that stands for a rim [ours]
 
 
 def without_overlaps(
@@ -28,7 +31,8 @@ def without_overlaps(
 
 
 def _clear_covered(fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.ndarray) -> float:
-    """Clear metal around bead `i` and its overlaps in `usable`; return its deepest overlap.
+    """Clear metal around bead `i` and its overlaps in `usable`; return its deepest overlap with a bead that hides more
+    than half of its rim.
 
     Infinite where too little of the bead is left.
     """
@@ -51,15 +55,18 @@ def _clear_covered(fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.
     y, x = np.arange(len(state))[:, None] + top, np.arange(len(state)) + left
     from_centre = np.hypot(x - u, y - v)
     overlap = overlap_of(apart[near[1:]], radius, rows[near[1:], columns.RADIUS])
-    for j in near[1:][overlap > 0]:
-        from_other = np.hypot(x - rows[j, 0], y - rows[j, 1])
-        hidden |= (from_centre < radius + _MARGIN_PX) & (from_other < rows[j, columns.RADIUS] + _MARGIN_PX)
+    on_rim, deepest = np.abs(from_centre - radius) < _RIM_PX, 0.0
+    for j, depth in zip(near[1:][overlap > 0], overlap[overlap > 0], strict=True):
+        of_other = np.hypot(x - rows[j, 0], y - rows[j, 1]) < rows[j, columns.RADIUS] + _MARGIN_PX
+        hidden |= (from_centre < radius + _MARGIN_PX) & of_other
+        if of_other[on_rim].mean() > _MOST_RIM_HIDDEN:
+            deepest = max(deepest, float(depth))
     height, width = usable.shape
     seen = slice(max(-top, 0), max(height - top, 0)), slice(max(-left, 0), max(width - left, 0))
     there = slice(max(top, 0), top + len(state)), slice(max(left, 0), left + len(state))
     usable[there] &= ~hidden[seen]
     rim = window.visible_rim(state, rows, near, left, top)
-    return overlap.max(initial=0.0) if rim > _MIN_RIM_SHARE else np.inf
+    return deepest if rim > _MIN_RIM_SHARE else np.inf
 
 
 def _hull_of_metal(metal: np.ndarray) -> np.ndarray:
