@@ -65,8 +65,6 @@ def _build(site: ServedApp, session: Session, pictures: Pictures, settings: Sett
     asked = None if request is None else request.query_params.get("step")
     first = ProcedureStep(asked) if asked in list(ProcedureStep) else _first_open(session)
     tab.go_to(first)
-    ui.run_javascript(f"sightlineStep(null, {json.dumps(first)})")
-    tab.on_step = lambda *steps: ui.run_javascript(f"sightlineStep(...{json.dumps(steps)})") and None
 
 
 def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, space: Space) -> None:

@@ -21,14 +21,25 @@ _EXPIRING_S = 120.0  # time left that is marked [ours]
 def build(tab: Tab) -> None:
     """Build the row."""
     with ui.element("div").classes("guide"):
-        with ui.element("nav").props(f'aria-label="{texts.STEPS_LABEL}"'):
+        with ui.element("nav").props(f'aria-label="{texts.STEPS_LABEL}" data-went=0') as nav:
             PersistentSection(tab, lambda t: (steps(t.session), t.step), _steps, classes="steps")
         with ui.element("div").classes("say").props("role=status"):
             HtmlSection(tab, _said, _say)
+    ui.on("step", lambda event: _follow(tab, nav, event.args))
     with ui.element("div").classes("tools"):
         _time(tab)
         PersistentSection(tab, _history, _undo, classes="undo")
         PersistentSection(tab, _link, _stop, classes="stop-box")
+
+
+def _follow(tab: Tab, nav: ui.element, told: object) -> None:
+    """Go to the step of the browser's history; `told`: the step, and how often the history was used (page.js)."""
+    match told:
+        case [str(step), int(went)] if step in list(ProcedureStep):
+            nav.props(f"data-went={went}")
+            tab.go_to(ProcedureStep(step))
+        case _:
+            pass
 
 
 def _steps(tab: Tab) -> Callable[[], None]:

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 class Tab:
     """State of one page, in the language it is built in. `message`: a sentence for the person, empty for none.
-    `on_refresh`: called to update the parts beside the views; `on_drag`: those of them that follow a drag. `on_step`:
-    called with the step before and the new one.
+    `on_refresh`: called to update the parts beside the views; `on_drag`: those of them that follow a drag.
     """
 
     def __init__(
@@ -45,7 +44,6 @@ class Tab:
         self.step, self.message = ProcedureStep.IMAGES, ""
         self.on_refresh: list[Callable[[], None]] = []
         self.on_drag: list[Callable[[], None]] = []
-        self.on_step: Callable[[ProcedureStep, ProcedureStep], None] = lambda before, step: None
         self._waiting = False
         self._ruled: dict[XrayView, tuple[str | None, object, Clicks]] = {}  # by view: image, its picture, clicks
 
@@ -73,12 +71,11 @@ class Tab:
 
     def go_to(self, step: ProcedureStep) -> None:
         """Go to another step; nothing is lost."""
-        before, self.step, self.message = self.step, step, ""
+        self.step, self.message = step, ""
         self.views.watched = None
         # On later steps they would hide the bone.
         self.views.show_beads = step in (ProcedureStep.IMAGES, ProcedureStep.CALIBRATE)
         self._placing.begin_step()
-        self.on_step(before, step)
         self.refresh()
 
     def show_live(self, watched: "Watched | None") -> None:
