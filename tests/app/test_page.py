@@ -159,7 +159,7 @@ def _tell_the_second_shot(hands: Hands) -> None:
     """A shot that shows what the robot has, once and known better."""
     expect(hands.see("robot-live")).to_contain_text("± 0.8 mm (zero: plan and contact)")
     expect(hands.see("shot-unmeasured")).to_contain_text("rests on the plan and contact, ± 0.8 mm")
-    depth = hands.see("robot-live").inner_text().split()[1]
+    depth = hands.see("depth").inner_text().split()[0]
     for field, value in (("shot-depth", depth), ("shot-error", "0.3")):
         hands.page.locator(f"input[data-testid={field}], [data-testid={field}] input").fill(value)
     hands.press("tell-shot")

@@ -120,11 +120,20 @@ def _drill(session: Session) -> _Found:
         return StepStatus.DONE, texts.DRILL_DONE
     if now is not None and (now.lost or now.fault or now.last_error):
         return StepStatus.ATTENTION, now.last_error or now.text or texts.LINK_LOST
+    if session.drilling.changed == texts.CHANGED_AFTER_SENDING:
+        return StepStatus.ATTENTION, texts.CHANGED_AFTER_SENDING
     if now is not None and planning.sent is not None and now.state != State.UNDEFINED.value:
-        return StepStatus.OPEN, texts.ROBOT_IN.format(state=texts.STATES.get(now.state, texts.STATE_UNKNOWN))
+        state = texts.ROBOT_IN.format(state=texts.STATES.get(now.phase, texts.STATE_UNKNOWN))
+        return StepStatus.OPEN, texts.ROBOT_NEXT.get(now.phase, state)
+    return _send(session, linked=now is not None and not now.lost)
+
+
+def _send(session: Session, *, linked: bool) -> _Found:
     if not session.readiness.can_send:
         return StepStatus.BLOCKED, texts.ONLY_GO
-    return StepStatus.OPEN, texts.CAN_SEND
+    if session.planning.patient is None:
+        return StepStatus.BLOCKED, texts.NO_ROBOT_IN_IMAGES
+    return StepStatus.OPEN, texts.CAN_SEND if linked else texts.CAN_START
 
 
 def _verify(session: Session) -> _Found:

@@ -102,8 +102,19 @@ PLAN_DONE = "GO: every check passed."
 DRILL_DONE = "The wire is drilled to the planned depth."
 LINK_LOST = "The link to the robot is lost."
 ROBOT_IN = "{state}."
+ROBOT_NEXT = {  # what to do next, by the robot's state; of the others the state itself
+    "TARGETING": "The robot has the plan: clear the arm's path, then align.",
+    "ALIGN": "The arm is moving: STOP or the space bar stops it.",
+    "ALIGNED": "Aligned: check the confirmation shot, then drill.",
+    "DRILL": "The wire is advancing: STOP or the space bar stops it.",
+    "PAUSED": "Paused: check the second shot, then continue drilling.",
+    "STOP": "Stopped: see why, then align again, or retract the wire.",
+    "RETRACT": "The wire is retracting: STOP or the space bar stops it.",
+}
 ONLY_GO = "Only a plan that is GO can be sent."
-CAN_SEND = "The plan can be sent to the robot."
+CAN_START = "Start the robot, then send the plan."
+CAN_SEND = "Send the plan to the robot."
+NO_ROBOT_IN_IMAGES = "These images carry no robot pose: the plan cannot be sent to a robot. Save its report."
 VERIFIED = "The wire was measured in two check images and lies as planned."
 NOT_DRILLED = "Nothing has been drilled yet."
 TAKE_TWO_MORE = "Take two check images with the wire in the bone."
@@ -353,9 +364,10 @@ STATES = {
     "RETRACT": "Retracting the wire",
 }
 DEPTH_MARKS = ("cortex", "pause", "tip", "limit")
-DEPTHS = ("{value:.1f} mm", "{value:.1f} mm before")  # in bone, and before it
+DEPTH = "{value:.1f} mm"
+DEPTH_SIDES = ("beyond the entry point", "before the entry point")
 DRILLED_TITLE = "the wire, drilled so far"
-READING_DEPTH = "{value:.1f} mm {error} (zero: {zero})"
+READING_DEPTH = "{error} (zero: {zero})"
 READING = "Depth {depth} · thrust {force}"
 FAULT = "Fault {number}: {what}"
 RESET_FAULT = "Reset the fault"
@@ -366,7 +378,7 @@ DRILL_ON = "Continue drilling"
 RETRACT = "Retract"
 CANCEL = "Cancel"
 DRILLED = "Drilled to the planned depth. Verify the wire in two check images."
-SHOT_HEADING = "Second shot"
+SHOT_HEADING = "Depth in the second shot"
 SHOT_HEADINGS = {"ALIGNED": "Confirmation shot", "PAUSED": "Second shot"}
 TAKE_SHOT = "Take the shot"
 SHOT_DROP = "Drop both images of the shot onto the page, with the block on its mount again."
@@ -468,6 +480,7 @@ SHOT_UNMEASURED = (
 SHOT_TOLD = "The depth of the second shot was sent. The depth now rests on the {zero}, {error}."
 RETRACT_QUESTION = "Retract: if the wire is to stay in the bone, open the chuck first. Is it open?"
 RESET_QUESTION = "Have you checked the robot and dealt with the fault?"
+ROBOT_REFUSED = "The robot refused: {why}."
 NO_ROBOT = (
     "Take the images through a robot's link, or rehearse on the demo case: these images carry no robot pose, so the "
     "bone's position in robot coordinates is unknown."
