@@ -23,6 +23,11 @@
   const hint = all("[data-testid=hint]")[0]?.getBoundingClientRect();
   const name = all("[data-testid=hint]")[0]?.parentElement.querySelector(".xray-name").getBoundingClientRect();
   if (hint && hint.top > name.bottom) out.push("the hint is below the image's name"); // over the image and its labels
+  const row = all(".drop-row")[0]?.getBoundingClientRect();
+  for (const card of all(".verdict")) {
+    const { top, bottom } = card.getBoundingClientRect();
+    if (row && top < row.bottom + 3 && bottom > row.top) out.push(`touches: the card and the upload buttons, ${top - row.bottom}`);
+  }
   const cut = ".say, .step, .time, .stop-box, .verdict, .figure, .pick-place, .feet button, .lead button, .group, .depth-marks div, .on-images button, .xray-hint, .xray-name, .xray-tools button";
   for (const part of all(cut)) {
     if (part.scrollWidth > part.clientWidth + 1 || part.scrollHeight > part.clientHeight + 1)

@@ -379,3 +379,11 @@ test("nothing is placed off the field or over an image that is being replaced", 
   edits.placeAt([50, 60]);
   assert.deepEqual([uvOf(core), core.state.placing, said], [null, "end", []]);
 });
+
+test("no text is written over the image's name; fails where the corner is not kept free", () => {
+  const labels = new Labels(() => 60, [400, 300]);
+  labels.keepCorner([120, 40]);
+  assert.equal(labels.write("a point", [[60, 30]]), false);
+  assert.ok(labels.write("a point", [[60, 30], [60, 60]]));
+  assert.deepEqual(labels.texts[0].at, [60, 60]);
+});

@@ -38,7 +38,9 @@ def build(site: ServedApp, session: Session, pictures: Pictures, settings: Setti
 
 def _build(site: ServedApp, session: Session, pictures: Pictures, settings: Settings, open_case: OpenCase) -> None:
     ui.add_css(_CSS)
-    ui.add_head_html(f"<script>document.documentElement.lang = {json.dumps(texts.now().tag)};\n{_SCRIPT}</script>")
+    # Quasar's styles, of a check box for example, hold only where the page has a direction.
+    root = f'Object.assign(document.documentElement, {{ lang: {json.dumps(texts.now().tag)}, dir: "ltr" }});'
+    ui.add_head_html(f"<script>{root}\n{_SCRIPT}</script>")
     tab = Tab(session, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
     with ui.element("header").classes("top"):
         top.build(tab)

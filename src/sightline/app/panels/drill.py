@@ -10,7 +10,9 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels import live, markup, shots, wires
 from sightline.app.panels.confirming import confirmed_action
+from sightline.app.panels.menu import save_report
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
+from sightline.app.session.readiness import NO_SERIAL
 from sightline.app.session.zero import ZeroSource
 from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
@@ -188,6 +190,11 @@ def build_next(tab: Tab) -> None:
     """Build the one button for what comes next; each motion needs a person's confirmation."""
     planning, drilling = tab.planning, tab.session.drilling
     session, now = drilling.session, drilling.now
+    if planning.patient is None:  # a person's own images, without a robot
+        save = tab.doing(lambda: save_report(tab))
+        made = planning.planned is not None and planning.planned.plan is not None
+        action(texts.REPORT, save, testid="save-report", kind="primary", enabled=made)
+        return
     if now is None or now.lost or session is None:
         _start(tab, "primary")
         return
@@ -235,7 +242,7 @@ def _start(tab: Tab, kind: str) -> None:
 
 def _send(tab: Tab, *, enabled: bool) -> None:
     planning, drilling = tab.planning, tab.session.drilling
-    known, side = planning.planned, planning.decisions.side
+    known, side, serial = planning.planned, planning.decisions.side, planning.decisions.serial
     if known is None or known.plan is None or side is None or not tab.session.readiness.can_send:
         action(texts.SEND, lambda: None, testid="send", kind="primary", enabled=False)
         return
@@ -243,7 +250,7 @@ def _send(tab: Tab, *, enabled: bool) -> None:
         robot=texts.ROBOT_NAMES[planning.patient is not None],
         length=known.plan.trajectory.length_mm,
         side=texts.SIDE_WORDS[side],
-        serial=planning.decisions.serial,
+        frame=texts.SEND_FRAME[serial != NO_SERIAL].format(serial=serial),
     )
     confirmed_action(
         tab, texts.SEND, texts.SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=enabled

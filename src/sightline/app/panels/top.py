@@ -61,14 +61,16 @@ def _steps(tab: Tab) -> Callable[[], None]:
 
 
 def _said(tab: Tab) -> Hashable:
-    return tab.message, tab.goal, tab.progress, None if tab.goal else _reason(tab)
+    return tab.message, tab.is_good, tab.goal, tab.progress, None if tab.goal else _reason(tab)
 
 
 def _say(tab: Tab) -> Markup:
     """Return the message, or else the next instruction: to place a point, or what the step waits for."""
     if tab.message:
         return markup.filled(
-            '<div class="message {}"{} role="alert" data-testid="message">{}</div>', *_sized(tab.message)
+            '<div class="message {} {}"{} role="alert" data-testid="message">{}</div>',
+            "good" if tab.is_good else "",
+            *_sized(tab.message),
         )
     told = plan.instruction(tab)
     if told is None:

@@ -10,6 +10,9 @@ IMAGE_LABELS = {
     "shot-pa": "PA shot",
     "shot-lateral": "Lateral shot",
 }
+IMAGE_NAMES = {
+    name: label.replace("Lateral", "lateral").replace("Oblique", "oblique") for name, label in IMAGE_LABELS.items()
+}
 DROP_HERE = "Drop the {image} here"
 DROP_OR = "or"
 DROP_CHOOSE = "Choose a file"
@@ -73,7 +76,7 @@ SPACE_TEXTS = {
 }
 SPACE_FOCUS = "focal point, {view}"
 SPACE_ERROR_UNKNOWN = "the error of the wire's ends is unknown"
-SPACE_ELLIPSOIDS = "ellipsoids hold 95 % of the error of entry and tip, {times:g} times as large"
+SPACE_ELLIPSOIDS = "Ellipsoids hold 95 % of the error of entry and tip, {times:g} times as large"
 SPACE_GROUPS = {
     "frame": "frame",
     "views": "focal points and images",
@@ -89,6 +92,7 @@ SPACE_GROUPS = {
 # The steps, with the reason for each status.
 DOING = "{doing}."
 DROP_MISSING = "Drop the {images} onto the page."
+LOAD_ANOTHER = "Load another {image}: this one cannot be used."
 CONFIRM_BOTH = "Confirm the patient's side and the frame's serial."
 STATE_WHETHER_MIRRORED = "State whether writing in the images reads backwards."
 STATE_WHEN_TAKEN = "State when the images without a recorded time were taken."
@@ -164,8 +168,8 @@ ALL_PASSED = "All {count} checks passed"
 SHOW_REJECTED = "Show rejected candidates, with the reason"
 DROP_FIRST = "Drop an image onto the page."
 BEADS_USED = "beads used / left out"
-RESIDUAL = "residual, rms per axis"
-FOCAL_POINT = "focal point"
+RESIDUAL = "residual, rms"
+FOCAL_POINT = "focal point, mm"
 
 # Plan.
 POINT_GROUPS = {
@@ -260,11 +264,11 @@ PLACE_IN_OBLIQUE = "{point}: click where this image shows it; the cross is where
 RULER_LENGTH = "{value:.1f}{off} mm"
 RULER_ANGLE = "{value:.1f}°{off}"
 RULER_PLANE = (
-    "Of what lies in the plane of the wire, parallel to the image; {percent:.1f} % more or less for each 10 mm before "
-    "or behind it. Error: 95 %."
+    "Measured in the plane of the wire, parallel to the image: {percent:.1f} % more or less for each 10 mm before or "
+    "behind it. Error: 95 %."
 )
-RULER_PLANE_ANGLE = "Between lines parallel to the image. Error: 95 %."
-RULER_SPACE = "In space, from both images. Error: 95 %."
+RULER_PLANE_ANGLE = "Measured between lines parallel to the image. Error: 95 %."
+RULER_SPACE = "Measured in space, from both images. Error: 95 %."
 RULER_NEEDS_WIRE = "Place the wire first: the ruler measures in its plane."
 DEVIATION_OF = ("entry", "tip")
 DEVIATION = "{name} {mm:.2f} mm off"
@@ -292,7 +296,7 @@ GAP_NOT_TESTED = "not tested (snapped)"
 VERDICTS = {"go": "GO", "no-go": "NO-GO", "incomplete": "INCOMPLETE"}
 EVERY_CHECK = "Every check passed. A person decides."
 MORE = "(and {count} more: Details)"
-LEFT = "Left: {what}."
+LEFT = "To do: {what}."
 LEFT_CALIBRATION = "two calibrated images"
 LEFT_SIDE = "patient's side"
 LEFT_SERIAL = "frame's serial"
@@ -330,6 +334,7 @@ TIME_TOLD = {
 }
 LINKS = {"none": "no robot", "open": "connected", "lost": "link lost"}
 CONTINUE_TO = "Continue to {step}"
+BACK_TO = "Back to {step}"
 DETAILS = "Details"
 SPACE = "3-D"
 SHARES_HEADING = "Where the error comes from"
@@ -456,9 +461,10 @@ STAY = "Stay"
 LEAVE = "Leave"
 REACHABLE = "Other machines can reach this page; anyone with its address and token can move the robot."
 SEND_QUESTION = "Send this plan to the robot?"
+SEND_FRAME = ("the frame without a serial", "frame {serial}")
 SIDE_WORDS = {"right": "right", "left": "left"}
 SEND_WHAT = (
-    "The {robot} receives a wire of {length:.1f} mm on the {side} side, in the coordinates of frame {serial}. "
+    "The {robot} receives a wire of {length:.1f} mm on the {side} side, in the coordinates of {frame}. "
     "Nothing moves yet. “Align” will then move the arm until the wire's guide points along the plan, "
     "20 mm before the bone."
 )
