@@ -49,7 +49,7 @@ def test_a_person_who_knows_only_the_screen_plans_drills_and_checks_a_wire(
     mirrored or stands below the other's name, and where a click lands beside what the picture shows there."""
     person = Person(open_page(server.url))
     person.read("Confirm the patient's side and the frame's serial")
-    person.press("Right hip")
+    person.press("Right side")
     person.type("Serial on the frame", "none")
     person.press("Confirm serial")
     assert person.go_on("Continue to Drill") == ["Continue to Calibrate", "Continue to Plan"]

@@ -105,7 +105,7 @@ def build_details(tab: Tab) -> None:
 
 def _orientation(tab: Tab) -> None:
     side = tab.planning.decisions.side
-    if side is not None:
+    if side is not None and tab.planning.frame.solid is None:  # a block says nothing of the patient
         note(texts.ORIENTATION[side], testid="orientation")
 
 

@@ -57,7 +57,7 @@ class Readiness:
                 None,
                 None,
                 "",
-                f"A person confirmed on the images that this is a {side} hip."
+                f"A person confirmed on the images that this is the {side} side."
                 if side
                 else "Look at both images and confirm the patient's side, on the step Images.",
             ),

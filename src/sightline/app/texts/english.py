@@ -137,7 +137,7 @@ TAKE_AGAIN = "Take both images again"
 TAKE_OBLIQUE = "Take the oblique image"
 SIDE_HEADING = "Patient's side"
 SIDE_HINT = "Which side? Check the marker in the image, or the patient:"
-SIDES = {"right": "Right hip", "left": "Left hip"}
+SIDES = {"right": "Right side", "left": "Left side"}
 SERIAL_HEADING = "Frame's serial"
 SERIAL_CONFIRMED = "Confirmed: {serial}"
 SERIAL_UNKNOWN = "Type the serial engraved on the frame, or “none” if there is none. The frame file states none."
@@ -252,6 +252,7 @@ LACKS = {  # of the chosen procedure, by what the simulated patient does not hav
     ),
 }
 NAIL_FIRST = "Choose the nail on the right. Or by hand: {said}"
+NAIL_FIRST_OF = "Choose the nail on the right; the simulated patient has {name}. Or by hand: {said}"
 NAIL_EDGE_FOUND = "the nail's edge, as found in the image"
 NAIL_AXIS = "axis of the nail"
 RIM_FOUND = "rim of the hole, as found in the image"
