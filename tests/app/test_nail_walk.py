@@ -77,6 +77,7 @@ def _drill(hands: Hands, shoot) -> str:
         hands.press(f"{press}-yes")
         expect(hands.see("robot-state")).to_have_attribute("data-state", state.value, timeout=PATIENCE_MS)
     _wait_for(hands, key, "drilled")
+    assert not wrong(hands.page, scrolls=True)
     shoot(hands.page, f"nail-walk-drilled-{key}")
     hands.press("retract")
     hands.press("retract-yes")
@@ -135,6 +136,7 @@ def test_both_holes_are_planned_drilled_and_checked_one_after_the_other(
     expect(hands.see("robot-state")).to_be_visible(timeout=PATIENCE_MS)
     assert _drill(hands, shoot) == KEYS[0]
     _check(hands, patient, folder, shoot)
+    expect(hands.see("instruction")).to_contain_text("go on with the next one")
     hands.press("next-wire")
     expect(hands.see("step-drill")).to_have_attribute("aria-current", "step")
     assert _drill(hands, shoot) == KEYS[1]

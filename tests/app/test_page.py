@@ -12,6 +12,7 @@ from playwright.sync_api import Page, expect
 from tests.app.browser import Server
 from tests.app.clock_app import set_ahead
 from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, rehearsal, truth
+from tests.app.test_screen import wrong
 from tests.systems import needs_posix
 
 from sightline.app.plan.decisions import Decisions
@@ -146,6 +147,7 @@ def _drill(hands: Hands, shoot) -> None:
         hands.press(order)
         hands.see(f"{order}-yes").evaluate("button => { button.click(); button.click() }")  # the second is refused
         expect(hands.see("robot-state")).to_have_attribute("data-state", state.value, timeout=PATIENCE_MS)
+        assert not wrong(hands.page, scrolls=True)
         if state is State.PAUSED:
             _tell_the_second_shot(hands)
     expect(hands.see("drilled")).to_be_visible()

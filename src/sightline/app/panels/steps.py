@@ -176,6 +176,8 @@ def _verify(session: Session) -> _Found:
             return StepStatus.OPEN if missing_again(planning) else StepStatus.ATTENTION, texts.said(wrong[0])
         if len(shots) == len(kinds):
             return StepStatus.DONE, texts.VERIFIED
+        if verifying.shot is not None:
+            return StepStatus.OPEN, texts.GO_ON_VERIFYING
     if not planning.all_sent:
         return StepStatus.BLOCKED, texts.NOT_DRILLED
     return StepStatus.OPEN, texts.TAKE_TWO_MORE

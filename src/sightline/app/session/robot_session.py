@@ -32,7 +32,7 @@ from sightline.robot.link.simulated import SimulatedWire
 T = TypeVar("T")
 _STATUS_EVERY_S = 0.25  # [ours]
 _STOPS = 4  # STOPs that may be in progress at once; a further press waits for one of them [ours]
-_STOPPED = "the robot was told to stop"
+_STOPPED = "the robot was told to stop: align again, or retract the wire"
 _IDLE_S = 0.02  # polling period of the command queue
 _NOTIFIED = ("state", "fault", "activity", "last_error", "lost", "zero")  # notify pages; they poll the rest
 _MOTIONS = {"aligning": State.ALIGN, "drilling": State.DRILL, "retracting": State.RETRACT}  # by activity

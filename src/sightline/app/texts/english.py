@@ -121,6 +121,7 @@ CAN_SEND = "Send the plan to the robot."
 NO_ROBOT_IN_IMAGES = "These images carry no robot pose: the plan cannot be sent to a robot. Save its report."
 VERIFIED = "The wire was measured in two check images and lies as planned."
 NOT_DRILLED = "Nothing has been drilled yet."
+GO_ON_VERIFYING = "This wire lies as planned: go on with the next one."
 TAKE_TWO_MORE = "Take two check images with the wire in the bone."
 
 # Images.
@@ -371,7 +372,7 @@ STATES = {
 }
 DEPTH_MARKS = ("cortex", "pause", "tip", "limit")
 DEPTH = "{value:.1f} mm"
-DEPTH_SIDES = ("beyond the entry point", "before the entry point")
+DEPTH_SIDES = ("beyond the entry", "before the entry")
 DRILLED_TITLE = "the wire, drilled so far"
 READING_DEPTH = "{error} (zero: {zero})"
 READING = "Depth {depth} · thrust {force}"
