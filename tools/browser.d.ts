@@ -4,14 +4,13 @@ interface Window {
   sightlineXray: Record<string, import("../src/sightline/app/drawing/xray/xray").XrayCore>;
   /** The connection of the page, Socket.IO; undefined until the page is built. */
   socket?: { connected: boolean; emit(event: "alive", answered: () => void): void };
-  /** What the server calls (panels/steps.py). `before`: the step left, null when the page opens. */
-  sightlineStep(before: string | null, step: string): void;
+  /** What the server calls. */
   sightlineOpened(): void;
   sightlineLeave(): void;
 }
 
 /** Tells the server's page (NiceGUI). */
-declare function emitEvent(name: string): void;
+declare function emitEvent(name: string, ...args: unknown[]): void;
 
 interface Element {
   checkVisibility(): boolean;

@@ -93,4 +93,8 @@ class ErrorUnknownError(RefusedError):
 
 
 class RobotRefusedError(RefusedError):
-    """The robot cannot, or must not, do what was requested."""
+    """The robot cannot, or must not, do what was requested. `reason`: what the robot itself said; "" without it."""
+
+    def __init__(self, message: str, reason: str = "") -> None:
+        super().__init__(message)
+        self.reason = reason

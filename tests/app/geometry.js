@@ -20,10 +20,19 @@
     const rows = new Set([...tools.querySelectorAll("button")].filter(seen).map((one) => one.offsetTop));
     if (innerWidth >= 1280 && rows.size > 1) out.push(`tools in ${rows.size} rows`);
   }
+  const letters = all(".depth-bar b").map((part) => part.getBoundingClientRect());
+  letters.slice(1).forEach((one, k) => {
+    if (one.left < letters[k].right - 0.5 && one.right > letters[k].left + 0.5) out.push(`letters of the depth bar overlap: ${k}`);
+  });
   const hint = all("[data-testid=hint]")[0]?.getBoundingClientRect();
   const name = all("[data-testid=hint]")[0]?.parentElement.querySelector(".xray-name").getBoundingClientRect();
   if (hint && hint.top > name.bottom) out.push("the hint is below the image's name"); // over the image and its labels
-  const cut = ".say, .step, .time, .stop-box, .verdict, .figure, .pick-place, .feet button, .lead button, .group, .depth-marks div, .on-images button, .xray-hint, .xray-name, .xray-tools button";
+  const row = all(".drop-row")[0]?.getBoundingClientRect();
+  for (const card of all(".verdict")) {
+    const { top, bottom } = card.getBoundingClientRect();
+    if (row && top < row.bottom + 3 && bottom > row.top) out.push(`touches: the card and the upload buttons, ${top - row.bottom}`);
+  }
+  const cut = ".say, .step, .time, .stop-box, .verdict, .figure, .pick-place, .feet button, .lead button, .group, .depth-value, .depth-marks div, .on-images button, .xray-hint, .xray-name, .xray-tools button";
   for (const part of all(cut)) {
     if (part.scrollWidth > part.clientWidth + 1 || part.scrollHeight > part.clientHeight + 1)
       out.push(`cut: ${what(part)} ${part.scrollWidth}x${part.scrollHeight} in ${part.clientWidth}x${part.clientHeight}`);

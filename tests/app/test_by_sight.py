@@ -9,6 +9,7 @@ from playwright.sync_api import Page
 from tests.app.browser import Server
 from tests.app.hands import LANDMARKS, SEED, by_image, rehearsal, truth
 from tests.app.person import Person
+from tests.app.test_screen import wrong
 
 from sightline.app.plan.decisions import Decisions
 from sightline.case.journal import Case, Kind
@@ -48,7 +49,7 @@ def test_a_person_who_knows_only_the_screen_plans_drills_and_checks_a_wire(
     mirrored or stands below the other's name, and where a click lands beside what the picture shows there."""
     person = Person(open_page(server.url))
     person.read("Confirm the patient's side and the frame's serial")
-    person.press("Right hip")
+    person.press("Right side")
     person.type("Serial on the frame", "none")
     person.press("Confirm serial")
     assert person.go_on("Continue to Drill") == ["Continue to Calibrate", "Continue to Plan"]
@@ -56,7 +57,7 @@ def test_a_person_who_knows_only_the_screen_plans_drills_and_checks_a_wire(
     person.find(rehearsal().images, dict(zip(NAMES, ("PA image", "Lateral image"), strict=True)))
     assert person.place(known) == 10
     person.read("INCOMPLETE")
-    person.press("Femoral head")
+    assert person.go_on("Continue to Drill") == ["Place Femoral head"]
     assert person.place(known) == 6
     person.read("Every check passed. A person decides.")
     shoot(person.page, "by-sight-plan")
@@ -78,4 +79,5 @@ def test_a_person_who_knows_only_the_screen_plans_drills_and_checks_a_wire(
     assert person.place(by_image(dict(zip(marks, uv_px.swapaxes(0, 1), strict=True)))) == 6
     person.read("PASSED")
     person.read("The wire was measured in two check images and lies as planned.")
+    assert not wrong(person.page, scrolls=True)
     shoot(person.page, "by-sight-verify")

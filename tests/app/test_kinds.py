@@ -91,13 +91,13 @@ def test_a_pair_of_holes_is_planned_beside_a_hip_screw(hands: Hands, shoot) -> N
     expect(hands.see("propose")).to_have_count(1)  # by the drawn rims
     shoot(hands.page, "interlocking")
     _choose(hands, "Hip screw")  # it had no points, and the nail's do not belong to a hip
-    expect(hands.see("verdict")).to_contain_text("Left: Entry point, End point, Centre of the head")
+    expect(hands.see("verdict")).to_contain_text("To do: Entry point, End point, Centre of the head")
     expect(hands.see("row-head-centre")).to_contain_text("○ PA")
     hands.page.keyboard.press("Control+z")
     expect(hands.see("kind")).to_contain_text("Interlocking holes")
     expect(hands.see("verdict")).to_contain_text("Every check passed")
     hands.page.keyboard.press("Control+y")
-    expect(hands.see("verdict")).to_contain_text("Left: Entry point, End point, Centre of the head")
+    expect(hands.see("verdict")).to_contain_text("To do: Entry point, End point, Centre of the head")
 
 
 def _drawn() -> dict[str, Pixels]:

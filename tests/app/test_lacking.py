@@ -101,5 +101,5 @@ def test_the_page_says_that_its_patient_has_no_nail(hands: Hands, shoot) -> None
     shoot(hands.page, "no-nail")
     hands.see("kind").click()
     hands.page.get_by_role("option", name="Hip screw", exact=True).click()
-    expect(hands.see("verdict")).to_contain_text("Left: ")
+    expect(hands.see("verdict")).to_contain_text("To do: ")
     expect(hands.see("instruction")).to_contain_text("1 of ")

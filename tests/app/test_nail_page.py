@@ -58,7 +58,7 @@ def _draw(hands: Hands, asked: PlanRequest) -> Placed:
         for n, (name, uv) in enumerate(where.items(), 1):
             expect(hands.see("instruction")).to_contain_text(f"{6 * k + n} of 20")
             hands.place(name, image, tuple(uv[k]))
-    expect(hands.see("verdict")).to_contain_text("Left: Tip of the nail")
+    expect(hands.see("verdict")).to_contain_text("To do: Tip of the nail")
     for n, name in enumerate(asked.landmark_names):
         hands.press(f"place-{name}")
         for k, image in enumerate(NAMES):
@@ -154,7 +154,7 @@ def test_holes_planned_by_mouse_are_those_of_the_command_line(
     hands.press("undo")
     expect(hands.see("verdict")).to_contain_text("Every check passed")
     hands.page.get_by_test_id("xray-pa").get_by_test_id("point-hole-distal").press("Delete")
-    expect(hands.see("verdict")).to_contain_text("Left: Distal hole")
+    expect(hands.see("verdict")).to_contain_text("To do: Distal hole")
     hands.until("pa", "core.state.placing === value", "hole-distal")
     hands.page.get_by_test_id("xray-pa").get_by_role("application").press("Enter")  # the cross-hair is beside the nail
     expect(hands.see("verdict")).to_contain_text("Distal hole: ")

@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
 from tests.app.hands import PATIENCE_MS, Hands
+from tests.app.test_screen import wrong
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.marks import NAIL_EDGES
@@ -33,8 +34,10 @@ def _plan(hands: Hands, patient: Rehearsal, shoot) -> None:
     assert nail is not None and marks is not None and wire_mm is not None
     hands.step("Plan")
     expect(hands.see("kind")).to_contain_text("Interlocking holes")
-    told = hands.see("nail-implanted").inner_text()
-    named = re.fullmatch(r"The simulated patient has this nail: (.+)\.", told)
+    expect(hands.see("instruction")).to_contain_text("Choose the nail")
+    assert not wrong(hands.page, scrolls=False)
+    told = hands.see("instruction").inner_text()
+    named = re.search(r"the simulated patient has (.+?)\. Or by hand", told)
     assert named is not None, told
     hands.see("nail").click()
     hands.page.get_by_role("option", name=f"Nail: {named[1]}", exact=True).click()
@@ -55,6 +58,8 @@ def _plan(hands: Hands, patient: Rehearsal, shoot) -> None:
             hands.place(f"landmark-{name}", image, tuple(marks[k, n]))
     expect(hands.see("verdict")).to_contain_text("Every check passed")
     shoot(hands.page, "nail-walk-planned")
+    expect(hands.see("turns")).to_be_visible()
+    assert not wrong(hands.page, scrolls=False)
 
 
 def _drill(hands: Hands, shoot) -> str:
@@ -72,6 +77,7 @@ def _drill(hands: Hands, shoot) -> str:
         hands.press(f"{press}-yes")
         expect(hands.see("robot-state")).to_have_attribute("data-state", state.value, timeout=PATIENCE_MS)
     _wait_for(hands, key, "drilled")
+    assert not wrong(hands.page, scrolls=True)
     shoot(hands.page, f"nail-walk-drilled-{key}")
     hands.press("retract")
     hands.press("retract-yes")
@@ -119,6 +125,10 @@ def test_both_holes_are_planned_drilled_and_checked_one_after_the_other(
     hands = Hands(open_page(server.url))
     hands.wait_for_step("Calibrate", "done")
     hands.confirm()
+    hands.details()
+    expect(hands.see("shortcuts")).to_be_visible()
+    expect(hands.see("orientation")).to_have_count(0)  # a block says nothing of the patient
+    hands.details()
     shoot(hands.page, "nail-walk-images")
     _plan(hands, patient, shoot)
     hands.press("continue")
@@ -126,6 +136,7 @@ def test_both_holes_are_planned_drilled_and_checked_one_after_the_other(
     expect(hands.see("robot-state")).to_be_visible(timeout=PATIENCE_MS)
     assert _drill(hands, shoot) == KEYS[0]
     _check(hands, patient, folder, shoot)
+    expect(hands.see("instruction")).to_contain_text("go on with the next one")
     hands.press("next-wire")
     expect(hands.see("step-drill")).to_have_attribute("aria-current", "step")
     assert _drill(hands, shoot) == KEYS[1]

@@ -12,6 +12,7 @@ from playwright.sync_api import Page, expect
 from tests.app.browser import Server
 from tests.app.clock_app import set_ahead
 from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, rehearsal, truth
+from tests.app.test_screen import wrong
 from tests.systems import needs_posix
 
 from sightline.app.plan.decisions import Decisions
@@ -146,6 +147,7 @@ def _drill(hands: Hands, shoot) -> None:
         hands.press(order)
         hands.see(f"{order}-yes").evaluate("button => { button.click(); button.click() }")  # the second is refused
         expect(hands.see("robot-state")).to_have_attribute("data-state", state.value, timeout=PATIENCE_MS)
+        assert not wrong(hands.page, scrolls=True)
         if state is State.PAUSED:
             _tell_the_second_shot(hands)
     expect(hands.see("drilled")).to_be_visible()
@@ -159,7 +161,7 @@ def _tell_the_second_shot(hands: Hands) -> None:
     """A shot that shows what the robot has, once and known better."""
     expect(hands.see("robot-live")).to_contain_text("± 0.8 mm (zero: plan and contact)")
     expect(hands.see("shot-unmeasured")).to_contain_text("rests on the plan and contact, ± 0.8 mm")
-    depth = hands.see("robot-live").inner_text().split()[1]
+    depth = hands.see("depth").inner_text().split()[0]
     for field, value in (("shot-depth", depth), ("shot-error", "0.3")):
         hands.page.locator(f"input[data-testid={field}], [data-testid={field}] input").fill(value)
     hands.press("tell-shot")
@@ -169,6 +171,7 @@ def _tell_the_second_shot(hands: Hands) -> None:
 
 def _verify(hands: Hands, shoot, folder: Path) -> None:
     hands.step("Verify")
+    hands.until("pa", "core.state.points.get('entry').movable === false")  # what was drilled is not moved by a slip
     hands.press("take-check")
     for view in NAMES:
         hands.until(view, "core.state.layers.get('found')?.shapes.length > 0", timeout_ms=PATIENCE_MS)

@@ -1,6 +1,7 @@
 """The robot as the page has it: one order at a time, and an answer to each even when the link has ended."""
 
 import asyncio
+import threading
 import time
 from collections.abc import Iterator
 
@@ -9,7 +10,7 @@ import pytest
 from tests.robot.rig import ROBOT, SETUP, T_MCS_CFCS, metadata, wire
 from tests.robot.test_depth import Bone
 
-from sightline.app.panels.drill import depth_words
+from sightline.app.panels.drill import reading
 from sightline.app.session.robot_session import RobotNow, RobotSession
 from sightline.app.session.zero import ZeroSource
 from sightline.errors import LinkError, RobotRefusedError
@@ -54,6 +55,49 @@ def test_an_order_after_the_link_has_ended_is_answered(session: RobotSession) ->
     session.close()
     with pytest.raises(LinkError, match="lost"):
         asyncio.run(session.retract())
+
+
+def test_a_motion_is_shown_while_it_lasts(paused: RobotSession) -> None:
+    """The robot's state is not queried meanwhile. Fails where "Paused" is shown while the wire advances."""
+
+    async def drill() -> list[str]:
+        task = asyncio.create_task(paused.drill(State.PAUSED))
+        await asyncio.sleep(0)  # it has begun
+        during = paused.now.phase
+        await task
+        return [during, paused.now.activity]
+
+    assert paused.now.phase == "PAUSED"
+    assert asyncio.run(drill()) == ["DRILL", ""]
+    _until(paused, lambda now: now.phase == "DONE")
+
+
+@pytest.mark.parametrize(
+    ("stops", "raised", "said"),
+    [(True, "told to stop", ""), (False, r"DRILL \(not ready, 13\)", "The robot refused: the door is open.")],
+)
+def test_a_motion_that_a_person_stopped_is_no_refusal(
+    session: RobotSession, stops: bool, raised: str, said: str
+) -> None:
+    """Another refusal is shown with its reason. Fails where the page shows codes, or an error after STOP."""
+    begun, end = threading.Event(), threading.Event()
+
+    def refused(client: RobotClient) -> None:
+        begun.set()
+        assert end.wait(PATIENCE_S)
+        raise RobotRefusedError("the robot refused DRILL (not ready, 13): the door is open", "the door is open")
+
+    async def drill() -> None:
+        task = asyncio.create_task(session._do("drilling", refused))
+        await asyncio.to_thread(begun.wait, PATIENCE_S)
+        if stops:
+            await session.stop()
+        end.set()
+        await task
+
+    with pytest.raises(RobotRefusedError, match=raised):
+        asyncio.run(drill())
+    assert session.now.last_error == said
 
 
 def test_nobody_is_told_of_a_link_that_was_ended_on_purpose() -> None:
@@ -113,16 +157,16 @@ def _until(session: RobotSession, there) -> None:
 @pytest.mark.parametrize(
     ("now", "words"),
     [
-        (RobotNow(), "–"),
-        (RobotNow(depth_mm=3.04), "3.0 mm ± ? (zero: plan)"),
+        (RobotNow(), "Depth – · thrust –"),
+        (RobotNow(depth_mm=3.04), "Depth ± ? (zero: plan) · thrust –"),
         (
             RobotNow(depth_mm=80.0, depth_sd_mm=0.1, zero=(ZeroSource.PLAN, ZeroSource.CONTACT, ZeroSource.SHOT)),
-            "80.0 mm ± 0.2 mm (zero: plan, contact and second shot)",
+            "Depth ± 0.2 mm (zero: plan, contact and second shot) · thrust –",
         ),
     ],
 )
 def test_a_depth_without_an_error_says_so(now: RobotNow, words: str) -> None:
-    assert depth_words(now) == words
+    assert reading(now) == words
 
 
 def test_a_second_shot_is_told_with_its_error_and_counts_once(paused: RobotSession) -> None:
@@ -131,7 +175,7 @@ def test_a_second_shot_is_told_with_its_error_and_counts_once(paused: RobotSessi
     assert paused.now.zero == (ZeroSource.PLAN, ZeroSource.CONTACT)
     assert paused.now.depth_sd_mm == pytest.approx(AT_CONTACT_MM)
     words = f"± {TWO_SIDED_95 * AT_CONTACT_MM:.1f} mm (zero: plan and contact)"
-    assert depth_words(paused.now) == f"{before:.1f} mm {words}"
+    assert words in reading(paused.now)
     shot, error = before + 0.7, 0.5
     asyncio.run(paused.send_shot_depth(shot, error))
     _until(paused, lambda now: ZeroSource.SHOT in now.zero)

@@ -16,6 +16,7 @@ from nicegui.page import page
 from tests.planning import bone
 from tests.planning.standin import stand_in
 
+from sightline.app import texts
 from sightline.app.drawing import shapes
 from sightline.app.drawing.xray.view import Window, XrayPicture, XrayView
 from sightline.app.panels import plan
@@ -271,7 +272,7 @@ def test_a_section_that_fails_says_so_and_holds_no_other_up(opened: Page, error:
     said = opened.sentences()
     assert "the next 1" in said
     assert "half of it" not in said and "in order" not in said
-    assert any(str(error) in text if str(error) else "ZeroDivisionError" in text for text in said)
+    assert any(texts.titled(str(error)) in text if str(error) else "ZeroDivisionError" in text for text in said)
     broken, count = False, 2
     opened.tab.refresh()
     assert {"in order", "the next 2"} <= set(opened.sentences())
@@ -332,7 +333,7 @@ def test_a_layer_that_cannot_be_drawn_is_empty_and_the_others_are_there(
     opened.planning.edit(opened.planning.decisions.with_mark(LANDMARK, Mark({"pa": (9.0, 9.0)})))
     opened.tab.refresh()
     assert _last(opened, "aids") == [] and _last(opened, "wire")
-    assert opened.word("pa")["notice"] == "no outline can be drawn"
+    assert opened.word("pa")["notice"] == "No outline can be drawn"
 
 
 def _last(opened: Page, layer: str) -> list[shapes.Shape]:
@@ -368,7 +369,7 @@ def test_a_drop_that_is_refused_leaves_both_views_as_they_were(opened: Page, mon
         assert opened.told.index((view, "show", opened.of(view, "show")[-1])) < opened.told.index(
             ("pa", "acknowledge", (7,))
         )
-    assert opened.tab.message == "outside the calibrated area"
+    assert opened.tab.message == "Outside the calibrated area"
     assert opened.tab.known is opened.planning.planned
 
 

@@ -399,3 +399,11 @@ test("a thinned polyline keeps its course, its corners and its ends", () => {
   assert.deepEqual(thinned([[1, 2]]), [[1, 2]]);
   assert.deepEqual(thinned([]), []);
 });
+
+test("no text is written over the image's name; fails where the corner is not kept free", () => {
+  const labels = new Labels(() => 60, [400, 300]);
+  labels.keepCorner([120, 40]);
+  assert.equal(labels.write("a point", [[60, 30]]), false);
+  assert.ok(labels.write("a point", [[60, 30], [60, 60]]));
+  assert.deepEqual(labels.texts[0].at, [60, 60]);
+});

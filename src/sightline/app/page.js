@@ -105,11 +105,25 @@ setInterval(() => {
 
 // Each step is an entry of the browser's history: Back goes to the step before, a reload keeps the step. An entry
 // before the first is never shown: going back to it opens the question whether to leave.
+//
+// The entry is made when the page shows the step, not by a message of its own: a reload between both would lose it.
 const LEAVE = "leave";
-// A step's message comes late: a Back that overtook it counts. `before`: the step left, null when the page opens.
-window.sightlineStep = (before, step) => {
+let went = 0; // how often Back and Forward went to another step; the page shows how many of them the program followed
+/** @type {string | null} */
+let shown = null; // the step that the page shows; null until it is built
+const followed = () => Number(document.querySelector("nav")?.dataset.went) === went;
+/** @param {string} step */
+const goTo = (step) => emitEvent("step", step, ++went);
+const followStep = () => {
+  /** @type {HTMLElement | null} */
+  const button = document.querySelector(".step[aria-current=step]");
+  const step = button?.dataset.testid?.replace("step-", "");
+  if (!step) return;
   const at = history.state?.sightline;
-  if (at === step || (at && at !== before)) return;
+  const isFirst = shown === null;
+  shown = step;
+  if (at === step || !followed()) return;
+  if (isFirst && at && at !== LEAVE) return goTo(at); // Back while the page was being built
   if (!at) history.replaceState({ sightline: LEAVE }, "");
   history.pushState({ sightline: step }, "", `?step=${encodeURIComponent(step)}`);
 };
@@ -121,11 +135,7 @@ window.addEventListener("popstate", ({ state }) => {
   if (to === LEAVE) {
     history.forward();
     emitEvent("leave");
-  } else if (to) {
-    /** @type {HTMLButtonElement | null} */
-    const button = document.querySelector(`[data-testid="step-${to}"]`);
-    if (button && button.getAttribute("aria-current") !== "step") button.click();
-  }
+  } else if (to && shown !== null && (to !== shown || !followed())) goTo(to);
 });
 
 // An enlarged image leaves the bar with STOP visible.
@@ -141,6 +151,7 @@ window.addEventListener("DOMContentLoaded", () => {
   const changed = new MutationObserver(() => {
     measure();
     keepFocus();
+    followStep();
   });
-  changed.observe(document.body, { childList: true, subtree: true });
+  changed.observe(document.body, { childList: true, subtree: true, attributeFilter: ["aria-current", "data-went"] });
 });

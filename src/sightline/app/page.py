@@ -38,7 +38,9 @@ def build(site: ServedApp, session: Session, pictures: Pictures, settings: Setti
 
 def _build(site: ServedApp, session: Session, pictures: Pictures, settings: Settings, open_case: OpenCase) -> None:
     ui.add_css(_CSS)
-    ui.add_head_html(f"<script>document.documentElement.lang = {json.dumps(texts.now().tag)};\n{_SCRIPT}</script>")
+    # Quasar's styles, of a check box for example, hold only where the page has a direction.
+    root = f'Object.assign(document.documentElement, {{ lang: {json.dumps(texts.now().tag)}, dir: "ltr" }});'
+    ui.add_head_html(f"<script>{root}\n{_SCRIPT}</script>")
     tab = Tab(session, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
     with ui.element("header").classes("top"):
         top.build(tab)
@@ -65,8 +67,6 @@ def _build(site: ServedApp, session: Session, pictures: Pictures, settings: Sett
     asked = None if request is None else request.query_params.get("step")
     first = ProcedureStep(asked) if asked in list(ProcedureStep) else _first_open(session)
     tab.go_to(first)
-    ui.run_javascript(f"sightlineStep(null, {json.dumps(first)})")
-    tab.on_step = lambda *steps: ui.run_javascript(f"sightlineStep(...{json.dumps(steps)})") and None
 
 
 def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, space: Space) -> None:

@@ -11,7 +11,7 @@ from sightline.case.contents import CheckRequest, DrillShotRequest, PlanRequest
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.views import NAMES, CalibratedImage, stated_view
 from sightline.detection import Detections, Observations
-from sightline.errors import CaseError
+from sightline.errors import CaseError, ImageError
 from sightline.frame import Frame
 from sightline.frame.builtin import BUILTIN
 from sightline.imaging import Radiograph, read_image
@@ -34,7 +34,10 @@ def record_acquired(case: Case, data: bytes, suffix: str, *, by: Actor) -> Entry
     Raises CaseError, ImageError.
     """
     name = case.keep(data, suffix)
-    image = None if suffix == TABLE else read_image(case.original(name))
+    try:
+        image = None if suffix == TABLE else read_image(case.original(name))
+    except ImageError as error:  # a person knows the file by another name than the kept one
+        raise ImageError(str(error).replace(case.original(name).name, "the file")) from error
     return case.record(Kind.ACQUIRED, contents.acquired(name, image), by=by, settings={"frame_index": None})
 
 

@@ -257,8 +257,8 @@ def _sides(
     if found.shaft is not None:
         still["shaft"] = found.shaft.ends_mm.mean(axis=0)
     otherwise = (
-        f"with the frame placed like this it is not a {side} hip, or two points are exchanged: look at both images, "
-        "then give the other side or pick again"
+        f"it is not a {side} hip, or two points are exchanged: look at both images, then give the other side or pick "
+        "again"
     )
     sentence = f"For a {side} hip {{}} must lie below the centre of the head: it lies {{}} it"
     ways = ("below", "above")

@@ -243,8 +243,8 @@ def _beads_near(counts: dict[tuple[str, str], tuple[int, int, int]]) -> Check:
 def _gap_check(name: str, failed: bool, sigma: float, gap_mm: float) -> Check:
     sentence = f"The lines of sight of {name} pass {gap_mm:.2f} mm apart, {sigma:.1f} standard deviations"
     sentence += (
-        "; the picks in the images show different points, the patient moved between the views, or a view is "
-        "wrong: pick again. Arrays of picks must be (view, point, (u, v)), in the order of the views."
+        "; the picks in the images show different points, the patient moved between the views, or a view is wrong: "
+        "pick again."
         if failed
         else "."
     )

@@ -44,7 +44,7 @@ def _views(tab: Tab) -> None:
             rows = [
                 (texts.BEADS_USED, f"{int(left.used.sum())} / {len(left.left_out)}"),
                 (texts.RESIDUAL, f"{left.rms_mm:.3f} mm"),
-                (texts.FOCAL_POINT, ", ".join(f"{x:.0f}" for x in seen.view.focal_point_mm) + " mm"),
+                (texts.FOCAL_POINT, ", ".join(f"{x:.0f}" for x in seen.view.focal_point_mm)),
             ]
             table(("", ""), rows, testid=f"calibration-{name}")
             wrong = failed(seen.view.checks)

@@ -10,7 +10,9 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels import live, markup, shots, wires
 from sightline.app.panels.confirming import confirmed_action
+from sightline.app.panels.menu import save_report
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
+from sightline.app.session.readiness import NO_SERIAL
 from sightline.app.session.zero import ZeroSource
 from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
@@ -22,8 +24,8 @@ if TYPE_CHECKING:
 
 _BEFORE_MM = 10.0  # the bar of the depth begins this far before the entry point [ours]
 _DEPTH = (
-    '<div class="depth" data-testid="depth"><div class="depth-value">{}</div><div class="depth-bar" aria-hidden="true">'
-    '<i style="width:{}%"></i>{}</div><div class="depth-marks">{}</div></div>'
+    '<div class="depth" data-testid="depth"><div class="depth-value">{} <small>{}</small></div>'
+    '<div class="depth-bar" aria-hidden="true"><i style="width:{}%"></i>{}</div><div class="depth-marks">{}</div></div>'
 )
 _PLOT_PX = 400.0  # about the panel's width, so that its text is as large as the panel's [ours]
 _LIVE_S = 0.2  # update period of the robot's readings [ours]
@@ -113,18 +115,18 @@ def _robot(tab: Tab) -> None:
 def _state(tab: Tab) -> None:
     now = tab.session.drilling.now
     assert now is not None  # noqa: S101
-    with ui.element("div").classes("robot-state").props(f"data-testid=robot-state data-state={now.state} role=status"):
-        ui.label(texts.STATES.get(now.state, texts.STATE_UNKNOWN)).classes("state-word")
+    with ui.element("div").classes("robot-state").props(f"data-testid=robot-state data-state={now.phase} role=status"):
+        ui.label(texts.STATES.get(now.phase, texts.STATE_UNKNOWN)).classes("state-word")
     if now.last_error:
         note(now.last_error, kind="bad", testid="robot-said")
     bar = put(_depth(tab))
-    reading = ui.label().classes("note quiet").props("data-testid=robot-live")
+    said = ui.label().classes("note quiet").props("data-testid=robot-live")
 
     def tell() -> None:
         at = tab.session.drilling.now
         if at is not None:
             bar.set_content(_depth(tab))
-            reading.set_text(texts.READING.format(depth=depth_words(at), force=_force_words(at)))
+            said.set_text(reading(at))
             tab.show_views()  # the wire fills along the plan
 
     tell()
@@ -157,7 +159,8 @@ def _depth(tab: Tab) -> Markup:
     depth = now.depth_mm
     return markup.filled(
         _DEPTH,
-        "–" if depth is None else texts.DEPTHS[depth < 0.0].format(value=abs(depth)),
+        "–" if depth is None else texts.DEPTH.format(value=abs(depth)),
+        "" if depth is None else texts.DEPTH_SIDES[depth < 0.0],
         percent(low if depth is None else depth),
         markup.joined(*ticks),
         markup.joined(*rows),
@@ -168,11 +171,10 @@ def _force_words(now: "RobotNow") -> str:
     return "–" if now.force_n is None else f"{max(now.force_n, 0.0):.1f} N"
 
 
-def depth_words(now: "RobotNow") -> str:
-    """Return the depth with its 95 % error and the source of its zero, as text."""
-    if now.depth_mm is None:
-        return "–"
-    return texts.READING_DEPTH.format(value=now.depth_mm, error=_error_words(now), zero=_zero_words(now))
+def reading(now: "RobotNow") -> str:
+    """Return the 95 % error of the depth with the source of its zero, and the thrust, as text."""
+    depth = "–" if now.depth_mm is None else texts.READING_DEPTH.format(error=_error_words(now), zero=_zero_words(now))
+    return texts.READING.format(depth=depth, force=_force_words(now))
 
 
 def _error_words(now: "RobotNow") -> str:
@@ -188,6 +190,11 @@ def build_next(tab: Tab) -> None:
     """Build the one button for what comes next; each motion needs a person's confirmation."""
     planning, drilling = tab.planning, tab.session.drilling
     session, now = drilling.session, drilling.now
+    if planning.patient is None:  # a person's own images, without a robot
+        save = tab.doing(lambda: save_report(tab))
+        made = planning.planned is not None and planning.planned.plan is not None
+        action(texts.REPORT, save, testid="save-report", kind="primary", enabled=made)
+        return
     if now is None or now.lost or session is None:
         _start(tab, "primary")
         return
@@ -235,7 +242,7 @@ def _start(tab: Tab, kind: str) -> None:
 
 def _send(tab: Tab, *, enabled: bool) -> None:
     planning, drilling = tab.planning, tab.session.drilling
-    known, side = planning.planned, planning.decisions.side
+    known, side, serial = planning.planned, planning.decisions.side, planning.decisions.serial
     if known is None or known.plan is None or side is None or not tab.session.readiness.can_send:
         action(texts.SEND, lambda: None, testid="send", kind="primary", enabled=False)
         return
@@ -243,7 +250,7 @@ def _send(tab: Tab, *, enabled: bool) -> None:
         robot=texts.ROBOT_NAMES[planning.patient is not None],
         length=known.plan.trajectory.length_mm,
         side=texts.SIDE_WORDS[side],
-        serial=planning.decisions.serial,
+        frame=texts.SEND_FRAME[serial != NO_SERIAL].format(serial=serial),
     )
     confirmed_action(
         tab, texts.SEND, texts.SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=enabled

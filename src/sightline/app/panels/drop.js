@@ -44,7 +44,7 @@ const drop = {
       <template v-for="(target, i) in targets" :key="'in-' + target.address">
         <teleport v-if="asks(i)" :to="'#' + target.box">
           <div :class="['drop-in', states[target.label]]" :data-testid="'drop-in-' + target.label">
-            <div v-if="states[target.label] === 'empty'" class="drop-word">{{ texts.here.replace("{image}", target.label) }}</div>
+            <div v-if="states[target.label] === 'empty'" class="drop-word">{{ texts.here.replace("{image}", names[target.label] ?? target.label) }}</div>
             <div v-if="failed === i" class="drop-bad" role="alert">{{ message }}</div>
             <div v-if="states[target.label] === 'empty'" class="drop-or">{{ texts.or }}</div>
             <button type="button" class="action primary" @click="$refs.inputs[i].click()">
@@ -65,6 +65,7 @@ const drop = {
     ready: false,
     told: false,
     states: {},
+    names: {},
     dragging: false,
     over: null,
     busy: null,
@@ -99,9 +100,10 @@ const drop = {
   },
   methods: {
     // What each target shows now: empty, here or failed; files for others are not taken.
-    tell(states) {
+    tell(states, names) {
       this.told = true;
       this.states = states;
+      this.names = names;
     },
     // A target says in its box that it wants an image: it has none, or one that failed.
     asks(i) {
@@ -157,7 +159,7 @@ const drop = {
       const refusal = await send(file, this.targets[target].address, onProgress, this.texts);
       this.busy = null;
       this.failed = refusal ? target : null;
-      this.say(refusal ? `${file.name}: ${refusal}` : file.name, Boolean(refusal));
+      this.say(refusal ? `${file.name}: ${refusal}` : "", Boolean(refusal));
     },
     say(message, bad) {
       this.message = message;

@@ -21,6 +21,7 @@ _FIGURE = (
     '<div class="figure-limit">{}</div></div>'
 )
 _BAR = '<div class="figure-bar" aria-hidden="true"><i style="width:{}%"></i><b style="left:{}%"></b></div>'
+_NO_BAR = Markup('<div class="figure-bar" aria-hidden="true"></div>')  # while the limit is not known
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def _filled(figure: _Figure, check: Check | None) -> _Figure:
 def _html(figure: _Figure) -> Markup:
     name, value, limit = texts.FIGURES[figure.name], figure.value, figure.limit
     if value is None or limit is None:
-        bar = markup.filled(_BAR, 0, 100 if limit is None else f"{100 / _ROOM:.0f}")
+        bar = markup.filled(_BAR, 0, f"{100 / _ROOM:.0f}") if limit is not None else _NO_BAR
         said = "" if limit is None else texts.FIGURE_AT_MOST.format(limit=_number(limit, figure.unit))
         return markup.filled(_FIGURE, "open", name, "–", "", bar, said)
     whole = _ROOM * max(abs(value), abs(limit), 1e-9)

@@ -28,30 +28,41 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
                 await put(upload)
 
         async def put(upload: Upload) -> None:
-            taken_for = {ProcedureStep.DRILL: "shot-", ProcedureStep.VERIFY: "check-"}.get(tab.step, "")
+            taken_for = _taken_for(tab)
             if taken_for and view == OBLIQUE:
                 raise UnusableInputError(texts.CHECK_TAKES_TWO)
             image = f"{taken_for}{view}"
+            tab.say("")  # what was said of the image before
             where = await tab.planning.take(upload.data, upload.suffix, image=image)
             if where != image:
-                tab.say(texts.PUT_WHERE_IT_BELONGS.format(image=texts.IMAGE_LABELS[where]))
+                tab.say(texts.PUT_WHERE_IT_BELONGS.format(image=texts.IMAGE_NAMES[where]), good=True)
 
         return take
 
     slots = {name: texts.DROP_LABELS[name] for name in tab.planning.slots}
     taken_in = {label: boxes[name != NAMES[0]] for name, label in slots.items()}
     zone = DropZone(site.uploads, {label: taker(name) for name, label in slots.items()}, taken_in)
-    told: dict[str, str] | None = None
+    told: tuple[dict[str, str], dict[str, str]] | None = None
 
     def show() -> None:
         nonlocal told
         states = {slots[name]: state for name, state in _wanted(tab).items()}
-        if states != told:
-            told = states
-            zone.tell(states)
+        names = {
+            slots[name]: texts.IMAGE_NAMES[_taken_for(tab) + name]
+            for name in slots
+            if _taken_for(tab) + name in texts.IMAGE_NAMES
+        }
+        if (states, names) != told:
+            told = states, names
+            zone.tell(*told)
 
     tab.on_refresh.append(show)
     show()
+
+
+def _taken_for(tab: Tab) -> str:
+    """Return what the names of the images that the step takes begin with."""
+    return {ProcedureStep.DRILL: "shot-", ProcedureStep.VERIFY: "check-"}.get(tab.step, "")
 
 
 def _wanted(tab: Tab) -> dict[str, str]:
@@ -72,7 +83,9 @@ def build_side(tab: Tab) -> None:
 
 
 def _asks_side(tab: Tab) -> bool:
-    return tab.step is ProcedureStep.IMAGES and all(tab.planning.seen(name) is not None for name in NAMES)
+    return tab.step is ProcedureStep.IMAGES and all(
+        seen is not None and not seen.refused for seen in map(tab.planning.seen, NAMES)
+    )
 
 
 def build(tab: Tab) -> None:
@@ -92,7 +105,7 @@ def build_details(tab: Tab) -> None:
 
 def _orientation(tab: Tab) -> None:
     side = tab.planning.decisions.side
-    if side is not None:
+    if side is not None and tab.planning.frame.solid is None:  # a block says nothing of the patient
         note(texts.ORIENTATION[side], testid="orientation")
 
 
@@ -131,6 +144,8 @@ def _images(tab: Tab) -> None:
         height, width = seen.image.shape
         said = texts.IMAGE_SIZE if seen.beads is None else texts.IMAGE_BEADS
         beads = 0 if seen.beads is None else len(seen.beads)
+        if seen.view is not None:  # with those that were found by their predicted positions
+            beads = int(seen.view.residuals.used.sum()) + len(seen.view.residuals.left_out)
         told = said.format(image=texts.IMAGE_LABELS[name], width=width, height=height, beads=beads)
         note(told, kind="bad" if seen.refused else "good")
         if seen.refused:

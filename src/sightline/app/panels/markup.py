@@ -95,7 +95,16 @@ def _check(check: Check, language: texts.Language) -> Markup:
 
 
 def _figure(check: Check) -> str:
+    """Return the value of a check with its limit, as text."""
     if check.figure is None:
         return ""
-    limit = "" if check.limit is None else f" / {check.limit:.3g}"
-    return f"{check.figure:.3g}{limit} {texts.word(check.unit)}".strip()
+    value = _quantity(check.figure, check.unit)
+    if check.limit is None:
+        return value
+    most = (check.figure <= check.limit) == check.passed
+    limit = (texts.FIGURE_AT_MOST if most else texts.FIGURE_AT_LEAST).format(limit=_quantity(check.limit, check.unit))
+    return f"{value}, {limit}"
+
+
+def _quantity(value: float, unit: str) -> str:
+    return f"{value:.3g}{'' if unit == '°' else ' '}{texts.word(unit)}".strip()

@@ -153,9 +153,16 @@ def _nail(tab: Tab) -> None:
     ui.select(names, value=shown, on_change=choose).classes("kind").props(
         f'dense options-dense data-testid=nail aria-label="{texts.NAIL_FIELD}"'
     )
-    if (own := tab.planning.implanted) is not None and chosen != own:
-        named = next((file.name for file in files.values() if file.nail == own), texts.NAIL_SIZE.format(**vars(own)))
+    if chosen is not None and (named := _implanted(tab)) and chosen != tab.planning.implanted:
         note(texts.NAIL_IMPLANTED.format(name=named), kind="quiet", testid="nail-implanted")
+
+
+def _implanted(tab: Tab) -> str:
+    """Return the name of the simulated patient's nail; empty without one."""
+    own = tab.planning.implanted
+    if own is None:
+        return ""
+    return next((one.name for one in known_nails().values() if one.nail == own), texts.NAIL_SIZE.format(**vars(own)))
 
 
 def _snapping(tab: Tab) -> None:
@@ -327,5 +334,6 @@ def instruction(tab: Tab) -> tuple[str, str, str] | None:
     sentence = texts.word(spec.sentence)
     said = where.format(point=texts.word(spec.label), sentence=sentence[:1].lower() + sentence[1:])
     if number == 1 and spec.group == "wire" and kind_of(decisions.kind).document.through_holes:
-        said = texts.NAIL_FIRST.format(said=said)
+        named = _implanted(tab)
+        said = texts.NAIL_FIRST_OF.format(name=named, said=said) if named else texts.NAIL_FIRST.format(said=said)
     return texts.COUNTER.format(number=number, count=count), texts.IN_IMAGE[goal.image], said

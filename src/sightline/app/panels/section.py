@@ -104,7 +104,8 @@ class PersistentSection(_Part):
         super().__init__(tab, key, box)
 
     def _fill(self, refused: str) -> None:
-        self._tab.message = refused or failure_of(self._update) or self._tab.message
+        if why := refused or failure_of(self._update):
+            self._tab.message, self._tab.is_good = why, False
 
 
 class HtmlSection(_Part):

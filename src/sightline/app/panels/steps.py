@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from sightline.app import texts
+from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.plan.planner import Planned
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
@@ -11,6 +12,7 @@ from sightline.app.session.session import Session
 from sightline.app.tab.step import ProcedureStep
 from sightline.case.views import NAMES
 from sightline.checks import failed
+from sightline.planning.results import Verdict
 from sightline.robot.control.states import State
 
 
@@ -51,6 +53,11 @@ def _present(planning: Planning) -> list[SeenImage]:
     return [seen for seen in map(planning.seen, planning.slots) if seen is not None]
 
 
+def _is_refused(planning: Planning, image: str) -> bool:
+    seen = planning.seen(image)
+    return seen is not None and bool(seen.refused)
+
+
 def _images(session: Session) -> _Found:
     planning, working = session.planning, session.jobs.working
     decisions = planning.decisions
@@ -59,16 +66,25 @@ def _images(session: Session) -> _Found:
         return StepStatus.OPEN, texts.DOING.format(doing=texts.titled(texts.word(working)))
     if missing:
         return StepStatus.OPEN, texts.DROP_MISSING.format(
-            images=texts.DROP_AND.join(texts.IMAGE_LABELS[name] for name in missing)
+            images=texts.DROP_AND.join(texts.IMAGE_NAMES[name] for name in missing)
         )
+    left = _left_of_images(session)
+    return (StepStatus.ATTENTION, left) if left else (StepStatus.DONE, texts.IMAGES_DONE)
+
+
+def _left_of_images(session: Session) -> str:
+    """Return what is left to do with loaded images; empty if nothing."""
+    planning = session.planning
+    decisions, asked = planning.decisions, planning.asks_mirrored
+    if refused := [texts.IMAGE_NAMES[name] for name in NAMES if _is_refused(planning, name)]:
+        return texts.LOAD_ANOTHER.format(image=refused[0])
     if decisions.side is None or decisions.serial is None:
-        return StepStatus.ATTENTION, texts.CONFIRM_BOTH
+        return texts.CONFIRM_BOTH
     if any(session.age.taken_at(seen) is None for seen in _present(planning)):
-        return StepStatus.ATTENTION, texts.STATE_WHEN_TAKEN
-    asked = planning.asks_mirrored
+        return texts.STATE_WHEN_TAKEN
     if asked and not any(decisions.images[name] in decisions.mirrored for name in asked):
-        return StepStatus.ATTENTION, texts.STATE_WHETHER_MIRRORED
-    return StepStatus.DONE, texts.IMAGES_DONE
+        return texts.STATE_WHETHER_MIRRORED
+    return ""
 
 
 def _calibrate(planning: Planning) -> _Found:
@@ -102,9 +118,15 @@ def _plan(session: Session) -> _Found:
         wire = [spec for spec in decisions.specs if spec.group in ("wire", "nail")]
         left = [texts.word(spec.label) for spec in wire if not decisions.complete([spec.name])]
         return StepStatus.OPEN, texts.PLACE_WIRE.format(points=", ".join(left))
-    verdict = session.readiness.verdict
+    return judged(session.readiness.verdict)
+
+
+def judged(verdict: Verdict | None) -> _Found:
+    """Return the status by the checks: what is not placed is left to do, only a check that failed needs attention."""
     wrong = [] if verdict is None else sorted(failed(verdict.checks), key=lambda one: one in verdict.unmade)
-    return (StepStatus.ATTENTION, texts.said(wrong[0])) if wrong else (StepStatus.DONE, texts.PLAN_DONE)
+    if verdict is None or not wrong:
+        return StepStatus.DONE, texts.PLAN_DONE
+    return StepStatus.OPEN if wrong[0] in verdict.unmade else StepStatus.ATTENTION, texts.said(wrong[0])
 
 
 def refusals(known: Planned) -> tuple[str, ...]:
@@ -120,15 +142,30 @@ def _drill(session: Session) -> _Found:
         return StepStatus.DONE, texts.DRILL_DONE
     if now is not None and (now.lost or now.fault or now.last_error):
         return StepStatus.ATTENTION, now.last_error or now.text or texts.LINK_LOST
+    if session.drilling.changed == texts.CHANGED_AFTER_SENDING:
+        return StepStatus.ATTENTION, texts.CHANGED_AFTER_SENDING
     if now is not None and planning.sent is not None and now.state != State.UNDEFINED.value:
-        return StepStatus.OPEN, texts.ROBOT_IN.format(state=texts.STATES.get(now.state, texts.STATE_UNKNOWN))
+        state = texts.ROBOT_IN.format(state=texts.STATES.get(now.phase, texts.STATE_UNKNOWN))
+        return StepStatus.OPEN, texts.ROBOT_NEXT.get(now.phase, state)
+    return _send(session, linked=now is not None and not now.lost)
+
+
+def _send(session: Session, *, linked: bool) -> _Found:
     if not session.readiness.can_send:
         return StepStatus.BLOCKED, texts.ONLY_GO
-    return StepStatus.OPEN, texts.CAN_SEND
+    if session.planning.patient is None:
+        return StepStatus.BLOCKED, texts.NO_ROBOT_IN_IMAGES
+    return StepStatus.OPEN, texts.CAN_SEND if linked else texts.CAN_START
+
+
+def missing_again(planning: Planning) -> list[str]:
+    """Return the labels of the plan's landmarks that are not found again in both check images."""
+    mark = planning.decisions.mark
+    return [texts.word(one.label) for one in planning.landmarks if not mark(one.name).complete(CHECK_NAMES)]
 
 
 def _verify(session: Session) -> _Found:
-    verifying, kinds = session.verifying, session.planning.kinds
+    planning, verifying, kinds = session.planning, session.verifying, session.planning.kinds
     refused = [verifying.refusals[kind] for kind in kinds if kind in verifying.refusals]
     if refused:
         return StepStatus.ATTENTION, refused[0]
@@ -136,9 +173,11 @@ def _verify(session: Session) -> _Found:
     if shots:
         wrong = failed((*(check for one in shots for check in one.checks), *verifying.relations()))
         if wrong:
-            return StepStatus.ATTENTION, texts.said(wrong[0])
+            return StepStatus.OPEN if missing_again(planning) else StepStatus.ATTENTION, texts.said(wrong[0])
         if len(shots) == len(kinds):
             return StepStatus.DONE, texts.VERIFIED
-    if not session.planning.all_sent:
+        if verifying.shot is not None:
+            return StepStatus.OPEN, texts.GO_ON_VERIFYING
+    if not planning.all_sent:
         return StepStatus.BLOCKED, texts.NOT_DRILLED
     return StepStatus.OPEN, texts.TAKE_TWO_MORE

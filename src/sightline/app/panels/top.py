@@ -21,14 +21,25 @@ _EXPIRING_S = 120.0  # time left that is marked [ours]
 def build(tab: Tab) -> None:
     """Build the row."""
     with ui.element("div").classes("guide"):
-        with ui.element("nav").props(f'aria-label="{texts.STEPS_LABEL}"'):
+        with ui.element("nav").props(f'aria-label="{texts.STEPS_LABEL}" data-went=0') as nav:
             PersistentSection(tab, lambda t: (steps(t.session), t.step), _steps, classes="steps")
         with ui.element("div").classes("say").props("role=status"):
             HtmlSection(tab, _said, _say)
+    ui.on("step", lambda event: _follow(tab, nav, event.args))
     with ui.element("div").classes("tools"):
         _time(tab)
         PersistentSection(tab, _history, _undo, classes="undo")
         PersistentSection(tab, _link, _stop, classes="stop-box")
+
+
+def _follow(tab: Tab, nav: ui.element, told: object) -> None:
+    """Go to the step of the browser's history; `told`: the step, and how often the history was used (page.js)."""
+    match told:
+        case [str(step), int(went)] if step in list(ProcedureStep):
+            nav.props(f"data-went={went}")
+            tab.go_to(ProcedureStep(step))
+        case _:
+            pass
 
 
 def _steps(tab: Tab) -> Callable[[], None]:
@@ -50,14 +61,16 @@ def _steps(tab: Tab) -> Callable[[], None]:
 
 
 def _said(tab: Tab) -> Hashable:
-    return tab.message, tab.goal, tab.progress, None if tab.goal else _reason(tab)
+    return tab.message, tab.is_good, tab.goal, tab.progress, None if tab.goal else _reason(tab)
 
 
 def _say(tab: Tab) -> Markup:
     """Return the message, or else the next instruction: to place a point, or what the step waits for."""
     if tab.message:
         return markup.filled(
-            '<div class="message {}"{} role="alert" data-testid="message">{}</div>', *_sized(tab.message)
+            '<div class="message {} {}"{} role="alert" data-testid="message">{}</div>',
+            "good" if tab.is_good else "",
+            *_sized(tab.message),
         )
     told = plan.instruction(tab)
     if told is None:

@@ -26,6 +26,8 @@ export interface Data {
   ready: boolean;
   told: boolean;
   states: Record<string, State>;
+  /** Of their images, as in a sentence. */
+  names: Record<string, string>;
   dragging: boolean;
   over: Target | null;
   /** The target that a file is sent to now, or that refused the last one. */
@@ -38,7 +40,7 @@ export interface Data {
 }
 
 export interface Methods {
-  tell(states: Record<string, State>): void;
+  tell(states: Record<string, State>, names: Record<string, string>): void;
   asks(i: number): boolean;
   place(target: Target): string;
   dragged(event: DragEvent): void;

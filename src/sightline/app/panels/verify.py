@@ -9,6 +9,7 @@ from sightline.app import texts
 from sightline.app.panels import markup, wires
 from sightline.app.panels.menu import save_report
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
+from sightline.app.panels.steps import missing_again
 from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.tab.tab import Tab
 from sightline.checks import failed
@@ -58,7 +59,7 @@ def build_next(tab: Tab) -> None:
         take = tab.doing(verifying.take_rehearsed)
         enabled = bool(planning.all_drilled) and not jobs.working
         action(texts.TAKE_CHECK, take, testid="take-check", kind="primary", enabled=enabled)
-    elif all(planning.seen(name) for name in CHECK_NAMES) and _missing(tab):
+    elif all(planning.seen(name) for name in CHECK_NAMES) and missing_again(tab.planning):
         place = partial(tab.place, planning.landmarks, CHECK_NAMES)
         action(texts.PLACE_LANDMARKS, place, testid="place-check", kind="primary")
     elif verifying.shot is not None and verifying.shot.passed and wires.following(tab) is not None:
@@ -105,13 +106,7 @@ def _landmarks(tab: Tab) -> None:
         label = texts.word(spec.label)
         point = label if planned else texts.NOT_IN_PLAN.format(point=label)
         placed = decisions.mark(spec.name).complete(CHECK_NAMES)
-        note(f"{'●' if placed else '○'} {point}", kind="good" if placed else "quiet")
-
-
-def _missing(tab: Tab) -> list[str]:
-    """Return the landmarks of the plan that are not found again."""
-    mark = tab.planning.decisions.mark
-    return [texts.word(one.label) for one in tab.planning.landmarks if not mark(one.name).complete(CHECK_NAMES)]
+        note(point if placed else f"○ {point}", kind="good" if placed else "quiet")
 
 
 def _result(tab: Tab) -> None:
@@ -121,7 +116,7 @@ def _result(tab: Tab) -> None:
     shot = verifying.shot
     if shot is None:
         return
-    wrong, missing = failed(shot.checks), _missing(tab)
+    wrong, missing = failed(shot.checks), missing_again(tab.planning)
     if wrong and missing:
         told = texts.LEFT.format(what=", ".join(missing))
         put(markup.card("incomplete", texts.VERDICTS["incomplete"], told, testid="check-verdict"))

@@ -4,12 +4,17 @@ import traceback
 from collections.abc import Callable
 
 from sightline.app import texts
-from sightline.errors import SightlineError
+from sightline.errors import RobotRefusedError, SightlineError
 
 
 def sentence_of(error: Exception) -> str:
-    """Return the message for an error: its own sentence, or for a defect that something in Sightline failed."""
-    return str(error) if isinstance(error, SightlineError) else texts.BUG.format(kind=type(error).__name__)
+    """Return the message for an error: its own sentence, of a robot's refusal the reason without codes, or for a defect
+    that something in Sightline failed."""
+    if isinstance(error, RobotRefusedError) and error.reason:
+        return texts.ROBOT_REFUSED.format(why=error.reason)
+    return (
+        texts.titled(str(error)) if isinstance(error, SightlineError) else texts.BUG.format(kind=type(error).__name__)
+    )
 
 
 def report(error: Exception) -> str:

@@ -7,6 +7,8 @@ from sightline.checks import Check
 from sightline.planning.results import Verdict
 from sightline.robot.kinematics.target import LIFETIME_S
 
+NO_SERIAL = "none"  # what a person types where the frame has none
+
 
 class Readiness:
     """The verdict on the plan of a case."""
@@ -55,7 +57,7 @@ class Readiness:
                 None,
                 None,
                 "",
-                f"A person confirmed on the images that this is a {side} hip."
+                f"A person confirmed on the images that this is the {side} side."
                 if side
                 else "Look at both images and confirm the patient's side, on the step Images.",
             ),
@@ -65,7 +67,7 @@ class Readiness:
                 None,
                 None,
                 "",
-                f"A person read the serial {serial} on the frame."
+                _serial_sentence(serial)
                 if serial
                 else "Read the serial on the frame that the robot holds and confirm it, on the step Images.",
             ),
@@ -78,6 +80,12 @@ class Readiness:
                 _age_sentence(age_s, fresh=fresh, drilled=drilled_s is not None),
             ),
         ]
+
+
+def _serial_sentence(serial: str) -> str:
+    if serial == NO_SERIAL:
+        return "A person confirmed that the frame has no serial."
+    return f"A person read the serial {serial} on the frame."
 
 
 def _age_sentence(age_s: float | None, *, fresh: bool, drilled: bool) -> str:

@@ -32,8 +32,10 @@ from sightline.robot.link.simulated import SimulatedWire
 T = TypeVar("T")
 _STATUS_EVERY_S = 0.25  # [ours]
 _STOPS = 4  # STOPs that may be in progress at once; a further press waits for one of them [ours]
+_STOPPED = "the robot was told to stop: align again, or retract the wire"
 _IDLE_S = 0.02  # polling period of the command queue
 _NOTIFIED = ("state", "fault", "activity", "last_error", "lost", "zero")  # notify pages; they poll the rest
+_MOTIONS = {"aligning": State.ALIGN, "drilling": State.DRILL, "retracting": State.RETRACT}  # by activity
 _MAX_SIGMA = 3.0  # largest difference in combined standard deviations; three in a thousand shots exceed it [ours]
 
 
@@ -55,6 +57,12 @@ class RobotNow:
     force_n: float | None = None
     joints: np.ndarray | None = None
     lost: bool = False
+
+    @property
+    def phase(self) -> str:
+        """What the robot is doing, as a state: during a motion that one, because its state is not queried meanwhile."""
+        motion = _MOTIONS.get(self.activity)
+        return self.state if motion is None else motion.value
 
 
 _Command = tuple[Callable[[RobotClient], Any], Future[Any]]  # what to do, and where its result goes
@@ -81,6 +89,7 @@ class RobotSession:
         self._end = threading.Event()
         self._lock = threading.Lock()  # for `now` and `_over`, which this thread and the link's replace
         self._over = False  # commands are no longer carried out
+        self._told_to_stop = False  # since the last command
         self._stops = ThreadPoolExecutor(_STOPS, "stop")  # threads of its own, so that STOP waits for no other work
         self._client = RobotClient(port=port, heartbeat=heartbeat)
         self._client.listeners.append(self._heard)
@@ -193,10 +202,11 @@ class RobotSession:
 
     async def stop(self) -> None:
         """Stop at once; waiting commands are dropped. Raises LinkError."""
-        self._drop_commands("the robot was told to stop")
+        self._drop_commands(_STOPPED)
         with self._lock:
             if self._over:
                 raise LinkError("use the red button: the link to the robot is lost, so STOP does not reach it")
+            self._told_to_stop = True
             stopping = self._stops.submit(self._client.stop)
         await asyncio.wrap_future(stopping)
 
@@ -206,7 +216,12 @@ class RobotSession:
         try:
             return await asyncio.wrap_future(future)
         except SightlineError as error:
-            self._put(last_error=str(error))
+            if self._told_to_stop and isinstance(
+                error, RobotRefusedError
+            ):  # what the robot says of it is a refusal of the motion
+                self._put(last_error="")
+                raise RobotRefusedError(_STOPPED) from error
+            self._put(last_error=sentence_of(error))
             raise
         finally:
             self._put(activity="")
@@ -224,6 +239,7 @@ class RobotSession:
                     f"check the robot and confirm again: it is now in {now.state}, no longer in {since.value}"
                 )
             self.now = replace(now, activity=activity, last_error="")
+            self._told_to_stop = False
             self._commands.put(queued)
         self._notify()
 

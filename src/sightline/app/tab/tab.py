@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 
 class Tab:
-    """State of one page, in the language it is built in. `message`: a sentence for the person, empty for none.
-    `on_refresh`: called to update the parts beside the views; `on_drag`: those of them that follow a drag. `on_step`:
-    called with the step before and the new one.
+    """State of one page, in the language it is built in. `message`: a sentence for the person, empty for none;
+    `is_good`: it is good news.
+    `on_refresh`: called to update the parts beside the views; `on_drag`: those of them that follow a drag.
     """
 
     def __init__(
@@ -42,10 +42,9 @@ class Tab:
         self.dragging = Dragging(self.planning)
         self._placing = Placing(self.planning, session.shots)
         self.language = texts.now()
-        self.step, self.message = ProcedureStep.IMAGES, ""
+        self.step, self.message, self.is_good = ProcedureStep.IMAGES, "", False
         self.on_refresh: list[Callable[[], None]] = []
         self.on_drag: list[Callable[[], None]] = []
-        self.on_step: Callable[[ProcedureStep, ProcedureStep], None] = lambda before, step: None
         self._waiting = False
         self._ruled: dict[XrayView, tuple[str | None, object, Clicks]] = {}  # by view: image, its picture, clicks
 
@@ -73,12 +72,11 @@ class Tab:
 
     def go_to(self, step: ProcedureStep) -> None:
         """Go to another step; nothing is lost."""
-        before, self.step, self.message = self.step, step, ""
+        self.step, self.message = step, ""
         self.views.watched = None
         # On later steps they would hide the bone.
         self.views.show_beads = step in (ProcedureStep.IMAGES, ProcedureStep.CALIBRATE)
         self._placing.begin_step()
-        self.on_step(before, step)
         self.refresh()
 
     def show_live(self, watched: "Watched | None") -> None:
@@ -90,9 +88,9 @@ class Tab:
         elif ended:
             self.refresh()
 
-    def say(self, text: str) -> None:
-        """Show a message; an empty one removes it."""
-        self.message = text
+    def say(self, text: str, *, good: bool = False) -> None:
+        """Show a message; an empty one removes it. `good`: it is good news."""
+        self.message, self.is_good = text, good
         self.refresh()
 
     def later(self) -> None:
@@ -114,7 +112,7 @@ class Tab:
             self.show_views()
             refused = [why for why in map(failure_of, list(parts)) if why]
         if refused and not self.message:
-            self.message = refused[0]
+            self.message, self.is_good = refused[0], False
             self.later()
 
     def show_views(self) -> None:
@@ -138,7 +136,7 @@ class Tab:
                 if pending is not None:
                     await pending
             except Exception as error:
-                self.message = report(error)
+                self.message, self.is_good = report(error), False
         self.refresh()
 
     async def choose_kind(self, kind: str) -> None:

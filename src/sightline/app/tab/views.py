@@ -78,7 +78,9 @@ class Views:
 
     def _images(self, step: ProcedureStep) -> tuple[str, str]:
         """Return the names of the images in the two views."""
-        if step is ProcedureStep.VERIFY and self._planning.seen(CHECK_NAMES[0]):
+        # Of a simulated patient the images of the plan are shown until the check images are taken.
+        taken = any(map(self._planning.seen, CHECK_NAMES)) or self._planning.patient is None
+        if step is ProcedureStep.VERIFY and taken:
             return CHECK_NAMES
         if step is ProcedureStep.DRILL and self._session.shots.shown:
             return SHOT_NAMES
@@ -189,6 +191,13 @@ def _display(chosen: Display, head: int | None, window: Window) -> XrayDisplay:
     return XrayDisplay(turned, chosen.mirrored, chosen.inverted, window)
 
 
+def _is_editable(image: str, step: ProcedureStep) -> bool:
+    """Return True if points in an image can be moved on a step: those of the plan only while planning."""
+    if image in SHOT_NAMES:
+        return True
+    return step is (ProcedureStep.VERIFY if image in CHECK_NAMES else ProcedureStep.PLAN)
+
+
 def _points(image: str, step: ProcedureStep, specs: tuple[MarkSpec, ...], decisions: Decisions) -> list[dict[str, Any]]:
     """Return the points of an image, placed or not, as JSON types."""
     out = []
@@ -202,7 +211,7 @@ def _points(image: str, step: ProcedureStep, specs: tuple[MarkSpec, ...], decisi
                 "label": texts.word(spec.label),
                 "uv": mark.at(image),
                 "style": {"wire": spec.of, "guide": "aid", "nail": "aid", "robot": "aid"}.get(spec.group, spec.group),
-                "movable": step in (ProcedureStep.PLAN, ProcedureStep.VERIFY) or image in SHOT_NAMES,
+                "movable": _is_editable(image, step),
                 "snapped": on_curve and not mark.free,
                 "slides": on_curve and decisions.snapping and mark.at(NAMES[0]) is not None,
             }

@@ -10,6 +10,9 @@ IMAGE_LABELS = {
     "shot-pa": "PA shot",
     "shot-lateral": "Lateral shot",
 }
+IMAGE_NAMES = {
+    name: label.replace("Lateral", "lateral").replace("Oblique", "oblique") for name, label in IMAGE_LABELS.items()
+}
 DROP_HERE = "Drop the {image} here"
 DROP_OR = "or"
 DROP_CHOOSE = "Choose a file"
@@ -73,7 +76,7 @@ SPACE_TEXTS = {
 }
 SPACE_FOCUS = "focal point, {view}"
 SPACE_ERROR_UNKNOWN = "the error of the wire's ends is unknown"
-SPACE_ELLIPSOIDS = "ellipsoids hold 95 % of the error of entry and tip, {times:g} times as large"
+SPACE_ELLIPSOIDS = "Ellipsoids hold 95 % of the error of entry and tip, {times:g} times as large"
 SPACE_GROUPS = {
     "frame": "frame",
     "views": "focal points and images",
@@ -89,6 +92,7 @@ SPACE_GROUPS = {
 # The steps, with the reason for each status.
 DOING = "{doing}."
 DROP_MISSING = "Drop the {images} onto the page."
+LOAD_ANOTHER = "Load another {image}: this one cannot be used."
 CONFIRM_BOTH = "Confirm the patient's side and the frame's serial."
 STATE_WHETHER_MIRRORED = "State whether writing in the images reads backwards."
 STATE_WHEN_TAKEN = "State when the images without a recorded time were taken."
@@ -102,10 +106,22 @@ PLAN_DONE = "GO: every check passed."
 DRILL_DONE = "The wire is drilled to the planned depth."
 LINK_LOST = "The link to the robot is lost."
 ROBOT_IN = "{state}."
+ROBOT_NEXT = {  # what to do next, by the robot's state; of the others the state itself
+    "TARGETING": "The robot has the plan: clear the arm's path, then align.",
+    "ALIGN": "The arm is moving: STOP or the space bar stops it.",
+    "ALIGNED": "Aligned: check the confirmation shot, then drill.",
+    "DRILL": "The wire is advancing: STOP or the space bar stops it.",
+    "PAUSED": "Paused: check the second shot, then continue drilling.",
+    "STOP": "Stopped: see why, then align again, or retract the wire.",
+    "RETRACT": "The wire is retracting: STOP or the space bar stops it.",
+}
 ONLY_GO = "Only a plan that is GO can be sent."
-CAN_SEND = "The plan can be sent to the robot."
+CAN_START = "Start the robot, then send the plan."
+CAN_SEND = "Send the plan to the robot."
+NO_ROBOT_IN_IMAGES = "These images carry no robot pose: the plan cannot be sent to a robot. Save its report."
 VERIFIED = "The wire was measured in two check images and lies as planned."
 NOT_DRILLED = "Nothing has been drilled yet."
+GO_ON_VERIFYING = "This wire lies as planned: go on with the next one."
 TAKE_TWO_MORE = "Take two check images with the wire in the bone."
 
 # Images.
@@ -122,7 +138,7 @@ TAKE_AGAIN = "Take both images again"
 TAKE_OBLIQUE = "Take the oblique image"
 SIDE_HEADING = "Patient's side"
 SIDE_HINT = "Which side? Check the marker in the image, or the patient:"
-SIDES = {"right": "Right hip", "left": "Left hip"}
+SIDES = {"right": "Right side", "left": "Left side"}
 SERIAL_HEADING = "Frame's serial"
 SERIAL_CONFIRMED = "Confirmed: {serial}"
 SERIAL_UNKNOWN = "Type the serial engraved on the frame, or “none” if there is none. The frame file states none."
@@ -153,8 +169,8 @@ ALL_PASSED = "All {count} checks passed"
 SHOW_REJECTED = "Show rejected candidates, with the reason"
 DROP_FIRST = "Drop an image onto the page."
 BEADS_USED = "beads used / left out"
-RESIDUAL = "residual, rms per axis"
-FOCAL_POINT = "focal point"
+RESIDUAL = "residual, rms"
+FOCAL_POINT = "focal point, mm"
 
 # Plan.
 POINT_GROUPS = {
@@ -237,6 +253,7 @@ LACKS = {  # of the chosen procedure, by what the simulated patient does not hav
     ),
 }
 NAIL_FIRST = "Choose the nail on the right. Or by hand: {said}"
+NAIL_FIRST_OF = "Choose the nail on the right; the simulated patient has {name}. Or by hand: {said}"
 NAIL_EDGE_FOUND = "the nail's edge, as found in the image"
 NAIL_AXIS = "axis of the nail"
 RIM_FOUND = "rim of the hole, as found in the image"
@@ -249,11 +266,11 @@ PLACE_IN_OBLIQUE = "{point}: click where this image shows it; the cross is where
 RULER_LENGTH = "{value:.1f}{off} mm"
 RULER_ANGLE = "{value:.1f}°{off}"
 RULER_PLANE = (
-    "Of what lies in the plane of the wire, parallel to the image; {percent:.1f} % more or less for each 10 mm before "
-    "or behind it. Error: 95 %."
+    "Measured in the plane of the wire, parallel to the image: {percent:.1f} % more or less for each 10 mm before or "
+    "behind it. Error: 95 %."
 )
-RULER_PLANE_ANGLE = "Between lines parallel to the image. Error: 95 %."
-RULER_SPACE = "In space, from both images. Error: 95 %."
+RULER_PLANE_ANGLE = "Measured between lines parallel to the image. Error: 95 %."
+RULER_SPACE = "Measured in space, from both images. Error: 95 %."
 RULER_NEEDS_WIRE = "Place the wire first: the ruler measures in its plane."
 DEVIATION_OF = ("entry", "tip")
 DEVIATION = "{name} {mm:.2f} mm off"
@@ -281,7 +298,7 @@ GAP_NOT_TESTED = "not tested (snapped)"
 VERDICTS = {"go": "GO", "no-go": "NO-GO", "incomplete": "INCOMPLETE"}
 EVERY_CHECK = "Every check passed. A person decides."
 MORE = "(and {count} more: Details)"
-LEFT = "Left: {what}."
+LEFT = "To do: {what}."
 LEFT_CALIBRATION = "two calibrated images"
 LEFT_SIDE = "patient's side"
 LEFT_SERIAL = "frame's serial"
@@ -319,6 +336,7 @@ TIME_TOLD = {
 }
 LINKS = {"none": "no robot", "open": "connected", "lost": "link lost"}
 CONTINUE_TO = "Continue to {step}"
+BACK_TO = "Back to {step}"
 DETAILS = "Details"
 SPACE = "3-D"
 SHARES_HEADING = "Where the error comes from"
@@ -353,9 +371,10 @@ STATES = {
     "RETRACT": "Retracting the wire",
 }
 DEPTH_MARKS = ("cortex", "pause", "tip", "limit")
-DEPTHS = ("{value:.1f} mm", "{value:.1f} mm before")  # in bone, and before it
+DEPTH = "{value:.1f} mm"
+DEPTH_SIDES = ("beyond the entry", "before the entry")
 DRILLED_TITLE = "the wire, drilled so far"
-READING_DEPTH = "{value:.1f} mm {error} (zero: {zero})"
+READING_DEPTH = "{error} (zero: {zero})"
 READING = "Depth {depth} · thrust {force}"
 FAULT = "Fault {number}: {what}"
 RESET_FAULT = "Reset the fault"
@@ -366,7 +385,7 @@ DRILL_ON = "Continue drilling"
 RETRACT = "Retract"
 CANCEL = "Cancel"
 DRILLED = "Drilled to the planned depth. Verify the wire in two check images."
-SHOT_HEADING = "Second shot"
+SHOT_HEADING = "Depth in the second shot"
 SHOT_HEADINGS = {"ALIGNED": "Confirmation shot", "PAUSED": "Second shot"}
 TAKE_SHOT = "Take the shot"
 SHOT_DROP = "Drop both images of the shot onto the page, with the block on its mount again."
@@ -444,9 +463,10 @@ STAY = "Stay"
 LEAVE = "Leave"
 REACHABLE = "Other machines can reach this page; anyone with its address and token can move the robot."
 SEND_QUESTION = "Send this plan to the robot?"
+SEND_FRAME = ("the frame without a serial", "frame {serial}")
 SIDE_WORDS = {"right": "right", "left": "left"}
 SEND_WHAT = (
-    "The {robot} receives a wire of {length:.1f} mm on the {side} side, in the coordinates of frame {serial}. "
+    "The {robot} receives a wire of {length:.1f} mm on the {side} side, in the coordinates of {frame}. "
     "Nothing moves yet. “Align” will then move the arm until the wire's guide points along the plan, "
     "20 mm before the bone."
 )
@@ -468,6 +488,7 @@ SHOT_UNMEASURED = (
 SHOT_TOLD = "The depth of the second shot was sent. The depth now rests on the {zero}, {error}."
 RETRACT_QUESTION = "Retract: if the wire is to stay in the bone, open the chuck first. Is it open?"
 RESET_QUESTION = "Have you checked the robot and dealt with the fault?"
+ROBOT_REFUSED = "The robot refused: {why}."
 NO_ROBOT = (
     "Take the images through a robot's link, or rehearse on the demo case: these images carry no robot pose, so the "
     "bone's position in robot coordinates is unknown."

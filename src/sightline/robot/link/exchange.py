@@ -34,7 +34,7 @@ class RequestResult:
         if self.code != Code.OK:
             name = Code(self.code).name.lower().replace("_", " ") if self.code in set(Code) else "code"
             raise RobotRefusedError(
-                f"the robot refused {self.name} ({name}, {self.code}): {self.text or 'no reason given'}"
+                f"the robot refused {self.name} ({name}, {self.code}): {self.text or 'no reason given'}", self.text
             )
         return self
 
@@ -109,7 +109,7 @@ class Exchange:
             said = mail.need(lambda m: isinstance(m.body, CommandReply) and m.body.command_id == number, ACK_S, name)
         assert isinstance(said.body, CommandReply)  # noqa: S101
         if said.body.error:
-            raise RobotRefusedError(f"the robot refused {name}: {said.body.text}")
+            raise RobotRefusedError(f"the robot refused {name}: {said.body.text}", said.body.text)
         return said.body.text
 
     def ask(self, body: Body, name: str, answers: Callable[[Message], bool]) -> Message:

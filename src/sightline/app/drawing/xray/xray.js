@@ -103,6 +103,11 @@ export class XrayCore {
     this.gestures = new Gestures(this);
     this.observer = new ResizeObserver(() => this.#resize());
     this.observer.observe(this.stage);
+    this.named = new ResizeObserver(() => {
+      this.chrome.measureName();
+      this.canvas.invalidate("overlay");
+    });
+    this.named.observe(this.chrome.name);
     this.resized = () => this.#resize(); // on another screen the size in CSS pixels may stay the same
     window.addEventListener("resize", this.resized);
     window.sightlineXray = window.sightlineXray || {};
@@ -115,6 +120,7 @@ export class XrayCore {
   destroy() {
     if (this.state.maximised) this.root.remove();
     this.observer.disconnect();
+    this.named.disconnect();
     window.removeEventListener("resize", this.resized);
     this.gestures.destroy();
     this.stream.end();
@@ -162,6 +168,7 @@ export class XrayCore {
   #showPicture(picture, freshMs) {
     const url = picture?.url ?? null;
     this.setFresh(url, freshMs);
+    this.root.classList.toggle("xray-empty", !picture);
     if (!this.stream.isNew(picture)) return;
     if (url !== this.url) this.#letGo();
     this.stream.load(picture);

@@ -158,6 +158,8 @@ export class Canvas {
       viewWidth / this.unit,
       viewHeight / this.unit - TEXT_PX * core.chrome.footEm,
     ]);
+    const [right, bottom] = core.chrome.nameCorner;
+    labels.keepCorner([right / this.unit, bottom / this.unit]);
     arrange(
       labels,
       core.shownShapes

@@ -24,7 +24,7 @@ const ICONS = {
 const SHEET = `
 .xray { position: relative; width: 100%; height: 100%; min-height: 12em; overflow: hidden; contain: layout paint style; container-type: inline-size;
   background: var(--stage); color: var(--text);
-  font: 400 clamp(15px, 11px + 0.32vw, 24px)/1.35 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif;
+  font: 400 clamp(15px, 11px + 0.32vw, 24px)/1.35 Roboto, system-ui, "Segoe UI", "DejaVu Sans", sans-serif;
   border: 1px solid var(--line); border-radius: 0.5em; user-select: none; -webkit-user-select: none; }
 .xray.xray-maximised { position: fixed; inset: var(--xray-top, 0) 0 0 0; z-index: 2500; border-radius: 0; height: auto; width: auto; }
 .xray-stage { position: absolute; inset: 0; touch-action: none; outline: none; cursor: default; }
@@ -64,7 +64,7 @@ const SHEET = `
 .xray-tip { position: absolute; left: 0; top: 0; max-width: 22em; padding: 0.4em 0.7em; pointer-events: none; white-space: pre-line; overflow-wrap: anywhere;
   background: rgba(12, 16, 20, 0.95); border: 1px solid var(--line); }
 .xray-live { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); white-space: nowrap; }
-.xray [hidden] { display: none; }
+.xray [hidden], .xray-empty :is(.xray-tools, .xray-foot) { display: none; }
 @container (max-width: 38em) { /* one row of tools, in German too */
   .xray-tools { gap: 0; } .xray-tools button { width: 2em; height: 2.5em; } .xray-tools .xray-presets button { padding: 0 0.25em; } .xray-name { padding-inline: 0.55em; }
 }
@@ -112,7 +112,7 @@ export class Chrome {
     useSheet();
     this.texts = texts;
     this.root = root;
-    root.classList.add("xray");
+    root.classList.add("xray", "xray-empty");
     root.setAttribute("role", "group");
     this.stage = element("div", "xray-stage", { tabindex: "0", role: "application" });
     this.canvas = element("canvas", "xray-canvas", { "aria-hidden": "true" });
@@ -137,6 +137,8 @@ export class Chrome {
     this.tools = element("div", "xray-panel xray-tools", { role: "toolbar" });
     this.presets = element("span", "xray-presets");
     this.choose = actions.preset;
+    /** @type {Pair} */
+    this.nameCorner = [0, 0]; // the lower right one of the image's name in the view, CSS pixels
     root.append(this.stage, this.#head(actions), this.#foot(), this.tip, this.live);
     this.setLabel(label);
   }
@@ -146,6 +148,12 @@ export class Chrome {
   setLabel(label) {
     this.title.textContent = label;
     for (const named of [this.root, this.stage, this.tools]) named.setAttribute("aria-label", label);
+  }
+
+  /** Measure the image's name anew; not while painting, which would lay out the page for each image. */
+  measureName() {
+    const [all, own] = [this.root, this.name].map((one) => one.getBoundingClientRect());
+    this.nameCorner = [own.right - all.left, own.bottom - all.top];
   }
 
   /** A line of text over the image, hidden while empty.

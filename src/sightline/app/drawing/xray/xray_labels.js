@@ -10,7 +10,7 @@ import { CASING, normals, POINT_RADIUS } from "./xray_paint.js";
 /** @typedef {{ left: number, right: number, top: number, bottom: number }} Box */
 /** @typedef {{ text: string, at: Pair, colour: string }} Text `at`: its middle */
 
-const FONT = '600 14px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
+const FONT = '600 14px Roboto, system-ui, "Segoe UI", "DejaVu Sans", sans-serif';
 const HALF = 9; // half the height of a text, CSS pixels
 const AWAY = POINT_RADIUS + 9; // from a point's middle to its name
 const TICK = 7; // half a tick's length
@@ -41,6 +41,12 @@ export class Labels {
    * @param {number} reach */
   keepFree(middle, reach) {
     this.taken.push(boxAbout(middle, 2 * reach, reach));
+  }
+
+  /** Nothing is written in the corner before this point.
+   * @param {Pair} corner */
+  keepCorner([right, bottom]) {
+    this.taken.push({ left: 0, right, top: 0, bottom });
   }
 
   /** A text at the first free one of these places (its middle); returns whether there is one. `always`: where none is
