@@ -12,6 +12,7 @@ from sightline.errors import RefusedError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.pipeline import find_beads, label_beads
+from sightline.threads import one_blas_thread
 
 REFRESH_EVERY_S = 0.5  # between updates of the field of view, the noise and new beads [ours]
 LEARN_EVERY_S = 3.0  # between full calibrations, which estimate the map's prior again [ours]
@@ -46,6 +47,7 @@ class Follower:
         self._inverted = False
         self._why = "the first image"
 
+    @one_blas_thread
     def update(self, image: Radiograph, at_s: float) -> Followed:
         """Return the view of the next image, received at `at_s`."""
         try:
