@@ -85,6 +85,19 @@ def test_beads_that_move_further_than_the_reach_are_left_to_the_fit(track: Track
         assert (after.linear is track.linear) == kept
 
 
+def test_a_rotation_about_the_middle_is_left_to_the_fit(track: Track, linear: LinearFits) -> None:
+    """Its mean movement is zero; a program that looks at that alone keeps linear fits of beads that moved."""
+    middle = SIZE / 2
+    places = np.array([(bead.u, bead.v) for bead in SHOWN.values()]) - middle
+    far = np.median(reach_px(linear.fitted)) / np.median(np.hypot(*places.T))
+    for share, kept in ((0.3, True), (1.5, False)):
+        c, s = np.cos(share * far), np.sin(share * far)
+        rotated = places @ np.array([[c, s], [-s, c]]) + middle
+        moved = {name: replace(bead, u=u, v=v) for (name, bead), (u, v) in zip(SHOWN.items(), rotated, strict=True)}
+        after, _ = track.follow(image(moved, 9))
+        assert (after.linear is track.linear) == kept
+
+
 def test_a_bead_that_is_covered_does_not_hold(track: Track, linear: LinearFits) -> None:
     """A fit that never looks at its residual fails it: half a bead under metal still gives numbers."""
     covered = image(SHOWN, 6).pixels.copy()

@@ -22,7 +22,7 @@ from sightline.detection.results import Detections, Observations
 from sightline.detection.scale import FACTOR, coarser, coarser_observations, finer_observations, is_fine
 from sightline.detection.window import window_reach
 from sightline.errors import ObservationsError
-from sightline.fitting.robust import median
+from sightline.fitting.robust import MEDIAN_M2, median
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 
@@ -210,13 +210,20 @@ class Track:
         return rows, left
 
     def _are_still(self, moved_px: np.ndarray, good: np.ndarray, rows: np.ndarray, share: float) -> bool:
-        """Whether both plates moved by less than a `share` of the reach of linear fits; `good`: beads that show it."""
+        """Whether the beads of each plate moved by less than a `share` of the reach of linear fits.
+
+        Half of a plate's beads decide, by the lengths of their movements, since it may rotate about its middle. The
+        noise of both images is allowed for. `good` (N,) bool: beads that show it.
+        """
         count = len(self.ids)
-        rows, good = rows[:count], good[:count]
-        if not good.any():
-            return False
-        steps = self._steps(moved_px[:count], good)
-        return bool(np.hypot(*steps.T).max() < share * median(reach_px(rows[good])))
+        near, good = _labelled(self.frame, self.view, self.ids)[0], good[:count]
+        for plate in (near & good, ~near & good):
+            if plate.any():
+                variance = rows[:count][plate][:, [columns.CUU, columns.CVV]].sum(axis=1)
+                length2 = median((moved_px[:count][plate] ** 2).sum(axis=1)) - MEDIAN_M2 * median(variance)
+                if length2 > (share * median(reach_px(rows[:count][plate]))) ** 2:
+                    return False
+        return bool(good.any())
 
     def _about(self, image: Radiograph, track: "Track", fitted: np.ndarray) -> tuple[LinearFits, ...]:
         """Return linear fits about the rows `fitted` in an image, whose state is `track`; none after a movement."""
