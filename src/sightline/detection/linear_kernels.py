@@ -151,7 +151,7 @@ def _in_field(mask, left, top, n) -> bool:
     return True
 
 
-@nb.njit(cache=True, fastmath=FAST, nogil=True)
+@nb.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)
 def keep_part(part, parts, image, usable, mask, spots, fitted, which, noise, sharpening, plain, tables, prior_sd, kept):  # noqa: PLR0915, PLR0917
     """Fill `kept` for the rows `which[part::parts]` of `spots`, whose fits are in `fitted`; as `fit_part`."""
     for i in range(part, len(which), parts):
@@ -279,7 +279,7 @@ def _is_near(beads, step, reach_px) -> bool:
     return near and np.hypot(beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]) < MAX_ELLIPTICITY
 
 
-@nb.njit(cache=True, fastmath=FAST, nogil=True)
+@nb.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)
 def step_part(part, parts, pixels, mask, lowest, ceiling, reach_px, dark, sharpening, plain, tables, kept, out):  # noqa: PLR0917
     """Write the linear fits `part::parts` in the image `pixels` into `out` (M, COUNT); WANDERED: not near enough.
 
