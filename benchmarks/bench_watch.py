@@ -28,17 +28,18 @@ from sightline.case.watch.follow import Follower
 from sightline.case.watch.live import Watch
 from sightline.detection import Observations
 from sightline.planning.line_residuals import LineResiduals
-from sightline.rehearsal.stream import Shot, SimulatedFluoroscopy, shifted
+from sightline.rehearsal.stream import IMAGES_PER_S, Shot, SimulatedFluoroscopy, shifted
 from sightline.twin import DOSES, ViewTruth, bead_images, draw_setup, shown_hip_scene
 from sightline.twin.render import expose
 
 REQUIRED_TRACKING_MS, REQUIRED_COLD_MS, REQUIRED_LATENCY_MS, REQUIRED_APART_MM, REQUIRED_COVARIANCE = (
-    15.0,
+    6.0,
     100.0,
     100.0,
     0.01,
     0.05,
 )
+TWO_VIEWS_PER_S = 60.0  # images of each of two live views that two cores must keep up with
 SEED = 3
 NOISE_PX = 0.12  # of a bead at the lowest dose, median of the twin's beads
 TARGETS_MM = np.array([[-20.0, 11.0, -10.0], [22.0, -15.0, 13.0]])
@@ -54,7 +55,9 @@ def run(quick: bool) -> list[Row]:
     rows = [_time_row(f"{whole}, tracking, two cores", two, "tracking", REQUIRED_TRACKING_MS)]
     rows.append(_time_row(f"{whole}, cold, two cores", two, "cold", REQUIRED_COLD_MS))
     rows.append(_time_row("tracking with overlay and alarm, two cores", two, "all"))
-    rows += [_time_row(f"{name}, one core", times[1], name) for name in ("tracking", "cold", "all")]
+    rows.append(_time_row("tracking, one core", times[1], "tracking", REQUIRED_TRACKING_MS))
+    rows += [_time_row(f"{name}, one core", times[1], name) for name in ("cold", "all")]
+    rows.append(_sustained_cpu_row(times[1]["live"]))
     blobs = two["blobs"]["wall_ms"]
     rows.append(Row(_GROUP, "SimpleBlobDetector, blobs only", f"{blobs:.1f} ms", "", "the peer itself"))
     ratio = two["tracking"]["wall_ms"] / blobs
@@ -68,6 +71,19 @@ def _time_row(name: str, times: dict[str, dict[str, float]], which: str, require
     required = "" if required_ms is None else f"<= {required_ms:.0f} ms"
     peer = f"SimpleBlobDetector {times['blobs']['wall_ms']:.1f} ms"
     return Row(_GROUP, name, value, required, peer, None if required_ms is None else one["wall_ms"] <= required_ms)
+
+
+def _sustained_cpu_row(live: dict[str, float]) -> Row:
+    """Return the row of the processor time of all images of a view, with their searches for new beads."""
+    most = 1e3 / TWO_VIEWS_PER_S
+    return Row(
+        _GROUP,
+        f"overlay and alarm, all images of a view at {TWO_VIEWS_PER_S:.0f} a second, processor time, mean",
+        f"{live['mean_ms']:.1f} ms (longest {live['longest_ms']:.0f})",
+        f"<= {most:.1f} ms: a view for each core",
+        "",
+        live["mean_ms"] <= most,
+    )
 
 
 def _timed(threads: int, runs: int) -> dict[str, dict[str, float]]:
@@ -86,9 +102,9 @@ def timed(runs: int) -> None:
     detector = cv2.SimpleBlobDetector.create(_blob_options())
     grey = [cv2.convertScaleAbs(one.pixels, alpha=255.0 / float(one.pixels.max())) for one in stream.still]
     programs: dict[str, Callable[[int], object]] = {
-        "tracking": lambda k: follower.update(_shot(stream, k).image, time.time()),
+        "tracking": lambda k: follower.update(_shot(stream, k).image, k / IMAGES_PER_S),
         "cold": lambda k: Follower(frame).update(_shot(stream, k).image, time.time()),
-        "all": lambda k: analyser.look(_shot(stream, k), time.monotonic(), k + 1, 0),
+        "all": lambda k: analyser.look(_shot(stream, k, k / IMAGES_PER_S), time.monotonic(), k + 1, 0),
         "blobs": lambda k: detector.detect(grey[k % len(grey)]),
     }
     taken: dict[str, list[tuple[float, float]]] = {name: [] for name in programs}
@@ -102,12 +118,25 @@ def timed(runs: int) -> None:
     for name, values in taken.items():
         wall, cpu = np.array(values).T
         out[name] = {"wall_ms": np.median(wall), "best_ms": wall.min(), "cpu_ms": np.median(cpu)}
+    out["live"] = _live(stream, frame, 2 * runs)
     print(json.dumps(out))
 
 
-def _shot(stream: SimulatedFluoroscopy, k: int) -> Shot:
+def _live(stream: SimulatedFluoroscopy, frame: sl.Frame, runs: int) -> dict[str, float]:
+    """Return the processor time of every image of a stream, stamped TWO_VIEWS_PER_S a second, once it is at rest."""
+    analyser, taken = LiveAnalyser(frame, stream.wire, ()), []
+    for k in range(REST_FRAMES + 2 + runs):
+        shot, started = _shot(stream, k, k / TWO_VIEWS_PER_S), time.process_time()
+        analyser.look(shot, time.monotonic(), k + 1, 0)
+        taken.append(1e3 * (time.process_time() - started))
+    after = taken[REST_FRAMES + 2 :]
+    return {"mean_ms": float(np.mean(after)), "longest_ms": max(after)}
+
+
+def _shot(stream: SimulatedFluoroscopy, k: int, stamped_s: float | None = None) -> Shot:
     images = stream.still
-    return Shot(sl.Radiograph(images[k % len(images)].pixels, images[0].white), k + 1, time.time())
+    at_s = time.time() if stamped_s is None else stamped_s
+    return Shot(sl.Radiograph(images[k % len(images)].pixels, images[0].white), k + 1, at_s)
 
 
 def _blob_options() -> cv2.SimpleBlobDetector.Params:

@@ -13,7 +13,7 @@ from sightline.calibration import BeadView, calibrate
 from sightline.calibration.displacement import Displacement
 from sightline.case.watch.alarm import FOUND, HOUR, PROMISED_MM, Alarm, limit_mm, quantiles
 from sightline.case.watch.analyser import REST_FRAMES, LiveAnalyser, Watched, aged
-from sightline.case.watch.follow import TrackingState
+from sightline.case.watch.follow import Follower, TrackingState
 from sightline.case.watch.live import Watch
 from sightline.detection import Observations
 from sightline.errors import SourceError, UnusableInputError
@@ -67,6 +67,15 @@ def test_the_first_image_is_searched_and_the_others_are_tracked(settled) -> None
     assert states == [TrackingState.SEARCHING] + [TrackingState.TRACKING] * (REST_FRAMES - 1)
     assert settled[1][0].reason == "the first image"
     assert settled[1][1].reason == ""
+
+
+def test_beads_that_came_into_sight_are_found_within_half_a_second() -> None:
+    """A program that counts images instead of time fails it: at 60 images a second it would look twice as often."""
+    follower, name = Follower(FRAME), next(iter(beads()))
+    follower.update(image(beads(leave_out=1), 100), 0.0)
+    seen = {k: follower.update(shown(0.0, k % NOISES), k / 60).observations for k in range(1, 31)}
+    assert all(seen[k] is not None and name not in seen[k].ids for k in range(1, 30))
+    assert seen[30] is not None and name in seen[30].ids
 
 
 def test_a_source_that_shows_balls_bright_is_followed_inverted(settled) -> None:

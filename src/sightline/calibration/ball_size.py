@@ -5,12 +5,15 @@ shadow of a ball does not scale with it: seen from the focal point, a ball of ra
 angle pi (r / L)^2, which the area of its shadow in pixels measures.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from sightline.calibration.focal_length import pixel_solid_angle
 from sightline.calibration.joint import JointFit
 from sightline.checks import Check
-from sightline.fitting.robust import MAD_TO_SD
+from sightline.fitting.robust import MAD_TO_SD, median
+from sightline.frame import Frame
 from sightline.geometry.covariance import TWO_SIDED_999
 
 # Systematic error of the fitted log radius where blur or beam hardening differ from the fit's model [twin, ours]: in 17
@@ -26,18 +29,17 @@ def ball_size_check(fit: JointFit) -> list[Check]:
     beads = fit.beads
     if beads.radius_px is None:
         return []
-    fiducials = [beads.frame.view(beads.view).fiducials[row] for row in beads.rows]
-    balls = np.array([f.shape == "ball" for f in fiducials])
+    all_balls, radius_mm = _stated(beads.frame, beads.view)
+    balls = all_balls[beads.rows]
     if balls.sum() < _MIN_BALLS:
         return []
-    stated_mm = np.array([f.diameter_mm for f in fiducials]) / 2
-    larger = np.log(beads.radius_px * _mm_per_px(fit) / stated_mm)[balls]
-    median = float(np.median(larger))
-    sd = _MEDIAN * MAD_TO_SD * float(np.median(np.abs(larger - median))) / np.sqrt(len(larger))
+    larger = np.log(beads.radius_px * _mm_per_px(fit) / radius_mm[beads.rows])[balls]
+    usual = median(larger)
+    sd = _MEDIAN * MAD_TO_SD * median(np.abs(larger - usual)) / np.sqrt(len(larger))
     limit = float(SYSTEMATIC + TWO_SIDED_999 * sd)
-    passed = abs(median) <= limit
+    passed = abs(usual) <= limit
     sentence = (
-        f"The balls look {abs(100 * np.expm1(median)):.1f} % {'larger' if median > 0 else 'smaller'} than the frame "
+        f"The balls look {abs(100 * np.expm1(usual)):.1f} % {'larger' if usual > 0 else 'smaller'} than the frame "
         f"file says; up to {100 * np.expm1(limit):.0f} % may be blur"
     )
     sentence += (
@@ -46,7 +48,14 @@ def ball_size_check(fit: JointFit) -> list[Check]:
         else ". The scale of the file's coordinates is wrong, and with it every length, or its diameters are wrong: "
         "measure both, and correct the file."
     )
-    return [Check("ball size", passed, 100 * median, 100 * limit, "%", sentence)]
+    return [Check("ball size", passed, 100 * usual, 100 * limit, "%", sentence)]
+
+
+@lru_cache(maxsize=16)
+def _stated(frame: Frame, view: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return which fiducials of a view are balls, (M,) bool, and their radii (M,), mm, the same for every image."""
+    fiducials = frame.view(view).fiducials
+    return np.array([f.shape == "ball" for f in fiducials]), np.array([f.diameter_mm for f in fiducials]) / 2
 
 
 def _mm_per_px(fit: JointFit) -> np.ndarray:

@@ -263,7 +263,7 @@ class BeadView(Plotted):
             frame_key=self.frame_key,
             inside_hull=self.hull.contains(uv),
             upright=self.upright,
-            beads_near=None if self.method == SOLID else self._support.near(uv),  # a solid's map is not local
+            count_beads=None if self.method == SOLID else lambda: self._support.near(uv),  # a solid's map is not local
             adjustment=self.adjustment,
         )
 

@@ -145,16 +145,24 @@ def _count(count: int) -> Check:
 
 
 def _coverage(used: Beads) -> Check:
-    view, areas = used.frame.view(used.view), _plate_areas_mm2(used.frame, used.view)
-    shares = {}
-    for name, plate, on_plate in (("XRII", view.xrii, used.on_xrii), ("source", view.source, ~used.on_xrii)):
-        shares[name] = _area_mm2(plate.plane, used.xyz_mm[on_plate]) / areas[name]
+    shares = _coverage_shares(used.frame, used.view, used.rows.tobytes())
     smallest = min(shares, key=lambda name: shares[name])
     share = float(shares[smallest])
     sentence = f"The beads used span {share:.0%} of the {smallest} plate" + (
         "." if share >= MIN_COVERAGE else ": move the frame so that more of this plate lies in the field."
     )
     return Check("bead coverage", share >= MIN_COVERAGE, share, MIN_COVERAGE, "", sentence)
+
+
+@lru_cache(maxsize=64)
+def _coverage_shares(frame: Frame, view: str, rows: bytes) -> dict[str, float]:
+    """Return the share of each plate's area within the convex hull of the beads `rows` (int), in the frame."""
+    used, plates, first, shares = np.frombuffer(rows, dtype=int), frame.view(view), 0, {}
+    for name, plate in (("XRII", plates.xrii), ("source", plates.source)):
+        own = used[(used >= first) & (used < first + len(plate.fiducials))] - first
+        first += len(plate.fiducials)
+        shares[name] = _area_mm2(plate.plane, plate.xyz_mm[own]) / _plate_areas_mm2(frame, view)[name]
+    return shares
 
 
 def _area_mm2(plane: Plane, xyz_mm: np.ndarray) -> float:

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from sightline.errors import CalibrationRefusedError, OutsideRegionError
+from sightline.geometry.outlines import convex_hull
 
 # How far outside the convex hull a map may be evaluated, in radii of the hull [ours]: further out no bead supports it.
 MAX_OUTSIDE = 0.5
@@ -33,8 +33,10 @@ class Hull:
     @staticmethod
     def of(uv_px: np.ndarray) -> "Hull":
         """Return the convex hull of pixels (N, 2) that are not collinear."""
-        hull = ConvexHull(uv_px)
-        return Hull(uv_px[hull.vertices], hull.equations)
+        corners = uv_px[convex_hull(uv_px)]
+        along = np.roll(corners, -1, axis=0) - corners
+        normal = along[:, ::-1] * [1.0, -1.0] / np.hypot(along[:, 0], along[:, 1])[:, None]
+        return Hull(corners, np.column_stack([normal, -(normal * corners).sum(axis=1)]))
 
     @cached_property
     def radius_px(self) -> float:

@@ -29,7 +29,7 @@ from sightline.calibration.well_conditioned import well_conditioned
 from sightline.errors import CalibrationRefusedError
 from sightline.fitting.dense import fast
 from sightline.fitting.kriging import Kriging, PlanarKriging
-from sightline.fitting.triangular import cholesky, least_squares, solve_lower
+from sightline.fitting.triangular import cholesky, least_squares, minimum_norm, solve_lower
 
 # The cubic has 20 parameters and F 3; with fewer beads too few degrees of freedom are left to test them [ours].
 MIN_BEADS = 16
@@ -216,13 +216,13 @@ def _first_pencil(beads: Beads) -> Pencil:
     xrii, source = beads.on_xrii, ~beads.on_xrii
     plane = beads.plane
     ones = np.ones((len(beads), 1))
-    affine = np.linalg.lstsq(np.hstack([beads.uv_px, ones])[xrii], plane.to_plane(beads.xyz_mm[xrii]), rcond=None)[0]
+    affine = minimum_norm(np.hstack([beads.uv_px, ones])[xrii], plane.to_plane(beads.xyz_mm[xrii]))
     y = (np.hstack([beads.uv_px, ones]) @ affine)[source]
     x, h = plane.to_plane(beads.xyz_mm[source]), plane.height_mm(beads.xyz_mm[source])
     design = np.zeros((len(y), 2, 3))
     design[:, 0, 0] = design[:, 1, 1] = -h
     design[:, :, 2] = h[:, None] * y
-    return Pencil(plane, np.linalg.lstsq(design.reshape(-1, 3), (y - x).reshape(-1), rcond=None)[0])
+    return Pencil(plane, minimum_norm(design.reshape(-1, 3), (y - x).reshape(-1, 1))[:, 0])
 
 
 def _prior_data(beads: Beads, start: _Start) -> PriorData:

@@ -8,6 +8,7 @@ from numba import njit
 
 from sightline.calibration.inverse import Inverse
 from sightline.errors import CalibrationRefusedError, UnusableInputError
+from sightline.fitting.triangular import minimum_norm
 
 DEGREES = range(1, 8)
 
@@ -23,7 +24,7 @@ class Affine:
     def fit(uv_px: np.ndarray, xy_mm: np.ndarray) -> tuple["Affine", float]:
         """Return the least-squares affine map of controls (N, 2), scaled to the unit disc, and its radius, mm."""
         centre = uv_px.mean(axis=0)
-        matrix = np.linalg.lstsq(uv_px - centre, xy_mm - xy_mm.mean(axis=0), rcond=None)[0].T
+        matrix = minimum_norm(uv_px - centre, xy_mm - xy_mm.mean(axis=0)).T
         mapped = (uv_px - centre) @ matrix.T
         radius = float(np.sqrt((mapped**2).sum(axis=1).max()))
         return Affine(centre, matrix / radius), radius

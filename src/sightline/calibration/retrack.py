@@ -10,10 +10,12 @@ from sightline.checks import failed
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
+from sightline.threads import one_blas_thread
 
 MAX_CHANGED_SHARE = 0.1  # share of its beads in which an image may differ before the prior is learned again [ours]
 
 
+@one_blas_thread
 def recalibrate(observations: Observations, frame: Frame, last: BeadView) -> BeadView:
     """Return the view calibrated from one image's beads by the smooth method, starting from the previous image's view.
 

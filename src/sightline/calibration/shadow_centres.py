@@ -6,12 +6,14 @@ shows how the rims of its balls are bent.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
 
 from sightline.calibration.polynomial import monomial_gradients, monomials, terms
 from sightline.detection.results import Observations
+from sightline.fitting.triangular import minimum_norm
 from sightline.frame import Frame, Plate
 from sightline.geometry.outlines import centroids
 
@@ -24,33 +26,64 @@ _RIM = np.stack([np.cos(_AROUND), np.sin(_AROUND)], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
-class _PlateMap:
-    """Polynomial map from a plate's coordinates, (xy - `centre_mm`) / `half_mm`, to pixels."""
+class _Balls:
+    """The M balls of a plate, the same for every image: `place`, by id, in `xy_mm` (M, 2).
 
-    degree: int
+    Polynomials are of (xy - `centre_mm`) / `half_mm`; `basis` (M, terms): their monomials at the balls' centres, `rims`
+    (M, K, terms): at points on the balls' rims.
+    """
+
+    place: dict[str, int]
+    xy_mm: np.ndarray
     centre_mm: np.ndarray
     half_mm: float
+    degree: int
+    basis: np.ndarray
+    rims: np.ndarray
+
+    @classmethod
+    def of(cls, plate: Plate, degree: int) -> Self:
+        """Return the balls of a plate for polynomials of a degree."""
+        xy = plate.plane.to_plane(plate.xyz_mm)
+        centre, half = xy.mean(axis=0), float(np.ptp(xy)) / 2
+        at, reach = (xy - centre) / half, np.array([one.diameter_mm for one in plate.fiducials]) / (2 * half)
+        rims = (at[:, None] + reach[:, None, None] * _RIM).reshape(-1, 2)
+        place = {name: k for k, name in enumerate(plate.ids)}
+        rims_basis = monomials(rims, degree).reshape(len(xy), len(_RIM), -1)
+        return cls(place, xy, centre, half, degree, monomials(at, degree), rims_basis)
+
+
+@dataclass(frozen=True, eq=False)
+class _PlateMap:
+    """Polynomial map from a plate to pixels, fitted to its balls `on` (N,)."""
+
+    balls: _Balls
+    on: list[int]
     coefficients: np.ndarray
 
     @classmethod
-    def fit(cls, xy_mm: np.ndarray, uv_px: np.ndarray, sd_px: np.ndarray) -> Self | None:
-        """Return the map of N balls, weighted by the s.d. (N,) of their centres; None where it could not bend."""
-        degree = max((d for d in range(MAX_DEGREE + 1) if BALLS_PER_TERM * terms(d) <= len(xy_mm)), default=0)
-        if degree < 2:
-            return None
-        centre, half = xy_mm.mean(axis=0), float(np.ptp(xy_mm)) / 2
+    def fit(cls, balls: _Balls, ids: list[str], uv_px: np.ndarray, sd_px: np.ndarray) -> Self:
+        """Return the map of the balls `ids` (N), weighted by the s.d. (N,) of their centres."""
         weight = 1.0 / sd_px[:, None]
-        basis = monomials((xy_mm - centre) / half, degree)
-        return cls(degree, centre, half, np.linalg.lstsq(weight * basis, weight * uv_px, rcond=None)[0])
+        on = [balls.place[name] for name in ids]
+        return cls(balls, on, minimum_norm(weight * balls.basis[on], weight * uv_px))
 
     def __call__(self, xy_mm: np.ndarray) -> np.ndarray:
         """Return the pixels (N, 2)."""
-        return monomials((xy_mm - self.centre_mm) / self.half_mm, self.degree) @ self.coefficients
+        return monomials(self._unit(xy_mm), self.balls.degree) @ self.coefficients
 
-    def located(self, uv_px: np.ndarray, controls_px: np.ndarray, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where pixels (N, 2) are on the plate, mm, and the scale there (N,), px/mm. `controls_px`, `xy_mm`: the
-        plate's balls, the nearest of which are where to begin."""
-        at = xy_mm[np.linalg.norm(uv_px[:, None] - controls_px, axis=2).argmin(axis=1)]
+    def _unit(self, xy_mm: np.ndarray) -> np.ndarray:
+        return (xy_mm - self.balls.centre_mm) / self.balls.half_mm
+
+    def own_shift_px(self) -> np.ndarray:
+        """Return (N, 2): `shift_px` of the balls that it is fitted to."""
+        rims = self.balls.rims[self.on] @ self.coefficients
+        return centroids(rims) - self.balls.basis[self.on] @ self.coefficients
+
+    def located(self, uv_px: np.ndarray, controls_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return where pixels (N, 2) are on the plate, mm, and the scale there (N,), px/mm. `controls_px`: the plate's
+        balls, the nearest of which are where to begin."""
+        at = self.balls.xy_mm[self.on][np.linalg.norm(uv_px[:, None] - controls_px, axis=2).argmin(axis=1)]
         for _ in range(_NEWTON_STEPS):
             slopes = self._slopes(at)
             at = at + np.linalg.solve(slopes, (uv_px - self(at))[..., None])[..., 0]
@@ -58,8 +91,8 @@ class _PlateMap:
 
     def _slopes(self, xy_mm: np.ndarray) -> np.ndarray:
         """Return (N, 2, 2) d uv / d xy, px/mm."""
-        gradients = monomial_gradients((xy_mm - self.centre_mm) / self.half_mm, self.degree)
-        return np.einsum("nkd,kc->ncd", gradients, self.coefficients) / self.half_mm
+        gradients = monomial_gradients(self._unit(xy_mm), self.balls.degree)
+        return np.einsum("nkd,kc->ncd", gradients, self.coefficients) / self.balls.half_mm
 
     def shift_px(self, xy_mm: np.ndarray, radius_mm: np.ndarray) -> np.ndarray:
         """Return (N, 2): the centroid of the image of each disc (N, 2) of the radius (N,), less its centre's image."""
@@ -79,19 +112,25 @@ def at_centres(seen: Observations, frame: Frame) -> Observations:
     if seen.covariance_px2 is not None:
         sd_px = np.sqrt(np.trace(seen.covariance_px2, axis1=1, axis2=2) / 2 + _FLOOR_PX**2)
     uv_px = seen.uv_px.copy()
-    for plate in _plates(frame, seen.view):
-        place = {name: k for k, name in enumerate(plate.ids)}
-        mine = np.array([name in place for name in seen.ids], dtype=bool)
-        on = [place[name] for name in seen.ids if name in place]
-        xy = plate.plane.to_plane(plate.xyz_mm[on])
-        bent = _PlateMap.fit(xy, seen.uv_px[mine], sd_px[mine])
-        if bent is None:
+    for k, plate in enumerate(_plates(frame, seen.view)):
+        there = set(plate.ids)
+        mine = np.array([name in there for name in seen.ids], dtype=bool)
+        degree = max((d for d in range(MAX_DEGREE + 1) if BALLS_PER_TERM * terms(d) <= mine.sum()), default=0)
+        if degree < 2:  # it could not bend
             continue
-        uv_px[mine] -= bent.shift_px(xy, np.array([plate.fiducials[k].diameter_mm for k in on]) / 2)
+        ids = [name for name in seen.ids if name in there]
+        bent = _PlateMap.fit(_balls(frame, seen.view, k, degree), ids, seen.uv_px[mine], sd_px[mine])
+        uv_px[mine] -= bent.own_shift_px()
         if plate is frame.detector and not mine.all():  # all shadows fall through it
-            at, per_mm = bent.located(seen.uv_px[~mine], seen.uv_px[mine], xy)
+            at, per_mm = bent.located(seen.uv_px[~mine], seen.uv_px[mine])
             uv_px[~mine] -= bent.shift_px(at, seen.radius_px[~mine] / per_mm)
     return replace(seen, uv_px=uv_px)
+
+
+@lru_cache(maxsize=32)
+def _balls(frame: Frame, view: str, plate: int, degree: int) -> _Balls:
+    """Return the balls of one of `_plates`; by the frame, because the hash of a plate takes long."""
+    return _Balls.of(_plates(frame, view)[plate], degree)
 
 
 def _plates(frame: Frame, view: str) -> tuple[Plate, ...]:

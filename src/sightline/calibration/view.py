@@ -78,8 +78,7 @@ class LinesOfSight:
     combined.
     `inside_hull` (N,) bool: within the convex hull of the beads. `upright`: whether the image shows the frame file's
     beads not mirrored, with a display allowed for that a person stated to be mirrored; None without a frame.
-    `beads_near` (N, 3) int: of the frame's beads nearest to each pixel, how many the calibration uses, how many seem to
-    be hidden, and how many the image should show (`Support`); None without a frame.
+    `count_beads`: computes `beads_near`; None without a frame.
     """
 
     view: str
@@ -92,8 +91,14 @@ class LinesOfSight:
     frame_key: str | None
     inside_hull: np.ndarray
     upright: bool | None = None
-    beads_near: np.ndarray | None = None
+    count_beads: Callable[[], np.ndarray] | None = None
     adjustment: str | None = None
+
+    @cached_property
+    def beads_near(self) -> np.ndarray | None:
+        """(N, 3) int: of the frame's beads nearest to each pixel, how many the calibration uses, how many seem to be
+        hidden, and how many the image should show (`Support`); None without a frame."""
+        return None if self.count_beads is None else self.count_beads()
 
     @cached_property
     def total_covariance(self) -> np.ndarray | None:
@@ -132,7 +137,7 @@ class LinesOfSight:
             covariance=None if each is None else {source: c[:kept, :kept] for source, c in each.items()},
             shared={source: response[:kept] for source, response in self.shared.items()},
             inside_hull=self.inside_hull[:count],
-            beads_near=None if self.beads_near is None else self.beads_near[:count],
+            count_beads=None if (counted := self.count_beads) is None else lambda: counted()[:count],
         )
 
 

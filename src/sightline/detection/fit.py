@@ -64,13 +64,13 @@ from sightline.detection.window import (
 )
 
 _LIGHT_STEPS = 32  # entries of the noise table per unit of light
-_MAX_JOINT = 3  # beads of a joint fit
+MAX_JOINT = 3  # beads of a joint fit
 _MAX_ITERATIONS = 12
 # Iterations before weights and pixels are frozen and steps are halved; otherwise the fit oscillates [ours].
 _ADAPTIVE_ITERATIONS = 4
 _CONVERGED = 0.02  # step in px and in shares of the light: at most a tenth of the noise [ours]
-_PRIOR_PIXELS = 50.0  # weight of the noise model against the bead's own residuals, in pixels [ours]
-_MIN_BLUR_PX = 0.3  # a pixel alone blurs by 0.29
+PRIOR_PIXELS = 50.0  # weight of the noise model against the bead's own residuals, in pixels [ours]
+MIN_BLUR_PX = 0.3  # a pixel alone blurs by 0.29
 _CUBIC_SD = 0.06  # s.d. of the background's cubic terms at the window's rim, share of its light [twin: hard scenes]
 # Prior of the scatter's relative slope, as a share of the background's: 0 for even scatter, 1 where scatter follows the
 # background. With STOPPED_BY_BALL, the light behind a ball has 0.03-0.4 of the background's slope instead of 0-0.5
@@ -82,15 +82,15 @@ _MAX_SLOPE = 0.1
 _MIN_CUBIC = 0.005  # smallest cubic terms that the covariance allows for [ours]
 # S.d. of the background's level, slopes and quadratic terms; they matter where the background is clipped [ours].
 _BACKGROUND_SD = np.array([1.0, 0.5, 0.5, 0.3, 0.3, 0.3])
-_CLIPPING_MARGIN_SD = 2.0  # of the noise, below the brightest value [ours]
-_SUSPICIOUS_EXCESS = 0.05  # residual beyond noise over contrast: isolated beads have 0.00-0.04 [twin]
+CLIPPING_MARGIN_SD = 2.0  # of the noise, below the brightest value [ours]
+SUSPICIOUS_EXCESS = 0.05  # residual beyond noise over contrast: isolated beads have 0.00-0.04 [twin]
 _MIN_RIM_SHARE = 0.7  # share of the rim that metal must leave: the straight sides of a wire look like short arcs [ours]
 _NOISE_MARGIN = 1.3  # noise alone may reach this many times the expected sum of squares [ours]
-_MAX_ELLIPTICITY = 0.12  # beads in images have up to 0.09, pieces of wire more [twin]
+MAX_ELLIPTICITY = 0.12  # beads in images have up to 0.09, pieces of wire more [twin]
 # Covariance beyond the linear approximation, in units of the centre's variance over the squared blur [twin].
 _RIM_NONLINEARITY = 3.0
 _LARGE_WINDOW = 320  # px [ours]
-_MAX_RIM_LOST = 0.15  # share of the rim that sharpening may cost; above it, the window is not sharpened [ours]
+MAX_RIM_LOST = 0.15  # share of the rim that sharpening may cost; above it, the window is not sharpened [ours]
 # Prior s.d. of x, y, radius, blur and ellipticity about their initial values, for the bead and its neighbours: px, px,
 # share of the radius, share of the blur [ours], of a shadow's ellipticity: distortion and oblique rays give 0.00-0.08
 # [twin].
@@ -104,9 +104,9 @@ def _copy(values, out):
 
 
 @exact
-def _joint_rows(spots, i, reach):
-    """Return the rows of bead `i` and of the nearest beads that reach into its window: _MAX_JOINT at most."""
-    rows, gaps = np.empty(_MAX_JOINT, np.int64), np.empty(_MAX_JOINT)
+def joint_rows(spots, i, reach):
+    """Return the rows of bead `i` and of the nearest beads that reach into its window: MAX_JOINT at most."""
+    rows, gaps = np.empty(MAX_JOINT, np.int64), np.empty(MAX_JOINT)
     rows[:], rows[0] = -1, i
     if spots[i, CONTRAST] > 0:
         return rows[:1]  # holes of a plate never overlap: neighbours are masked
@@ -118,14 +118,14 @@ def _joint_rows(spots, i, reach):
         if apart < spots[j, RADIUS] - 0.5 * spots[i, RADIUS]:
             continue  # a wide disc around this bead is anatomy, not a bead
         gap = apart - spots[i, RADIUS] - spots[j, RADIUS]
-        for k in range(1, _MAX_JOINT):
+        for k in range(1, MAX_JOINT):
             if gap < gaps[k]:
-                for m in range(_MAX_JOINT - 1, k, -1):
+                for m in range(MAX_JOINT - 1, k, -1):
                     gaps[m], rows[m] = gaps[m - 1], rows[m - 1]
                 gaps[k], rows[k] = gap, j
                 break
     count = 1
-    while count < _MAX_JOINT and rows[count] >= 0:
+    while count < MAX_JOINT and rows[count] >= 0:
         count += 1
     return rows[:count]
 
@@ -138,31 +138,31 @@ def _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state
     table, stopped = (tables[0], STOPPED_BY_BALL) if spots[row, CONTRAST] < 0 else (tables[1], STOPPED_BY_HOLE)
     size = BEAD_TERMS * len(rows) + SCATTER_TERMS + BACKGROUND_TERMS
     x0, y0 = spots[row, U] - left, spots[row, V] - top
-    filtered = mark_near_unusable(state, x0, y0, radius) < _MAX_RIM_LOST
+    filtered = mark_near_unusable(state, x0, y0, radius) < MAX_RIM_LOST
     taps, gain, blur2, together2, correlation, by_lag = sharpening if filtered else plain
     at, where, counting = gather_pixels(
         state, filtered, along_both_axes(light, taps) if filtered else light, x0, y0, reach
     )
-    beads, scatter, background = _initial(spots, rows, blur2)
+    beads, scatter, background = initial_values(spots, rows, blur2)
     initial = beads.copy()
     columns, inverse_sd = np.empty((size + 3, at.shape[1]), np.float32), np.empty(at.shape[1], np.float32)
     behind, effect = np.empty((4, at.shape[1]), np.float32), np.empty((len(rows), at.shape[1]), np.float32)
     A, L, b, step = np.empty((size + 2, size + 2)), np.empty((size, size)), np.empty(size), np.zeros(size)
     prior = np.zeros(size)
     optics = np.float32(1.0 / reach), stopped, np.float32(together2)
-    inverse_sds = _inverse_sd_table(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain), noise[1])
-    brightest = np.exp(noise[2] - zero - _CLIPPING_MARGIN_SD * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
+    inverse_sds = inverse_sd_table(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain), noise[1])
+    brightest = np.exp(noise[2] - zero - CLIPPING_MARGIN_SD * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
     out[STATUS] = TOO_FEW_PIXELS
     chi2, pixels, coupling = 0.0, 0, 0.0
     for iteration in range(_MAX_ITERATIONS):
         fill_light(table, at, beads, scatter, background, optics, behind, effect, columns)
         if iteration < _ADAPTIVE_ITERATIONS:
-            pixels = _weigh(columns[LIGHT], counting, np.float32(brightest), inverse_sds, inverse_sd)
+            pixels = weigh(columns[LIGHT], counting, np.float32(brightest), inverse_sds, inverse_sd)
         if pixels < 2 * size:
             return
         fill_slopes(at, optics[0], inverse_sd, behind, effect, columns)
         chi2 = normal_equations(columns, A, b)
-        coupling = _add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b)
+        coupling = add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b)
         if not solve(A, b, L, step):
             out[STATUS] = SINGULAR
             return
@@ -176,11 +176,11 @@ def _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state
         if moved < _CONVERGED and iteration > 0:
             out[STATUS] = FITTED
             break
-    if out[STATUS] != FITTED or np.hypot(beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]) > _MAX_ELLIPTICITY:
+    if out[STATUS] != FITTED or np.hypot(beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]) > MAX_ELLIPTICITY:
         out[STATUS] = max(out[STATUS], WANDERED)
         return
     freedom = max(pixels - _effective_parameters(columns, where, L, by_lag), 1.0)
-    out[CHI2], scale2 = chi2 / freedom, (_PRIOR_PIXELS + chi2) / (_PRIOR_PIXELS + freedom)
+    out[CHI2], scale2 = chi2 / freedom, (PRIOR_PIXELS + chi2) / (PRIOR_PIXELS + freedom)
     out[BLUR] = np.sqrt(max(beads[0, BEAD_BLUR] ** 2 - blur2, 0.0))
     _covariance(columns, where, L, len(state), correlation, scale2, prior, coupling, background, out)
     inside = max((1.0 - stopped) * background[0] + scatter[0], 0.02 * background[0])
@@ -193,7 +193,7 @@ def _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state
     out[AXIAL], out[DIAGONAL] = beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]
     out[CONTRAST] = np.log(inside / max(background[0], 1e-3))
     blurs, work = (blur2, together2), (behind, effect, columns)
-    _assess(table, at, where, light, beads, scatter, background, optics, blurs, gain, inverse_sd, pixels, work, out)
+    assess(table, at, where, light, beads, scatter, background, optics, blurs, gain, inverse_sd, pixels, work, out)
 
 
 @nb.njit(cache=True, fastmath=FAST, nogil=True)
@@ -209,7 +209,7 @@ def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain,
     for i in range(part, len(which), parts):
         row = which[i]
         reach = spots[row, RADIUS] + BEYOND
-        rows = _joint_rows(spots, row, reach)
+        rows = joint_rows(spots, row, reach)
         half = int(reach) + 1
         left, top = int(spots[row, U] + 0.5) - half, int(spots[row, V] + 0.5) - half
         zero = log_level(image, usable, spots[row], reach)
@@ -222,7 +222,7 @@ def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain,
             better = result[STATUS] == FITTED and (out[i, STATUS] != FITTED or result[EXCESS] < out[i, EXCESS])
             if better or not again:
                 _copy(result, out[i])
-            if again or (result[STATUS] == FITTED and result[EXCESS] <= _SUSPICIOUS_EXCESS) or spots[row, CONTRAST] > 0:
+            if again or (result[STATUS] == FITTED and result[EXCESS] <= SUSPICIOUS_EXCESS) or spots[row, CONTRAST] > 0:
                 break
             metal = hide_metal(state, spots, rows, left, top, light)
             if not metal or visible_rim(state, spots, rows, left, top) <= _MIN_RIM_SHARE:
@@ -230,7 +230,7 @@ def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain,
 
 
 @exact
-def _initial(spots, rows, blur2):
+def initial_values(spots, rows, blur2):
     """Return initial beads (K, BEAD_TERMS), relative to the first one's place, scatter and background."""
     one = spots[rows[0]]
     beads = np.zeros((len(rows), BEAD_TERMS))
@@ -246,7 +246,7 @@ def _initial(spots, rows, blur2):
 
 
 @exact
-def _inverse_sd_table(lift, slope):
+def inverse_sd_table(lift, slope):
     """Return one over the noise's s.d. at light 0 to 2, _LIGHT_STEPS entries per unit: fine enough for weights."""
     inverse_sds = np.empty(2 * _LIGHT_STEPS, np.float32)
     for k in range(len(inverse_sds)):
@@ -255,7 +255,7 @@ def _inverse_sd_table(lift, slope):
 
 
 @part_of_caller
-def _weigh(light, counting, brightest, inverse_sds, inverse_sd):
+def weigh(light, counting, brightest, inverse_sds, inverse_sd):
     """Fill `inverse_sd` with one over the noise's s.d. at the model's light; return how many pixels count.
 
     Zero, for pixels that do not count: those from `counting` on, and those that the model makes brighter than
@@ -274,7 +274,7 @@ def _weigh(light, counting, brightest, inverse_sds, inverse_sd):
 
 
 @exact
-def _add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b):  # noqa: PLR0917
+def add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b):  # noqa: PLR0917
     """Add the priors to the normal equations `A`, `b` and fill `prior` with their precisions (1 / s.d.²).
 
     Cubic terms are near zero; a bead's centre, shape and blur are near their initial values; scatter
@@ -323,7 +323,7 @@ def _take_step(beads, scatter, background, step, share):
             beads[k, m] += min(max(step[at + m], -1.0), 1.0)
         beads[k, BEAD_RADIUS] += min(max(step[at + BEAD_RADIUS], -0.15 * radius), 0.15 * radius)
         beads[k, BEAD_BLUR] = min(
-            max(blur + step[at + BEAD_BLUR], _MIN_BLUR_PX, 0.6 * blur), 1.6 * blur, beads[k, BEAD_RADIUS]
+            max(blur + step[at + BEAD_BLUR], MIN_BLUR_PX, 0.6 * blur), 1.6 * blur, beads[k, BEAD_RADIUS]
         )
         for m in range(BEAD_AXIAL, BEAD_TERMS):
             beads[k, m] = min(max(beads[k, m] + step[at + m], -0.3), 0.3)
@@ -425,15 +425,15 @@ def _covariance(columns, where, L, side, correlation, scale2, prior, coupling, b
         out[CUU] += influence[0, k] ** 2 * missing
         out[CUV] += influence[0, k] * influence[1, k] * missing
         out[CVV] += influence[1, k] ** 2 * missing
-    bent = 1.0 + _RIM_NONLINEARITY * 0.5 * (out[CUU] + out[CVV]) / max(out[BLUR], _MIN_BLUR_PX) ** 2
+    bent = 1.0 + _RIM_NONLINEARITY * 0.5 * (out[CUU] + out[CVV]) / max(out[BLUR], MIN_BLUR_PX) ** 2
     out[CUU], out[CUV], out[CVV] = bent * out[CUU], bent * out[CUV], bent * out[CVV]
 
 
 @exact_unchecked
-def _assess(table, at, where, light, beads, scatter, background, optics, blurs, gain, inverse_sd, pixels, work, out):  # noqa: PLR0917
+def assess(table, at, where, light, beads, scatter, background, optics, blurs, gain, inverse_sd, pixels, work, out):  # noqa: PLR0917
     """Write into `out` how well the bead explains its window before sharpening: residual excess, weakest sector."""
     for k in range(len(beads)):
-        beads[k, BEAD_BLUR] = np.sqrt(max(beads[k, BEAD_BLUR] ** 2 - blurs[0], _MIN_BLUR_PX**2))
+        beads[k, BEAD_BLUR] = np.sqrt(max(beads[k, BEAD_BLUR] ** 2 - blurs[0], MIN_BLUR_PX**2))
     optics = optics[0], optics[1], np.float32(blurs[1] - blurs[0])
     margin, darkest, zero = np.uint32(MARGIN), np.float32(0.02), np.float32(0.0)
     for p in range(at.shape[1]):

@@ -32,17 +32,39 @@ def log_image(image: Radiograph, mask: np.ndarray) -> np.ndarray:
 
 def logs_of(image: Radiograph, mask: np.ndarray, written: np.ndarray | None) -> np.ndarray:
     """`log_image` with the burnt-in annotations `written` (H, W) known from a previous image."""
-    pixels = image.pixels
-    if pixels.dtype == np.float32:
-        logs = np.log(np.maximum(pixels, np.float32(max(float(image.white) * 2.0**-16, 1e-30))))
-    else:
-        logs = _looked_up(pixels, _logarithms(np.iinfo(pixels.dtype).max + 1))
+    logs = _logs(image, image.pixels)
     if not mask.all():
         values, known = (np.ascontiguousarray(whole[::_COARSE, ::_COARSE]) for whole in (logs, mask))
         _fill(logs, mask, _extrapolated(values, known))
     if written is not None:
         logs = np.where(written, _extrapolated(logs, ~written), logs)
     return logs
+
+
+def logs_within(
+    image: Radiograph, mask: np.ndarray, before: np.ndarray, centres_px: np.ndarray, half_px: np.ndarray
+) -> np.ndarray:
+    """Return `log_image` (H, W) of the next image of a sequence in squares about pixels (N, 2); elsewhere it is unset.
+
+    Pixels outside `mask` have the values of `before`, the log image of an earlier one.
+    """
+    logs = np.empty(image.shape, np.float32)
+    for (u, v), half in zip(np.rint(centres_px).astype(int).tolist(), half_px.tolist(), strict=True):
+        part = slice(max(v - half, 0), max(v + half + 1, 0)), slice(max(u - half, 0), max(u + half + 1, 0))
+        logs[part] = np.where(mask[part], _logs(image, image.pixels[part]), before[part])
+    return logs
+
+
+def _logs(image: Radiograph, pixels: np.ndarray) -> np.ndarray:
+    """Return the logarithms of some or all pixels of an image."""
+    if pixels.dtype == np.float32:
+        return np.log(np.maximum(pixels, np.float32(darkest(image))))
+    return _looked_up(pixels, _logarithms(np.iinfo(pixels.dtype).max + 1))
+
+
+def darkest(image: Radiograph) -> float:
+    """Return the value that pixels below it count as: half a grey level."""
+    return max(float(image.white) * 2.0**-16, 1e-30) if image.pixels.dtype == np.float32 else 0.5
 
 
 @cache

@@ -1,10 +1,12 @@
 """Track labelled beads through a sequence of images.
 
 Candidates and labels are not searched for again: each bead is fitted from its last centre, radius and contrast, with
-the noise of the last full detection. The sizes of the balls, on which labels rest, are compared in every image.
+the noise of the last full detection. At rest, one linear step from an earlier image's fit is enough (`LinearFits`). The
+sizes of the balls, on which labels rest, are compared in every image.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -13,11 +15,14 @@ from sightline.detection.again import look_again_with, rows_with_others
 from sightline.detection.clipping import allow_for_missing_foot, clipped_shares
 from sightline.detection.covered import without_overlaps
 from sightline.detection.detector import bead_fitter, fine_reasons, without_middles
-from sightline.detection.log_image import field_inset, log_image, logs_of
+from sightline.detection.linear import LinearFits, reach_px
+from sightline.detection.log_image import field_inset, log_image, logs_of, logs_within
 from sightline.detection.noise import estimate_noise
 from sightline.detection.results import Detections, Observations
 from sightline.detection.scale import FACTOR, coarser, coarser_observations, finer_observations, is_fine
+from sightline.detection.window import window_reach
 from sightline.errors import ObservationsError
+from sightline.fitting.robust import MEDIAN_M2, median
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 
@@ -27,6 +32,7 @@ _HALF_WAY = 0.5  # of the step of log radius between two sizes of ball
 _MAX_LOG_SIZE = 0.15  # change of log radius; a correct bead's is 0.03 [twin], the step to a datum ball 0.51
 _FROM_OTHERS_PX = 3.0  # largest distance from the place predicted by the other beads' movement [ours]
 _AT_REST_PX = 0.3  # smaller movements of a plate are not extrapolated to the next image [ours]
+_STILL = 0.5  # share of the reach of linear fits; after larger movements the next image would find them stale [ours]
 _STALE_PX = 0.5  # movement after which overlap and washer masks, with margins of 2 px and more, are renewed
 
 
@@ -43,7 +49,8 @@ class Track:
     `radius_px` (L,) at the last full detection. `washer` (N,) bool. `fit`: fitter for the usable pixels. `mask` (H, W):
     the field. `written` (H, W) or None: burnt-in annotations. `free` (H, W): pixels usable for crowded beads, of which
     `free_for` have enough, computed when the labelled beads were at `free_at_px` (L, 2).
-    `step_px` (N, 2): last movement of each plate's beads; those of the source plate move twice as far.
+    `step_px` (N, 2): last movement of each plate's beads; those of the source plate move twice as far. `linear`: fits
+    of beads at rest, about an earlier image; none while they move. `shares` (N,): clipped share around each bead.
     `image_shape`: of the images, which are binned `halved` times before tracking, as `detect` does. Everything else is
     in pixels of the binned image.
     """
@@ -64,7 +71,9 @@ class Track:
     free_for: np.ndarray
     free_at_px: np.ndarray
     step_px: np.ndarray
+    shares: np.ndarray
     image_shape: tuple[int, int]
+    linear: tuple[LinearFits, ...] = ()
     halved: int = 0
 
     @staticmethod
@@ -111,17 +120,25 @@ class Track:
             free_for=free_for,
             free_at_px=observations.uv_px,
             step_px=np.zeros((len(rows), 2)),
+            shares=np.zeros(len(rows)),
             image_shape=image.shape,
         )
 
     def follow(self, image: Radiograph) -> tuple["Track", Observations]:
         """Return the next state and observations, each bead fitted from its predicted place. Raises TrackLost."""
         image = self._halved(image)
-        fit = self.fit.on(logs_of(image, self.mask, self.written))
-        moved = np.hypot(*(self._expected()[: len(self.ids), :2] - self.free_at_px).T)
-        if np.median(moved) > _STALE_PX:
-            fit = fit.within(self._usable(self.mask))
-        track = self._fitted(image, fit)
+        fit, linear = self.fit, self.linear
+        if np.median(np.hypot(*(self._expected()[: len(self.ids), :2] - self.free_at_px).T)) > _STALE_PX:
+            fit, linear = fit.within(self._usable(self.mask)), ()
+        rows, left = self._linear_rows(image, linear)
+        if left.all():
+            fit = fit.on(logs_of(image, self.mask, self.written))
+        elif left.any():
+            half = window_reach(rows[left, columns.RADIUS])
+            fit = fit.on_parts(logs_within(image, self.mask, fit.log_image, self._expected()[left, :2], half))
+        track, fitted = self._fitted(image, fit, rows, left)
+        linear = self._about(image, track, fitted) if left.all() else linear
+        track = replace(track, linear=linear, fit=track.fit if left.all() else self.fit)
         return track, track.observations
 
     def look(self, image: Radiograph) -> tuple["Track", Observations]:
@@ -133,7 +150,7 @@ class Track:
         if noise is None:
             raise TrackLost("no part of the image is suitable for measuring its noise")
         fit = refine.BeadFitter(logs, self._usable(mask), noise)
-        track = self._fitted(image, fit)
+        track, _ = self._fitted(image, fit, self._expected(), np.ones(len(self.rows), dtype=bool))
         beads, alone = track._alone(image)
         try:
             observations = look_again_with(lambda: fit, image, beads, alone, self.frame)
@@ -180,17 +197,64 @@ class Track:
             raise TrackLost("the images changed their size")
         return image.binned(FACTOR**self.halved) if self.halved else image
 
-    def _fitted(self, image: Radiograph, fit: refine.BeadFitter) -> "Track":
-        """Return the state after fitting all beads to an image. Raises TrackLost."""
+    def _linear_rows(self, image: Radiograph, linear: tuple[LinearFits, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rows with the linear fits that hold, and (N,) bool: which are left; all once a plate has moved."""
+        rows, left = self._expected(), np.ones(len(self.rows), dtype=bool)
+        moved = np.zeros((len(rows), 2))
+        for fits in linear:
+            fitted, holds = fits(image)
+            rows[fits.which[holds]], left[fits.which[holds]] = fitted[holds], False
+            moved[fits.which] = fitted[:, :2] - fits.fitted[:, :2]
+        if not self._are_still(moved, ~left, rows, 1.0):
+            return self._expected(), np.ones_like(left)
+        return rows, left
+
+    def _are_still(self, moved_px: np.ndarray, good: np.ndarray, rows: np.ndarray, share: float) -> bool:
+        """Whether the beads of each plate moved by less than a `share` of the reach of linear fits.
+
+        Half of a plate's beads decide, by the lengths of their movements, since it may rotate about its middle. The
+        noise of both images is allowed for. `good` (N,) bool: beads that show it.
+        """
+        count = len(self.ids)
+        near, good = _labelled(self.frame, self.view, self.ids)[0], good[:count]
+        for plate in (near & good, ~near & good):
+            if plate.any():
+                variance = rows[:count][plate][:, [columns.CUU, columns.CVV]].sum(axis=1)
+                length2 = median((moved_px[:count][plate] ** 2).sum(axis=1)) - MEDIAN_M2 * median(variance)
+                if length2 > (share * median(reach_px(rows[:count][plate]))) ** 2:
+                    return False
+        return bool(good.any())
+
+    def _about(self, image: Radiograph, track: "Track", fitted: np.ndarray) -> tuple[LinearFits, ...]:
+        """Return linear fits about the rows `fitted` in an image, whose state is `track`; none after a movement."""
+        if not self._are_still(track.rows[:, :2] - self.rows[:, :2], track.seen, track.rows, _STILL):
+            return ()
+        rows = self._expected()
+        return tuple(
+            LinearFits.about(fit, image, rows, which, fitted[which], mask=self.mask) for fit, which in track._fits()
+        )
+
+    def _fits(self) -> tuple[tuple[refine.BeadFitter, np.ndarray], ...]:
+        """Return the fitter of isolated beads and that of crowded ones, with their rows."""
+        alone = np.concatenate([~self.crowded, np.ones(len(self.rows) - len(self.ids), dtype=bool)])
+        return (self.fit, np.flatnonzero(alone)), (self.fit.within(self.free), np.flatnonzero(~alone)[self.free_for])
+
+    def _fitted(
+        self, image: Radiograph, fit: refine.BeadFitter, out: np.ndarray, left: np.ndarray
+    ) -> tuple["Track", np.ndarray]:
+        """Return the state after fitting the beads `left` (N,) to an image, and the fits; `out` has the other rows.
+
+        Raises TrackLost.
+        """
         rows, count = self._expected(), len(self.ids)
         free, free_for, free_at = self._free(fit, rows)
-        crowded = np.flatnonzero(self.crowded)
-        alone = np.setdiff1d(np.arange(len(rows)), crowded)
-        out = rows.copy()
-        out[crowded, columns.STATUS] = columns.TOO_FEW_PIXELS
-        out[alone] = fit(rows, alone)
-        out[crowded[free_for]] = fit.within(free)(rows, crowded[free_for])
-        allow_for_missing_foot(out, clipped_shares(image, fit.usable, out))
+        track = replace(self, fit=fit, free=free, free_for=free_for, free_at_px=free_at, shares=self.shares.copy())
+        out[left, columns.STATUS] = columns.TOO_FEW_PIXELS
+        for one, which in track._fits() if left.any() else ():
+            out[which[left[which]]] = one(rows, which[left[which]])
+        track.shares[left] = clipped_shares(image, fit.usable, out[left])
+        fitted = out.copy()
+        allow_for_missing_foot(out, track.shares)
         good = fine_reasons(out) == ""
         moved = out[:, :2] - self.rows[:, :2]
         self._refuse_few(good[:count])
@@ -202,25 +266,15 @@ class Track:
         out[~good] = self.rows[~good]
         out[~good, :2] += step[~good]
         moving = np.hypot(*step.T)[:, None] > _AT_REST_PX
-        return replace(
-            self,
-            rows=out,
-            seen=good[:count],
-            fit=fit,
-            free=free,
-            free_for=free_for,
-            free_at_px=free_at,
-            step_px=np.where(moving, step, 0.0),
-        )
+        return replace(track, rows=out, seen=good[:count], step_px=np.where(moving, step, 0.0)), fitted
 
     def _steps(self, moved_px: np.ndarray, good: np.ndarray) -> np.ndarray:
         """Return the median movement (N, 2) of each plate's beads; zero for spots that are not beads of the frame."""
-        xrii = set(self.frame.view(self.view).xrii.ids)
-        near = np.array([name in xrii for name in self.ids])
+        near = _labelled(self.frame, self.view, self.ids)[0]
         out = np.zeros((len(self.rows), 2))
         for plate in (near, ~near):
             if (plate & good).any():
-                out[: len(near)][plate] = np.median(moved_px[plate & good], axis=0)
+                out[: len(near)][plate] = [median(one) for one in moved_px[plate & good].T]
         return out
 
     def _usable(self, mask: np.ndarray) -> np.ndarray:
@@ -243,13 +297,9 @@ class Track:
 
     def _refuse_other_sizes(self, rows: np.ndarray, good: np.ndarray) -> None:
         """Raises TrackLost where balls have other sizes than their labels: they have moved by a step of the grid."""
-        by_id = self.frame.view(self.view).by_id
-        log_mm = np.log([by_id[name].diameter_mm for name in self.ids])
-        sizes = np.unique(log_mm.round(6))
-        if len(sizes) < 2:
-            return
+        step = _labelled(self.frame, self.view, self.ids)[1]
         larger = np.log(rows[:, columns.RADIUS].clip(1e-3) / self.radius_px)
-        wrong = good & (np.abs(larger) > _HALF_WAY * np.diff(sizes).min())
+        wrong = good & (np.abs(larger) > _HALF_WAY * step)
         if wrong.sum() >= SIZES_WRONG:
             raise TrackLost(f"{wrong.sum()} balls have other sizes than their labels state")
 
@@ -281,6 +331,14 @@ class Track:
             beads.radius_px[first],
         )
         return beads, seen
+
+
+@lru_cache(maxsize=8)
+def _labelled(frame: Frame, view: str, ids: tuple[str, ...]) -> tuple[np.ndarray, float]:
+    """Return which beads are on the XRII plate, (L,) bool, and the smallest step of log radius between their sizes."""
+    by_id, xrii = frame.view(view).by_id, set(frame.view(view).xrii.ids)
+    sizes = np.unique(np.log([by_id[name].diameter_mm for name in ids]).round(6))
+    return np.array([name in xrii for name in ids]), float(np.diff(sizes).min(initial=np.inf))
 
 
 def _sizes(

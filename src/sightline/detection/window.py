@@ -21,6 +21,11 @@ VECTOR = 32  # SIMD width; a scalar tail loop doubles the time
 SEEN, NEAR_UNUSABLE, CLIPPED, HIDDEN = range(4)
 
 
+def window_reach(radius_px: np.ndarray) -> np.ndarray:
+    """Return the whole px (N,) to either side of a bead's nearest pixel that its fit may read."""
+    return (radius_px + BEYOND).astype(int) + 1 + MARGIN
+
+
 @fast
 def log_level(image, usable, bead, reach):
     """Return the mean log light around the bead; 0 where no pixel there is usable."""

@@ -9,6 +9,35 @@ def centroids(outlines: np.ndarray) -> np.ndarray:
     return _centroids(np.ascontiguousarray(outlines, dtype=np.float64))
 
 
+def convex_hull(points: np.ndarray) -> np.ndarray:
+    """Return the rows (C,) of the corners of the convex hull of points (N, 2), in order from x towards y.
+
+    Points on a side are not corners; collinear points have two. Qhull opens a file for its messages each time.
+    """
+    order = np.lexsort(points.T[::-1])
+    return order[_chain(np.ascontiguousarray(points[order], dtype=np.float64))]
+
+
+@njit(cache=True)
+def _chain(points):
+    """Return the rows of the hull of points sorted by x and y: its lower side, then its upper side (Andrew 1979)."""
+    n = len(points)
+    out, count = np.empty(2 * n + 1, np.int64), 0
+    for side in range(2):
+        first = count
+        for k in range(n):
+            i = k if side == 0 else n - 1 - k
+            while count >= first + 2:
+                a, b = points[out[count - 2]], points[out[count - 1]]
+                if (b[0] - a[0]) * (points[i, 1] - a[1]) > (b[1] - a[1]) * (points[i, 0] - a[0]):
+                    break
+                count -= 1
+            out[count] = i
+            count += 1
+        count -= 1  # the last of a side is the first of the next
+    return out[:count]
+
+
 @njit(cache=True, error_model="numpy")
 def _centroids(outlines):
     out = np.empty((len(outlines), 2))

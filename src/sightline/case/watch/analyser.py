@@ -20,6 +20,7 @@ from sightline.imaging import Radiograph
 from sightline.planning.corridor import Corridor, corridor
 from sightline.planning.line_residuals import LineResiduals
 from sightline.planning.trajectory import Trajectory
+from sightline.threads import one_blas_thread
 
 STALE_S = 0.2  # an older image may no longer be true: nothing is drawn into it
 REST_FRAMES = 16  # half a second: the mean of these images is the rest position [ours]
@@ -91,6 +92,7 @@ class LiveAnalyser:
         self._rest.clear()
         self._settling.clear()
 
+    @one_blas_thread
     def look(self, shown: TimedImage, came_s: float, number: int, dropped: int) -> Watched:
         """Analyse an image received at `came_s` by the monotonic clock, or earlier if its own stamp says so."""
         followed = self._follower.update(shown.image, shown.stamped_s)

@@ -12,8 +12,9 @@ from sightline.errors import RefusedError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.pipeline import find_beads, label_beads
+from sightline.threads import one_blas_thread
 
-REFRESH_EVERY = 15  # images (half a second) between updates of the field of view, the noise and new beads [ours]
+REFRESH_EVERY_S = 0.5  # between updates of the field of view, the noise and new beads [ours]
 LEARN_EVERY_S = 3.0  # between full calibrations, which estimate the map's prior again [ours]
 
 
@@ -42,11 +43,11 @@ class Follower:
         self._frame = frame
         self._track: Track | None = None
         self._view: BeadView | None = None
-        self._since_refresh = 0
-        self._learnt_s = 0.0
+        self._refreshed_s = self._learnt_s = 0.0
         self._inverted = False
         self._why = "the first image"
 
+    @one_blas_thread
     def update(self, image: Radiograph, at_s: float) -> Followed:
         """Return the view of the next image, received at `at_s`."""
         try:
@@ -64,14 +65,14 @@ class Follower:
     def _follow(self, image: Radiograph, at_s: float, track: Track, last: BeadView) -> Followed:
         """Track the beads from the previous image. Raises TrackLost, RefusedError."""
         image = image.inverted() if self._inverted else image
-        due = self._since_refresh + 1 >= REFRESH_EVERY
+        due = at_s - self._refreshed_s >= REFRESH_EVERY_S
         track, seen = track.look(image) if due else track.follow(image)
         learn = at_s - self._learnt_s >= LEARN_EVERY_S
         view = calibrate(seen, self._frame) if learn else recalibrate(seen, self._frame, last)
         news = {check.name for check in failed(view.checks)} - {check.name for check in failed(last.checks)}
         if news:
             raise TrackLost(f"a check failed that had passed: {', '.join(sorted(news))}")
-        self._since_refresh = 0 if due else self._since_refresh + 1
+        self._refreshed_s = at_s if due else self._refreshed_s
         self._learnt_s = at_s if learn else self._learnt_s
         self._track, self._view = track, view
         return Followed(TrackingState.TRACKING, "", view, seen)
@@ -83,5 +84,5 @@ class Follower:
         seen = label_beads(image, beads, self._frame)
         view = calibrate(seen, self._frame)
         self._track, self._view = Track.begin(image, beads, seen, self._frame), view
-        self._since_refresh, self._learnt_s = 0, at_s
+        self._refreshed_s = self._learnt_s = at_s
         return Followed(TrackingState.SEARCHING, why, view, seen)
