@@ -36,6 +36,9 @@ _MAX_PREDICTION_SD_PX = 2.0  # with a less certain prediction, the fit may find 
 # there, 0.8-1.4 where they overlap less [twin].
 _DEEP_OVERLAP = 0.4
 # Limits for accepting a fit: the image must determine it, and it must agree with the frame and the neighbours.
+# Two beads in a deeper overlap are fitted well together or not at all: alone, one takes up the other's shadow [twin].
+_TOGETHER_OVERLAP = 1.2
+_BEHIND_PX = 1.0  # from a rim to that of a smaller bead behind it which does not change it: a blur [ours]
 _MAX_SD_PX = 0.5  # as for beads that an image determines (docs/benchmarks.md)
 _MAX_M2 = 16.0  # squared Mahalanobis distance from the prediction, whose s.d. is 1.2 times too small at the edge [twin]
 _MAX_LOG_SIZE = 0.07  # log radius against the neighbours'; more is a pair of beads, or another object's rim [twin]
@@ -341,7 +344,7 @@ def _clear(
 
     `without_foot` (M,) bool: which of them have a clipped background.
     """
-    clear = np.flatnonzero(fine_reasons(fit) == "")
+    clear, tried = np.flatnonzero(fine_reasons(fit) == ""), which
     fit, which, without_foot = fit[clear], which[clear], without_foot[clear]
     covariance, off = columns.centre_covariances(fit), fit[:, :2] - expected.uv_px[which]
     total = covariance + expected.variance_px2[which, None, None] * np.eye(2)
@@ -353,4 +356,19 @@ def _clear(
     fainter = np.where(without_foot, _MIN_LOG_CONTRAST_WITHOUT_FOOT, -_MAX_LOG_CONTRAST)
     good &= (size > least) & (size < _MAX_LOG_SIZE)
     good &= (np.log(contrast) > fainter) & (np.log(contrast) < _MAX_LOG_CONTRAST)
-    return clear[good]
+    return clear[good][_with_partners(expected, tried, which[good])]
+
+
+def _with_partners(expected: _Expected, tried: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Return (M,) bool: whether the image also shows what overlaps each of the well fitted beads `good` (M,) deeply.
+
+    It does if that is known, well fitted too, or wholly behind the bead. `tried`: all that were fitted.
+    """
+    radius, known = expected.radius_px, expected.row >= 0
+    known[tried] = False
+    known[good] = True
+    own = radius[good, None]
+    apart = distances(expected.uv_px[good], expected.uv_px)
+    needed = (overlap_of(apart, own, radius) > _TOGETHER_OVERLAP) & (apart + radius > own - _BEHIND_PX)
+    needed[np.arange(len(good)), good] = False
+    return ~(needed & ~known).any(axis=1)
