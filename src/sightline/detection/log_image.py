@@ -3,14 +3,16 @@
 from functools import cache
 
 import cv2
+import numba as nb
 import numpy as np
 
-from sightline.detection.compiled import exact
 from sightline.imaging import Radiograph
+from sightline.threads import at_once
 
 _COARSE = 4  # px; outside the field, pixels are filled at this resolution
 _KNOWN = 0.01  # smallest share of a pyramid's pixel inside the field
 _EDGE = 5  # px, side of the square that erodes two pixels of the field
+_kernel = nb.njit(cache=True, fastmath=False, error_model="python", nogil=True)
 
 
 def field_inset(image: Radiograph) -> np.ndarray:
@@ -32,11 +34,25 @@ def log_image(image: Radiograph, mask: np.ndarray) -> np.ndarray:
 
 def logs_of(image: Radiograph, mask: np.ndarray, written: np.ndarray | None) -> np.ndarray:
     """`log_image` with the burnt-in annotations `written` (H, W) known from a previous image."""
+    return _completed(_logs(image), mask, written)
+
+
+def field_and_logs(image: Radiograph) -> tuple[np.ndarray, np.ndarray]:
+    """Return `field_inset` and `log_image`, computed by two threads."""
+    mask, logs = at_once(lambda: field_inset(image), lambda: _logs(image))
+    return mask, _completed(logs, mask, image.burnt_in)
+
+
+def _logs(image: Radiograph) -> np.ndarray:
+    """Return the logarithm of the pixels everywhere."""
     pixels = image.pixels
     if pixels.dtype == np.float32:
-        logs = np.log(np.maximum(pixels, np.float32(max(float(image.white) * 2.0**-16, 1e-30))))
-    else:
-        logs = _looked_up(pixels, _logarithms(np.iinfo(pixels.dtype).max + 1))
+        return np.log(np.maximum(pixels, np.float32(max(float(image.white) * 2.0**-16, 1e-30))))
+    return _looked_up(pixels, _logarithms(np.iinfo(pixels.dtype).max + 1))
+
+
+def _completed(logs: np.ndarray, mask: np.ndarray, written: np.ndarray | None) -> np.ndarray:
+    """Fill `logs` outside `mask`; return them with `written` filled too."""
     if not mask.all():
         values, known = (np.ascontiguousarray(whole[::_COARSE, ::_COARSE]) for whole in (logs, mask))
         _fill(logs, mask, _extrapolated(values, known))
@@ -69,7 +85,7 @@ def _filled(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.divide(total, weight, out=out, where=weight > _KNOWN)
 
 
-@exact
+@_kernel
 def _looked_up(pixels, table):
     out = np.empty(pixels.shape, np.float32)
     for i in range(pixels.shape[0]):
@@ -78,7 +94,7 @@ def _looked_up(pixels, table):
     return out
 
 
-@exact
+@_kernel
 def _fill(values, mask, coarse):
     """Fill `values` outside `mask` from both ends of each row: the field is convex, so it is one run per row."""
     height, width = values.shape
