@@ -23,6 +23,9 @@ CHANGES = {
     "a fit's effective parameters are counted from neighbours in a row, and a window's level from every second row; "
     "clipped pixels are never data, also where the fill outside the field exceeded white by a rounding error",
     13: "a head fitted to edges states a larger error, as sampled on rendered heads",
+    14: "a bead's fit starts from the depth of its shadow, not from the step at its rim, and ends when the steps to "
+    "come are small; extrema of noise and texture are dropped before their rims are sought; "
+    "the second look leaves out two beads whose fits lie at one place",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)
