@@ -23,7 +23,10 @@ CHANGES = {
     "a fit's effective parameters are counted from neighbours in a row, and a window's level from every second row; "
     "clipped pixels are never data, also where the fill outside the field exceeded white by a rounding error",
     13: "a head fitted to edges states a larger error, as sampled on rendered heads",
-    14: "the second look keeps a bead whose own rim is seen, however deep a smaller one lies in its shadow",
+    14: "a bead's fit starts from the depth of its shadow, not from the step at its rim, and ends when the steps to "
+    "come are small; extrema of noise and texture are dropped before their rims are sought; "
+    "the second look keeps a bead whose own rim is seen, however deep a smaller one lies in its shadow, uses pixels "
+    "nearer to an overlap, and leaves out beads whose fits lie at one place or that hide one which is not fitted",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

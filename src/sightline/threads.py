@@ -13,7 +13,7 @@ THREADS: int = config.NUMBA_NUM_THREADS  # pyright: ignore[reportAttributeAccess
 # Of every estimate. Its matrices are small, so that idle threads cost more than they bring: twice the time of a view.
 # And a sum that is split between threads has other last bits on another number of cores.
 one_blas_thread = threadpool_limits.wrap(limits=1, user_api="blas")
-_SHARES = 4  # parts per thread, to balance the load [ours]
+_SHARES = 8  # parts per thread, to balance the load: a bead's fit may take five times as long as another's [ours]
 
 
 def in_parts(kernel: Callable[..., object], *arguments: object) -> None:

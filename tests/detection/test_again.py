@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bead_images import Bead, radiograph, transmission
 
-from sightline.detection import Observations, detect, label, look_again, refine
+from sightline.detection import Observations, again, columns, detect, label, look_again, refine
 from sightline.detection.covered import without_overlaps
 from sightline.detection.detector import bead_fitter
 from sightline.errors import ObservationsError
@@ -310,6 +310,18 @@ def test_a_ball_within_a_larger_shadow_costs_only_itself() -> None:
         chi2 += squares(again, two, [one.ids[large]])
     assert 0.4 < np.mean(chi2) < 1.75
     assert max(chi2) < 8.0  # 1 in 3000
+
+
+@pytest.mark.parametrize(("apart", "kept"), [(0.6, 1), (6.0, 3)])
+def test_two_fits_of_one_shadow_are_no_beads(apart: float, kept: int) -> None:
+    """A program that accepts each fit by its own prediction alone gives one shadow to two beads."""
+    uv = np.array([[100.3, 100.2], [100.3 + apart, 100.2], [150.4, 120.7]])
+    fits = refine.start(uv, np.full(3, 9.0), np.full(3, -0.7))
+    fits[:, [columns.CUU, columns.CVV]], fits[:, columns.CCC], fits[:, columns.WEAKEST] = 0.01, 1e-4, 1.0
+    predicted = uv + np.array([[-0.8, 0.5], [0.9, -0.4], [0.3, 0.2]])
+    expected = again._Expected(predicted, np.full(3, 2.0), np.full(3, 9.0), np.full(3, -0.7), np.full(3, -1))
+    clear = again._clear(fits, expected.start(), expected, np.arange(3), np.zeros(3, bool))
+    assert clear.tolist() == [0, 1, 2][-kept:]
 
 
 def test_radii_and_what_was_rejected_follow_the_second_look() -> None:

@@ -8,20 +8,23 @@ from sightline.detection.fit import _effective_parameters
 from sightline.detection.noise import LAGS
 from sightline.detection.refine import _by_distance
 from sightline.detection.shadow import solve
-from sightline.detection.window import correlated_product
+from sightline.detection.window import correlated_products
 
 
 @pytest.mark.parametrize("lags", [3, 4])
-def test_a_product_through_correlated_noise_is_that_of_the_convolved_field(lags: int) -> None:
+def test_products_through_correlated_noise_are_those_of_convolved_fields(lags: int) -> None:
     # Fields that differ and are not symmetric: a program that swaps fields or axes, or drops the last lag, fails.
     rng = np.random.default_rng(5)
     side, correlation = 17, np.append(1.0, rng.uniform(-0.3, 0.5, lags)).astype(np.float32)
-    one, other = (np.pad(rng.normal(size=(side, side)), LAGS).astype(np.float32) for _ in range(2))
+    u, v, w = fields = [np.pad(rng.normal(size=(side, side)), LAGS).astype(np.float32) for _ in range(3)]
     kernel = np.concatenate([correlation[:0:-1], correlation]).astype(np.float64)
-    convolved = convolve1d(convolve1d(other.astype(np.float64), kernel, 0, mode="constant"), kernel, 1, mode="constant")
-    got = correlated_product(one.ravel(), other.ravel(), correlation, np.uint32(side + 2 * LAGS))
-    size = float(np.linalg.norm(one) * np.linalg.norm(convolved))
-    assert got == pytest.approx(float((one * convolved).sum()), abs=1e-5 * size)  # single precision, 600 terms
+    got = correlated_products(np.array([one.ravel() for one in fields]), correlation, np.uint32(side + 2 * LAGS))
+    for product, one, other in zip(got, (u, u, v, w), (u, v, v, w), strict=True):
+        convolved = convolve1d(
+            convolve1d(other.astype(np.float64), kernel, 0, mode="constant"), kernel, 1, mode="constant"
+        )
+        size = float(np.linalg.norm(one) * np.linalg.norm(convolved))
+        assert product == pytest.approx(float((one * convolved).sum()), abs=1e-5 * size)  # single precision, 600 terms
 
 
 @pytest.mark.parametrize(("reach", "radius"), [(14.0, 9.0), (14.6, 6.0), (8.0, 3.0)])

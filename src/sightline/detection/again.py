@@ -43,6 +43,7 @@ _MAX_SD_PX = 0.5  # as for beads that an image determines (docs/benchmarks.md)
 _MAX_M2 = 16.0  # squared Mahalanobis distance from the prediction, whose s.d. is 1.2 times too small at the edge [twin]
 _MAX_LOG_SIZE = 0.07  # log radius against the neighbours'; more is a pair of beads, or another object's rim [twin]
 _MAX_LOG_CONTRAST = np.log(2.0)  # against the neighbours'; metal around a bead changes the contrast by a half [twin]
+_SAME_PLACE = 0.25  # of the radius: two shadows that are this close are not separated (overlap above 1.75) [ours]
 # Before a clipped background, whose level is unknown, a rim is fitted too small and too faint [twin].
 _MIN_LOG_SIZE_WITHOUT_FOOT, _MIN_LOG_CONTRAST_WITHOUT_FOOT = -0.3, -1.5
 
@@ -342,6 +343,7 @@ def _clear(
 ) -> np.ndarray:
     """Return the fits that are well-determined beads and agree with the prediction of the beads `which`.
 
+    Of two fits at one place neither is returned: they describe the same shadow, and which bead's it is stays open.
     `without_foot` (M,) bool: which of them have a clipped background.
     """
     clear, tried = np.flatnonzero(fine_reasons(fit) == ""), which
@@ -356,6 +358,9 @@ def _clear(
     fainter = np.where(without_foot, _MIN_LOG_CONTRAST_WITHOUT_FOOT, -_MAX_LOG_CONTRAST)
     good &= (size > least) & (size < _MAX_LOG_SIZE)
     good &= (np.log(contrast) > fainter) & (np.log(contrast) < _MAX_LOG_CONTRAST)
+    good = np.flatnonzero(good)
+    same = distances(fit[good, :2], fit[good, :2]) < _SAME_PLACE * fit[good, columns.RADIUS]
+    good = good[same.sum(axis=1) == 1]  # each is at its own place
     return clear[good][_with_partners(expected, tried, which[good])]
 
 

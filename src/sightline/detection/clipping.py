@@ -36,11 +36,19 @@ def _fill_shares(pixels, white, usable, rows, shares):
     height, width = pixels.shape
     for k in range(len(rows)):
         u, v, radius = rows[k, columns.U], rows[k, columns.V], rows[k, columns.RADIUS]
-        inner2, outer2 = (radius + _AROUND_PX[0]) ** 2, (radius + _AROUND_PX[1]) ** 2
-        reach, seen, count = radius + _AROUND_PX[1], 0, 0
+        reach = radius + _AROUND_PX[1]
+        inner2, outer2 = np.float32((radius + _AROUND_PX[0]) ** 2), np.float32(reach**2)
+        left, right = max(int(u - reach), 0), max(min(int(u + reach) + 2, width), 0)
+        seen, count = 0, 0
         for i in range(max(int(v - reach), 0), min(int(v + reach) + 2, height)):
-            for j in range(max(int(u - reach), 0), min(int(u + reach) + 2, width)):
-                if inner2 < (j - u) ** 2 + (i - v) ** 2 < outer2 and usable[i, j]:
-                    seen += 1
-                    count += pixels[i, j] >= white
+            values, known, dv2 = pixels[i, left:right], usable[i, left:right], np.float32((i - v) ** 2)
+            of_row, clipped = np.int32(0), np.int32(0)
+            for j in range(len(values)):  # without branches, so that it is vectorised
+                du = np.float32(j + left) - np.float32(u)
+                r2 = du * du + dv2
+                around = (r2 > inner2) & (r2 < outer2) & known[j]
+                of_row += np.int32(around)
+                clipped += np.int32(around & (values[j] >= white))
+            seen += of_row
+            count += clipped
         shares[k] = count / max(seen, 1)

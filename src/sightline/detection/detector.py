@@ -10,7 +10,7 @@ from sightline.detection import columns, refine
 from sightline.detection.causes import NO_RIM, cause_of
 from sightline.detection.clipping import allow_for_missing_foot, clipped_shares
 from sightline.detection.find import distinct, find_candidates
-from sightline.detection.log_image import field_inset, log_image
+from sightline.detection.log_image import field_and_logs
 from sightline.detection.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
 from sightline.detection.results import Detections, RejectedCandidate
 from sightline.detection.scale import FACTOR, finer, is_fine
@@ -74,11 +74,11 @@ def detect(image: Radiograph | np.ndarray | str | Path, white: float | None = No
     True
     """
     image = as_radiograph(image, white)
-    _ = image.field_mask  # once, before two threads ask for it
-    defect, measured = at_once(lambda: interlaced(image), lambda: _measured(image))
+    mask, logs = field_and_logs(image)
+    noise, defect = at_once(lambda: estimate_noise(logs, mask), lambda: interlaced(image))
     if defect is not None:
         raise DetectionRefusedError(defect)
-    return replace(_detected(image, *_with_noise(image, *measured)), pixels=image.pixels)
+    return replace(_detected(image, mask, logs, _known(noise, image, mask)), pixels=image.pixels)
 
 
 def _detected(image: Radiograph, mask: np.ndarray, logs: np.ndarray, noise: NoiseModel) -> Detections:
@@ -94,17 +94,17 @@ def _detected(image: Radiograph, mask: np.ndarray, logs: np.ndarray, noise: Nois
     fit = refine.BeadFitter(logs, usable, noise)
     beads, unfit = _fitted(rows[spots.round], fit)
     rejected += unfit
-    middles = mask & ~usable
-    reason = _outlier_reasons(beads, _at_centres(middles, beads))
+    washer = _at_centres(mask, beads) & ~_at_centres(usable, beads)  # in the middle of one
+    reason = _outlier_reasons(beads, washer)
     if image.burnt_in is not None:
         reason[_covered(beads, image.burnt_in) > _COVERED] = "covered by a burnt-in annotation"
     rejected += _rejected(beads[reason != ""], reason[reason != ""])
-    beads = beads[reason == ""]
+    beads, washer = beads[reason == ""], washer[reason == ""]
     allow_for_missing_foot(beads, clipped_shares(image, usable, beads))
     if len(beads) == 0:
         why = _LARGE_BEADS if fine else cause_of(image, beads[:, :3], rejected) or _NO_BEADS
         raise DetectionRefusedError(f"no bead was found ({len(rejected)} candidates were rejected); {why}")
-    return _detections(beads, middles, image, rejected)
+    return _detections(beads, washer, image, rejected)
 
 
 def bead_fitter(image: Radiograph, beads: Detections) -> refine.BeadFitter:
@@ -116,23 +116,15 @@ def bead_fitter(image: Radiograph, beads: Detections) -> refine.BeadFitter:
 
 def _prepared(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel]:
     """Return the mask of the field, the log image and its noise. Raises DetectionRefusedError."""
-    return _with_noise(image, *_measured(image))
+    mask, logs = field_and_logs(image)
+    return mask, logs, _known(estimate_noise(logs, mask), image, mask)
 
 
-def _measured(image: Radiograph) -> tuple[np.ndarray, np.ndarray, NoiseModel | None]:
-    """Return the mask of the field, the log image and its noise, None where none can be measured."""
-    mask = field_inset(image)
-    logs = log_image(image, mask)
-    return mask, logs, estimate_noise(logs, mask)
-
-
-def _with_noise(
-    image: Radiograph, mask: np.ndarray, logs: np.ndarray, noise: NoiseModel | None
-) -> tuple[np.ndarray, np.ndarray, NoiseModel]:
-    """Return what `_measured` did. Raises DetectionRefusedError where no noise could be measured."""
+def _known(noise: NoiseModel | None, image: Radiograph, mask: np.ndarray) -> NoiseModel:
+    """Return the noise. Raises DetectionRefusedError where none could be measured."""
     if noise is None:
         raise DetectionRefusedError(_no_noise(image, mask))
-    return mask, logs, noise
+    return noise
 
 
 def _no_noise(image: Radiograph, mask: np.ndarray) -> str:
@@ -167,6 +159,8 @@ def _fitted(rows: np.ndarray, fit: refine.BeadFitter) -> tuple[np.ndarray, tuple
 
 def without_middles(mask: np.ndarray, uv_px: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
     """Return the mask without the middles of washers, whose outer rims are fitted as if they were balls."""
+    if len(uv_px) == 0:
+        return mask
     middles = np.zeros(mask.shape, np.uint8)
     for (u, v), radius in zip(uv_px, radius_px, strict=True):
         cv2.circle(middles, (round(16 * u), round(16 * v)), round(16 * _WASHER_RIM * radius), 1, -1, cv2.LINE_8, 4)
@@ -256,18 +250,14 @@ def _rejected(rows: np.ndarray, reasons: np.ndarray) -> tuple[RejectedCandidate,
 
 
 def _detections(
-    beads: np.ndarray, middles: np.ndarray, image: Radiograph, rejected: tuple[RejectedCandidate, ...]
+    beads: np.ndarray, washer: np.ndarray, image: Radiograph, rejected: tuple[RejectedCandidate, ...]
 ) -> Detections:
-    """Return rows of `columns` as Detections. `middles` (H, W): True in the middles of washers."""
+    """Return rows of `columns` as Detections. `washer` (N,) bool: which of them are washers."""
     return Detections(
         uv_px=beads[:, :2],
         radius_px=beads[:, columns.RADIUS],
         covariance_px2=columns.centre_covariances(beads),
-        kind=tuple(
-            np.where(
-                _at_centres(middles, beads), "washer", np.where(beads[:, columns.CONTRAST] < 0, "ball", "hole")
-            ).tolist()
-        ),
+        kind=tuple(np.where(washer, "washer", np.where(beads[:, columns.CONTRAST] < 0, "ball", "hole")).tolist()),
         contrast=beads[:, columns.CONTRAST],
         image_shape=image.shape,
         rejected=rejected,

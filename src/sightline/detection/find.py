@@ -8,7 +8,7 @@ import numpy as np
 
 from sightline.detection.compiled import exact
 from sightline.detection.noise import NoiseModel
-from sightline.detection.rim import FAINTEST, HOLLOW, RADIUS, RESPONSE, SCORE, U, V, broad_noise, judged
+from sightline.detection.rim import FAINTEST, HOLLOW, MIN_STEP_SNR, RADIUS, RESPONSE, SCORE, U, V, broad_noise, judged
 from sightline.threads import at_once
 
 # Extrema are searched for at half resolution, where a disc of 2 px with the usual blur is still well sampled. The bands
@@ -22,10 +22,14 @@ _FINEST_RADIUS = 1.1  # the same for sigma 0.5 and 1, on the half-size image wit
 _MIN_SNR = 4.0  # smallest response of a spot over the s.d. of the band's noise [ours]
 _BAND_NOISE = 0.2  # s.d. of a band's response, over the noise of a broad mean and the band's radius [calc]
 _BAND_GAIN = 0.2  # smallest response to a disc of contrast 1 between two bands [calc: 0.25 at a band's own radius]
-_BALL_RIM_PX = 0.7  # from a ball's steepest slope to its rim, where it is thin [twin: 0.5-0.8]
+_BALL_RIM_PX = 0.75  # from a ball's steepest slope to its rim, where it is thin [twin: 0.6-0.8]
+# A ball's shadow is deeper in its middle than the step at its rim, by the square of this over its radius, px
+# [twin: 4.8-5.5].
+_DEEPER_PX, _DEEPEST = 5.2, 2.5
 # Limits of how much a washer lacks in its middle, over its step: 0.77-1.06 [twin]; balls have 0.1 or less, a hole among
 # holes more.
 _HOLLOW = 0.6, 1.25
+_AROUND = np.array([(v, u) for v in (-1, 0, 1) for u in (-1, 0, 1) if u or v])  # row and column of the neighbours
 _CELL = 32.0  # px; duplicates are searched for in adjacent cells, which reach further than half a radius
 _MAX_EXTREMA = 2**16  # of a band; only the part of the buffer that is filled takes memory
 
@@ -34,7 +38,7 @@ _MAX_EXTREMA = 2**16  # of a band; only the part of the buffer that is filled ta
 class Candidates:
     """Bead candidates, best first: `uv_px` (N, 2), to about 0.3 px; `radius_px` (N,), to about 5 %.
 
-    `response` (N,): signed step of log intensity at the rim; `washer` (N,) bool: dark, with a bright middle;
+    `response` (N,): signed contrast of log intensity, to about 10 %; `washer` (N,) bool: dark, with a bright middle;
     `round` (N,) bool: False for a spot with a rim that is not round; it is reported as rejected.
     `sizes` (M, 2): radii and responses of all round spots, of any size; the same spot may be there twice.
     """
@@ -57,10 +61,14 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     report.
     """
     line = np.array([noise.offset + 2 * np.log(noise.broad), noise.slope], np.float32)
-    base, bands = at_once(
+    half = cv2.resize(log_image, None, fx=1 / _HALF, fy=1 / _HALF, interpolation=cv2.INTER_AREA)
+    first = cv2.GaussianBlur(half, (7, 7), 1.0)
+    coarser, base, finest = at_once(
+        lambda: _bands(first, mask, line),
         lambda: cv2.GaussianBlur(log_image, (5, 5), 0.8),
-        lambda: _bands(log_image, mask, line),
+        lambda: _extrema(cv2.GaussianBlur(half, (3, 3), 0.5), first, mask, _HALF, _FINEST_RADIUS, line),
     )
+    bands = [finest, *coarser]
     every = judged(base, np.concatenate(bands), line)
     sizes = every[every[:, SCORE] > 0][:, [RADIUS, RESPONSE]]
     spots = every[: sum(map(len, bands[:-_FURTHER_OCTAVES]))]
@@ -70,17 +78,16 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     spots = spots[distinct(spots)]
     dark = spots[:, RESPONSE] < 0
     washer = dark & (spots[:, HOLLOW] > _HOLLOW[0]) & (spots[:, HOLLOW] < _HOLLOW[1]) & (spots[:, SCORE] > 0)
-    radius = spots[:, RADIUS] + np.where(dark & ~washer, _BALL_RIM_PX, 0.0)
-    keep = ~_middles(spots, washer)
-    columns = spots[:, :2], radius, spots[:, RESPONSE], washer, spots[:, SCORE] > 0
+    ball, keep = dark & ~washer, ~_middles(spots, washer)
+    radius = spots[:, RADIUS] + np.where(ball, _BALL_RIM_PX, 0.0)
+    deeper = np.where(ball, np.minimum(1.0 + (_DEEPER_PX / radius) ** 2, _DEEPEST), 1.0)
+    columns = spots[:, :2], radius, deeper * spots[:, RESPONSE], washer, spots[:, SCORE] > 0
     return Candidates(*(column[keep] for column in columns), sizes=sizes)
 
 
-def _bands(log_image: np.ndarray, mask: np.ndarray, line: np.ndarray) -> list[np.ndarray]:
-    """Return the extrema (N, 4) of each band, the finest first."""
-    half = cv2.resize(log_image, None, fx=1 / _HALF, fy=1 / _HALF, interpolation=cv2.INTER_AREA)
-    finest, first = cv2.GaussianBlur(half, (3, 3), 0.5), cv2.GaussianBlur(half, (7, 7), 1.0)
-    bands = [_extrema(finest, first, mask, _HALF, _FINEST_RADIUS, line)]
+def _bands(first: np.ndarray, mask: np.ndarray, line: np.ndarray) -> list[np.ndarray]:
+    """Return the extrema (N, 4) of each band but the finest; `first`: the half-size image with a blur of 1 px."""
+    bands = []
     for octave in range(_OCTAVES + _FURTHER_OCTAVES):
         second = cv2.GaussianBlur(first, (11, 11), 3**0.5)
         bands.append(_extrema(first, second, mask, _HALF << octave, _BAND_RADIUS, line))
@@ -107,33 +114,39 @@ def _middles(spots: np.ndarray, washer: np.ndarray) -> np.ndarray:
 
 
 def _extrema(fine, coarse, mask, step: int, radius: float, line) -> np.ndarray:  # noqa: PLR0917
-    """Return the local extrema (N, 4) of a pyramid band with `step` image px per pixel.
+    """Return the local extrema (N, 4) of a pyramid band, fine - coarse, with `step` image px per pixel.
 
-    The band responds most to discs of `radius` of its pixels. `fine` is overwritten.
+    The band responds most to discs of `radius` of its pixels.
     """
     rows = np.empty((_MAX_EXTREMA, 4))
     if min(fine.shape) < 5:
         return rows[:0]
-    return rows[: _band(np.subtract(fine, coarse, out=fine), coarse, mask, step, radius * step, line, rows)]
+    return rows[: _band(fine, coarse, mask, step, radius * step, line, rows)]
 
 
 @nb.njit(cache=True, fastmath=True, nogil=True)
-def _band(difference, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
+def _band(fine, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
     """Fill `rows` with the extrema of a band; return their number."""
-    height, width = difference.shape
+    height, width = fine.shape
+    reach = 0 if step > _HALF else 1 if radius < _BAND_RADIUS * step else 2
     faintest = np.float32(_BAND_GAIN * FAINTEST)
-    extremal = np.empty(width, np.bool_)
+    extremal, differences = np.empty(width, np.bool_), np.empty((3, width), np.float32)
+    _subtract(fine[0], coarse[0], differences[0])
+    _subtract(fine[1], coarse[1], differences[1])
     n = 0
     for y in range(1, height - 1):
-        _mark_extremal(difference, y, faintest, extremal)
+        before, here, after = differences[(y - 1) % 3], differences[y % 3], differences[(y + 1) % 3]
+        _subtract(fine[y + 1], coarse[y + 1], after)
+        _mark_extremal(before, here, after, faintest, extremal)
         for x in range(1, width - 1):
             if not extremal[x] or not mask[y * step, x * step]:
                 continue
-            value = difference[y, x]
-            if abs(value) < _MIN_SNR * _BAND_NOISE * broad_noise(coarse[y, x], line) / radius or n == _MAX_EXTREMA:
+            value, noise = here[x], broad_noise(coarse[y, x], line) / radius
+            if abs(value) < _MIN_SNR * _BAND_NOISE * noise or n == _MAX_EXTREMA:
                 continue
-            left, right = difference[y, x - 1], difference[y, x + 1]
-            above, below = difference[y - 1, x], difference[y + 1, x]
+            if reach and not _has_sides(fine, y, x, reach, value > 0, max(FAINTEST, MIN_STEP_SNR * noise)):
+                continue
+            left, right, above, below = here[x - 1], here[x + 1], before[x], after[x]
             bend_u, bend_v = left - 2 * value + right, above - 2 * value + below
             u = x + (0.5 * (left - right) / bend_u if abs(bend_u) > 1e-9 else 0.0)
             v = y + (0.5 * (above - below) / bend_v if abs(bend_v) > 1e-9 else 0.0)
@@ -145,14 +158,49 @@ def _band(difference, coarse, mask, step, radius, line, rows) -> int:  # noqa: P
 
 
 @exact
-def _mark_extremal(d, y, least, extremal):
-    """Mark the extrema of row `y` that are `least` or more from zero, without branches."""
-    for x in range(1, d.shape[1] - 1):
-        above = max(d[y - 1, x - 1], d[y - 1, x], d[y - 1, x + 1], d[y, x - 1])
-        above = max(above, d[y, x + 1], d[y + 1, x - 1], d[y + 1, x], d[y + 1, x + 1])
-        below = min(d[y - 1, x - 1], d[y - 1, x], d[y - 1, x + 1], d[y, x - 1])
-        below = min(below, d[y, x + 1], d[y + 1, x - 1], d[y + 1, x], d[y + 1, x + 1])
-        extremal[x] = (d[y, x] >= max(above, least)) | (d[y, x] <= min(below, -least))
+def _subtract(fine, coarse, out):
+    for x in range(len(out)):
+        out[x] = fine[x] - coarse[x]
+
+
+@exact
+def _mark_extremal(before, here, after, least, extremal):
+    """Mark the extrema of the row `here`, between the rows beside it, that are `least` or more from zero.
+
+    Without branches, so that it is vectorised.
+    """
+    for x in range(1, len(here) - 1):
+        above = max(before[x - 1], before[x], before[x + 1], here[x - 1])
+        above = max(above, here[x + 1], after[x - 1], after[x], after[x + 1])
+        below = min(before[x - 1], before[x], before[x + 1], here[x - 1])
+        below = min(below, here[x + 1], after[x - 1], after[x], after[x + 1])
+        extremal[x] = (here[x] >= max(above, least)) | (here[x] <= min(below, -least))
+
+
+@exact
+def _has_sides(fine, y, x, reach, bright, least) -> bool:  # noqa: PLR0917
+    """Return whether values fall towards at least 5 of 8 places around an extremum, on average by half of `least`.
+
+    A quick test, which leaves few of the many extrema of noise and texture in the finest bands. The places lie `reach`
+    pixels away along the diagonals, one more along the axes; the fall begins at the extremum for a reach of 1, and at
+    the pixel beside it for 2.
+    """
+    height, width = fine.shape
+    if not (3 <= y < height - 3 and 3 <= x < width - 3):
+        return True
+    falls = np.empty(8, np.float32)
+    sign, mean, down = np.float32(1.0 if bright else -1.0), np.float32(0.0), 0
+    for k in range(8):
+        v, u = _AROUND[k, 0], _AROUND[k, 1]
+        far = reach + 1 if u == 0 or v == 0 else reach
+        inner = fine[y + v, x + u] if reach > 1 else fine[y, x]
+        falls[k] = sign * (inner - fine[y + far * v, x + far * u])
+        mean += falls[k] / np.float32(8.0)
+    if mean < 0.5 * least:
+        return False
+    for k in range(8):
+        down += falls[k] > 0.3 * mean
+    return down >= 5
 
 
 def distinct(spots: np.ndarray) -> np.ndarray:

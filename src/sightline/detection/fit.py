@@ -24,7 +24,7 @@ from sightline.detection.columns import (
     U,
     V,
 )
-from sightline.detection.compiled import FAST, exact, exact_unchecked, fast, part_of_caller
+from sightline.detection.compiled import FAST, exact, fast, part_of_caller
 from sightline.detection.noise import LAGS
 from sightline.detection.shadow import (
     BACKGROUND,
@@ -53,7 +53,7 @@ from sightline.detection.window import (
     MARGIN,
     VECTOR,
     along_both_axes,
-    correlated_product,
+    correlated_products,
     gather_pixels,
     hide_metal,
     log_level,
@@ -68,7 +68,9 @@ MAX_JOINT = 3  # beads of a joint fit
 _MAX_ITERATIONS = 12
 # Iterations before weights and pixels are frozen and steps are halved; otherwise the fit oscillates [ours].
 _ADAPTIVE_ITERATIONS = 4
-_CONVERGED = 0.02  # step in px and in shares of the light: at most a tenth of the noise [ours]
+# Steps, in px and in shares of the light, at which a fit has converged: the last one, and the sum of those to come, if
+# they shrink as the last one did. They are at most a tenth of the noise [ours].
+_CONVERGED, _REMAINS = 0.02, 0.007
 PRIOR_PIXELS = 50.0  # weight of the noise model against the bead's own residuals, in pixels [ours]
 MIN_BLUR_PX = 0.3  # a pixel alone blurs by 0.29
 _CUBIC_SD = 0.06  # s.d. of the background's cubic terms at the window's rim, share of its light [twin: hard scenes]
@@ -114,7 +116,10 @@ def joint_rows(spots, i, reach):
     for j in range(len(spots)):
         if j == i or spots[j, CONTRAST] * spots[i, CONTRAST] < 0:
             continue
-        apart = np.hypot(spots[j, U] - spots[i, U], spots[j, V] - spots[i, V])
+        du, dv, near = spots[j, U] - spots[i, U], spots[j, V] - spots[i, V], reach + spots[j, RADIUS] + 2.0
+        if not (abs(du) < near and abs(dv) < near):
+            continue  # most spots are far away
+        apart = np.hypot(du, dv)
         if apart < spots[j, RADIUS] - 0.5 * spots[i, RADIUS]:
             continue  # a wide disc around this bead is anatomy, not a bead
         gap = apart - spots[i, RADIUS] - spots[j, RADIUS]
@@ -131,7 +136,7 @@ def joint_rows(spots, i, reach):
 
 
 @part_of_caller
-def _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state, window, out):  # noqa: PLR0917
+def _solve(spots, rows, noise, unit_sds, sharpening, plain, prior_sd, tables, light, state, window, out):  # noqa: PLR0917
     """Fit the beads `rows` jointly to the visible pixels and write the first bead's result into `out`."""
     left, top, reach, zero = window
     row, radius = rows[0], spots[rows[0], RADIUS]
@@ -150,10 +155,10 @@ def _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state
     A, L, b, step = np.empty((size + 2, size + 2)), np.empty((size, size)), np.empty(size), np.zeros(size)
     prior = np.zeros(size)
     optics = np.float32(1.0 / reach), stopped, np.float32(together2)
-    inverse_sds = inverse_sd_table(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain), noise[1])
+    inverse_sds = unit_sds / np.float32(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain))
     brightest = np.exp(noise[2] - zero - CLIPPING_MARGIN_SD * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
     out[STATUS] = TOO_FEW_PIXELS
-    chi2, pixels, coupling = 0.0, 0, 0.0
+    chi2, pixels, coupling, moved = 0.0, 0, 0.0, np.inf
     for iteration in range(_MAX_ITERATIONS):
         fill_light(table, at, beads, scatter, background, optics, behind, effect, columns)
         if iteration < _ADAPTIVE_ITERATIONS:
@@ -166,6 +171,7 @@ def _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state
         if not solve(A, b, L, step):
             out[STATUS] = SINGULAR
             return
+        before = moved
         moved = _take_step(beads, scatter, background, step, 1.0 if iteration < _ADAPTIVE_ITERATIONS else 0.5)
         out[STATUS] = WANDERED
         if (
@@ -173,7 +179,7 @@ def _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state
             or not 0.5 < beads[0, BEAD_RADIUS] / radius < 1.9
         ):
             return
-        if moved < _CONVERGED and iteration > 0:
+        if iteration > 0 and (moved < _CONVERGED or moved * moved < _REMAINS * (before - moved)):
             out[STATUS] = FITTED
             break
     if out[STATUS] != FITTED or np.hypot(beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]) > MAX_ELLIPTICITY:
@@ -196,7 +202,7 @@ def _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state
     assess(table, at, where, light, beads, scatter, background, optics, blurs, gain, inverse_sd, pixels, work, out)
 
 
-@nb.njit(cache=True, fastmath=FAST, nogil=True)
+@nb.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)
 def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain, prior_sd, tables, out):  # noqa: PLR0917
     """Fit rows `which[part::parts]` of `spots` and write row `which[i]` into row i of `out`.
 
@@ -205,7 +211,7 @@ def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain,
     `plain`: the same without sharpening.
     Where a large residual remains, metal around the bead is searched for and hidden, and the fit is repeated.
     """
-    result = np.empty(spots.shape[1])
+    result, unit_sds = np.empty(spots.shape[1]), inverse_sd_table(noise[1])
     for i in range(part, len(which), parts):
         row = which[i]
         reach = spots[row, RADIUS] + BEYOND
@@ -218,7 +224,7 @@ def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain,
         window = left, top, reach, zero
         for again in range(2):
             _copy(spots[row], result)
-            _solve(spots, rows, noise, sharpening, plain, prior_sd, tables, light, state, window, result)
+            _solve(spots, rows, noise, unit_sds, sharpening, plain, prior_sd, tables, light, state, window, result)
             better = result[STATUS] == FITTED and (out[i, STATUS] != FITTED or result[EXCESS] < out[i, EXCESS])
             if better or not again:
                 _copy(result, out[i])
@@ -246,11 +252,14 @@ def initial_values(spots, rows, blur2):
 
 
 @exact
-def inverse_sd_table(lift, slope):
-    """Return one over the noise's s.d. at light 0 to 2, _LIGHT_STEPS entries per unit: fine enough for weights."""
+def inverse_sd_table(slope):
+    """Return one over the noise's s.d. at light 0 to 2, in units of that at 1.
+
+    _LIGHT_STEPS entries per unit: fine enough for weights.
+    """
     inverse_sds = np.empty(2 * _LIGHT_STEPS, np.float32)
     for k in range(len(inverse_sds)):
-        inverse_sds[k] = ((k + 0.5) / _LIGHT_STEPS) ** (0.5 * slope - 1.0) / lift
+        inverse_sds[k] = ((k + 0.5) / _LIGHT_STEPS) ** (0.5 * slope - 1.0)
     return inverse_sds
 
 
@@ -341,40 +350,43 @@ def _effective_parameters(columns, where, L, by_lag):
 
     The fit lowers the expected sum of squared residuals by so much. For white noise it is the number of parameters.
     `by_lag` (LAGS + 1,): the correlations of all neighbours at about this distance. H is nearly the same in all
-    directions, so neighbours in a row stand for all, and half of a large window for the other half: to 4 % of the
-    number, which is a tenth of the pixels [calc].
+    directions, so neighbours in a row stand for all, and every third row of a large window for the others: to 4 % of
+    the number, which is a tenth of the pixels [calc].
     """
     size, pixels = len(L), columns.shape[1]
-    count = pixels if pixels < _LARGE_WINDOW else (pixels // 2 + VECTOR - 1) // VECTOR * VECTOR
-    shares, rows = np.zeros((LAGS + 1, pixels), np.float32), np.zeros((size, count + LAGS), np.float32)
+    wanted = np.zeros(where[0].max() + 1, np.uint32)
+    wanted[1 :: 1 if pixels < _LARGE_WINDOW else 3] = 1  # none in the corners of a window, where the padding is
+    picked, used, every = np.empty(pixels, np.uint32), np.uint32(0), np.uint32(0)
+    for p in range(pixels):
+        picked[used] = p
+        every += np.uint32(where[0, p] > np.uint32(0))
+        used += wanted[where[0, p]]
+    count = (int(used) + VECTOR - 1) // VECTOR * VECTOR
+    of_row, of_column = np.zeros(count + LAGS, np.uint32), np.zeros(count + LAGS, np.uint32)
+    for p in range(used):
+        of_row[p], of_column[p] = where[0, picked[p]], where[1, picked[p]]
+    shares, rows = np.zeros((LAGS + 1, count), np.float32), np.zeros((size, count + LAGS), np.float32)
     for lag in range(LAGS + 1):
-        share, later_row, later_column = shares[lag], where[0, lag:], where[1, lag:]
-        of_row, of_column, one, every, used = where[0], where[1], np.uint32(lag), np.uint32(0), np.uint32(0)
-        for p in range(pixels - lag):
+        share, factor, one = shares[lag], np.float32(by_lag[lag] * every / max(used, 1)), np.uint32(lag)
+        later_row, later_column = of_row[lag:], of_column[lag:]
+        for p in range(count):
             beside = (later_row[p] == of_row[p]) & (later_column[p] == of_column[p] + one)
-            every += np.uint32(beside)
-            share[p] = np.float32(beside)
-        for p in range(count - lag, count):
-            share[p] = 0.0
-        for p in range(count):
-            used += np.uint32(share[p])
-        factor = np.float32(by_lag[lag] * every / max(used, 1))
-        for p in range(count):
-            share[p] *= factor
+            share[p] = factor if beside else np.float32(0.0)
     s0, s1, s2, s3, s4 = shares[0], shares[1], shares[2], shares[3], shares[4]
     total = np.float32(0.0)
     for k in range(size):  # rows of L^-1 J'
-        row, scale, column = rows[k], np.float32(1.0 / L[k, k]), columns[k]
-        for p in range(count):
-            row[p] = scale * column[p]
+        row, lower, column = rows[k], L[k], columns[k]
+        scale = np.float32(1.0 / lower[k])
+        for p in range(used):
+            row[p] = scale * column[picked[p]]
         for m in range(0, k - 3, 4):  # four at once, which saves loads and stores
             a, b, c, d = rows[m], rows[m + 1], rows[m + 2], rows[m + 3]
-            x, y = scale * np.float32(L[k, m]), scale * np.float32(L[k, m + 1])
-            z, w = scale * np.float32(L[k, m + 2]), scale * np.float32(L[k, m + 3])
+            x, y = scale * np.float32(lower[m]), scale * np.float32(lower[m + 1])
+            z, w = scale * np.float32(lower[m + 2]), scale * np.float32(lower[m + 3])
             for p in range(count):
                 row[p] -= x * a[p] + y * b[p] + z * c[p] + w * d[p]
         for m in range(k - k % 4, k):
-            part, other = scale * np.float32(L[k, m]), rows[m]
+            part, other = scale * np.float32(lower[m]), rows[m]
             for p in range(count):
                 row[p] -= part * other[p]
         r1, r2, r3, r4 = row[1:], row[2:], row[3:], row[4:]
@@ -400,20 +412,22 @@ def _covariance(columns, where, L, side, correlation, scale2, prior, coupling, b
     reach = np.uint32(LAGS)
     width, pixels = np.uint32(side) + 2 * reach, columns.shape[1]
     total, field = np.zeros((3, pixels), np.float32), np.zeros((3, width * width), np.float32)
-    for k in range(size):
-        u, v, contrast = np.float32(influence[0, k]), np.float32(influence[1, k]), np.float32(influence[2, k])
-        column, of_u, of_v, of_contrast = columns[k], total[0], total[1], total[2]
-        for p in range(pixels):
-            of_u[p] += u * column[p]
-            of_v[p] += v * column[p]
-            of_contrast[p] += contrast * column[p]
+    for row in range(3):
+        of_row, x = total[row], influence[row].astype(np.float32)
+        for k in range(0, size - 3, 4):  # four at once, which saves loads and stores
+            a, b, c, d = columns[k], columns[k + 1], columns[k + 2], columns[k + 3]
+            x0, x1, x2, x3 = x[k], x[k + 1], x[k + 2], x[k + 3]
+            for p in range(pixels):
+                of_row[p] += x0 * a[p] + x1 * b[p] + x2 * c[p] + x3 * d[p]
+        for k in range(size - size % 4, size):
+            column = columns[k]
+            for p in range(pixels):
+                of_row[p] += x[k] * column[p]
     for p in range(pixels):
         at = (where[0, p] + reach) * width + where[1, p] + reach
         field[0, at], field[1, at], field[2, at] = total[0, p], total[1, p], total[2, p]
-    out[CUU] = scale2 * correlated_product(field[0], field[0], correlation, width)
-    out[CUV] = scale2 * correlated_product(field[0], field[1], correlation, width)
-    out[CVV] = scale2 * correlated_product(field[1], field[1], correlation, width)
-    out[CCC] = scale2 * correlated_product(field[2], field[2], correlation, width)
+    uu, uv, vv, ww = correlated_products(field, correlation, width)
+    out[CUU], out[CUV], out[CVV], out[CCC] = scale2 * uu, scale2 * uv, scale2 * vv, scale2 * ww
     for m in range(SCATTER_TERMS - 1):
         for row in range(2):
             influence[row, of_scatter + 1 + m] -= coupling * influence[row, of_background + 1 + m]
@@ -429,7 +443,7 @@ def _covariance(columns, where, L, side, correlation, scale2, prior, coupling, b
     out[CUU], out[CUV], out[CVV] = bent * out[CUU], bent * out[CUV], bent * out[CVV]
 
 
-@exact_unchecked
+@part_of_caller
 def assess(table, at, where, light, beads, scatter, background, optics, blurs, gain, inverse_sd, pixels, work, out):  # noqa: PLR0917
     """Write into `out` how well the bead explains its window before sharpening: residual excess, weakest sector."""
     for k in range(len(beads)):
@@ -449,14 +463,20 @@ def assess(table, at, where, light, beads, scatter, background, optics, blurs, g
         expected += sd * sd if counts else zero
     beyond = max(residuals - _NOISE_MARGIN * expected / gain, 0.0) / pixels
     out[EXCESS] = np.sqrt(beyond) / max(abs(out[CONTRAST]), 1e-9)
-    seen, meant, rim2 = np.zeros(8), np.zeros(8), (beads[0, BEAD_RADIUS] + 1) ** 2
+    u, v = np.float32(beads[0, BEAD_X]), np.float32(beads[0, BEAD_Y])
+    rim2 = np.float32((beads[0, BEAD_RADIUS] + 1) ** 2)
+    of_seen, of_meant, sectors = behind[0], behind[1], np.empty(at.shape[1], np.uint8)
+    for p in range(at.shape[1]):  # without branches, so that it is vectorised
+        x, y = at[0, p] - u, at[1, p] - v
+        counts = (x * x + y * y < rim2) & (inverse_sd[p] > zero)
+        bead = max(meant_light[p], darkest) / bright[p] - np.float32(1.0)
+        of_seen[p] = (rest[p] / bright[p] + bead) * bead if counts else zero
+        of_meant[p] = bead * bead if counts else zero
+        sectors[p] = 4 * np.uint8(x > zero) + 2 * np.uint8(y > zero) + np.uint8(abs(x) > abs(y))
+    seen, meant = np.zeros(8), np.zeros(8)
     for p in range(at.shape[1]):
-        x, y = at[0, p] - beads[0, BEAD_X], at[1, p] - beads[0, BEAD_Y]
-        if x * x + y * y < rim2 and inverse_sd[p] > 0:
-            bead = max(meant_light[p], darkest) / bright[p] - np.float32(1.0)
-            sector = 4 * (x > 0) + 2 * (y > 0) + (abs(x) > abs(y))
-            seen[sector] += (rest[p] / bright[p] + bead) * bead
-            meant[sector] += bead * bead
+        seen[sectors[p]] += of_seen[p]
+        meant[sectors[p]] += of_meant[p]
     whole = 0.0
     for k in range(8):
         whole += meant[k]

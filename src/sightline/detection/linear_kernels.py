@@ -154,6 +154,7 @@ def _in_field(mask, left, top, n) -> bool:
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)
 def keep_part(part, parts, image, usable, mask, spots, fitted, which, noise, sharpening, plain, tables, prior_sd, kept):  # noqa: PLR0915, PLR0917
     """Fill `kept` for the rows `which[part::parts]` of `spots`, whose fits are in `fitted`; as `fit_part`."""
+    unit_sds = inverse_sd_table(noise[1])
     for i in range(part, len(which), parts):
         row = which[i]
         reach = spots[row, RADIUS] + BEYOND
@@ -185,7 +186,7 @@ def keep_part(part, parts, image, usable, mask, spots, fitted, which, noise, sha
         A, L, b, step = np.empty((size + 2, size + 2)), np.empty((size, size)), np.empty(size), np.zeros(size)
         prior, data = np.zeros(size), np.empty(size)
         optics = np.float32(1.0 / reach), stopped, np.float32(together2)
-        inverse_sds = inverse_sd_table(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain), noise[1])
+        inverse_sds = unit_sds / np.float32(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain))
         brightest = np.exp(noise[2] - zero - CLIPPING_MARGIN_SD * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
         good, used = True, 0
         for turn in range(2):  # the first finds scatter and background

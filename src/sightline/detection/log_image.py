@@ -3,14 +3,16 @@
 from functools import cache
 
 import cv2
+import numba as nb
 import numpy as np
 
-from sightline.detection.compiled import exact
 from sightline.imaging import Radiograph
+from sightline.threads import at_once
 
 _COARSE = 4  # px; outside the field, pixels are filled at this resolution
 _KNOWN = 0.01  # smallest share of a pyramid's pixel inside the field
 _EDGE = 5  # px, side of the square that erodes two pixels of the field
+_kernel = nb.njit(cache=True, fastmath=False, error_model="python", nogil=True)
 
 
 def field_inset(image: Radiograph) -> np.ndarray:
@@ -32,13 +34,13 @@ def log_image(image: Radiograph, mask: np.ndarray) -> np.ndarray:
 
 def logs_of(image: Radiograph, mask: np.ndarray, written: np.ndarray | None) -> np.ndarray:
     """`log_image` with the burnt-in annotations `written` (H, W) known from a previous image."""
-    logs = _logs(image, image.pixels)
-    if not mask.all():
-        values, known = (np.ascontiguousarray(whole[::_COARSE, ::_COARSE]) for whole in (logs, mask))
-        _fill(logs, mask, _extrapolated(values, known))
-    if written is not None:
-        logs = np.where(written, _extrapolated(logs, ~written), logs)
-    return logs
+    return _completed(_logs(image, image.pixels), mask, written)
+
+
+def field_and_logs(image: Radiograph) -> tuple[np.ndarray, np.ndarray]:
+    """Return `field_inset` and `log_image`, computed by two threads."""
+    mask, logs = at_once(lambda: field_inset(image), lambda: _logs(image, image.pixels))
+    return mask, _completed(logs, mask, image.burnt_in)
 
 
 def logs_within(
@@ -67,6 +69,16 @@ def darkest(image: Radiograph) -> float:
     return max(float(image.white) * 2.0**-16, 1e-30) if image.pixels.dtype == np.float32 else 0.5
 
 
+def _completed(logs: np.ndarray, mask: np.ndarray, written: np.ndarray | None) -> np.ndarray:
+    """Fill `logs` outside `mask`; return them with `written` filled too."""
+    if not mask.all():
+        values, known = (np.ascontiguousarray(whole[::_COARSE, ::_COARSE]) for whole in (logs, mask))
+        _fill(logs, mask, _extrapolated(values, known))
+    if written is not None:
+        logs = np.where(written, _extrapolated(logs, ~written), logs)
+    return logs
+
+
 @cache
 def _logarithms(count: int) -> np.ndarray:
     return np.log(np.maximum(np.arange(count), 0.5)).astype(np.float32)
@@ -91,7 +103,7 @@ def _filled(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.divide(total, weight, out=out, where=weight > _KNOWN)
 
 
-@exact
+@_kernel
 def _looked_up(pixels, table):
     out = np.empty(pixels.shape, np.float32)
     for i in range(pixels.shape[0]):
@@ -100,7 +112,7 @@ def _looked_up(pixels, table):
     return out
 
 
-@exact
+@_kernel
 def _fill(values, mask, coarse):
     """Fill `values` outside `mask` from both ends of each row: the field is convex, so it is one run per row."""
     height, width = values.shape

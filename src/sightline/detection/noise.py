@@ -9,6 +9,7 @@ import numpy as np
 from sightline.detection.compiled import exact, fast
 
 BLOCK = 16  # px; small enough that most blocks of anatomy are nearly planes [ours]
+AREA = BLOCK * BLOCK
 LAGS = 4  # px; beyond, a detector blur of 0.7-1.2 px leaves a correlation below 3 % [calc]
 _SILL = 6  # px; lag at which noise is taken as uncorrelated
 _MAX_LAST_CORRELATION = 0.3  # at the last lag; above, the blocks show structure, not noise [ours]
@@ -99,7 +100,7 @@ def _quiet_line(level: np.ndarray, log_variance: np.ndarray) -> tuple[float, flo
     return float(np.median(y + slope * x)), slope
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, fastmath=True, nogil=True)
 def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return each block's mean level, largest value, and half mean squared difference at lags 1..LAGS and the sill.
 
@@ -110,13 +111,13 @@ def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nda
     rows, columns = (image.shape[0] + BLOCK) // step, (image.shape[1] + BLOCK) // step
     level, brightest = np.empty(rows * columns), np.empty(rows * columns)
     gamma = np.empty((rows * columns, LAGS + 1))
-    block, transposed = np.empty(BLOCK * BLOCK, np.float32), np.empty(BLOCK * BLOCK, np.float32)
+    block, transposed, sums = np.empty(AREA, np.float32), np.empty(AREA, np.float32), np.empty((3, BLOCK), np.float32)
     n = 0
     for b in range(rows * columns):
         top, left = (b // columns) * step, (b % columns) * step
         if not _copied(image, mask, top, left, block):
             continue
-        level[n], brightest[n] = _flatten(block, transposed)
+        level[n], brightest[n] = flatten(block, transposed, sums), sums[2].max()
         for k in range(LAGS + 1):
             lag = k + 1 if k < LAGS else _SILL
             gamma[n, k] = _squares(block, BLOCK * lag) + _squares(transposed, BLOCK * lag)
@@ -128,32 +129,50 @@ def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nda
 @exact
 def _copied(image, mask, top, left, block) -> bool:
     """Copy the pixels at (`top`, `left`) to `block`; return whether all lie inside the mask."""
-    inside = True
+    inside = np.uint8(1)
     for i in range(BLOCK):
-        values, known = image[top + i, left : left + BLOCK], mask[top + i, left : left + BLOCK]
-        row = block[BLOCK * i : BLOCK * i + BLOCK]
+        known = mask[top + i, left : left + BLOCK]
+        for j in range(BLOCK):
+            inside &= np.uint8(known[j])
+        if not inside:
+            return False
+    for i in range(BLOCK):
+        values, row = image[top + i, left : left + BLOCK], block[BLOCK * i : BLOCK * i + BLOCK]
         for j in range(BLOCK):
             row[j] = values[j]
-            inside &= known[j]
-    return inside
+    return True
 
 
 @exact
-def _flatten(block, transposed) -> tuple[float, float]:
-    """Subtract a plane from `block` and write its transpose to `transposed`; return its mean and largest value."""
-    mean, su, sv, largest = 0.0, 0.0, 0.0, block[0]
-    half, norm = (BLOCK - 1) / 2, BLOCK * BLOCK * (BLOCK * BLOCK - 1) / 12.0
-    for k in range(BLOCK * BLOCK):
-        largest = max(largest, block[k])
-        mean += block[k]
-        su += block[k] * (k % BLOCK - half)
-        sv += block[k] * (k // BLOCK - half)
-    mean, su, sv = mean / (BLOCK * BLOCK), su / norm, sv / norm
-    for k in range(BLOCK * BLOCK):
-        block[k] -= mean + su * (k % BLOCK - half) + sv * (k // BLOCK - half)
-    for k in range(BLOCK * BLOCK):
-        transposed[BLOCK * (k % BLOCK) + k // BLOCK] = block[k]
-    return mean, largest
+def flatten(block, transposed, sums) -> float:
+    """Subtract a plane from a `block` (AREA,) and write its transpose to `transposed`; return its mean.
+
+    `sums` (3, BLOCK) receives each column's sum, its sum weighted by the rows' distance from the middle, and its
+    largest value. Columns are summed side by side, which the compiler vectorises.
+    """
+    half, norm = np.float32(0.5 * (BLOCK - 1)), BLOCK * BLOCK * (BLOCK * BLOCK - 1) / 12.0
+    total, weighted, largest = sums[0], sums[1], sums[2]
+    total[:], weighted[:], largest[:] = 0.0, 0.0, -np.inf
+    for i in range(BLOCK):
+        row, y = block[BLOCK * i : BLOCK * i + BLOCK], np.float32(i) - half
+        for j in range(BLOCK):
+            total[j] += row[j]
+            weighted[j] += y * row[j]
+            largest[j] = max(largest[j], row[j])
+    mean = su = sv = 0.0
+    for j in range(BLOCK):
+        mean += total[j]
+        su += total[j] * (j - half)
+        sv += weighted[j]
+    mean, su, sv = mean / AREA, su / norm, sv / norm
+    for i in range(BLOCK):
+        row, level, slope = block[BLOCK * i : BLOCK * i + BLOCK], np.float32(mean + sv * (i - half)), np.float32(su)
+        for j in range(BLOCK):
+            row[j] -= level + slope * (np.float32(j) - half)
+    for i in range(BLOCK):
+        for j in range(BLOCK):
+            transposed[BLOCK * j + i] = block[BLOCK * i + j]
+    return mean
 
 
 @fast

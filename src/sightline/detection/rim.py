@@ -24,6 +24,7 @@ _OFF_CIRCLE = 0.5, 0.2, 0.12
 _MIN_RAYS = 9, 10, 11
 _MIN_SLACK_PX = 0.8
 _MIN_SNR = 4.5  # step times root of the disc's area over the noise of a broad mean [ours]
+MIN_STEP_SNR = 0.56 * _MIN_SNR  # the same for the radius in place of the root
 
 
 def _middle_network(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +89,7 @@ def _judge(base, start, line, work, rim, step, ordered, out):  # noqa: PLR0917
         _cast(base, u, v, first, spacing, sign, iteration == _ITERATIONS - 1 and radius > _LARGE, work)
         _steepest(seen, first, spacing, rim, step)
         middle = _median(step, ordered)
-        if middle < max(FAINTEST, _MIN_SNR * 0.56 * noise / radius):
+        if middle < max(FAINTEST, MIN_STEP_SNR * noise / radius):
             return
         slack = max(_OFF_CIRCLE[iteration] * radius, _MIN_SLACK_PX)
         sound, du, dv, radius = _circle(rim, step, _SOUND * middle, slack, radius, ordered)
@@ -99,7 +100,7 @@ def _judge(base, start, line, work, rim, step, ordered, out):  # noqa: PLR0917
         if sound < _MIN_RAYS[iteration] or far or not 0.5 * start[RADIUS] < radius < 2.0 * start[RADIUS]:
             return
     step_all = _step_at(base, u, v, radius, sign)
-    if step_all < max(FAINTEST, _MIN_SNR * 0.56 * noise / radius):
+    if step_all < max(FAINTEST, MIN_STEP_SNR * noise / radius):
         return
     out[SCORE] = middle * np.sqrt(radius) * sound**2
     out[HOLLOW] = _hollow(base, u, v, radius, sign) / middle
@@ -118,7 +119,7 @@ def _has_all_sides(base, u, v, radius, sign, noise, work) -> bool:  # noqa: PLR0
     for k in range(8):
         values[k] = sign * (values[k] - values[8 + k])
         whole += values[k] / 8
-    if whole < max(0.8 * FAINTEST, 0.8 * _MIN_SNR * 0.56 * noise / radius):
+    if whole < max(0.8 * FAINTEST, 0.8 * MIN_STEP_SNR * noise / radius):
         return False
     down = 0
     for k in range(8):

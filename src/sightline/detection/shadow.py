@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sightline.detection.compiled import exact, fast, part_of_caller
+from sightline.detection.compiled import fast, part_of_caller
 from sightline.detection.profile import Q_COUNT, Q_STEP, T_COUNT, T_FIRST, T_STEP
 
 # Parameters of a bead's shadow: centre about the first guess and radius, px; blur, px; ellipticity along the axes and
@@ -50,22 +50,24 @@ def _shadow(row, at, bead, out, slopes):
     one, two, first = np.float32(1.0), np.float32(2.0), np.float32(T_FIRST)
     per_step, last = np.float32(1.0 / T_STEP), np.float32(T_COUNT - 1.001)
     per_blur, per_radius, pixels = one / blur, one / radius, at.shape[1]
-    r, t, by_r, by_q = out[2], out[3], out[4], out[5]
+    r, t, by_r, by_q, share = out[2], out[3], out[4], out[5], slopes[0]
     for n in range(pixels):
         dx, dy = at[0, n] - u, at[1, n] - v
-        r[n] = np.sqrt(dx * dx + dy * dy + np.float32(1e-6))
-        c, s = dx / r[n], dy / r[n]
-        out[0, n], out[1, n] = c, s
-        t[n] = (r[n] * (one - e_axes * (c * c - s * s) - e_diagonals * c * s) - radius) * per_blur
+        distance = np.sqrt(dx * dx + dy * dy + np.float32(1e-6))
+        inverse = one / distance
+        c, s = dx * inverse, dy * inverse
+        r[n], out[0, n], out[1, n] = distance, c, s
+        t[n] = (distance * (one - e_axes * (c * c - s * s) - e_diagonals * c * s) - radius) * per_blur
+    for n in range(pixels):  # the place in the row, and below the way to its next entry
+        share[n] = min(max((t[n] - first) * per_step, np.float32(0.0)), last)
     for n in range(pixels):
-        x = min(max((t[n] - first) * per_step, np.float32(0.0)), last)
-        w = x - np.float32(np.int32(x))
-        j = np.uint32(np.int32(x))
-        low, high = row[0, j], row[0, j + np.uint32(1)]
-        by_r[n] = (high - low) * per_step * per_blur
-        slopes[0, n] = low + (high - low) * w
-        low, high = row[1, j], row[1, j + np.uint32(1)]
-        by_q[n] = low + (high - low) * w
+        x = share[n]
+        at_left = np.int32(x)
+        j, w = np.uint32(at_left), x - np.float32(at_left)
+        low, step = row[0, j], row[0, j + np.uint32(1)] - row[0, j]
+        by_r[n] = step * per_step * per_blur
+        share[n] = low + step * w
+        by_q[n] = row[1, j] + (row[1, j + np.uint32(1)] - row[1, j]) * w
     for n in range(pixels):
         c, s, f, q = out[0, n], out[1, n], by_r[n], by_q[n]
         slopes[1, n], slopes[2, n] = f * c, f * s
@@ -197,39 +199,40 @@ def normal_equations(columns, A, b):
     return A[n, n]
 
 
-@exact
+@fast
 def solve(A, b, L, x):
     """Solve A x = b for symmetric A by Cholesky into `L`; return False where A is not positive definite."""
     n = len(b)
-    column = np.empty(n)
+    inverse = np.empty(n)
     for i in range(n):
-        for j in range(i + 1):
-            L[i, j] = A[i, j]
-    for j in range(n):
-        if L[j, j] <= 1e-7 * A[j, j] or L[j, j] <= 0:
+        row = L[i]
+        for j in range(i):
+            rest, other = A[i, j], L[j]
+            for k in range(j):
+                rest -= row[k] * other[k]
+            row[j] = rest * inverse[j]
+        rest = A[i, i]
+        for k in range(i):
+            rest -= row[k] * row[k]
+        if rest <= 1e-7 * A[i, i] or rest <= 0:
             return False
-        L[j, j] = np.sqrt(L[j, j])
-        for i in range(j + 1, n):
-            L[i, j] /= L[j, j]
-            column[i] = L[i, j]
-            row, share = L[i], L[i, j]
-            for k in range(j + 1, i + 1):  # all columns at once, which the compiler vectorises
-                row[k] -= share * column[k]
+        row[i] = np.sqrt(rest)
+        inverse[i] = 1.0 / row[i]
     return substitute(L, b, x)
 
 
-@exact
+@fast
 def substitute(L, b, x):
     """Solve L L' x = b; return True."""
     n = len(b)
     for i in range(n):
-        s = b[i]
+        rest, row = b[i], L[i]
         for k in range(i):
-            s -= L[i, k] * x[k]
-        x[i] = s / L[i, i]
+            rest -= row[k] * x[k]
+        x[i] = rest / row[i]
     for i in range(n - 1, -1, -1):
-        s = x[i]
-        for k in range(i + 1, n):
-            s -= L[k, i] * x[k]
-        x[i] = s / L[i, i]
+        row = L[i]
+        x[i] = share = x[i] / row[i]
+        for k in range(i):
+            x[k] -= row[k] * share
     return True

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 
-from sightline.detection.compiled import exact
-from sightline.detection.noise import BLOCK, NoiseModel
-from sightline.detection.window import along_both_axes
+from sightline.detection.compiled import exact, fast
+from sightline.detection.noise import AREA, BLOCK, NoiseModel, flatten
+from sightline.detection.window import TAPS, along_both_axes
 from sightline.threads import in_parts
 
-TAPS = 6  # px to either side
 _WIDE, _STEP = BLOCK + 2 * TAPS, 4 * BLOCK  # px: side of a block with the filter's margin; distance of blocks
 AFTER_LAGS = 3  # px, of the noise correlation after sharpening
 _LEFT_PX = 0.5  # sigma of the remaining blur: less would amplify electronic and rounding noise [calc]
@@ -97,17 +96,18 @@ def _correlations_after(image: np.ndarray, mask: np.ndarray, noise: NoiseModel, 
 
 @nb.njit(cache=True, fastmath=True, nogil=True)
 def _correlations_part(part, parts, image, mask, line, taps, ceiling, columns, out):  # noqa: PLR0917
+    block, transposed, sums = np.empty(AREA, np.float32), np.empty(AREA, np.float32), np.empty((3, BLOCK), np.float32)
     for b in range(part, len(out), parts):
         top, left = (b // columns) * _STEP, (b % columns) * _STEP
         if not _usable(image, mask, top, left, ceiling):
             continue
         sharp = along_both_axes(image[top : top + _WIDE, left : left + _WIDE].copy(), taps)
-        variance = np.exp(line[0] - line[1] * _flatten(sharp))
+        for i in range(BLOCK):
+            for j in range(BLOCK):
+                block[BLOCK * i + j] = sharp[i, j]
+        variance = np.exp(line[0] - line[1] * flatten(block, transposed, sums))
         for lag in range(AFTER_LAGS + 1):
-            total = np.float32(0.0)
-            for i in range(BLOCK):
-                for j in range(BLOCK - lag):
-                    total += sharp[i, j] * sharp[i, j + lag] + sharp[j, i] * sharp[j + lag, i]
+            total = _products(block, BLOCK * lag) + _products(transposed, BLOCK * lag)
             out[b, lag] = total / (2.0 * BLOCK * (BLOCK - lag)) / variance
 
 
@@ -115,28 +115,18 @@ def _correlations_part(part, parts, image, mask, line, taps, ceiling, columns, o
 def _usable(image, mask, top, left, ceiling) -> bool:
     """Return whether the pixels of a block and its margin are all in the field and none is clipped."""
     for i in range(top, top + _WIDE):
-        for j in range(left, left + _WIDE):
-            if not mask[i, j] or image[i, j] >= ceiling:
-                return False
+        known, values, inside = mask[i, left : left + _WIDE], image[i, left : left + _WIDE], np.uint8(1)
+        for j in range(_WIDE):
+            inside &= np.uint8(known[j]) & np.uint8(values[j] < ceiling)
+        if not inside:
+            return False
     return True
 
 
-@exact
-def _flatten(block: np.ndarray) -> float:
-    """Subtract a plane from `block`; return its mean."""
-    n = block.shape[0]
-    mean = 0.0
-    for i in range(n):
-        for j in range(n):
-            mean += block[i, j]
-    mean /= n * n
-    norm = n * n * (n * n - 1) / 12.0
-    su = sv = 0.0
-    for i in range(n):
-        for j in range(n):
-            su += block[i, j] * (j - (n - 1) / 2)
-            sv += block[i, j] * (i - (n - 1) / 2)
-    for i in range(n):
-        for j in range(n):
-            block[i, j] -= mean + su / norm * (j - (n - 1) / 2) + sv / norm * (i - (n - 1) / 2)
-    return mean
+@fast
+def _products(values, lag):
+    """Return the sum of products of values `lag` apart, in one loop that the compiler vectorises."""
+    later, total = values[lag:], np.float32(0)
+    for k in range(len(later)):
+        total += later[k] * values[k]
+    return total

@@ -7,7 +7,8 @@ from sightline.detection.compiled import exact, fast, part_of_caller
 from sightline.detection.noise import LAGS
 
 BEYOND = 5.0  # px of background around the rim, enough for five blurs [ours]
-MARGIN = 6  # px around the window that the filter may need
+TAPS = 6  # px to either side, of the filter
+MARGIN = TAPS  # px around the window that the filter may need
 _FILTER_REACH = 3  # px to which the filter carries an unusable pixel
 # Metal is darker than this, as a share of the step from the bead's light to the background's; dense bone reaches 0.4
 # [twin].
@@ -54,11 +55,12 @@ def window_light(image, left, top, half, zero):
     n = 2 * (half + MARGIN) + 1
     light = np.empty((n, n), np.float32)
     first, last = min(max(MARGIN - left, 0), n), max(min(width + MARGIN - left, n), 0)  # of a row, inside the image
+    level = np.float32(zero)
     for i in range(n):
         seen, row = image[min(max(top + i - MARGIN, 0), height - 1)], light[i]
-        inside = seen[max(left - MARGIN, 0) :]
-        for j in range(first, last):
-            row[j] = inside[j - first] - np.float32(zero)
+        inside, within = seen[max(left - MARGIN, 0) :], row[first:last]
+        for j in range(len(within)):
+            within[j] = inside[j] - level
         for j in range(first):
             row[j] = seen[0] - np.float32(zero)
         for j in range(last, n):
@@ -90,13 +92,16 @@ def pixel_states(image, usable, spots, rows, left, top, n, ceiling):  # noqa: PL
     """Return the state (n, n) of each pixel; hidden ones lie outside the field or on another spot."""
     height, width = usable.shape
     state = np.zeros((n, n), np.uint8)
+    first, last = min(max(-left, 0), n), max(min(width - left, n), 0)  # of a row, inside the image
+    hidden, clipped, seen = np.uint8(HIDDEN), np.uint8(CLIPPED), np.uint8(SEEN)
     for i in range(n):
-        for j in range(n):
-            y, x = top + i, left + j
-            if not (0 <= y < height and 0 <= x < width and usable[y, x]):
-                state[i, j] = HIDDEN
-            elif image[y, x] >= ceiling:
-                state[i, j] = CLIPPED
+        if not 0 <= top + i < height:
+            state[i] = hidden
+            continue
+        state[i, :first], state[i, last:] = hidden, hidden
+        known, values, row = usable[top + i, max(left, 0) :], image[top + i, max(left, 0) :], state[i, first:last]
+        for j in range(len(row)):  # without branches, so that it is vectorised
+            row[j] = (clipped if values[j] >= ceiling else seen) if known[j] else hidden
     one = spots[rows[0]]
     for k in range(len(spots)):
         x, y, reach = spots[k, U] - left, spots[k, V] - top, spots[k, RADIUS] + 2.5
@@ -156,9 +161,9 @@ def _about_beads(state, spots, rows, left, top, light):  # noqa: PLR0917
                     mean[i, j] += light[y, x] / np.float32(9)
             free[i, j] = True
             for k in range(len(rows)):
-                r = np.hypot(left + j - spots[rows[k], U], top + i - spots[rows[k], V])
-                free[i, j] &= r > spots[rows[k], RADIUS] + 2.0
-                if k == 0 and r < 0.5 * spots[rows[0], RADIUS]:
+                r2 = (left + j - spots[rows[k], U]) ** 2 + (top + i - spots[rows[k], V]) ** 2
+                free[i, j] &= r2 > (spots[rows[k], RADIUS] + 2.0) ** 2
+                if k == 0 and r2 < (0.5 * spots[rows[0], RADIUS]) ** 2:
                     inside += mean[i, j]
                     core += 1
     return mean, free, inside / max(core, 1)
@@ -198,23 +203,40 @@ def visible_rim(state, spots, rows, left, top):
 @part_of_caller
 def mark_near_unusable(state, x, y, radius):
     """Mark visible pixels within the filter's reach of unusable ones; return the share of the visible rim lost."""
-    n = len(state)
-    any_unusable = False
+    n, reach = len(state), _FILTER_REACH
+    clipped, near, one = np.uint8(CLIPPED), np.uint8(NEAR_UNUSABLE), np.uint8(1)
+    along = np.zeros((n + 2 * reach, n), np.uint8)  # 1 where an unusable pixel is within reach in the same row
+    wide, any_unusable = np.zeros(n + 2 * reach, np.uint8), np.uint8(0)
     for i in range(n):
+        seen, row, middle = state[i], along[i + reach], wide[reach:]
         for j in range(n):
-            if state[i, j] >= CLIPPED:
-                any_unusable = True
-                for a in range(max(i - _FILTER_REACH, 0), min(i + _FILTER_REACH + 1, n)):
-                    for b in range(max(j - _FILTER_REACH, 0), min(j + _FILTER_REACH + 1, n)):
-                        state[a, b] = max(state[a, b], NEAR_UNUSABLE)
+            middle[j] = one if seen[j] >= clipped else np.uint8(0)
+            any_unusable |= middle[j]
+        for k in range(2 * reach + 1):
+            beside = wide[k:]
+            for j in range(n):
+                row[j] |= beside[j]
     if not any_unusable:
         return 0.0
+    inner2, outer2 = np.float32(max(radius - _RIM, 0.0) ** 2), np.float32((radius + _RIM) ** 2)
     rim, lost = 0, 0
     for i in range(n):
+        seen, reached, dy2 = state[i], wide[:n], np.float32((i - y) ** 2)
+        reached[:] = np.uint8(0)
+        for k in range(2 * reach + 1):
+            row = along[i + k]
+            for j in range(n):
+                reached[j] |= row[j]
+        of_row, lost_in_row = np.int32(0), np.int32(0)
         for j in range(n):
-            if abs(np.hypot(j - x, i - y) - radius) < _RIM and state[i, j] != HIDDEN:
-                rim += 1
-                lost += state[i, j] != SEEN
+            seen[j] = max(seen[j], near if reached[j] else np.uint8(0))
+            dx = np.float32(j) - np.float32(x)
+            r2 = dx * dx + dy2
+            on_rim = (r2 > inner2) & (r2 < outer2) & (seen[j] != np.uint8(HIDDEN))
+            of_row += np.int32(on_rim)
+            lost_in_row += np.int32(on_rim & (seen[j] != np.uint8(SEEN)))
+        rim += of_row
+        lost += lost_in_row
     return lost / max(rim, 1)
 
 
@@ -247,8 +269,8 @@ def gather_pixels(state, filtered, values, x0, y0, reach):  # noqa: PLR0917
 
 @fast
 def along_both_axes(field, taps):
-    """Return `field` convolved along both axes with the symmetric `taps`, cropped by len(taps) - 1 on each side."""
-    t, width = len(taps) - 1, field.shape[1]
+    """Return `field` convolved along both axes with the symmetric `taps` (TAPS + 1,), cropped by TAPS on each side."""
+    t, width = TAPS, field.shape[1]
     values = field.reshape(-1)
     size = len(values) - 2 * t * width
     once, twice = np.empty(size, np.float32), np.empty(size, np.float32)
@@ -259,37 +281,50 @@ def along_both_axes(field, taps):
 
 
 @fast
-def correlated_product(one, other, correlation, width):
-    """Return the sum of products of `one` with `other` convolved with a noise `correlation` along both axes.
+def correlated_products(fields, correlation, width):
+    """Return the sums of products uu, uv, vv and ww of `fields` u, v and w, through a noise `correlation`.
 
-    Both are flattened fields with rows of `width` and LAGS of zeros on each side. The correlation is symmetric, so
-    one field is convolved along the rows and the other along the columns, in one loop that stores nothing.
+    The second factor is convolved with the correlation along both axes. `fields` (3, N): flattened, with rows of
+    `width` and LAGS of zeros on each side. The correlation is symmetric, so one factor is convolved along the rows and
+    the other along the columns.
     """
     c = np.zeros(LAGS + 1, np.float32)
     for k in range(len(correlation)):
         c[k] = correlation[k]
+    at = LAGS * width
+    rows, columns = (
+        np.empty((3, fields.shape[1] - 2 * at), np.float32),
+        np.empty((3, fields.shape[1] - 2 * at), np.float32),
+    )
+    for k in range(3):
+        _correlated(fields[k, at - LAGS :], c, 1, rows[k])
+        _correlated(fields[k], c, width, columns[k])
+    uu = uv = vv = ww = np.float32(0.0)
+    u, v, w, du, dv, dw = rows[0], rows[1], rows[2], columns[0], columns[1], columns[2]
+    for p in range(len(u)):
+        uu, uv, vv, ww = uu + u[p] * du[p], uv + u[p] * dv[p], vv + v[p] * dv[p], ww + w[p] * dw[p]
+    return uu, uv, vv, ww
+
+
+@fast
+def _correlated(values, c, step, out):
+    """Convolve `values` with the correlation `c` (LAGS + 1,) at places that are `step` apart."""
     c0, c1, c2, c3, c4 = c[0], c[1], c[2], c[3], c[4]
-    at, total = LAGS * width, np.float32(0.0)
-    x0, y0 = one[at:], other[at:]
-    x1, x2, x3, x4 = one[at - 1 :], one[at - 2 :], one[at - 3 :], one[at - 4 :]
-    X1, X2, X3, X4 = one[at + 1 :], one[at + 2 :], one[at + 3 :], one[at + 4 :]
-    y1, y2, y3, y4 = other[3 * width :], other[2 * width :], other[width:], other
-    Y1, Y2, Y3, Y4 = other[5 * width :], other[6 * width :], other[7 * width :], other[8 * width :]
-    for p in range(len(one) - 2 * at):
-        row = c0 * x0[p] + c1 * (x1[p] + X1[p]) + c2 * (x2[p] + X2[p]) + c3 * (x3[p] + X3[p]) + c4 * (x4[p] + X4[p])
-        column = c0 * y0[p] + c1 * (y1[p] + Y1[p]) + c2 * (y2[p] + Y2[p]) + c3 * (y3[p] + Y3[p]) + c4 * (y4[p] + Y4[p])
-        total += row * column
-    return total
+    x0, x1, x2, x3, x4 = values[4 * step :], values[3 * step :], values[2 * step :], values[step:], values
+    y1, y2, y3, y4 = values[5 * step :], values[6 * step :], values[7 * step :], values[8 * step :]
+    for p in range(len(out)):
+        near = c0 * x0[p] + c1 * (x1[p] + y1[p]) + c2 * (x2[p] + y2[p])
+        out[p] = near + c3 * (x3[p] + y3[p]) + c4 * (x4[p] + y4[p])
 
 
 @fast
 def _along(values, taps, step, out):
-    """Convolve `values` with `taps` that are `step` apart, in long loops that the compiler vectorises."""
-    middle = (len(taps) - 1) * step
-    before, at, after = values[middle - step :], values[middle:], values[middle + step :]
+    """Convolve `values` with `taps` that are `step` apart, in one loop that the compiler vectorises."""
+    t0, t1, t2, t3, t4, t5, t6 = taps[0], taps[1], taps[2], taps[3], taps[4], taps[5], taps[6]
+    x0, x1, x2, x3 = values[6 * step :], values[5 * step :], values[4 * step :], values[3 * step :]
+    x4, x5, x6 = values[2 * step :], values[step:], values
+    y1, y2, y3 = values[7 * step :], values[8 * step :], values[9 * step :]
+    y4, y5, y6 = values[10 * step :], values[11 * step :], values[12 * step :]
     for p in range(len(out)):
-        out[p] = taps[0] * at[p] + taps[1] * (before[p] + after[p])
-    for k in range(2, len(taps)):
-        before, after, tap = values[middle - k * step :], values[middle + k * step :], taps[k]
-        for p in range(len(out)):
-            out[p] += tap * (before[p] + after[p])
+        near = t0 * x0[p] + t1 * (x1[p] + y1[p]) + t2 * (x2[p] + y2[p]) + t3 * (x3[p] + y3[p])
+        out[p] = near + t4 * (x4[p] + y4[p]) + t5 * (x5[p] + y5[p]) + t6 * (x6[p] + y6[p])

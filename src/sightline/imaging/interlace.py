@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numba as nb
 import numpy as np
 
 from sightline.imaging.radiograph import Radiograph
@@ -18,15 +19,37 @@ def comb(image: Radiograph) -> float:
 
     Lines repeated by an enlargement are left out: structure makes the same steps between them.
     """
-    pixels, field = image.pixels[:, ::8].astype(np.float32), image.field_mask[:, ::8]
-    repeated = (pixels[1:] == pixels[:-1]).all(axis=1)
-    inside = field[:-4] & field[4:] & ~(repeated[1:-2] | repeated[2:-1])[:, None]
-    middle = pixels[2:-2]
-    near, far = middle - 0.5 * (pixels[1:-3] + pixels[3:-1]), middle - 0.5 * (pixels[:-4] + pixels[4:])
-    if not inside.any():
-        return 0.0
-    a, b = (float(np.sqrt(np.mean(values[inside] ** 2))) for values in (near, far))
-    return a / max(b, 1e-6)
+    pixels, field = image.pixels[:, ::8].astype(np.float32), np.ascontiguousarray(image.field_mask[:, ::8])
+    near, far, count = _squares(pixels, field)
+    return float(np.sqrt(near / count) / max(np.sqrt(far / count), 1e-6)) if count else 0.0
+
+
+@nb.njit(cache=True, fastmath={"reassoc", "contract"}, nogil=True)
+def _squares(pixels, field):
+    """Return the sums of squares of both differences of `comb`, and the number of pixels that count."""
+    near = far = 0.0
+    count, half, zero = 0, np.float32(0.5), np.float32(0.0)
+    for i in range(2, len(pixels) - 2):
+        a, b, c, d, e = pixels[i - 2], pixels[i - 1], pixels[i], pixels[i + 1], pixels[i + 2]
+        above, below = field[i - 2], field[i + 2]
+        differs_above = differs_below = False
+        for j in range(len(c)):
+            differs_above |= b[j] != c[j]
+            differs_below |= c[j] != d[j]
+        if not (differs_above and differs_below):
+            continue
+        of_near = of_far = zero
+        of_row = np.int32(0)
+        for j in range(len(c)):  # without branches, so that it is vectorised
+            inside = above[j] & below[j]
+            x, y = c[j] - half * (b[j] + d[j]), c[j] - half * (a[j] + e[j])
+            of_near += x * x if inside else zero
+            of_far += y * y if inside else zero
+            of_row += np.int32(inside)
+        near += of_near
+        far += of_far
+        count += of_row
+    return near, far, count
 
 
 def field_of(image: Radiograph, which: int) -> Radiograph:
