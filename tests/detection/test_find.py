@@ -36,6 +36,26 @@ def test_starts_are_good_to_a_fraction_of_a_pixel_at_any_radius(radius: float) -
     assert found.radius_px[found.round][at] == pytest.approx(radius, rel=0.05, abs=0.4)
 
 
+@pytest.mark.parametrize("radius", [6.0, 9.0, 14.0])
+def test_a_ball_starts_from_the_depth_of_its_shadow(radius: float) -> None:
+    """A program that takes the step at the rim for the depth, 0.6 to 0.9 of it, fails."""
+    places = grid(60, SIZE, np.random.default_rng(5))
+    image = radiograph(
+        quanta([Bead(u, v, radius) for u, v in places], np.full((SIZE, SIZE), 4e4)), np.random.default_rng(6)
+    )
+    assert candidates(image).response == pytest.approx(np.log((np.exp(-3.0) + 0.4) / 1.4), rel=0.1)
+
+
+def test_among_holes_a_dark_spot_is_not_taken_for_a_ball() -> None:
+    """A program that deepens it hides the holes beside it: of a perforated plate a third of the holes was lost."""
+    places = grid(60, SIZE, np.random.default_rng(5))
+    beads = [Bead(u, v, 6.0, depth=-0.7, ball=False) for u, v in places[1:]]
+    beads.append(Bead(*places[0], 6.0, depth=0.25))
+    found = candidates(radiograph(quanta(beads, np.full((SIZE, SIZE), 4e4)), np.random.default_rng(6)))
+    (dark,) = found.response[found.response < 0]
+    assert dark == pytest.approx(-0.085, abs=0.02)  # its step; the depth, 0.17, would be estimated as 0.15
+
+
 @pytest.mark.parametrize("gap", [2.0, 0.0, -2.0, -4.0])
 def test_both_beads_of_a_touching_pair_are_candidates(gap: float) -> None:
     rng = np.random.default_rng(2)

@@ -38,7 +38,7 @@ _MAX_EXTREMA = 2**16  # of a band; only the part of the buffer that is filled ta
 class Candidates:
     """Bead candidates, best first: `uv_px` (N, 2), to about 0.3 px; `radius_px` (N,), to about 5 %.
 
-    `response` (N,): signed contrast of log intensity, to about 10 %; `washer` (N,) bool: dark, with a bright middle;
+    `response` (N,): signed contrast of log intensity, to about a fifth; `washer` (N,) bool: dark, with a bright middle;
     `round` (N,) bool: False for a spot with a rim that is not round; it is reported as rejected.
     `sizes` (M, 2): radii and responses of all round spots, of any size; the same spot may be there twice.
     """
@@ -80,7 +80,9 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     washer = dark & (spots[:, HOLLOW] > _HOLLOW[0]) & (spots[:, HOLLOW] < _HOLLOW[1]) & (spots[:, SCORE] > 0)
     ball, keep = dark & ~washer, ~_middles(spots, washer)
     radius = spots[:, RADIUS] + np.where(ball, _BALL_RIM_PX, 0.0)
-    deeper = np.where(ball, np.minimum(1.0 + (_DEEPER_PX / radius) ** 2, _DEEPEST), 1.0)
+    deeper = np.minimum(1.0 + (_DEEPER_PX / radius) ** 2, _DEEPEST)
+    strength = np.where(spots[:, SCORE] > 0, spots[:, RESPONSE] * radius, 0.0)
+    deeper[~ball | (strength.sum() > 0)] = 1.0  # between the holes of a plate, dark spots are not balls
     columns = spots[:, :2], radius, deeper * spots[:, RESPONSE], washer, spots[:, SCORE] > 0
     return Candidates(*(column[keep] for column in columns), sizes=sizes)
 
