@@ -37,7 +37,7 @@ _MAX_PREDICTION_SD_PX = 2.0  # with a less certain prediction, the fit may find 
 _DEEP_OVERLAP = 0.4
 # Limits for accepting a fit: the image must determine it, and it must agree with the frame and the neighbours.
 # Two beads in a deeper overlap are fitted well together or not at all: alone, one takes up the other's shadow [twin].
-_TOGETHER_OVERLAP = 1.2
+_TOGETHER_OVERLAP = 1.55
 _BEHIND_PX = 1.0  # from a rim to that of a smaller bead behind it which does not change it: a blur [ours]
 _MAX_SD_PX = 0.5  # as for beads that an image determines (docs/benchmarks.md)
 _MAX_M2 = 16.0  # squared Mahalanobis distance from the prediction, whose s.d. is 1.2 times too small at the edge [twin]
