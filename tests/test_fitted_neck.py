@@ -8,6 +8,7 @@ import pytest
 from tests.bone_images import SIZE, rays, shown, with_cortex
 from tests.planning.bone import CENTRE_MM, NECK, RADIUS_MM, SHAFT, rim, views
 
+from sightline import fitted_neck as module
 from sightline.case.canonical import plain
 from sightline.fitted_neck import fit_neck
 from sightline.imaging import Radiograph
@@ -174,6 +175,23 @@ def test_a_line_is_kept_where_too_little_light_or_metal_hides_a_border() -> None
     _, place, side = _seen(view, ALONG)
     plate = np.where((side > 12.0) & (place > 10.0), 30.0, 0.0)  # covers one border, and ends inside the neck
     assert "edge" in _kept_in_pa(shown(_bone(view) + plate, 1), neck_borders(view))
+
+
+def test_a_line_is_kept_where_balls_of_the_frame_lie_beside_a_border(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program that looks for balls on the border only misses one that is 10 px beside it, within the fit's profiles.
+    One beside its end is no reason."""
+    view = views()[0]
+    drawn = neck_borders(view)
+    assert drawn.borders_px is not None
+    (begin, end), across = drawn.borders_px[0], np.array([18.0, 0.0])
+    ball = (begin + end) / 2 + across
+    monkeypatch.setattr(
+        module, "bead_shadows_px", lambda seen: np.array([[*ball, 8.0]] if seen is view else []).reshape(-1, 3)
+    )
+    assert "balls of the frame lie beside" in _kept_in_pa(neck_image(view), drawn)
+    away = begin - 0.3 * (end - begin)
+    monkeypatch.setattr(module, "bead_shadows_px", lambda _: np.array([[*away, 8.0]]))
+    assert not fit_neck(views(), [neck_image(one) for one in views()], (drawn, neck_borders(views()[1])), _head())[1]
 
 
 def test_a_line_is_kept_where_its_edges_are_not_a_necks() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import legvander
 
+from sightline.calibration.bead_view import bead_shadows_px
 from sightline.calibration.view import CalibratedView
 from sightline.detection.bone_edges import REACH_PX, BoneEdge, NoBoneEdgeError, common_begin, find_bone_edge
 from sightline.errors import OutsideRegionError
@@ -26,6 +27,9 @@ _CURVE = 0.12  # depth of a border's curve over its length, at which the search 
 # Nearer to the beam head and trochanter cover the neck: at 68° the outline's narrowest place is 0.4 mm beside the
 # neck's, at 63° 0.9 mm [twin].
 _MIN_ANGLE_DEG = 70.0
+# Reach of the fit's profiles, and share of a border beside which balls may lie within it: they pass for bone. Where
+# there were more, directions of eight necks between plates had errors of 1.5 times the stated ones [twin].
+_BEADS_PX, _MAX_BEADS = 14.0, 0.1
 # The middle between the edges begins to leave the axis 0.13 radii of the head nearer to it than the narrowest place,
 # with an s.d. of 0.11 rad a radius: 0.8° at the narrowest place [twin].
 _BENT, _BEND_RAD = 0.13, 0.11
@@ -55,9 +59,10 @@ def fit_neck(
 
     It passes through the head's centre, as drawn or fitted. Its covariances are those of the fits; they have no part
     along the axis. `borders_px` are parallel to it, as far apart as the neck is wide where it is narrowest. A line is
-    kept where it was drawn without borders, where the beam does not cross the neck, where its image shows no clear edge
-    beside one of them, or two, and where the edges are not a neck's; both where head or drawn axis are not located, or
-    the head's outlines do not agree. The reason stands at the view's name. `views`, `images`: PA and lateral first.
+    kept where it was drawn without borders, where the beam does not cross the neck, where balls of the frame lie beside
+    a border, where its image shows no clear edge there, or two, and where the edges are not a neck's; both where head
+    or drawn axis are not located, or the head's outlines do not agree. The reason stands at the view's name. `views`,
+    `images`: PA and lateral first.
     """
     found = locate(views[:2], Aids(head=head, neck=drawn))
     if missing := _missing(found):
@@ -92,6 +97,19 @@ def _refuse_covered(view: CalibratedView, neck: Axis) -> None:
             f"head and trochanter cover the neck: the beam meets it at {angle:.0f}° (at least "
             f"{_MIN_ANGLE_DEG:.0f}° is needed)"
         )
+
+
+def _refuse_beads(view: CalibratedView, borders_px: np.ndarray) -> None:
+    """Raise NoBoneEdgeError where balls of the frame lie beside too much of a border."""
+    beads, along = bead_shadows_px(view), np.linspace(0.0, 1.0, _STEPS)[:, None]
+    for first, second in borders_px:
+        away = np.linalg.norm((first + along * (second - first))[:, None] - beads[:, :2], axis=-1)
+        share = float((away < beads[:, 2] + _BEADS_PX).any(axis=1).mean())
+        if share > _MAX_BEADS:
+            raise NoBoneEdgeError(
+                f"balls of the frame lie beside {share:.0%} of a border (at most {_MAX_BEADS:.0%}); move the frame or "
+                "the beam, or keep the axis as drawn"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +193,7 @@ def _axis(view: CalibratedView, image: Radiograph, drawn: Line, head: Sphere) ->
     if drawn.borders_px is None:
         raise NoBoneEdgeError("its axis is drawn, not its borders; draw both borders")
     first, second = drawn.borders_px
+    _refuse_beads(view, drawn.borders_px)
     borders = _Border.found(image, first, second), _Border.found(image, second, first)
     begin = common_begin(borders[0].edge, borders[1].edge)
     centre, by_centre = _on_plane(view, head.centre_mm)
