@@ -33,8 +33,9 @@ _BEADS_PX, _MAX_BEADS = 14.0, 0.1
 # The middle between the edges begins to leave the axis 0.13 radii of the head nearer to it than the narrowest place,
 # with an s.d. of 0.11 rad a radius: 0.8° at the narrowest place [twin].
 _BENT, _BEND_RAD = 0.13, 0.11
-# S.d. of an edge's place, random over lengths of half a width, over the half-width [twin].
-_UNEVEN = 0.01
+# S.d. of an edge's place in PA and lateral image, random over lengths of half a width, over the half-width. Lateral
+# images have more tissue in the beam: with 0.01 too, 21 necks there had errors of 1.4 times the stated ones [twin].
+_UNEVEN = 0.01, 0.018
 _WIDTHS = 0.45, 0.9  # of the neck over the head's; adults have about 0.55 to 0.85 [ours]
 # Distances of the edges' narrowest place from the head's centre, in radii. Where it is nearer, the trochanter covers
 # the neck up to the head, and the middle of the edges is 1 to 4° off everywhere [twin].
@@ -69,10 +70,10 @@ def fit_neck(
         return drawn, dict.fromkeys([view.name for view in views[:2]], missing)
     assert found.head is not None and found.neck is not None  # noqa: S101 - nothing is missing
     fitted, kept = [], {}
-    for view, image, line in zip(views[:2], images[:2], drawn, strict=True):
+    for view, image, line, uneven in zip(views[:2], images[:2], drawn, _UNEVEN, strict=True):
         try:
             _refuse_covered(view, found.neck)
-            fitted.append(_axis(view, image, line, found.head))
+            fitted.append(_axis(view, image, line, found.head, uneven))
         except (NoBoneEdgeError, OutsideRegionError) as why:
             kept[view.name] = str(why)
             fitted.append(line)
@@ -188,8 +189,11 @@ def _forms(series: Legendre, along: np.ndarray) -> np.ndarray:
     return legvander(offset + scale * along, _DEGREE)
 
 
-def _axis(view: CalibratedView, image: Radiograph, drawn: Line, head: Sphere) -> Line:
-    """Return the axis from the head's centre between both edges. Raises NoBoneEdgeError, OutsideRegionError."""
+def _axis(view: CalibratedView, image: Radiograph, drawn: Line, head: Sphere, uneven: float) -> Line:
+    """Return the axis from the head's centre between both edges; `uneven`: one of _UNEVEN.
+
+    Raises NoBoneEdgeError, OutsideRegionError.
+    """
     if drawn.borders_px is None:
         raise NoBoneEdgeError("its axis is drawn, not its borders; draw both borders")
     first, second = drawn.borders_px
@@ -208,7 +212,7 @@ def _axis(view: CalibratedView, image: Radiograph, drawn: Line, head: Sphere) ->
     if head.covariance_mm2 is not None:
         by_head = axes[1] @ by_centre
         variance = float(by_head @ head.covariance_mm2[:3, :3] @ by_head)
-    turn, spread = _direction(edges, radius, neck, variance)
+    turn, spread = _direction(edges, radius, neck, uneven, variance)
     along, across = _axes(angle + turn)
     places = neck.place_mm + np.array([-0.5, 0.5]) * neck.width_mm  # of both ends, from the head's centre
     ends = centre + np.outer(places, along)
@@ -261,11 +265,11 @@ def _narrowest(edges: Sequence[_Edge], radius_mm: float) -> _Narrowest:
 
 
 def _direction(
-    edges: Sequence[_Edge], radius_mm: float, neck: _Narrowest, centre_mm2: float
+    edges: Sequence[_Edge], radius_mm: float, neck: _Narrowest, uneven: float, centre_mm2: float
 ) -> tuple[float, np.ndarray]:
     """Return the axis's angle, and the covariance (2, 2) of the head's centre across the neck, mm, and of the angle.
 
-    `centre_mm2`: variance of the head's centre across the neck. Raises NoBoneEdgeError.
+    `uneven`: one of _UNEVEN; `centre_mm2`: variance of the head's centre across the neck. Raises NoBoneEdgeError.
     """
     leaves = [np.flatnonzero(edge.leaving > _MIN_LEAVING) for edge in edges]
     if min(map(len, leaves)) < _STEPS / 4:
@@ -287,8 +291,8 @@ def _direction(
         by_across = 0.5 / (edge.leaving[at] * edge.radii_mm[at])  # at a constant distance from the head's centre
         by_centre -= by_across
         apart = np.subtract.outer(edge.along_mm[at], edge.along_mm[at]) / (neck.width_mm / 2)
-        uneven = (_UNEVEN * neck.width_mm / 2) ** 2 * np.exp(-np.abs(apart))
-        covariance += by_across[:, None] * (edge.covariance_mm2[np.ix_(at, at)] + uneven) * by_across
+        form = (uneven * neck.width_mm / 2) ** 2 * np.exp(-np.abs(apart))
+        covariance += by_across[:, None] * (edge.covariance_mm2[np.ix_(at, at)] + form) * by_across
     weights = np.linalg.solve(covariance + _TINY * np.eye(_RADII), np.ones(_RADII))
     weights /= weights.sum()
     by_head = float(weights @ by_centre)  # not weighted with: a bend would pass for an error of the head
