@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
-from sightline.detection.bone_edges import REACH_PX, UNEVEN, BoneEdge, NoBoneEdgeError, find_bone_edge
+from sightline.detection.bone_edges import REACH_PX, UNEVEN, BoneEdge, NoBoneEdgeError, common_begin, find_bone_edge
 from sightline.errors import OutsideRegionError
 from sightline.geometry.lines import nearest_approach
 from sightline.imaging import Radiograph
@@ -18,8 +18,6 @@ from sightline.planning.anatomy import locate
 from sightline.planning.axis import Axis
 
 _MIN_LENGTH_PX = 8 * REACH_PX  # so that most of a border lies beside its edge, however it is tilted
-_MAX_FALLS = 2.5  # ratio of both borders' falls of brightness; a block's edge falls more than a bone's [twin]
-_MIN_BEGIN_PX = 0.75  # by which a round bone begins outside of the clearest fall, unlike the step of a block [twin]
 _MAX_TAPER_DEG = 2.0  # of both borders; 0.75° are of the projection [calc], the rest is the bone's [ours]
 _MAX_UNEQUAL = 0.2  # difference of the widths in both images over their mean: a shaft is nearly round [ours]
 
@@ -92,7 +90,7 @@ def _axis(view: CalibratedView, image: Radiograph, drawn: Line) -> Line:
     first, second = drawn.borders_px
     half_px = float(np.linalg.norm(first.mean(axis=0) - second.mean(axis=0))) / 2
     borders = _Border.found(image, first, second), _Border.found(image, second, first)
-    begin = _common_begin(borders[0].edge, borders[1].edge)
+    begin = common_begin(borders[0].edge, borders[1].edge)
     lines = [view.lines_of_sight(one.uv_px + (begin - one.edge.begin_px) * one.inward) for one in borders]
     along = _direction(lines)
     across = np.array([-along[1], along[0]])
@@ -111,22 +109,6 @@ def _axis(view: CalibratedView, image: Radiograph, drawn: Line) -> Line:
     by_place = np.zeros((4, 2))
     by_place[:2, 0], by_place[2:, 1] = np.linalg.inv(view.lines_of_sight(middle).jacobian) @ across
     return Line(middle, drawn.sd_px, uv, by_place @ (covariances[0] + covariances[1]) / 4 @ by_place.T)
-
-
-def _common_begin(first: BoneEdge, second: BoneEdge) -> float:
-    """Return where both edges begin, px from their clearest falls. Raises NoBoneEdgeError."""
-    falls = sorted((first.fall, second.fall))
-    if falls[1] > _MAX_FALLS * falls[0]:
-        raise NoBoneEdgeError(
-            f"the brightness falls {falls[1] / falls[0]:.1f} times as much at one border as at the other (at most "
-            f"{_MAX_FALLS:g} times), so one is not the bone's; draw the borders beside another part, or keep them"
-        )
-    if max(first.begin_px, second.begin_px) > -_MIN_BEGIN_PX:
-        raise NoBoneEdgeError(
-            "the edge near a border does not begin like that of a round bone; it may be a block's or a plate's; draw "
-            "the borders beside another part, or keep them"
-        )
-    return (first.begin_px + second.begin_px) / 2
 
 
 def _direction(lines: Sequence[LinesOfSight]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The shaft of the step Plan drawn by both borders, and fitted to the edges of its images: kept, undone, and ended."""
+"""Shaft and neck of the step Plan drawn by both borders, and fitted to the edges of its images: kept, undone, ended."""
 
 import asyncio
 import json
@@ -11,14 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.drawn_necks import neck_clicks
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
 from tests.app.hands import Hands, Pixels
 from tests.planning import bone
 
 from sightline.app.plan.decisions import Decisions, Mark
-from sightline.app.plan.fitted import FittedShaft
-from sightline.app.plan.planner import drawn_shaft, plan_input, planned
+from sightline.app.plan.fitted import FittedAxis
+from sightline.app.plan.planner import drawn_axis, plan_input, planned
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
 from sightline.case.views import NAMES
@@ -27,11 +28,14 @@ from sightline.frame import Frame
 from sightline.imaging import write_dicom
 from sightline.planning import Line
 from sightline.twin import HipScene, SetUp, render
+from sightline.twin.bones import SphereAid
+from sightline.twin.drawn_aids import drawn_aids
 from sightline.twin.femur import to_cfcs
 from sightline.twin.scene import shown_hip_scene
 
 AXIS = ("shaft-1", "shaft-2")
 BORDERS = tuple(f"shaft-border-{k}" for k in range(1, 5))
+NECK, RIM = tuple(f"neck-border-{k}" for k in range(1, 5)), tuple(f"head-{k}" for k in range(1, 4))
 WIDE_PX = 60.0
 
 
@@ -51,10 +55,10 @@ def _drawn() -> Decisions:
 
 def _fitted(decisions: Decisions) -> Decisions:
     """Fitted 1 px beside its drawing, in the PA image only."""
-    drawn = drawn_shaft(decisions)
+    drawn = drawn_axis(decisions, "shaft")
     assert drawn is not None and drawn[0].borders_px is not None
     moved = Line(drawn[0].uv_px + 1.0, drawn[0].sd_px, drawn[0].borders_px + 1.0, 0.7 * np.eye(4))
-    return replace(decisions, fitted_shaft=FittedShaft.made((moved, drawn[1]), {"lateral": "no clear edge"}))
+    return replace(decisions, fitted_shaft=FittedAxis.made((moved, drawn[1]), {"lateral": "no clear edge"}))
 
 
 def test_an_axis_is_drawn_by_itself_or_by_both_borders_and_the_clicks_of_either_stay() -> None:
@@ -71,7 +75,7 @@ def test_an_axis_is_drawn_by_itself_or_by_both_borders_and_the_clicks_of_either_
     for line, axis in zip(itself.shaft, uv, strict=True):
         assert line.borders_px is None
         assert np.allclose(line.uv_px, axis + 3.0)
-    assert drawn_shaft(replace(decisions, borders=False)) is None
+    assert drawn_axis(replace(decisions, borders=False), "shaft") is None
     left = decisions.with_mark(BORDERS[3], None)
     assert plan_input(left, 2).aids is not None and plan_input(left, 2).aids.shaft is None  # type: ignore[union-attr]
     asked = {spec.name for spec in decisions.specs}
@@ -118,7 +122,7 @@ def test_the_verdicts_angle_takes_the_fitted_axis_and_its_error() -> None:
     assert angles[1].value != angles[0].value
     assert angles[1].sd > 1.3 * angles[0].sd
     assert after.anatomy.shaft is not None and after.anatomy.shaft.direction_covariance_rad2 is not None
-    assert planned(replace(_fitted(_drawn()), borders=False), bone.views()).fitted_shaft is None  # type: ignore[arg-type]
+    assert planned(replace(_fitted(_drawn()), borders=False), bone.views()).fitted_axis("shaft") is None  # type: ignore[arg-type]
 
 
 SIDE = "right"
@@ -132,7 +136,7 @@ def _hip() -> tuple[SetUp, HipScene]:
 
 
 def _clicks() -> dict[str, Pixels]:
-    """Clicks on the wire, and on both borders of the shaft below the lesser trochanter."""
+    """Clicks on the wire, on both borders of the shaft below the lesser trochanter and of the neck, and on the rim."""
     setup, hip = _hip()
     rng, out = np.random.default_rng(98), {}
     for name, view in setup.views.items():
@@ -144,8 +148,11 @@ def _clicks() -> dict[str, Pixels]:
                 sideways = way * np.cross(on - source, [0.0, 1.0, 0.0])
                 at.append(hip.femur.surface_mm(on, sideways / np.linalg.norm(sideways)))
         uv = view.project(np.vstack([hip.wire_mm, to_cfcs(np.array(at), SIDE, hip.head_mm)]))
-        uv[2:] += CLICK_PX * rng.standard_normal((4, 2))
-        for mark, pixel in zip(("entry", "end", *BORDERS), uv.tolist(), strict=True):
+        neck = to_cfcs(neck_clicks(hip.femur, source, rng).reshape(4, 3), SIDE, hip.head_mm)
+        head = SphereAid(hip.head_mm, hip.femur.head_radius_mm)
+        uv = np.vstack([uv, view.project(neck), drawn_aids({"head": head}, {name: view})["head"][name]])
+        uv[2:] += CLICK_PX * rng.standard_normal((11, 2))
+        for mark, pixel in zip(("entry", "end", *BORDERS, *NECK, *RIM), uv.tolist(), strict=True):
             out.setdefault(mark, {})[name] = (pixel[0], pixel[1])
     return out
 
@@ -218,3 +225,18 @@ def test_the_page_fits_the_shaft_states_its_error_and_undoes_it(
     hands.page.get_by_test_id("xray-pa").get_by_test_id("point-shaft-border-1").focus()
     hands.page.keyboard.press("ArrowRight")
     expect(hands.see("shaft-fitted")).to_have_count(0)
+    hands.aid("neck", _clicks())
+    hands.press("fit-neck")
+    expect(hands.page.get_by_text("click three points on the head's rim")).to_be_visible()
+    hands.aid("head", _clicks())
+    hands.press("fit-head")
+    expect(hands.see("head-fitted")).to_be_visible()
+    hands.press("fit-neck")
+    expect(hands.see("neck-fitted")).to_be_visible()
+    shoot(hands.page, "neck-fitted")
+    words = hands.see("neck-fitted").inner_text()  # a lateral image is taken along the neck, not across it
+    assert re.search(
+        r"± [\d.]+°, ± [\d.]+ mm.*Lateral image: kept as drawn; head and trochanter cover .* at \d+°", words
+    )
+    hands.page.keyboard.press("Control+z")
+    expect(hands.see("neck-fitted")).to_have_count(0)

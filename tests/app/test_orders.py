@@ -14,7 +14,7 @@ from tests.planning import bone
 from tests.planning.standin import stand_in
 
 from sightline.app.plan.decisions import Decisions, Display, Mark
-from sightline.app.plan.fitted import FittedHead, FittedShaft
+from sightline.app.plan.fitted import FittedAxis, FittedHead
 from sightline.app.plan.marks import END, ENTRY, marks_of
 from sightline.app.plan.planner import drawn_head, planned
 from sightline.app.session import drilling_workflow as module
@@ -121,7 +121,8 @@ def _fitted(decisions: Decisions) -> Decisions:
     [
         (_fitted, False),
         (lambda now: replace(now, borders=True), False),
-        (lambda now: replace(now, fitted_shaft=FittedShaft(({}, {}), {})), False),
+        (lambda now: replace(now, fitted_shaft=FittedAxis(({}, {}), {})), False),
+        (lambda now: replace(now, fitted_neck=FittedAxis(({}, {}), {})), False),
         (lambda now: _moved(now, "head-2", "lateral"), False),
         (lambda now: now.with_mark("head-1", None), False),
         (lambda now: _moved(now, "neck-1", "pa"), False),

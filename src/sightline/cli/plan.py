@@ -148,6 +148,14 @@ def plan(
             "away. A line without clear, straight and parallel edges is kept, with the reason.",
         ),
     ] = False,
+    fit_neck: Annotated[
+        bool,
+        typer.Option(
+            "--fit-neck",
+            help="Fit the neck's axis, from the head's centre, between the edges at most 12 px from its drawn borders, "
+            "four clicks in each image. A line is kept where its image does not show the neck, with the reason.",
+        ),
+    ] = False,
     hole: Annotated[
         list[str] | None,
         typer.Option(
@@ -249,7 +257,9 @@ def plan(
             calibrated = [image.view for image in images]
             ends = {name: [pixels(point, calibrated, pick_sd) for point in wire] for name, wire in wires.items()}
             in_bone = _in_bone(() if drawn_nail else placed or (), ends, images, known.document)
-            aids, unfitted = fitted(drawn(known, *aids_drawn, pick_sd), images, head=fit_head, shaft=fit_shaft)
+            aids, unfitted = fitted(
+                drawn(known, *aids_drawn, pick_sd), images, head=fit_head, shaft=fit_shaft, neck=fit_neck
+            )
             picked, proposed = with_proposals(
                 {name: WirePicks(*at, snapped=snapped) for name, at in ends.items()},
                 unpicked,

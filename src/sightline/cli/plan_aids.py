@@ -36,16 +36,17 @@ def drawn(
 
 
 def fitted(
-    aids: "Aids | None", images: "Images", *, head: bool, shaft: bool
+    aids: "Aids | None", images: "Images", *, head: bool, shaft: bool, neck: bool
 ) -> "tuple[Aids | None, dict[str, list[str]]]":
-    """Return the aids with head and shaft fitted to the images, and for each of them a sentence for each image in which
-    it could not be, by "head_not_fitted" and "shaft_not_fitted".
+    """Return the aids with head, shaft and neck fitted to the images, and for each of them a sentence for each image in
+    which it could not be, by "head_not_fitted", "shaft_not_fitted" and "neck_not_fitted".
 
     Raises UnusableInputError where there is nothing to fit, or no image.
     """
     from sightline.errors import UnusableInputError
     from sightline.fitted_axis import fit_shaft
     from sightline.fitted_head import fit_head, refuse_tables
+    from sightline.fitted_neck import fit_neck
 
     views, unfitted = [one.view for one in images], {}
     if head:
@@ -60,6 +61,14 @@ def fitted(
             )
         lines, kept = fit_shaft(views, refuse_tables([one.seen.image for one in images]), aids.shaft)
         aids, unfitted["shaft_not_fitted"] = replace(aids, shaft=lines), _kept("shaft", kept)
+    if neck:
+        if aids is None or aids.neck is None or aids.head is None:
+            raise UnusableInputError(
+                "--fit-neck fits a drawn neck from the centre of a drawn head; draw both with --aid: the neck by two "
+                "clicks on each border in each image, from the head past the narrowest place"
+            )
+        lines, kept = fit_neck(views, refuse_tables([one.seen.image for one in images]), aids.neck, aids.head)
+        aids, unfitted["neck_not_fitted"] = replace(aids, neck=lines), _kept("neck", kept)
     return aids, unfitted
 
 

@@ -40,6 +40,8 @@ _ROUNDS = 4
 _BEGIN_PX = 7.0  # largest distance of the root's beginning from where the image is steepest
 # S.d. of errors that all points of an edge share, over the blur: of where the root begins in the mean profile [twin].
 _COMMON = 0.26
+_MAX_FALLS = 2.5  # ratio of both borders' falls of brightness; a block's edge falls more than a bone's [twin]
+_MIN_BEGIN_PX = 0.75  # by which a round bone begins outside of the clearest fall, unlike the step of a block [twin]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +87,25 @@ def find_bone_edge(
     edge = _refined(profiles, t, offset, forms, middle, middle * _SECTORS // len(uv_px))
     drawn = shape[edge.at]
     return replace(edge, covariance_px2=edge.covariance_px2 + drawn @ _jackknife(drawn, edge.offset_px) @ drawn.T)
+
+
+def common_begin(first: BoneEdge, second: BoneEdge) -> float:
+    """Return where the edges at both borders of a bone begin, px from their clearest falls.
+
+    Raises NoBoneEdgeError where they are not those of one round bone.
+    """
+    falls = sorted((first.fall, second.fall))
+    if falls[1] > _MAX_FALLS * falls[0]:
+        raise NoBoneEdgeError(
+            f"the brightness falls {falls[1] / falls[0]:.1f} times as much at one border as at the other (at most "
+            f"{_MAX_FALLS:g} times), so one is not the bone's; draw the borders beside another part, or keep them"
+        )
+    if max(first.begin_px, second.begin_px) > -_MIN_BEGIN_PX:
+        raise NoBoneEdgeError(
+            "the edge near a border does not begin like that of a round bone; it may be a block's or a plate's; draw "
+            "the borders beside another part, or keep them"
+        )
+    return (first.begin_px + second.begin_px) / 2
 
 
 def _logs(image: Radiograph, uv_px: np.ndarray) -> np.ndarray:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from sightline.app import texts
-from sightline.app.plan.decisions import SHAFT
 from sightline.app.plan.marks import CHECK_NAMES, SHOT_NAMES, by_borders
 from sightline.app.plan.planner import Planned, aid_pixels, landmarks_of
 from sightline.app.session.seen import SeenImage
@@ -216,10 +215,10 @@ def _lines(planned: Planned, aid: AidAsked, image: str) -> np.ndarray | None:
     """Return the lines (N, 2, 2) of an aid in one image, each from end to end: borders as fitted where they were; None
     until all clicks are placed."""
     uv = aid_pixels(planned.decisions, aid, image)
-    fitted = planned.fitted_shaft if aid.key == SHAFT and image in NAMES else None
+    fitted = planned.fitted_axis(aid.key) if image in NAMES else None
     if uv is None or fitted is None:
         return None if uv is None else uv.reshape(-1, 2, 2)
-    return fitted[NAMES.index(image)].borders_px
+    return fitted.axis[NAMES.index(image)].borders_px
 
 
 def _line(ends: np.ndarray, beyond_px: float, title: str) -> list[Shape]:

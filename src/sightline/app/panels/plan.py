@@ -11,13 +11,14 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import HtmlSection, Section, action, heading, note
-from sightline.app.plan.decisions import SHAFT
+from sightline.app.plan.decisions import NECK, SHAFT
+from sightline.app.plan.fitted import FittedAxis
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import (
     Planned,
     has_borders,
+    has_borders_of,
     has_head,
-    has_shaft_borders,
     landmarks_of,
     lowest_wire,
     proposed,
@@ -27,6 +28,7 @@ from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.planning.axis import Axis
 from sightline.planning.hole_advice import perfect_circles
 from sightline.planning.nail_files import known_nails
 from sightline.planning.procedures import Procedure, procedures
@@ -40,7 +42,7 @@ def build(tab: Tab) -> None:
     Section(tab, _points_key, _points, classes="checklist")
     HtmlSection(tab, lambda t: t.known, _turns_html)
     HtmlSection(tab, lambda t: t.known, _fitted_html)
-    HtmlSection(tab, lambda t: t.known, _fitted_shaft_html)
+    HtmlSection(tab, lambda t: t.known, _fitted_axes_html)
 
 
 def build_details(tab: Tab) -> None:
@@ -110,25 +112,24 @@ def _fitted_html(tab: Tab) -> Markup:
     return markup.note(" ".join(said), kind="quiet", testid="head-fitted")
 
 
-def _fitted_shaft_html(tab: Tab) -> Markup:
-    """Return the 95 % errors of the fitted shaft, and which image's line was kept and why; empty without a fit."""
+def _fitted_axes_html(tab: Tab) -> Markup:
+    """Return the 95 % errors of fitted shaft and neck, and which image's line was kept and why; empty without a fit."""
     known = tab.known
-    fitted = None if known is None or known.fitted_shaft is None else known.decisions.fitted_shaft
-    shaft = None if known is None or fitted is None else known.anatomy.shaft
-    if (
-        fitted is None
-        or shaft is None
-        or shaft.direction_covariance_rad2 is None
-        or shaft.offset_covariance_mm2 is None
-    ):
+    if known is None:
+        return Markup()
+    found = ((SHAFT, known.anatomy.shaft, texts.SHAFT_FITTED), (NECK, known.anatomy.neck, texts.NECK_FITTED))
+    return Markup().join(_fitted_axis_html(key, known.fitted_axis(key), axis, text) for key, axis, text in found)
+
+
+def _fitted_axis_html(key: str, fitted: FittedAxis | None, axis: Axis | None, text: str) -> Markup:
+    if fitted is None or axis is None or axis.direction_covariance_rad2 is None or axis.offset_covariance_mm2 is None:
         return Markup()
     turned, offset = (
         TWO_SIDED_95 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
-        for covariance in (shaft.direction_covariance_rad2, shaft.offset_covariance_mm2)
+        for covariance in (axis.direction_covariance_rad2, axis.offset_covariance_mm2)
     )
-    said = [texts.SHAFT_FITTED.format(direction_error=np.rad2deg(turned), place_error=offset)]
-    said += kept_as_drawn(fitted.kept)
-    return markup.note(" ".join(said), kind="quiet", testid="shaft-fitted")
+    said = [text.format(direction_error=np.rad2deg(turned), place_error=offset), *kept_as_drawn(fitted.kept)]
+    return markup.note(" ".join(said), kind="quiet", testid=f"{key}-fitted")
 
 
 def _nail_key(tab: Tab) -> Hashable:
@@ -242,9 +243,14 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
             ui.label(label).classes("pick-name")
             status = ui.element("div")
             ui.tooltip(texts.word(first.sentence)).props('anchor="center left" self="center right"')
-        if first.of == SHAFT and has_shaft_borders(tab.planning.decisions):
-            fit = action(texts.FIT_SHAFT, tab.doing(tab.planning.fit_shaft), testid="fit-shaft", kind="small fit")
-            fit.props(f'title="{texts.FIT_SHAFT_WHAT}" aria-label="{texts.FIT_SHAFT_WHAT}"')
+        fits = {
+            SHAFT: (tab.planning.fit_shaft, texts.FIT_SHAFT_WHAT),
+            NECK: (tab.planning.fit_neck, texts.FIT_NECK_WHAT),
+        }
+        if first.of in fits and has_borders_of(tab.planning.decisions, first.of):
+            work, what = fits[first.of]
+            fit = action(texts.FIT_AXIS, tab.doing(work), testid=f"fit-{first.of}", kind="small to-edges")
+            fit.props(f'title="{what}" aria-label="{what}"')
         remove = action("✕", tab.doing(lambda: tab.planning.remove(names)), testid=f"remove-{first.of}", kind="small")
         remove.props(f'aria-label="{texts.REMOVE_WHAT.format(what=label)}"')
     with status:

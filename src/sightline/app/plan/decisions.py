@@ -9,7 +9,7 @@ from datetime import datetime
 from types import MappingProxyType
 from typing import Any, Literal
 
-from sightline.app.plan.fitted import FittedHead, FittedShaft
+from sightline.app.plan.fitted import FittedAxis, FittedHead
 from sightline.app.plan.marks import END, ENTRY, MarkSpec, border_mark, marks_of
 from sightline.case.views import NAMES
 from sightline.errors import CaseError, UnusableInputError
@@ -19,7 +19,7 @@ from sightline.planning.procedures.files import current_key
 
 Side = Literal["right", "left"]
 Pixel = tuple[float, float]
-HEAD, SHAFT = "head", "shaft"  # keys of the aids that can be fitted to edges
+HEAD, SHAFT, NECK = "head", "shaft", "neck"  # keys of the aids that can be fitted to edges
 MAX_MARKS = 64  # more than any procedure needs; a page that sends more is defective [ours]
 MAX_UNDO = 500  # changes that can be undone; the journal has all of them [ours]
 
@@ -82,7 +82,8 @@ class Decisions:
     `mirrored`: whether a person saw, by writing in it, that the file shows the image mirrored, by entry number; needed
     if no image shows the frame unmirrored. `nail`: whose holes are found in the images; None: points are placed.
     `fitted_head`: the head's circles as fitted to edges; None: as drawn. `borders`: axes are drawn by both borders of
-    the bone; `fitted_shaft`: those of the shaft as fitted to edges.
+    the bone; `fitted_shaft`, `fitted_neck`: those of shaft and neck as fitted to edges, the neck's from the head's
+    centre of that time.
     """
 
     images: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -98,7 +99,8 @@ class Decisions:
     nail: Nail | None = None
     fitted_head: FittedHead | None = None
     borders: bool = False
-    fitted_shaft: FittedShaft | None = None
+    fitted_shaft: FittedAxis | None = None
+    fitted_neck: FittedAxis | None = None
 
     @property
     def of_nail(self) -> bool:
@@ -143,7 +145,8 @@ class Decisions:
 
     def with_mark(self, name: str, mark: Mark | None) -> "Decisions":
         """Return the decisions with one mark set, or removed if it is None or empty; a click on the head's rim or on
-        the shaft's borders ends their fit. Raises CaseError if there are too many."""
+        borders ends their fit, one on the rim also that of the neck, which begins at the head's centre. Raises
+        CaseError if there are too many."""
         marks = {key: value for key, value in self.marks.items() if key != name}
         if mark is not None and mark.places:
             marks[name] = mark
@@ -152,7 +155,8 @@ class Decisions:
         drawn = name.rpartition("-")[0]
         head = None if drawn == HEAD else self.fitted_head
         shaft = None if drawn == border_mark(SHAFT) else self.fitted_shaft
-        return replace(self, marks=MappingProxyType(marks), fitted_head=head, fitted_shaft=shaft)
+        neck = None if drawn in (HEAD, border_mark(NECK)) else self.fitted_neck
+        return replace(self, marks=MappingProxyType(marks), fitted_head=head, fitted_shaft=shaft, fitted_neck=neck)
 
     def with_image(self, name: str, acquired: int, *, same_pixels: bool) -> "Decisions":
         """Return the decisions with another image under a name. Unless the pixels are the same, the marks in it are
@@ -162,7 +166,9 @@ class Decisions:
             return replace(self, images=images)
         wires = MappingProxyType({kind: _without(name, ends) for kind, ends in self.wires.items()})
         left = replace(self, images=images, marks=_without(name, self.marks), wires=wires)
-        return replace(left, side=None, fitted_head=None, fitted_shaft=None) if name in NAMES else left
+        return (
+            replace(left, side=None, fitted_head=None, fitted_shaft=None, fitted_neck=None) if name in NAMES else left
+        )
 
     def with_display(self, view: str, display: Display) -> "Decisions":
         """Return the decisions with another display of one view."""
@@ -195,6 +201,7 @@ class Decisions:
             "fitted_head": None if self.fitted_head is None else self.fitted_head.document(),
             "borders": self.borders,
             "fitted_shaft": None if self.fitted_shaft is None else self.fitted_shaft.document(),
+            "fitted_neck": None if self.fitted_neck is None else self.fitted_neck.document(),
         }
 
     @staticmethod
@@ -220,7 +227,8 @@ class Decisions:
                 None if document.get("nail") is None else Nail(**document["nail"]),
                 None if document.get("fitted_head") is None else FittedHead.of(document["fitted_head"]),
                 bool(document.get("borders", False)),  # older cases have no entry: axes were always drawn themselves
-                None if document.get("fitted_shaft") is None else FittedShaft.of(document["fitted_shaft"]),
+                None if document.get("fitted_shaft") is None else FittedAxis.of(document["fitted_shaft"]),
+                None if document.get("fitted_neck") is None else FittedAxis.of(document["fitted_neck"]),
             )
         except (KeyError, TypeError, ValueError, AttributeError, UnusableInputError) as error:
             raise CaseError(

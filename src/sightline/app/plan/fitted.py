@@ -1,4 +1,4 @@
-"""A head's circles and a shaft's borders after their fit to the edges of the images, as decisions keep them."""
+"""A head's circles and an axis's borders after their fit to the edges of the images, as decisions keep them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class FittedHead:
 
 
 @dataclass(frozen=True)
-class FittedShaft:
+class FittedAxis:
     """Lines with their borders in PA and lateral image as JSON types, so that equal ones compare equal; `kept`: why an
     image's line is still the drawn one, by view."""
 
@@ -55,13 +55,13 @@ class FittedShaft:
     kept: Mapping[str, str]
 
     @staticmethod
-    def made(lines: Sequence[Line], kept: Mapping[str, str]) -> "FittedShaft":
-        """Return the result of `fit_shaft`."""
+    def made(lines: Sequence[Line], kept: Mapping[str, str]) -> "FittedAxis":
+        """Return the result of `fit_shaft` or `fit_neck`."""
         first, second = map(plain, lines)
-        return FittedShaft((first, second), dict(kept))
+        return FittedAxis((first, second), dict(kept))
 
     @property
-    def shaft(self) -> tuple[Line, Line]:
+    def axis(self) -> tuple[Line, Line]:
         """The lines."""
         first, second = (Line(**_arrays(one)) for one in self.lines)
         return first, second
@@ -71,11 +71,11 @@ class FittedShaft:
         return {"lines": list(self.lines), "kept": dict(self.kept)}
 
     @staticmethod
-    def of(document: Mapping[str, Any]) -> "FittedShaft":
+    def of(document: Mapping[str, Any]) -> "FittedAxis":
         """Return it from JSON types. Raises KeyError, TypeError, ValueError, UnusableInputError."""
         first, second = document["lines"]
-        made = FittedShaft((first, second), _reasons(document))
-        for line in made.shaft:
+        made = FittedAxis((first, second), _reasons(document))
+        for line in made.axis:
             borders = line.borders_px
             if borders is None or borders.shape != (2, 2, 2) or line.spread_px2.shape != (4, 4):
                 raise ValueError(borders)

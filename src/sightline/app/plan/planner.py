@@ -6,7 +6,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from sightline.app.plan.decisions import HEAD, SHAFT, Decisions, Mark, Pixel
+from sightline.app.plan.decisions import HEAD, NECK, SHAFT, Decisions, Mark, Pixel
+from sightline.app.plan.fitted import FittedAxis
 from sightline.app.plan.holes import HolesFound, nail_drawn
 from sightline.app.plan.marks import END, ENTRY, MarkSpec, aid_marks, hole_mark, images_of
 from sightline.calibration import BeadView, CalibratedView
@@ -77,10 +78,9 @@ class Planned:
             return self.plan.anatomy
         return locate(self.views, _aids(self.decisions))
 
-    @property
-    def fitted_shaft(self) -> tuple[Line, Line] | None:
-        """The shaft's lines as fitted to edges; None where its drawing is used."""
-        return fitted_shaft(self.decisions)
+    def fitted_axis(self, key: str) -> FittedAxis | None:
+        """Return the lines of shaft or neck as fitted to edges; None where their drawing is used."""
+        return fitted_axis(self.decisions, key)
 
     @cached_property
     def metrics(self) -> tuple[Metric, ...]:
@@ -314,21 +314,19 @@ def has_borders(decisions: Decisions) -> bool:
     return not decisions.of_nail and any(aid.type == "line" for aid in kind_of(decisions.kind).aids)
 
 
-def has_shaft_borders(decisions: Decisions) -> bool:
-    """Return True if the procedure asks for the shaft, and it is drawn by both borders."""
-    return (
-        has_borders(decisions) and decisions.borders and any(aid.key == SHAFT for aid in kind_of(decisions.kind).aids)
-    )
+def has_borders_of(decisions: Decisions, key: str) -> bool:
+    """Return True if the procedure asks for this axis, shaft or neck, and it is drawn by both borders."""
+    return has_borders(decisions) and decisions.borders and any(aid.key == key for aid in kind_of(decisions.kind).aids)
 
 
-def drawn_shaft(decisions: Decisions) -> tuple[Line, Line] | None:
-    """Return the shaft between its drawn borders; None until all clicks are placed."""
-    return _drawn(decisions).shaft if decisions.borders else None
+def drawn_axis(decisions: Decisions, key: str) -> tuple[Line, Line] | None:
+    """Return shaft or neck between its drawn borders; None until all clicks are placed."""
+    return getattr(_drawn(decisions), key) if decisions.borders else None
 
 
-def fitted_shaft(decisions: Decisions) -> tuple[Line, Line] | None:
-    """Return the shaft's lines as fitted to edges; None where they are not, or the shaft is not drawn by borders."""
-    return decisions.fitted_shaft.shaft if decisions.fitted_shaft is not None and decisions.borders else None
+def fitted_axis(decisions: Decisions, key: str) -> FittedAxis | None:
+    """Return shaft or neck as fitted to edges; None where it is not, or axes are not drawn by borders."""
+    return {SHAFT: decisions.fitted_shaft, NECK: decisions.fitted_neck}.get(key) if decisions.borders else None
 
 
 def drawn_head(decisions: Decisions) -> tuple[Circle, Circle] | None:
@@ -336,13 +334,21 @@ def drawn_head(decisions: Decisions) -> tuple[Circle, Circle] | None:
     return _drawn(decisions).head
 
 
+def fitted_head(decisions: Decisions) -> tuple[Circle, Circle] | None:
+    """Return the head's circles, as fitted to edges where they were fitted; None until they are drawn."""
+    return _aids(decisions).head
+
+
 def _aids(decisions: Decisions) -> Aids:
-    """Return the aids that are drawn, head and shaft as fitted to edges where they were fitted."""
+    """Return the aids that are drawn, head, shaft and neck as fitted to edges where they were fitted."""
     drawn = _drawn(decisions)
     if drawn.head is not None and decisions.fitted_head is not None:
         drawn = replace(drawn, head=decisions.fitted_head.head)
-    shaft = fitted_shaft(decisions)
-    return drawn if drawn.shaft is None or shaft is None else replace(drawn, shaft=shaft)
+    for key in (SHAFT, NECK):
+        fitted = fitted_axis(decisions, key)
+        if fitted is not None and getattr(drawn, key) is not None:
+            drawn = replace(drawn, **{key: fitted.axis})
+    return drawn
 
 
 def _drawn(decisions: Decisions) -> Aids:

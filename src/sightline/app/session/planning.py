@@ -11,11 +11,20 @@ from typing import TypeVar, cast
 import numpy as np
 
 from sightline.app import texts
-from sightline.app.plan.decisions import Decisions, Display, History, Pixel, Side
-from sightline.app.plan.fitted import FittedHead, FittedShaft
+from sightline.app.plan.decisions import NECK, SHAFT, Decisions, Display, History, Pixel, Side
+from sightline.app.plan.fitted import FittedAxis, FittedHead
 from sightline.app.plan.holes import HolesFound, nail_drawn
 from sightline.app.plan.marks import MarkSpec
-from sightline.app.plan.planner import Planned, drawn_head, drawn_shaft, moved, planned, request_of
+from sightline.app.plan.planner import (
+    Planned,
+    drawn_axis,
+    drawn_head,
+    fitted_axis,
+    fitted_head,
+    moved,
+    planned,
+    request_of,
+)
 from sightline.app.plan.robot_wire import ROBOT_WIRE
 from sightline.app.session import rehearsing
 from sightline.app.session.jobs import Jobs
@@ -24,7 +33,7 @@ from sightline.app.session.rehearsing import Patient
 from sightline.app.session.seen import Lightbox, SeenImage, entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan, restored
 from sightline.app.session.worker import WorkerProcess, warm_up
-from sightline.calibration import BeadView
+from sightline.calibration import BeadView, CalibratedView
 from sightline.calibration.together import adjusted_together
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
@@ -33,6 +42,7 @@ from sightline.drilling_order import DrillingOrder, propose_order
 from sightline.errors import CalibrationRefusedError, SightlineError, UnusableInputError
 from sightline.fitted_axis import fit_shaft
 from sightline.fitted_head import fit_head
+from sightline.fitted_neck import fit_neck
 from sightline.imaging import Radiograph
 from sightline.planning import Circle, Line, Nail, WirePlans, kind
 from sightline.planning.procedures.files import document_of, each_wire
@@ -41,6 +51,7 @@ _MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned 
 _EDITS = ("edit", "undo", "redo")
 Drawn = TypeVar("Drawn")
 Kept = dict[str, str]
+FitAxis = Callable[[Sequence[CalibratedView], Sequence[Radiograph], tuple[Line, Line]], tuple[tuple[Line, Line], Kept]]
 
 
 class Planning:
@@ -247,22 +258,43 @@ class Planning:
         now = self.decisions
         if now.images != before.images or now.fitted_head != before.fitted_head or not _same(drawn, drawn_head(now)):
             raise UnusableInputError(texts.FIT_HEAD_AGAIN)
-        self.edit(replace(now, fitted_head=FittedHead.made(head, kept)))
+        self.edit(replace(now, fitted_head=FittedHead.made(head, kept), fitted_neck=None))
 
     async def fit_shaft(self) -> None:
         """Fit the drawn borders of the shaft to the edges of the images, as `fit_head` does. Raises
         UnusableInputError."""
-        before, views = self.decisions, self.views(NAMES)
-        drawn = drawn_shaft(before)
-        if drawn is None or views is None:
-            raise UnusableInputError(texts.FIT_SHAFT_FIRST)
-        shaft, kept = await self._fitted(
-            "fitting the shaft to its edges", lambda images: fit_shaft(views, images, drawn)
+        shaft = await self._fitted_axis(SHAFT, fit_shaft, texts.FIT_SHAFT_FIRST, texts.FIT_SHAFT_AGAIN)
+        self.edit(replace(self.decisions, fitted_shaft=shaft))
+
+    async def fit_neck(self) -> None:
+        """Fit the neck's axis, from the head's centre as it is drawn or fitted now, to the edges of the images, as
+        `fit_head` does. Raises UnusableInputError."""
+        head = fitted_head(self.decisions)
+        if head is None:
+            raise UnusableInputError(texts.FIT_NECK_HEAD)
+        neck = await self._fitted_axis(
+            NECK,
+            lambda views, images, drawn: fit_neck(views, images, drawn, head),
+            texts.FIT_NECK_FIRST,
+            texts.FIT_NECK_AGAIN,
         )
+        if not _same(head, fitted_head(self.decisions)):
+            raise UnusableInputError(texts.FIT_NECK_AGAIN)
+        self.edit(replace(self.decisions, fitted_neck=neck))
+
+    async def _fitted_axis(self, key: str, fit: FitAxis, first: str, again: str) -> FittedAxis:
+        """Return the fit of the drawn borders of an axis. Raises UnusableInputError with the text `first` where they
+        are not drawn, and with `again` where they, an image or the fit have changed meanwhile."""
+        before, views = self.decisions, self.views(NAMES)
+        drawn = drawn_axis(before, key)
+        if drawn is None or views is None:
+            raise UnusableInputError(first)
+        fitted = await self._fitted(f"fitting the {key} to its edges", lambda images: fit(views, images, drawn))
         now = self.decisions
-        if now.images != before.images or now.fitted_shaft != before.fitted_shaft or not _same(drawn, drawn_shaft(now)):
-            raise UnusableInputError(texts.FIT_SHAFT_AGAIN)
-        self.edit(replace(now, fitted_shaft=FittedShaft.made(shaft, kept)))
+        same = _same(drawn, drawn_axis(now, key)) and fitted_axis(now, key) == fitted_axis(before, key)
+        if now.images != before.images or not same:
+            raise UnusableInputError(again)
+        return FittedAxis.made(*fitted)
 
     async def _fitted(self, work: str, fit: Callable[[list[Radiograph]], tuple[Drawn, Kept]]) -> tuple[Drawn, Kept]:
         """Return a fit to the edges of both images, made on another thread, and what it kept as drawn. Raises

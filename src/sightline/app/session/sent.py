@@ -72,7 +72,7 @@ def _around(decisions: Decisions, specs: Sequence[MarkSpec]) -> tuple[object, ..
     plan, how axes are drawn, and what was fitted to edges."""
     marks = [decisions.mark(one.name) for one in specs if one.group in ("landmark", "aid")]
     head = decisions.fitted_head if has_head(decisions) else None
-    axes = (decisions.borders, decisions.fitted_shaft) if has_borders(decisions) else None
+    axes = (decisions.borders, decisions.fitted_shaft, decisions.fitted_neck) if has_borders(decisions) else None
     return tuple(mark.at(image) for mark in marks for image in ALL_NAMES), head, axes
 
 

@@ -194,11 +194,21 @@ FIT_HEAD_WHAT = "Fit the drawn circles of the femoral head to its edges in both 
 FIT_HEAD_FIRST = "click three points on the head's rim in both calibrated images first"
 FIT_HEAD_AGAIN = "fit the head again: its drawing or an image has changed meanwhile"
 HEAD_FITTED = "Head fitted: radius {radius:.1f} ± {radius_error:.1f} mm, centre ± {centre_error:.1f} mm (95 %)."
-FIT_SHAFT = "Fit"
+FIT_AXIS = "Fit"
 FIT_SHAFT_WHAT = "Fit the drawn borders of the shaft to its edges in both images"
 FIT_SHAFT_FIRST = "click two points on each border of the shaft in both calibrated images first"
 FIT_SHAFT_AGAIN = "fit the shaft again: its drawing or an image has changed meanwhile"
 SHAFT_FITTED = "Shaft ± {direction_error:.1f}°, ± {place_error:.1f} mm (95 %)."
+FIT_NECK_WHAT = "Fit the neck's axis, from the head's centre, to the neck's edges in both images"
+FIT_NECK_HEAD = (
+    "click three points on the head's rim in both calibrated images first: the neck's axis begins at its centre"
+)
+FIT_NECK_FIRST = (
+    "click two points on each border of the neck in both calibrated images first, from the head past "
+    "its narrowest place"
+)
+FIT_NECK_AGAIN = "fit the neck again: its drawing, the head or an image has changed meanwhile"
+NECK_FITTED = "Neck ± {direction_error:.1f}°, ± {place_error:.1f} mm (95 %)."
 KEPT_AS_DRAWN = "{image}: kept as drawn; {why}."
 WIRES_LABEL = "Wires of the procedure"
 WIRE_STATES = {  # of a wire, by its verdict and by what was done
