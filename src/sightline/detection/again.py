@@ -38,6 +38,7 @@ _DEEP_OVERLAP = 0.4
 # Limits for accepting a fit: the image must determine it, and it must agree with the frame and the neighbours.
 # Two beads in a deeper overlap are fitted well together or not at all: alone, one takes up the other's shadow [twin].
 _TOGETHER_OVERLAP = 1.6
+_BEHIND_PX = 1.0  # so far within a rim a smaller bead must lie that is not fitted: its place is predicted only [ours]
 _MAX_SD_PX = 0.5  # as for beads that an image determines (docs/benchmarks.md)
 _MAX_M2 = 16.0  # squared Mahalanobis distance from the prediction, whose s.d. is 1.2 times too small at the edge [twin]
 _MAX_LOG_SIZE = 0.07  # log radius against the neighbours'; more is a pair of beads, or another object's rim [twin]
@@ -373,6 +374,6 @@ def _with_partners(expected: _Expected, tried: np.ndarray, good: np.ndarray) -> 
     known[good] = True
     own = radius[good, None]
     apart = distances(expected.uv_px[good], expected.uv_px)
-    needed = (overlap_of(apart, own, radius) > _TOGETHER_OVERLAP) & (apart + radius > own)
+    needed = (overlap_of(apart, own, radius) > _TOGETHER_OVERLAP) & (apart + radius > own - _BEHIND_PX)
     needed[np.arange(len(good)), good] = False
     return ~(needed & ~known).any(axis=1)

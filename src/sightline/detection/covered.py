@@ -11,8 +11,8 @@ from sightline.fitting.kernels import distances
 DEEPEST, DEEPEST_OF_KNOWN_SHAPE = 1.4, 1.9
 # Pixels within this margin of an overlap are left out: two balls stop less light than the product of single shadows
 # predicts. The margin lowers chi-square / 2 of overlapping beads from 6-10 to 0.8-1.2. In overlaps above 1.2 radii one
-# of 70 beads was wrong by 4 s.d. at 1.5 px, none at 1.75 px; 2.5 px leave fewer of them enough pixels [twin].
-_MARGIN_PX = 1.75
+# of 70 beads was wrong by 6 s.d. at 1.75 px, none at 2 px; 2.5 px leave fewer of them enough pixels [twin].
+_MARGIN_PX = 2.0
 _MIN_RIM_SHARE = 0.3  # of the rim, not covered by metal or other beads [ours]
 
 
