@@ -83,7 +83,9 @@ def run(quick: bool) -> list[Row]:
     many, few, across = (n // 10 if quick else n for n in (HIPS, WITH_PLATES, ACROSS))
     block, refused = finished(GROUP, in_parallel(_with_block, range(many), keep="fitted-block"))
     plates, also = finished(GROUP, in_parallel(_with_plates, range(few), keep="fitted-plates"))
-    beside, too = finished(GROUP, in_parallel(_across_neck, range(FIRST_ACROSS, FIRST_ACROSS + across), keep="fitted-necks"))
+    beside, too = finished(
+        GROUP, in_parallel(_across_neck, range(FIRST_ACROSS, FIRST_ACROSS + across), keep="fitted-necks")
+    )
     return [
         *refused,
         *_rows("head", [hip[0] for hip in block], HEAD, MOST_RATIO),

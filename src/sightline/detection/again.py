@@ -8,7 +8,7 @@ import numpy as np
 
 from sightline.detection import columns, refine
 from sightline.detection.clipping import WITHOUT_FOOT, allow_for_missing_foot, clipped_shares
-from sightline.detection.covered import DEEPEST_OF_KNOWN_SHAPE, overlap_of, without_overlaps
+from sightline.detection.covered import DEEPEST_OF_KNOWN_SHAPE, hidden_share, overlap_of, without_overlaps
 from sightline.detection.detector import bead_fitter, fine_reasons
 from sightline.detection.fit import PRIOR_SD
 from sightline.detection.labelling.growth import Field
@@ -36,9 +36,9 @@ _MAX_PREDICTION_SD_PX = 2.0  # with a less certain prediction, the fit may find 
 # there, 0.8-1.4 where they overlap less [twin].
 _DEEP_OVERLAP = 0.4
 # Limits for accepting a fit: the image must determine it, and it must agree with the frame and the neighbours.
-# Two beads in a deeper overlap are fitted well together or not at all: alone, one takes up the other's shadow [twin].
-_TOGETHER_OVERLAP = 1.6
-_BEHIND_PX = 1.0  # so far within a rim a smaller bead must lie that is not fitted: its place is predicted only [ours]
+# A bead in a deeper overlap, of whose rim another bead hides more than a share, is fitted with that bead or not at all:
+# alone, it takes up the other's shadow. Beads that were wrong by 6 to 17 s.d. had 0.45 of their rims hidden [twin].
+_TOGETHER_OVERLAP, _TOGETHER_HIDDEN = 1.6, 0.33
 _MAX_SD_PX = 0.5  # as for beads that an image determines (docs/benchmarks.md)
 _MAX_M2 = 16.0  # squared Mahalanobis distance from the prediction, whose s.d. is 1.2 times too small at the edge [twin]
 _MAX_LOG_SIZE = 0.07  # log radius against the neighbours'; more is a pair of beads, or another object's rim [twin]
@@ -365,15 +365,15 @@ def _clear(
 
 
 def _with_partners(expected: _Expected, tried: np.ndarray, good: np.ndarray) -> np.ndarray:
-    """Return (M,) bool: whether the image also shows what overlaps each of the well fitted beads `good` (M,) deeply.
+    """Return (M,) bool: whether the image also shows what hides much of each of the well fitted beads `good` (M,).
 
-    It does if that is known, well fitted too, or wholly behind the bead. `tried`: all that were fitted.
+    It does if that is known, or well fitted too. `tried`: all that were fitted.
     """
     radius, known = expected.radius_px, expected.row >= 0
     known[tried] = False
     known[good] = True
-    own = radius[good, None]
-    apart = distances(expected.uv_px[good], expected.uv_px)
-    needed = (overlap_of(apart, own, radius) > _TOGETHER_OVERLAP) & (apart + radius > own - _BEHIND_PX)
+    apart, own = distances(expected.uv_px[good], expected.uv_px), radius[good, None]
+    needed = overlap_of(apart, own, radius) > _TOGETHER_OVERLAP
+    needed &= hidden_share(apart, own, radius) > _TOGETHER_HIDDEN
     needed[np.arange(len(good)), good] = False
-    return ~(needed & ~known).any(axis=1)
+    return np.asarray(~(needed & ~known).any(axis=1))

@@ -14,6 +14,7 @@ DEEPEST, DEEPEST_OF_KNOWN_SHAPE = 1.4, 1.9
 # of 70 beads was wrong by 6 s.d. at 1.75 px, none at 2 px; 2.5 px leave fewer of them enough pixels [twin].
 _MARGIN_PX = 2.0
 _MIN_RIM_SHARE = 0.3  # of the rim, not covered by metal or other beads [ours]
+_MOST_HIDDEN = 0.5  # share of its rim up to which what covers a bead does not matter, however deep the overlap [twin]
 
 
 def without_overlaps(
@@ -61,7 +62,7 @@ def _clear_covered(fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.
     there = slice(max(top, 0), top + len(state)), slice(max(left, 0), left + len(state))
     usable[there] &= ~hidden[seen]
     rim = window.visible_rim(state, rows, near, left, top)
-    hiding = hides_most(apart[near[1:]], radius, rows[near[1:], columns.RADIUS])
+    hiding = hidden_share(apart[near[1:]], radius, rows[near[1:], columns.RADIUS]) > _MOST_HIDDEN
     return overlap[hiding].max(initial=0.0) if rim > _MIN_RIM_SHARE else np.inf
 
 
@@ -78,10 +79,10 @@ def _hull_of_metal(metal: np.ndarray) -> np.ndarray:
     return found > 0
 
 
-def hides_most(apart: np.ndarray, radius: np.ndarray | float, other: np.ndarray) -> np.ndarray:
-    """Return whether other discs `apart` from a disc, with their margin, cover more than half of its rim: of points on
-    the rim, those at right angles to the line of centres lie at the distance of both radii and distances squared."""
-    return (other + _MARGIN_PX) ** 2 > radius**2 + apart**2
+def hidden_share(apart: np.ndarray, radius: np.ndarray | float, other: np.ndarray) -> np.ndarray:
+    """Return the share of a disc's rim that other discs `apart` from it cover, with their margin."""
+    cosine = (radius**2 + apart**2 - (other + _MARGIN_PX) ** 2) / (2 * radius * np.maximum(apart, 1e-9))
+    return np.arccos(np.clip(cosine, -1.0, 1.0)) / np.pi
 
 
 def overlap_of(apart: np.ndarray, radius: np.ndarray | float, other: np.ndarray) -> np.ndarray:
