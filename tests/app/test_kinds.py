@@ -113,7 +113,7 @@ def test_a_proposed_wire_is_by_the_rule_and_a_persons_to_change(hands: Hands, sh
     """135° to the shaft, through the head's centre, 8 mm under its surface: by the page's own measurements."""
     _choose(hands, "Hip screw")
     hands.press("propose")
-    expect(hands.see("message")).to_contain_text("no wire can be proposed: the head is not drawn")
+    expect(hands.see("message")).to_contain_text("No wire can be proposed: the head is not drawn")
     known = _drawn()
     for aid in ("head", "shaft", "cortex"):
         hands.aid(aid, known)
