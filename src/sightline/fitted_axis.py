@@ -9,7 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
-from sightline.detection.bone_edges import REACH_PX, UNEVEN, BoneEdge, NoBoneEdgeError, common_begin, find_bone_edge
+from sightline.detection.bone_edges import (
+    REACH_PX,
+    UNEVEN,
+    BoneEdge,
+    NoBoneEdgeError,
+    common_begin,
+    find_bone_edge,
+    points_of_border,
+)
 from sightline.errors import OutsideRegionError
 from sightline.geometry.lines import nearest_approach
 from sightline.imaging import Radiograph
@@ -59,14 +67,7 @@ class _Border:
 
         Raises NoBoneEdgeError.
         """
-        way = ends[1] - ends[0]
-        length = float(np.linalg.norm(way))
-        if length < _MIN_LENGTH_PX:
-            raise NoBoneEdgeError(f"a border is {length:.0f} px long (at least {_MIN_LENGTH_PX:.0f} px are needed)")
-        inward = np.array([-way[1], way[0]]) / length
-        inward *= np.sign(inward @ (other.mean(axis=0) - ends.mean(axis=0)))
-        along = np.linspace(-1.0, 1.0, int(length) + 1)
-        uv = ends.mean(axis=0) + along[:, None] * way / 2
+        uv, inward, along = points_of_border(ends, other, _MIN_LENGTH_PX)
         straight, bent = np.column_stack([np.ones(len(along)), along]), along[:, None] ** 2 - 1 / 3
         edge = find_bone_edge(image, uv, np.broadcast_to(inward, uv.shape), straight, bent)
         return _Border(uv[edge.at] + edge.offset_px[:, None] * inward, inward, edge)

@@ -14,7 +14,14 @@ from numpy.polynomial.legendre import legvander
 
 from sightline.calibration.bead_view import bead_shadows_px
 from sightline.calibration.view import CalibratedView
-from sightline.detection.bone_edges import REACH_PX, BoneEdge, NoBoneEdgeError, common_begin, find_bone_edge
+from sightline.detection.bone_edges import (
+    REACH_PX,
+    BoneEdge,
+    NoBoneEdgeError,
+    common_begin,
+    find_bone_edge,
+    points_of_border,
+)
 from sightline.errors import OutsideRegionError
 from sightline.imaging import Radiograph
 from sightline.planning.aids import Aids, Circle, Line
@@ -129,15 +136,9 @@ class _Border:
         The first search begins at a curve between both ends, the second at the edge of the first, across it. Raises
         NoBoneEdgeError.
         """
-        way = ends[1] - ends[0]
-        length = float(np.linalg.norm(way))
-        if length < _MIN_LENGTH_PX:
-            raise NoBoneEdgeError(f"a border is {length:.0f} px long (at least {_MIN_LENGTH_PX:.0f} px are needed)")
-        inward = np.array([-way[1], way[0]]) / length
-        inward *= np.sign(inward @ (other.mean(axis=0) - ends.mean(axis=0)))
-        along = np.linspace(-1.0, 1.0, int(length) + 1)
-        forms = legvander(along, _DEGREE)
-        uv = ends.mean(axis=0) + along[:, None] * way / 2 + (_CURVE * length * (1.0 - along**2))[:, None] * inward
+        uv, inward, along = points_of_border(ends, other, _MIN_LENGTH_PX)
+        forms, depth_px = legvander(along, _DEGREE), _CURVE * np.linalg.norm(ends[1] - ends[0])
+        uv = uv + (depth_px * (1.0 - along**2))[:, None] * inward
         first = find_bone_edge(image, uv, np.broadcast_to(inward, uv.shape), forms[:, :3], forms[:, 3:])
         by_form = np.linalg.lstsq(forms[first.at], first.offset_px - first.begin_px, rcond=None)[0]
         uv = uv + (forms @ by_form)[:, None] * inward

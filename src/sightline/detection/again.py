@@ -35,10 +35,10 @@ _MAX_PREDICTION_SD_PX = 2.0  # with a less certain prediction, the fit may find 
 # Overlap beyond which detection finds one bead, or the two bias each other: chi-square / 2 of labelled beads is 1.2-4.4
 # there, 0.8-1.4 where they overlap less [twin].
 _DEEP_OVERLAP = 0.4
-# Limits for accepting a fit: the image must determine it, and it must agree with the frame and the neighbours.
 # A bead in a deeper overlap, of whose rim another bead hides more than a share, is fitted with that bead or not at all:
 # alone, it takes up the other's shadow. Beads that were wrong by 6 to 17 s.d. had 0.45 of their rims hidden [twin].
 _TOGETHER_OVERLAP, _TOGETHER_HIDDEN = 1.6, 0.33
+# Limits for accepting a fit: the image must determine it, and it must agree with the frame and the neighbours.
 _MAX_SD_PX = 0.5  # as for beads that an image determines (docs/benchmarks.md)
 _MAX_M2 = 16.0  # squared Mahalanobis distance from the prediction, whose s.d. is 1.2 times too small at the edge [twin]
 _MAX_LOG_SIZE = 0.07  # log radius against the neighbours'; more is a pair of beads, or another object's rim [twin]

@@ -89,6 +89,22 @@ def find_bone_edge(
     return replace(edge, covariance_px2=edge.covariance_px2 + drawn @ _jackknife(drawn, edge.offset_px) @ drawn.T)
 
 
+def points_of_border(ends: np.ndarray, other: np.ndarray, least_px: float) -> tuple[np.ndarray, ...]:
+    """Return points (N, 2), px, about a pixel apart on a border drawn from end to end (2, 2), the unit vector (2,) from
+    it towards the `other` border, and the points' places (N,) along it, from -1 to 1.
+
+    Raises NoBoneEdgeError where it is shorter than `least_px`.
+    """
+    way = ends[1] - ends[0]
+    length = float(np.linalg.norm(way))
+    if length < least_px:
+        raise NoBoneEdgeError(f"a border is {length:.0f} px long (at least {least_px:.0f} px are needed)")
+    inward = np.array([-way[1], way[0]]) / length
+    inward *= np.sign(inward @ (other.mean(axis=0) - ends.mean(axis=0)))
+    along = np.linspace(-1.0, 1.0, int(length) + 1)
+    return ends.mean(axis=0) + along[:, None] * way / 2, inward, along
+
+
 def common_begin(first: BoneEdge, second: BoneEdge) -> float:
     """Return where the edges at both borders of a bone begin, px from their clearest falls.
 
