@@ -20,9 +20,15 @@
     const rows = new Set([...tools.querySelectorAll("button")].filter(seen).map((one) => one.offsetTop));
     if (innerWidth >= 1280 && rows.size > 1) out.push(`tools in ${rows.size} rows`);
   }
-  const letters = all(".depth-bar b").map((part) => part.getBoundingClientRect());
-  letters.slice(1).forEach((one, k) => {
-    if (one.left < letters[k].right - 0.5 && one.right > letters[k].left + 0.5) out.push(`letters of the depth bar overlap: ${k}`);
+  const letters = all(".depth-bar b").map((part) => {
+    const text = document.createRange();
+    text.selectNodeContents(part);
+    return [part.textContent, text.getBoundingClientRect()];
+  });
+  letters.forEach(([name, a], k) => {
+    for (const [other, b] of letters.slice(k + 1))
+      if (Math.min(a.right, b.right) - Math.max(a.left, b.left) > 0.5 && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 0.5)
+        out.push(`letters of the depth bar overlap: ${name} ${other}`);
   });
   const hint = all("[data-testid=hint]")[0]?.getBoundingClientRect();
   const name = all("[data-testid=hint]")[0]?.parentElement.querySelector(".xray-name").getBoundingClientRect();
