@@ -244,7 +244,7 @@ def _gvxr(vertices: np.ndarray, triangles: np.ndarray) -> Callable:
     gvxr.setDetectorPixelSize(FIELD_MM / SMALL_PX, FIELD_MM / SMALL_PX, "mm")
     gvxr.makeTriangularMesh("ring", vertices.ravel().tolist(), triangles.ravel().tolist(), "mm")
     gvxr.addPolygonMeshAsInnerSurface("ring")
-    return lambda: 10.0 * np.array(gvxr.computeLBuffer("ring"), dtype=float)[::-1]  # its first row is the lowest
+    return lambda: 10.0 * np.array(gvxr.computeLBuffer("ring"), dtype=float)  # its first row is the lowest, as ours
 
 
 def _brute_force(corners: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
