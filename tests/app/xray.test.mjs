@@ -358,6 +358,22 @@ test("a moved point stays until its move is acknowledged, and is then where the 
   assert.deepEqual([uvOf(core), edits.moved.size], [[11, 21], 0]);
 });
 
+test("a selected point that becomes fixed is no longer selected: its name would stay for good", () => {
+  const movable = { id: "end", style: "aid", uv: [10, 20], movable: true };
+  const fixed = { ...movable, movable: false };
+  const { core, edits } = edited(movable);
+  core.select = (id) => (core.state.selected = id);
+  core.state.selected = "end";
+  edits.merge();
+  assert.equal(core.state.selected, "end");
+  core.word = { points: [fixed], placing: null };
+  edits.merge();
+  assert.equal(core.state.selected, null);
+  core.select("end"); // by a person who asks for its name
+  edits.merge();
+  assert.equal(core.state.selected, "end");
+});
+
 test("a snapped point moves on its curve, and one that is placed goes there only if it slides", () => {
   const snapped = edited({ id: "end", style: "aid", uv: [10, 200], snapped: true });
   snapped.edits.move("drag", "end", [30, 40]);

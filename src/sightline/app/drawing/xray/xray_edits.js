@@ -39,6 +39,8 @@ export class Edits {
     const before = state.points;
     state.points = new Map(word.points.map((point) => [point.id, this.#point(point, before.get(point.id))]));
     for (const id of before.keys()) if (!state.points.has(id)) this.#drop(id);
+    const chosen = this.core.point(state.selected);
+    if (chosen && !chosen.movable && before.get(chosen.id)?.movable) this.core.select(null); // nothing acts on it now
     this.#showPoints();
     canvas.invalidate("overlay");
   }
