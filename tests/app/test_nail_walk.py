@@ -78,6 +78,17 @@ def _drill(hands: Hands, shoot) -> str:
         expect(hands.see("robot-state")).to_have_attribute("data-state", state.value, timeout=PATIENCE_MS)
     _wait_for(hands, key, "drilled")
     assert not wrong(hands.page, scrolls=True)
+    depth, tip = (
+        float(re.search(rf"{before}\s*(-?\d+\.\d) mm", hands.see("depth").inner_text())[1]) for before in ("", "tip")
+    )
+    said = hands.see("drilled").inner_text()
+    if key == KEYS[0]:
+        assert (tip, "Drilled to the planned depth" in said) == (depth, True)
+    else:  # its far cortex ends sooner, and the drill stops 3 mm behind it
+        assert float(re.search(r"(\d+\.\d) mm short of the planned depth", said)[1]) == pytest.approx(
+            tip - depth, abs=0.15
+        )
+        assert tip - depth > 1.0
     shoot(hands.page, f"nail-walk-drilled-{key}")
     hands.press("retract")
     hands.press("retract-yes")

@@ -12,6 +12,7 @@ from sightline.app.panels import live, markup, shots, wires
 from sightline.app.panels.confirming import confirmed_action
 from sightline.app.panels.menu import save_report
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
+from sightline.app.session.planning import Planning
 from sightline.app.session.readiness import NO_SERIAL
 from sightline.app.session.zero import ZeroSource
 from sightline.app.tab.tab import Tab
@@ -28,6 +29,7 @@ _DEPTH = (
     '<div class="depth-bar" aria-hidden="true"><i style="width:{}%"></i>{}</div><div class="depth-marks">{}</div></div>'
 )
 _PLOT_PX = 400.0  # about the panel's width, so that its text is as large as the panel's [ours]
+_SHORT_MM = 0.5  # from here on a wire is short of its planned depth: two s.d. of what contact adds [ours]
 _LIVE_S = 0.2  # update period of the robot's readings [ours]
 _RETRACTABLE = tuple(one.value for one in (State.DONE, State.STOP, State.ALIGNED, State.PAUSED))
 
@@ -108,8 +110,17 @@ def _robot(tab: Tab) -> None:
                 kind="plain",
             )
     if planning.drilled is not None:
-        note(texts.DRILLED, kind="good", testid="drilled")
+        note(_drilled(planning), kind="good", testid="drilled")
     note(texts.STOP_IS_NO_EMERGENCY_STOP, kind="warn")
+
+
+def _drilled(planning: Planning) -> str:
+    """Return how deep the wire was drilled, as text: a drill that is to pass a far cortex stops behind it."""
+    assert planning.drilled is not None  # noqa: S101
+    assert planning.sent is not None  # noqa: S101 - what is drilled was sent
+    plan = planning.sent.plan
+    short = plan.trajectory.length_mm + plan.kind.limits.beyond_mm - float(planning.drilled.record.depth_mm.max())
+    return texts.DRILLED if short < _SHORT_MM else texts.DRILLED_SHORT.format(short=short)
 
 
 def _state(tab: Tab) -> None:

@@ -103,7 +103,7 @@ CALIBRATED = "Both views are calibrated, and every check passed."
 CALIBRATE_FIRST = "Calibrate both views first."
 PLACE_WIRE = "Place in both images: {points}."
 PLAN_DONE = "GO: every check passed."
-DRILL_DONE = "The wire is drilled to the planned depth."
+DRILL_DONE = "Drilling is done."
 LINK_LOST = "The link to the robot is lost."
 ROBOT_IN = "{state}."
 ROBOT_NEXT = {  # what to do next, by the robot's state; of the others the state itself
@@ -376,7 +376,7 @@ STATES = {
     "ALIGNED": "Aligned; waiting for you",
     "DRILL": "Drilling",
     "PAUSED": "Paused for the second shot",
-    "DONE": "Drilled to the planned depth",
+    "DONE": "Drilled",
     "GUIDE": "Holding the drill guide",
     "RETRACT": "Retracting the wire",
 }
@@ -395,6 +395,9 @@ DRILL_ON = "Continue drilling"
 RETRACT = "Retract"
 CANCEL = "Cancel"
 DRILLED = "Drilled to the planned depth. Verify the wire in two check images."
+DRILLED_SHORT = (
+    "Drilled through the far cortex, {short:.1f} mm short of the planned depth. Verify the wire in two check images."
+)
 SHOT_HEADING = "Depth in the second shot"
 SHOT_HEADINGS = {"ALIGNED": "Confirmation shot", "PAUSED": "Second shot"}
 TAKE_SHOT = "Take the shot"
