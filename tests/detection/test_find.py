@@ -1,5 +1,7 @@
 """Candidates: all beads, with good initial values, and few others."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from bead_images import Bead, grid, quanta, radiograph
@@ -96,3 +98,20 @@ def test_of_edges_corners_and_wires_only_a_crossing_may_pass_for_a_candidate() -
 def test_distinct_keeps_the_better_of_a_repetition_and_both_signs() -> None:
     rows = np.array([[50.0, 50, 9, -1], [52, 50, 8, -1], [56, 50, 8, -1], [50, 50, 4, 1], [300, 300, 9, -1]])
     assert distinct(rows).tolist() == [True, False, True, True, True]
+
+
+def test_candidates_do_not_depend_on_the_images_searched_before_or_beside() -> None:
+    """A program whose smoothed images are shared by threads, or are those of an image of another size, fails."""
+    rng, images = np.random.default_rng(3), []
+    for size, radius in ((SIZE, 5.0), (SIZE, 8.0), (SIZE - 31, 6.0), (SIZE, 11.0)):
+        beads = [Bead(u, v, radius) for u, v in grid(60, size, rng)]
+        images.append(radiograph(quanta(beads, np.full((size, size), 400.0)), rng))
+    alone = []
+    for image in images:
+        with ThreadPoolExecutor(1) as new:
+            alone.append(new.submit(candidates, image).result())
+    with ThreadPoolExecutor(4) as both:
+        together = list(both.map(candidates, images * 8))
+    for k, found in enumerate(together):
+        assert np.array_equal(found.uv_px, alone[k % 4].uv_px)
+        assert np.array_equal(found.sizes, alone[k % 4].sizes)

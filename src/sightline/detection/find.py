@@ -1,6 +1,7 @@
 """Candidates: band-pass extrema whose rim lies on a circle."""
 
 from dataclasses import dataclass
+from threading import local
 
 import cv2
 import numba as nb
@@ -32,6 +33,10 @@ _HOLLOW = 0.6, 1.25
 _AROUND = np.array([(v, u) for v in (-1, 0, 1) for u in (-1, 0, 1) if u or v])  # row and column of the neighbours
 _CELL = 32.0  # px; duplicates are searched for in adjacent cells, which reach further than half a radius
 _MAX_EXTREMA = 2**16  # of a band; only the part of the buffer that is filled takes memory
+# Smoothed images of up to so many px are kept for the next image: the system hands out new memory page by page, which
+# takes as long as the blur [ours].
+_KEPT_PX = 2**21
+_kept = local()
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +67,12 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     """
     line = np.array([noise.offset + 2 * np.log(noise.broad), noise.slope], np.float32)
     half = cv2.resize(log_image, None, fx=1 / _HALF, fy=1 / _HALF, interpolation=cv2.INTER_AREA)
-    first = cv2.GaussianBlur(half, (7, 7), 1.0)
+    smooth, first, second, fine = _smoothed(log_image.shape, half.shape)
+    first = cv2.GaussianBlur(half, (7, 7), 1.0, dst=first)
     coarser, base, finest = at_once(
-        lambda: _bands(first, mask, line),
-        lambda: cv2.GaussianBlur(log_image, (5, 5), 0.8),
-        lambda: _extrema(cv2.GaussianBlur(half, (3, 3), 0.5), first, mask, _HALF, _FINEST_RADIUS, line),
+        lambda: _bands(first, second, mask, line),
+        lambda: cv2.GaussianBlur(log_image, (5, 5), 0.8, dst=smooth),
+        lambda: _extrema(cv2.GaussianBlur(half, (3, 3), 0.5, dst=fine), first, mask, _HALF, _FINEST_RADIUS, line),
     )
     bands = [finest, *coarser]
     every = judged(base, np.concatenate(bands), line)
@@ -87,11 +93,26 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     return Candidates(*(column[keep] for column in columns), sizes=sizes)
 
 
-def _bands(first: np.ndarray, mask: np.ndarray, line: np.ndarray) -> list[np.ndarray]:
-    """Return the extrema (N, 4) of each band but the finest; `first`: the half-size image with a blur of 1 px."""
+def _smoothed(shape: tuple[int, ...], half: tuple[int, ...]) -> list[np.ndarray]:
+    """Return unset images, float32: one of `shape` and three of `half` its size; the same to the next call here.
+
+    Each thread has its own.
+    """
+    kept = getattr(_kept, "images", None)
+    if kept is None or kept[0].shape != shape:
+        kept = [np.empty(one, np.float32) for one in (shape, half, half, half)]
+        _kept.images = kept if kept[0].size <= _KEPT_PX else None
+    return kept
+
+
+def _bands(first: np.ndarray, second: np.ndarray, mask: np.ndarray, line: np.ndarray) -> list[np.ndarray]:
+    """Return the extrema (N, 4) of each band but the finest; `first`: the half-size image with a blur of 1 px.
+
+    `second`: an image of that size, to be overwritten.
+    """
     bands = []
     for octave in range(_OCTAVES + _FURTHER_OCTAVES):
-        second = cv2.GaussianBlur(first, (11, 11), 3**0.5)
+        second = cv2.GaussianBlur(first, (11, 11), 3**0.5, dst=second if octave == 0 else None)
         bands.append(_extrema(first, second, mask, _HALF << octave, _BAND_RADIUS, line))
         first = np.ascontiguousarray(second[::2, ::2])
     return bands
