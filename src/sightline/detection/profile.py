@@ -3,7 +3,7 @@
 from functools import cache
 
 import numpy as np
-from scipy.special import j0
+from scipy.special import j0, roots_legendre
 
 # The shadow of a ball is 1 - exp(-a sqrt(1 - rho^2)): a = mu d = 10.1/cm x 3 mm, 316L steel at 60 keV [physics.md].
 _BALL_DEPTH = 3.0
@@ -13,6 +13,7 @@ T_FIRST, T_STEP, T_COUNT = -30.0, 0.125, 289
 Q_STEP, Q_COUNT = 0.0125, 96  # sigma / radius 0.0125 ... 1.2
 _NODES = 600  # of the quadratures: eight per period of the fastest wave
 _RADII = 1200  # of the transform: 1.3 % apart in their distance from the rim
+_AT_ONCE = 100  # rows of Bessel functions held at a time: all of them would take 12 MB
 
 
 def _sharp(rho: np.ndarray, ball: bool) -> np.ndarray:
@@ -36,21 +37,27 @@ def _tables() -> tuple[np.ndarray, np.ndarray]:
     """Return the tables of a ball and of a disc, which share the quadratures and the Bessel functions."""
     q = Q_STEP * (1 + np.arange(Q_COUNT))
     t = T_FIRST + T_STEP * np.arange(T_COUNT)
-    rho, rho_weight = np.polynomial.legendre.leggauss(_NODES)
+    rho, rho_weight = roots_legendre(_NODES)
     angle = (rho + 1) * np.pi / 4  # rho = sin(angle) resolves the square root at the rim
     node, weight = np.sin(angle), rho_weight * np.pi / 4 * np.cos(angle)
     k_max = 6.0 / Q_STEP
     k, k_weight = (rho + 1) * k_max / 2, rho_weight * k_max / 2
-    inner = j0(np.outer(k, node))
-    spectra = [inner @ (_sharp(node, ball) * node * weight) for ball in (True, False)]
+    shapes = np.stack([_sharp(node, ball) * node * weight for ball in (True, False)], axis=1)
+    spectra = _transformed(k, node, shapes).T * k * k_weight
     furthest = q[-1] * t[-1]
     from_rim = 1e-3 * np.sinh(np.linspace(-np.arcsinh(1e3), np.arcsinh(1e3 * furthest), _RADII))
-    waves, blur = j0(np.outer(1 + from_rim, k)), np.exp(-0.5 * np.outer(k, q) ** 2)
+    blur = np.exp(-0.5 * np.outer(k, q) ** 2)
+    blurred = _transformed(1 + from_rim, k, np.concatenate([blur * spectrum[:, None] for spectrum in spectra], axis=1))
     out = []
-    for spectrum in spectra:
-        values = waves @ (blur * (spectrum * k * k_weight)[:, None])
+    for values in np.split(blurred, 2, axis=1):
         table = np.stack([np.interp(t * sigma, from_rim, values[:, i]) for i, sigma in enumerate(q)])
         np.clip(table, 0.0, 1.0, out=table)
         table.flags.writeable = False
         out.append(table)
     return out[0], out[1]
+
+
+def _transformed(at: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return J0(at nodes) @ weights (N, C): a Hankel transform of order zero at `at` (N,), by `weights` (M, C)."""
+    parts = np.split(at, range(_AT_ONCE, len(at), _AT_ONCE))
+    return np.concatenate([j0(np.outer(part, nodes)) @ weights for part in parts])

@@ -59,9 +59,11 @@ def _map_of(pattern: Pattern) -> _Map:
     low = pattern.xy_mm.min(axis=0) - pattern.pitch_mm
     cell = float((pattern.xy_mm.max(axis=0) + pattern.pitch_mm - low).max() / CELLS)
     middle = low + (np.indices((CELLS, CELLS)).reshape(2, -1).T + 0.5) * cell
-    distance = exact_squares(middle, pattern.xy_mm)
-    np.sqrt(distance, out=distance)
-    table = np.where(distance.min(axis=1) < ON_PLACE * pattern.pitch_mm, distance.argmin(axis=1), len(pattern.z))
+    table = np.empty(len(middle), np.int64)
+    for row in range(0, len(middle), CELLS):  # the distances of all cells would take 8 MB
+        distance = np.sqrt(exact_squares(middle[row : row + CELLS], pattern.xy_mm))
+        near = distance.min(axis=1) < ON_PLACE * pattern.pitch_mm
+        table[row : row + CELLS] = np.where(near, distance.argmin(axis=1), len(pattern.z))
     start, end = pattern.z[pattern.neighbours].T
     step = end - start
     larger = pattern.log_half - median(pattern.log_half)
