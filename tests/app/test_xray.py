@@ -487,6 +487,30 @@ def test_nothing_is_drawn_while_nothing_changes(view: View) -> None:
     assert (after["image"], after["table"]) == (before["image"], before["table"])
 
 
+def test_marks_that_stand_still_look_in_a_drag_as_they_do_at_rest(view: View) -> None:
+    """Fails a program that leaves a mark behind, or out, on the canvas that it keeps while a point moves. Marks do not
+    overlap at the points, so that the order of painting does not show."""
+    view.do("beads")
+    start = view.screen(POINTS[0]["uv"])
+    view.mouse.move(*start)
+    view.mouse.down()
+    view.mouse.move(start[0] + 20, start[1] + 10)
+    view.settle()
+    view.do("gallery")  # a layer that comes during the drag is painted too
+    view.mouse.move(start[0] + 40, start[1] + 20)
+    view.settle()
+    pixels = "core.canvas.shown.getImageData(0, 0, core.canvas.shown.canvas.width, core.canvas.shown.canvas.height).data"
+    kept = view.core("core.canvas.still.painted.size")
+    view.core(f"window.before = {pixels}, 0")
+    view.core("(core.canvas.still.of = () => new Set(), core.canvas.invalidate('overlay'), 0)")
+    view.settle()
+    unlike = view.core(f"{pixels}.filter((value, index) => Math.abs(value - window.before[index]) > 8).length")
+    view.core("delete core.canvas.still.of, 0")
+    view.mouse.up()
+    assert kept > 10
+    assert unlike == 0
+
+
 # points and moves
 
 

@@ -16,11 +16,12 @@ const { Display } = await import(new URL("xray_display.js", root));
 const { Edits } = await import(new URL("xray_edits.js", root));
 const { Gestures } = await import(new URL("xray_gestures.js", root));
 const { arrange, Labels } = await import(new URL("xray_labels.js", root));
-const { thinned } = await import(new URL("xray_paint.js", root));
+const { reaches, thinned } = await import(new URL("xray_paint.js", root));
 const { Ruler } = await import(new URL("xray_ruler.js", root));
 const { Matching } = await import(new URL("xray_matching.js", root));
 const { Moves } = await import(new URL("xray_moves.js", root));
 const sight = await import(new URL("xray_sight.js", root));
+const { Still } = await import(new URL("xray_still.js", root));
 
 const near = (a, b, by) => a.forEach((value, k) => assert.ok(Math.abs(value - b[k]) < by, `${a} is not ${b}`));
 
@@ -422,4 +423,34 @@ test("no text is written over the image's name; fails where the corner is not ke
   assert.equal(labels.write("a point", [[60, 30]]), false);
   assert.ok(labels.write("a point", [[60, 30], [60, 60]]));
   assert.deepEqual(labels.texts[0].at, [60, 60]);
+});
+
+test("marks are still that the frame before had; what moves is painted in each frame", () => {
+  const [still, painted] = [new Still(), []];
+  const frame = (keys, moving) => [...still.of(keys, moving, (kept) => painted.push([...kept]))];
+  const [wire, aid] = [{}, {}];
+  assert.deepEqual(frame([wire, aid, "at 1"], false), []); // at rest all are painted in their order
+  assert.deepEqual(frame([wire, aid, "at 2"], true), [wire, aid]);
+  assert.deepEqual(frame([wire, aid, "at 3"], true), [wire, aid]);
+  assert.equal(painted.length, 1); // the canvas is painted once; fails where each frame paints it
+  const next = {};
+  assert.deepEqual(frame([next, aid, "at 4"], true), [aid]); // a wire that was replaced is not left behind
+  assert.deepEqual(frame([next, aid, "at 5"], true), [aid]);
+  still.forget(); // another image below
+  assert.deepEqual(frame([next, aid, "at 6"], true), [next, aid]);
+  assert.deepEqual(painted, [[wire, aid], [aid], [next, aid]]);
+  assert.deepEqual(frame([next, aid, "at 6"], false), []);
+  assert.deepEqual(frame([next, aid, "at 7"], true), [next, aid]);
+});
+
+test("a shape reaches the magnifier by its line, its band or its circle; fails where one is left out", () => {
+  const box = { middle: [0, 0], reach: 84 };
+  const there = (shape) => reaches(shape, ([u, v]) => [2 * u, 2 * v], 2, box);
+  assert.ok(there({ points: [[-900, -900], [900, 900]] })); // across, with both ends outside
+  assert.ok(!there({ points: [[-900, 60], [900, 60]] }));
+  assert.ok(there({ points: [[-900, 60], [900, 60]], halfWidth: [1, 20] }));
+  assert.ok(there({ points: [[70, 0]], radius: 30 }));
+  assert.ok(!there({ points: [[70, 0]], radius: 5 }));
+  assert.ok(there({ points: [[50, 0]] })); // its mark has a size on the screen
+  assert.ok(!there({ points: [] }));
 });

@@ -109,11 +109,15 @@ class PersistentSection(_Part):
 
 
 class HtmlSection(_Part):
-    """A part that `html(tab)` fills with HTML: fast enough to follow a drag, which the other parts do not."""
+    """A part that `html(tab)` fills with HTML, fast enough to follow a drag. `drag`: it does, because its content
+    depends on the preview."""
 
-    def __init__(self, tab: Tab, key: Key, html: Callable[[Tab], Markup], *, classes: str = "") -> None:
+    def __init__(
+        self, tab: Tab, key: Key, html: Callable[[Tab], Markup], *, classes: str = "", drag: bool = True
+    ) -> None:
         self._html, self._element = html, _Html()
-        tab.on_drag.append(self.refresh)
+        if drag:
+            tab.on_drag.append(self.refresh)
         super().__init__(tab, key, self._element.classes(classes))
 
     def _fill(self, refused: str) -> None:

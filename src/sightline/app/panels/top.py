@@ -24,7 +24,7 @@ def build(tab: Tab) -> None:
         with ui.element("nav").props(f'aria-label="{texts.STEPS_LABEL}" data-went=0') as nav:
             PersistentSection(tab, lambda t: (steps(t.session), t.step), _steps, classes="steps")
         with ui.element("div").classes("say").props("role=status"):
-            HtmlSection(tab, _said, _say)
+            HtmlSection(tab, _said, _say, drag=False)
     ui.on("step", lambda event: _follow(tab, nav, event.args))
     with ui.element("div").classes("tools"):
         _time(tab)

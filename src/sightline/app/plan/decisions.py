@@ -57,6 +57,9 @@ class Mark:
         return {"places": {image: list(uv) for image, uv in self.places.items()}, "free": self.free}
 
 
+_UNPLACED = Mark()
+
+
 @dataclass(frozen=True)
 class Display:
     """How an image is shown: mirrored left to right, then rotated clockwise, degrees. Coordinates do not change.
@@ -114,7 +117,7 @@ class Decisions:
 
     def mark(self, name: str) -> Mark:
         """Return the mark of a name; an empty one if it is not placed."""
-        return self.marks.get(name, Mark())
+        return self.marks.get(name, _UNPLACED)
 
     def ends(self, kind: str) -> Mapping[str, Mark]:
         """Return the marks of a wire's entry and end, those that are placed, by its kind."""

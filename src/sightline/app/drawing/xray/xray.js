@@ -298,7 +298,7 @@ export class XrayCore {
   #showStale(stale) {
     this.state.stale = stale;
     this.chrome.showLine(this.chrome.stale, stale ? this.texts.stale : "");
-    this.canvas.invalidate("overlay");
+    this.canvas.invalidate("image", "overlay"); // marks that stand still are painted otherwise too
   }
 
   // Another image ends the gesture on the one before.

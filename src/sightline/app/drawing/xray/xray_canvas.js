@@ -1,18 +1,20 @@
 // Draws a view: image, marks, texts and magnifier, in an animation frame and only what has changed.
 //
-// There is one canvas on the page, because each costs the browser a millisecond per frame; the image without marks is
-// on another, off the page.
+// There is one canvas on the page, because each costs the browser a millisecond per frame; the image without marks, and
+// the image with those that stand still, are on others, off the page.
 
 import { COLOURS } from "colours";
 import { arrange, Labels, measureOn, paintTexts } from "./xray_labels.js";
 import { paintLens } from "./xray_lens.js";
-import { paintCrosshair, paintPoint, paintShape, STYLES } from "./xray_paint.js";
+import { paintCrosshair, paintPoint, paintShape, reaches, STYLES } from "./xray_paint.js";
 import { Picture } from "./xray_picture.js";
+import { Still } from "./xray_still.js";
 
 /** @typedef {import("./types").Pair} Pair */
 /** @typedef {import("./types").Point} Point */
 /** @typedef {import("./types").Shape} Shape */
 /** @typedef {"table" | "image" | "overlay" | "readout"} Part table: the grey levels */
+/** @typedef {{ key: object | string, paint: (context: CanvasRenderingContext2D) => void }} Mark */
 
 const FRAMES_KEPT = 2000;
 const BREAK_MS = 250; // a longer gap between frames means that the person paused
@@ -24,6 +26,8 @@ export class Canvas {
   constructor(core) {
     this.core = core;
     this.ground = opaque(document.createElement("canvas"));
+    this.behind = opaque(document.createElement("canvas")); // the image with the marks that stand still
+    this.still = new Still();
     this.shown = opaque(core.chrome.canvas);
     this.picture = new Picture();
     this.dirty = { table: false, image: true, overlay: true, readout: true };
@@ -55,7 +59,7 @@ export class Canvas {
     const { clientWidth, clientHeight } = stage;
     const ratio = window.devicePixelRatio || 1;
     const [wide, high] = [Math.max(Math.round(clientWidth * ratio), 1), Math.max(Math.round(clientHeight * ratio), 1)];
-    for (const { canvas } of [this.ground, this.shown]) Object.assign(canvas, { width: wide, height: high });
+    for (const { canvas } of [this.ground, this.behind, this.shown]) Object.assign(canvas, { width: wide, height: high });
     this.density = [wide / Math.max(clientWidth, 1), high / Math.max(clientHeight, 1)];
     this.unit = parseFloat(getComputedStyle(root).fontSize) / TEXT_PX;
     display.setView(clientWidth, clientHeight);
@@ -85,6 +89,7 @@ export class Canvas {
 
   #drawImage() {
     this.draws.image++;
+    this.still.forget();
     const context = this.ground;
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.fillStyle = COLOURS.stage;
@@ -104,15 +109,12 @@ export class Canvas {
   #drawOverlay() {
     this.draws.overlay++;
     const { core, shown: context } = this;
-    context.setTransform(1, 0, 0, 1, 0, 0);
-    context.drawImage(this.ground.canvas, 0, 0);
-    this.#toUnits(context);
     /** @type {(uv: Pair) => Pair} */
     const toUnits = (uv) => {
       const [x, y] = core.display.toView(uv);
       return [x / this.unit, y / this.unit];
     };
-    this.#paintMarks(context, toUnits, core.display.zoom / this.unit, null);
+    this.#paintAll(toUnits);
     this.#paintTexts(context, toUnits);
     if (core.crosshair.uv) paintCrosshair(context, toUnits(core.crosshair.uv), CROSS);
     const { lens } = core;
@@ -120,7 +122,10 @@ export class Canvas {
       paintLens(context, lens, core.display, this.unit, {
         bitmap: (uv, at, times) => this.#paintBitmap(context, uv, at, times),
         units: () => this.#toUnits(context),
-        marks: (toLens, zoom) => this.#paintMarks(context, toLens, zoom, core.state.dragging),
+        marks: (toLens, zoom, box) => {
+          const near = core.shownShapes.filter((shape) => reaches(shape, toLens, zoom, box));
+          for (const { paint } of this.#marks(near, toLens, zoom, core.state.dragging)) paint(context);
+        },
       });
     }
     core.stage.classList.toggle("xray-lens", lens !== null); // the focus ring would cover the magnifier
@@ -133,20 +138,50 @@ export class Canvas {
     context.setTransform(sx * this.unit, 0, 0, sy * this.unit, 0, 0);
   }
 
-  /** Without texts: those are painted once, and not in the magnifier. `without`: a point that is not drawn.
-   * @type {(context: CanvasRenderingContext2D, toUnits: (uv: Pair) => Pair, zoom: number, without: string | null) => void} */
-  #paintMarks(context, toUnits, zoom, without) {
-    const { core } = this;
-    for (const shape of core.shownShapes) {
-      paintShape(context, shape, toUnits, zoom, core.state.stale, this.#colourOf(shape));
-    }
-    for (const point of core.placed) {
-      if (point.id !== without) paintPoint(context, point, toUnits(point.uv), point.id === core.state.selected);
-    }
+  /** Image and marks; while a point moves, only the marks that do not stand still are painted.
+   * @param {(uv: Pair) => Pair} toUnits */
+  #paintAll(toUnits) {
+    const { core, ground, behind, shown } = this;
+    const zoom = core.display.zoom / this.unit;
+    const marks = this.#marks(core.shownShapes, toUnits, zoom, null);
+    const moving = core.edits.moved.size > 0 || core.following.moving.size > 0;
+    /** @type {(context: CanvasRenderingContext2D, below: CanvasRenderingContext2D, which: (mark: Mark) => boolean) => void} */
+    const paint = (context, below, which) => {
+      context.setTransform(1, 0, 0, 1, 0, 0);
+      context.drawImage(below.canvas, 0, 0);
+      this.#toUnits(context);
+      for (const mark of marks.filter(which)) mark.paint(context);
+    };
+    const still = this.still.of(
+      marks.map(({ key }) => key),
+      moving,
+      (kept) => paint(behind, ground, ({ key }) => kept.has(key)),
+    );
+    paint(shown, still.size ? behind : ground, ({ key }) => !still.has(key));
     const aiming = core.point(core.state.placing);
-    if (aiming?.slides && core.lens && !without) {
-      paintPoint(context, { ...aiming, snapped: true }, toUnits(core.lens.uv), true); // it slides on its curve
+    if (aiming?.slides && core.lens) {
+      paintPoint(shown, { ...aiming, snapped: true }, toUnits(core.lens.uv), true); // it slides on its curve
     }
+  }
+
+  /** The marks of shapes and points in the order of painting. Without texts: those are painted once, and not in the
+   * magnifier. `without`: a point that is not drawn.
+   * @type {(shapes: Shape[], toUnits: (uv: Pair) => Pair, zoom: number, without: string | null) => Mark[]} */
+  #marks(shapes, toUnits, zoom, without) {
+    const { stale, selected } = this.core.state;
+    const points = this.core.placed.filter(({ id }) => id !== without);
+    return [
+      ...shapes.map((shape) => ({
+        key: shape,
+        /** @param {CanvasRenderingContext2D} context */
+        paint: (context) => paintShape(context, shape, toUnits, zoom, stale, this.#colourOf(shape)),
+      })),
+      ...points.map((point) => ({
+        key: JSON.stringify([point, point.id === selected]),
+        /** @param {CanvasRenderingContext2D} context */
+        paint: (context) => paintPoint(context, point, toUnits(point.uv), point.id === selected),
+      })),
+    ];
   }
 
   /** @type {(context: CanvasRenderingContext2D, toUnits: (uv: Pair) => Pair) => void} */

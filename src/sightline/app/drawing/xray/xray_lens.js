@@ -11,13 +11,14 @@ const RADIUS = 84; // CSS pixels
 const CLEAR = 44; // CSS pixels between its rim and the pointer
 
 /** `lens`: {uv, at}, the pixel in its middle and the pointer's position in the view. `paint`: bitmap(uv, at, times),
- * units() sets the context's units, marks(toUnits, zoom).
+ * units() sets the context's units, marks(toUnits, zoom, box) paints
+ * those that show in a box.
  * @param {CanvasRenderingContext2D} context
  * @param {{ uv: Pair, at: Pair }} lens
  * @param {import("./xray_display.js").Display} display
  * @param {number} unit
  * @param {{ bitmap: (uv: Pair, at: Pair, times: number) => void, units: () => void,
- *   marks: (toUnits: (uv: Pair) => Pair, zoom: number) => void }} paint */
+ *   marks: (toUnits: (uv: Pair) => Pair, zoom: number, box: { middle: number[], reach: number }) => void }} paint */
 export function paintLens(context, { uv, at }, display, unit, paint) {
   const radius = RADIUS * unit;
   const clear = radius + CLEAR * unit;
@@ -42,7 +43,7 @@ export function paintLens(context, { uv, at }, display, unit, paint) {
   context.clip();
   paint.bitmap(uv, [x, y], times);
   paint.units();
-  paint.marks(toUnits, (display.zoom * times) / unit);
+  paint.marks(toUnits, (display.zoom * times) / unit, { middle, reach: RADIUS });
   paintCrosshair(context, middle, RADIUS);
   context.restore();
   rim();

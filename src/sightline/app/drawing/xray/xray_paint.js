@@ -47,6 +47,7 @@ const SCALE = ENDS.map((hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at 
 const MARK_RADIUS = 7; // CSS pixels, for marks without a size in the image
 export const POINT_RADIUS = 11;
 const ARROW = 15; // CSS pixels, an arrow head's sides
+const OVER = 20; // CSS pixels that a mark reaches from its place at most: those of an arrow head, with its stroke
 const THIN = 0.05; // [ours] CSS pixels: less than an edge's smoothing shows
 
 /** The colour of a residual: 0 sky blue, 0.5 yellow, 1 vermillion; blue to yellow survives every colour blindness.
@@ -96,6 +97,8 @@ export function thinned(places) {
 /** Strokes the path twice: dark and wider below, coloured above.
  * @type {(context: Context, look: Look) => void} */
 function strokeCased(context, look) {
+  context.lineJoin = "round";
+  context.lineCap = "round";
   context.setLineDash([]);
   context.lineWidth = look.width + 2.5;
   context.strokeStyle = CASING;
@@ -263,9 +266,19 @@ export function paintShape(context, shape, toView, zoom, staleImage, colour) {
   const look = colour ? { ...STYLES[shape.style], colour } : STYLES[shape.style];
   if (shape.points.length === 0 || (staleImage && look.plan)) return;
   const places = shape.points.map(toView);
-  context.lineJoin = "round";
-  context.lineCap = "round";
   PAINTERS[shape.shape](context, places, shape, look, zoom);
+}
+
+/** Whether a shape may show within `reach` of the middle of a box, in CSS pixels: whether its bounding box does.
+ * @type {(shape: Shape, toView: ToView, zoom: number, box: { middle: number[], reach: number }) => boolean} */
+export function reaches(shape, toView, zoom, { middle, reach }) {
+  const places = shape.points.map(toView);
+  const wide = [shape.halfWidth, shape.radius].flat().map((size) => (size ?? 0) * zoom);
+  const beyond = reach + Math.max(...wide, 0) + OVER;
+  return [0, 1].every((axis) => {
+    const along = places.map((place) => place[axis] - middle[axis]);
+    return Math.min(...along) < beyond && Math.max(...along) > -beyond;
+  });
 }
 
 /** Distance in CSS pixels from `at` to the shape, for the tooltip.
