@@ -499,7 +499,8 @@ def test_marks_that_stand_still_look_in_a_drag_as_they_do_at_rest(view: View) ->
     view.do("gallery")  # a layer that comes during the drag is painted too
     view.mouse.move(start[0] + 40, start[1] + 20)
     view.settle()
-    pixels = "core.canvas.shown.getImageData(0, 0, core.canvas.shown.canvas.width, core.canvas.shown.canvas.height).data"
+    size = "core.canvas.shown.canvas.width, core.canvas.shown.canvas.height"
+    pixels = f"core.canvas.shown.getImageData(0, 0, {size}).data"
     kept = view.core("core.canvas.still.painted.size")
     view.core(f"window.before = {pixels}, 0")
     view.core("(core.canvas.still.of = () => new Set(), core.canvas.invalidate('overlay'), 0)")

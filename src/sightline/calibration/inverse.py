@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numba import njit
 from scipy.spatial import KDTree
 
 from sightline.errors import OutsideRegionError
@@ -16,6 +17,7 @@ CONVERGED_PX = 1e-3
 # How far outside the controls' bounding box a pixel may lie, in sizes of that box [ours]: further out a polynomial is
 # meaningless.
 MAX_OUTSIDE = 0.5
+_DROPPED, _GOES_ON, _FOUND = 0, 1, 2
 
 
 class SmoothPlaneMap(Protocol):
@@ -68,24 +70,17 @@ class Inverse:
         # Twice the limit for pixels: no usable map stretches by more than that outside its controls.
         at = np.flatnonzero(_within(xy_mm, low_mm, high_mm, 2 * MAX_OUTSIDE * float((high_mm - low_mm).max())))
         target = xy_mm[at]
-        near = self.tree.query(target)[1]
-        here = self.controls_px[near] + _times(self.back[near], target - self.controls_mm[near])
-        uv, before = np.zeros((len(xy_mm), 2)), np.full(len(at), np.inf)
+        here = _started(self.tree.query(target)[1], target, self.controls_px, self.controls_mm, self.back)
+        uv, length = np.zeros((len(xy_mm), 2)), np.full(len(at), np.inf)
         found = np.zeros(len(uv), dtype=bool)
         for _ in range(ITERATIONS):
             if not len(at):
                 break
             xy, jacobian = self.plane_map.linearised(here)
-            step = _solve(jacobian, target - xy)
-            length = np.sqrt(np.einsum("ni,ni->n", step, step))
-            converges = length < 0.5 * before  # converging Newton steps shrink fast; drop the others
-            if not converges.all():
-                at, target, here, step, length = (one[converges] for one in (at, target, here, step, length))
-            here = here + step * np.minimum(1.0, 0.25 * size / np.maximum(length, 1e-300))[:, None]
-            uv[at], found[at] = here, length < CONVERGED_PX
-            goes_on = ~found[at] & _within(here, low, high, 1.25 * MAX_OUTSIDE * size)  # others do not return
-            at, target, here, before = at[goes_on], target[goes_on], here[goes_on], length[goes_on]
-        found &= _within(uv, low, high, MAX_OUTSIDE * size)
+            state = _stepped(here, length, target, xy, jacobian, low, high, size)
+            uv[at], found[at] = here, state == _FOUND
+            on = state == _GOES_ON
+            at, target, here, length = at[on], target[on], here[on], length[on]
         return uv[found], found
 
     @cached_property
@@ -100,19 +95,46 @@ def _within(points: np.ndarray, low: np.ndarray, high: np.ndarray, margin: float
     return inside[:, 0] & inside[:, 1]
 
 
-def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    return np.einsum("nij,nj->ni", matrices, vectors)
+@njit(cache=True, nogil=True)
+def _started(near, target, controls_px, controls_mm, back):
+    """Return where the iteration starts (N, 2): points (N, 2), mm, by the inverse Jacobian at their controls `near`."""
+    here = np.empty((len(near), 2))
+    for n in range(len(near)):
+        k = near[n]
+        x, y = target[n, 0] - controls_mm[k, 0], target[n, 1] - controls_mm[k, 1]
+        here[n, 0] = controls_px[k, 0] + (back[k, 0, 0] * x + back[k, 0, 1] * y)
+        here[n, 1] = controls_px[k, 1] + (back[k, 1, 0] * x + back[k, 1, 1] * y)
+    return here
 
 
-def _solve(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return the solutions (N, 2) of N 2x2 systems; infinite where the map folds (determinant zero)."""
-    (a, b), (c, d) = matrices.transpose(1, 2, 0)
-    x, y = right.T
-    det = a * d - b * c
-    out = np.empty_like(right)
-    out[:, 0], out[:, 1] = d * x - b * y, a * y - c * x
-    folded = np.abs(det) < 1e-9 * np.einsum("nij,nij->n", matrices, matrices)
-    if folded.any():
-        out[folded], det[folded] = np.inf, 1.0
-    out /= det[:, None]
-    return out
+@njit(cache=True, nogil=True, error_model="numpy")
+def _stepped(here, length, target, xy, jacobian, low, high, size):  # noqa: PLR0917 - a kernel
+    """Move pixels `here` (N, 2) by one Newton step, and set `length` (N,), the last step's, to this one's.
+
+    The map takes them to `xy` (N, 2), with `jacobian` (N, 2, 2); `low`, `high` (2,), `size`: the box of the controls,
+    px. Return their states (N,): _FOUND, _GOES_ON, or _DROPPED where the map folds (determinant zero), where the steps
+    do not shrink as fast as converging ones do, and outside the box, from where none returns.
+    """
+    state = np.empty(len(here), dtype=np.int8)
+    for n in range(len(here)):
+        a, b, c, d = jacobian[n, 0, 0], jacobian[n, 0, 1], jacobian[n, 1, 0], jacobian[n, 1, 1]
+        x, y = target[n, 0] - xy[n, 0], target[n, 1] - xy[n, 1]
+        det = a * d - b * c
+        state[n] = _DROPPED
+        if not abs(det) >= 1e-9 * (a * a + b * b + c * c + d * d):
+            continue
+        du, dv = (d * x - b * y) / det, (a * y - c * x) / det
+        before, length[n] = length[n], np.sqrt(du * du + dv * dv)
+        if not length[n] < 0.5 * before:
+            continue
+        held = min(1.0, 0.25 * size / max(length[n], 1e-300))
+        here[n, 0] += du * held
+        here[n, 1] += dv * held
+        found = length[n] < CONVERGED_PX
+        margin = (1.0 if found else 1.25) * MAX_OUTSIDE * size
+        inside = True
+        for k in range(2):
+            inside = inside and low[k] - margin <= here[n, k] <= high[k] + margin
+        if inside:
+            state[n] = _FOUND if found else _GOES_ON
+    return state
