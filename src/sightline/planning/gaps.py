@@ -12,7 +12,7 @@ from scipy.special import chndtrinc, gammaincc, ndtri
 
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.geometry.lines import cross
-from sightline.planning.solution import MIN_ANGLE_RAD, Solution, approach, inverse
+from sightline.planning.solution import Solution, inverse
 
 # Correct plans exceed the limits of all gaps and of a movement together once in a thousand [ours].
 CONFIDENCE = 0.999
@@ -133,9 +133,8 @@ def gap_mm(solution: Solution) -> np.ndarray:
     Pairs nearly parallel do not count: they approach each other far from the point.
     """
     out = np.zeros(len(solution.xyz_mm))
-    for i, j, directions, sine in solution.given.pairs:
-        own = sine >= np.sin(MIN_ANGLE_RAD)
-        out[own] = np.maximum(out[own], approach(solution.lines, i, j, directions[:, own]).gap_mm)
+    for own, found in solution.given.approaches:
+        out[own] = np.maximum(out[own], found.gap_mm)
     return out
 
 

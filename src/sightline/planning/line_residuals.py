@@ -6,7 +6,7 @@ plane map minus the central projection of X from the focal point F. Its error fo
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -43,7 +43,7 @@ class LineResiduals:
         to_focal = ((1.0 - reach)[:, None, None] * to_point).reshape(-1, 3)
         return LineResiduals(lines, lines.xy_mm - projected, to_point, to_focal, reach)
 
-    @property
+    @cached_property
     def to_line(self) -> np.ndarray:
         """(2N, 3 + 2N): d residual / d (F, every xy)."""
         return np.hstack([self.to_focal, np.eye(len(self.to_focal))])

@@ -88,6 +88,17 @@ class Given:
         return out
 
     @cached_property
+    def approaches(self) -> list[tuple[np.ndarray, NearestApproach]]:
+        """For each of `pairs` which points (N,) bool both views show along lines that are not nearly parallel, and the
+        closest approach of these lines."""
+        out = []
+        for i, j, directions, sine in self.pairs:
+            own = sine >= np.sin(MIN_ANGLE_RAD)
+            from_mm, to_mm = self.lines[i].focal_point_mm, self.lines[j].focal_point_mm
+            out.append((own, nearest_approach(from_mm, directions[0, own], to_mm, directions[1, own])))
+        return out
+
+    @cached_property
     def at(self) -> np.ndarray:
         """Place of each residual that a view shows (view, point, axis) in those of all points (point, view, axis)."""
         shown = [np.flatnonzero(seen) for seen in self.picks.seen]
@@ -138,7 +149,7 @@ class Solution:
         """Return the Gauss-Newton step (N, 3)."""
         return np.einsum("iaj,ij->ia", self.weights, self.by_point([r.xy_mm for r in self.residuals]))
 
-    @property
+    @cached_property
     def response(self) -> list[np.ndarray]:
         """For each view (3N, 3 + 2n): derivative of the points by its focal point and the xy of its n lines."""
         out = []
@@ -205,11 +216,6 @@ class Solution:
         return information
 
 
-def approach(lines: Sequence[LinesOfSight], i: int, j: int, directions: np.ndarray) -> NearestApproach:
-    """Return the closest approach of lines along `directions` (2, N, 3) of the views i and j."""
-    return nearest_approach(lines[i].focal_point_mm, directions[0], lines[j].focal_point_mm, directions[1])
-
-
 def inverse(covariance: np.ndarray) -> np.ndarray:
     """Return the inverse of covariances. Raises ReconstructionRefusedError where they are singular."""
     try:
@@ -234,9 +240,9 @@ def _start(given: Given) -> np.ndarray:
             f"{np.rad2deg(MIN_ANGLE_RAD):.0f}° is needed); acquire an image from another direction"
         )
     xyz = np.empty((given.size[0], 3))
-    for k, (i, j, directions, _) in enumerate(given.pairs):
-        own = best == k
-        xyz[own] = approach(given.lines, i, j, directions[:, own]).middle_mm
+    for k, (own, found) in enumerate(given.approaches):
+        taken = best == k
+        xyz[taken] = found.middle_mm[taken[own]]
     return xyz
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -30,7 +31,7 @@ def judge(
     `seen`: entry, end and landmarks, in this order; without it there are no landmarks.
     """
     limits, seen = limits or Limits(), seen or trajectory.points
-    checks = [replace(check, sentence=f"{view.name}: {check.sentence}") for view in views for check in view.checks]
+    checks = [check for view in views for check in _named(view)]
     named = [f"the {name} point" for name in _POINTS]
     checks += [error_known(trajectory.points), *seen.frame_checks(), *trajectory.points.bead_checks(named)]
     if trajectory.error_stated:
@@ -40,6 +41,12 @@ def judge(
     checks.append(_inside_hull(trajectory, views))
     # An untested movement makes the plan incomplete, not refused.
     return Verdict(tuple(checks), tuple(c for c in checks if c.name == "movement" and c.figure is None))
+
+
+@lru_cache(maxsize=8)  # the views of a few cases [ours]
+def _named(view: CalibratedView) -> tuple[Check, ...]:
+    """Return a view's checks, with its name."""
+    return tuple(replace(check, sentence=f"{view.name}: {check.sentence}") for check in view.checks)
 
 
 def _errors(trajectory: Trajectory, limits: Limits) -> list[Check]:
