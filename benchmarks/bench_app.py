@@ -66,8 +66,8 @@ _WATCH = """() => {
     return push.call(pa.edits.moves, type, id, uv, image);
   };
   pa.show = (word) => {
-    const end = word.points.find(({ id }) => id === "end");
-    shown = times.get(String(end.uv)) ?? null;
+    const end = word.points?.find(({ id }) => id === "end");
+    shown = (end && times.get(String(end.uv))) ?? null;
     return show.call(pa, word);
   };
   new MutationObserver(() => {

@@ -83,12 +83,14 @@ class Page:
         return [arguments for name, called, arguments in self.told if (name, called) == (view, method)]
 
     def word(self, view: str) -> dict[str, Any]:
-        """The content of a view after its newest message: a layer that is None is as it was before."""
-        told = [word for (word,) in self.of(view, "show")]
-        layers: dict[str, Any] = {}
-        for word in told:
-            layers = {name: layers.get(name) if sent is None else sent for name, sent in word["layers"].items()}
-        return {**told[-1], "layers": layers}
+        """The content of a view after its newest message: what a message leaves out, and a layer that is None, is as it
+        was before."""
+        word: dict[str, Any] = {"layers": {}}
+        for (news,) in self.of(view, "show"):
+            before = word["layers"]
+            layers = {name: before.get(name) if sent is None else sent for name, sent in news["layers"].items()}
+            word = {**word, **news, "layers": layers}
+        return word
 
     def elements(self) -> list[ui.element]:
         return list(self.tab.views.pair[0].client.elements.values())

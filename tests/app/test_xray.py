@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
 from typing import Any
 
 import cv2
@@ -1103,6 +1104,27 @@ def test_an_edit_made_while_the_server_is_away(
         page.wait_for_function("uv => sightlineXray?.pa?.state.points.get('entry')?.uv?.[0] === uv[0]", arg=list(left))
         page.wait_for_function("sessionStorage.getItem('sightline-xray-pa') === null")
         assert near(view.heard("drop")[-1]["uv"], left) < 1e-9
+
+
+def test_a_message_holds_only_what_has_changed() -> None:
+    """Fails a program that sends the picture with each move of a point, or leaves out what has become None."""
+    wire = [{"shape": "line", "points": [[1, 2], [3, 4]], "style": "plan"}]
+    before = XrayContent("one", ON.picture, layers={"wire": wire, "aids": []}, points=[{"id": "a"}], notice="old")
+    whole = before.document()
+    assert set(whole) == {field.name for field in fields(XrayContent)}
+    assert (whole["picture"]["url"], whole["layers"]) == ("/one", {"wire": wire, "aids": []})
+    after = replace(before, layers={"wire": wire, "found": wire}, points=[{"id": "b"}], notice=None)
+    news = {"points": [{"id": "b"}], "notice": None, "layers": {"wire": None, "found": wire}}
+    assert after.document(before) == news
+
+
+def test_what_a_message_leaves_out_stays_as_it_was(view: View) -> None:
+    """Fails a page that takes a message for the complete content."""
+    view.do("gallery")
+    before = view.core("[core.state.points.size, core.shownShapes.length, core.url, core.word.revision]")
+    view.do("notice")
+    assert view.core("core.word.notice") == "The image is 0.4 s old"
+    assert view.core("[core.state.points.size, core.shownShapes.length, core.url, core.word.revision]") == before
 
 
 # to look at

@@ -120,8 +120,9 @@ class Planning:
 
     def seen(self, image: str) -> SeenImage | None:
         """Return the state of an image, by its name; None if there is none."""
-        number = self.decisions.images.get(image)
-        return self.lightbox.image(number, None if number is None else self.decisions.mirrored.get(number))
+        decisions = self.decisions
+        number = decisions.images.get(image)
+        return None if number is None else self.lightbox.image(number, decisions.mirrored.get(number))
 
     @cached_property
     def slots(self) -> tuple[str, ...]:

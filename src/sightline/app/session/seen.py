@@ -66,9 +66,9 @@ class Lightbox:
         self._frame_ref, self._frame = frame_ref, stages.frame_of(case, frame_ref)
         self._images: dict[int, SeenImage] = {}
 
-    def image(self, number: int | None, mirrored_display: bool | None = None) -> SeenImage | None:
+    def image(self, number: int, mirrored_display: bool | None = None) -> SeenImage | None:
         """Return the state of an image; None if it is not open. `mirrored_display`: a person's statement."""
-        known = None if number is None else self._images.get(number)
+        known = self._images.get(number)
         return None if known is None else known.said_to_be(mirrored_display)
 
     async def store(self, data: bytes, suffix: str, by: Actor) -> Entry:

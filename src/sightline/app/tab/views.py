@@ -26,6 +26,7 @@ from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE
 if TYPE_CHECKING:
     from sightline.case.watch.analyser import Watched
 
+_STYLES = {"guide": "aid", "nail": "aid", "robot": "aid"}  # of points, by the group of their mark, where not that
 _FILLED_MM = 0.5  # the drilled wire grows in steps of this, so that images are not redrawn all the time [ours]
 
 
@@ -200,7 +201,7 @@ def _is_editable(image: str, step: ProcedureStep) -> bool:
 
 def _points(image: str, step: ProcedureStep, specs: tuple[MarkSpec, ...], decisions: Decisions) -> list[dict[str, Any]]:
     """Return the points of an image, placed or not, as JSON types."""
-    out = []
+    out, movable = [], _is_editable(image, step)
     for spec in (*specs, *GUIDE):
         if not spec.shown_in(image):
             continue
@@ -210,8 +211,8 @@ def _points(image: str, step: ProcedureStep, specs: tuple[MarkSpec, ...], decisi
                 "id": spec.name,
                 "label": texts.word(spec.label),
                 "uv": mark.at(image),
-                "style": {"wire": spec.of, "guide": "aid", "nail": "aid", "robot": "aid"}.get(spec.group, spec.group),
-                "movable": _is_editable(image, step),
+                "style": spec.of if spec.group == "wire" else _STYLES.get(spec.group, spec.group),
+                "movable": movable,
                 "snapped": on_curve and not mark.free,
                 "slides": on_curve and decisions.snapping and mark.at(NAMES[0]) is not None,
             }

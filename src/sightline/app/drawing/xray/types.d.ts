@@ -71,13 +71,13 @@ export interface Matching {
   sights: string[];
 }
 
-/** The newest message: the complete content of a view. */
+/** The complete content of a view. `layers`: null for one that is as in the message before. */
 export interface Word {
   version: number;
   label: string;
   picture: Picture | null;
   display: Shown | null;
-  layers: Record<string, Shape[]>;
+  layers: Record<string, Shape[] | null>;
   points: PointSent[];
   placing: string | null;
   notice: string | null;
@@ -85,6 +85,9 @@ export interface Word {
   matching: Matching | null;
   head: number | null;
 }
+
+/** A message: what is another content than in the message before, and all layers. */
+export type News = Partial<Word> & Pick<Word, "version" | "layers">;
 
 /** A person's move of a point. */
 export interface Move {

@@ -1,8 +1,8 @@
 """The X-ray view as a NiceGUI element; events from the browser are validated before they are handled.
 
 Coordinates are image pixels, (0, 0) the centre of the top-left pixel. Every change is one message with the complete
-content of the view, but for layers that are as in the message before. The browser shows a person's action at once; when
-the action is acknowledged, the newest message replaces it.
+content of the view, but for what is as in the message before. The browser shows a person's action at once; when the
+action is acknowledged, the newest message replaces it.
 """
 
 import inspect
@@ -126,16 +126,24 @@ class XrayContent:
     matching: Mapping[str, Any] | None = None
     head: int | None = None
 
-    def document(self) -> dict[str, Any]:
-        """Return the content as JSON types."""
-        of = {name: getattr(self, name) for name in ("label", "placing", "notice", "revision", "matching", "head")}
-        return {
-            **of,
-            "picture": None if self.picture is None else self.picture.document,
-            "display": None if self.display is None else asdict(self.display),
-            "layers": {name: list(shapes) for name, shapes in self.layers.items()},
-            "points": [dict(point) for point in self.points],
+    def document(self, before: "XrayContent | None" = None) -> dict[str, Any]:
+        """Return the content as JSON types; with `before` only what differs from it, and for each layer that is the
+        same list of shapes, None."""
+        known = {} if before is None else before.layers
+        news = [name for name in _MEMBERS if before is None or getattr(self, name) != getattr(before, name)]
+        return {name: _as_json(getattr(self, name)) for name in news} | {
+            "layers": {name: None if known.get(name) is one else list(one) for name, one in self.layers.items()}
         }
+
+
+_MEMBERS = ("label", "picture", "display", "points", "placing", "notice", "revision", "matching", "head")
+
+
+def _as_json(value: Any) -> Any:
+    """Return a member of the content, but layers, as JSON types."""
+    if isinstance(value, XrayPicture):
+        return value.document
+    return asdict(value) if isinstance(value, XrayDisplay) else value
 
 
 @dataclass(frozen=True)
@@ -184,11 +192,10 @@ class XrayView(Calling, component="xray_view.js", dependencies=["xray*.js", _COL
         """Show this content. `fresh_s`: for a live image, how long from now it counts as current; unless extended by
         another call, the browser then hides the plan and says so."""
         if shown != self.shown or self._version == 0:
-            before, self.shown, self._version = self.shown.layers, shown, self._version + 1
+            news = shown.document(self.shown if self._version else None)
+            self.shown, self._version = shown, self._version + 1
             fresh_ms = None if fresh_s is None else 1000.0 * fresh_s
-            word = shown.document()
-            word["layers"] |= {name: None for name, drawn in shown.layers.items() if before.get(name) is drawn}
-            self.run_method("show", {"version": self._version, "freshMs": fresh_ms, **word})
+            self.run_method("show", {"version": self._version, "freshMs": fresh_ms, **news})
         elif fresh_s is not None and shown.picture is not None:
             self.run_method("setFresh", shown.picture.url, 1000.0 * fresh_s)
 

@@ -5,7 +5,7 @@
 // what is seen (xray_reading.js) and follow the other view (xray_following.js).
 // Coordinates are image pixels (see xray_display.js); the person's actions go out through `emit`.
 //
-// `word` is the server's newest message, the complete content of the view. A person's action is drawn over it at once;
+// `word` is the content of the view by the server's newest message. A person's action is drawn over it at once;
 // when the server acknowledges it, `word` replaces it.
 
 import { Age } from "./xray_age.js";
@@ -32,6 +32,7 @@ import { Stream } from "./xray_stream.js";
 /** @typedef {import("./types").Image} Image */
 /** @typedef {import("./types").Window} Window_ */
 /** @typedef {import("./types").Word} Word */
+/** @typedef {import("./types").News} News */
 /** @typedef {import("./types").Move} Move */
 /** @typedef {import("./xray_settings.js").Tool} Tool */
 /**
@@ -131,11 +132,12 @@ export class XrayCore {
 
   // ------------------------------------------------------------------------------------------------ server messages
 
-  /** Show this content; returns false if a newer message is known. `freshMs`: see `setFresh`.
-   * @param {Word & { freshMs: number | null }} message */
-  show({ freshMs, ...word }) {
-    if (word.version <= this.word.version) return false;
-    this.word = word;
+  /** Show this content; what it does not have is as in the message before. Returns false if a newer message is known.
+   * `freshMs`: see `setFresh`.
+   * @param {News & { freshMs: number | null }} message */
+  show({ freshMs, ...news }) {
+    if (news.version <= this.word.version) return false;
+    const word = (this.word = { ...this.word, ...news });
     this.chrome.setLabel(word.label);
     this.chrome.showLine(this.chrome.notice, word.notice);
     this.#showPicture(word.picture, freshMs);

@@ -38,7 +38,7 @@ export default {
     show(message) {
       const first = !this.revision;
       if (!this.core.show(message)) return;
-      this.revision = message.revision;
+      this.revision = this.core.word.revision;
       if (first && this.revision) this.settle();
     },
     acknowledge(seq) {
