@@ -5,6 +5,7 @@ import socket
 from collections.abc import Callable, Coroutine
 from contextlib import closing
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -73,6 +74,25 @@ def test_a_burst_of_one_device_arrives_whole_and_in_order() -> None:
             events = await here.until("received", 1000)
             assert [event.timestamp for event in events] == list(range(1, 1001))
             assert len(there.all("received")) == 1000
+
+    asyncio.run(main())
+
+
+def test_joined_messages_go_out_in_one_write_and_in_order() -> None:
+    async def main() -> None:
+        there, here = Witness(), Witness()
+        async with await serve(there) as listening, Client(here, port=listening.port):
+            (peer,) = await there.until("opened")
+            with patch.object(peer._transport, "write", wraps=peer._transport.write) as write:
+                with pytest.raises(ZeroDivisionError), peer.joined():
+                    peer.send(numbered(0))
+                    peer.stream(numbered(1))
+                    assert not write.called
+                    raise ZeroDivisionError  # what was sent before still goes out
+                assert write.call_count == 1
+                peer.send(numbered(2))
+                assert write.call_count == 2
+            assert [event.timestamp for event in await here.until("received", 3)] == [1, 2, 3]
 
     asyncio.run(main())
 

@@ -129,30 +129,24 @@ class Wire:
         free = max(free_mm, MIN_FREE_MM)
         if self.entry_mm is None:
             self.tip_mm = straight_mm - self._squeeze_mm * along + self._offset
-        front, lateral, axial, ring = self._sense(axes)
+        density = self.bone.density(self.tip_mm + self._samples @ axes)
+        front, x, y, axial = (self._weights @ density).tolist()
         before = self._squeeze_mm
-        if self.bone.is_metal(self.tip_mm + self.radius_mm * _RIM @ axes):
+        if self.bone.metal is not None and self.bone.is_metal(self.tip_mm + self.radius_mm * _RIM @ axes):
             self._cut(moved, inf, turning, dt_s)
         else:
             self._cut(moved, 0.0 if self._in_own_hole(along) else front, turning, dt_s)
         advance = moved - (self._squeeze_mm - before)
         if self.entry_mm is None:
-            self._skive(lateral, axial, axes, free if free_mm > 0 else 0.0)
+            self._skive(x * axes[0] + y * axes[1], axial, axes, free if free_mm > 0 else 0.0)
             self.tip_mm = straight_mm - self._squeeze_mm * along + self._offset
-            if ring.min() > HELD_SHARE * CORTICAL_G_CM3:
+            if density[-_AROUND:].min() > HELD_SHARE * CORTICAL_G_CM3:
                 self.entry_mm, self._deepest_mm = self.tip_mm, 0.0
                 grips = 0.0 < free_mm < GRIP_MM
                 self._gripped = (1.5 * self._offset / free, self._offset) if grips else None
         else:
             self._follow(self.entry_mm, straight_mm, along, free, advance)
         return self.thrust_n
-
-    def _sense(self, axes: np.ndarray) -> tuple[float, np.ndarray, float, np.ndarray]:
-        """Return the mean density at the tip, its lateral (3,) and axial gradient, and the densities (8,) around the
-        wire behind the tip."""
-        density = self.bone.density(self.tip_mm + self._samples @ axes)
-        front, x, y, axial = (self._weights @ density).tolist()
-        return front, x * axes[0] + y * axes[1], axial, density[-_AROUND:]
 
     def _in_own_hole(self, along: np.ndarray) -> bool:
         return self.entry_mm is not None and float((self.tip_mm - self.entry_mm) @ along) < self._deepest_mm - 0.02

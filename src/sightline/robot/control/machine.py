@@ -66,12 +66,12 @@ class Machine:
     @property
     def stop_pressed(self) -> bool:
         """Whether the stop button is pressed."""
-        return bool(self._samples.latest.flags & PlantFlag.STOP_PRESSED)
+        return PlantFlag.STOP_PRESSED in self._samples.latest.flags
 
     @property
     def run_held(self) -> bool:
         """Whether the hold-to-run switch is held."""
-        return bool(self._samples.latest.flags & PlantFlag.RUN_HELD)
+        return PlantFlag.RUN_HELD in self._samples.latest.flags
 
     @property
     def moves(self) -> bool:

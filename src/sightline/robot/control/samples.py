@@ -1,6 +1,7 @@
 """Recent samples of the plant, and the faults in them that must end any motion."""
 
 from collections import deque
+from math import isfinite
 
 import numpy as np
 
@@ -27,7 +28,7 @@ class Samples:
     def take(self, now_s: float) -> None:
         """Read one sample."""
         reading = self._plant.read()
-        self._sound = bool(np.isfinite(reading.encoders).all() and np.isfinite(reading.force_n))
+        self._sound = isfinite(reading.force_n) and all(map(isfinite, reading.encoders.tolist()))
         if not self._sound:
             return
         if self._sampled_s is None or reading.time_s > self.latest.time_s:
@@ -49,11 +50,11 @@ class Samples:
         reading = self.latest
         beyond = manipulator.beyond_limits(reading.encoders)
         outside = np.abs(beyond) > MOVING_LIMIT
-        if outside.any():
+        if any(outside.tolist()):
             joint = int(np.argmax(outside))
             at, excess = float(reading.encoders[joint]), float(beyond[joint])
             return f"outside the workspace: {describe_excess(joint, at, excess, 'is at')}"
-        if reading.flags & PlantFlag.OVERLOAD and state in MOVING:
+        if PlantFlag.OVERLOAD in reading.flags and state in MOVING:
             return "a drive is at the limit of its force: something blocks the robot"
         if state in WAITING:
             off = np.abs(reading.encoders - rest) > STANDING_LIMIT

@@ -75,7 +75,11 @@ class Manipulator:
 
     def T_mcs_tool(self, q: np.ndarray) -> RigidTransform:
         """Return the pose of the wire's tip at q (5,) or (N, 5): +z along the wire, towards the tip."""
-        return RigidTransform.from_matrix(self.stages(q)[..., -1, :, :] @ self._tool)
+        return RigidTransform.from_matrix(self.tool_matrix(q))
+
+    def tool_matrix(self, q: np.ndarray) -> np.ndarray:
+        """Return the matrix (..., 4, 4) of `T_mcs_tool`, whose RigidTransform takes four times as long."""
+        return self.stages(q)[..., -1, :, :] @ self._tool
 
     def T_mcs_cfcs(self, q: np.ndarray) -> RigidTransform:
         """Return the pose of the frame at q (5,) or (N, 5)."""
@@ -146,7 +150,7 @@ class Manipulator:
     def beyond_limits(self, q: np.ndarray) -> np.ndarray:
         """Return by how much each joint exceeds its limits, signed, (..., 5); 0 within them, NaN for NaN."""
         q = np.asarray(q, dtype=np.float64)
-        beyond = q - np.clip(q, self.lower, self.upper)
+        beyond = q - np.minimum(np.maximum(q, self.lower), self.upper)
         return np.where(np.abs(beyond) <= _SLACK, 0.0, beyond)
 
     def stages(self, q: np.ndarray) -> np.ndarray:

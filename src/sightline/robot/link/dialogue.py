@@ -268,6 +268,8 @@ class Dialogue:
 
     def _telemetry(self, now_s: float) -> list[Outgoing]:
         due = [client for client, peer in self._peers.items() if now_s - peer.told_s > self.telemetry_s - CYCLE_S / 2]
+        if not due:
+            return []
         moving = self._machine.state in MOVING
         full = [client for client in due if self._peers[client].telemetry]
         plain = [client for client in due if moving and client == self.controller.lease]

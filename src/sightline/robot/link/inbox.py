@@ -81,6 +81,8 @@ class Inbox:
         for _ in range(len(self._stops)):
             self._stopped, heard = self._stops.popleft()
             yield heard
+        if not any(queue.waiting or queue.left is not None for queue in list(self._queues.values())):
+            return
         for client, queue in list(self._queues.items()):
             if queue.left is not None and queue.left < end:
                 del self._queues[client]

@@ -13,6 +13,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import groupby
+from operator import attrgetter
 from typing import Self
 
 from sightline.closing import Closing
@@ -174,15 +176,17 @@ class RobotServer(Closing):
     def _deliver(self, batch: list[Outgoing]) -> None:
         self._delivered += 1
         now = timestamp_of(time.time())
-        for outgoing in batch:
-            connection = self._connections.get(outgoing.client)
+        for client, said in groupby(batch, attrgetter("client")):
+            connection = self._connections.get(client)
             if connection is None:
                 continue
-            put = connection.stream if outgoing.telemetry else connection.send
-            try:
-                put(replace(outgoing.message, timestamp=now))
-            except MessageError:
-                traceback.print_exc(file=sys.stderr)
+            with connection.joined():
+                for outgoing in said:
+                    put = connection.stream if outgoing.telemetry else connection.send
+                    try:
+                        put(replace(outgoing.message, timestamp=now))
+                    except MessageError:
+                        traceback.print_exc(file=sys.stderr)
 
     # The control loop's thread.
 

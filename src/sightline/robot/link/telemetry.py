@@ -50,8 +50,8 @@ class Telemetry:
                 f"no registration, so no position in {contract.CFCS}; {contract.MEASURED_CP} has it in {contract.MCS}"
             )
             return contract.CURRENT_POSITION, Status(Code.NOT_READY, "UNCALIBRATED", text)
-        tool = self.machine.robot.manipulator.T_mcs_tool(self.machine.q)
-        return contract.CURRENT_POSITION, Transform.of(registration.T_mcs_cfcs.inv() * tool)
+        tool = self.machine.robot.manipulator.tool_matrix(self.machine.q)
+        return contract.CURRENT_POSITION, Transform(registration.T_mcs_cfcs.inv().as_matrix() @ tool)
 
     def joints(self, now: Snapshot) -> NamedBody:
         """Return (6, 5): position, velocity, commanded position, commanded velocity, lower and upper limit; mm, rad."""
@@ -61,9 +61,9 @@ class Telemetry:
 
     def streams(self, now: Snapshot) -> list[NamedBody]:
         """Return all streams except the pose in CFCS."""
-        tool = self.machine.robot.manipulator.T_mcs_tool(now.reading.encoders)
+        tool = self.machine.robot.manipulator.tool_matrix(now.reading.encoders)
         said: list[NamedBody] = [
-            (contract.MEASURED_CP, Transform.of(tool)),
+            (contract.MEASURED_CP, Transform(tool)),
             self.joints(now),
             (contract.FORCE, Sensor(np.array([now.reading.force_n]), NEWTON)),
             (contract.CYCLES, Sensor(np.array([self.cycles.count, self.cycles.missed, self.cycles.worst_s]))),

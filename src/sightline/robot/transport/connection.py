@@ -1,7 +1,8 @@
 """A connection to one peer, for server and client: messages in order, detection of silence and disconnection."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import Concatenate, ParamSpec, Protocol, cast
 
 from sightline.errors import LinkError
@@ -53,6 +54,7 @@ class Connection(asyncio.Protocol):
         self._ended: asyncio.Future[None] = self._loop.create_future()
         self._transport: asyncio.Transport | None = None
         self._paused = False
+        self._joined: list[bytes] | None = None
         self._reason = ""
         self._silence: asyncio.TimerHandle | None = None
         self._completion: asyncio.TimerHandle | None = None
@@ -84,6 +86,17 @@ class Connection(asyncio.Protocol):
         if not self._written_at_once(data):
             self._outbox.put_telemetry(data)
 
+    @contextmanager
+    def joined(self) -> Generator[None]:
+        """Write what is sent and streamed in this block at its end, in one system call instead of one a message."""
+        self._joined = pieces = []
+        try:
+            yield
+        finally:
+            self._joined = None
+            if pieces and self._transport is not None and self.is_open:
+                self._transport.write(b"".join(pieces))
+
     def close(self, reason: str) -> None:
         """Close the connection after sending what waits; that may take a second."""
         if self._transport is None or not self.is_open:
@@ -109,7 +122,10 @@ class Connection(asyncio.Protocol):
             return True  # no peer: discard it
         if self._paused:
             return False
-        self._transport.write(data)
+        if self._joined is None:
+            self._transport.write(data)
+        else:
+            self._joined.append(data)
         return True
 
     # Callbacks of asyncio.

@@ -67,8 +67,8 @@ class Course:
         move = self._move or self._next(now_s)
         self.position, velocity = move.at(now_s)
         behind = self.position - reading.encoders
-        off = np.abs(behind) > np.where(self._moves, MOVING_LIMIT, STANDING_LIMIT)
-        if off.any():
+        off = np.abs(behind) > self._limit
+        if any(off.tolist()):
             return self._fault(int(np.argmax(off)), behind)
         if now_s >= self._end_s:
             unsettled = np.abs(behind) > SETTLED_COUNTS * self._manipulator.resolution
@@ -84,7 +84,7 @@ class Course:
         leg = self._left.pop(0)
         acceleration = ACCELERATION_SHARE * self._manipulator.acceleration
         self._move = Move(self.position, leg.end, leg.speed, acceleration, now_s)
-        self._moves = leg.end != self.position
+        self._limit = np.where(leg.end != self.position, MOVING_LIMIT, STANDING_LIMIT)
         self._end_s = now_s + self._move.duration_s
         return self._move
 
