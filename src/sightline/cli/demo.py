@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from sightline.case.report.content import Report
     from sightline.case.views import CalibratedImage
     from sightline.checks import Check
+    from sightline.frame import Frame
     from sightline.planning import WirePlans
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the plan is made with the first
@@ -63,12 +64,15 @@ def demo(
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import whole_folder
         from sightline.cli.demo_procedures import SEEDS, frame_for
+        from sightline.frame import Frame
+        from sightline.rehearsal.kernels_ahead import KernelsAhead
 
         frame_name = frame_for(procedure, frame)
         seed = SEEDS.get(procedure, SEED) if seed is None else seed
         how_long = "about half a minute, of three wires twice that"
         output.note(f"Sightline demo, seed {seed}: {how_long}; the first run compiles and takes a minute more")
-        with whole_folder(out, units=("case",)) as scratch, RobotAhead() as ahead:
+        kernels = KernelsAhead(frame_name, _methods(Frame.load(frame_name)))
+        with kernels, whole_folder(out, units=("case",)) as scratch, RobotAhead() as ahead:
             document = _run(output, scratch, ahead, seed=seed, frame_name=frame_name, procedure=procedure)
             files = [out / file.name for file in sorted(scratch.iterdir())]
         output.say(f"report: {out / 'report.html'}")
@@ -99,6 +103,7 @@ def _run(
     from sightline.imaging import write_dicom
 
     frame = Frame.load(frame_name)
+    ahead.start(seed, frame, frame_name, procedure)
     with output.step("1/8 drawing the set-up and its X-ray images"):
         rehearsal = drawn_patient(procedure, seed, frame)
         wire = rehearsal.wires_mm[0]
@@ -106,10 +111,9 @@ def _run(
         pa, lateral = (
             write_dicom(rehearsal.images[name], folder / f"demo_{name}.dcm", rehearsal.side) for name in NAMES
         )
-        ahead.start(rehearsal, frame_name)
     with output.step("2/8 reading the images, finding and labelling the beads"):
         seen = see_pair(pa, lateral, frame)
-    methods = METHODS if frame.solid is None else OF_SOLIDS
+    methods = _methods(frame)
     with output.step(f"3/8 calibrating both views: {', '.join(methods)}"):
         images = {method: calibrate_pair(seen, frame, method) for method in methods}
     rng = rehearsal.generator("picks")
@@ -165,6 +169,10 @@ def _run(
         "comparison": [one.document() for one in compared],
         "drilled": None if drilled is None else drilled.document()["check_shot"],
     }
+
+
+def _methods(frame: "Frame") -> "tuple[Method, ...]":
+    return METHODS if frame.solid is None else OF_SOLIDS
 
 
 def _compare(

@@ -94,20 +94,23 @@ class Inserted:
 
 
 class RobotAhead(Closing):
-    """The process of the simulated robot, started before it is needed: it starts while the images are calibrated."""
+    """The process of the simulated robot, started before it is needed: it starts while the images are drawn."""
 
     def __init__(self) -> None:
         self._running: RobotProcess | None = None
 
-    def start(self, rehearsal: "RehearsedPatient", frame_name: str) -> None:
-        """Start it if this patient is drilled by the robot."""
-        if _drills(rehearsal) and _installed() and _has_room(rehearsal):
-            self._running = _robot(rehearsal, frame_name)
+    def start(self, seed: int, frame: "Frame", frame_name: str, procedure: str) -> None:
+        """Start it if the robot drills the patient that `drawn_patient` draws."""
+        from sightline.cli.demo_procedures import SIDE, with_robot
+
+        if with_robot(procedure) and _installed() and _has_room(frame):
+            self._running = _robot(seed, frame_name, SIDE, procedure)
 
     def take(self, planned: "DemoPlan[Rehearsal]") -> "RobotProcess":
         """The one that was started, or a new one for another wire."""
         taken, self._running = self._running, None
-        return taken or _robot(planned.rehearsal, planned.frame_name)
+        of = planned.rehearsal
+        return taken or _robot(of.seed, planned.frame_name, of.side, of.procedure)
 
     def close(self) -> None:
         """End it, if nobody took it."""
@@ -115,10 +118,10 @@ class RobotAhead(Closing):
             self._running.close()
 
 
-def _robot(rehearsal: "RehearsedPatient", frame_name: str) -> "RobotProcess":
+def _robot(seed: int, frame_name: str, side: str, procedure: str) -> "RobotProcess":
     from sightline.rehearsal.process import RobotProcess
 
-    return RobotProcess(rehearsal.seed, frame_name, rehearsal.side, rehearsal.procedure, virtual=True)
+    return RobotProcess(seed, frame_name, side, procedure, virtual=True)
 
 
 def carry_out(
@@ -129,10 +132,10 @@ def carry_out(
     They are drilled by the robot, or placed at bones that its simulation does not know. It ends where the robot does
     not drill (`drill`).
     """
-    from sightline.cli.demo_procedures import PLACED
+    from sightline.cli.demo_procedures import PLACED, with_robot
 
     done: dict[str, Inserted] = {}
-    drills = _drills(planned.rehearsal)
+    drills = with_robot(planned.rehearsal.procedure)
     if not drills:
         output.say(PLACED)
     for one in planned.each():
@@ -156,18 +159,12 @@ def _again(planned: "DemoPlan[Who_co]", drilled: tuple[str, ...]) -> "DemoPlan[W
     return replace(planned, asked=asked, plan=asked.plan(planned.images))
 
 
-def _drills(rehearsal: "RehearsedPatient") -> bool:
-    from sightline.rehearsal.rehearsal import Rehearsal
-
-    return isinstance(rehearsal, Rehearsal)
-
-
 def _installed() -> bool:
     return find_spec("mujoco") is not None
 
 
-def _has_room(rehearsal: "RehearsedPatient") -> bool:
-    return rehearsal.setup.frame.detector is None
+def _has_room(frame: "Frame") -> bool:
+    return frame.detector is None
 
 
 def drill(
@@ -179,7 +176,7 @@ def drill(
     if not _installed():
         output.note("the robot is left out: it needs MuJoCo (pip install 'sightline[robot]')")
         return None
-    if not _has_room(planned.rehearsal):
+    if not _has_room(planned.rehearsal.setup.frame):
         output.say("not drilled: beside a block the field of an image intensifier has no room for the robot's wire")
         return None
     try:

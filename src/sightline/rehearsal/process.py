@@ -47,11 +47,14 @@ class RobotProcess(Closing):
         Thread(target=self._read_line, name="robot's first line", daemon=True).start()
 
     def close(self) -> None:
-        """End the process: ask, then terminate, then kill it. A second call does nothing."""
+        """End the process: ask, then terminate, then kill it. A second call does nothing.
+
+        Until it listens it does not hear the question, and is terminated at once."""
+        hears = "port" in self.__dict__ or not self._lines.empty()
         if self._process.stdin is not None:
             with suppress(OSError):
                 self._process.stdin.close()  # the robot ends when its input closes
-        for end in (lambda: None, self._process.terminate, self._process.kill):
+        for end in ([] if not hears else [lambda: None]) + [self._process.terminate, self._process.kill]:
             end()
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(END_S)
