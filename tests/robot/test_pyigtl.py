@@ -33,7 +33,7 @@ from sightline.robot.igtl import (
     Transform,
     timestamp_of,
 )
-from sightline.robot.transport import BlockingClient, serve
+from sightline.robot.transport import BlockingClient, Connection, serve
 
 SIDE = {"version": 2, "message_id": 5, "metadata": {"side": "left", "frame": "gamma 3"}}
 NOW = timestamp_of(1_700_000_000.5)
@@ -140,12 +140,16 @@ def test_it_serves_us() -> None:
 
 
 def test_we_serve_it() -> None:
+    def answer(connection: Connection, event: Event) -> None:
+        if isinstance(event, Message) and event.device_name == "DONE":
+            connection.send(OURS[-1])  # not before: the peer ends once it has heard it, whatever it has still to send
+
     async def main() -> None:
-        there = Witness()
+        there = Witness(answer)
         async with await serve(there, port=0) as server:
             with peer("client", str(server.port)) as process:
                 (connection,) = await there.until("opened")
-                for message in OURS:
+                for message in OURS[:-1]:
                     connection.send(message)
                 found = await asyncio.to_thread(heard, process)
                 await there.until("lost")
