@@ -4,13 +4,15 @@ import asyncio
 import threading
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.robot.rig import ROBOT, SETUP, T_MCS_CFCS, metadata, wire
 from tests.robot.test_depth import Bone
 
-from sightline.app.panels.drill import reading
+from sightline.app.panels.drill import how_deep, reading
 from sightline.app.session.robot_session import RobotNow, RobotSession
 from sightline.app.session.zero import ZeroSource
 from sightline.errors import LinkError, RobotRefusedError
@@ -167,6 +169,23 @@ def _until(session: RobotSession, there) -> None:
 )
 def test_a_depth_without_an_error_says_so(now: RobotNow, words: str) -> None:
     assert reading(now) == words
+
+
+@pytest.mark.parametrize(
+    ("told_mm", "said"),
+    [
+        ([], "to the planned depth"),  # by the robot's word alone
+        ([-10.0, 25.9], "to the planned depth"),
+        ([-10.0, 23.7], "through the far cortex, 2.3 mm short of the planned depth"),
+    ],
+)
+def test_a_wire_is_called_drilled_to_the_planned_depth_only_if_it_is(told_mm: list[float], said: str) -> None:
+    """Planned: 21 mm, and 5 beyond them. Fails for a page that breaks where a robot tells no depth."""
+    limits = SimpleNamespace(beyond_mm=5.0)
+    plan = SimpleNamespace(trajectory=SimpleNamespace(length_mm=21.0), kind=SimpleNamespace(limits=limits))
+    drilled = SimpleNamespace(record=SimpleNamespace(depth_mm=np.array(told_mm)))
+    planning: Any = SimpleNamespace(sent=SimpleNamespace(plan=plan), drilled=drilled)
+    assert f"Drilled {said}. " in how_deep(planning)
 
 
 def test_a_second_shot_is_told_with_its_error_and_counts_once(paused: RobotSession) -> None:

@@ -54,7 +54,8 @@ class RobotProcess(Closing):
         if self._process.stdin is not None:
             with suppress(OSError):
                 self._process.stdin.close()  # the robot ends when its input closes
-        for end in ([] if not hears else [lambda: None]) + [self._process.terminate, self._process.kill]:
+        asked = [lambda: None] if hears else []
+        for end in (*asked, self._process.terminate, self._process.kill):
             end()
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(END_S)

@@ -110,16 +110,18 @@ def _robot(tab: Tab) -> None:
                 kind="plain",
             )
     if planning.drilled is not None:
-        note(_drilled(planning), kind="good", testid="drilled")
+        note(how_deep(planning), kind="good", testid="drilled")
     note(texts.STOP_IS_NO_EMERGENCY_STOP, kind="warn")
 
 
-def _drilled(planning: Planning) -> str:
-    """Return how deep the wire was drilled, as text: a drill that is to pass a far cortex stops behind it."""
+def how_deep(planning: Planning) -> str:
+    """Return how deep the wire was drilled, as text: a drill that is to pass a far cortex stops behind it. Of a robot
+    that tells no depth only its own word is known."""
     assert planning.drilled is not None  # noqa: S101
     assert planning.sent is not None  # noqa: S101 - what is drilled was sent
-    plan = planning.sent.plan
-    short = plan.trajectory.length_mm + plan.kind.limits.beyond_mm - float(planning.drilled.record.depth_mm.max())
+    plan, told_mm = planning.sent.plan, planning.drilled.record.depth_mm
+    planned_mm = plan.trajectory.length_mm + plan.kind.limits.beyond_mm
+    short = planned_mm - float(told_mm.max()) if len(told_mm) else 0.0
     return texts.DRILLED if short < _SHORT_MM else texts.DRILLED_SHORT.format(short=short)
 
 
