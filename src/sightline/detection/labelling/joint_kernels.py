@@ -103,7 +103,7 @@ def _factor_of_inverse(a, c, e, f, out):
 
 
 @exact_unchecked
-def _median(values, count):
+def median_of(values, count):
     """Return the median of the first `count` values, which are sorted."""
     for n in range(1, count):
         one, k = values[n], n
@@ -304,7 +304,7 @@ def settle(spots, places, focal, on):
         if count == 0:
             break
         if iteration < NOISE_FITS:  # later, gating has cut off the tails, and the noise would be underestimated
-            growth = min(max(growth * _median(work.m2, count) / MEDIAN_M2, 1.0), MAX_NOISE)
+            growth = min(max(growth * median_of(work.m2, count) / MEDIAN_M2, 1.0), MAX_NOISE)
         _match(fit, growth / before, spots, new)
         changed = 0
         for k in range(n):
