@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bead_images import Bead, radiograph, transmission
 
-from sightline.detection import Observations, again, columns, detect, label, look_again, refine
+from sightline.detection import Observations, again, columns, detect, label, look_again, refine, scale
 from sightline.detection.covered import without_overlaps
 from sightline.detection.detector import bead_fitter
 from sightline.errors import ObservationsError
@@ -380,6 +380,61 @@ def test_the_second_look_depends_on_its_arguments_alone() -> None:
     )
     assert (here.ids, here.uv_px.tobytes()) == (there.ids, there.uv_px.tobytes())
     assert (here.ids, here.uv_px.tobytes()) != (balls.ids, balls.uv_px.tobytes())
+
+
+def test_shapes_come_from_the_fits_of_detection_and_only_from_those_of_the_same_beads(monkeypatch) -> None:
+    """A program that repeats the fits, or takes the shapes of beads in another order, fails."""
+    one = seen(9)
+    rng = np.random.default_rng(46)
+    shown = image(one, rng, beside(one, lonely(one, rng, 6), rng, 0.4))
+    beads = detect(shown)
+    labelled = label(beads, GAMMA)
+    assert beads.shadows is not None
+    fits, counts = refine.BeadFitter.__call__, []
+
+    def counted(self, rows, which=None, prior_sd=None):
+        counts.append(len(rows) if which is None else len(which))
+        return fits(self, rows, which, prior_sd)
+
+    monkeypatch.setattr(refine.BeadFitter, "__call__", counted)
+    known, repeated, reordered = (
+        look_again(shown, replace(beads, shadows=shadows), labelled, GAMMA)
+        for shadows in (beads.shadows, None, beads.shadows[::-1])
+    )
+    assert len(known) > len(labelled)
+    assert known.ids == repeated.ids == reordered.ids
+    assert repeated.uv_px.tobytes() == reordered.uv_px.tobytes()
+    off = known.uv_px - repeated.uv_px
+    assert known.covariance_px2 is not None
+    assert (off**2 < 0.1**2 * np.diagonal(known.covariance_px2, axis1=1, axis2=2)).all()
+    assert counts.count(len(beads)) == 2  # without shadows, or with those of others
+
+
+def test_the_shadows_of_a_finer_image_are_those_of_its_beads_in_both_scales() -> None:
+    """A program that scales centres and shadows apart repeats all fits; one that leaves the blur has twice as much."""
+    coarse = image(seen(44), np.random.default_rng(44))
+    pixels = cv2.resize(coarse.pixels, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    beads = detect(replace(coarse, pixels=np.minimum(pixels, np.uint16(coarse.white))))
+    for one in (beads, scale.coarser(beads)):
+        assert one.shadows is not None
+        assert np.array_equal(one.shadows[:, :2], one.uv_px)
+    usual = detect(coarse).shadows
+    assert usual is not None
+    assert np.median(scale.coarser(beads).shadows[:, 2]) == pytest.approx(np.median(usual[:, 2]), rel=0.1)
+
+
+def test_neighbours_at_one_distance_are_all_taken_whatever_the_rounding() -> None:
+    """A program that takes just six has others after a rotation by a rounding error."""
+    grid = np.stack(np.meshgrid(np.arange(7.0), np.arange(7.0)), axis=-1).reshape(-1, 2)
+    squares = ((grid[:, None] - grid) ** 2).sum(axis=2)
+    np.fill_diagonal(squares, np.inf)
+    near = again._nearest(squares)
+    assert near[24].sum() == 8  # in the middle: four beside it and four on the diagonals
+    rounded = squares * (1 + 1e-12 * np.random.default_rng(1).standard_normal(squares.shape))
+    assert np.array_equal(again._nearest(rounded), near)
+    values = np.random.default_rng(2).standard_normal(len(grid))
+    expected = [np.median(values[row]) for row in near]
+    assert again._medians(values, near) == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_finer_image_gives_the_same_beads() -> None:

@@ -12,6 +12,7 @@ from sightline.detection.covered import DEEPEST_OF_KNOWN_SHAPE, hidden_share, ov
 from sightline.detection.detector import bead_fitter, fine_reasons
 from sightline.detection.fit import PRIOR_SD
 from sightline.detection.labelling.growth import Field
+from sightline.detection.labelling.joint_kernels import SAME_DISTANCE
 from sightline.detection.labelling.map_prior import CENTRE_PX, REMAINDER_SD, features, map_covariance
 from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import best_similarity
@@ -29,8 +30,9 @@ from sightline.imaging import Radiograph, as_radiograph
 from sightline.threads import one_blas_thread
 
 _ROUNDS = 6  # of fitting, each further out [ours]
-_NOT_STATED = [columns.BLUR, columns.AXIAL, columns.DIAGONAL, columns.STATUS]  # by detections, of their fits
-_NEIGHBOURS = 6  # nearest beads of the plate that predict a bead's size and contrast [ours]
+# What a file of detections does not state of their fits.
+_NOT_STATED = [columns.BLUR, columns.AXIAL, columns.DIAGONAL, columns.STATUS]
+_NEIGHBOURS = 6  # nearest beads of the plate, or more at the same distance, predict a bead's size and contrast [ours]
 _MAX_PREDICTION_SD_PX = 2.0  # with a less certain prediction, the fit may find something else [ours]
 # Overlap beyond which detection finds one bead, or the two bias each other: chi-square / 2 of labelled beads is 1.2-4.4
 # there, 0.8-1.4 where they overlap less [twin].
@@ -113,6 +115,9 @@ def look_again_with(
     _require_enough(plates, row_of)
     rows = refine.start(beads.uv_px, beads.radius_px, beads.contrast)
     rows[:, columns.CENTRE_COVARIANCE] = beads.covariance_px2.reshape(-1, 4)[:, [0, 1, 3]]
+    known = beads.shadows is not None and np.array_equal(beads.shadows[:, :2], beads.uv_px)
+    if known:
+        rows[:, columns.SHADOW] = beads.shadows
     fitter, settled, tried = None, np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
     for _ in range(_ROUNDS if plates else 0):
         expected = _expected(plates, rows, row_of)
@@ -128,7 +133,8 @@ def look_again_with(
             continue
         if fitter is None:
             fitter = fitter_of_image()
-            rows[:, _NOT_STATED] = fitter(rows)[:, _NOT_STATED]
+            if not known:
+                rows[:, _NOT_STATED] = fitter(rows)[:, _NOT_STATED]
         initial, prior_sd = _initial(plates, rows, expected, which)
         # Before a clipped background, the radius must take up what the fit does not know of the shadow's profile.
         prior_sd[:, np.flatnonzero(shares > WITHOUT_FOOT)] = PRIOR_SD[:, None]
@@ -224,23 +230,45 @@ def _predicted(pattern: Pattern, rows: np.ndarray, row: np.ndarray) -> tuple[np.
     def fitted(factor: float) -> PlanarKriging:
         return PlanarKriging.of(kernel[seen] + np.diag(factor * noise), measured - laid[seen])
 
-    factor = max(1.0, variance_ratio(fitted(1.0).left_out().m2))
-    solution = fitted(factor)
+    solution = fitted(1.0)
     others = solution.left_out()
+    factor = max(1.0, variance_ratio(others.m2))
+    if factor > 1.0:
+        solution = fitted(factor)
+        others = solution.left_out()
     place = laid + kernel @ solution.dual
     place[seen] = measured - others.residual
     variance = solution.variances(kernel, (phi**2).sum(axis=1) + REMAINDER_SD**2)
     variance[seen] = others.variance - factor * noise
     gap2[seen, np.arange(len(seen))] = np.inf
-    near = np.argsort(gap2, axis=1)[:, :_NEIGHBOURS]
-    size = np.median(np.log(rows[row[seen], columns.RADIUS] / pattern.diameter_mm[seen])[near], axis=1)
-    contrast = np.median(rows[row[seen], columns.CONTRAST][near], axis=1)
+    near = _nearest(gap2)
+    size = _medians(np.log(rows[row[seen], columns.RADIUS] / pattern.diameter_mm[seen]), near)
+    contrast = _medians(rows[row[seen], columns.CONTRAST], near)
     return (
         place * half + middle,
         (np.maximum(variance, 0.0) + factor * own) * half**2,
         np.exp(size) * pattern.diameter_mm,
         contrast,
     )
+
+
+def _nearest(squares: np.ndarray) -> np.ndarray:
+    """Return (P, M) bool: the _NEIGHBOURS least of each row's squared distances, and all that are as small as the last.
+
+    On a grid there are several, and rounding must not choose among them.
+    """
+    last = np.partition(squares, _NEIGHBOURS - 1, axis=1)[:, [_NEIGHBOURS - 1]]
+    return squares <= (1.0 + SAME_DISTANCE) * last
+
+
+def _medians(values: np.ndarray, of: np.ndarray) -> np.ndarray:
+    """Return the median (P,) of those `values` (M,) that each row of `of` (P, M) bool takes."""
+    ordered, count, row = (
+        np.sort(np.where(of, values, np.inf), axis=1),
+        np.count_nonzero(of, axis=1),
+        np.arange(len(of)),
+    )
+    return (ordered[row, (count - 1) // 2] + ordered[row, count // 2]) / 2
 
 
 def _rows_to_fit(image: Radiograph, plates: list[Pattern], expected: _Expected, settled: np.ndarray) -> np.ndarray:

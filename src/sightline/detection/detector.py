@@ -261,4 +261,5 @@ def _detections(
         contrast=beads[:, columns.CONTRAST],
         image_shape=image.shape,
         rejected=rejected,
+        shadows=beads[:, columns.SHADOW],
     )

@@ -13,7 +13,8 @@ from sightline.show.words import centre_sd, counted, image_size
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-# Of a field that no file and no case holds: the image that a result was found in, to be drawn behind it.
+# Of a field that no file and no case holds: the image that a result was found in, to be drawn behind it, and what can
+# be had from it again.
 _NOT_WRITTEN = {"written": False}
 
 
@@ -44,6 +45,8 @@ class Detections(Plotted):
     `uv_px` (N, 2), `radius_px` (N,) (the outer radius of a washer), `covariance_px2` (N, 2, 2),
     `kind` (N,) of "ball", "washer" or "hole", `contrast` (N,) (signed change of log intensity at the centre),
     `rejected` with reasons, `image_shape` (H, W). `pixels` (H, W): the image itself where it is known, for plots.
+    `shadows` (N, 5): centre and blur, px, and ellipticity along axes and diagonals of each shadow's fit, for
+    `look_again`, which fits all beads again where it is None, as after `sl.load`, or of other `uv_px`.
 
     >>> beads = sl.detect("out/demo/demo_pa.dcm")
     >>> ax = beads.plot()
@@ -58,6 +61,7 @@ class Detections(Plotted):
     image_shape: tuple[int, int]
     rejected: tuple[RejectedCandidate, ...] = ()
     pixels: np.ndarray | None = field(default=None, metadata=_NOT_WRITTEN)
+    shadows: np.ndarray | None = field(default=None, metadata=_NOT_WRITTEN)
 
     def __post_init__(self) -> None:
         n = len(np.atleast_2d(self.uv_px)) if np.size(self.uv_px) else 0

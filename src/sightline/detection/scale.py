@@ -37,6 +37,7 @@ def finer(beads: Detections, image_shape: tuple[int, int]) -> Detections:
         covariance_px2=beads.covariance_px2 * FACTOR**2,
         image_shape=image_shape,
         rejected=_scaled(beads.rejected, _finer_uv, FACTOR),
+        shadows=_scaled_shadows(beads.shadows, _finer_uv, FACTOR),
     )
 
 
@@ -48,6 +49,7 @@ def coarser(beads: Detections) -> Detections:
         radius_px=beads.radius_px / FACTOR,
         covariance_px2=beads.covariance_px2 / FACTOR**2,
         image_shape=(beads.image_shape[0] // FACTOR, beads.image_shape[1] // FACTOR),
+        shadows=_scaled_shadows(beads.shadows, _coarser_uv, 1 / FACTOR),
     )
 
 
@@ -74,6 +76,15 @@ def coarser_observations(seen: Observations) -> Observations:
         radius_px=None if seen.radius_px is None else seen.radius_px / FACTOR,
         rejected=None if seen.rejected is None else _scaled(seen.rejected, _coarser_uv, 1 / FACTOR),
     )
+
+
+def _scaled_shadows(
+    shadows: np.ndarray | None, to_other: Callable[[np.ndarray], np.ndarray], factor: float
+) -> np.ndarray | None:
+    if shadows is None:
+        return None
+    uv_px, blur_px, ellipticity = np.split(shadows, [2, 3], axis=1)
+    return np.concatenate([to_other(uv_px), factor * blur_px, ellipticity], axis=1)
 
 
 def _scaled(
