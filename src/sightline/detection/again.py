@@ -241,9 +241,9 @@ def _predicted(pattern: Pattern, rows: np.ndarray, row: np.ndarray) -> tuple[np.
     variance = solution.variances(kernel, (phi**2).sum(axis=1) + REMAINDER_SD**2)
     variance[seen] = others.variance - factor * noise
     gap2[seen, np.arange(len(seen))] = np.inf
-    near = _nearest(gap2)
-    size = _medians(np.log(rows[row[seen], columns.RADIUS] / pattern.diameter_mm[seen]), near)
-    contrast = _medians(rows[row[seen], columns.CONTRAST], near)
+    near = nearest(gap2)
+    size = medians(np.log(rows[row[seen], columns.RADIUS] / pattern.diameter_mm[seen]), near)
+    contrast = medians(rows[row[seen], columns.CONTRAST], near)
     return (
         place * half + middle,
         (np.maximum(variance, 0.0) + factor * own) * half**2,
@@ -252,7 +252,7 @@ def _predicted(pattern: Pattern, rows: np.ndarray, row: np.ndarray) -> tuple[np.
     )
 
 
-def _nearest(squares: np.ndarray) -> np.ndarray:
+def nearest(squares: np.ndarray) -> np.ndarray:
     """Return (P, M) bool: the _NEIGHBOURS least of each row's squared distances, and all that are as small as the last.
 
     On a grid there are several, and rounding must not choose among them.
@@ -261,7 +261,7 @@ def _nearest(squares: np.ndarray) -> np.ndarray:
     return squares <= (1.0 + SAME_DISTANCE) * last
 
 
-def _medians(values: np.ndarray, of: np.ndarray) -> np.ndarray:
+def medians(values: np.ndarray, of: np.ndarray) -> np.ndarray:
     """Return the median (P,) of those `values` (M,) that each row of `of` (P, M) bool takes."""
     ordered, count, row = (
         np.sort(np.where(of, values, np.inf), axis=1),
@@ -286,10 +286,10 @@ def _rows_to_fit(image: Radiograph, plates: list[Pattern], expected: _Expected, 
         & (expected.variance_px2 < _MAX_PREDICTION_SD_PX**2)
         & ~np.concatenate([pattern.washer for pattern in plates])
     )
-    nearest = np.rint(expected.uv_px[:, ::-1]).astype(int)
-    wanted &= ((nearest >= 0) & (nearest < height_width)).all(axis=1)
+    pixel = np.rint(expected.uv_px[:, ::-1]).astype(int)
+    wanted &= ((pixel >= 0) & (pixel < height_width)).all(axis=1)
     which = np.flatnonzero(wanted)
-    return which[image.field_mask[tuple(nearest[which].T)]]
+    return which[image.field_mask[tuple(pixel[which].T)]]
 
 
 def _initial(
