@@ -158,7 +158,7 @@ def test_metal_beside_a_bead_is_hidden_under_it_too() -> None:
 def clipped(one: Seen, rng: np.random.Generator, without: tuple[str, ...] = ()) -> tuple[Radiograph, np.ndarray]:
     """Return an image whose light grows across the field until it clips, and the background's clipped pixels.
 
-    Its balls stop more than those that the fit knows, as datum balls do: a depth of 5 instead of 3.
+    Its small balls stop more than those that the fit knows: a depth of 5 instead of 3.
     """
     u = np.broadcast_to(np.arange(SHAPE[1]), SHAPE)
     bright = np.exp(2.2 * np.clip((u - 500) / 524, 0, None) ** 1.3)

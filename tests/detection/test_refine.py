@@ -138,3 +138,31 @@ def test_scatter_that_follows_the_background_pulls_no_centre(width_px: float) ->
     along = 0.01 * (weight * error).sum() / (weight * slope).sum()  # px where the background changes by 1 % per px
     assert 0.8 < np.sqrt(chi2.mean()) < 1.15  # standard error 0.04; the noise estimate is good to 15 % in variance
     assert abs(along) < 0.002  # standard error 0.0009; 0.007 where scatter is taken for level
+
+
+def test_the_larger_of_two_sizes_is_a_large_ball() -> None:
+    """Not the balls of one size that lie nearer to the source, and appear larger by a fifth."""
+    radius = np.array([8.0, 8.0, 8.1, 9.6, 13.3, 15.0])
+    rows = refine.start(np.zeros((6, 2)), radius, np.full(6, -0.9))
+    np.testing.assert_array_equal(rows[:, columns.LARGE], [0.0, 0.0, 0.0, 0.0, 1.0, 1.0])
+    assert refine.start(np.zeros((0, 2)), np.zeros(0), np.zeros(0)).shape == (0, columns.COUNT)
+
+
+def test_a_large_ball_half_before_clipped_light_is_where_it_is() -> None:
+    """With the profile of a small ball, whose rim is less steep, it is off by more than twice as much."""
+    small, large = [Bead(60.3 + 70 * k, 70.6, 8.0) for k in range(3)], Bead(160.4, 200.7, 13.5, depth=5.0)
+    slope = np.exp(0.004 * np.tile(np.arange(SIZE) - 160.0, (SIZE, 1)))
+    expected = quanta([*small, large], 400.0 * slope, np.full((SIZE, SIZE), 160.0))
+    noisy = np.log(radiograph(expected, np.random.default_rng(33)).pixels.astype(np.float32))
+    noise = estimate_noise(noisy, np.ones((SIZE, SIZE), bool))
+    assert noise is not None
+    light = np.log(radiograph(expected, None, level=0.05).pixels)
+    light = np.minimum(light, light[120, 150])  # clips more than half of the large ball's background
+    fit = refine.BeadFitter(light, np.ones(light.shape, bool), noise)
+    places, radii = np.array([(b.u, b.v) for b in (*small, large)]), np.array([8.0, 8.0, 8.0, 13.5])
+    rows = refine.start(places, radii, np.full(4, -0.9))
+    as_small = rows.copy()
+    as_small[:, columns.LARGE] = 0.0
+    off, off_as_small = (np.hypot(*(fit(each)[3, :2] - (large.u, large.v))) for each in (rows, as_small))
+    assert off < 0.03
+    assert off_as_small > 2 * off

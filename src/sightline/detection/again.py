@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ from sightline.threads import one_blas_thread
 
 _ROUNDS = 6  # of fitting, each further out [ours]
 # What a file of detections does not state of their fits.
-_NOT_STATED = [columns.BLUR, columns.AXIAL, columns.DIAGONAL, columns.STATUS]
+_NOT_STATED = [columns.BLUR, columns.AXIAL, columns.DIAGONAL, columns.STATUS, columns.EXCESS]
 _NEIGHBOURS = 6  # nearest beads of the plate, or more at the same distance, predict a bead's size and contrast [ours]
 _MAX_PREDICTION_SD_PX = 2.0  # with a less certain prediction, the fit may find something else [ours]
 # Overlap beyond which detection finds one bead, or the two bias each other: chi-square / 2 of labelled beads is 1.2-4.4
@@ -40,6 +41,9 @@ _DEEP_OVERLAP = 0.4
 # A bead in a deeper overlap, of whose rim another bead hides more than a share, is fitted with that bead or not at all:
 # alone, it takes up the other's shadow. Beads that were wrong by 6 to 17 s.d. had 0.45 of their rims hidden [twin].
 _TOGETHER_OVERLAP, _TOGETHER_HIDDEN = 1.6, 0.33
+# Residual beyond noise over contrast, above which a labelled bead is fitted again: metal lies in its window. Of beads
+# elsewhere one in a thousand has more; those beside metal were wrong by 1.6 times their stated s.d. [twin].
+_MAX_EXCESS = 0.03
 # Limits for accepting a fit: the image must determine it, and it must agree with the frame and the neighbours.
 _MAX_SD_PX = 0.5  # as for beads that an image determines (docs/benchmarks.md)
 _MAX_M2 = 16.0  # squared Mahalanobis distance from the prediction, whose s.d. is 1.2 times too small at the edge [twin]
@@ -80,8 +84,9 @@ def look_again(
     Beads partly under metal or under each other are fitted where the labelled beads of their plate predict them. They
     are accepted only if centre, size and contrast agree with the prediction. Before a clipped background, detections
     too small for labelling are accepted too, with a larger covariance. Labelled beads with a deep overlap are fitted
-    again, both at once, or left out. Fitted beads stand last. Washers are not searched for, nor balls of a
-    solid. `image`, `white`: as of `detect`; `frame`: as of `label`.
+    again, both at once, or left out. So are labelled beads beside metal whose first fit leaves a residual. Fitted beads
+    stand last. Washers are not searched for, nor balls of a solid. `image`, `white`: as of `detect`; `frame`: as of
+    `label`.
     Raises ObservationsError where `observations` are not what `label` returned for `beads`.
 
     >>> image, frame = sl.read_image("out/demo/demo_pa.dcm"), sl.Frame.load("gamma")
@@ -115,13 +120,16 @@ def look_again_with(
     _require_enough(plates, row_of)
     rows = refine.start(beads.uv_px, beads.radius_px, beads.contrast)
     rows[:, columns.CENTRE_COVARIANCE] = beads.covariance_px2.reshape(-1, 4)[:, [0, 1, 3]]
-    known = beads.shadows is not None and np.array_equal(beads.shadows[:, :2], beads.uv_px)
-    if known:
+    if not plates:
+        return observations
+    fitter, settled, tried = cache(fitter_of_image), np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
+    if beads.shadows is not None and np.array_equal(beads.shadows[:, :2], beads.uv_px):
         rows[:, columns.SHADOW] = beads.shadows
-    fitter, settled, tried = None, np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
-    for _ in range(_ROUNDS if plates else 0):
+    else:
+        rows[:, _NOT_STATED] = fitter()(rows)[:, _NOT_STATED]
+    for _ in range(_ROUNDS):
         expected = _expected(plates, rows, row_of)
-        which = _rows_to_fit(image, plates, expected, settled)
+        which = _rows_to_fit(image, plates, expected, rows, settled)
         if len(which) == 0:
             break
         shares = clipped_shares(image, image.field_mask, expected.start())
@@ -131,14 +139,10 @@ def look_again_with(
         which = which[~settled[which]]
         if len(which) == 0:
             continue
-        if fitter is None:
-            fitter = fitter_of_image()
-            if not known:
-                rows[:, _NOT_STATED] = fitter(rows)[:, _NOT_STATED]
         initial, prior_sd = _initial(plates, rows, expected, which)
         # Before a clipped background, the radius must take up what the fit does not know of the shadow's profile.
         prior_sd[:, np.flatnonzero(shares > WITHOUT_FOOT)] = PRIOR_SD[:, None]
-        fit = _fitted(fitter, initial, which, prior_sd)
+        fit = _fitted(fitter(), initial, which, prior_sd)
         allow_for_missing_foot(fit, shares[which])
         clear = _clear(fit, initial, expected, which, shares[which] > WITHOUT_FOOT)
         tried[which] = settled[which[clear]] = True
@@ -271,16 +275,20 @@ def medians(values: np.ndarray, of: np.ndarray) -> np.ndarray:
     return (ordered[row, (count - 1) // 2] + ordered[row, count // 2]) / 2
 
 
-def _rows_to_fit(image: Radiograph, plates: list[Pattern], expected: _Expected, settled: np.ndarray) -> np.ndarray:
-    """Return the rows of the beads to fit: missing ones and those with a deep overlap.
+def _rows_to_fit(
+    image: Radiograph, plates: list[Pattern], expected: _Expected, rows: np.ndarray, settled: np.ndarray
+) -> np.ndarray:
+    """Return which beads to fit: missing ones, those with a deep overlap, and those that leave a residual in `rows`.
 
-    Without washers and those that are `settled` (P,).
+    A detection's fit leaves one where metal that it did not find lies beside the bead. Without washers and those that
+    are `settled` (P,).
     """
     radius, height_width = expected.radius_px, np.array(image.shape)
     apart = distances(expected.uv_px, expected.uv_px)
     overlap = overlap_of(apart, radius[:, None], radius)
     np.fill_diagonal(overlap, 0.0)
     wanted = (expected.row < 0) | (overlap.max(axis=1) > _DEEP_OVERLAP)
+    wanted |= rows[expected.row, columns.EXCESS] > _MAX_EXCESS
     wanted &= (
         ~settled
         & (expected.variance_px2 < _MAX_PREDICTION_SD_PX**2)

@@ -11,7 +11,7 @@ _AROUND_PX = -1.0, 4.0  # the ring around a bead, from its rim [ours]
 # Above this clipped share of the ring, a rim has lost the foot of its edge: radius, blur and background no longer
 # separate, and the error of the shadow's profile moves the centre where the background slopes [twin].
 WITHOUT_FOOT = 0.2
-_GROWS, _FLOOR_PX = 1.2, 0.06  # such a centre's s.d.: times what the fit states, and beside it, px per axis [twin]
+_PROFILE_SD_PX = 0.03  # of that error, per axis [twin]
 
 
 def clipped_shares(image: Radiograph, usable: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -25,10 +25,8 @@ def clipped_shares(image: Radiograph, usable: np.ndarray, rows: np.ndarray) -> n
 def allow_for_missing_foot(rows: np.ndarray, shares: np.ndarray) -> None:
     """Enlarge the covariances of the centres of `rows` (N, COUNT) whose rims have no foot, by `shares` (N,)."""
     lost = shares > WITHOUT_FOOT
-    for column in columns.CENTRE_COVARIANCE:
-        rows[lost, column] *= _GROWS**2
     for column in (columns.CUU, columns.CVV):
-        rows[lost, column] += _FLOOR_PX**2
+        rows[lost, column] += _PROFILE_SD_PX**2
 
 
 @exact

@@ -5,12 +5,12 @@ import numpy as np
 # Centre, px; radius, px; contrast of log light; blur in the image, px (these five are also the initial values of a
 # fit); covariance of the centre, px²; variance of the contrast; chi-square per pixel; residual beyond noise over
 # contrast; the weakest sector's contrast over the whole bead's; status; ellipticity along the axes and the diagonals
-# (initial values too).
-U, V, RADIUS, CONTRAST, BLUR, CUU, CUV, CVV, CCC, CHI2, EXCESS, WEAKEST, STATUS, AXIAL, DIAGONAL = range(15)
-COUNT = 15
+# (initial values too); whether it is a large ball, whose shadow has a flatter middle: 0 no, 1 yes (given, not fitted).
+U, V, RADIUS, CONTRAST, BLUR, CUU, CUV, CVV, CCC, CHI2, EXCESS, WEAKEST, STATUS, AXIAL, DIAGONAL, LARGE = range(16)
+COUNT = 16
 CENTRE_COVARIANCE = [CUU, CUV, CVV]
 # Of a fit: what `Detections.shadows` holds.
-SHADOW = [U, V, BLUR, AXIAL, DIAGONAL]
+SHADOW = [U, V, BLUR, AXIAL, DIAGONAL, EXCESS]
 FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = 0, 1, 2, 3
 
 

@@ -15,6 +15,7 @@ from sightline.detection.columns import (
     DIAGONAL,
     EXCESS,
     FITTED,
+    LARGE,
     RADIUS,
     SINGULAR,
     STATUS,
@@ -32,6 +33,7 @@ from sightline.detection.shadow import (
     BEAD_AXIAL,
     BEAD_BLUR,
     BEAD_DIAGONAL,
+    BEAD_LARGE,
     BEAD_RADIUS,
     BEAD_TERMS,
     BEAD_X,
@@ -237,14 +239,14 @@ def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain,
 
 @exact
 def initial_values(spots, rows, blur2):
-    """Return initial beads (K, BEAD_TERMS), relative to the first one's place, scatter and background."""
+    """Return initial beads (K, BEAD_LARGE + 1), relative to the first one's place, scatter and background."""
     one = spots[rows[0]]
-    beads = np.zeros((len(rows), BEAD_TERMS))
+    beads = np.zeros((len(rows), BEAD_LARGE + 1))
     for k in range(len(rows)):
         bead = spots[rows[k]]
         beads[k, BEAD_X], beads[k, BEAD_Y], beads[k, BEAD_RADIUS] = bead[U] - one[U], bead[V] - one[V], bead[RADIUS]
         beads[k, BEAD_BLUR] = np.sqrt(max(bead[BLUR] ** 2 + blur2, 0.4**2))
-        beads[k, BEAD_AXIAL], beads[k, BEAD_DIAGONAL] = bead[AXIAL], bead[DIAGONAL]
+        beads[k, BEAD_AXIAL], beads[k, BEAD_DIAGONAL], beads[k, BEAD_LARGE] = bead[AXIAL], bead[DIAGONAL], bead[LARGE]
     scatter, background = np.zeros(SCATTER_TERMS), np.zeros(BACKGROUND_TERMS)
     background[0] = 1.0
     scatter[0] = np.exp(one[CONTRAST]) - (1.0 - STOPPED_BY_BALL if one[CONTRAST] < 0 else 1.0)

@@ -37,6 +37,7 @@ from sightline.detection.shadow import (
     BEAD_AXIAL,
     BEAD_BLUR,
     BEAD_DIAGONAL,
+    BEAD_LARGE,
     BEAD_RADIUS,
     BEAD_TERMS,
     BEAD_X,
@@ -83,9 +84,10 @@ class Windows(NamedTuple):
     linear; pixels; those of them that count; their place among all, and that of the window's light. `sharp` (M,):
     whether the window is sharpened. `whole` (M,): whether it lies within the field. `origin` (M, 4): x and y of the
     bead's start in the window, log of the light that has the value 1, and the window's reach. `at` (M, 31): the
-    parameters; `pull` (M, 31): the priors' share of the gradient; `lower` (M, 31, 31): the factor of the normal
-    equations. `slopes`: for each bead (parameters + 2, pixels): the light's derivatives, the light, and one, all over
-    the noise's s.d.; `where` (2, P): the pixels' rows and columns. `light`: of all pixels of the windows.
+    parameters; `large` (M, 3): BEAD_LARGE of each bead; `pull` (M, 31): the priors' share of the gradient; `lower`
+    (M, 31, 31): the factor of the normal equations. `slopes`: for each bead (parameters + 2, pixels): the light's
+    derivatives, the light, and one, all over the noise's s.d.; `where` (2, P): the pixels' rows and columns. `light`:
+    of all pixels of the windows.
     """
 
     place: np.ndarray
@@ -94,6 +96,7 @@ class Windows(NamedTuple):
     whole: np.ndarray
     origin: np.ndarray
     at: np.ndarray
+    large: np.ndarray
     pull: np.ndarray
     lower: np.ndarray
     slopes: np.ndarray
@@ -115,6 +118,7 @@ class Windows(NamedTuple):
             whole=np.zeros(m, np.bool_),
             origin=np.zeros((m, 4)),
             at=np.zeros((m, _MOST)),
+            large=np.zeros((m, MAX_JOINT)),
             pull=np.zeros((m, _MOST)),
             lower=np.zeros((m, _MOST, _MOST)),
             slopes=np.empty(_ROWS * int(pixels.sum()), np.float32),
@@ -179,6 +183,7 @@ def keep_part(part, parts, image, usable, mask, spots, fitted, which, noise, sha
         for k in range(len(rows)):
             beads[k, BEAD_X] += fitted[row, U] - spots[row, U]
             beads[k, BEAD_Y] += fitted[row, V] - spots[row, V]
+            kept.large[i, k] = beads[k, BEAD_LARGE]
         _joined(beads, scatter, background, kept.at[i])
         pixels = at.shape[1]
         columns, inverse_sd = np.empty((size + 3, pixels), np.float32), np.empty(pixels, np.float32)
@@ -190,7 +195,7 @@ def keep_part(part, parts, image, usable, mask, spots, fitted, which, noise, sha
         brightest = np.exp(noise[2] - zero - CLIPPING_MARGIN_SD * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
         good, used = True, 0
         for turn in range(2):  # the first finds scatter and background
-            beads, scatter, background = _split(kept.at[i], len(rows))
+            beads, scatter, background = _split(kept.at[i], kept.large[i], len(rows))
             fill_light(table, at, beads, scatter, background, optics, behind, effect, columns)
             used = weigh(columns[LIGHT], counting, np.float32(brightest), inverse_sds, inverse_sd)
             fill_slopes(at, optics[0], inverse_sd, behind, effect, columns)
@@ -237,11 +242,15 @@ def _joined(beads, scatter, background, out):
 
 
 @exact
-def _split(parameters, count):
-    """Return beads (`count`, BEAD_TERMS), scatter and background of what `_joined` wrote."""
+def _split(parameters, large, count):
+    """Return beads (`count`, BEAD_LARGE + 1), scatter and background of what `_joined` wrote."""
     at = BEAD_TERMS * count
     last = at + SCATTER_TERMS
-    beads = parameters[:at].copy().reshape(count, BEAD_TERMS)
+    beads = np.empty((count, BEAD_LARGE + 1))
+    for k in range(at):
+        beads[k // BEAD_TERMS, k % BEAD_TERMS] = parameters[k]
+    for k in range(count):
+        beads[k, BEAD_LARGE] = large[k]
     return beads, parameters[at:last].copy(), parameters[last : last + BACKGROUND_TERMS].copy()
 
 
@@ -315,7 +324,7 @@ def step_part(part, parts, pixels, mask, lowest, ceiling, reach_px, dark, sharpe
             data[k] = _inner(slopes[k], rest)
             gradient[k] = data[k] + kept.pull[i, k]
         substitute(kept.lower[i, :size, :size], gradient, step)
-        beads, scatter, background = _split(kept.at[i, :size] + step, count)
+        beads, scatter, background = _split(kept.at[i, :size] + step, kept.large[i], count)
         brighter = _inner(rest, model) / _inner(model, model)
         if abs(brighter) > _MAX_LEVEL or not _is_near(beads, step, reach_px[i]):
             continue

@@ -4,13 +4,16 @@ from copy import copy
 
 import numpy as np
 
-from sightline.detection.columns import AXIAL, BLUR, CONTRAST, COUNT, DIAGONAL, RADIUS
+from sightline.detection.columns import AXIAL, BLUR, CONTRAST, COUNT, DIAGONAL, LARGE, RADIUS
 from sightline.detection.fit import PRIOR_SD, fit_part
 from sightline.detection.noise import LAGS, NoiseModel
 from sightline.detection.profile import profile_table
 from sightline.detection.sharpen import Sharpening, design, noise_blur_px
 from sightline.threads import in_parts
 
+# Radius over the usual one from which, and up to which, a ball becomes a large one (5 instead of 3 mm). Balls of one
+# size on two plates differ by 1.2, by the distances from the source [ours].
+_LARGE_FROM, _LARGE_AT = 1.2, 1.4
 _BLUR_PX = 1.0  # initial value: detector 0.9, focal spot and pixel [physics.md]
 
 
@@ -19,6 +22,9 @@ def start(uv_px: np.ndarray, radius_px: np.ndarray, response: np.ndarray) -> np.
     rows = np.zeros((len(uv_px), COUNT))
     rows[:, :2], rows[:, RADIUS], rows[:, CONTRAST] = uv_px, radius_px, response
     rows[:, BLUR] = np.minimum(_BLUR_PX, 0.4 * radius_px)
+    if len(rows) > 0:
+        larger = radius_px / np.median(radius_px)
+        rows[:, LARGE] = np.clip((larger - _LARGE_FROM) / (_LARGE_AT - _LARGE_FROM), 0.0, 1.0)
     return rows
 
 

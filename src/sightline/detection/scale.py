@@ -83,8 +83,8 @@ def _scaled_shadows(
 ) -> np.ndarray | None:
     if shadows is None:
         return None
-    uv_px, blur_px, ellipticity = np.split(shadows, [2, 3], axis=1)
-    return np.concatenate([to_other(uv_px), factor * blur_px, ellipticity], axis=1)
+    uv_px, blur_px, rest = np.split(shadows, [2, 3], axis=1)
+    return np.concatenate([to_other(uv_px), factor * blur_px, rest], axis=1)
 
 
 def _scaled(

@@ -8,6 +8,8 @@ from sightline.detection.profile import Q_COUNT, Q_STEP, T_COUNT, T_FIRST, T_STE
 # Parameters of a bead's shadow: centre about the first guess and radius, px; blur, px; ellipticity along the axes and
 # along the diagonals.
 BEAD_X, BEAD_Y, BEAD_RADIUS, BEAD_BLUR, BEAD_AXIAL, BEAD_DIAGONAL = range(6)
+# After them, not fitted: the share of a large ball's profile in the shadow's, the rest is a small one's.
+BEAD_LARGE = 6
 # Numbers of parameters: of a bead; of the scatter (light behind the beads that they do not stop, or that bright holes
 # add: level and slopes, shared by all beads of a window); of the background, of which the last four are cubic terms.
 BEAD_TERMS, SCATTER_TERMS, BACKGROUND_TERMS, CUBIC_TERMS = 6, 3, 10, 4
@@ -23,14 +25,21 @@ STOPPED_BY_BALL, STOPPED_BY_HOLE = np.float32(0.87), np.float32(0.0)
 
 
 @part_of_caller
-def _profile_row(table, radius, blur, row):
-    """Fill `row` (2, T_COUNT) with the profile of this radius and blur, and its derivative by blur over radius."""
+def _profile_row(tables, bead, row):
+    """Fill `row` (2, T_COUNT) with a bead's profile, and its derivative by blur over radius."""
+    radius, blur, large = bead[BEAD_RADIUS], bead[BEAD_BLUR], bead[BEAD_LARGE]
+    table = tables[0]
     y = min(max(blur / radius / Q_STEP - 1.0, 0.0), Q_COUNT - 1.001)
     i = int(y)
     b = y - i
     for j in range(T_COUNT):
         row[0, j] = table[i, j] + (table[i + 1, j] - table[i, j]) * b
         row[1, j] = (table[i + 1, j] - table[i, j]) / Q_STEP
+    if large > 0.0 and len(tables) > 1:
+        table = tables[1]
+        for j in range(T_COUNT):
+            row[0, j] += large * (table[i, j] + (table[i + 1, j] - table[i, j]) * b - row[0, j])
+            row[1, j] += large * ((table[i + 1, j] - table[i, j]) / Q_STEP - row[1, j])
 
 
 @part_of_caller
@@ -79,11 +88,12 @@ def _shadow(row, at, bead, out, slopes):
 
 
 @fast
-def fill_light(table, at, beads, scatter, background, optics, behind, effect, columns):  # noqa: PLR0917
+def fill_light(tables, at, beads, scatter, background, optics, behind, effect, columns):  # noqa: PLR0917
     """Fill `columns` with the residual, the model's light and the background, and with what `fill_slopes` needs.
 
-    `at` (3, N): x, y, measured value; `scatter` (3,): level and slopes; `optics`: one over the window's reach, the
-    share that a bead stops, and the squared blur that background and shadow went through together.
+    `tables`: as of `profile_table`; `at` (3, N): x, y, measured value; `scatter` (3,): level and slopes; `optics`: one
+    over the window's reach, the share that a bead stops, and the squared blur that background and shadow went through
+    together.
 
     Filled are: `columns` (BEAD_TERMS K + SCATTER_TERMS + BACKGROUND_TERMS + 3, N), of which the first BEAD_TERMS K
     rows receive the derivatives of each bead's share; `effect` (K, N): derivative of the light by each share;
@@ -113,7 +123,7 @@ def fill_light(table, at, beads, scatter, background, optics, behind, effect, co
         bright[n] = low + a * b * (g4 + a * g7 + b * g8)
     left[:], clear[:], left_x[:], left_y[:] = one, one, 0.0, 0.0
     for k in range(count):
-        _profile_row(table, beads[k, BEAD_RADIUS], beads[k, BEAD_BLUR], row)
+        _profile_row(tables, beads[k], row)
         _shadow(row, at, beads[k], columns[BEAD_TERMS * k : BEAD_TERMS * k + BEAD_TERMS], slopes[k])
         for n in range(pixels):
             left[n] *= one - stopped * slopes[k, 0, n]
