@@ -202,15 +202,17 @@ def _of(planned: "DemoPlan[RehearsedPatient]") -> str:
 
 
 def _physics(planned: "DemoPlan[RehearsedPatient]", wire_mm: "np.ndarray") -> "tuple[Deviation, ...]":
-    """Return the true deviations of a wire (2, 3) from the plan and from the ideal wire; of a drill that goes past its
-    end point, at the end point."""
+    """Return the true deviations of a wire (2, 3) from the plan, from the ideal wire, and from the points that were
+    picked, if any were; of a drill that goes past its end point, at the end point."""
     import numpy as np
 
     from sightline.case.report.drilled import Deviation
     from sightline.rehearsal.operation import InsertionOutcome
 
     ideal_mm, past = planned.rehearsal.ideal_mm[planned.key], planned.plan.kind.limits.beyond_mm > 0
-    lines = (("the plan", planned.plan.trajectory.points.xyz_mm), ("the ideal wire", ideal_mm))
+    lines = [("the plan", planned.plan.trajectory.points.xyz_mm), ("the ideal wire", ideal_mm)]
+    if planned.asked.nail is None:
+        lines.append(("the picked points, as in the check shot", planned.rehearsal.picked_mm(planned.plan)))
     ends = {name: _beside(wire_mm, line) if past else wire_mm for name, line in lines}
     found = [(name, InsertionOutcome.of(ends[name], line)) for name, line in lines]
     return tuple(Deviation(name, one.entry_mm, one.end_mm, float(np.rad2deg(one.angle_rad))) for name, one in found)

@@ -33,7 +33,6 @@ from sightline.planning.trajectory import Trajectory
 STILL_MM, STILL_RAD = 1.0, float(np.deg2rad(0.5))
 _FREE_MM, _FREE_RAD = 100.0, 1.0
 MIN_REDUNDANCY = 1e-3  # redundancy number below which an observation cannot be tested by the others [ours]
-_FREE_PX = 1e3  # s.d. across a snapped pick's curve, where it measures nothing
 _OUTSIDE_MM = 15.0  # length of wire outside the entry point that is used: further out it may be bent [ours]
 
 
@@ -58,8 +57,8 @@ class Adjustment:
         self._known, self._curve_terms = known, 2 if known.straight else CURVE
         self._trajectory, self._landmarks, self._views, self._n = trajectory, landmarks, views, len(landmarks)
         self._axes = np.vstack([np.linalg.svd(trajectory.direction[None])[2][1:], trajectory.direction])
-        ends, spread, across = stack(picks)
-        self._pick_px2 = spread + _FREE_PX**2 * across[..., :, None] * across[..., None, :]
+        of_plan = stack(picks)
+        ends, self._pick_px2 = of_plan.uv_px, of_plan.unbound()
         planned_px = np.full((len(ends), self._n + 2, 2), np.nan)
         planned_px[:2, : self._n], planned_px[:, self._n :] = landmarks.planned_uv_px, ends
         self._shown = np.isfinite(planned_px[..., 0])  # (V, N + 2): which points the plan's views show

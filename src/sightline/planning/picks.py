@@ -10,6 +10,7 @@ from sightline.errors import UnusableInputError
 
 # Standard deviation of a careful click, per axis: the default of every pick (physics.md, Picks) [ours].
 DEFAULT_PICK_SD_PX = 0.5
+_FREE_PX = 1e3  # s.d. across a snapped pick's curve, where it measures nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,11 @@ class PickArrays(NamedTuple):
         more = count - len(self.uv_px), self.uv_px.shape[1]
         filled = np.full((*more, 2), np.nan), np.tile(np.eye(2), (*more, 1, 1)), np.zeros((*more, 2))
         return PickArrays(*(np.concatenate(pair) for pair in zip(self, filled, strict=True)))
+
+    def unbound(self) -> np.ndarray:
+        """Return the covariances (V, N, 2, 2), px², of free picks that measure nothing across their curves."""
+        across = self.across_px
+        return self.covariance_px2 + _FREE_PX**2 * across[..., :, None] * across[..., None, :]
 
     def regular(self) -> "PickArrays":
         """Return the picks with a variance above zero across their curves, which keeps matrices regular; it is not

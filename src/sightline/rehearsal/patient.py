@@ -17,7 +17,8 @@ from sightline.case.views import NAMES as VIEWS
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.interlocking import NailDrawn
-from sightline.planning import Aids, Nail, Procedure, WirePicks
+from sightline.planning import Aids, Nail, Plan, Procedure, WirePicks
+from sightline.planning.picks import stack
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import document_of
 from sightline.rehearsal.check_images import CheckImages
@@ -117,6 +118,22 @@ class RehearsedPatient:
     def pixels(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return the true pixels (2, N, 2) of points (N, 3), CFCS, in both images."""
         return np.stack([self.setup.views[name].project(xyz_mm) for name in VIEWS])
+
+    def picked_mm(self, plan: Plan) -> np.ndarray:
+        """Return the points (2, 3), CFCS, that a plan's picks show in the true geometry of both images.
+
+        A check shot measures a wire against these: errors of the plan's calibration are not in its figures.
+        """
+        from scipy.optimize import least_squares
+
+        picks = stack(plan.picks)
+        whitening = np.linalg.inv(np.linalg.cholesky(picks.unbound()))
+
+        def residuals(xyz_mm: np.ndarray) -> np.ndarray:
+            off_px = self.pixels(xyz_mm.reshape(2, 3)) - picks.uv_px
+            return (whitening @ off_px[..., None]).ravel()
+
+        return least_squares(residuals, plan.trajectory.points.xyz_mm.ravel()).x.reshape(2, 3)
 
     @cached_property
     def landmarks(self) -> dict[str, np.ndarray]:
