@@ -5,6 +5,7 @@ import pytest
 
 from sightline.calibration import fit_map
 from sightline.errors import CalibrationRefusedError
+from sightline.fitting import kriging
 from sightline.fitting.kernels import squared_distances, squared_exponential
 from sightline.fitting.kriging import Kriging, PlanarKriging
 from sightline.fitting.robust import median, variance_ratio
@@ -98,6 +99,19 @@ def test_without_unknowns_it_is_simple_kriging(covariance, planar) -> None:
     own = np.diag(np.linalg.inv(covariance))
     np.testing.assert_allclose(made.left_out().residual, made.dual / own[:, None], rtol=1e-9)
     np.testing.assert_allclose(made.left_out().variance, 1 / own, rtol=1e-9)
+
+
+def test_many_data_are_fitted_as_few_are(monkeypatch, points, covariance, planar) -> None:
+    """Fails where one of both ways, by elimination and by LAPACK, takes the factor for its inverse."""
+    few = Kriging.of(planar["design"], covariance, planar["data"])
+    monkeypatch.setattr(kriging, "_AT_ONCE", N - 1)
+    many = Kriging.of(planar["design"], covariance, planar["data"])
+    assert few.inverted
+    assert not many.inverted
+    for name in ("white", "r", "theta", "dual", "solved", "_inverse"):
+        np.testing.assert_allclose(getattr(few, name), getattr(many, name), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(few.precision(), many.precision(), rtol=1e-9)
+    np.testing.assert_allclose(few.solved, np.linalg.solve(covariance, planar["design"]).T, rtol=1e-8, atol=1e-9)
 
 
 def test_pairs_of_one_column_are_left_out_alike(covariance, planar) -> None:

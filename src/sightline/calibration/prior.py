@@ -11,11 +11,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from heapq import heappop, heappush
+from math import isnan
 
 import numpy as np
 
 from sightline.calibration.polynomial import monomials
-from sightline.fitting.dense import factor, fast
+from sightline.fitting.dense import PIVOTS, STRIDE, eliminate, factor, fast
 from sightline.fitting.kernels import squared_distances, squared_exponential
 from sightline.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
 
@@ -32,6 +33,11 @@ MAX_LOG_RATIO = 15.0  # smaller weights, exp(-this) of the largest, change no di
 # Where no noise is stated: centres picked by hand have errors of 0.1 to 1 px [ours]; log-normal.
 NOISE_SCALES_PX = np.geomspace(0.03, 3.0, 9)
 NOISE_MEDIAN_PX, NOISE_SPREAD = 0.3, 0.8
+# Log density of the hyper-prior (lengths, amplitudes, 1).
+_HYPER = (
+    -0.5 * (np.log(LENGTHS / LENGTH_MEDIAN) / LENGTH_SPREAD)[:, None, None] ** 2
+    - 0.5 * (np.log(AMPLITUDES / AMPLITUDE_MEDIAN) / AMPLITUDE_SPREAD)[:, None] ** 2
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +98,12 @@ class Kernel:
             out += variance * basis.rough[length]
         return out
 
-    def quintic_of(self, b: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the polynomial coefficients (21, c) of degree 4 and 5 in kernel(., b) @ weights (M, c)."""
-        return self.quintic_mm2 * (_quintics() @ (_quintics().T @ (monomials(b, QUINTIC).T @ weights)))
+    def quintic_of(self, whole: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return the polynomial coefficients (21, c) of degree 4 and 5 in kernel(., b) @ weights (M, c).
+
+        `whole` (M, 21): the monomials at b.
+        """
+        return self.quintic_mm2 * (_quintics() @ (_quintics().T @ (whole.T @ weights)))
 
 
 @lru_cache(maxsize=1)
@@ -162,18 +171,16 @@ def learn(data: PriorData, noise_scales: np.ndarray | None = None) -> Learned:
     rest = data.data_mm - data.design @ solve_lower_transposed(r, solve_lower(r, data.design.T @ data.data_mm))
     columns = [data.design, rest, np.swapaxes(data.shared, 1, 2).reshape(len(rest), -1)]
     rows = np.ascontiguousarray(np.concatenate(columns, axis=1).T)
-    hyper = -0.5 * (np.log(LENGTHS / LENGTH_MEDIAN) / LENGTH_SPREAD)[:, None, None] ** 2
-    hyper = hyper - 0.5 * (np.log(AMPLITUDES / AMPLITUDE_MEDIAN) / AMPLITUDE_SPREAD)[:, None] ** 2
-    hyper = hyper - (0 if noise_scales is None else 0.5 * (np.log(scales / NOISE_MEDIAN_PX) / NOISE_SPREAD) ** 2)
+    hyper = _HYPER if noise_scales is None else _HYPER - 0.5 * (np.log(scales / NOISE_MEDIAN_PX) / NOISE_SPREAD) ** 2
 
     def score(at: tuple[int, ...]) -> float:
         i, j, k = at
         diagonal = scales[k] ** 2 * data.noise_mm2 + data.frame_mm2
         amplitude2 = float(AMPLITUDES[j] * data.radius_mm) ** 2
         evidence = _log_evidence(shapes[i], amplitude2, diagonal, rows, data.design.shape[1])
-        if np.isnan(evidence):
+        if isnan(evidence):
             raise np.linalg.LinAlgError("a matrix is not positive definite")
-        return evidence + hyper[at]
+        return float(evidence + hyper[at])
 
     weight = _weights(score, hyper)
     squares = weight.sum(axis=2) @ (AMPLITUDES * data.radius_mm) ** 2
@@ -187,19 +194,21 @@ def _weights(score: Callable[[tuple[int, ...]], float], hyper: np.ndarray) -> np
     Best-first search from the maximum of `hyper`: only the neighbours of points with some weight are evaluated. The
     evidence has one ridge (a larger amplitude reduces the misfit but adds freedom), so most of the grid is not.
     """
-    scores = np.full(hyper.shape, -np.inf)
     first = tuple(int(k) for k in np.unravel_index(np.argmax(hyper), hyper.shape))
-    scores[first] = score(first)
-    queue = [(-scores[first], first)]
-    while queue and -queue[0][0] > scores.max() - MAX_LOG_RATIO:
+    known = {first: score(first)}
+    queue, best = [(-known[first], first)], known[first]
+    while queue and -queue[0][0] > best - MAX_LOG_RATIO:
         at = heappop(queue)[1]
         for axis, size in enumerate(hyper.shape):
             for k in range(max(at[axis] - 1, 0), min(at[axis] + 2, size)):
                 near = (*at[:axis], k, *at[axis + 1 :])
-                if scores[near] == -np.inf:
-                    scores[near] = score(near)
-                    heappush(queue, (-scores[near], near))
-    weight = np.exp(scores - scores.max())
+                if near not in known:
+                    known[near] = score(near)
+                    best = max(best, known[near])
+                    heappush(queue, (-known[near], near))
+    weight = np.zeros(hyper.shape)
+    for at, one in known.items():
+        weight[at] = np.exp(one - best)
     return weight / weight.sum()
 
 
@@ -209,15 +218,24 @@ def _log_evidence(shape, amplitude2, diagonal, rows, a):
 
     `rows` (m, N): design (a), data x and y, shared x, y, x, y ... It is NaN where a matrix is not positive definite.
     """
-    n = len(diagonal)
-    lower, gram = np.empty((n, n)), np.empty((len(rows), len(rows)))
+    n, m = len(diagonal), len(rows)
+    first = (n + PIVOTS - 1) // PIVOTS * PIVOTS  # column of the first of the rows
+    matrix = np.zeros((first + m + m % 2, (first + m + STRIDE - 1) // STRIDE * STRIDE))  # [[covariance, rows], [., 0]]
+    for i in range(n, first):
+        matrix[i, i] = 1.0
     for i in range(n):
-        for j in range(i):
-            lower[i, j] = amplitude2 * shape[i, j]
-        lower[i, i] = amplitude2 * shape[i, i] + diagonal[i]
-    if not factor(n, lower):
+        own = matrix[i]
+        for j in range(i, n):
+            own[j] = amplitude2 * shape[i, j]
+        own[i] += diagonal[i]
+        for r in range(m):
+            own[first + r] = rows[r, i]
+    if not eliminate(first, first + m, matrix):
         return np.nan
-    _fill_gram(rows, lower, gram)
+    gram = np.empty((m, m))  # of the rows, times the inverse of the covariance's factor
+    for r in range(m):
+        for c in range(r + 1):
+            gram[r, c] = -matrix[first + c, first + r]
     if not factor(a, gram):
         return np.nan
     both = _without_design(gram, a)
@@ -225,29 +243,12 @@ def _log_evidence(shape, amplitude2, diagonal, rows, a):
         return np.nan
     log_det = 0.0
     for i in range(n):
-        log_det += 4 * np.log(lower[i, i])
+        log_det += 4 * np.log(matrix[i, i])
     for k in range(a):
         log_det += 4 * np.log(gram[k, k])
     for k in range(len(both) - 1):
         log_det += 2 * np.log(both[k, k])
     return -0.5 * (log_det + both[-1, -1] ** 2)
-
-
-@fast
-def _fill_gram(rows, lower, gram):
-    """Fill the lower triangle of `gram` (m, m): the inner products of the rows (m, N) times lower^-1."""
-    white = np.empty(rows.shape)
-    for r in range(len(rows)):
-        for i in range(len(lower)):
-            value = rows[r, i]
-            for k in range(i):
-                value -= lower[i, k] * white[r, k]
-            white[r, i] = value / lower[i, i]
-        for c in range(r + 1):
-            value = 0.0
-            for k in range(len(lower)):
-                value += white[r, k] * white[c, k]
-            gram[r, c] = value
 
 
 @fast

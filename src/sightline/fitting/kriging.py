@@ -5,8 +5,10 @@ from functools import cached_property
 
 import numpy as np
 
-from sightline.fitting.dense import fast
+from sightline.fitting.dense import PIVOTS, STRIDE, eliminate, fast
 from sightline.fitting.triangular import cholesky, inverse_lower, solve_lower, solve_lower_transposed
+
+_AT_ONCE = 400  # numbers whose matrices fit into a core's cache; LAPACK takes more than these in blocks [calc]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,15 +39,18 @@ class LeftOut:
 class Kriging:
     """Generalised least squares with universal kriging.
 
-    `covariance` is cov(g) + cov(noise) (n, n) = factor factor^T; `theta` (m, c) for data (n, c);
-    `dual` (n, c) = V^-1 (z - X theta); `white` (n, m) = factor^-1 X = q r.
+    V = cov(g) + cov(noise) = factor factor^T (n, n); `theta` (m, c) for data (n, c); `dual` (n, c): V^-1 (z - X theta);
+    `white` (n, m) = factor^-1 X; `r` (m, m): the Cholesky factor of white^T white; `solved` (m, n) = X^T V^-1.
+    `lower` (n, n): factor^-1 where `inverted`, else factor.
     """
 
-    factor: np.ndarray
+    lower: np.ndarray
+    inverted: bool
     white: np.ndarray
     r: np.ndarray
     theta: np.ndarray
     dual: np.ndarray
+    solved: np.ndarray
 
     @staticmethod
     def of(design: np.ndarray, covariance: np.ndarray, data: np.ndarray) -> "Kriging":
@@ -53,27 +58,29 @@ class Kriging:
 
         Raises np.linalg.LinAlgError where the covariance is not positive definite or the design is rank-deficient.
         """
-        factor = cholesky(covariance)
-        both = solve_lower(factor, np.concatenate([design, data], axis=1))
-        white, z = both[:, : design.shape[1]], both[:, design.shape[1] :]
+        both, m = np.concatenate([design, data], axis=1), design.shape[1]
+        if inverted := len(both) <= _AT_ONCE:
+            lower, white, solved = _eliminated(covariance, both)
+        else:
+            lower = cholesky(covariance)
+            white = solve_lower(lower, both)
+            solved = solve_lower_transposed(lower, white).T
+        white, z = white[:, :m], white[:, m:]
         r = cholesky(white.T @ white)
         theta = solve_lower_transposed(r, solve_lower(r, white.T @ z))
-        return Kriging(factor, white, r, theta, solve_lower_transposed(factor, z - white @ theta))
+        rest = z - white @ theta
+        dual = lower.T @ rest if inverted else solve_lower_transposed(lower, rest)
+        return Kriging(lower, inverted, white, r, theta, dual, solved[:m])
 
     @cached_property
     def _inverse(self) -> np.ndarray:
         """factor^-1."""
-        return inverse_lower(self.factor)
-
-    @cached_property
-    def _fixed(self) -> np.ndarray:
-        """(m, n): r^-1 white^T."""
-        return solve_lower(self.r, self.white.T)
+        return self.lower if self.inverted else inverse_lower(self.lower)
 
     @cached_property
     def _back(self) -> np.ndarray:
-        """(m, n): `_fixed` factor^-1, so that P = factor^-T factor^-1 - back^T back (see `left_out`)."""
-        return self._fixed @ self._inverse
+        """(m, n): r^-1 X^T V^-1, so that P = factor^-T factor^-1 - back^T back (see `left_out`)."""
+        return solve_lower(self.r, self.solved)
 
     def predict(self, design: np.ndarray, cross: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the weights (k, n) of the data in the prediction of design theta + g, and its covariance (k, k).
@@ -178,6 +185,24 @@ def _products(pairs: np.ndarray) -> np.ndarray:
     """Return the inner products xx, xy and yy (3, N) of pairs of vectors (N, 2, k)."""
     x, y = pairs[:, 0], pairs[:, 1]
     return np.stack([np.einsum("nk,nk->n", a, b) for a, b in ((x, x), (x, y), (y, y))])
+
+
+def _eliminated(covariance: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return factor^-1 (n, n), by columns, factor^-1 columns (n, k) and columns^T covariance^-1 (k, n).
+
+    Raises np.linalg.LinAlgError.
+    """
+    n, k = columns.shape
+    first = -(-n // PIVOTS) * PIVOTS
+    beside = first + k
+    matrix = np.zeros((beside + k % 2, -(-(beside + first) // STRIDE) * STRIDE))
+    matrix[:n, :n], matrix[:n, first:beside] = covariance, columns
+    rows = np.arange(first)
+    matrix[rows, rows + beside] = matrix[rows[n:], rows[n:]] = 1.0
+    if not eliminate(first, beside, matrix):
+        raise np.linalg.LinAlgError("the matrix is not positive definite")
+    inverse = np.asfortranarray(matrix[:n, beside : beside + n])
+    return inverse, matrix[:n, first:beside].copy(), -matrix[first:beside, beside : beside + n]
 
 
 @fast

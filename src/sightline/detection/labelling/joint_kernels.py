@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sightline.detection.compiled import exact_unchecked, fast
-from sightline.fitting.dense import factor
+from sightline.fitting.dense import PIVOTS, STRIDE, eliminate
 from sightline.fitting.robust import MEDIAN_M2
 
 MIN_BEADS = 8  # of each plate [ours]
@@ -63,31 +63,17 @@ class Fitted(NamedTuple):
 class _Work(NamedTuple):
     """What a fit of n beads holds on the way, in arrays with space for all N detections.
 
-    V, the covariance of either coordinate, becomes its Cholesky factor in `matrix` (N, N), with its `inverse`. The
-    derivatives of a bead's coordinates by the focal point are (s, 0, g_x) and (0, s, g_y), so that five vectors r
-    determine the fit: x, y, s, g_x and g_y, `right` (5, N); `solved` (5, N): V^-1 r. `spread` (3, 3): the factor of the
-    covariance of the focal point's step. `m2` (N,): squared leave-one-out Mahalanobis distances of the beads.
+    V is the covariance of either coordinate. The derivatives of a bead's coordinates by the focal point are (s, 0, g_x)
+    and (0, s, g_y), so that five vectors r determine the fit: x, y, s, g_x and g_y. `inverse` (N, N): of V's lower
+    Cholesky factor; `solved` (5, N): V^-1 r; `products` (5, 5): r^T V^-1 r, upper triangle. `spread` (3, 3): the factor
+    of the covariance of the focal point's step. `m2` (N,): squared leave-one-out Mahalanobis distances of the beads.
     """
 
-    matrix: np.ndarray
     inverse: np.ndarray
-    right: np.ndarray
     solved: np.ndarray
+    products: np.ndarray
     spread: np.ndarray
     m2: np.ndarray
-
-
-@fast
-def _inverse(n, lower, out):
-    """Fill the lower triangle of `out` with the inverse of the first n rows of a lower triangular matrix."""
-    for i in range(n):
-        for j in range(i):
-            out[i, j] = 0.0
-        for k in range(i):
-            f = lower[i, k] / lower[i, i]
-            for j in range(k + 1):
-                out[i, j] -= f * out[k, j]
-        out[i, i] = 1.0 / lower[i, i]
 
 
 @fast
@@ -168,42 +154,40 @@ def _fewest(on, places):
 
 @fast
 def _solve(beads, spots, places, fit, growth, work):  # noqa: PLR0917 - a kernel
-    """Fill `matrix`, `inverse`, `right` and `solved` of `work`; return whether V is positive definite."""
-    kernel, xyh, focal, right = spots.kernel, places.xyh, fit.focal, work.right
-    for i in range(len(beads)):
-        row, p = beads[i, 0], beads[i, 1]
-        for j in range(i):
-            work.matrix[i, j] = kernel[row, beads[j, 0]]
-        work.matrix[i, i] = kernel[row, row] + growth * spots.noise[row]
+    """Fill `inverse`, `solved` and `products` of `work`; return whether V is positive definite."""
+    kernel, xyh, focal, n = spots.kernel, places.xyh, fit.focal, len(beads)
+    first = (n + PIVOTS - 1) // PIVOTS * PIVOTS  # column of the first of the vectors
+    matrix = np.zeros((first + 6, (2 * first + 5 + STRIDE - 1) // STRIDE * STRIDE))  # [[V, r, 1], [., 0, 0]]
+    for i in range(first):
+        matrix[i, i] = matrix[i, first + 5 + i] = 1.0
+    for i in range(n):
+        row, p, own = beads[i, 0], beads[i, 1], matrix[i]
+        for j in range(i, n):
+            own[j] = kernel[row, beads[j, 0]]
+        own[i] += growth * spots.noise[row]
         share = xyh[p, 2] / (xyh[p, 2] - focal[2])
-        right[2, i] = places.focal_sd * share
+        own[first + 2] = places.focal_sd * share
         for c in range(2):
-            right[c, i] = fit.target[p, c] - spots.w[row, c]
-            right[3 + c, i] = places.focal_sd * share * (focal[c] - xyh[p, c]) / (xyh[p, 2] - focal[2])
-    if not factor(len(beads), work.matrix):
+            own[first + c] = fit.target[p, c] - spots.w[row, c]
+            own[first + 3 + c] = places.focal_sd * share * (focal[c] - xyh[p, c]) / (xyh[p, 2] - focal[2])
+    if not eliminate(first, first + 5, matrix):
         return False
-    _inverse(len(beads), work.matrix, work.inverse)
+    for i in range(n):
+        work.inverse[i, : i + 1] = matrix[i, first + 5 : first + 6 + i]
     for r in range(5):
-        for j in range(len(beads)):
-            work.solved[r, j] = 0.0
-        for i in range(len(beads)):
-            half = 0.0
-            for j in range(i + 1):
-                half += work.inverse[i, j] * right[r, j]
-            for j in range(i + 1):
-                work.solved[r, j] += half * work.inverse[i, j]
+        for c in range(r, 5):
+            work.products[r, c] = -matrix[first + r, first + c]
+        for j in range(n):
+            work.solved[r, j] = -matrix[first + r, first + 5 + j]
     return True
 
 
 @fast
 def _move(n, places, fit, work):
     """Move the focal point by its step, the targets with it, and take its part from the map; fill `spread`."""
-    (x, y, s, gx, gy), (u, v, a, bx, by) = work.right, work.solved
-    ss, sx, sy, gg = 1.0, 0.0, 0.0, 1.0
-    p = q = r = 0.0
-    for i in range(n):
-        ss, sx, sy, gg = ss + s[i] * a[i], sx + s[i] * bx[i], sy + s[i] * by[i], gg + gx[i] * bx[i] + gy[i] * by[i]
-        p, q, r = p + a[i] * x[i], q + a[i] * y[i], r + bx[i] * x[i] + by[i] * y[i]
+    (u, v, a, bx, by), products = work.solved, work.products
+    ss, sx, sy, gg = 1.0 + products[2, 2], products[2, 3], products[2, 4], 1.0 + products[3, 3] + products[4, 4]
+    p, q, r = products[0, 2], products[1, 2], products[0, 3] + products[1, 4]
     spread = work.spread
     _factor_of_inverse(ss, sx, sy, gg, spread)
     along = (
@@ -248,7 +232,7 @@ def _leave_out(beads, fit, work):
 @fast
 def _predict(n, spots, beads, growth, fit, work):  # noqa: PLR0917 - a kernel
     """Fill place and variance of detection `n`, which is not a bead."""
-    solved, cross, sums = work.solved, work.matrix[0], np.zeros(5)  # V's factor is not needed any more
+    solved, cross, sums = work.solved, np.empty(len(beads)), np.zeros(5)
     for j in range(len(beads)):
         cross[j] = spots.kernel[n, beads[j, 0]]
     for r in range(5):
@@ -297,7 +281,7 @@ def settle(spots, places, focal, on):
     """
     n = len(on)
     fit = Fitted(focal.copy(), np.empty((n, 2)), np.empty(n), np.empty((len(places.xyh), 2)), np.empty((n, 2)))
-    work = _Work(np.empty((n, n)), np.empty((n, n)), np.empty((5, n)), np.empty((5, n)), np.empty((3, 3)), np.empty(n))
+    work = _Work(np.empty((n, n)), np.empty((5, n)), np.empty((5, 5)), np.empty((3, 3)), np.empty(n))
     new, growth = on.copy(), 1.0
     for iteration in range(MAX_FITS if _sees(places, focal) else 0):
         count, before = _step(on, spots, places, fit, growth, work), growth
