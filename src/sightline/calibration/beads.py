@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from sightline.calibration.hull import refuse_collinear
-from sightline.calibration.shadow_centres import at_centres
+from sightline.calibration.shadow_centres import centres_px
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame, Plate
@@ -78,7 +78,7 @@ def _view_covariance(frame: Frame, view: str) -> np.ndarray:
 
 
 def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
-    """Return the observations joined with their frame, at the images of the beads' centres (`at_centres`). `view`: the
+    """Return the observations joined with their frame, at the images of the beads' centres (`centres_px`). `view`: the
     expected view; None: that of the observations.
 
     Raises ObservationsError for another view, an unknown fiducial or an impossible covariance; FrameError where the
@@ -90,9 +90,8 @@ def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
             "check that the PA and the lateral image are not swapped"
         )
     frame_view = frame.view(observations.view)
-    place = {f.id: k for k, f in enumerate(frame_view.fiducials)}
+    place, xyz_mm = _places(frame, observations.view)
     unknown = [i for i in observations.ids if i not in place]
-    observations = at_centres(observations, frame)
     if unknown:
         raise ObservationsError(
             f"view {observations.view!r} of frame {frame.name!r} has no fiducial {', '.join(map(repr, unknown[:5]))}; "
@@ -105,24 +104,35 @@ def match(observations: Observations, frame: Frame, view: str | None) -> Beads:
     if noise is not None:
         noise = noise[order]
         _refuse_stated(noise)
-    xyz = np.concatenate([frame_view.xrii.xyz_mm, frame_view.source.xyz_mm])[rows]
-    ids = tuple(observations.ids[k] for k in order)
+    xyz, uv = xyz_mm[rows], centres_px(observations, frame)[order]
+    ids = tuple(observations.ids[k] for k in order.tolist())
     on_xrii = rows < len(frame_view.xrii.fiducials)
     radius = None if observations.radius_px is None else observations.radius_px[order]
-    beads = Beads(frame, observations.view, ids, observations.uv_px[order], noise, xyz, on_xrii, rows, radius)
+    beads = Beads(frame, observations.view, ids, uv, noise, xyz, on_xrii, rows, radius)
     for mine, plate, name in ((on_xrii, frame_view.xrii, "XRII"), (~on_xrii, frame_view.source, "source")):
-        _refuse_unusable(beads.uv_px[mine], xyz[mine], plate, name)
+        _refuse_unusable(uv[mine], xyz[mine], plate, name)
     return beads
+
+
+@lru_cache(maxsize=16)
+def _places(frame: Frame, view: str) -> tuple[dict[str, int], np.ndarray]:
+    """Return the row of each fiducial of a view by its id, and their coordinates (M, 3), mm."""
+    fiducials = frame.view(view)
+    xyz_mm = np.concatenate([fiducials.xrii.xyz_mm, fiducials.source.xyz_mm])
+    return {one.id: row for row, one in enumerate(fiducials.fiducials)}, xyz_mm
 
 
 def _refuse_stated(covariance_px2: np.ndarray) -> None:
     """Raise ObservationsError for covariances (N, 2, 2) that no measurement has and that give no usable weights."""
-    variances = np.linalg.eigvalsh(covariance_px2)
-    if (variances <= 0).any():
+    u2, v2, uv = covariance_px2[:, 0, 0], covariance_px2[:, 1, 1], covariance_px2[:, 1, 0]
+    middle, apart = (u2 + v2) / 2, np.hypot((u2 - v2) / 2, uv)
+    smallest = float((middle - apart).min(initial=np.inf))
+    largest = float((middle + apart).max(initial=0.0))
+    if not smallest > 0:
         raise ObservationsError(
             "a bead's covariance is not positive definite; give a covariance with variances above zero, in px²"
         )
-    if ((variances < MIN_SD_PX**2) | (variances > MAX_SD_PX**2)).any():
+    if smallest < MIN_SD_PX**2 or largest > MAX_SD_PX**2:
         raise ObservationsError(
             f"a bead's stated error is not between {MIN_SD_PX:g} and {MAX_SD_PX:g} px in every direction; "
             "give variances in px²"

@@ -94,7 +94,7 @@ def smooth_view(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly)
         plane_map=fit.map,
         focal_point_mm=fit.pencil.focal_point_mm,
         residuals=residuals,
-        mirrored=_mirrored(beads, fit.pencil.focal_point_mm),
+        mirrored=_mirrored(beads, fit.map.unit, fit.pencil.focal_point_mm),
         hull=Hull.of(fit.beads.uv_px),
         checks=(*view_checks(beads, residuals), *_joint_checks(fit)),
         frame_key=beads.frame.fingerprint,
@@ -116,6 +116,8 @@ def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -
         noise_px = UNKNOWN_NOISE_PX if joint is None else joint.learned.noise_scale
     fit = fit_plates(beads.where(used), fitter, plate, noise_px, joint)
     residuals = classical_residuals(fit, beads, used)
+    xrii = beads.on_xrii
+    to_plane, _ = Affine.fit(beads.uv_px[xrii], beads.plane.to_plane(beads.xyz_mm[xrii]))
     return BeadView(
         name=beads.view,
         method=method,
@@ -123,7 +125,7 @@ def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -
         plane_map=fit.plate.map,
         focal_point_mm=fit.focal_point_mm,
         residuals=residuals,
-        mirrored=_mirrored(beads, fit.focal_point_mm),
+        mirrored=_mirrored(beads, to_plane, fit.focal_point_mm),
         hull=fit.plate.hull,
         checks=tuple(view_checks(beads, residuals) + _classical_checks(fit.plate.misfit_mm2, joint, noise_px)),
         frame_key=beads.frame.fingerprint,
@@ -133,11 +135,9 @@ def _classical(beads: Beads, method: Method, fitter: Fitter, plate: PlateName) -
     )
 
 
-def _mirrored(beads: Beads, focal_point_mm: np.ndarray) -> bool:
+def _mirrored(beads: Beads, to_plane: Affine, focal_point_mm: np.ndarray) -> bool:
     """Whether the image shows the frame mirrored: u, v and the beam are right-handed (docs/conventions.md)."""
-    plane, xrii = beads.plane, beads.on_xrii
-    to_plane, _ = Affine.fit(beads.uv_px[xrii], plane.to_plane(beads.xyz_mm[xrii]))
-    return bool(np.linalg.det(to_plane.matrix) * plane.height_mm(focal_point_mm) > 0)
+    return to_plane.is_mirrored != bool(beads.plane.height_mm(focal_point_mm) > 0)
 
 
 def _joint_checks(fit: JointFit) -> list[Check]:

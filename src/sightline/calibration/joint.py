@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from sightline.calibration.beads import Beads
-from sightline.calibration.polynomial import Affine, monomial_gradients, monomials, terms
+from sightline.calibration.polynomial import Affine, derivatives, monomials, terms
 from sightline.calibration.posterior import LineErrors
 from sightline.calibration.prior import NOISE_SCALES_PX, Basis, Learned, PriorData, learn
 from sightline.calibration.projection import Pencil, refuse_misplaced
@@ -133,7 +133,8 @@ def _isotropic_step(
     beads: Beads, start: "_Start", data: PriorData, learned: Learned, kernel: np.ndarray
 ) -> tuple[Pencil, SmoothMap]:
     """Make one Gauss-Newton step with isotropic noise: x and y share one matrix, of a quarter of the size."""
-    covariance = kernel + np.diag(learned.noise_scale**2 * data.noise_mm2 + data.frame_mm2)
+    covariance = kernel.copy()
+    np.einsum("ii->i", covariance)[:] += learned.noise_scale**2 * data.noise_mm2 + data.frame_mm2
     solution = PlanarKriging.of(covariance, data.data_mm, design=data.design, columns=data.shared)
     moved = Pencil(beads.plane, start.pencil.pq - np.append(solution.theta[-1], solution.shared))
     refuse_misplaced(moved, beads.xyz_mm)
@@ -150,12 +151,9 @@ def _weighted_step(  # noqa: PLR0917
     slopes: np.ndarray,
 ) -> JointFit:
     """Make one Gauss-Newton step with full weights; a second changes the result negligibly (tests)."""
-    y, by_pq = pencil.linearised(beads.xyz_mm)
+    y, by_pq, jacobian = pencil.expanded(beads.xyz_mm)
     noise = pixel_noise_mm2(beads, slopes, learned.noise_scale)
-    jacobian = pencil.by_point(beads.xyz_mm)
-    covariance = _propagated(beads, jacobian)
-    covariance += diagonal(noise)
-    covariance += twice(kernel)
+    covariance = _propagated(beads, jacobian, noise, kernel)
     design = np.concatenate([twice(basis.monomials[:, :_CUBIC]), -by_pq.reshape(-1, 3)], axis=1)
     solution = Kriging.of(design, covariance, y.reshape(-1, 1))
     theta = solution.theta[:, 0]
@@ -200,7 +198,8 @@ class _Start:
 
     def slopes(self) -> np.ndarray:
         """Return the derivative (N, 2, 2) of the cubic by the pixel, mm/px."""
-        return np.einsum("nkd,kc->ncd", monomial_gradients(self.at, DEGREE), self.cubic) @ self.unit.matrix
+        by_unit = [self.basis @ (by @ self.cubic) for by in derivatives(DEGREE)]
+        return np.stack(by_unit, axis=-1) @ self.unit.matrix
 
     def fixed(self) -> np.ndarray:
         """Return orthonormal rows (23, 2N) that span the design matrix's columns."""
@@ -215,9 +214,9 @@ def _first_pencil(beads: Beads) -> Pencil:
     """
     xrii, source = beads.on_xrii, ~beads.on_xrii
     plane = beads.plane
-    ones = np.ones((len(beads), 1))
-    affine = minimum_norm(np.hstack([beads.uv_px, ones])[xrii], plane.to_plane(beads.xyz_mm[xrii]))
-    y = (np.hstack([beads.uv_px, ones]) @ affine)[source]
+    at = np.ones((len(beads), 3))
+    at[:, :2] = beads.uv_px
+    y = at[source] @ minimum_norm(at[xrii], plane.to_plane(beads.xyz_mm[xrii]))
     x, h = plane.to_plane(beads.xyz_mm[source]), plane.height_mm(beads.xyz_mm[source])
     design = np.zeros((len(y), 2, 3))
     design[:, 0, 0] = design[:, 1, 1] = -h
@@ -227,10 +226,10 @@ def _first_pencil(beads: Beads) -> Pencil:
 
 def _prior_data(beads: Beads, start: _Start) -> PriorData:
     """Return the data from which kernel and noise scale are learned, with isotropic noise for each bead."""
-    y, by_pq = start.pencil.linearised(beads.xyz_mm)
-    slopes = start.slopes()
-    own = np.einsum("iab,ibc,iac->i", slopes, _noise_px2(beads), slopes) / 2
-    frame_mm2 = _frame_variance(beads, start.pencil.by_point(beads.xyz_mm), start.fixed())
+    y, by_pq, by_point = start.pencil.expanded(beads.xyz_mm)
+    noise = pixel_noise_mm2(beads, start.slopes(), 1.0)
+    own = (noise[:, 0, 0] + noise[:, 1, 1]) / 2
+    frame_mm2 = _frame_variance(beads, by_point, start.fixed())
     common = np.column_stack([start.basis, by_pq[:, 0, 0]])
     return PriorData(Basis.of(start.at), common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
 
@@ -265,15 +264,23 @@ def diagonal(blocks: np.ndarray) -> np.ndarray:
     return out.reshape(2 * n, 2 * n)
 
 
-def _propagated(beads: Beads, jacobian: np.ndarray) -> np.ndarray:
-    """Return the covariance (2N, 2N), mm², of J x for the errors x of the beads in the frame, and J (N, 2, 3)."""
-    out = np.empty((2 * len(beads), 2 * len(beads)))
-    _fill_propagated(beads.frame_covariance, beads.rows, np.ascontiguousarray(jacobian), out)
+def _propagated(
+    beads: Beads, jacobian: np.ndarray, noise: np.ndarray | None = None, kernel: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the covariance (2N, 2N), mm², of J x for the errors x of the beads in the frame, and J (N, 2, 3).
+
+    With that of their `noise` (N, 2, 2), and of a `kernel` (N, N) for either coordinate.
+    """
+    n = len(beads)
+    out = np.empty((2 * n, 2 * n))
+    noise = np.zeros((n, 2, 2)) if noise is None else noise
+    kernel = np.zeros((n, n)) if kernel is None else kernel
+    _fill_propagated(beads.frame_covariance, beads.rows, np.ascontiguousarray(jacobian), noise, kernel, out)
     return out
 
 
 @fast
-def _fill_propagated(covariance, rows, jacobian, out):
+def _fill_propagated(covariance, rows, jacobian, noise, kernel, out):  # noqa: PLR0917 - a kernel
     """Fill `out` from the covariance (3M, 3M) of all beads of the view, of which the rows, in order, are used."""
     half = np.empty((2, len(covariance)))
     for i in range(len(rows)):
@@ -287,7 +294,8 @@ def _fill_propagated(covariance, rows, jacobian, out):
             for a in range(2):
                 for c in range(2):
                     value = half[a, k] * jacobian[j, c, 0] + half[a, k + 1] * jacobian[j, c, 1]
-                    value += half[a, k + 2] * jacobian[j, c, 2]
+                    value += half[a, k + 2] * jacobian[j, c, 2] + (kernel[i, j] if a == c else 0.0)
+                    value += noise[i, a, c] if i == j else 0.0
                     out[2 * i + a, 2 * j + c] = out[2 * j + c, 2 * i + a] = value
 
 

@@ -23,11 +23,19 @@ class Affine:
     @staticmethod
     def fit(uv_px: np.ndarray, xy_mm: np.ndarray) -> tuple["Affine", float]:
         """Return the least-squares affine map of controls (N, 2), scaled to the unit disc, and its radius, mm."""
-        centre = uv_px.mean(axis=0)
-        matrix = minimum_norm(uv_px - centre, xy_mm - xy_mm.mean(axis=0)).T
-        mapped = (uv_px - centre) @ matrix.T
+        n = len(uv_px)
+        centre = uv_px.sum(axis=0) / n
+        off_px = uv_px - centre
+        matrix = minimum_norm(off_px, xy_mm - xy_mm.sum(axis=0) / n).T
+        mapped = off_px @ matrix.T
         radius = float(np.sqrt((mapped**2).sum(axis=1).max()))
         return Affine(centre, matrix / radius), radius
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether it changes the handedness."""
+        (a, b), (c, d) = self.matrix.tolist()
+        return a * d < b * c
 
     def __call__(self, uv_px: np.ndarray) -> np.ndarray:
         """Return the unit coordinates (N, 2) of pixels (N, 2)."""

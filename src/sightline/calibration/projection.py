@@ -45,8 +45,7 @@ class Pencil:
 
     def project(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return the plane coordinates (N, 2), mm, of points (N, 3), CFCS."""
-        h = self.plane.height_mm(xyz_mm)[:, None]
-        return (self.plane.to_plane(xyz_mm) - h * self.pq[:2]) / (1 - h * self.pq[2])
+        return self._placed(xyz_mm)[0]
 
     def by_pq(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return (N, 2, 3): the derivative of `project` by pq."""
@@ -54,12 +53,8 @@ class Pencil:
 
     def linearised(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `project` and `by_pq`."""
-        y, h = self.project(xyz_mm), self.plane.height_mm(xyz_mm)
-        reach = h / (1 - h * self.pq[2])
-        out = np.zeros((len(h), 2, 3))
-        out[:, 0, 0] = out[:, 1, 1] = -reach
-        out[:, :, 2] = reach[:, None] * y
-        return y, out
+        y, h, depth = self._placed(xyz_mm)
+        return y, _by_pq(y, h / depth)
 
     def by_point(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return (N, 2, 3): the derivative of `project` by the points."""
@@ -67,11 +62,30 @@ class Pencil:
 
     def projected(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return `project`, `by_point`, and (N,) the depth of the points from F over that of the plane."""
+        y, _, depth = self._placed(xyz_mm)
+        return y, self._by_point(y, depth), depth
+
+    def expanded(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return `project`, `by_pq` and `by_point`."""
+        y, h, depth = self._placed(xyz_mm)
+        return y, _by_pq(y, h / depth), self._by_point(y, depth)
+
+    def _placed(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return `project`, and the points' heights (N,), mm, and depths (N,) from F, over that of the plane."""
         h = self.plane.height_mm(xyz_mm)
         depth = 1 - h * self.pq[2]
-        y = (self.plane.to_plane(xyz_mm) - h[:, None] * self.pq[:2]) / depth[:, None]
+        return (self.plane.to_plane(xyz_mm) - h[:, None] * self.pq[:2]) / depth[:, None], h, depth
+
+    def _by_point(self, y: np.ndarray, depth: np.ndarray) -> np.ndarray:
         lift = self.pq[2] * y - self.pq[:2]
-        return y, (self.plane.axes + lift[:, :, None] * self.plane.normal) / depth[:, None, None], depth
+        return (self.plane.axes + lift[:, :, None] * self.plane.normal) / depth[:, None, None]
+
+
+def _by_pq(y: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    out = np.zeros((len(y), 2, 3))
+    out[:, 0, 0] = out[:, 1, 1] = -reach
+    out[:, :, 2] = reach[:, None] * y
+    return out
 
 
 def refuse_misplaced(pencil: Pencil, xyz_mm: np.ndarray) -> None:
@@ -80,12 +94,13 @@ def refuse_misplaced(pencil: Pencil, xyz_mm: np.ndarray) -> None:
     It may lie on either side of both planes.
     """
     ratio = pencil.plane.height_mm(xyz_mm) * pencil.pq[2]
-    if not (1 - ratio > MIN_SOURCE_DISTANCE).all():
+    largest, smallest = float(ratio.max()), float(ratio.min())
+    if not 1 - largest > MIN_SOURCE_DISTANCE:
         raise CalibrationRefusedError(
             "the beads put the X-ray source between the plates; check that the labels of the two plates are not "
             "exchanged, and that frame and view are those in the image"
         )
-    if not np.abs(ratio).max() > MIN_PARALLAX:
+    if not max(largest, -smallest) > MIN_PARALLAX:
         raise CalibrationRefusedError(
             "the beads put the X-ray source at infinity: the plates' images show no parallax; check that both plates "
             "are in the image and that their distance in the frame file is correct"

@@ -27,13 +27,12 @@ _RIM = np.stack([np.cos(_AROUND), np.sin(_AROUND)], axis=-1)
 
 @dataclass(frozen=True, eq=False)
 class _Balls:
-    """The M balls of a plate, the same for every image: `place`, by id, in `xy_mm` (M, 2).
+    """The M balls of a plate, the same for every image, at `xy_mm` (M, 2).
 
     Polynomials are of (xy - `centre_mm`) / `half_mm`; `basis` (M, terms): their monomials at the balls' centres, `rims`
     (M, K, terms): at points on the balls' rims.
     """
 
-    place: dict[str, int]
     xy_mm: np.ndarray
     centre_mm: np.ndarray
     half_mm: float
@@ -48,9 +47,8 @@ class _Balls:
         centre, half = xy.mean(axis=0), float(np.ptp(xy)) / 2
         at, reach = (xy - centre) / half, np.array([one.diameter_mm for one in plate.fiducials]) / (2 * half)
         rims = (at[:, None] + reach[:, None, None] * _RIM).reshape(-1, 2)
-        place = {name: k for k, name in enumerate(plate.ids)}
         rims_basis = monomials(rims, degree).reshape(len(xy), len(_RIM), -1)
-        return cls(place, xy, centre, half, degree, monomials(at, degree), rims_basis)
+        return cls(xy, centre, half, degree, monomials(at, degree), rims_basis)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,14 +56,13 @@ class _PlateMap:
     """Polynomial map from a plate to pixels, fitted to its balls `on` (N,)."""
 
     balls: _Balls
-    on: list[int]
+    on: np.ndarray
     coefficients: np.ndarray
 
     @classmethod
-    def fit(cls, balls: _Balls, ids: list[str], uv_px: np.ndarray, sd_px: np.ndarray) -> Self:
-        """Return the map of the balls `ids` (N), weighted by the s.d. (N,) of their centres."""
+    def fit(cls, balls: _Balls, on: np.ndarray, uv_px: np.ndarray, sd_px: np.ndarray) -> Self:
+        """Return the map of the balls `on` (N,), weighted by the s.d. (N,) of their centres."""
         weight = 1.0 / sd_px[:, None]
-        on = [balls.place[name] for name in ids]
         return cls(balls, on, minimum_norm(weight * balls.basis[on], weight * uv_px))
 
     def __call__(self, xy_mm: np.ndarray) -> np.ndarray:
@@ -77,8 +74,9 @@ class _PlateMap:
 
     def own_shift_px(self) -> np.ndarray:
         """Return (N, 2): `shift_px` of the balls that it is fitted to."""
-        rims = self.balls.rims[self.on] @ self.coefficients
-        return centroids(rims) - self.balls.basis[self.on] @ self.coefficients
+        basis, rims = self.balls.basis, self.balls.rims
+        bent = (rims.reshape(-1, rims.shape[2]) @ self.coefficients).reshape(*rims.shape[:2], 2)
+        return centroids(bent[self.on]) - basis[self.on] @ self.coefficients
 
     def located(self, uv_px: np.ndarray, controls_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return where pixels (N, 2) are on the plate, mm, and the scale there (N,), px/mm. `controls_px`: the plate's
@@ -106,25 +104,42 @@ def at_centres(seen: Observations, frame: Frame) -> Observations:
     Observations without `radius_px` are of points, and of a solid without a plate those of a flat panel: they stay as
     they are. So do the balls of a plate of which fewer than 18 are seen.
     """
+    uv_px = centres_px(seen, frame)
+    return seen if uv_px is seen.uv_px else replace(seen, uv_px=uv_px)
+
+
+def centres_px(seen: Observations, frame: Frame) -> np.ndarray:
+    """Return the pixels (N, 2) of `at_centres`."""
     if seen.radius_px is None:
-        return seen
+        return seen.uv_px
     sd_px = np.full(len(seen), _FLOOR_PX)
     if seen.covariance_px2 is not None:
-        sd_px = np.sqrt(np.trace(seen.covariance_px2, axis1=1, axis2=2) / 2 + _FLOOR_PX**2)
+        sd_px = np.sqrt((seen.covariance_px2[:, 0, 0] + seen.covariance_px2[:, 1, 1]) / 2 + _FLOOR_PX**2)
     uv_px = seen.uv_px.copy()
     for k, plate in enumerate(_plates(frame, seen.view)):
-        there = set(plate.ids)
-        mine = np.array([name in there for name in seen.ids], dtype=bool)
-        degree = max((d for d in range(MAX_DEGREE + 1) if BALLS_PER_TERM * terms(d) <= mine.sum()), default=0)
+        place = _place(frame, seen.view, k)
+        on = np.array([place.get(name, -1) for name in seen.ids], dtype=int)
+        mine = on >= 0
+        degree = _degree(int(np.count_nonzero(mine)))
         if degree < 2:  # it could not bend
             continue
-        ids = [name for name in seen.ids if name in there]
-        bent = _PlateMap.fit(_balls(frame, seen.view, k, degree), ids, seen.uv_px[mine], sd_px[mine])
+        bent = _PlateMap.fit(_balls(frame, seen.view, k, degree), on[mine], seen.uv_px[mine], sd_px[mine])
         uv_px[mine] -= bent.own_shift_px()
         if plate is frame.detector and not mine.all():  # all shadows fall through it
             at, per_mm = bent.located(seen.uv_px[~mine], seen.uv_px[mine])
             uv_px[~mine] -= bent.shift_px(at, seen.radius_px[~mine] / per_mm)
-    return replace(seen, uv_px=uv_px)
+    return uv_px
+
+
+def _degree(balls: int) -> int:
+    """Return the degree of the polynomial that is fitted to so many balls."""
+    return max((d for d in range(MAX_DEGREE + 1) if BALLS_PER_TERM * terms(d) <= balls), default=0)
+
+
+@lru_cache(maxsize=32)
+def _place(frame: Frame, view: str, plate: int) -> dict[str, int]:
+    """Return the index of each ball of one of `_plates` by its id."""
+    return {name: k for k, name in enumerate(_plates(frame, view)[plate].ids)}
 
 
 @lru_cache(maxsize=32)

@@ -59,7 +59,7 @@ class SmoothMap:
         if self.basis is None:
             xy, jacobian = self._linearised(self.controls_px)
         else:
-            rough = np.hstack([self.basis.rough[length] for length in self.kernel.lengths.tolist()])
+            rough = np.concatenate([self.basis.rough[length] for length in self.kernel.lengths.tolist()], axis=1)
             xy, jacobian = self._of_terms(self._sums(self.basis.monomials, rough), self.controls_unit)
         xy.flags.writeable = jacobian.flags.writeable = False
         return xy, jacobian
@@ -100,21 +100,24 @@ class SmoothMap:
     @cached_property
     def _rough(self) -> np.ndarray:
         """(lengths * N, 8): coefficients of the process's exponentials in `_terms`."""
-        moments = (self.controls_unit[:, None, :] * self.dual[:, :, None]).reshape(-1, 4)
-        return np.vstack(
-            [
-                variance * np.hstack([self.dual, moments / length**2, self.dual / length**2])
-                for variance, length in zip(self.kernel.variances_mm2, self.kernel.lengths, strict=True)
-            ]
-        )
+        own = np.empty((len(self.dual), 8))
+        own[:, :2] = own[:, 6:] = self.dual
+        own[:, 2:6] = (self.controls_unit[:, None, :] * self.dual[:, :, None]).reshape(-1, 4)
+        out = np.empty((len(self.kernel.lengths), *own.shape))
+        for k, (variance, length) in enumerate(zip(self.kernel.variances_mm2, self.kernel.lengths, strict=True)):
+            out[k, :, :2], out[k, :, 2:] = variance * own[:, :2], variance / length**2 * own[:, 2:]
+        return out.reshape(-1, 8)
 
     @cached_property
     def _polynomial(self) -> np.ndarray:
         """(21, 8): coefficients of the monomials in `_terms`: the cubic and the process's degrees 4 and 5."""
-        whole = self.kernel.quintic_of(self.controls_unit, self.dual)
-        whole[: len(self.cubic)] += self.cubic
-        slopes = np.stack([by @ whole for by in derivatives(QUINTIC)], axis=-1)
-        return np.hstack([whole, slopes.reshape(-1, 4), np.zeros_like(whole)])
+        whole = monomials(self.controls_unit, QUINTIC) if self.basis is None else self.basis.monomials
+        out = np.zeros((whole.shape[1], 8))
+        out[:, :2] = self.kernel.quintic_of(whole, self.dual)
+        out[: len(self.cubic), :2] += self.cubic
+        for k, by in enumerate(derivatives(QUINTIC)):
+            out[:, 2 + k : 6 : 2] = by @ out[:, :2]
+        return out
 
     def _blocks(self, uv_px: np.ndarray) -> list[np.ndarray]:
         """Return the unit coordinates in blocks, so that the kernel of millions of pixels is never held at once."""
