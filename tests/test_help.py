@@ -70,10 +70,10 @@ def test_a_room_is_an_attribute_and_comes_when_it_is_used() -> None:
 
 
 @pytest.mark.slow
-def test_a_view_of_an_array_needs_neither_pydicom_nor_pydantic() -> None:
+def test_a_view_of_an_array_needs_no_pydicom_no_pydantic_and_no_geometry_of_scipy() -> None:
     """They take a fifth of the time and of the memory of a first view; an import at the top of a module fails this."""
     program = "import sys, numpy, sightline as sl; sl.Frame.load('gamma'); sl.Radiograph(numpy.ones((64, 64)), 1.0); "
     program += "import sightline.detection, sightline.calibration; "
-    program += "print(*sorted({'pydicom', 'pydantic'} & set(sys.modules)))"
+    program += "print(*sorted({'pydicom', 'pydantic', 'scipy.spatial'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)  # noqa: S603
     assert not done.stdout.strip()

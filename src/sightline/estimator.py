@@ -30,7 +30,8 @@ CHANGES = {
     15: "the shadow of a ball much larger than most has the profile of one of 5 mm; the stated error before a clipped "
     "background is smaller by that; the second look fits labelled beads again whose light was not explained, and metal "
     "in their windows; it takes blur and shape of the shadows from detection's own fits, before from a repetition of "
-    "them, and predicts a bead's size from all neighbours that are equally near, among which rounding chose before",
+    "them, and predicts a bead's size from all neighbours that are equally near, among which rounding chose before; "
+    "of readings of a lattice that fit equally well labelling tries the first by the beads' order, not a search tree's",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

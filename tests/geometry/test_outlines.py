@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from sightline.calibration.hull import Hull
-from sightline.geometry.outlines import convex_hull
+from sightline.geometry.outlines import convex_hull, enclosed_area
 
 
 @pytest.mark.parametrize("count", [3, 4, 9, 120])
@@ -23,6 +23,8 @@ def test_a_hull_is_that_of_qhull(count: int, on_a_grid: bool) -> None:
         assert set(map(tuple, corners)) == set(map(tuple, points[expected.vertices]))
         after = np.roll(corners, -1, axis=0)
         assert (corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]).sum() / 2 == pytest.approx(expected.volume)
+        assert enclosed_area(corners) == pytest.approx(expected.volume)
+        assert enclosed_area(corners[::-1] + 1e6) == pytest.approx(expected.volume, rel=1e-8)  # far away, either way
         probes = 2 * rng.normal(size=(50, 2))
         sides = expected.equations
         distance = (probes @ sides[:, :2].T + sides[:, 2]).max(axis=1)

@@ -7,7 +7,6 @@ error at the target can be below 0.2 mm.
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial import ConvexHull
 from scipy.special import chdtri
 
 from sightline.calibration.beads import Beads
@@ -15,6 +14,7 @@ from sightline.calibration.joint import JointFit
 from sightline.calibration.residuals import Residuals
 from sightline.checks import Check
 from sightline.frame import Frame
+from sightline.geometry.outlines import convex_hull, enclosed_area
 from sightline.geometry.planes import Plane
 
 MIN_COUNT = 24  # [ours] a cubic and F have 23 parameters: 25 degrees of freedom are left
@@ -166,7 +166,8 @@ def _coverage_shares(frame: Frame, view: str, rows: bytes) -> dict[str, float]:
 
 
 def _area_mm2(plane: Plane, xyz_mm: np.ndarray) -> float:
-    return float(ConvexHull(plane.to_plane(xyz_mm)).volume)  # in two dimensions scipy's volume is the area
+    xy = plane.to_plane(xyz_mm)
+    return enclosed_area(xy[convex_hull(xy)])
 
 
 @lru_cache(maxsize=16)

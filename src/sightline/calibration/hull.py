@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from sightline.errors import CalibrationRefusedError, OutsideRegionError
-from sightline.geometry.outlines import convex_hull
+from sightline.geometry.outlines import convex_hull, enclosed_area
 
 # How far outside the convex hull a map may be evaluated, in radii of the hull [ours]: further out no bead supports it.
 MAX_OUTSIDE = 0.5
@@ -16,8 +16,8 @@ MAX_COLLINEAR_RATIO = 0.02
 
 def refuse_collinear(points: np.ndarray, what: str) -> None:
     """Raise CalibrationRefusedError for collinear points (N, 2) or (N, 3); `what`: their name in the message."""
-    centred = points - points.mean(axis=0)
-    along, across = np.linalg.eigvalsh(centred.T @ centred)[[-1, -2]]
+    centred = points - points.sum(axis=0) / len(points)
+    along, across = np.linalg.eigvalsh(centred.T @ centred)[[-1, -2]].tolist()
     if across <= MAX_COLLINEAR_RATIO**2 * along:
         raise CalibrationRefusedError(f"{what} lie on one line; add some that do not")
 
@@ -34,15 +34,16 @@ class Hull:
     def of(uv_px: np.ndarray) -> "Hull":
         """Return the convex hull of pixels (N, 2) that are not collinear."""
         corners = uv_px[convex_hull(uv_px)]
-        along = np.roll(corners, -1, axis=0) - corners
-        normal = along[:, ::-1] * [1.0, -1.0] / np.hypot(along[:, 0], along[:, 1])[:, None]
-        return Hull(corners, np.column_stack([normal, -(normal * corners).sum(axis=1)]))
+        along = np.concatenate([corners[1:], corners[:1]]) - corners
+        equations, length = np.empty((len(corners), 3)), np.hypot(along[:, 0], along[:, 1])
+        equations[:, 0], equations[:, 1] = along[:, 1] / length, -along[:, 0] / length
+        equations[:, 2] = -(equations[:, :2] * corners).sum(axis=1)
+        return Hull(corners, equations)
 
     @cached_property
     def radius_px(self) -> float:
         """Radius of the circle of equal area."""
-        x, y = self.corners_px.T
-        return float(np.sqrt(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / np.pi))
+        return float(np.sqrt(enclosed_area(self.corners_px) / np.pi))
 
     def distance_px(self, uv_px: np.ndarray) -> np.ndarray:
         """Return (N,): the largest signed distance of pixels from the sides' lines; negative inside."""

@@ -2,13 +2,15 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numba import njit
-from scipy.spatial import KDTree
 
 from sightline.errors import OutsideRegionError
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 ITERATIONS = 10  # four are enough wherever a view is calibrated [calc]
 # Steps below this end the iteration: the next would be its square times the map's curvature (1e-3 per px), 1e-9 px
@@ -40,11 +42,13 @@ class Inverse:
     controls_px: np.ndarray
     controls_mm: np.ndarray
     back: np.ndarray
-    tree: KDTree
+    tree: "KDTree"
 
     @staticmethod
     def of(plane_map: SmoothPlaneMap, controls_px: np.ndarray) -> "Inverse":
         """Return the inverse of a map that is valid near its controls (M, 2)."""
+        from scipy.spatial import KDTree  # here: a view itself does not need it, and it takes 6 MB
+
         xy, jacobian = plane_map.linearised(controls_px)
         return Inverse(plane_map, controls_px, xy, np.linalg.pinv(jacobian), KDTree(xy))
 

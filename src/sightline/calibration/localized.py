@@ -6,11 +6,14 @@ singular. Here the containing triangle of the Delaunay triangulation of the imag
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError
 
 from sightline.errors import CalibrationRefusedError, OutsideRegionError
+
+if TYPE_CHECKING:
+    from scipy.spatial import Delaunay
 
 # A triangle whose height is below this share of its longest side is a sliver [ours]; half a square has 0.5.
 MIN_FLATNESS = 0.1
@@ -26,12 +29,14 @@ class LocalizedMap:
 
     controls_px: np.ndarray
     controls_mm: np.ndarray
-    triangulation: Delaunay
+    triangulation: "Delaunay"
     usable: np.ndarray
 
     @staticmethod
     def fit(uv_px: np.ndarray, xy_mm: np.ndarray) -> "LocalizedMap":
         """Return the map through controls (N, 2). Raises CalibrationRefusedError if no triangle is usable."""
+        from scipy.spatial import Delaunay, QhullError  # here: other methods do not need it, and it takes 6 MB
+
         try:
             triangulation = Delaunay(uv_px)
         except (QhullError, ValueError):

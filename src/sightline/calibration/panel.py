@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sightline.calibration.matrix import HomographyMap
 from sightline.fitting.pinhole import Camera
@@ -54,6 +53,8 @@ class PanelCamera:
 
     def moved(self, step: np.ndarray) -> "PanelCamera":
         """Return the camera with its parameters changed by `step` (9,); the rotation acts in camera axes."""
+        from scipy.spatial.transform import Rotation  # here: views of plates do not need it, and it takes 6 MB
+
         return replace(
             self,
             rotation=Rotation.from_rotvec(step[:3]).as_matrix() @ self.rotation,

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.distance import cdist
+
+from sightline.fitting.kernels import distances
 
 # Unlabelled detections beside missing beads, all by one shift along the rows: so many are a strip of shifted rows. Of
 # 28 detections and 20 missing beads at random places six agree in fewer than one of a million images [calc].
@@ -39,11 +39,11 @@ class Support:
 
         Of two that touch, detection may find none, or a single one that is neither.
         """
-        clearance = cdist(places_px, places_px) - radii_px[:, None] - radii_px
+        clearance = distances(places_px, places_px) - radii_px[:, None] - radii_px
         np.fill_diagonal(clearance, np.inf)
         isolated = clearance.min(axis=1, initial=np.inf) > 0.0
         if stray_px is not None:
-            on_pair = (cdist(stray_px, places_px[~isolated]) < radii_px[~isolated]).any(axis=1)
+            on_pair = (distances(stray_px, places_px[~isolated]) < radii_px[~isolated]).any(axis=1)
             stray_px = stray_px[~on_pair]
         return Support(places_px[isolated], radii_px[isolated], used[isolated], stray_px)
 
@@ -80,13 +80,13 @@ class Support:
     def _counted(self, uv_px: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Return `near` of pixels (N, 2) where the beads `seen` (E,) and the used ones are expected."""
         rows = np.flatnonzero(seen | self.used)
-        distance = cdist(uv_px, self.places_px[rows])
+        distance = distances(uv_px, self.places_px[rows])
         nearest = np.argsort(distance, axis=1)[:, :NEIGHBOURS]
         used = self.used[rows[nearest]].sum(axis=1)
         hidden = np.zeros_like(used)
         if self.stray_px is not None:
             reach_px = distance[np.arange(len(distance))[:, None], nearest].max(axis=1, initial=0.0)
-            stray = (cdist(uv_px, self.stray_px) <= reach_px[:, None]).sum(axis=1)
+            stray = (distances(uv_px, self.stray_px) <= reach_px[:, None]).sum(axis=1)
             hidden = np.maximum(nearest.shape[1] - used - stray, 0)
         return np.stack([used, hidden, np.full_like(used, nearest.shape[1])], axis=1)
 
@@ -109,6 +109,8 @@ class Support:
 
 def _sides(corners_px: np.ndarray) -> np.ndarray | None:
     """Return the sides (S, 3) of the convex hull of pixels (N, 2): normal outwards and offset; None without a hull."""
+    from scipy.spatial import ConvexHull, QhullError  # here: only lines of sight need it, and it takes 6 MB
+
     try:
         return ConvexHull(corners_px).equations
     except (QhullError, ValueError):

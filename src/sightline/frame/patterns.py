@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from itertools import combinations, permutations
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from sightline.errors import FrameError
 
@@ -61,6 +60,8 @@ def resemblance(one: Triples, other: Triples) -> np.ndarray:
 
 def in_steps(xy_mm: np.ndarray) -> np.ndarray:
     """Return points of a plate (N, 2) in steps, the median distance of a point from its nearest neighbour."""
+    from scipy.spatial import KDTree  # here: views of a frame need no other part of it, and it takes 6 MB
+
     nearest, _ = KDTree(xy_mm).query(xy_mm, k=2)
     return (xy_mm - xy_mm.mean(axis=0)) / np.median(nearest[:, 1])
 

@@ -9,6 +9,12 @@ def centroids(outlines: np.ndarray) -> np.ndarray:
     return _centroids(np.ascontiguousarray(outlines, dtype=np.float64))
 
 
+def enclosed_area(outline: np.ndarray) -> float:
+    """Return the area that an outline (K, 2) encloses."""
+    x, y = (outline - outline[0]).T  # from one of the corners: far from the origin the products would cancel
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
 def convex_hull(points: np.ndarray) -> np.ndarray:
     """Return the rows (C,) of the corners of the convex hull of points (N, 2), in order from x towards y.
 

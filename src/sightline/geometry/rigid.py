@@ -4,14 +4,20 @@ A twist is (rotation vector rad, translation mm), the order of `RigidTransform.f
 expressed in the coordinates that a pose maps to: a pose T moved by the twist x is exp(x) T.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
 
 ROTATION_TOLERANCE = 1e-4  # [ours] 0.025 mm over a wire of 250 mm; rounding to 32 bits gives 2e-7
 
 
-def rigid_fit(from_mm: np.ndarray, to_mm: np.ndarray) -> RigidTransform:
+def rigid_fit(from_mm: np.ndarray, to_mm: np.ndarray) -> "RigidTransform":
     """Return the least-squares pose: to_mm = pose.apply(from_mm), (N, 3) each."""
+    from scipy.spatial.transform import RigidTransform, Rotation  # here: it takes 6 MB, and no view of plates needs it
+
     rotation, translation = rigid_fits(from_mm[None], to_mm[None])
     return RigidTransform.from_components(translation[0], Rotation.from_matrix(rotation[0]))
 
@@ -32,7 +38,7 @@ def cross_matrix(vector: np.ndarray) -> np.ndarray:
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
 
 
-def adjoint(pose: RigidTransform) -> np.ndarray:
+def adjoint(pose: "RigidTransform") -> np.ndarray:
     """Return the adjoint (..., 6, 6) of `pose`, which transforms twists: exp(adjoint(T) x) = T exp(x) T⁻¹."""
     rotation = pose.rotation.as_matrix()
     out = np.zeros((*rotation.shape[:-2], 6, 6))

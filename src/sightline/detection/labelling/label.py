@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from sightline.detection.labelling.checks import AttemptError, Stage
-from sightline.detection.labelling.cloud import MIN_MATCHED, label_cloud
-from sightline.detection.labelling.detector_plate import label_plate
 from sightline.detection.labelling.growth import Grown, grow
 from sightline.detection.labelling.naming import most_like
 from sightline.detection.labelling.patterns import Pattern, detector_pattern, patterns
@@ -58,7 +56,12 @@ def label(
     if frame.solid is None and view is not None:
         frame.view(view)
     usable = np.array([kind != "hole" for kind in detections.kind], dtype=bool)
-    if is_inverted(detections, 2 * MIN_BEADS if frame.solid is None else MIN_MATCHED):
+    least = 2 * MIN_BEADS
+    if frame.solid is not None:
+        from sightline.detection.labelling.cloud import MIN_MATCHED  # here: see `_of_solid`
+
+        least = MIN_MATCHED
+    if is_inverted(detections, least):
         raise LabellingRefusedError(
             f"inverted: {(~usable).sum()} bright balls were found and {usable.sum()} dark ones; read the image with "
             "--invert (in Python: read_image(path, invert=True))"
@@ -112,6 +115,10 @@ def _of_solid(detections: Detections, usable: np.ndarray, frame: Frame, view: st
         raise LabellingRefusedError(
             "a solid looks alike in every view, so its image does not tell which view it is; name the view, as 'pa'"
         )
+    # Here: a frame with plates does not need what solids take, 6 MB of scipy.spatial above all.
+    from sightline.detection.labelling.cloud import label_cloud
+    from sightline.detection.labelling.detector_plate import label_plate
+
     solid, bead_sd_mm = frame.solid, frame.effective_tolerances.bead_mm
     assert solid is not None  # noqa: S101 - the caller asks
     if frame.detector is None:

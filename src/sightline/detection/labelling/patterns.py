@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.spatial import KDTree
 
+from sightline.fitting.kernels import distances, exact_squares
 from sightline.frame import Frame, Plate
 from sightline.geometry.planes import Plane
 
@@ -65,9 +65,16 @@ class Pattern:
         steps = np.unique(np.round(steps / self.pitch_mm, 1), axis=0) * self.pitch_mm
         at = (self.xy_mm[:, None] + steps).reshape(-1, 2)
         at = np.unique(np.round(at / self.pitch_mm, 1), axis=0) * self.pitch_mm
-        return self.plane.to_space(at[KDTree(self.xy_mm).query(at)[0] > self.pitch_mm / 2])
+        off2 = exact_squares(at, self.xy_mm).min(axis=1)
+        return self.plane.to_space(at[off2 > (self.pitch_mm / 2) ** 2])
 
-    @property
+    @cached_property
+    def neighbouring(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Both columns of `neighbours` (M,), and the points half-way between the two as complex numbers (M,)."""
+        first, second = np.ascontiguousarray(self.neighbours.T)
+        return first, second, (self.z[first] + self.z[second]) / 2
+
+    @cached_property
     def datum_kind(self) -> str:
         """The kind as which its datum markers are detected: "washer" or "ball"."""
         return "washer" if self.washer[self.datums].all() else "ball"
@@ -80,9 +87,10 @@ class Pattern:
 
 def _pattern(view: str, role: str, plate: Plate, factor: np.ndarray) -> Pattern:
     xy = plate.plane.to_plane(plate.xyz_mm)
-    tree = KDTree(xy)
-    pitch = float(np.median(tree.query(xy, k=2)[0][:, 1]))
-    pairs = tree.query_pairs(NEIGHBOUR * pitch, output_type="ndarray")
+    apart = distances(xy, xy)
+    np.fill_diagonal(apart, np.inf)
+    pitch = float(np.median(apart.min(axis=1)))
+    pairs = np.argwhere(np.triu(apart <= NEIGHBOUR * pitch))
     return Pattern(
         view=view,
         role=role,
