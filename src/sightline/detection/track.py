@@ -230,9 +230,10 @@ class Track:
         if not self._are_still(track.rows[:, :2] - self.rows[:, :2], track.seen, track.rows, _STILL):
             return ()
         rows = self._expected()
-        return tuple(
+        every = (
             LinearFits.about(fit, image, rows, which, fitted[which], mask=self.mask) for fit, which in track._fits()
         )
+        return tuple(fits for fits in every if fits.linear.any())
 
     def _fits(self) -> tuple[tuple[refine.BeadFitter, np.ndarray], ...]:
         """Return the fitter of isolated beads and that of crowded ones, with their rows."""

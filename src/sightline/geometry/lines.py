@@ -42,11 +42,26 @@ def meeting_point(
     it, weights are equal and the covariance comes from the residuals, with 2N - 3 degrees of freedom.
     Raises ReconstructionRefusedError for fewer than two lines and for nearly parallel lines.
     """
+    origin, unit = np.asarray(origin_mm, dtype=np.float64), _unit(direction)
+    weight = np.broadcast_to(1.0 if sd_mm is None else 1 / np.square(sd_mm), len(origin))
+    point, normal = _met(origin, unit, weight)
+    off = point - origin
+    off -= (unit * off).sum(axis=1, keepdims=True) * unit
+    distance = np.sqrt((off**2).sum(axis=1))
+    scatter = 1.0 if sd_mm is not None else (distance**2).sum() / (2 * len(origin) - 3)
+    return MeetingPoint(point, scatter * np.linalg.inv(normal), distance)
+
+
+def met_mm(origin_mm: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Return `meeting_point`'s point (3,) alone, for equal weights, in half the time."""
     origin = np.asarray(origin_mm, dtype=np.float64)
+    return _met(origin, _unit(direction), np.broadcast_to(1.0, len(origin)))[0]
+
+
+def _met(origin: np.ndarray, unit: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the point (3,) of `meeting_point` and its normal matrix (3, 3). Raises ReconstructionRefusedError."""
     if len(origin) < 2:
         raise ReconstructionRefusedError("one line has no intersection; give at least two")
-    unit = _unit(direction)
-    weight = np.broadcast_to(1.0 if sd_mm is None else 1 / np.square(sd_mm), len(origin))
     weighted = weight[:, None] * unit
     normal = weight.sum() * np.eye(3) - weighted.T @ unit  # the sum of the projections across the lines
     if np.linalg.eigvalsh(normal)[0] < weight.sum() * SPREAD_RAD**2:
@@ -54,12 +69,7 @@ def meeting_point(
             "the lines are nearly parallel and determine no intersection; use beads further apart"
         )
     along = (unit * origin).sum(axis=1)
-    point = np.linalg.solve(normal, weight @ origin - along @ weighted)
-    off = point - origin
-    off -= (unit * off).sum(axis=1, keepdims=True) * unit
-    distance = np.sqrt((off**2).sum(axis=1))
-    scatter = 1.0 if sd_mm is not None else (distance**2).sum() / (2 * len(origin) - 3)
-    return MeetingPoint(point, scatter * np.linalg.inv(normal), distance)
+    return np.linalg.solve(normal, weight @ origin - along @ weighted), normal
 
 
 def cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -202,7 +202,7 @@ class Sheet:
 
     def noise(self, covariance_px2: np.ndarray) -> np.ndarray:
         """Return the variance (N,) per axis of the detections, in units²."""
-        return np.trace(covariance_px2, axis1=1, axis2=2) / 2 / (self.similarity.scale * self.unit_mm) ** 2
+        return (covariance_px2[:, 0, 0] + covariance_px2[:, 1, 1]) / 2 / (self.similarity.scale * self.unit_mm) ** 2
 
 
 @dataclass(frozen=True, eq=False)

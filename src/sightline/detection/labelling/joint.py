@@ -12,7 +12,7 @@ from sightline.detection.labelling.map_prior import CENTRE_PX, features, map_cov
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
 from sightline.fitting.kernels import squared_distances
-from sightline.geometry.lines import meeting_point
+from sightline.geometry.lines import met_mm
 
 FOCAL_STEP_MM = 500.0  # wide prior s.d. of the focal point's step [ours]
 
@@ -91,7 +91,7 @@ class Model:
         Raises ReconstructionRefusedError where they are parallel.
         """
         through = source.pattern.xyz_mm[source.places]
-        return meeting_point(through, through - self.xrii.plane.to_space(xrii.xy_mm[source.rows])).point_mm
+        return met_mm(through, through - self.xrii.plane.to_space(xrii.xy_mm[source.rows]))
 
     def settled(
         self, on: np.ndarray, focal_mm: np.ndarray | None, size_m2: np.ndarray, usable: np.ndarray

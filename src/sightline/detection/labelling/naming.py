@@ -10,6 +10,7 @@ from numba import njit
 
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.patterns import Pattern
+from sightline.detection.labelling.seeds import complex_points, real_points
 from sightline.fitting.kernels import exact_squares
 from sightline.fitting.robust import median
 
@@ -97,15 +98,15 @@ class _Costs(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _reading(t, pattern, origin, away):
-    """Return rotation and shift of z = x + iy, mm, for reading `t`, and whether z is conjugated first.
+def _reading(start, step, origin, away, flip):
+    """Return rotation and shift of z = x + iy, mm, conjugated first for `flip`.
 
-    It places the beads at `origin` and `away` from it on a pair of neighbours of the pattern.
+    They place the beads at `origin` and `away` from it on a pair of neighbours of a pattern, at `start` and `step` from
+    it.
     """
-    flip = t >= len(pattern.step)
-    k = t - len(pattern.step) if flip else t
-    rotation = pattern.step[k] * (away if flip else away.conjugate()) / (away.real**2 + away.imag**2)
-    return rotation, pattern.start[k] - rotation * (origin.conjugate() if flip else origin), flip
+    per_mm2 = 1.0 / (away.real**2 + away.imag**2)
+    rotation = step * complex(away.real * per_mm2, (away.imag if flip else -away.imag) * per_mm2)
+    return rotation, start - rotation * (origin.conjugate() if flip else origin)
 
 
 @njit(cache=True, error_model="numpy")
@@ -119,50 +120,37 @@ def _cost_on_place(larger, sizes):
     return out
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _cost(reading, z, pattern, of_place, limit):
-    """Return the cost of the beads under a reading; stops counting beyond `limit`."""
-    rotation, shift, flip = reading
-    table, per_mm = pattern.table, 1.0 / pattern.cell
-    a, b, sign = rotation.real * per_mm, rotation.imag * per_mm, -1.0 if flip else 1.0
-    u, v = (shift.real - pattern.low[0]) * per_mm, (shift.imag - pattern.low[1]) * per_mm
-    cost = 0.0
-    for start in range(0, len(z), 4):
-        if cost > limit:
-            break
-        for n in range(start, min(start + 4, len(z))):
-            x, y = z[n].real, sign * z[n].imag
-            i = min(max(a * x - b * y + u, 0.0), CELLS - 1.0)
-            j = min(max(a * y + b * x + v, 0.0), CELLS - 1.0)
-            cost += of_place[n, table[int(i), int(j)]]
-    return cost
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _class_of(step_rad, flip, beads):
-    """Return the class of a reading: handedness and rotation sector in the image."""
-    mirrored = flip != beads.mirror
-    rotation_rad = step_rad + (beads.away_rad if flip else -beads.away_rad)
-    sector = int(np.floor((rotation_rad + (beads.tilt_rad if mirrored else -beads.tilt_rad)) / SECTOR + 0.5))
-    return sector % 12 + 12 * mirrored
-
-
 @njit(cache=True, error_model="numpy")
 def _cheapest(beads, pattern, least, costs):
     """Fill `costs`; return the lowest cost of all and of `least`, which is infinite for the lattice's own pattern."""
     of_place = _cost_on_place(beads.larger, pattern.larger)
     first, second, index = costs
-    z, step_rad = beads.z, pattern.step_rad
-    if least == np.inf:  # its own reading is usually cheap, so that most others are soon abandoned
-        least = _cost(_reading(beads.own, pattern, beads.origin, beads.away), z, pattern, of_place, np.inf)
-    for t in range(2 * len(step_rad)):
-        reading = _reading(t, pattern, beads.origin, beads.away)
-        cost = _cost(reading, z, pattern, of_place, least + HOPELESS)
-        hopeless = cost > least + HOPELESS
+    x, y, count = beads.z.real.copy(), beads.z.imag.copy(), len(beads.z)
+    table, starts, steps, step_rad = pattern.table, pattern.start, pattern.step, pattern.step_rad
+    per_mm, low_u, low_v, readings = 1.0 / pattern.cell, pattern.low[0], pattern.low[1], len(pattern.step)
+    # Its own reading, first, is usually cheap, so that most others are soon abandoned.
+    for turn in range(-1 if least == np.inf else 0, 2 * readings):
+        t = beads.own if turn < 0 else turn
+        k, flip, limit = t % readings, t >= readings, least + HOPELESS
+        rotation, shift = _reading(starts[k], steps[k], beads.origin, beads.away, flip)
+        a, b, sign = rotation.real * per_mm, rotation.imag * per_mm, -1.0 if flip else 1.0
+        u, v, cost = (shift.real - low_u) * per_mm, (shift.imag - low_v) * per_mm, 0.0
+        for begin in range(0, count, 4):
+            if cost > limit:
+                break
+            for n in range(begin, min(begin + 4, count)):
+                i = min(max(a * x[n] - b * (sign * y[n]) + u, 0.0), CELLS - 1.0)
+                j = min(max(a * (sign * y[n]) + b * x[n] + v, 0.0), CELLS - 1.0)
+                cost += of_place[n, table[int(i), int(j)]]
         least = min(least, cost)
-        c = _class_of(step_rad[t % len(step_rad)], reading[2], beads)
+        if turn < 0:
+            continue
+        mirrored = flip != beads.mirror
+        rotation_rad = step_rad[k] + (beads.away_rad if flip else -beads.away_rad)
+        sector = int(np.floor((rotation_rad + (beads.tilt_rad if mirrored else -beads.tilt_rad)) / SECTOR + 0.5))
+        c = sector % 12 + 12 * mirrored  # the reading's class
         if cost < first[c]:
-            first[c], second[c], index[c] = cost, first[c], -1 if hopeless else t
+            first[c], second[c], index[c] = cost, first[c], -1 if cost > limit else t
         else:
             second[c] = min(second[c], cost)
     return least
@@ -189,14 +177,15 @@ class _Lattice:
         pattern, rows = grown.pattern, grown.all_rows
         seen = np.zeros(len(pattern.ids), dtype=bool)
         seen[grown.all_places] = True
-        pairs = np.flatnonzero(seen[pattern.neighbours].all(axis=1))
+        first, second, middles = pattern.neighbouring
+        pairs = np.flatnonzero(seen[first] & seen[second])
         if not len(pairs):
             return None
-        z = grown.xy_mm[rows] @ np.array([1.0, 1j])
-        middles = pattern.z[pattern.neighbours[pairs]].sum(axis=1) / 2
-        own = int(pairs[np.abs(middles - z.mean()).argmin()])  # near the middle
-        origin, other = pattern.z[pattern.neighbours[own]].tolist()
-        larger = grown.log_ratio[rows] - median(grown.log_ratio[rows])
+        z = complex_points(grown.xy_mm[rows])
+        own = int(pairs[np.abs(middles[pairs] - z.mean()).argmin()])  # near the middle
+        origin, other = complex(pattern.z[first[own]]), complex(pattern.z[second[own]])
+        larger = grown.log_ratio[rows]
+        larger = larger - median(larger)
         telling = np.argsort(-larger)
         return _Lattice(grown, z[telling], larger[telling], origin, other - origin, own)
 
@@ -225,11 +214,13 @@ class _Lattice:
 
         And whether the reading is the one with which the lattice was grown.
         """
-        rotation, shift, flip = _reading(index, _map_of(pattern), self.origin, self.away)
-        z = self.grown.xy_mm[self.grown.all_rows] @ np.array([1.0, -1j if flip else 1j])
-        d = np.abs((rotation * z + shift)[:, None] - pattern.z)
+        to, flip = _map_of(pattern), index >= len(pattern.neighbours)
+        k = index % len(pattern.neighbours)
+        rotation, shift = _reading(to.start[k], to.step[k], self.origin, self.away, flip)
+        z = complex_points(self.grown.xy_mm[self.grown.all_rows])
+        d2 = exact_squares(real_points(rotation * (z.conj() if flip else z) + shift), pattern.xy_mm)
         own = pattern is self.grown.pattern and not flip and abs(rotation - 1) < 1e-9 and abs(shift) < 1e-6
-        return np.where(d.min(axis=1) < ON_PLACE * pattern.pitch_mm, d.argmin(axis=1), -1), own
+        return np.where(d2.min(axis=1) < (ON_PLACE * pattern.pitch_mm) ** 2, d2.argmin(axis=1), -1), own
 
 
 def most_like(grown: Grown, patterns: Iterable[Pattern]) -> Pattern:

@@ -9,6 +9,7 @@ from numba import njit
 
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
+from sightline.fitting.dense import STRIDE
 from sightline.fitting.robust import median
 
 MAX_LARGE = 32  # detections tried as datum markers [ours: 12 datums, 10 false ones, and a margin]
@@ -20,6 +21,16 @@ THIRD = 0.14  # gate of the third datum over the span: tilt 20°, 9 % pincushion
 REACH = 0.3  # gate of the other beads over the pitch: nearer to their place than to the next [ours]
 CELLS = 48
 NEAR = 5  # cells: REACH times a pitch of a third of the image; plates are finer [calc]
+
+
+def complex_points(xy: np.ndarray) -> np.ndarray:
+    """Return points (N, 2) as complex numbers x + iy (N,)."""
+    return np.ascontiguousarray(xy).view(np.complex128)[:, 0]
+
+
+def real_points(z: np.ndarray) -> np.ndarray:
+    """Return complex numbers x + iy (N,) as points (N, 2)."""
+    return z.view(np.float64).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -37,15 +48,13 @@ class Similarity:
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
         """Return pixels (N, 2) of plate points (N, 2), mm."""
-        z = xy_mm[:, 0] + 1j * xy_mm[:, 1]
-        w = self.rotation * (z.conj() if self.mirror else z) + self.shift
-        return np.stack([w.real, w.imag], axis=1)
+        z = complex_points(xy_mm)
+        return real_points(self.rotation * (z.conj() if self.mirror else z) + self.shift)
 
     def to_plate(self, uv_px: np.ndarray) -> np.ndarray:
         """Return plate points (N, 2), mm, of pixels (N, 2)."""
-        z = (uv_px[:, 0] + 1j * uv_px[:, 1] - self.shift) / self.rotation
-        z = z.conj() if self.mirror else z
-        return np.stack([z.real, z.imag], axis=1)
+        z = (complex_points(uv_px) - self.shift) / self.rotation
+        return real_points(z.conj() if self.mirror else z)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,21 +89,6 @@ class _Plate(NamedTuple):
     log_half: np.ndarray
     datums: np.ndarray
     pitch: float
-
-
-class _Pair(NamedTuple):
-    """Detections `i` and `j` matched to datums number `a` and `b` of a plate.
-
-    `log_scale`, px/mm, follows from them; `ratio_i`, `ratio_j`: log ratio of their radii, in mm, to the datums'.
-    """
-
-    i: int
-    j: int
-    a: int
-    b: int
-    log_scale: float
-    ratio_i: float
-    ratio_j: float
 
 
 class _Triple(NamedTuple):
@@ -179,6 +173,16 @@ def _score(triple, plate, beads, least):
 
 
 @njit(cache=True, error_model="numpy")
+def _large(beads, rows):
+    """Return u, v and log radius (M,) of detections `rows` (L,), M >= L: some at infinity fill up vectorised steps."""
+    count = (len(rows) + STRIDE - 1) // STRIDE * STRIDE
+    u, v, log_radius = np.full(count, np.inf), np.full(count, np.inf), np.full(count, np.inf)
+    for m in range(len(rows)):
+        u[m], v[m], log_radius[m] = beads.w[rows[m]].real, beads.w[rows[m]].imag, beads.log_radius[rows[m]]
+    return u, v, log_radius
+
+
+@njit(cache=True, error_model="numpy")
 def _log_sides(plate):
     """Return the log distances (D, D), mm, between each datum and those after it."""
     z, datums = plate.z, plate.datums
@@ -200,7 +204,7 @@ def _fitted(beads, plate, rows, places, mirror, ratios):  # noqa: PLR0917 - a ke
     zm, wm = (za + zb + zc) / 3, (w[i] + w[j] + w[k]) / 3
     da, db, dc = za - zm, zb - zm, zc - zm
     top = w[i] * da.conjugate() + w[j] * db.conjugate() + w[k] * dc.conjugate()
-    rotation = top / (da * da.conjugate() + db * db.conjugate() + dc * dc.conjugate()).real
+    rotation = top * (1.0 / (_square(da) + _square(db) + _square(dc)))
     level = (ratios[0] + ratios[1] + ratios[2]) / 3 + 0.5 * np.log(_square(rotation))
     return _Triple(rows, places, rotation, wm - rotation * zm, mirror, level)
 
@@ -227,47 +231,46 @@ def _offer(triple, plate, beads, best):
     what[at, 6] = triple.mirror
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _add_third(beads, plate, large, pair, best):
-    """Offer all triples that extend a pair by a third datum and a detection near its place."""
-    w, z, datums, log_half, log_radius = beads.w, plate.z, plate.datums, plate.log_half, beads.log_radius
-    pa, pb = datums[pair.a], datums[pair.b]
-    gap, side = w[pair.j] - w[pair.i], z[pb] - z[pa]
-    span2, side2 = _square(gap), _square(side)
-    for mirror in (False, True):
-        rotation = gap * (side if mirror else side.conjugate()) / side2
-        for c in range(pair.b + 1, len(datums)):
-            pc = datums[c]
-            step = rotation * _laid(z[pc] - z[pa], mirror)
-            want = w[pair.i] + step
-            reach2 = THIRD**2 * max(span2, _square(step), _square(step - gap))
-            for k in large:
-                if _square(w[k] - want) > reach2 or k in (pair.i, pair.j):
-                    continue
-                ratio = log_radius[k] - log_half[pc] - pair.log_scale
-                if abs(ratio - (pair.ratio_i + pair.ratio_j) / 2) <= RADIUS_SPREAD:
-                    rows, ratios = (pair.i, pair.j, k), (pair.ratio_i, pair.ratio_j, ratio)
-                    _offer(_fitted(beads, plate, rows, (pa, pb, pc), mirror, ratios), plate, beads, best)
-
-
 @njit(cache=True, error_model="numpy")
-def _search(beads, plate, large, best):
-    """Fill `best` with the similarities that map three datum markers to three `large` detections."""
-    w, log_r, datums, log_half = beads.w, beads.log_radius, plate.datums, plate.log_half
+def _search(beads, plate, rows, best):
+    """Fill `best` with the similarities that map three datum markers to three large detections, `rows`."""
+    w, z, log_r, datums, log_half = beads.w, plate.z, beads.log_radius, plate.datums, plate.log_half
     log_least, log_side = np.log(MIN_PITCH_PX / plate.pitch), _log_sides(plate)
-    for i in large:
-        for j in large:
+    us, vs, log_rs = _large(beads, rows)
+    for i in rows:
+        for j in rows:
             if i == j:
                 continue
-            log_gap = 0.5 * np.log(_square(w[j] - w[i]))
+            origin, gap = w[i], w[j] - w[i]
+            span2 = _square(gap)
+            log_gap = 0.5 * np.log(span2)
             for a in range(len(datums)):
-                for b in range(a + 1, len(datums)):
-                    log_scale = log_gap - log_side[a, b]
-                    ratio_i = log_r[i] - log_half[datums[a]] - log_scale
-                    ratio_j = log_r[j] - log_half[datums[b]] - log_scale
+                pa = datums[a]
+                for b in range(a + 1, len(datums) - 1):
+                    pb, log_scale = datums[b], log_gap - log_side[a, b]
+                    ratio_i, ratio_j = log_r[i] - log_half[pa] - log_scale, log_r[j] - log_half[pb] - log_scale
                     alike = abs(ratio_i - ratio_j) <= RADIUS_SPREAD and abs(ratio_i + ratio_j) <= 2 * RADIUS_RATIO
-                    if alike and log_scale >= log_least:
-                        _add_third(beads, plate, large, _Pair(i, j, a, b, log_scale, ratio_i, ratio_j), best)
+                    if not alike or log_scale < log_least:
+                        continue
+                    side, mean_ratio = z[pb] - z[pa], (ratio_i + ratio_j) / 2
+                    per_side = side.conjugate() / _square(side)
+                    for mirror in (False, True):
+                        for c in range(b + 1, len(datums)):
+                            pc = datums[c]
+                            share = (z[pc] - z[pa]) * per_side  # of the side: its place is that share of the gap
+                            reach2 = THIRD**2 * span2 * max(1.0, _square(share), _square(share - 1.0))
+                            want, level = origin + gap * _laid(share, mirror), log_half[pc] + log_scale
+                            near, u, v = 0, want.real, want.imag
+                            for m in range(len(us)):  # vectorised; seldom is any near
+                                close = (us[m] - u) ** 2 + (vs[m] - v) ** 2 <= reach2
+                                near += close & (abs(log_rs[m] - level - mean_ratio) <= RADIUS_SPREAD)
+                            for m in range(len(rows) if near else 0):
+                                k, ratio = rows[m], log_rs[m] - level
+                                close = (us[m] - u) ** 2 + (vs[m] - v) ** 2 <= reach2
+                                if close and abs(ratio - mean_ratio) <= RADIUS_SPREAD and k != i and k != j:  # noqa: PLR1714 - a tuple takes longer
+                                    places, ratios = (pa, pb, pc), (ratio_i, ratio_j, ratio)
+                                    triple = _fitted(beads, plate, (i, j, k), places, mirror, ratios)
+                                    _offer(triple, plate, beads, best)
 
 
 def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarray, most: int) -> Iterator[Seed]:
@@ -276,10 +279,12 @@ def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarr
     The very best of all plates, which usually suffices, is searched for alone: far fewer triples can still become it.
     """
     height, width = detections.image_shape
-    w = detections.uv_px @ np.array([1.0, 1j])
+    w = complex_points(detections.uv_px)
     table = _nearest_table(w, usable, width, height)
     beads = _Beads(w, np.log(detections.radius_px), table, CELLS / height, CELLS / width)
-    may_be = {kind: _may_be_datums(detections, kind, usable) for kind in {pattern.datum_kind for pattern in patterns}}
+    washer = np.array([one == "washer" for one in detections.kind], dtype=bool)
+    kinds = {pattern.datum_kind for pattern in patterns}
+    may_be = {kind: _may_be_datums(detections.radius_px, washer, kind, usable) for kind in kinds}
     for count, ranks in ((1, slice(1)), (most, slice(1, None))):
         for seed in _best_seeds(beads, patterns, may_be, count)[ranks]:
             if seed.similarity.rotation != 0:  # 0: so far from the image that rounding removes its pixels
@@ -307,25 +312,23 @@ def _best_seeds(beads: _Beads, patterns: list[Pattern], may_be: dict[str, np.nda
     return out
 
 
-def _may_be_datums(detections: Detections, kind: str, usable: np.ndarray) -> np.ndarray:
-    """Return the rows of detections that may be datum markers of a kind: washers, or the largest balls."""
-    washer = np.array([one == "washer" for one in detections.kind], dtype=bool)
-    radius = detections.radius_px
+def _may_be_datums(radius_px: np.ndarray, washer: np.ndarray, kind: str, usable: np.ndarray) -> np.ndarray:
+    """Return the rows of detections that may be datum markers of a kind: washers (N,), or the largest balls."""
     if kind == "washer":
         may_be = usable & washer
     elif usable.any():
-        may_be = usable & ~washer & (radius > LARGER * median(radius[usable]))
+        may_be = usable & ~washer & (radius_px > LARGER * median(radius_px[usable]))
     else:
         may_be = usable
-    return np.flatnonzero(may_be)[np.argsort(-radius[may_be], kind="stable")[:MAX_LARGE]]
+    return np.flatnonzero(may_be)[np.argsort(-radius_px[may_be], kind="stable")[:MAX_LARGE]]
 
 
 def best_similarity(xy_mm: np.ndarray, uv_px: np.ndarray) -> Similarity:
     """Return the least-squares similarity from plate points (N, 2) to pixels (N, 2), with the better handedness."""
-    w = uv_px @ np.array([1.0, 1j])
+    w, plain = complex_points(uv_px), complex_points(xy_mm)
     found: list[tuple[float, Similarity]] = []
     for mirror in (False, True):
-        z = xy_mm @ np.array([1.0, -1j if mirror else 1j])
+        z = plain.conj() if mirror else plain
         dz, dw = z - z.mean(), w - w.mean()
         rotation = complex(np.vdot(dz, dw) / np.vdot(dz, dz))
         miss = float((np.abs(dw - rotation * dz) ** 2).sum())

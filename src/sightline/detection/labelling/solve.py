@@ -117,16 +117,18 @@ class _Sizes:
 
 
 def _sizes(pair: tuple[Grown, ...], usable: np.ndarray) -> _Sizes:
-    squares, sds, alike = [], [], []
-    for g in pair:
-        own = g.log_ratio[g.rows] - g.pattern.log_half[g.places]
+    count = sum(len(g.pattern.ids) for g in pair)
+    m2, sds = np.empty((len(usable), count)), np.empty(count)
+    alike, first = np.empty((len(usable), len(pair)), dtype=bool), 0
+    for k, g in enumerate(pair):
+        own, end = g.log_ratio[g.rows] - g.pattern.log_half[g.places], first + len(g.pattern.ids)
         middle = median(own)
-        sd = np.clip(MAD_TO_SD * median(np.abs(own - middle)), *LOG_RADIUS_SD)
-        misfit = g.log_ratio[:, None] - g.pattern.log_sizes - middle
-        alike.append(usable & (np.abs(misfit).min(axis=1) < LOG_RADIUS))
-        squares.append(((misfit / sd) ** 2).take(g.pattern.size_of, axis=1))
-        sds.append(np.full(len(g.pattern.ids), sd))
-    return _Sizes(np.concatenate(squares, axis=1), np.concatenate(sds), np.stack(alike, axis=1))
+        sds[first:end] = sd = min(max(MAD_TO_SD * median(np.abs(own - middle)), LOG_RADIUS_SD[0]), LOG_RADIUS_SD[1])
+        misfit = (g.log_ratio - middle)[:, None] - g.pattern.log_sizes
+        alike[:, k] = usable & (np.abs(misfit).min(axis=1) < LOG_RADIUS)
+        m2[:, first:end] = ((misfit / sd) ** 2)[:, g.pattern.size_of]
+        first = end
+    return _Sizes(m2, sds, alike)
 
 
 def _certain(problem: LabellingProblem, fit: Joint, sizes: _Sizes, px_per_mm: float) -> np.ndarray:
@@ -140,9 +142,9 @@ def _certain(problem: LabellingProblem, fit: Joint, sizes: _Sizes, px_per_mm: fl
     hidden = empty_near(fit.target_mm, places, NEIGHBOURS)
     height, width = problem.detections.image_shape
     false_per_px2 = FALSE_PER_LOG_RADIUS * (1 + problem.usable.sum() - len(rows)) / (height * width)
-    volume_px2 = (2 * np.pi) ** 1.5 * fit.variance_mm2[rows] * px_per_mm**2 * sizes.sd[places]
-    off2 = ((fit.xy_mm[rows] - fit.target_mm[places]) ** 2).sum(axis=1)
-    m2 = off2 / fit.variance_mm2[rows] + sizes.m2[rows, places]
+    (x, y), variance_mm2 = (fit.xy_mm[rows] - fit.target_mm[places]).T, fit.variance_mm2[rows]
+    volume_px2 = (2 * np.pi) ** 1.5 * variance_mm2 * px_per_mm**2 * sizes.sd[places]
+    m2 = (x * x + y * y) / variance_mm2 + sizes.m2[rows, places]
     return hidden / (1 - hidden) * false_per_px2 * volume_px2 * np.exp(m2 / 2) < MAX_FALSE_ODDS
 
 
