@@ -152,7 +152,7 @@ def _fewest(on, places):
     return xrii if places.on_xrii == len(places.xyh) else min(xrii, source)
 
 
-@fast
+@exact_unchecked
 def _solve(beads, spots, places, fit, growth, work):  # noqa: PLR0917 - a kernel
     """Fill `inverse`, `solved` and `products` of `work`; return whether V is positive definite."""
     kernel, xyh, focal, n = spots.kernel, places.xyh, fit.focal, len(beads)
@@ -173,7 +173,8 @@ def _solve(beads, spots, places, fit, growth, work):  # noqa: PLR0917 - a kernel
     if not eliminate(first, first + 5, matrix):
         return False
     for i in range(n):
-        work.inverse[i, : i + 1] = matrix[i, first + 5 : first + 6 + i]
+        for j in range(i + 1):
+            work.inverse[i, j] = matrix[i, first + 5 + j]
     for r in range(5):
         for c in range(r, 5):
             work.products[r, c] = -matrix[first + r, first + c]
