@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import convolve1d
+from scipy.ndimage import binary_dilation, convolve1d
 
 from sightline.detection.fit import _effective_parameters
 from sightline.detection.noise import LAGS
 from sightline.detection.refine import _by_distance
 from sightline.detection.shadow import solve
-from sightline.detection.window import correlated_products
+from sightline.detection.window import CLIPPED, HIDDEN, NEAR_UNUSABLE, SEEN, correlated_products, mark_near_unusable
 
 
 @pytest.mark.parametrize("lags", [3, 4])
@@ -70,3 +70,24 @@ def test_equations_that_do_not_determine_every_unknown_are_refused() -> None:
     jacobian[:, 3] = jacobian[:, 0] + jacobian[:, 1]
     matrix = jacobian.T @ jacobian
     assert not solve(matrix, np.ones(5), np.zeros((5, 5)), np.zeros(5))
+
+
+@pytest.mark.parametrize("unusable", [[(9, 9)], [(0, 0), (18, 4)], [(2, 18), (3, 12), (17, 17)]])
+def test_pixels_within_three_of_an_unusable_one_are_marked(unusable: list[tuple[int, int]]) -> None:
+    # In corners too: a program that reads on from one row into the next, or one pixel less far, fails.
+    state = np.full((19, 19), SEEN, np.uint8)
+    for k, at in enumerate(unusable):
+        state[at] = (HIDDEN, CLIPPED)[k % 2]
+    bad, before = state >= CLIPPED, state.copy()
+    reached = binary_dilation(bad, np.ones((7, 7), bool))
+    lost = mark_near_unusable(state, 8.6, 9.2, 5.0)
+    np.testing.assert_array_equal(state, np.where(bad, before, np.where(reached, NEAR_UNUSABLE, SEEN)))
+    y, x = np.mgrid[:19, :19]
+    rim = (np.abs(np.hypot(x - 8.6, y - 9.2) - 5.0) < 2.5) & (before != HIDDEN)
+    assert lost == pytest.approx((rim & reached).sum() / rim.sum())
+
+
+def test_a_window_without_unusable_pixels_loses_nothing() -> None:
+    state = np.full((19, 19), SEEN, np.uint8)
+    assert mark_near_unusable(state, 9.0, 9.0, 5.0) == 0.0
+    assert (state == SEEN).all()

@@ -155,14 +155,15 @@ def _solve(spots, rows, noise, unit_sds, sharpening, plain, prior_sd, tables, li
     columns, inverse_sd = np.empty((size + 3, at.shape[1]), np.float32), np.empty(at.shape[1], np.float32)
     behind, effect = np.empty((4, at.shape[1]), np.float32), np.empty((len(rows), at.shape[1]), np.float32)
     A, L, b, step = np.empty((size + 2, size + 2)), np.empty((size, size)), np.empty(size), np.zeros(size)
-    prior = np.zeros(size)
+    prior, wanted = np.zeros(size), np.array([BEAD_X, BEAD_Y, BEAD_TERMS * len(rows)])
     optics = np.float32(1.0 / reach), stopped, np.float32(together2)
     inverse_sds = unit_sds / np.float32(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain))
     brightest = np.exp(noise[2] - zero - CLIPPING_MARGIN_SD * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
-    out[STATUS] = TOO_FEW_PIXELS
-    chi2, pixels, coupling, moved = 0.0, 0, 0.0, np.inf
-    for iteration in range(_MAX_ITERATIONS):
+    out[STATUS], chi2, pixels, coupling, moved = TOO_FEW_PIXELS, 0.0, 0, 0.0, np.inf
+    for iteration in range(_MAX_ITERATIONS + 1):
         fill_light(table, at, beads, scatter, background, optics, behind, effect, columns)
+        if iteration == _MAX_ITERATIONS or out[STATUS] == FITTED:  # the light of the result, before sharpening
+            break
         if iteration < _ADAPTIVE_ITERATIONS:
             pixels = weigh(columns[LIGHT], counting, np.float32(brightest), inverse_sds, inverse_sd)
         if pixels < 2 * size:
@@ -181,27 +182,27 @@ def _solve(spots, rows, noise, unit_sds, sharpening, plain, prior_sd, tables, li
             or not 0.5 < beads[0, BEAD_RADIUS] / radius < 1.9
         ):
             return
-        if iteration > 0 and (moved < _CONVERGED or moved * moved < _REMAINS * (before - moved)):
-            out[STATUS] = FITTED
-            break
-    if out[STATUS] != FITTED or np.hypot(beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]) > MAX_ELLIPTICITY:
-        out[STATUS] = max(out[STATUS], WANDERED)
-        return
-    freedom = max(pixels - _effective_parameters(columns, where, L, by_lag), 1.0)
-    out[CHI2], scale2 = chi2 / freedom, (PRIOR_PIXELS + chi2) / (PRIOR_PIXELS + freedom)
-    out[BLUR] = np.sqrt(max(beads[0, BEAD_BLUR] ** 2 - blur2, 0.0))
-    _covariance(columns, where, L, len(state), correlation, scale2, prior, coupling, background, out)
-    inside = max((1.0 - stopped) * background[0] + scatter[0], 0.02 * background[0])
-    out[CCC] /= inside**2
-    out[U], out[V], out[RADIUS] = (
-        spots[row, U] + beads[0, BEAD_X],
-        spots[row, V] + beads[0, BEAD_Y],
-        beads[0, BEAD_RADIUS],
-    )
-    out[AXIAL], out[DIAGONAL] = beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]
-    out[CONTRAST] = np.log(inside / max(background[0], 1e-3))
-    blurs, work = (blur2, together2), (behind, effect, columns)
-    assess(table, at, where, light, beads, scatter, background, optics, blurs, gain, inverse_sd, pixels, work, out)
+        if iteration == 0 or not (moved < _CONVERGED or moved * moved < _REMAINS * (before - moved)):
+            continue
+        if np.hypot(beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]) > MAX_ELLIPTICITY:
+            return
+        out[STATUS] = FITTED
+        freedom = max(pixels - _effective_parameters(columns, where, L, by_lag), 1.0)
+        out[CHI2], scale2 = chi2 / freedom, (PRIOR_PIXELS + chi2) / (PRIOR_PIXELS + freedom)
+        out[BLUR] = np.sqrt(max(beads[0, BEAD_BLUR] ** 2 - blur2, 0.0))
+        _covariance(wanted, columns, where, L, len(state), correlation, scale2, prior, coupling, background, out)
+        inside = max((1.0 - stopped) * background[0] + scatter[0], 0.02 * background[0])
+        out[CCC] /= inside**2
+        out[U], out[V], out[RADIUS] = (
+            spots[row, U] + beads[0, BEAD_X],
+            spots[row, V] + beads[0, BEAD_Y],
+            beads[0, BEAD_RADIUS],
+        )
+        out[AXIAL], out[DIAGONAL] = beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]
+        out[CONTRAST] = np.log(inside / max(background[0], 1e-3))
+        optics = optics[0], stopped, unsharpen(beads, at, where, light, blur2, together2)
+    if out[STATUS] == FITTED:
+        assess(at, beads, gain, inverse_sd, pixels, behind, columns, out)
 
 
 @nb.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)
@@ -398,23 +399,25 @@ def _effective_parameters(columns, where, L, by_lag):
 
 
 @exact
-def _covariance(columns, where, L, side, correlation, scale2, prior, coupling, background, out):  # noqa: PLR0917
+def _covariance(wanted, columns, where, L, side, correlation, scale2, prior, coupling, background, out):  # noqa: PLR0917
     """Write the covariance of u, v and the variance of the light in the middle into `out`, whose blur must be set.
 
-    It propagates noise of the given `correlation` and the uncertainty of the priors.
+    `wanted` (3,): the places of these parameters; a number of them that the compiler knows would unroll all loops
+    here, and double its time. Propagated are noise of the given `correlation` and the uncertainty of the priors.
     """
     size = len(L)
     of_background = size - BACKGROUND_TERMS
     of_scatter = of_background - SCATTER_TERMS
-    unit, influence = np.zeros(size), np.empty((3, size))
-    for row, parameter in enumerate((BEAD_X, BEAD_Y, of_scatter)):
+    unit, influence = np.zeros(size), np.empty((len(wanted), size))
+    for row in range(len(wanted)):
         unit[:] = 0.0
-        unit[parameter] = 1.0
+        unit[wanted[row]] = 1.0
         substitute(L, unit, influence[row])
     reach = np.uint32(LAGS)
     width, pixels = np.uint32(side) + 2 * reach, columns.shape[1]
-    total, field = np.zeros((3, pixels), np.float32), np.zeros((3, width * width), np.float32)
-    for row in range(3):
+    total = np.zeros((len(wanted), pixels), np.float32)
+    field = np.zeros((len(wanted), width * width), np.float32)
+    for row in range(len(wanted)):
         of_row, x = total[row], influence[row].astype(np.float32)
         for k in range(0, size - 3, 4):  # four at once, which saves loads and stores
             a, b, c, d = columns[k], columns[k + 1], columns[k + 2], columns[k + 3]
@@ -445,17 +448,27 @@ def _covariance(columns, where, L, side, correlation, scale2, prior, coupling, b
     out[CUU], out[CUV], out[CVV] = bent * out[CUU], bent * out[CUV], bent * out[CVV]
 
 
-@part_of_caller
-def assess(table, at, where, light, beads, scatter, background, optics, blurs, gain, inverse_sd, pixels, work, out):  # noqa: PLR0917
-    """Write into `out` how well the bead explains its window before sharpening: residual excess, weakest sector."""
+@exact
+def unsharpen(beads, at, where, light, blur2, together2):  # noqa: PLR0917
+    """Make `beads` and `at` those of the window before sharpening, which changed the squared blur by `blur2`.
+
+    Returns the squared blur that background and shadow then went through together, as `fill_light` needs it.
+    """
     for k in range(len(beads)):
-        beads[k, BEAD_BLUR] = np.sqrt(max(beads[k, BEAD_BLUR] ** 2 - blurs[0], MIN_BLUR_PX**2))
-    optics = optics[0], optics[1], np.float32(blurs[1] - blurs[0])
-    margin, darkest, zero = np.uint32(MARGIN), np.float32(0.02), np.float32(0.0)
+        beads[k, BEAD_BLUR] = np.sqrt(max(beads[k, BEAD_BLUR] ** 2 - blur2, MIN_BLUR_PX**2))
+    margin = np.uint32(MARGIN)
     for p in range(at.shape[1]):
         at[2, p] = light[where[0, p] + margin, where[1, p] + margin]
-    behind, effect, columns = work
-    fill_light(table, at, beads, scatter, background, optics, behind, effect, columns)
+    return np.float32(together2 - blur2)
+
+
+@part_of_caller
+def assess(at, beads, gain, inverse_sd, pixels, behind, columns, out):  # noqa: PLR0917
+    """Write into `out` how well the bead explains its window before sharpening: residual excess, weakest sector.
+
+    `columns`: from `fill_light`, for beads and values before sharpening; `behind` (4, N) is overwritten.
+    """
+    darkest, zero = np.float32(0.02), np.float32(0.0)
     rest, meant_light, bright = columns[RESIDUAL], columns[LIGHT], columns[BACKGROUND]
     residuals = expected = zero
     for p in range(at.shape[1]):

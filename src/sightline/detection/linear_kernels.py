@@ -30,6 +30,7 @@ from sightline.detection.fit import (
     initial_values,
     inverse_sd_table,
     joint_rows,
+    unsharpen,
     weigh,
 )
 from sightline.detection.shadow import (
@@ -345,22 +346,10 @@ def step_part(part, parts, pixels, mask, lowest, ceiling, reach_px, dark, sharpe
             np.sqrt(max(beads[0, BEAD_BLUR] ** 2 - blur2, 0.0)),
             np.log(inside / max(background[0], 1e-3)),
         )
-        work = np.empty((4, n), np.float32), np.empty((count, n), np.float32), np.empty((size + 3, n), np.float32)
-        optics, blurs = (np.float32(1.0 / kept.origin[i, REACH]), stopped, np.float32(together2)), (blur2, together2)
-        assess(
-            table,
-            place,
-            where,
-            light,
-            beads,
-            scatter,
-            background,
-            optics,
-            blurs,
-            gain,
-            inverse_sd,
-            kept.counts[i, COUNTING],
-            work,
-            out[i],
-        )
+        behind, effect = np.empty((4, n), np.float32), np.empty((count, n), np.float32)
+        columns = np.empty((size + 3, n), np.float32)
+        blur2_then = unsharpen(beads, place, where, light, blur2, together2)
+        optics = np.float32(1.0 / kept.origin[i, REACH]), stopped, blur2_then
+        fill_light(table, place, beads, scatter, background, optics, behind, effect, columns)
+        assess(place, beads, gain, inverse_sd, kept.counts[i, COUNTING], behind, columns, out[i])
         out[i, STATUS] = FITTED

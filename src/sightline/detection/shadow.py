@@ -87,7 +87,7 @@ def _shadow(row, at, bead, out, slopes):
         out[4, n], out[5, n] = -g * (c * c - s * s), -g * two * c * s
 
 
-@fast
+@part_of_caller
 def fill_light(tables, at, beads, scatter, background, optics, behind, effect, columns):  # noqa: PLR0917
     """Fill `columns` with the residual, the model's light and the background, and with what `fill_slopes` needs.
 

@@ -205,28 +205,20 @@ def mark_near_unusable(state, x, y, radius):
     """Mark visible pixels within the filter's reach of unusable ones; return the share of the visible rim lost."""
     n, reach = len(state), _FILTER_REACH
     clipped, near, one = np.uint8(CLIPPED), np.uint8(NEAR_UNUSABLE), np.uint8(1)
-    along = np.zeros((n + 2 * reach, n), np.uint8)  # 1 where an unusable pixel is within reach in the same row
-    wide, any_unusable = np.zeros(n + 2 * reach, np.uint8), np.uint8(0)
+    wide, any_unusable = np.zeros((n + 2 * reach) * (n + 2 * reach), np.uint8), np.uint8(0)  # rows, one after another
     for i in range(n):
-        seen, row, middle = state[i], along[i + reach], wide[reach:]
+        seen, row = state[i], wide[(i + reach) * (n + 2 * reach) + reach :]
         for j in range(n):
-            middle[j] = one if seen[j] >= clipped else np.uint8(0)
-            any_unusable |= middle[j]
-        for k in range(2 * reach + 1):
-            beside = wide[k:]
-            for j in range(n):
-                row[j] |= beside[j]
+            row[j] = one if seen[j] >= clipped else np.uint8(0)
+            any_unusable |= row[j]
     if not any_unusable:
         return 0.0
+    _spread(wide, 1)
+    _spread(wide, n + 2 * reach)
     inner2, outer2 = np.float32(max(radius - _RIM, 0.0) ** 2), np.float32((radius + _RIM) ** 2)
     rim, lost = 0, 0
     for i in range(n):
-        seen, reached, dy2 = state[i], wide[:n], np.float32((i - y) ** 2)
-        reached[:] = np.uint8(0)
-        for k in range(2 * reach + 1):
-            row = along[i + k]
-            for j in range(n):
-                reached[j] |= row[j]
+        seen, reached, dy2 = state[i], wide[i * (n + 2 * reach) :], np.float32((i - y) ** 2)
         of_row, lost_in_row = np.int32(0), np.int32(0)
         for j in range(n):
             seen[j] = max(seen[j], near if reached[j] else np.uint8(0))
@@ -238,6 +230,15 @@ def mark_near_unusable(state, x, y, radius):
         rim += of_row
         lost += lost_in_row
     return lost / max(rim, 1)
+
+
+@exact
+def _spread(marks, step):
+    """Combine each mark with the 2 _FILTER_REACH = 6 marks, `step` apart, that follow it."""
+    for shift in (step, 2 * step, 3 * step):  # of 2, 4 and 7 marks: three passes where 7 single ones cost more
+        later = marks[shift:]
+        for k in range(len(later)):
+            marks[k] |= later[k]
 
 
 @part_of_caller
@@ -292,11 +293,9 @@ def correlated_products(fields, correlation, width):
     for k in range(len(correlation)):
         c[k] = correlation[k]
     at = LAGS * width
-    rows, columns = (
-        np.empty((3, fields.shape[1] - 2 * at), np.float32),
-        np.empty((3, fields.shape[1] - 2 * at), np.float32),
-    )
-    for k in range(3):
+    rows = np.empty((len(fields), fields.shape[1] - 2 * at), np.float32)
+    columns = np.empty((len(fields), fields.shape[1] - 2 * at), np.float32)
+    for k in range(len(fields)):
         _correlated(fields[k, at - LAGS :], c, 1, rows[k])
         _correlated(fields[k], c, width, columns[k])
     uu = uv = vv = ww = np.float32(0.0)
