@@ -13,9 +13,10 @@ from sightline.imaging import Radiograph
 from sightline.pipeline import check_shot
 from sightline.planning import Plan
 from sightline.planning.check_shot import CheckShot, Landmarks
-from sightline.twin import BoneScene, HipScene, SetUp, render
+from sightline.twin import BoneScene, HipScene, SetUp
 from sightline.twin.implants import guide_wire
 from sightline.twin.motion import moved
+from sightline.twin.render import render_views
 from sightline.twin.specimens import tagged
 
 ATTEMPTS = 200
@@ -59,7 +60,8 @@ class CheckImages:
         for _ in range(ATTEMPTS):
             setup = replace(draw(rng), true_frame=planned.true_frame)
             if all(view.in_field(view.project(points), MARGIN_PX).all() for view in setup.views.values()):
-                images = {name: tagged(setup, name, render(setup, name, then, rng)) for name in VIEWS}
+                made = render_views(setup, VIEWS, then, rng)
+                images = {name: tagged(setup, name, image) for name, image in made.items()}
                 return CheckImages(setup, landmarks, images)
         raise SetUpError(f"none of {ATTEMPTS} set-ups shows wire and landmarks in both check images")
 

@@ -6,7 +6,7 @@ in the robot's separate process.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -23,6 +23,7 @@ from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import document_of
 from sightline.rehearsal.check_images import CheckImages
 from sightline.robot.kinematics.calibrated import REMOUNT_SD
+from sightline.threads import at_once
 from sightline.twin import BoneScene, HipScene, Scene, SetUp, Variation, draw_setup, render, truth_document
 from sightline.twin.arm import beam_at
 from sightline.twin.bone_scene import BONES, bone_document, shown_bone_scene
@@ -112,8 +113,9 @@ class RehearsedPatient:
     def images(self) -> dict[str, Radiograph]:
         """The radiograph of each view."""
         scene = self.scene
-        made = {name: render(self.setup, name, scene, self.generator(name)) for name in VIEWS}
-        return {name: tagged(self.setup, name, image) for name, image in made.items()}
+        jobs = [partial(render, self.setup, name, scene, self.generator(name)) for name in VIEWS]
+        made = zip(VIEWS, at_once(*jobs), strict=True)
+        return {name: tagged(self.setup, name, image) for name, image in made}
 
     def pixels(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return the true pixels (2, N, 2) of points (N, 3), CFCS, in both images."""

@@ -8,6 +8,7 @@ inverse square of the distance within the field (under 2 %), the heel effect.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache, partial
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from scipy.ndimage import map_coordinates
 
 from sightline.errors import SetUpError
 from sightline.imaging import Radiograph
+from sightline.threads import at_once
 from sightline.twin.beam import attenuation_per_mm, excess_per_mm, spectrum
 from sightline.twin.carm import SetUp, ViewTruth, shadow_radius_px
 from sightline.twin.meshes import Mesh
@@ -133,6 +135,15 @@ def render(setup: SetUp, view: str, scene: Scene, rng: np.random.Generator, dose
     return expose(setup.views[view], scene + plate_scene(setup.frame_in(view)), dose).read_out(rng)
 
 
+def render_views(setup: SetUp, views: Sequence[str], scene: Scene, rng: np.random.Generator) -> dict[str, Radiograph]:
+    """Draw the radiographs of a scene in several views: those of `render`, one after another, with one generator.
+
+    Threads compute what is expected; noise is drawn in order.
+    """
+    jobs = [partial(expose, setup.views[view], scene + plate_scene(setup.frame_in(view))) for view in views]
+    return {view: exposure.read_out(rng) for view, exposure in zip(views, at_once(*jobs), strict=True)}
+
+
 def expose(
     view: ViewTruth,
     scene: Scene,
@@ -235,10 +246,13 @@ def trailed(fields: Sequence[np.ndarray], before: Sequence[np.ndarray], lag: flo
     return [(1 - lag) * fields[0] + lag * trail, (1 - lag) * fields[1] + lag * ((1 - lag) * before[0] + lag * trail)]
 
 
+@lru_cache(maxsize=2)
 def _rim_px(chain: ImageChain) -> np.ndarray:
     """Return the distance (H, W) of each pixel from the edge of the field, negative outside."""
     h, w = chain.shape
-    return chain.rim_px(np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1))
+    out = chain.rim_px(np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1))
+    out.flags.writeable = False
+    return out
 
 
 def pixel_rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
