@@ -9,9 +9,9 @@ from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.holes import nail_drawn
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
-from sightline.cli.demo_procedures import PLACED, frame_for
+from sightline.cli.demo_procedures import PLACED, WITH_ROBOT, frame_for
 from sightline.planning.procedures.files import document_of
-from sightline.rehearsal.patient import AT_HIP, BONE_OF, CANNULATED, NAILED
+from sightline.rehearsal.patient import AT_HIP, BONE_OF, CANNULATED, NAILED, frame_of
 
 # Words of a hip that no report of another bone may say. "The hip" of the frame's coordinates and of the robot may.
 HIP_WORDS = ("femoral head", "lesser trochanter", "neck", "right hip", "hip screw")
@@ -84,6 +84,8 @@ def test_the_frame_is_gamma_unless_the_views_need_a_block(run, tmp_path) -> None
     }
     assert frame_for(NAILED, None) == "block60" and frame_for(NAILED, "block30") == "block30"
     assert frame_for("pedicle-screw", "gamma") == "gamma"
+    assert WITH_ROBOT.keys() == {*AT_HIP, NAILED}  # a table of its own, read before what it must agree with is imported
+    assert {key: frame_of(key) for key in WITH_ROBOT} == {**WITH_ROBOT, CANNULATED: "gamma"}
     ran = run("demo", "--procedure", "hip", "--out", tmp_path / "demo")
     assert ran.code == 2
     assert "hip-screw" in ran.err

@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from sightline.calibration import calibrate
-from sightline.cli.demo_robot import BY_ENCODERS, BY_IMAGES, DemoPlan, registrations
+from sightline.cli import demo_robot
+from sightline.cli.demo_robot import BY_ENCODERS, BY_IMAGES, DemoPlan, RobotAhead, registrations
 from sightline.errors import RobotRefusedError
 from sightline.frame import Frame
 from sightline.geometry.covariance import length_quantile
@@ -65,3 +67,26 @@ def test_a_block_that_was_knocked_on_its_mount_is_refused(planned):
 def test_a_gamma_s_images_do_not_show_the_wire(planned):
     around = SimpleNamespace(robot=planned.rehearsal.robot, robot_wire_mm=None)
     assert list(registrations(replace(planned, rehearsal=around), joints(planned), 0.0, None)) == [BY_ENCODERS]
+
+
+def test_a_robot_starts_ahead_of_those_patients_and_frames_that_it_drills():
+    """Fails for a robot of another patient than the images', and for one that stays beside a frame without room."""
+    started = []
+
+    def start(*of):
+        started.append(SimpleNamespace(of=of, close=lambda: started.append("closed")))
+        return started[-1]
+
+    with patch.object(demo_robot, "_robot", side_effect=start), patch.object(demo_robot, "_installed", lambda: True):
+        with RobotAhead(3, "pedicle-screw", None) as ahead:
+            ahead.keep_beside(BLOCK)
+        assert started == []
+        with RobotAhead(3, "distal-interlocking", None) as ahead:
+            ahead.keep_beside(BLOCK)
+            assert started[0].of == (3, "block60", "right", "distal-interlocking")
+            assert len(started) == 1
+        assert started.pop() == "closed"
+        with RobotAhead(3, "hip-screw", "block40+detector-plate") as ahead:
+            ahead.keep_beside(Frame.load("block40+detector-plate"))
+            assert started[-1] == "closed"
+        assert started.count("closed") == 1  # once

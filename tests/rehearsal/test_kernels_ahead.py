@@ -1,16 +1,23 @@
-"""A second process compiles labelling and calibration: where it is needed, of what a demo calls, and it ends."""
+"""Two processes compile detection, labelling and calibration: where needed, what a demo calls, and they end."""
 
 import os
 import sys
 from subprocess import run
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 
 from sightline.calibration import calibrate
+from sightline.detection.clipping import clipped_shares
+from sightline.detection.columns import FITTED, STATUS, U, V
+from sightline.detection.find import find_candidates
+from sightline.detection.fit import fit_part
+from sightline.detection.labelling.joint_kernels import settle
+from sightline.detection.refine import BeadFitter
 from sightline.frame import Frame
 from sightline.rehearsal import kernels_ahead
-from sightline.rehearsal.kernels_ahead import KernelsAhead, compiled, label_and_calibrate
+from sightline.rehearsal.kernels_ahead import KernelsAhead, compiled, fit_beads, label_and_calibrate, search_image
 
 METHODS = ("smooth", "localized", "polynomial")
 
@@ -24,7 +31,7 @@ def test_it_calibrates_every_view_by_every_method_and_then_the_kernels_are_there
     views = ("pa", "lateral")
     done = [(call.args[0].view, call.kwargs["method"]) for call in called.call_args_list]
     assert done == [(view, method) for view in views for method in methods]
-    assert compiled()
+    assert compiled(settle)
 
 
 def test_no_process_is_started_where_the_kernels_are_there_or_no_core_is_free():
@@ -37,26 +44,57 @@ def test_no_process_is_started_where_the_kernels_are_there_or_no_core_is_free():
             pass
 
 
-def test_the_process_ends_with_its_block():
-    """Fails for a process that outlives the demo."""
+def test_it_fits_every_drawn_bead_where_it_is():
+    """Fails for an image without beads, or in which they lie elsewhere: the fits would end before most kernels."""
+    with patch.object(BeadFitter, "__call__", autospec=True, side_effect=BeadFitter.__call__) as fitted:
+        fit_beads()
+    rows = BeadFitter.__call__(*fitted.call_args.args)
+    assert len(rows) > 40
+    assert (rows[:, STATUS] == FITTED).all()
+    np.testing.assert_allclose(rows[:, [U, V]], fitted.call_args.args[1][:, [U, V]], atol=0.3)
+    assert compiled(fit_part)
+
+
+def test_it_finds_the_drawn_beads_and_a_clipped_part_of_the_image():
+    """Fails for an image in which nothing is judged, or nothing is clipped: those kernels would be missing."""
+    wraps = patch.object(kernels_ahead, "find_candidates", side_effect=find_candidates)
+    with wraps as found, patch.object(kernels_ahead, "clipped_shares", side_effect=clipped_shares) as clipped:
+        search_image()
+    spots = find_candidates(*found.call_args.args)
+    assert np.count_nonzero(spots.round) > 40
+    image, usable, _ = clipped.call_args_list[0].args
+    assert image.pixels.max() == image.white
+    assert [call.args[1].flags.writeable for call in clipped.call_args_list] == [True, False]
+    assert usable.any()
+
+
+def test_processes_are_waited_for_and_end_with_their_block():
+    """Fails for processes that outlive the demo, and for a wait that ends before they do."""
     cold = patch.object(kernels_ahead, "compiled", return_value=False)
     with cold, patch.object(kernels_ahead, "THREADS", 2), KernelsAhead("gamma", METHODS) as ahead:
-        process = ahead._process
-        assert process is not None
-        assert process.poll() is None
-    assert process.poll() is not None
+        first, second = ahead._processes
+        assert [first.poll(), second.poll()] == [None, None]
+        first.kill()
+        second.kill()
+        ahead.wait()
+        assert None not in (first.poll(), second.poll())
+    with cold, patch.object(kernels_ahead, "THREADS", 2), KernelsAhead("gamma", METHODS) as ahead:
+        processes = ahead._processes
+    assert all(process.poll() is not None for process in processes)
 
 
 @pytest.mark.slow
-def test_in_an_empty_cache_the_process_compiles_what_the_check_looks_for(tmp_path):
-    """Fails for a check that looks elsewhere than numba writes: a process would then be started at every demo."""
+def test_in_an_empty_cache_each_process_compiles_what_the_check_looks_for(tmp_path):
+    """Fails for a check that looks elsewhere than numba writes: processes would then be started at every demo."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
 
-    def says() -> str:
-        program = "from sightline.rehearsal.kernels_ahead import compiled; print(compiled())"
-        return run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True).stdout  # noqa: S603
+    def says() -> list[str]:
+        program = "from sightline.rehearsal.kernels_ahead import *; print(compiled(fit_part), compiled(settle))"
+        done = run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)  # noqa: S603
+        return done.stdout.split()
 
-    assert says().strip() == "False"
-    command = [sys.executable, "-m", kernels_ahead.__name__, "gamma", "smooth"]
-    run(command, env=environment, check=True)  # noqa: S603
-    assert says().strip() == "True"
+    assert says() == ["False", "False"]
+    for name, then in (("fits", ["True", "False"]), ("labels", ["True", "True"])):
+        command = [sys.executable, "-m", kernels_ahead.__name__, name, "gamma", "smooth"]
+        run(command, env=environment, check=True)  # noqa: S603
+        assert says() == then

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from sightline.checks import Check
     from sightline.frame import Frame
     from sightline.planning import WirePlans
+    from sightline.rehearsal.kernels_ahead import KernelsAhead
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the plan is made with the first
 OF_SOLIDS: "tuple[Method, ...]" = METHODS[:1]  # the others are for plates
@@ -62,26 +63,40 @@ def demo(
     was planned.
     """
     with Output(json=json, quiet=quiet) as output:
-        from sightline.atomic import whole_folder
-        from sightline.cli.demo_procedures import SEEDS, frame_for
-        from sightline.frame import Frame
-        from sightline.rehearsal.kernels_ahead import KernelsAhead
+        from sightline.cli.demo_procedures import SEEDS
 
-        frame_name = frame_for(procedure, frame)
         seed = SEEDS.get(procedure, SEED) if seed is None else seed
-        how_long = "about half a minute, of three wires twice that"
-        output.note(f"Sightline demo, seed {seed}: {how_long}; the first run compiles and takes a minute more")
-        kernels = KernelsAhead(frame_name, _methods(Frame.load(frame_name)))
-        with kernels, whole_folder(out, units=("case",)) as scratch, RobotAhead() as ahead:
-            document = _run(output, scratch, ahead, seed=seed, frame_name=frame_name, procedure=procedure)
-            files = [out / file.name for file in sorted(scratch.iterdir())]
+        with RobotAhead(seed, procedure, frame) as ahead:  # its process imports while this one does
+            from sightline.atomic import whole_folder
+            from sightline.cli.demo_procedures import frame_for
+            from sightline.frame import Frame
+            from sightline.rehearsal.kernels_ahead import KernelsAhead
+
+            frame_name = frame_for(procedure, frame)
+            how_long = "about a quarter of a minute, of three wires twice that"
+            output.note(f"Sightline demo, seed {seed}: {how_long}; the first run compiles and takes a minute more")
+            read = Frame.load(frame_name)
+            ahead.keep_beside(read)
+            with KernelsAhead(frame_name, _methods(read)) as kernels, whole_folder(out, units=("case",)) as scratch:
+                document = _run(
+                    output, scratch, ahead, kernels, seed=seed, frame=read, frame_name=frame_name, procedure=procedure
+                )
+                files = [out / file.name for file in sorted(scratch.iterdir())]
         output.say(f"report: {out / 'report.html'}")
         output.say(f"images and results: {', '.join(file.name for file in files if file.suffix != '.html')} in {out}")
         output.result({**document, "files": files})
 
 
 def _run(
-    output: Output, folder: Path, ahead: RobotAhead, *, seed: int, frame_name: str, procedure: str
+    output: Output,
+    folder: Path,
+    ahead: RobotAhead,
+    kernels: "KernelsAhead",
+    *,
+    seed: int,
+    frame: "Frame",
+    frame_name: str,
+    procedure: str,
 ) -> dict[str, Any]:
     """Do all steps and return the result. The images are read back from their files, as a user's images are."""
     from sightline.case.report import exposures
@@ -99,11 +114,8 @@ def _run(
         relations_measured,
         title,
     )
-    from sightline.frame import Frame
     from sightline.imaging import write_dicom
 
-    frame = Frame.load(frame_name)
-    ahead.start(seed, frame, frame_name, procedure)
     with output.step("1/8 drawing the set-up and its X-ray images"):
         rehearsal = drawn_patient(procedure, seed, frame)
         wire = rehearsal.wires_mm[0]
@@ -112,6 +124,7 @@ def _run(
             write_dicom(rehearsal.images[name], folder / f"demo_{name}.dcm", rehearsal.side) for name in NAMES
         )
     with output.step("2/8 reading the images, finding and labelling the beads"):
+        kernels.wait()
         seen = see_pair(pa, lateral, frame)
     methods = _methods(frame)
     with output.step(f"3/8 calibrating both views: {', '.join(methods)}"):

@@ -22,6 +22,15 @@ SIDE = "right"
 # is refused, since a beam is 27° off its holes, and in half of the check shots a bead may hide the tip of a drill.
 SEEDS = {"iliosacral-screw": 10, "distal-interlocking": 2}
 HIP_PICKS = "centre of the head, both trochanters; three clicks on the head's rim in each"
+# The procedures whose bone the robot's simulation knows, and the frame of each. The robot's process is started by them,
+# before the imports that all else needs.
+WITH_ROBOT = {
+    "hip-screw": "gamma",
+    "free-wire": "gamma",
+    # A block's check images may be taken from where they show three wires apart.
+    "cannulated-hip-screws": "block60",
+    "distal-interlocking": "block60",
+}
 PLACED = (
     "No robot drilled this wire: its simulation does not know this procedure. The wire was put where it was planned."
 )
@@ -30,13 +39,12 @@ PLACED = (
 def frame_for(procedure: str, frame: str | None) -> str:
     """Return the name of the frame: the given one, or the procedure's default. Raises UnusableInputError."""
     from sightline.errors import UnusableInputError
-    from sightline.rehearsal.patient import AT_HIP, BONE_OF, CANNULATED, NAILED, frame_of
+    from sightline.rehearsal.patient import AT_HIP, BONE_OF, NAILED, frame_of
 
     if procedure not in (*AT_HIP, *BONE_OF, NAILED):
         known = ", ".join((*AT_HIP, *BONE_OF, NAILED))
         raise UnusableInputError(f"there is no demo of {procedure!r}; choose one of {known}")
-    # A block's check images may be taken from where they show three wires apart.
-    return frame or ("block60" if procedure == CANNULATED else frame_of(procedure))
+    return frame or WITH_ROBOT.get(procedure) or frame_of(procedure)
 
 
 def drawn_patient(procedure: str, seed: int, frame: "Frame") -> "RehearsedPatient":
@@ -51,9 +59,7 @@ def drawn_patient(procedure: str, seed: int, frame: "Frame") -> "RehearsedPatien
 
 def with_robot(procedure: str) -> bool:
     """Return whether the simulated robot knows the bone of a procedure."""
-    from sightline.rehearsal.patient import AT_HIP, NAILED
-
-    return procedure in (*AT_HIP, NAILED)
+    return procedure in WITH_ROBOT
 
 
 def command(seed: int, procedure: str, frame: str) -> str:

@@ -94,17 +94,22 @@ class Inserted:
 
 
 class RobotAhead(Closing):
-    """The process of the simulated robot, started before it is needed: it starts while the images are drawn."""
+    """The process of the simulated robot, started before it is needed: it starts while the images are drawn.
 
-    def __init__(self) -> None:
-        self._running: RobotProcess | None = None
+    It is started if the robot drills the patient that `drawn_patient` draws. `frame`: its name, by default the
+    procedure's.
+    """
 
-    def start(self, seed: int, frame: "Frame", frame_name: str, procedure: str) -> None:
-        """Start it if the robot drills the patient that `drawn_patient` draws."""
-        from sightline.cli.demo_procedures import SIDE, with_robot
+    def __init__(self, seed: int, procedure: str, frame: str | None) -> None:
+        from sightline.cli.demo_procedures import SIDE, WITH_ROBOT
 
-        if with_robot(procedure) and _installed() and _has_room(frame):
-            self._running = _robot(seed, frame_name, SIDE, procedure)
+        starts = procedure in WITH_ROBOT and _installed()
+        self._running = _robot(seed, frame or WITH_ROBOT[procedure], SIDE, procedure) if starts else None
+
+    def keep_beside(self, frame: "Frame") -> None:
+        """End it where a frame leaves the robot no room."""
+        if not _has_room(frame):
+            self.close()
 
     def take(self, planned: "DemoPlan[Rehearsal]") -> "RobotProcess":
         """The one that was started, or a new one for another wire."""
@@ -116,9 +121,11 @@ class RobotAhead(Closing):
         """End it, if nobody took it."""
         if self._running is not None:
             self._running.close()
+            self._running = None
 
 
 def _robot(seed: int, frame_name: str, side: str, procedure: str) -> "RobotProcess":
+    """Start the process, without an import that takes long."""
     from sightline.rehearsal.process import RobotProcess
 
     return RobotProcess(seed, frame_name, side, procedure, virtual=True)

@@ -1,59 +1,119 @@
-"""Kernels of labelling and calibration, compiled by a process of their own before a first demo needs them.
+"""Kernels of detection, labelling and calibration, compiled by two processes before a first demo needs them.
 
-A process compiles on one core. Until a demo has compiled what finds beads, this one has labelled and calibrated true
-beads of the twin on the other core, and numba has put the kernels on the disk, where the demo finds them. A kernel that
-comes too late is compiled by the demo too: no result depends on this process.
+A process compiles on one core. While a first demo draws its images and its robot starts, one process has fitted beads,
+and the other has searched an image, and labelled and calibrated true beads of the twin. numba has put the kernels on
+the disk, where the demo finds them. Without these processes the demo compiles them itself: no result depends on them.
 """
 
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import cast
 
+import cv2
 import numpy as np
 
 from sightline.calibration import calibrate
 from sightline.calibration.fit import Method
 from sightline.closing import Closing
 from sightline.detection import Detections, label
+from sightline.detection.clipping import clipped_shares
+from sightline.detection.find import find_candidates
+from sightline.detection.fit import fit_part
 from sightline.detection.labelling.joint_kernels import settle
+from sightline.detection.log_image import field_and_logs
+from sightline.detection.noise import LAGS, NoiseModel, estimate_noise
+from sightline.detection.refine import BeadFitter, start
 from sightline.errors import SightlineError
 from sightline.frame import Frame
+from sightline.imaging import Radiograph
+from sightline.imaging.defects import interlaced
 from sightline.threads import THREADS
 from sightline.twin import draw_setup
 from sightline.twin.carm import bead_images, shadow_radius_px
 
 SEED = 9  # that of the demo: its beads are labelled and calibrated by all methods
 SD_PX = 0.03  # noise of a centre, as a demo's images have [ours]
+_SIDE_PX, _WHITE = 512, 4095  # of the image that is searched, and its largest value, as an image intensifier's [ours]
+_LIGHT, _SHADOW, _NOISE = 1500.0, 600.0, 15.0  # its values: background, beads, s.d. [ours]
+_RADIUS_PX = 8.0  # of its beads
 
 
 class KernelsAhead(Closing):
-    """The process, started where kernels are not compiled yet and a second core is free; it ends with the block."""
+    """The processes, each started where its kernels are not compiled yet and a second core is free; they end with the
+    block."""
 
     def __init__(self, frame_name: str, methods: Sequence[Method]) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        if THREADS > 1 and not compiled():
-            command = [sys.executable, "-m", __name__, frame_name, *methods]
-            quiet = subprocess.DEVNULL
-            self._process = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet)  # noqa: S603 - our own
+        self._processes: list[subprocess.Popen[bytes]] = []
+        for largest, name in ((fit_part, "fits"), (settle, "labels")):  # the largest kernel of each
+            if THREADS > 1 and not compiled(largest):
+                command = [sys.executable, "-m", __name__, name, frame_name, *methods]
+                quiet = subprocess.DEVNULL
+                process = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet)  # noqa: S603 - our own
+                self._processes.append(process)
+
+    def wait(self) -> None:
+        """Wait until they have ended: a demo that goes on before would compile the same kernels again."""
+        for process in self._processes:
+            process.wait()
 
     def close(self) -> None:
-        """End it; what it has compiled stays."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
+        """End them; what they have compiled stays."""
+        for process in self._processes:
+            process.kill()
+            process.wait()
 
 
-def compiled() -> bool:
-    """Return whether the largest kernel of labelling is on the disk, or numba compiles nothing."""
-    stats = getattr(settle, "stats", None)
-    return stats is None or any(Path(stats.cache_path).glob(f"*.{settle.__name__}-*.nbi"))
+def compiled(kernel: Callable[..., object]) -> bool:
+    """Return whether a kernel is on the disk, or numba compiles nothing."""
+    stats = getattr(kernel, "stats", None)
+    return stats is None or any(Path(stats.cache_path).glob(f"*.{kernel.__name__}-*.nbi"))
+
+
+def fit_beads() -> None:
+    """Fit beads in an image, so that the kernels of the fits are compiled, and no others."""
+    image, uv_px = _beads()
+    logs = np.log(image.pixels.astype(np.float32))
+    # White noise as drawn: its s.d. is _NOISE at every light.
+    noise = NoiseModel(float(2 * np.log(_NOISE)), 2.0, np.eye(LAGS + 1)[0])
+    response = np.full(len(uv_px), np.log(_SHADOW / _LIGHT))
+    BeadFitter(logs, np.ones(logs.shape, bool), noise)(start(uv_px, np.full(len(uv_px), _RADIUS_PX), response))
+
+
+def search_image() -> None:
+    """Search an image for beads, so that the kernels are compiled of all that detection does but the fits."""
+    image, uv_px = _beads()
+    mask, logs = field_and_logs(image)
+    noise = estimate_noise(logs, mask)
+    assert noise is not None  # noqa: S101 - it was drawn
+    interlaced(image)
+    find_candidates(logs, mask, noise)
+    rows = start(uv_px, np.full(len(uv_px), _RADIUS_PX), np.full(len(uv_px), -1.0))
+    held = mask.copy()
+    held.flags.writeable = False
+    for usable in (mask.copy(), held):  # both occur: numba compiles for each
+        clipped_shares(image, usable, rows)
+
+
+def _beads() -> tuple[Radiograph, np.ndarray]:
+    """Return an image with a lattice of dark discs and white noise, and their places (N, 2)."""
+    places = np.stack(np.meshgrid(*[np.arange(64.0, _SIDE_PX, 64.0)] * 2), axis=-1).reshape(-1, 2)
+    light = np.full((_SIDE_PX, _SIDE_PX), _LIGHT)
+    for u, v in places.astype(int).tolist():
+        cv2.circle(light, (u, v), int(_RADIUS_PX), _SHADOW, -1)
+    light = cv2.GaussianBlur(light, (0, 0), 1.0)
+    light += _NOISE * np.random.default_rng(SEED).standard_normal(light.shape)
+    light[:2] = _WHITE  # clipped
+    return Radiograph(np.clip(np.rint(light), 0, _WHITE).astype(np.uint16), float(_WHITE)), places
 
 
 def label_and_calibrate(frame: Frame, methods: Sequence[Method]) -> None:
-    """Label and calibrate the true beads of a drawn set-up, so that the kernels are compiled. Raises SetUpError."""
+    """Label and calibrate the true beads of a drawn set-up and project the hip, so that the kernels are compiled.
+
+    Raises SetUpError.
+    """
     rng = np.random.default_rng(SEED)
     setup = draw_setup(rng, frame)
     for name, view in setup.views.items():
@@ -72,9 +132,13 @@ def label_and_calibrate(frame: Frame, methods: Sequence[Method]) -> None:
         )
         observations = label(found, frame, None if frame.solid is None else name)
         for method in methods:
-            calibrate(observations, frame, method=method)
+            calibrate(observations, frame, method=method).project(setup.hip_mm[None])
 
 
 if __name__ == "__main__":
     with suppress(SightlineError):  # the demo says what is wrong
-        label_and_calibrate(Frame.load(sys.argv[1]), cast("list[Method]", sys.argv[2:]))
+        if sys.argv[1] == "fits":
+            fit_beads()
+        else:
+            search_image()
+            label_and_calibrate(Frame.load(sys.argv[2]), cast("list[Method]", sys.argv[3:]))
