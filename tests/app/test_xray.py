@@ -257,6 +257,19 @@ def test_the_readout_says_the_pixel_under_the_pointer(view: View) -> None:
     expect(view.root.get_by_test_id("readout")).to_have_text(TEXTS["outside"])
 
 
+def test_the_readout_of_a_pointer_that_rests_in_a_drag_is_that_of_its_pixel(view: View) -> None:
+    """Catches a readout that is put off in a drag and never shown, so that it belongs to an earlier place."""
+    values, (x, y) = picture(), view.screen(POINTS[0]["uv"])
+    view.mouse.move(x, y)
+    view.mouse.down()
+    for k in range(1, 20):  # faster than the readout follows
+        view.mouse.move(x + 3.0 * k, y + 2.0 * k)
+    u, v = view.core("core.toImage(value)", [x + 57.0, y + 38.0])
+    said = f"u {u:.1f}   v {v:.1f}   value {values[round(v), round(u)]}"
+    expect(view.root.get_by_test_id("readout")).to_have_text(said)
+    view.mouse.up()
+
+
 # how it looks
 
 
@@ -659,6 +672,20 @@ def test_a_curve_follows_the_hand_though_the_server_says_nothing(view: View) -> 
     view.drag((x + 12.0, y + 31.0), (x + 40.0, y))
     view.page.wait_for_function("!window.sightlineXray.pa.edits.moved.size")
     assert _lateral(view, "core.state.points.get('end').uv") == before
+
+
+def test_the_button_of_a_point_is_over_it_again_once_a_drag_in_the_other_view_is_over(view: View) -> None:
+    """Catches buttons that stay where they were while the point slid on its curve."""
+    view.do("matching")
+    view.page.wait_for_function("window.sightlineXray.lateral.matching.sights")
+    x, y = view.screen(POINTS[1]["uv"])
+    view.drag((x, y), (x + 12.0, y + 31.0))
+    view.page.wait_for_function("!window.sightlineXray.pa.edits.moved.size")
+    view.settle()
+    there = _lateral(view, "core.toScreen(core.state.points.get('end').uv)")
+    box = view.page.get_by_test_id("xray-lateral").get_by_test_id("point-end").bounding_box()
+    assert box is not None
+    assert near((box["x"] + box["width"] / 2, box["y"] + box["height"] / 2), there) < 0.5  # [ours] CSS px
 
 
 def test_a_lateral_point_slides_on_its_curve_wherever_the_pointer_is(view: View) -> None:

@@ -18,6 +18,7 @@ import { Still } from "./xray_still.js";
 
 const FRAMES_KEPT = 2000;
 const BREAK_MS = 250; // a longer gap between frames means that the person paused
+const READ_MS = 100; // [ours] between readouts in a drag: nobody reads more, and each costs a layout
 const CROSS = 24; // half the size of the keyboard's cross-hair
 const TEXT_PX = 15; // CSS pixels of the text for which `unit` is 1
 
@@ -35,6 +36,9 @@ export class Canvas {
     /** @type {number[]} */
     this.frames = []; // ms between consecutive frames
     this.lastFrame = 0;
+    this.lastRead = 0;
+    /** @type {number | null} */
+    this.reading = null; // timer of a readout that is put off
     /** @type {number | null} */
     this.request = null;
     /** @type {Pair} */
@@ -44,6 +48,7 @@ export class Canvas {
 
   end() {
     if (this.request !== null) cancelAnimationFrame(this.request);
+    if (this.reading !== null) clearTimeout(this.reading);
   }
 
   /** Draws these parts again in the next frame.
@@ -77,7 +82,22 @@ export class Canvas {
     if (table) this.#drawTable();
     if (image || table) this.#drawImage();
     if (image || table || overlay) this.#drawOverlay();
-    if (readout || table) this.core.reading.show();
+    if (readout || table) this.#read(now);
+  }
+
+  /** Shows the readout, in a drag at most every READ_MS.
+   * @param {number} now */
+  #read(now) {
+    const left = this.core.state.dragging === null ? 0 : READ_MS - (now - this.lastRead);
+    if (left > 0) {
+      this.reading ??= setTimeout(() => {
+        this.reading = null;
+        this.invalidate("readout");
+      }, left);
+      return;
+    }
+    this.lastRead = now;
+    this.core.reading.show();
   }
 
   #drawTable() {
@@ -129,7 +149,8 @@ export class Canvas {
       });
     }
     core.stage.classList.toggle("xray-lens", lens !== null); // the focus ring would cover the magnifier
-    if (!lens) core.buttons.place(core.placed, (uv) => core.display.toView(uv)); // the magnifier hides them
+    // The magnifier hides the buttons; while a point moves in the other view, none here has the focus.
+    if (!lens && core.following.moving.size === 0) core.buttons.place(core.placed, (uv) => core.display.toView(uv));
   }
 
   /** @param {CanvasRenderingContext2D} context */

@@ -20,9 +20,10 @@ const ICONS = {
   restore: "M20 10h-6V4M14 10l7-7M4 14h6v6M10 14l-7 7",
 };
 
-// Controls are 2.75 em, more than the 24 CSS pixels of WCAG 2.2 (2.5.8).
+// `contain: strict`: a text that changes in a view is laid out there, not with the whole page; the view's size comes from
+// outside. Controls are 2.75 em, more than the 24 CSS pixels of WCAG 2.2 (2.5.8).
 const SHEET = `
-.xray { position: relative; width: 100%; height: 100%; min-height: 12em; overflow: hidden; contain: layout paint style; container-type: inline-size;
+.xray { position: relative; width: 100%; height: 100%; min-height: 12em; overflow: hidden; contain: strict; container-type: inline-size;
   background: var(--stage); color: var(--text);
   font: 400 clamp(15px, 11px + 0.32vw, 24px)/1.35 Roboto, system-ui, "Segoe UI", "DejaVu Sans", sans-serif;
   border: 1px solid var(--line); border-radius: 0.5em; user-select: none; -webkit-user-select: none; }
@@ -146,6 +147,7 @@ export class Chrome {
   /** The image's title.
    * @param {string} label */
   setLabel(label) {
+    if (this.title.textContent === label) return;
     this.title.textContent = label;
     for (const named of [this.root, this.stage, this.tools]) named.setAttribute("aria-label", label);
   }
@@ -245,7 +247,7 @@ export class Chrome {
    * @param {string | null} text */
   showLine(line, text) {
     line.hidden = !text;
-    line.textContent = text || "";
+    this.showText(line, text || "");
   }
 
   /** @param {string} numbers

@@ -10,6 +10,8 @@ export class PointButtons {
   constructor(holder, onFocus) {
     this.holder = holder;
     this.onFocus = onFocus;
+    /** @type {WeakMap<HTMLElement, string>} */
+    this.placed = new WeakMap(); // the transform that each has
   }
 
   /** One for each of these points, named by `describe(point)`.
@@ -34,7 +36,10 @@ export class PointButtons {
       const uv = places.get(button.dataset.id ?? "");
       if (!uv) continue;
       const [x, y] = where(uv);
-      button.style.transform = `translate(${x}px, ${y}px)`;
+      const transform = `translate(${x}px, ${y}px)`;
+      if (this.placed.get(button) === transform) continue;
+      this.placed.set(button, transform);
+      button.style.transform = transform;
     }
   }
 
