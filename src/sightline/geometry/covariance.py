@@ -69,8 +69,8 @@ def length_quantile(covariance: np.ndarray, probability: float = 0.95) -> np.nda
     variances = np.zeros((*values.shape[:-1], 3))
     variances[..., : values.shape[-1]] = np.sort(np.clip(values, 0.0, None))[..., ::-1]
     largest = np.sqrt(variances[..., 0])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shape = np.nan_to_num(variances[..., 1:] / variances[..., :1])
+    none = variances[..., :1] == 0.0
+    shape = np.where(none, 0.0, variances[..., 1:] / np.where(none, 1.0, variances[..., :1]))
     return largest * _radius(probability, shape[..., 0], shape[..., 1])
 
 
@@ -114,7 +114,7 @@ def response(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tu
 def _radius(probability: float, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     """Return the quantile of the length of a Gaussian with variances 1, b and c, by bracketed Newton iterations."""
     scale = 1 / np.sqrt(2 * (np.stack([np.ones_like(b), b, c], axis=-1) @ _SQUARES))
-    low, high = ndtri((1 + probability) / 2) * 0.999, ellipsoid_factor(probability, 3) * 1.001
+    low, high = _bracket(probability)
     below, above = np.full(b.shape, low), np.full(b.shape, high)
     # Start with the quantile of the scaled chi-square that has the same mean and variance, which is near.
     mean, half = 1 + b + c, 1 + b**2 + c**2
@@ -128,6 +128,12 @@ def _radius(probability: float, b: np.ndarray, c: np.ndarray) -> np.ndarray:
             return following
         radius = following
     return radius
+
+
+@cache
+def _bracket(probability: float) -> tuple[float, float]:
+    """Return lengths between which the quantile lies: that of one variance, and that of three equal ones."""
+    return float(ndtri((1 + probability) / 2)) * 0.999, ellipsoid_factor(probability, 3) * 1.001
 
 
 def _within(radius: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

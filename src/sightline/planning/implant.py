@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from sightline.errors import OutsideRegionError
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -97,13 +98,26 @@ def template(seen: Corridor, wire_mm: float, document: ProcedureDocument) -> Tem
 def _cubic(x: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return the values (A, n) at places (A,), from those (S, n) at increasing places `x` (S,), S > 1: for each place
     by the polynomial through the four stations nearest to it, or through all of fewer."""
+    out = np.empty((len(at), values.shape[1]))
+    _fill_cubic(x, values, at, np.searchsorted(x, at), out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _fill_cubic(x, values, at, after, out):
+    """Fill `out` with the values of `_cubic`; `after` (A,): the first station not before each place."""
     count = min(4, len(x))
-    first = np.clip(np.searchsorted(x, at) - count // 2, 0, len(x) - count)
-    near = first[:, None] + np.arange(count)
-    other = ~np.eye(count, dtype=bool)
-    off = np.where(other, (at[:, None] - x[near])[:, None], 1.0)
-    apart = np.where(other, x[near][:, :, None] - x[near][:, None], 1.0)
-    return np.einsum("ak,akn->an", off.prod(axis=2) / apart.prod(axis=2), values[near])
+    for a in range(len(at)):
+        first = min(max(after[a] - count // 2, 0), len(x) - count)
+        out[a] = 0.0
+        for k in range(first, first + count):
+            off, apart = 1.0, 1.0
+            for j in range(first, first + count):
+                if j != k:
+                    off *= at[a] - x[j]
+                    apart *= x[k] - x[j]
+            for n in range(values.shape[1]):
+                out[a, n] += off / apart * values[k, n]
 
 
 def _diameter_mm(document: ProcedureDocument) -> float | None:
