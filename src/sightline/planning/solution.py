@@ -270,8 +270,9 @@ def weighted_points(given: Given, xyz_mm: np.ndarray) -> np.ndarray:
 
 
 def _by_solutions(given: Given, xyz_mm: np.ndarray) -> np.ndarray:
-    """Return `weighted_points` by linearised solutions, which say what is wrong with the picks. Raises OutsideRegionError,
-    ReconstructionRefusedError."""
+    """Return `weighted_points` by linearised solutions, which say what is wrong with the picks.
+
+    Raises OutsideRegionError, ReconstructionRefusedError."""
     for _ in range(_ITERATIONS):
         xyz_mm = xyz_mm + Solution(given, xyz_mm, "weighted").step_mm()
     return xyz_mm
