@@ -142,6 +142,30 @@ def test_a_significant_gap_is_no_go_and_a_snapped_point_has_none():
     assert [c.name for c in judge(snapped, views).checks].count("gap") == 1
 
 
+def test_a_failed_gap_names_its_landmark_and_tells_it_against_its_limit():
+    """Fails for sentences of "landmark 1" where the procedure names it, and for "1.0 times the limit" of a failure."""
+    views = _views(0.05)
+    trajectory = _trajectory(views)
+    seen = _changed(trajectory, gap_sigma=np.array([0.3, 1.004 * MAX_GAP_SIGMA])).points
+    last = replace(
+        seen,
+        xyz_mm=np.concatenate([seen.xyz_mm, seen.xyz_mm]),
+        gap_mm=np.tile(seen.gap_mm, 2),
+        gap_sigma=np.tile(seen.gap_sigma, 2),
+        gap_tested=np.ones(4, dtype=bool),
+    )
+    gaps = [
+        check for check in judge(trajectory, views, None, last, ["", "lesser trochanter"]).checks if check.name == "gap"
+    ]
+    assert [check.sentence.split(" pass ")[0].removeprefix("The lines of sight of ") for check in gaps] == [
+        "the entry point",
+        "the end point",
+        "landmark 1",
+        "the lesser trochanter",
+    ]
+    assert "1.01 times the limit" in gaps[3].sentence and gaps[3].sentence.endswith("pick again.")
+
+
 @pytest.mark.parametrize(("method", "go"), [("smooth", True), ("polynomial", False), ("localized", False)])
 def test_outside_the_convex_hull_only_smooth_states_a_sufficient_error(method, go):
     views = [replace(view, method=method) for view in _views(0.05)]

@@ -311,7 +311,8 @@ def plan(
         if aids is None and not kind.checks
         else located(drawings, lambda: solution, bool(kind.document.directions))
     )
-    verdict = judge(trajectory, at_rest, kind.limits, seen)
+    called = {landmark.key: landmark.name for landmark in kind.landmarks}
+    verdict = judge(trajectory, at_rest, kind.limits, seen, [called.get(name, "") for name in names])
     if hole is not None:
         verdict = verdict.joined(Verdict(hole.checks))
     if kind.checks and anatomy is not None:

@@ -241,12 +241,13 @@ def _beads_near(counts: dict[tuple[str, str], tuple[int, int, int]]) -> Check:
 
 
 def _gap_check(name: str, failed: bool, sigma: float, gap_mm: float) -> Check:
-    sentence = f"The lines of sight of {name} pass {gap_mm:.2f} mm apart, {sigma:.1f} standard deviations"
+    sentence = f"The lines of sight of {name} pass {gap_mm:.2f} mm apart, "
+    times = max(sigma / MAX_GAP_SIGMA, 1.01)  # of a failure never rounded down to the limit
     sentence += (
-        "; the picks in the images show different points, the patient moved between the views, or a view is wrong: "
-        "pick again."
+        f"{times:.2f} times the limit: the picks show different points, the patient moved between the views, or a view "
+        "is wrong; pick again."
         if failed
-        else "."
+        else f"{sigma:.1f} standard deviations."
     )
     return Check("gap", not failed, sigma, MAX_GAP_SIGMA, "σ", sentence)
 

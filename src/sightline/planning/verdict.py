@@ -25,10 +25,12 @@ def judge(
     views: Sequence[CalibratedView],
     limits: Limits | None = None,
     seen: SpacePoints | None = None,
+    landmarks: Sequence[str] = (),
 ) -> Verdict:
     """Return the verdict on drilling along a trajectory: the views' own checks, then the plan's.
 
-    `seen`: entry, end and landmarks, in this order; without it there are no landmarks.
+    `seen`: entry, end and landmarks, in this order; without it there are no landmarks. `landmarks`: their names, for
+    the sentences; by default they are numbered.
     """
     limits, seen = limits or Limits(), seen or trajectory.points
     checks = [check for view in views for check in _named(view)]
@@ -37,7 +39,7 @@ def judge(
     if trajectory.error_stated:
         checks += _errors(trajectory, limits)
     if trajectory.points.joint_covariance_mm2 is not None:
-        checks += [*_gaps(seen), *_spread(seen), _movement(seen, [view.name for view in views])]
+        checks += [*_gaps(seen, landmarks), *_spread(seen), _movement(seen, [view.name for view in views])]
     checks.append(_inside_hull(trajectory, views))
     # An untested movement makes the plan incomplete, not refused.
     return Verdict(tuple(checks), tuple(c for c in checks if c.name == "movement" and c.figure is None))
@@ -70,10 +72,11 @@ def _advice(trajectory: Trajectory, check: str) -> str:
     return f"the largest source is {largest}: reduce it first"
 
 
-def _gaps(points: SpacePoints) -> tuple[Check, ...]:
+def _gaps(points: SpacePoints, landmarks: Sequence[str]) -> tuple[Check, ...]:
     """Return a check for each point whose gap can be tested; a pick snapped to a curve has none."""
     names = [f"the {name} point" for name in _POINTS]
-    names += [f"landmark {k + 1}" for k in range(len(points.xyz_mm) - len(names))]
+    names += [f"the {name}" if name else f"landmark {k}" for k, name in enumerate(landmarks, 1)]
+    names += [f"landmark {k + 1}" for k in range(len(landmarks), len(points.xyz_mm) - len(_POINTS))]
     return points.gap_checks(names)
 
 
