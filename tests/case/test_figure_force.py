@@ -1,9 +1,12 @@
 """The force's picture: it says what it shows, and loses no peak."""
 
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
+from sightline.case.report.drilled import BEFORE_MM, force_figure
 from sightline.case.report.drawing.force import MAX_POINTS, force_trace
 
 
@@ -36,3 +39,19 @@ def test_a_single_peak_among_many_samples_is_drawn():
 
 def test_names_are_escaped():
     assert "<b>" not in force_trace(np.array([0.0, 1.0]), np.array([0.0, 1.0]), {"<b>": 0.5}, "<b>")
+
+
+def test_the_trace_begins_before_bone_that_begins_before_the_entry():
+    """Fails where it begins 10 mm before the entry point of a nail's hole, whose cortex is 12 mm before it."""
+    cortex_mm = -11.7
+    record: Any = SimpleNamespace(
+        depth_mm=np.linspace(-60.0, 26.0, 200),
+        force_n=np.zeros(200),
+        events=[SimpleNamespace(name="cortex", depth_mm=cortex_mm)],
+    )
+    drawing = force_figure(record)
+    line = re.search(r'<line x1="([\d.]+)"[^>]*class="event"', drawing)
+    assert line is not None
+    left, right = points_of(drawing)[:, 0].min(), points_of(drawing)[:, 0].max()
+    share = BEFORE_MM / (26.0 - cortex_mm + BEFORE_MM)
+    assert np.isclose((float(line[1]) - left) / (right - left), share, atol=0.02)

@@ -16,7 +16,7 @@ from sightline.robot.link.record import DrillingRecord
 if TYPE_CHECKING:
     from sightline.checks import Check
 
-BEFORE_MM = 10.0  # the plot of the force begins this far before the entry point
+BEFORE_MM = 10.0  # the plot of the force begins this far before the entry point and all events
 # Error sources that a robot adds to a plan, in the order of the chain from frame to wire.
 ROBOT_SOURCES = {
     "hand_eye": "where the frame sits on the flange",
@@ -89,7 +89,8 @@ def _stated(target: RobotTarget) -> dict[str, float]:
 
 def force_figure(record: DrillingRecord, width: float = WIDTH) -> str:
     """Return a plot of the thrust over depth near the bone, with the events; "" while there are too few samples."""
-    near = record.depth_mm > -BEFORE_MM
+    first = min(0.0, *(event.depth_mm for event in record.events))  # bone may begin before the entry point
+    near = record.depth_mm > first - BEFORE_MM
     if np.count_nonzero(near) < 2:
         return ""
     events = {event.name: event.depth_mm for event in reversed(record.events)}  # the first of each name
