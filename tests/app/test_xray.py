@@ -17,6 +17,7 @@ from sightline.app.drawing.xray.view import TEXT_KEYS, Window, XrayContent, Xray
 
 PLACE_PX = 0.05  # image pixels: what a place on the screen may be off by
 MARKS = itertools.count(1)
+GROUND = 0.299 * 0x22 + 0.587 * 0x2B + 0.114 * 0x35  # the grey of the colour "raised"
 ORIENTATIONS = [(rotation, mirrored) for rotation in (0, 90, 180, 270) for mirrored in (False, True)]
 
 
@@ -388,6 +389,41 @@ def test_the_magnifier_shows_the_place_four_times_larger(view: View) -> None:
     view.mouse.click(*at)
     view.settle()
     assert view.core("core.lens") is None
+
+
+def test_name_and_tools_give_way_to_the_magnifier(view: View) -> None:
+    """They lie over the canvas that it is drawn on."""
+    opacity = "[core.chrome.tools, core.chrome.name].map((one) => Number(getComputedStyle(one).opacity))"
+    view.do("place")
+    for below, shown in ((400, [1.0, 1.0]), (230, [0.0, 0.0])):  # of the upper edge; the magnifier reaches 212 px up
+        uv = view.core("core.display.toImage([core.display.viewWidth / 2, value])", below)
+        view.mouse.move(*view.screen(uv))
+        view.settle()
+        assert view.core("core.lens") is not None
+        assert view.core(opacity) == shown, below
+
+
+def test_beside_the_image_the_magnifier_is_not_black(view: View) -> None:
+    view.do("place")
+    uv = (SIDE / 2, SIDE / 2 - FIELD_PX + 3.0)  # it shows 84 px of the screen about it, four times as large
+    x, y = view.screen(uv)
+    view.mouse.move(x, y)
+    view.settle()
+    assert view.core("core.lens") is not None
+    grey, lens = view.grey(), y + 84 + 44  # below the pointer, because there is no room above
+    assert grey[round(lens - 75), round(x + 8)] == pytest.approx(GROUND, abs=2.0)
+
+
+def test_the_arrow_of_a_wire_lies_over_its_drilled_part(view: View) -> None:
+    view.do("dim")
+    view.do("wire")
+    arrow = view.grey()
+    view.do("drilled")
+    x, y = view.screen((500.0, 700.0))  # the middle of the wire, where the head's tip is
+    tip = np.s_[round(y) - 2 : round(y) + 3, round(x) + 2 : round(x) + 7]
+    white = arrow[tip] > 230.0  # the head's colour, whole
+    assert white.sum() > 10
+    assert np.array_equal(view.grey()[tip] > 230.0, white)
 
 
 def test_plan_layers_hide_while_the_image_is_stale(view: View) -> None:

@@ -16,7 +16,7 @@ const { Display } = await import(new URL("xray_display.js", root));
 const { Edits } = await import(new URL("xray_edits.js", root));
 const { Gestures } = await import(new URL("xray_gestures.js", root));
 const { arrange, Labels } = await import(new URL("xray_labels.js", root));
-const { reaches, thinned } = await import(new URL("xray_paint.js", root));
+const { hasDirection, reaches, thinned } = await import(new URL("xray_paint.js", root));
 const { Ruler } = await import(new URL("xray_ruler.js", root));
 const { Matching } = await import(new URL("xray_matching.js", root));
 const { Moves } = await import(new URL("xray_moves.js", root));
@@ -309,6 +309,26 @@ test("the ruler asks for a length after two clicks, for an angle after three, an
   assert.equal(core.state.tool, "pan");
 });
 
+test("the magnifier is shown where a click is taken, and nowhere else", () => {
+  const { core, send } = held(); // the image is 500 by 500 px of the view
+  core.state.placing = "end";
+  send("pointermove", 480, 20);
+  near(core.lens.uv, core.display.toImage([480, 20]), 1e-9);
+  core.display.setView(700, 500); // black on both sides
+  send("pointermove", 40, 20);
+  assert.equal(core.lens, null);
+  core.edits.aimed = ([, v]) => [500, v]; // a point that slides on its curve is placed from there too
+  send("pointermove", 40, 20);
+  near(core.lens.uv, [500, core.display.toImage([40, 20])[1]], 1e-9);
+  core.state.placing = null;
+  core.state.tool = "measure"; // a click of the ruler goes to the border
+  send("pointermove", 40, 20);
+  near(core.lens.uv, core.display.clamp(core.display.toImage([40, 20])), 1e-9);
+  send("pointerdown", 40, 20);
+  send("pointerup", 40, 20);
+  assert.deepEqual(core.ruler.points[0], core.lens.uv);
+});
+
 // A view with one point, as `Edits` needs it. Its curve is the row v = 200.
 function edited(sent) {
   const nothing = () => {};
@@ -453,4 +473,12 @@ test("a shape reaches the magnifier by its line, its band or its circle; fails w
   assert.ok(!there({ points: [[70, 0]], radius: 5 }));
   assert.ok(there({ points: [[50, 0]] })); // its mark has a size on the screen
   assert.ok(!there({ points: [] }));
+});
+
+test("a wire has its arrow head while it is shown: not a drilled part of it, nor over an image that is out of date", () => {
+  const points = [[0, 0], [100, 0]];
+  assert.ok(hasDirection({ style: "wire", points }, false));
+  assert.ok(!hasDirection({ style: "wire", points }, true));
+  assert.ok(!hasDirection({ style: "found", points }, false));
+  assert.ok(!hasDirection({ style: "wire", points: [] }, false));
 });

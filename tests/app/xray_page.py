@@ -162,6 +162,8 @@ def gallery() -> list[dict[str, Any]]:
     ]
 
 
+WIRE_PX = [[300.0, 700.0], [700.0, 700.0]]
+WIRE = [{"shape": "band", "points": WIRE_PX, "halfWidth": 4, "style": "wire"}]
 pages: list[dict[str, XrayView]] = []  # the two views of each page that is open
 heard: list[dict[str, Any]] = []
 state: dict[str, int] = {"revision": 1, "answering": True, "taking": True}
@@ -272,6 +274,8 @@ COMMANDS: dict[str, Callable[[XrayView], None]] = {
     "gallery": lambda view: draw(view, "gallery", gallery()),
     "dim": lambda view: change(view, points=[point | {"uv": None} for point in POINTS]),
     "hide": lambda view: draw(view, "gallery", None),
+    "wire": lambda view: draw(view, "wire", WIRE),
+    "drilled": lambda view: draw(view, "drilled", [{"shape": "line", "points": WIRE_PX, "style": "found"}]),
     "stale": say_again(0.0),
     "fresh": say_again(600.0),
     "fresh-shortly": say_again(0.5),

@@ -109,6 +109,7 @@ export class XrayCore {
       this.canvas.invalidate("overlay");
     });
     this.named.observe(this.chrome.name);
+    this.named.observe(this.chrome.tools);
     this.resized = () => this.#resize(); // on another screen the size in CSS pixels may stay the same
     window.addEventListener("resize", this.resized);
     window.sightlineXray = window.sightlineXray || {};

@@ -6,7 +6,7 @@
 import { COLOURS } from "colours";
 import { arrange, Labels, measureOn, paintTexts } from "./xray_labels.js";
 import { paintLens } from "./xray_lens.js";
-import { paintCrosshair, paintPoint, paintShape, reaches, STYLES } from "./xray_paint.js";
+import { hasDirection, paintCrosshair, paintDirection, paintPoint, paintShape, reaches, STYLES } from "./xray_paint.js";
 import { Picture } from "./xray_picture.js";
 import { Still } from "./xray_still.js";
 
@@ -138,8 +138,9 @@ export class Canvas {
     this.#paintTexts(context, toUnits);
     if (core.crosshair.uv) paintCrosshair(context, toUnits(core.crosshair.uv), CROSS);
     const { lens } = core;
+    let top = Infinity; // of the magnifier
     if (lens) {
-      paintLens(context, lens, core.display, this.unit, {
+      top = paintLens(context, lens, core.display, this.unit, {
         bitmap: (uv, at, times) => this.#paintBitmap(context, uv, at, times),
         units: () => this.#toUnits(context),
         marks: (toLens, zoom, box) => {
@@ -149,6 +150,7 @@ export class Canvas {
       });
     }
     core.stage.classList.toggle("xray-lens", lens !== null); // the focus ring would cover the magnifier
+    core.stage.classList.toggle("xray-lens-top", top * this.unit < core.chrome.headBottom); // so would name and tools
     // The magnifier hides the buttons; while a point moves in the other view, none here has the focus.
     if (!lens && core.following.moving.size === 0) core.buttons.place(core.placed, (uv) => core.display.toView(uv));
   }
@@ -196,6 +198,11 @@ export class Canvas {
         key: shape,
         /** @param {CanvasRenderingContext2D} context */
         paint: (context) => paintShape(context, shape, toUnits, zoom, stale, this.#colourOf(shape)),
+      })),
+      ...shapes.filter((shape) => hasDirection(shape, stale)).map((shape) => ({
+        key: shape.points, // of the same shape, but another key than its own
+        /** @param {CanvasRenderingContext2D} context */
+        paint: (context) => paintDirection(context, shape.points.map(toUnits)),
       })),
       ...points.map((point) => ({
         key: JSON.stringify([point, point.id === selected]),

@@ -33,6 +33,7 @@ const SHEET = `
 .xray-stage[data-cursor=grab] { cursor: grab; } .xray-stage[data-cursor=pan] { cursor: grabbing; }
 .xray-stage[data-cursor=window] { cursor: ns-resize; } .xray-stage[data-cursor=none] { cursor: none; }
 .xray-stage[data-cursor=place] { cursor: crosshair; } .xray-lens .xray-points { opacity: 0; }
+.xray.xray.xray .xray-lens-top ~ .xray-head > :is(.xray-name, .xray-hint, .xray-tools) { opacity: 0; }
 .xray-stage:focus-visible::after { content: ""; position: absolute; inset: 2px; border: 2px solid var(--sky); border-radius: 0.4em; pointer-events: none; }
 .xray-points button { position: absolute; left: -1.4em; top: -1.4em; width: 2.8em; height: 2.8em; padding: 0; background: none; border: 0;
   border-radius: 50%; pointer-events: none; outline-offset: 2px; }
@@ -68,6 +69,10 @@ const SHEET = `
 .xray [hidden], .xray-empty :is(.xray-tools, .xray-foot) { display: none; }
 @container (max-width: 38em) { /* one row of tools, in German too */
   .xray-tools { gap: 0; } .xray-tools button { width: 2em; height: 2.5em; } .xray-tools .xray-presets button { padding: 0 0.25em; } .xray-name { padding-inline: 0.55em; }
+}
+@container (max-width: 29em) {
+  .xray-tools { margin-inline: -0.5em; padding-inline: 0; } .xray-tools button { width: 1.7em; } .xray-tools .xray-presets button { padding: 0 0.15em; font-size: 0.83em; height: auto; }
+  .xray-row { flex-wrap: wrap; } /* no number is cut */
 }
 `;
 
@@ -140,6 +145,7 @@ export class Chrome {
     this.choose = actions.preset;
     /** @type {Pair} */
     this.nameCorner = [0, 0]; // the lower right one of the image's name in the view, CSS pixels
+    this.headBottom = 0; // the lower edge of the tools in the view, CSS pixels
     root.append(this.stage, this.#head(actions), this.#foot(), this.tip, this.live);
     this.setLabel(label);
   }
@@ -154,8 +160,9 @@ export class Chrome {
 
   /** Measure the image's name anew; not while painting, which would lay out the page for each image. */
   measureName() {
-    const [all, own] = [this.root, this.name].map((one) => one.getBoundingClientRect());
+    const [all, own, tools] = [this.root, this.name, this.tools].map((one) => one.getBoundingClientRect());
     this.nameCorner = [own.right - all.left, own.bottom - all.top];
+    this.headBottom = tools.bottom - all.top;
   }
 
   /** A line of text over the image, hidden while empty.

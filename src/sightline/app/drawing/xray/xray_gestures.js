@@ -327,9 +327,10 @@ export class Gestures {
     if (at && uv && this.now?.kind === "drag" && this.now.moved) {
       core.lens = { uv, at: core.display.toView(uv) };
     } else if (at && core.state.tool === "measure" && core.state.image) {
-      core.lens = { uv: core.display.toImage(at), at };
+      core.lens = { uv: core.display.clamp(core.display.toImage(at)), at }; // where a click is taken
     } else if (at && placing !== null && core.state.image && (!this.now || this.now.kind === "place")) {
-      core.lens = { uv: core.edits.aimed(core.display.toImage(at)), at };
+      const aimed = core.edits.aimed(core.display.toImage(at));
+      if (core.display.contains(aimed)) core.lens = { uv: aimed, at }; // elsewhere a click places nothing
     }
     if (had || core.lens) core.canvas.invalidate("overlay");
     core.canvas.invalidate("readout");

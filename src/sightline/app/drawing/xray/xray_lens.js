@@ -10,7 +10,7 @@ const ZOOM_MAX = 32; // [ours] CSS pixels per image pixel: enough to point at 1/
 const RADIUS = 84; // CSS pixels
 const CLEAR = 44; // CSS pixels between its rim and the pointer
 
-/** `lens`: {uv, at}, the pixel in its middle and the pointer's position in the view. `paint`: bitmap(uv, at, times),
+/** Returns the upper edge of its box, in the marks' units. `lens`: {uv, at}, the pixel in its middle and the pointer's position in the view. `paint`: bitmap(uv, at, times),
  * units() sets the context's units, marks(toUnits, zoom, box) paints
  * those that show in a box.
  * @param {CanvasRenderingContext2D} context
@@ -38,7 +38,7 @@ export function paintLens(context, { uv, at }, display, unit, paint) {
   };
   context.save();
   rim();
-  context.fillStyle = COLOURS.stage;
+  context.fillStyle = COLOURS.raised; // beside the image: black would look like a part of it
   context.fill();
   context.clip();
   paint.bitmap(uv, [x, y], times);
@@ -52,4 +52,5 @@ export function paintLens(context, { uv, at }, display, unit, paint) {
     context.strokeStyle = colour;
     context.stroke();
   }
+  return middle[1] - RADIUS;
 }

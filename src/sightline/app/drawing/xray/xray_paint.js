@@ -47,6 +47,7 @@ const SCALE = ENDS.map((hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at 
 const MARK_RADIUS = 7; // CSS pixels, for marks without a size in the image
 export const POINT_RADIUS = 11;
 const ARROW = 15; // CSS pixels, an arrow head's sides
+const ARROW_MIN = 5; // [ours] CSS pixels, those of a short arrow
 const OVER = 20; // CSS pixels that a mark reaches from its place at most: those of an arrow head, with its stroke
 const THIN = 0.05; // [ours] CSS pixels: less than an edge's smoothing shows
 
@@ -162,9 +163,15 @@ function headPath(context, from, tip, size) {
   context.lineTo(right[0], right[1]);
 }
 
+/** Whether a shape has an arrow head in its middle; it is painted after all shapes, so that the drilled part of a wire
+ * does not cover it.
+ * @type {(shape: Shape, staleImage: boolean) => boolean} */
+export const hasDirection = ({ style, points }, staleImage) =>
+  Boolean(STYLES[style].arrow) && points.length > 0 && !(staleImage && STYLES[style].plan);
+
 /** An arrow head in the middle of a wire, where it is long enough to have one.
  * @type {(context: Context, places: Pair[]) => void} */
-function paintDirection(context, places) {
+export function paintDirection(context, places) {
   const [first, last] = [places[0], places[places.length - 1]];
   const [dx, dy] = [last[0] - first[0], last[1] - first[1]];
   const length = Math.hypot(dx, dy);
@@ -226,12 +233,12 @@ const PAINTERS = {
     path(context, [...left, ...right.reverse()], true);
     fillArea(context, look);
     strokeCased(context, { ...look, width: 1.25 }); // thinner than a line, because it matters less
-    if (look.arrow) paintDirection(context, places);
   },
   arrow(context, places, shape, look) {
     const [tail, tip] = [places[0], places[places.length - 1]];
+    const length = Math.hypot(tip[0] - tail[0], tip[1] - tail[1]);
     path(context, [tail, tip], false);
-    headPath(context, tail, tip, ARROW);
+    headPath(context, tail, tip, Math.min(Math.max(0.6 * length, ARROW_MIN), ARROW)); // the tail stays visible
     strokeCased(context, look);
   },
   text() {}, // a label alone
