@@ -2,6 +2,7 @@
 
 import pytest
 
+from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.checks import Check
 
@@ -13,6 +14,7 @@ from sightline.checks import Check
         (Check("bead count", False, 20.0, 24.0, "beads", "."), "20 beads, at least 24 beads"),
         (Check("direction error", True, 0.15, 0.6, "°", "."), "0.15°, at most 0.6°"),
         (Check("direction error", False, 0.71, 0.6, "°", "."), "0.71°, at most 0.6°"),
+        (Check("head", False, 1.0004, 1.0, "mm", "."), "1.0004 mm, at most 1 mm"),  # never "1 mm, at most 1 mm"
         (Check("frame tolerances", True, 0.05, None, "mm", "."), "0.05 mm"),
         (Check("head", False, None, None, "", "."), ""),
     ],
@@ -20,3 +22,23 @@ from sightline.checks import Check
 def test_a_check_says_on_which_side_of_its_limit_its_value_must_be(check: Check, said: str) -> None:
     """Fails where "112 / 24" is read as a share, and where a limit is an upper one by the value alone."""
     assert f'<div class="check-figure">{said}</div>' in markup.checks([check], testid="checks")
+
+
+@pytest.mark.parametrize(
+    ("sentence", "said"),
+    [
+        ("pa: 5 beads are used.", "PA: 5 beads are used."),
+        ("lateral: The image is not torn.", "Lateral: The image is not torn."),
+        ("The view pa is 2° from its wanted direction.", "The view PA is 2° from its wanted direction."),
+        ("The entry lies 36.4 mm lateral of it.", "The entry lies 36.4 mm lateral of it."),
+    ],
+)
+def test_the_names_of_views_are_those_of_the_page(sentence: str, said: str) -> None:
+    """Fails where a check names a view as files do."""
+    check = Check("bead count", True, None, None, "", sentence)
+    assert f">{said}</div>" in markup.checks([check], testid="checks") and texts.said(check) == said
+
+
+@pytest.mark.parametrize(("value", "said"), [(-0.04, "0.0"), (0.04, "0.0"), (-0.06, "-0.1"), (12.34, "12.3")])
+def test_a_zero_has_no_sign(value: float, said: str) -> None:
+    assert texts.tenths(value) == said

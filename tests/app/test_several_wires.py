@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.jobs import Jobs
 from sightline.app.session.planning import Planning
 from sightline.app.session.sent import SentPlan, restored
+from sightline.app.tab.views import Views
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, SightlineError
@@ -168,3 +169,54 @@ def test_what_was_sent_and_drilled_is_restored_for_each_wire(planning: Any) -> N
     assert all(sent.holds_for(planning.now) for sent, _ in again.values())
     moved = planning.now.with_ends(KINDS[0], {})
     assert not again[KINDS[0]][0].holds_for(moved) and again[KINDS[2]][0].holds_for(moved)
+
+
+def test_over_a_check_image_stand_the_numbers_of_the_current_wire_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails where those of another wire could be read as its own; its arrows stay, with their titles."""
+    arrow = {"shape": "arrow", "points": [], "style": "deviation", "label": "tip 0.22 ± 0.34 mm off", "title": "tip"}
+    monkeypatch.setattr(shapes, "_deviations_there", lambda *_: [dict(arrow)])
+    monkeypatch.setattr(shapes, "_planned_there", lambda *_: [])
+    wire = SimpleNamespace(uv_px=np.zeros((2, 2)), tip_uv_px=np.zeros(2))
+    verifying = SimpleNamespace(found={kind: {"check-pa": wire} for kind in KINDS}, shots={})
+    decisions = SimpleNamespace(kind=KINDS[1])
+    session: Any = SimpleNamespace(verifying=verifying, planning=SimpleNamespace(all_sent={}, decisions=decisions))
+    arrows = [one for one in shapes.found(session, "check-pa") if one["shape"] == "arrow"]
+    assert [one.get("label") for one in arrows] == [None, arrow["label"], None]
+    assert {one["title"] for one in arrows} == {"tip"}
+
+
+@pytest.mark.parametrize(
+    ("beyond_mm", "depth_mm", "shown_mm"), [(0.0, 900.0, 0.0), (15.0, 900.0, 15.0), (15.0, None, 6.0)]
+)
+def test_a_drill_that_passes_its_end_point_is_filled_to_where_it_is(
+    beyond_mm: float, depth_mm: float | None, shown_mm: float
+) -> None:
+    """Fails where the fill ends at the far hole while the drill goes on; never past the planned depth."""
+    known = planned(_decided(1), VIEWS)
+    assert known.plan is not None
+    path = known.plan.trajectory
+    kind: Any = SimpleNamespace(limits=SimpleNamespace(beyond_mm=beyond_mm))
+    told: Any = SimpleNamespace(plan=SimpleNamespace(trajectory=path, kind=kind), views=known.views)
+    depth_mm = path.length_mm + shown_mm if depth_mm is None else depth_mm
+    (line,) = shapes.drilled(told, "pa", depth_mm)
+    there = VIEWS[0].project((path.end_mm + shown_mm * path.direction)[None])[0]
+    np.testing.assert_allclose(line["points"][-1], there, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("record_mm", "now", "shown_mm"),
+    [
+        (None, None, None),
+        (None, (41.0, False), 41.0),
+        (None, (41.0, True), None),  # fails where the last depth of a lost robot is shown as if it were now
+        ([0.0, 88.0, 98.5], (-20.0, False), 98.5),  # fails where the wire in the bone vanishes as the robot retracts
+        ([0.0, 88.0, 98.5], None, 98.5),
+    ],
+)
+def test_the_drilled_wire_is_filled_to_its_depth(
+    record_mm: list[float] | None, now: tuple[float, bool] | None, shown_mm: float | None
+) -> None:
+    record = None if record_mm is None else SimpleNamespace(record=SimpleNamespace(depth_mm=np.array(record_mm)))
+    told = None if now is None else SimpleNamespace(depth_mm=now[0], lost=now[1])
+    session: Any = SimpleNamespace(drilling=SimpleNamespace(now=told), planning=SimpleNamespace(drilled=record))
+    assert Views(session, cast(Any, None))._drilled_mm() == shown_mm

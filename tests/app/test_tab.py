@@ -387,6 +387,31 @@ def test_nor_does_a_drop_that_is_not_even_heard(opened: Page, wrong: dict[str, A
     assert {view: (opened.word(view)["points"], opened.word(view)["layers"]) for view in NAMES} == before
 
 
+def test_the_ruler_measures_anew_when_the_wire_is_another(opened: Page) -> None:
+    """It holds in the plane of the wire: fails a page that keeps a length of the wire before, or of one removed."""
+    uv = bone.pixels([VIEWS[name] for name in NAMES])["wire"]
+    for k, name in enumerate(("entry", "end")):
+        for view in NAMES:
+            at = uv[NAMES.index(view)][k].tolist()
+            opened.hear(view, _move(f"/image/{101 + NAMES.index(view)}", name, "place") | {"uv": at})
+    clicks = (uv[0] + [5.0, 3.0]).tolist()
+    opened.hear("pa", {"type": "measure", "image": "/image/101", "points": clicks})
+    told = [opened.of("pa", "measured")[-1]]
+    known = opened.planning.planned
+    assert known is not None
+    for name in ("entry", "end"):
+        opened.hear("lateral", _move("/image/102", name) | {"uv": known.curves[name].uv_px[5].tolist()})
+    told.append(opened.of("pa", "measured")[-1])
+    assert all(label.endswith("mm") for label, _ in told) and told[0] != told[1]
+    opened.planning.remove(("end",))
+    opened.tab.refresh()
+    assert opened.of("pa", "measured")[-1] == ("", texts.RULER_NEEDS_WIRE)
+    for _ in range(3):
+        opened.planning.history.undo()
+    opened.tab.refresh()
+    assert opened.of("pa", "measured")[-1] == told[0]
+
+
 def test_the_guide_follows_from_the_decisions(opened: Page) -> None:
     """Undo steps back in it, redo forward; a removed mark is asked for again."""
 

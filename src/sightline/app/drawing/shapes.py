@@ -164,14 +164,14 @@ def _around(uv_px: np.ndarray) -> np.ndarray:
 
 
 def drilled(planned: Planned, image: str, depth_mm: float) -> list[Shape]:
-    """Return the part of the planned wire that is drilled, to this depth beyond the entry point, for one view."""
+    """Return the part of the planned wire that is drilled, to this depth beyond the entry point, for one view. A drill
+    that passes its end point is shown as far as it is planned."""
     view = _view(planned, image)
     if planned.plan is None or view is None or depth_mm <= 0.0:
         return []
     path = planned.plan.trajectory
-    along = path.entry_mm + np.linspace(0.0, min(depth_mm / path.length_mm, 1.0), 12)[:, None] * (
-        path.end_mm - path.entry_mm
-    )
+    most_mm = path.length_mm + planned.plan.kind.limits.beyond_mm
+    along = path.entry_mm + np.linspace(0.0, min(depth_mm, most_mm), 12)[:, None] * path.direction
     uv, _ = view.project_seen(along)
     return (
         [{"shape": "line", "points": uv.tolist(), "style": "found", "title": texts.DRILLED_TITLE}]
@@ -269,7 +269,10 @@ def found(session: Session, image: str) -> list[Shape]:
             line = {"shape": "line", "points": wire.uv_px.tolist(), "style": "found"}
             shot, sent = session.verifying.shots.get(kind), session.planning.all_sent.get(kind)
             out += _planned_there(session, shot, sent, image, CHECK_NAMES)
-            out += _deviations_there(session, kind, image)
+            arrows = _deviations_there(session, kind, image)
+            if kind != session.planning.decisions.kind:  # the numbers over the image are those of the current wire
+                arrows = [{key: value for key, value in one.items() if key != "label"} for one in arrows]
+            out += arrows
             out += [
                 {**line, "title": texts.WIRE_SEEN},
                 {"shape": "cross", "points": [wire.tip_uv_px.tolist()], "style": "found", "title": texts.TIP_SEEN},
@@ -307,19 +310,24 @@ def _deviations_there(session: Session, kind: str, image: str) -> list[Shape]:
     tip_mm = path.end_mm + sent.plan.kind.limits.beyond_mm * path.direction  # a drill is planned past its far hole
     planned = shot.movement.apply(np.stack([path.entry_mm, tip_mm]))
     measured = shot.movement.apply(np.stack([shot.entry_mm, shot.tip_mm]))
-    off = (shot.entry_deviation_mm, shot.tip_deviation_mm)
+    off = (
+        (shot.entry_deviation_mm, shot.entry_error_95_mm),
+        (shot.tip_deviation_mm, shot.tip_error_95_mm),
+    )
     return deviations(views[CHECK_NAMES.index(image)], planned, measured, off)
 
 
-def deviations(view: BeadView, planned_mm: np.ndarray, measured_mm: np.ndarray, off_mm: Sequence[float]) -> list[Shape]:
+def deviations(
+    view: BeadView, planned_mm: np.ndarray, measured_mm: np.ndarray, off_mm: Sequence[tuple[float, float]]
+) -> list[Shape]:
     """Return an arrow from the planned to the measured place (2, 3) of entry and tip, drawn longer than it is, with the
-    deviation in space; none for a place outside the view."""
+    deviation in space and its 95 % error; none for a place outside the view."""
     out: list[Shape] = []
-    for name, planned, measured, mm in zip(texts.DEVIATION_OF, planned_mm, measured_mm, off_mm, strict=True):
+    for name, planned, measured, (mm, error) in zip(texts.DEVIATION_OF, planned_mm, measured_mm, off_mm, strict=True):
         uv, seen = view.project_seen(np.stack([planned, measured]))
         if seen.all():
             ends = [uv[0].tolist(), (uv[0] + _ARROW_TIMES * (uv[1] - uv[0])).tolist()]
-            said = texts.DEVIATION.format(name=name, mm=mm)
+            said = texts.DEVIATION.format(name=name, mm=mm, error=error)
             title = texts.DEVIATION_TITLE.format(deviation=said, times=_ARROW_TIMES)
             out.append({"shape": "arrow", "points": ends, "style": "deviation", "label": said, "title": title})
     return out

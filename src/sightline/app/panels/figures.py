@@ -1,7 +1,7 @@
 """The four live figures of a plan, each with its limit: errors of entry, tip and direction, and the procedure's own."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from markupsafe import Markup
@@ -10,11 +10,14 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.tab.tab import Tab
 from sightline.checks import Check
+from sightline.planning import Plan
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
+from sightline.planning.results import MAX_GAP_SIGMA
 
 _ERRORS = ("entry error", "end error", "direction error")
 _FALLBACK = "movement"  # of procedures without a check of their own that has a value and a limit
+_DIGITS = 2  # decimals of a value below 10, one less above [ours]
 _ROOM = 1.25  # length of a bar over the larger one of value and limit [ours]
 _FIGURE = (
     '<div class="figure {}"><div class="figure-name">{}</div><div class="figure-value">{}{}</div>{}'
@@ -26,30 +29,29 @@ _NO_BAR = Markup('<div class="figure-bar" aria-hidden="true"></div>')  # while t
 
 @dataclass(frozen=True)
 class _Figure:
-    """`value`: None while it is not known."""
+    """`value`: None while it is not known; then `said` stands in its place."""
 
     name: str
     value: float | None
     limit: float | None
     unit: str
     passed: bool | None = None
+    said: str = "–"
 
 
 def html(tab: Tab) -> Markup:
     """Return the four figures as HTML; before there is a plan without values."""
-    known = tab.known
-    verdict = tab.session.readiness.verdict_of(known)
-    kind = kind_of(tab.planning.decisions.kind)
+    plan = None if tab.known is None else tab.known.plan
     return markup.filled(
         '<div class="figure-grid" data-testid="figures">{}</div>',
-        markup.joined(*map(_html, _figures(kind, () if verdict is None else verdict.checks))),
+        markup.joined(*map(_html, _figures(kind_of(tab.planning.decisions.kind), plan))),
     )
 
 
-def _figures(kind: Procedure, checks: Iterable[Check]) -> list[_Figure]:
-    """Return the figures of a procedure; a check that was made fills its figure."""
+def _figures(kind: Procedure, plan: Plan | None) -> list[_Figure]:
+    """Return the figures of a procedure; a check that was made of the current wire fills its figure."""
     made: dict[str, Check] = {}
-    for check in checks:
+    for check in () if plan is None else plan.verdict.checks:
         if check.figure is not None and check.limit is not None:
             made.setdefault(check.name, check)
     limits = kind.limits
@@ -59,7 +61,8 @@ def _figures(kind: Procedure, checks: Iterable[Check]) -> list[_Figure]:
         _Figure(_ERRORS[2], None, float(np.rad2deg(limits.direction_rad)), "°"),
         _Figure(_own(kind, made), None, None, ""),
     ]
-    return [_filled(one, made.get(one.name)) for one in wanted]
+    filled = [_filled(one, made.get(one.name)) for one in wanted]
+    return [_of_movement(one, plan) if plan is not None and one.name == _FALLBACK else one for one in filled]
 
 
 def _own(kind: Procedure, made: Iterable[str]) -> str:
@@ -74,21 +77,35 @@ def _filled(figure: _Figure, check: Check | None) -> _Figure:
     return _Figure(figure.name, check.figure, check.limit, check.unit, check.passed)
 
 
+def _of_movement(figure: _Figure, plan: Plan) -> _Figure:
+    """Return the movement of the bone in mm instead of standard deviations; in words for three images, which test
+    several movements at once."""
+    if figure.passed is None:
+        return figure
+    shift, sd = plan.seen.shift_mm, plan.seen.shift_sd_mm
+    if plan.seen.movement is not None or shift is None or sd is None:
+        return replace(figure, value=None, limit=None, said=texts.FIGURE_MOVED[figure.passed])
+    return replace(figure, value=abs(shift), limit=MAX_GAP_SIGMA * sd, unit="mm")
+
+
 def _html(figure: _Figure) -> Markup:
     name, value, limit = texts.FIGURES[figure.name], figure.value, figure.limit
+    state = {None: "open", True: "passed", False: "failed"}[figure.passed]
+    sign = Markup()
+    if figure.passed is not None:
+        told = texts.FIGURE_PASSED if figure.passed else texts.FIGURE_FAILED
+        sign = markup.filled('<span class="figure-sign" role="img" aria-label="{}"></span>', told)
     if value is None or limit is None:
         bar = markup.filled(_BAR, 0, f"{100 / _ROOM:.0f}") if limit is not None else _NO_BAR
-        said = "" if limit is None else texts.FIGURE_AT_MOST.format(limit=_number(limit, figure.unit))
-        return markup.filled(_FIGURE, "open", name, "–", "", bar, said)
+        said = "" if limit is None else texts.FIGURE_AT_MOST.format(limit=_number(limit, figure.unit, _DIGITS))
+        return markup.filled(_FIGURE, state, name, figure.said, sign, bar, said)
     whole = _ROOM * max(abs(value), abs(limit), 1e-9)
     share, at = (f"{min(max(100 * x / whole, 0), 100):.0f}" for x in (value, limit))
     most = (value <= limit) == figure.passed
-    said = (texts.FIGURE_AT_MOST if most else texts.FIGURE_AT_LEAST).format(limit=_number(limit, figure.unit))
-    state, sign = ("passed", texts.FIGURE_PASSED) if figure.passed else ("failed", texts.FIGURE_FAILED)
-    sign = markup.filled('<span class="figure-sign" role="img" aria-label="{}"></span>', sign)
-    return markup.filled(_FIGURE, state, name, _number(value, figure.unit), sign, markup.filled(_BAR, share, at), said)
+    shown, bound = markup.apart(value, limit, figure.unit, _number, _DIGITS, passed=bool(figure.passed))
+    said = (texts.FIGURE_AT_MOST if most else texts.FIGURE_AT_LEAST).format(limit=bound)
+    return markup.filled(_FIGURE, state, name, shown, sign, markup.filled(_BAR, share, at), said)
 
 
-def _number(value: float, unit: str) -> str:
-    digits = 2 if abs(value) < 10 and unit != "σ" else 1
-    return f"{value:.{digits}f}{unit if unit == '°' else f' {unit}'}"
+def _number(value: float, unit: str, digits: int) -> str:
+    return f"{value:.{digits if abs(value) < 10 else digits - 1}f}{unit if unit == '°' else f' {unit}'}"

@@ -1,6 +1,6 @@
 """Parts of the page as HTML. Text that is not `Markup` is escaped."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 from markupsafe import Markup, escape
@@ -15,6 +15,7 @@ _CHECK = (
 )
 
 
+_SHOWN, _MORE = 3, 4  # significant digits of a value, and how many more may tell it from its limit [ours]
 _LONG = 95  # characters of a card's sentence that is written smaller, to fit [ours]
 _CARD = (
     '<div class="verdict {}" data-testid="{}"><div class="verdict-word">{}</div>'
@@ -91,20 +92,31 @@ def _check(check: Check, language: texts.Language) -> Markup:
     name, do = language.checks.get(check.name, (check.name, ""))
     first = filled('<div class="check-sentence">{}</div>', do) if do and not check.passed else Markup()
     status = texts.CHECK_STATUS[state]
-    return filled(_CHECK, state, sign, name, _figure(check), check.sentence, status, first, lang(check.sentence))
+    said = texts.sentence(check)
+    return filled(_CHECK, state, sign, name, _figure(check), said, status, first, lang(said))
 
 
 def _figure(check: Check) -> str:
     """Return the value of a check with its limit, as text."""
     if check.figure is None:
         return ""
-    value = _quantity(check.figure, check.unit)
     if check.limit is None:
-        return value
+        return _quantity(check.figure, check.unit, _SHOWN)
     most = (check.figure <= check.limit) == check.passed
-    limit = (texts.FIGURE_AT_MOST if most else texts.FIGURE_AT_LEAST).format(limit=_quantity(check.limit, check.unit))
-    return f"{value}, {limit}"
+    value, bound = apart(check.figure, check.limit, check.unit, _quantity, _SHOWN, passed=check.passed)
+    return f"{value}, {(texts.FIGURE_AT_MOST if most else texts.FIGURE_AT_LEAST).format(limit=bound)}"
 
 
-def _quantity(value: float, unit: str) -> str:
-    return f"{value:.3g}{'' if unit == '°' else ' '}{texts.word(unit)}".strip()
+def apart(
+    value: float, limit: float, unit: str, text: Callable[[float, str, int], str], digits: int, *, passed: bool
+) -> tuple[str, str]:
+    """Return a value and its limit as text, `text(value, unit, digits)`: of a failure with so many more digits that
+    they are not the same."""
+    most = digits + _MORE
+    while not passed and digits < most and text(value, unit, digits) == text(limit, unit, digits):
+        digits += 1
+    return text(value, unit, digits), text(limit, unit, digits)
+
+
+def _quantity(value: float, unit: str, digits: int) -> str:
+    return f"{value:.{digits}g}{'' if unit == '°' else ' '}{texts.word(unit)}".strip()

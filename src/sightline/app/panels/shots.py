@@ -102,9 +102,9 @@ def _measured(found: DrillShot) -> None:
     wire, (entry, end, direction, depth) = found.wire, texts.SHOT_ROWS
     angle, error = np.rad2deg(wire.angle_rad), np.rad2deg(wire.direction_error_95_rad)
     rows = [
-        (entry, f"{wire.entry_deviation_mm:.2f} mm", f"{wire.entry_error_95_mm:.2f}"),
-        (end, f"{np.linalg.norm(found.end_mm):.2f} mm", f"{found.end_error_95_mm:.2f}"),
-        (direction, f"{angle:.2f}°", f"{error:.2f}"),
-        (depth, f"{found.depth_mm:.2f} mm", f"{TWO_SIDED_95 * found.depth_sd_mm:.2f}"),
+        (entry, f"{wire.entry_deviation_mm:.2f} mm", f"{wire.entry_error_95_mm:.2f} mm"),
+        (end, f"{np.linalg.norm(found.end_mm):.2f} mm", f"{found.end_error_95_mm:.2f} mm"),
+        (direction, f"{angle:.2f}°", f"{error:.2f}°"),
+        (depth, f"{found.depth_mm:.2f} mm", f"{TWO_SIDED_95 * found.depth_sd_mm:.2f} mm"),
     ]
     table(texts.SHOT_COLUMNS, rows, testid="shot-measured")

@@ -112,11 +112,15 @@ def _shares(tab: Tab) -> Markup:
     except SightlineError:
         return Markup()
     together = [_together(share) for share in shares.values()]
+    unknown = ("robot",) if target is None else ()  # its errors are known once it has the plan
     columns = [f"{texts.SHARES_OF[what]}, {share.unit}" for what, share in shares.items()]
     rows = [
         (
             _named(source),
-            *(_part(share, percent[source]) for share, percent in zip(shares.values(), together, strict=True)),
+            *(
+                "–" if source in unknown else _part(share, percent[source])
+                for share, percent in zip(shares.values(), together, strict=True)
+            ),
         )
         for source in SOURCES
     ]

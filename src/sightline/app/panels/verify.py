@@ -127,8 +127,8 @@ def _result(tab: Tab) -> None:
         put(markup.card("go" if shot.passed else "no-go", word, told, more, testid="check-verdict"))
     entry, tip, direction = texts.DEVIATIONS
     rows = [
-        (entry, f"{shot.entry_deviation_mm:.2f} mm", f"{shot.entry_error_95_mm:.2f}"),
-        (tip, f"{shot.tip_deviation_mm:.2f} mm", f"{shot.tip_error_95_mm:.2f}"),
-        (direction, f"{np.rad2deg(shot.angle_rad):.2f}°", f"{np.rad2deg(shot.direction_error_95_rad):.2f}"),
+        (entry, f"{shot.entry_deviation_mm:.2f} mm", f"{shot.entry_error_95_mm:.2f} mm"),
+        (tip, f"{shot.tip_deviation_mm:.2f} mm", f"{shot.tip_error_95_mm:.2f} mm"),
+        (direction, f"{np.rad2deg(shot.angle_rad):.2f}°", f"{np.rad2deg(shot.direction_error_95_rad):.2f}°"),
     ]
     table(texts.DEVIATION_COLUMNS, rows, testid="deviation")

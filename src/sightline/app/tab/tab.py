@@ -47,6 +47,7 @@ class Tab:
         self.on_drag: list[Callable[[], None]] = []
         self._waiting = False
         self._ruled: dict[XrayView, tuple[str | None, object, Clicks]] = {}  # by view: image, its picture, clicks
+        self._ruled_on: Planned | None = None  # the plan whose wire the ruler measures at
 
     # Display.
 
@@ -110,6 +111,8 @@ class Tab:
     def _refresh(self, parts: list[Callable[[], None]]) -> None:
         with texts.spoken(self.language):
             self.show_views()
+            if self._ruled and self._ruled_on is not self.planning.planned:
+                self._say_measured()
             refused = [why for why in map(failure_of, list(parts)) if why]
         if refused and not self.message:
             self.message, self.is_good = refused[0], False
@@ -180,8 +183,13 @@ class Tab:
                 await self._done_on(image, event, view.shown.head)
 
     def _measure(self, view: XrayView, clicks: Clicks) -> None:
-        """Show what the ruler measures: in space where it has as many clicks in the other view, on the image shown."""
+        """Keep the ruler's clicks, and show what it measures."""
         self._ruled[view] = (self.views.image_in(view, self.step), view.shown.picture, clicks)
+        self._say_measured()
+
+    def _say_measured(self) -> None:
+        """Show what the ruler measures: in space where it has as many clicks in the other view, on the image shown."""
+        self._ruled_on = self.planning.planned
         now = {one: (self.views.image_in(one, self.step), one.shown.picture) for one in self.views.pair}
         ruled = {one: each for one, each in self._ruled.items() if each[2] and each[:2] == now[one]}
         said = measured_in_both(self.planning, {image: uv for image, _, uv in ruled.values() if image})

@@ -150,10 +150,18 @@ class Views:
 
     def _filled(self, image: str) -> list[shapes.Shape]:
         """Return the wire that the robot has drilled, over an image of the plan that it has."""
-        now, known = self._session.drilling.now, self._planning.planned
-        if now is None or now.depth_mm is None or known is None or not self._planning.sent_is_current:
+        depth_mm, known = self._drilled_mm(), self._planning.planned
+        if depth_mm is None or known is None or not self._planning.sent_is_current:
             return []
-        return shapes.drilled(known, image, round(now.depth_mm / _FILLED_MM) * _FILLED_MM)
+        return shapes.drilled(known, image, round(depth_mm / _FILLED_MM) * _FILLED_MM)
+
+    def _drilled_mm(self) -> float | None:
+        """Return how deep the wire is: as recorded once it is drilled, because the robot retracts without it; else as
+        the robot says, None where it says nothing."""
+        now, drilled = self._session.drilling.now, self._planning.drilled
+        if drilled is not None and len(drilled.record.depth_mm):
+            return float(drilled.record.depth_mm.max())
+        return None if now is None or now.lost else now.depth_mm
 
     def _layers(self, image: str, seen: SeenImage) -> tuple[shapes.Layers, str]:
         """Return the layers over an image and the reason for a missing one; cached for the same plan."""

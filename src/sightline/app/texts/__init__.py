@@ -12,8 +12,10 @@ from sightline.app.texts.languages import language_of as language_of
 from sightline.app.texts.languages import load as load
 from sightline.app.texts.languages import now as now
 from sightline.app.texts.languages import said as said
+from sightline.app.texts.languages import sentence as sentence
 from sightline.app.texts.languages import spoken as spoken
 from sightline.app.texts.languages import tag as tag
+from sightline.app.texts.languages import tenths as tenths
 from sightline.app.texts.languages import titled as titled
 from sightline.app.texts.languages import word as word
 

@@ -57,7 +57,7 @@ XRAY = {
     "readout": "column {u}, row {v}: {value}",
     "outside": "–",
     "off_field": "Click inside the X-ray field.",
-    "ticks": "Depth in mm, a tick every 10 mm",
+    "ticks": "mm along the PA line of sight, a tick every 10 mm",
 }
 ORIENTATION = {
     "right": "Right hip: +Y of the frame points to the feet.",
@@ -112,10 +112,11 @@ ROBOT_NEXT = {  # what to do next, by the robot's state; of the others the state
     "ALIGNED": "Aligned: check the confirmation shot, then drill.",
     "DRILL": "The wire is advancing: STOP or the space bar stops it.",
     "PAUSED": "Paused: check the second shot, then continue drilling.",
+    "DONE": "Drilled: open the chuck and retract, then go on with the next wire.",
     "STOP": "Stopped: see why, then align again, or retract the wire.",
     "RETRACT": "The wire is retracting: STOP or the space bar stops it.",
 }
-ONLY_GO = "Only a plan that is GO can be sent."
+ONLY_GO = "Complete the plan first: only a plan that is GO can be sent."
 CAN_START = "Start the robot, then send the plan."
 CAN_SEND = "Send the plan to the robot."
 NO_ROBOT_IN_IMAGES = "These images carry no robot pose: the plan cannot be sent to a robot. Save its report."
@@ -188,6 +189,7 @@ PLACE_WHAT = "Place {what}"
 REMOVE_WHAT = "Remove {what}"
 PROPOSE = "Propose wire"
 PROPOSE_WHAT = "Propose a wire from femoral head, shaft and lateral cortex"
+PROPOSE_NEEDS = "To propose a wire, draw these aids too:"
 PROPOSE_OTHERS = "Propose the other wires"
 FIT_HEAD = "Fit head"
 FIT_HEAD_WHAT = "Fit the drawn circles of the femoral head to its edges in both images"
@@ -283,7 +285,7 @@ RULER_PLANE_ANGLE = "Measured between lines parallel to the image. Error: 95 %."
 RULER_SPACE = "Measured in space, from both images. Error: 95 %."
 RULER_NEEDS_WIRE = "Place the wire first: the ruler measures in its plane."
 DEVIATION_OF = ("entry", "tip")
-DEVIATION = "{name} {mm:.2f} mm off"
+DEVIATION = "{name} {mm:.2f} ± {error:.2f} mm off"
 DEVIATION_TITLE = "{deviation} its plan; the arrow is drawn {times} times as long"
 CURVE_TITLE = "where the {name} point may lie"
 CURVE_NAMES = {"entry": "entry", "end": "end"}
@@ -329,6 +331,7 @@ FIGURES = {  # by the name of the check that states them; of a procedure's own o
 }
 FIGURE_AT_MOST = "at most {limit}"
 FIGURE_AT_LEAST = "at least {limit}"
+FIGURE_MOVED = ("seen", "none seen")  # of a movement between three images, which has no single value in mm
 FIGURE_PASSED, FIGURE_FAILED = "within its limit", "beyond its limit"
 
 # The top row.

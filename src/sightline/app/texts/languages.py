@@ -26,6 +26,7 @@ from sightline.strict import read_strictly
 _FOLDER = Path(__file__).parent
 _MAX_BYTES = 1 << 20  # [ours] of a language file; the shipped one has 60 kB
 _LISTED_CHARS = 12  # of a text with placeholders; sentences are not recognised by shorter ones [ours]
+_VIEWS = re.compile(r"^(?:lateral|oblique)(?=: )|\bpa\b")  # of a view, in the sentence of a check
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +104,18 @@ def said(check: Check) -> str:
     """Return what a check says: in English its sentence; else its name, and of a failed one the first thing to do."""
     known = now().checks.get(check.name)
     if known is None:
-        return check.sentence
+        return sentence(check)
     return known[0] if check.passed else ": ".join(known)
+
+
+def sentence(check: Check) -> str:
+    """Return the sentence of a check, with the names of its views as a person writes them: "PA" for "pa"."""
+    return _VIEWS.sub(lambda found: "PA" if found[0] == "pa" else titled(found[0]), check.sentence)
+
+
+def tenths(value: float) -> str:
+    """Return a value with one decimal, as text; zero without a sign."""
+    return f"{round(value, 1) + 0.0:.1f}"
 
 
 def titled(text: str) -> str:
