@@ -18,7 +18,7 @@
   if (page.scrollWidth > innerWidth || page.scrollHeight > innerHeight) out.push(`the page scrolls: ${page.scrollWidth}x${page.scrollHeight}`);
   for (const tools of all(".xray-tools")) {
     const rows = new Set([...tools.querySelectorAll("button")].filter(seen).map((one) => one.offsetTop));
-    if (innerWidth >= 1280 && rows.size > 1) out.push(`tools in ${rows.size} rows`);
+    if (rows.size > 1) out.push(`tools in ${rows.size} rows`);
   }
   const letters = all(".depth-bar b").map((part) => {
     const text = document.createRange();
@@ -30,6 +30,10 @@
       if (Math.min(a.right, b.right) - Math.max(a.left, b.left) > 0.5 && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 0.5)
         out.push(`letters of the depth bar overlap: ${name} ${other}`);
   });
+  for (const field of all(".kind .q-field__control")) { // its lower edge is a line
+    const text = field.querySelector(".q-field__native span").getBoundingClientRect();
+    if (text.bottom > field.getBoundingClientRect().bottom - 3) out.push(`on its line: ${what(field)}`);
+  }
   const hint = all("[data-testid=hint]")[0]?.getBoundingClientRect();
   const name = all("[data-testid=hint]")[0]?.parentElement.querySelector(".xray-name").getBoundingClientRect();
   if (hint && hint.top > name.bottom) out.push("the hint is below the image's name"); // over the image and its labels
@@ -38,7 +42,7 @@
     const { top, bottom } = card.getBoundingClientRect();
     if (row && top < row.bottom + 3 && bottom > row.top) out.push(`touches: the card and the upload buttons, ${top - row.bottom}`);
   }
-  const cut = ".say, .step, .time, .stop-box, .verdict, .figure, .pick-place, .feet button, .lead button, .group, .depth-value, .depth-marks div, .on-images button, .xray-hint, .xray-name, .xray-tools button";
+  const cut = ".say, .step, .time, .stop-box, .verdict, .figure, .pick-place, .feet button, .lead button, .group, .depth-value, .depth-marks div, .on-images button, .xray-hint, .xray-name, .xray-tools button, .xray-foot .xray-panel, .say > *";
   for (const part of all(cut)) {
     if (part.scrollWidth > part.clientWidth + 1 || part.scrollHeight > part.clientHeight + 1)
       out.push(`cut: ${what(part)} ${part.scrollWidth}x${part.scrollHeight} in ${part.clientWidth}x${part.clientHeight}`);

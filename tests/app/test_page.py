@@ -172,6 +172,7 @@ def _tell_the_second_shot(hands: Hands) -> None:
 def _verify(hands: Hands, shoot, folder: Path) -> None:
     hands.step("Verify")
     hands.until("pa", "core.state.points.get('entry').movable === false")  # what was drilled is not moved by a slip
+    expect(hands.page.get_by_role("button", name="PA check image", exact=True)).to_be_visible()  # what it loads
     hands.press("take-check")
     for view in NAMES:
         hands.until(view, "core.state.layers.get('found')?.shapes.length > 0", timeout_ms=PATIENCE_MS)

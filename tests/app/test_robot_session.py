@@ -1,6 +1,7 @@
 """The robot as the page has it: one order at a time, and an answer to each even when the link has ended."""
 
 import asyncio
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -12,9 +13,10 @@ import pytest
 from tests.robot.rig import ROBOT, SETUP, T_MCS_CFCS, metadata, wire
 from tests.robot.test_depth import Bone
 
-from sightline.app.panels.drill import how_deep, reading
+from sightline.app.panels.drill import _depth, how_deep, reading
 from sightline.app.session.robot_session import RobotNow, RobotSession
 from sightline.app.session.zero import ZeroSource
+from sightline.checks import Limits
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.rehearsal.operation import SimulatedTheatre
@@ -240,3 +242,19 @@ def test_a_second_shot_that_cannot_be_tells_the_robot_nothing(paused: RobotSessi
     paused._client.listeners.append(lambda message: heard.append(message.device_name))
     _until(paused, lambda _: heard.count(DEPTH) > 2)
     assert (paused.now.depth_sd_mm, paused.now.zero) == (before.depth_sd_mm, before.zero)
+
+
+@pytest.mark.parametrize(
+    ("cortex_mm", "limits"), [(-11.7, Limits(beyond_mm=15.0, before_mm=40.0)), (0.0, Limits()), (-0.04, Limits())]
+)
+def test_the_bar_of_the_depth_begins_before_all_its_marks(cortex_mm: float, limits: Limits) -> None:
+    """Fails for a bar that begins 10 mm before the entry, where the bone of a nail's hole begins earlier."""
+    event = SimpleNamespace(name="cortex", depth_mm=cortex_mm)
+    target = SimpleNamespace(depth_mm=26.0, limits=limits)
+    session = SimpleNamespace(target=target, depth_limit_mm=27.0, record=SimpleNamespace(events=[event]))
+    drilling = SimpleNamespace(session=session, now=SimpleNamespace(depth_mm=-2.0))
+    tab: Any = SimpleNamespace(session=SimpleNamespace(drilling=drilling))
+    html = _depth(tab)
+    at = [float(left) for left in re.findall(r'<b style="left:([\d.]+)%"', html)]
+    assert len(at) == 4 and min(at) > 1.0 and at[0] < max(at)
+    assert "-0.0" not in html

@@ -9,11 +9,17 @@ from playwright.sync_api import Page, expect
 from tests.app.browser import Server
 from tests.app.hands import PATIENCE_MS, Hands
 
+from sightline.app.panels.top import size_of
 from sightline.app.texts import STEPS
 from sightline.planning.procedures.files import shipped
 
 GEOMETRY = Path(__file__).with_name("geometry.js").read_text("utf-8")
 SIZES = ((1280, 800), (1920, 1080), (1024, 768), (800, 1280))
+LONG = (  # the longest sentence of a check that a person meets while planning
+    "The gaps of 3 free points together are 2.3 times what picks and views explain; the picks are less accurate than "
+    "stated, or the patient moved: pick all points again, or state a larger error of the picks, which increases the "
+    "plan's own error."
+)
 PLANNED_AT = (1280, 800)  # from this size on the column does not scroll on the step Plan
 pytestmark = pytest.mark.slow
 
@@ -22,6 +28,14 @@ def wrong(page: Page, *, scrolls: bool) -> list[str]:
     """What is wrong with the page's geometry, once it has come to rest."""
     page.wait_for_function("document.getAnimations().every(({ playState }) => playState === 'finished')")
     return page.evaluate(GEOMETRY, scrolls)
+
+
+def _say(page: Page, sentence: str) -> None:
+    """Put a sentence into the row of the instruction, as the page writes it."""
+    page.locator("[data-testid=instruction]").evaluate(
+        "(line, [text, size]) => { line.className = `instruction ${size}`; line.textContent = text; }",
+        [sentence, size_of(sentence)],
+    )
 
 
 def _rest(page: Page) -> None:
@@ -44,6 +58,9 @@ def test_every_step_fits_every_screen(
         hands.step(step)
         _rest(page)
         assert not wrong(page, scrolls=step != "plan"), step
+        if step == "plan":
+            _say(page, LONG)
+            assert not wrong(page, scrolls=False), LONG
         shoot(page, f"{step}-{size[0]}-{language[:2]}")
     pa, lateral = (hands.core(name, "core.root.getBoundingClientRect().toJSON()") for name in ("pa", "lateral"))
     if size[0] < size[1]:
@@ -85,6 +102,8 @@ def test_the_measure_finds_what_does_not_fit(hands: Hands) -> None:
         (".xray-tools.xray-tools { max-width: 16em }", "tools in"),
         (".xray .xray-hint { translate: 0 9em }", "the hint"),
         (".figure-grid { translate: 0 3em }", "overlap"),
+        (".kind .q-field__native { translate: 0 0.6em }", "on its line"),
+        (".xray .xray-foot .xray-panel { max-width: 4em }", "cut"),
         (".checklist { min-height: 99em }", "scrolls"),
     ):
         added = page.add_style_tag(content=style)

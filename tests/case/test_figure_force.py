@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from sightline.case.report.drilled import BEFORE_MM, force_figure
 from sightline.case.report.drawing.force import MAX_POINTS, force_trace
+from sightline.case.report.drilled import BEFORE_MM, force_figure
 
 
 def points_of(drawing: str) -> np.ndarray:

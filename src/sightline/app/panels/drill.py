@@ -12,9 +12,11 @@ from sightline.app.panels import live, markup, shots, wires
 from sightline.app.panels.confirming import confirmed_action
 from sightline.app.panels.menu import save_report
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
+from sightline.app.panels.steps import waits_for
 from sightline.app.session.planning import Planning
 from sightline.app.session.readiness import NO_SERIAL
 from sightline.app.session.zero import ZeroSource
+from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -23,7 +25,7 @@ from sightline.robot.control.states import State
 if TYPE_CHECKING:
     from sightline.app.session.robot_session import RobotNow, RobotSession
 
-_BEFORE_MM = 10.0  # the bar of the depth begins this far before the entry point [ours]
+_BEFORE_MM = 10.0  # the bar of the depth begins this far before cortex and pause [ours]
 _DEPTH = (
     '<div class="depth" data-testid="depth"><div class="depth-value">{} <small>{}</small></div>'
     '<div class="depth-bar" aria-hidden="true"><i style="width:{}%"></i>{}</div><div class="depth-marks">{}</div></div>'
@@ -88,8 +90,9 @@ def _robot(tab: Tab) -> None:
             note(texts.in_progress(tab.session.jobs.working))
         else:
             note(texts.ROBOT_OFF, kind="quiet")
-            if planning.drilled is not None and planning.sent_is_current:
-                _start(tab, "plain")  # to retract
+            to_retract = planning.drilled is not None and planning.sent_is_current
+            if to_retract or waits_for(tab.session, ProcedureStep.DRILL) is not None:  # the plan comes first
+                _start(tab, "plain")
     else:
         _state(tab)
         session = tab.session.drilling.session
@@ -159,14 +162,14 @@ def _depth(tab: Tab) -> Markup:
     touched = next((event.depth_mm for event in session.record.events if event.name == EventKind.CORTEX.value), 0.0)
     pause = pause_depth(end, session.target.limits)
     at = dict(zip(texts.DEPTH_MARKS, (touched, pause, end, session.depth_limit_mm), strict=True))
-    low, high = -_BEFORE_MM, session.depth_limit_mm + _BEFORE_MM / 2
+    low, high = min(touched, pause) - _BEFORE_MM, session.depth_limit_mm + _BEFORE_MM / 2
 
     def percent(depth_mm: float) -> str:
         return f"{100 * min(max((depth_mm - low) / (high - low), 0.0), 1.0):.1f}"
 
     ticks = (markup.filled('<b style="left:{}%">{}</b>', percent(mm), name[:1].upper()) for name, mm in at.items())
     rows = (
-        markup.filled("<div><b>{}</b> {} <span>{} mm</span></div>", name[:1].upper(), name, f"{mm:.1f}")
+        markup.filled("<div><b>{}</b> {} <span>{} mm</span></div>", name[:1].upper(), name, texts.tenths(mm))
         for name, mm in at.items()
     )
     depth = now.depth_mm
@@ -320,7 +323,10 @@ def _force(tab: Tab) -> None:
         with events:
             table(
                 texts.EVENT_COLUMNS,
-                [(texts.word(one.name), f"{one.depth_mm:.1f} mm", f"{one.force_n:.1f} N") for one in record.events],
+                [
+                    (texts.word(one.name), f"{texts.tenths(one.depth_mm)} mm", f"{texts.tenths(one.force_n)} N")
+                    for one in record.events
+                ],
                 testid="events-table",
             )
 

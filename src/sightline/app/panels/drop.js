@@ -35,9 +35,9 @@ const drop = {
   template: `
     <div class="drop-row" v-show="!told || Object.keys(states).length">
       <template v-for="(target, i) in targets" :key="target.address">
-        <q-btn v-show="!told || target.label in states" outline no-caps icon="upload_file" :label="target.label" :loading="busy === i"
+        <q-btn v-show="!told || target.label in states" outline no-caps icon="upload_file" :label="called(target)" :loading="busy === i"
                :percentage="percent" @click="$refs.inputs[i].click()"></q-btn>
-        <input ref="inputs" type="file" multiple hidden :aria-label="target.label" :data-testid="'drop-' + target.label"
+        <input ref="inputs" type="file" multiple hidden :aria-label="called(target)" :data-testid="'drop-' + target.label"
                accept=".dcm,.dicom,.png,.tif,.tiff,.bmp,.npy,application/dicom" @change="chosen($event, i)">
       </template>
       <span data-testid="drop-message" role="status" :class="{ 'drop-bad': bad }">{{ message }}</span>
@@ -56,7 +56,7 @@ const drop = {
         <div v-if="dragging" style="${PAGE}" data-testid="drop-page">
           <div v-for="target in shown" :key="target.address" @dragenter="over = target" @drop.prevent="dropped($event, target)"
                :style="'${PANEL};' + place(target) + (over === target ? 'border-color:var(--sky);color:var(--sky)' : 'border-color:var(--edge);color:var(--text)')"
-               :data-testid="'drop-panel-' + target.label">{{ target.label }}</div>
+               :data-testid="'drop-panel-' + target.label">{{ called(target) }}</div>
         </div>
       </teleport>
     </div>`,
@@ -66,6 +66,7 @@ const drop = {
     told: false,
     states: {},
     names: {},
+    labels: {},
     dragging: false,
     over: null,
     busy: null,
@@ -100,10 +101,15 @@ const drop = {
   },
   methods: {
     // What each target shows now: empty, here or failed; files for others are not taken.
-    tell(states, names) {
+    tell(states, names, labels) {
       this.told = true;
       this.states = states;
       this.names = names;
+      this.labels = labels;
+    },
+    // What its button says: which image it takes on this step.
+    called({ label }) {
+      return this.labels[label] ?? label;
     },
     // A target says in its box that it wants an image: it has none, or one that failed.
     asks(i) {

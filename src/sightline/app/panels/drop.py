@@ -37,10 +37,10 @@ class DropZone(ui.element, component=Path(__file__).parent / "drop.js"):
         }
         self._props["maxBytes"] = MAX_UPLOAD_BYTES
 
-    def tell(self, states: Mapping[str, str], names: Mapping[str, str]) -> None:
+    def tell(self, states: Mapping[str, str], names: Mapping[str, str], labels: Mapping[str, str]) -> None:
         """Say what each target shows: "empty", "here", or "failed"; targets that are not named take nothing now.
-        `names`: of their images, as in a sentence."""
-        self.run_method("tell", dict(states), dict(names))
+        `names`: of their images, as in a sentence; `labels`: of their buttons, where not the target's own."""
+        self.run_method("tell", dict(states), dict(names), dict(labels))
 
     def _here(self, on_upload: OnUpload) -> OnUpload:
         async def run(upload: Upload) -> None:

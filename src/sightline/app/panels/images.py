@@ -42,7 +42,7 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
     slots = {name: texts.DROP_LABELS[name] for name in tab.planning.slots}
     taken_in = {label: boxes[name != NAMES[0]] for name, label in slots.items()}
     zone = DropZone(site.uploads, {label: taker(name) for name, label in slots.items()}, taken_in)
-    told: tuple[dict[str, str], dict[str, str]] | None = None
+    told: tuple[dict[str, str], ...] | None = None
 
     def show() -> None:
         nonlocal told
@@ -52,9 +52,11 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
             for name in slots
             if _taken_for(tab) + name in texts.IMAGE_NAMES
         }
-        if (states, names) != told:
-            told = states, names
-            zone.tell(*told)
+        taken_for = _taken_for(tab)
+        labels = {slots[name]: texts.IMAGE_LABELS[taken_for + name] for name in NAMES if taken_for}
+        if (states, names, labels) != told:
+            told = states, names, labels
+            zone.tell(states, names, labels)
 
     tab.on_refresh.append(show)
     show()

@@ -5,7 +5,7 @@ from collections.abc import Hashable
 from sightline.app import texts
 from sightline.app.panels import drill, verify
 from sightline.app.panels.section import Section, action
-from sightline.app.panels.steps import StepStatus, steps
+from sightline.app.panels.steps import steps, waits_for
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
@@ -18,19 +18,11 @@ def build(tab: Tab) -> None:
 
 def _key(tab: Tab) -> Hashable:
     of = {ProcedureStep.DRILL: drill.key, ProcedureStep.VERIFY: verify.key}.get(tab.step)
-    return tab.step, _done(tab), _before(tab), _needed(tab), None if of is None else of(tab)
+    return tab.step, _done(tab), waits_for(tab.session, tab.step), _needed(tab), None if of is None else of(tab)
 
 
 def _done(tab: Tab) -> bool:
     return next(one.status == "done" for one in steps(tab.session) if one.step is tab.step)
-
-
-def _before(tab: Tab) -> ProcedureStep | None:
-    """Return the step that a blocked one waits for."""
-    listed = steps(tab.session)
-    here = next(one for one in listed if one.step is tab.step)
-    earlier = (one.step for one in listed if one.step.number < tab.step.number and one.status != StepStatus.DONE)
-    return next(earlier, None) if here.status is StepStatus.BLOCKED else None
 
 
 def _needed(tab: Tab) -> tuple[MarkSpec, ...]:
@@ -43,14 +35,13 @@ def _needed(tab: Tab) -> tuple[MarkSpec, ...]:
 
 
 def _build(tab: Tab) -> None:
-    done, before, needed = _done(tab), _before(tab), _needed(tab)
-    waits = tab.step is ProcedureStep.DRILL and tab.planning.patient is not None and tab.session.drilling.now is None
-    if before is not None and not waits:  # a robot can be started before the plan is GO
+    done, before, needed = _done(tab), waits_for(tab.session, tab.step), _needed(tab)
+    if before is not None:
         said = texts.BACK_TO.format(step=texts.STEPS[before])
         action(said, lambda: tab.go_to(before), testid="back", kind="primary")
     elif needed:
-        what = texts.word(needed[0].label.rsplit(" ", 1)[0])
-        said = texts.PLACE_WHAT.format(what=what)
+        label = needed[0].label if len(needed) == 1 else needed[0].label.rsplit(" ", 1)[0]
+        said = texts.PLACE_WHAT.format(what=texts.word(label[:1].lower() + label[1:]))
         action(said, lambda: tab.place(needed), testid="place-needed", kind="primary")
     elif tab.step is ProcedureStep.DRILL and not (done and tab.planning.sent_is_current):
         drill.build_next(tab)

@@ -58,7 +58,7 @@ def build_details(tab: Tab) -> None:
 
     ui.checkbox(texts.SHOW_BEADS, value=tab.views.show_beads, on_change=show).props("data-testid=show-beads")
     if kind_of(tab.planning.decisions.kind).proposal is not None:
-        Section(tab, _missing, lambda t: note(_missing(t), kind="quiet") if _missing(t) else None)
+        Section(tab, _missing, _lacking)
     HtmlSection(tab, lambda t: t.known, metrics_html)
 
 
@@ -91,7 +91,9 @@ def _turns_html(tab: Tab) -> Markup:
         return Markup()
     turns = [
         texts.TURN.format(
-            image=texts.IMAGES_SHORT[turn.view], orbit=np.rad2deg(turn.orbit_rad), tilt=np.rad2deg(turn.tilt_rad)
+            image=texts.IMAGES_SHORT[turn.view],
+            orbit=round(np.rad2deg(turn.orbit_rad)) + 0.0,  # never -0
+            tilt=round(np.rad2deg(turn.tilt_rad)) + 0.0,
         )
         for turn in perfect_circles(plan.hole, plan.views)
     ]
@@ -265,6 +267,13 @@ def _propose(tab: Tab) -> None:
     ends = proposed(decisions.ends(decisions.kind), known.proposal())
     tab.planning.edit(decisions.with_ends(decisions.kind, ends))
     tab.go_to(tab.step)
+
+
+def _lacking(tab: Tab) -> None:
+    """Build what a proposal still needs; nothing where it can be made."""
+    if missing := _missing(tab):
+        note(texts.PROPOSE_NEEDS, kind="quiet")
+        note(f"{texts.titled(missing)}.", kind="quiet", testid="propose-needs")
 
 
 def _missing(tab: Tab) -> str:

@@ -46,6 +46,14 @@ def steps(session: Session) -> tuple[WorkflowStep, ...]:
     return tuple(WorkflowStep(step, *one) for step, one in zip(ProcedureStep, found, strict=True))
 
 
+def waits_for(session: Session, step: ProcedureStep) -> ProcedureStep | None:
+    """Return the first step that a blocked one waits for; None for another one."""
+    listed = steps(session)
+    here = next(one for one in listed if one.step is step)
+    earlier = (one.step for one in listed if one.step.number < step.number and one.status != StepStatus.DONE)
+    return next(earlier, None) if here.status is StepStatus.BLOCKED else None
+
+
 _Found = tuple[StepStatus, str]
 
 

@@ -14,7 +14,7 @@ from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.robot.kinematics.target import LIFETIME_S
 
-_LONG = 110  # characters of an instruction that is written smaller, to fit in two lines [ours]
+_LONG, _LONGER = 110, 190  # characters from which an instruction is written smaller, to fit in its lines [ours]
 _EXPIRING_S = 120.0  # time left that is marked [ours]
 
 
@@ -79,7 +79,7 @@ def _say(tab: Tab) -> Markup:
     return markup.filled(
         '<div class="instruction {}" data-testid="instruction"><span class="counter">{}</span> · '
         '<span class="in-image">{}</span> · {}</div>',
-        _size(counter + image + what),
+        size_of(counter + image + what),
         counter,
         image,
         what,
@@ -87,11 +87,12 @@ def _say(tab: Tab) -> Markup:
 
 
 def _sized(text: str) -> tuple[str, Markup, str]:
-    return _size(text), markup.lang(text), text
+    return size_of(text), markup.lang(text), text
 
 
-def _size(text: str) -> str:
-    return "long" if len(text) > _LONG else ""
+def size_of(text: str) -> str:
+    """Return the class of an instruction by its length."""
+    return "longer" if len(text) > _LONGER else "long" if len(text) > _LONG else ""
 
 
 def _reason(tab: Tab) -> str:

@@ -28,6 +28,8 @@ export interface Data {
   states: Record<string, State>;
   /** Of their images, as in a sentence. */
   names: Record<string, string>;
+  /** Of their buttons, where not the target's own. */
+  labels: Record<string, string>;
   dragging: boolean;
   over: Target | null;
   /** The target that a file is sent to now, or that refused the last one. */
@@ -40,7 +42,8 @@ export interface Data {
 }
 
 export interface Methods {
-  tell(states: Record<string, State>, names: Record<string, string>): void;
+  tell(states: Record<string, State>, names: Record<string, string>, labels: Record<string, string>): void;
+  called(target: Target): string;
   asks(i: number): boolean;
   place(target: Target): string;
   dragged(event: DragEvent): void;
