@@ -25,7 +25,9 @@
     text.selectNodeContents(part);
     return [part.textContent, text.getBoundingClientRect()];
   });
+  const bar = all(".depth-bar")[0]?.getBoundingClientRect();
   letters.forEach(([name, a], k) => {
+    if (a.right > bar.right) out.push(`a letter of the depth bar is cut: ${name}`);
     for (const [other, b] of letters.slice(k + 1))
       if (Math.min(a.right, b.right) - Math.max(a.left, b.left) > 0.5 && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 0.5)
         out.push(`letters of the depth bar overlap: ${name} ${other}`);

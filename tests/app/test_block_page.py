@@ -32,6 +32,9 @@ def test_a_person_is_led_through_a_third_image(
     hands.wait_for_step("Calibrate", "done")
     hands.step("Images")
     expect(hands.see("no-oblique")).to_contain_text("shows movements of the patient that two images do not show")
+    for name in ("PA image", "Lateral image", "Oblique image (optional)"):
+        box = hands.page.get_by_role("button", name=name, exact=True).first.bounding_box()
+        assert box is not None and box["height"] < 45.0  # two lines; fails where a word is broken
     hands.see("drop-Oblique image (optional)").set_input_files(prepared / "oblique.dcm")
     hands.details()
     expect(hands.see("show-oblique")).to_be_visible(timeout=PATIENCE_MS)

@@ -57,7 +57,7 @@ def test_a_person_who_knows_only_the_screen_plans_drills_and_checks_a_wire(
     person.find(rehearsal().images, dict(zip(NAMES, ("PA image", "Lateral image"), strict=True)))
     assert person.place(known) == 10
     person.read("INCOMPLETE")
-    assert person.go_on("Continue to Drill") == ["Place Femoral head"]
+    assert person.go_on("Continue to Drill") == ["Place femoral head"]
     assert person.place(known) == 6
     person.read("Every check passed. A person decides.")
     shoot(person.page, "by-sight-plan")

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
@@ -17,6 +18,7 @@ from sightline.app.plan.marks import NAIL_EDGES
 from sightline.app.session.reporting import report_files
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
+from sightline.app.texts import XRAY
 from sightline.case.contents import PlanRequest
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
@@ -67,6 +69,17 @@ def _draw(hands: Hands, asked: PlanRequest) -> Placed:
         name: [hands.placed(name, image) for image in NAMES]
         for name in (*where, *(f"landmark-{name}" for name in asked.landmark_names))
     }
+
+
+def _look_closely(hands: Hands, placed: Placed) -> None:
+    """Zoom with the wheel at the holes of each image, to look at the rims as found, and take the pointer away."""
+    for k, image in enumerate(NAMES):
+        uv = np.mean([placed[f"hole-{key}"][k] for key in KEYS], axis=0)
+        hands.page.mouse.move(*hands.on_screen(image, (float(uv[0]), float(uv[1]))))
+        hands.page.mouse.wheel(0.0, -850.0)
+        hands.until(image, "!core.display.fitted")
+    hands.page.mouse.move(5.0, 5.0)
+    hands.page.wait_for_function("document.getAnimations().every(({ playState }) => playState === 'finished')")
 
 
 def _written(places: list[list[tuple[float, float]]]) -> str:
@@ -144,7 +157,10 @@ def test_holes_planned_by_mouse_are_those_of_the_command_line(
         drawn = hands.core(image, titles)
         assert drawn.count("the nail's edge, as found in the image") == 2
         assert drawn.count("rim of the hole, as found in the image") == 4
+    _look_closely(hands, placed)
     shoot(hands.page, "nail")
+    for image in NAMES:
+        hands.see(f"xray-{image}").get_by_role("button", name=XRAY["fit"], exact=True).click()
     errors = [hands.see("figures").inner_text()]
 
     _choose(hands, "nail", "Nail: 12 mm, titanium")  # which these images do not show

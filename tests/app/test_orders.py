@@ -13,6 +13,8 @@ import pytest
 from tests.planning import bone
 from tests.planning.standin import stand_in
 
+from sightline.app import texts
+from sightline.app.panels import steps
 from sightline.app.plan.decisions import Decisions, Display, Mark
 from sightline.app.plan.fitted import FittedAxis, FittedHead
 from sightline.app.plan.marks import END, ENTRY, marks_of
@@ -174,10 +176,13 @@ def test_a_check_shot_that_is_refused_is_recorded_too(monkeypatch: pytest.Monkey
     planning: Any = SimpleNamespace(
         jobs=Jobs(), decisions=SimpleNamespace(kind="hip-screw"), all_drilled={}, all_sent={"hip-screw": None}
     )
-    verifying, recorded = Verifying(planning), []
+    planning.kinds = ("hip-screw",)
+    verifying, recorded, said = Verifying(planning), [], []
+    session: Any = SimpleNamespace(planning=planning, verifying=verifying)
     asked: Any = SimpleNamespace(key=("new",), seen=[None], kind="hip-screw")
 
     async def not_found(*_: Any) -> None:
+        said.append(steps._verify(session)[1])
         raise WireRefusedError("no wire is seen")
 
     async def updated() -> None:
@@ -188,7 +193,8 @@ def test_a_check_shot_that_is_refused_is_recorded_too(monkeypatch: pytest.Monkey
     monkeypatch.setattr(verifying, "_found", not_found)
     monkeypatch.setattr(verifying, "_record", lambda _, found: recorded.append(found))
     asyncio.run(updated())
-    assert recorded == [verifying.refused]
+    assert said == [texts.SHOT_MEASURING]  # fails where the page asks for the images that it is looking at
+    assert recorded == [verifying.refused] and steps._verify(session)[1] == verifying.refused
     assert "no wire is seen" in verifying.refused
 
 

@@ -25,7 +25,7 @@ from sightline.robot.control.states import State
 if TYPE_CHECKING:
     from sightline.app.session.robot_session import RobotNow, RobotSession
 
-_BEFORE_MM = 10.0  # the bar of the depth begins this far before cortex and pause [ours]
+_BEFORE_MM = 10.0  # the bar of the depth begins so far before its first mark, and ends so far behind its last [ours]
 _DEPTH = (
     '<div class="depth" data-testid="depth"><div class="depth-value">{} <small>{}</small></div>'
     '<div class="depth-bar" aria-hidden="true"><i style="width:{}%"></i>{}</div><div class="depth-marks">{}</div></div>'
@@ -162,7 +162,7 @@ def _depth(tab: Tab) -> Markup:
     touched = next((event.depth_mm for event in session.record.events if event.name == EventKind.CORTEX.value), 0.0)
     pause = pause_depth(end, session.target.limits)
     at = dict(zip(texts.DEPTH_MARKS, (touched, pause, end, session.depth_limit_mm), strict=True))
-    low, high = min(touched, pause) - _BEFORE_MM, session.depth_limit_mm + _BEFORE_MM / 2
+    low, high = min(touched, pause) - _BEFORE_MM, session.depth_limit_mm + _BEFORE_MM
 
     def percent(depth_mm: float) -> str:
         return f"{100 * min(max((depth_mm - low) / (high - low), 0.0), 1.0):.1f}"

@@ -16,7 +16,7 @@ _CHECK = (
 
 
 _SHOWN, _MORE = 3, 4  # significant digits of a value, and how many more may tell it from its limit [ours]
-_LONG = 95  # characters of a card's sentence that is written smaller, to fit [ours]
+_LONG = 120  # characters of a card's text that is written smaller, to fit [ours]
 _CARD = (
     '<div class="verdict {}" data-testid="{}"><div class="verdict-word">{}</div>'
     '<div class="verdict-sentence {}"{}>{} <span class="verdict-more">{}</span></div></div>'
@@ -46,7 +46,8 @@ def note(text: str, *, kind: str = "", testid: str = "") -> Markup:
 
 def card(state: str, word: str, sentence: str, more: str = "", *, testid: str) -> Markup:
     """Return a card with a verdict; `state`: go, no-go or incomplete."""
-    return filled(_CARD, state, testid, word, "long" if len(sentence) > _LONG else "", lang(sentence), sentence, more)
+    size = "long" if len(sentence) + len(more) > _LONG else ""
+    return filled(_CARD, state, testid, word, size, lang(sentence), sentence, more)
 
 
 def checks(listed: Sequence[Check], *, testid: str) -> Markup:

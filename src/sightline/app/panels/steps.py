@@ -188,4 +188,4 @@ def _verify(session: Session) -> _Found:
             return StepStatus.OPEN, texts.GO_ON_VERIFYING
     if not planning.all_sent:
         return StepStatus.BLOCKED, texts.NOT_DRILLED
-    return StepStatus.OPEN, texts.TAKE_TWO_MORE
+    return StepStatus.OPEN, texts.SHOT_MEASURING if verifying.measuring else texts.TAKE_TWO_MORE

@@ -117,6 +117,12 @@ class Verifying:
         for results in (self.shots, self.refusals, self.found):
             results.pop(kind, None)
 
+    @property
+    def measuring(self) -> bool:
+        """True while the current wire is found and compared."""
+        kind = self._planning.decisions.kind
+        return kind in self._measured and kind not in self.shots and kind not in self.refusals
+
     async def measure(self, request: "_CheckRequest") -> None:
         """Find a wire in both check images and compare."""
         try:

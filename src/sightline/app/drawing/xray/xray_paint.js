@@ -47,7 +47,7 @@ const SCALE = ENDS.map((hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at 
 const MARK_RADIUS = 7; // CSS pixels, for marks without a size in the image
 export const POINT_RADIUS = 11;
 const ARROW = 15; // CSS pixels, an arrow head's sides
-const ARROW_MIN = 5; // [ours] CSS pixels, those of a short arrow
+const ARROW_MIN = 8; // [ours] CSS pixels, those of a short arrow
 const OVER = 20; // CSS pixels that a mark reaches from its place at most: those of an arrow head, with its stroke
 const THIN = 0.05; // [ours] CSS pixels: less than an edge's smoothing shows
 
