@@ -13,6 +13,8 @@ import pytest
 from tests.robot.rig import ROBOT, SETUP, T_MCS_CFCS, metadata, wire
 from tests.robot.test_depth import Bone
 
+from sightline.app import texts
+from sightline.app.panels import drill, steps
 from sightline.app.panels.drill import _depth, how_deep, reading
 from sightline.app.session.robot_session import RobotNow, RobotSession
 from sightline.app.session.zero import ZeroSource
@@ -258,3 +260,18 @@ def test_the_bar_of_the_depth_begins_before_all_its_marks(cortex_mm: float, limi
     at = [float(left) for left in re.findall(r'<b style="left:([\d.]+)%"', html)]
     assert len(at) == 4 and min(at) > 1.0 and at[0] < max(at)
     assert "-0.0" not in html
+
+
+def test_a_lost_robot_is_told_in_words_and_asked_for_no_depth() -> None:
+    """Fails for "[Errno 32] Broken pipe" as what to do, and for a form whose error is that of the last word heard."""
+    now = SimpleNamespace(
+        lost=True, fault=0, last_error="[Errno 32] Broken pipe", text="", state=State.PAUSED.value, zero=(), activity=""
+    )
+    planning = SimpleNamespace(kinds=("hip-screw",), all_drilled={}, frame=SimpleNamespace(solid=None))
+    session: Any = SimpleNamespace(
+        planning=planning, drilling=SimpleNamespace(now=now), shots=SimpleNamespace(on_patient=False)
+    )
+    tab: Any = SimpleNamespace(planning=planning, session=session)
+    assert steps._drill(session) == (steps.StepStatus.ATTENTION, texts.LINK_LOST)
+    assert drill._shot_key(tab) is None
+    drill._second_shot(tab)  # it needs a page where it builds anything

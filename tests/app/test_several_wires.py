@@ -208,15 +208,33 @@ def test_a_drill_that_passes_its_end_point_is_filled_to_where_it_is(
     [
         (None, None, None),
         (None, (41.0, False), 41.0),
+        (None, (41.0, False, "the plan of another wire"), None),  # fails where that wire's depth is filled in this one
         (None, (41.0, True), None),  # fails where the last depth of a lost robot is shown as if it were now
         ([0.0, 88.0, 98.5], (-20.0, False), 98.5),  # fails where the wire in the bone vanishes as the robot retracts
         ([0.0, 88.0, 98.5], None, 98.5),
     ],
 )
 def test_the_drilled_wire_is_filled_to_its_depth(
-    record_mm: list[float] | None, now: tuple[float, bool] | None, shown_mm: float | None
+    record_mm: list[float] | None, now: tuple[Any, ...] | None, shown_mm: float | None
 ) -> None:
     record = None if record_mm is None else SimpleNamespace(record=SimpleNamespace(depth_mm=np.array(record_mm)))
     told = None if now is None else SimpleNamespace(depth_mm=now[0], lost=now[1])
-    session: Any = SimpleNamespace(drilling=SimpleNamespace(now=told), planning=SimpleNamespace(drilled=record))
+    held = "this plan" if now is None or len(now) < 3 else now[2]
+    session: Any = SimpleNamespace(
+        drilling=SimpleNamespace(now=told, held=held), planning=SimpleNamespace(drilled=record, sent="this plan")
+    )
     assert Views(session, cast(Any, None))._drilled_mm() == shown_mm
+
+
+def test_the_drilled_wire_stays_on_the_plan_that_was_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails where it vanishes, or moves, with a change of the plan; other images show it no more."""
+    drawn: list[object] = []
+    monkeypatch.setattr(shapes, "drilled", lambda known, *_: drawn.append(known) or [])
+    sent = SimpleNamespace(planned=SimpleNamespace(decisions=Decisions(images={"pa": 1, "lateral": 2})))
+    planning = SimpleNamespace(sent=sent, drilled=None, planned="another plan", decisions=None)
+    drilling = SimpleNamespace(now=SimpleNamespace(depth_mm=12.0, lost=False), held=sent)
+    session: Any = SimpleNamespace(drilling=drilling, planning=planning)
+    for number in (1, 3):
+        planning.decisions = Decisions(images={"pa": number, "lateral": 2})
+        Views(session, cast(Any, None))._filled("pa")
+    assert drawn == [sent.planned]

@@ -143,6 +143,14 @@ test("a point is named where it is hovered over or selected, on any side, and al
   assert.equal(labels.texts.length, 1);
 });
 
+test("what lies outside the view has no name in it: that would stand beside another point", () => {
+  const labels = new Labels(width, [500, 500]);
+  const points = [[{ id: "end", label: "End point" }, [530, 200]], [{ id: "entry", label: "Entry point" }, [480, 210]]];
+  const arrow = [{ shape: "arrow", label: "tip 0.2 mm off" }, [[490, 300], [520, 300]]];
+  arrange(labels, [arrow], points, new Set(["end", "entry"]), () => null);
+  assert.deepEqual(labels.texts.map(({ text }) => text), ["Entry point"]);
+});
+
 test("one move is in flight, and the newest of those that wait is next", () => {
   const sent = [];
   const moves = new Moves((move) => sent.push(move), () => {});

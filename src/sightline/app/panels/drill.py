@@ -50,7 +50,7 @@ def key(tab: Tab) -> Hashable:
 def _shot_key(tab: Tab) -> Hashable:
     # The plan is not part of the key: when it changes, the form is kept with the values typed into it.
     now = tab.session.drilling.now
-    if now is None:
+    if now is None or now.lost:
         return None
     told = (now.state == State.PAUSED.value, now.zero, now.activity, tab.session.drilling.changed)
     return (*told, tab.session.shots.on_patient)
@@ -82,17 +82,7 @@ def _robot(tab: Tab) -> None:
     planning, now = tab.planning, tab.session.drilling.now
     heading(texts.ROBOT_HEADING)
     if now is None or now.lost:
-        if now is not None:
-            note(now.last_error, kind="bad", testid="robot-said")
-        if planning.patient is None:
-            note(texts.NO_ROBOT, kind="warn", testid="no-robot")
-        elif tab.session.jobs.working:
-            note(texts.in_progress(tab.session.jobs.working))
-        else:
-            note(texts.ROBOT_OFF, kind="quiet")
-            to_retract = planning.drilled is not None and planning.sent_is_current
-            if to_retract or waits_for(tab.session, ProcedureStep.DRILL) is not None:  # the plan comes first
-                _start(tab, "plain")
+        _unlinked(tab)
     else:
         _state(tab)
         session = tab.session.drilling.session
@@ -115,6 +105,23 @@ def _robot(tab: Tab) -> None:
     if planning.drilled is not None:
         note(how_deep(planning), kind="good", testid="drilled")
     note(texts.STOP_IS_NO_EMERGENCY_STOP, kind="warn")
+
+
+def _unlinked(tab: Tab) -> None:
+    """Build what is said without a robot, and its start where another button leads on."""
+    planning, now = tab.planning, tab.session.drilling.now
+    if now is not None:
+        note(now.last_error, kind="bad", testid="robot-said")
+    if planning.patient is None:
+        note(texts.NO_ROBOT, kind="warn", testid="no-robot")
+    elif tab.session.jobs.working:
+        note(texts.in_progress(tab.session.jobs.working))
+    else:
+        if now is None:
+            note(texts.ROBOT_OFF, kind="quiet")
+        to_retract = planning.drilled is not None and planning.sent_is_current
+        if to_retract or waits_for(tab.session, ProcedureStep.DRILL) is not None:  # the plan comes first
+            _start(tab, "plain")
 
 
 def how_deep(planning: Planning) -> str:
@@ -277,7 +284,7 @@ def _second_shot(tab: Tab) -> None:
     """Build the form for the depth measured in the second shot, during the pause."""
     drilling, now = tab.session.drilling, tab.session.drilling.now
     measured = tab.planning.frame.solid is not None or tab.session.shots.on_patient
-    if now is None or now.state != State.PAUSED.value or measured:
+    if now is None or now.lost or now.state != State.PAUSED.value or measured:
         return
     enabled = not now.activity and drilling.held is not None and not drilling.changed
     known = {"zero": _zero_words(now), "error": _error_words(now)}

@@ -25,7 +25,7 @@ def key(tab: Tab) -> Hashable:
     """Key of the shot: the robot's state, the images, and the result."""
     shots, now = tab.session.shots, tab.session.drilling.now
     seen = tuple(tab.planning.seen(name) for name in SHOT_NAMES)
-    told = None if now is None else (now.state, now.zero, now.activity)
+    told = None if now is None or now.lost else (now.state, now.zero, now.activity)
     frame = shots.on_patient, shots.lacks_landmarks, shots.measuring, shots.objection
     return told, shots.state, shots.shown, shots.found, shots.refused, seen, frame, tab.session.jobs.working
 

@@ -148,8 +148,10 @@ def _drill(session: Session) -> _Found:
     planning, now = session.planning, session.drilling.now
     if set(planning.kinds) <= set(planning.all_drilled):
         return StepStatus.DONE, texts.DRILL_DONE
-    if now is not None and (now.lost or now.fault or now.last_error):
-        return StepStatus.ATTENTION, now.last_error or now.text or texts.LINK_LOST
+    if now is not None and now.lost:
+        return StepStatus.ATTENTION, texts.LINK_LOST
+    if now is not None and (now.fault or now.last_error):
+        return StepStatus.ATTENTION, now.last_error or now.text
     if session.drilling.changed == texts.CHANGED_AFTER_SENDING:
         return StepStatus.ATTENTION, texts.CHANGED_AFTER_SENDING
     if now is not None and planning.sent is not None and now.state != State.UNDEFINED.value:

@@ -150,15 +150,16 @@ class Views:
 
     def _filled(self, image: str) -> list[shapes.Shape]:
         """Return the wire that the robot has drilled, over an image of the plan that it has."""
-        depth_mm, known = self._drilled_mm(), self._planning.planned
-        if depth_mm is None or known is None or not self._planning.sent_is_current:
+        depth_mm, sent, images = self._drilled_mm(), self._planning.sent, self._planning.decisions.images
+        if depth_mm is None or sent is None or sent.planned.decisions.images.get(image) != images.get(image):
             return []
-        return shapes.drilled(known, image, round(depth_mm / _FILLED_MM) * _FILLED_MM)
+        return shapes.drilled(sent.planned, image, round(depth_mm / _FILLED_MM) * _FILLED_MM)
 
     def _drilled_mm(self) -> float | None:
-        """Return how deep the wire is: as recorded once it is drilled, because the robot retracts without it; else as
-        the robot says, None where it says nothing."""
-        now, drilled = self._session.drilling.now, self._planning.drilled
+        """Return how deep the current wire is: as recorded once it is drilled, because the robot retracts without it;
+        else as the robot says that has its plan; None where none says so."""
+        drilling, drilled = self._session.drilling, self._planning.drilled
+        now = drilling.now if drilling.held is not None and drilling.held is self._planning.sent else None
         if drilled is not None and len(drilled.record.depth_mm):
             return float(drilled.record.depth_mm.max())
         return None if now is None or now.lost else now.depth_mm

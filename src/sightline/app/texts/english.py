@@ -104,7 +104,7 @@ CALIBRATE_FIRST = "Calibrate both views first."
 PLACE_WIRE = "Place in both images: {points}."
 PLAN_DONE = "GO: every check passed."
 DRILL_DONE = "Drilling is done."
-LINK_LOST = "The link to the robot is lost."
+LINK_LOST = "The link to the robot is lost: if the robot still moves, press its red button. Then start it again."
 ROBOT_IN = "{state}."
 ROBOT_NEXT = {  # what to do next, by the robot's state; of the others the state itself
     "TARGETING": "The robot has the plan: clear the arm's path, then align.",

@@ -62,7 +62,7 @@ class BlockingClient(Closing):
                     self._writer.sendall(piece)
         except (OSError, ValueError) as error:  # the latter: closed by another thread
             self.close()
-            raise LinkError(f"the connection was lost: {error}") from error
+            raise LinkError(f"the connection was lost: {getattr(error, 'strerror', None) or error}") from error
 
     def receive(self, timeout_s: float) -> Event | None:
         """Return the next event in order, or None if none was complete in time; with a timeout of 0, one that is
@@ -98,7 +98,7 @@ class BlockingClient(Closing):
             return
         except OSError as error:
             self.close()
-            raise LinkError(f"the connection was lost: {error}") from error
+            raise LinkError(f"the connection was lost: {error.strerror or error}") from error
         if not data:
             self.close()
             raise LinkError("the connection was closed by the peer")

@@ -36,6 +36,12 @@ export class Labels {
     this.texts = [];
   }
 
+  /** Whether a place is in the view.
+   * @param {Pair} at */
+  shows([x, y]) {
+    return x >= 0 && y >= 0 && x <= this.size[0] && y <= this.size[1];
+  }
+
   /** Nothing is written here.
    * @param {Pair} middle
    * @param {number} reach */
@@ -99,7 +105,9 @@ export function arrange(labels, shapes, points, named, curveOf) {
     if (shape !== "ticks" && shape !== "line") continue;
     for (const place of places) labels.keepFree(place, shape === "ticks" ? TICK : LINE);
   }
-  for (const [point, at] of points) if (named.has(point.id)) labels.writeBeside(point.label, at, { always: true });
+  for (const [point, at] of points) { // the name of one outside the view would stand beside another one
+    if (named.has(point.id) && labels.shows(at)) labels.writeBeside(point.label, at, { always: true });
+  }
   for (const [{ shape, of }, places] of shapes) {
     const curve = shape === "line" && of !== undefined ? curveOf(of) : null;
     if (curve) labels.write(curve.name, alongside(places, labels.measure(curve.name)), { colour: curve.colour });
@@ -108,7 +116,7 @@ export function arrange(labels, shapes, points, named, curveOf) {
     if (shape === "ticks") writeNumbers(labels, Array.isArray(label) ? label : [], places);
     else if (typeof label !== "string" || places.length === 0) continue;
     else if (shape === "text") for (const place of places) labels.write(label, [place], { always: true });
-    else labels.writeBeside(label, places[places.length - 1]);
+    else if (labels.shows(places[places.length - 1])) labels.writeBeside(label, places[places.length - 1]);
   }
 }
 
