@@ -24,7 +24,7 @@ from playwright.sync_api import Browser, Page
 from tests.app.browser import FLAGS, Server, chromium, find_chromium
 from tests.app.hands import SEED, Hands
 
-from benchmarks.bench_xray import drag, high
+from benchmarks.bench_xray import FRAME_MS, drag, high
 from benchmarks.rows import Row
 
 GROUP = "app"
@@ -36,6 +36,7 @@ REQUIRED_MS = {  # median, 95 %
     "frames": ("interval of frames in a drag", 16.7, 20.0),
 }
 REQUIRED_CPU_MS = 10.0
+LONG_MS = 20.0  # of a frame: one that was missed
 CLOCK = 1.05  # a frame that was not missed may take so much longer by the browser's clock
 REACH_PX = 40.0  # of the drag, on the screen
 SECONDS = 5
@@ -45,7 +46,7 @@ PATIENCE_MS = 120_000
 # Each move's curve is looked for in the frame that draws the move; of moves within one frame the last is drawn. Metrics
 # belong to the move whose point they come with.
 _WATCH = """() => {
-  const watch = (window.watch = { curve: [], figures: [], moves: 0 });
+  const watch = (window.watch = { curve: [], figures: [], moves: 0, came: [], drawn: [] });
   const { pa, lateral } = window.sightlineXray;
   const [request, push, show] = [window.requestAnimationFrame, pa.edits.moves.push, pa.show];
   const times = new Map();
@@ -53,7 +54,15 @@ _WATCH = """() => {
   let shown = null;
   let curve = null;
   window.addEventListener("pointermove", (event) => { pointer = event.timeStamp; watch.moves++; }, true);
-  window.addEventListener("pointerrawupdate", (event) => { pointer = event.timeStamp; }, true);
+  window.addEventListener("pointerrawupdate", (event) => {
+    pointer = event.timeStamp;
+    watch.came.push(pointer);
+  }, true);
+  const { canvas } = pa;
+  canvas.frames.push = (since) => {
+    watch.drawn.push([canvas.lastFrame, since]);
+    return Array.prototype.push.call(canvas.frames, since);
+  };
   const after = (then) => request(() => setTimeout(then));
   pa.edits.moves.push = (type, id, uv, image) => {
     times.set(String(uv), pointer);
@@ -158,9 +167,23 @@ def _drag_rows(seen: dict[str, Any]) -> list[Row]:
         rows.append(
             Row(GROUP, f"{what}, median / 95 %, {len(seen[key])} of {seen['moves']} moves", value, required, met=met)
         )
+    frames, long, late = _long_frames(np.array(seen["drawn"]), np.array(seen["came"]))
+    what = f"frames longer than {LONG_MS:.0f} ms, and those of them with no move to draw in time"
+    rows.append(Row(GROUP, what, f"{long} of {frames}; {late}"))
     each = seen["cpu_ms"] / max(len(seen["figures"]), 1)
     what = f"CPU of the server a move, {len(seen['figures'])} computed"
     return [*rows, Row(GROUP, what, f"{each:.0f} ms", f"{REQUIRED_CPU_MS:.0f} ms", met=each < REQUIRED_CPU_MS)]
+
+
+def _long_frames(drawn_ms: np.ndarray, came_ms: np.ndarray) -> tuple[int, int, int]:
+    """Return how many frames, (N, 2) time and interval, there were while moves came, (M,); how many took longer than
+    LONG_MS; and before how many of these no move came within a period of the frame before: the pointer was late, so
+    that there was nothing to draw."""
+    drawn = drawn_ms[(drawn_ms[:, 0] - drawn_ms[:, 1] > came_ms.min()) & (drawn_ms[:, 0] < came_ms.max())]
+    long = drawn[drawn[:, 1] > LONG_MS]
+    before = (long[:, 0] - long[:, 1])[:, None]
+    came = (came_ms > before) & (came_ms <= before + FRAME_MS)
+    return len(drawn), len(long), int((~came.any(axis=1)).sum())
 
 
 def _start(browser: Browser, folder: Path) -> tuple[_Server, Page, tuple[float, float, float]]:
