@@ -7,7 +7,19 @@ import pytest
 
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.twin import draw_setup, shown_hip_scene, write_truth
-from sightline.twin.femur import Femur, _femur_distance, draw_femur, to_cfcs, voxelise
+from sightline.twin.femur import (
+    BOX_LOW_MM,
+    LONG_HIGH_MM,
+    VOXEL_MM,
+    Femur,
+    _femur_distance,
+    _medial_limit,
+    _socket,
+    _without_socket,
+    draw_femur,
+    to_cfcs,
+    voxelise,
+)
 from sightline.twin.hard import hard_scene, hard_views
 from sightline.twin.scene import four_balls
 
@@ -154,3 +166,20 @@ def test_hard_views_show_one_scene_from_all_sides(frame):
 def test_bad_dose_class(frame):
     with pytest.raises(SetUpError, match="low, medium, high"):
         hard_scene(np.random.default_rng(8), "none", frame)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_left_out_of_a_hip_is_empty(seed):
+    """Points 5 mm apart where no femur or no socket is computed. Fails for a limit 16 mm nearer to the femur, or 30 mm
+    nearer to the socket."""
+    femur = draw_femur(np.random.default_rng(seed))
+    n = femur.numbers()
+    axes = [np.arange(low, high, 5.0) for low, high in zip(BOX_LOW_MM, LONG_HIGH_MM, strict=True)]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    medial = points[points[:, 0] < _medial_limit(n)]
+    assert len(medial) > 0.3 * len(points)
+    assert min(_femur_distance(p, n)[0] for p in medial) > VOXEL_MM / 2
+    heads = np.linalg.norm(points, axis=1) - femur.head_radius_mm
+    away = [(p, head) for p, head in zip(points, heads.tolist(), strict=True) if _without_socket(p, head)]
+    assert len(away) > 0.3 * len(points)
+    assert max(_socket(p, head, 3.0, n[7]) for p, head in away) == 0.0

@@ -200,9 +200,37 @@ def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
 
 
 @njit(cache=True, error_model="numpy")
-def _bone(p: np.ndarray, n: np.ndarray, texture: float) -> float:
-    """Return the share of cortical bone at a point. The cortex is 1 mm thick on the head, 2 mm on the neck, and
-    increases along the shaft down to the canal (5 mm laterally) [mem]; inside is cancellous bone, denser in the head.
+def _medial_limit(n: np.ndarray) -> float:
+    """Return x below which a femur with the numbers `n` leaves every voxel empty.
+
+    Head, neck, shaft and trochanters end 12 mm lateral of it; where they blend, bone reaches 9.75 mm further at most.
+    """
+    return -12.0 - max(n[0], 1.25 * n[1], 1.3 * n[2] - n[4], LESSER_HALF_MM[0] - LESSER_MM[0] - n[4])
+
+
+@njit(cache=True, error_model="numpy")
+def _without_socket(p: np.ndarray, head: float) -> bool:
+    """Return whether a point is so far lateral or caudal of the head that neither socket nor pelvis reaches it."""
+    return head > 6.5 and (p[0] > 40.0 or p[1] > 40.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _bone(p: np.ndarray, n: np.ndarray, texture: float, medial: float) -> float:
+    """Return the share of cortical bone at a point. `medial`: see `_medial_limit`."""
+    if p[0] < medial:
+        share, head = 0.0, np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2) - n[0]
+    else:
+        share, head = _femur_share(p, n, texture)
+    if n[8] > 0.5 and not _without_socket(p, head):
+        share = max(share, _socket(p, head, texture, n[7]))
+    return share
+
+
+@njit(cache=True, error_model="numpy")
+def _femur_share(p: np.ndarray, n: np.ndarray, texture: float) -> tuple[float, float]:
+    """Return the share of cortical bone without the socket, and the distance from the head's surface. The cortex is
+    1 mm thick on the head, 2 mm on the neck, and increases along the shaft down to the canal (5 mm laterally) [mem];
+    inside is cancellous bone, denser in the head.
     """
     distance, head = _femur_distance(p, n)
     down = p[1] - n[5]
@@ -211,10 +239,7 @@ def _bone(p: np.ndarray, n: np.ndarray, texture: float) -> float:
     spongy = n[7] * (1.0 + 1.2 * step(-head, 16.0)) * (1.0 - shaft) * (1.0 + 0.7 * texture)
     within = step(-distance, VOXEL_MM)
     hard = within - step(-distance - cortex, VOXEL_MM)
-    share = max(spongy, 0.0) * (within - hard) + (0.92 + 0.03 * texture) * hard
-    if n[8] > 0.5:
-        share = max(share, _socket(p, head, texture, n[7]))
-    return share
+    return max(spongy, 0.0) * (within - hard) + (0.92 + 0.03 * texture) * hard, head
 
 
 @njit(cache=True, error_model="numpy")
@@ -238,10 +263,10 @@ def _socket(p: np.ndarray, head: float, texture: float, spongy: float) -> float:
 def _fill(part, parts, low, n, tile, out):  # noqa: PLR0917
     """Fill in the share of bone at every voxel; the outermost voxels stay empty."""
     tx, ty, tz = tile.shape
-    p = np.empty(3)
+    p, medial = np.empty(3), _medial_limit(n)
     for i in range(1 + part, out.shape[0] - 1, parts):
         for j in range(1, out.shape[1] - 1):
             for k in range(1, out.shape[2] - 1):
                 p[0], p[1], p[2] = low[0] + VOXEL_MM * i, low[1] + VOXEL_MM * j, low[2] + VOXEL_MM * k
                 texture = float(tile[i % tx, j % ty, k % tz])
-                out[i, j, k] = _bone(p, n, texture)
+                out[i, j, k] = _bone(p, n, texture, medial)
