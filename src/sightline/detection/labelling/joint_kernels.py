@@ -76,7 +76,7 @@ class _Work(NamedTuple):
     m2: np.ndarray
 
 
-@fast
+@exact_unchecked
 def _factor_of_inverse(a, c, e, f, out):
     """Fill `out` (3, 3) with the Cholesky factor of the inverse of [[a, 0, c], [0, a, e], [c, e, f]]."""
     det = a * a * f - a * (c * c + e * e)
@@ -183,7 +183,7 @@ def _solve(beads, spots, places, fit, growth, work):  # noqa: PLR0917 - a kernel
     return True
 
 
-@fast
+@exact_unchecked
 def _move(n, places, fit, work):
     """Move the focal point by its step, the targets with it, and take its part from the map; fill `spread`."""
     (u, v, a, bx, by), products = work.solved, work.products
@@ -208,7 +208,7 @@ def _move(n, places, fit, work):
     _project(places, fit.focal, fit.target)
 
 
-@fast
+@exact_unchecked
 def _leave_out(beads, fit, work):
     """Fill place and variance of the beads, each predicted without itself, and their `m2`."""
     (u, v, a, bx, by), spread, own = work.solved, work.spread, work.m2
