@@ -30,7 +30,7 @@ $(TOOLS): $(READY) requirements-dev.lock
 	@touch $@
 
 demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo/report.html
-	@test -f $(KERNELS) || echo "the first demo also compiles the kernels: one to two minutes"
+	@test -f $(KERNELS) || echo "the first demo also compiles the kernels: about a minute"
 	$(BIN)/sightline demo
 	@touch $(KERNELS)
 
