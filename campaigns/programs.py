@@ -28,12 +28,13 @@ from sightline import atomic, twin
 from sightline.case.acquire import folder as acquire_folder
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.journal.case import JOURNAL
-from sightline.cli import commands, demo
+from sightline.cli import commands, demo, demo_robot
 from sightline.cli.output import Output
 from sightline.detection.files import write_observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_png
+from sightline.rehearsal.kernels_ahead import KernelsAhead
 from sightline.studies.record import Record
 from sightline.studies.scenes import VIEWS
 
@@ -333,11 +334,21 @@ def demonstrated() -> Write:
         Output(json=False, quiet=True) as output,
         patch.object(demo, "record", lambda _, what: steps.append(lambda out: record(out / "case", what))),
         patch.object(demo, "_write_results", lambda _, *what: steps.append(lambda out: results(out, *what))),
-        demo.RobotAhead() as ahead,
+        demo.RobotAhead(demo.SEED, "hip-screw", "gamma") as ahead,
+        KernelsAhead("gamma", demo.METHODS) as kernels,
     ):
-        demo._run(output, computed, ahead, seed=demo.SEED, frame_name="gamma", procedure="hip-screw")
+        demo._run(
+            output,
+            computed,
+            ahead,
+            kernels,
+            seed=demo.SEED,
+            frame=Frame.load("gamma"),
+            frame_name="gamma",
+            procedure="hip-screw",
+        )
 
-    def run(output: Output, scratch: Path, ahead: demo.RobotAhead, **drawn: Any) -> dict[str, Any]:
+    def run(output: Output, scratch: Path, *ahead: object, **drawn: Any) -> dict[str, Any]:
         for image in sorted(computed.iterdir()):
             atomic.write_whole(scratch / image.name, image.read_bytes())
         for step in steps:
@@ -345,7 +356,8 @@ def demonstrated() -> Write:
         return {}
 
     def write(out: Path) -> int:
-        with patch.object(demo, "_run", run):
+        no_robot = patch.object(demo_robot, "_installed", lambda: False)  # it would be started, and drill nothing
+        with no_robot, patch.object(demo, "_run", run):
             return command("demo", "--out", out)
 
     return write
