@@ -55,3 +55,11 @@ def test_the_trace_begins_before_bone_that_begins_before_the_entry():
     left, right = points_of(drawing)[:, 0].min(), points_of(drawing)[:, 0].max()
     share = BEFORE_MM / (26.0 - cortex_mm + BEFORE_MM)
     assert np.isclose((float(line[1]) - left) / (right - left), share, atol=0.02)
+
+
+def test_a_drilling_that_met_nothing_has_a_trace():
+    """A program that seeks the first of no events raises an error, in the report and in the app's panel."""
+    record: Any = SimpleNamespace(depth_mm=np.linspace(-60.0, -2.0, 200), force_n=np.zeros(200), events=[])
+    drawing = force_figure(record)
+    assert len(points_of(drawing)) > 2
+    assert 'class="event"' not in drawing

@@ -89,7 +89,7 @@ def _stated(target: RobotTarget) -> dict[str, float]:
 
 def force_figure(record: DrillingRecord, width: float = WIDTH) -> str:
     """Return a plot of the thrust over depth near the bone, with the events; "" while there are too few samples."""
-    first = min(0.0, *(event.depth_mm for event in record.events))  # bone may begin before the entry point
+    first = min([0.0, *(event.depth_mm for event in record.events)])  # bone may begin before the entry point
     near = record.depth_mm > first - BEFORE_MM
     if np.count_nonzero(near) < 2:
         return ""
