@@ -35,7 +35,7 @@ class SmoothPlaneMap(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Inverse:
-    """The inverse map, from plane to pixels; each point starts at its nearest control, found by `tree`.
+    """The inverse map, from plane to pixels; each point starts at its nearest control.
 
     `controls_mm` (M, 2): the controls `controls_px` (M, 2) mapped by `plane_map`; `back` (M, 2, 2): inverse Jacobian
     there, px/mm.
@@ -45,15 +45,12 @@ class Inverse:
     controls_px: np.ndarray
     controls_mm: np.ndarray
     back: np.ndarray
-    tree: "KDTree"
 
     @staticmethod
     def of(plane_map: SmoothPlaneMap, controls_px: np.ndarray) -> "Inverse":
         """Return the inverse of a map that is valid near its controls (M, 2)."""
-        from scipy.spatial import KDTree  # here: a view itself does not need it, and it takes 6 MB
-
         xy, jacobian = plane_map.linearised(controls_px)
-        return Inverse(plane_map, controls_px, xy, np.linalg.pinv(jacobian), KDTree(xy))
+        return Inverse(plane_map, controls_px, xy, np.linalg.pinv(jacobian))
 
     def __call__(self, xy_mm: np.ndarray) -> np.ndarray:
         """Return the pixels (N, 2) that the map takes to points (N, 2), mm.
@@ -78,7 +75,7 @@ class Inverse:
         at = np.flatnonzero(_within(xy_mm, low_mm, high_mm, 2 * MAX_OUTSIDE * float((high_mm - low_mm).max())))
         target = xy_mm[at]
         few = len(target) * len(self.controls_mm) <= _FEW
-        near = _nearest(target, self.controls_mm) if few else self.tree.query(target)[1]
+        near = _nearest(target, self.controls_mm) if few else self._tree.query(target)[1]
         here = _started(near, target, self.controls_px, self.controls_mm, self.back)
         uv, length = np.zeros((len(xy_mm), 2)), np.full(len(at), np.inf)
         found = np.zeros(len(uv), dtype=bool)
@@ -92,6 +89,13 @@ class Inverse:
             if not on.all():
                 at, target, here, length = at[on], target[on], here[on], length[on]
         return uv[found], found
+
+    @cached_property
+    def _tree(self) -> "KDTree":
+        """The controls, mm, for searches of many points."""
+        from scipy.spatial import KDTree  # here: few points need no tree, and it takes 6 MB
+
+        return KDTree(self.controls_mm)
 
     @cached_property
     def _boxes(self) -> list[tuple[np.ndarray, np.ndarray]]:
