@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.lines import cross, meeting_point, met_mm, nearest_approach
+from sightline.geometry.lines import cross, meeting_point, nearest_approach
 
 FOCAL = np.array([13.7, -8.2, -617.3])
 GRID = np.stack([*np.meshgrid([-66.0, -22, 22, 66], [-66.0, -22, 22, 66], [300.0])], axis=-1).reshape(-1, 3)
@@ -20,14 +20,6 @@ def test_lines_through_a_point_meet_there():
     met = meeting_point(GRID, GRID - FOCAL)
     np.testing.assert_allclose(met.point_mm, FOCAL, atol=1e-8)
     np.testing.assert_allclose(met.distance_mm, 0, atol=1e-8)
-
-
-def test_the_point_alone_is_that_of_the_lines_with_equal_weights():
-    """Fails where weights or the lines' directions are not those of `meeting_point`."""
-    origins = lines_with_errors(np.full(len(GRID), 0.5), np.random.default_rng(3))
-    np.testing.assert_array_equal(met_mm(origins, 2 * (GRID - FOCAL)), meeting_point(origins, GRID - FOCAL).point_mm)
-    with pytest.raises(ReconstructionRefusedError, match="one line"):
-        met_mm(origins[:1], origins[:1] - FOCAL)
 
 
 def lines_with_errors(sd_mm: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -44,22 +44,6 @@ def meeting_point(
     """
     origin, unit = np.asarray(origin_mm, dtype=np.float64), _unit(direction)
     weight = np.broadcast_to(1.0 if sd_mm is None else 1 / np.square(sd_mm), len(origin))
-    point, normal = _met(origin, unit, weight)
-    off = point - origin
-    off -= (unit * off).sum(axis=1, keepdims=True) * unit
-    distance = np.sqrt((off**2).sum(axis=1))
-    scatter = 1.0 if sd_mm is not None else (distance**2).sum() / (2 * len(origin) - 3)
-    return MeetingPoint(point, scatter * np.linalg.inv(normal), distance)
-
-
-def met_mm(origin_mm: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Return `meeting_point`'s point (3,) alone, for equal weights, in half the time."""
-    origin = np.asarray(origin_mm, dtype=np.float64)
-    return _met(origin, _unit(direction), np.broadcast_to(1.0, len(origin)))[0]
-
-
-def _met(origin: np.ndarray, unit: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the point (3,) of `meeting_point` and its normal matrix (3, 3). Raises ReconstructionRefusedError."""
     if len(origin) < 2:
         raise ReconstructionRefusedError("one line has no intersection; give at least two")
     weighted = weight[:, None] * unit
@@ -69,7 +53,12 @@ def _met(origin: np.ndarray, unit: np.ndarray, weight: np.ndarray) -> tuple[np.n
             "the lines are nearly parallel and determine no intersection; use beads further apart"
         )
     along = (unit * origin).sum(axis=1)
-    return np.linalg.solve(normal, weight @ origin - along @ weighted), normal
+    point = np.linalg.solve(normal, weight @ origin - along @ weighted)
+    off = point - origin
+    off -= (unit * off).sum(axis=1, keepdims=True) * unit
+    distance = np.sqrt((off**2).sum(axis=1))
+    scatter = 1.0 if sd_mm is not None else (distance**2).sum() / (2 * len(origin) - 3)
+    return MeetingPoint(point, scatter * np.linalg.inv(normal), distance)
 
 
 def cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -102,7 +91,7 @@ def nearest_approach(
 
 def _unit(direction: np.ndarray) -> np.ndarray:
     direction = np.asarray(direction, dtype=np.float64)
-    length = np.linalg.norm(direction, axis=-1, keepdims=True)
+    length = np.sqrt((direction * direction).sum(axis=-1, keepdims=True))  # as np.linalg.norm, in a third of the time
     if not (length > 0).all():
         raise ReconstructionRefusedError("a line has no direction; give two different points of it")
     return direction / length

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
+from sightline.detection.compiled import exact_unchecked
 from sightline.detection.labelling.map_prior import features
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, Similarity
@@ -20,7 +20,7 @@ LOOSE = 0.1  # of the pitch: s.d. added in the first fit of the map [ours]
 MAX_ROUNDS = 15
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _fit(phi, noise, place_of, target, w, upper, beta):  # noqa: PLR0912, PLR0917 - a kernel
     """Fill `beta` (21, 2), the coefficients, and `upper`, the Cholesky factor of their information; unit priors."""
     size = len(beta)
@@ -58,53 +58,71 @@ def _fit(phi, noise, place_of, target, w, upper, beta):  # noqa: PLR0912, PLR091
             beta[i, c] /= upper[i, i]
 
 
-@njit(cache=True, error_model="numpy")
-def _predict(phi, noise, w, log_r, upper, beta, at, ratio, reach):  # noqa: PLR0917 - a kernel
-    """Fill each detection's mapped place `at`, log radius `ratio`, and `reach`: GATE standard deviations."""
-    size = len(beta)
-    z = np.empty(size)
-    for n in range(len(w)):
-        x = y = x_by_x = y_by_x = x_by_y = y_by_y = variance = 0.0
-        for k in range(size):
-            z[k] = phi[0, n, k]
-            x += phi[0, n, k] * beta[k, 0]
-            y += phi[0, n, k] * beta[k, 1]
-            x_by_x += phi[1, n, k] * beta[k, 0]
-            y_by_x += phi[1, n, k] * beta[k, 1]
-            x_by_y += phi[2, n, k] * beta[k, 0]
-            y_by_y += phi[2, n, k] * beta[k, 1]
-        for k in range(size):
-            f = z[k] / upper[k, k]
-            variance += f * f
-            for j in range(k + 1, size):
-                z[j] -= f * upper[k, j]
+@exact_unchecked
+def _transpose(phi, terms):
+    """Fill `terms` (3, 21, N) from `features` (3, N, 21)."""
+    for d in range(3):
+        for n in range(phi.shape[1]):
+            for k in range(phi.shape[2]):
+                terms[d, k, n] = phi[d, n, k]
+
+
+@exact_unchecked
+def _predict(terms, noise, w, log_r, upper, beta, at, ratio, reach):  # noqa: PLR0917 - a kernel
+    """Fill each detection's mapped place `at`, log radius `ratio`, and `reach`: GATE standard deviations.
+
+    `terms` (3, 21, N): `features`, transposed so that the inner loops are vectorised over the detections.
+    """
+    size, count = len(beta), len(w)
+    added, variance = np.zeros((2 * len(terms), count)), np.zeros(count)  # `added`: x, y and their derivatives
+    z, share = np.empty((size, count)), np.empty(count)
+    for k in range(size):
+        for n in range(count):
+            z[k, n] = terms[0, k, n]
+    for k in range(size):
+        for i in range(len(added)):
+            total, term, b = added[i], terms[i // 2, k], beta[k, i % 2]
+            for n in range(count):
+                total[n] += term[n] * b
+        own, pivot = z[k], upper[k, k]
+        for n in range(count):
+            share[n] = own[n] / pivot
+            variance[n] += share[n] * share[n]
+        for j in range(k + 1, size):
+            other, u = z[j], upper[k, j]
+            for n in range(count):
+                other[n] -= share[n] * u
+    for n in range(count):
+        x, x_by_x, x_by_y = added[0, n], added[2, n], added[4, n]
+        y, y_by_x, y_by_y = added[1, n], added[3, n], added[5, n]
         area = abs((1.0 + x_by_x) * (1.0 + y_by_y) - y_by_x * x_by_y)
         at[n, 0], at[n, 1] = w[n, 0] + x, w[n, 1] + y
         ratio[n] = log_r[n] + 0.5 * np.log(max(area, 1e-6))
-        reach[n] = GATE * np.sqrt(variance + noise[n])
+        reach[n] = GATE * np.sqrt(variance[n] + noise[n])
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _match(at, reach, target, ratio, log_half, sized, usable, place_of):  # noqa: PLR0917 - a kernel
     """Fill `place_of` (N,) with mutual nearest neighbours of detections and places, or -1; return (changed, matched).
 
     Only within `reach`, and where the log radius agrees to within `sized`. Returns the number of changed entries and
     the number of matched detections.
     """
-    owner, near = np.empty(len(target), np.int64), np.empty(len(target))
+    owner, near, off2 = np.empty(len(target), np.int64), np.empty(len(target)), np.empty(len(target))
     for p in range(len(target)):
         owner[p], near[p] = -1, np.inf
     best = np.empty(len(at), np.int64)
     for n in range(len(at)):
         best[n] = -1
         nearest = limit = reach[n] ** 2 if usable[n] else 0.0
+        for p in range(len(target)):  # vectorised; few are near
+            off2[p] = (at[n, 0] - target[p, 0]) ** 2 + (at[n, 1] - target[p, 1]) ** 2
         for p in range(len(target)):
-            d = (at[n, 0] - target[p, 0]) ** 2 + (at[n, 1] - target[p, 1]) ** 2
-            if d < limit and abs(ratio[n] - log_half[p]) < sized:
-                if d < nearest:
-                    nearest, best[n] = d, p
-                if d < near[p]:
-                    near[p], owner[p] = d, n
+            if off2[p] < limit and abs(ratio[n] - log_half[p]) < sized:
+                if off2[p] < nearest:
+                    nearest, best[n] = off2[p], p
+                if off2[p] < near[p]:
+                    near[p], owner[p] = off2[p], n
     changed = count = 0
     for n in range(len(at)):
         p = best[n] if best[n] >= 0 and owner[best[n]] == n else -1
@@ -114,7 +132,7 @@ def _match(at, reach, target, ratio, log_half, sized, usable, place_of):  # noqa
     return changed, count
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _level(ratio, log_half, place_of):
     """Return the median log ratio of the beads' radii to those of their places."""
     off, count = np.empty(len(ratio)), 0
@@ -129,10 +147,12 @@ def _level(ratio, log_half, place_of):
     return (off[(count - 1) // 2] + off[count // 2]) / 2
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _grow(w, log_r, noise, target, log_half, pitch, seed, usable):  # noqa: PLR0917 - a kernel
     """Iterate `grow` in units of the field's radius. `seed` (N,): the place of each detection, or -1."""
     phi = features(w)
+    terms = np.empty((3, phi.shape[2], len(w)))
+    _transpose(phi, terms)
     upper, beta = np.empty((phi.shape[2], phi.shape[2])), np.empty((phi.shape[2], 2))
     at, ratio, reach = w.copy(), log_r.copy(), np.empty(len(w))
     loose = noise.copy()
@@ -152,7 +172,7 @@ def _grow(w, log_r, noise, target, log_half, pitch, seed, usable):  # noqa: PLR0
             place_of[n] = seed[n]
     for iteration in range(MAX_ROUNDS):
         _fit(phi[0], noise if iteration else loose, place_of, target, w, upper, beta)
-        _predict(phi, noise, w, log_r, upper, beta, at, ratio, reach)
+        _predict(terms, noise, w, log_r, upper, beta, at, ratio, reach)
         level = _level(ratio, log_half, place_of)
         for n in range(len(w)):
             ratio[n] -= level

@@ -12,7 +12,6 @@ from sightline.detection.labelling.map_prior import CENTRE_PX, features, map_cov
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
 from sightline.fitting.kernels import squared_distances
-from sightline.geometry.lines import met_mm
 
 FOCAL_STEP_MM = 500.0  # wide prior s.d. of the focal point's step [ours]
 
@@ -77,7 +76,7 @@ class Model:
     """
 
     def __init__(self, pair: Sequence[Grown], detections: Detections) -> None:
-        self.xrii, self.sheet = pair[0].pattern, pair[0].sheet
+        self.xrii, self.sheet, self.xy_mm = pair[0].pattern, pair[0].sheet, pair[0].xy_mm
         self.shadows = Shadows.of(*(g.pattern for g in pair), *([None] if len(pair) == 1 else []))
         self.w = self.sheet.w(detections.uv_px)
         bead_mm = np.hypot(max(g.pattern.bead_sd_mm for g in pair), CENTRE_PX / self.sheet.similarity.scale)
@@ -85,27 +84,17 @@ class Model:
         self.phi = features(self.w)[0]
         self.kernel = map_covariance(self.phi, self.phi, squared_distances(self.w, self.w))
 
-    def first_focal_point(self, xrii: Grown, source: Grown) -> np.ndarray:
-        """Return the intersection (3,) of the lines from the source beads through their images on the XRII plate.
+    def settled(self, on: np.ndarray, size_m2: np.ndarray, usable: np.ndarray) -> Joint | None:
+        """Return the fit to the beads that it explains, from the place `on` (N,) of each detection, or -1.
 
-        Raises ReconstructionRefusedError where they are parallel.
-        """
-        through = source.pattern.xyz_mm[source.places]
-        return met_mm(through, through - self.xrii.plane.to_space(xrii.xy_mm[source.rows]))
-
-    def settled(
-        self, on: np.ndarray, focal_mm: np.ndarray | None, size_m2: np.ndarray, usable: np.ndarray
-    ) -> Joint | None:
-        """Return the fit to the beads that it explains, from the place `on` (N,) of each detection, or -1, and a focal
-        point, which one plate alone does not have; None where too few are explained.
-
-        `size_m2` (N, P): squared misfit of each detection's radius on each place, in standard deviations.
+        None where too few are explained, or the beads of two plates are not seen from one point. `size_m2` (N, P):
+        squared misfit of each detection's radius on each place, in standard deviations.
         """
         unit, centre = self.sheet.unit_mm, np.append(self.sheet.centre_mm, 0.0)
         plane, on = self.xrii.plane, on.copy()
         places = Places((self.shadows.xyh_mm - centre) / unit, len(self.xrii.ids), FOCAL_STEP_MM / unit)
-        start = np.ones(3) if focal_mm is None else (plane.basis @ (focal_mm - plane.origin_mm) - centre) / unit
-        fit, settled = settle(Spots(self.w, self.kernel, self.noise, size_m2, usable), places, start, on)
+        at = (self.xy_mm - self.sheet.centre_mm) / unit
+        fit, settled = settle(Spots(self.w, self.kernel, self.noise, size_m2, usable), places, at, on)
         if not settled:
             return None
         rows = np.flatnonzero(on >= 0)

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sightline.detection.compiled import exact_unchecked, fast
-from sightline.fitting.dense import PIVOTS, STRIDE, eliminate
+from sightline.fitting.dense import PIVOTS, STRIDE, eliminate, factor
 from sightline.fitting.robust import MEDIAN_M2
+from sightline.geometry.lines import SPREAD_RAD
 
 MIN_BEADS = 8  # of each plate [ours]
 MIN_BEYOND = 0.1  # smallest distance of the focal point beyond the source plate, over that between the plates [ours]
@@ -124,16 +125,17 @@ def _match(fit, growth, spots, on):
 
     `growth`: of the fit's variances.
     """
-    rivals = np.zeros(len(fit.target), np.int64)
+    target, m2 = fit.target, np.empty(len(fit.target))
+    rivals = np.zeros(len(target), np.int64)
     for n in range(len(on)):
-        on[n], near = -1, 0
-        for p in range(len(fit.target) if spots.usable[n] else 0):
-            off2 = (fit.at[n, 0] - fit.target[p, 0]) ** 2 + (fit.at[n, 1] - fit.target[p, 1]) ** 2
-            m2 = off2 / (growth * fit.variance[n])
-            if m2 < NEAR_M2 and m2 + spots.size_m2[n, p] < NEAR_M2:
+        on[n], near, x, y, variance = -1, 0, fit.at[n, 0], fit.at[n, 1], growth * fit.variance[n]
+        for p in range(len(m2)):  # vectorised; few are near
+            m2[p] = ((x - target[p, 0]) ** 2 + (y - target[p, 1]) ** 2) / variance
+        for p in range(len(m2) if spots.usable[n] else 0):
+            if m2[p] < NEAR_M2 and m2[p] + spots.size_m2[n, p] < NEAR_M2:
                 near += 1
                 rivals[p] += 1
-                if m2 + spots.size_m2[n, p] < GATE_M2:
+                if m2[p] + spots.size_m2[n, p] < GATE_M2:
                     on[n] = p
         if near > 1:
             on[n] = -1
@@ -259,10 +261,12 @@ def _step(on, spots, places, fit, growth, work):  # noqa: PLR0917 - a kernel
 
     0 where their covariance is not positive definite.
     """
-    rows = np.flatnonzero(on >= 0)
-    beads = np.empty((len(rows), 2), np.int64)
-    for i in range(len(rows)):
-        beads[i, 0], beads[i, 1] = rows[i], on[rows[i]]
+    count, all_beads = 0, np.empty((len(on), 2), np.int64)
+    for n in range(len(on)):
+        if on[n] >= 0:
+            all_beads[count, 0], all_beads[count, 1] = n, on[n]
+            count += 1
+    beads = all_beads[:count]
     _project(places, fit.focal, fit.target)
     if not _solve(beads, spots, places, fit, growth, work):
         return 0
@@ -275,13 +279,52 @@ def _step(on, spots, places, fit, growth, work):  # noqa: PLR0917 - a kernel
 
 
 @fast
-def settle(spots, places, focal, on):
+def first_focal(places, at, on):
+    """Return the point (3,) nearest to the lines from the source beads through their images on the XRII plate.
+
+    `at` (N, 2): the detections, mapped to the XRII plate; `on` (N,): their places, or -1. The origin, where `_sees`
+    refuses it, if the lines are nearly parallel; with one plate any point.
+    """
+    normal, focal, count = np.zeros((3, 3)), np.zeros(3), 0  # least squares: normal @ point = focal
+    if places.on_xrii == len(places.xyh):
+        focal[2] = 1.0
+        return focal
+    for n in range(len(on)):
+        if on[n] < places.on_xrii:
+            continue
+        count += 1
+        x, y, h = places.xyh[on[n], 0], places.xyh[on[n], 1], places.xyh[on[n], 2]
+        dx, dy = x - at[n, 0], y - at[n, 1]
+        square = dx * dx + dy * dy + h * h
+        share = (x * dx + y * dy + h * h) / square  # to the point of the line that is nearest to the origin
+        along, foot = (dx, dy, h), (x - share * dx, y - share * dy, h - share * h)
+        for i in range(3):
+            focal[i] += foot[i]
+            normal[i, i] += 1.0
+            for k in range(i + 1):
+                normal[i, k] -= along[i] * along[k] / square
+    if not factor(3, normal) or normal[2, 2] ** 2 < count * SPREAD_RAD**2:
+        focal[:] = 0.0
+        return focal
+    for i in range(3):
+        for k in range(i):
+            focal[i] -= normal[i, k] * focal[k]
+        focal[i] /= normal[i, i]
+    for i in range(2, -1, -1):
+        for k in range(i + 1, 3):
+            focal[i] -= normal[k, i] * focal[k]
+        focal[i] /= normal[i, i]
+    return focal
+
+
+@fast
+def settle(spots, places, at, on):
     """Fit and match in turns until beads and noise stay; `on` (N,), the place of each detection or -1, is replaced.
 
-    `focal` (3,) is where the fit begins. Return it, and whether it settled.
+    Begin at `first_focal` of `at` (N, 2), and return the fit, and whether it settled.
     """
-    n = len(on)
-    fit = Fitted(focal.copy(), np.empty((n, 2)), np.empty(n), np.empty((len(places.xyh), 2)), np.empty((n, 2)))
+    n, focal = len(on), first_focal(places, at, on)
+    fit = Fitted(focal, np.empty((n, 2)), np.empty(n), np.empty((len(places.xyh), 2)), np.empty((n, 2)))
     work = _Work(np.empty((n, n)), np.empty((5, n)), np.empty((5, 5)), np.empty((3, 3)), np.empty(n))
     new, growth = on.copy(), 1.0
     for iteration in range(MAX_FITS if _sees(places, focal) else 0):
@@ -317,21 +360,22 @@ def empty_near(target, places, count):
     off2, near2, out = np.empty(len(target)), np.empty(count), np.empty(len(places))
     for b in range(len(places)):
         near2[:] = np.inf
+        x, y = target[places[b], 0], target[places[b], 1]
+        for p in range(len(target)):  # vectorised, like the sums below
+            off2[p] = (target[p, 0] - x) ** 2 + (target[p, 1] - y) ** 2
+        off2[places[b]] = np.inf
         for p in range(len(target)):
-            off2[p] = np.inf
-            if p != places[b]:
-                off2[p] = (target[p, 0] - target[places[b], 0]) ** 2 + (target[p, 1] - target[places[b], 1]) ** 2
             if off2[p] < near2[count - 1]:
                 k = count - 1
                 while k > 0 and near2[k - 1] > off2[p]:
                     near2[k] = near2[k - 1]
                     k -= 1
                 near2[k] = off2[p]
-        within = empty = 0
+        within, empty, limit = 0, 0, (1.0 + SAME_DISTANCE) * near2[count - 1]
         for p in range(len(target)):
-            if off2[p] < (1.0 + SAME_DISTANCE) * near2[count - 1]:
-                within += 1
-                empty += free[p]
+            near = off2[p] < limit
+            within += near
+            empty += near & free[p]
         out[b] = (empty + 1.0) / (within + 2.0)
     return out
 

@@ -1,8 +1,8 @@
 """Prior of the map between an image and a plate: a polynomial of degree 5 and a smooth remainder."""
 
 import numpy as np
-from numba import njit
 
+from sightline.detection.compiled import exact_unchecked
 from sightline.fitting.kernels import squared_exponential
 
 DEGREE = 5
@@ -19,7 +19,7 @@ _POWERS = np.array([(d - k, k) for d in range(DEGREE + 1) for k in range(d + 1)]
 _SD = PRIOR[_POWERS.sum(axis=1)]
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def features(w):
     """Return monomials to degree 5 of (N, 2) times their prior s.d., and their two derivatives (3, N, 21)."""
     out = np.empty((3, len(w), len(_POWERS)))

@@ -1,6 +1,7 @@
 """Identify the plate and orientation of grown lattices by comparing all ways to place a plate on them."""
 
-from collections.abc import Iterable
+from cmath import phase
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -8,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from sightline.detection.compiled import exact_unchecked
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import complex_points, real_points
@@ -26,14 +28,13 @@ SECTOR = np.pi / 6  # rotations of the plates of one view agree to within half o
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """The cheapest of all ways (readings) to place one pattern on one lattice, neighbours on neighbours.
+    """The cheapest of all ways (readings) to place each of P patterns on one lattice, neighbours on neighbours.
 
-    Per class (24,), the handedness and rotation sector in the image, which both plates of a view share: the lowest
-    `cost`, the `second` lowest, and the `index` of the cheapest reading. `index` is -1 where there is no reading, or an
-    abandoned one, whose cost is too low.
+    Per pattern and class (P, 24), the handedness and rotation sector in the image, which both plates of a view share:
+    the lowest `cost`, the `second` lowest, and the `index` of the cheapest reading. `index` is -1 where there is no
+    reading, or an abandoned one, whose cost is too low.
     """
 
-    pattern: Pattern
     cost: np.ndarray
     second: np.ndarray
     index: np.ndarray
@@ -109,7 +110,7 @@ def _reading(start, step, origin, away, flip):
     return rotation, start - rotation * (origin.conjugate() if flip else origin)
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _cost_on_place(larger, sizes):
     """Return the cost (N, P + 1) of each bead on each place, by its size, and off all places."""
     out = np.empty((len(larger), len(sizes) + 1))
@@ -120,7 +121,7 @@ def _cost_on_place(larger, sizes):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _cheapest(beads, pattern, least, costs):
     """Fill `costs`; return the lowest cost of all and of `least`, which is infinite for the lattice's own pattern."""
     of_place = _cost_on_place(beads.larger, pattern.larger)
@@ -189,61 +190,63 @@ class _Lattice:
         telling = np.argsort(-larger)
         return _Lattice(grown, z[telling], larger[telling], origin, other - origin, own)
 
-    def readings(self, patterns: Iterable[Pattern], reference_rad: float) -> dict[Pattern, Readings]:
-        """Return the cheapest readings for each pattern; sectors are counted from `reference_rad`."""
-        out, least = {}, np.inf
-        similarity = self.grown.sheet.similarity
-        beads = _Beads(
-            self.z,
-            self.larger,
-            self.origin,
-            self.away,
-            self.own,
-            float(np.angle(self.away)),
-            float(np.angle(similarity.rotation)) - reference_rad,
-            similarity.mirror,
-        )
-        for pattern in sorted(patterns, key=lambda one: one is not self.grown.pattern):
-            costs = _Costs(np.full(24, np.inf), np.full(24, np.inf), np.full(24, -1))
-            least = _cheapest(beads, _map_of(pattern), least, costs)
-            out[pattern] = Readings(pattern, costs.first, costs.second, costs.cheapest)
+    def readings(self, patterns: Sequence[Pattern], reference_rad: float) -> Readings:
+        """Return the cheapest readings of patterns; sectors are counted from `reference_rad`."""
+        similarity, least = self.grown.sheet.similarity, np.inf
+        tilt_rad = phase(similarity.rotation) - reference_rad
+        own = self.origin, self.away, self.own, phase(self.away), tilt_rad, similarity.mirror
+        beads, shape = _Beads(self.z, self.larger, *own), (len(patterns), 24)
+        out = Readings(np.full(shape, np.inf), np.full(shape, np.inf), np.full(shape, -1))
+        for k in sorted(range(len(patterns)), key=lambda k: patterns[k] is not self.grown.pattern):
+            least = _cheapest(beads, _map_of(patterns[k]), least, _Costs(out.cost[k], out.second[k], out.index[k]))
         return out
 
-    def places(self, pattern: Pattern, index: int) -> tuple[np.ndarray, bool]:
-        """Return the place of each of the lattice's `all_rows` under a reading, or -1.
+    def is_own(self, pattern: Pattern, index: int) -> bool:
+        """Return whether a reading is the one with which the lattice was grown."""
+        rotation, shift, flip = self._reading(pattern, index)
+        return pattern is self.grown.pattern and not flip and abs(rotation - 1) < 1e-9 and abs(shift) < 1e-6
 
-        And whether the reading is the one with which the lattice was grown.
-        """
-        to, flip = _map_of(pattern), index >= len(pattern.neighbours)
-        k = index % len(pattern.neighbours)
-        rotation, shift = _reading(to.start[k], to.step[k], self.origin, self.away, flip)
+    def places(self, pattern: Pattern, index: int) -> np.ndarray:
+        """Return the place of each of the lattice's `all_rows` under a reading, or -1."""
+        rotation, shift, flip = self._reading(pattern, index)
         z = complex_points(self.grown.xy_mm[self.grown.all_rows])
         d2 = exact_squares(real_points(rotation * (z.conj() if flip else z) + shift), pattern.xy_mm)
-        own = pattern is self.grown.pattern and not flip and abs(rotation - 1) < 1e-9 and abs(shift) < 1e-6
-        return np.where(d2.min(axis=1) < (ON_PLACE * pattern.pitch_mm) ** 2, d2.argmin(axis=1), -1), own
+        return np.where(d2.min(axis=1) < (ON_PLACE * pattern.pitch_mm) ** 2, d2.argmin(axis=1), -1)
+
+    def _reading(self, pattern: Pattern, index: int) -> tuple[complex, complex, bool]:
+        to, flip = _map_of(pattern), index >= len(pattern.neighbours)
+        k = index % len(pattern.neighbours)
+        return *_reading(to.start[k], to.step[k], self.origin, self.away, flip), flip
 
 
-def most_like(grown: Grown, patterns: Iterable[Pattern]) -> Pattern:
+def most_like(grown: Grown, patterns: Sequence[Pattern]) -> Pattern:
     """Return the pattern that is most like a lattice."""
     lattice = _Lattice.of(grown)
     if lattice is None:
         return grown.pattern
-    return min(lattice.readings(patterns, 0.0).values(), key=lambda one: one.cost.min()).pattern
+    return patterns[int(lattice.readings(patterns, 0.0).cost.min(axis=1).argmin())]
 
 
 @dataclass(frozen=True, eq=False)
 class Naming:
     """The cheapest joint reading of one or two lattices: the pattern of each, and the places of its `all_rows`.
 
-    `margin`: excess cost of the next best reading; `margin_in_view`: of the next best one in the same view.
-    `unchanged`: the reading is the one with which the lattices were grown.
+    `margin`: excess cost of the next best reading; `margin_in_view`: of the next best one in the same view. `places`:
+    None where the reading is the one with which the lattices were grown.
     """
 
     patterns: tuple[Pattern, ...]
-    places: tuple[np.ndarray, ...]
+    places: tuple[np.ndarray, ...] | None
     margin: float
     margin_in_view: float
-    unchanged: bool
+
+
+def _places(lattices: Sequence[_Lattice], read: Sequence[tuple[Pattern, int]]) -> tuple[np.ndarray, ...] | None:
+    """Return `Naming.places` of one reading of each lattice: a pattern, and the index of its reading."""
+    ways = list(zip(lattices, read, strict=True))
+    if all(lattice.is_own(*way) for lattice, way in ways):
+        return None
+    return tuple(lattice.places(*way) for lattice, way in ways)
 
 
 def name(pair: tuple[Grown, Grown], couples: list[tuple[Pattern, Pattern]]) -> Naming | None:
@@ -251,31 +254,26 @@ def name(pair: tuple[Grown, Grown], couples: list[tuple[Pattern, Pattern]]) -> N
 
     The first of `couples` wins a tie. None where a lattice has no two neighbouring beads or fits no pattern.
     """
-    lattices = [_Lattice.of(grown) for grown in pair]
-    if lattices[0] is None or lattices[1] is None:
+    lattices = [lattice for lattice in map(_Lattice.of, pair) if lattice]
+    if len(lattices) < 2:
         return None
-    reference = float(np.angle(pair[0].sheet.similarity.rotation))
+    reference = phase(pair[0].sheet.similarity.rotation)
     every = [pattern for couple in couples for pattern in couple]
-    read = [lattice.readings(every, reference) for lattice in lattices if lattice]
-    ways = [(read[0][a], read[1][b]) for couple in couples for a, b in (couple, couple[::-1])]
-    totals = [a.cost + b.cost for a, b in ways]
-    best = int(np.argmin([total.min() for total in totals]))
-    first, second = ways[best]
-    c = int(totals[best].argmin())
-    if first.index[c] < 0 or second.index[c] < 0:
+    one, two = (lattice.readings(every, reference) for lattice in lattices)
+    other = np.arange(len(every)) ^ 1  # the other plate of each one's couple
+    totals = one.cost + two.cost[other]  # (P, 24): the first lattice is pattern P, the second one the other plate
+    best, c = (int(k) for k in np.unravel_index(totals.argmin(), totals.shape))
+    second = int(other[best])
+    if one.index[best, c] < 0 or two.index[second, c] < 0:
         return None
-    cost = float(totals[best][c])
-    totals[best][c] = min(first.second[c] + second.cost[c], first.cost[c] + second.second[c])
-    rivals = np.array([total.min() for total in totals])
-    in_view = [a.pattern.view == first.pattern.view for a, _ in ways]
-    places0, own0 = lattices[0].places(first.pattern, int(first.index[c]))
-    places1, own1 = lattices[1].places(second.pattern, int(second.index[c]))
+    cost = float(totals[best, c])
+    totals[best, c] = min(one.second[best, c] + two.cost[second, c], one.cost[best, c] + two.second[second, c])
+    rivals = totals.min(axis=1)
     return Naming(
-        patterns=(first.pattern, second.pattern),
-        places=(places0, places1),
+        patterns=(every[best], every[second]),
+        places=_places(lattices, ((every[best], int(one.index[best, c])), (every[second], int(two.index[second, c])))),
         margin=float(rivals.min()) - cost,
-        margin_in_view=float(rivals[in_view].min()) - cost,
-        unchanged=own0 and own1,
+        margin_in_view=float(min(rivals[k] for k, plate in enumerate(every) if plate.view == every[best].view)) - cost,
     )
 
 
@@ -284,10 +282,9 @@ def name_alone(grown: Grown) -> Naming | None:
     lattice = _Lattice.of(grown)
     if lattice is None:
         return None
-    read = lattice.readings([grown.pattern], 0.0)[grown.pattern]
-    c = int(read.cost.argmin())
-    if read.index[c] < 0:
+    read = lattice.readings([grown.pattern], 0.0)
+    c = int(read.cost[0].argmin())
+    if read.index[0, c] < 0:
         return None
-    margin = float(min(read.second[c], np.delete(read.cost, c).min()) - read.cost[c])
-    places, own = lattice.places(grown.pattern, int(read.index[c]))
-    return Naming((grown.pattern,), (places,), margin, margin, own)
+    margin = float(min(read.second[0, c], np.delete(read.cost[0], c).min()) - read.cost[0, c])
+    return Naming((grown.pattern,), _places([lattice], [(grown.pattern, int(read.index[0, c]))]), margin, margin)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from sightline.detection.compiled import exact_unchecked
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
 from sightline.fitting.dense import STRIDE
@@ -119,18 +120,20 @@ class _Best(NamedTuple):
     found: np.ndarray
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _nearest_table(w, usable, width, height):
     """Return the detection nearest to the middle of each of CELLS x CELLS cells of the image, or -1."""
     table, nearest = np.empty((CELLS, CELLS), np.int64), np.empty((CELLS, CELLS))
+    u, v = np.empty(CELLS), np.empty(CELLS)  # of the cells' middles
     for i in range(CELLS):
+        u[i], v[i] = (i + 0.5) * width / CELLS, (i + 0.5) * height / CELLS
         for j in range(CELLS):
             table[i, j], nearest[i, j] = -1, np.inf
     for k in range(len(w)):
         ci, cj = int(w[k].imag * CELLS / height), int(w[k].real * CELLS / width)
         for i in range(max(ci - NEAR, 0), min(ci + NEAR + 1, CELLS) if usable[k] else 0):
             for j in range(max(cj - NEAR, 0), min(cj + NEAR + 1, CELLS)):
-                d = (w[k].real - (j + 0.5) * width / CELLS) ** 2 + (w[k].imag - (i + 0.5) * height / CELLS) ** 2
+                d = (w[k].real - u[j]) ** 2 + (w[k].imag - v[i]) ** 2
                 if d < nearest[i, j]:
                     table[i, j], nearest[i, j] = k, d
     return table
@@ -172,7 +175,7 @@ def _score(triple, plate, beads, least):
     return score
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _large(beads, rows):
     """Return u, v and log radius (M,) of detections `rows` (L,), M >= L: some at infinity fill up vectorised steps."""
     count = (len(rows) + STRIDE - 1) // STRIDE * STRIDE
@@ -182,7 +185,7 @@ def _large(beads, rows):
     return u, v, log_radius
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _log_sides(plate):
     """Return the log distances (D, D), mm, between each datum and those after it."""
     z, datums = plate.z, plate.datums
@@ -231,10 +234,12 @@ def _offer(triple, plate, beads, best):
     what[at, 6] = triple.mirror
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _search(beads, plate, rows, best):
     """Fill `best` with the similarities that map three datum markers to three large detections, `rows`."""
     w, z, log_r, datums, log_half = beads.w, plate.z, beads.log_radius, plate.datums, plate.log_half
+    if len(z) <= best.least:  # no score can exceed it
+        return
     log_least, log_side = np.log(MIN_PITCH_PX / plate.pitch), _log_sides(plate)
     us, vs, log_rs = _large(beads, rows)
     for i in rows:
@@ -294,12 +299,14 @@ def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarr
 def _best_seeds(beads: _Beads, patterns: list[Pattern], may_be: dict[str, np.ndarray], most: int) -> list[Seed]:
     """Return the `most` best seeds of each plate, best first; `may_be`: rows of possible datum markers by kind.
 
-    Where one is wanted, those that are worse than a previous plate's are left out.
+    Where one is wanted, those that are worse than a previous plate's are left out: plates with more fiducials, whose
+    scores are higher, come first.
     """
     counts, scores = np.zeros((len(patterns), 1), np.int64), np.empty((len(patterns), most))
     what, found = np.empty((len(patterns), most, 7), np.int64), np.empty((len(patterns), most, 2), np.complex128)
     guesses, least = [], -np.inf
-    for k, pattern in enumerate(patterns):
+    for k in sorted(range(len(patterns)), key=lambda k: -len(patterns[k].z)):
+        pattern = patterns[k]
         plate = _Plate(pattern.z, pattern.log_half, pattern.datums, pattern.pitch_mm)
         _search(beads, plate, may_be[pattern.datum_kind], _Best(least, counts[k], scores[k], what[k], found[k]))
         guesses += [(score, k, i) for i, score in enumerate(scores[k, : counts[k, 0]].tolist())]

@@ -12,7 +12,6 @@ from sightline.detection.labelling.naming import Naming, name, name_alone
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, best_similarity
 from sightline.detection.results import Detections
-from sightline.errors import ReconstructionRefusedError
 from sightline.fitting.robust import MAD_TO_SD, median
 
 MAX_NAMINGS = 4
@@ -71,7 +70,7 @@ def identified(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> tuple[Gr
             raise AttemptError(
                 Stage.NAMES, "too few neighbouring beads were found to distinguish the plates; show more of both plates"
             )
-        if naming.unchanged:
+        if naming.places is None:
             _check_certain(problem, naming)
             return pair if pair[0].pattern.role == "xrii" else (pair[1], pair[0])
         if problem.given:
@@ -126,7 +125,7 @@ def _sizes(pair: tuple[Grown, ...], usable: np.ndarray) -> _Sizes:
         sds[first:end] = sd = min(max(MAD_TO_SD * median(np.abs(own - middle)), LOG_RADIUS_SD[0]), LOG_RADIUS_SD[1])
         misfit = (g.log_ratio - middle)[:, None] - g.pattern.log_sizes
         alike[:, k] = usable & (np.abs(misfit).min(axis=1) < LOG_RADIUS)
-        m2[:, first:end] = ((misfit / sd) ** 2)[:, g.pattern.size_of]
+        m2[:, first:end] = ((misfit / sd) ** 2).take(g.pattern.size_of, axis=1)
         first = end
     return _Sizes(m2, sds, alike)
 
@@ -153,11 +152,7 @@ def _fitted(problem: LabellingProblem, model: Model, pair: tuple[Grown, ...], si
     on = np.full(len(problem.detections), -1)
     for k, grown in reversed(list(enumerate(pair))):
         on[grown.rows] = grown.places + k * len(pair[0].pattern.ids)
-    try:
-        focal_mm = model.first_focal_point(*pair) if len(pair) == 2 else None
-    except ReconstructionRefusedError:
-        raise AttemptError(Stage.PROJECTION, NOT_CENTRAL) from None
-    fit = model.settled(on, focal_mm, size_m2, problem.usable)
+    fit = model.settled(on, size_m2, problem.usable)
     if fit is None:
         raise AttemptError(Stage.PROJECTION, NOT_CENTRAL)
     return fit
@@ -200,7 +195,7 @@ def solve_alone(problem: LabellingProblem, grown: Grown) -> tuple[np.ndarray, Jo
                 "the datum markers that can be seen fit more than one way to label the plate on the detector; show "
                 "more of them",
             )
-        if naming.unchanged:
+        if naming.places is None:
             break
         grown = _again(problem, grown, grown.pattern, naming.places[0])
     else:
