@@ -115,3 +115,13 @@ def test_candidates_do_not_depend_on_the_images_searched_before_or_beside() -> N
     for k, found in enumerate(together):
         assert np.array_equal(found.uv_px, alone[k % 4].uv_px)
         assert np.array_equal(found.sizes, alone[k % 4].sizes)
+
+
+@pytest.mark.parametrize("width", [313, 314, 315, 316, 317, 318, 319])
+def test_beads_beside_the_right_border_are_found_at_any_width(width: int) -> None:
+    """A search that looks at whole groups of eight pixels alone misses the last ones."""
+    places = np.array([[width - 13.3, v] for v in (60.2, 120.7, 180.4, 240.9)])
+    light, rng = np.full((SIZE, SIZE), 400.0), np.random.default_rng(7)
+    image = radiograph(quanta([Bead(u, v, 5.0) for u, v in places], light), rng)
+    found = candidates(Radiograph(np.ascontiguousarray(image.pixels[:, :width]), image.white))
+    assert np.abs(found.uv_px[found.round][nearest(found, places)] - places).max() < 0.3

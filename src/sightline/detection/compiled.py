@@ -12,6 +12,9 @@ FAST = {"reassoc", "contract", "arcp", "nsz"}  # the part of fastmath that keeps
 
 exact = nb.njit(cache=True, fastmath=False, error_model="python", forceinline=False)
 exact_unchecked = nb.njit(cache=True, fastmath=False, error_model="numpy", forceinline=False)
+# For what is called a thousand times an image: each call of another kernel counts the references to its arrays, and
+# atomic counters stall the processor.
+inlined = nb.njit(cache=True, fastmath=False, error_model="python", forceinline=True)
 fast = nb.njit(cache=True, fastmath=FAST, error_model="numpy", forceinline=True)
 # Inlined before compilation; otherwise a function with one caller would be compiled twice.
 part_of_caller = nb.njit(cache=True, inline="always")

@@ -132,13 +132,13 @@ def _copied(image, mask, top, left, block) -> bool:
     inside = np.uint8(1)
     for i in range(BLOCK):
         known = mask[top + i, left : left + BLOCK]
-        for j in range(BLOCK):
+        for j in range(len(known)):
             inside &= np.uint8(known[j])
         if not inside:
             return False
     for i in range(BLOCK):
         values, row = image[top + i, left : left + BLOCK], block[BLOCK * i : BLOCK * i + BLOCK]
-        for j in range(BLOCK):
+        for j in range(len(values)):
             row[j] = values[j]
     return True
 
@@ -155,7 +155,7 @@ def flatten(block, transposed, sums) -> float:
     total[:], weighted[:], largest[:] = 0.0, 0.0, -np.inf
     for i in range(BLOCK):
         row, y = block[BLOCK * i : BLOCK * i + BLOCK], np.float32(i) - half
-        for j in range(BLOCK):
+        for j in range(len(row)):
             total[j] += row[j]
             weighted[j] += y * row[j]
             largest[j] = max(largest[j], row[j])
@@ -167,7 +167,7 @@ def flatten(block, transposed, sums) -> float:
     mean, su, sv = mean / AREA, su / norm, sv / norm
     for i in range(BLOCK):
         row, level, slope = block[BLOCK * i : BLOCK * i + BLOCK], np.float32(mean + sv * (i - half)), np.float32(su)
-        for j in range(BLOCK):
+        for j in range(len(row)):
             row[j] -= level + slope * (np.float32(j) - half)
     for i in range(BLOCK):
         for j in range(BLOCK):

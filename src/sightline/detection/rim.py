@@ -3,7 +3,7 @@
 import numba as nb
 import numpy as np
 
-from sightline.detection.compiled import exact
+from sightline.detection.compiled import exact, inlined
 from sightline.threads import in_parts
 
 # Columns of an extremum (the first four) and of a candidate.
@@ -67,26 +67,34 @@ def judged(base: np.ndarray, extrema: np.ndarray, line: np.ndarray) -> np.ndarra
 
 @nb.njit(cache=True, nogil=True)
 def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917
-    work = np.empty((4, _PLACES * _RAYS), np.float32), np.empty(_PLACES * _RAYS, np.uint32)
-    rim, step = np.empty(_RAYS, np.float32), np.empty(_RAYS, np.float32)
-    ordered = np.empty(_RAYS, np.float32)
+    # Views are made here once: each one made for an extremum counts its references, and atomic counters stall.
+    pixels, seen = base.reshape(-1), np.empty((_PLACES, _RAYS), np.float32)
+    every = seen.reshape(-1)
+    x, y, values = np.empty(seen.size, np.float32), np.empty(seen.size, np.float32), np.empty(seen.size, np.float32)
+    at = np.empty(seen.size, np.uint32)
+    rim, step, ordered = np.empty(_RAYS, np.float32), np.empty(_RAYS, np.float32), np.empty(_RAYS, np.float32)
     for i in range(part, len(extrema), parts):
-        _judge(base, extrema[i], line, work, rim, step, ordered, out[i])
+        _judge(base, pixels, extrema, i, line, seen, every, x, y, at, values, rim, step, ordered, out)
 
 
-@exact
-def _judge(base, start, line, work, rim, step, ordered, out):  # noqa: PLR0917
-    """Fit a circle to the rim points around an extremum and write the candidate into `out`."""
-    u, v, radius, sign = start[U], start[V], start[RADIUS], 1.0 if start[RESPONSE] > 0 else -1.0
-    noise = broad_noise(_at(base, v, u), line)
-    seen = work[0][0].reshape(_PLACES, _RAYS)
-    if not _has_all_sides(base, u, v, radius, sign, noise, work):
+@inlined
+def _judge(base, pixels, extrema, i, line, seen, every, x, y, at, values, rim, step, ordered, out):  # noqa: PLR0917
+    """Fit a circle to the rim points around extremum `i` and write the candidate into row `i` of `out`.
+
+    `pixels`: all of `base`, row by row. What lies between `line` and `out` is overwritten.
+    """
+    shape = base.shape
+    u, v, radius, sign = extrema[i, U], extrema[i, V], extrema[i, RADIUS], 1.0 if extrema[i, RESPONSE] > 0 else -1.0
+    _sample_sides(pixels, shape, u, v, radius, x, y, at, values)
+    noise = broad_noise(values[16], line)
+    if not _has_all_sides(values, radius, sign, noise):
         return
     sound, middle = 0, 0.0
     for iteration in range(_ITERATIONS):
         spacing = max(_SPACING[0] * radius, _SPACING[1])
         first = max(radius - (_PLACES // 2) * spacing, 0.3)
-        _cast(base, u, v, first, spacing, sign, iteration == _ITERATIONS - 1 and radius > _LARGE, work)
+        averaged = iteration == _ITERATIONS - 1 and radius > _LARGE
+        _cast(pixels, shape, u, v, first, spacing, sign, averaged, every, x, y, at, values)
         _steepest(seen, first, spacing, rim, step)
         middle = _median(step, ordered)
         if middle < max(FAINTEST, MIN_STEP_SNR * noise / radius):
@@ -95,26 +103,32 @@ def _judge(base, start, line, work, rim, step, ordered, out):  # noqa: PLR0917
         sound, du, dv, radius = _circle(rim, step, _SOUND * middle, slack, radius, ordered)
         u, v = u + du, v + dv
         if iteration == _ITERATIONS - 1:
-            out[U], out[V], out[RADIUS], out[RESPONSE] = u, v, radius, sign * middle
-        far = (u - start[U]) ** 2 + (v - start[V]) ** 2 > (0.8 * start[RADIUS] + 1) ** 2
-        if sound < _MIN_RAYS[iteration] or far or not 0.5 * start[RADIUS] < radius < 2.0 * start[RADIUS]:
+            out[i, U], out[i, V], out[i, RADIUS], out[i, RESPONSE] = u, v, radius, sign * middle
+        far = (u - extrema[i, U]) ** 2 + (v - extrema[i, V]) ** 2 > (0.8 * extrema[i, RADIUS] + 1) ** 2
+        resized = not 0.5 * extrema[i, RADIUS] < radius < 2.0 * extrema[i, RADIUS]
+        if sound < _MIN_RAYS[iteration] or far or resized:
             return
-    step_all = _step_at(base, u, v, radius, sign)
+    step_all = _step_at(pixels, shape, u, v, radius, sign, x, y, at, values)
     if step_all < max(FAINTEST, MIN_STEP_SNR * noise / radius):
         return
-    out[SCORE] = middle * np.sqrt(radius) * sound**2
-    out[HOLLOW] = _hollow(base, u, v, radius, sign) / middle
+    out[i, SCORE] = middle * np.sqrt(radius) * sound**2
+    out[i, HOLLOW] = _hollow(pixels, shape, u, v, radius, sign, x, y, at, values) / middle
 
 
-@exact
-def _has_all_sides(base, u, v, radius, sign, noise, work) -> bool:  # noqa: PLR0917
-    """Return whether values fall from inside the disc to outside in at least 5 of 8 directions; overwrites `work`."""
-    x, y, values, at = work[0][1, :16], work[0][2, :16], work[0][0, :16], work[1][:16]
+@inlined
+def _sample_sides(pixels, shape, u, v, radius, x, y, at, values):  # noqa: PLR0917
+    """Fill `values` with the values at 8 places inside the disc, at 8 outside, and in the middle."""
     for k in range(8):
         c, s = _COS[0, 2 * k], _SIN[0, 2 * k]
         x[k], y[k] = u + 0.4 * radius * c, v + 0.4 * radius * s
         x[8 + k], y[8 + k] = u + 1.7 * radius * c, v + 1.7 * radius * s
-    _interpolate(base, x, y, at, values)
+    x[16], y[16] = u, v
+    _interpolate(pixels, shape, 17, x, y, at, values)
+
+
+@inlined
+def _has_all_sides(values, radius, sign, noise) -> bool:
+    """Return whether values (see `_sample_sides`) fall outwards in at least 5 of 8 directions; overwrites some."""
     whole = 0.0
     for k in range(8):
         values[k] = sign * (values[k] - values[8 + k])
@@ -127,42 +141,43 @@ def _has_all_sides(base, u, v, radius, sign, noise, work) -> bool:  # noqa: PLR0
     return down >= 5
 
 
-@exact
-def _cast(base, u, v, first, spacing, sign, averaged, work):  # noqa: PLR0917
-    """Fill the first row of `work` with signed values along rays from (u, v), or their means over adjacent rays.
+@inlined
+def _cast(pixels, shape, u, v, first, spacing, sign, averaged, every, x, y, at, values):  # noqa: PLR0917
+    """Fill `every` with signed values along rays from (u, v), or their means over adjacent rays.
 
     For each of _PLACES, all _RAYS.
     """
-    seen, x, y, values, at = work[0][0], work[0][1], work[0][2], work[0][3], work[1]
     count = _BESIDE if averaged else 1
     part = np.float32(sign / count)
     u, v = np.float32(u), np.float32(v)
-    seen[:] = 0
+    for n in range(len(every)):
+        every[n] = 0
     for b in range(count):
         for j in range(_PLACES):
             r, first_ray = np.float32(first + j * spacing), j * _RAYS
             for k in range(_RAYS):
                 x[first_ray + k], y[first_ray + k] = u + r * _COS[b, k], v + r * _SIN[b, k]
-        _interpolate(base, x, y, at, values)
-        for n in range(len(seen)):
-            seen[n] += part * values[n]
+        _interpolate(pixels, shape, len(every), x, y, at, values)
+        for n in range(len(every)):
+            every[n] += part * values[n]
 
 
-@exact
-def _interpolate(image, x, y, at, values):
-    """Fill `values` (N,) with the bilinear values at `x`, `y` (N,); the border repeats. Overwrites all but the image.
+@inlined
+def _interpolate(pixels, shape, count, x, y, at, values):  # noqa: PLR0917
+    """Fill the first `count` of `values` with the bilinear values at `x`, `y`; the border repeats.
 
-    Places come first and values after them, so that the compiler vectorises the first loop and most of the second.
+    `pixels`: those of an image of this `shape`, row by row. All but them is overwritten. Places come first and values
+    after them, so that the compiler vectorises the first loop and most of the second.
     """
-    zero, last_x, last_y = np.float32(0), np.float32(image.shape[1] - 1.01), np.float32(image.shape[0] - 1.01)
-    width, one, pixels = np.int32(image.shape[1]), np.uint32(1), image.reshape(-1)
+    zero, last_x, last_y = np.float32(0), np.float32(shape[1] - 1.01), np.float32(shape[0] - 1.01)
+    width, one = np.int32(shape[1]), np.uint32(1)
     below = np.uint32(width)
-    for n in range(len(x)):
+    for n in range(count):
         u, v = min(max(x[n], zero), last_x), min(max(y[n], zero), last_y)
         column, row = np.int32(u), np.int32(v)
         x[n], y[n] = u - np.float32(column), v - np.float32(row)
         at[n] = np.uint32(row * width + column)
-    for n in range(len(x)):
+    for n in range(count):
         k = at[n]
         top, low = pixels[k], pixels[k + below]
         top += (pixels[k + one] - top) * x[n]
@@ -170,7 +185,7 @@ def _interpolate(image, x, y, at, values):
         values[n] = top + (low - top) * y[n]
 
 
-@exact
+@inlined
 def _steepest(seen, first, spacing, rim, step):
     """Fill `rim` and `step` with the place where each ray falls most steeply, and by how much it falls there."""
     for k in range(_RAYS):  # branch-free, so that it is vectorised over the rays
@@ -189,7 +204,7 @@ def _steepest(seen, first, spacing, rim, step):
         rim[k], step[k] = first + (at + shift) * spacing, before + after
 
 
-@exact
+@inlined
 def _median(values, ordered) -> float:
     """Return the median of the rays' values; overwrites `ordered`."""
     for k in range(_RAYS):
@@ -201,7 +216,7 @@ def _median(values, ordered) -> float:
     return 0.5 * (ordered[_RAYS // 2 - 1] + ordered[_RAYS // 2])
 
 
-@exact
+@inlined
 def _circle(rim, step, least, slack, radius, ordered):  # noqa: PLR0917
     """Fit r = R + a cos + b sin to the rim points; return how many lie within `slack`, the centre (a, b), and R."""
     a = b = 0.0
@@ -230,38 +245,33 @@ def _circle(rim, step, least, slack, radius, ordered):  # noqa: PLR0917
     return sound, a, b, size
 
 
-@exact
-def _step_at(base, u, v, radius, sign) -> float:
+@inlined
+def _step_at(pixels, shape, u, v, radius, sign, x, y, at, values) -> float:  # noqa: PLR0917
     """Return the mean within a circle minus the mean around it: linear in the image, so noise causes no bias."""
-    step = 0.0
     within, around = max(0.7 * radius, radius - 2.0), max(1.3 * radius, radius + 1.5)
     for k in range(_RAYS):
         c, s = _COS[0, k], _SIN[0, k]
-        step += _at(base, v + within * s, u + within * c)
-        step -= _at(base, v + around * s, u + around * c)
+        x[k], y[k] = u + within * c, v + within * s
+        x[_RAYS + k], y[_RAYS + k] = u + around * c, v + around * s
+    _interpolate(pixels, shape, 2 * _RAYS, x, y, at, values)
+    step = 0.0
+    for k in range(_RAYS):
+        step += values[k]
+        step -= values[_RAYS + k]
     return sign * step / _RAYS
 
 
-@exact
-def _hollow(base, u, v, radius, sign) -> float:
+@inlined
+def _hollow(pixels, shape, u, v, radius, sign, x, y, at, values) -> float:  # noqa: PLR0917
     """Return the mean of a ring at three quarters of the radius minus that of the disc's middle."""
-    middle, ring = _at(base, v, u), 0.0
     for k in range(8):
         c, s = _COS[0, 2 * k], _SIN[0, 2 * k]
-        middle += _at(base, v + 0.15 * radius * s, u + 0.15 * radius * c)
-        ring += _at(base, v + 0.75 * radius * s, u + 0.75 * radius * c)
+        x[k], y[k] = u + 0.15 * radius * c, v + 0.15 * radius * s
+        x[8 + k], y[8 + k] = u + 0.75 * radius * c, v + 0.75 * radius * s
+    x[16], y[16] = u, v
+    _interpolate(pixels, shape, 17, x, y, at, values)
+    middle, ring = float(values[16]), 0.0
+    for k in range(8):
+        middle += values[k]
+        ring += values[8 + k]
     return sign * (ring / 8 - middle / 9)
-
-
-@exact
-def _at(image, v, u):
-    """Return the bilinear value; the border repeats. Single precision and unsigned indices halve the time."""
-    v = min(max(np.float32(v), np.float32(0)), np.float32(image.shape[0] - 1.01))
-    u = min(max(np.float32(u), np.float32(0)), np.float32(image.shape[1] - 1.01))
-    row, column = np.int32(v), np.int32(u)
-    b, a = v - np.float32(row), u - np.float32(column)
-    i, j = np.uint32(row), np.uint32(column)
-    top, low = image[i, j], image[i + np.uint32(1), j]
-    top += (image[i, j + np.uint32(1)] - top) * a
-    low += (image[i + np.uint32(1), j + np.uint32(1)] - low) * a
-    return top + (low - top) * b

@@ -41,10 +41,8 @@ class Tear:
 
 def interlaced(image: Radiograph) -> str | None:
     """Return what is wrong with an interlaced image with movement between its fields, and what to do; else None."""
-    if 100 * clipped_share(image) > MAX_CLIPPED:
-        return None  # clipped lines cannot be compared
     moved = comb(image)
-    if moved <= MOVED:
+    if moved <= MOVED or 100 * clipped_share(image) > MAX_CLIPPED:  # clipped lines cannot be compared
         return None
     return (
         f"the image is interlaced and something moved between its two fields (comb {moved:.2f}, at most {MOVED:g}); "
