@@ -6,7 +6,10 @@ from tests.planning import bone
 from tests.planning.standin import stand_in
 
 from sightline.app.plan.decisions import Decisions, Mark, Pixel
-from sightline.app.plan.planner import moved, planned
+from sightline.app.plan.planner import Planned, moved, planned
+from sightline.calibration import BeadView, calibrate
+from sightline.frame import Frame
+from sightline.studies.scenes import draw_scene
 
 VIEWS = (stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3))
 WIRE = bone.pixels(list(VIEWS))["wire"]
@@ -64,3 +67,33 @@ def test_a_free_point_stays_free_until_it_is_moved_while_the_switch_is_on(snappi
     assert slid.mark("end").free
     assert slid.mark("end").at("lateral") == decisions.mark("end").at("lateral")
     assert np.isfinite(planned(slid, VIEWS).plan.trajectory.length_mm)  # type: ignore[union-attr]
+
+
+def test_the_plans_of_a_drag_are_those_of_a_program_that_starts_there() -> None:
+    rng, frame = np.random.default_rng(5), Frame.load("gamma")
+    scene = draw_scene(rng, frame, 0.1, targets=4)
+
+    def calibrated() -> list[BeadView]:
+        """The same views in objects of their own, of which nothing is remembered."""
+        return [calibrate(one, frame) for one in scene.observations.values()]
+
+    dragged = calibrated()
+    pixels = np.swapaxes([view.project(scene.target_mm) for view in dragged], 0, 1).tolist()
+    decisions = Decisions(side="right")
+    for name, uv in zip(("entry", "end", "landmark-head-centre", "landmark-lesser-trochanter"), pixels, strict=True):
+        for image, at in zip(("pa", "lateral"), uv, strict=True):
+            decisions = moved(decisions, dragged, name, image, (at[0], at[1]), anew=True)
+    for step in range(1, 4):
+        at = (pixels[1][0][0] + 3.7 * step, pixels[1][0][1] - 2.3 * step)
+        decisions = moved(decisions, dragged, "end", "pa", at, anew=False)
+        assert not decisions.mark("end").free  # it slides along its curve
+        assert _told(planned(decisions, dragged)) == _told(planned(decisions, calibrated()))
+
+
+def _told(known: Planned) -> list[object]:
+    """All that a plan tells, to the bit."""
+    plan = known.plan
+    assert plan is not None and plan.seen.joint_covariance_mm2 is not None
+    arrays = [plan.seen.joint_covariance_mm2, plan.residuals_px, *(one.uv_px for one in known.curves.values())]
+    arrays += [plan.anatomy.values, plan.anatomy.covariance] if plan.anatomy is not None else []
+    return [plan.document(), plan.verdict.checks, [one.tobytes() for one in arrays if one is not None]]

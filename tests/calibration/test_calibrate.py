@@ -117,6 +117,15 @@ def test_two_views_of_one_frame_share_their_frame_errors():
     assert np.abs(lateral).max() == 0.0  # errors of the other view's own beads do not touch this one
 
 
+def test_errors_of_single_beads_count_as_much_as_the_same_errors_stated_as_a_covariance():
+    camera = Camera.pa(tilt_rad=0.05, bend=0.05)
+    factor = GAMMA.error_factor
+    stated = replace(GAMMA, covariance_mm2=factor @ factor.T)  # its factor has errors that move many beads
+    seen, uv = camera.observe(GAMMA, np.random.default_rng(16)), camera.project(TARGETS_MM)
+    of_beads, of_many = (calibrate(seen, one, "pa").lines_of_sight(uv).covariance["frame"] for one in (GAMMA, stated))
+    np.testing.assert_allclose(of_beads, of_many, atol=1e-9 * np.abs(of_many).max())
+
+
 @pytest.mark.parametrize(("method", "plate"), [("smooth", "xrii"), *CLASSICAL])
 def test_the_budget_adds_up_and_has_no_negative_variance(method, plate):
     camera = Camera.pa(tilt_rad=0.05, bend=0.05)

@@ -69,20 +69,12 @@ class JointFit:
         noise = x * self.noise[:, 0, 0] @ x.T + y * self.noise[:, 1, 1] @ y.T
         mixed = x * self.noise[:, 0, 1] @ y.T
         noise += mixed + mixed.T
-        factor, felt, count = self._frame_in_data
-        own = -weights @ factor
-        frame_factor = np.zeros((len(weights), count))
-        frame_factor[:, felt] = own
-        return LineErrors(noise, _without_negative(total - noise - own @ own.T), frame_factor)
+        frame_factor = -self._frame_errors.carried(weights, x, y)
+        return LineErrors(noise, _without_negative(total - noise - frame_factor @ frame_factor.T), frame_factor)
 
     @cached_property
-    def _frame_in_data(self) -> tuple[np.ndarray, np.ndarray, int]:
-        """(2N, F): response of the data to those of the K unit-variance errors of `Frame.error_factor` that they feel,
-        (F,): which these are, not those of the other views' beads, and K."""
-        factor = self.beads.frame_factor()
-        felt = np.flatnonzero(np.any(factor, axis=0))
-        kept = factor[:, felt].reshape(len(self.beads), 3, -1)
-        return (self.jacobian @ kept).reshape(2 * len(self.beads), -1), felt, factor.shape[1]
+    def _frame_errors(self) -> "_FrameErrors":
+        return _FrameErrors.of(self.beads.frame_factor(), self.jacobian)
 
     def prediction_sigma(self, others: Beads) -> np.ndarray:
         """Return (M,): Mahalanobis distances of other beads from their predictions (two degrees of freedom each)."""
@@ -98,6 +90,41 @@ class JointFit:
         own = np.einsum("iaib->iab", covariance.reshape(len(xy), 2, len(xy), 2))
         residual = xy - self.pencil.project(others.xyz_mm)
         return np.sqrt(np.einsum("ia,ia->i", residual, np.linalg.solve(own, residual[..., None])[..., 0]))
+
+
+@dataclass(frozen=True, eq=False)
+class _FrameErrors:
+    """Response of the data of N beads to the `count` unit-variance errors of `Frame.error_factor`.
+
+    Most of these move one bead alone: `of_one` (E,): which, `bead` (E,): whose, `each` (2, E): the response of its x
+    and y. `of_many` (C,): which the others are that the data feel, `shared` (2N, C): the response to them.
+    """
+
+    count: int
+    of_one: np.ndarray
+    bead: np.ndarray
+    each: np.ndarray
+    of_many: np.ndarray
+    shared: np.ndarray
+
+    @staticmethod
+    def of(factor: np.ndarray, jacobian: np.ndarray) -> "_FrameErrors":
+        """Return the response from the beads' rows (3N, K) of the factor, and d data / d beads (N, 2, 3)."""
+        by_bead = factor.reshape(len(jacobian), 3, -1)
+        moved = np.any(by_bead, axis=1)
+        beads_moved = moved.sum(axis=0)
+        of_one, of_many = (np.flatnonzero(found) for found in (beads_moved == 1, beads_moved > 1))
+        bead = moved[:, of_one].argmax(axis=0)
+        each = np.einsum("eab,eb->ae", jacobian[bead], by_bead[bead, :, of_one])
+        shared = (jacobian @ by_bead[:, :, of_many]).reshape(2 * len(jacobian), len(of_many))
+        return _FrameErrors(factor.shape[1], of_one, bead, each, of_many, shared)
+
+    def carried(self, weights: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the response (k, K) of numbers that are `weights` (k, 2N) @ data; `x`, `y` (k, N): of its x and y."""
+        out = np.zeros((len(weights), self.count))
+        out[:, self.of_one] = x[:, self.bead] * self.each[0] + y[:, self.bead] * self.each[1]
+        out[:, self.of_many] = weights @ self.shared
+        return out
 
 
 @well_conditioned()

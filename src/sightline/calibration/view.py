@@ -110,12 +110,12 @@ class LinesOfSight:
         """The pencil of lines through the focal point."""
         return Pencil.through(self.plane, self.focal_point_mm)
 
-    @property
+    @cached_property
     def points_mm(self) -> np.ndarray:
         """(N, 3) on the reference plane, CFCS."""
         return self.plane.to_space(self.xy_mm)
 
-    @property
+    @cached_property
     def directions(self) -> np.ndarray:
         """(N, 3) unit vectors from the focal point to the points on the plane."""
         d = self.points_mm - self.focal_point_mm

@@ -5,6 +5,7 @@ Errors that drawings share (focal points, maps, frame) are thereby counted once 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class Sights:
         refuse_two_frames(lines)
         return Sights(tuple(lines), tuple(rows), tuple(picks))
 
-    @property
+    @cached_property
     def values(self) -> np.ndarray:
         """The vector z."""
         return np.concatenate([part for one in self.lines for part in (one.focal_point_mm, one.xy_mm.ravel())])
