@@ -3,6 +3,7 @@
 import io
 import re
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
@@ -13,11 +14,11 @@ from tests.app.picture import Shown, find
 from sightline.imaging import Radiograph
 
 # "3 of 10 · LATERAL · Entry point: slide along its curve and click"
-_ORDER = re.compile(r"^(\d+) of (\d+) · (PA|LATERAL)(?: CHECK)? · ([^:]+): ")
+_ORDER = re.compile(r"^(\d+) of (\d+) · (PA|LATERAL|INLET|OUTLET)(?: CHECK)? · ([^:]+): ")
 _LINES = "document.body.innerText.split('\\n')"
 _ASKED = f"([order, before]) => {_LINES}.find(line => new RegExp(order).test(line) && line !== before)"
 _GONE = f"said => !{_LINES}.includes(said)"
-_VIEWS = {"PA": "pa", "LATERAL": "lateral"}
+_VIEWS = {"PA": "pa", "LATERAL": "lateral", "INLET": "pa", "OUTLET": "lateral"}
 _ASKS = ("Send the plan", "Align", "Drill", "Continue drilling")  # before these a person is asked again
 # The button in the lower right corner, as [words, whether it can be pressed]; ["", false] where none stands there.
 _LAST = """() => {
@@ -43,6 +44,19 @@ class Person:
     def type(self, label: str, text: str) -> None:
         """Into the field with this label."""
         self.page.get_by_label(label).fill(text)
+
+    def choose(self, label: str, words: str) -> None:
+        """The option that says so, of the choice with this label."""
+        self.page.get_by_role("combobox", name=label).click()
+        self.page.get_by_role("option", name=words, exact=True).click()
+
+    def load(self, words: str | re.Pattern[str], file: Path) -> None:
+        """Choose a file for the place that says so."""
+        place = self.page.locator(".drop-in").filter(has_text=words)
+        with self.page.expect_file_chooser() as asked:
+            place.get_by_text("Choose a file", exact=True).click()
+        asked.value.set_files(file)
+        expect(place).to_have_count(0, timeout=PATIENCE_MS)
 
     def read(self, words: str | re.Pattern[str]) -> None:
         """Wait until the page says so."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from sightline.app import texts
+from sightline.app.plan.decisions import HEAD
 from sightline.app.plan.marks import CHECK_NAMES, SHOT_NAMES, by_borders
 from sightline.app.plan.planner import Planned, aid_pixels, landmarks_of
 from sightline.app.session.seen import SeenImage
@@ -202,12 +203,11 @@ def aids(planned: Planned, image: str) -> list[Shape]:
         if uv is not None and by_borders(aid, planned.decisions.borders):
             out += _line(Line.between(uv).uv_px, _AXIS_PX, title)
     head, view = planned.anatomy.head, _view(planned, image)
+    name = next((aid.name for aid in planned.kind.aids if aid.key == HEAD), "")
     if head is not None and view is not None:
         seen = outline(view, head)
         if len(seen) > 2:
-            out.append(
-                {"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": texts.word("femoral head")}
-            )
+            out.append({"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": texts.word(name)})
     return out
 
 

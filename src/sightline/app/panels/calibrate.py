@@ -1,10 +1,13 @@
 """Step 2, Calibrate: the quality of each view's calibration."""
 
+from collections.abc import Hashable
+
 from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import Section, checks, heading, note, table
+from sightline.app.plan.view_names import image_label
 from sightline.app.tab.tab import Tab
 from sightline.case.views import OBLIQUE
 from sightline.checks import failed
@@ -12,7 +15,7 @@ from sightline.checks import failed
 
 def build(tab: Tab) -> None:
     """Build the panel."""
-    Section(tab, lambda t: tuple(map(t.planning.seen, t.planning.slots)), _views)
+    Section(tab, _key, _views)
 
 
 def build_details(tab: Tab) -> None:
@@ -24,7 +27,11 @@ def build_details(tab: Tab) -> None:
 
     ui.checkbox(texts.SHOW_REJECTED, value=tab.views.show_rejected, on_change=show).props("data-testid=show-rejected")
     build_oblique(tab)
-    Section(tab, lambda t: tuple(map(t.planning.seen, t.planning.slots)), _checks)
+    Section(tab, _key, _checks)
+
+
+def _key(tab: Tab) -> Hashable:
+    return (tab.planning.decisions.kind, *map(tab.planning.seen, tab.planning.slots))
 
 
 def _views(tab: Tab) -> None:
@@ -32,7 +39,7 @@ def _views(tab: Tab) -> None:
         seen = tab.planning.seen(name)
         if name == OBLIQUE and seen is None:
             continue
-        heading(texts.IMAGE_LABELS[name])
+        heading(image_label(name, tab.planning.decisions.kind))
         if seen is None:
             note(texts.DROP_FIRST, kind="quiet")
         elif seen.refused:
@@ -56,5 +63,5 @@ def _checks(tab: Tab) -> None:
     for name in tab.planning.slots:
         seen = tab.planning.seen(name)
         if seen is not None and seen.view is not None:
-            heading(texts.IMAGE_LABELS[name])
+            heading(image_label(name, tab.planning.decisions.kind))
             checks(seen.view.checks, testid=f"checks-{name}")

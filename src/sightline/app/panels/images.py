@@ -6,7 +6,9 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels.drop import DropZone
+from sightline.app.panels.kind import build_kind
 from sightline.app.panels.section import Section, action, heading, note, radio
+from sightline.app.plan.view_names import image_label, image_name
 from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.web.serve import ServedApp
@@ -35,7 +37,9 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
             tab.say("")  # what was said of the image before
             where = await tab.planning.take(upload.data, upload.suffix, image=image)
             if where != image:
-                tab.say(texts.PUT_WHERE_IT_BELONGS.format(image=texts.IMAGE_NAMES[where]), good=True)
+                tab.say(
+                    texts.PUT_WHERE_IT_BELONGS.format(image=image_name(where, tab.planning.decisions.kind)), good=True
+                )
 
         return take
 
@@ -46,14 +50,10 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
 
     def show() -> None:
         nonlocal told
+        kind, taken_for = tab.planning.decisions.kind, _taken_for(tab)
         states = {slots[name]: state for name, state in _wanted(tab).items()}
-        names = {
-            slots[name]: texts.IMAGE_NAMES[_taken_for(tab) + name]
-            for name in slots
-            if _taken_for(tab) + name in texts.IMAGE_NAMES
-        }
-        taken_for = _taken_for(tab)
-        labels = {slots[name]: texts.IMAGE_LABELS[taken_for + name] for name in NAMES if taken_for}
+        names = {slots[name]: image_name(taken_for + name, kind) for name in NAMES}
+        labels = {slots[name]: image_label(taken_for + name, kind) for name in NAMES}
         if (states, names, labels) != told:
             told = states, names, labels
             zone.tell(states, names, labels)
@@ -91,10 +91,12 @@ def _asks_side(tab: Tab) -> bool:
 
 
 def build(tab: Tab) -> None:
-    """Build the panel."""
+    """Build the panel. Images of one's own are taken in the views of their procedure, so it is chosen first."""
+    if tab.planning.patient is None:
+        build_kind(tab)
     Section(tab, _state, _images)
     Section(tab, lambda t: t.planning.decisions.serial, _serial)
-    Section(tab, _untimed, _taken)
+    Section(tab, lambda t: (_untimed(t), t.planning.decisions.kind), _taken)
     Section(tab, _mirrored_key, _mirrored)
 
 
@@ -102,7 +104,7 @@ def build_details(tab: Tab) -> None:
     """Build the details: how the images are shown."""
     build_oblique(tab)
     Section(tab, lambda t: t.planning.decisions.side, _orientation)
-    Section(tab, lambda t: tuple(t.planning.decisions.display.items()), _display)
+    Section(tab, lambda t: (t.planning.decisions.kind, *t.planning.decisions.display.items()), _display)
 
 
 def _orientation(tab: Tab) -> None:
@@ -128,12 +130,12 @@ def build_oblique(tab: Tab) -> None:
 
 
 def _state(tab: Tab) -> Hashable:
-    jobs = tab.session.jobs
-    return (*map(tab.planning.seen, tab.planning.slots), jobs.working, jobs.trouble)
+    jobs, kind = tab.session.jobs, tab.planning.decisions.kind
+    return (*map(tab.planning.seen, tab.planning.slots), jobs.working, jobs.trouble, kind)
 
 
 def _images(tab: Tab) -> None:
-    planning, jobs = tab.planning, tab.session.jobs
+    planning, jobs, kind = tab.planning, tab.session.jobs, tab.planning.decisions.kind
     heading(texts.IMAGES_HEADING)
     if planning.frame.solid is not None:
         note(texts.SLOT_TELLS_THE_VIEW, kind="quiet")
@@ -141,14 +143,14 @@ def _images(tab: Tab) -> None:
         seen = planning.seen(name)
         if seen is None:
             missing = texts.NO_OBLIQUE if name == OBLIQUE else texts.NO_IMAGE
-            note(missing.format(image=texts.IMAGE_LABELS[name]), kind="quiet", testid=f"no-{name}")
+            note(missing.format(image=image_label(name, kind)), kind="quiet", testid=f"no-{name}")
             continue
         height, width = seen.image.shape
         said = texts.IMAGE_SIZE if seen.beads is None else texts.IMAGE_BEADS
         beads = 0 if seen.beads is None else len(seen.beads)
         if seen.view is not None:  # with those that were found by their predicted positions
             beads = int(seen.view.residuals.used.sum()) + len(seen.view.residuals.left_out)
-        told = said.format(image=texts.IMAGE_LABELS[name], width=width, height=height, beads=beads)
+        told = said.format(image=image_label(name, kind), width=width, height=height, beads=beads)
         note(told, kind="bad" if seen.refused else "good")
         if seen.refused:
             note(seen.refused, kind="bad")
@@ -211,12 +213,12 @@ def _untimed(tab: Tab) -> tuple[str, ...]:
 
 
 def _taken(tab: Tab) -> None:
-    untimed = _untimed(tab)
+    untimed, kind = _untimed(tab), tab.planning.decisions.kind
     if untimed:
         heading(texts.TAKEN_HEADING)
     for name in untimed:
-        note(texts.TAKEN_UNKNOWN.format(image=texts.IMAGE_LABELS[name]), kind="warn", testid=f"taken-unknown-{name}")
-        said = ui.number(texts.TAKEN_FIELD.format(image=texts.IMAGE_LABELS[name]), format="%.0f", min=0)
+        note(texts.TAKEN_UNKNOWN.format(image=image_label(name, kind)), kind="warn", testid=f"taken-unknown-{name}")
+        said = ui.number(texts.TAKEN_FIELD.format(image=image_label(name, kind)), format="%.0f", min=0)
         said.props(f"outlined dense data-testid=taken-{name}")
 
         def confirm(name: str = name, said: ui.number = said) -> None:
@@ -229,7 +231,7 @@ def _mirrored_key(tab: Tab) -> Hashable:
     """Key of the question about mirrored displays: its images, the answers, and how the page shows the images."""
     asked, decisions = tab.planning.asks_mirrored, tab.planning.decisions
     said = (decisions.mirrored.get(decisions.images[name]) for name in asked)
-    return asked, *said, *(_is_turned(tab, name) for name in asked)
+    return asked, decisions.kind, *said, *(_is_turned(tab, name) for name in asked)
 
 
 def _is_turned(tab: Tab, image: str) -> bool:
@@ -238,15 +240,15 @@ def _is_turned(tab: Tab, image: str) -> bool:
 
 
 def _mirrored(tab: Tab) -> None:
-    planning, asked = tab.planning, tab.planning.asks_mirrored
+    planning, asked, kind = tab.planning, tab.planning.asks_mirrored, tab.planning.decisions.kind
     if not asked:
         return
     heading(texts.MIRRORED_HEADING)
     note(texts.MIRRORED_HINT, kind="warn", testid="mirrored-question")
     for name in asked:
         said = planning.decisions.mirrored.get(planning.decisions.images[name])
-        label = texts.MIRRORED_FIELD.format(image=texts.IMAGE_LABELS[name])
-        note(label if said is None else texts.MIRRORED_SAID[said].format(image=texts.IMAGE_LABELS[name]))
+        label = texts.MIRRORED_FIELD.format(image=image_label(name, kind))
+        note(label if said is None else texts.MIRRORED_SAID[said].format(image=image_label(name, kind)))
         with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{label}"'):
             for answer in (True, False):
                 chosen = said is not None and answer == (said != _is_turned(tab, name))
@@ -260,12 +262,12 @@ def _mirrored(tab: Tab) -> None:
 
 
 def _display(tab: Tab) -> None:
-    shown = []
+    shown, kind = [], tab.planning.decisions.kind
     for image, display in tab.planning.decisions.display.items():
         mirrored = [texts.XRAY["mirrored"]] * display.mirrored
         turned = [texts.XRAY["rotated"].format(degrees=display.rotation)] * bool(display.rotation)
         if how := texts.DISPLAY_AND.join(mirrored + turned):
-            shown.append(texts.DISPLAY_SHOWN.format(image=texts.IMAGE_LABELS[image], how=how))
+            shown.append(texts.DISPLAY_SHOWN.format(image=image_label(image, kind), how=how))
     if shown:
         heading(texts.DISPLAY_HEADING)
         for line in shown:

@@ -7,6 +7,7 @@ from sightline.app.panels import drill, verify
 from sightline.app.panels.section import Section, action
 from sightline.app.panels.steps import steps, waits_for
 from sightline.app.plan.marks import MarkSpec
+from sightline.app.plan.needed import needed_aids
 from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 
@@ -28,10 +29,9 @@ def _done(tab: Tab) -> bool:
 def _needed(tab: Tab) -> tuple[MarkSpec, ...]:
     """Return the clicks of an aid that the plan cannot be checked without, once all else is placed."""
     verdict = tab.session.readiness.verdict if tab.step is ProcedureStep.PLAN and tab.goal is None else None
-    unmade = () if verdict is None else tuple(check.name for check in verdict.unmade)
-    aids = (one for one in tab.planning.specs if one.group == "aid" and one.of in unmade)
-    first = next(aids, None)
-    return () if first is None else tuple(one for one in tab.planning.specs if one.of == first.of)
+    known = tab.planning.planned
+    aids = () if verdict is None or known is None else needed_aids(known, verdict)
+    return tuple(one for one in tab.planning.specs if one.of in aids[:1])
 
 
 def _build(tab: Tab) -> None:

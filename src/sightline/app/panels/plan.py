@@ -10,10 +10,12 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.images import build_oblique
+from sightline.app.panels.kind import build_kind
 from sightline.app.panels.section import HtmlSection, Section, action, heading, note
 from sightline.app.plan.decisions import NECK, SHAFT
 from sightline.app.plan.fitted import FittedAxis
 from sightline.app.plan.marks import MarkSpec
+from sightline.app.plan.needed import aid_labels
 from sightline.app.plan.planner import (
     Planned,
     has_borders,
@@ -23,6 +25,7 @@ from sightline.app.plan.planner import (
     lowest_wire,
     proposed,
 )
+from sightline.app.plan.view_names import image_short, in_image
 from sightline.app.session.planning import kept_as_drawn
 from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES, OBLIQUE
@@ -31,13 +34,12 @@ from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.axis import Axis
 from sightline.planning.hole_advice import perfect_circles
 from sightline.planning.nail_files import known_nails
-from sightline.planning.procedures import Procedure, procedures
 from sightline.planning.procedures import kind as kind_of
 
 
 def build(tab: Tab) -> None:
     """Build the panel: kind, and the checklist of points and aids."""
-    Section(tab, lambda t: t.planning.decisions.kind, _kind)
+    build_kind(tab)
     Section(tab, _nail_key, _nail)
     Section(tab, _points_key, _points, classes="checklist")
     HtmlSection(tab, lambda t: t.known, _turns_html)
@@ -68,22 +70,6 @@ def _purpose(tab: Tab) -> None:
     note(texts.word(known.purpose), kind="quiet")
 
 
-def _kind(tab: Tab) -> None:
-    known = kind_of(tab.planning.decisions.kind)
-    kinds: dict[str, str] = {}  # each procedure once, by its first wire
-    for key, one in procedures().items():
-        if one.wire == one.document.wires[0]:
-            kinds[key] = texts.titled(texts.word(one.document.name))
-
-    async def choose(event) -> None:
-        await tab.choose_kind(event.value)
-
-    shown = Procedure.of(known.document, known.document.wires[0].key).key
-    ui.select(kinds, value=shown, on_change=choose).classes("kind").props(
-        f'dense options-dense data-testid=kind aria-label="{texts.KIND_FIELD}"'
-    )
-
-
 def _turns_html(tab: Tab) -> Markup:
     """Return how to turn the C-arm until the current hole is a circle, as HTML; empty without a measured hole."""
     plan = None if tab.known is None else tab.known.plan
@@ -91,7 +77,7 @@ def _turns_html(tab: Tab) -> Markup:
         return Markup()
     turns = [
         texts.TURN.format(
-            image=texts.IMAGES_SHORT[turn.view],
+            image=image_short(turn.view, tab.planning.decisions.kind),
             orbit=round(np.rad2deg(turn.orbit_rad)) + 0.0,  # never -0
             tilt=round(np.rad2deg(turn.tilt_rad)) + 0.0,
         )
@@ -235,7 +221,7 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
         for image, count in zip(images_of(t), placed(t), strict=True):
             whole = count == len(same)
             part = f" {count}/{len(same)}" if 0 < count < len(same) else ""
-            ui.label(f"{'●' if whole else '○'} {texts.IMAGES_SHORT[image]}{part}").classes(
+            ui.label(f"{'●' if whole else '○'} {image_short(image, t.planning.decisions.kind)}{part}").classes(
                 "placed" if whole else "missing"
             )
         place.props(f'aria-label="{texts.PLACE_WHAT.format(what=label)}"')
@@ -282,7 +268,9 @@ def _missing(tab: Tab) -> str:
     rule = None if known is None else known.kind.proposal
     if known is None or rule is None:
         return ""
-    return "; ".join(known.anatomy.why_absent(name) for name in rule.lacking(known.anatomy))
+    lacking = rule.lacking(known.anatomy)
+    refused = [known.anatomy.why_absent(name) for name in lacking if not known.anatomy.undrawn(name)]
+    return "; ".join((*aid_labels(known.kind, [name for name in lacking if known.anatomy.undrawn(name)]), *refused))
 
 
 def metrics_html(tab: Tab) -> Markup:
@@ -346,9 +334,8 @@ def instruction(tab: Tab) -> tuple[str, str, str] | None:
         spec.group == "wire" and goal.image == NAMES[1] and decisions.snapping and decisions.mark(spec.name).at("pa")
     )
     where = texts.PLACE_IN_OBLIQUE if goal.image == OBLIQUE else texts.PLACE_ON_CURVE if slides else texts.PLACE_WHERE
-    sentence = texts.word(spec.sentence)
-    said = where.format(point=texts.word(spec.label), sentence=sentence[:1].lower() + sentence[1:])
+    said = where.format(point=texts.word(spec.label), sentence=texts.word(spec.sentence))
     if number == 1 and spec.group == "wire" and kind_of(decisions.kind).document.through_holes:
         named = _implanted(tab)
         said = texts.NAIL_FIRST_OF.format(name=named, said=said) if named else texts.NAIL_FIRST.format(said=said)
-    return texts.COUNTER.format(number=number, count=count), texts.IN_IMAGE[goal.image], said
+    return texts.COUNTER.format(number=number, count=count), in_image(goal.image, decisions.kind), said

@@ -10,6 +10,7 @@ from sightline.app.panels import markup
 from sightline.app.panels.confirming import confirmed_action
 from sightline.app.panels.section import action, heading, note, table
 from sightline.app.plan.marks import SHOT_NAMES
+from sightline.app.plan.view_names import image_label
 from sightline.app.session.zero import ZeroSource
 from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
@@ -54,7 +55,9 @@ def _decided(tab: Tab) -> tuple[str, str]:
         seen = tab.planning.seen(name)
         if seen is not None and (seen.refused or seen.doing):
             state = seen.refused or f"{texts.word(seen.doing)} …"
-            return "INCOMPLETE", texts.CHECK_IMAGE.format(image=texts.IMAGE_LABELS[name], state=state)
+            return "INCOMPLETE", texts.CHECK_IMAGE.format(
+                image=image_label(name, tab.planning.decisions.kind), state=state
+            )
     if shots.lacks_landmarks:
         known = len(tab.planning.landmarks)
         return "INCOMPLETE", texts.SHOT_NEEDS_LANDMARKS.format(count=MIN_LANDMARKS, known=known)

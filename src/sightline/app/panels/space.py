@@ -28,7 +28,7 @@ class Space:
         self._box = ui.element("div").classes("space-box")
         self._box.set_visibility(False)
         with self._box:
-            self._view = SpaceView(label=texts.SPACE_LABEL, groups=texts.SPACE_GROUPS, texts=texts.SPACE_TEXTS)
+            self._view = SpaceView(label=texts.SPACE_LABEL, groups=texts.SPACE_GROUPS, texts=self._texts)
         tab.on_refresh.append(self.refresh)
         ui.timer(_LIVE_S, self._robot)
 
@@ -45,10 +45,10 @@ class Space:
         planning, known = self._tab.planning, self._tab.known
         decisions, views = planning.decisions, planning.views()
         seen = [planning.seen(name) for name in planning.slots]
-        if self._drawn.get("sides", "never") != decisions.side:
+        if self._of_patient and self._drawn.get("sides", "never") != decisions.side:
             self._view.orient(decisions.side)
         self._group("frame", planning.frame, lambda: space.frame_objects(planning.frame))
-        self._group("sides", decisions.side, lambda: space.side_objects(decisions.side, np.zeros(3)))
+        self._group("sides", decisions.side, lambda: self._sides(decisions.side))
         self._group("views", tuple(seen), self._views)
         self._group("sights", (views, decisions.marks), self._sights)
         plan = None if known is None else known.plan
@@ -59,6 +59,18 @@ class Space:
             self._bone = []
             asyncio.get_running_loop().create_task(self._fetch_bone())
         self._group("bone", None if self._bone is None else len(self._bone), lambda: self._bone or [])
+
+    @property
+    def _of_patient(self) -> bool:
+        """Whether the frame's axes are the patient's: those of plates, not those of a block."""
+        return self._tab.planning.frame.solid is None
+
+    @property
+    def _texts(self) -> dict[str, str]:
+        return texts.SPACE_TEXTS if self._of_patient else {**texts.SPACE_TEXTS, **texts.SPACE_AXES}
+
+    def _sides(self, side: str | None) -> list[dict[str, Any]]:
+        return space.side_objects(side, np.zeros(3)) if self._of_patient else space.axis_objects()
 
     async def _fetch_bone(self) -> None:
         patient = self._tab.planning.patient

@@ -5,7 +5,9 @@ from enum import StrEnum
 
 from sightline.app import texts
 from sightline.app.plan.marks import CHECK_NAMES
+from sightline.app.plan.needed import aid_labels, needed_aids
 from sightline.app.plan.planner import Planned
+from sightline.app.plan.view_names import image_name
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
@@ -74,7 +76,7 @@ def _images(session: Session) -> _Found:
         return StepStatus.OPEN, texts.DOING.format(doing=texts.titled(texts.word(working)))
     if missing:
         return StepStatus.OPEN, texts.DROP_MISSING.format(
-            images=texts.DROP_AND.join(texts.IMAGE_NAMES[name] for name in missing)
+            images=texts.DROP_AND.join(image_name(name, decisions.kind) for name in missing)
         )
     left = _left_of_images(session)
     return (StepStatus.ATTENTION, left) if left else (StepStatus.DONE, texts.IMAGES_DONE)
@@ -84,7 +86,7 @@ def _left_of_images(session: Session) -> str:
     """Return what is left to do with loaded images; empty if nothing."""
     planning = session.planning
     decisions, asked = planning.decisions, planning.asks_mirrored
-    if refused := [texts.IMAGE_NAMES[name] for name in NAMES if _is_refused(planning, name)]:
+    if refused := [image_name(name, decisions.kind) for name in NAMES if _is_refused(planning, name)]:
         return texts.LOAD_ANOTHER.format(image=refused[0])
     if decisions.side is None or decisions.serial is None:
         return texts.CONFIRM_BOTH
@@ -126,7 +128,14 @@ def _plan(session: Session) -> _Found:
         wire = [spec for spec in decisions.specs if spec.group in ("wire", "nail")]
         left = [texts.word(spec.label) for spec in wire if not decisions.complete([spec.name])]
         return StepStatus.OPEN, texts.PLACE_WIRE.format(points=", ".join(left))
-    return judged(session.readiness.verdict)
+    return _judged(known, session.readiness.verdict)
+
+
+def _judged(known: Planned, verdict: Verdict | None) -> _Found:
+    """Return `judged`, and of a plan that only lacks aids which ones to draw."""
+    status, reason = judged(verdict)
+    aids = () if verdict is None or status is not StepStatus.OPEN else needed_aids(known, verdict)
+    return status, texts.LEFT.format(what=", ".join(aid_labels(known.kind, aids))) if aids else reason
 
 
 def judged(verdict: Verdict | None) -> _Found:

@@ -9,6 +9,8 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.section import HtmlSection
 from sightline.app.panels.steps import refusals
+from sightline.app.plan.needed import aid_labels, needed_aids
+from sightline.app.plan.view_names import with_view_named
 from sightline.app.tab.tab import Tab
 from sightline.checks import Check, failed
 from sightline.errors import SightlineError
@@ -32,13 +34,18 @@ def key(tab: Tab) -> Hashable:
 
 
 def left(tab: Tab) -> tuple[str, ...]:
-    """Return what is left to do before a verdict: points to place, and what a person must confirm."""
-    decisions = tab.planning.decisions
-    if tab.planning.planned is None:
+    """Return what is left to do before a verdict: points to place, what a person must confirm, and aids to draw."""
+    decisions, known, verdict = tab.planning.decisions, tab.planning.planned, tab.session.readiness.verdict
+    if known is None:
         return (texts.LEFT_CALIBRATION,)
     asked = [spec for spec in tab.planning.asked if not decisions.complete([spec.name])]
     confirmed = ((texts.LEFT_SIDE, decisions.side), (texts.LEFT_SERIAL, decisions.serial))
-    return (*(texts.word(spec.label) for spec in asked), *(what for what, value in confirmed if value is None))
+    aids = () if verdict is None else needed_aids(known, verdict)
+    return (
+        *(texts.word(spec.label) for spec in asked),
+        *(what for what, value in confirmed if value is None),
+        *aid_labels(known.kind, aids),
+    )
 
 
 def _refused(tab: Tab) -> tuple[str, ...]:
@@ -58,7 +65,8 @@ def details_key(tab: Tab) -> Hashable:
 def _listed(tab: Tab) -> tuple[Check, ...]:
     """Return all checks of the plan shown; none without a plan."""
     verdict = tab.session.readiness.verdict_of(tab.known)
-    return () if verdict is None else verdict.checks
+    kind = tab.planning.decisions.kind
+    return () if verdict is None else tuple(with_view_named(check, kind) for check in verdict.checks)
 
 
 def html(tab: Tab) -> Markup:
@@ -76,7 +84,8 @@ def html(tab: Tab) -> Markup:
         told, *others = refused or left_said or unmade or ("",)
         more = len(others)
     else:
-        wrong = [check for check in failed(verdict.checks) if check not in verdict.unmade]
+        kind = tab.planning.decisions.kind
+        wrong = [with_view_named(check, kind) for check in failed(verdict.checks) if check not in verdict.unmade]
         told, more = (texts.said(wrong[0]) if wrong else texts.EVERY_CHECK), len(wrong) - 1
     said = texts.MORE.format(count=more) if more > 0 else ""
     return markup.card(state, texts.VERDICTS[state], told, said, testid="verdict")

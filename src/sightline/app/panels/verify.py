@@ -11,6 +11,7 @@ from sightline.app.panels.menu import save_report
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
 from sightline.app.panels.steps import missing_again
 from sightline.app.plan.marks import CHECK_NAMES
+from sightline.app.plan.view_names import image_label
 from sightline.app.tab.tab import Tab
 from sightline.checks import failed
 
@@ -89,7 +90,7 @@ def _check(tab: Tab) -> None:
                 f"{texts.word(seen.doing)} …" if seen.doing else texts.WIRE_FOUND if wire else texts.CALIBRATED_ONLY
             )
             note(
-                texts.CHECK_IMAGE.format(image=texts.IMAGE_LABELS[name], state=state),
+                texts.CHECK_IMAGE.format(image=image_label(name, planning.decisions.kind), state=state),
                 kind="bad" if seen.refused else "good",
             )
     if all(planning.seen(name) for name in CHECK_NAMES):

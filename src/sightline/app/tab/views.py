@@ -13,6 +13,7 @@ from sightline.app.drawing.pictures import Pictures
 from sightline.app.drawing.xray.view import Window, XrayContent, XrayDisplay, XrayEvent, XrayView
 from sightline.app.plan.decisions import Decisions, Display, Side
 from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, MarkSpec
+from sightline.app.plan.view_names import image_label
 from sightline.app.session.failures import failure_of
 from sightline.app.session.live import fresh_s
 from sightline.app.session.seen import SeenImage
@@ -52,7 +53,7 @@ class Views:
         made = []
         for name, box in zip(NAMES, boxes, strict=True):
             with box:
-                made.append(XrayView(name, label=texts.IMAGE_LABELS[name], texts=texts.XRAY))
+                made.append(XrayView(name, label=image_label(name, self._planning.decisions.kind), texts=texts.XRAY))
             made[-1].on_event(heard)
         self.pair = (made[0], made[1])
 
@@ -105,7 +106,7 @@ class Views:
         """Return the content of an image's view."""
         planning, seen = self._planning, self._planning.seen(image)
         if seen is None:
-            return XrayContent(texts.IMAGE_LABELS[image])
+            return XrayContent(image_label(image, planning.decisions.kind))
         layers, undrawn = self._layers(image, seen)
         if step is ProcedureStep.DRILL and image in ALL_NAMES:  # a shot shows the wire itself
             layers = {**layers, "drilled": self._filled(image)}
@@ -117,7 +118,7 @@ class Views:
         head = self._head(image, seen.view)
         # The revision includes case and image, so that an edit lost by a killed server is not applied to another one.
         return XrayContent(
-            texts.IMAGE_LABELS[image],
+            image_label(image, planning.decisions.kind),
             picture,
             _display(display, head, window),
             {name: drawn for name, drawn in layers.items() if name not in hidden},

@@ -10,6 +10,7 @@ IMAGE_LABELS = {
     "shot-pa": "PA shot",
     "shot-lateral": "Lateral shot",
 }
+IMAGE_OF_VIEW = {"": "{view} image", "check": "{view} check image", "shot": "{view} shot"}  # of other views
 IMAGE_NAMES = {
     name: label.replace("Lateral", "lateral").replace("Oblique", "oblique") for name, label in IMAGE_LABELS.items()
 }
@@ -57,23 +58,24 @@ XRAY = {
     "readout": "column {u}, row {v}: {value}",
     "outside": "–",
     "off_field": "Click inside the X-ray field.",
-    "ticks": "mm along the PA line of sight, a tick every 10 mm",
+    "ticks": "mm along the line of sight of the other image, a tick every 10 mm",
 }
 ORIENTATION = {
-    "right": "Right hip: +Y of the frame points to the feet.",
-    "left": "Left hip: +Y of the frame points to the head.",
+    "right": "Right side: +Y of the frame points to the feet.",
+    "left": "Left side: +Y of the frame points to the head.",
 }
 SPACE_LABEL = "3-D scene: frame, views, wire, robot"
 SPACE_TEXTS = {
     "feet": "From the feet",
     "side": "From the side",
     "above": "From above",
-    "hip": "Hip",
+    "hip": "Wire",
     "frame": "Frame",
     "room": "Room",
     "keys": "Arrow keys rotate the scene, with Shift they move it; plus and minus zoom.",
     "none": "This browser does not support 3-D graphics (WebGL). Planning works without it.",
 }
+SPACE_AXES = {"feet": "Along Y", "side": "Along X", "above": "Along Z"}  # beside a block, which has no patient axes
 SPACE_FOCUS = "focal point, {view}"
 SPACE_ERROR_UNKNOWN = "the error of the wire's ends is unknown"
 SPACE_ELLIPSOIDS = "Ellipsoids hold 95 % of the error of entry and tip, {times:g} times as large"
@@ -82,7 +84,7 @@ SPACE_GROUPS = {
     "views": "focal points and images",
     "sights": "lines of sight",
     "points": "landmarks",
-    "bone": "femur",
+    "bone": "bone",
     "wire": "planned wire",
     "drilled": "drilled wire",
     "robot": "robot",
@@ -98,7 +100,7 @@ STATE_WHETHER_MIRRORED = "State whether writing in the images reads backwards."
 STATE_WHEN_TAKEN = "State when the images without a recorded time were taken."
 IMAGES_DONE = "Both images are loaded; side and frame are confirmed."
 IMAGES_FIRST = "Load both images first."
-SAME_VIEW = "Load one PA and one lateral image: both images show the same view."
+SAME_VIEW = "Load another image: both show the same view."
 CALIBRATED = "Both views are calibrated, and every check passed."
 CALIBRATE_FIRST = "Calibrate both views first."
 PLACE_WIRE = "Place in both images: {points}."
@@ -182,13 +184,13 @@ POINT_GROUPS = {
 }
 IMAGES_SHORT = {"pa": "PA", "lateral": "lat", "oblique": "obl"}
 KIND_FIELD = "Procedure"
-SNAP = "Snap lateral points of the wire to their curves"
+SNAP = "Snap points of the wire to their curves"
 BY_BORDERS = "Draw axes by both borders of the bone"
 SHOW_BEADS = "Show the beads"
 PLACE_WHAT = "Place {what}"
 REMOVE_WHAT = "Remove {what}"
 PROPOSE = "Propose wire"
-PROPOSE_WHAT = "Propose a wire from femoral head, shaft and lateral cortex"
+PROPOSE_WHAT = "Propose a wire from the drawn aids"
 PROPOSE_NEEDS = "To propose a wire, draw these aids too:"
 PROPOSE_OTHERS = "Propose the other wires"
 FIT_HEAD = "Fit head"
@@ -239,6 +241,7 @@ IN_IMAGE = {
     "shot-pa": "PA SHOT",
     "shot-lateral": "LATERAL SHOT",
 }
+IN_IMAGE_OF_VIEW = {"check": "{view} CHECK", "shot": "{view} SHOT"}  # of other views
 NAIL_FIELD = "Nail"
 NAIL_NONE = "No nail: points by hand"
 NAIL_CHOICE = "Nail: {name}"
@@ -295,7 +298,7 @@ WIRE_SEEN = "the wire as this image shows it"
 TIP_SEEN = "its tip"
 PLAN_THERE = "the plan"
 IMPLANT_TITLE = "{implants}: {length:g} mm from the entry point, {diameter:g} mm thick"
-EXPECTED_HERE = "{point}: expected here by the PA and the lateral image"
+EXPECTED_HERE = "{point}: expected here by the other two images"
 METRICS_HEADING = "Measurements"
 METRIC_COLUMNS = ("", "± 95 %", "")
 ENTRY_ERROR = "entry, 95 % error"
@@ -447,9 +450,9 @@ LIVE_AT_REST = "I checked: nothing moved"
 # Verify.
 CHECK_HEADING = "Check shot"
 TAKE_CHECK = "Take both check images"
-CHECK_TAKES_TWO = "load the check image as PA or lateral: a check shot takes these two"
+CHECK_TAKES_TWO = "load the check image as one of the first two: a check shot takes no third image"
 DRILL_FIRST = "Drill the wire first."
-DROP_CHECK = "Drop both check images onto the page: PA and lateral, with the frame in the same place."
+DROP_CHECK = "Drop both check images onto the page, with the frame in the same place."
 CHECK_IMAGE = "{image}: {state}"
 WIRE_FOUND = "wire found"
 CALIBRATED_ONLY = "calibrated"

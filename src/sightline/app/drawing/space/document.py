@@ -183,16 +183,21 @@ def robot_objects(robot: Manipulator, q: np.ndarray, T_mcs_cfcs: RigidTransform)
     return [*made, _label(to_cfcs.apply(column), "robot", "robot")]
 
 
+def axis_objects() -> list[Object]:
+    """Return the axes of CFCS."""
+    axes = {"kind": "axes", "style": "quiet", "at": [0.0, 0.0, 0.0], "axes": _list(AXIS_MM * np.eye(3))}
+    return [{**axes, "labels": ["X", "Y", "Z"]}]
+
+
 def side_objects(side: str | None, about_mm: np.ndarray) -> list[Object]:
-    """Return the axes of CFCS, and labels for the sides of the hip around a point (3,); for an unknown `side` only
-    those common to both.
+    """Return the axes of CFCS between plates, and labels for the sides of the patient around a point (3,); for an
+    unknown `side` only those common to both. The axes of a block say nothing of the patient.
 
     Anterior is +Z, lateral +X; caudal is +Y for a right hip and -Y for a left one.
     """
     words = {**UPRIGHT, **SIDES.get(side or "", {"lateral": (1, 0, 0), "medial": (-1, 0, 0)})}
     labels = [_label(about_mm + SIDE_LABELS_MM * np.array(way), word, "quiet") for word, way in words.items()]
-    axes = {"kind": "axes", "style": "quiet", "at": [0.0, 0.0, 0.0], "axes": _list(AXIS_MM * np.eye(3))}
-    return [{**axes, "labels": ["X", "Y", "Z"]}, *labels]
+    return [*axis_objects(), *labels]
 
 
 def _balls(body: RigidBody, style: str) -> Object:

@@ -1,0 +1,39 @@
+"""The aids that the checks of a plan still need."""
+
+from collections.abc import Sequence
+from itertools import chain
+
+from sightline.app import texts
+from sightline.app.plan.planner import Planned
+from sightline.planning.procedures import Procedure
+from sightline.planning.procedures.rules import CHECKS
+from sightline.planning.results import Verdict
+
+_OF_BONE = {"view directions": 2, "side": 3}  # directions of the bone that a check takes from the procedure
+
+
+def needed_aids(known: Planned, verdict: Verdict) -> tuple[str, ...]:
+    """Return the keys of the aids that are not drawn and without which checks of a verdict cannot be made, in the order
+    of the procedure."""
+    kind, unmade = known.kind, {check.name for check in verdict.unmade}
+    needs = set(unmade)  # the check "head" has the name of its aid
+    for rule in kind.checks:
+        if rule.check in unmade:
+            needs.update(*CHECKS[rule.check].needs[:1])
+    if known.decisions.side is not None:  # else that is what these two wait for
+        needs.update(*(_of_bone(kind, count) for name, count in _OF_BONE.items() if name in unmade))
+    return tuple(aid.key for aid in kind.aids if aid.key in needs and known.anatomy.undrawn(aid.key))
+
+
+def _of_bone(kind: Procedure, count: int) -> set[str]:
+    """Return the keys that the first directions of the bone are made of; none where the procedure has fewer."""
+    directions = kind.document.directions
+    if len(directions) < count:
+        return set()
+    return set(chain.from_iterable((*one.from_, *one.to, one.along or "") for one in directions[:count]))
+
+
+def aid_labels(kind: Procedure, keys: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of aids, by their keys, in the language of the page."""
+    names = {aid.key: texts.word(texts.titled(aid.name)) for aid in kind.aids}
+    return tuple(names[key] for key in keys)

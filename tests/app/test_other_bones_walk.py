@@ -1,0 +1,105 @@
+"""Sacrum, spine and growing hip by a person who knows only the screen: each plan becomes GO by its words alone."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+from tests.app.browser import Server
+from tests.app.hands import PATIENCE_MS, Pixels, by_image
+from tests.app.person import Person
+from tests.app.test_screen import wrong
+
+from sightline.app.plan.marks import marks_of
+from sightline.case.views import NAMES
+from sightline.frame import Frame
+from sightline.imaging import write_dicom
+from sightline.rehearsal.patient import RehearsedPatient, draw_patient, frame_of
+
+LABELS = ("PA image", "Lateral image")
+# By procedure: its seed, its name and the labels of its images on the page, the buttons that lead through its aids, and
+# words that a German page has when all is planned.
+WALKS = {
+    "iliosacral-screw": (
+        10,
+        "Iliosacral screw",
+        ("Inlet image", "Outlet image"),
+        ("Place corridor of S1",),
+        ("Inlet-Bild", "Korridor von S1"),
+    ),
+    "pedicle-screw": (
+        9,
+        "Pedicle screw",
+        LABELS,
+        ("Place pedicle", "Place front of the vertebral body", "Place upper end plate", "Place lower end plate"),
+        ("PA-Bild", "Vorderrand des Wirbelkörpers"),
+    ),
+    "slipped-epiphysis-pin": (
+        9,
+        "Slipped epiphysis pin",
+        LABELS,
+        ("Place epiphysis", "Place growth plate"),
+        ("PA-Bild", "Wachstumsfuge"),
+    ),
+}
+
+
+def _known(patient: RehearsedPatient, kind: str) -> dict[str, Pixels]:
+    """Where the person sees what the page names."""
+    wire = patient.pixels(patient.wires_mm[0])
+    at = by_image({"entry": wire[:, 0], "end": wire[:, 1]})
+    named = zip(patient.landmark_keys, patient.landmarks.values(), strict=True)
+    at |= by_image({f"landmark-{key}": uv for key, uv in named})
+    for key, each in patient.aids_px.items():
+        for view, uv in zip(NAMES, each, strict=True):
+            for k, one in enumerate([] if uv is None else uv):
+                at.setdefault(f"{key}-{k + 1}", {})[view] = (float(one[0]), float(one[1]))
+    return {spec.label: at[spec.name] for spec in marks_of(kind) if spec.name in at}
+
+
+@pytest.mark.slow  # images are rendered and calibrated
+@pytest.mark.parametrize("kind", WALKS)
+def test_a_person_who_knows_only_the_screen_plans_the_wire(
+    kind: str, serve: Callable[..., Server], open_page: Callable[..., Page], tmp_path: Path, shoot
+) -> None:
+    """Fails where an image has the name of another procedure's view, where the way to GO ends at a button that cannot
+    be pressed, and where a text is cut once its point is placed."""
+    seed, title, labels, buttons, german = WALKS[kind]
+    frame = frame_of(kind)
+    patient = draw_patient(kind, seed, Frame.load(frame))
+    files = [write_dicom(patient.images[name], tmp_path / f"{name}.dcm") for name in NAMES]
+    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet", "--frame", frame]
+    server = serve(*command, "--case", str(tmp_path / "case"))
+    person = Person(open_page(server.url))
+    person.choose("Procedure", title)
+    for name, file in zip(labels, files, strict=True):
+        person.load(re.compile(f"Drop the {name} here", re.IGNORECASE), file)
+    for name in reversed(labels):  # `press` takes the last of two buttons
+        person.type(f"{name}: taken, minutes ago", "2")
+        person.press("Confirm the time")
+        expect(person.page.get_by_label(f"{name}: taken, minutes ago")).to_have_count(0)
+    person.press("Right side")
+    person.type("Serial on the frame", "none")
+    person.press("Confirm serial")
+    assert person.go_on("Continue to Drill") == ["Continue to Calibrate", "Continue to Plan"]
+    person.find(patient.images, dict(zip(NAMES, labels, strict=True)))
+    known = _known(patient, kind)
+    assert person.place(known) == 10
+    for button in buttons:
+        person.go_on(button)
+        assert not wrong(person.page, scrolls=False), button
+        person.press(button)
+        person.place(known)
+    person.read("Every check passed. A person decides.")
+    assert not wrong(person.page, scrolls=False)
+    if frame != "gamma":
+        person.press("3-D")
+        person.read("Along Y")  # a block says nothing of the patient
+        expect(person.page.locator(".space-label").filter(has_text="cranial")).to_have_count(0)
+    shoot(person.page, f"{kind}-planned")
+    other = open_page(server.url, locale="de-DE", viewport={"width": 1024, "height": 768})
+    for word in ("GO", *german):
+        expect(other.get_by_text(word, exact=True).first).to_be_visible(timeout=PATIENCE_MS)
+    assert not wrong(other, scrolls=True)
+    shoot(other, f"{kind}-planned-de")
