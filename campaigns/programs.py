@@ -343,7 +343,6 @@ def demonstrated() -> Write:
             ahead,
             kernels,
             seed=demo.SEED,
-            frame=Frame.load("gamma"),
             frame_name="gamma",
             procedure="hip-screw",
         )

@@ -151,7 +151,7 @@ class Hands:
         expect(self.see("row-greater-trochanter").locator(".placed")).to_have_count(2)
         if head:
             self.aid("head", known)
-            expect(self.see("figures")).to_contain_text("at least")  # from the tip to the joint
+            expect(self.see("figures")).to_contain_text("(95 %)")  # from the tip to the joint
 
     def aid(self, key: str, known: dict[str, Pixels]) -> None:
         """The clicks of an aid: all in the first image, then in the other."""

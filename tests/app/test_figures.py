@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 from markupsafe import Markup
+from tests.app.hands import KIND
 from tests.app.test_several_wires import KINDS, VIEWS, _decided, _ends
 from tests.planning.bone import CENTRE_MM, ENTRY_MM, LESSER_MM, ON_SHAFT_MM, views
 from tests.planning.test_wires import WIRES_MM
 
 from sightline.app import texts
-from sightline.app.panels import figures, verdict
+from sightline.app.panels import figures, markup, verdict
 from sightline.app.plan.planner import Planned, planned
 from sightline.checks import Check
 from sightline.planning import plan
@@ -79,6 +80,15 @@ def test_a_failed_value_never_reads_like_its_limit() -> None:
     entry, tip, *_ = _said(known, KINDS[0])
     assert "1.0004 mm" in entry and "at most 1.0000 mm" in entry
     assert "1.00 mm" in tip and "at most 1.00 mm" in tip
+
+
+def test_the_error_of_a_distance_does_not_read_like_a_clearance() -> None:
+    """The tip must be farther from the joint than the error of that distance: fails where it is shown as a clearance
+    that is enough, "at least 0.22 mm"."""
+    check = Check("tip in head", True, 5.01, 0.22, "mm", "")
+    said = _said(SimpleNamespace(plan=SimpleNamespace(verdict=SimpleNamespace(checks=(check,)), seen=None)), KIND)[3]
+    assert "5.01 mm" in said and "± 0.22 mm (95 %)" in said and "at least" not in said
+    assert "5.01 mm, ± 0.22 mm (95 %)" in markup.checks([check], testid="")
 
 
 def test_the_robot_s_errors_are_unknown_before_it_has_the_plan() -> None:

@@ -49,3 +49,20 @@ def test_elements_stay_where_only_texts_and_attributes_differ(page: Page) -> Non
     """Catches elements built anew by each message of a drag, which the browser lays out anew."""
     assert page.evaluate(SHOW, [SCRIPT, HTML[1], HTML[2]])[1]
     assert not page.evaluate(SHOW, [SCRIPT, HTML[1], HTML[4]])[1]
+
+
+def test_a_notice_that_is_repeated_is_built_anew(page: Page) -> None:
+    """A screen reader announces what is put into a live region: fails where a second, identical notice changes
+    nothing."""
+    shown = page.evaluate(
+        """async ([source, html]) => {
+  const { default: { methods } } = await import("data:text/javascript," + encodeURIComponent(source));
+  const section = { $el: document.createElement("section") };
+  methods.show.call(section, html);
+  const before = section.$el.firstElementChild;
+  methods.show.call(section, html, true);
+  return [section.$el.innerHTML === html, before === section.$el.firstElementChild];
+}""",
+        [SCRIPT, HTML[4]],
+    )
+    assert shown == [True, False]

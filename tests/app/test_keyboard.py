@@ -89,7 +89,7 @@ def test_the_whole_procedure_by_keyboard_alone(server: Server, open_page: Callab
     for view in NAMES:
         for name in sorted(name for name in known if name.startswith("head-")):
             _place(hands, name, view, known[name][view])
-    expect(hands.see("figures")).to_contain_text("at least")
+    expect(hands.see("figures")).to_contain_text("(95 %)")
     expect(hands.see("verdict").locator(".verdict-word")).to_have_text("GO")
     _press(hands, "continue")
     _press(hands, "start-robot")

@@ -105,6 +105,16 @@ def test_names_keep_their_number_and_their_capital() -> None:
         assert texts.word("a name of a user's procedure 4") == "a name of a user's procedure 4"
 
 
+def test_a_card_in_another_language_names_the_point_of_a_gap() -> None:
+    """Fails where a German surgeon is told to set "the point" again, without its name."""
+    gap = "The lines of sight of {} pass 3.10 mm apart, 4.20 times the limit: pick again."
+    with texts.spoken(texts.load("de")):
+        for name, point in (("the spinous process", "Dornfortsatz"), ("the entry point", "Eintrittspunkt")):
+            told = texts.said(Check("gap", False, 4.2, 3.3, "σ", gap.format(name)))
+            assert told.startswith(f"Abstand der Sichtlinien ({point}): den Punkt neu setzen") and not texts.tag(told)
+        assert texts.said(Check("gap", False, 4.2, 3.3, "σ", gap.format("landmark 4"))).count("(landmark 4)") == 1
+
+
 def test_sentences_that_no_list_holds_are_marked_as_english() -> None:
     assert texts.tag(CHECK.sentence) == ""  # in English
     with texts.spoken(texts.load("de")):

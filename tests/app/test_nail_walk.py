@@ -116,6 +116,8 @@ def _check(hands: Hands, patient: Rehearsal, folder: Path, shoot) -> None:
             at = true.setup.views[view].project(true.landmarks_mm[name][None])[0]
             hands.place(f"landmark-{mark}", view, (float(at[0]), float(at[1])))
     expect(hands.see("check-verdict")).to_contain_text("PASSED", timeout=PATIENCE_MS)
+    expect(hands.see("check-verdict")).to_contain_text("Judged at both holes of the nail")
+    expect(hands.see("deviation")).to_contain_text("tip, not judged")
     _wait_for(hands, key, "verified")
     drawn = "core.state.layers.get('found').shapes.filter((one) => one.shape === 'arrow').map((one) => one.points)"
     for view in NAMES:

@@ -244,7 +244,7 @@ def _planned(hands: Hands) -> None:
             hands.confirm()
         hands.plan()
     hands.step("Plan")
-    expect(hands.see("figures")).to_contain_text("at least")
+    expect(hands.see("figures")).to_contain_text("(95 %)")
 
 
 def test_arrow_keys_move_a_point_by_a_tenth_of_a_pixel(hands: Hands) -> None:

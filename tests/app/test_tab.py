@@ -19,7 +19,7 @@ from tests.planning.standin import stand_in
 from sightline.app import texts
 from sightline.app.drawing import shapes
 from sightline.app.drawing.xray.view import Window, XrayPicture, XrayView
-from sightline.app.panels import plan
+from sightline.app.panels import plan, top
 from sightline.app.panels.section import Section, note
 from sightline.app.plan.decisions import Mark, Side
 from sightline.app.plan.marks import CHECK_NAMES
@@ -448,3 +448,13 @@ def test_the_guide_follows_from_the_decisions(opened: Page) -> None:
     assert asked() is None
     opened.planning.history.undo()
     assert asked() == ("entry", "pa")
+
+
+def test_a_notice_that_is_repeated_is_told_again(opened: Page) -> None:
+    """Fails where the second of two identical notices changes nothing, and a screen reader stays silent."""
+    opened.tab.say("click inside the field")
+    first = top._said(opened.tab)
+    opened.tab.say("click inside the field")
+    assert top._said(opened.tab) != first
+    opened.tab.say("")
+    assert opened.tab.notices == 2

@@ -78,9 +78,7 @@ def demo(
             read = Frame.load(frame_name)
             ahead.keep_beside(read)
             with KernelsAhead(frame_name, _methods(read)) as kernels, whole_folder(out, units=("case",)) as scratch:
-                document = _run(
-                    output, scratch, ahead, kernels, seed=seed, frame=read, frame_name=frame_name, procedure=procedure
-                )
+                document = _run(output, scratch, ahead, kernels, seed=seed, frame_name=frame_name, procedure=procedure)
                 files = [out / file.name for file in sorted(scratch.iterdir())]
         output.say(f"report: {out / 'report.html'}")
         output.say(f"images and results: {', '.join(file.name for file in files if file.suffix != '.html')} in {out}")
@@ -94,7 +92,6 @@ def _run(
     kernels: "KernelsAhead",
     *,
     seed: int,
-    frame: "Frame",
     frame_name: str,
     procedure: str,
 ) -> dict[str, Any]:
@@ -114,8 +111,10 @@ def _run(
         relations_measured,
         title,
     )
+    from sightline.frame import Frame
     from sightline.imaging import write_dicom
 
+    frame = Frame.load(frame_name)
     with output.step("1/8 drawing the set-up and its X-ray images"):
         rehearsal = drawn_patient(procedure, seed, frame)
         wire = rehearsal.wires_mm[0]

@@ -101,9 +101,8 @@ def _html(figure: _Figure) -> Markup:
         return markup.filled(_FIGURE, state, name, figure.said, sign, bar, said)
     whole = _ROOM * max(abs(value), abs(limit), 1e-9)
     share, at = (f"{min(max(100 * x / whole, 0), 100):.0f}" for x in (value, limit))
-    most = (value <= limit) == figure.passed
     shown, bound = markup.apart(value, limit, figure.unit, _number, _DIGITS, passed=bool(figure.passed))
-    said = (texts.FIGURE_AT_MOST if most else texts.FIGURE_AT_LEAST).format(limit=bound)
+    said = markup.limit_said(figure.name, bound, most=(value <= limit) == figure.passed)
     return markup.filled(_FIGURE, state, name, shown, sign, markup.filled(_BAR, share, at), said)
 
 

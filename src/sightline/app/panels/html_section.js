@@ -4,11 +4,13 @@
 export default {
   template: "<section></section>",
   methods: {
-    /** @this {{ $el: HTMLElement }} @param {string} html */
-    show(html) {
+    /** `anew`: also where the HTML is the same, so that a notice that is repeated is announced again.
+     * @this {{ $el: HTMLElement }} @param {string} html @param {boolean} [anew] */
+    show(html, anew = false) {
       const wanted = document.createElement("template");
       wanted.innerHTML = html;
-      patch(this.$el, wanted.content);
+      if (anew) this.$el.replaceChildren(wanted.content);
+      else patch(this.$el, wanted.content);
     },
   },
 };

@@ -7,6 +7,7 @@ from markupsafe import Markup, escape
 
 from sightline.app import texts
 from sightline.checks import Check
+from sightline.planning.procedures.rules import ABOVE_ERROR
 
 _CHECK = (
     '<li class="{0}"><div class="check-head"><div class="mark" aria-hidden="true">{1}</div>'
@@ -105,7 +106,14 @@ def _figure(check: Check) -> str:
         return _quantity(check.figure, check.unit, _SHOWN)
     most = (check.figure <= check.limit) == check.passed
     value, bound = apart(check.figure, check.limit, check.unit, _quantity, _SHOWN, passed=check.passed)
-    return f"{value}, {(texts.FIGURE_AT_MOST if most else texts.FIGURE_AT_LEAST).format(limit=bound)}"
+    return f"{value}, {limit_said(check.name, bound, most=most)}"
+
+
+def limit_said(name: str, bound: str, *, most: bool) -> str:
+    """Return what the limit of a check means, in words. `most`: the value must be below it."""
+    if name in ABOVE_ERROR:
+        return texts.FIGURE_ITS_ERROR.format(limit=bound)
+    return (texts.FIGURE_AT_MOST if most else texts.FIGURE_AT_LEAST).format(limit=bound)
 
 
 def apart(

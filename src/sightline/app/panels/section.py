@@ -105,17 +105,18 @@ class PersistentSection(_Part):
 
     def _fill(self, refused: str) -> None:
         if why := refused or failure_of(self._update):
-            self._tab.message, self._tab.is_good = why, False
+            self._tab.notify(why)
 
 
 class HtmlSection(_Part):
     """A part that `html(tab)` fills with HTML, fast enough to follow a drag. `drag`: it does, because its content
-    depends on the preview."""
+    depends on the preview. One that does not is built anew whenever its key changes, so that a notice that is repeated
+    is announced again."""
 
     def __init__(
         self, tab: Tab, key: Key, html: Callable[[Tab], Markup], *, classes: str = "", drag: bool = True
     ) -> None:
-        self._html, self._element = html, _Html()
+        self._html, self._element, self._again = html, _Html(), not drag
         if drag:
             tab.on_drag.append(self.refresh)
         super().__init__(tab, key, self._element.classes(classes))
@@ -123,7 +124,8 @@ class HtmlSection(_Part):
     def _fill(self, refused: str) -> None:
         made: list[Markup] = []
         refused = refused or failure_of(lambda: made.append(self._html(self._tab)))
-        self._element.show(markup.note(refused, kind="bad", testid="section-refused") if refused else made[0])
+        html = markup.note(refused, kind="bad", testid="section-refused") if refused else made[0]
+        self._element.show(html, again=self._again)
 
 
 class _Html(Calling, component=Path(__file__).parent / "html_section.js"):
@@ -131,10 +133,12 @@ class _Html(Calling, component=Path(__file__).parent / "html_section.js"):
         super().__init__()
         self.html = Markup()
 
-    def show(self, html: Markup) -> None:
-        if html != self.html:
-            self.html = html
-            self.run_method("show", html)
+    def show(self, html: Markup, *, again: bool) -> None:
+        """Show this HTML. `again`: build it anew where it is shown already."""
+        same = html == self.html
+        self.html = html
+        if not same or again:
+            self.run_method("show", html, same)
 
 
 def put(html: Markup) -> ui.html:

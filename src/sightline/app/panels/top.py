@@ -61,7 +61,7 @@ def _steps(tab: Tab) -> Callable[[], None]:
 
 
 def _said(tab: Tab) -> Hashable:
-    return tab.message, tab.is_good, tab.goal, tab.progress, None if tab.goal else _reason(tab)
+    return tab.message, tab.notices, tab.is_good, tab.goal, tab.progress, None if tab.goal else _reason(tab)
 
 
 def _say(tab: Tab) -> Markup:

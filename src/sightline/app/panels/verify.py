@@ -124,9 +124,10 @@ def _result(tab: Tab) -> None:
     else:
         word, sentence = texts.CHECK_VERDICT[shot.passed]
         told = texts.said(wrong[0]) if wrong else sentence
-        more = texts.MORE.format(count=len(wrong) - 1) if wrong[1:] else ""
+        more = texts.MORE.format(count=len(wrong) - 1) if wrong[1:] else texts.JUDGED_AT_HOLES if shot.at_holes else ""
         put(markup.card("go" if shot.passed else "no-go", word, told, more, testid="check-verdict"))
     entry, tip, direction = texts.DEVIATIONS
+    tip = texts.DEVIATION_NOT_JUDGED.format(name=tip) if shot.at_holes else tip
     rows = [
         (entry, f"{shot.entry_deviation_mm:.2f} mm", f"{shot.entry_error_95_mm:.2f} mm"),
         (tip, f"{shot.tip_deviation_mm:.2f} mm", f"{shot.tip_error_95_mm:.2f} mm"),

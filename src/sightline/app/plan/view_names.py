@@ -38,7 +38,9 @@ def in_image(image: str, kind: str) -> str:
 
 def with_view_named(check: Check, kind: str) -> Check:
     """Return a check whose sentence begins with the procedure's name of its view, where it is that of one view."""
-    return replace(check, sentence=_PREFIX.sub(lambda found: texts.titled(spoken(found[1], kind_of(kind))), check.sentence))
+    return replace(
+        check, sentence=_PREFIX.sub(lambda found: texts.titled(spoken(found[1], kind_of(kind))), check.sentence)
+    )
 
 
 def _parts(image: str, kind: str) -> tuple[str, str]:

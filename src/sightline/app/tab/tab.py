@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 class Tab:
     """State of one page, in the language it is built in. `message`: a sentence for the person, empty for none;
-    `is_good`: it is good news.
+    `is_good`: it is good news; `notices`: how many there were, so that a repeated one is told from the one before.
     `on_refresh`: called to update the parts beside the views; `on_drag`: those of them that follow a drag.
     """
 
@@ -42,7 +42,7 @@ class Tab:
         self.dragging = Dragging(self.planning)
         self._placing = Placing(self.planning, session.shots)
         self.language = texts.now()
-        self.step, self.message, self.is_good = ProcedureStep.IMAGES, "", False
+        self.step, self.message, self.is_good, self.notices = ProcedureStep.IMAGES, "", False, 0
         self.on_refresh: list[Callable[[], None]] = []
         self.on_drag: list[Callable[[], None]] = []
         self._waiting = False
@@ -91,8 +91,13 @@ class Tab:
 
     def say(self, text: str, *, good: bool = False) -> None:
         """Show a message; an empty one removes it. `good`: it is good news."""
-        self.message, self.is_good = text, good
+        self.notify(text, good=good)
         self.refresh()
+
+    def notify(self, text: str, *, good: bool = False) -> None:
+        """Set the message without showing it."""
+        self.message, self.is_good = text, good
+        self.notices += bool(text)
 
     def later(self) -> None:
         """Schedule one refresh, however often this is called until then."""
@@ -115,7 +120,7 @@ class Tab:
                 self._say_measured()
             refused = [why for why in map(failure_of, list(parts)) if why]
         if refused and not self.message:
-            self.message, self.is_good = refused[0], False
+            self.notify(refused[0])
             self.later()
 
     def show_views(self) -> None:
@@ -139,7 +144,7 @@ class Tab:
                 if pending is not None:
                     await pending
             except Exception as error:
-                self.message, self.is_good = report(error), False
+                self.notify(report(error))
         self.refresh()
 
     async def choose_kind(self, kind: str) -> None:

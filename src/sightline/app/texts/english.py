@@ -334,6 +334,7 @@ FIGURES = {  # by the name of the check that states them; of a procedure's own o
 }
 FIGURE_AT_MOST = "at most {limit}"
 FIGURE_AT_LEAST = "at least {limit}"
+FIGURE_ITS_ERROR = "± {limit} (95 %)"  # of a value that must exceed its error
 FIGURE_MOVED = ("seen", "none seen")  # of a movement between three images, which has no single value in mm
 FIGURE_PASSED, FIGURE_FAILED = "within its limit", "beyond its limit"
 
@@ -463,6 +464,8 @@ AGAINST_PLAN_HEADING = "Wire compared with the plan"
 DEVIATION_COLUMNS = ("", "measured", "± 95 %")
 DEVIATIONS = ("entry, perpendicular", "tip", "direction")
 BENT = "The wire is bent by up to {bow_mm:.2f} mm."
+DEVIATION_NOT_JUDGED = "{name}, not judged"
+JUDGED_AT_HOLES = "Judged at both holes of the nail, and by how far the tip lies beyond the far one."
 CHECK_VERDICT = (  # word and sentence, of a failed and of a passed one
     ("FAILED", "The check shot did not pass."),
     ("PASSED", "The check shot passed: the wire lies as planned."),

@@ -26,6 +26,8 @@ from sightline.strict import read_strictly
 _FOLDER = Path(__file__).parent
 _MAX_BYTES = 1 << 20  # [ours] of a language file; the shipped one has 60 kB
 _LISTED_CHARS = 12  # of a text with placeholders; sentences are not recognised by shorter ones [ours]
+_POINT = re.compile(r"The lines of sight of (?:the )?(.+?) pass ")  # the point that a gap is of
+_OF_POINT = " ({point})"  # after the name of a check
 _VIEWS = re.compile(r"^(?:lateral|oblique)(?=: )|\bpa\b")  # of a view, in the sentence of a check
 
 
@@ -38,10 +40,15 @@ class Language:
     words: Mapping[str, str]
     checks: Mapping[str, tuple[str, str]]
 
+    @property
+    def _named_checks(self) -> Iterator[tuple[str, str]]:
+        """Names of checks, also with a point, and the first thing to do."""
+        return ((f"{name}{of}", do) for name, do in self.checks.values() for of in ("", _OF_POINT))
+
     @cached_property
     def listed(self) -> re.Pattern[str]:
         """Matches what this language's file can have made of whole texts."""
-        texts = [*_leaves(self.texts), *self.words.values(), *(f"{name}: {do}" for name, do in self.checks.values())]
+        texts = [*_leaves(self.texts), *self.words.values(), *(f"{name}: {do}" for name, do in self._named_checks)]
         shapes = {_shape(text) for text in texts}
         return re.compile("|".join(filter(None, shapes)), re.DOTALL)
 
@@ -101,11 +108,15 @@ def word(text: str) -> str:
 
 
 def said(check: Check) -> str:
-    """Return what a check says: in English its sentence; else its name, and of a failed one the first thing to do."""
+    """Return what a check says: in English its sentence; else its name, and of a failed one the first thing to do. The
+    point of a gap is named."""
     known = now().checks.get(check.name)
     if known is None:
         return sentence(check)
-    return known[0] if check.passed else ": ".join(known)
+    name, do = known
+    if of := _POINT.match(check.sentence):
+        name += _OF_POINT.format(point=word(of[1]))
+    return name if check.passed else f"{name}: {do}"
 
 
 def sentence(check: Check) -> str:

@@ -68,6 +68,8 @@ CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
         "view directions": _known("", "°"),
     }
 )
+# The limit of these is the 95 % error of their own value: no clearance.
+ABOVE_ERROR = ("tip in head",)
 # They show whether an end of the wire lies in the bone, where the corridor says that it must.
 END_CHECKS = {
     "entry": {"entry below cortex", "lateral of lesser trochanter", "entry to pedicle"},
