@@ -4,12 +4,13 @@ import io
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from PIL import Image
 from playwright.sync_api import Page, expect
 from tests.app.hands import PATIENCE_MS, Pixels
-from tests.app.picture import Shown, find
+from tests.app.picture import find
 
 from sightline.imaging import Radiograph
 
@@ -30,12 +31,20 @@ _OTHER = (
 )
 
 
+class Place(Protocol):
+    """Where an image is shown."""
+
+    def at(self, uv: tuple[float, float]) -> tuple[float, float]:
+        """Return where a pixel is on the screen."""
+        ...
+
+
 class Person:
     """Before a page. `find` first, then `place` what the page asks for."""
 
     def __init__(self, page: Page) -> None:
         self.page = page
-        self._shown: dict[str, Shown] = {}
+        self._shown: dict[str, Place] = {}
 
     def press(self, words: str) -> None:
         """What shows these words: the last of them on the page, where a question stands."""
@@ -62,12 +71,16 @@ class Person:
         """Wait until the page says so."""
         expect(self.page.get_by_text(words).first).to_be_visible(timeout=PATIENCE_MS)
 
+    def know(self, shown: Mapping[str, Place]) -> None:
+        """Be told where each view shows its image, for a walk that is not about finding them."""
+        self._shown.update(shown)
+
     def find(self, images: Mapping[str, Radiograph], labels: Mapping[str, str]) -> None:
         """Find each image on the screen, and see that it stands below its own label: "PA image"."""
         for view, label in labels.items():
             self.read(label)
             seen = np.asarray(Image.open(io.BytesIO(self.page.screenshot())).convert("L"))
-            shown = self._shown[view] = find(images[view].pixels, seen)
+            self._shown[view] = shown = find(images[view].pixels, seen)
             assert not shown.mirrored
             assert self._nearest_label(shown.middle, list(labels.values())) == label
 

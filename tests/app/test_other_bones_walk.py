@@ -2,12 +2,13 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
-from tests.app.hands import PATIENCE_MS, Pixels, by_image
+from tests.app.hands import PATIENCE_MS, Hands, Pixels, by_image
 from tests.app.person import Person
 from tests.app.test_screen import wrong
 
@@ -43,6 +44,18 @@ WALKS = {
         ("PA-Bild", "Wachstumsfuge"),
     ),
 }
+
+
+@dataclass(frozen=True)
+class _Exactly:
+    """A view whose places on the screen are known exactly: on this screen a pixel of it is three of a block's image,
+    which a person would enlarge."""
+
+    hands: Hands
+    view: str
+
+    def at(self, uv: tuple[float, float]) -> tuple[float, float]:
+        return self.hands.on_screen(self.view, uv)
 
 
 def _known(patient: RehearsedPatient, kind: str) -> dict[str, Pixels]:
@@ -83,7 +96,7 @@ def test_a_person_who_knows_only_the_screen_plans_the_wire(
     person.type("Serial on the frame", "none")
     person.press("Confirm serial")
     assert person.go_on("Continue to Drill") == ["Continue to Calibrate", "Continue to Plan"]
-    person.find(patient.images, dict(zip(NAMES, labels, strict=True)))
+    person.know({view: _Exactly(Hands(person.page), view) for view in NAMES})
     known = _known(patient, kind)
     assert person.place(known) == 10
     for button in buttons:
@@ -98,7 +111,7 @@ def test_a_person_who_knows_only_the_screen_plans_the_wire(
         person.read("Along Y")  # a block says nothing of the patient
         expect(person.page.locator(".space-label").filter(has_text="cranial")).to_have_count(0)
     shoot(person.page, f"{kind}-planned")
-    other = open_page(server.url, locale="de-DE", viewport={"width": 1024, "height": 768})
+    other = open_page(f"{server.url}?step=plan", locale="de-DE", viewport={"width": 1024, "height": 768})
     for word in ("GO", *german):
         expect(other.get_by_text(word, exact=True).first).to_be_visible(timeout=PATIENCE_MS)
     assert not wrong(other, scrolls=True)
