@@ -65,8 +65,7 @@ def details_key(tab: Tab) -> Hashable:
 def _listed(tab: Tab) -> tuple[Check, ...]:
     """Return all checks of the plan shown; none without a plan."""
     verdict = tab.session.readiness.verdict_of(tab.known)
-    kind = tab.planning.decisions.kind
-    return () if verdict is None else tuple(with_view_named(check, kind) for check in verdict.checks)
+    return () if verdict is None else verdict.checks
 
 
 def html(tab: Tab) -> Markup:
@@ -98,7 +97,8 @@ def build_details(tab: Tab) -> None:
 
 
 def _all_checks(tab: Tab) -> Markup:
-    listed = _listed(tab)
+    kind = tab.planning.decisions.kind
+    listed = [with_view_named(check, kind) for check in _listed(tab)]
     if not listed:
         return Markup()
     return markup.joined(
