@@ -13,7 +13,6 @@ from sightline.geometry.covariance import length_quantile
 from sightline.show import Shown
 from sightline.show.words import checks_lines, numbers
 
-_AT_FAR_HOLE = "wire at far hole"
 MIN_LANDMARKS = 3  # fewer do not determine a rotation
 MAX_OUTLIER = 4.0  # standard deviations; eight good shots had 3.2 at most, one with a tip 1 mm off 4.8 [calc]
 MAX_RESIDUAL = 2.0  # rms of the residuals over their stated standard deviations [ours]
@@ -118,7 +117,7 @@ class CheckShot(Shown):
     @property
     def at_holes(self) -> bool:
         """True for a drill through a nail, which is judged at both holes instead of at its tip."""
-        return any(check.name == _AT_FAR_HOLE for check in self.checks)
+        return any(check.name == "wire at far hole" for check in self.checks)
 
     def document(self) -> dict[str, Any]:
         """Return everything as JSON types: mm, angles in degrees."""
@@ -198,7 +197,7 @@ def _through(shot: CheckShot, limits: Limits, walls_mm: float) -> list[Check]:
     at_tip = f"The tip lies {past:.1f} mm beyond the far hole"
     at_tip += "." if 0.0 < past <= most else f"; it must have passed it, and lie at most {most:g} mm beyond it."
     return [
-        Check(_AT_FAR_HOLE, far <= limit, far, limit, "mm", at_far),
+        Check("wire at far hole", far <= limit, far, limit, "mm", at_far),
         Check("wire tip", 0.0 < past <= most, past, most, "mm", at_tip),
     ]
 
