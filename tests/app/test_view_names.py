@@ -10,9 +10,9 @@ from tests.planning.other_bones import PROCEDURES, drawn
 
 from sightline.app import texts
 from sightline.app.drawing.space.document import axis_objects, side_objects
+from sightline.app.panels.needed import aid_labels, needed_aids
 from sightline.app.plan.decisions import Decisions
-from sightline.app.plan.needed import aid_labels, needed_aids
-from sightline.app.plan.view_names import image_label, image_name, image_short, in_image, with_view_named
+from sightline.app.tab.view_names import image_label, image_name, image_short, in_image, with_view_named
 from sightline.checks import Check
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.results import Verdict

@@ -8,9 +8,9 @@ from sightline.app import texts
 from sightline.app.panels.drop import DropZone
 from sightline.app.panels.kind import build_kind
 from sightline.app.panels.section import Section, action, heading, note, radio
-from sightline.app.plan.view_names import image_label, image_name
 from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
+from sightline.app.tab.view_names import image_label, image_name
 from sightline.app.web.serve import ServedApp
 from sightline.app.web.uploads import Upload
 from sightline.case.views import NAMES, OBLIQUE

@@ -4,10 +4,10 @@ from collections.abc import Hashable
 
 from sightline.app import texts
 from sightline.app.panels import drill, verify
+from sightline.app.panels.needed import needed_aids
 from sightline.app.panels.section import Section, action
 from sightline.app.panels.steps import steps, waits_for
 from sightline.app.plan.marks import MarkSpec
-from sightline.app.plan.needed import needed_aids
 from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
 

@@ -11,11 +11,11 @@ from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.panels.images import build_oblique
 from sightline.app.panels.kind import build_kind
+from sightline.app.panels.needed import aid_labels
 from sightline.app.panels.section import HtmlSection, Section, action, heading, note
 from sightline.app.plan.decisions import NECK, SHAFT
 from sightline.app.plan.fitted import FittedAxis
 from sightline.app.plan.marks import MarkSpec
-from sightline.app.plan.needed import aid_labels
 from sightline.app.plan.planner import (
     Planned,
     has_borders,
@@ -25,9 +25,9 @@ from sightline.app.plan.planner import (
     lowest_wire,
     proposed,
 )
-from sightline.app.plan.view_names import image_short, in_image
 from sightline.app.session.planning import kept_as_drawn
 from sightline.app.tab.tab import Tab
+from sightline.app.tab.view_names import image_short, in_image
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95

@@ -10,10 +10,10 @@ from sightline.app.panels import markup
 from sightline.app.panels.confirming import confirmed_action
 from sightline.app.panels.section import action, heading, note, table
 from sightline.app.plan.marks import SHOT_NAMES
-from sightline.app.plan.view_names import image_label
 from sightline.app.session.zero import ZeroSource
 from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.tab import Tab
+from sightline.app.tab.view_names import image_label
 from sightline.checks import failed
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.check_start import MIN_LANDMARKS

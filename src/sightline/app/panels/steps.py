@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from sightline.app import texts
+from sightline.app.panels.needed import aid_labels, needed_aids
 from sightline.app.plan.marks import CHECK_NAMES
-from sightline.app.plan.needed import aid_labels, needed_aids
 from sightline.app.plan.planner import Planned
-from sightline.app.plan.view_names import image_name
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
 from sightline.app.tab.step import ProcedureStep
+from sightline.app.tab.view_names import image_name
 from sightline.case.views import NAMES
 from sightline.checks import failed
 from sightline.planning.results import Verdict

@@ -7,11 +7,11 @@ from markupsafe import Markup
 
 from sightline.app import texts
 from sightline.app.panels import markup
+from sightline.app.panels.needed import aid_labels, needed_aids
 from sightline.app.panels.section import HtmlSection
 from sightline.app.panels.steps import refusals
-from sightline.app.plan.needed import aid_labels, needed_aids
-from sightline.app.plan.view_names import with_view_named
 from sightline.app.tab.tab import Tab
+from sightline.app.tab.view_names import with_view_named
 from sightline.checks import Check, failed
 from sightline.errors import SightlineError
 from sightline.planning.shares import Share, error_shares, error_shares_of

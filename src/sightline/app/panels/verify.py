@@ -11,8 +11,8 @@ from sightline.app.panels.menu import save_report
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
 from sightline.app.panels.steps import missing_again
 from sightline.app.plan.marks import CHECK_NAMES
-from sightline.app.plan.view_names import image_label
 from sightline.app.tab.tab import Tab
+from sightline.app.tab.view_names import image_label
 from sightline.checks import failed
 
 

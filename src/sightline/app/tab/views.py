@@ -13,7 +13,6 @@ from sightline.app.drawing.pictures import Pictures
 from sightline.app.drawing.xray.view import Window, XrayContent, XrayDisplay, XrayEvent, XrayView
 from sightline.app.plan.decisions import Decisions, Display, Side
 from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, MarkSpec
-from sightline.app.plan.view_names import image_label
 from sightline.app.session.failures import failure_of
 from sightline.app.session.live import fresh_s
 from sightline.app.session.seen import SeenImage
@@ -21,6 +20,7 @@ from sightline.app.session.session import Session
 from sightline.app.tab.dragging import Preview
 from sightline.app.tab.placing import Goal
 from sightline.app.tab.step import ProcedureStep
+from sightline.app.tab.view_names import image_label
 from sightline.calibration import BeadView
 from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE
 
