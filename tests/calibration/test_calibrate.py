@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_scenes import EXACT, GAMMA, NOISE_PX, TARGETS_MM, Camera, choose, displaced, line_numbers, true_numbers
+from threadpoolctl import threadpool_limits
 
 from sightline.calibration import calibrate
 from sightline.calibration.view import SOURCES
@@ -139,6 +140,21 @@ def test_the_budget_adds_up_and_has_no_negative_variance(method, plate):
     for part in covariance.values():
         assert np.linalg.eigvalsh(part).min() > -1e-9 * np.abs(total).max()
     assert np.abs(covariance["beads"][:3]).max() < 1e-6 * np.abs(total).max()  # given F, its error is zero
+
+
+@pytest.mark.parametrize(("method", "plate"), [("smooth", "xrii"), *CLASSICAL])
+@pytest.mark.parametrize("count", [1, 5])
+def test_the_errors_of_lines_have_the_same_bits_with_several_threads_of_linear_algebra(method, plate, count):
+    """OpenBLAS splits some products of few rows: on some processors those of one line or of five, not of four."""
+    camera = Camera.pa(tilt_rad=0.05, bend=0.05)
+    view = calibrate(camera.observe(GAMMA, np.random.default_rng(13)), GAMMA, "pa", method, plate=plate)
+    uv = np.tile(camera.project(TARGETS_MM), (2, 1))[:count]
+    covariances = []
+    for threads in (1, 2):
+        with threadpool_limits(threads, user_api="blas"):
+            covariances.append(view.lines_of_sight(uv).total_covariance)
+    assert len(uv) == count
+    np.testing.assert_array_equal(*covariances)
 
 
 def test_a_pick_further_out_has_a_larger_error_and_is_marked_outside():

@@ -23,6 +23,7 @@ from sightline.calibration.residuals import Residuals
 from sightline.calibration.view import PlaneMap
 from sightline.errors import CalibrationRefusedError, OutsideRegionError
 from sightline.geometry.planes import Plane
+from sightline.threads import one_blas_thread
 
 PlateName = Literal["xrii", "source"]
 # Correlation length of a map's misfit, in radii of the convex hull [ours]: about three spacings of 7 x 7 beads.
@@ -168,6 +169,7 @@ class ClassicalFit:
         """The plate that lines of sight go through; its plane is the reference plane."""
         return self.xrii if self.through == "xrii" else self.source
 
+    @one_blas_thread
     def line_errors(self, uv_px: np.ndarray) -> LineErrors:
         """Return the errors of focal point and lines of sight of pixels (N, 2). Raises OutsideRegionError."""
         beads = [self.xrii.beads, self.source.beads]

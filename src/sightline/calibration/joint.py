@@ -30,6 +30,7 @@ from sightline.errors import CalibrationRefusedError
 from sightline.fitting.dense import fast
 from sightline.fitting.kriging import Kriging, PlanarKriging
 from sightline.fitting.triangular import cholesky, least_squares, minimum_norm, solve_lower
+from sightline.threads import one_blas_thread
 
 # The cubic has 20 parameters and F 3; with fewer beads too few degrees of freedom are left to test them [ours].
 MIN_BEADS = 16
@@ -53,6 +54,7 @@ class JointFit:
     noise: np.ndarray
     jacobian: np.ndarray
 
+    @one_blas_thread
     def line_errors(self, uv_px: np.ndarray) -> LineErrors:
         """Return covariances and frame factor of the errors of F and of the lines of sight of pixels (N, 2)."""
         at = self.map.unit(uv_px)

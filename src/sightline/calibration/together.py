@@ -128,6 +128,7 @@ class _InOne:
     image: int
     adjustment: str
 
+    @one_blas_thread
     def line_errors(self, uv_px: np.ndarray) -> SolidErrors:
         """Return the errors of focal point and lines of sight of pixels (N, 2)."""
         return SolidErrors(*self.fit.responses(self.image, self.plane, uv_px))
