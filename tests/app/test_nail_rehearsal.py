@@ -29,6 +29,7 @@ SEED, FRAME = 2, "block60"  # as `sightline demo --procedure distal-interlocking
 KINDS = ("distal-interlocking:distal", "distal-interlocking:proximal")
 PATIENCE_S = 300.0  # of a busy machine
 CLICK_PX = 0.5  # s.d. of a click, as the page assumes it
+MOST_RETAKES = 2
 LIMIT_MM = 0.5  # a drill of 4 mm in a hole of 5 mm
 
 
@@ -93,21 +94,26 @@ async def _drilled(session: Session, kind: str) -> None:
     await _wait_for(session, State.PLANNING)
 
 
-async def _checked(session: Session, patient: Rehearsal, before: tuple[str, ...]) -> CheckImages:
-    """Take the check images, find the landmarks again, and return what they truly show."""
+async def _checked(session: Session, patient: Rehearsal, before: tuple[str, ...], retake: int = 0) -> CheckImages:
+    """Take the check images, find the landmarks again, and return what they truly show.
+
+    A drill's tip may be refused in images of one place of the C-arm: then they are taken again, as the refusal says.
+    """
     planning, verifying = session.planning, session.verifying
     kind = planning.decisions.kind
     await verifying.take_rehearsed()
     await _until(lambda: planning.views(CHECK_NAMES) is not None)
     axes = {key: planning.all_drilled[one].wire.axis_mm for one, key in zip(before, ("distal",), strict=False)}
     drilled = planning.all_drilled[kind]
-    true = patient.check_images(drilled.wire, "proximal" if before else "distal", axes)
+    true = patient.check_images(drilled.wire, "proximal" if before else "distal", axes, retake=retake)
     for key, name in zip(patient.landmark_keys, patient.landmarks, strict=True):
         at = [true.setup.views[view].project(true.landmarks_mm[name][None])[0] for view in NAMES]
         _place(session, f"landmark-{key}", CHECK_NAMES, np.array(at))
     asyncio.get_running_loop().call_soon(verifying.update)
     await asyncio.sleep(0.05)
     await _until(lambda: (verifying.shot is not None and not planning.jobs.working) or bool(verifying.refused))
+    if "take the image again" in verifying.refused and retake < MOST_RETAKES:
+        return await _checked(session, patient, before, retake + 1)
     return true
 
 

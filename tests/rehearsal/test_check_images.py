@@ -39,3 +39,18 @@ def test_a_wire_where_it_was_planned_passes_at_any_depth(rehearsal: Rehearsal, s
     found = taken.compare(made, views, Landmarks(marks, taken.landmarks_px(names, 0.0, np.random.default_rng(0)), 0.5))
     assert not failed(found.checks), [check.sentence for check in failed(found.checks)]
     assert found.deviation_mm[4] == pytest.approx(-short_mm, abs=3 * np.sqrt(found.covariance_mm2[4, 4]))
+
+
+def test_images_that_are_taken_again_show_another_place_of_the_c_arm(rehearsal: Rehearsal) -> None:
+    """Fails where a refused check shot would be refused for ever, because each one is the first again."""
+    wire = SimulatedWire(
+        np.stack([rehearsal.hip.wire_mm[0], rehearsal.hip.wire_mm.mean(axis=0), rehearsal.hip.wire_mm[1]]),
+        RigidTransform.identity(),
+        np.zeros(5),
+    )
+    first, second, third, again = (rehearsal.check_images(wire, retake=n) for n in (0, 1, 2, 1))
+    tips = [taken.pixels(wire.axis_mm, 0.0, np.random.default_rng(0))[:, -1] for taken in (first, second, third)]
+    for one, other in ((0, 1), (1, 2), (0, 2)):
+        assert np.linalg.norm(tips[one] - tips[other], axis=1).min() > 5.0
+    for name in VIEWS:
+        np.testing.assert_array_equal(again.images[name].pixels, second.images[name].pixels)

@@ -142,15 +142,23 @@ class Rehearsal(RehearsedPatient):
         raise SetUpError(f"none of {ATTEMPTS} oblique images shows wires and landmarks")
 
     def check_images(
-        self, wire: SimulatedWire, key: str = "", before_mm: Mapping[str, np.ndarray] = MappingProxyType({})
+        self,
+        wire: SimulatedWire,
+        key: str = "",
+        before_mm: Mapping[str, np.ndarray] = MappingProxyType({}),
+        *,
+        retake: int = 0,
     ) -> CheckImages:
         """Render two more images with the true wire, and those that are in the bone `before_mm` (2, 3), CFCS of the
         planning images, by key; `key`: its own, by default that of the file's first.
 
         The chuck is opened and the arm returns to its place at the images, up to its play; a block is put back on its
-        mount; the bone with the wires stays. Raises SetUpError.
+        mount; the bone with the wires stays. `retake`: how often these images were taken before; each time C-arm and
+        arm stand a little differently. Raises SetUpError.
         """
         rng = self.generator("check", len(before_mm))
+        if retake:
+            rng = rng.spawn(retake)[-1]
         true, imaged = self._at_images
         play = self.robot.manipulator.backlash / 2 * rng.uniform(-1, 1, 5)
         then = true.T_mcs_cfcs(imaged + play)

@@ -81,10 +81,13 @@ def shot_images(
     return _files(taken.images, patient)
 
 
-def check_images(patient: Patient, wires: Mapping[str, str]) -> dict[str, bytes]:
-    """Return the check images as DICOM, by view, with the wires (`SimulatedWire.text`) in the bone, by kind."""
+def check_images(patient: Patient, wires: Mapping[str, str], retake: int = 0) -> dict[str, bytes]:
+    """Return the check images as DICOM, by view, with the wires (`SimulatedWire.text`) in the bone, by kind.
+
+    `retake`: how often they were taken before.
+    """
     rehearsal, newest, key, before_mm = _in_bone(patient, wires)
-    return _files(rehearsal.check_images(newest, key, before_mm).images, patient)
+    return _files(rehearsal.check_images(newest, key, before_mm, retake=retake).images, patient)
 
 
 def _in_bone(

@@ -34,6 +34,7 @@ class Verifying:
     def __init__(self, planning: Planning) -> None:
         self._planning = planning
         self._measured: dict[str, tuple[object, ...]] = {}
+        self._taken: dict[tuple[str, ...], int] = {}  # how often the check images of the rehearsed wires were
         self._found_in: dict[tuple[int, SentPlan], WireShadow] = {}
         self.shots: dict[str, CheckShot] = {}
         self.refusals: dict[str, str] = {}
@@ -72,15 +73,20 @@ class Verifying:
         return all(one is not None and one.acquired.number > newest for one in seen)
 
     async def take_rehearsed(self) -> None:
-        """Acquire both check images of the rehearsed patient, with all wires in the bone. Raises SightlineError."""
+        """Acquire both check images of the rehearsed patient, with all wires in the bone.
+
+        Taken again, they show another place of the C-arm, as a refusal advises. Raises SightlineError.
+        """
         planning = self._planning
         patient, drilled = planning.patient, planning.all_drilled
         if patient is None or not drilled:
             raise UnusableInputError("drill the wire first; then take the check images")
         wires = {kind: one.wire.text() for kind, one in drilled.items()}
+        retake = self._taken.get(tuple(wires.values()), 0)
         files = await planning.jobs.during(
-            "taking both check images", lambda: planning.worker.do(check_images, patient, wires)
+            "taking both check images", lambda: planning.worker.do(check_images, patient, wires, retake)
         )
+        self._taken = {tuple(wires.values()): retake + 1}
         for name, data in files.items():
             await planning.take(data, ".dcm", image=f"check-{name}", by=Actor.DEMO)
 
