@@ -16,6 +16,7 @@ from sightline.detection.results import Detections, RejectedCandidate
 from sightline.detection.scale import FACTOR, finer, is_fine
 from sightline.errors import DetectionRefusedError
 from sightline.fitting.kernels import distances
+from sightline.fitting.robust import median
 from sightline.imaging import Radiograph, as_radiograph
 from sightline.imaging.defects import interlaced
 from sightline.threads import at_once, one_blas_thread
@@ -205,15 +206,15 @@ def _outlier_reasons(beads: np.ndarray, washer: np.ndarray) -> np.ndarray:
         reason[few] = "dark among bright beads, or bright among dark ones"
     usual = reason == ""
     if np.count_nonzero(usual) >= _ENOUGH_TO_COMPARE:
-        reason[usual & (beads[:, columns.BLUR] > _BLURRED * np.median(beads[usual, columns.BLUR]))] = (
+        reason[usual & (beads[:, columns.BLUR] > _BLURRED * median(beads[usual, columns.BLUR]))] = (
             "its rim is softer than those of the other beads"
         )
-        reason[usual & (beads[:, columns.RADIUS] < _SMALL * np.median(beads[usual, columns.RADIUS]))] = (
+        reason[usual & (beads[:, columns.RADIUS] < _SMALL * median(beads[usual, columns.RADIUS]))] = (
             "much smaller than the other beads"
         )
         contrast = np.abs(beads[:, columns.CONTRAST])
         if (solid := usual & ~washer).any():
-            reason[solid & (contrast < _FAINT * np.median(contrast[solid]))] = "much fainter than the other beads"
+            reason[solid & (contrast < _FAINT * median(contrast[solid]))] = "much fainter than the other beads"
     return reason
 
 

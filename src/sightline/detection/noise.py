@@ -7,6 +7,7 @@ import numba as nb
 import numpy as np
 
 from sightline.detection.compiled import exact, fast
+from sightline.fitting.robust import median
 
 BLOCK = 16  # px; small enough that most blocks of anatomy are nearly planes [ours]
 AREA = BLOCK * BLOCK
@@ -97,7 +98,7 @@ def _quiet_line(level: np.ndarray, log_variance: np.ndarray) -> tuple[float, flo
     y += 0.1  # the quantile of pure noise lies this far below its mean [calc: 16 px blocks, correlated noise]
     apart = x - x.mean()
     slope = float(np.clip(-(apart @ y) / (apart @ apart), 0.0, 2.0)) if np.ptp(x) > 0.3 else 1.0
-    return float(np.median(y + slope * x)), slope
+    return median(y + slope * x), slope
 
 
 @nb.njit(cache=True, fastmath=True, nogil=True)

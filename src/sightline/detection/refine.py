@@ -9,6 +9,7 @@ from sightline.detection.fit import PRIOR_SD, fit_part
 from sightline.detection.noise import LAGS, NoiseModel
 from sightline.detection.profile import profile_table
 from sightline.detection.sharpen import Sharpening, design, noise_blur_px
+from sightline.fitting.robust import median
 from sightline.threads import in_parts
 
 # Radius over the usual one from which, and up to which, a ball becomes a large one (5 instead of 3 mm). Balls of one
@@ -23,7 +24,7 @@ def start(uv_px: np.ndarray, radius_px: np.ndarray, response: np.ndarray) -> np.
     rows[:, :2], rows[:, RADIUS], rows[:, CONTRAST] = uv_px, radius_px, response
     rows[:, BLUR] = np.minimum(_BLUR_PX, 0.4 * radius_px)
     if len(rows) > 0:
-        larger = radius_px / np.median(radius_px)
+        larger = radius_px / median(radius_px)
         rows[:, LARGE] = np.clip((larger - _LARGE_FROM) / (_LARGE_AT - _LARGE_FROM), 0.0, 1.0)
     return rows
 

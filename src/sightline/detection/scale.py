@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sightline.detection.results import Detections, Observations, RejectedCandidate
+from sightline.fitting.robust import quantiles
 
 FACTOR = 2
 _USUAL_RADIUS_PX = 14.0  # largest median of the beads; datum balls, 5/3 as large, then have 24 px [ours]
@@ -24,7 +25,7 @@ def is_fine(radius_px: np.ndarray, contrast: np.ndarray) -> bool:
         return False
     strength = np.abs(contrast)
     strong = np.sort(radius_px[strength >= _FAINT * np.sort(strength)[-_SOME:][0]])
-    small, usual = np.quantile(strong, [0.1, 0.5])
+    small, usual = quantiles(strong, (0.1, 0.5))
     return bool(usual > _USUAL_RADIUS_PX or (strong[-_SOME:][0] > _LARGE_PX and small > _SMALL_PX))
 
 

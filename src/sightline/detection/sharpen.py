@@ -8,6 +8,7 @@ import numpy as np
 from sightline.detection.compiled import exact, fast
 from sightline.detection.noise import AREA, BLOCK, NoiseModel, flatten
 from sightline.detection.window import TAPS, along_both_axes
+from sightline.fitting.robust import quantiles
 from sightline.threads import in_parts
 
 _WIDE, _STEP = BLOCK + 2 * TAPS, 4 * BLOCK  # px: side of a block with the filter's margin; distance of blocks
@@ -44,7 +45,7 @@ def design(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) -> Sharpe
     if len(gamma) < _MIN_BLOCKS:
         return Sharpening(taps, left**2 - blur**2, *_of_gaussian_noise(taps, blur))
     # Selecting the quiet blocks lowers the estimate by 8 %; residual structure makes up for it [twin].
-    low, high = np.quantile(gamma[:, 0], [0.1, 0.5])
+    low, high = quantiles(gamma[:, 0], (0.1, 0.5))
     mean = _with_planes(gamma[(gamma[:, 0] >= low) & (gamma[:, 0] <= high)].mean(axis=0))
     return Sharpening(taps, left**2 - blur**2, float(mean[0]), np.clip(mean / mean[0], -0.5, 1.0))
 

@@ -128,7 +128,7 @@ class Track:
         """Return the next state and observations, each bead fitted from its predicted place. Raises TrackLost."""
         image = self._halved(image)
         fit, linear = self.fit, self.linear
-        if np.median(np.hypot(*(self._expected()[: len(self.ids), :2] - self.free_at_px).T)) > _STALE_PX:
+        if median(np.hypot(*(self._expected()[: len(self.ids), :2] - self.free_at_px).T)) > _STALE_PX:
             fit, linear = fit.within(self._usable(self.mask)), ()
         rows, left = self._linear_rows(image, linear)
         if left.all():

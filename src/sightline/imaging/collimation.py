@@ -98,7 +98,7 @@ def _depth(small: np.ndarray, hull: np.ndarray, outside: float) -> float:
     steps = np.arange(-2.0, 7.0)
     where = (at[free, None] + steps[:, None] * inward[free, None]).astype(np.float32)
     profile = cv2.remap(small.astype(np.float32), where[..., 0], where[..., 1], cv2.INTER_LINEAR)
-    half = outside + 0.5 * (np.median(profile[:, steps > 3], axis=1) - outside)
+    half = outside + 0.5 * (np.sort(profile[:, steps > 3], axis=1)[:, 1] - outside)  # the median of three steps
     row = np.arange(len(profile))
     first = np.maximum(np.argmax(profile >= half[:, None], axis=1), 1)
     before, after = profile[row, first - 1], profile[row, first]
