@@ -32,6 +32,8 @@ CHANGES = {
     "in their windows; it takes blur and shape of the shadows from detection's own fits, before from a repetition of "
     "them, and predicts a bead's size from all neighbours that are equally near, among which rounding chose before; "
     "of readings of a lattice that fit equally well labelling tries the first by the beads' order, not a search tree's",
+    16: "the tip of a wire is fitted with the width that the wire has there, before with that of its last pieces, "
+    "and with less of the background beyond it",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

@@ -57,6 +57,34 @@ def test_far_in_the_corridor_and_across_a_bone_edge():
     assert abs(at_tip(seen, wire)) < 1.0
 
 
+def band_across(wire: Drawn, first_mm: float, last_mm: float) -> np.ndarray:
+    """Return a band (4, 2), px, across a wire, from and to these lengths behind its tip."""
+    corners = [(first_mm, -30.0), (first_mm, 30.0), (last_mm, 30.0), (last_mm, -30.0)]
+    across = np.array([-wire.along[1], wire.along[0]])
+    return np.array([wire.tip_px + PX_PER_MM * (b * across - a * wire.along) for a, b in corners])
+
+
+def test_the_tip_of_a_drill_beyond_a_nail_has_the_scale_of_its_own_place():
+    """With the width that the drill has before the nail, the tip lay 0.8 px short."""
+    drill = Drawn((431.37, 321.62), 0.43, 4.0, 6.0, widening_per_mm=1.5e-3)
+    nail = [band_across(drill, 10.0, 24.0)]
+    seen = find_wire(clear([drill]), expected(drill, aside_mm=1.0, length_mm=56.0), 4.0, *NONE, covered_px=nail)
+    assert abs(at_tip(seen, drill)) < 0.3
+
+
+def test_a_bone_edge_beyond_the_tip_of_a_drill_is_not_part_of_its_background():
+    """A window of three radii reached across the far cortex: the stated error was 1.1 px, and with a nail's drill the
+    tip was refused."""
+    drill = Drawn((391.37, 301.62), 0.43, 4.0, 6.0)
+    v, u = np.mgrid[:SIZE, :SIZE]
+    beyond = (np.stack([u, v], axis=-1) - drill.tip_px) @ drill.along
+    bone = 0.4 + 0.6 / (1 + np.exp((25.0 - beyond) / 2))
+    image = image_of([drill], np.random.default_rng(1), quanta=2e3, background=bone)
+    seen = find_wire(image, expected(drill, aside_mm=1.0), 4.0, *NONE)
+    assert abs(at_tip(seen, drill)) < 0.3
+    assert seen.tip_variance_px2 < 0.5**2
+
+
 @pytest.mark.slow
 def test_the_stated_variance_is_that_of_repeated_images():
     """Stated errors allow for images of bone: here they may be too large, but not too small."""

@@ -14,12 +14,16 @@ _PER_MM, _SHARE = np.array([3.03, 1.60, 1.01]), np.array([0.22, 0.39, 0.39])
 
 @dataclass(frozen=True)
 class Drawn:
-    """A wire perpendicular to the rays: its tip, px, and the direction to which it points, radians."""
+    """A wire perpendicular to the rays: its tip, px, and the direction to which it points, radians.
+
+    `widening_per_mm`: relative growth of its scale behind the tip, as of a wire that runs towards the detector.
+    """
 
     tip_px: tuple[float, float]
     turn_rad: float
     diameter_mm: float = 2.5
     point_mm: float = 3.75
+    widening_per_mm: float = 0.0
 
     @property
     def along(self) -> np.ndarray:
@@ -46,7 +50,7 @@ def expected(wire: Drawn, aside_mm: float = 0.0, turned_rad: float = 0.0, length
     middle = np.array(wire.tip_px) - 0.5 * length_mm * PX_PER_MM * wire.along + aside_mm * PX_PER_MM * across
     uv = middle + (along_mm[:, None] + 0.5 * length_mm) * PX_PER_MM * way
     flat = np.ones(len(along_mm))
-    return Expected(uv, along_mm, PX_PER_MM * flat, flat)
+    return Expected(uv, along_mm, PX_PER_MM * (flat - wire.widening_per_mm * along_mm), flat)
 
 
 def steel(wires: list[Drawn], over: int = 2) -> np.ndarray:
@@ -56,6 +60,7 @@ def steel(wires: list[Drawn], over: int = 2) -> np.ndarray:
     for wire in wires:
         u, v = (fine[None, :] - wire.tip_px[0]) / PX_PER_MM, (fine[:, None] - wire.tip_px[1]) / PX_PER_MM
         behind, across = -(u * wire.along[0] + v * wire.along[1]), v * wire.along[0] - u * wire.along[1]
+        across /= 1 + wire.widening_per_mm * behind
         radius = wire.diameter_mm / 2 * (np.clip(behind / wire.point_mm, 0, 1) if wire.point_mm else behind > 0)
         chord = 2 * np.sqrt(np.clip(radius**2 - across**2, 0, None))
         left *= np.tensordot(_SHARE, np.exp(-_PER_MM[:, None, None] * chord), 1)

@@ -41,7 +41,7 @@ _MAX_MOVES = 8  # of the window that follows the tip
 _MIN_SINE = 0.3  # of the angle between wire and rays: seen end-on, a wire has no direction [ours]
 _MAX_TIP_MISFIT = 4.0  # of the tip's light over that of the wire; wrong tips had 5 and more, others rarely 4 [twin]
 _MIN_TIP_VISIBLE = 0.3  # share of the pixels around the tip that must be usable [ours]
-_TIP_BEHIND, _TIP_BEYOND = 5.0, 3.0  # radii around the tip that are fitted [ours]
+_TIP_BEHIND = 5.0  # radii of the wire behind its point that are fitted; beyond the tip, _BESIDE_PX [ours]
 _MIN_SHOWN_PX = 50  # length of the expected wire inside the field [ours]
 _MAX_OVERLAP = 0.04  # relative error of a piece's width; of a single wire 0.02, rarely 0.04 [twin]
 _MAX_WIDTH_ERROR = 0.25  # relative; refuses a wire of 3.2 mm for one of 2.5 mm [ours]
@@ -140,12 +140,12 @@ def find_wire(  # noqa: PLR0917
     point_px = point * float(stretch[here])
     end = found.tip_s_px - point_px - radius
     wire = SteelWire(diameter_mm, point, float(sine[here]), float(stretch[here]))
-    strip = _Strip.about(logs, usable, noise, found.path, (wire, radius))
+    strip = _Strip.about(logs, usable, noise, found.path, (wire, scale))
     pieces = strip.pieces(end)
-    strip = _Strip.about(logs, usable & ~strip.outliers(pieces), noise, _through(found.path, pieces), (wire, radius))
+    strip = _Strip.about(logs, usable & ~strip.outliers(pieces), noise, _through(found.path, pieces), (wire, scale))
     pieces = strip.pieces(end)
     if others:
-        pieces = _alone(pieces, scale * diameter_mm / 2)
+        pieces = _alone(pieces, strip)
     open_px = end - _covered_px(strip.path, covered_px)
     looked_at = max(int(open_px / strip.piece_px), 1)
     if len(pieces) < max(_MIN_PIECES, _MIN_MEASURED * looked_at):
@@ -190,12 +190,12 @@ class _Piece:
 class _Strip:
     """The pixels along a path: rows and columns (N,), s and x, light, and the s.d. of its noise.
 
-    `radius_px`: expected radius of the wire.
+    `scale` (M,): expected px/mm across the wire at s = 0, 1, ...
     """
 
     path: ImagePath
     wire: SteelWire
-    radius_px: float
+    scale: np.ndarray
     usable: np.ndarray
     row: np.ndarray
     column: np.ndarray
@@ -206,10 +206,10 @@ class _Strip:
 
     @staticmethod
     def about(
-        logs: np.ndarray, usable: np.ndarray, noise: NoiseModel, path: ImagePath, wire: tuple[SteelWire, float]
+        logs: np.ndarray, usable: np.ndarray, noise: NoiseModel, path: ImagePath, wire: tuple[SteelWire, np.ndarray]
     ) -> "_Strip":
-        """Return the strip that covers a wire and its background; `wire` with its expected radius in px."""
-        radius = wire[1]
+        """Return the strip that covers a wire and its background; `wire` with its scale (M,)."""
+        radius = float(np.median(wire[1])) * wire[0].diameter_mm / 2
         near = np.zeros(logs.shape, dtype=bool)
         reach = radius + _BESIDE_PX
         for u, v in path.uv_px[:: max(int(radius / 2), 1)]:
@@ -226,6 +226,15 @@ class _Strip:
         return _Strip(
             path, *wire, usable, row, column, s, x, light, np.exp(smooth - level) * np.sqrt(noise.variance(smooth))
         )
+
+    @property
+    def radius_px(self) -> float:
+        """Expected radius of the wire, median along it."""
+        return float(np.median(self.scale)) * self.wire.diameter_mm / 2
+
+    def radius_at(self, s_px: float) -> float:
+        """Return the expected radius of the wire at s; it changes where the wire runs towards the detector."""
+        return float(np.interp(s_px, np.arange(len(self.scale)), self.scale)) * self.wire.diameter_mm / 2
 
     @property
     def piece_px(self) -> float:
@@ -337,15 +346,12 @@ def _on_a_curve(pieces: list[_Piece]) -> list[_Piece]:
     return kept
 
 
-def _alone(pieces: list[_Piece], radius_px: np.ndarray) -> list[_Piece]:
-    """Return the pieces of the expected radius (M,) along the path: over the others another wire lies.
+def _alone(pieces: list[_Piece], strip: _Strip) -> list[_Piece]:
+    """Return the pieces of the expected radius: over the others another wire lies.
 
     Raises WireRefusedError where these are less than half.
     """
-    expected = np.interp([piece.s_px for piece in pieces], np.arange(len(radius_px)), radius_px)
-    alone = [
-        one for one, radius in zip(pieces, expected, strict=True) if abs(one.fit.values[1] / radius - 1) < _MAX_OVERLAP
-    ]
+    alone = [one for one in pieces if abs(one.fit.values[1] / strip.radius_at(one.s_px) - 1) < _MAX_OVERLAP]
     if len(alone) < len(pieces) / 2:
         raise WireRefusedError(
             f"only {len(alone)} of {len(pieces)} pieces of the line are as wide as the wire, so another wire may lie "
@@ -405,10 +411,11 @@ def _tip(
 
     The error of the model grows with the light that it leaves unexplained, beside that along the wire.
     """
-    radius, blur = (float(np.median([piece.fit.values[k] for piece in pieces[-6:]])) for k in (1, 2))
+    wider, blur = np.median([(p.fit.values[1] / strip.radius_at(p.s_px), p.fit.values[2]) for p in pieces[-6:]], axis=0)
     spread = strip.spread(strip.smoothed(strip.residuals(pieces)))
     for _ in range(_MAX_MOVES):
-        pixels = strip.within(near_px - point_px - _TIP_BEHIND * radius, near_px + _TIP_BEYOND * radius)
+        radius = wider * strip.radius_at(near_px)
+        pixels = strip.within(near_px - point_px - _TIP_BEHIND * radius, near_px + _BESIDE_PX)
         s, x, light, noise = (a[pixels] for a in (strip.s, strip.x, strip.light, strip.noise))
         about = np.count_nonzero((np.abs(s - near_px) < radius) & (np.abs(x) < radius))
         if about < _MIN_TIP_VISIBLE * 4 * radius**2:

@@ -9,7 +9,7 @@ from sightline.twin.things import Box, Scene, rod_between
 
 WIRE_DIAMETER_MM = 2.5  # [paper]
 WIRE_LENGTH_MM = 200.0  # [paper]
-TIP_STEPS = 5  # discs of a trocar tip [ours]
+TIP_STEP_MM = 0.1  # of the radius, from disc to disc of a trocar tip: half a pixel or less in an image [ours]
 # A sliding hip screw of 135° [paper]; sizes of a common make [mem].
 SHANK_DIAMETER_MM = 8.0
 THREAD_DIAMETER_MM, THREAD_LENGTH_MM, THREAD_PITCH_MM = 12.5, 22.0, 2.75
@@ -29,8 +29,9 @@ def guide_wire(
 ) -> Scene:
     """Return a straight steel wire with its tip at the second of two points (2, 3) and its axis through the first."""
     tip, back = _axis(wire_mm)
-    at = np.append(np.linspace(0.0, 1.5 * diameter_mm, TIP_STEPS + 1), length_mm)  # a tip of 1.5 diameters [ours]
-    wide = np.append((np.arange(TIP_STEPS) + 0.5) / TIP_STEPS, 1.0) * diameter_mm / 2
+    discs = int(np.ceil(diameter_mm / 2 / TIP_STEP_MM))
+    at = np.append(np.linspace(0.0, 1.5 * diameter_mm, discs + 1), length_mm)  # a tip of 1.5 diameters [ours]
+    wide = np.append((np.arange(discs) + 0.5) / discs, 1.0) * diameter_mm / 2
     parts = zip(pairwise(at), wide.tolist(), strict=True)
     return Scene(solids=tuple(rod_between(tip + a * back, tip + b * back, r, within=within) for (a, b), r in parts))
 
