@@ -32,7 +32,9 @@ CHANGES = {
     "in their windows; it takes blur and shape of the shadows from detection's own fits, before from a repetition of "
     "them, and predicts a bead's size from all neighbours that are equally near, among which rounding chose before; "
     "of readings of a lattice that fit equally well labelling tries the first by the beads' order, not a search tree's",
-    16: "the tip of a wire is fitted with the width that the wire has there, before with that of its last pieces, "
+    16: "the second look fits a small ball jointly with a larger one whose shadow holds much of its own; before, it "
+    "took the larger one for anatomy; a bead of whose rim another hides nearly all is not kept; "
+    "the tip of a wire is fitted with the width that the wire has there, before with that of its last pieces, "
     "and with less of the background beyond it",
 }
 FIRST = 1

@@ -62,8 +62,10 @@ def _clear_covered(fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.
     there = slice(max(top, 0), top + len(state)), slice(max(left, 0), left + len(state))
     usable[there] &= ~hidden[seen]
     rim = window.visible_rim(state, rows, near, left, top)
-    hiding = hidden_share(apart[near[1:]], radius, rows[near[1:], columns.RADIUS]) > _MOST_HIDDEN
-    return overlap[hiding].max(initial=0.0) if rim > _MIN_RIM_SHARE else np.inf
+    share = hidden_share(apart[near[1:]], radius, rows[near[1:], columns.RADIUS])
+    if rim <= _MIN_RIM_SHARE or share.max(initial=0.0) == 1.0:  # of a rim that is hidden all round, the foot is left
+        return np.inf
+    return overlap[share > _MOST_HIDDEN].max(initial=0.0)
 
 
 def _hull_of_metal(metal: np.ndarray) -> np.ndarray:

@@ -108,8 +108,11 @@ def _copy(values, out):
 
 
 @exact
-def joint_rows(spots, i, reach):
-    """Return the rows of bead `i` and of the nearest beads that reach into its window: MAX_JOINT at most."""
+def joint_rows(spots, i, reach, prior_sd):
+    """Return the rows of bead `i` and of the nearest beads that reach into its window: MAX_JOINT at most.
+
+    A wide disc around bead `i` is anatomy, unless `prior_sd` says that its shape is known: then it is a ball.
+    """
     rows, gaps = np.empty(MAX_JOINT, np.int64), np.empty(MAX_JOINT)
     rows[:], rows[0] = -1, i
     if spots[i, CONTRAST] > 0:
@@ -122,8 +125,9 @@ def joint_rows(spots, i, reach):
         if not (abs(du) < near and abs(dv) < near):
             continue  # most spots are far away
         apart = np.hypot(du, dv)
-        if apart < spots[j, RADIUS] - 0.5 * spots[i, RADIUS]:
-            continue  # a wide disc around this bead is anatomy, not a bead
+        known = prior_sd[1, j, BEAD_RADIUS] < PRIOR_SD[1, BEAD_RADIUS]
+        if not known and apart < spots[j, RADIUS] - 0.5 * spots[i, RADIUS]:
+            continue
         gap = apart - spots[i, RADIUS] - spots[j, RADIUS]
         for k in range(1, MAX_JOINT):
             if gap < gaps[k]:
@@ -218,7 +222,7 @@ def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain,
     for i in range(part, len(which), parts):
         row = which[i]
         reach = spots[row, RADIUS] + BEYOND
-        rows = joint_rows(spots, row, reach)
+        rows = joint_rows(spots, row, reach, prior_sd)
         half = int(reach) + 1
         left, top = int(spots[row, U] + 0.5) - half, int(spots[row, V] + 0.5) - half
         zero = log_level(image, usable, spots[row], reach)

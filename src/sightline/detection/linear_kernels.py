@@ -163,7 +163,7 @@ def keep_part(part, parts, image, usable, mask, spots, fitted, which, noise, sha
     for i in range(part, len(which), parts):
         row = which[i]
         reach = spots[row, RADIUS] + BEYOND
-        rows = joint_rows(spots, row, reach)
+        rows = joint_rows(spots, row, reach, prior_sd)
         half = int(reach) + 1
         left, top, side = int(spots[row, U] + 0.5) - half, int(spots[row, V] + 0.5) - half, 2 * half + 1
         zero = log_level(image, usable, spots[row], reach)
