@@ -260,7 +260,7 @@ def _cast_boxes(part, parts, rays, centres, axes, halves, out):  # noqa: PLR0917
                     out[r, c] += (far - near) * norm
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=False, forceinline=True)
 def _side(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, i: int, j: int) -> float:
     """Return d · ((a - o) x (b - o)), whose sign tells the side of the ray o + t d on which the edge from vertex i (a)
     to vertex j (b) passes."""
@@ -269,7 +269,7 @@ def _side(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, i: int, j: int) ->
     return d[0] * (ay * bz - az * by) + d[1] * (az * bx - ax * bz) + d[2] * (ax * by - ay * bx)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=False, forceinline=True)
 def _crossing(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, m: int) -> float:
     """Return the signed distance to triangle `m` along the ray o + t d, |d| = 1: t where the ray leaves through it, -t
     where it enters, 0 where it misses.
@@ -277,21 +277,27 @@ def _crossing(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, triangles: np.
     Each edge is evaluated from its lower to its higher vertex. So both of its triangles get the same result, and no ray
     passes between them or meets both.
     """
-    ahead, way, weight = 0, 0.0, 0.0
+    ahead, sides = 0, (0.0, 0.0, 0.0)
     for k in range(3):
-        i, j, opposite = triangles[m, k], triangles[m, (k + 1) % 3], triangles[m, (k + 2) % 3]
+        i, j = triangles[m, k], triangles[m, (k + 1) % 3]
         if i < j:
             side = _side(o, d, vertices, i, j)
             ahead += side >= 0.0
         else:
             side = -_side(o, d, vertices, j, i)
             ahead += side > 0.0
+        if 0 < ahead < k + 1:
+            return 0.0
+        sides = sides[1], sides[2], side
+    way, weight = 0.0, 0.0
+    for k in range(3):
+        opposite = triangles[m, (k + 2) % 3]
         along = 0.0
         for a in range(3):
             along += (vertices[opposite, a] - o[a]) * d[a]
-        way += side * along
-        weight += side
-    if weight == 0.0 or 0 < ahead < 3:
+        way += sides[k] * along
+        weight += sides[k]
+    if weight == 0.0:
         return 0.0
     return way / weight if ahead == 3 else -way / weight
 
@@ -309,6 +315,18 @@ def mesh_lengths(
     return out
 
 
+@njit(cache=True, error_model="numpy", fastmath=False)
+def _fill_sub_rays(rays, spot, pixels, cast):
+    """Fill `cast` (rows, columns, MESH_SUB², 2, 3) with starts and directions of the sub-rays of a block of `pixels`:
+    first row, last row + 1, first column, last column + 1."""
+    r0, r1, c0, c1 = pixels
+    for r in range(r0, r1):
+        for c in range(c0, c1):
+            for s in range(MESH_SUB * MESH_SUB):
+                ray = cast[r - r0, c - c0, s]
+                _sub_ray(rays, spot, r, c, s, MESH_SUB, ray[0], ray[1])
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cast_mesh(part, parts, rays, xi, spot, vertices, triangles, shadows, out):  # noqa: PLR0917
     h, w = rays.inside.shape
@@ -324,13 +342,14 @@ def _cast_mesh(part, parts, rays, xi, spot, vertices, triangles, shadows, out): 
             for c in range(c0, c1):
                 x0, x1 = min(x0, xi[r, c, 0]), max(x1, xi[r, c, 0])
                 y0, y1 = min(y0, xi[r, c, 1]), max(y1, xi[r, c, 1])
-                for s in range(MESH_SUB * MESH_SUB):
-                    ray = cast[r - r0, c - c0, s]
-                    _sub_ray(rays, spot, r, c, s, MESH_SUB, ray[0], ray[1])
+        empty = True
         for t in range(len(triangles)):
             left, top, right, bottom = shadows[t]
             if left > x1 or right < x0 or top > y1 or bottom < y0:
                 continue
+            if empty:
+                empty = False
+                _fill_sub_rays(rays, spot, (r0, r1, c0, c1), cast)
             for r in range(r0, r1):
                 for c in range(c0, c1):
                     x, y = xi[r, c, 0], xi[r, c, 1]

@@ -286,7 +286,7 @@ def primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.n
     spot = view.chain.focal_spot_mm * view.detector.axes
     sharp = solid_transmission(rays, spot, _cells(view, shapes), (shapes, excess))
     meshes = [
-        (excess_per_mm(mesh.material, mesh.within, beam), _mesh_mm(view, mesh, rays, spot)) for mesh in scene.meshes
+        (excess_per_mm(mesh.material, mesh.within, beam), *_mesh_mm(view, mesh, rays, spot)) for mesh in scene.meshes
     ]
     out, without = np.zeros(rays.inside.shape), np.zeros(rays.inside.shape)
     for e, weight in enumerate(spectrum(beam).weights):
@@ -294,8 +294,8 @@ def primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.n
         for length, per_mm in layers:
             depth = depth + length * np.float32(per_mm[e])
         soft = weight * np.exp(-depth)
-        for per_mm, lengths in meshes:
-            soft = soft * np.exp(-lengths * np.float32(per_mm[e])).mean(axis=0)
+        for per_mm, hit, lengths in meshes:
+            soft[hit] *= np.exp(-lengths * np.float32(per_mm[e])).mean(axis=0)
         without += soft
         out += soft * sharp[e]
     return np.where(rays.inside, out, 0.0), np.where(rays.inside, without, 0.0)
@@ -349,8 +349,8 @@ def _volume_mm(volume: Volume, rays: Rays) -> np.ndarray:
     return np.maximum(fine, 0.0)
 
 
-def _mesh_mm(view: ViewTruth, mesh: Mesh, rays: Rays, spot: np.ndarray) -> np.ndarray:
-    """Return the length (S, H, W), mm, in a mesh along the S sub-rays of each pixel.
+def _mesh_mm(view: ViewTruth, mesh: Mesh, rays: Rays, spot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which pixels (H, W) bool a mesh shadows, and the lengths (S, N), mm, in it along the S sub-rays of each.
 
     Raises OutsideRegionError for a mesh behind the source.
     """
@@ -359,7 +359,10 @@ def _mesh_mm(view: ViewTruth, mesh: Mesh, rays: Rays, spot: np.ndarray) -> np.nd
     nearest = 1 - view.detector.height_mm(mesh.vertices_mm).min() / source  # share of the source-detector distance
     margin = (view.chain.pitch_mm + view.chain.focal_spot_mm * (1 / nearest - 1)) / 2  # sub-rays reach half of it
     shadows = np.concatenate([corners.min(axis=1) - margin, corners.max(axis=1) + margin], axis=1)
-    return mesh_lengths(rays, view.detector.to_plane(rays.points), spot, (mesh.vertices_mm, mesh.triangles), shadows)
+    surface = mesh.vertices_mm, mesh.triangles
+    lengths = mesh_lengths(rays, view.detector.to_plane(rays.points), spot, surface, shadows)
+    hit = np.asarray(lengths.any(axis=0))
+    return hit, lengths[:, hit]
 
 
 def _grown(inside: np.ndarray) -> np.ndarray:
