@@ -133,16 +133,17 @@ def find_wire(  # noqa: PLR0917
     usable = _without_polygons(usable, covered_px)
     shown = _shown(path, mask)
     path, scale, stretch, sine = ImagePath.through(path.uv_px[shown]), scale[shown], stretch[shown], sine[shown]
-    found = search(logs, usable, path, scale * diameter_mm / 2, scale, [other.uv_px for other in others], corridor_mm)
-    radius = float(np.median(scale)) * diameter_mm / 2
+    radii = scale * diameter_mm / 2
+    found = search(logs, usable, path, radii, scale, [other.uv_px for other in others], corridor_mm)
+    radius = float(np.median(radii))
     usable = _without_lines(usable, found.others, radius + 2 * _RIM_PX)
     here = int(np.clip(found.expected_tip_s_px, 0, len(scale) - 1))
     point_px = point * float(stretch[here])
     end = found.tip_s_px - point_px - radius
     wire = SteelWire(diameter_mm, point, float(sine[here]), float(stretch[here]))
-    strip = _Strip.about(logs, usable, noise, found.path, (wire, scale))
+    strip = _Strip.about(logs, usable, noise, found.path, (wire, radii))
     pieces = strip.pieces(end)
-    strip = _Strip.about(logs, usable & ~strip.outliers(pieces), noise, _through(found.path, pieces), (wire, scale))
+    strip = _Strip.about(logs, usable & ~strip.outliers(pieces), noise, _through(found.path, pieces), (wire, radii))
     pieces = strip.pieces(end)
     if others:
         pieces = _alone(pieces, strip)
@@ -190,12 +191,12 @@ class _Piece:
 class _Strip:
     """The pixels along a path: rows and columns (N,), s and x, light, and the s.d. of its noise.
 
-    `scale` (M,): expected px/mm across the wire at s = 0, 1, ...
+    `radii_px` (M,): of the wire, expected at s = 0, 1, ...; they change where it runs towards the detector.
     """
 
     path: ImagePath
     wire: SteelWire
-    scale: np.ndarray
+    radii_px: np.ndarray
     usable: np.ndarray
     row: np.ndarray
     column: np.ndarray
@@ -208,8 +209,8 @@ class _Strip:
     def about(
         logs: np.ndarray, usable: np.ndarray, noise: NoiseModel, path: ImagePath, wire: tuple[SteelWire, np.ndarray]
     ) -> "_Strip":
-        """Return the strip that covers a wire and its background; `wire` with its scale (M,)."""
-        radius = float(np.median(wire[1])) * wire[0].diameter_mm / 2
+        """Return the strip that covers a wire and its background; `wire` with its expected radii (M,), px."""
+        radius = float(np.median(wire[1]))
         near = np.zeros(logs.shape, dtype=bool)
         reach = radius + _BESIDE_PX
         for u, v in path.uv_px[:: max(int(radius / 2), 1)]:
@@ -230,11 +231,11 @@ class _Strip:
     @property
     def radius_px(self) -> float:
         """Expected radius of the wire, median along it."""
-        return float(np.median(self.scale)) * self.wire.diameter_mm / 2
+        return float(np.median(self.radii_px))
 
     def radius_at(self, s_px: float) -> float:
-        """Return the expected radius of the wire at s; it changes where the wire runs towards the detector."""
-        return float(np.interp(s_px, np.arange(len(self.scale)), self.scale)) * self.wire.diameter_mm / 2
+        """Return the expected radius of the wire at s."""
+        return float(np.interp(s_px, np.arange(len(self.radii_px)), self.radii_px))
 
     @property
     def piece_px(self) -> float:
