@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
@@ -14,7 +15,8 @@ from tests.app.test_screen import wrong
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.marks import NAIL_EDGES
 from sightline.app.plan.robot_wire import ROBOT_WIRE
-from sightline.case.journal import Case, Kind
+from sightline.case.journal import Case, Entry, Kind
+from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES
 from sightline.frame import Frame
 from sightline.rehearsal.patient import NAILED
@@ -24,6 +26,7 @@ from sightline.robot.link.simulated import SimulatedWire
 
 KEYS = ("distal", "proximal")
 ARROW_PX = 250.0  # ten times 5 mm at 5 pixels to the millimetre; a drill is planned 15 mm past its far hole
+LIMIT_MM = 0.5  # a drill of 4 mm in a hole of 5 mm
 ORDERS = (("align", State.ALIGNED), ("drill", State.PAUSED), ("drill-on", State.DONE))
 
 
@@ -126,11 +129,21 @@ def _check(hands: Hands, patient: Rehearsal, folder: Path, shoot) -> None:
     shoot(hands.page, f"nail-walk-checked-{key}")
 
 
+def _off_mm(sent: Entry, drilled: Entry) -> np.ndarray:
+    """The true distances (2,) of the drill's axis from both ends of the plan that was sent, mm."""
+    start, tip = SimulatedWire.of(drilled.content["simulated_wire"]).axis_mm
+    along = (tip - start) / np.linalg.norm(tip - start)
+    plan = sent.content["trajectory"]
+    off = np.array([plan["entry_mm"], plan["end_mm"]]) - start
+    return np.linalg.norm(off - np.outer(off @ along, along), axis=1)
+
+
 @pytest.mark.slow  # a server, a browser, and two holes drilled
 def test_both_holes_are_planned_drilled_and_checked_one_after_the_other(
     serve: Callable[..., Server], open_page: Callable[..., Page], tmp_path: Path, shoot
 ) -> None:
-    """Fails for a page that a person cannot follow by its buttons and instructions alone."""
+    """Fails for a page that a person cannot follow by its buttons and instructions alone, for a drill that touches a
+    wall, and for a check shot that is wrong by more than it states."""
     folder = tmp_path / "case"
     command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet", "--fast-robot"]
     server = serve(*command, "--case", str(folder), "--procedure", NAILED)
@@ -157,6 +170,13 @@ def test_both_holes_are_planned_drilled_and_checked_one_after_the_other(
     hands.wait_for_step("Verify", "done")
     shoot(hands.page, "nail-walk-done")
     with Case.open(folder, read_only=True) as case:
-        sent = [Decisions.of(one.content["decisions"]).kind for one in case.entries(Kind.SENT)]
-        assert sent == [f"{NAILED}:{key}" for key in KEYS]
-        assert {one.content["registered_by"] for one in case.entries(Kind.SENT)} == {"images"}
+        sent, drilled = case.entries(Kind.SENT), case.entries(Kind.DRILLED)
+        assert [Decisions.of(one.content["decisions"]).kind for one in sent] == [f"{NAILED}:{key}" for key in KEYS]
+        assert {one.content["registered_by"] for one in sent} == {"images"}
+        shots = {one.rests_on[0]: one.content for one in case.entries(Kind.VERIFIED)}  # the last of each plan
+        for plan, hole, shot in zip(sent, drilled, shots.values(), strict=True):
+            off_mm = _off_mm(plan, hole)
+            assert (off_mm < LIMIT_MM).all()
+            assert abs(shot["deviation"]["entry_mm"] - off_mm[0]) < shot["error_95"]["entry_mm"]
+        again = [one for one in replay(case) if one.outcome is not ReplayOutcome.RECORDED]
+        assert all(one.passed for one in again), [(one.entry.kind, one.said, one.reason) for one in again]

@@ -117,8 +117,8 @@ def test_killed_at_eight_random_instants_nothing_acknowledged_is_lost(tmp_path: 
 
 
 @pytest.mark.slow
-def test_killed_at_two_hundred_random_instants_nothing_acknowledged_is_lost(tmp_path: Path) -> None:
-    for seed in range(2, 12):
+def test_killed_at_a_hundred_random_instants_nothing_acknowledged_is_lost(tmp_path: Path) -> None:
+    for seed in range(2, 7):
         assert len(killed_at_random_instants(tmp_path / str(seed), seed, 20).chains) >= 20
 
 
