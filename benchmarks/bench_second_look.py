@@ -100,8 +100,6 @@ def run(quick: bool) -> list[Row]:
     rows += _rows("all", after, before, 0.98)
     clear, at_first = ([bead for bead in beads if bead.kind != "clipped"] for beads in (after, before))
     rows += _rows("all but clipped", clear, at_first, 0.98)
-    for dose in DOSES:
-        rows += _honesty(f"{dose} dose", [bead for bead in after if bead.dose == dose])
     if not quick:
         _draw([missed for view in views for missed in view.missed])
     false = sum(view.false for view in views)
