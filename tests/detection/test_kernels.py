@@ -1,5 +1,7 @@
 """Results of compiled code depend neither on when it was compiled nor on what else a process has loaded."""
 
+import ast
+import inspect
 import os
 import pkgutil
 import subprocess
@@ -7,6 +9,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+import numba as nb
 import numpy as np
 import pytest
 from numba.core.registry import CPUDispatcher
@@ -27,6 +30,13 @@ for path in sys.argv[1:]:
         whole.update(values.tobytes())
 print(whole.hexdigest())
 """
+
+
+# Functions and methods that numba compiles to instructions of the caller, or to a call of the C library, and those that
+# compute nothing but indices. All others are kernels of numba's own.
+_OF_THE_CALLER = {"exp", "log", "sqrt", "float32", "int32", "int64", "uint8", "uint32", "uint64"} | {
+    *("array", "copy", "empty", "max", "ones", "reshape", "zeros"),
+}
 
 
 def _kernels() -> dict[str, CPUDispatcher]:
@@ -60,6 +70,46 @@ def test_no_kernel_of_detection_calls_one_that_leaves_open_how_it_is_compiled() 
     assert {"fit_part", "_cast_volume"} <= {one.__name__ for one in fast}
     for caller in {*fast, *(one for one in detection if "labelling" not in one.py_func.__module__)}:
         assert [one.__name__ for one in _called_by(caller) if _leaves_open(one)] == [], caller.__name__
+
+
+def _with_inlined(kernel: CPUDispatcher) -> list[CPUDispatcher]:
+    """Return a kernel and those that become part of it before it is compiled."""
+    inlined = [one for one in _called_by(kernel) if one.targetoptions.get("inline") == "always"]
+    return [kernel, *(part for one in inlined for part in _with_inlined(one))]
+
+
+def _kernels_of_numba(kernel: CPUDispatcher) -> set[str]:
+    """Return the operators, functions and methods in a kernel for which numba has kernels of its own."""
+    found = set[str]()
+    for part in _with_inlined(kernel):
+        (function,) = ast.parse(inspect.getsource(part.py_func)).body
+        assert isinstance(function, ast.FunctionDef)
+        for node in (node for statement in function.body for node in ast.walk(statement)):
+            if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.Pow | ast.MatMult):
+                found.add(type(node.op).__name__)
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                found.add(node.func.attr)
+    return found - _OF_THE_CALLER
+
+
+def test_no_kernel_with_fastmath_uses_a_kernel_of_numba_which_any_other_may_have_compiled_without() -> None:
+    fast = [one for one in _kernels().values() if one.targetoptions.get("fastmath")]
+    assert {one.__name__: found for one in fast if (found := _kernels_of_numba(one))} == {}
+
+
+@nb.njit(inline="always")
+def _root(x: float, y: float) -> float:
+    return np.hypot(x, y)
+
+
+@nb.njit(fastmath=True)
+def _raised(x: np.ndarray) -> float:
+    return _root(x[0], x[1]) + x.sum() ** 2 + np.sqrt(x[0])
+
+
+def test_kernels_of_numba_are_found_where_they_are_inlined() -> None:
+    assert isinstance(_raised, CPUDispatcher)
+    assert _kernels_of_numba(_raised) == {"Pow", "sum", "hypot"}
 
 
 @pytest.mark.slow

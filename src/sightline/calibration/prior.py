@@ -248,7 +248,7 @@ def _log_evidence(shape, amplitude2, diagonal, rows, a):
         log_det += 4 * np.log(gram[k, k])
     for k in range(len(both) - 1):
         log_det += 2 * np.log(both[k, k])
-    return -0.5 * (log_det + both[-1, -1] ** 2)
+    return -0.5 * (log_det + both[-1, -1] * both[-1, -1])
 
 
 @fast

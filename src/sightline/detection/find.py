@@ -7,7 +7,7 @@ import cv2
 import numba as nb
 import numpy as np
 
-from sightline.detection.compiled import exact
+from sightline.detection.compiled import FAST, exact
 from sightline.detection.noise import NoiseModel
 from sightline.detection.rim import FAINTEST, HOLLOW, MIN_STEP_SNR, RADIUS, RESPONSE, SCORE, U, V, broad_noise, judged
 from sightline.threads import at_once
@@ -147,7 +147,7 @@ def _extrema(fine, coarse, mask, step: int, radius: float, line) -> np.ndarray: 
     return rows[: _band(fine, coarse, mask, step, radius * step, line, rows)]
 
 
-@nb.njit(cache=True, fastmath=True, nogil=True)
+@nb.njit(cache=True, fastmath=FAST, nogil=True)
 def _band(fine, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
     """Fill `rows` with the extrema of a band; return their number."""
     height, width = fine.shape

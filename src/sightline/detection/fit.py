@@ -25,7 +25,7 @@ from sightline.detection.columns import (
     U,
     V,
 )
-from sightline.detection.compiled import FAST, exact, fast, part_of_caller
+from sightline.detection.compiled import FAST, exact, fast, part_of_caller, squared
 from sightline.detection.noise import LAGS
 from sightline.detection.shadow import (
     BACKGROUND,
@@ -182,21 +182,21 @@ def _solve(spots, rows, noise, unit_sds, sharpening, plain, prior_sd, tables, li
         moved = _take_step(beads, scatter, background, step, 1.0 if iteration < _ADAPTIVE_ITERATIONS else 0.5)
         out[STATUS] = WANDERED
         if (
-            np.hypot(beads[0, BEAD_X], beads[0, BEAD_Y]) > 0.5 * radius + 1
+            squared(beads[0, BEAD_X]) + squared(beads[0, BEAD_Y]) > squared(0.5 * radius + 1)
             or not 0.5 < beads[0, BEAD_RADIUS] / radius < 1.9
         ):
             return
         if iteration == 0 or not (moved < _CONVERGED or moved * moved < _REMAINS * (before - moved)):
             continue
-        if np.hypot(beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]) > MAX_ELLIPTICITY:
+        if squared(beads[0, BEAD_AXIAL]) + squared(beads[0, BEAD_DIAGONAL]) > squared(MAX_ELLIPTICITY):
             return
         out[STATUS] = FITTED
         freedom = max(pixels - _effective_parameters(columns, where, L, by_lag), 1.0)
         out[CHI2], scale2 = chi2 / freedom, (PRIOR_PIXELS + chi2) / (PRIOR_PIXELS + freedom)
-        out[BLUR] = np.sqrt(max(beads[0, BEAD_BLUR] ** 2 - blur2, 0.0))
+        out[BLUR] = np.sqrt(max(squared(beads[0, BEAD_BLUR]) - blur2, 0.0))
         _covariance(wanted, columns, where, L, len(state), correlation, scale2, prior, coupling, background, out)
         inside = max((1.0 - stopped) * background[0] + scatter[0], 0.02 * background[0])
-        out[CCC] /= inside**2
+        out[CCC] /= squared(inside)
         out[U], out[V], out[RADIUS] = (
             spots[row, U] + beads[0, BEAD_X],
             spots[row, V] + beads[0, BEAD_Y],
@@ -483,7 +483,7 @@ def assess(at, beads, gain, inverse_sd, pixels, behind, columns, out):  # noqa: 
     beyond = max(residuals - _NOISE_MARGIN * expected / gain, 0.0) / pixels
     out[EXCESS] = np.sqrt(beyond) / max(abs(out[CONTRAST]), 1e-9)
     u, v = np.float32(beads[0, BEAD_X]), np.float32(beads[0, BEAD_Y])
-    rim2 = np.float32((beads[0, BEAD_RADIUS] + 1) ** 2)
+    rim2 = np.float32(squared(beads[0, BEAD_RADIUS] + 1))
     of_seen, of_meant, sectors = behind[0], behind[1], np.empty(at.shape[1], np.uint8)
     for p in range(at.shape[1]):  # without branches, so that it is vectorised
         x, y = at[0, p] - u, at[1, p] - v

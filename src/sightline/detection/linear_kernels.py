@@ -18,7 +18,7 @@ from sightline.detection.columns import (
     U,
     V,
 )
-from sightline.detection.compiled import FAST, exact, fast
+from sightline.detection.compiled import FAST, exact, fast, squared
 from sightline.detection.fit import (
     CLIPPING_MARGIN_SD,
     MAX_ELLIPTICITY,
@@ -169,7 +169,7 @@ def keep_part(part, parts, image, usable, mask, spots, fitted, which, noise, sha
         zero = log_level(image, usable, spots[row], reach)
         light = window_light(image, left, top, half, zero)
         state = pixel_states(image, usable, spots, rows, left, top, side, noise[2])
-        if _count(light[MARGIN:-MARGIN, MARGIN:-MARGIN], _ALMOST * np.exp(noise[2] - zero)) > _MAX_CLIPPED * side**2:
+        if _count(light[MARGIN:-MARGIN, MARGIN:-MARGIN], _ALMOST * np.exp(noise[2] - zero)) > _MAX_CLIPPED * state.size:
             continue
         table, stopped = (tables[0], STOPPED_BY_BALL) if spots[row, CONTRAST] < 0 else (tables[1], STOPPED_BY_HOLE)
         size = BEAD_TERMS * len(rows) + SCATTER_TERMS + BACKGROUND_TERMS
@@ -318,7 +318,8 @@ def step_part(part, parts, pixels, mask, lowest, ceiling, reach_px, dark, sharpe
             y, x = where[0, p], where[1, p]
             place[0, p], place[1, p] = np.float32(x) - x0, np.float32(y) - y0
             rest[p] = values[y + margin, x + margin] * inverse_sd[p] - model[p]
-        if _count(light[MARGIN:-MARGIN, MARGIN:-MARGIN], _ALMOST * ceiling * scale) > _MAX_CLIPPED * side**2:
+        window = light[MARGIN:-MARGIN, MARGIN:-MARGIN]
+        if _count(window, _ALMOST * ceiling * scale) > _MAX_CLIPPED * window.size:
             continue
         data, gradient, step = np.empty(size), np.empty(size), np.empty(size)
         for k in range(size):
@@ -343,7 +344,7 @@ def step_part(part, parts, pixels, mask, lowest, ceiling, reach_px, dark, sharpe
             beads[0, BEAD_DIAGONAL],
         )
         out[i, BLUR], out[i, CONTRAST] = (
-            np.sqrt(max(beads[0, BEAD_BLUR] ** 2 - blur2, 0.0)),
+            np.sqrt(max(squared(beads[0, BEAD_BLUR]) - blur2, 0.0)),
             np.log(inside / max(background[0], 1e-3)),
         )
         behind, effect = np.empty((4, n), np.float32), np.empty((count, n), np.float32)

@@ -6,7 +6,7 @@ import cv2
 import numba as nb
 import numpy as np
 
-from sightline.detection.compiled import exact, fast
+from sightline.detection.compiled import FAST, exact, fast
 from sightline.fitting.robust import median
 
 BLOCK = 16  # px; small enough that most blocks of anatomy are nearly planes [ours]
@@ -101,7 +101,7 @@ def _quiet_line(level: np.ndarray, log_variance: np.ndarray) -> tuple[float, flo
     return median(y + slope * x), slope
 
 
-@nb.njit(cache=True, fastmath=True, nogil=True)
+@nb.njit(cache=True, fastmath=FAST, nogil=True)
 def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return each block's mean level, largest value, and half mean squared difference at lags 1..LAGS and the sill.
 
@@ -181,5 +181,6 @@ def _squares(values, lag):
     """Return the sum of squared differences of values `lag` apart, in one loop that the compiler vectorises."""
     later, total = values[lag:], np.float32(0)
     for k in range(len(later)):
-        total += (later[k] - values[k]) ** 2
+        change = later[k] - values[k]
+        total += change * change
     return total

@@ -91,6 +91,6 @@ def _fill_predicted(places, seen, value, floor, mean, sd):  # noqa: PLR0912, PLR
             for j in range(i):
                 half[i] -= lower[i, j] * half[j]
             half[i] /= lower[i, i]
-            leverage += half[i] ** 2
+            leverage += half[i] * half[i]
         sd[p] = spread * np.sqrt(1.0 + leverage)
     return True

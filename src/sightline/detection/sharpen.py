@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 
-from sightline.detection.compiled import exact, fast
+from sightline.detection.compiled import FAST, exact, fast
 from sightline.detection.noise import AREA, BLOCK, NoiseModel, flatten
 from sightline.detection.window import TAPS, along_both_axes
 from sightline.fitting.robust import quantiles
@@ -95,7 +95,7 @@ def _correlations_after(image: np.ndarray, mask: np.ndarray, noise: NoiseModel, 
     return out
 
 
-@nb.njit(cache=True, fastmath=True, nogil=True)
+@nb.njit(cache=True, fastmath=FAST, nogil=True)
 def _correlations_part(part, parts, image, mask, line, taps, ceiling, columns, out):  # noqa: PLR0917
     block, transposed, sums = np.empty(AREA, np.float32), np.empty(AREA, np.float32), np.empty((3, BLOCK), np.float32)
     for b in range(part, len(out), parts):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sightline.detection.columns import CONTRAST, RADIUS, U, V
-from sightline.detection.compiled import exact, fast, part_of_caller
+from sightline.detection.compiled import exact, fast, part_of_caller, squared
 from sightline.detection.noise import LAGS
 
 BEYOND = 5.0  # px of background around the rim, enough for five blurs [ours]
@@ -32,10 +32,10 @@ def log_level(image, usable, bead, reach):
     """Return the mean log light around the bead; 0 where no pixel there is usable."""
     height, width = image.shape
     total, outside, zero = np.float32(0.0), 0, np.float32(0.0)
-    inner2, outer2 = np.float32((bead[RADIUS] + 1.5) ** 2), np.float32(reach**2)
+    inner2, outer2 = np.float32(squared(bead[RADIUS] + 1.5)), np.float32(squared(reach))
     u, left = np.float32(bead[U]), max(int(bead[U] - reach), 0)
     for i in range(max(int(bead[V] - reach), 0), min(int(bead[V] + reach) + 2, height), 2):  # half of them are enough
-        dv2 = np.float32((i - bead[V]) ** 2)
+        dv2 = np.float32(squared(i - bead[V]))
         values, known = image[i, left:], usable[i, left:]
         count = np.int32(0)
         for j in range(min(int(bead[U] + reach) + 2, width) - left):  # without branches, so that it is vectorised
@@ -161,9 +161,9 @@ def _about_beads(state, spots, rows, left, top, light):  # noqa: PLR0917
                     mean[i, j] += light[y, x] / np.float32(9)
             free[i, j] = True
             for k in range(len(rows)):
-                r2 = (left + j - spots[rows[k], U]) ** 2 + (top + i - spots[rows[k], V]) ** 2
-                free[i, j] &= r2 > (spots[rows[k], RADIUS] + 2.0) ** 2
-                if k == 0 and r2 < (0.5 * spots[rows[0], RADIUS]) ** 2:
+                r2 = squared(left + j - spots[rows[k], U]) + squared(top + i - spots[rows[k], V])
+                free[i, j] &= r2 > squared(spots[rows[k], RADIUS] + 2.0)
+                if k == 0 and r2 < squared(0.5 * spots[rows[0], RADIUS]):
                     inside += mean[i, j]
                     core += 1
     return mean, free, inside / max(core, 1)
@@ -215,10 +215,10 @@ def mark_near_unusable(state, x, y, radius):
         return 0.0
     _spread(wide, 1)
     _spread(wide, n + 2 * reach)
-    inner2, outer2 = np.float32(max(radius - _RIM, 0.0) ** 2), np.float32((radius + _RIM) ** 2)
+    inner2, outer2 = np.float32(squared(max(radius - _RIM, 0.0))), np.float32(squared(radius + _RIM))
     rim, lost = 0, 0
     for i in range(n):
-        seen, reached, dy2 = state[i], wide[i * (n + 2 * reach) :], np.float32((i - y) ** 2)
+        seen, reached, dy2 = state[i], wide[i * (n + 2 * reach) :], np.float32(squared(i - y))
         of_row, lost_in_row = np.int32(0), np.int32(0)
         for j in range(n):
             seen[j] = max(seen[j], near if reached[j] else np.uint8(0))

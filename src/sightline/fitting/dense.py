@@ -17,7 +17,7 @@ def factor(n, matrix):
             own -= matrix[j, k] * matrix[j, k]
         if not own > 0.0:
             return False
-        matrix[j, j] = own**0.5
+        matrix[j, j] = np.sqrt(own)
         for i in range(j + 1, n):
             other = matrix[i, j]
             for k in range(j):

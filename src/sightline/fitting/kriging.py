@@ -214,10 +214,10 @@ def _tail_precisions(inverse, back, pairs, order):
         x, y = pairs[i, 0], pairs[i, 1]
         for n in range(len(white)):
             white[n] += x * inverse[2 * i, n] + y * inverse[2 * i + 1, n]
-            total += white[n] ** 2
+            total += white[n] * white[n]
         for n in range(len(fixed)):
             fixed[n] += x * back[2 * i, n] + y * back[2 * i + 1, n]
-            total -= fixed[n] ** 2
+            total -= fixed[n] * fixed[n]
         out[k] = total
     return out
 

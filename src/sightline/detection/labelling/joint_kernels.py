@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.detection.compiled import exact_unchecked, fast
+from sightline.detection.compiled import exact_unchecked, fast, squared
 from sightline.fitting.dense import PIVOTS, STRIDE, eliminate, factor
 from sightline.fitting.robust import MEDIAN_M2
 from sightline.geometry.lines import SPREAD_RAD
@@ -303,7 +303,7 @@ def first_focal(places, at, on):
             normal[i, i] += 1.0
             for k in range(i + 1):
                 normal[i, k] -= along[i] * along[k] / square
-    if not factor(3, normal) or normal[2, 2] ** 2 < count * SPREAD_RAD**2:
+    if not factor(3, normal) or squared(normal[2, 2]) < count * squared(SPREAD_RAD):
         focal[:] = 0.0
         return focal
     for i in range(3):
