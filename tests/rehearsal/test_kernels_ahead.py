@@ -16,8 +16,9 @@ from sightline.detection.fit import fit_part
 from sightline.detection.labelling.joint_kernels import settle
 from sightline.detection.refine import BeadFitter
 from sightline.frame import Frame
+from sightline.planning import plan
 from sightline.rehearsal import kernels_ahead
-from sightline.rehearsal.kernels_ahead import KernelsAhead, compiled, fit_beads, label_and_calibrate, search_image
+from sightline.rehearsal.kernels_ahead import KernelsAhead, compiled, fit_beads, label_and_plan, search_image
 
 METHODS = ("smooth", "localized", "polynomial")
 
@@ -26,11 +27,14 @@ METHODS = ("smooth", "localized", "polynomial")
 def test_it_calibrates_every_view_by_every_method_and_then_the_kernels_are_there(name, methods):
     """Fails for beads that cannot be labelled, and for a view or a method that is left out."""
     frame = Frame.load(name)
-    with patch.object(kernels_ahead, "calibrate", wraps=calibrate) as called:
-        label_and_calibrate(frame, methods)
+    wraps = patch.object(kernels_ahead, "plan", side_effect=plan)
+    with patch.object(kernels_ahead, "calibrate", wraps=calibrate) as called, wraps as planned:
+        label_and_plan(frame, methods)
     views = ("pa", "lateral")
     done = [(call.args[0].view, call.kwargs["method"]) for call in called.call_args_list]
     assert done == [(view, method) for view in views for method in methods]
+    views, entry_px, end_px = planned.call_args.args
+    assert 20 < plan(views, entry_px, end_px).trajectory.length_mm < 40
     assert compiled(settle)
 
 
@@ -45,9 +49,16 @@ def test_no_process_is_started_where_the_kernels_are_there_or_no_core_is_free():
 
 
 def test_it_fits_every_drawn_bead_where_it_is():
-    """Fails for an image without beads, or in which they lie elsewhere: the fits would end before most kernels."""
-    with patch.object(BeadFitter, "__call__", autospec=True, side_effect=BeadFitter.__call__) as fitted:
+    """Fails for an image without beads, or in which they lie elsewhere: the fits would end before most kernels; and for
+    one in which nothing is clipped."""
+    wraps = patch.object(kernels_ahead, "clipped_shares", side_effect=clipped_shares)
+    with (
+        patch.object(BeadFitter, "__call__", autospec=True, side_effect=BeadFitter.__call__) as fitted,
+        wraps as clipped,
+    ):
         fit_beads()
+    image, usable, _ = clipped.call_args.args
+    assert image.pixels[usable].max() == image.white
     rows = BeadFitter.__call__(*fitted.call_args.args)
     assert len(rows) > 40
     assert (rows[:, STATUS] == FITTED).all()
@@ -55,17 +66,12 @@ def test_it_fits_every_drawn_bead_where_it_is():
     assert compiled(fit_part)
 
 
-def test_it_finds_the_drawn_beads_and_a_clipped_part_of_the_image():
-    """Fails for an image in which nothing is judged, or nothing is clipped: those kernels would be missing."""
-    wraps = patch.object(kernels_ahead, "find_candidates", side_effect=find_candidates)
-    with wraps as found, patch.object(kernels_ahead, "clipped_shares", side_effect=clipped_shares) as clipped:
+def test_it_finds_the_drawn_beads():
+    """Fails for an image in which nothing is judged: those kernels would be missing."""
+    with patch.object(kernels_ahead, "find_candidates", side_effect=find_candidates) as found:
         search_image()
     spots = find_candidates(*found.call_args.args)
     assert np.count_nonzero(spots.round) > 40
-    image, usable, _ = clipped.call_args_list[0].args
-    assert image.pixels.max() == image.white
-    assert [call.args[1].flags.writeable for call in clipped.call_args_list] == [True, False]
-    assert usable.any()
 
 
 def test_processes_are_waited_for_and_end_with_their_block():

@@ -5,9 +5,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numba import njit
 
 from sightline.errors import OutsideRegionError
+from sightline.kernels import kernel
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -50,7 +50,8 @@ class Inverse:
     def of(plane_map: SmoothPlaneMap, controls_px: np.ndarray) -> "Inverse":
         """Return the inverse of a map that is valid near its controls (M, 2)."""
         xy, jacobian = plane_map.linearised(controls_px)
-        return Inverse(plane_map, controls_px, xy, np.linalg.pinv(jacobian))
+        # Copies, because the kernels are compiled again for arrays that are read-only or not contiguous.
+        return Inverse(plane_map, np.array(controls_px), np.array(xy, order="C"), np.linalg.pinv(jacobian))
 
     def __call__(self, xy_mm: np.ndarray) -> np.ndarray:
         """Return the pixels (N, 2) that the map takes to points (N, 2), mm.
@@ -83,7 +84,7 @@ class Inverse:
             if not len(at):
                 break
             xy, jacobian = self.plane_map.linearised(here)
-            state = _stepped(here, length, target, xy, jacobian, low, high, size)
+            state = _stepped(here, length, target, np.ascontiguousarray(xy), jacobian, low, high, size)
             uv[at], found[at] = here, state == _FOUND
             on = state == _GOES_ON
             if not on.all():
@@ -109,7 +110,7 @@ def _within(points: np.ndarray, low: np.ndarray, high: np.ndarray, margin: float
     return inside[:, 0] & inside[:, 1]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _nearest(target, controls_mm):
     """Return for each of the points (N, 2), mm, the control (M, 2) that is nearest to it."""
     near = np.zeros(len(target), dtype=np.int64)
@@ -123,7 +124,7 @@ def _nearest(target, controls_mm):
     return near
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _started(near, target, controls_px, controls_mm, back):
     """Return where the iteration starts (N, 2): points (N, 2), mm, by the inverse Jacobian at their controls `near`."""
     here = np.empty((len(near), 2))
@@ -135,7 +136,7 @@ def _started(near, target, controls_px, controls_mm, back):
     return here
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _stepped(here, length, target, xy, jacobian, low, high, size):  # noqa: PLR0917 - a kernel
     """Move pixels `here` (N, 2) by one Newton step, and set `length` (N,), the last step's, to this one's.
 

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-from numba import njit
 
 from sightline.calibration.inverse import Inverse
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.fitting.triangular import minimum_norm
+from sightline.kernels import exact
 
 DEGREES = range(1, 8)
 
@@ -54,7 +54,7 @@ def monomials(xy: np.ndarray, degree: int) -> np.ndarray:
     return out
 
 
-@njit(cache=True)
+@exact
 def _fill_monomials(xy, degree, out):
     x, y = np.ones(degree + 1), np.ones(degree + 1)
     for n in range(len(out)):

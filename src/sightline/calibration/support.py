@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
 from sightline.fitting.kernels import distances
+from sightline.kernels import kernel
 
 # Unlabelled detections beside missing beads, all by one shift along the rows: so many are a strip of shifted rows. Of
 # 28 detections and 20 missing beads at random places six agree in fewer than one of a million images [calc].
@@ -102,11 +102,13 @@ class Support:
         return float(np.median(shift[together[best]])) if count[best] >= MIN_STRIP else None
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _nearest(uv, places, expected, used, stray):
     """Return for each pixel (N, 2) how many of the NEIGHBOURS nearest beads `expected` are `used` (N,); how many of
     `stray` (M, 2) are no farther away than these (N,); and how many beads they are."""
-    count = min(NEIGHBOURS, int(expected.sum()))
+    count = 0
+    for k in range(len(expected)):
+        count += expected[k] and count < NEIGHBOURS
     found, beside = np.zeros(len(uv), dtype=np.int64), np.zeros(len(uv), dtype=np.int64)
     near, which = np.empty(count + 1), np.empty(count + 1, dtype=np.int64)
     for i in range(len(uv)):

@@ -3,8 +3,8 @@
 import numpy as np
 
 from sightline.detection import columns
-from sightline.detection.compiled import exact
 from sightline.imaging import Radiograph
+from sightline.kernels import exact
 
 _AROUND_PX = -1.0, 4.0  # the ring around a bead, from its rim [ours]
 
@@ -18,7 +18,9 @@ def clipped_shares(image: Radiograph, usable: np.ndarray, rows: np.ndarray) -> n
     """Return the clipped share (N,) of the `usable` (H, W) pixels around each bead of `rows` (N, COUNT)."""
     shares = np.zeros(len(rows))
     if image.pixels.max() >= image.white:
-        _fill_shares(image.pixels, image.white, usable, rows, shares)
+        held = usable.view()
+        held.flags.writeable = False  # as an image's own masks are: the kernel is compiled once
+        _fill_shares(image.pixels, image.white, held, rows, shares)
     return shares
 
 

@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from threading import local
 
 import cv2
-import numba as nb
 import numpy as np
 
-from sightline.detection.compiled import FAST, exact
 from sightline.detection.noise import NoiseModel
 from sightline.detection.rim import FAINTEST, HOLLOW, MIN_STEP_SNR, RADIUS, RESPONSE, SCORE, U, V, broad_noise, judged
+from sightline.kernels import FAST, exact, kernel
 from sightline.threads import at_once
 
 # Extrema are searched for at half resolution, where a disc of 2 px with the usual blur is still well sampled. The bands
@@ -147,7 +146,7 @@ def _extrema(fine, coarse, mask, step: int, radius: float, line) -> np.ndarray: 
     return rows[: _band(fine, coarse, mask, step, radius * step, line, rows)]
 
 
-@nb.njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST, nogil=True)
 def _band(fine, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
     """Fill `rows` with the extrema of a band; return their number."""
     height, width = fine.shape
@@ -255,7 +254,7 @@ def distinct(spots: np.ndarray) -> np.ndarray:
     return keep
 
 
-@nb.njit(cache=True)
+@exact
 def _mark_duplicates(spots, keep, head, following):
     """Clear `keep` of duplicates. `head` of each cell and `following` of each row link the kept rows of a cell."""
     lines, columns = head.shape

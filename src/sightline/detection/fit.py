@@ -1,6 +1,5 @@
 """Fit a bead by weighted least squares in its window, jointly with neighbours that overlap the window."""
 
-import numba as nb
 import numpy as np
 
 from sightline.detection.columns import (
@@ -25,7 +24,6 @@ from sightline.detection.columns import (
     U,
     V,
 )
-from sightline.detection.compiled import FAST, exact, fast, part_of_caller, squared
 from sightline.detection.noise import LAGS
 from sightline.detection.shadow import (
     BACKGROUND,
@@ -64,6 +62,7 @@ from sightline.detection.window import (
     visible_rim,
     window_light,
 )
+from sightline.kernels import FAST, exact, fast, kernel, part_of_caller, squared
 
 _LIGHT_STEPS = 32  # entries of the noise table per unit of light
 MAX_JOINT = 3  # beads of a joint fit
@@ -209,7 +208,7 @@ def _solve(spots, rows, noise, unit_sds, sharpening, plain, prior_sd, tables, li
         assess(at, beads, gain, inverse_sd, pixels, behind, columns, out)
 
 
-@nb.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)
+@kernel(fastmath=FAST, error_model="numpy", nogil=True)
 def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain, prior_sd, tables, out):  # noqa: PLR0917
     """Fit rows `which[part::parts]` of `spots` and write row `which[i]` into row i of `out`.
 
@@ -361,7 +360,10 @@ def _effective_parameters(columns, where, L, by_lag):
     the number, which is a tenth of the pixels [calc].
     """
     size, pixels = len(L), columns.shape[1]
-    wanted = np.zeros(where[0].max() + 1, np.uint32)
+    last = np.uint32(0)
+    for p in range(pixels):
+        last = max(last, where[0, p])
+    wanted = np.zeros(last + 1, np.uint32)
     wanted[1 :: 1 if pixels < _LARGE_WINDOW else 3] = 1  # none in the corners of a window, where the padding is
     picked, used, every = np.empty(pixels, np.uint32), np.uint32(0), np.uint32(0)
     for p in range(pixels):

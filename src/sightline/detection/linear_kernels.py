@@ -2,7 +2,6 @@
 
 from typing import NamedTuple, Self
 
-import numba as nb
 import numpy as np
 
 from sightline.detection.columns import (
@@ -18,7 +17,6 @@ from sightline.detection.columns import (
     U,
     V,
 )
-from sightline.detection.compiled import FAST, exact, fast, squared
 from sightline.detection.fit import (
     CLIPPING_MARGIN_SD,
     MAX_ELLIPTICITY,
@@ -64,6 +62,7 @@ from sightline.detection.window import (
     pixel_states,
     window_light,
 )
+from sightline.kernels import FAST, exact, fast, kernel, squared
 
 _MOST = BEAD_TERMS * MAX_JOINT + SCATTER_TERMS + BACKGROUND_TERMS  # parameters
 _ROWS = _MOST + 2  # of `slopes`, for each pixel
@@ -156,7 +155,7 @@ def _in_field(mask, left, top, n) -> bool:
     return True
 
 
-@nb.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)
+@kernel(fastmath=FAST, error_model="numpy", nogil=True)
 def keep_part(part, parts, image, usable, mask, spots, fitted, which, noise, sharpening, plain, tables, prior_sd, kept):  # noqa: PLR0915, PLR0917
     """Fill `kept` for the rows `which[part::parts]` of `spots`, whose fits are in `fitted`; as `fit_part`."""
     unit_sds = inverse_sd_table(noise[1])
@@ -290,7 +289,7 @@ def _is_near(beads, step, reach_px) -> bool:
     return near and np.hypot(beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]) < MAX_ELLIPTICITY
 
 
-@nb.njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)
+@kernel(fastmath=FAST, error_model="numpy", nogil=True)
 def step_part(part, parts, pixels, mask, lowest, ceiling, reach_px, dark, sharpening, plain, tables, kept, out):  # noqa: PLR0917
     """Write the linear fits `part::parts` in the image `pixels` into `out` (M, COUNT); WANDERED: not near enough.
 

@@ -3,16 +3,16 @@
 from functools import cache
 
 import cv2
-import numba as nb
 import numpy as np
 
 from sightline.imaging import Radiograph
+from sightline.kernels import kernel
 from sightline.threads import at_once
 
 _COARSE = 4  # px; outside the field, pixels are filled at this resolution
 _KNOWN = 0.01  # smallest share of a pyramid's pixel inside the field
 _EDGE = 5  # px, side of the square that erodes two pixels of the field
-_kernel = nb.njit(cache=True, fastmath=False, error_model="python", nogil=True)
+_kernel = kernel(nogil=True)
 
 
 def field_inset(image: Radiograph) -> np.ndarray:

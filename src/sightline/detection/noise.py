@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import cv2
-import numba as nb
 import numpy as np
 
-from sightline.detection.compiled import FAST, exact, fast
 from sightline.fitting.robust import median
+from sightline.kernels import FAST, exact, fast, kernel
 
 BLOCK = 16  # px; small enough that most blocks of anatomy are nearly planes [ours]
 AREA = BLOCK * BLOCK
@@ -101,7 +100,7 @@ def _quiet_line(level: np.ndarray, log_variance: np.ndarray) -> tuple[float, flo
     return median(y + slope * x), slope
 
 
-@nb.njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST, nogil=True)
 def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return each block's mean level, largest value, and half mean squared difference at lags 1..LAGS and the sill.
 
@@ -118,7 +117,9 @@ def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nda
         top, left = (b // columns) * step, (b % columns) * step
         if not _copied(image, mask, top, left, block):
             continue
-        level[n], brightest[n] = flatten(block, transposed, sums), sums[2].max()
+        level[n], brightest[n] = flatten(block, transposed, sums), sums[2, 0]
+        for j in range(1, BLOCK):
+            brightest[n] = max(brightest[n], sums[2, j])
         for k in range(LAGS + 1):
             lag = k + 1 if k < LAGS else _SILL
             gamma[n, k] = _squares(block, BLOCK * lag) + _squares(transposed, BLOCK * lag)

@@ -1,9 +1,8 @@
 """Test candidates for a rim that lies on a circle, from the steepest point along sixteen rays."""
 
-import numba as nb
 import numpy as np
 
-from sightline.detection.compiled import exact, inlined
+from sightline.kernels import exact, inlined, kernel
 from sightline.threads import in_parts
 
 # Columns of an extremum (the first four) and of a candidate.
@@ -65,7 +64,7 @@ def judged(base: np.ndarray, extrema: np.ndarray, line: np.ndarray) -> np.ndarra
     return out
 
 
-@nb.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917
     # Views are made here once: each one made for an extremum counts its references, and atomic counters stall.
     pixels, seen = base.reshape(-1), np.empty((_PLACES, _RAYS), np.float32)

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 
-from sightline.detection.compiled import FAST, exact, fast
 from sightline.detection.noise import AREA, BLOCK, NoiseModel, flatten
 from sightline.detection.window import TAPS, along_both_axes
 from sightline.fitting.robust import quantiles
+from sightline.kernels import FAST, exact, fast, kernel
 from sightline.threads import in_parts
 
 _WIDE, _STEP = BLOCK + 2 * TAPS, 4 * BLOCK  # px: side of a block with the filter's margin; distance of blocks
@@ -95,7 +94,7 @@ def _correlations_after(image: np.ndarray, mask: np.ndarray, noise: NoiseModel, 
     return out
 
 
-@nb.njit(cache=True, fastmath=FAST, nogil=True)
+@kernel(fastmath=FAST, nogil=True)
 def _correlations_part(part, parts, image, mask, line, taps, ceiling, columns, out):  # noqa: PLR0917
     block, transposed, sums = np.empty(AREA, np.float32), np.empty(AREA, np.float32), np.empty((3, BLOCK), np.float32)
     for b in range(part, len(out), parts):

@@ -3,8 +3,8 @@
 import numpy as np
 
 from sightline.detection.columns import CONTRAST, RADIUS, U, V
-from sightline.detection.compiled import exact, fast, part_of_caller, squared
 from sightline.detection.noise import LAGS
+from sightline.kernels import exact, fast, part_of_caller, squared
 
 BEYOND = 5.0  # px of background around the rim, enough for five blurs [ours]
 TAPS = 6  # px to either side, of the filter

@@ -1,10 +1,9 @@
 """Cholesky factors within kernels, where a call of LAPACK would cost more than the factor of a hundred rows."""
 
 import numpy as np
-from numba import njit
 
-# As `detection.compiled.fast`: for kernels that Python calls, and inlined in these.
-fast = njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, error_model="numpy", forceinline=True)
+from sightline.kernels import exact_unchecked, fast
+
 PIVOTS, STRIDE = 4, 16  # rows that `eliminate` takes at once, and columns of a vectorised step
 
 
@@ -27,7 +26,7 @@ def factor(n, matrix):
 
 
 # Without fastmath: its loops have no sums to be reordered, and kernels may call it without inlining it.
-@njit(cache=True, fastmath=False, error_model="numpy", forceinline=False)
+@exact_unchecked
 def eliminate(n, dense, matrix):
     """Eliminate the first n rows of a symmetric matrix with columns beside it; return False if it is not positive.
 

@@ -6,7 +6,8 @@ Labelling tries hypotheses with it, and the calibration of a solid begins with i
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from sightline.kernels import exact_unchecked
 
 STEPS = 4  # Gauss-Newton steps of a fit; from a hypothesis three suffice for 0.01 px [calc]
 PARAMETERS = 9
@@ -42,7 +43,7 @@ class Fit(NamedTuple):
     half_log_det: float
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def project(camera, xyz_mm):
     """Return pixels (N, 2) of points (N, 3), px/mm (N,) there, and the derivatives (N, 2, 9) of the pixels.
 
@@ -69,7 +70,7 @@ def project(camera, xyz_mm):
     return uv, scales, by
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _normal_equations(camera, prior, xyz_mm, uv_px, variance_px2):
     """Return the precision (9, 9), the gradient (9,), chi-square, and half the log determinants of the covariances."""
     uv, _, by = project(camera, xyz_mm)
@@ -99,7 +100,7 @@ def _normal_equations(camera, prior, xyz_mm, uv_px, variance_px2):
     return precision, gradient, chi2, half_log_det
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _rotated(matrix, vector):
     """Return the rotation by a small rotation vector, to second order and made orthonormal again, of a matrix."""
     out = np.empty((3, 3))
@@ -114,7 +115,7 @@ def _rotated(matrix, vector):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def fit(camera, prior, xyz_mm, uv_px, variance_px2):
     """Return the least-squares camera for balls (n, 3) seen at pixels (n, 2) with covariances (n, 2, 2).
 

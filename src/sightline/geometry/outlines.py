@@ -1,7 +1,8 @@
 """Outlines: closed polygons in a plane."""
 
 import numpy as np
-from numba import njit
+
+from sightline.kernels import exact, exact_unchecked
 
 
 def centroids(outlines: np.ndarray) -> np.ndarray:
@@ -24,7 +25,7 @@ def convex_hull(points: np.ndarray) -> np.ndarray:
     return order[_chain(np.ascontiguousarray(points[order], dtype=np.float64))]
 
 
-@njit(cache=True)
+@exact
 def _chain(points):
     """Return the rows of the hull of points sorted by x and y: its lower side, then its upper side (Andrew 1979)."""
     n = len(points)
@@ -44,7 +45,7 @@ def _chain(points):
     return out[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@exact_unchecked
 def _centroids(outlines):
     out = np.empty((len(outlines), 2))
     for n in range(len(outlines)):

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-import numba as nb
 import numpy as np
 
 from sightline.imaging.radiograph import Radiograph
+from sightline.kernels import kernel
 
 # In a progressive frame, a line differs from the mean of its neighbours by no more than from the mean of the lines two
 # away; white noise gives a ratio of 1. Movement between two fields gives a larger ratio.
@@ -24,7 +24,7 @@ def comb(image: Radiograph) -> float:
     return float(np.sqrt(near / count) / max(np.sqrt(far / count), 1e-6)) if count else 0.0
 
 
-@nb.njit(cache=True, fastmath={"reassoc", "contract"}, nogil=True)
+@kernel(fastmath={"reassoc", "contract"}, nogil=True)
 def _squares(pixels, field):
     """Return the sums of squares of both differences of `comb`, and the number of pixels that count."""
     near = far = 0.0

@@ -1,13 +1,14 @@
 """Size of an LZW stream, without unpacking it."""
 
 import numpy as np
-from numba import njit
+
+from sightline.kernels import exact
 
 _CLEAR, _END = 256, 257
 _MAX_CODES = 4096
 
 
-@njit(cache=True)
+@exact
 def _size(data: np.ndarray, most: int) -> int:
     lengths = np.ones(_MAX_CODES + 1, np.int64)
     known, width, before = _END + 1, 9, _CLEAR

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from sightline.errors import OutsideRegionError
 from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.kernels import kernel
 from sightline.planning.anatomy import Anatomy
 from sightline.planning.corridor import Corridor
 from sightline.planning.metrics import metric
@@ -103,7 +103,7 @@ def _cubic(x: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _fill_cubic(x, values, at, after, out):
     """Fill `out` with the values of `_cubic`; `after` (A,): the first station not before each place."""
     count = min(4, len(x))

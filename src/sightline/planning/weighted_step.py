@@ -5,10 +5,11 @@ long.
 """
 
 import numpy as np
-from numba import njit
+
+from sightline.kernels import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def weighted_step(xyz, planes, xy, seen, focal, first, total, picks, snapped):  # noqa: PLR0917 - a kernel
     """Move points `xyz` (N, 3) by one step. Return False where a point is behind a focal point, or a covariance is
     singular.
@@ -21,15 +22,16 @@ def weighted_step(xyz, planes, xy, seen, focal, first, total, picks, snapped):  
     size = 2 * views
     slope, by_focal, residual = np.zeros((size, 3)), np.zeros((size, 3)), np.zeros(size)
     for i in range(count):
-        shown = np.flatnonzero(seen[:, i])
-        rows = 2 * len(shown)
-        place, base, own = np.empty(rows, np.int64), np.empty(rows, np.int64), np.empty(rows, np.int64)
-        for k in range(len(shown)):
-            v, at = shown[k], slice(2 * k, 2 * k + 2)
-            if not _residual(xyz[i], planes[v], xy[v, i], slope[at], by_focal[at], residual[at]):
+        place, base, own, rows = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64), 0
+        for v in range(views):
+            if not seen[v, i]:
+                continue
+            if not _residual(xyz[i], planes[v], xy[v, i], slope[rows:], by_focal[rows:], residual[rows:]):
                 return False
             for a in range(2):
-                place[2 * k + a], base[2 * k + a], own[2 * k + a] = first[v, i] + a, focal[v], 2 * v + a
+                place[rows], base[rows], own[rows] = first[v, i] + a, focal[v], 2 * v + a
+                rows += 1
+        own = own[:rows]
         information = _covariance(total, picks[i], by_focal, place, base, own)
         if not _invert(information):
             return False
@@ -40,7 +42,7 @@ def weighted_step(xyz, planes, xy, seen, focal, first, total, picks, snapped):  
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _residual(point, view, line, slope, by_focal, residual):  # noqa: PLR0917 - a kernel
     """Set what `LineResiduals` holds of a point (3,) in a view (5, 3): both residuals (2,), and the derivatives (2, 3)
     of its shadow by the point and of its residuals by the focal point. Return whether it casts a shadow."""
@@ -64,10 +66,10 @@ def _residual(point, view, line, slope, by_focal, residual):  # noqa: PLR0917 - 
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _covariance(total, picks, by_focal, place, base, own):  # noqa: PLR0917 - a kernel
     """Return the covariance (n, n) of a point's residuals: of its lines, of the focal points, and of its picks."""
-    rows = len(place)
+    rows = len(own)
     out = np.empty((rows, rows))
     for p in range(rows):
         for q in range(rows):
@@ -80,7 +82,7 @@ def _covariance(total, picks, by_focal, place, base, own):  # noqa: PLR0917 - a 
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _take_out(information, direction, own):
     """Set the information (n, n) to that in the limit of infinite variance in a direction; none where it is zero."""
     rows = len(own)
@@ -95,7 +97,7 @@ def _take_out(information, direction, own):
                 information[p, q] -= carried[p] * carried[q] / weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _move(point, slope, information, residual):
     """Move a point (3,) by the least-squares step; return False where its residuals (n,) do not determine it."""
     normal, right = np.zeros((3, 3)), np.zeros(3)
@@ -115,7 +117,7 @@ def _move(point, slope, information, residual):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _invert(matrix):
     """Replace a symmetric positive definite matrix (n, n) by its inverse; return whether it has one."""
     n = len(matrix)

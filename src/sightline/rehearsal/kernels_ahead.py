@@ -1,8 +1,9 @@
 """Kernels of detection, labelling and calibration, compiled by two processes before a first demo needs them.
 
 A process compiles on one core. While a first demo draws its images and its robot starts, one process has fitted beads,
-and the other has searched an image, and labelled and calibrated true beads of the twin. numba has put the kernels on
-the disk, where the demo finds them. Without these processes the demo compiles them itself: no result depends on them.
+and the other has searched an image, labelled and calibrated true beads of the twin, and planned a line. numba has put
+the kernels on the disk, where the demo finds them. Without these processes the demo compiles them itself: no result
+depends on them.
 """
 
 import subprocess
@@ -30,6 +31,7 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.imaging.defects import interlaced
+from sightline.planning import plan
 from sightline.threads import THREADS
 from sightline.twin import draw_setup
 from sightline.twin.carm import bead_images, shadow_radius_px
@@ -73,28 +75,27 @@ def compiled(kernel: Callable[..., object]) -> bool:
 
 
 def fit_beads() -> None:
-    """Fit beads in an image, so that the kernels of the fits are compiled, and no others."""
+    """Fit beads in an image, so that the kernels of the fits, of the noise and of the image's tests are compiled."""
     image, uv_px = _beads()
     logs = np.log(image.pixels.astype(np.float32))
-    # White noise as drawn: its s.d. is _NOISE at every light.
-    noise = NoiseModel(float(2 * np.log(_NOISE)), 2.0, np.eye(LAGS + 1)[0])
-    response = np.full(len(uv_px), np.log(_SHADOW / _LIGHT))
-    BeadFitter(logs, np.ones(logs.shape, bool), noise)(start(uv_px, np.full(len(uv_px), _RADIUS_PX), response))
+    usable, rows = np.ones(logs.shape, bool), _started(uv_px)
+    noise = estimate_noise(logs, usable)
+    assert noise is not None  # noqa: S101 - it was drawn
+    interlaced(image)
+    clipped_shares(image, usable, rows)
+    BeadFitter(logs, usable, noise)(rows)
 
 
 def search_image() -> None:
-    """Search an image for beads, so that the kernels are compiled of all that detection does but the fits."""
-    image, uv_px = _beads()
-    mask, logs = field_and_logs(image)
-    noise = estimate_noise(logs, mask)
-    assert noise is not None  # noqa: S101 - it was drawn
-    interlaced(image)
-    find_candidates(logs, mask, noise)
-    rows = start(uv_px, np.full(len(uv_px), _RADIUS_PX), np.full(len(uv_px), -1.0))
-    held = mask.copy()
-    held.flags.writeable = False
-    for usable in (mask.copy(), held):  # both occur: numba compiles for each
-        clipped_shares(image, usable, rows)
+    """Search an image for beads, so that the kernels of the search are compiled."""
+    mask, logs = field_and_logs(_beads()[0])
+    # White noise as drawn: its s.d. is _NOISE at every light.
+    find_candidates(logs, mask, NoiseModel(float(2 * np.log(_NOISE)), 2.0, np.eye(LAGS + 1)[0]))
+
+
+def _started(uv_px: np.ndarray) -> np.ndarray:
+    """Return where the fits of the beads (N, 2) of `_beads` start."""
+    return start(uv_px, np.full(len(uv_px), _RADIUS_PX), np.full(len(uv_px), np.log(_SHADOW / _LIGHT)))
 
 
 def _beads() -> tuple[Radiograph, np.ndarray]:
@@ -109,13 +110,14 @@ def _beads() -> tuple[Radiograph, np.ndarray]:
     return Radiograph(np.clip(np.rint(light), 0, _WHITE).astype(np.uint16), float(_WHITE)), places
 
 
-def label_and_calibrate(frame: Frame, methods: Sequence[Method]) -> None:
-    """Label and calibrate the true beads of a drawn set-up and project the hip, so that the kernels are compiled.
+def label_and_plan(frame: Frame, methods: Sequence[Method]) -> None:
+    """Label and calibrate the true beads of a drawn set-up, and plan a line there, so that the kernels are compiled.
 
     Raises SetUpError.
     """
     rng = np.random.default_rng(SEED)
-    setup = draw_setup(rng, frame)
+    setup, views, line_px = draw_setup(rng, frame), [], []
+    line_mm = setup.hip_mm + np.array([[0.0, 0.0, 0.0], [20.0, 10.0, 20.0]])
     for name, view in setup.views.items():
         ids, uv = bead_images(setup, name, rng, SD_PX)
         of = {bead.id: bead for bead in setup.frame_in(name).fiducials_of(name)}
@@ -132,7 +134,12 @@ def label_and_calibrate(frame: Frame, methods: Sequence[Method]) -> None:
         )
         observations = label(found, frame, None if frame.solid is None else name)
         for method in methods:
-            calibrate(observations, frame, method=method).project(setup.hip_mm[None])
+            calibrated = calibrate(observations, frame, method=method)
+            shown = calibrated.project(line_mm)
+            if method == methods[0]:
+                views.append(calibrated)
+                line_px.append(shown)
+    plan(views, *np.swapaxes(line_px, 0, 1))
 
 
 if __name__ == "__main__":
@@ -141,4 +148,4 @@ if __name__ == "__main__":
             fit_beads()
         else:
             search_image()
-            label_and_calibrate(Frame.load(sys.argv[2]), cast("list[Method]", sys.argv[3:]))
+            label_and_plan(Frame.load(sys.argv[2]), cast("list[Method]", sys.argv[3:]))

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sightline.detection.compiled import exact_unchecked
 from sightline.detection.labelling.map_prior import features
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, Similarity
 from sightline.detection.results import Detections
+from sightline.kernels import exact_unchecked
 
 REMAINDER = 0.003  # s.d. beyond degree 5, share of the radius: 0.3 mm of 107 (physics.md: 0.11-0.13 mm rms) [ours]
 GATE = 3.5  # standard deviations [ours]

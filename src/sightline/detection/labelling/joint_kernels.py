@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.detection.compiled import exact_unchecked, fast, squared
 from sightline.fitting.dense import PIVOTS, STRIDE, eliminate, factor
 from sightline.fitting.robust import MEDIAN_M2
 from sightline.geometry.lines import SPREAD_RAD
+from sightline.kernels import exact_unchecked, fast, squared
 
 MIN_BEADS = 8  # of each plate [ours]
 MIN_BEYOND = 0.1  # smallest distance of the focal point beyond the source plate, over that between the plates [ours]
@@ -341,7 +341,8 @@ def settle(spots, places, at, on):
             changed += new[k] != on[k]
         if iteration and changed == 0 and abs(growth - before) < SAME_NOISE * before:
             return fit, True
-        on[:] = new
+        for k in range(n):  # a copy of arrays takes numba 2 s to compile, for the message that their sizes differ
+            on[k] = new[k]
         if _fewest(on, places) < MIN_BEADS or not _sees(places, fit.focal):
             break
     return fit, False

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sightline.detection.compiled import exact_unchecked
 from sightline.fitting.kernels import squared_exponential
+from sightline.kernels import exact_unchecked
 
 DEGREE = 5
 # Prior s.d. of what a map adds to a similarity, per degree, as a share of the field's radius: position, tilt and scale,

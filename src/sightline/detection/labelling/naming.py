@@ -7,14 +7,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from sightline.detection.compiled import exact_unchecked
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import complex_points, real_points
 from sightline.fitting.kernels import exact_squares
 from sightline.fitting.robust import median
+from sightline.kernels import exact_unchecked, kernel
 
 # Cost of a bead: half the square of its log-radius error over RADIUS_SD, at most CONTRADICTION. That is the log odds
 # against a misjudged size, or against a bead where the plate has none (2 % each) [ours].
@@ -98,7 +97,7 @@ class _Costs(NamedTuple):
     cheapest: np.ndarray
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True)
 def _reading(start, step, origin, away, flip):
     """Return rotation and shift of z = x + iy, mm, conjugated first for `flip`.
 

@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from sightline.detection.compiled import exact_unchecked
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
 from sightline.fitting.dense import STRIDE
 from sightline.fitting.robust import median
+from sightline.kernels import exact_unchecked, kernel, part_of_caller
 
 MAX_LARGE = 32  # detections tried as datum markers [ours: 12 datums, 10 false ones, and a margin]
 LARGER = 1.12  # than the median detection: half the step from 3 to 5 mm, less 15 % for the plates' scales [ours]
@@ -139,19 +138,19 @@ def _nearest_table(w, usable, width, height):
     return table
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@part_of_caller
 def _square(z):
     """Return the squared modulus of a complex number."""
     return z.real**2 + z.imag**2
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@part_of_caller
 def _laid(z, mirror):
     """Return a place of the plate, conjugated if mirrored."""
     return z.conjugate() if mirror else z
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True)
 def _score(triple, plate, beads, least):
     """Return the number of beads in place, less half of those with a wrong size and a third of the missing ones.
 
@@ -196,7 +195,7 @@ def _log_sides(plate):
     return out
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True)
 def _fitted(beads, plate, rows, places, mirror, ratios):  # noqa: PLR0917 - a kernel
     """Return the least-squares triple of detections `rows` and `places`.
 
@@ -212,7 +211,7 @@ def _fitted(beads, plate, rows, places, mirror, ratios):  # noqa: PLR0917 - a ke
     return _Triple(rows, places, rotation, wm - rotation * zm, mirror, level)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True)
 def _offer(triple, plate, beads, best):
     """Insert a triple into the sorted best ones, if it is one of them; the worst is dropped when they are full."""
     scores, what, found = best.scores, best.what, best.found

@@ -52,24 +52,18 @@ def _called_by(kernel: CPUDispatcher) -> list[CPUDispatcher]:
     return [here[name] for name in kernel.py_func.__code__.co_names if isinstance(here.get(name), CPUDispatcher)]
 
 
-def _leaves_open(kernel: CPUDispatcher) -> bool:
-    """Return whether a kernel's compilation may differ from caller to caller."""
-    options = kernel.targetoptions
-    if options.get("inline") == "always":
-        return False
-    stated = {"fastmath", "error_model"} <= options.keys()
-    return not stated or bool(options["fastmath"] and not options["forceinline"])
-
-
-def test_no_kernel_of_detection_calls_one_that_leaves_open_how_it_is_compiled() -> None:
+def test_kernels_state_how_they_are_compiled_and_fastmath_is_for_python_or_inlined() -> None:
     kernels = _kernels()
     assert len(kernels) > 60
-    detection = [one for name, one in kernels.items() if name.startswith("sightline.detection.")]
-    fast = [one for one in kernels.values() if one.targetoptions.get("fastmath")]
-    assert len(detection) > 40
-    assert {"fit_part", "_cast_volume"} <= {one.__name__ for one in fast}
-    for caller in {*fast, *(one for one in detection if "labelling" not in one.py_func.__module__)}:
-        assert [one.__name__ for one in _called_by(caller) if _leaves_open(one)] == [], caller.__name__
+    assert {"fit_part", "_cast_volume"} <= {one.__name__ for one in kernels.values() if _is_fast(one)}
+    for caller in kernels.values():
+        assert caller.targetoptions.keys() >= {"fastmath", "error_model", "forceinline"}, caller.__name__
+        copied = [one for one in _called_by(caller) if _is_fast(one) and not one.targetoptions["forceinline"]]
+        assert [one.__name__ for one in copied] == [], caller.__name__
+
+
+def _is_fast(kernel: CPUDispatcher) -> bool:
+    return bool(kernel.targetoptions.get("fastmath"))
 
 
 def _with_inlined(kernel: CPUDispatcher) -> list[CPUDispatcher]:
@@ -93,7 +87,7 @@ def _kernels_of_numba(kernel: CPUDispatcher) -> set[str]:
 
 
 def test_no_kernel_with_fastmath_uses_a_kernel_of_numba_which_any_other_may_have_compiled_without() -> None:
-    fast = [one for one in _kernels().values() if one.targetoptions.get("fastmath")]
+    fast = [one for one in _kernels().values() if _is_fast(one)]
     assert {one.__name__: found for one in fast if (found := _kernels_of_numba(one))} == {}
 
 
@@ -110,6 +104,71 @@ def _raised(x: np.ndarray) -> float:
 def test_kernels_of_numba_are_found_where_they_are_inlined() -> None:
     assert isinstance(_raised, CPUDispatcher)
     assert _kernels_of_numba(_raised) == {"Pow", "sum", "hypot"}
+
+
+_CALLER = """
+from sightline.kernels import exact
+from callee import halved
+from limits import LIMIT
+
+@exact
+def called(x):
+    return LIMIT - halved(x)
+
+@exact
+def second(x):
+    return x[1]
+"""
+_CALLEE = """
+from sightline.kernels import exact
+
+@exact
+def halved(x):
+    return 0.5 * x
+"""
+_CALL = """
+import numpy as np
+from caller import called, second
+x = np.arange(4.0)
+print(called(3.0), second(x[::2]), second(x))
+"""
+
+
+def _print_calls(folder: Path) -> str:
+    command = [sys.executable, "-B", "-c", _CALL]
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    ran = subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True, text=True)  # noqa: S603 - ours
+    return ran.stdout
+
+
+@pytest.fixture
+def compiled(tmp_path: Path) -> Path:
+    """A folder with two modules whose kernels are on the disk."""
+    (tmp_path / "caller.py").write_text(_CALLER)
+    (tmp_path / "callee.py").write_text(_CALLEE)
+    (tmp_path / "limits.py").write_text("LIMIT = 10.0")
+    assert _print_calls(tmp_path) == "8.5 2.0 1.0\n"
+    assert len(list(tmp_path.rglob("caller.second-*.nbc"))) == 2
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("file", "new", "want"), [("callee", _CALLEE.replace("0.5", "2.0"), "4.0"), ("limits", "LIMIT = 15.5", "14.0")]
+)
+def test_a_kernel_is_compiled_again_when_another_file_has_changed(
+    file: str, new: str, want: str, compiled: Path
+) -> None:
+    (compiled / f"{file}.py").write_text(new)
+    assert _print_calls(compiled) == f"{want} 2.0 1.0\n"
+    assert len(list(compiled.rglob("caller.called-*.nbc"))) == 2
+
+
+def test_code_for_other_types_than_its_index_says_is_not_run(compiled: Path) -> None:
+    one, other = sorted(compiled.rglob("caller.second-*.nbc"))  # as two processes leave it that write at once
+    held = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(held)
+    assert _print_calls(compiled) == "8.5 2.0 1.0\n"
 
 
 @pytest.mark.slow
