@@ -185,5 +185,7 @@ def test_beads_are_the_same_whether_their_kernels_were_compiled_now_or_before(tm
 
     compiled = found(NUMBA_CACHE_DIR=str(tmp_path))
     assert any(tmp_path.rglob("fit.fit_part*.nbc"))
+    kept = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nb?")}
     assert len(compiled) > 60 and found(NUMBA_CACHE_DIR=str(tmp_path)) == compiled
+    assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nb?")} == kept  # nothing was compiled again
     assert found() == compiled  # by whatever ran first in this checkout, in another order

@@ -58,7 +58,7 @@ def _made_from(kernel: CPUDispatcher) -> frozenset[str]:
         if isinstance(value, CPUDispatcher):
             found |= _made_from(value)
         elif isinstance(value, ModuleType):
-            found.add(_source(value.__file__ or ""))
+            found.add(_source(getattr(value, "__file__", None) or ""))
         elif isinstance(value, np.ndarray):
             found.add(f"{name} {value.dtype} {value.shape} {sha256(value.tobytes()).hexdigest()}")
         else:
@@ -68,7 +68,8 @@ def _made_from(kernel: CPUDispatcher) -> frozenset[str]:
 
 @cache
 def _source(path: str) -> str:
-    return sha256(Path(path).read_bytes()).hexdigest() if path else ""
+    file = Path(path)  # not there in a frozen program, of which numba compares the whole
+    return sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -123,7 +123,7 @@ class RandomField:
     def _sum(bx: np.ndarray, by: np.ndarray, weights: np.ndarray) -> np.ndarray:
         n = bx.shape[1]
         rows = (bx @ weights.reshape(n, 2 * n)).reshape(-1, n, 2)
-        return (rows * by[:, :, None]).sum(axis=1)
+        return np.einsum("nia,ni->na", rows, by)
 
 
 @dataclass(frozen=True, eq=False)

@@ -274,7 +274,9 @@ def pixel_rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
     x, y = (s(pv, pu) for s in splines)
     slopes = [(s(pv, pu, dy=1), s(pv, pu, dx=1)) for s in splines]
     area = slopes[0][0] * slopes[1][1] - slopes[0][1] * slopes[1][0]
-    points = view.detector.origin_mm + x[..., None] * view.detector.axes[0] + y[..., None] * view.detector.axes[1]
+    points = x[..., None] * view.detector.axes[0]
+    points += view.detector.origin_mm
+    points += y[..., None] * view.detector.axes[1]
     return Rays(view.focal_point_mm, points, inside), area / area[h // 2, w // 2]
 
 
