@@ -38,9 +38,13 @@ class _Kept(FunctionCache):
         self._kernel = kernel
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        fields = [getattr(one, "fields", ()) for one in normalize_signature(sig)[0]]  # their order, of named tuples
-        made_from = "\n".join([*sorted(_made_from(self._kernel)), repr(fields)])
-        return (*super()._index_key(sig, codegen), sha256(made_from.encode()).hexdigest())
+        fields = tuple(getattr(one, "fields", ()) for one in normalize_signature(sig)[0])  # of named tuples, in order
+        return (*super()._index_key(sig, codegen), fields, _made_from(self._kernel))
+
+    def holds_any(self) -> bool:
+        """Return whether there is code for any types, made from the present sources."""
+        index = self._cache_file._load_index()  # pyright: ignore[reportPrivateUsage]
+        return any(key[-1] == _made_from(self._kernel) for key in index)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         found = super().load_overload(sig, target_context)
@@ -50,13 +54,18 @@ class _Kept(FunctionCache):
 
 
 @cache
-def _made_from(kernel: CPUDispatcher) -> frozenset[str]:
-    """Return hashes of the files of a kernel and of those that it calls, and the values of the constants they read."""
+def _made_from(kernel: CPUDispatcher) -> str:
+    """Return a hash of the files of a kernel and of those that it calls, and of the constants they read."""
+    return sha256("\n".join(sorted(_parts(kernel))).encode()).hexdigest()
+
+
+@cache
+def _parts(kernel: CPUDispatcher) -> frozenset[str]:
     function, found = kernel.py_func, {_source(__file__), _source(kernel.py_func.__code__.co_filename)}
     for name in function.__code__.co_names:
         value = function.__globals__.get(name)
         if isinstance(value, CPUDispatcher):
-            found |= _made_from(value)
+            found |= _parts(value)
         elif isinstance(value, ModuleType):
             found.add(_source(getattr(value, "__file__", None) or ""))
         elif isinstance(value, np.ndarray):
@@ -82,6 +91,12 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return one
 
     return compiled
+
+
+def is_compiled(function: Callable[..., Any]) -> bool:
+    """Return whether a kernel is on the disk for some types, or numba compiles nothing."""
+    kept = vars(function).get("_cache")
+    return not isinstance(kept, _Kept) or kept.holds_any()
 
 
 exact = kernel()

@@ -16,9 +16,10 @@ from sightline.detection.fit import fit_part
 from sightline.detection.labelling.joint_kernels import settle
 from sightline.detection.refine import BeadFitter
 from sightline.frame import Frame
+from sightline.kernels import is_compiled
 from sightline.planning import plan
 from sightline.rehearsal import kernels_ahead
-from sightline.rehearsal.kernels_ahead import KernelsAhead, compiled, fit_beads, label_and_plan, search_image
+from sightline.rehearsal.kernels_ahead import KernelsAhead, fit_beads, label_and_plan, search_image
 
 METHODS = ("smooth", "localized", "polynomial")
 
@@ -35,16 +36,16 @@ def test_it_calibrates_every_view_by_every_method_and_then_the_kernels_are_there
     assert done == [(view, method) for view in views for method in methods]
     views, entry_px, end_px = planned.call_args.args
     assert 20 < plan(views, entry_px, end_px).trajectory.length_mm < 40
-    assert compiled(settle)
+    assert is_compiled(settle)
 
 
 def test_no_process_is_started_where_the_kernels_are_there_or_no_core_is_free():
     """Fails for a process at every demo."""
     with patch.object(kernels_ahead.subprocess, "Popen", side_effect=AssertionError):
-        with patch.object(kernels_ahead, "compiled", return_value=True), KernelsAhead("gamma", METHODS):
+        with patch.object(kernels_ahead, "is_compiled", return_value=True), KernelsAhead("gamma", METHODS):
             pass
         alone = patch.object(kernels_ahead, "THREADS", 1)
-        with alone, patch.object(kernels_ahead, "compiled", return_value=False), KernelsAhead("gamma", METHODS):
+        with alone, patch.object(kernels_ahead, "is_compiled", return_value=False), KernelsAhead("gamma", METHODS):
             pass
 
 
@@ -63,7 +64,7 @@ def test_it_fits_every_drawn_bead_where_it_is():
     assert len(rows) > 40
     assert (rows[:, STATUS] == FITTED).all()
     np.testing.assert_allclose(rows[:, [U, V]], fitted.call_args.args[1][:, [U, V]], atol=0.3)
-    assert compiled(fit_part)
+    assert is_compiled(fit_part)
 
 
 def test_it_finds_the_drawn_beads():
@@ -76,7 +77,7 @@ def test_it_finds_the_drawn_beads():
 
 def test_processes_are_waited_for_and_end_with_their_block():
     """Fails for processes that outlive the demo, and for a wait that ends before they do."""
-    cold = patch.object(kernels_ahead, "compiled", return_value=False)
+    cold = patch.object(kernels_ahead, "is_compiled", return_value=False)
     with cold, patch.object(kernels_ahead, "THREADS", 2), KernelsAhead("gamma", METHODS) as ahead:
         first, second = ahead._processes
         assert [first.poll(), second.poll()] == [None, None]
@@ -95,7 +96,7 @@ def test_in_an_empty_cache_each_process_compiles_what_the_check_looks_for(tmp_pa
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
 
     def says() -> list[str]:
-        program = "from sightline.rehearsal.kernels_ahead import *; print(compiled(fit_part), compiled(settle))"
+        program = "from sightline.rehearsal.kernels_ahead import *; print(is_compiled(fit_part), is_compiled(settle))"
         done = run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)  # noqa: S603
         return done.stdout.split()
 

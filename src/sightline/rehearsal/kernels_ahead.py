@@ -8,9 +8,8 @@ depends on them.
 
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import cast
 
 import cv2
@@ -31,6 +30,7 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.imaging.defects import interlaced
+from sightline.kernels import is_compiled
 from sightline.planning import plan
 from sightline.threads import THREADS
 from sightline.twin import draw_setup
@@ -50,7 +50,7 @@ class KernelsAhead(Closing):
     def __init__(self, frame_name: str, methods: Sequence[Method]) -> None:
         self._processes: list[subprocess.Popen[bytes]] = []
         for largest, name in ((fit_part, "fits"), (settle, "labels")):  # the largest kernel of each
-            if THREADS > 1 and not compiled(largest):
+            if THREADS > 1 and not is_compiled(largest):
                 command = [sys.executable, "-m", __name__, name, frame_name, *methods]
                 quiet = subprocess.DEVNULL
                 process = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet)  # noqa: S603 - our own
@@ -66,12 +66,6 @@ class KernelsAhead(Closing):
         for process in self._processes:
             process.kill()
             process.wait()
-
-
-def compiled(kernel: Callable[..., object]) -> bool:
-    """Return whether a kernel is on the disk, or numba compiles nothing."""
-    stats = getattr(kernel, "stats", None)
-    return stats is None or any(Path(stats.cache_path).glob(f"*.{kernel.__name__}-*.nbi"))
 
 
 def fit_beads() -> None:
