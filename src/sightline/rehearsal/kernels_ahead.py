@@ -129,10 +129,10 @@ def label_and_plan(frame: Frame, methods: Sequence[Method]) -> None:
         observations = label(found, frame, None if frame.solid is None else name)
         for method in methods:
             calibrated = calibrate(observations, frame, method=method)
-            shown = calibrated.project(line_mm)
+            pixels = calibrated.project(line_mm)
             if method == methods[0]:
                 views.append(calibrated)
-                line_px.append(shown)
+                line_px.append(pixels)
     plan(views, *np.swapaxes(line_px, 0, 1))
 
 
