@@ -72,7 +72,8 @@ def fit_beads() -> None:
     """Fit beads in an image, so that the kernels of the fits, of the noise and of the image's tests are compiled."""
     image, uv_px = _beads()
     logs = np.log(image.pixels.astype(np.float32))
-    usable, rows = np.ones(logs.shape, bool), _started(uv_px)
+    usable = np.ones(logs.shape, bool)
+    rows = start(uv_px, np.full(len(uv_px), _RADIUS_PX), np.full(len(uv_px), np.log(_SHADOW / _LIGHT)))
     noise = estimate_noise(logs, usable)
     assert noise is not None  # noqa: S101 - it was drawn
     interlaced(image)
@@ -85,11 +86,6 @@ def search_image() -> None:
     mask, logs = field_and_logs(_beads()[0])
     # White noise as drawn: its s.d. is _NOISE at every light.
     find_candidates(logs, mask, NoiseModel(float(2 * np.log(_NOISE)), 2.0, np.eye(LAGS + 1)[0]))
-
-
-def _started(uv_px: np.ndarray) -> np.ndarray:
-    """Return where the fits of the beads (N, 2) of `_beads` start."""
-    return start(uv_px, np.full(len(uv_px), _RADIUS_PX), np.full(len(uv_px), np.log(_SHADOW / _LIGHT)))
 
 
 def _beads() -> tuple[Radiograph, np.ndarray]:
@@ -127,12 +123,10 @@ def label_and_plan(frame: Frame, methods: Sequence[Method]) -> None:
             image_shape=view.chain.shape,
         )
         observations = label(found, frame, None if frame.solid is None else name)
-        for method in methods:
-            calibrated = calibrate(observations, frame, method=method)
-            pixels = calibrated.project(line_mm)
-            if method == methods[0]:
-                views.append(calibrated)
-                line_px.append(pixels)
+        calibrated = [calibrate(observations, frame, method=method) for method in methods]
+        pixels = [one.project(line_mm) for one in calibrated]
+        views.append(calibrated[0])
+        line_px.append(pixels[0])
     plan(views, *np.swapaxes(line_px, 0, 1))
 
 
