@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-
 # A lock names all that is needed. With --no-deps pip asks no index what else there is: a release of tomorrow changes nothing.
 LOCKED := $(PIP) --require-hashes --no-deps
 
-.PHONY: demo test slow bench campaign mutants busy coverage docs lint lock wheel clean
+.PHONY: demo test slow bench campaign mutants busy coverage docs lint weight lock wheel clean
 .DEFAULT_GOAL := demo
 
 $(READY): requirements.lock pyproject.toml
@@ -65,6 +65,9 @@ lint: $(TOOLS)
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
+
+weight: $(READY)  ## how much there is to maintain, beside its limits in pyproject.toml
+	$(BIN)/python tools/weight.py
 
 docs: $(VENV)/.docs  ## the site: out/docs/index.html; three notebooks are executed
 	OPENBLAS_NUM_THREADS=1 $(BIN)/sphinx-build --fail-on-warning --jobs auto --quiet -d out/doctrees docs out/docs
