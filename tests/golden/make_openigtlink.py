@@ -56,23 +56,12 @@ def columns(rows: list[list[float]]) -> bytes:
     return struct.pack(">12f", *(rows[row][column] for column in range(4) for row in range(3)))
 
 
-def even(data: bytes) -> bytes:
-    return data + b"\0" * (len(data) % 2)
-
-
 def transform(fields: Fields) -> bytes:
     return columns(fields["matrix_rows"])
 
 
 def position(fields: Fields) -> bytes:
     return struct.pack(">7f", *fields["position"], *fields["quaternion_xyzw"])
-
-
-def tracking(fields: Fields) -> bytes:
-    return b"".join(
-        struct.pack(">20sBB", one["name"].encode(), one["type"], 0) + columns(one["matrix_rows"])
-        for one in fields["elements"]
-    )
 
 
 def status(fields: Fields) -> bytes:
@@ -99,14 +88,14 @@ def points(fields: Fields) -> bytes:
     return b"".join(
         struct.pack(
             ">64s32s4B4f20s",
-            one["name"].encode(),
-            one["group"].encode(),
-            *one["rgba"],
-            *one["position"],
-            one["radius"],
-            one["owner"].encode(),
+            item["name"].encode(),
+            item["group"].encode(),
+            *item["rgba"],
+            *item["position"],
+            item["radius"],
+            item["owner"].encode(),
         )
-        for one in fields["points"]
+        for item in fields["points"]
     )
 
 
@@ -114,17 +103,17 @@ def trajectories(fields: Fields) -> bytes:
     return b"".join(
         struct.pack(
             ">64s32sBB4B7f20s",
-            one["name"].encode(),
-            one["group"].encode(),
-            one["type"],
+            item["name"].encode(),
+            item["group"].encode(),
+            item["type"],
             0,
-            *one["rgba"],
-            *one["entry"],
-            *one["target"],
-            one["radius"],
-            one["owner"].encode(),
+            *item["rgba"],
+            *item["entry"],
+            *item["target"],
+            item["radius"],
+            item["owner"].encode(),
         )
-        for one in fields["trajectories"]
+        for item in fields["trajectories"]
     )
 
 
@@ -147,31 +136,9 @@ def image(fields: Fields) -> bytes:
     return head + columns(fields["matrix_rows"]) + struct.pack(">6H", 0, 0, 0, *size) + pixels
 
 
-def mesh(fields: Fields) -> bytes:
-    """Points, polygons and one attribute of scalars of the points; no vertices, lines or strips."""
-    cells = b"".join(struct.pack(f">{1 + len(cell)}I", len(cell), *cell) for cell in fields["polygons"])
-    corners = fields["points"]
-    attribute = fields["attribute"]
-    head = struct.pack(">10I", len(corners), 0, 0, 0, 0, len(fields["polygons"]), len(cells), 0, 0, 1)
-    coordinates = b"".join(struct.pack(">3f", *corner) for corner in corners)
-    values = attribute["data"]
-    about = struct.pack(">BBI", 0, 1, len(values)) + even(attribute["name"].encode() + b"\0")
-    return head + coordinates + cells + about + struct.pack(f">{len(values)}f", *values)
-
-
-def bind(fields: Fields) -> bytes:
-    """Types and sizes of the children, a table of their names, their bodies; names and bodies end at even places."""
-    children = [(kind, name, BODIES[kind](child)) for kind, name, child in fields["children"]]
-    sizes = b"".join(struct.pack(">12sQ", kind.encode(), len(body)) for kind, _, body in children)
-    names = even(b"".join(name.encode() + b"\0" for _, name, _ in children))
-    bodies = b"".join(even(body) for _, _, body in children)
-    return struct.pack(">H", len(children)) + sizes + struct.pack(">H", len(names)) + names + bodies
-
-
 BODIES = {
     "TRANSFORM": transform,
     "POSITION": position,
-    "TDATA": tracking,
     "STATUS": status,
     "STRING": string,
     "COMMAND": command,
@@ -181,8 +148,6 @@ BODIES = {
     "SENSOR": sensor,
     "NDARRAY": array,
     "IMAGE": image,
-    "POLYDATA": mesh,
-    "BIND": bind,
 }
 
 # A wire's pose in the frame's coordinates: 135 degrees about x, 30 about z, off the grid.
@@ -192,7 +157,6 @@ POSE = [
     [0.0, 0.70710678, -0.70710678, 318.15625],
     [0.0, 0.0, 0.0, 1.0],
 ]
-TURNED = [[0.0, -1.0, 0.0, -7.5], [1.0, 0.0, 0.0, 0.125], [0.0, 0.0, 1.0, 99.875], [0.0, 0.0, 0.0, 1.0]]
 PLAIN = {"device_name": "WireGuide", "timestamp_seconds": 1700000000, "timestamp_fraction": 0x80000000}
 NAMED = {**PLAIN, "message_id": 77, "metadata": [["side", 3, "left"], ["Rahmen", 106, "Γ-07"]]}
 ACCELERATION = (0x01 << 4 | 1) << 50 | (0x03 << 4 | 0xE) << 40  # metre to the power 1, second to the power -2 (4 bits)
@@ -208,15 +172,10 @@ def _words() -> Iterable[tuple[str, int, Fields]]:
 
 
 def _poses() -> Iterable[tuple[str, int, Fields]]:
-    tools = [
-        {"name": "WireTip", "type": 2, "matrix_rows": POSE},
-        {"name": "Frame", "type": 3, "matrix_rows": TURNED},
-    ]
     at = {"position": [12.375, -41.0625, 318.15625], "quaternion_xyzw": [0.5, -0.5, 0.5, 0.5]}
     for version in (1, 2):
         yield "TRANSFORM", version, {"matrix_rows": POSE}
         yield "POSITION", version, at
-        yield "TDATA", version, {"elements": tools}
 
 
 def _plans() -> Iterable[tuple[str, int, Fields]]:
@@ -271,24 +230,16 @@ def _numbers() -> Iterable[tuple[str, int, Fields]]:
     yield "SENSOR", 1, gauge
     yield "NDARRAY", 1, {"size": [2, 3, 2], "data": [k / 8 for k in range(12)]}
     yield "IMAGE", 1, shown
-    wedge = {
-        "points": [[0, 0, 0], [10, 0, 0], [0, 12.5, 0], [0, 0, -4]],
-        "polygons": [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]],
-        "attribute": {"name": "mm", "data": [0.0, 1.5, -2.0, 8.25]},
-    }
-    yield "POLYDATA", 1, wedge
-    children = [["TRANSFORM", "Tip", {"matrix_rows": POSE}], ["IMAGE", "Shot", shown], ["SENSOR", "Gauge", gauge]]
-    yield "BIND", 1, {"children": children}
 
 
 def make() -> dict[str, dict[str, Any]]:
     """Every message by its type and version: fields and bytes."""
-    out = {}
+    messages = {}
     for kind, version, fields in (*_words(), *_poses(), *_plans(), *_numbers()):
         whole = {**(NAMED if version == 2 else PLAIN), **fields}
         wire = message(kind, version, whole)
-        out[f"{kind}_v{version}"] = {"type": kind, "version": version, "fields": whole, "wire_hex": wire.hex()}
-    return out
+        messages[f"{kind}_v{version}"] = {"type": kind, "version": version, "fields": whole, "wire_hex": wire.hex()}
+    return messages
 
 
 if __name__ == "__main__":

@@ -5,8 +5,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from sightline.robot.igtl import (
-    Attribute,
-    Bind,
     Capability,
     Command,
     CommandReply,
@@ -18,7 +16,6 @@ from sightline.robot.igtl import (
     Path,
     Point,
     Points,
-    PolyData,
     Position,
     Sensor,
     Start,
@@ -26,12 +23,10 @@ from sightline.robot.igtl import (
     Status,
     Stop,
     String,
-    Tracked,
-    TrackingData,
     Trajectories,
     Transform,
 )
-from sightline.robot.igtl.messages_query import ASKED_FOR, FLOWING
+from sightline.robot.igtl.messages_query import QUERIED, STREAMED
 
 WORDS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=30)
 FLOATS = st.floats(width=32, allow_nan=True, allow_infinity=True)
@@ -66,32 +61,11 @@ def images(draw: st.DrawFn) -> Image:
     return Image(pixels, draw(MATRICES), draw(st.sampled_from(["RAS", "LPS"])), size, offset)
 
 
-@st.composite
-def meshes(draw: st.DrawFn) -> PolyData:
-    count = draw(st.integers(1, 6))
-    cells = st.lists(st.lists(st.integers(0, count - 1), max_size=4).map(tuple), max_size=3).map(tuple)
-    shapes = st.tuples(st.integers(0, 4), st.integers(1, 9))
-    attribute = st.builds(Attribute, fitting(40), shapes.flatmap(lambda shape: numbers(*shape)), BYTE)
-    lists = [draw(cells) for _ in range(4)]
-    return PolyData(draw(numbers(count, 3)), *lists, tuple(draw(st.lists(attribute, max_size=3))))
-
-
-def starts() -> st.SearchStrategy[Start]:
-    long = st.none() | st.integers(0, 2**64 - 1)
-    return st.one_of(
-        st.builds(Start, st.just("TDATA"), st.integers(0, 2**32 - 1), fitting(32)),
-        st.builds(Start, st.sampled_from(["SENSOR", "POLYDATA", "BIND"]), long),
-        st.builds(Start, st.sampled_from(["TRANSFORM", "POSITION", "IMAGE"])),
-    )
-
-
 POINT = st.builds(Point, fitting(64), numbers(3), fitting(32), COLOURS, FLOATS, fitting(20))
 PATH = st.builds(Path, fitting(64), numbers(3), numbers(3), fitting(32), BYTE, COLOURS, FLOATS, fitting(20))
-TOOL = st.builds(Tracked, fitting(20), MATRICES, BYTE)
-PLAIN = {
+BODIES = {
     Transform: st.builds(Transform, MATRICES),
     Position: st.builds(Position, numbers(3), numbers(4)),
-    TrackingData: st.builds(TrackingData, st.lists(TOOL, max_size=3).map(tuple)),
     Points: st.builds(Points, st.lists(POINT, max_size=3).map(tuple)),
     Trajectories: st.builds(Trajectories, st.lists(PATH, max_size=3).map(tuple)),
     Status: st.builds(Status, st.integers(0, 65535), fitting(20), WORDS, st.integers(-(2**63), 2**63 - 1)),
@@ -102,15 +76,11 @@ PLAIN = {
     Sensor: st.builds(Sensor, hnp.arrays(np.float64, st.integers(0, 255)), st.integers(0, 2**64 - 1), BYTE),
     NDArray: st.builds(NDArray, arrays(SCALARS | st.just("c16"), 5)),
     Image: images(),
-    PolyData: meshes(),
-    Get: st.builds(Get, st.sampled_from(ASKED_FOR)),
-    Start: starts(),
-    Stop: st.builds(Stop, st.sampled_from(FLOWING)),
-    Started: st.builds(Started, st.sampled_from(FLOWING), BYTE),
+    Get: st.builds(Get, st.sampled_from(QUERIED)),
+    Start: st.builds(Start, st.sampled_from(STREAMED)) | st.builds(Start, st.just("SENSOR"), st.integers(0, 2**64 - 1)),
+    Stop: st.builds(Stop, st.sampled_from(STREAMED)),
+    Started: st.builds(Started, st.sampled_from(STREAMED), BYTE),
     Missing: st.builds(Missing, st.sampled_from(["TRANSFORM", "STATUS", "IMAGE", "NDARRAY"])),
-}
-BODIES = PLAIN | {
-    Bind: st.builds(Bind, st.lists(st.tuples(fitting(40), st.one_of(*PLAIN.values())), max_size=4).map(tuple))
 }
 NAMES = st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=20)
 

@@ -16,7 +16,6 @@ import pyigtl
 
 MATRIX = [[0, -1, 0, 12.5], [1, 0, 0, -3.25], [0, 0, 1, 100], [0, 0, 0, 1]]
 POINTS = [[1.0, 2.5, -3.0], [40.0, 50.0, 60.0]]
-TRIANGLE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
 PIXELS = np.arange(24, dtype=np.uint16).reshape(2, 3, 4)
 PATIENCE_S = 30.0
 
@@ -32,8 +31,7 @@ def messages() -> list[Any]:
         pyigtl.PointMessage(POINTS, names=["entry", "end"], diameters=[2.5, 0.0], device_name="p1"),
         pyigtl.ImageMessage(PIXELS, np.array(MATRIX), device_name="i1"),
         pyigtl.ImageMessage(colours.astype(np.uint8), device_name="i2"),
-        pyigtl.PolyDataMessage(points=np.array(TRIANGLE), polygons=np.array([3, 0, 1, 2]), device_name="m1"),
-        pyigtl.PolyDataMessage(points=np.array(TRIANGLE), vertices=np.array([1, 2]), device_name="m2"),
+        pyigtl.PolyDataMessage(points=np.eye(3), polygons=np.array([3, 0, 1, 2]), device_name="m1"),
         pyigtl.PositionMessage([1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0], device_name="q1"),
     ]
     for message in sent:

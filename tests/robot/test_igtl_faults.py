@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fastcrc.crc64 import ecma_182
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.robot.igtl_faults import FAULTS
@@ -9,9 +10,8 @@ from tests.robot.igtl_strategies import BODIES, messages
 
 from sightline.errors import MessageError
 from sightline.robot.igtl import Event, Fault, Header, Message, NDArray, Rejected, Stream, String, Transform, encode
-from sightline.robot.igtl.crc import crc64
 
-SEEDS = 60
+SEEDS = 30
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -21,7 +21,7 @@ def test_faults_do_no_harm(name: str) -> None:
 
 
 def wire(type_name: str, body: bytes, version: int = 1, name: str = "D") -> bytes:
-    return Header(version, type_name, name, 0, len(body), crc64(body)).encode() + body
+    return Header(version, type_name, name, 0, len(body), ecma_182(body)).encode() + body
 
 
 def told(data: bytes) -> Rejected:
@@ -65,17 +65,10 @@ def test_a_body_with_a_right_crc_but_wrong_bytes_never_crashes(message: Message,
         ("NDARRAY", b"\x03\xff" + bytes(510), "255 dimensions"),
         ("NDARRAY", b"\x0b\4" + b"\xff" * 8, "too early"),
         ("IMAGE", bytes(72), "not all of these are known"),
-        ("POLYDATA", b"\xff\xff\xff\xff" + bytes(36), "too early"),
-        ("POLYDATA", bytes(36) + b"\xff" * 4, "attributes follow"),
-        ("POLYDATA", bytes(4) + b"\0\0\0\1\0\0\0\4" + bytes(28) + b"\xff" * 4, "cells take"),
-        ("POLYDATA", bytes(4) + b"\0\0\0\1\0\0\0\x08" + bytes(28) + b"\0\0\0\1\0\0\0\0", "not among the 0"),
-        ("BIND", b"\0\1BIND" + bytes(16) + b"\0\2a\0", "'BIND', which is not read"),
-        ("BIND", b"\0\1STATUS" + bytes(14) + b"\0\2ab", "table of names"),
-        ("BIND", b"\xff\xff", "too early"),
         ("CAPABILITY", b"STATUS", "too early"),
         ("GET_TRANS", b"x", "too long"),
-        ("STT_TDATA", b"x", "too early"),
-        ("RTS_TDATA", b"", "too early"),
+        ("STT_SENSOR", b"x", "too early"),
+        ("RTS_IMAGE", b"", "too early"),
     ],
 )  # fmt: skip
 def test_the_reason_is_told(type_name: str, body: bytes, words: str) -> None:

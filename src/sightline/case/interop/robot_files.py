@@ -13,8 +13,7 @@ from sightline.case.interop.itk import T_cfcs_wire
 from sightline.case.interop.plan_file import PlanFile
 from sightline.robot import contract
 from sightline.robot.control.insertion import DEPTH_SLACK_MM
-from sightline.robot.igtl import Message, Trajectories, Transform, encode
-from sightline.robot.igtl.messages_plan import Path
+from sightline.robot.igtl import Message, Path, Trajectories, Transform, encode
 from sightline.robot.kinematics.target import PlanIdentity
 
 

@@ -2,13 +2,9 @@
 
 from sightline.geometry.rigid import why_not_rigid
 from sightline.robot.igtl.header import Header, timestamp_of
-from sightline.robot.igtl.kinds import Body
-from sightline.robot.igtl.messages import LONG_NAME, Message, encode
+from sightline.robot.igtl.messages import LONG_NAME, Body, Message, encode
 from sightline.robot.igtl.messages_arrays import MILLIMETRE, NEWTON, Image, NDArray, Sensor, unit
-from sightline.robot.igtl.messages_bind import Bind
-from sightline.robot.igtl.messages_mesh import Attribute, PolyData
-from sightline.robot.igtl.messages_plan import Path, Point, Points, Trajectories
-from sightline.robot.igtl.messages_pose import Position, Tracked, TrackingData, Transform
+from sightline.robot.igtl.messages_geometry import Path, Point, Points, Position, Trajectories, Transform
 from sightline.robot.igtl.messages_query import Get, Missing, Start, Started, Stop
 from sightline.robot.igtl.messages_text import Capability, Command, CommandReply, Status, String
 from sightline.robot.igtl.stream import MAX_BODY_BYTES, Event, Fault, Rejected, Stream
@@ -18,8 +14,6 @@ __all__ = [
     "MAX_BODY_BYTES",
     "MILLIMETRE",
     "NEWTON",
-    "Attribute",
-    "Bind",
     "Body",
     "Capability",
     "Command",
@@ -35,7 +29,6 @@ __all__ = [
     "Path",
     "Point",
     "Points",
-    "PolyData",
     "Position",
     "Rejected",
     "Sensor",
@@ -45,8 +38,6 @@ __all__ = [
     "Stop",
     "Stream",
     "String",
-    "Tracked",
-    "TrackingData",
     "Trajectories",
     "Transform",
     "encode",

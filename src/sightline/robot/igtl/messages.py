@@ -1,18 +1,45 @@
-"""Complete messages: body, device name, time and metadata; encoding and decoding."""
+"""Complete messages: body, device name, time and metadata; encoding, decoding, and the table of message types."""
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Protocol
+
+from fastcrc.crc64 import ecma_182
 
 from sightline.errors import MessageError
-from sightline.robot.igtl.crc import crc64
 from sightline.robot.igtl.header import VERSIONS, Header, time_of, unwrap, wrap
-from sightline.robot.igtl.kinds import Body, is_plain, read_plain
-from sightline.robot.igtl.messages_bind import Bind
-from sightline.robot.igtl.messages_text import String
+from sightline.robot.igtl.messages_arrays import Image, NDArray, Sensor
+from sightline.robot.igtl.messages_geometry import Points, Position, Trajectories, Transform
+from sightline.robot.igtl.messages_query import QUERIED, QUERIES, Missing
+from sightline.robot.igtl.messages_text import Capability, Command, CommandReply, Status, String
 
 LONG_NAME = "IGTL_DEVICE_NAME"  # metadata key in which PLUS gives the full name cut to 20 bytes in the header
+
+
+class Body(Protocol):
+    """The body of a message: a frozen value with its type name and its encoding."""
+
+    @property
+    def type_name(self) -> str:
+        """Its type on the wire, at most twelve characters."""
+        ...
+
+    def content(self) -> bytes:
+        """Return its bytes without headers and metadata. Raises MessageError, ValueError or struct.error if it cannot
+        be encoded."""
+        ...
+
+
+READERS: dict[str, Callable[[bytes], Body]] = {
+    body.type_name: body.read
+    for body in (
+        Transform, Position, Points, Trajectories, Status, String, Command, CommandReply, Capability, Sensor, NDArray,
+        Image,
+    )
+}  # fmt: skip
+_LISTS = ("POINT", "TRAJ", "CAPABILITY")  # without content these are empty lists, not missing data
 
 
 @dataclass(frozen=True)
@@ -59,19 +86,17 @@ def encode(message: Message) -> bytes:
         body = message.body.content()
         if message.version == 2:
             body = wrap(body, message.message_id, message.metadata)
-        return (
-            Header(
-                message.version, message.type_name, message.device_name, message.timestamp, len(body), crc64(body)
-            ).encode()
-            + body
+        header = Header(
+            message.version, message.type_name, message.device_name, message.timestamp, len(body), ecma_182(body)
         )
+        return header.encode() + body
     except (struct.error, ValueError, OverflowError) as error:
         raise MessageError(f"the {message.type_name} cannot be written: {error}") from error
 
 
 def is_known(type_name: str) -> bool:
     """Return whether messages of a type are read here."""
-    return type_name == Bind.type_name or is_plain(type_name)
+    return type_name in READERS or type_name in QUERIES
 
 
 def decode(header: Header, body: bytes) -> Message:
@@ -82,15 +107,23 @@ def decode(header: Header, body: bytes) -> Message:
     if not header.device_name.isascii():
         raise MessageError(f"has a device name that is not ASCII: {header.device_name!r}")
     content, message_id, metadata = (body, 0, {}) if header.version == 1 else unwrap(body)
-    is_bind = header.type_name == Bind.type_name and content
     return Message(
-        Bind.read(content) if is_bind else read_plain(header.type_name, content),
+        _read_content(header.type_name, content),
         header.device_name,
         header.timestamp,
         header.version,
         message_id,
         metadata,
     )
+
+
+def _read_content(type_name: str, content: bytes) -> Body:
+    if type_name in QUERIES:
+        query, of = QUERIES[type_name]
+        return query.read(of, content)
+    if not content and type_name in QUERIED and type_name not in _LISTS:
+        return Missing(type_name)
+    return READERS[type_name](content)
 
 
 def seeming_text(header: Header, body: bytes) -> str:

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from sightline.errors import MessageError
-from sightline.robot.igtl.messages_pose import read_matrix
+from sightline.robot.igtl.messages_geometry import read_matrix
 from sightline.robot.igtl.wire import Reader, floats, read_only
 
 _SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8", 13: "c16"}

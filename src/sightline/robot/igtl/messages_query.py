@@ -8,29 +8,32 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from sightline.errors import MessageError
-from sightline.robot.igtl.wire import Reader, field
+from sightline.robot.igtl.wire import Reader
 
 _CUT = {"TRANSFORM": "TRANS", "CAPABILITY": "CAPABIL"}
-ASKED_FOR = (
-    "TRANSFORM", "POSITION", "IMAGE", "STATUS", "CAPABILITY", "POINT", "TRAJ", "TDATA", "SENSOR", "STRING",
-    "NDARRAY", "POLYDATA", "BIND",
-)  # fmt: skip
-FLOWING = ("TRANSFORM", "POSITION", "IMAGE", "TDATA", "SENSOR", "POLYDATA", "BIND")
-_WITH_INTERVAL = ("SENSOR", "POLYDATA", "BIND")
+STREAMED = ("TRANSFORM", "POSITION", "IMAGE", "SENSOR")
+QUERIED = (*STREAMED, "STATUS", "CAPABILITY", "POINT", "TRAJ", "STRING", "NDARRAY")
 
 
 @dataclass(frozen=True)
-class _Bare:
-    """A query without content."""
+class Query:
+    """A query about messages of the type `of`; most have no content."""
 
-    PREFIX: ClassVar[str]
-    TYPES: ClassVar[tuple[str, ...]]
+    PREFIX: ClassVar[str] = ""
+    TYPES: ClassVar[tuple[str, ...]] = STREAMED
     of: str
 
     @property
     def type_name(self) -> str:
         """Its type on the wire."""
-        return _type(self.PREFIX, self.of, self.TYPES)
+        return self.type_for(self.of)
+
+    @classmethod
+    def type_for(cls, of: str) -> str:
+        """Return the type on the wire of this query about `of`. Raises MessageError if there is none."""
+        if of not in cls.TYPES:
+            raise MessageError(f"{cls.PREFIX} is not defined for {of!r}; it is for {', '.join(cls.TYPES)}")
+        return cls.PREFIX + _CUT.get(of, of)
 
     @classmethod
     def read(cls, of: str, content: bytes) -> Self:
@@ -44,68 +47,51 @@ class _Bare:
 
 
 @dataclass(frozen=True)
-class Get(_Bare):
+class Get(Query):
     """Query for one message of a type; the header's device name selects the device, an empty one any device."""
 
     PREFIX = "GET_"
-    TYPES = ASKED_FOR
+    TYPES = QUERIED
 
 
 @dataclass(frozen=True)
-class Start:
-    """Request for a stream of messages. `interval`: least time between them, in ms for TDATA, else in seconds times
-    2^32; None leaves it to the sender. `coordinates`: for TDATA, the requested frame."""
+class Start(Query):
+    """Request for a stream of messages. `interval`, for SENSOR: least time between them, in seconds times 2^32; None
+    leaves it to the sender."""
 
-    PREFIX: ClassVar[str] = "STT_"
-    of: str
+    PREFIX = "STT_"
     interval: int | None = None
-    coordinates: str = ""
-
-    @property
-    def type_name(self) -> str:
-        """Its type on the wire."""
-        return _type(self.PREFIX, self.of, FLOWING)
 
     @classmethod
     def read(cls, of: str, content: bytes) -> Self:
-        """Read empty content or the interval, for TDATA with the coordinates' name in 32 bytes."""
-        reader, interval, coordinates = Reader(content), None, ""
-        if of == "TDATA":
-            (interval,), coordinates = reader.unpack("I"), reader.text(32)
-        elif of in _WITH_INTERVAL and content:
-            (interval,) = reader.unpack("Q")
+        """Read empty content or the interval."""
+        reader = Reader(content)
+        interval = reader.unpack("Q")[0] if of == "SENSOR" and content else None
         reader.finish()
-        return cls(of, interval, coordinates)
+        return cls(of, interval)
 
     def content(self) -> bytes:
-        """Return empty content or the interval, for TDATA with the coordinates' name in 32 bytes."""
-        if self.of == "TDATA":
-            return struct.pack(">I", self.interval or 0) + field(self.coordinates, 32, "coordinates")
-        if self.coordinates or (self.interval is not None and self.of not in _WITH_INTERVAL):
-            raise MessageError(f"STT_ of {self.of} carries no interval or coordinates: {self}")
-        return b"" if self.interval is None else struct.pack(">Q", self.interval)
+        """Return empty content or the interval."""
+        if self.interval is None:
+            return b""
+        if self.of != "SENSOR":
+            raise MessageError(f"STT_ of {self.of} carries no interval: {self}")
+        return struct.pack(">Q", self.interval)
 
 
 @dataclass(frozen=True)
-class Stop(_Bare):
+class Stop(Query):
     """Request to end a stream of messages."""
 
     PREFIX = "STP_"
-    TYPES = FLOWING
 
 
 @dataclass(frozen=True)
-class Started:
+class Started(Query):
     """Reply whether a stream was started or stopped as requested; `code` 0 is success, 1 an error."""
 
-    PREFIX: ClassVar[str] = "RTS_"
-    of: str
+    PREFIX = "RTS_"
     code: int = 0
-
-    @property
-    def type_name(self) -> str:
-        """Its type on the wire."""
-        return _type(self.PREFIX, self.of, FLOWING)
 
     @classmethod
     def read(cls, of: str, content: bytes) -> Self:
@@ -136,19 +122,6 @@ class Missing:
         return b""
 
 
-def query_of(type_name: str) -> tuple[type[Get] | type[Start] | type[Stop] | type[Started], str] | None:
-    """Return (class, requested type) for a query's type on the wire; None if it is not a query."""
-    return _QUERIES.get(type_name)
-
-
-def _type(prefix: str, of: str, among: tuple[str, ...]) -> str:
-    if of not in among:
-        raise MessageError(f"{prefix} is not defined for {of!r}; it is for {', '.join(among)}")
-    return prefix + _CUT.get(of, of)
-
-
-_QUERIES = {
-    _type(kind.PREFIX, of, among): (kind, of)
-    for kind, among in ((Get, ASKED_FOR), (Start, FLOWING), (Stop, FLOWING), (Started, FLOWING))
-    for of in among
-}
+QUERIES: dict[str, tuple[type[Query], str]] = {
+    query.type_for(of): (query, of) for query in (Get, Start, Stop, Started) for of in query.TYPES
+}  # by their type on the wire

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from enum import Enum
 
+from fastcrc.crc64 import ecma_182
+
 from sightline.errors import MessageError
-from sightline.robot.igtl.crc import crc64
 from sightline.robot.igtl.header import HEADER_BYTES, Header, read_header
 from sightline.robot.igtl.messages import Message, decode, is_known, seeming_text
 
@@ -97,7 +98,7 @@ class Stream:
 
     def _read_body(self, header: Header, body: bytes) -> list[Event]:
         self._header = None
-        if crc64(body) != header.crc:
+        if ecma_182(body) != header.crc:
             reason = f"the {header.type_name} was altered on its way"
             return [Rejected(Fault.WRONG_CRC, reason, header, seeming_text(header, body))]
         if not is_known(header.type_name):

@@ -12,8 +12,7 @@ from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import ACK_S, STATUS_S, Code
 from sightline.robot.control.states import Trigger
-from sightline.robot.igtl import Capability, Command, CommandReply, Get, Message, Status, String, Transform
-from sightline.robot.igtl.kinds import Body
+from sightline.robot.igtl import Body, Capability, Command, CommandReply, Get, Message, Status, String, Transform
 from sightline.robot.link.shared_connection import Mailbox, SharedConnection
 
 # Robots of 2013 send no STATUS for these phases; their CURRENT_STATUS says that the phase was entered.

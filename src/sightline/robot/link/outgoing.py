@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from sightline.robot import contract
-from sightline.robot.igtl import Message, Status, String, Transform
-from sightline.robot.igtl.kinds import Body
+from sightline.robot.igtl import Body, Message, Status, String, Transform
 
 NamedBody = tuple[str, Body]  # device name and body of a message
 _NAME_BYTES = 20

@@ -1,4 +1,4 @@
-"""TRANSFORM, POSITION and TDATA: poses. Lengths in mm."""
+"""TRANSFORM, POSITION, POINT and TRAJ: poses, named points and straight paths. Lengths in mm."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -9,6 +9,9 @@ from scipy.spatial.transform import RigidTransform
 from sightline.errors import MessageError
 from sightline.geometry.rigid import why_not_rigid
 from sightline.robot.igtl.wire import Reader, field, floats, read_only
+
+Colour = tuple[int, int, int, int]
+WHITE: Colour = (255, 255, 255, 255)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +50,7 @@ class Transform:
 
     def content(self) -> bytes:
         """Return 48 bytes: column by column."""
-        return _matrix_bytes(self.matrix)
+        return floats(self.matrix[:3].T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,38 +79,94 @@ class Position:
 
 
 @dataclass(frozen=True, eq=False)
-class Tracked:
-    """A tool of TDATA, `matrix` (4, 4) in mm. `kind`: 1 tracker, 2 tool with 6 degrees of freedom, 3 tip, 4 tip and
-    axis."""
+class Point:
+    """`position_mm` (3,); `diameter_mm`: 0 if not stated; `owner`: the image that it belongs to."""
 
     name: str
-    matrix: np.ndarray
-    kind: int = 2
+    position_mm: np.ndarray
+    group: str = ""
+    rgba: Colour = WHITE
+    diameter_mm: float = 0.0
+    owner: str = ""
 
     def __post_init__(self):
-        object.__setattr__(self, "matrix", _matrix(self.matrix))
+        object.__setattr__(self, "position_mm", read_only(self.position_mm, "a point", (3,)))
 
 
 @dataclass(frozen=True)
-class TrackingData:
-    """Tools tracked at one time."""
+class Points:
+    """Points, in the sender's order."""
 
-    type_name = "TDATA"
-    tools: tuple[Tracked, ...]
+    type_name = "POINT"
+    points: tuple[Point, ...]
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """Read 70 bytes per tool."""
-        reader, tools = Reader(content), []
+        """Read 136 bytes per point."""
+        reader, points = Reader(content), []
         while reader.left:
-            name, (kind, _reserved) = reader.text(20), reader.unpack("BB")
-            tools.append(Tracked(name, read_matrix(reader), kind))
-        return cls(tuple(tools))
+            name, group, rgba = reader.text(64), reader.text(32), reader.unpack("4B")
+            position, (diameter,) = reader.floats(3), reader.floats(1)
+            points.append(Point(name, position, group, rgba, float(diameter), reader.text(20)))
+        return cls(tuple(points))
 
     def content(self) -> bytes:
-        """Return 70 bytes per tool."""
+        """Return 136 bytes per point."""
         return b"".join(
-            field(tool.name, 20, "tool") + bytes((tool.kind, 0)) + _matrix_bytes(tool.matrix) for tool in self.tools
+            field(point.name, 64, "point")
+            + field(point.group, 32, "group")
+            + bytes(point.rgba)
+            + floats(np.append(point.position_mm, point.diameter_mm))
+            + field(point.owner, 20, "owner")
+            for point in self.points
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A straight path, `entry_mm` and `target_mm` (3,). `given`: which of them are given, 1 entry, 2 target, 3 both."""
+
+    name: str
+    entry_mm: np.ndarray
+    target_mm: np.ndarray
+    group: str = ""
+    given: int = 3
+    rgba: Colour = WHITE
+    diameter_mm: float = 0.0
+    owner: str = ""
+
+    def __post_init__(self):
+        object.__setattr__(self, "entry_mm", read_only(self.entry_mm, "an entry point", (3,)))
+        object.__setattr__(self, "target_mm", read_only(self.target_mm, "a target point", (3,)))
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """Paths, in the sender's order."""
+
+    type_name = "TRAJ"
+    paths: tuple[Path, ...]
+
+    @classmethod
+    def read(cls, content: bytes) -> Self:
+        """Read 150 bytes per path."""
+        reader, paths = Reader(content), []
+        while reader.left:
+            name, group, (given, _reserved) = reader.text(64), reader.text(32), reader.unpack("BB")
+            rgba, entry, target = reader.unpack("4B"), reader.floats(3), reader.floats(3)
+            diameter = float(reader.floats(1)[0])
+            paths.append(Path(name, entry, target, group, given, rgba, diameter, reader.text(20)))
+        return cls(tuple(paths))
+
+    def content(self) -> bytes:
+        """Return 150 bytes per path."""
+        return b"".join(
+            field(path.name, 64, "path")
+            + field(path.group, 32, "group")
+            + bytes((path.given, 0, *path.rgba))
+            + floats(np.concatenate([path.entry_mm, path.target_mm, [path.diameter_mm]]))
+            + field(path.owner, 20, "owner")
+            for path in self.paths
         )
 
 
@@ -123,7 +182,3 @@ def read_matrix(reader: Reader) -> np.ndarray:
     matrix = np.zeros((4, 4))
     matrix[:3], matrix[3, 3] = reader.floats(4, 3).T, 1
     return matrix
-
-
-def _matrix_bytes(matrix: np.ndarray) -> bytes:
-    return floats(matrix[:3].T)
