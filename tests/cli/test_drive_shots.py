@@ -18,7 +18,7 @@ from tests.robot.rig import END_MM, ENTRY_MM
 from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
-from sightline.cli.robot import _target
+from sightline.cli.robots.robot import _target
 from sightline.frame import Frame
 from sightline.imaging import write_dicom
 from sightline.planning.drill_shot import ALIGNED, PAUSED

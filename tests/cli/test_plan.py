@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.cli.points import parse_point
+from sightline.cli.planning.points import parse_point
 from sightline.detection.files import write_observations
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sightline.cli.points import parse_nail
+from sightline.cli.planning.points import parse_nail
 from sightline.errors import UnusableInputError
 from sightline.planning import Nail
 from sightline.planning.nail_files import NAILS_FOLDER, known_nails, nail_of, shipped_nails

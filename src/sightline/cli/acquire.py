@@ -174,7 +174,7 @@ def igtl(
     """
     with Output(json=json, quiet=quiet) as out:
         from sightline.case.acquire.igtl import ImageLink
-        from sightline.cli.robot import parse_address
+        from sightline.cli.robots.robot import parse_address
 
         host, port = parse_address(address)
         link = ImageLink(host, port, listen=listen, tell=out.note)
@@ -304,6 +304,6 @@ def _into(folder: Path, out: Output, robot: str | None = None, *, invert: bool) 
 
 def _robot(address: str) -> "RobotWatch":
     from sightline.case.acquire.robot import RobotWatch
-    from sightline.cli.robot import parse_address
+    from sightline.cli.robots.robot import parse_address
 
     return RobotWatch(*parse_address(address))

@@ -10,7 +10,7 @@ import typer
 from sightline.cli.demo import SEED
 from sightline.cli.demo_procedures import DEFAULT
 from sightline.cli.output import Json, Output, Quiet, example
-from sightline.cli.robot import Rehearsed
+from sightline.cli.robots.robot import Rehearsed
 
 if TYPE_CHECKING:
     from sightline.app.session.rehearsing import Patient

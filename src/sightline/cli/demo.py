@@ -236,7 +236,7 @@ def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, A
 
 
 def _show(output: Output, planned: Any, compared: "list[Compared | Refused]") -> None:
-    from sightline.cli.plan_results import show
+    from sightline.cli.planning.results import show
 
     show(output, planned, {})
     for how in dict.fromkeys(one.picks for one in compared):

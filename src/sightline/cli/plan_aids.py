@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from sightline.cli.points import VIEWS, Point
+from sightline.cli.planning.points import VIEWS, Point
 
 if TYPE_CHECKING:
     from sightline.case.contents import Images

@@ -12,7 +12,7 @@ from sightline.case.interop.bundle import bundle
 from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.case.views import NAMES, calibrate_pair
 from sightline.cli.output import as_json
-from sightline.cli.plan_results import plan_document
+from sightline.cli.planning.results import plan_document
 from sightline.planning import kind, plan
 
 

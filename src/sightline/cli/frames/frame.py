@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.checks import failed
-from sightline.cli import frame_draw, frame_fit, frame_self_check
+from sightline.cli.frames import draw, fit, self_check
 from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ FrameSource = Annotated[
 
 def register(parent: typer.Typer) -> None:
     """Add the commands."""
-    for command in (frame_fit, frame_draw, frame_self_check):
+    for command in (fit, draw, self_check):
         command.register(app)
     parent.add_typer(app, name="frame")
 

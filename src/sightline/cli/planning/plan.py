@@ -11,8 +11,7 @@ from sightline.cli.calibrate import PixelSize, Sid
 from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet, example
 from sightline.cli.plan_aids import drawn, fitted
-from sightline.cli.plan_results import planned_document, reports, show, write
-from sightline.cli.points import (
+from sightline.cli.planning.points import (
     OBLIQUE,
     VIEWS,
     Point,
@@ -25,6 +24,7 @@ from sightline.cli.points import (
     parse_wires,
     pixels,
 )
+from sightline.cli.planning.results import planned_document, reports, show, write
 from sightline.cli.proposed import wires_to_propose, with_proposals
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import typer
 
 from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet, example
-from sightline.cli.plan import MethodName, Mirrored
+from sightline.cli.planning.plan import MethodName, Mirrored
 
 if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage

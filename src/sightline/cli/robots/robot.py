@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from sightline.case.interop.plan_file import PlanFile
-    from sightline.cli.drive_shots import DriveShots
+    from sightline.cli.robots.drive_shots import DriveShots
     from sightline.frame import Frame
     from sightline.rehearsal.operation import SimulatedTheatre
     from sightline.robot.kinematics.measured import RobotFile
@@ -308,7 +308,7 @@ def drive(
     without the wire. A shot that says STOP ends it.
     """
     with Output(json=json, quiet=quiet) as out, ExitStack() as stack:
-        from sightline.cli.drive_shots import DriveShots, planned_in
+        from sightline.cli.robots.drive_shots import DriveShots, planned_in
         from sightline.robot.kinematics.measured import RobotFile
         from sightline.robot.link.client import RobotClient
         from sightline.robot.link.server import tune_process

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from sightline.checks import failed
-from sightline.cli.check_shot import landmarks_of
-from sightline.cli.plan import images_of
-from sightline.cli.points import parse_found_again, parse_wire_points
+from sightline.cli.planning.check_shot import landmarks_of
+from sightline.cli.planning.plan import images_of
+from sightline.cli.planning.points import parse_found_again, parse_wire_points
 
 if TYPE_CHECKING:
     import numpy as np

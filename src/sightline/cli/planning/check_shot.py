@@ -10,8 +10,8 @@ from sightline.checks import failed
 from sightline.cli.calibrate import PixelSize, Sid
 from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet, example
-from sightline.cli.plan import Mirrored, both_or_none, image_numbers, images_of
-from sightline.cli.points import CHECK_VIEWS, FoundAgain, parse_found_again
+from sightline.cli.planning.plan import Mirrored, both_or_none, image_numbers, images_of
+from sightline.cli.planning.points import CHECK_VIEWS, FoundAgain, parse_found_again
 
 if TYPE_CHECKING:
     from sightline.case.journal import Entry

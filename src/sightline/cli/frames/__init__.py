@@ -1,0 +1,1 @@
+"""`sightline frame`: the commands of frames."""

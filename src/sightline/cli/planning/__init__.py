@@ -1,0 +1,1 @@
+"""`sightline plan` and `sightline check-shot`."""

@@ -1,0 +1,1 @@
+"""`sightline robot`: the commands of a robot."""

@@ -1,0 +1,1 @@
+"""`sightline study`, `assess` and `compare`."""
