@@ -84,11 +84,11 @@ def show(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
 def report(
     folder: Folder,
     *,
-    out: Annotated[Path, typer.Option(help="Folder for report.html, report.json and report.pdf.")],
+    out: Annotated[Path, typer.Option(help="Folder for report.html and report.json.")],
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write the report of the last plan in a case.
+    """Write the report of the last plan in a case, as a page (print it from a browser for paper or PDF) and as JSON.
 
     The plan is computed again from the originals. The report names the case by its number alone.
     """
@@ -98,7 +98,6 @@ def report(
         from sightline.case.report.document import report_document
         from sightline.case.report.from_case import report_of
         from sightline.case.report.page import render
-        from sightline.case.report.pdf import render_pdf
 
         with Case.open(folder, read_only=True) as case:
             with output.step("computing the last plan again"):
@@ -109,7 +108,6 @@ def report(
             pages = {
                 "report.html": render(made).encode(),
                 "report.json": document.model_dump_json(indent=1).encode(),
-                "report.pdf": render_pdf(made),
             }
             files = write_folder(out, pages)
         for file in files:

@@ -87,8 +87,7 @@ def _cell(tag: str, text: str) -> ui.element:
 
 
 async def save_report(tab: Tab) -> None:
-    """Keep the plan shown in the case, and send its report to the browser, as a PDF to print and as a page. Raises
-    SightlineError."""
+    """Keep the plan shown in the case, and send its report to the browser, as a page. Raises SightlineError."""
     planning = tab.planning
     planning.keep_plan()
     files = await planning.jobs.during(

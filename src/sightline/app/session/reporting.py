@@ -22,17 +22,16 @@ class CaseInFolder:
 
 
 def report_files(folder: Path) -> dict[str, bytes]:
-    """Return the report of a case's last plan by file name: a PDF for printing, and a page. Runs in the worker.
+    """Return the report of a case's last plan as a page, by file name. Runs in the worker.
 
     Raises CaseError if the case holds no plan; also raises the errors of the recomputed stages.
     """
     from sightline.case.report.from_case import report_of
     from sightline.case.report.page import render
-    from sightline.case.report.pdf import render_pdf
 
     with Case.open(folder, read_only=True) as case:
         made, name = report_of(case), f"report-{case.number}"
-    return {f"{name}.pdf": render_pdf(made), f"{name}.html": render(made).encode()}
+    return {f"{name}.html": render(made).encode()}
 
 
 def cases_beside(folder: Path) -> list[CaseInFolder]:

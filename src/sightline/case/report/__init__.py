@@ -1,4 +1,4 @@
-"""The report of one plan: its content, tables and figures, and the page, PDF and JSON that show them.
+"""The report of one plan: its content, tables and figures, and the page and JSON that show them.
 
 It may import `replay`, `stages` and the modules below them. Nothing in `case` imports it.
 """
