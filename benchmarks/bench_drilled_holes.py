@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import sightline as sl
 from benchmarks.bench_interlocking import HALF_ANGLE_DEG, known_nail
+from benchmarks.nail_edges import Sight, seen
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from benchmarks.scenes_solid import BEAD_PX, c_arms
@@ -26,7 +27,6 @@ from sightline.rehearsal.robots import SHOWN_FEED_MM, calibrated_robot, drawn_ro
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED, Manipulator, imaging_yaw
 from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, robot_target
-from sightline.studies.nail_edges import Sight, seen
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.drilling import Bone, Wire

@@ -19,6 +19,7 @@ from scipy.stats import chi2
 import sightline as sl
 from benchmarks.gvxr_nails import cast, image, window_px
 from benchmarks.hole_scores import Trial, scored
+from benchmarks.nail_edges import Sight, ends_of_outlines, seen
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from benchmarks.scenes_solid import BEAD_PX, c_arms
@@ -29,7 +30,6 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.interlocking import find_hole, find_nail
 from sightline.planning import Hole, Nail, fit_hole, perfect_circle
-from sightline.studies.nail_edges import Sight, ends_of_outlines, seen
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp, ViewTruth, draw_setup
 from sightline.twin.arm import beam_at

@@ -15,12 +15,12 @@ import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, coverage_row
 from benchmarks.scenes_solid import BEAD_PX, PICK_PX, block, calibrated, gamma_in, pick_covariance
+from benchmarks.solid_bound import solid_bound
 from benchmarks.solid_peer import located_by_dlt
 from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.studies.methods import METHODS, REFUSALS
 from sightline.studies.scenes import draw_scene
-from sightline.studies.solid_bound import solid_bound
 from sightline.twin.arm import beam_at
 
 BALLS_MM = (0.02, 0.05, 0.1)

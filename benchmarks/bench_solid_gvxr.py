@@ -13,11 +13,11 @@ from benchmarks.gvxr_projector import image, parts_of
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
 from benchmarks.scenes_solid import PICK_PX, block, c_arms, centre_squares
+from benchmarks.solid_bound import solid_bound
 from sightline.calibration.together import calibrate_together
 from sightline.errors import SightlineError
 from sightline.imaging import Radiograph
 from sightline.studies.scenes import TargetScene
-from sightline.studies.solid_bound import solid_bound
 from sightline.twin import SetUp, render, shown_hip_scene
 
 SETUPS = 20  # 40 images, beside the 60 of solid_images

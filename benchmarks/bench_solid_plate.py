@@ -14,11 +14,11 @@ import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
 from benchmarks.scenes_solid import BEAD_PX, PICK_PX, c_arms, calibrated, gamma_in, pick_covariance
+from benchmarks.solid_bound import solid_bound
 from sightline.calibration.together import calibrate_together
 from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.studies.scenes import draw_scene
-from sightline.studies.solid_bound import solid_bound
 from sightline.twin import render, shown_hip_scene
 
 NAME = "block40+detector-plate"

@@ -15,8 +15,8 @@ from sightline.studies.run import one_trial
 from sightline.studies.workers import Workers, local_workers
 
 TRIALS = {"points": 10, "images": 4}
-IMAGES = ("fig8", "fig15", "porcine")  # studies whose trials are of whole images
-PARALLEL = {"points": "coverage", "images": "fig8"}  # the studies whose trials are shared between workers
+IMAGES = ("fig15", "porcine")  # studies whose trials are of whole images
+PARALLEL = {"points": "coverage", "images": "porcine"}  # the studies whose trials are shared between workers
 SHARED = {"points": 60, "images": 12}
 
 

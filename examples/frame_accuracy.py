@@ -14,8 +14,7 @@ import numpy as np
 import sightline as sl
 from sightline.detection import Observations
 from sightline.frame import Frame, Tolerances
-from sightline.studies.scenes import VIEWS, draw_showing
-from sightline.studies.study_robustness import WIRE_ENDS_MM
+from sightline.studies.scenes import VIEWS, WIRE_ENDS_MM, draw_showing
 from sightline.twin import SetUp, bead_images
 
 BEAD_PX = 0.1

@@ -3,11 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from benchmarks.nail_edges import Sight, ends_of_outlines
 
 from sightline.calibration import CalibratedView, view_from_matrix
 from sightline.geometry.planes import Plane
 from sightline.imaging import Radiograph
-from sightline.studies.nail_edges import Sight, ends_of_outlines
 from sightline.twin.arm import beam_at
 from sightline.twin.carm import ViewTruth
 from sightline.twin.draw import FlatPanel

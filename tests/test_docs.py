@@ -105,16 +105,6 @@ def test_every_shipped_procedure_has_a_page_with_its_file_and_a_small_picture() 
         assert all((ROOT / "docs" / name).stat().st_size < 300_000 for name in pictures)
 
 
-def test_a_procedure_s_page_states_its_own_row_of_the_study() -> None:
-    """Fails where the study was run again and one of the two pages keeps an older figure."""
-    studies = (ROOT / "docs" / "studies.md").read_text()
-    for key in shipped():
-        (row,) = re.findall(rf"^\| `{key}` \|(.*)\|$", studies, flags=re.MULTILINE)
-        figures = [cell.strip() for cell in row.split("|")[1:6]]  # errors, share within bounds, share of GO
-        page = (ROOT / "docs" / "procedures" / f"{key}.md").read_text()
-        assert re.search(r"\| " + re.escape(" | ".join(figures)) + r" \|", page), (key, figures)
-
-
 def toctrees(page: Path) -> set[Path]:
     """Pages in the toctrees of a page."""
     blocks = re.findall(r"^```{toctree}\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.nail_edges import seen
 from tests.planning.test_two_holes import ERRORS, KNOWN, NAIL, SIGHTS, VIEWS, _matrix
 
 from sightline.app.drawing import shapes
@@ -22,7 +23,6 @@ from sightline.case.views import NAMES
 from sightline.imaging import Radiograph
 from sightline.planning import Hole, Nail, WirePicks, fit_hole, plan_wires
 from sightline.planning.procedures.files import document_of
-from sightline.studies.nail_edges import seen
 
 KEYS = ("distal", "proximal")
 KINDS = tuple(f"distal-interlocking:{key}" for key in KEYS)

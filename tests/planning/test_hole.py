@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmarks.hole_scores import scored
+from benchmarks.nail_edges import Sight, seen
 from scipy.spatial.transform import Rotation
 
 from sightline.calibration import view_from_matrix
 from sightline.errors import ErrorUnknownError, ReconstructionRefusedError
 from sightline.planning import Edge, Hole, HoleSeen, Nail, fit_hole
-from sightline.studies.nail_edges import Sight, seen
 from sightline.twin.arm import beam_at
 from sightline.twin.nails import DistalNail, draw_nail
 

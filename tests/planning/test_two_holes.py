@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.nail_edges import Sight, seen
 
 from sightline.calibration import view_from_matrix
 from sightline.checks import failed
 from sightline.errors import ReconstructionRefusedError
 from sightline.interlocking import refuse_confused
 from sightline.planning import Hole, Nail, WirePicks, fit_hole, plan_wires
-from sightline.studies.nail_edges import Sight, seen
 from sightline.twin.arm import beam_at
 from sightline.twin.nails import SPACING_MM, DistalNail
 

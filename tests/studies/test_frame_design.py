@@ -11,7 +11,7 @@ from sightline.frame import Frame
 from sightline.studies.block_places import places
 from sightline.studies.frame_errors import DesignResult
 from sightline.studies.frame_kinds import EQUAL, FrameKind, error_of_kind, which_to_build
-from sightline.studies.scenes import BEADS_20UM, EXACT, WHOLE, draw_showing
+from sightline.studies.scenes import BEADS_20UM, EXACT, WHOLE, WIRE_ENDS_MM, draw_showing
 from sightline.studies.study import Values
 from sightline.studies.study_frame_design import (
     AS_MADE,
@@ -24,7 +24,6 @@ from sightline.studies.study_frame_design import (
     error_of,
     obstacle,
 )
-from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.handling import Handling
 

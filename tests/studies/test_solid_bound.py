@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.solid_bound import solid_bound
 from scipy.spatial.transform import Rotation
 
 from sightline.calibration import CArm, calibrate_together
@@ -12,7 +13,6 @@ from sightline.geometry.planes import Plane
 from sightline.planning import reconstruct
 from sightline.studies.bound import BoundData
 from sightline.studies.scenes import draw_scene
-from sightline.studies.solid_bound import solid_bound
 from sightline.twin import SetUp, ViewTruth, draw_setup
 from sightline.twin.arm import beam_at
 from sightline.twin.carm import BEAMS

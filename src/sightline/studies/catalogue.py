@@ -2,34 +2,22 @@
 
 from sightline.errors import UnusableInputError
 from sightline.studies.study import Study
-from sightline.studies.study_bound import AgainstBound
 from sightline.studies.study_budget import Budget
 from sightline.studies.study_coverage import Coverage
-from sightline.studies.study_fig8 import Figure8
-from sightline.studies.study_fig12 import Figure12
 from sightline.studies.study_fig13 import Figure13
 from sightline.studies.study_fig15 import Figure15
 from sightline.studies.study_frame_design import FrameDesignStudy
-from sightline.studies.study_freehand import Freehand
 from sightline.studies.study_porcine import Porcine
-from sightline.studies.study_procedures import Procedures
-from sightline.studies.study_robustness import Robustness
 from sightline.studies.study_table1 import Table1
 from sightline.studies.study_wrong_plans import WrongPlans
 
 _ALL: tuple[Study, ...] = (
     Table1(),
     Coverage(),
-    AgainstBound(),
     Budget(),
-    Robustness(),
     FrameDesignStudy(),
     Figure13(),
-    Freehand(),
     Porcine(),
-    Procedures(),
-    Figure8(),
-    Figure12(),
     Figure15(),
     WrongPlans(),
 )

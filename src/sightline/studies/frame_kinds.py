@@ -12,9 +12,16 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.studies.figure_spans import RMS, spans
 from sightline.studies.frame_errors import BEAD_PX, INTERVAL, PICK_PX, DesignResult, located
-from sightline.studies.scenes import BEADS_20UM, WHOLE, TargetScene, calibrated_views, draw_showing, measure
+from sightline.studies.scenes import (
+    BEADS_20UM,
+    WHOLE,
+    WIRE_ENDS_MM,
+    TargetScene,
+    calibrated_views,
+    draw_showing,
+    measure,
+)
 from sightline.studies.study import Plot, Values
-from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin.carm import Variation
 from sightline.twin.distributions import NEAR_PLACE, SolidPlace
 

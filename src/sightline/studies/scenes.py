@@ -24,6 +24,8 @@ from sightline.twin import SetUp, bead_images, draw_setup
 from sightline.twin.carm import shadow_radius_px
 
 VIEWS = ("pa", "lateral")
+# Entry and end of a 97 mm wire through a right hip, CFCS (physics.md, Frame: 95 mm at 45°) [ours].
+WIRE_ENDS_MM = np.array([[34.0, 34.0, -8.0], [-34.0, -34.0, 8.0]])
 TARGET_REACH_MM = 34.0  # half of a 95 mm wire at 45° (physics.md, Frame)
 FAR_MM = 55.0  # beyond the convex hull of the beads, which reaches 44 mm at the hip
 EXACT = Tolerances(0.0, 0.0, 0.0, 0.0, 0.0)

@@ -28,9 +28,8 @@ from sightline.studies.block_places import BLOCKS, FIELDS_MM, place_table
 from sightline.studies.figure_spans import RMS, spans
 from sightline.studies.frame_errors import BEAD_PX, INTERVAL, PICK_PX, DesignResult, error_table, located
 from sightline.studies.frame_kinds import EQUAL, KINDS, FrameKind, error_of_kind, kinds_plot, which_to_build
-from sightline.studies.scenes import BEADS_20UM, VIEWS, WHOLE, draw_showing
+from sightline.studies.scenes import BEADS_20UM, VIEWS, WHOLE, WIRE_ENDS_MM, draw_showing
 from sightline.studies.study import Estimate, Plot, Summary, Table, Values
-from sightline.studies.study_robustness import WIRE_ENDS_MM
 from sightline.twin import SetUp, bead_images
 from sightline.twin.beam import attenuation_per_mm
 from sightline.twin.carm import displaced

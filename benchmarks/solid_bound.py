@@ -81,7 +81,7 @@ def _on_plate(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray, p
     """Return a view with a plate on the detector, on the plate's plane, mm. `prior_mm` (3,): of the focal point, along
     the plane's axes and its normal."""
     truth, frame, pose = setup.views[name], setup.frame_in(name), setup.T_cfcs_plate(name)
-    assert frame.detector is not None  # noqa: S101 - `solid_bound` asks
+    assert frame.detector is not None
     plane, focal = frame.detector.plane, truth.focal_point_mm
     places = [bead.id for bead in frame.fiducials]
     rows = np.array([places.index(i) for i in seen.ids])
