@@ -95,7 +95,7 @@ def test_a_whole_walk_in_firefox(serve: Callable[..., Server], tmp_path: Path) -
         page.until(
             "document.body.innerText.replace(/\\s+/g, ' ').includes('2 Calibrate done')"
         )  # it is connected by then
-        _press(page, texts.SIDES["right"])
+        _press(page, "Right side")
         field = "document.querySelector('input[data-testid=serial], [data-testid=serial] input')"
         page.until(f"{field} && ({field}.focus(), document.activeElement === {field})")
         page.type("none" + _ENTER)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from tests.planning import bone
 
-from sightline.app import texts
 from sightline.app.drawing import shapes
 from sightline.app.plan.decisions import Decisions, Mark
 from sightline.app.plan.marks import END, ENTRY
@@ -43,12 +42,6 @@ def test_the_implant_lies_under_the_wire_with_its_thread_and_its_length_in_the_t
     assert thread["points"][-1] == outline["points"][-1] != wire["points"][-1]  # the wire goes beyond it
     # A 2.5 mm wire and a 12.5 mm screw have one magnification.
     assert np.divide(outline["halfWidth"][0], wire["halfWidth"][0]) == pytest.approx(12.5 / known.plan.kind.wire_mm)
-
-
-def test_the_title_is_german_in_the_german_app() -> None:
-    with texts.spoken(texts.load("de")):
-        title = shapes.wire(_known(), NAMES[0])[0]["title"]
-    assert title == "Schenkelhalsschrauben: 85 mm ab dem Eintrittspunkt, 12.5 mm dick"
 
 
 def test_a_wire_shorter_than_any_implant_is_drawn_alone() -> None:

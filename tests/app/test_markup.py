@@ -36,7 +36,7 @@ def test_a_check_says_on_which_side_of_its_limit_its_value_must_be(check: Check,
 def test_the_names_of_views_are_those_of_the_page(sentence: str, said: str) -> None:
     """Fails where a check names a view as files do."""
     check = Check("bead count", True, None, None, "", sentence)
-    assert f">{said}</div>" in markup.checks([check], testid="checks") and texts.said(check) == said
+    assert f">{said}</div>" in markup.checks([check], testid="checks") and texts.sentence(check) == said
 
 
 @pytest.mark.parametrize(("value", "said"), [(-0.04, "0.0"), (0.04, "0.0"), (-0.06, "-0.1"), (12.34, "12.3")])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
-from tests.app.hands import PATIENCE_MS, Hands, Pixels, by_image
+from tests.app.hands import Hands, Pixels, by_image
 from tests.app.person import Person
 from tests.app.test_screen import wrong
 
@@ -19,29 +19,25 @@ from sightline.imaging import write_dicom
 from sightline.rehearsal.patient import RehearsedPatient, draw_patient, frame_of
 
 LABELS = ("PA image", "Lateral image")
-# By procedure: its seed, its name and the labels of its images on the page, the buttons that lead through its aids, and
-# words that a German page has when all is planned.
+# By procedure: its seed, its name and the labels of its images on the page, the buttons that lead through its aids.
 WALKS = {
     "iliosacral-screw": (
         10,
         "Iliosacral screw",
         ("Inlet image", "Outlet image"),
         ("Place corridor of S1",),
-        ("Inlet-Bild", "Korridor von S1"),
     ),
     "pedicle-screw": (
         9,
         "Pedicle screw",
         LABELS,
         ("Place pedicle", "Place front of the vertebral body", "Place upper end plate", "Place lower end plate"),
-        ("PA-Bild", "Vorderrand des Wirbelkörpers"),
     ),
     "slipped-epiphysis-pin": (
         9,
         "Slipped epiphysis pin",
         LABELS,
         ("Place epiphysis", "Place growth plate"),
-        ("PA-Bild", "Wachstumsfuge"),
     ),
 }
 
@@ -78,7 +74,7 @@ def test_a_person_who_knows_only_the_screen_plans_the_wire(
 ) -> None:
     """Fails where an image has the name of another procedure's view, where the way to GO ends at a button that cannot
     be pressed, and where a text is cut once its point is placed."""
-    seed, title, labels, buttons, german = WALKS[kind]
+    seed, title, labels, buttons = WALKS[kind]
     frame = frame_of(kind)
     patient = draw_patient(kind, seed, Frame.load(frame))
     files = [write_dicom(patient.images[name], tmp_path / f"{name}.dcm") for name in NAMES]
@@ -111,8 +107,3 @@ def test_a_person_who_knows_only_the_screen_plans_the_wire(
         person.read("Along Y")  # a block says nothing of the patient
         expect(person.page.locator(".space-label").filter(has_text="cranial")).to_have_count(0)
     shoot(person.page, f"{kind}-planned")
-    other = open_page(f"{server.url}?step=plan", locale="de-DE", viewport={"width": 1024, "height": 768})
-    for word in ("GO", *german):
-        expect(other.get_by_text(word, exact=True).first).to_be_visible(timeout=PATIENCE_MS)
-    assert not wrong(other, scrolls=True)
-    shoot(other, f"{kind}-planned-de")

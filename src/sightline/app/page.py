@@ -1,12 +1,10 @@
 """The page: the instruction along the top, two X-ray views, and the column of the current step beside them."""
 
-import json
 from importlib.resources import files
-from typing import Any, get_args
+from typing import Any
 
 from markupsafe import Markup
 from nicegui import ui
-from nicegui.language import Language
 
 from sightline.app import texts
 from sightline.app.drawing.pictures import Pictures
@@ -27,36 +25,30 @@ _PANELS: dict[ProcedureStep, Any] = dict(zip(ProcedureStep, (images, calibrate, 
 
 
 def build(site: ServedApp, session: Session, pictures: Pictures, settings: Settings, open_case: OpenCase) -> None:
-    """Build the page for one browser tab, in its language. `open_case`: shows another case on all pages."""
-    client = ui.context.client
-    asked = None if client.request is None else client.request.headers.get("accept-language")
-    with texts.spoken(settings.language or texts.language_of(asked)):
-        if texts.now().tag in get_args(Language):
-            client.page.language = texts.now().tag  # what NiceGUI says by itself
-        _build(site, session, pictures, settings, open_case)
-
-
-def _build(site: ServedApp, session: Session, pictures: Pictures, settings: Settings, open_case: OpenCase) -> None:
+    """Build the page for one browser tab. `open_case`: shows another case on all pages."""
     ui.add_css(_CSS)
-    # Quasar's styles, of a check box for example, hold only where the page has a direction.
-    root = f'Object.assign(document.documentElement, {{ lang: {json.dumps(texts.now().tag)}, dir: "ltr" }});'
-    ui.add_head_html(f"<script>{root}\n{_SCRIPT}</script>")
+    ui.add_head_html(f"<script>{_SCRIPT}</script>")
     tab = Tab(session, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
     with ui.element("header").classes("top"):
         top.build(tab)
-    ui.label(texts.DEAD).classes("dead-banner").props("role=alert data-testid=dead")
+    ui.label(
+        "Use the red button: the program does not respond. STOP does not reach the robot, "
+        "and this page may be out of date."
+    ).classes("dead-banner").props("role=alert data-testid=dead")
     if site.reachable_from_outside:
-        ui.label(texts.REACHABLE).classes("outside").props("role=alert data-testid=reachable")
+        ui.label("Other machines can reach this page; anyone with its address and token can move the robot.").classes(
+            "outside"
+        ).props("role=alert data-testid=reachable")
     with ui.element("div").classes("work"):
         with ui.element("div").classes("sight"):  # Quasar's page is the main landmark
-            ui.html(f"<h1>{texts.TITLE}</h1>", sanitize=False).classes("unseen")
+            ui.html(f"<h1>{'Sightline: planning and drilling of a wire'}</h1>", sanitize=False).classes("unseen")
             with ui.element("div").classes("views").props("data-testid=views"):
                 boxes = [ui.element("div").classes("view") for _ in range(2)]
                 tab.build_views(*boxes)
                 images.build_side(tab)
             menu = Menu(tab, open_case)
             space, drawer = Space(tab), Drawer(tab, menu)
-        with ui.element("aside").classes("panel").props(f'aria-label="{texts.PANEL_LABEL}"'):
+        with ui.element("aside").classes("panel").props(f'aria-label="{"Verdict, figures and what to do"}"'):
             _panel(tab, site, boxes, drawer, space)
     ui.keyboard(on_key=lambda event: _key(tab, menu, event), ignore=["input", "select", "textarea"])
     session.jobs.listeners.append(tab.later)
@@ -89,7 +81,7 @@ def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, s
         Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
     with ui.element("div").classes("feet"):
         action(texts.DETAILS, drawer.toggle, testid="details", kind="plain small")
-        action(texts.SPACE, space.toggle, testid="space-toggle", kind="plain small")
+        action("3-D", space.toggle, testid="space-toggle", kind="plain small")
         lead.build(tab)
 
 
@@ -100,12 +92,12 @@ def _planning(tab: Tab) -> bool:
 def _leave_question() -> ui.dialog:
     """Return the dialog that asks for confirmation before a person leaves the page with the browser's back button."""
     with ui.dialog() as dialog, ui.card().classes("question"):
-        ui.label(texts.LEAVE_QUESTION).classes("question-text").props("data-testid=leave-question")
+        ui.label("Leave this page? The plan stays in the case, but STOP is not available without the page.").classes(
+            "question-text"
+        ).props("data-testid=leave-question")
         with ui.element("div").classes("choice"):
-            action(texts.STAY, dialog.close, testid="leave-no", kind="primary")
-            action(
-                texts.LEAVE, lambda: ui.run_javascript("sightlineLeave()") and None, testid="leave-yes", kind="plain"
-            )
+            action("Stay", dialog.close, testid="leave-no", kind="primary")
+            action("Leave", lambda: ui.run_javascript("sightlineLeave()") and None, testid="leave-yes", kind="plain")
     return dialog
 
 

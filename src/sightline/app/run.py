@@ -7,7 +7,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sightline.app import texts
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
 from sightline.app.settings import Settings
@@ -58,14 +57,13 @@ def run(settings: Settings, worker: WorkerProcess, on_ready: Callable[["ServedAp
             on_ready(site)
 
         try:
-            with texts.spoken(settings.language or texts.ENGLISH):
-                serve(
-                    page,
-                    host=settings.host,
-                    port=settings.port,
-                    token=settings.token,
-                    open_browser=settings.open_browser,
-                    on_ready=ready,
-                )
+            serve(
+                page,
+                host=settings.host,
+                port=settings.port,
+                token=settings.token,
+                open_browser=settings.open_browser,
+                on_ready=ready,
+            )
         finally:
             asyncio.run(session.close())

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sightline.app.session.rehearsing import Patient
-from sightline.app.texts import Language
 
 
 @dataclass(frozen=True)
@@ -13,8 +12,7 @@ class Settings:
 
     `folder`: of the case. `frame`: None for the case's own. `patient`: for a new case that rehearses. `live`: source of
     a live image, as named for `sightline watch`. `fast_robot`: run a simulated robot's time as fast as possible.
-    `token`: required of every browser; if None, one is made for addresses beyond this machine. `language`: of all
-    pages; None: of each page the one that its browser prefers.
+    `token`: required of every browser; if None, one is made for addresses beyond this machine.
     """
 
     folder: Path
@@ -26,4 +24,3 @@ class Settings:
     token: str | None
     open_browser: bool
     fast_robot: bool
-    language: Language | None

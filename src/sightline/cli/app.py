@@ -50,10 +50,6 @@ def app_command(
     live: Annotated[
         str | None, typer.Option(help="Live image for the step Drill: a source as of `sightline watch`.")
     ] = None,
-    language: Annotated[
-        str | None,
-        typer.Option(help="Of the page: en, de, or a language file.", show_default="the browser's"),
-    ] = None,
     fast_robot: Annotated[
         bool, typer.Option("--fast-robot", help="Run the simulated robot as fast as the machine computes.")
     ] = False,
@@ -76,15 +72,13 @@ def app_command(
 
         from sightline.app.run import run
         from sightline.app.settings import Settings
-        from sightline.app.texts import load
 
         folder = case or Path("out/app" if procedure is None else f"out/app-{procedure}")
         patient = None
         if case is None or rehearse is not None or procedure is not None:
             patient = _patient(rehearse, procedure or DEFAULT, frame)
         token = environ.get("SIGHTLINE_TOKEN") or None  # not an option: other users can read command lines
-        spoken = None if language is None else load(language)
-        settings = Settings(folder, frame, patient, live, host, port, token, browser, fast_robot, spoken)
+        settings = Settings(folder, frame, patient, live, host, port, token, browser, fast_robot)
 
         def ready(site: "ServedApp") -> None:
             output.say(f"open {site.url} in a browser; stop with Ctrl-C")

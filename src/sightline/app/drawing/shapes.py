@@ -46,9 +46,9 @@ def beads(seen: SeenImage) -> list[Shape]:
         size = float(np.linalg.norm(residual))
         shape: Shape = {"shape": "circle", "points": [uv.tolist()], "radius": _radius(seen, uv), "style": "bead-good"}
         if used:
-            shape |= {"value": min(size / RESIDUAL_MM, 1.0), "title": texts.BEAD_USED.format(name=name, mm=size)}
+            shape |= {"value": min(size / RESIDUAL_MM, 1.0), "title": f"{name}: residual {size:.3f} mm"}
         else:
-            shape |= {"style": "bead-bad", "title": texts.BEAD_LEFT_OUT.format(name=name, mm=size)}
+            shape |= {"style": "bead-bad", "title": f"{name}: left out, it contradicts the others by {size:.2f} mm"}
         out.append(shape)
     return out
 
@@ -82,7 +82,7 @@ def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
             "shape": "line",
             "points": line,
             "style": "curve",
-            "title": texts.CURVE_TITLE.format(name=texts.CURVE_NAMES[name]),
+            "title": texts.CURVE_TITLE.format(name=name),
         }
     )
     if ticks:
@@ -106,7 +106,7 @@ def wire(planned: Planned, image: str) -> list[Shape]:
                 "shape": "line",
                 "points": found.uv_px.tolist(),
                 "style": "plan",
-                "title": texts.word(kind.wire.name),
+                "title": kind.wire.name,
             }
             if plan is planned.plan:
                 with suppress(SightlineError):  # the wire is drawn where a view shows no more of the implant
@@ -123,8 +123,9 @@ def _implant(wire: Corridor, plan: Plan) -> list[Shape]:
     catalogue, found = document.catalogue, template(wire, plan.trajectory.length_mm, document)
     if catalogue is None or found is None:
         return []
-    title = texts.IMPLANT_TITLE.format(
-        implants=texts.titled(texts.word(catalogue.implants)), length=found.length_mm, diameter=found.diameter_mm
+    title = (
+        f"{texts.titled(catalogue.implants)}: {found.length_mm:g} mm from the entry point, "
+        f"{found.diameter_mm:g} mm thick"
     )
     parts = [("implant", 0)] if found.thread is None else [("implant", 0), ("thread", found.thread)]
     return [
@@ -147,10 +148,10 @@ def nail_found(planned: Planned, image: str) -> list[Shape]:
         return []
     k, nail = NAMES.index(image), found.nail
     axis = nail.point_mm + _NAIL_MM * np.linspace(-1.0, 1.0, 31)[:, None] * nail.along
-    out = [_edge(edge.uv_px, texts.NAIL_EDGE_FOUND) for edge in nail.outlines[k]]
-    out.append({**_edge(found.views[k].project_seen(axis)[0], texts.NAIL_AXIS), "style": "aid"})
+    out = [_edge(edge.uv_px, "the nail's edge, as found in the image") for edge in nail.outlines[k]]
+    out.append({**_edge(found.views[k].project_seen(axis)[0], "axis of the nail"), "style": "aid"})
     rims = [rim.uv_px for edges in found.edges.values() for rim in (edges[k].entry, edges[k].exit)]
-    out += [_edge(_around(uv), texts.RIM_FOUND) for uv in rims if len(uv) > 1]
+    out += [_edge(_around(uv), "rim of the hole, as found in the image") for uv in rims if len(uv) > 1]
     return out
 
 
@@ -175,7 +176,7 @@ def drilled(planned: Planned, image: str, depth_mm: float) -> list[Shape]:
     along = path.entry_mm + np.linspace(0.0, min(depth_mm, most_mm), 12)[:, None] * path.direction
     uv, _ = view.project_seen(along)
     return (
-        [{"shape": "line", "points": uv.tolist(), "style": "found", "title": texts.DRILLED_TITLE}]
+        [{"shape": "line", "points": uv.tolist(), "style": "found", "title": "the wire, drilled so far"}]
         if len(uv) > 1
         else []
     )
@@ -197,7 +198,7 @@ def aids(planned: Planned, image: str) -> list[Shape]:
     out: list[Shape] = []
     for aid in planned.kind.aids:
         uv = None if aid.type in ("point", "sphere") else _lines(planned, aid, image)
-        title = texts.word(f"{aid.key} axis" if aid.type == "line" else aid.name)
+        title = f"{aid.key} axis" if aid.type == "line" else aid.name
         for ends in () if uv is None else uv:
             out += _line(ends, 0.0 if aid.type != "line" or len(uv) > 1 else _AXIS_PX, title)
         if uv is not None and by_borders(aid, planned.decisions.borders):
@@ -207,7 +208,7 @@ def aids(planned: Planned, image: str) -> list[Shape]:
     if head is not None and view is not None:
         seen = outline(view, head)
         if len(seen) > 2:
-            out.append({"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": texts.word(name)})
+            out.append({"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": name})
     return out
 
 
@@ -249,7 +250,7 @@ def expected(planned: Planned) -> list[Shape]:
             "shape": "cross",
             "points": [at.tolist()],
             "style": "rejected",
-            "title": texts.EXPECTED_HERE.format(point=texts.word(spec.label)),
+            "title": f"{spec.label}: expected here by the other two images",
         }
         for at, spec in named
     ]
@@ -274,8 +275,8 @@ def found(session: Session, image: str) -> list[Shape]:
                 arrows = [{key: value for key, value in one.items() if key != "label"} for one in arrows]
             out += arrows
             out += [
-                {**line, "title": texts.WIRE_SEEN},
-                {"shape": "cross", "points": [wire.tip_uv_px.tolist()], "style": "found", "title": texts.TIP_SEEN},
+                {**line, "title": "the wire as this image shows it"},
+                {"shape": "cross", "points": [wire.tip_uv_px.tolist()], "style": "found", "title": "its tip"},
             ]
     return out
 
@@ -297,7 +298,7 @@ def _planned_there(
     along = np.linspace(0.0, 1.0, 40)[:, None]
     points = shot.movement.apply((1.0 - along) * path.entry_mm + along * path.end_mm)
     uv, _ = views[names.index(image)].project_seen(points)
-    return [{"shape": "line", "points": uv.tolist(), "style": "plan", "title": texts.PLAN_THERE}] if len(uv) > 1 else []
+    return [{"shape": "line", "points": uv.tolist(), "style": "plan", "title": "the plan"}] if len(uv) > 1 else []
 
 
 def _deviations_there(session: Session, kind: str, image: str) -> list[Shape]:
@@ -323,12 +324,12 @@ def deviations(
     """Return an arrow from the planned to the measured place (2, 3) of entry and tip, drawn longer than it is, with the
     deviation in space and its 95 % error; none for a place outside the view."""
     out: list[Shape] = []
-    for name, planned, measured, (mm, error) in zip(texts.DEVIATION_OF, planned_mm, measured_mm, off_mm, strict=True):
+    for name, planned, measured, (mm, error) in zip(("entry", "tip"), planned_mm, measured_mm, off_mm, strict=True):
         uv, seen = view.project_seen(np.stack([planned, measured]))
         if seen.all():
             ends = [uv[0].tolist(), (uv[0] + _ARROW_TIMES * (uv[1] - uv[0])).tolist()]
-            said = texts.DEVIATION.format(name=name, mm=mm, error=error)
-            title = texts.DEVIATION_TITLE.format(deviation=said, times=_ARROW_TIMES)
+            said = f"{name} {mm:.2f} ± {error:.2f} mm off"
+            title = f"{said} its plan; the arrow is drawn {_ARROW_TIMES} times as long"
             out.append({"shape": "arrow", "points": ends, "style": "deviation", "label": said, "title": title})
     return out
 

@@ -25,7 +25,9 @@ def build_details(tab: Tab) -> None:
         tab.views.show_rejected = bool(event.value)
         tab.refresh()
 
-    ui.checkbox(texts.SHOW_REJECTED, value=tab.views.show_rejected, on_change=show).props("data-testid=show-rejected")
+    ui.checkbox("Show rejected candidates, with the reason", value=tab.views.show_rejected, on_change=show).props(
+        "data-testid=show-rejected"
+    )
     build_oblique(tab)
     Section(tab, _key, _checks)
 
@@ -41,7 +43,7 @@ def _views(tab: Tab) -> None:
             continue
         heading(image_label(name, tab.planning.decisions.kind))
         if seen is None:
-            note(texts.DROP_FIRST, kind="quiet")
+            note("Drop an image onto the page.", kind="quiet")
         elif seen.refused:
             note(seen.refused, kind="bad", testid=f"refused-{name}")
         elif seen.view is None:
@@ -49,13 +51,13 @@ def _views(tab: Tab) -> None:
         else:
             left = seen.view.residuals
             rows = [
-                (texts.BEADS_USED, f"{int(left.used.sum())} / {len(left.left_out)}"),
-                (texts.RESIDUAL, f"{left.rms_mm:.3f} mm"),
-                (texts.FOCAL_POINT, ", ".join(f"{x:.0f}" for x in seen.view.focal_point_mm)),
+                ("beads used / left out", f"{int(left.used.sum())} / {len(left.left_out)}"),
+                ("residual, rms", f"{left.rms_mm:.3f} mm"),
+                ("focal point, mm", ", ".join(f"{x:.0f}" for x in seen.view.focal_point_mm)),
             ]
             table(("", ""), rows, testid=f"calibration-{name}")
             wrong = failed(seen.view.checks)
-            said = texts.ALL_PASSED.format(count=len(seen.view.checks)) if not wrong else texts.said(wrong[0])
+            said = f"All {len(seen.view.checks)} checks passed" if not wrong else texts.sentence(wrong[0])
             note(said, kind="bad" if wrong else "good")
 
 

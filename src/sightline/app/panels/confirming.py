@@ -4,7 +4,6 @@ from collections.abc import Awaitable, Callable
 
 from nicegui import ui
 
-from sightline.app import texts
 from sightline.app.panels.section import action
 from sightline.app.tab.tab import Tab
 
@@ -25,7 +24,7 @@ def confirmed_action(
     def ask() -> None:
         # On the page, not in this section: the question stays when the robot's state rebuilds the section. A command
         # that no longer fits is refused by what it calls.
-        with texts.spoken(tab.language), ui.context.client, ui.dialog() as dialog, ui.card().classes("question"):
+        with ui.context.client, ui.dialog() as dialog, ui.card().classes("question"):
             ui.label(question).classes("question-text")
             if what:
                 ui.label(what)
@@ -35,7 +34,7 @@ def confirmed_action(
                 await tab.act(command)
 
             with ui.element("div").classes("choice"):
-                action(texts.CANCEL, dialog.close, testid=f"{testid}-cancel", kind="plain")
+                action("Cancel", dialog.close, testid=f"{testid}-cancel", kind="plain")
                 action(text, agreed, testid=f"{testid}-yes", kind="primary")
         dialog.on("hide", dialog.delete)
         dialog.open()

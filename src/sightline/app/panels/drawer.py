@@ -42,4 +42,4 @@ class Drawer:
             _DETAILS[tab.step](tab)
             if tab.step in (ProcedureStep.PLAN, ProcedureStep.DRILL):
                 verdict.build_details(tab)
-            ui.label(texts.FOOT.format(case=tab.planning.case.number)).classes("foot")
+            ui.label(f"Research software, not a medical device. Case {tab.planning.case.number}").classes("foot")

@@ -73,21 +73,21 @@ def build_details(tab: Tab) -> None:
 def _target(tab: Tab) -> None:
     session = tab.session.drilling.session
     if session is not None and session.target is not None:
-        heading(texts.TARGET_HEADING)
+        heading("The plan in the robot")
         checks(session.target.checks, testid="target-checks")
 
 
 def _robot(tab: Tab) -> None:
     """Build the state of the robot, what to know of the next motion, and motions besides it."""
     planning, now = tab.planning, tab.session.drilling.now
-    heading(texts.ROBOT_HEADING)
+    heading("Robot")
     if now is None or now.lost:
         _unlinked(tab)
     else:
         _state(tab)
         session = tab.session.drilling.session
         if now.fault:
-            note(texts.FAULT.format(number=now.fault, what=now.text), kind="bad", testid="fault")
+            note(f"Fault {now.fault}: {now.text}", kind="bad", testid="fault")
         elif not tab.session.readiness.can_send and planning.drilled is None:
             note(texts.ONLY_GO, kind="warn", testid="not-go")
         if tab.session.drilling.changed:
@@ -95,8 +95,8 @@ def _robot(tab: Tab) -> None:
         if session is not None and now.state in _RETRACTABLE:
             confirmed_action(
                 tab,
-                texts.RETRACT,
-                texts.RETRACT_QUESTION,
+                "Retract",
+                "Retract: if the wire is to stay in the bone, open the chuck first. Is it open?",
                 session.retract,
                 "retract",
                 enabled=not now.activity,
@@ -118,7 +118,7 @@ def _unlinked(tab: Tab) -> None:
         note(texts.in_progress(tab.session.jobs.working))
     else:
         if now is None:
-            note(texts.ROBOT_OFF, kind="quiet")
+            note("The robot is not started.", kind="quiet")
         to_retract = planning.drilled is not None and planning.sent_is_current
         if to_retract or waits_for(tab.session, ProcedureStep.DRILL) is not None:  # the plan comes first
             _start(tab, "plain")
@@ -132,7 +132,14 @@ def how_deep(planning: Planning) -> str:
     plan, told_mm = planning.sent.plan, planning.drilled.record.depth_mm
     planned_mm = plan.trajectory.length_mm + plan.kind.limits.beyond_mm
     short = planned_mm - float(told_mm.max()) if len(told_mm) else 0.0
-    return texts.DRILLED if short < _SHORT_MM else texts.DRILLED_SHORT.format(short=short)
+    return (
+        "Drilled to the planned depth. Verify the wire in two check images."
+        if short < _SHORT_MM
+        else (
+            f"Drilled through the far cortex, {short:.1f} mm short of the planned depth. Verify "
+            "the wire in two check images."
+        )
+    )
 
 
 def _state(tab: Tab) -> None:
@@ -168,7 +175,7 @@ def _depth(tab: Tab) -> Markup:
     end = session.target.depth_mm
     touched = next((event.depth_mm for event in session.record.events if event.name == EventKind.CORTEX.value), 0.0)
     pause = pause_depth(end, session.target.limits)
-    at = dict(zip(texts.DEPTH_MARKS, (touched, pause, end, session.depth_limit_mm), strict=True))
+    at = dict(zip(("cortex", "pause", "tip", "limit"), (touched, pause, end, session.depth_limit_mm), strict=True))
     low, high = min(touched, pause) - _BEFORE_MM, session.depth_limit_mm + _BEFORE_MM
 
     def percent(depth_mm: float) -> str:
@@ -182,8 +189,8 @@ def _depth(tab: Tab) -> Markup:
     depth = now.depth_mm
     return markup.filled(
         _DEPTH,
-        "–" if depth is None else texts.DEPTH.format(value=abs(depth)),
-        "" if depth is None else texts.DEPTH_SIDES[depth < 0.0],
+        "–" if depth is None else f"{abs(depth):.1f} mm",
+        "" if depth is None else "before the entry" if depth < 0.0 else "beyond the entry",
         percent(low if depth is None else depth),
         markup.joined(*ticks),
         markup.joined(*rows),
@@ -196,8 +203,8 @@ def _force_words(now: "RobotNow") -> str:
 
 def reading(now: "RobotNow") -> str:
     """Return the 95 % error of the depth with the source of its zero, and the thrust, as text."""
-    depth = "–" if now.depth_mm is None else texts.READING_DEPTH.format(error=_error_words(now), zero=_zero_words(now))
-    return texts.READING.format(depth=depth, force=_force_words(now))
+    depth = "–" if now.depth_mm is None else f"{_error_words(now)} (zero: {_zero_words(now)})"
+    return f"Depth {depth} · thrust {_force_words(now)}"
 
 
 def _error_words(now: "RobotNow") -> str:
@@ -227,20 +234,39 @@ def build_next(tab: Tab) -> None:
     ready = idle and held and not tab.session.shots.objection
     if now.fault:
         confirmed_action(
-            tab, texts.RESET_FAULT, texts.RESET_QUESTION, lambda: session.reset(now.fault), "reset-fault", enabled=idle
+            tab,
+            "Reset the fault",
+            "Have you checked the robot and dealt with the fault?",
+            lambda: session.reset(now.fault),
+            "reset-fault",
+            enabled=idle,
         )
     elif state == State.ALIGNED.value:
         drill = partial(drilling.drill, State.ALIGNED)
-        question = texts.DRILL_QUESTION.format(left=left)
+        question = (
+            f"Drill: the wire rotates and advances into the bone, to {left:.0f} mm before its "
+            "planned depth. Does the sleeve stand on the bone, and does the confirmation shot "
+            "show the guide on the plan?"
+        )
         confirmed_action(tab, texts.DRILL, question, drill, "drill", enabled=ready)
     elif state == State.PAUSED.value:
         drill = partial(drilling.drill, State.PAUSED)
-        question = texts.DRILL_ON_QUESTION.format(left=left)
+        question = f"Continue drilling: the last {left:.0f} mm. Does the second shot show the wire on the plan?"
         confirmed_action(tab, texts.DRILL_ON, question, drill, "drill-on", enabled=ready)
     elif planning.drilled is not None and wires.following(tab) is not None:
         wires.build_following(tab)
     elif state in (State.TARGETING.value, State.STOP.value) and held:
-        confirmed_action(tab, texts.ALIGN, texts.ALIGN_QUESTION, drilling.align, "align", enabled=ready)
+        confirmed_action(
+            tab,
+            texts.ALIGN,
+            (
+                "Align: the wire retracts into its sleeve, then the whole arm moves. Is its path "
+                "clear of people, table and C-arm?"
+            ),
+            drilling.align,
+            "align",
+            enabled=ready,
+        )
     else:
         _send(tab, enabled=idle and state != State.DONE.value)
 
@@ -257,7 +283,7 @@ def _start(tab: Tab, kind: str) -> None:
     jobs, drilling = tab.session.jobs, tab.session.drilling
 
     def begin() -> Awaitable[None]:
-        return jobs.during(texts.STARTING_ROBOT, lambda: drilling.start_robot(fast=tab.fast_robot))
+        return jobs.during("starting the simulated robot", lambda: drilling.start_robot(fast=tab.fast_robot))
 
     enabled = tab.planning.patient is not None and not jobs.working
     action(texts.START_ROBOT, tab.doing(begin), testid="start-robot", kind=kind, enabled=enabled)
@@ -269,14 +295,21 @@ def _send(tab: Tab, *, enabled: bool) -> None:
     if known is None or known.plan is None or side is None or not tab.session.readiness.can_send:
         action(texts.SEND, lambda: None, testid="send", kind="primary", enabled=False)
         return
-    what = texts.SEND_WHAT.format(
-        robot=texts.ROBOT_NAMES[planning.patient is not None],
-        length=known.plan.trajectory.length_mm,
-        side=texts.SIDE_WORDS[side],
-        frame=texts.SEND_FRAME[serial != NO_SERIAL].format(serial=serial),
+    what = (
+        f"The {'robot' if planning.patient is None else 'simulated robot'} receives a wire of "
+        f"{known.plan.trajectory.length_mm:.1f} mm on the {side} side, in "
+        f"the coordinates of {'the frame without a serial' if serial == NO_SERIAL else f'frame {serial}'}. "
+        "Nothing moves yet. “Align” will then move the arm until the wire's guide points "
+        "along the plan, 20 mm before the bone."
     )
     confirmed_action(
-        tab, texts.SEND, texts.SEND_QUESTION, lambda: drilling.send(known), "send", what=what, enabled=enabled
+        tab,
+        texts.SEND,
+        "Send this plan to the robot?",
+        lambda: drilling.send(known),
+        "send",
+        what=what,
+        enabled=enabled,
     )
 
 
@@ -287,28 +320,35 @@ def _second_shot(tab: Tab) -> None:
     if now is None or now.lost or now.state != State.PAUSED.value or measured:
         return
     enabled = not now.activity and drilling.held is not None and not drilling.changed
-    known = {"zero": _zero_words(now), "error": _error_words(now)}
-    heading(texts.SHOT_HEADING)
+    rests_on = f"rests on the {_zero_words(now)}, {_error_words(now)}."
+    heading("Depth in the second shot")
     if ZeroSource.SHOT in now.zero:
-        note(texts.SHOT_TOLD.format(**known), kind="good", testid="shot-told")
+        note(f"The depth of the second shot was sent. The depth now {rests_on}", kind="good", testid="shot-told")
         return
-    note(texts.SHOT_UNMEASURED.format(**known), testid="shot-unmeasured")
-    depth = ui.number(texts.SHOT_DEPTH, format="%.2f").props("outlined dense data-testid=shot-depth")
-    error = ui.number(texts.SHOT_ERROR, format="%.2f").props("outlined dense data-testid=shot-error")
+    note(
+        "If you measured the tip's depth beyond the planned entry point in the second shot, enter it here. Sightline "
+        "does not measure this shot, because the frame has moved away with the arm. Without it the depth " + rests_on,
+        testid="shot-unmeasured",
+    )
+    depth = ui.number("Depth of the tip, mm", format="%.2f").props("outlined dense data-testid=shot-depth")
+    error = ui.number("Its 95 % error, ± mm", format="%.2f").props("outlined dense data-testid=shot-error")
 
     def tell() -> Awaitable[None]:
         return drilling.send_shot_depth(*(float("nan" if one.value is None else one.value) for one in (depth, error)))
 
-    question = texts.SHOT_QUESTION.format(left=_left_mm(drilling.session))
-    confirmed_action(tab, texts.SEND_DEPTH, question, tell, "tell-shot", enabled=enabled, kind="plain")
+    question = (
+        f"Send this depth to the robot? It counts the last {_left_mm(drilling.session):.0f} "
+        "mm from it. A depth can be sent only once."
+    )
+    confirmed_action(tab, "Send the depth", question, tell, "tell-shot", enabled=enabled, kind="plain")
 
 
 def _force(tab: Tab) -> None:
     """Build the live plot of thrust over depth."""
     if tab.session.drilling.session is None and tab.planning.drilled is None:
         return
-    heading(texts.THRUST_HEADING)
-    drawing = ui.html("", sanitize=False).classes("force").props("data-testid=force lang=en")
+    heading("Thrust over depth")
+    drawing = ui.html("", sanitize=False).classes("force").props("data-testid=force")
     events = ui.column().classes("events").props("data-testid=events")
     shown = -1
 
@@ -329,9 +369,9 @@ def _force(tab: Tab) -> None:
             return  # no samples of this plan yet
         with events:
             table(
-                texts.EVENT_COLUMNS,
+                ("event", "depth", "thrust"),
                 [
-                    (texts.word(one.name), f"{texts.tenths(one.depth_mm)} mm", f"{texts.tenths(one.force_n)} N")
+                    (one.name, f"{texts.tenths(one.depth_mm)} mm", f"{texts.tenths(one.force_n)} N")
                     for one in record.events
                 ],
                 testid="events-table",

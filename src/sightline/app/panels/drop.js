@@ -7,26 +7,26 @@ const PANEL =
 
 /** Resolves to null once the file is received, or to the server's sentence on why not.
  * @param {File} file @param {string} address @param {(part: number) => void} onProgress
- * @param {import("./types").Texts} texts @returns {Promise<string | null>} */
-function send(file, address, onProgress, texts) {
+ * @returns {Promise<string | null>} */
+function send(file, address, onProgress) {
   return new Promise((resolve) => {
     const request = new XMLHttpRequest(); // fetch reports no progress
     request.open("POST", address);
     request.upload.onprogress = (event) => {
       if (event.total) onProgress(event.loaded / event.total);
     };
-    request.onload = () => resolve(request.status === 200 ? null : sentence(request, texts));
-    request.onerror = () => resolve(texts.lost);
+    request.onload = () => resolve(request.status === 200 ? null : sentence(request));
+    request.onerror = () => resolve("the image did not reach the app; is it still running?");
     request.send(file);
   });
 }
 
-/** @param {XMLHttpRequest} request @param {import("./types").Texts} texts @returns {string} */
-function sentence(request, texts) {
+/** @param {XMLHttpRequest} request @returns {string} */
+function sentence(request) {
   try {
     return JSON.parse(request.responseText).error;
   } catch {
-    return request.responseText || texts.refused.replace("{status}", String(request.status));
+    return request.responseText || `refused (${request.status})`;
   }
 }
 
@@ -44,11 +44,11 @@ const drop = {
       <template v-for="(target, i) in targets" :key="'in-' + target.address">
         <teleport v-if="asks(i)" :to="'#' + target.box">
           <div :class="['drop-in', states[target.label]]" :data-testid="'drop-in-' + target.label">
-            <div v-if="states[target.label] === 'empty'" class="drop-word">{{ texts.here.replace("{image}", names[target.label] ?? target.label) }}</div>
+            <div v-if="states[target.label] === 'empty'" class="drop-word">{{ "Drop the " + (names[target.label] ?? target.label) + " here" }}</div>
             <div v-if="failed === i" class="drop-bad" role="alert">{{ message }}</div>
-            <div v-if="states[target.label] === 'empty'" class="drop-or">{{ texts.or }}</div>
+            <div v-if="states[target.label] === 'empty'" class="drop-or">or</div>
             <button type="button" class="action primary" @click="$refs.inputs[i].click()">
-              {{ states[target.label] === "empty" ? texts.choose : texts.another }}</button>
+              {{ states[target.label] === "empty" ? "Choose a file" : "Load another image" }}</button>
           </div>
         </teleport>
       </template>
@@ -60,7 +60,7 @@ const drop = {
         </div>
       </teleport>
     </div>`,
-  props: { targets: Array, texts: Object, maxBytes: Number },
+  props: { targets: Array, maxBytes: Number },
   data: () => ({
     ready: false,
     told: false,
@@ -145,7 +145,7 @@ const drop = {
     },
     // Several files dropped at once go to this target and the following ones, one after another.
     async take(files, target) {
-      if (files.length > this.targets.length) return this.say(this.texts.many.replace("{count}", String(this.targets.length)), true);
+      if (files.length > this.targets.length) return this.say(`at most ${this.targets.length} images at a time`, true);
       files.forEach((file, n) => this.waiting.push([file, (target + n) % this.targets.length]));
       if (this.busy !== null) return;
       for (let next = this.waiting.shift(); next; next = this.waiting.shift()) await this.hand(...next);
@@ -153,16 +153,16 @@ const drop = {
     async hand(file, target) {
       if (file.size > this.maxBytes) {
         const size = Math.floor(this.maxBytes / 1e6);
-        return this.say(this.texts.large.replace("{file}", file.name).replace("{size}", String(size)), true);
+        return this.say(`${file.name} has more than ${size} MB; export a single image`, true);
       }
       this.busy = target;
       this.percent = 0;
       this.failed = null;
-      this.say(this.texts.reading.replace("{file}", file.name), false);
+      this.say(`reading ${file.name}`, false);
       const onProgress = (/** @type {number} */ part) => {
         this.percent = 100 * part;
       };
-      const refusal = await send(file, this.targets[target].address, onProgress, this.texts);
+      const refusal = await send(file, this.targets[target].address, onProgress);
       this.busy = null;
       this.failed = refusal ? target : null;
       this.say(refusal ? `${file.name}: ${refusal}` : "", Boolean(refusal));

@@ -6,7 +6,6 @@ from types import MappingProxyType
 
 from nicegui import ui
 
-from sightline.app import texts
 from sightline.app.web.uploads import MAX_UPLOAD_BYTES, OnUpload, Upload, Uploads
 
 
@@ -24,17 +23,6 @@ class DropZone(ui.element, component=Path(__file__).parent / "drop.js"):
         for target in self._props["targets"]:
             box = boxes.get(target["label"])
             target["box"] = None if box is None else f"c{box.id}"
-        self._props["texts"] = {
-            "here": texts.DROP_HERE,
-            "or": texts.DROP_OR,
-            "choose": texts.DROP_CHOOSE,
-            "another": texts.DROP_ANOTHER,
-            "reading": texts.DROP_READING,
-            "many": texts.DROP_TOO_MANY,
-            "large": texts.DROP_TOO_LARGE,
-            "lost": texts.DROP_LOST,
-            "refused": texts.DROP_REFUSED,
-        }
         self._props["maxBytes"] = MAX_UPLOAD_BYTES
 
     def tell(self, states: Mapping[str, str], names: Mapping[str, str], labels: Mapping[str, str]) -> None:

@@ -26,19 +26,21 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
 
     def taker(view: str):
         async def take(upload: Upload) -> None:
-            with texts.spoken(tab.language):
-                await put(upload)
-
-        async def put(upload: Upload) -> None:
             taken_for = _taken_for(tab)
             if taken_for and view == OBLIQUE:
-                raise UnusableInputError(texts.CHECK_TAKES_TWO)
+                raise UnusableInputError(
+                    "load the check image as one of the first two: a check shot takes no third image"
+                )
             image = f"{taken_for}{view}"
             tab.say("")  # what was said of the image before
             where = await tab.planning.take(upload.data, upload.suffix, image=image)
             if where != image:
                 tab.say(
-                    texts.PUT_WHERE_IT_BELONGS.format(image=image_name(where, tab.planning.decisions.kind)), good=True
+                    (
+                        f"By its markers this is the {image_name(where, tab.planning.decisions.kind)}; it was "
+                        "loaded there."
+                    ),
+                    good=True,
                 )
 
         return take
@@ -122,7 +124,7 @@ def build_oblique(tab: Tab) -> None:
 
     def choice(tab: Tab) -> None:
         if OBLIQUE in tab.planning.decisions.images:
-            ui.checkbox(texts.SHOW_OBLIQUE, value=tab.views.show_oblique, on_change=show).props(
+            ui.checkbox("Show the oblique image on the right", value=tab.views.show_oblique, on_change=show).props(
                 "data-testid=show-oblique"
             )
 
@@ -136,22 +138,25 @@ def _state(tab: Tab) -> Hashable:
 
 def _images(tab: Tab) -> None:
     planning, jobs, kind = tab.planning, tab.session.jobs, tab.planning.decisions.kind
-    heading(texts.IMAGES_HEADING)
+    heading("Images")
     if planning.frame.solid is not None:
-        note(texts.SLOT_TELLS_THE_VIEW, kind="quiet")
+        note(("A block looks alike in every view: each image is the view under whose name you load it."), kind="quiet")
     for name in planning.slots:
         seen = planning.seen(name)
         if seen is None:
-            missing = texts.NO_OBLIQUE if name == OBLIQUE else texts.NO_IMAGE
-            note(missing.format(image=image_label(name, kind)), kind="quiet", testid=f"no-{name}")
+            missing = (
+                ", optional, taken last: none yet. It shows movements of the patient that two images do not show."
+                if name == OBLIQUE
+                else ": none yet"
+            )
+            note(image_label(name, kind) + missing, kind="quiet", testid=f"no-{name}")
             continue
         height, width = seen.image.shape
-        said = texts.IMAGE_SIZE if seen.beads is None else texts.IMAGE_BEADS
-        beads = 0 if seen.beads is None else len(seen.beads)
+        beads = None if seen.beads is None else len(seen.beads)
         if seen.view is not None:  # with those that were found by their predicted positions
             beads = int(seen.view.residuals.used.sum()) + len(seen.view.residuals.left_out)
-        told = said.format(image=image_label(name, kind), width=width, height=height, beads=beads)
-        note(told, kind="bad" if seen.refused else "good")
+        counted = "" if beads is None else f", {beads} beads found"
+        note(f"{image_label(name, kind)}: {width} × {height}{counted}", kind="bad" if seen.refused else "good")
         if seen.refused:
             note(seen.refused, kind="bad")
     if jobs.working:
@@ -159,12 +164,12 @@ def _images(tab: Tab) -> None:
     if jobs.trouble:
         note(jobs.trouble, kind="bad", testid="trouble")
     if planning.patient is not None:
-        note(texts.REHEARSING, kind="quiet")
+        note("This case rehearses on a simulated patient.", kind="quiet")
         retake = tab.doing(planning.take_rehearsed)
-        action(texts.TAKE_AGAIN, retake, testid="retake", enabled=not jobs.working)
+        action("Take both images again", retake, testid="retake", enabled=not jobs.working)
         if OBLIQUE in planning.slots:
             third = tab.doing(lambda: planning.take_rehearsed((OBLIQUE,)))
-            action(texts.TAKE_OBLIQUE, third, testid="take-oblique", enabled=not jobs.working)
+            action("Take the oblique image", third, testid="take-oblique", enabled=not jobs.working)
 
 
 def _side(tab: Tab) -> None:
@@ -172,10 +177,10 @@ def _side(tab: Tab) -> None:
         return
     side = tab.planning.decisions.side
     with ui.element("div").classes("on-images").props(f'role=radiogroup aria-label="{texts.SIDE_HEADING}"'):
-        ui.label(texts.SIDE_HINT if side is None else texts.SIDE_HEADING)
+        ui.label("Which side? Check the marker in the image, or the patient:" if side is None else texts.SIDE_HEADING)
         for one in ("right", "left"):
             button = action(
-                texts.SIDES[one],
+                f"{one.title()} side",
                 tab.doing(lambda one=one: tab.planning.confirm_side(one)),
                 testid=f"side-{one}",
                 kind="primary" if side == one else "plain",
@@ -184,22 +189,25 @@ def _side(tab: Tab) -> None:
 
 
 def _serial(tab: Tab) -> None:
-    heading(texts.SERIAL_HEADING)
+    heading("Frame's serial")
     known, confirmed = tab.planning.frame.serial, tab.planning.decisions.serial
     if confirmed is not None:
-        note(texts.SERIAL_CONFIRMED.format(serial=confirmed), kind="good", testid="serial-confirmed")
+        note(f"Confirmed: {confirmed}", kind="good", testid="serial-confirmed")
     elif known is None:
-        note(texts.SERIAL_UNKNOWN, kind="quiet")
+        note(
+            ("Type the serial engraved on the frame, or “none” if there is none. The frame file states none."),
+            kind="quiet",
+        )
     else:
-        note(texts.SERIAL_KNOWN, kind="quiet")
-    field = ui.input(texts.SERIAL_FIELD, value=confirmed or "").props(
+        note("Type the serial engraved on the frame. It must match the frame file.", kind="quiet")
+    field = ui.input("Serial on the frame", value=confirmed or "").props(
         f"dense outlined data-testid=serial maxlength={_SERIAL_LENGTH}"
     )
 
     def confirm() -> None:
         serial = str(field.value or "").strip()
         if not serial or len(serial) > _SERIAL_LENGTH or not serial.isprintable():
-            raise UnusableInputError(texts.SERIAL_REFUSED)
+            raise UnusableInputError("type the serial as engraved on the frame, or “none” if there is none")
         tab.planning.confirm_serial(serial)
 
     field.on("keydown.enter", tab.doing(confirm))
@@ -215,16 +223,23 @@ def _untimed(tab: Tab) -> tuple[str, ...]:
 def _taken(tab: Tab) -> None:
     untimed, kind = _untimed(tab), tab.planning.decisions.kind
     if untimed:
-        heading(texts.TAKEN_HEADING)
+        heading("When the images were taken")
     for name in untimed:
-        note(texts.TAKEN_UNKNOWN.format(image=image_label(name, kind)), kind="warn", testid=f"taken-unknown-{name}")
-        said = ui.number(texts.TAKEN_FIELD.format(image=image_label(name, kind)), format="%.0f", min=0)
+        note(
+            (
+                f"{image_label(name, kind)}: time unknown. The file states none, or one after its "
+                "arrival; then compare the clocks."
+            ),
+            kind="warn",
+            testid=f"taken-unknown-{name}",
+        )
+        said = ui.number(f"{image_label(name, kind)}: taken, minutes ago", format="%.0f", min=0)
         said.props(f"outlined dense data-testid=taken-{name}")
 
         def confirm(name: str = name, said: ui.number = said) -> None:
             tab.session.age.state_taken(name, float("nan") if said.value is None else float(said.value))
 
-        action(texts.TAKEN_CONFIRM, tab.doing(confirm), testid=f"confirm-taken-{name}", kind="primary")
+        action("Confirm the time", tab.doing(confirm), testid=f"confirm-taken-{name}", kind="primary")
 
 
 def _mirrored_key(tab: Tab) -> Hashable:
@@ -243,12 +258,24 @@ def _mirrored(tab: Tab) -> None:
     planning, asked, kind = tab.planning, tab.planning.asks_mirrored, tab.planning.decisions.kind
     if not asked:
         return
-    heading(texts.MIRRORED_HEADING)
-    note(texts.MIRRORED_HINT, kind="warn", testid="mirrored-question")
+    heading("Mirrored displays")
+    note(
+        (
+            "Both images show the frame mirrored. Either the displays are mirrored, or the frame "
+            "file is wrong and so is every point. Look at writing in an image, as this page "
+            "shows it, and answer for at least one image:"
+        ),
+        kind="warn",
+        testid="mirrored-question",
+    )
     for name in asked:
         said = planning.decisions.mirrored.get(planning.decisions.images[name])
-        label = texts.MIRRORED_FIELD.format(image=image_label(name, kind))
-        note(label if said is None else texts.MIRRORED_SAID[said].format(image=image_label(name, kind)))
+        label = f"{image_label(name, kind)}: writing reads"
+        note(
+            label
+            if said is None
+            else f"{image_label(name, kind)}: the file shows it {'mirrored' if said else 'unmirrored'}"
+        )
         with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{label}"'):
             for answer in (True, False):
                 chosen = said is not None and answer == (said != _is_turned(tab, name))
@@ -267,8 +294,8 @@ def _display(tab: Tab) -> None:
         mirrored = [texts.XRAY["mirrored"]] * display.mirrored
         turned = [texts.XRAY["rotated"].format(degrees=display.rotation)] * bool(display.rotation)
         if how := texts.DISPLAY_AND.join(mirrored + turned):
-            shown.append(texts.DISPLAY_SHOWN.format(image=image_label(image, kind), how=how))
+            shown.append(f"{image_label(image, kind)}: {how}")
     if shown:
-        heading(texts.DISPLAY_HEADING)
+        heading("Display")
         for line in shown:
             note(line, kind="warn")

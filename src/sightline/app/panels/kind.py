@@ -19,12 +19,12 @@ def _kind(tab: Tab) -> None:
     kinds: dict[str, str] = {}  # each procedure once, by its first wire
     for key, one in procedures().items():
         if one.wire == one.document.wires[0]:
-            kinds[key] = texts.titled(texts.word(one.document.name))
+            kinds[key] = texts.titled(one.document.name)
 
     async def choose(event) -> None:
         await tab.choose_kind(event.value)
 
     shown = Procedure.of(known.document, known.document.wires[0].key).key
     ui.select(kinds, value=shown, on_change=choose).classes("kind").props(
-        f'dense options-dense data-testid=kind aria-label="{texts.KIND_FIELD}"'
+        f'dense options-dense data-testid=kind aria-label="{"Procedure"}"'
     )

@@ -37,11 +37,11 @@ def _needed(tab: Tab) -> tuple[MarkSpec, ...]:
 def _build(tab: Tab) -> None:
     done, before, needed = _done(tab), waits_for(tab.session, tab.step), _needed(tab)
     if before is not None:
-        said = texts.BACK_TO.format(step=texts.STEPS[before])
+        said = f"Back to {texts.STEPS[before]}"
         action(said, lambda: tab.go_to(before), testid="back", kind="primary")
     elif needed:
         label = needed[0].label if len(needed) == 1 else needed[0].label.rsplit(" ", 1)[0]
-        said = texts.PLACE_WHAT.format(what=texts.word(label[:1].lower() + label[1:]))
+        said = texts.PLACE_WHAT.format(what=label[:1].lower() + label[1:])
         action(said, lambda: tab.place(needed), testid="place-needed", kind="primary")
     elif tab.step is ProcedureStep.DRILL and not (done and tab.planning.sent_is_current):
         drill.build_next(tab)

@@ -17,10 +17,10 @@ _UPDATE_S = 0.1  # half of STALE_S; each update extends how long the browser sho
 
 def build(tab: Tab) -> None:
     """Build this part of the panel."""
-    heading(texts.LIVE_HEADING)
+    heading("Live image")
     Section(tab, lambda t: t.session.live.watch is not None, _switch)
     said = ui.label().classes("note").props("data-testid=live-state role=status")
-    note(texts.word(BLIND_TO), kind="quiet")
+    note(BLIND_TO, kind="quiet")
 
     def update() -> None:
         watched = tab.session.live.latest()
@@ -28,7 +28,7 @@ def build(tab: Tab) -> None:
             if tab.views.watched is not None:
                 tab.show_live(None)
             watch = tab.session.live.watch
-            said.set_text("" if watch is None else watch.fault or texts.LIVE_WAITING)
+            said.set_text("" if watch is None else watch.fault or "Waiting for the first image …")
             return
         said.set_text(_sentence(watched))
         said.classes(add="bad" if watched.moved else "", remove="" if watched.moved else "bad")
@@ -41,7 +41,7 @@ def _switch(tab: Tab) -> None:
     live = tab.session.live
     if live.watch is None:
         start = tab.doing(lambda: live.start(tab.live_source))
-        action(texts.LIVE_SHOW, start, testid="live-start", kind="plain")
+        action("Show the live image", start, testid="live-start", kind="plain")
         return
 
     async def stop() -> None:
@@ -49,8 +49,8 @@ def _switch(tab: Tab) -> None:
         await live.close()
 
     with ui.element("div").classes("choice"):
-        action(texts.LIVE_END, tab.doing(stop), testid="live-stop", kind="plain")
-        action(texts.LIVE_AT_REST, tab.doing(live.watch.rest), testid="live-rest", kind="plain")
+        action("End the live image", tab.doing(stop), testid="live-stop", kind="plain")
+        action("I checked: nothing moved", tab.doing(live.watch.rest), testid="live-rest", kind="plain")
 
 
 def _sentence(watched: "Watched") -> str:

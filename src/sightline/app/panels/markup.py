@@ -12,7 +12,7 @@ from sightline.planning.procedures.rules import ABOVE_ERROR
 _CHECK = (
     '<li class="{0}"><div class="check-head"><div class="mark" aria-hidden="true">{1}</div>'
     '<div class="check-name">{2}</div><div class="check-figure">{3}</div>'
-    '<div class="unseen">{5}</div></div>{6}<div class="check-sentence"{7}>{4}</div></li>'
+    '<div class="unseen">{5}</div></div><div class="check-sentence">{4}</div></li>'
 )
 
 
@@ -20,7 +20,7 @@ _SHOWN, _MORE = 3, 4  # significant digits of a value, and how many more may tel
 _LONG = 120  # characters of a card's text that is written smaller, to fit [ours]
 _CARD = (
     '<div class="verdict {}" data-testid="{}"><div class="verdict-word">{}</div>'
-    '<div class="verdict-sentence {}"{}>{} <span class="verdict-more">{}</span></div></div>'
+    '<div class="verdict-sentence {}">{} <span class="verdict-more">{}</span></div></div>'
 )
 
 
@@ -42,18 +42,18 @@ def heading(text: str) -> Markup:
 
 def note(text: str, *, kind: str = "", testid: str = "") -> Markup:
     """Return a sentence; `kind`: good, warn, bad or quiet."""
-    return filled('<div class="note {}"{}{}>{}</div>', kind, _testid(testid), lang(text), text)
+    return filled('<div class="note {}"{}>{}</div>', kind, _testid(testid), text)
 
 
 def card(state: str, word: str, sentence: str, more: str = "", *, testid: str) -> Markup:
     """Return a card with a verdict; `state`: go, no-go or incomplete."""
     size = "long" if len(sentence) + len(more) > _LONG else ""
-    return filled(_CARD, state, testid, word, size, lang(sentence), sentence, more)
+    return filled(_CARD, state, testid, word, size, sentence, more)
 
 
 def checks(listed: Sequence[Check], *, testid: str) -> Markup:
     """Return checks with value, limit and sentence, the failed ones first."""
-    items = (_check(one, texts.now()) for one in sorted(listed, key=lambda one: one.passed))
+    items = (_check(one) for one in sorted(listed, key=lambda one: one.passed))
     return filled('<ul class="checks"{}>{}</ul>', _testid(testid), joined(*items))
 
 
@@ -72,12 +72,6 @@ def table(
     )
 
 
-def lang(sentence: str) -> Markup:
-    """Return the attribute that tells the language of a sentence, where it is not the page's."""
-    tag = texts.tag(sentence)
-    return filled(' lang="{}"', tag) if tag else Markup()
-
-
 def _testid(testid: str) -> Markup:
     return filled(' data-testid="{}"', testid) if testid else Markup()
 
@@ -89,13 +83,9 @@ def _row(cells: Sequence[str]) -> Markup:
 
 
 @lru_cache(maxsize=256)  # most checks stay as they are when a point moves
-def _check(check: Check, language: texts.Language) -> Markup:
+def _check(check: Check) -> Markup:
     state, sign = ("passed", "✓") if check.passed else ("failed", "✕")
-    name, do = language.checks.get(check.name, (check.name, ""))
-    first = filled('<div class="check-sentence">{}</div>', do) if do and not check.passed else Markup()
-    status = texts.CHECK_STATUS[state]
-    said = texts.sentence(check)
-    return filled(_CHECK, state, sign, name, _figure(check), said, status, first, lang(said))
+    return filled(_CHECK, state, sign, check.name, _figure(check), texts.sentence(check), state)
 
 
 def _figure(check: Check) -> str:
@@ -112,8 +102,8 @@ def _figure(check: Check) -> str:
 def limit_said(name: str, bound: str, *, most: bool) -> str:
     """Return what the limit of a check means, in words. `most`: the value must be below it."""
     if name in ABOVE_ERROR:
-        return texts.FIGURE_ITS_ERROR.format(limit=bound)
-    return (texts.FIGURE_AT_MOST if most else texts.FIGURE_AT_LEAST).format(limit=bound)
+        return f"± {bound} (95 %)"
+    return f"at {'most' if most else 'least'} {bound}"
 
 
 def apart(
@@ -128,4 +118,4 @@ def apart(
 
 
 def _quantity(value: float, unit: str, digits: int) -> str:
-    return f"{value:.{digits}g}{'' if unit == '°' else ' '}{texts.word(unit)}".strip()
+    return f"{value:.{digits}g}{'' if unit == '°' else ' '}{unit}".strip()

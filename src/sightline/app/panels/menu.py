@@ -11,7 +11,20 @@ from sightline.app import texts
 from sightline.app.panels.section import action, heading, table
 from sightline.app.session.reporting import CaseInFolder, cases_beside, report_files
 from sightline.app.tab.tab import Tab
+from sightline.case.journal import Kind
 
+_SHORTCUTS = (
+    ("stop the robot", "space bar"),
+    ("undo, redo", "Ctrl+Z, Ctrl+Y"),
+    ("place a point", "click, or Enter at the cross-hair"),
+    ("move a point", "drag, or arrow keys: 1 pixel, with Shift 0.1"),
+    ("remove a point", "Delete"),
+    ("cancel", "Escape"),
+    ("zoom, pan", "wheel or pinch; drag the background"),
+    ("brightness and contrast", "drag with the right button"),
+    ("next, previous control", "Tab, Shift+Tab"),
+    ("this sheet", "?"),
+)
 OpenCase = Callable[[Path], Awaitable[None]]
 
 
@@ -21,8 +34,8 @@ class Menu:
     def __init__(self, tab: Tab, open_case: OpenCase) -> None:
         self._tab, self._open_case = tab, open_case
         with ui.dialog() as self._shortcuts, ui.card().classes("question").props("data-testid=shortcuts-sheet"):
-            heading(texts.SHORTCUTS)
-            table(texts.SHORTCUT_COLUMNS, texts.SHORTCUT_ROWS, testid="shortcuts-table")
+            heading("Keyboard and mouse")
+            table(("to", "do"), _SHORTCUTS, testid="shortcuts-table")
             action(texts.CLOSE, self._shortcuts.close, testid="shortcuts-close", kind="primary")
         with ui.dialog() as self._cases, ui.card().classes("question wide").props("data-testid=cases-sheet"):
             self._listed = ui.element("div")
@@ -34,7 +47,7 @@ class Menu:
         with ui.element("div").classes("choice"):
             action(texts.REPORT, save, testid="report", kind="small")
             action(texts.CASES, self._tab.doing(self._show_cases), testid="cases", kind="small")
-            action(texts.SHORTCUTS_BUTTON, self.show_shortcuts, testid="shortcuts", kind="small")
+            action("Shortcuts (?)", self.show_shortcuts, testid="shortcuts", kind="small")
 
     def show_shortcuts(self) -> None:
         """Open the sheet of shortcuts."""
@@ -48,7 +61,7 @@ class Menu:
             heading(texts.CASES)
             with ui.element("table").props("data-testid=cases-table"):
                 with ui.element("tr"):
-                    for name in (*texts.CASE_COLUMNS, ""):
+                    for name in ("case", "newest entry, UTC", "reached", "folder", ""):
                         _cell("th", name).props("scope=col")
                 for one in found:
                     self._row(one, here=one.folder == folder.resolve())
@@ -57,7 +70,11 @@ class Menu:
     def _row(self, one: CaseInFolder, *, here: bool) -> None:
         with ui.element("tr"):
             _cell("th", texts.CASE_HERE.format(number=one.number) if here else one.number).props("scope=row")
-            for text in (f"{one.at:%Y-%m-%d %H:%M}", texts.CASE_REACHED[one.reached], one.folder.name):
+            for text in (
+                f"{one.at:%Y-%m-%d %H:%M}",
+                "images" if one.reached is Kind.ACQUIRED else one.reached.value,
+                one.folder.name,
+            ):
                 _cell("td", text)
             with ui.element("td"):
                 if not here:
@@ -67,14 +84,14 @@ class Menu:
     def _ask(self, one: CaseInFolder) -> None:
         """Ask whether to leave this case for another one."""
         now = self._tab.session.drilling.now
-        robot = () if now is None or now.lost else (texts.CASE_ROBOT,)
+        robot = () if now is None or now.lost else ("The link to the robot is closed: it stops and forgets its plan.",)
 
         async def agreed() -> None:
             self._cases.close()
             await self._tab.act(lambda: self._open_case(one.folder))
 
         self._listed.clear()
-        with texts.spoken(self._tab.language), self._listed:
+        with self._listed:
             for text in (texts.CASE_QUESTION.format(number=one.number), *robot):
                 ui.label(text).classes("question-text")
             action(texts.CASE_OPEN, agreed, testid="open-yes", kind="primary")
@@ -91,7 +108,7 @@ async def save_report(tab: Tab) -> None:
     planning = tab.planning
     planning.keep_plan()
     files = await planning.jobs.during(
-        texts.WRITING_REPORT, lambda: planning.worker.do(report_files, planning.case.folder)
+        "writing the report", lambda: planning.worker.do(report_files, planning.case.folder)
     )
     for name, data in files.items():
         ui.download.content(data, name)

@@ -34,6 +34,6 @@ def _of_bone(kind: Procedure, count: int) -> set[str]:
 
 
 def aid_labels(kind: Procedure, keys: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of aids, by their keys, in the language of the page."""
-    names = {aid.key: texts.word(texts.titled(aid.name)) for aid in kind.aids}
+    """Return the names of aids, by their keys."""
+    names = {aid.key: texts.titled(aid.name) for aid in kind.aids}
     return tuple(names[key] for key in keys)

@@ -58,7 +58,7 @@ def build_details(tab: Tab) -> None:
         tab.views.show_beads = bool(event.value)
         tab.refresh()
 
-    ui.checkbox(texts.SHOW_BEADS, value=tab.views.show_beads, on_change=show).props("data-testid=show-beads")
+    ui.checkbox("Show the beads", value=tab.views.show_beads, on_change=show).props("data-testid=show-beads")
     if kind_of(tab.planning.decisions.kind).proposal is not None:
         Section(tab, _missing, _lacking)
     HtmlSection(tab, lambda t: t.known, metrics_html)
@@ -66,8 +66,8 @@ def build_details(tab: Tab) -> None:
 
 def _purpose(tab: Tab) -> None:
     known = kind_of(tab.planning.decisions.kind)
-    heading(texts.titled(texts.word(known.name)))
-    note(texts.word(known.purpose), kind="quiet")
+    heading(texts.titled(known.name))
+    note(known.purpose, kind="quiet")
 
 
 def _turns_html(tab: Tab) -> Markup:
@@ -76,14 +76,14 @@ def _turns_html(tab: Tab) -> Markup:
     if plan is None or plan.hole is None:
         return Markup()
     turns = [
-        texts.TURN.format(
-            image=image_short(turn.view, tab.planning.decisions.kind),
-            orbit=round(np.rad2deg(turn.orbit_rad)) + 0.0,  # never -0
-            tilt=round(np.rad2deg(turn.tilt_rad)) + 0.0,
+        (
+            f"{image_short(turn.view, tab.planning.decisions.kind)} orbit "
+            f"{round(np.rad2deg(turn.orbit_rad)) + 0.0:+.0f}°, tilt "
+            f"{round(np.rad2deg(turn.tilt_rad)) + 0.0:+.0f}°"
         )
         for turn in perfect_circles(plan.hole, plan.views)
     ]
-    return markup.note(texts.TURNS.format(turns="; ".join(turns)), kind="quiet", testid="turns")
+    return markup.note("Perfect circle, turn the C-arm: " + "; ".join(turns) + ".", kind="quiet", testid="turns")
 
 
 def _fitted_html(tab: Tab) -> Markup:
@@ -95,7 +95,7 @@ def _fitted_html(tab: Tab) -> Markup:
         return Markup()
     centre = TWO_SIDED_95 * float(np.sqrt(np.linalg.eigvalsh(head.covariance_mm2[:3, :3])[-1]))
     radius = TWO_SIDED_95 * float(np.sqrt(head.covariance_mm2[3, 3]))
-    said = [texts.HEAD_FITTED.format(radius=head.radius_mm, radius_error=radius, centre_error=centre)]
+    said = [(f"Head fitted: radius {head.radius_mm:.1f} ± {radius:.1f} mm, centre ± {centre:.1f} mm (95 %).")]
     said += kept_as_drawn(fitted.kept)
     return markup.note(" ".join(said), kind="quiet", testid="head-fitted")
 
@@ -105,7 +105,7 @@ def _fitted_axes_html(tab: Tab) -> Markup:
     known = tab.known
     if known is None:
         return Markup()
-    found = ((SHAFT, known.anatomy.shaft, texts.SHAFT_FITTED), (NECK, known.anatomy.neck, texts.NECK_FITTED))
+    found = ((SHAFT, known.anatomy.shaft, "Shaft"), (NECK, known.anatomy.neck, "Neck"))
     return Markup().join(_fitted_axis_html(key, known.fitted_axis(key), axis, text) for key, axis, text in found)
 
 
@@ -116,7 +116,7 @@ def _fitted_axis_html(key: str, fitted: FittedAxis | None, axis: Axis | None, te
         TWO_SIDED_95 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
         for covariance in (axis.direction_covariance_rad2, axis.offset_covariance_mm2)
     )
-    said = [text.format(direction_error=np.rad2deg(turned), place_error=offset), *kept_as_drawn(fitted.kept)]
+    said = [f"{text} ± {np.rad2deg(turned):.1f}°, ± {offset:.1f} mm (95 %).", *kept_as_drawn(fitted.kept)]
     return markup.note(" ".join(said), kind="quiet", testid=f"{key}-fitted")
 
 
@@ -131,19 +131,19 @@ def _nail(tab: Tab) -> None:
         return
     files, chosen = known_nails(), decisions.nail
     known = {key: file.nail for key, file in files.items()}
-    names = {"": texts.NAIL_NONE, **{key: texts.NAIL_CHOICE.format(name=file.name) for key, file in files.items()}}
+    names = {"": "No nail: points by hand", **{key: f"Nail: {file.name}" for key, file in files.items()}}
     shown = "" if chosen is None else next((key for key, nail in known.items() if nail == chosen), "other")
     if chosen is not None and shown == "other":  # its file is elsewhere
-        known[shown], names[shown] = chosen, texts.NAIL_OTHER.format(mm=chosen.diameter_mm, material=chosen.material)
+        known[shown], names[shown] = chosen, f"Nail: {chosen.diameter_mm:g} mm, {chosen.material}, of this case"
 
     async def choose(event) -> None:
         await tab.choose_nail(known.get(event.value))
 
     ui.select(names, value=shown, on_change=choose).classes("kind").props(
-        f'dense options-dense data-testid=nail aria-label="{texts.NAIL_FIELD}"'
+        f'dense options-dense data-testid=nail aria-label="{"Nail"}"'
     )
     if chosen is not None and (named := _implanted(tab)) and chosen != tab.planning.implanted:
-        note(texts.NAIL_IMPLANTED.format(name=named), kind="quiet", testid="nail-implanted")
+        note(f"The simulated patient has this nail: {named}.", kind="quiet", testid="nail-implanted")
 
 
 def _implanted(tab: Tab) -> str:
@@ -151,7 +151,9 @@ def _implanted(tab: Tab) -> str:
     own = tab.planning.implanted
     if own is None:
         return ""
-    return next((one.name for one in known_nails().values() if one.nail == own), texts.NAIL_SIZE.format(**vars(own)))
+    return next(
+        (one.name for one in known_nails().values() if one.nail == own), f"{own.diameter_mm:g} mm, {own.material}"
+    )
 
 
 def _snapping(tab: Tab) -> None:
@@ -159,7 +161,7 @@ def _snapping(tab: Tab) -> None:
         await tab.act(lambda: tab.planning.choose_snapping(bool(event.value)))
 
     on = tab.planning.decisions.snapping
-    ui.checkbox(texts.SNAP, value=on, on_change=snap).props("data-testid=snapping")
+    ui.checkbox("Snap points of the wire to their curves", value=on, on_change=snap).props("data-testid=snapping")
 
 
 def _borders(tab: Tab) -> None:
@@ -170,7 +172,7 @@ def _borders(tab: Tab) -> None:
         await tab.act(lambda: tab.planning.choose_borders(bool(event.value)))
 
     on = tab.planning.decisions.borders
-    ui.checkbox(texts.BY_BORDERS, value=on, on_change=choose).props("data-testid=borders")
+    ui.checkbox("Draw axes by both borders of the bone", value=on, on_change=choose).props("data-testid=borders")
 
 
 def _points_key(tab: Tab) -> Hashable:
@@ -186,14 +188,14 @@ def _points(tab: Tab) -> None:
                 heading(texts.POINT_GROUPS[group])
             if group == "aid" and lowest_wire(kind_of(decisions.kind).document) is not None:
                 others = tab.doing(tab.planning.propose_others)
-                action(texts.PROPOSE_OTHERS, others, testid="propose-others", kind="small")
+                action("Propose the other wires", others, testid="propose-others", kind="small")
             if group == "aid" and kind_of(decisions.kind).proposal is not None:
-                action(texts.PROPOSE, tab.doing(lambda: _propose(tab)), testid="propose", kind="small").props(
-                    f'title="{texts.PROPOSE_WHAT}"'
+                action("Propose wire", tab.doing(lambda: _propose(tab)), testid="propose", kind="small").props(
+                    f'title="{"Propose a wire from the drawn aids"}"'
                 )
             if group == "aid" and has_head(decisions):
-                fit = action(texts.FIT_HEAD, tab.doing(tab.planning.fit_head), testid="fit-head", kind="small")
-                fit.props(f'title="{texts.FIT_HEAD_WHAT}"')
+                fit = action("Fit head", tab.doing(tab.planning.fit_head), testid="fit-head", kind="small")
+                fit.props(f'title="{"Fit the drawn circles of the femoral head to its edges in both images"}"')
         for _, same in groupby(listed, key=lambda one: one.of):
             _row(tab, tuple(same))
 
@@ -202,7 +204,7 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
     """Build the row of one point, or of one aid's clicks. Its buttons persist, so that a refresh does not lose
     clicks."""
     first, names = same[0], tuple(one.name for one in same)
-    label = texts.word(first.label if len(same) == 1 else first.label.rsplit(" ", 1)[0])
+    label = first.label if len(same) == 1 else first.label.rsplit(" ", 1)[0]
 
     def images_of(t: Tab) -> tuple[str, ...]:
         return tuple(image for image in t.planning.names if first.shown_in(image))
@@ -230,17 +232,20 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
         with action("", lambda: tab.place(same), testid=f"place-{first.of}", kind="pick-place") as place:
             ui.label(label).classes("pick-name")
             status = ui.element("div")
-            ui.tooltip(texts.word(first.sentence)).props('anchor="center left" self="center right"')
+            ui.tooltip(first.sentence).props('anchor="center left" self="center right"')
         fits = {
-            SHAFT: (tab.planning.fit_shaft, texts.FIT_SHAFT_WHAT),
-            NECK: (tab.planning.fit_neck, texts.FIT_NECK_WHAT),
+            SHAFT: (tab.planning.fit_shaft, "Fit the drawn borders of the shaft to its edges in both images"),
+            NECK: (
+                tab.planning.fit_neck,
+                "Fit the neck's axis, from the head's centre, to the neck's edges in both images",
+            ),
         }
         if first.of in fits and has_borders_of(tab.planning.decisions, first.of):
             work, what = fits[first.of]
-            fit = action(texts.FIT_AXIS, tab.doing(work), testid=f"fit-{first.of}", kind="small to-edges")
+            fit = action("Fit", tab.doing(work), testid=f"fit-{first.of}", kind="small to-edges")
             fit.props(f'title="{what}" aria-label="{what}"')
         remove = action("✕", tab.doing(lambda: tab.planning.remove(names)), testid=f"remove-{first.of}", kind="small")
-        remove.props(f'aria-label="{texts.REMOVE_WHAT.format(what=label)}"')
+        remove.props(f'aria-label="{f"Remove {label}"}"')
     with status:
         Section(tab, lambda t: (placed(t), current(t)), show, classes="pick-status")
 
@@ -248,7 +253,7 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
 def _propose(tab: Tab) -> None:
     known = tab.planning.planned
     if known is None:
-        raise UnusableInputError(texts.PROPOSE_UNCALIBRATED)
+        raise UnusableInputError("calibrate both views before a wire can be proposed")
     decisions = tab.planning.decisions
     ends = proposed(decisions.ends(decisions.kind), known.proposal())
     tab.planning.edit(decisions.with_ends(decisions.kind, ends))
@@ -258,7 +263,7 @@ def _propose(tab: Tab) -> None:
 def _lacking(tab: Tab) -> None:
     """Build what a proposal still needs; nothing where it can be made."""
     if missing := _missing(tab):
-        note(texts.PROPOSE_NEEDS, kind="quiet")
+        note("To propose a wire, draw these aids too:", kind="quiet")
         note(f"{texts.titled(missing)}.", kind="quiet", testid="propose-needs")
 
 
@@ -283,24 +288,29 @@ def metrics_html(tab: Tab) -> Markup:
         path = known.plan.trajectory
         if path.error_stated:
             rows += [
-                (texts.ENTRY_ERROR, f"{path.entry_error_95_mm:.2f} mm", ""),
-                (texts.TIP_ERROR, f"{path.end_error_95_mm:.2f} mm", ""),
-                (texts.DIRECTION_ERROR, f"{np.rad2deg(path.direction_error_95_rad):.2f}°", ""),
+                ("entry, 95 % error", f"{path.entry_error_95_mm:.2f} mm", ""),
+                ("tip, 95 % error", f"{path.end_error_95_mm:.2f} mm", ""),
+                ("direction, 95 % error", f"{np.rad2deg(path.direction_error_95_rad):.2f}°", ""),
             ]
         rows += _gaps(tab)
     said = [markup.note(why, kind="bad", testid="metrics-refused") for why in _refused(known)]
     if known.plan is not None:
         said += [markup.note(sentence, kind="quiet", testid="along") for sentence in known.plan.sentences()]
     if tab.planning.decisions.side is None:
-        said.insert(0, markup.note(texts.SIDE_FOR_METRICS, kind="warn"))
+        said.insert(
+            0,
+            markup.note(
+                "Confirm the patient's side on the step Images to see measurements of the implant.", kind="warn"
+            ),
+        )
     for metric in known.metrics:
         if metric.value is not None:
             space = "" if metric.unit == "°" else " "
             sd = "" if metric.sd is None else f" ± {TWO_SIDED_95 * metric.sd:.1f}"
             mark = {True: "✓", False: "!", None: ""}[metric.within]
-            rows.append((texts.word(metric.name), f"{metric.value:.1f}{sd}{space}{metric.unit}", mark))
-    table = markup.table(texts.METRIC_COLUMNS, rows, testid="metrics")
-    return markup.joined(markup.heading(texts.METRICS_HEADING), *said, table)
+            rows.append((metric.name, f"{metric.value:.1f}{sd}{space}{metric.unit}", mark))
+    table = markup.table(("", "± 95 %", ""), rows, testid="metrics")
+    return markup.joined(markup.heading("Measurements"), *said, table)
 
 
 def _refused(known: Planned) -> list[str]:
@@ -315,10 +325,10 @@ def _gaps(tab: Tab) -> list[tuple[str, str, str]]:
     assert known is not None and known.plan is not None  # noqa: S101
     seen, decisions = known.plan.seen, known.decisions
     landmarks = landmarks_of(decisions, len(known.views))
-    names = [*texts.GAP_ENDS, *(texts.word(a.label[:1].lower() + a.label[1:]) for a in landmarks)]
+    names = ["entry", "tip", *(a.label[:1].lower() + a.label[1:] for a in landmarks)]
     out = []
     for name, gap, tested in zip(names, seen.gap_mm, seen.gap_tested, strict=True):
-        out.append((texts.GAP_OF.format(point=name), f"{gap:.2f} mm" if tested else texts.GAP_NOT_TESTED, ""))
+        out.append((f"gap of {name}", f"{gap:.2f} mm" if tested else "not tested (snapped)", ""))
     return out
 
 
@@ -333,9 +343,16 @@ def instruction(tab: Tab) -> tuple[str, str, str] | None:
     slides = (
         spec.group == "wire" and goal.image == NAMES[1] and decisions.snapping and decisions.mark(spec.name).at("pa")
     )
-    where = texts.PLACE_IN_OBLIQUE if goal.image == OBLIQUE else texts.PLACE_ON_CURVE if slides else texts.PLACE_WHERE
-    said = where.format(point=texts.word(spec.label), sentence=texts.word(spec.sentence))
+    if goal.image == OBLIQUE:
+        todo = "click where this image shows it; the cross is where the other two expect it"
+    else:
+        todo = "slide along its curve and click" if slides else spec.sentence
+    said = f"{spec.label}: {todo}"
     if number == 1 and spec.group == "wire" and kind_of(decisions.kind).document.through_holes:
         named = _implanted(tab)
-        said = texts.NAIL_FIRST_OF.format(name=named, said=said) if named else texts.NAIL_FIRST.format(said=said)
-    return texts.COUNTER.format(number=number, count=count), in_image(goal.image, decisions.kind), said
+        said = (
+            f"Choose the nail on the right; the simulated patient has {named}. Or by hand: {said}"
+            if named
+            else f"Choose the nail on the right. Or by hand: {said}"
+        )
+    return f"{number} of {count}", in_image(goal.image, decisions.kind), said

@@ -39,7 +39,7 @@ def verdict_html(tab: Tab) -> Markup:
     decision, told = _decided(tab)
     now = tab.session.drilling.now
     of = "" if now is None else texts.SHOT_HEADINGS[now.state]
-    return markup.card(_STATES[decision], texts.SHOT_DECISIONS[decision], told, of, testid="shot-verdict")
+    return markup.card(_STATES[decision], decision, told, of, testid="shot-verdict")
 
 
 def _decided(tab: Tab) -> tuple[str, str]:
@@ -48,20 +48,28 @@ def _decided(tab: Tab) -> tuple[str, str]:
     if shots.found is not None:
         verdict = shots.found.verdict
         wrong = sorted(failed(verdict.checks), key=lambda one: one in verdict.unmade)
-        return shots.found.decision, texts.said(wrong[0]) if wrong else texts.SHOT_ON_PLAN
+        return shots.found.decision, texts.sentence(wrong[0]) if wrong else "The wire is on the plan. A person decides."
     if shots.objection:
         return "STOP", shots.objection
     for name in SHOT_NAMES:
         seen = tab.planning.seen(name)
         if seen is not None and (seen.refused or seen.doing):
-            state = seen.refused or f"{texts.word(seen.doing)} …"
+            state = seen.refused or f"{seen.doing} …"
             return "INCOMPLETE", texts.CHECK_IMAGE.format(
                 image=image_label(name, tab.planning.decisions.kind), state=state
             )
     if shots.lacks_landmarks:
         known = len(tab.planning.landmarks)
-        return "INCOMPLETE", texts.SHOT_NEEDS_LANDMARKS.format(count=MIN_LANDMARKS, known=known)
-    return "INCOMPLETE", texts.SHOT_MEASURING if shots.measuring else shots.refused or texts.SHOT_LEFT
+        return "INCOMPLETE", (
+            f"Find {MIN_LANDMARKS} landmarks of the plan or more in both images; the plan has "
+            f"{known}. They alone tell where a frame on the patient is."
+        )
+    return (
+        "INCOMPLETE",
+        texts.SHOT_MEASURING
+        if shots.measuring
+        else shots.refused or "Place the points that are asked for in both images.",
+    )
 
 
 def build(tab: Tab) -> None:
@@ -71,18 +79,25 @@ def build(tab: Tab) -> None:
         return
     heading(texts.SHOT_HEADINGS[now.state])
     if shots.on_patient:
-        note(texts.FRAME_ON_PATIENT, kind="quiet", testid="on-patient")
+        note("The frame is fixed to the patient, as a person stated.", kind="quiet", testid="on-patient")
     if not shots.state:
         note(TURNED_AWAY, kind="quiet", testid="turned-away")
     elif tab.planning.patient is None:
-        note(texts.SHOT_DROP_ON_PATIENT if shots.on_patient else texts.SHOT_DROP, kind="quiet")
+        note(
+            "Drop both images of the shot onto the page, with the frame on the patient."
+            if shots.on_patient
+            else "Drop both images of the shot onto the page, with the block on its mount again.",
+            kind="quiet",
+        )
     else:
         enabled = not now.activity and not tab.session.jobs.working
-        action(texts.TAKE_SHOT, tab.doing(shots.take_rehearsed), testid="take-shot", kind="plain", enabled=enabled)
+        action("Take the shot", tab.doing(shots.take_rehearsed), testid="take-shot", kind="plain", enabled=enabled)
     if shots.found is not None:
         _measured(shots.found)
         if shots.shown == PAUSED and shots.found.decision == "GO" and ZeroSource.SHOT not in now.zero:
-            action(texts.SEND_MEASURED, tab.doing(shots.send_depth), testid="send-measured", enabled=not now.activity)
+            action(
+                "Send the measured depth", tab.doing(shots.send_depth), testid="send-measured", enabled=not now.activity
+            )
     _frame_on_patient(tab)
 
 
@@ -102,12 +117,12 @@ def _frame_on_patient(tab: Tab) -> None:
 
 
 def _measured(found: DrillShot) -> None:
-    wire, (entry, end, direction, depth) = found.wire, texts.SHOT_ROWS
+    wire = found.wire
     angle, error = np.rad2deg(wire.angle_rad), np.rad2deg(wire.direction_error_95_rad)
     rows = [
-        (entry, f"{wire.entry_deviation_mm:.2f} mm", f"{wire.entry_error_95_mm:.2f} mm"),
-        (end, f"{np.linalg.norm(found.end_mm):.2f} mm", f"{found.end_error_95_mm:.2f} mm"),
-        (direction, f"{angle:.2f}°", f"{error:.2f}°"),
-        (depth, f"{found.depth_mm:.2f} mm", f"{TWO_SIDED_95 * found.depth_sd_mm:.2f} mm"),
+        ("entry, perpendicular", f"{wire.entry_deviation_mm:.2f} mm", f"{wire.entry_error_95_mm:.2f} mm"),
+        ("end, drilled on", f"{np.linalg.norm(found.end_mm):.2f} mm", f"{found.end_error_95_mm:.2f} mm"),
+        ("direction", f"{angle:.2f}°", f"{error:.2f}°"),
+        ("depth of the tip", f"{found.depth_mm:.2f} mm", f"{TWO_SIDED_95 * found.depth_sd_mm:.2f} mm"),
     ]
-    table(texts.SHOT_COLUMNS, rows, testid="shot-measured")
+    table(("", "measured", "± 95 %"), rows, testid="shot-measured")

@@ -28,7 +28,9 @@ class Space:
         self._box = ui.element("div").classes("space-box")
         self._box.set_visibility(False)
         with self._box:
-            self._view = SpaceView(label=texts.SPACE_LABEL, groups=texts.SPACE_GROUPS, texts=self._texts)
+            self._view = SpaceView(
+                label="3-D scene: frame, views, wire, robot", groups=texts.SPACE_GROUPS, texts=self._texts
+            )
         tab.on_refresh.append(self.refresh)
         ui.timer(_LIVE_S, self._robot)
 
@@ -109,7 +111,7 @@ class Space:
         known = self._tab.known
         if known is None or known.plan is None:
             return []
-        words = [texts.word(spec.label) for spec in landmarks_of(known.decisions, len(known.views))]
+        words = [spec.label for spec in landmarks_of(known.decisions, len(known.views))]
         return space.point_objects(known.plan.seen.xyz_mm[2:], words)
 
     def _wires(self) -> list[dict[str, Any]]:
@@ -119,7 +121,7 @@ class Space:
             if current:
                 out += space.wire_objects(plan.trajectory, kind.wire_mm)
             else:
-                out += space.other_wire_objects(plan.trajectory, kind.wire_mm, texts.word(kind.wire.name))
+                out += space.other_wire_objects(plan.trajectory, kind.wire_mm, kind.wire.name)
         return out
 
     def _drilled(self) -> list[dict[str, Any]]:

@@ -73,13 +73,16 @@ def _images(session: Session) -> _Found:
     decisions = planning.decisions
     missing = [name for name in NAMES if name not in decisions.images]
     if working and missing:
-        return StepStatus.OPEN, texts.DOING.format(doing=texts.titled(texts.word(working)))
+        return StepStatus.OPEN, f"{texts.titled(working)}."
     if missing:
-        return StepStatus.OPEN, texts.DROP_MISSING.format(
-            images=texts.DROP_AND.join(image_name(name, decisions.kind) for name in missing)
-        )
+        names = " and the ".join(image_name(name, decisions.kind) for name in missing)
+        return StepStatus.OPEN, f"Drop the {names} onto the page."
     left = _left_of_images(session)
-    return (StepStatus.ATTENTION, left) if left else (StepStatus.DONE, texts.IMAGES_DONE)
+    return (
+        (StepStatus.ATTENTION, left)
+        if left
+        else (StepStatus.DONE, "Both images are loaded; side and frame are confirmed.")
+    )
 
 
 def _left_of_images(session: Session) -> str:
@@ -87,31 +90,31 @@ def _left_of_images(session: Session) -> str:
     planning = session.planning
     decisions, asked = planning.decisions, planning.asks_mirrored
     if refused := [image_name(name, decisions.kind) for name in NAMES if _is_refused(planning, name)]:
-        return texts.LOAD_ANOTHER.format(image=refused[0])
+        return f"Load another {refused[0]}: this one cannot be used."
     if decisions.side is None or decisions.serial is None:
-        return texts.CONFIRM_BOTH
+        return "Confirm the patient's side and the frame's serial."
     if any(session.age.taken_at(seen) is None for seen in _present(planning)):
-        return texts.STATE_WHEN_TAKEN
+        return "State when the images without a recorded time were taken."
     if asked and not any(decisions.images[name] in decisions.mirrored for name in asked):
-        return texts.STATE_WHETHER_MIRRORED
+        return "State whether writing in the images reads backwards."
     return ""
 
 
 def _calibrate(planning: Planning) -> _Found:
     seen = _present(planning)
     if any(planning.seen(name) is None for name in NAMES):
-        return StepStatus.BLOCKED, texts.IMAGES_FIRST
+        return StepStatus.BLOCKED, "Load both images first."
     if busy := next((one.doing for one in seen if one.doing), ""):
-        return StepStatus.OPEN, texts.DOING.format(doing=texts.titled(texts.word(busy)))
+        return StepStatus.OPEN, f"{texts.titled(busy)}."
     if refused := next((one.refused for one in seen if one.refused), ""):
         return StepStatus.ATTENTION, refused
     views = planning.views()
     if views is None:
-        return StepStatus.ATTENTION, texts.SAME_VIEW
+        return StepStatus.ATTENTION, "Load another image: both show the same view."
     wrong = failed(check for view in views for check in view.checks)
     if wrong:
-        return StepStatus.ATTENTION, texts.said(wrong[0])
-    return StepStatus.DONE, texts.CALIBRATED
+        return StepStatus.ATTENTION, texts.sentence(wrong[0])
+    return StepStatus.DONE, "Both views are calibrated, and every check passed."
 
 
 def _plan(session: Session) -> _Found:
@@ -119,15 +122,15 @@ def _plan(session: Session) -> _Found:
     if session.planning.lacking:
         return StepStatus.ATTENTION, " ".join(texts.LACKS[session.planning.lacking])
     if known is None:
-        return StepStatus.BLOCKED, texts.CALIBRATE_FIRST
+        return StepStatus.BLOCKED, "Calibrate both views first."
     if known.plan is None:
         if refused := refusals(known):
             return StepStatus.ATTENTION, refused[0]
         if decisions.of_nail and session.planning.nail.searching:
             return StepStatus.OPEN, texts.SEARCHING_NAIL
         wire = [spec for spec in decisions.specs if spec.group in ("wire", "nail")]
-        left = [texts.word(spec.label) for spec in wire if not decisions.complete([spec.name])]
-        return StepStatus.OPEN, texts.PLACE_WIRE.format(points=", ".join(left))
+        left = [spec.label for spec in wire if not decisions.complete([spec.name])]
+        return StepStatus.OPEN, "Place in both images: " + ", ".join(left) + "."
     return _judged(known, session.readiness.verdict)
 
 
@@ -142,13 +145,13 @@ def judged(verdict: Verdict | None) -> _Found:
     """Return the status by the checks: what is not placed is left to do, only a check that failed needs attention."""
     wrong = [] if verdict is None else sorted(failed(verdict.checks), key=lambda one: one in verdict.unmade)
     if verdict is None or not wrong:
-        return StepStatus.DONE, texts.PLAN_DONE
-    return StepStatus.OPEN if wrong[0] in verdict.unmade else StepStatus.ATTENTION, texts.said(wrong[0])
+        return StepStatus.DONE, "GO: every check passed."
+    return StepStatus.OPEN if wrong[0] in verdict.unmade else StepStatus.ATTENTION, texts.sentence(wrong[0])
 
 
 def refusals(known: Planned) -> tuple[str, ...]:
     """Return why results are missing, each reason once; that of one of a nail's holes names it."""
-    holes = {spec.name: texts.word(spec.label) for spec in known.decisions.specs if spec.group == "nail"}
+    holes = {spec.name: spec.label for spec in known.decisions.specs if spec.group == "nail"}
     named = (f"{holes[name]}: {why}" if name in holes else why for name, why in known.refused.items())
     return tuple(dict.fromkeys(named))
 
@@ -156,7 +159,7 @@ def refusals(known: Planned) -> tuple[str, ...]:
 def _drill(session: Session) -> _Found:
     planning, now = session.planning, session.drilling.now
     if set(planning.kinds) <= set(planning.all_drilled):
-        return StepStatus.DONE, texts.DRILL_DONE
+        return StepStatus.DONE, "Drilling is done."
     if now is not None and now.lost:
         return StepStatus.ATTENTION, texts.LINK_LOST
     if now is not None and (now.fault or now.last_error):
@@ -164,7 +167,7 @@ def _drill(session: Session) -> _Found:
     if session.drilling.changed == texts.CHANGED_AFTER_SENDING:
         return StepStatus.ATTENTION, texts.CHANGED_AFTER_SENDING
     if now is not None and planning.sent is not None and now.state != State.UNDEFINED.value:
-        state = texts.ROBOT_IN.format(state=texts.STATES.get(now.phase, texts.STATE_UNKNOWN))
+        state = f"{texts.STATES.get(now.phase, texts.STATE_UNKNOWN)}."
         return StepStatus.OPEN, texts.ROBOT_NEXT.get(now.phase, state)
     return _send(session, linked=now is not None and not now.lost)
 
@@ -173,14 +176,16 @@ def _send(session: Session, *, linked: bool) -> _Found:
     if not session.readiness.can_send:
         return StepStatus.BLOCKED, texts.ONLY_GO
     if session.planning.patient is None:
-        return StepStatus.BLOCKED, texts.NO_ROBOT_IN_IMAGES
-    return StepStatus.OPEN, texts.CAN_SEND if linked else texts.CAN_START
+        return StepStatus.BLOCKED, (
+            "These images carry no robot pose: the plan cannot be sent to a robot. Save its report."
+        )
+    return StepStatus.OPEN, "Send the plan to the robot." if linked else "Start the robot, then send the plan."
 
 
 def missing_again(planning: Planning) -> list[str]:
     """Return the labels of the plan's landmarks that are not found again in both check images."""
     mark = planning.decisions.mark
-    return [texts.word(one.label) for one in planning.landmarks if not mark(one.name).complete(CHECK_NAMES)]
+    return [one.label for one in planning.landmarks if not mark(one.name).complete(CHECK_NAMES)]
 
 
 def _verify(session: Session) -> _Found:
@@ -192,11 +197,14 @@ def _verify(session: Session) -> _Found:
     if shots:
         wrong = failed((*(check for one in shots for check in one.checks), *verifying.relations()))
         if wrong:
-            return StepStatus.OPEN if missing_again(planning) else StepStatus.ATTENTION, texts.said(wrong[0])
+            return StepStatus.OPEN if missing_again(planning) else StepStatus.ATTENTION, texts.sentence(wrong[0])
         if len(shots) == len(kinds):
-            return StepStatus.DONE, texts.VERIFIED
+            return StepStatus.DONE, "The wire was measured in two check images and lies as planned."
         if verifying.shot is not None:
-            return StepStatus.OPEN, texts.GO_ON_VERIFYING
+            return StepStatus.OPEN, "This wire lies as planned: go on with the next one."
     if not planning.all_sent:
-        return StepStatus.BLOCKED, texts.NOT_DRILLED
-    return StepStatus.OPEN, texts.SHOT_MEASURING if verifying.measuring else texts.TAKE_TWO_MORE
+        return StepStatus.BLOCKED, "Nothing has been drilled yet."
+    return (
+        StepStatus.OPEN,
+        texts.SHOT_MEASURING if verifying.measuring else "Take two check images with the wire in the bone.",
+    )

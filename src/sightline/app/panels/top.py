@@ -21,7 +21,7 @@ _EXPIRING_S = 120.0  # time left that is marked [ours]
 def build(tab: Tab) -> None:
     """Build the row."""
     with ui.element("div").classes("guide"):
-        with ui.element("nav").props(f'aria-label="{texts.STEPS_LABEL}" data-went=0') as nav:
+        with ui.element("nav").props(f'aria-label="{"Steps"}" data-went=0') as nav:
             PersistentSection(tab, lambda t: (steps(t.session), t.step), _steps, classes="steps")
         with ui.element("div").classes("say").props("role=status"):
             HtmlSection(tab, _said, _say, drag=False)
@@ -68,13 +68,16 @@ def _say(tab: Tab) -> Markup:
     """Return the message, or else the next instruction: to place a point, or what the step waits for."""
     if tab.message:
         return markup.filled(
-            '<div class="message {} {}"{} role="alert" data-testid="message">{}</div>',
+            '<div class="message {} {}" role="alert" data-testid="message">{}</div>',
             "good" if tab.is_good else "",
-            *_sized(tab.message),
+            size_of(tab.message),
+            tab.message,
         )
     told = plan.instruction(tab)
     if told is None:
-        return markup.filled('<div class="instruction {}"{} data-testid="instruction">{}</div>', *_sized(_reason(tab)))
+        return markup.filled(
+            '<div class="instruction {}" data-testid="instruction">{}</div>', size_of(_reason(tab)), _reason(tab)
+        )
     counter, image, what = told
     return markup.filled(
         '<div class="instruction {}" data-testid="instruction"><span class="counter">{}</span> · '
@@ -84,10 +87,6 @@ def _say(tab: Tab) -> Markup:
         image,
         what,
     )
-
-
-def _sized(text: str) -> tuple[str, Markup, str]:
-    return size_of(text), markup.lang(text), text
 
 
 def size_of(text: str) -> str:
@@ -139,8 +138,8 @@ def _undo(tab: Tab) -> Callable[[], None]:
     made = [
         action(sign, tab.doing(what), testid=testid, kind="plain").props(f'aria-label="{name}" title="{title}"')
         for sign, testid, name, title, what in (
-            ("↶", "undo", *texts.UNDO, tab.planning.undo),
-            ("↷", "redo", *texts.REDO, tab.planning.redo),
+            ("↶", "undo", "Undo", "Undo (Ctrl+Z)", tab.planning.undo),
+            ("↷", "redo", "Redo", "Redo (Ctrl+Y)", tab.planning.redo),
         )
     ]
 
@@ -160,7 +159,7 @@ def _stop(tab: Tab) -> Callable[[], None]:
     button = action("STOP", tab.doing(lambda: _stop_robot(tab)), testid="stop", kind="danger")
     button.props(f'title="{texts.STOP_IS_NO_EMERGENCY_STOP}"')
     state = ui.label().classes("link").props("data-testid=link role=status")
-    ui.label(texts.RED_BUTTON).classes("red-button").props("data-testid=red-button")
+    ui.label("use the red button").classes("red-button").props("data-testid=red-button")
 
     def update() -> None:
         lost = _link(tab)

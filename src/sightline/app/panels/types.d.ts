@@ -9,19 +9,6 @@ export interface Target {
 
 export type State = "empty" | "here" | "failed";
 
-/** The server's sentences; words in braces are filled in. */
-export interface Texts {
-  here: string;
-  or: string;
-  choose: string;
-  another: string;
-  many: string;
-  large: string;
-  reading: string;
-  lost: string;
-  refused: string;
-}
-
 export interface Data {
   ready: boolean;
   told: boolean;
@@ -63,7 +50,7 @@ export interface Listeners {
 }
 
 /** The component at work. */
-export type Drop = Data & Methods & { targets: Target[]; texts: Texts; maxBytes: number; shown: Target[]; listeners: Listeners };
+export type Drop = Data & Methods & { targets: Target[]; maxBytes: number; shown: Target[]; listeners: Listeners };
 
 /** Its definition for Vue. */
 export interface Component {

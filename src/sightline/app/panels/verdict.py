@@ -37,12 +37,12 @@ def left(tab: Tab) -> tuple[str, ...]:
     """Return what is left to do before a verdict: points to place, what a person must confirm, and aids to draw."""
     decisions, known, verdict = tab.planning.decisions, tab.planning.planned, tab.session.readiness.verdict
     if known is None:
-        return (texts.LEFT_CALIBRATION,)
+        return ("two calibrated images",)
     asked = [spec for spec in tab.planning.asked if not decisions.complete([spec.name])]
-    confirmed = ((texts.LEFT_SIDE, decisions.side), (texts.LEFT_SERIAL, decisions.serial))
+    confirmed = (("patient's side", decisions.side), ("frame's serial", decisions.serial))
     aids = () if verdict is None else needed_aids(known, verdict)
     return (
-        *(texts.word(spec.label) for spec in asked),
+        *(spec.label for spec in asked),
         *(what for what, value in confirmed if value is None),
         *aid_labels(known.kind, aids),
     )
@@ -85,7 +85,7 @@ def html(tab: Tab) -> Markup:
     else:
         kind = tab.planning.decisions.kind
         wrong = [with_view_named(check, kind) for check in failed(verdict.checks) if check not in verdict.unmade]
-        told, more = (texts.said(wrong[0]) if wrong else texts.EVERY_CHECK), len(wrong) - 1
+        told, more = (texts.sentence(wrong[0]) if wrong else "Every check passed. A person decides."), len(wrong) - 1
     said = texts.MORE.format(count=more) if more > 0 else ""
     return markup.card(state, texts.VERDICTS[state], told, said, testid="verdict")
 
@@ -101,9 +101,7 @@ def _all_checks(tab: Tab) -> Markup:
     listed = [with_view_named(check, kind) for check in _listed(tab)]
     if not listed:
         return Markup()
-    return markup.joined(
-        markup.heading(texts.ALL_CHECKS.format(count=len(listed))), markup.checks(listed, testid="verdict-checks")
-    )
+    return markup.joined(markup.heading(f"All {len(listed)} checks"), markup.checks(listed, testid="verdict-checks"))
 
 
 def _shares(tab: Tab) -> Markup:
@@ -133,16 +131,16 @@ def _shares(tab: Tab) -> Markup:
         )
         for source in SOURCES
     ]
-    whole = (texts.SHARES_WHOLE, *(_part(share, 100.0) for share in shares.values()))
+    whole = ("together", *(_part(share, 100.0) for share in shares.values()))
     return markup.joined(
-        markup.heading(texts.SHARES_HEADING),
+        markup.heading("Where the error comes from"),
         markup.filled('<div aria-hidden="true">{}</div>', markup.joined(*map(_bar, together))),
         markup.table(
-            (texts.SHARES_SOURCE, *columns),
+            ("source", *columns),
             [*rows, whole],
             testid="shares",
             classes="shares",
-            label=texts.SHARES_LABEL,
+            label="Root mean square of each source, and its share of the mean square",
         ),
     )
 
@@ -171,7 +169,7 @@ def _bar(percent: dict[str, float]) -> Markup:
 
 
 def _named(source: str) -> Markup:
-    return markup.filled('<i style="background:{}"></i>{}', _colour(source), texts.word(source.replace("_", " ")))
+    return markup.filled('<i style="background:{}"></i>{}', _colour(source), source.replace("_", " "))
 
 
 def _part(share: Share, percent: float) -> Markup:

@@ -45,11 +45,11 @@ def build_details(tab: Tab) -> None:
 def _checks(tab: Tab) -> None:
     shot = tab.session.verifying.shot
     if shot is not None:
-        heading(texts.AGAINST_PLAN_HEADING)
-        note(texts.BENT.format(bow_mm=shot.bow_mm), kind="quiet")
+        heading("Wire compared with the plan")
+        note(f"The wire is bent by up to {shot.bow_mm:.2f} mm.", kind="quiet")
         checks(shot.checks, testid="check-checks")
     if relations := tab.session.verifying.relations():
-        heading(texts.RELATIONS_HEADING)
+        heading("The wires to each other")
         checks(relations, testid="relation-checks")
 
 
@@ -62,7 +62,7 @@ def build_next(tab: Tab) -> None:
         action(texts.TAKE_CHECK, take, testid="take-check", kind="primary", enabled=enabled)
     elif all(planning.seen(name) for name in CHECK_NAMES) and missing_again(tab.planning):
         place = partial(tab.place, planning.landmarks, CHECK_NAMES)
-        action(texts.PLACE_LANDMARKS, place, testid="place-check", kind="primary")
+        action("Place landmarks", place, testid="place-check", kind="primary")
     elif verifying.shot is not None and verifying.shot.passed and wires.following(tab) is not None:
         wires.build_following(tab)
     else:
@@ -73,11 +73,11 @@ def build_next(tab: Tab) -> None:
 def _check(tab: Tab) -> None:
     planning, jobs, verifying = tab.planning, tab.session.jobs, tab.session.verifying
     _result(tab)
-    heading(texts.CHECK_HEADING)
+    heading("Check shot")
     if not planning.all_drilled and planning.patient is not None:
-        note(texts.DRILL_FIRST, kind="quiet")
+        note("Drill the wire first.", kind="quiet")
     elif planning.patient is None:
-        note(texts.DROP_CHECK, kind="quiet")
+        note("Drop both check images onto the page, with the frame in the same place.", kind="quiet")
     if jobs.working:
         note(texts.in_progress(jobs.working))
     if jobs.trouble:
@@ -86,9 +86,7 @@ def _check(tab: Tab) -> None:
         seen = planning.seen(name)
         if seen is not None:
             wire = name in verifying.wires
-            state = seen.refused or (
-                f"{texts.word(seen.doing)} …" if seen.doing else texts.WIRE_FOUND if wire else texts.CALIBRATED_ONLY
-            )
+            state = seen.refused or (f"{seen.doing} …" if seen.doing else "wire found" if wire else "calibrated")
             note(
                 texts.CHECK_IMAGE.format(image=image_label(name, planning.decisions.kind), state=state),
                 kind="bad" if seen.refused else "good",
@@ -99,13 +97,13 @@ def _check(tab: Tab) -> None:
 
 def _landmarks(tab: Tab) -> None:
     """Build the list of landmarks found again: they transfer the plan if the bone has moved."""
-    heading(texts.FOUND_AGAIN_HEADING)
+    heading("Landmarks, found again")
     decisions = tab.planning.decisions
     listed = tuple(spec for spec in decisions.specs if spec.group == "landmark")
     for spec in listed:
         planned = decisions.mark(spec.name).complete()
-        label = texts.word(spec.label)
-        point = label if planned else texts.NOT_IN_PLAN.format(point=label)
+        label = spec.label
+        point = label if planned else f"{label} (not in the plan)"
         placed = decisions.mark(spec.name).complete(CHECK_NAMES)
         note(point if placed else f"○ {point}", kind="good" if placed else "quiet")
 
@@ -123,14 +121,19 @@ def _result(tab: Tab) -> None:
         put(markup.card("incomplete", texts.VERDICTS["incomplete"], told, testid="check-verdict"))
     else:
         word, sentence = texts.CHECK_VERDICT[shot.passed]
-        told = texts.said(wrong[0]) if wrong else sentence
-        more = texts.MORE.format(count=len(wrong) - 1) if wrong[1:] else texts.JUDGED_AT_HOLES if shot.at_holes else ""
+        told = texts.sentence(wrong[0]) if wrong else sentence
+        more = (
+            texts.MORE.format(count=len(wrong) - 1)
+            if wrong[1:]
+            else "Judged at both holes of the nail, and by how far the tip lies beyond the far one."
+            if shot.at_holes
+            else ""
+        )
         put(markup.card("go" if shot.passed else "no-go", word, told, more, testid="check-verdict"))
-    entry, tip, direction = texts.DEVIATIONS
-    tip = texts.DEVIATION_NOT_JUDGED.format(name=tip) if shot.at_holes else tip
+    tip = "tip, not judged" if shot.at_holes else "tip"
     rows = [
-        (entry, f"{shot.entry_deviation_mm:.2f} mm", f"{shot.entry_error_95_mm:.2f} mm"),
+        ("entry, perpendicular", f"{shot.entry_deviation_mm:.2f} mm", f"{shot.entry_error_95_mm:.2f} mm"),
         (tip, f"{shot.tip_deviation_mm:.2f} mm", f"{shot.tip_error_95_mm:.2f} mm"),
-        (direction, f"{np.rad2deg(shot.angle_rad):.2f}°", f"{np.rad2deg(shot.direction_error_95_rad):.2f}°"),
+        ("direction", f"{np.rad2deg(shot.angle_rad):.2f}°", f"{np.rad2deg(shot.direction_error_95_rad):.2f}°"),
     ]
-    table(texts.DEVIATION_COLUMNS, rows, testid="deviation")
+    table(("", "measured", "± 95 %"), rows, testid="deviation")

@@ -54,10 +54,10 @@ def state(tab: Tab, kind: str) -> str:
 def _chooser(tab: Tab) -> Callable[[], None]:
     """Build a button for each wire of the procedure, and return what updates them."""
     made: dict[str, tuple[ui.button, ui.label]] = {}
-    with ui.element("div").classes("wires").props(f'role=group aria-label="{texts.WIRES_LABEL}"'):
+    with ui.element("div").classes("wires").props(f'role=group aria-label="{"Wires of the procedure"}"'):
         for kind in tab.planning.kinds:
             wire = kind_of(kind).wire
-            name = texts.titled(texts.word(wire.name)).removesuffix(texts.WIRE_SUFFIX)
+            name = texts.titled(wire.name).removesuffix(" wire")
             with action(name, partial(tab.choose_kind, kind), testid=f"wire-{wire.key}", kind="small") as button:
                 made[kind] = button, ui.label().classes("wire-state unseen")
 
@@ -77,9 +77,11 @@ def _order(tab: Tab) -> None:
     """Build the sentence on the order of drilling, on the step Drill; nothing where there is none."""
     found = tab.planning.drilling_order
     if tab.step is ProcedureStep.DRILL and found is not None and len(tab.planning.kinds) > 1:
-        names = {kind_of(kind).wire.key: texts.word(kind_of(kind).wire.name) for kind in tab.planning.kinds}
-        said = texts.DRILLING_ORDER.format(wires=texts.WIRES_THEN.join(names[key] for key in found.keys))
-        note(said, kind="quiet", testid="drilling-order")
+        names = {kind_of(kind).wire.key: kind_of(kind).wire.name for kind in tab.planning.kinds}
+        said = ", then the ".join(names[key] for key in found.keys)
+        note(
+            f"Drill the {said}: so the wires in the bone hide the fewest beads.", kind="quiet", testid="drilling-order"
+        )
 
 
 def following(tab: Tab) -> str | None:
@@ -100,5 +102,5 @@ def build_following(tab: Tab) -> None:
         if tab.step is not ProcedureStep.DRILL:
             tab.go_to(ProcedureStep.DRILL)
 
-    said = texts.NEXT_WIRE.format(wire=texts.word(kind_of(after).wire.name))
+    said = f"Next: {kind_of(after).wire.name}"
     action(said, follow, testid="next-wire", kind="primary")

@@ -4,7 +4,6 @@ from datetime import UTC, datetime, timedelta
 from math import isfinite
 from time import monotonic
 
-from sightline.app import texts
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.case.journal import Actor
@@ -37,7 +36,7 @@ class PlanAge:
         planning = self._planning
         seen = planning.seen(image)
         if seen is None or not (isfinite(minutes_ago) and 0.0 <= minutes_ago <= _MAX_AGO_MIN):
-            raise UnusableInputError(texts.TAKEN_REFUSED)
+            raise UnusableInputError("enter the minutes since the image was taken, 0 or more")
         at = datetime.now(UTC) - timedelta(minutes=minutes_ago)
         planning.edit(planning.decisions.with_taken(seen.acquired.number, at))
 

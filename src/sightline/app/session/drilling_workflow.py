@@ -139,7 +139,10 @@ class DrillingWorkflow:
             await session.send(target, limit)
         except RobotRefusedError as error:
             if seen is None and ROBOT_WIRE[0] in planning.specs and failed(target.checks):
-                raise RobotRefusedError(texts.ROBOT_WIRE_HELPS.format(refused=error)) from error
+                raise RobotRefusedError(
+                    f"{error} Click tip and middle of the robot's wire in both images, on the step Plan: "
+                    "they register the robot more accurately than its encoders."
+                ) from error
             raise
         entry = case.record(
             Kind.SENT,
@@ -200,7 +203,10 @@ class DrillingWorkflow:
             return ""
         if held is planning.sent or not held.holds_for(planning.decisions):
             return texts.CHANGED_AFTER_SENDING
-        return texts.OTHER_WIRE_HELD.format(wire=held.plan.kind.wire.name)
+        return (
+            f"The robot holds the plan of the {held.plan.kind.wire.name}: choose that wire, or "
+            "send the plan of this one."
+        )
 
     def _refuse_changed(self) -> SentPlan:
         if self.held is None or self.changed:
@@ -220,6 +226,9 @@ def _depth_limit(known: Planned, target: RobotTarget) -> float:
         return target.depth_mm + DEPTH_SLACK_MM
     left: Metric | None = next((one for one in known.metrics if one.name == TO_BONE), None)
     if left is None or left.value is None or left.sd is None:
-        raise UnusableInputError(texts.NO_DEPTH_LIMIT)
+        raise UnusableInputError(
+            "Place the rim of the femoral head in both images, which gives the distance to the "
+            "joint: the depth limit of the wire is unknown."
+        )
     error = float(np.hypot(TWO_SIDED_95 * left.sd, target.end_error_95_mm))
     return depth_limit(target.length_mm + left.value, error)

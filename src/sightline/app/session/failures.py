@@ -11,9 +11,14 @@ def sentence_of(error: Exception) -> str:
     """Return the message for an error: its own sentence, of a robot's refusal the reason without codes, or for a defect
     that something in Sightline failed."""
     if isinstance(error, RobotRefusedError) and error.reason:
-        return texts.ROBOT_REFUSED.format(why=error.reason)
+        return f"The robot refused: {error.reason}."
     return (
-        texts.titled(str(error)) if isinstance(error, SightlineError) else texts.BUG.format(kind=type(error).__name__)
+        texts.titled(str(error))
+        if isinstance(error, SightlineError)
+        else (
+            "Reload the page and report this: something in Sightline failed "
+            f"({type(error).__name__}). The plan is unchanged."
+        )
     )
 
 

@@ -254,17 +254,22 @@ class Planning:
         before, views = self.decisions, self.views(NAMES)
         drawn = drawn_head(before)
         if drawn is None or views is None:
-            raise UnusableInputError(texts.FIT_HEAD_FIRST)
+            raise UnusableInputError("click three points on the head's rim in both calibrated images first")
         head, kept = await self._fitted("fitting the head to its edges", lambda images: fit_head(views, images, drawn))
         now = self.decisions
         if now.images != before.images or now.fitted_head != before.fitted_head or not _same(drawn, drawn_head(now)):
-            raise UnusableInputError(texts.FIT_HEAD_AGAIN)
+            raise UnusableInputError("fit the head again: its drawing or an image has changed meanwhile")
         self.edit(replace(now, fitted_head=FittedHead.made(head, kept), fitted_neck=None))
 
     async def fit_shaft(self) -> None:
         """Fit the drawn borders of the shaft to the edges of the images, as `fit_head` does. Raises
         UnusableInputError."""
-        shaft = await self._fitted_axis(SHAFT, fit_shaft, texts.FIT_SHAFT_FIRST, texts.FIT_SHAFT_AGAIN)
+        shaft = await self._fitted_axis(
+            SHAFT,
+            fit_shaft,
+            "click two points on each border of the shaft in both calibrated images first",
+            "fit the shaft again: its drawing or an image has changed meanwhile",
+        )
         self.edit(replace(self.decisions, fitted_shaft=shaft))
 
     async def fit_neck(self) -> None:
@@ -272,11 +277,17 @@ class Planning:
         `fit_head` does. Raises UnusableInputError."""
         head = fitted_head(self.decisions)
         if head is None:
-            raise UnusableInputError(texts.FIT_NECK_HEAD)
+            raise UnusableInputError(
+                "click three points on the head's rim in both calibrated images first: the neck's "
+                "axis begins at its centre"
+            )
         neck = await self._fitted_axis(
             NECK,
             lambda views, images, drawn: fit_neck(views, images, drawn, head),
-            texts.FIT_NECK_FIRST,
+            (
+                "click two points on each border of the neck in both calibrated images first, from "
+                "the head past its narrowest place"
+            ),
             texts.FIT_NECK_AGAIN,
         )
         if not _same(head, fitted_head(self.decisions)):
@@ -338,7 +349,7 @@ class Planning:
         Raises UnusableInputError."""
         seen = self.seen(image)
         if seen is None or seen.view is None:
-            raise UnusableInputError(texts.MIRRORED_REFUSED)
+            raise UnusableInputError("wait until the image is calibrated, then answer")
         flipped = self.decisions.display.get(image, Display()).mirrored  # by the page, not in the file
         self.edit(self.decisions.with_mirrored(seen.acquired.number, backwards != flipped))
 
@@ -460,7 +471,7 @@ def _view_in(image: str) -> str:
 
 def kept_as_drawn(kept: Mapping[str, str]) -> list[str]:
     """Return a sentence for each view whose circle was kept, from the reasons by view."""
-    return [texts.KEPT_AS_DRAWN.format(image=texts.IMAGE_LABELS[view], why=why) for view, why in kept.items()]
+    return [f"{texts.IMAGE_LABELS[view]}: kept as drawn; {why}." for view, why in kept.items()]
 
 
 def _same(first: Sequence[Circle | Line], second: Sequence[Circle | Line] | None) -> bool:

@@ -6,7 +6,6 @@ from datetime import datetime
 
 import numpy as np
 
-from sightline.app import texts
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.holes import HolesFound, of_wire
 from sightline.app.plan.marks import MarkSpec, names_of
@@ -120,7 +119,10 @@ def _restored(case: Case, sent: Entry, again: Planned) -> tuple[SentPlan, Drille
             atol=_SAME_MM,
         )
     ):
-        raise UnusableInputError(texts.CHANGED_SINCE_SENT)
+        raise UnusableInputError(
+            "Send the plan again: the plan that was sent is no longer reproduced exactly, "
+            "perhaps by another version of the software, and is not restored."
+        )
     made = SentPlan(again, sent.at, sent.number)
     later = [one.number for one in case.entries(Kind.SENT, sent.number)]
     drilled = next(iter(case.entries(Kind.DRILLED, sent.number)), None)

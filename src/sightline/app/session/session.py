@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from sightline.app import texts
 from sightline.app.plan.decisions import Decisions
 from sightline.app.session.age import PlanAge
 from sightline.app.session.drilling_workflow import DrillingWorkflow
@@ -69,9 +68,9 @@ class Session:
         doing = self.jobs.working or next((one.doing for one in seen if one is not None and one.doing), "")
         now = self.drilling.now
         if doing:
-            raise UnusableInputError(texts.CASE_BUSY.format(doing=texts.word(doing)))
+            raise UnusableInputError(f"open the other case when this is done: {doing}")
         if now is not None and not now.lost and now.activity:
-            raise UnusableInputError(texts.CASE_MOVING)
+            raise UnusableInputError("stop the robot, or wait until its motion has ended, then open the other case")
         Case.open(folder, read_only=True).close()  # a folder without a case is refused, and not made one
         return Session.open(folder, None, None, self.planning.worker)
 

@@ -76,7 +76,7 @@ class Shots:
             return ""
         verdict = self._stopping.verdict
         why = " ".join(one.sentence for one in failed(verdict.checks) if one not in verdict.unmade)
-        return texts.SHOT_SAYS_STOP.format(why=why)
+        return f"The shot says STOP: {why}"
 
     @property
     def lacks_landmarks(self) -> bool:
@@ -114,7 +114,10 @@ class Shots:
             try:
                 return await planning.worker.do(shot_images, patient, *args)
             except SetUpError as error:
-                raise RobotRefusedError(texts.SHOT_OUT_OF_FIELD) from error
+                raise RobotRefusedError(
+                    "Decide by eye: this shot cannot be measured, because the field of the simulated "
+                    "C-arm does not show the robot's wire and all landmarks together."
+                ) from error
 
         files = await planning.jobs.during("taking the shot", taken)
         for name, data in files.items():

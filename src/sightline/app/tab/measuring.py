@@ -37,7 +37,15 @@ def measured(planning: Planning, image: str | None, clicks: Clicks) -> tuple[str
         found = measured_in_plane(seen.view, np.array(clicks), (path.entry_mm + path.end_mm) / 2.0)
     except SightlineError as error:
         return "", str(error)
-    plane = texts.RULER_PLANE.format(percent=1000.0 * found.per_mm) if len(clicks) == 2 else texts.RULER_PLANE_ANGLE
+    plane = (
+        (
+            "Measured in the plane of the wire, parallel to the image: "
+            f"{1000.0 * found.per_mm:.1f} % more or less for each 10 mm before or behind it. "
+            "Error: 95 %."
+        )
+        if len(clicks) == 2
+        else "Measured between lines parallel to the image. Error: 95 %."
+    )
     return _label(found, angle=len(clicks) == 3), plane
 
 
@@ -45,6 +53,6 @@ def _label(found: Measured, *, angle: bool) -> str:
     """Return length or angle with its error."""
     if angle:
         off = "" if found.error_95 is None else f" ± {np.rad2deg(found.error_95):.1f}°"
-        return texts.RULER_ANGLE.format(value=np.rad2deg(found.value), off=off)
+        return f"{np.rad2deg(found.value):.1f}°{off}"
     off = "" if found.error_95 is None else f" ± {found.error_95:.1f}"
-    return texts.RULER_LENGTH.format(value=found.value, off=off)
+    return f"{found.value:.1f}{off} mm"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Tab:
-    """State of one page, in the language it is built in. `message`: a sentence for the person, empty for none;
+    """State of one page. `message`: a sentence for the person, empty for none;
     `is_good`: it is good news; `notices`: how many there were, so that a repeated one is told from the one before.
     `on_refresh`: called to update the parts beside the views; `on_drag`: those of them that follow a drag.
     """
@@ -41,7 +41,6 @@ class Tab:
         self.views = Views(session, pictures)
         self.dragging = Dragging(self.planning)
         self._placing = Placing(self.planning, session.shots)
-        self.language = texts.now()
         self.step, self.message, self.is_good, self.notices = ProcedureStep.IMAGES, "", False, 0
         self.on_refresh: list[Callable[[], None]] = []
         self.on_drag: list[Callable[[], None]] = []
@@ -114,11 +113,10 @@ class Tab:
         self._refresh(self.on_refresh)
 
     def _refresh(self, parts: list[Callable[[], None]]) -> None:
-        with texts.spoken(self.language):
-            self.show_views()
-            if self._ruled and self._ruled_on is not self.planning.planned:
-                self._say_measured()
-            refused = [why for why in map(failure_of, list(parts)) if why]
+        self.show_views()
+        if self._ruled and self._ruled_on is not self.planning.planned:
+            self._say_measured()
+        refused = [why for why in map(failure_of, list(parts)) if why]
         if refused and not self.message:
             self.notify(refused[0])
             self.later()
@@ -137,14 +135,13 @@ class Tab:
 
     async def act(self, what: Callable[[], Awaitable[Any] | None]) -> None:
         """Run an action; an error becomes a message on the page."""
-        with texts.spoken(self.language):
-            try:
-                pending = what()
-                self.message = ""
-                if pending is not None:
-                    await pending
-            except Exception as error:
-                self.notify(report(error))
+        try:
+            pending = what()
+            self.message = ""
+            if pending is not None:
+                await pending
+        except Exception as error:
+            self.notify(report(error))
         self.refresh()
 
     async def choose_kind(self, kind: str) -> None:
@@ -166,10 +163,6 @@ class Tab:
         return handler
 
     async def _heard(self, view: XrayView, event: XrayEvent) -> None:
-        with texts.spoken(self.language):
-            await self._answer(view, event)
-
-    async def _answer(self, view: XrayView, event: XrayEvent) -> None:
         if event.type == "cancel":
             self._placing.cancel()
             self.refresh()

@@ -26,13 +26,13 @@ def image_name(image: str, kind: str) -> str:
 def image_short(image: str, kind: str) -> str:
     """Return the name of an image's view where there is little room: "PA", "lat", "inlet"."""
     _, view = _parts(image, kind)
-    return texts.IMAGES_SHORT.get(view) or texts.word(view)
+    return texts.IMAGES_SHORT.get(view) or view
 
 
 def in_image(image: str, kind: str) -> str:
     """Return the name of an image as in an instruction: "PA", "INLET CHECK"."""
     purpose, view = _parts(image, kind)
-    known, made = texts.IN_IMAGE.get(_joined(purpose, view)), texts.word(view).upper()
+    known, made = texts.IN_IMAGE.get(_joined(purpose, view)), view.upper()
     return known or (texts.IN_IMAGE_OF_VIEW[purpose].format(view=made) if purpose else made)
 
 
@@ -55,4 +55,4 @@ def _joined(purpose: str, view: str) -> str:
 
 
 def _made(purpose: str, view: str) -> str:
-    return texts.IMAGE_OF_VIEW[purpose].format(view=texts.word(view))
+    return texts.IMAGE_OF_VIEW[purpose].format(view=view)

@@ -94,7 +94,7 @@ class Views:
         decisions = self._planning.decisions
         head = head_in(watched.view, self._planning.frame, decisions.side)
         return XrayContent(
-            texts.LIVE_LABELS[view.name] if watched.view is not None else texts.LIVE_UNKNOWN,
+            texts.LIVE_LABELS[view.name] if watched.view is not None else "Live, view unknown",
             picture,
             replace(_display(decisions.display.get(view.name, Display()), head, picture.window), inverted=False),
             {"wire": [] if watched.corridor is None else shapes.band(watched.corridor)},
@@ -147,7 +147,12 @@ class Views:
             for view, one in zip(views, seen, strict=False)
             if one is not None
         ]
-        return {"from": NAMES[0], "title": texts.CURVE_TITLE, "names": texts.CURVE_NAMES, "sights": drawn}
+        return {
+            "from": NAMES[0],
+            "title": texts.CURVE_TITLE,
+            "names": {"entry": "entry", "end": "end"},
+            "sights": drawn,
+        }
 
     def _filled(self, image: str) -> list[shapes.Shape]:
         """Return the wire that the robot has drilled, over an image of the plan that it has."""
@@ -219,7 +224,7 @@ def _points(image: str, step: ProcedureStep, specs: tuple[MarkSpec, ...], decisi
         out.append(
             {
                 "id": spec.name,
-                "label": texts.word(spec.label),
+                "label": spec.label,
                 "uv": mark.at(image),
                 "style": spec.of if spec.group == "wire" else _STYLES.get(spec.group, spec.group),
                 "movable": movable,

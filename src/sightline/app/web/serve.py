@@ -101,7 +101,6 @@ def guarded(page_root: PageRoot, site: ServedApp) -> Guard:
         show_welcome_message=False,
     )
     core.app.config.quasar_config["loadingBar"]["skipHijack"] = True  # no bar over the page at each download
-    core.app.config.quasar_config["lang"] = {"noHtmlAttrs": True}  # each page states its own language
     core.sio.on("alive", _alive)
     core.sio.eio.cors_allowed_origins = []  # send no header that admits other pages; the guard checks Origin
     core.sio.eio.max_http_buffer_size = MAX_BODY_BYTES

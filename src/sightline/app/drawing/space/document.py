@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
-from sightline.app import texts
 from sightline.app.session.rehearsing import Patient, rehearsal_of
 from sightline.calibration.view import CalibratedView
 from sightline.case.report.drawing.scene import NEAR_MM, magnification
@@ -64,7 +63,7 @@ def view_objects(view: CalibratedView, plate: Plate | None, image: Radiograph) -
     focus = view.focal_point_mm
     made: list[Object] = [
         {"kind": "spheres", "style": view.name, "at": [_list(focus)], "radius": 4.0, "reach": "room"},
-        _label(focus, texts.SPACE_FOCUS.format(view=texts.word(view.name)), view.name),
+        _label(focus, f"focal point, {view.name}", view.name),
     ]
     if plate is None:
         return made
@@ -105,13 +104,13 @@ def wire_objects(trajectory: Trajectory, diameter_mm: float) -> list[Object]:
     made: list[Object] = [_cylinder(*ends, diameter_mm / 2, "wire")]
     made += [_label(at, word, "wire") for at, word in zip(ends, ("entry", "tip"), strict=True)]
     if not trajectory.error_stated:
-        return [*made, {"kind": "note", "text": texts.SPACE_ERROR_UNKNOWN}]
+        return [*made, {"kind": "note", "text": "the error of the wire's ends is unknown"}]
     covariances = trajectory.points.covariance_mm2
     times = magnification(covariances, NEAR_MM)
     made += [_ellipsoid(at, covariance, times) for at, covariance in zip(ends, covariances, strict=True)]
     return [
         *made,
-        {"kind": "note", "text": texts.SPACE_ELLIPSOIDS.format(times=times)},
+        {"kind": "note", "text": f"Ellipsoids hold 95 % of the error of entry and tip, {times:g} times as large"},
     ]
 
 
@@ -276,7 +275,7 @@ def _cylinder(start_mm: np.ndarray, end_mm: np.ndarray, radius_mm: float, style:
 
 
 def _label(at_mm: np.ndarray, text: str, style: str) -> Object:
-    return {"kind": "label", "style": style, "at": _list(at_mm), "text": texts.word(text)}
+    return {"kind": "label", "style": style, "at": _list(at_mm), "text": text}
 
 
 def _list(values: Any, decimals: int = ROUND_DECIMALS) -> list[Any]:

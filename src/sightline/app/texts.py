@@ -1,0 +1,256 @@
+"""Texts of the page that are used in more than one place, or chosen by a key; and how values are written."""
+
+import re
+
+from sightline.checks import Check
+
+_VIEWS = re.compile(r"^(?:lateral|oblique)(?=: )|\bpa\b")  # of a view, in the sentence of a check
+STEPS = {"images": "Images", "calibrate": "Calibrate", "plan": "Plan", "drill": "Drill", "verify": "Verify"}
+IMAGE_LABELS = {
+    "pa": "PA image",
+    "lateral": "Lateral image",
+    "oblique": "Oblique image",
+    "check-pa": "PA check image",
+    "check-lateral": "Lateral check image",
+    "shot-pa": "PA shot",
+    "shot-lateral": "Lateral shot",
+}
+IMAGE_OF_VIEW = {"": "{view} image", "check": "{view} check image", "shot": "{view} shot"}  # of other views
+IMAGE_NAMES = {
+    name: label.replace("Lateral", "lateral").replace("Oblique", "oblique") for name, label in IMAGE_LABELS.items()
+}
+DROP_LABELS = {**IMAGE_LABELS, "oblique": "Oblique image (optional)"}
+LIVE_LABELS = {"pa": "PA, live", "lateral": "Lateral, live"}
+STALE = "This image is {age:.1f} s old and may be out of date. The plan over it is hidden."
+STEP_STATUS = {"done": "done", "open": "to do", "attention": "needs attention", "blocked": "blocked"}
+XRAY = {
+    "fit": "Show the whole image",
+    "window": "Brightness and contrast: drag on the image",
+    "measure": "Ruler: click two places for a length, a third for an angle",
+    "link": "Zoom all images together",
+    "bone": "Bone",
+    "metal": "Metal",
+    "beads": "Beads",
+    "invert": "Invert black and white",
+    "flip": "Mirror the display",
+    "rotate": "Rotate the display by 90°",
+    "reset": "Reset the display",
+    "maximise": "Enlarge this image",
+    "restore": "Show both images",
+    "point": "{name}: column {u}, row {v}",
+    "snapped": "on the matching curve",
+    "placing": "Click to place: {name}, or steer by arrow keys and press Enter. Escape cancels.",
+    "mirrored": "mirrored",
+    "rotated": "rotated by {degrees}°",
+    "head_up": "head up",
+    "head_right": "head to the right",
+    "head_down": "head down",
+    "head_left": "head to the left",
+    "stale": "Plan hidden: the image is out of date",
+    "edit_lost": "Repeat the last change of {name}: the image or the plan changed before it was saved.",
+    "load_failed": "Reload the page: the image could not be loaded.",
+    "readout": "column {u}, row {v}: {value}",
+    "outside": "–",
+    "off_field": "Click inside the X-ray field.",
+    "ticks": "mm along the line of sight of the other image, a tick every 10 mm",
+}
+ORIENTATION = {
+    "right": "Right side: +Y of the frame points to the feet.",
+    "left": "Left side: +Y of the frame points to the head.",
+}
+SPACE_TEXTS = {
+    "feet": "From the feet",
+    "side": "From the side",
+    "above": "From above",
+    "hip": "Wire",
+    "frame": "Frame",
+    "room": "Room",
+    "keys": "Arrow keys rotate the scene, with Shift they move it; plus and minus zoom.",
+    "none": "This browser does not support 3-D graphics (WebGL). Planning works without it.",
+}
+SPACE_AXES = {"feet": "Along Y", "side": "Along X", "above": "Along Z"}  # beside a block, which has no patient axes
+SPACE_GROUPS = {
+    "frame": "frame",
+    "views": "focal points and images",
+    "sights": "lines of sight",
+    "points": "landmarks",
+    "bone": "bone",
+    "wire": "planned wire",
+    "drilled": "drilled wire",
+    "robot": "robot",
+    "sides": "sides",
+}
+LINK_LOST = "The link to the robot is lost: if the robot still moves, press its red button. Then start it again."
+ROBOT_NEXT = {  # what to do next, by the robot's state; of the others the state itself
+    "TARGETING": "The robot has the plan: clear the arm's path, then align.",
+    "ALIGN": "The arm is moving: STOP or the space bar stops it.",
+    "ALIGNED": "Aligned: check the confirmation shot, then drill.",
+    "DRILL": "The wire is advancing: STOP or the space bar stops it.",
+    "PAUSED": "Paused: check the second shot, then continue drilling.",
+    "DONE": "Drilled: open the chuck and retract, then go on with the next wire.",
+    "STOP": "Stopped: see why, then align again, or retract the wire.",
+    "RETRACT": "The wire is retracting: STOP or the space bar stops it.",
+}
+ONLY_GO = "Complete the plan first: only a plan that is GO can be sent."
+SIDE_HEADING = "Patient's side"
+SERIAL_CONFIRM = "Confirm serial"
+MIRRORED_ANSWERS = ("forwards", "backwards")
+DISPLAY_AND = " and "
+POINT_GROUPS = {
+    "wire": "Wire",
+    "landmark": "Landmarks: did the bone move?",
+    "aid": "Aids",
+    "robot": "Where is the robot?",
+}
+IMAGES_SHORT = {"pa": "PA", "lateral": "lat", "oblique": "obl"}
+PLACE_WHAT = "Place {what}"
+FIT_NECK_AGAIN = "fit the neck again: its drawing, the head or an image has changed meanwhile"
+WIRE_STATES = {  # of a wire, by its verdict and by what was done
+    "missing": "not placed",
+    "go": "GO",
+    "no-go": "NO-GO",
+    "incomplete": "INCOMPLETE",
+    "sent": "sent",
+    "drilled": "drilled",
+    "verified": "verified",
+    "refuted": "NOT verified",
+}
+IN_IMAGE = {
+    "pa": "PA",
+    "lateral": "LATERAL",
+    "oblique": "OBLIQUE",
+    "check-pa": "PA CHECK",
+    "check-lateral": "LATERAL CHECK",
+    "shot-pa": "PA SHOT",
+    "shot-lateral": "LATERAL SHOT",
+}
+IN_IMAGE_OF_VIEW = {"check": "{view} CHECK", "shot": "{view} SHOT"}  # of other views
+LACKS = {  # of the chosen procedure, by what the simulated patient does not have: what is wrong, and what to do
+    "hip": ("The simulated patient has no hip.", "Choose another procedure, or begin another case: sightline app"),
+    "nail": (
+        "The simulated patient has no nail.",
+        "Choose another procedure, or begin another case: sightline app --procedure distal-interlocking",
+    ),
+    "pelvis": (
+        "The simulated patient has no sacrum.",
+        "The app simulates none; choose another procedure, or see: sightline demo --procedure iliosacral-screw",
+    ),
+    "vertebra": (
+        "The simulated patient has no vertebra.",
+        "The app simulates none; choose another procedure, or see: sightline demo --procedure pedicle-screw",
+    ),
+    "growing-femur": (
+        "The simulated patient has no growth plate.",
+        "The app simulates none; choose another procedure, or see: sightline demo --procedure slipped-epiphysis-pin",
+    ),
+}
+SEARCHING_NAIL = "Searching the nail in both images."
+RULER_SPACE = "Measured in space, from both images. Error: 95 %."
+RULER_NEEDS_WIRE = "Place the wire first: the ruler measures in its plane."
+CURVE_TITLE = "where the {name} point may lie"
+VERDICTS = {"go": "GO", "no-go": "NO-GO", "incomplete": "INCOMPLETE"}
+MORE = "(and {count} more: Details)"
+LEFT = "To do: {what}."
+FIGURES = {  # by the name of the check that states them; of a procedure's own ones the first that it has
+    "entry error": "Entry, 95 % error",
+    "end error": "Tip, 95 % error",
+    "direction error": "Direction, 95 % error",
+    "tip in head": "Tip to joint",
+    "tip behind front": "Tip to front",
+    "tip in sacral corridor": "Tip in corridor",
+    "wire in sacral corridor": "Wire in corridor",
+    "wire in pedicle": "Wire in pedicle",
+    "wire in neck": "Wire in neck",
+    "tip to bone nearest": "Tip to bone",
+    "movement": "Bone movement",
+}
+FIGURE_AT_MOST = "at most {limit}"
+FIGURE_MOVED = ("seen", "none seen")  # of a movement between three images, which has no single value in mm
+FIGURE_PASSED, FIGURE_FAILED = "within its limit", "beyond its limit"
+TIME_UNDER = {"left": "min left", "expired": "expired", "done": "drilled", "unknown": "min left"}
+TIME_TOLD = {
+    "left": "The images are {age} min old. The plan expires ten minutes after the older one was taken.",
+    "expired": "Take both images again (step Images): the plan has expired.",
+    "done": "The images were {sent} min old when the plan was sent; the wire is drilled.",
+    "unknown": "The time left is known once both images and their times are.",
+}
+LINKS = {"none": "no robot", "open": "connected", "lost": "link lost"}
+CONTINUE_TO = "Continue to {step}"
+DETAILS = "Details"
+SHARES_OF = {"entry": "entry", "end": "tip", "direction": "direction"}
+START_ROBOT = "Start the simulated robot"
+STATE_UNKNOWN = "Getting ready"
+STATES = {
+    "UNDEFINED": "Not ready: send the plan",
+    "START_UP": "Ready for a plan",
+    "PLANNING": "Ready for a plan",
+    "CALIBRATION": "Ready for a plan",
+    "TARGETING": "Plan received; not moving",
+    "MANUAL": "Moved by hand",
+    "STOP": "Stopped",
+    "EMERGENCY": "Emergency stop",
+    "ALIGN": "Aligning the arm",
+    "ALIGNED": "Aligned; waiting for you",
+    "DRILL": "Drilling",
+    "PAUSED": "Paused for the second shot",
+    "DONE": "Drilled",
+    "GUIDE": "Holding the drill guide",
+    "RETRACT": "Retracting the wire",
+}
+SEND = "Send the plan"
+ALIGN = "Align"
+DRILL = "Drill"
+DRILL_ON = "Continue drilling"
+SHOT_HEADINGS = {"ALIGNED": "Confirmation shot", "PAUSED": "Second shot"}
+SHOT_MEASURING = "Measuring the wire …"
+FRAME_IS_ON = ("The frame is on the arm again", "The frame is fixed to the patient")
+FRAME_ON_QUESTIONS = (
+    "Is the frame on its mount on the robot again, as at the planning images?",
+    "Was the frame of the plan taken off the robot and fixed to the patient? It must stay at rest from the first to "
+    "the second image of each shot.",
+)
+SHOT_NOT_WAITING = (
+    "take the shot while the robot waits, aligned or at the pause, with a block or a frame fixed to the patient; send "
+    "a depth only at GO"
+)
+TAKE_CHECK = "Take both check images"
+CHECK_IMAGE = "{image}: {state}"
+CHECK_VERDICT = (  # word and sentence, of a failed and of a passed one
+    ("FAILED", "The check shot did not pass."),
+    ("PASSED", "The check shot passed: the wire lies as planned."),
+)
+STOP_IS_NO_EMERGENCY_STOP = (
+    "In an emergency press the red button at the robot. STOP and the space bar only ask the robot's program to stop."
+)
+ZEROS = {"plan": "plan", "contact": "contact", "shot": "second shot"}  # sources of the zero of depth
+NO_ROBOT = (
+    "Take the images through a robot's link, or rehearse on the demo case: these images carry no robot pose, so the "
+    "bone's position in robot coordinates is unknown."
+)
+CHANGED_AFTER_SENDING = "Send the plan again, or undo the change: it was changed after it was sent."
+CLOSE = "Close"
+REPORT = "Save the report"
+CASES = "Cases"
+CASE_HERE = "{number} (this one)"
+CASE_OPEN = "Open"
+CASE_QUESTION = "Open case {number}? All that was done in this case is saved; it can be opened again."
+
+
+def sentence(check: Check) -> str:
+    """Return the sentence of a check, with the names of its views as a person writes them: "PA" for "pa"."""
+    return _VIEWS.sub(lambda match: "PA" if match[0] == "pa" else titled(match[0]), check.sentence)
+
+
+def tenths(value: float) -> str:
+    """Return a value with one decimal, as text; zero without a sign."""
+    return f"{round(value, 1) + 0.0:.1f}"
+
+
+def titled(text: str) -> str:
+    """Return a text that begins with a capital."""
+    return text[:1].upper() + text[1:]
+
+
+def in_progress(work: str) -> str:
+    """Return a note that work is in progress."""
+    return f"{titled(work)} …"
