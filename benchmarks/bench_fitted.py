@@ -21,14 +21,14 @@ from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
 from sightline.calibration.view import CalibratedView
 from sightline.errors import SightlineError
-from sightline.fitted_axis import fit_shaft
-from sightline.fitted_head import fit_head
-from sightline.fitted_neck import fit_neck
 from sightline.frame import Frame
-from sightline.planning.aids import Aids, Circle, Line
-from sightline.planning.anatomy import locate
-from sightline.planning.axis import Axis
-from sightline.planning.head import Sphere
+from sightline.from_images.head import fit_head
+from sightline.from_images.neck import fit_neck
+from sightline.from_images.shaft import fit_shaft
+from sightline.planning.bone.aids import Aids, Circle, Line
+from sightline.planning.bone.anatomy import locate
+from sightline.planning.bone.axis import Axis
+from sightline.planning.bone.head import Sphere
 from sightline.twin import HipScene, SetUp, render
 from sightline.twin.bones import SphereAid
 from sightline.twin.carm import BEAMS, ViewTruth

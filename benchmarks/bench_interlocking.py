@@ -27,8 +27,8 @@ from sightline.calibration import CalibratedView
 from sightline.calibration.together import calibrate_together
 from sightline.errors import RefusedError, SetUpError
 from sightline.frame import Frame
+from sightline.from_images.interlocking import find_hole, find_nail
 from sightline.imaging import Radiograph
-from sightline.interlocking import find_hole, find_nail
 from sightline.planning import Hole, Nail, fit_hole, perfect_circle
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp, ViewTruth, draw_setup

@@ -27,7 +27,7 @@ from sightline.case.watch.analyser import REST_FRAMES, LiveAnalyser
 from sightline.case.watch.follow import Follower
 from sightline.case.watch.live import Watch
 from sightline.detection import Observations
-from sightline.planning.line_residuals import LineResiduals
+from sightline.planning.points.line_residuals import LineResiduals
 from sightline.rehearsal.stream import IMAGES_PER_S, Shot, SimulatedFluoroscopy, shifted
 from sightline.twin import DOSES, ViewTruth, bead_images, draw_setup, shown_hip_scene
 from sightline.twin.render import expose

@@ -43,7 +43,7 @@ def read(pixels: np.ndarray, white: int = 65535) -> Radiograph:
 
 def whole_way(images: dict[str, Radiograph], frame: Frame, clicks: Clicks, wire_mm: np.ndarray) -> Ended:
     """Return the verdict on two images, as from `sightline plan`."""
-    from sightline.pipeline import label_beads
+    from sightline.from_images.pipeline import label_beads
 
     views = []
     for name in VIEWS:

@@ -9,7 +9,7 @@ from campaigns.campaign import Ended
 from sightline.calibration import CalibratedView
 from sightline.checks import failed
 from sightline.planning import Plan, plan
-from sightline.planning.aids import Aids, Circle
+from sightline.planning.bone.aids import Aids, Circle
 from sightline.studies.scenes import VIEWS
 from sightline.twin import HipScene, SetUp
 

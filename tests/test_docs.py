@@ -16,9 +16,9 @@ import pytest
 from sightline import errors
 from sightline.frame.check import check_frame
 from sightline.frame.model import Frame
-from sightline.planning.bone_checks import MEASURES
 from sightline.planning.procedures.files import shipped
 from sightline.planning.procedures.rules import CHECKS
+from sightline.planning.verdict.bone_checks import MEASURES
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]

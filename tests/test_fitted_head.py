@@ -9,10 +9,10 @@ from tests.planning.bone import CENTRE_MM, RADIUS_MM, rim, views
 
 from sightline.case.canonical import plain
 from sightline.errors import UnusableInputError
-from sightline.fitted_head import fit_head, refuse_tables
+from sightline.from_images.head import fit_head, refuse_tables
 from sightline.imaging import Radiograph
 from sightline.planning import Aids, Circle
-from sightline.planning.anatomy import locate
+from sightline.planning.bone.anatomy import locate
 
 RING_RAD = 2 * np.pi * np.arange(40) / 40
 

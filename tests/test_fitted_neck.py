@@ -10,11 +10,11 @@ from tests.planning.bone import CENTRE_MM, NECK, RADIUS_MM, SHAFT, rim, views
 
 from sightline import fitted_neck as module
 from sightline.case.canonical import plain
-from sightline.fitted_neck import fit_neck
+from sightline.from_images.neck import fit_neck
 from sightline.imaging import Radiograph
 from sightline.planning import Aids, Circle, Line
-from sightline.planning.anatomy import locate
-from sightline.planning.axis import Axis
+from sightline.planning.bone.anatomy import locate
+from sightline.planning.bone.axis import Axis
 
 WAIST_MM, NARROW_MM = 14.5, 27.0  # radius where it is narrowest, and how far that is from the head's centre
 BLEND_MM = 3.0

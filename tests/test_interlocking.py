@@ -8,8 +8,8 @@ from benchmarks.hole_scores import scored
 from tests.nail_images import NailImages, nail_images
 
 from sightline.errors import ReconstructionRefusedError, SightlineError, UnusableInputError, WireRefusedError
+from sightline.from_images.interlocking import find_hole, find_holes, find_nail
 from sightline.imaging import Radiograph
-from sightline.interlocking import find_hole, find_holes, find_nail
 from sightline.planning import Nail
 from sightline.twin.arm import beam_at
 from sightline.twin.nails import DistalNail

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from sightline.detection import look_again as look_again
     from sightline.errors import SightlineError as SightlineError
     from sightline.frame import Frame as Frame
+    from sightline.from_images.pipeline import calibrate_image as calibrate_image
+    from sightline.from_images.pipeline import check_shot as check_shot
     from sightline.imaging import Radiograph as Radiograph
     from sightline.imaging import read_image as read_image
-    from sightline.pipeline import calibrate_image as calibrate_image
-    from sightline.pipeline import check_shot as check_shot
     from sightline.planning import Aids as Aids
     from sightline.planning import Circle as Circle
     from sightline.planning import Line as Line
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from sightline.planning import Trajectory as Trajectory
     from sightline.planning import plan as plan
     from sightline.planning import reconstruct as reconstruct
-    from sightline.planning.check_result import CheckShot as CheckShot
-    from sightline.planning.check_shot import Landmarks as Landmarks
+    from sightline.planning.check.result import CheckShot as CheckShot
+    from sightline.planning.check.shot import Landmarks as Landmarks
 
     # Declared, not imported: rooms below `saved` take `__version__` from here, and must not reach up to it.
     load: Callable[..., Any]
@@ -57,10 +57,10 @@ _HOMES = {
     "Line": "planning",
     "Plan": "planning",
     "calibrate": "calibration",
-    "CheckShot": "planning.check_result",
-    "Landmarks": "planning.check_shot",
-    "calibrate_image": "pipeline",
-    "check_shot": "pipeline",
+    "CheckShot": "planning.check.result",
+    "Landmarks": "planning.check.shot",
+    "calibrate_image": "from_images.pipeline",
+    "check_shot": "from_images.pipeline",
     "detect": "detection",
     "fit_map": "calibration",
     "label": "detection",
@@ -113,6 +113,7 @@ _ROOMS = (
     "detection",
     "errors",
     "frame",
+    "from_images",
     "geometry",
     "imaging",
     "planning",

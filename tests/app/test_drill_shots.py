@@ -16,7 +16,7 @@ from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.errors import RobotRefusedError
 from sightline.frame import Frame
-from sightline.planning.drill_shot import ALIGNED, PAUSED
+from sightline.planning.check.drill_shot import ALIGNED, PAUSED
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.control.states import State
 

@@ -17,7 +17,7 @@ from sightline.case.stages import record_acquired
 from sightline.checks import Check
 from sightline.errors import ImageError
 from sightline.imaging import Radiograph, write_dicom
-from sightline.planning.results import Verdict
+from sightline.planning.points.results import Verdict
 
 _JUNK = b"\0" * 128 + b"DICM" + b"junk"
 _MARK = "document.querySelector('[data-testid=show-beads] .q-checkbox__indet').getBoundingClientRect().width"

@@ -16,7 +16,7 @@ from sightline.app.panels import figures, markup, verdict
 from sightline.app.plan.planner import Planned, planned
 from sightline.checks import Check
 from sightline.planning import plan
-from sightline.planning.results import MAX_GAP_SIGMA
+from sightline.planning.points.results import MAX_GAP_SIGMA
 
 
 def _said(known: Any, kind: str) -> list[str]:

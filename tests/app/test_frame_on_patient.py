@@ -27,7 +27,7 @@ from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.geometry.rigid import rigid_fit
 from sightline.imaging import Radiograph, write_dicom
-from sightline.planning.drill_shot import ALIGNED, PAUSED
+from sightline.planning.check.drill_shot import ALIGNED, PAUSED
 from sightline.rehearsal.check_images import CheckImages
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.control.states import State

@@ -14,7 +14,7 @@ from tests.app.hands import PATIENCE_MS, SEED, Hands, Pixels, by_image
 from sightline.case.journal import Case, Kind
 from sightline.case.views import NAMES
 from sightline.frame import Frame
-from sightline.planning.drill_shot import ALIGNED, PAUSED
+from sightline.planning.check.drill_shot import ALIGNED, PAUSED
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.link.simulated import SimulatedWire
 

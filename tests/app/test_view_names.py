@@ -14,8 +14,8 @@ from sightline.app.panels.needed import aid_labels, needed_aids
 from sightline.app.plan.decisions import Decisions
 from sightline.app.tab.view_names import image_label, image_name, image_short, in_image, with_view_named
 from sightline.checks import Check
+from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.results import Verdict
 
 SACRAL = "iliosacral-screw"
 

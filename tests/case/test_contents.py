@@ -7,7 +7,7 @@ import pytest
 
 from sightline.case.canonical import canonical
 from sightline.case.contents import CheckRequest, PlanRequest
-from sightline.planning.check_shot import Landmarks
+from sightline.planning.check.shot import Landmarks
 
 
 @pytest.mark.parametrize("landmarks", [np.zeros((2, 0, 2)), None, np.array([[[400.5, 500.25]], [[450.0, 520.5]]])])

@@ -19,7 +19,7 @@ from sightline.detection import Observations
 from sightline.errors import SourceError, UnusableInputError
 from sightline.imaging import Radiograph
 from sightline.planning import Trajectory
-from sightline.planning.results import SpacePoints
+from sightline.planning.points.results import SpacePoints
 
 ENTRY_END_MM = np.array([[-20.3, 11.2, -9.7], [22.1, -14.6, 13.4]])
 NOISES = 3  # images of one scene; they take turns

@@ -12,8 +12,8 @@ from sightline.case.contents import PlanRequest
 from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal import Case, Kind
 from sightline.frame import Frame
+from sightline.from_images.interlocking import NailDrawn
 from sightline.imaging import Radiograph, write_dicom
-from sightline.interlocking import NailDrawn
 from sightline.rehearsal.patient import NAILED, VIEWS, RehearsedPatient, draw_patient
 from sightline.twin import render
 from sightline.twin.bone_scene import placed_bone

@@ -13,11 +13,11 @@ from sightline.detection import Observations, detect, label, look_again
 from sightline.detection.causes import cause_of
 from sightline.detection.noise import LAGS, NoiseModel
 from sightline.errors import DetectionRefusedError, LabellingRefusedError, SightlineError
+from sightline.from_images.pipeline import find_beads, label_beads
 from sightline.imaging import Radiograph, image_checks
 from sightline.imaging.defects import Tear
 from sightline.imaging.defects import interlaced as interlaced_image
 from sightline.imaging.defects import torn as tear_of
-from sightline.pipeline import find_beads, label_beads
 
 TRUTH = beads()
 CLEAN = in_8_bits(image(TRUTH, 5))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sightline.planning.check_result import CheckShot
+from sightline.planning.check.result import CheckShot
 
 
 def straight_shot(wire_mm: np.ndarray, across: np.ndarray, deviation_mm: Sequence[float], sd_mm: float) -> CheckShot:

@@ -7,7 +7,7 @@ import pytest
 
 from sightline.errors import UnusableInputError
 from sightline.planning import Aids, Circle, Line, Pick, locate, matching_curve, metrics, outline, reconstruct, snap
-from sightline.planning.picks import stack
+from sightline.planning.points.picks import stack
 
 from . import bone
 from .standin import StandInView, stand_in

@@ -9,7 +9,7 @@ import pytest
 from sightline.checks import Check, failed
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning import Aids, Circle, MatchingCurve, Plan, Procedure, kind, plan
-from sightline.planning.results import Verdict
+from sightline.planning.points.results import Verdict
 
 from . import bone
 from .standin import StandInView

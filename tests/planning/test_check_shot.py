@@ -11,8 +11,8 @@ from sightline.checks import Limits, failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
-from sightline.planning.check_shot import CheckShot, Landmarks, check_shot
-from sightline.planning.expected_wire import expected_wire
+from sightline.planning.check.expected_wire import expected_wire
+from sightline.planning.check.shot import CheckShot, Landmarks, check_shot
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.motion import draw_motion

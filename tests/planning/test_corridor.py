@@ -7,7 +7,7 @@ import pytest
 
 from sightline.errors import ErrorUnknownError, OutsideRegionError
 from sightline.planning import Trajectory, corridor, error_shares, error_shares_of, reconstruct
-from sightline.planning.results import BUDGET
+from sightline.planning.points.results import BUDGET
 
 from .standin import StandInView, stand_in
 

@@ -10,7 +10,7 @@ from sightline.case.canonical import plain
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Aids, Drawing, Pick, locate
-from sightline.planning.metrics import metric
+from sightline.planning.bone.metrics import metric
 from sightline.twin.bones import PlaneAid, TubeAid
 from sightline.twin.drawn_aids import clicked_mm
 

@@ -13,9 +13,9 @@ from sightline.checks import failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
-from sightline.planning.check_shot import Landmarks
-from sightline.planning.check_start import Beforehand, on_patient
-from sightline.planning.drill_shot import ALIGNED, PAUSED, DrillShot, drill_shot
+from sightline.planning.check.drill_shot import ALIGNED, PAUSED, DrillShot, drill_shot
+from sightline.planning.check.shot import Landmarks
+from sightline.planning.check.start import Beforehand, on_patient
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.motion import BoneMotion, draw_motion

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.checks import Check, Limits
-from sightline.planning.check_result import checks
+from sightline.planning.check.result import checks
 
 from .shots import straight_shot
 

@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 
-from sightline.drilling_order import DATUM_BEADS, propose_order
 from sightline.frame import Frame
+from sightline.from_images.drilling_order import DATUM_BEADS, propose_order
 from sightline.planning import WireLines
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import copy_text, document_from_json

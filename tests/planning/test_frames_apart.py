@@ -10,7 +10,7 @@ import pytest
 from sightline.calibration import view_from_matrix
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning import Aids, Circle, locate, matching_curve, plan, reconstruct
-from sightline.planning.check_shot import check_shot
+from sightline.planning.check.shot import check_shot
 
 from .standin import StandInView, stand_in
 

@@ -9,7 +9,7 @@ from sightline.calibration import view_from_matrix
 from sightline.checks import failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning import Trajectory, corridor, error_shares, plan, reconstruct
-from sightline.planning.results import MAX_GAP_SIGMA
+from sightline.planning.points.results import MAX_GAP_SIGMA
 
 from .standin import StandInView, stand_in
 

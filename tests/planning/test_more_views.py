@@ -13,7 +13,7 @@ from sightline.checks import failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import meeting_point
 from sightline.planning import kind, matching_curve, plan, reconstruct
-from sightline.planning.results import BUDGET, SpacePoints
+from sightline.planning.points.results import BUDGET, SpacePoints
 
 from .standin import StandInView, stand_in, turned
 

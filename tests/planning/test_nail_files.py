@@ -8,7 +8,7 @@ import pytest
 from sightline.cli.planning.points import parse_nail
 from sightline.errors import UnusableInputError
 from sightline.planning import Nail
-from sightline.planning.nail_files import NAILS_FOLDER, known_nails, nail_of, shipped_nails
+from sightline.planning.nail.files import NAILS_FOLDER, known_nails, nail_of, shipped_nails
 
 EDGES = "pa:1,2,3,4,5,6,7,8 lateral:1,2,3,4,5,6,7,8"
 OWN = {

@@ -12,10 +12,10 @@ import pytest
 from sightline.checks import Check
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Aids, Line, Plan, Procedure, kind, locate, metrics, plan
-from sightline.planning.bone_checks import MEASURES
-from sightline.planning.implant import fitting
 from sightline.planning.procedures.files import copy_text, document_from_json
 from sightline.planning.procedures.rules import CHECKS
+from sightline.planning.verdict.bone_checks import MEASURES
+from sightline.planning.verdict.implant import fitting
 
 from . import bone
 from .test_wire_in_neck import neck_borders

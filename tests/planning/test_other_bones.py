@@ -9,11 +9,11 @@ from scipy.optimize import brentq
 
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Anatomy, Procedure, kind
-from sightline.planning.bone_checks import judge_in_bone, measures, metric_measures, noticed_beyond_mm
-from sightline.planning.metrics import metric
+from sightline.planning.bone.metrics import metric
+from sightline.planning.points.results import Verdict
 from sightline.planning.procedures.files import copy_text, document_from_json
 from sightline.planning.procedures.rules import CHECKS
-from sightline.planning.results import Verdict
+from sightline.planning.verdict.bone_checks import judge_in_bone, measures, metric_measures, noticed_beyond_mm
 from sightline.twin.femur import to_cfcs
 from sightline.twin.wrong_wires import wrong_wires
 

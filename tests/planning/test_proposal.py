@@ -7,7 +7,7 @@ import pytest
 
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning import Circle, Line, Pick, ProposalRule, kind, locate, plan, propose
-from sightline.planning.aids import Aids
+from sightline.planning.bone.aids import Aids
 
 from . import bone
 from .standin import StandInView, stand_in

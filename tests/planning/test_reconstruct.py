@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from sightline.errors import ErrorUnknownError, OutsideRegionError, ReconstructionRefusedError, UnusableInputError
 from sightline.planning import matching_curve, reconstruct, snap
-from sightline.planning.results import BUDGET
+from sightline.planning.points.results import BUDGET
 
 from .standin import StandInView, stand_in
 

@@ -9,9 +9,9 @@ import pytest
 from sightline.checks import Check, failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning import Limits, SpacePoints, Trajectory, judge, kind, plan, reconstruct
-from sightline.planning.picks import Pick, stack
-from sightline.planning.results import BUDGET
-from sightline.planning.verdict import MAX_GAP_SIGMA
+from sightline.planning.points.picks import Pick, stack
+from sightline.planning.points.results import BUDGET
+from sightline.planning.verdict.plan_checks import MAX_GAP_SIGMA
 
 from .standin import StandInView, stand_in
 

@@ -9,7 +9,7 @@ from benchmarks.nail_edges import Sight, seen
 from sightline.calibration import view_from_matrix
 from sightline.checks import failed
 from sightline.errors import ReconstructionRefusedError
-from sightline.interlocking import refuse_confused
+from sightline.from_images.interlocking import refuse_confused
 from sightline.planning import Hole, Nail, WirePicks, fit_hole, plan_wires
 from sightline.twin.arm import beam_at
 from sightline.twin.nails import SPACING_MM, DistalNail

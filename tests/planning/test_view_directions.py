@@ -10,10 +10,10 @@ import pytest
 from sightline.calibration.view import LinesOfSight
 from sightline.checks import Check
 from sightline.planning import Aids, Plan, Procedure, kind, plan
-from sightline.planning.directions import anatomical
-from sightline.planning.patient_axes import frame_axes
+from sightline.planning.bone.directions import anatomical
 from sightline.planning.procedures.files import copy_text, document_from_json
-from sightline.planning.view_directions import Located, angles_of, assumed_axes
+from sightline.planning.verdict.patient_axes import frame_axes
+from sightline.planning.verdict.view_directions import Located, angles_of, assumed_axes
 from sightline.twin.drawn_aids import drawn_aids, key_of
 from sightline.twin.femur import to_cfcs
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import OutsideRegionError
-from sightline.planning.picks import PickArrays
-from sightline.planning.solution import Given, Solution, weighted_points
+from sightline.planning.points.picks import PickArrays
+from sightline.planning.points.solution import Given, Solution, weighted_points
 
 from .standin import StandInView, stand_in, turned
 

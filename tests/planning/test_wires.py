@@ -21,11 +21,11 @@ from sightline.planning import (
     propose_others,
     reconstruct,
 )
-from sightline.planning.directions import ANTERIOR, across, caudal, unit
+from sightline.planning.bone.directions import ANTERIOR, across, caudal, unit
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import copy_text, document_from_json
-from sightline.planning.relations import angle_rad, judge_relations, spacing_mm
+from sightline.planning.verdict.relations import angle_rad, judge_relations, spacing_mm
 
 from . import bone
 from .bone import END_MM, ENTRY_MM, curve_once, views

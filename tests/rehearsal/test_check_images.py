@@ -7,9 +7,9 @@ from scipy.spatial.transform import RigidTransform
 import sightline as sl
 from sightline.checks import failed
 from sightline.frame import Frame
-from sightline.pipeline import label_beads
+from sightline.from_images.pipeline import label_beads
 from sightline.planning import plan
-from sightline.planning.check_shot import Landmarks
+from sightline.planning.check.shot import Landmarks
 from sightline.rehearsal.rehearsal import VIEWS, Rehearsal
 from sightline.robot.link.simulated import SimulatedWire
 

@@ -10,12 +10,12 @@ import pytest
 from tests.planning.standin import StandInView, stand_in
 from tests.robot.test_target import POINTS, registered
 
-import sightline.pipeline
+import sightline.from_images.pipeline
 from sightline.case.contents import CheckRequest
 from sightline.case.interop import robot_files
 from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.planning import Plan, kind, plan
-from sightline.planning.check_start import Landmarks
+from sightline.planning.check.start import Landmarks
 from sightline.planning.procedures.files import copy_text
 from sightline.rehearsal.operation import target_of
 from sightline.robot import contract
@@ -45,7 +45,7 @@ def _shot(made: Plan, views: list[StandInView], beyond_mm: float, patch: pytest.
         known = {"variance_px2": np.full(len(uv) - 2, 0.01), "tip_variance_px2": 0.04}
         return SimpleNamespace(uv_px=uv[:-2], tip_uv_px=uv[-1], **known)
 
-    patch.setattr(sightline.pipeline, "find_planned_wire", found)
+    patch.setattr(sightline.from_images.pipeline, "find_planned_wire", found)
     images = tuple(SimpleNamespace(view=view, seen=SimpleNamespace(image=1, beads=1)) for view in views)
     marks = np.array([view.project(MARKS) for view in views])
     shot = CheckRequest(made.kind.wire_mm, Landmarks(marks, marks, 0.1)).shot(made, images, images)

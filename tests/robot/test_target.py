@@ -7,7 +7,7 @@ import pytest
 
 from sightline.checks import Check, Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.planning.directions import unit
+from sightline.planning.bone.directions import unit
 from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.kinematics.registration import PoseAtImage, Registration, register
 from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity, RobotTarget, robot_target

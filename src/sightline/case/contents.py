@@ -14,8 +14,8 @@ from sightline.case.views import CalibratedImage
 from sightline.checks import Limits
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, UnusableInputError
+from sightline.from_images.interlocking import NailDrawn, plan_found_holes, plan_holes
 from sightline.imaging import Radiograph
-from sightline.interlocking import NailDrawn, plan_found_holes, plan_holes
 from sightline.planning import (
     Aids,
     Axis,
@@ -29,14 +29,14 @@ from sightline.planning import (
     plan,
     plan_wires,
 )
-from sightline.planning.check_result import CheckShot
-from sightline.planning.check_start import Beforehand, Landmarks, on_patient, picked_wire
-from sightline.planning.picks import PickArrays
-from sightline.planning.placed_wires import PlacedWire
+from sightline.planning.check.placed_wires import PlacedWire
+from sightline.planning.check.result import CheckShot
+from sightline.planning.check.start import Beforehand, Landmarks, on_patient, picked_wire
+from sightline.planning.points.picks import PickArrays
 from sightline.planning.procedures.files import kept
 
 if TYPE_CHECKING:
-    from sightline.planning.drill_shot import DrillShot
+    from sightline.planning.check.drill_shot import DrillShot
 
 Pair = tuple[CalibratedImage, CalibratedImage]
 Images = tuple[CalibratedImage, ...]  # of a plan: PA, lateral, and the third where there is one
@@ -220,8 +220,8 @@ class CheckRequest:
 
         Raises CaseError if a check view is a table of beads, and what `find_planned_wire` and `check_shot` raise.
         """
-        from sightline.pipeline import find_planned_wire
-        from sightline.planning.check_shot import check_shot
+        from sightline.from_images.pipeline import find_planned_wire
+        from sightline.planning.check.shot import check_shot
 
         wires = [find_planned_wire(made, *_with_wire(one), one.view, self.wire_mm, others_mm) for one in checked]
         before, after = ([image.view for image in pair] for pair in (planned, checked))
@@ -276,9 +276,9 @@ class DrillShotRequest:
         """Find the wire in both images and compare it with the plan; `others_mm`, and what is raised, as of
         `CheckRequest.shot`."""
         from sightline.detection.wire import find_wire
-        from sightline.pipeline import expected_wires
-        from sightline.planning.drill_shot import drill_shot
-        from sightline.planning.expected_wire import BEFORE_MM, GUIDED_MM, expected_wire, nail_px
+        from sightline.from_images.pipeline import expected_wires
+        from sightline.planning.check.drill_shot import drill_shot
+        from sightline.planning.check.expected_wire import BEFORE_MM, GUIDED_MM, expected_wire, nail_px
 
         trajectory, hole, limits, wires = made.trajectory, made.hole, made.kind.limits, []
         before, after = ([image.view for image in pair] for pair in (planned, taken))

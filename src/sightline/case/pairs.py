@@ -24,8 +24,8 @@ from sightline.case.views import NAMES, CalibratedImage, ObservedView, see_obliq
 from sightline.detection.detections_csv import are_detections
 from sightline.errors import CaseError, RefusedError, UnusableInputError
 from sightline.frame import Frame
+from sightline.from_images.pipeline import find_beads, label_beads
 from sightline.imaging.limits import MAX_FILE_BYTES
-from sightline.pipeline import find_beads, label_beads
 
 
 @dataclass(frozen=True, eq=False)

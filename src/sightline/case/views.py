@@ -13,8 +13,8 @@ from sightline.detection.detections_csv import are_detections, label_csv
 from sightline.detection.files import read_observations
 from sightline.errors import FrameError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
+from sightline.from_images.pipeline import find_beads, known_arm, label_beads, view_of
 from sightline.imaging import Radiograph, read_image
-from sightline.pipeline import find_beads, known_arm, label_beads, view_of
 from sightline.planning.procedures import Procedure
 
 NAMES = ("pa", "lateral")  # every pair of views is in this order

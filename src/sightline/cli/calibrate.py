@@ -90,7 +90,7 @@ def calibrate(
         from sightline.case.views import calibrated as calibrated_image
         from sightline.detection.files import write_observations
         from sightline.frame import Frame
-        from sightline.pipeline import known_arm
+        from sightline.from_images.pipeline import known_arm
 
         known_frame = Frame.load(frame)
         with out.step("finding and labelling the beads"):

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from sightline.cli.output import Output
     from sightline.frame import Frame
     from sightline.planning import WirePlans
-    from sightline.planning.check_result import CheckShot
+    from sightline.planning.check.result import CheckShot
     from sightline.planning.procedures import Procedure
     from sightline.rehearsal.patient import RehearsedPatient
 
@@ -88,7 +88,7 @@ def measured(inserted: "Mapping[str, Inserted]") -> "dict[str, CheckShot]":
 
 def relations_measured(output: "Output", wires: "WirePlans", inserted: "Mapping[str, Inserted]") -> "tuple[Check, ...]":
     """Return the relations between the wires as their check shots measured them, and print them."""
-    from sightline.planning.measured_wires import judge_measured
+    from sightline.planning.wires import judge_measured
 
     side = next(iter(wires.plans.values())).side
     verdict = judge_measured(wires, measured(inserted), side)

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from sightline.frame import Frame
     from sightline.imaging import Radiograph
     from sightline.planning import Plan, WirePlans
-    from sightline.planning.check_result import CheckShot
-    from sightline.planning.results import SpacePoints
+    from sightline.planning.check.result import CheckShot
+    from sightline.planning.points.results import SpacePoints
     from sightline.rehearsal.check_images import CheckImages
     from sightline.rehearsal.patient import RehearsedPatient
     from sightline.rehearsal.process import RobotProcess
@@ -58,7 +58,7 @@ class DemoPlan(Generic[Who_co]):
 
     def each(self) -> "list[DemoPlan[Who_co]]":
         """Return the plan of each wire, in the proposed order of drilling."""
-        from sightline.drilling_order import propose_order
+        from sightline.from_images.drilling_order import propose_order
 
         wires = self.wires
         if wires is None:

@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from sightline.case.contents import DrillShotRequest, Pair
     from sightline.cli.demo_robot import DemoPlan
     from sightline.cli.output import Output
-    from sightline.planning.check_start import Landmarks
-    from sightline.planning.drill_shot import DrillShot
+    from sightline.planning.check.drill_shot import DrillShot
+    from sightline.planning.check.start import Landmarks
     from sightline.rehearsal.check_images import CheckImages
     from sightline.rehearsal.patient import RehearsedPatient
     from sightline.rehearsal.rehearsal import Rehearsal
@@ -41,7 +41,7 @@ def confirming(
 
     A shot that says STOP raises RobotRefusedError. Plates cannot be measured, which is said.
     """
-    from sightline.planning.drill_shot import TURNED_AWAY
+    from sightline.planning.check.drill_shot import TURNED_AWAY
 
     taken: dict[str, ShotTaken] = {}
 
@@ -58,7 +58,7 @@ def confirming(
 
 def found_again(planned: "DemoPlan[RehearsedPatient]", taken: "CheckImages", rng: "np.random.Generator") -> "Landmarks":
     """Return the plan's landmarks, picked by a person in two more images."""
-    from sightline.planning.check_start import Landmarks
+    from sightline.planning.check.start import Landmarks
 
     before = planned.asked
     found = taken.landmarks_px(tuple(planned.rehearsal.landmarks), before.pick_sd_px, rng)

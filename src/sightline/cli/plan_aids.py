@@ -44,9 +44,9 @@ def fitted(
     Raises UnusableInputError where there is nothing to fit, or no image.
     """
     from sightline.errors import UnusableInputError
-    from sightline.fitted_axis import fit_shaft
-    from sightline.fitted_head import fit_head, refuse_tables
-    from sightline.fitted_neck import fit_neck
+    from sightline.from_images.head import fit_head, refuse_tables
+    from sightline.from_images.neck import fit_neck
+    from sightline.from_images.shaft import fit_shaft
 
     views, unfitted = [one.view for one in images], {}
     if head:

@@ -13,23 +13,23 @@ from sightline.calibration.together import adjusted_together
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check
 from sightline.errors import OutsideRegionError, UnusableInputError
-from sightline.planning.aids import Aids
-from sightline.planning.anatomy import Anatomy, Drawings, located
-from sightline.planning.bone_checks import judge_in_bone, measures, metric_measures, noticed_beyond_mm
-from sightline.planning.curve import MatchingCurve, matching_curve, snap
-from sightline.planning.hole_advice import perfect_circles
-from sightline.planning.hole_result import Hole
-from sightline.planning.implant import Implant, fitting
-from sightline.planning.line_residuals import refuse_repeated
-from sightline.planning.picks import DEFAULT_PICK_SD_PX, Pick, stack
+from sightline.planning.bone.aids import Aids
+from sightline.planning.bone.anatomy import Anatomy, Drawings, located
+from sightline.planning.nail.perfect_circle import perfect_circles
+from sightline.planning.nail.result import Hole
+from sightline.planning.points.curve import MatchingCurve, matching_curve, snap
+from sightline.planning.points.line_residuals import refuse_repeated
+from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, Pick, stack
+from sightline.planning.points.reconstruct import checked_picks, points_of
+from sightline.planning.points.results import SpacePoints, Verdict
+from sightline.planning.points.solution import Method
+from sightline.planning.points.trajectory import Trajectory
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.reconstruct import checked_picks, points_of
-from sightline.planning.results import SpacePoints, Verdict
-from sightline.planning.solution import Method
-from sightline.planning.trajectory import Trajectory
-from sightline.planning.verdict import judge
-from sightline.planning.view_directions import Located, assumed_axes, rules_of_bone
+from sightline.planning.verdict.bone_checks import judge_in_bone, measures, metric_measures, noticed_beyond_mm
+from sightline.planning.verdict.implant import Implant, fitting
+from sightline.planning.verdict.plan_checks import judge
+from sightline.planning.verdict.view_directions import Located, assumed_axes, rules_of_bone
 from sightline.show import Plotted, dataframe
 from sightline.show.words import checks_lines
 from sightline.threads import one_blas_thread

@@ -1,4 +1,4 @@
-"""Plans of all wires of a procedure on the same images, and the relations between the wires."""
+"""Plans of all wires of a procedure on the same images, and the relations between the wires, planned or measured."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,20 +11,21 @@ from sightline.calibration.together import adjusted_together
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check
 from sightline.errors import UnusableInputError
-from sightline.planning.axis import Axis
-from sightline.planning.directions import MEDIAL, towards
-from sightline.planning.hole_result import Hole
-from sightline.planning.picks import PickArrays, stack
-from sightline.planning.placed_wires import PlacedWire
+from sightline.planning.bone.axis import Axis
+from sightline.planning.bone.directions import MEDIAL, towards
+from sightline.planning.check.placed_wires import PlacedWire
+from sightline.planning.check.result import CheckShot
+from sightline.planning.nail.result import Hole
 from sightline.planning.plan import Plan, plan
+from sightline.planning.points.picks import PickArrays, stack
+from sightline.planning.points.reconstruct import reconstruct
+from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import document_of
 from sightline.planning.procedures.procedure import fingerprint
-from sightline.planning.proposal import Proposal
-from sightline.planning.reconstruct import reconstruct
-from sightline.planning.relations import WireLines, judge_relations
-from sightline.planning.results import Verdict
+from sightline.planning.procedures.proposal import Proposal
+from sightline.planning.verdict.relations import WireLines, judge_relations
 from sightline.show import Shown
 from sightline.show.words import checks_lines
 from sightline.threads import one_blas_thread
@@ -221,3 +222,47 @@ def _all_planned(missing: Sequence[str], count: int) -> Verdict:
     sentence += f": pick entry and end of the {' and the '.join(missing)} too." if missing else "."
     check = Check("all wires", not missing, float(count - len(missing)), float(count), "wires", sentence)
     return Verdict((check,), (check,) if missing else ())
+
+
+def measured_lines(plans: WirePlans, shots: Mapping[str, CheckShot]) -> WireLines:
+    """Return the wires with check shots, by the keys of `plans`, and those that were placed before.
+
+    The covariance is the sum of that of the plans, with the errors that the wires share, and that of each deviation
+    from its plan. This is an upper bound: the part of the views' errors that plan and deviation share would cancel.
+    Raises UnusableInputError for a wire that is not planned.
+    """
+    if unknown := set(shots) - set(plans.plans):
+        raise UnusableInputError(f"{', '.join(sorted(unknown))} is not planned here; give check shots of planned wires")
+    keys = tuple(key for key in plans.lines.keys if key in shots or key in plans.placed)
+    at = plans.lines.places(keys)
+    ends, covariance = plans.lines.ends_mm[at], plans.lines.joint_covariance_mm2
+    if covariance is not None:
+        rows = np.concatenate([np.arange(6 * k, 6 * k + 6) for k in at]) if at else np.zeros(0, dtype=int)
+        covariance = covariance[np.ix_(rows, rows)]
+    for k, key in enumerate(keys):
+        if key in shots:
+            shot = shots[key]
+            ends[k] = shot.entry_mm, shot.tip_mm
+            if covariance is not None:
+                covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += _ends_covariance_mm2(shot)
+    return WireLines(keys, ends, covariance)
+
+
+def judge_measured(plans: WirePlans, shots: Mapping[str, CheckShot], side: str | None) -> Verdict:
+    """Return the checks of the relations between the wires with check shots, as `judge_relations`.
+
+    Raises UnusableInputError.
+    """
+    names = {wire.key: wire.name for wire in plans.procedure.wires}
+    lines = measured_lines(plans, shots)
+    return judge_relations(plans.procedure.relations, lines, names, side, "is not measured yet")
+
+
+def _ends_covariance_mm2(shot: CheckShot) -> np.ndarray:
+    """Return the covariance (6, 6) of entry and tip by the five components of their deviation."""
+    along = np.cross(*shot.across)
+    along *= np.sign(along @ (shot.tip_mm - shot.entry_mm))
+    to_ends = np.zeros((6, 5))
+    to_ends[:3, :2] = shot.across.T
+    to_ends[3:, 2:] = np.column_stack([*shot.across, along])
+    return to_ends @ shot.covariance_mm2 @ to_ends.T

@@ -9,15 +9,15 @@ import numpy as np
 from sightline.calibration.together import adjusted_together
 from sightline.calibration.view import CalibratedView
 from sightline.errors import ReconstructionRefusedError
-from sightline.planning.aids import Aids
-from sightline.planning.anatomy import Anatomy, locate
-from sightline.planning.directions import across, caudal, unit
-from sightline.planning.metrics import metric
+from sightline.planning.bone.aids import Aids
+from sightline.planning.bone.anatomy import Anatomy, locate
+from sightline.planning.bone.directions import across, caudal, unit
+from sightline.planning.bone.metrics import metric
 from sightline.planning.plan import Plan, plan
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.document import ProcedureDocument, Relation
-from sightline.planning.proposal import Proposal, propose
-from sightline.planning.relations import across_axes
+from sightline.planning.procedures.proposal import Proposal, propose
+from sightline.planning.verdict.relations import across_axes
 from sightline.planning.wires import WirePicks
 
 # Kept from the limits of spacing and of the distance to the neck's surface, for the errors of the picks [ours].

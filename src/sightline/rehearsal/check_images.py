@@ -9,10 +9,10 @@ from scipy.spatial.transform import RigidTransform
 from sightline.calibration import BeadView
 from sightline.case.views import NAMES as VIEWS
 from sightline.errors import SetUpError
+from sightline.from_images.pipeline import check_shot
 from sightline.imaging import Radiograph
-from sightline.pipeline import check_shot
 from sightline.planning import Plan
-from sightline.planning.check_shot import CheckShot, Landmarks
+from sightline.planning.check.shot import CheckShot, Landmarks
 from sightline.twin import BoneScene, HipScene, SetUp
 from sightline.twin.implants import guide_wire
 from sightline.twin.motion import moved

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.frame import Frame
 from sightline.planning import Plan
-from sightline.planning.relations import refuse_unrelated
+from sightline.planning.verdict.relations import refuse_unrelated
 from sightline.rehearsal.robots import calibrated_robot, drawn_robot
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.insertion import Insertion, OwnFrames, Setup

@@ -15,10 +15,10 @@ from scipy.spatial.transform import RigidTransform
 from sightline.case.contents import PlanRequest
 from sightline.case.views import NAMES as VIEWS
 from sightline.frame import Frame
+from sightline.from_images.interlocking import NailDrawn
 from sightline.imaging import Radiograph
-from sightline.interlocking import NailDrawn
 from sightline.planning import Aids, Nail, Plan, Procedure, WirePicks
-from sightline.planning.picks import stack
+from sightline.planning.points.picks import stack
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import document_of
 from sightline.rehearsal.check_images import CheckImages

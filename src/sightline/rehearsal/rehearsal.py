@@ -13,7 +13,7 @@ from sightline.case.views import OBLIQUE
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
-from sightline.planning.drill_shot import ALIGNED
+from sightline.planning.check.drill_shot import ALIGNED
 from sightline.rehearsal.check_images import ATTEMPTS, CheckImages
 from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup
 from sightline.rehearsal.patient import (

@@ -10,7 +10,7 @@ import numpy as np
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.planning import Trajectory
-from sightline.planning.results import SpacePoints
+from sightline.planning.points.results import SpacePoints
 from sightline.twin import DOSES, ViewTruth, shown_hip_scene
 from sightline.twin.render import expose
 

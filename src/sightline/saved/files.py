@@ -18,7 +18,7 @@ from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, SpacePoints, Trajectory
-from sightline.planning.check_result import CheckShot
+from sightline.planning.check.result import CheckShot
 from sightline.saved import beads, models, plans, views
 
 _MAX_BYTES = 2**26  # [ours] six times a view of a frame with a full covariance

@@ -13,8 +13,8 @@ from sightline.checks import Limits
 from sightline.errors import UnusableInputError
 from sightline.planning import Aids, Plan, SpacePoints, Trajectory
 from sightline.planning import plan as make_plan
-from sightline.planning.check_result import CheckShot
-from sightline.planning.gaps import Movement
+from sightline.planning.check.result import CheckShot
+from sightline.planning.points.gaps import Movement
 from sightline.planning.procedures.files import keeping, kept
 from sightline.saved import views
 

@@ -14,7 +14,7 @@ from sightline.checks import Check
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import length_quantile
 from sightline.planning import SpacePoints, reconstruct
-from sightline.planning.solution import Method
+from sightline.planning.points.solution import Method
 from sightline.studies.points import MeasuredPoints
 
 # Errors with a smaller probability show that the stated covariance is wrong [ours].

@@ -10,7 +10,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.planning import Aids, MatchingCurve, Plan, Procedure, plan
-from sightline.planning.directions import across, anatomical, unit
+from sightline.planning.bone.directions import across, anatomical, unit
 from sightline.planning.procedures.document import WantedView
 from sightline.studies.scenes import MARGIN_PX, VIEWS
 from sightline.twin import SetUp, ViewTruth, draw_setup

@@ -6,10 +6,10 @@ import numpy as np
 
 from sightline.geometry.covariance import TWO_SIDED_95, response
 from sightline.planning import Anatomy, Plan
-from sightline.planning.bone_checks import MEASURES, measures
-from sightline.planning.metrics import metric
+from sightline.planning.bone.metrics import metric
 from sightline.planning.procedures.rules import CHECKS, CheckRule
-from sightline.planning.view_directions import Located
+from sightline.planning.verdict.bone_checks import MEASURES, measures
+from sightline.planning.verdict.view_directions import Located
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ import sightline as sl
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.planning import Pick, matching_curve, snap
-from sightline.planning.picks import stack
+from sightline.planning.points.picks import stack
 from sightline.studies.bound import bound
 from sightline.studies.figure_xy import PlotAxis, PlotPoint, PlotSeries, xy
 from sightline.studies.intervals import quantile, rms, share

@@ -19,8 +19,8 @@ from sightline.detection import Observations
 from sightline.errors import SetUpError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Plan, Procedure, kind
-from sightline.planning.directions import anatomical, unit
-from sightline.planning.patient_axes import frame_axes
+from sightline.planning.bone.directions import anatomical, unit
+from sightline.planning.verdict.patient_axes import frame_axes
 from sightline.studies.drawn_bones import PICK_PX, DrawnBone, DrawnHip, jittered, plan_of
 from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import share

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sightline.errors import SetUpError
-from sightline.planning.directions import across, unit
+from sightline.planning.bone.directions import across, unit
 from sightline.planning.procedures.rules import CheckRule
 from sightline.studies.plan_margins import KnownBone
 from sightline.twin.bones import BoneModel

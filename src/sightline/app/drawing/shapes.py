@@ -17,11 +17,11 @@ from sightline.calibration import BeadView
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import SightlineError
 from sightline.planning import Line, MatchingCurve, Plan, reconstruct
-from sightline.planning.check_result import CheckShot
-from sightline.planning.corridor import Corridor, corridor
-from sightline.planning.head import outline
-from sightline.planning.implant import template
+from sightline.planning.bone.head import outline
+from sightline.planning.check.result import CheckShot
+from sightline.planning.points.corridor import Corridor, corridor
 from sightline.planning.procedures.document import AidAsked
+from sightline.planning.verdict.implant import template
 
 Shape = dict[str, Any]
 Layers = dict[str, list[Shape]]

@@ -11,9 +11,9 @@ from sightline.app.panels import markup
 from sightline.app.tab.tab import Tab
 from sightline.checks import Check
 from sightline.planning import Plan
+from sightline.planning.points.results import MAX_GAP_SIGMA
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.results import MAX_GAP_SIGMA
 
 _ERRORS = ("entry error", "end error", "direction error")
 _FALLBACK = "movement"  # of procedures without a check of their own that has a value and a limit

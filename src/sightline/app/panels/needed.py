@@ -5,9 +5,9 @@ from itertools import chain
 
 from sightline.app import texts
 from sightline.app.plan.planner import Planned
+from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.rules import CHECKS
-from sightline.planning.results import Verdict
 
 _OF_BONE = {"view directions": 2, "side": 3}  # directions of the bone that a check takes from the procedure
 

@@ -31,9 +31,9 @@ from sightline.app.tab.view_names import image_short, in_image
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning.axis import Axis
-from sightline.planning.hole_advice import perfect_circles
-from sightline.planning.nail_files import known_nails
+from sightline.planning.bone.axis import Axis
+from sightline.planning.nail.files import known_nails
+from sightline.planning.nail.perfect_circle import perfect_circles
 from sightline.planning.procedures import kind as kind_of
 
 

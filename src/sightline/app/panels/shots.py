@@ -16,8 +16,8 @@ from sightline.app.tab.tab import Tab
 from sightline.app.tab.view_names import image_label
 from sightline.checks import failed
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning.check_start import MIN_LANDMARKS
-from sightline.planning.drill_shot import ALIGNED, PAUSED, TURNED_AWAY, DrillShot
+from sightline.planning.check.drill_shot import ALIGNED, PAUSED, TURNED_AWAY, DrillShot
+from sightline.planning.check.start import MIN_LANDMARKS
 
 _STATES = {"GO": "go", "STOP": "no-go", "INCOMPLETE": "incomplete"}  # of a card, by the decision
 

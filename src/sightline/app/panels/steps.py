@@ -14,7 +14,7 @@ from sightline.app.tab.step import ProcedureStep
 from sightline.app.tab.view_names import image_name
 from sightline.case.views import NAMES
 from sightline.checks import failed
-from sightline.planning.results import Verdict
+from sightline.planning.points.results import Verdict
 from sightline.robot.control.states import State
 
 

@@ -14,7 +14,7 @@ from sightline.app.tab.tab import Tab
 from sightline.app.tab.view_names import with_view_named
 from sightline.checks import Check, failed
 from sightline.errors import SightlineError
-from sightline.planning.shares import Share, error_shares, error_shares_of
+from sightline.planning.points.error_shares import Share, error_shares, error_shares_of
 from sightline.robot.kinematics.target import RobotTarget
 
 SOURCES = {  # sources of error, with their colours (colours.js)

@@ -11,8 +11,8 @@ from sightline.app.plan.marks import NAIL_EDGES, hole_mark
 from sightline.calibration import BeadView
 from sightline.case.views import NAMES
 from sightline.errors import SightlineError
+from sightline.from_images.interlocking import FoundNail, NailDrawn, find_hole, find_nail, hole_edges
 from sightline.imaging import Radiograph
-from sightline.interlocking import FoundNail, NailDrawn, find_hole, find_nail, hole_edges
 from sightline.planning import Hole, HoleSeen
 from sightline.planning.procedures import kind as kind_of
 

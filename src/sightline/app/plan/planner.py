@@ -25,15 +25,15 @@ from sightline.planning import (
     propose_others,
     snap,
 )
-from sightline.planning.aids import Aids, Circle, Line
-from sightline.planning.anatomy import Anatomy, locate
-from sightline.planning.metrics import Metric, metrics
-from sightline.planning.picks import DEFAULT_PICK_SD_PX
+from sightline.planning.bone.aids import Aids, Circle, Line
+from sightline.planning.bone.anatomy import Anatomy, locate
+from sightline.planning.bone.metrics import Metric, metrics
+from sightline.planning.points.picks import DEFAULT_PICK_SD_PX
+from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.document import AidAsked, ProcedureDocument
 from sightline.planning.procedures.files import each_wire, keeping
-from sightline.planning.results import Verdict
 
 PICK_SD_PX = DEFAULT_PICK_SD_PX
 _PICK_PX2 = PICK_SD_PX**2 * np.eye(2)

@@ -12,7 +12,7 @@ from sightline.case.views import NAMES
 from sightline.checks import failed
 from sightline.errors import RobotRefusedError
 from sightline.planning import reconstruct
-from sightline.planning.results import SpacePoints
+from sightline.planning.points.results import SpacePoints
 
 # The robot's own wire in the planning images of a block, which register the robot more accurately than its encoders.
 ROBOT_WIRE = (

@@ -21,7 +21,7 @@ from sightline.case.stages import record_changed, record_planned
 from sightline.checks import failed
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning.metrics import Metric
+from sightline.planning.bone.metrics import Metric
 from sightline.planning.procedures import kind as kind_of
 from sightline.robot.control.insertion import DEPTH_SLACK_MM
 from sightline.robot.control.motion.supervision import depth_limit

@@ -8,8 +8,8 @@ from sightline.app.plan.holes import NAIL, HolesFound
 from sightline.app.session.failures import report
 from sightline.app.session.jobs import Jobs
 from sightline.calibration import BeadView
+from sightline.from_images.interlocking import NailDrawn
 from sightline.imaging import Radiograph
-from sightline.interlocking import NailDrawn
 
 DrawnOn: TypeAlias = tuple[NailDrawn, tuple[BeadView, ...], tuple[Radiograph, ...]]
 

@@ -38,11 +38,11 @@ from sightline.calibration.together import adjusted_together
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, takes_oblique
-from sightline.drilling_order import DrillingOrder, propose_order
 from sightline.errors import CalibrationRefusedError, SightlineError, UnusableInputError
-from sightline.fitted_axis import fit_shaft
-from sightline.fitted_head import fit_head
-from sightline.fitted_neck import fit_neck
+from sightline.from_images.drilling_order import DrillingOrder, propose_order
+from sightline.from_images.head import fit_head
+from sightline.from_images.neck import fit_neck
+from sightline.from_images.shaft import fit_shaft
 from sightline.imaging import Radiograph
 from sightline.planning import Circle, Line, Nail, WirePlans, kind
 from sightline.planning.procedures.files import document_of, each_wire

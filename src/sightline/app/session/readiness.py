@@ -4,7 +4,7 @@ from sightline.app.plan.planner import Planned
 from sightline.app.session.age import PlanAge, is_fresh
 from sightline.app.session.planning import Planning
 from sightline.checks import Check
-from sightline.planning.results import Verdict
+from sightline.planning.points.results import Verdict
 from sightline.robot.kinematics.target import LIFETIME_S
 
 NO_SERIAL = "none"  # what a person types where the frame has none

@@ -17,7 +17,7 @@ from sightline.app.session.zero import ZeroSource
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Plan
-from sightline.planning.results import SpacePoints
+from sightline.planning.points.results import SpacePoints
 from sightline.rehearsal.operation import target_of
 from sightline.robot import contract
 from sightline.robot.control.states import State

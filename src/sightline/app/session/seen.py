@@ -15,8 +15,8 @@ from sightline.case.journal import Actor, Case, Entry
 from sightline.case.views import CalibratedImage, ObservedView, calibrated
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, SightlineError
+from sightline.from_images.pipeline import find_beads, known_arm, label_beads
 from sightline.imaging import Radiograph, taken_at
-from sightline.pipeline import find_beads, known_arm, label_beads
 
 WAITING = "waiting"  # stage of an image that is shown and not yet processed
 

@@ -19,8 +19,8 @@ from sightline.case.views import ALL_NAMES
 from sightline.checks import failed
 from sightline.errors import RefusedError, RobotRefusedError, SetUpError, SightlineError
 from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.planning.check_start import MIN_LANDMARKS, Landmarks
-from sightline.planning.drill_shot import ALIGNED, PAUSED, DrillShot
+from sightline.planning.check.drill_shot import ALIGNED, PAUSED, DrillShot
+from sightline.planning.check.start import MIN_LANDMARKS, Landmarks
 from sightline.robot.kinematics.manipulator import FEED
 
 STOP = "STOP"

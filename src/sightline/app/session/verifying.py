@@ -16,11 +16,11 @@ from sightline.case.journal import Actor
 from sightline.case.stages import record_verified
 from sightline.checks import Check
 from sightline.errors import RefusedError, SightlineError, UnusableInputError
-from sightline.pipeline import planned_search
-from sightline.planning.check_result import CheckShot
-from sightline.planning.check_shot import Landmarks, check_shot
-from sightline.planning.measured_wires import judge_measured
+from sightline.from_images.pipeline import planned_search
+from sightline.planning.check.result import CheckShot
+from sightline.planning.check.shot import Landmarks, check_shot
 from sightline.planning.procedures import kind as kind_of
+from sightline.planning.wires import judge_measured
 
 if TYPE_CHECKING:
     from sightline.detection.wire import WireShadow

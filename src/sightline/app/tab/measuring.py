@@ -8,7 +8,7 @@ from sightline.app import texts
 from sightline.app.plan.decisions import Pixel
 from sightline.app.session.planning import Planning
 from sightline.errors import SightlineError
-from sightline.planning.ruler import Measured, measured_in_plane, measured_in_space
+from sightline.planning.points.ruler import Measured, measured_in_plane, measured_in_space
 
 Clicks = Sequence[Pixel]
 

@@ -9,7 +9,7 @@ from sightline.app.session.planning import Planning
 from sightline.app.session.shots import Shots
 from sightline.app.tab.step import ProcedureStep
 from sightline.case.views import NAMES, OBLIQUE
-from sightline.planning.drill_shot import ALIGNED
+from sightline.planning.check.drill_shot import ALIGNED
 
 
 @dataclass(frozen=True)

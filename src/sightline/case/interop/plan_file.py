@@ -20,9 +20,9 @@ from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import length_quantile
 from sightline.imaging import read_image
 from sightline.planning import Trajectory
-from sightline.planning.directions import caudal
-from sightline.planning.relations import refuse_unrelated
-from sightline.planning.results import SpacePoints
+from sightline.planning.bone.directions import caudal
+from sightline.planning.points.results import SpacePoints
+from sightline.planning.verdict.relations import refuse_unrelated
 
 _DIGEST = "digest"
 _WIRES = "wires"

@@ -18,11 +18,11 @@ from sightline.detection import Detections, detect
 from sightline.detection.files import read_observations
 from sightline.errors import CaseError, ObservationsError, RefusedError
 from sightline.frame import Frame
+from sightline.from_images.pipeline import label_beads
 from sightline.imaging import Radiograph
-from sightline.pipeline import label_beads
 from sightline.planning import Plan, WirePlans
-from sightline.planning.check_result import CheckShot
-from sightline.planning.drill_shot import DrillShot
+from sightline.planning.check.drill_shot import DrillShot
+from sightline.planning.check.result import CheckShot
 
 _Made = TypeVar("_Made")
 

@@ -10,7 +10,7 @@ from sightline.case.report.exposures import KeptExposure
 from sightline.case.views import CalibratedImage, spoken
 from sightline.frame import Frame
 from sightline.planning import Plan, WirePlans
-from sightline.planning.check_result import CheckShot
+from sightline.planning.check.result import CheckShot
 
 
 @dataclass(frozen=True, eq=False)

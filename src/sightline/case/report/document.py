@@ -14,7 +14,7 @@ from sightline.case.journal.entry import versions
 from sightline.case.report.content import Report
 from sightline.case.report.exposures import NOTE
 from sightline.planning import WirePlans
-from sightline.planning.results import State
+from sightline.planning.points.results import State
 
 Point = tuple[float, float, float]
 

@@ -11,9 +11,9 @@ from sightline.case.report.comparison import Compared, Refused
 from sightline.case.report.content import Report
 from sightline.case.report.drawing.budget import Bar
 from sightline.checks import Check, failed
-from sightline.planning.check_result import CheckShot
-from sightline.planning.measured_wires import judge_measured
-from sightline.planning.results import Verdict
+from sightline.planning.check.result import CheckShot
+from sightline.planning.points.results import Verdict
+from sightline.planning.wires import judge_measured
 
 POINTS = ("entry", "tip")
 COLOURS = {"beads": "beads", "map": "map", "focal_point": "focal", "frame": "frame", "picks": "picks"}

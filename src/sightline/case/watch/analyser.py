@@ -17,9 +17,9 @@ from sightline.errors import CalibrationRefusedError, OutsideRegionError, Unusab
 from sightline.frame import Frame
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.imaging import Radiograph
-from sightline.planning.corridor import Corridor, corridor
-from sightline.planning.line_residuals import LineResiduals
-from sightline.planning.trajectory import Trajectory
+from sightline.planning.points.corridor import Corridor, corridor
+from sightline.planning.points.line_residuals import LineResiduals
+from sightline.planning.points.trajectory import Trajectory
 from sightline.threads import one_blas_thread
 
 STALE_S = 0.2  # an older image may no longer be true: nothing is drawn into it

@@ -10,8 +10,8 @@ from sightline.detection import Observations
 from sightline.detection.track import Track, TrackLost
 from sightline.errors import RefusedError
 from sightline.frame import Frame
+from sightline.from_images.pipeline import find_beads, label_beads
 from sightline.imaging import Radiograph
-from sightline.pipeline import find_beads, label_beads
 from sightline.threads import one_blas_thread
 
 REFRESH_EVERY_S = 0.5  # between updates of the field of view, the noise and new beads [ours]

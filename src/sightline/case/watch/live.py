@@ -10,7 +10,7 @@ from sightline.case.watch.analyser import LiveAnalyser, TimedImage, Watched, age
 from sightline.closing import Closing
 from sightline.errors import SightlineError, UnusableInputError
 from sightline.frame import Frame
-from sightline.planning.trajectory import Trajectory
+from sightline.planning.points.trajectory import Trajectory
 
 _END_S = 5.0  # time for the image in work, with a margin
 

@@ -66,7 +66,7 @@ def self_check(
             if measured is None:
                 found = adjust(beads, known)
             else:
-                from sightline.pipeline import known_arm
+                from sightline.from_images.pipeline import known_arm
 
                 found = self_check_solid(beads, known, measured, [known_arm(one.image) for one in seen])
         output.failures(found.checks)

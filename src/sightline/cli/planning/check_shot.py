@@ -15,8 +15,8 @@ from sightline.cli.planning.points import CHECK_VIEWS, FoundAgain, parse_found_a
 
 if TYPE_CHECKING:
     from sightline.case.journal import Entry
-    from sightline.planning.check_result import CheckShot
-    from sightline.planning.check_start import Landmarks
+    from sightline.planning.check.result import CheckShot
+    from sightline.planning.check.start import Landmarks
 
 
 def register(app: typer.Typer) -> None:
@@ -70,7 +70,7 @@ def check_shot(
         from sightline.case.stages import frame_of, record_verified
         from sightline.case.views import calibrate_pair
         from sightline.errors import CaseError, RefusedError
-        from sightline.planning.measured_wires import judge_measured
+        from sightline.planning.wires import judge_measured
 
         opened = stack.enter_context(Case.open(case))
         again = Recomputed(opened)
@@ -133,7 +133,7 @@ def landmarks_of(points: list[FoundAgain], names: list[str], picked: Any, sd_px:
     import numpy as np
 
     from sightline.errors import UnusableInputError
-    from sightline.planning.check_start import Landmarks
+    from sightline.planning.check.start import Landmarks
 
     before = np.array([[], []] if picked is None else picked[:2], dtype=np.float64).reshape(2, -1, 2)
     known = {name: before[:, k] for k, name in enumerate(names) if name and np.isfinite(before[:, k]).all()}

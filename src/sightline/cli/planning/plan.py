@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from sightline.case.journal import Case, Entry
     from sightline.case.pairs import SeenImages
     from sightline.frame import Frame
-    from sightline.interlocking import NailDrawn
+    from sightline.from_images.interlocking import NailDrawn
     from sightline.planning import PlacedWire, Procedure
     from sightline.planning.procedures.document import ProcedureDocument
 
@@ -351,7 +351,7 @@ def _nail_drawn(
     import numpy as np
 
     from sightline.errors import UnusableInputError
-    from sightline.interlocking import NailDrawn
+    from sightline.from_images.interlocking import NailDrawn
 
     if sizes is None or edges is None or not holes or picked:
         raise UnusableInputError(
@@ -379,7 +379,7 @@ def _in_bone(
     import numpy as np
 
     from sightline.errors import UnusableInputError
-    from sightline.pipeline import find_placed_wires
+    from sightline.from_images.pipeline import find_placed_wires
 
     if not keys:
         return {}

@@ -127,7 +127,7 @@ def parse_nail(strokes: str, sizes: str) -> "tuple[Nail, np.ndarray]":
     import numpy as np
 
     from sightline.errors import UnusableInputError
-    from sightline.planning.nail_files import nail_of
+    from sightline.planning.nail.files import nail_of
 
     clicked = _numbers(strokes)
     nail = nail_of(sizes) or _nail_of_sizes(sizes)
@@ -143,7 +143,7 @@ def _nail_of_sizes(sizes: str) -> "Nail":
     """Return the nail of 'diameter:11 hole:5 bore:5 spacing:28 titanium'. Raises UnusableInputError."""
     from sightline.errors import UnusableInputError
     from sightline.planning import Nail
-    from sightline.planning.nail_files import known_nails
+    from sightline.planning.nail.files import known_nails
 
     material, rest = _named(sizes)
     mm = _numbers(rest)

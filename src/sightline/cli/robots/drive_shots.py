@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sightline.case.replay import Recomputed
     from sightline.cli.output import Output
     from sightline.frame import Frame
-    from sightline.planning.drill_shot import DrillShot
+    from sightline.planning.check.drill_shot import DrillShot
     from sightline.robot.kinematics.target import RobotTarget
     from sightline.robot.link.client import RobotClient
 
@@ -67,7 +67,7 @@ class DriveShots:
         A depth that says GO in PAUSED is sent to the robot. Raises RobotRefusedError for a shot that says STOP.
         """
         from sightline.errors import RobotRefusedError, SightlineError
-        from sightline.planning.drill_shot import PAUSED
+        from sightline.planning.check.drill_shot import PAUSED
 
         with_it = "put the block on its mount" if self.on_patient is None else "leave the frame on the patient"
         while True:
@@ -143,7 +143,7 @@ class DriveShots:
     def _asked(self, state: str, again: "Recomputed", plan: "Entry") -> "DrillShotRequest":
         """Return the request with what a person picks, and with what the robot's encoders say."""
         from sightline.case.contents import DrillShotRequest
-        from sightline.planning.drill_shot import ALIGNED
+        from sightline.planning.check.drill_shot import ALIGNED
         from sightline.robot.kinematics.manipulator import FEED
 
         stood, straight = self.target.registration, state == ALIGNED

@@ -471,7 +471,7 @@ def _shot(out: Output, robot: "RobotClient", state: str, shots: "DriveShots | No
     Raises RobotRefusedError.
     """
     from sightline.errors import RobotRefusedError
-    from sightline.planning.drill_shot import TURNED_AWAY
+    from sightline.planning.check.drill_shot import TURNED_AWAY
 
     if not measurable:
         out.note(f"{state}: {TURNED_AWAY}")

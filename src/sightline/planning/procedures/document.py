@@ -7,10 +7,10 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from sightline.checks import CLEAR_MM, MAX_BEFORE_MM
-from sightline.planning.aids import CLICKS
-from sightline.planning.directions import anatomical
+from sightline.planning.bone.aids import CLICKS
+from sightline.planning.bone.directions import anatomical
+from sightline.planning.procedures.proposal_rules import RULES
 from sightline.planning.procedures.rules import CHECKS, END_CHECKS, IN_CORRIDOR, CheckRule, Strict, Text
-from sightline.planning.proposal_rules import RULES
 
 Key = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]{0,39}$")]
 Name = Annotated[str, Field(min_length=1, max_length=80)]

@@ -10,8 +10,8 @@ from typing import Any
 from sightline.checks import Limits
 from sightline.errors import UnusableInputError
 from sightline.planning.procedures.document import AidAsked, ProcedureDocument, WireAsked
+from sightline.planning.procedures.proposal_rules import ProposalRule
 from sightline.planning.procedures.rules import CheckRule
-from sightline.planning.proposal_rules import ProposalRule
 
 
 def fingerprint(document: ProcedureDocument) -> str:

@@ -6,7 +6,7 @@ from sightline.calibration import CalibratedView
 from sightline.case.report.drawing import svg
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.planning import Hole, MatchingCurve, Pick, Plan, Trajectory
-from sightline.planning.hole_expected import rim
+from sightline.planning.nail.expected import rim
 
 LABEL_EVERY_MM = 50.0  # depth between labelled ticks [ours]
 TICK_PX = 6.0

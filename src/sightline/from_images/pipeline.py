@@ -1,0 +1,238 @@
+"""From images to results in one call: a calibrated view of one image, and a check shot of two."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sightline.calibration import BeadView, CalibratedView, CArm, calibrate
+from sightline.calibration.fit import Method
+from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
+from sightline.detection.causes import cause_of
+from sightline.detection.wire import WireShadow, find_wire
+from sightline.errors import DetectionRefusedError, LabellingRefusedError, OutsideRegionError, WireRefusedError
+from sightline.frame import Frame
+from sightline.imaging import GeometryTags, Radiograph, as_radiograph, image_checks
+from sightline.planning import Plan, reconstruct
+from sightline.planning.check.expected_wire import BEFORE_MM, GUIDED_MM, ExpectedWire, expected_wire, nail_px
+from sightline.planning.check.placed_wires import PlacedWire, placed_wires
+from sightline.planning.check.result import CheckShot
+from sightline.planning.check.shot import Landmarks
+from sightline.planning.check.shot import check_shot as adjusted
+from sightline.threads import one_blas_thread
+
+# A line within this of a placed wire must be another that was clicked: parallel screws are up to 25 mm apart [ours].
+_PLACED_CORRIDOR_MM = 25.0
+_CLICKED_MM = 4.0  # how far beside its line a placed wire may be clicked [ours]
+_SQUARE = 1e-3  # share by which a pixel's sides may differ [ours]
+
+
+@one_blas_thread
+def calibrate_image(
+    image: Radiograph | np.ndarray | str | Path,
+    frame: Frame | str | Path,
+    view: str | None = None,
+    method: Method = "smooth",
+    *,
+    white: float | None = None,
+    datums: Mapping[str, tuple[float, float]] | None = None,
+    mirrored_display: bool | None = None,
+    c_arm: CArm | None = None,
+) -> BeadView:
+    """Return the calibrated view of one image: `detect`, `label`, `look_again` and `calibrate` in one step.
+
+    `image`, `white`: as of `detect`; an image that shows the balls bright is inverted, and a check says so. `frame`: a
+    Frame, a frame file or the name of a built-in frame. `view`: what the image must show; without it the datum markers
+    tell. `datums`: as of `label`. `mirrored_display`, `c_arm`: as of `calibrate`; without `c_arm` the distances that
+    the image's file states are used.
+    Raises ImageError, DetectionRefusedError, LabellingRefusedError, FrameError, UnusableInputError,
+    CalibrationRefusedError.
+
+    >>> view = sl.calibrate_image("out/demo/demo_pa.dcm", "gamma")
+    """
+    frame = Frame.of(frame)
+    image, beads = find_beads(as_radiograph(image, white))
+    observations = label_beads(image, beads, frame, view, datums)
+    return view_of(observations, image, frame, method, c_arm or known_arm(image), mirrored_display=mirrored_display)
+
+
+@one_blas_thread
+def check_shot(
+    plan: Plan,
+    planned: Sequence[CalibratedView],
+    images: Sequence[Radiograph | np.ndarray | str | Path],
+    frame: Frame | str | Path,
+    *,
+    landmarks: Landmarks | None = None,
+    others_mm: Sequence[np.ndarray] = (),
+    white: float | None = None,
+) -> CheckShot:
+    """Return where two more images show the inserted wire, against its plan.
+
+    `planned`: the views of the plan; `images`: of the first two of them, in their order, with the wire in the bone;
+    `frame`, `white`: as of `calibrate_image`. `landmarks`: three points of the bone picked in all four images, which
+    tell how the bone moved since. `others_mm`: entry and end (2, 3), planned or measured, of each other wire that may
+    be in the images, such as `WirePlans.others_mm(key)`.
+    Raises what `calibrate_image` raises, WireRefusedError, UnusableInputError, ReconstructionRefusedError,
+    OutsideRegionError, ErrorUnknownError.
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> plan = sl.plan([pa, lateral], [[162, 689], [684, 692]], [[818, 366], [378, 276]], side="right")
+    >>> shot = sl.check_shot(plan, [pa, lateral], ["check_pa.dcm", "check_lateral.dcm"], "gamma")
+    >>> shot.passed  # without landmarks nothing tells whether the bone moved
+    False
+    """
+    frame = Frame.of(frame)
+    views, wires = [], []
+    for before, given in zip(planned[:2], images, strict=True):
+        image, beads = find_beads(as_radiograph(given, white))
+        observations = label_beads(image, beads, frame, before.name)
+        view = view_of(observations, image, frame, c_arm=known_arm(image))
+        wires.append(find_planned_wire(plan, image, beads, view, plan.kind.wire_mm, others_mm))
+        views.append(view)
+    through, limits = plan.hole is not None, plan.kind.limits
+    return adjusted(
+        plan.trajectory, plan.picks, planned, views, wires, landmarks=landmarks, limits=limits, through=through
+    )
+
+
+def find_planned_wire(  # noqa: PLR0917
+    plan: Plan,
+    image: Radiograph,
+    beads: Detections,
+    view: CalibratedView,
+    wire_mm: float,
+    others_mm: Sequence[np.ndarray] = (),
+) -> WireShadow:
+    """Return the wire of diameter `wire_mm` in a check image, searched for about its plan.
+
+    A drill through the hole of a nail is searched for outside the nail, farther out, where its sleeve keeps it
+    straight. `others_mm`: as of `check_shot`. Raises what `expected_wire` and `find_wire` raise.
+    """
+    search = planned_search(plan, view, others_mm)
+    return find_wire(image, diameter_mm=wire_mm, bead_uv_px=beads.uv_px, bead_radius_px=beads.radius_px, **search)
+
+
+def planned_search(plan: Plan, view: CalibratedView, others_mm: Sequence[np.ndarray] = ()) -> dict[str, Any]:
+    """Return where `find_planned_wire` searches, as arguments of `find_wire`: `expected`, `others`, `covered_px`."""
+    before_mm, covered = (BEFORE_MM, ()) if plan.hole is None else (GUIDED_MM, [nail_px(view, plan.hole)])
+    expected = expected_wire(view, plan.trajectory.points.xyz_mm, plan.kind.limits.beyond_mm, before_mm)
+    return {"expected": expected, "others": expected_wires(others_mm, view), "covered_px": covered}
+
+
+def find_placed_wires(
+    seen: Sequence[tuple[Radiograph, Detections, CalibratedView]],
+    clicked_uv_px: Mapping[str, np.ndarray],
+    wire_mm: Mapping[str, float],
+) -> dict[str, PlacedWire]:
+    """Return wires that are in the bone already, from entry to tip, by key; each is found in two planning images.
+
+    `seen`: image, beads and view of the plan, of which the first two count. `clicked_uv_px`: entry and tip (2, 2) of
+    each wire in each view, (2, 2, 2), IDCS; a few millimetres beside it are enough. `wire_mm`: diameters. Click every
+    wire that the images show: another line beside one of them is refused. Raises WireRefusedError, and what
+    `placed_wires` raises.
+    """
+    both, keys = seen[:2], list(clicked_uv_px)
+    views = [view for _, _, view in both]
+    clicked = np.concatenate([np.asarray(clicked_uv_px[key], dtype=np.float64) for key in keys], axis=1)
+    ends = dict(zip(keys, reconstruct(views, clicked).xyz_mm.reshape(-1, 2, 3), strict=True))
+    wires = {key: [_placed(key, ends, one, wire_mm[key]) for one in both] for key in keys}
+    return placed_wires(views, wires, {key: one[0] for key, one in ends.items()})
+
+
+def _placed(
+    key: str, ends_mm: Mapping[str, np.ndarray], seen: tuple[Radiograph, Detections, CalibratedView], wire_mm: float
+) -> WireShadow:
+    """Return the wire near one of these lines in an image; the other lines are wires too. Raises WireRefusedError."""
+    image, beads, view = seen
+    expected = expected_wire(view, ends_mm[key])
+    others = expected_wires([ends for name, ends in ends_mm.items() if name != key], view)
+    try:
+        found = find_wire(
+            image, expected, wire_mm, beads.uv_px, beads.radius_px, others=others, corridor_mm=_PLACED_CORRIDOR_MM
+        )
+    except WireRefusedError as refused:
+        raise WireRefusedError(f"placed wire {key!r}, view {view.name!r}: {refused}") from None
+    off_px = np.linalg.norm(found.uv_px[:, None] - expected.uv_px, axis=-1).min(axis=1)
+    off_mm = float(np.median(off_px) / np.median(expected.px_per_mm))
+    if off_mm > _CLICKED_MM:
+        raise WireRefusedError(
+            f"placed wire {key!r}, view {view.name!r}: the line found lies {off_mm:.1f} mm beside the clicks (at most "
+            f"{_CLICKED_MM:.0f} mm); click entry and tip of the wire, and check that both images show it"
+        )
+    return found
+
+
+def expected_wires(lines_mm: Sequence[np.ndarray], view: CalibratedView) -> list[ExpectedWire]:
+    """Return wires from entry to end (2, 3) as a view shows them, without those outside its field."""
+    out = []
+    for ends in lines_mm:
+        with suppress(OutsideRegionError):
+            out.append(expected_wire(view, ends))
+    return out
+
+
+def find_beads(image: Radiograph) -> tuple[Radiograph, Detections]:
+    """Return the image and its beads; the image is inverted where it shows the balls bright.
+
+    Raises what `detect` raises.
+    """
+    beads = detect(image)
+    if is_inverted(beads):
+        with suppress(DetectionRefusedError):
+            other = image.inverted()
+            found = detect(other)
+            if not is_inverted(found):
+                return other, found
+    return image, beads
+
+
+def label_beads(
+    image: Radiograph,
+    beads: Detections,
+    frame: Frame,
+    view: str | None = None,
+    datums: Mapping[str, tuple[float, float]] | None = None,
+) -> Observations:
+    """Return the labelled beads of an image (`label`), partly hidden ones fitted again (`look_again`).
+
+    Raises LabellingRefusedError, which names what is wrong with the image where its pixels tell.
+    """
+    try:
+        observations = label(beads, frame, view, datums)
+    except LabellingRefusedError as refused:
+        why = cause_of(image, np.column_stack([beads.uv_px, beads.radius_px]), beads.rejected)
+        raise LabellingRefusedError(f"{why} ({refused})" if why else str(refused)) from None
+    return look_again(image, beads, observations, frame)
+
+
+def known_arm(
+    image: Radiograph | None, source_detector_mm: float | None = None, pixel_mm: float | None = None
+) -> CArm | None:
+    """Return what is known of an image's C-arm: as given, else as the file states it; None without a distance."""
+    tags = GeometryTags() if image is None else image.tags
+    distance = source_detector_mm or tags.source_detector_mm
+    if pixel_mm is None and tags.imager_pixel_spacing_mm is not None:
+        along, across = tags.imager_pixel_spacing_mm
+        pixel_mm = along if abs(along - across) <= _SQUARE * along else None
+    return None if distance is None else CArm(distance, pixel_mm)
+
+
+def view_of(
+    observations: Observations,
+    image: Radiograph | None,
+    frame: Frame,
+    method: Method = "smooth",
+    c_arm: CArm | None = None,
+    *,
+    mirrored_display: bool | None = None,
+) -> BeadView:
+    """Return the view that labelled beads determine, with the checks of their image where there is one.
+
+    Raises what `calibrate` raises.
+    """
+    view = calibrate(observations, frame, method=method, c_arm=c_arm)
+    view = view if image is None else view.checked(image_checks(image))
+    return view.said_to_be(mirrored_display)

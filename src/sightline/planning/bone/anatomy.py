@@ -1,0 +1,328 @@
+"""The drawn parts of the bone in space: a sphere for the head, axes of neck and shaft."""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sightline.calibration.view import CalibratedView
+from sightline.checks import Check
+from sightline.errors import OutsideRegionError, ReconstructionRefusedError, SightlineError, UnusableInputError
+from sightline.geometry.covariance import response
+from sightline.geometry.lines import nearest_approach
+from sightline.planning.bone.aids import Aids, Circle, Line
+from sightline.planning.bone.axis import Axis, find_axis
+from sightline.planning.bone.directions import caudal
+from sightline.planning.bone.drawings import find_drawing
+from sightline.planning.bone.head import Sphere, find_head
+from sightline.planning.points.lines_of_sight import Drawn, Sights
+from sightline.planning.points.picks import Pick, PickArrays, stack
+from sightline.planning.points.solution import Method, Solution, solve
+
+NOT_PLACED = {
+    "head": "the head is not drawn: draw a circle over it in both images",
+    "neck": "the neck axis is not drawn: draw a line along it in both images",
+    "shaft": "the shaft axis is not drawn: draw a line along it in both images",
+    "outline": "the neck's outline is not drawn: draw both borders of the neck in both images",
+    "calcar": "the calcar is not clicked: click on the medial cortex of the neck in the PA image",
+    "cortex": "the lateral cortex is not clicked: click on it in the PA image",
+    "wire": "no wire is planned: pick entry and end point",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Anatomy:
+    """The located parts of the bone, and `absent`: the reason for each part that could not be located.
+
+    `values` (n,), CFCS mm: the numbers of all parts; `covariance` (n, n), mm²: their joint covariance, None where a
+    view's error is unknown. `at`: each part's place in `values`: "focal" (6: focal points of PA and lateral view),
+    "wire" (6: entry, end), "head" (4: centre, radius), "neck", "shaft" (6: both ends), "calcar", "cortex" (3: the
+    point of the click's line of sight nearest to the head and to the shaft), "outline" and the keys of other aids (see
+    `find_drawing`).
+    """
+
+    values: np.ndarray
+    covariance: np.ndarray | None
+    at: dict[str, slice]
+    absent: dict[str, str]
+    head_agreement: Check | None
+
+    def why_absent(self, name: str) -> str:
+        """Return why a part is not located."""
+        return self.absent.get(name) or _not_placed(name)
+
+    def undrawn(self, name: str) -> bool:
+        """Return True for a part that was not drawn, rather than refused."""
+        return name not in self.at and self.why_absent(name) == _not_placed(name)
+
+    @cached_property
+    def head(self) -> Sphere | None:
+        """The femoral head, None where it is absent."""
+        if "head" not in self.at:
+            return None
+        values = self.part("head")
+        return Sphere(values[:3], float(values[3]), self._covariance_of("head"), self.head_agreement)
+
+    @cached_property
+    def neck(self) -> Axis | None:
+        """Axis of the neck, None where it is absent."""
+        return self._axis("neck")
+
+    @cached_property
+    def shaft(self) -> Axis | None:
+        """Axis of the shaft, None where it is absent."""
+        return self._axis("shaft")
+
+    def part(self, name: str) -> np.ndarray:
+        """Return the numbers of one part."""
+        return self.values[self.at[name]]
+
+    def refuse_side(self, side: str) -> None:
+        """Raise ReconstructionRefusedError where the shaft lies above the head of a hip of this side."""
+        if self.head is None or self.shaft is None:
+            return
+        if (self.shaft.ends_mm.mean(axis=0) - self.head.centre_mm) @ caudal(side) <= 0.0:
+            raise ReconstructionRefusedError(
+                f"the shaft lies above the head of a {side} hip; check the side, and which line is which"
+            )
+
+    def _axis(self, name: str) -> Axis | None:
+        if name not in self.at:
+            return None
+        return Axis(self.part(name).reshape(2, 3), self._covariance_of(name))
+
+    def _covariance_of(self, name: str) -> np.ndarray | None:
+        at = self.at[name]
+        return None if self.covariance is None else self.covariance[at, at]
+
+
+def locate(
+    views: Sequence[CalibratedView],
+    aids: Aids,
+    picks: Sequence[Sequence[Pick]] | None = None,
+    method: Method = "weighted",
+) -> Anatomy:
+    """Locate what is drawn on the first two views; with `picks` (entry, end, and any landmarks) also the wire.
+
+    `views`: PA and lateral, or two others that a procedure names, and any more in which the wire is picked.
+
+    A part that cannot be located is listed in `absent` with the reason; the others are located all the same.
+    Raises UnusableInputError.
+    """
+    drawn = Drawings.of(views, aids, picks)
+    return located(drawn, None if picks is None else lambda: drawn.solve(stack(picks).regular(), method))
+
+
+def located(drawings: "Drawings", solution: Callable[[], Solution] | None, landmarks: bool = False) -> Anatomy:
+    """Return `locate` of drawings whose lines of sight are known. `solution`: returns that of their picks, if any.
+
+    `landmarks`: the picked landmarks are a part too, "landmarks" (3 for each, in their order).
+
+    Raises UnusableInputError.
+    """
+    views, aids, sights = drawings.views, drawings.aids, drawings.sights
+    names = [view.name for view in views[:2]]
+    if {"pa", "lateral"} & set(names) and names != ["pa", "lateral"]:
+        raise UnusableInputError("give the views 'pa' and 'lateral' first, in this order, to locate the anatomy")
+    found = _Finder(sights, dict(drawings.absent))
+    if solution is not None:
+        found.add("wire", lambda: _picked(sights, solution(), "wire"))
+    if solution is not None and landmarks:
+        found.add("landmarks", lambda: _picked(sights, solution(), "landmarks"))
+    for name in ("neck", "shaft"):
+        found.add(name, lambda name=name: find_axis(sights, name))
+    if aids.head is not None:
+        found.add_head(views[:2], aids.head)
+    types = {"outline": "outline tube"} | {name: drawing.type for name, drawing in aids.others.items()}
+    for name, kind in types.items():
+        found.add(name, lambda name=name, kind=kind: find_drawing(sights, name, kind))
+    found.add("calcar", lambda: _level(sights, "calcar", found.part("head")[:3]))
+    found.add("cortex", lambda: _level(sights, "cortex", _nearest_to_axis(sights, "cortex", found.part("shaft"))))
+    return found.anatomy()
+
+
+class _Finder:
+    """Collects the located parts: their numbers, and the derivatives of these by z (`Sights`)."""
+
+    def __init__(self, sights: Sights, absent: dict[str, str]) -> None:
+        self.sights, self.absent = sights, absent
+        self.covariance = sights.covariance
+        self.agreement: Check | None = None
+        size, first = len(sights.values), 3 + 2 * len(sights.lines[0].xy_mm)
+        focal = np.r_[0:3, first : first + 3]
+        self.parts = {"focal": (sights.values[focal], np.eye(size)[focal])}
+
+    def add(self, name: str, find: Callable[[], tuple[np.ndarray, np.ndarray]]) -> None:
+        """Add a part: `find` returns values (m,) and their derivatives by the drawing's numbers (m, n)."""
+        if not any(name in rows for rows in self.sights.rows):
+            self.absent.setdefault(name, _not_placed(name))
+            return
+        try:
+            values, own = find()
+        except SightlineError as refusal:
+            self.absent[name] = str(refusal)
+            return
+        whole = np.zeros((len(values), len(self.sights.values)))
+        whole[:, self.sights.index(name)] = own
+        self.parts[name] = values, whole
+
+    def add_head(self, views: Sequence[CalibratedView], circles: tuple[Circle, Circle]) -> None:
+        """Add the head, and the check that its two outlines agree."""
+
+        def find() -> tuple[np.ndarray, np.ndarray]:
+            values, own, self.agreement = find_head(views, circles)
+            return values, own
+
+        self.add("head", find)
+
+    def part(self, name: str) -> np.ndarray:
+        """Return the numbers of a part. Raises ReconstructionRefusedError with the reason where it is absent."""
+        if name not in self.parts:
+            raise ReconstructionRefusedError(self.absent.get(name, _not_placed(name)))
+        return self.parts[name][0]
+
+    def anatomy(self) -> Anatomy:
+        """Return all located parts with their joint covariance."""
+        counts = np.cumsum([0, *(len(values) for values, _ in self.parts.values())])
+        at = {name: slice(int(a), int(b)) for name, a, b in zip(self.parts, counts, counts[1:], strict=False)}
+        by_z = np.concatenate([own for _, own in self.parts.values()])
+        covariance = None if self.covariance is None else by_z @ self.covariance @ by_z.T
+        absent = {name: why for name, why in NOT_PLACED.items() if name not in at} | self.absent
+        return Anatomy(np.concatenate([v for v, _ in self.parts.values()]), covariance, at, absent, self.agreement)
+
+
+def _not_placed(name: str) -> str:
+    """Return what to do for a part that is not drawn."""
+    return NOT_PLACED.get(name) or f"the {name} is not drawn: draw it as the procedure says"
+
+
+def _drawn(
+    views: Sequence[CalibratedView], aids: Aids, picks: Sequence[Sequence[Pick]] | None
+) -> list[dict[str, Drawn]]:
+    """Return the drawings of each view by name, the picks first."""
+    out: list[dict[str, Drawn]] = [{} for _ in views]
+    for k, drawn in enumerate(out if picks is not None else ()):
+        for name, points in (("wire", (picks or ())[:2]), ("landmarks", (picks or ())[2:])):
+            own = [pick[k] for pick in points if not np.isnan(pick[k].uv_px).any()]
+            drawn[name] = np.array([p.uv_px for p in own]).reshape(-1, 2), _blocks([p.covariance_px2 for p in own])
+    for k, drawn in enumerate(out[:2]):
+        if aids.head is not None:
+            drawn["head"] = aids.head[k].uv_px, aids.head[k].covariance_px2
+        for name in ("neck", "shaft"):
+            lines = getattr(aids, name)
+            if lines is not None:
+                drawn[name] = _axis_in(views[k], lines[k]), lines[k].spread_px2
+        if aids.outline is not None:
+            variances = np.repeat([line.sd_px**2 for line in aids.outline[k]], 4)
+            drawn["outline"] = np.concatenate([line.uv_px for line in aids.outline[k]]), np.diag(variances)
+    for name, drawing in aids.others.items():
+        for k, uv in enumerate(drawing.uv_px):
+            if uv is not None and k < len(views):
+                out[k][name] = uv, drawing.sd_px**2 * np.eye(2 * len(uv))
+    for name in ("calcar", "cortex"):
+        pick = getattr(aids, name)
+        if pick is not None:
+            out[0][name] = pick.uv_px[None], pick.covariance_px2
+    return out
+
+
+def _axis_in(view: CalibratedView, line: Line) -> np.ndarray:
+    """Return both pixels (2, 2) of an axis: midway between its borders on the view's plane, since images are distorted.
+
+    Outside the calibrated region, where the axis is refused, they are those of the line itself.
+    """
+    if line.borders_px is not None:
+        with suppress(OutsideRegionError):
+            lines = view.lines_of_sight(line.borders_px.reshape(4, 2))
+            return view.project(lines.points_mm.reshape(2, 2, 3).mean(axis=0))
+    return line.uv_px
+
+
+def _blocks(covariances: list[np.ndarray]) -> np.ndarray:
+    out = np.zeros((2 * len(covariances),) * 2)
+    for k, own in enumerate(covariances):
+        out[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = own
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Drawings:
+    """Everything drawn on views, with its lines of sight: `aids`, and the picks of a wire ("wire") and of landmarks
+    ("landmarks"). `absent`: why a drawing has none, by name."""
+
+    views: Sequence[CalibratedView]
+    aids: Aids
+    sights: Sights
+    absent: dict[str, str]
+
+    @staticmethod
+    def of(views: Sequence[CalibratedView], aids: Aids, picks: Sequence[Sequence[Pick]] | None) -> "Drawings":
+        """Return the drawings; `picks`: entry, end, then landmarks. Raises ReconstructionRefusedError."""
+        absent: dict[str, str] = {}
+        return Drawings(views, aids, _sights(views, _drawn(views, aids, picks), absent), absent)
+
+    def solve(self, picks: PickArrays, method: Method) -> Solution:
+        """Return the solution of the picks. Raises OutsideRegionError, ReconstructionRefusedError."""
+        for name in ("wire", "landmarks"):
+            if name in self.absent:
+                raise OutsideRegionError(self.absent[name])
+        counts = picks.seen.sum(axis=1)
+        lines = [one.first(int(count)) for one, count in zip(self.sights.lines, counts, strict=True)]
+        return solve(lines, picks, method)
+
+
+def _sights(views: Sequence[CalibratedView], drawn: list[dict[str, Drawn]], absent: dict[str, str]) -> Sights:
+    """Return the lines of sight of all drawings. A drawing outside a view's calibrated region goes into `absent`."""
+    try:
+        return Sights.of(views, drawn)
+    except OutsideRegionError:
+        for view, named in zip(views, drawn, strict=True):
+            for name, (uv, _) in list(named.items()):
+                try:
+                    view.lines_of_sight(uv)
+                except OutsideRegionError as refusal:
+                    absent[name] = str(refusal)
+        return Sights.of(views, [{n: d for n, d in named.items() if n not in absent} for named in drawn])
+
+
+# Points of a solution: entry and end, then the landmarks.
+_POINTS = {"wire": slice(0, 2), "landmarks": slice(2, None)}
+
+
+def _picked(sights: Sights, solution: Solution, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points (3n,) of the picks' solution that are drawn as `name`, and their derivatives by the drawing's
+    numbers."""
+    points = np.arange(len(solution.xyz_mm))[_POINTS[name]]
+    rows = (3 * points[:, None] + np.arange(3)).ravel()
+    own = [
+        np.hstack([by_line[rows, :3], by_line[rows, 3 + 2 * at[name].start : 3 + 2 * at[name].stop]])
+        for by_line, at in zip(solution.response, sights.rows, strict=True)
+    ]
+    return solution.xyz_mm[points].ravel(), np.hstack(own)
+
+
+def _nearest_to_axis(sights: Sights, name: str, ends: np.ndarray) -> np.ndarray:
+    """Return the point (3,) of a single click's line of sight nearest to an axis (6,: both ends)."""
+    ((focal, points),) = sights.rays(name, sights.values[sights.index(name)][None])
+    along = (ends[3:] - ends[:3])[None]
+    return nearest_approach(focal[0], (points - focal)[0], ends[None, :3], along).first_mm[0]
+
+
+def _level(sights: Sights, name: str, with_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the point (3,) of a single click's line of sight at the depth of `with_mm` (3,), its derivatives (3, n).
+
+    The click measures nothing along its line of sight, so the error of `with_mm` does not matter.
+    """
+    at = sights.values[sights.index(name)]
+
+    def pierced(z: np.ndarray) -> np.ndarray:
+        ((focal, points),) = sights.rays(name, z)
+        ray, normal = (points - focal)[:, 0], with_mm - focal[:1, 0]
+        return (
+            focal[:, 0]
+            + ((with_mm - focal[:, 0]) * normal).sum(-1, keepdims=True) / (ray * normal).sum(-1, keepdims=True) * ray
+        )
+
+    return response(pierced, at)

@@ -1,0 +1,283 @@
+"""The least-squares adjustment of a check shot, in the CFCS of the planning images, in which the bone is at rest."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.checks import Limits
+from sightline.errors import ReconstructionRefusedError
+from sightline.geometry.lines import nearest_approach
+from sightline.planning.check.expected_wire import GUIDED_MM
+from sightline.planning.check.result import MAX_OUTLIER, MIN_LANDMARKS, CheckShot, checks
+from sightline.planning.check.rows import Rows, along_and_across, joint_covariance
+from sightline.planning.check.start import (
+    CURVE,
+    STILL,
+    Beforehand,
+    KnownWire,
+    Landmarks,
+    WireSeen,
+    start_movement,
+    start_wire,
+    terms,
+    within_region,
+)
+from sightline.planning.points.line_residuals import refuse_two_frames
+from sightline.planning.points.picks import Pick, stack
+from sightline.planning.points.trajectory import Trajectory
+
+# Prior s.d. per axis of a movement that no landmark shows: a leg assumed to be still [twin, BoneMotion].
+STILL_MM, STILL_RAD = 1.0, float(np.deg2rad(0.5))
+_FREE_MM, _FREE_RAD = 100.0, 1.0
+MIN_REDUNDANCY = 1e-3  # redundancy number below which an observation cannot be tested by the others [ours]
+_OUTSIDE_MM = 15.0  # length of wire outside the entry point that is used: further out it may be bent [ours]
+
+
+class Adjustment:
+    """Gauss-Newton adjustment of the observations (`Rows`) in the plan's views and the check's two.
+
+    Unknowns: the landmarks and the plan's two points (3N + 6), a small movement (6: rotation about the plan's middle,
+    shift), the wire's curve (8) and its tip's place along the plan (1). The plan's points are unknowns because the
+    landmarks constrain the errors of the views that show both.
+    """
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        picks: Sequence[Sequence[Pick]],
+        views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]],
+        wires: Sequence[WireSeen],
+        landmarks: Landmarks,
+        *,
+        known: Beforehand = STILL,
+    ) -> None:
+        self._known, self._curve_terms = known, 2 if known.straight else CURVE
+        self._trajectory, self._landmarks, self._views, self._n = trajectory, landmarks, views, len(landmarks)
+        self._axes = np.vstack([np.linalg.svd(trajectory.direction[None])[2][1:], trajectory.direction])
+        of_plan = stack(picks)
+        ends, self._pick_px2 = of_plan.uv_px, of_plan.unbound()
+        planned_px = np.full((len(ends), self._n + 2, 2), np.nan)
+        planned_px[:2, : self._n], planned_px[:, self._n :] = landmarks.planned_uv_px, ends
+        self._shown = np.isfinite(planned_px[..., 0])  # (V, N + 2): which points the plan's views show
+        self._before = [
+            view.lines_of_sight(uv[shown]) for view, uv, shown in zip(views[0], planned_px, self._shown, strict=True)
+        ]
+        marks_mm, self.movement = start_movement(views, landmarks, known.movement)
+        self._points_mm = np.concatenate([marks_mm, [trajectory.entry_mm, trajectory.end_mm]])
+        wires = [within_region(view, wire) for view, wire in zip(views[1], wires, strict=True)]
+        curve, self._tip_mm = start_wire(trajectory, self._axes, self.movement, views[1], wires)
+        self._curve = curve[: self._curve_terms]
+        wires = [self._near_the_bone(view, wire) for view, wire in zip(views[1], wires, strict=True)]
+        self.wires = wires
+        self._wire_px2 = [np.append(wire.variance_px2, wire.tip_variance_px2) for wire in wires]
+        self._after = [
+            view.lines_of_sight(np.concatenate([marks, wire.uv_px, wire.tip_uv_px[None]]))
+            for view, marks, wire in zip(views[1], landmarks.checked_uv_px, wires, strict=True)
+        ]
+        for together in (self._before, self._after) if known.by_landmarks else ([*self._before, *self._after],):
+            refuse_two_frames(together)
+
+    def step(self) -> None:
+        """Make one Gauss-Newton step."""
+        residual, _, gain, _ = self._linearised()
+        sizes = [self._points_mm.size, 3, 3, self._curve.size]
+        points, rotvec, shift, curve, tip = np.split(gain @ residual, np.cumsum(sizes))
+        self._points_mm = self._points_mm + points.reshape(-1, 3)
+        rotation, middle = Rotation.from_rotvec(rotvec), self._middle
+        move = RigidTransform.from_components(middle + shift - rotation.apply(middle), rotation)
+        self.movement = move * self.movement
+        self._curve = self._curve + curve.reshape(-1, 2)
+        self._tip_mm += float(tip[0])
+
+    def outlying_point(self) -> tuple[int, int] | None:
+        """Return image and index of the centre-line point (`wires`) that is the worst outlier of all observations.
+
+        None where another observation is the worst, or the worst is within MAX_OUTLIER.
+        """
+        residual, design, _, covariance = self._linearised()
+        sigma = _standardised_residuals(residual, design, covariance)
+        worst, first = int(sigma.argmax()), 2 * int(self._shown.sum())
+        if sigma[worst] <= MAX_OUTLIER:
+            return None
+        for view, wire in enumerate(self.wires):
+            first += 2 * self._n
+            if first <= worst < first + len(wire.uv_px):
+                return view, worst - first
+            first += len(wire.uv_px) + 1
+        return None
+
+    def result(self, limits: Limits, *, through: bool = False) -> CheckShot:
+        """Return the check shot with its errors and its checks; `through`: as of `check_shot`."""
+        residual, design, gain, covariance = self._linearised()
+        # An uninformative prior does not count as an observation.
+        free = 6 if self._n >= MIN_LANDMARKS else 3 if self._n else 0
+        square = residual @ np.linalg.solve(covariance, residual) / (len(residual) - free - design.shape[1])
+        to_deviation = self._to_deviation(limits.beyond_mm) @ gain
+        # The plan's picks define the plan: their error is not an error of the deviation from it.
+        deviation_mm2 = to_deviation @ (covariance - self._plan_picks_mm2(len(covariance))) @ to_deviation.T
+        bending = slice(self._points_mm.size + 10, -1)
+        bends = self._curve[2:].ravel()
+        known = (gain @ covariance @ gain.T)[bending, bending]
+        along = np.linspace(0.0, self._tip_mm, 101)
+        entry, tip = self._wire(np.array([0.0, self._tip_mm]))
+        chord = entry + np.outer(along / self._tip_mm, tip - entry)
+        planned = self._points_mm[-2:]
+        planned_tip = planned[1] + limits.beyond_mm / self._trajectory.length_mm * (planned[1] - planned[0])
+        shot = CheckShot(
+            entry_mm=entry,
+            tip_mm=tip,
+            deviation_mm=np.concatenate([self._axes[:2] @ (entry - planned[0]), self._axes @ (tip - planned_tip)]),
+            covariance_mm2=deviation_mm2,
+            across=self._axes[:2],
+            length_mm=self._trajectory.length_mm + limits.beyond_mm,
+            movement=self.movement,
+            landmarks=self._n,
+            bow_mm=float(np.linalg.norm(self._wire(along) - chord, axis=1).max()),
+            bow_sigma=float(np.sqrt(bends @ np.linalg.solve(known, bends) / max(len(bends), 1))),
+            residual_rms=float(np.sqrt(square)),
+            outlier_sigma=float(_standardised_residuals(residual, design, covariance).max()),
+        )
+        walls_mm = self._trajectory.length_mm if through else None
+        return replace(shot, checks=checks(shot, limits, self._views[1], walls_mm))
+
+    @property
+    def _middle(self) -> np.ndarray:
+        """(3,) the middle of the plan in the CFCS of the check images."""
+        return self.movement.apply((self._trajectory.entry_mm + self._trajectory.end_mm) / 2)
+
+    @property
+    def _prior_sd(self) -> np.ndarray:
+        """(6,) of rotation and shift."""
+        rotation = _FREE_RAD if self._n >= MIN_LANDMARKS else STILL_RAD
+        return np.repeat([rotation, _FREE_MM if self._n else STILL_MM], 3)
+
+    def _offset(self, along_mm: np.ndarray | float) -> np.ndarray:
+        """Return the offsets (..., 2) of the wire from the planned axis, mm."""
+        return self._terms(along_mm) @ self._curve
+
+    def _terms(self, along_mm: np.ndarray | float) -> np.ndarray:
+        return terms(np.asarray(along_mm) / self._trajectory.length_mm)[..., : self._curve_terms]
+
+    def _wire(self, along_mm: np.ndarray) -> np.ndarray:
+        """Return points (N, 3) of the wire, CFCS of the planning images."""
+        return self._trajectory.entry_mm + along_mm[:, None] * self._axes[2] + self._offset(along_mm) @ self._axes[:2]
+
+    def _tangent(self, along_mm: np.ndarray) -> np.ndarray:
+        """Return the derivative (N, 3) of `_wire` by `along_mm`."""
+        return (self._wire(along_mm + 0.5) - self._wire(along_mm - 0.5)) / 1.0
+
+    def _places(self, focal_mm: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return (N,) the places along the plan, mm, at which lines of sight pass the wire."""
+        line = self.movement.apply(self._wire(np.array([0.0, self._trajectory.length_mm])))
+        on = nearest_approach(focal_mm, directions, line[0], line[1] - line[0]).second_mm
+        return (self.movement.inv().apply(on) - self._trajectory.entry_mm) @ self._axes[2]
+
+    def _linearised(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the residuals of all rows and of the prior, the design matrix, the gain from residuals to unknowns,
+        and the residuals' covariance."""
+        marks_px2 = np.broadcast_to(self._landmarks.sd_px**2 * np.eye(2), (self._n, 2, 2))
+        rows, designs = [], []
+        for lines, plan_px2, shown in zip(self._before, self._pick_px2, self._shown, strict=True):
+            noise, count = np.concatenate([marks_px2, plan_px2])[shown], int(shown.sum())
+            one = Rows.of(lines, self._points_mm[shown], noise, np.eye(2 * count))
+            by_points = np.zeros((2 * count, len(shown), 3))
+            by_points[:, shown] = one.to_point
+            design = np.zeros((2 * count, 3 * len(shown) + 7 + self._curve.size))
+            design[:, : 3 * len(shown)] = by_points.reshape(2 * count, 3 * len(shown))
+            rows.append(one)
+            designs.append(design)
+        for lines, wire_px2 in zip(self._after, self._wire_px2, strict=True):
+            one, design = self._after_rows(lines, wire_px2, marks_px2)
+            rows.append(one)
+            designs.append(design)
+        prior = np.zeros((6, designs[0].shape[1]))
+        prior[:, self._points_mm.size : self._points_mm.size + 6] = np.eye(6)
+        residual = np.concatenate([*(one.residual for one in rows), self._prior_residual()])
+        design = np.concatenate([*designs, prior])
+        covariance = np.zeros((len(residual), len(residual)))
+        covariance[:-6, :-6] = joint_covariance(rows)
+        covariance[-6:, -6:] = np.diag(self._prior_sd**2) + self._known.covariance
+        weighted = np.linalg.solve(covariance, design).T
+        return residual, design, np.linalg.solve(weighted @ design, weighted), covariance
+
+    def _plan_picks_mm2(self, size: int) -> np.ndarray:
+        """Return the part (R, R) of the rows' covariance that comes from the plan's picks."""
+        out = np.zeros((size, size))
+        for view, lines in enumerate(self._before):
+            for k in np.flatnonzero(self._shown[view, self._n :]):
+                at = int(self._shown[view, : self._n + k].sum())
+                first = 2 * (int(self._shown[:view].sum()) + at)
+                jacobian = lines.jacobian[at]
+                out[first : first + 2, first : first + 2] = jacobian @ self._pick_px2[view, k] @ jacobian.T
+        return out
+
+    def _after_rows(self, lines: LinesOfSight, wire_px2: np.ndarray, marks_px2: np.ndarray) -> tuple[Rows, np.ndarray]:
+        """Return the rows of a check image and their derivatives by all unknowns."""
+        n, count, moving = self._n, len(wire_px2) - 1, self._points_mm.size
+        along = np.append(self._places(lines.focal_point_mm, lines.directions[n:-1]), self._tip_mm)
+        tangent = self._tangent(along)
+        xyz = self.movement.apply(np.concatenate([self._points_mm[:n], self._wire(along)]))
+        rotation = self.movement.rotation.as_matrix()
+        along_image, across_image = along_and_across(lines, xyz[n:], tangent @ rotation.T)
+        select = np.zeros((2 * n + count + 1, len(xyz), 2))
+        select[np.arange(2 * n), np.arange(2 * n) // 2, np.arange(2 * n) % 2] = 1.0
+        select[2 * n + np.arange(count), n + np.arange(count)] = across_image[:-1]
+        select[-1, -1] = along_image[-1]
+        noise = np.concatenate([marks_px2, wire_px2[:, None, None] * np.eye(2)])
+        rows = Rows.of(lines, xyz, noise, select.reshape(len(select), -1))
+        design = np.zeros((len(select), moving + 7 + self._curve.size))
+        in_bone = rows.to_point @ rotation
+        design[:, : 3 * n] = in_bone[:, :n].reshape(len(select), -1)
+        design[:, moving : moving + 3] = np.cross(xyz - self._middle, rows.to_point).sum(axis=1)
+        design[:, moving + 3 : moving + 6] = rows.to_point.sum(axis=1)
+        by_offset = in_bone[:, n:] @ self._axes[:2].T
+        of_curve = self._terms(along)
+        design[:, moving + 6 : -1] = np.einsum("rnc,nk->rkc", by_offset, of_curve).reshape(len(select), -1)
+        design[:, -1] = in_bone[:, -1] @ tangent[-1]
+        return rows, design
+
+    def _prior_residual(self) -> np.ndarray:
+        """Return (6,): the prior mean (the movement known beforehand) minus the current movement."""
+        middle, known = (self._trajectory.entry_mm + self._trajectory.end_mm) / 2, self._known.movement
+        rotation = self.movement.rotation
+        if self._known is not STILL:  # a product with no rotation may differ in the last bit
+            rotation = rotation * known.rotation.inv()
+        return -np.concatenate([rotation.as_rotvec(), self.movement.apply(middle) - known.apply(middle)])
+
+    def _to_deviation(self, beyond_mm: float) -> np.ndarray:
+        """Return the derivative (5, unknowns) of the deviation; the planned tip is `beyond_mm` past the end point."""
+        first = self._points_mm.size + 6
+        out = np.zeros((5, first + self._curve.size + 1))
+        ends = self._terms(np.array([0.0, self._tip_mm]))
+        for row, k in ((0, 0), (2, 1)):
+            out[row : row + 2, first:-1] = np.kron(ends[k], np.eye(2))
+        out[2:4, -1] = self._tangent(np.array([self._tip_mm]))[0] @ self._axes[:2].T
+        out[4, -1] = 1.0
+        past = beyond_mm / self._trajectory.length_mm
+        out[:2, first - 12 : first - 9] = -self._axes[:2]
+        out[2:, first - 12 : first - 9], out[2:, first - 9 : first - 6] = past * self._axes, -(1 + past) * self._axes
+        return out
+
+    def _near_the_bone(self, view: CalibratedView, wire: KnownWire) -> KnownWire:
+        """Return the wire without its points far outside the entry."""
+        lines = view.lines_of_sight(wire.uv_px)
+        along = self._places(lines.focal_point_mm, lines.directions)
+        outside_mm = (GUIDED_MM if self._known.straight else _OUTSIDE_MM) + self._known.before_mm
+        kept = (along > -outside_mm) & (along < self._tip_mm)
+        if np.count_nonzero(kept) < CURVE:
+            raise ReconstructionRefusedError(
+                f"view {view.name!r} shows {np.count_nonzero(kept)} points of the wire within the bone (at least "
+                f"{CURVE} are needed); check that the images belong to this plan"
+            )
+        return replace(wire, uv_px=wire.uv_px[kept], variance_px2=wire.variance_px2[kept])
+
+
+def _standardised_residuals(residual: np.ndarray, design: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return (R,) |residual| over its own standard deviation (Baarda's data snooping); 0 below MIN_REDUNDANCY."""
+    weight = np.linalg.inv(covariance)
+    weight -= weight @ design @ np.linalg.solve(design.T @ weight @ design, design.T @ weight)
+    tested = np.diag(weight) > MIN_REDUNDANCY * np.diag(covariance) ** -1
+    return np.where(tested, np.abs(weight @ residual) / np.sqrt(np.where(tested, np.diag(weight), 1.0)), 0.0)

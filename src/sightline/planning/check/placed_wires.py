@@ -1,0 +1,133 @@
+"""Wires that are in the bone already, in space: from their lines and tips in the two planning images."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+
+from sightline.calibration.view import CalibratedView
+from sightline.errors import ReconstructionRefusedError
+from sightline.planning.bone.axis import Axis
+from sightline.planning.check.start import WireSeen
+from sightline.planning.points.picks import PickArrays
+from sightline.planning.points.reconstruct import reconstruct
+from sightline.planning.points.results import error_unknown
+
+_CURVE = 3  # degree of a wire's line in an image, as in the check shot
+_CHOSEN_PX = 0.01  # s.d. along the line of the entry, which is chosen in the first image and not measured
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A point of a wire in an image: `uv_px` (2,), its covariance (2, 2), and the unit tangent `along` (2,)."""
+
+    uv_px: np.ndarray
+    covariance_px2: np.ndarray
+    along: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedWire(Axis):
+    """A wire found in the planning images. `picks`: its two ends in the first two views, of which it is made: with them
+    its errors are joint with those of wires that are planned on the same views."""
+
+    picks: PickArrays
+
+
+def placed_wires(
+    views: Sequence[CalibratedView], wires: Mapping[str, Sequence[WireSeen]], entries_mm: Mapping[str, np.ndarray]
+) -> dict[str, PlacedWire]:
+    """Return the wires by key, each from near its entry (3,) to its tip, with its covariance, CFCS.
+
+    `wires`: each as the first and the second of two `views` show it. The distance between the lines of sight of the
+    tips decides whether both images show the same wire. Raises ReconstructionRefusedError where it contradicts that,
+    or where it does not rule out another assignment of the lines to wires; ErrorUnknownError, OutsideRegionError.
+    """
+    keys, both = list(wires), views[:2]
+    lines = [[_Line.of(wire) for wire in wires[key]] for key in keys]
+    points = [
+        [line.point(view.project(entries_mm[key][None])[0], 0.0) for view, line in zip(both, each, strict=True)]
+        for key, each in zip(keys, lines, strict=True)
+    ]
+    tips = [
+        [line.point(wire.tip_uv_px, wire.tip_variance_px2) for wire, line in zip(wires[key], each, strict=True)]
+        for key, each in zip(keys, lines, strict=True)
+    ]
+    for key, shown in zip(keys, tips, strict=True):
+        if (gap := _gap_mm(both, shown)) is not None:
+            raise ReconstructionRefusedError(
+                f"the lines of sight of the tips of the wire {key!r} pass {gap:.1f} mm apart: the two images show two "
+                "different wires, or a tip is wrong; click the same wire in both"
+            )
+    for (first, a), (second, b) in permutations(zip(keys, tips, strict=True), 2):
+        if _gap_mm(both, [a[0], b[1]]) is None:
+            raise ReconstructionRefusedError(
+                f"the tip of the wire {first!r} in one image also fits that of the wire {second!r} in the other, so it "
+                "cannot be told which line is which wire; take one of the images from another direction"
+            )
+    ends = [point for pair in zip(points, tips, strict=True) for point in pair]
+    uv, spread = (
+        np.array([[getattr(one, n) for one in end] for end in ends]).swapaxes(0, 1) for n in ("uv_px", "covariance_px2")
+    )
+    across = np.zeros_like(uv)
+    for k, (chosen, other) in enumerate(points):
+        spread[0, 2 * k] += _CHOSEN_PX**2 * np.outer(chosen.along, chosen.along)
+        across[1, 2 * k] = other.along
+    picks = PickArrays(uv, spread, across)
+    seen = reconstruct(both, *picks[:2], across_px=across)
+    joint = seen.joint_covariance_mm2
+    if joint is None:
+        raise error_unknown()
+    rows = [slice(2 * k, 2 * k + 2) for k in range(len(keys))]
+    return {
+        key: PlacedWire(
+            seen.xyz_mm[at], joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], PickArrays(*(one[:, at] for one in picks))
+        )
+        for k, (key, at) in enumerate(zip(keys, rows, strict=True))
+    }
+
+
+def _gap_mm(views: Sequence[CalibratedView], tips: Sequence[_Point]) -> float | None:
+    """Return the distance between the lines of sight of two tips where their errors do not explain it, else None."""
+    uv, spread = (np.array([[getattr(tip, name)] for tip in tips]) for name in ("uv_px", "covariance_px2"))
+    seen = reconstruct(views, uv, spread)
+    if seen.joint_covariance_mm2 is None:
+        raise error_unknown()
+    return float(seen.gap_mm[0]) if seen.gap_failed[0] else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """A wire's line in an image as a polynomial: x across `along` (2,) by s along it, in units of `scale_px`, from the
+    `middle_px` (2,). `gain` maps the line's weighted offsets to the coefficients."""
+
+    middle_px: np.ndarray
+    along: np.ndarray
+    normal: np.ndarray
+    scale_px: float
+    gain: np.ndarray
+    curve: np.polynomial.Polynomial
+
+    @staticmethod
+    def of(wire: WireSeen) -> "_Line":
+        middle = wire.uv_px.mean(axis=0)
+        along = np.linalg.svd(wire.uv_px - middle)[2][0]
+        normal = np.array([-along[1], along[0]])
+        s, x = (wire.uv_px - middle) @ along, (wire.uv_px - middle) @ normal
+        scale = float(np.abs(s).max())
+        weight = 1 / np.sqrt(wire.variance_px2)
+        gain = np.linalg.pinv(weight[:, None] * np.polynomial.polynomial.polyvander(s / scale, _CURVE))
+        return _Line(middle, along, normal, scale, gain, np.polynomial.Polynomial(gain @ (weight * x)))
+
+    def point(self, near_px: np.ndarray, along_px2: float) -> _Point:
+        """Return the line's point beside a pixel (2,), with the variance `along_px2` along the line."""
+        at = float((near_px - self.middle_px) @ self.along) / self.scale_px
+        powers = np.polynomial.polynomial.polyvander(np.array([at]), _CURVE)[0]
+        tangent = self.along + self.curve.deriv()(at) / self.scale_px * self.normal
+        tangent /= np.linalg.norm(tangent)
+        beside = np.array([-tangent[1], tangent[0]])
+        variance = float(np.sum((powers @ self.gain) ** 2))
+        spread = variance * np.outer(beside, beside) + along_px2 * np.outer(tangent, tangent)
+        uv = self.middle_px + at * self.scale_px * self.along + self.curve(at) * self.normal
+        return _Point(uv, spread, tangent)

@@ -1,0 +1,1 @@
+"""Holes of nails, measured by their rims, and files of nails."""

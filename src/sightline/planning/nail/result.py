@@ -1,0 +1,199 @@
+"""A nail as its maker states it, and the result of measuring one of its transverse holes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sightline.checks import Check, failed
+from sightline.errors import UnusableInputError
+from sightline.geometry.covariance import length_quantile, line_direction
+from sightline.planning.bone.axis import Axis
+from sightline.planning.bone.directions import unit
+from sightline.planning.points.results import SpacePoints, error_unknown
+from sightline.show import Shown
+from sightline.show.words import checks_lines, numbers
+
+
+@dataclass(frozen=True)
+class Nail:
+    """A round nail with transverse holes; the walls of a hole are one outer diameter apart.
+
+    `diameter_mm`: outer; `hole_mm`, `bore_mm`: diameters of the holes and of the cannulation (0: none); `material`:
+    "titanium" or "steel". `sd_mm`: standard deviation of each radius from its stated value. `spacing_mm`: between the
+    two distal holes along the nail; None: not stated. Raises UnusableInputError.
+    """
+
+    diameter_mm: float = 11.0
+    hole_mm: float = 5.0
+    bore_mm: float = 5.0
+    material: str = "titanium"
+    sd_mm: float = 0.02  # [ours] a machining tolerance of 0.05 mm
+    spacing_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (0 < self.hole_mm < self.diameter_mm < np.inf and 0 <= self.bore_mm < self.diameter_mm):
+            raise UnusableInputError(
+                f"a nail of {self.diameter_mm} mm cannot have holes of {self.hole_mm} mm and a bore of "
+                f"{self.bore_mm} mm; give diameters smaller than the nail's"
+            )
+        if self.spacing_mm is not None and not self.hole_mm < self.spacing_mm < np.inf:
+            raise UnusableInputError(
+                f"holes of {self.hole_mm} mm cannot be {self.spacing_mm} mm apart; give the spacing"
+            )
+        if self.material not in ("titanium", "steel") or not 0 < self.sd_mm < np.inf:
+            raise UnusableInputError("a nail is of 'titanium' or 'steel', and its sizes have a positive s.d.")
+
+
+@dataclass(frozen=True, eq=False)
+class HolePose:
+    """Where a hole and its nail are, CFCS: a point (3,) and a unit vector (3,) of each axis.
+
+    The hole's axis points away from the X-ray source of the first view.
+    """
+
+    nail_mm: np.ndarray
+    along: np.ndarray
+    hole_mm: np.ndarray
+    axis: np.ndarray
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Hole(Shown):
+    """The axis of a hole, CFCS. Look at `checks` before you use it.
+
+    `entry_mm`, `exit_mm` (3,): where the axis crosses the nail's surface; the entry is nearer to the X-ray source of
+    the first view. `covariance_mm2` (6, 6): of (entry, exit); `budget_mm2`: the same for each source of a point's error
+    (`SpacePoints`), of which "picks" are the edges and the nail's sizes. `nail_mm`, `nail_direction` (3,): the point of
+    the nail's axis nearest to the hole's, and the unit vector along it there. `given`, `kept` (V, 4) int: for each view
+    the points of both outlines, entry rim and exit rim, and how many of them the fit kept. `nail`: as its maker
+    states it.
+    """
+
+    entry_mm: np.ndarray
+    exit_mm: np.ndarray
+    covariance_mm2: np.ndarray
+    budget_mm2: Mapping[str, np.ndarray]
+    nail_mm: np.ndarray
+    nail_direction: np.ndarray
+    given: np.ndarray
+    kept: np.ndarray
+    checks: tuple[Check, ...]
+    nail: Nail
+
+    @property
+    def middle_mm(self) -> np.ndarray:
+        """(3,) midpoint of entry and exit."""
+        return (self.entry_mm + self.exit_mm) / 2
+
+    @property
+    def direction(self) -> np.ndarray:
+        """(3,) unit vector from entry to exit."""
+        return unit(self.exit_mm - self.entry_mm)
+
+    def entered_along(self, direction: np.ndarray) -> "Hole":
+        """Return the hole with entry and exit such that a drill passes it along a direction (3,) rather than against
+        it."""
+        if self.direction @ direction > 0:
+            return self
+        swap = np.r_[3:6, 0:3]
+        return replace(
+            self,
+            entry_mm=self.exit_mm,
+            exit_mm=self.entry_mm,
+            covariance_mm2=self.covariance_mm2[np.ix_(swap, swap)],
+            budget_mm2={source: own[np.ix_(swap, swap)] for source, own in self.budget_mm2.items()},
+        )
+
+    @property
+    def pose(self) -> HolePose:
+        """Both axes, without their errors."""
+        return HolePose(self.nail_mm, self.nail_direction, self.middle_mm, self.direction)
+
+    @property
+    def axis(self) -> Axis:
+        """Entry and exit, as an axis."""
+        return Axis(np.stack([self.entry_mm, self.exit_mm]), self.covariance_mm2)
+
+    def located(self, seen: SpacePoints) -> SpacePoints:
+        """Return points whose first two, entry and end of a wire, are this hole's, with its errors."""
+        n = 3 * len(seen.xyz_mm)
+
+        def beside(others: np.ndarray, own: np.ndarray) -> np.ndarray:
+            out = np.zeros((n, n))
+            out[6:, 6:], out[:6, :6] = others[6:, 6:], own
+            return out
+
+        joint, budget = seen.joint_covariance_mm2, seen.budget_mm2
+        if joint is None or budget is None:
+            raise error_unknown()
+        return replace(
+            seen,
+            xyz_mm=np.concatenate([[self.entry_mm, self.exit_mm], seen.xyz_mm[2:]]),
+            joint_covariance_mm2=beside(joint, self.covariance_mm2),
+            budget_mm2={source: beside(others, self.budget_mm2[source]) for source, others in budget.items()},
+        )
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check passed."""
+        return not failed(self.checks)
+
+    @property
+    def axis_covariance_mm2(self) -> np.ndarray:
+        """(2, 2) covariance of the axis at its middle, along two axes perpendicular to it."""
+        across = np.linalg.svd(self.direction[None])[2][1:]
+        to_middle = np.hstack([across, across]) / 2
+        return to_middle @ self.covariance_mm2 @ to_middle.T
+
+    @property
+    def direction_covariance_rad2(self) -> np.ndarray:
+        """(2, 2) covariance of the direction along two axes perpendicular to it."""
+        to_direction = line_direction(self.entry_mm, self.exit_mm)
+        return to_direction @ self.covariance_mm2 @ to_direction.T
+
+    @property
+    def axis_error_95_mm(self) -> float:
+        """With a probability of 95 % the axis is nearer to the true one at its middle."""
+        return float(length_quantile(self.axis_covariance_mm2))
+
+    @property
+    def direction_error_95_rad(self) -> float:
+        """With a probability of 95 % the direction's error is smaller."""
+        return float(length_quantile(self.direction_covariance_rad2))
+
+    @property
+    def sentence(self) -> str:
+        """The errors of the axis in words."""
+        direction = np.rad2deg(self.direction_error_95_rad)
+        return f"the axis of the hole is measured, with 95 % to {self.axis_error_95_mm:.2f} mm and {direction:.2f}°"
+
+    def document(self) -> dict[str, Any]:
+        """Return the axis, its errors and the nail as JSON types: mm, angles in degrees."""
+        return {
+            "coordinates": "CFCS",
+            "entry_mm": self.entry_mm.tolist(),
+            "exit_mm": self.exit_mm.tolist(),
+            "nail_mm": self.nail_mm.tolist(),
+            "nail_direction": self.nail_direction.tolist(),
+            "error_95": {
+                "axis_mm": self.axis_error_95_mm,
+                "direction_deg": float(np.rad2deg(self.direction_error_95_rad)),
+            },
+            "points": {"given": self.given.tolist(), "kept": self.kept.tolist()},
+            "nail": vars(self.nail),
+        }
+
+    def summary(self) -> str:
+        """Return entry and exit, the error bounds and the failed checks."""
+        error = f"{self.axis_error_95_mm:.2f} mm, {np.rad2deg(self.direction_error_95_rad):.2f}°"
+        return "\n".join(
+            [
+                "Hole of a nail in CFCS",
+                f"  entry {numbers(self.entry_mm, 2)} mm",
+                f"  exit  {numbers(self.exit_mm, 2)} mm",
+                f"  95 % error of the axis {error}",
+                *checks_lines(self.checks, 3),
+            ]
+        )

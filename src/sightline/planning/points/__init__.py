@@ -1,0 +1,1 @@
+"""Picks in several views and what they determine: points in space, image-matching curves, trajectories."""

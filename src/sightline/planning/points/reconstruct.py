@@ -1,0 +1,157 @@
+"""Reconstruction of points from picks in two or more views: closest approach (the paper) or covariance-weighted."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sightline.calibration.together import adjusted_together
+from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.errors import UnusableInputError
+from sightline.planning.points.gaps import Gaps, gap_mm
+from sightline.planning.points.line_residuals import refuse_repeated
+from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, PickArrays
+from sightline.planning.points.results import SpacePoints
+from sightline.planning.points.solution import Method, Solution, solve
+from sightline.threads import one_blas_thread
+
+
+@one_blas_thread
+def reconstruct(
+    views: Sequence[CalibratedView],
+    uv_px: np.ndarray | Mapping[str, np.ndarray],
+    uv_covariance_px2: np.ndarray | Mapping[str, np.ndarray] | None = None,
+    method: Method = "weighted",
+    across_px: np.ndarray | None = None,
+) -> SpacePoints:
+    """Return the points seen at pixels `uv_px` (V, N, 2) of two or more views, with their joint covariance, CFCS.
+
+    The views of a solid are adjusted together first (`adjusted_together`).
+    The axes of `uv_px` are view, point and (u, v); NaN where a view does not show a point: two others must show it. For
+    two points in two views, (point, view, (u, v)) has the same shape: to rule out confusion pass the pixels by the
+    views' names, `{"pa": (N, 2), "lateral": (N, 2)}`. `uv_covariance_px2` (V, N, 2, 2), or by the views' names: of the
+    picks; by default 0.5 px per axis, a careful click. `across_px` (V, N, 2): for a pick snapped to an image-matching
+    curve the direction across the curve, in which it measures nothing; zero for a free pick (see `Pick`).
+
+    `method`: "nearest", the point with the smallest summed squared distance from its lines of sight, with two views the
+    middle of their closest approach (the paper, eqs 1 and 2), or "weighted", the maximum-likelihood point given the
+    covariance of the lines of sight and the picks. Where a view's error is unknown there are no weights: "nearest" is
+    used, and the result's `method` says so. Each point is computed from its own picks only, so a bad pick moves no
+    other point; the points' errors are still correlated. Look at the result's `checks`.
+    Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError.
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> points = sl.reconstruct([pa, lateral], {"pa": [[704, 425]], "lateral": [[439, 358]]})
+    >>> points.xyz_mm.round()
+    array([[-22., -26.,   4.]])
+    """
+    refuse_repeated(views)
+    views = adjusted_together(views)
+    uv_covariance_px2 = None if uv_covariance_px2 is None else _by_view(views, uv_covariance_px2, "covariances")
+    picks = checked_picks(len(views), _by_view(views, uv_px, "picks"), uv_covariance_px2, across_px)
+    lines = [view.lines_of_sight(uv[shown]) for view, uv, shown in zip(views, picks.uv_px, picks.seen, strict=True)]
+    return points_of(solve(lines, picks, method))
+
+
+def points_of(solution: Solution) -> SpacePoints:
+    """Return the points of a solution with their joint covariance, gaps, and what these show of a movement."""
+    lines, picks = solution.lines, solution.picks
+    seen, two = picks.seen, len(lines) == 2
+    budget, gap, gaps = solution.budget_mm2(), gap_mm(solution), Gaps.of(solution)
+    tested = 2 * seen.sum(axis=0) - picks.snapped.sum(axis=0) > 3
+    shift, shift_sd, chi2 = (None, None, None) if gaps is None or not tested.any() else gaps.mean()
+    inside = np.ones_like(seen)
+    inside[seen] = np.concatenate([one.inside_hull for one in lines])
+    return SpacePoints(
+        xyz_mm=solution.xyz_mm,
+        gap_mm=gap,
+        gap_tested=tested,
+        gap_sigma=None if gaps is None else np.ma.masked_array(gaps.sigma(gap), mask=~tested),
+        joint_covariance_mm2=None if budget is None else np.sum(list(budget.values()), axis=0),
+        budget_mm2=budget,
+        inside_hull=np.logical_and.reduce(inside),
+        method=solution.method,
+        shift_mm=shift if two else None,
+        shift_sd_mm=shift_sd if two else None,
+        gap_chi2=chi2,
+        upright=_upright(lines),
+        beads_near=_beads_near(lines, seen),
+        movement=None if chi2 is None or gaps is None or two else gaps.movement(solution),
+    )
+
+
+def _upright(lines: Sequence[LinesOfSight]) -> bool | None:
+    known = [one.upright for one in lines if one.upright is not None]
+    return any(known) if known else None
+
+
+def _beads_near(lines: Sequence[LinesOfSight], seen: np.ndarray) -> dict[str, np.ndarray] | None:
+    """Return for each view of the frame the beads near its points, (N, 3); -1 where it does not show a point."""
+    out = {}
+    for one, shown in zip(lines, seen, strict=True):
+        if one.beads_near is not None:
+            out[one.view] = np.full((len(shown), 3), -1)
+            out[one.view][shown] = one.beads_near
+    return out or None
+
+
+def _by_view(views: Sequence[CalibratedView], given: np.ndarray | Mapping[str, np.ndarray], what: str) -> np.ndarray:
+    """Return values given by the views' names as an array in the views' order; arrays unchanged.
+
+    Raises UnusableInputError.
+    """
+    if not isinstance(given, Mapping):
+        return given
+    names = [view.name for view in views]
+    if len(set(names)) < len(names) or set(given) != set(names):
+        raise UnusableInputError(
+            f"the {what} are given for {', '.join(map(repr, given))}, the views are {', '.join(map(repr, names))}; "
+            "give an entry for each view, and views of different names"
+        )
+    shapes = {np.shape(given[name]) for name in names}
+    if len(shapes) > 1:
+        raise UnusableInputError(
+            f"the {what} have different shapes in the views; give the same points in each, NaN where one is not seen"
+        )
+    return np.array([given[name] for name in names], dtype=np.float64)
+
+
+def checked_picks(
+    views: int, uv_px: np.ndarray, covariance_px2: np.ndarray | None, across_px: np.ndarray | None
+) -> PickArrays:
+    """Return the picks of N points in V views, (V, N, 2), made regular. Raises UnusableInputError."""
+    uv = np.asarray(uv_px, dtype=np.float64)
+    if uv.ndim != 3 or uv.shape[0] != views or uv.shape[2] != 2 or uv.shape[1] == 0:
+        raise UnusableInputError(f"picks have the shape {uv.shape}; give ({views}, N, 2): view, point, (u, v)")
+    n = uv.shape[1]
+    if covariance_px2 is None:
+        covariance_px2 = np.broadcast_to(DEFAULT_PICK_SD_PX**2 * np.eye(2), (views, n, 2, 2))
+    covariance = np.asarray(covariance_px2, dtype=np.float64)
+    across = np.zeros((views, n, 2)) if across_px is None else np.asarray(across_px, dtype=np.float64)
+    for name, array, shape in (("covariances", covariance, (views, n, 2, 2)), ("free directions", across, uv.shape)):
+        if array.shape != shape:
+            raise UnusableInputError(f"the picks' {name} have the shape {array.shape}; give {shape}")
+    picks = PickArrays(uv, covariance, across)
+    seen = picks.seen
+    either = np.isfinite(uv).all(axis=-1) | np.isnan(uv).all(axis=-1)
+    if not (either.all() and np.isfinite(covariance).all() and np.isfinite(across).all()):
+        raise UnusableInputError("picks or their covariances are not finite; give each pick a pixel in its image")
+    if (few := seen.sum(axis=0) < 2).any():
+        raise UnusableInputError(
+            f"point {few.argmax() + 1} has finite picks in {seen.sum(axis=0)[few][0]} views; pick each point in two or "
+            "more images"
+        )
+    if not np.allclose(covariance, np.swapaxes(covariance, -1, -2)) or not _positive(covariance):
+        raise UnusableInputError(
+            "a pick's covariance is not symmetric and positive semi-definite; give a 2x2 covariance in px²"
+        )
+    if (picks.snapped.sum(axis=0) > 1).any():
+        raise UnusableInputError(
+            "a point is snapped in two views; snap it in one, to the curve of a free pick in another"
+        )
+    return picks.regular()
+
+
+def _positive(covariance: np.ndarray) -> bool:
+    """Whether no variance is below zero, up to rounding (a snapped pick's covariance is singular)."""
+    values = np.linalg.eigvalsh(covariance)
+    return bool((values[..., 0] >= -1e-9 * np.abs(values[..., 1])).all())

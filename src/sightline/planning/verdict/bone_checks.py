@@ -1,0 +1,453 @@
+"""Checks of a planned wire against the bone: side, order of entry and end, depth of the tip below the surface."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sightline.checks import Check
+from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.planning.bone.anatomy import NOT_PLACED, Anatomy
+from sightline.planning.bone.directions import ANTERIOR, MEDIAL, caudal, lies
+from sightline.planning.bone.metrics import Metric, metric, metric_of_wires, tip_depth
+from sightline.planning.points.results import Verdict
+from sightline.planning.procedures.rules import CHECKS, HEAD_CENTRE, LESSER, CheckRule
+
+_LATERAL = -MEDIAL
+# Range and step of the trial shifts of a point along a line of sight [ours].
+MAX_SHIFT_MM, _STEP_MM = 60.0, 0.5
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A measure of the wire that must lie between `low` and `high`: `value` maps entry and end (K, 3) to (K,).
+
+    `sentence` states the value; `otherwise` says what a value out of range means and what to do. `ways`: words of the
+    sentence after a value in mm that is positive, and after one that is negative; else no value is negative.
+    """
+
+    name: str
+    value: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    low: float
+    high: float
+    unit: str
+    sentence: str
+    otherwise: str
+    ways: tuple[str, str] | None = None
+
+    def passes(self, entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
+        """Return (K,) bool for entries and ends (K, 3)."""
+        values = self.value(entry_mm, end_mm)
+        return (values >= self.low) & (values <= self.high)
+
+    def check(self, entry_mm: np.ndarray, end_mm: np.ndarray) -> Check:
+        """Return the check of one wire: entry and end (3,)."""
+        value = float(self.value(entry_mm[None], end_mm[None])[0])
+        limit = self.high if value > self.high or not np.isfinite(self.low) else self.low
+        passed = self.low <= value <= self.high
+        figure = f"{value:.1f}{'' if self.unit == '°' else ' '}{self.unit}"
+        sentence = self.sentence.format(figure if self.ways is None else lies(value, self.ways))
+        sentence += "." if passed else f"; {self.otherwise}."
+        return Check(self.name, passed, value, float(limit), self.unit, sentence)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bone:
+    """What is known of the bone: the located parts, the side, and the landmarks (3,) by their keys."""
+
+    found: Anatomy
+    side: str | None
+    landmarks_mm: Mapping[str, np.ndarray]
+
+    @property
+    def centre_mm(self) -> np.ndarray | None:
+        """The head's centre: of its outline, or else the landmark."""
+        return self.landmarks_mm.get(HEAD_CENTRE) if self.found.head is None else self.found.head.centre_mm
+
+    @cached_property
+    def exchanged(self) -> bool:
+        """True where the wire's ends are exchanged; then no measure of an end is meaningful."""
+        entry, end = self.found.part("wire").reshape(2, 3)
+        return self.centre_mm is not None and not bool(_order(self.centre_mm).passes(entry[None], end[None])[0])
+
+
+def judge_in_bone(
+    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+) -> Verdict:
+    """Return the checks of the wire in `found` against the bone that `rules` ask for, and those that lack an input.
+
+    `landmarks_mm`: (3,) by their keys in the procedure. Raises UnusableInputError for an unknown side.
+    """
+    missing = _missing(found, rules, side, landmarks_mm)
+    checks = list(missing)
+    if found.head_agreement is not None:
+        checks.append(found.head_agreement)
+    if "wire" in found.at:
+        entry, end = found.part("wire").reshape(2, 3)
+        checks += [measure.check(entry, end) for measure in measures(found, rules, side, landmarks_mm)]
+        checks += _of_metrics(_Bone(found, side, landmarks_mm), rules)
+    if "head" not in found.at and found.absent["head"] != NOT_PLACED["head"]:
+        checks.append(Check("head", False, None, None, "", f"The head is not known: {found.absent['head']}."))
+    return Verdict(tuple(checks), missing)
+
+
+def measures(
+    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+) -> tuple[Measure, ...]:
+    """Return all measures of the wire that the rules ask for and for which the bone is known well enough."""
+    bone = _Bone(found, side, landmarks_mm)
+    asked = [rule for rule in rules if not bone.exchanged or rule.check in ("entry and end", "side")]
+    return tuple(measure for rule in asked if rule.check in MEASURES for measure in MEASURES[rule.check](bone, rule))
+
+
+def _of_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
+    """Return the checks of metrics of the implant: the 95 % interval must lie within the limits."""
+    out = []
+    for rule, known in _known_metrics(bone, rules):
+        name, unit, (low, high) = rule.check, CHECKS[rule.check].unit, rule.range
+        if known.value is None or known.sd is None:
+            why = known.sentence if known.value is None else "Not known: the error of a view is not stated."
+            out.append(Check(name, False, None, rule.high, unit, f"The {name} cannot be judged. {why}"))
+            continue
+        error = TWO_SIDED_95 * known.sd
+        passed = low <= known.value - error and known.value + error <= high
+        limit = high if not np.isfinite(low) or known.value + error > high else low
+        sentence = f"The {name} is {known.value:.1f} {unit}, with 95 % probability within {error:.1f} {unit}"
+        move = _MOVE.get(name, "move the end point, or draw the aids more accurately")
+        advice = f"with its error it must lie {_within(low, high, unit)}: {move}"
+        sentence += "." if passed else f"; {advice}."
+        out.append(Check(name, passed, known.value, float(limit), unit, sentence))
+    return out
+
+
+def _known_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[tuple[CheckRule, Metric]]:
+    """Return the rules of metrics whose aids are drawn, and whose side is known where they need it."""
+    return [
+        (rule, metric(bone.found, rule.check, bone.side))
+        for rule in rules
+        if rule.check not in MEASURES and not bone.exchanged and not _undrawn(bone.found, rule)
+        if bone.side is not None or not CHECKS[rule.check].side
+    ]
+
+
+def metric_measures(
+    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+) -> tuple[Measure, ...]:
+    """Return the checks of metrics that can be made, as measures whose limits keep the 95 % error of this wire."""
+    bone, out = _Bone(found, side, landmarks_mm), []
+    for rule, known in _known_metrics(bone, rules):
+        if known.value is not None and known.sd is not None:
+            name, (low, high), error = rule.check, rule.range, TWO_SIDED_95 * known.sd
+
+            def value(entry: np.ndarray, end: np.ndarray, name: str = name) -> np.ndarray:
+                return metric_of_wires(found, name, side, np.stack([entry, end], axis=1))
+
+            out.append(Measure(name, value, low + error, high - error, known.unit, "", ""))
+    return tuple(out)
+
+
+# What to do where a metric fails that depends on more than the end point.
+_ENDS = "move entry or end, or draw the aids more accurately"
+_EXCHANGED = "pick both again, for they may be exchanged, or one may be wrong along its line of sight"
+_MOVE = {
+    "entry to pedicle": _EXCHANGED,
+    "tip in sacral corridor": f"move the end point, or draw the borders as far as the bone reaches; or {_EXCHANGED}",
+    **dict.fromkeys(
+        (
+            "wire in pedicle",
+            "wire in sacral corridor",
+            "wire to growth plate",
+            "wire off middle of growth plate",
+        ),
+        _ENDS,
+    ),
+}
+
+
+def _within(low: float, high: float, unit: str) -> str:
+    if not np.isfinite(low):
+        return f"below {high:g} {unit}"
+    return f"above {low:g} {unit}" if not np.isfinite(high) else f"between {low:g} and {high:g} {unit}"
+
+
+def _undrawn(found: Anatomy, rule: CheckRule) -> list[str]:
+    """Return the aids that a check needs and that are not drawn, of the first of its alternatives."""
+    (needs, *_) = (*CHECKS[rule.check].needs, frozenset())
+    return sorted(part for part in needs if part not in (HEAD_CENTRE, LESSER) and found.undrawn(part))
+
+
+def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float | None, float | None]:
+    """Return how far entry and end can be wrong along a line of sight before a measure fails; None where none does
+    within MAX_SHIFT_MM.
+
+    A pick that is wrong along its image-matching curve moves its point along the other view's line of sight, which no
+    gap shows.
+    """
+    wire, focal = found.part("wire").reshape(2, 3), found.part("focal").reshape(2, 3)
+    steps = np.arange(_STEP_MM, MAX_SHIFT_MM + _STEP_MM, _STEP_MM)
+    passed = [measure for measure in checked if measure.passes(*wire[:, None])[0]]
+    if not passed:
+        return None, None
+    ends = np.tile(wire[:, None, None, None], (1, 2, 4, len(steps), 1))  # end, moved end, line and sign, step
+    for point in range(2):
+        away = (wire[point] - focal) / _distance(wire[point], focal)[:, None]
+        ends[point, point] += steps[:, None] * np.concatenate([away, -away])[:, None]
+    fails = ~np.all([measure.passes(*ends.reshape(2, -1, 3)) for measure in passed], axis=0).reshape(ends.shape[1:4])
+    reach = np.where(fails.any(axis=2), steps[fails.argmax(axis=2)], np.inf).max(axis=1)
+    entry, end = (float(one) if np.isfinite(one) else None for one in reach)
+    return entry, end
+
+
+def _missing(
+    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+) -> tuple[Check, ...]:
+    """Return the required checks that lack an input, with what they need."""
+    required = {rule.check for rule in rules if rule.required}
+    wanted = {}
+    if "side" in required and side is None:
+        wanted["side"] = "The side is not given: look at both images and state whether it is the right or the left one."
+    if required & {"entry and end", "tip in head"} and found.absent.get("head") == NOT_PLACED["head"]:
+        wanted["head"] = (
+            "The head is not drawn: draw its outline in both images. Without it neither the order of the wire's ends "
+            "nor the tip's depth in the bone can be checked."
+        )
+    by_entry = required & {"lateral of lesser trochanter", "entry below cortex"}
+    if by_entry and LESSER not in landmarks_mm and not {"shaft", "cortex"} <= found.at.keys():
+        wanted["entry at cortex"] = (
+            "The entry cannot be checked: it may lie at the lateral cortex or inside the neck. Pick the tip of the "
+            "lesser trochanter in both images, or draw the shaft axis and click on the lateral cortex."
+        )
+    for rule in rules:
+        if rule.required and (rule.check == "wire to shaft" or rule.check not in MEASURES):
+            lacking = [found.why_absent(part) for part in _undrawn(found, rule)]
+            without_side = side is None and rule.check not in MEASURES and CHECKS[rule.check].side
+            lacking += ["the side is not given"] if without_side else []
+            if lacking:
+                wanted[rule.check] = f"The {rule.check} cannot be checked: {'; '.join(lacking)}."
+    return tuple(Check(name, False, None, None, "", sentence) for name, sentence in wanted.items())
+
+
+def _order(centre: np.ndarray) -> Measure:
+    def value(entry: np.ndarray, end: np.ndarray) -> np.ndarray:
+        return _distance(entry, centre) - _distance(end, centre)
+
+    return Measure(
+        "entry and end",
+        value,
+        0.0,
+        np.inf,
+        "mm",
+        "The end point lies {} the head's centre than the entry point",
+        "entry and end are exchanged, or the head is drawn in the wrong place: exchange them, or draw the head again",
+        ("nearer to", "farther from"),
+    )
+
+
+def _sides(
+    found: Anatomy, side: str | None, landmarks_mm: Mapping[str, np.ndarray], centre: np.ndarray, *, by_wire: bool
+) -> list[Measure]:
+    """Return the measures of what must lie below the head of a hip of this side."""
+    if side is None:
+        return []
+    down = caudal(side)
+    still = {}
+    if LESSER in landmarks_mm:
+        still["lesser trochanter"] = landmarks_mm[LESSER]
+    if found.shaft is not None:
+        still["shaft"] = found.shaft.ends_mm.mean(axis=0)
+    otherwise = (
+        f"it is not a {side} hip, or two points are exchanged: look at both images, then give the other side or pick "
+        "again"
+    )
+    sentence = f"For a {side} hip {{}} must lie below the centre of the head: it lies {{}} it"
+    ways = ("below", "above")
+    out = [
+        Measure(
+            "side",
+            lambda entry, end, at=at: np.full(len(entry), float((at - centre) @ down)),
+            0.0,
+            np.inf,
+            "mm",
+            sentence.format(f"the {name}", "{}"),
+            otherwise,
+            ways,
+        )
+        for name, at in still.items()
+    ]
+    if by_wire:
+        below = sentence.format("the entry", "{}")
+        out.append(
+            Measure("side", lambda entry, end: (entry - centre) @ down, 0.0, np.inf, "mm", below, otherwise, ways)
+        )
+    return out
+
+
+def _tip(found: Anatomy) -> Measure:
+    """Return the measure of the tip's depth below the head's surface, which must exceed its own error."""
+    assert found.head is not None  # noqa: S101 - checked by the caller
+    depth_sd = tip_depth(found)[1]
+    error = 0.0 if depth_sd is None else TWO_SIDED_95 * depth_sd
+    head = found.head
+    return Measure(
+        "tip in head",
+        lambda entry, end: head.radius_mm - _distance(end, head.centre_mm),
+        error,
+        np.inf,
+        "mm",
+        f"The tip lies {{}} the nearest surface of the head (95 % error {error:.1f} mm)",
+        f"the depth must exceed its error of {error:.1f} mm, since the joint lies beyond the surface: move the end "
+        "point, or draw the head again",
+        ("under", "beyond"),
+    )
+
+
+def _from_head(centre: np.ndarray, low: float) -> Measure:
+    return Measure(
+        "entry at cortex",
+        lambda entry, end: _distance(entry, centre),
+        low,
+        np.inf,
+        "mm",
+        "The entry lies {} from the head's centre",
+        f"below {low:.0f} mm it lies in the neck, not at the lateral cortex: pick it again",
+    )
+
+
+def _from_lesser(lesser: np.ndarray, rule: CheckRule) -> Measure:
+    low, high = rule.range
+    lateral = rule.check == "lateral of lesser trochanter"
+    way, where = (_LATERAL, "inside") if lateral else (ANTERIOR, "behind")
+    return Measure(
+        "entry at cortex",
+        lambda entry, end: (entry - lesser) @ way,
+        low,
+        high,
+        "mm",
+        "The entry lies {} the lesser trochanter's tip",
+        f"below {low:.0f} mm it lies {where} the bone, above {high:.0f} mm off the bone: pick the entry or the "
+        "trochanter again; one may be wrong along its line of sight",
+        ("lateral of", "medial of") if lateral else ("anterior of", "posterior of"),
+    )
+
+
+def _from_cortex(found: Anatomy, centre: np.ndarray, rule: CheckRule) -> Measure:
+    assert found.shaft is not None  # noqa: S101 - checked by the caller
+    on, along = found.shaft.ends_mm[0], found.shaft.direction
+    outside = rule.check == "entry outside cortex"
+    where, there, way = ("outside", "in air", -1.0) if outside else ("inside", "in the bone", 1.0)
+    high = rule.range[1]
+
+    def across(xyz: np.ndarray) -> np.ndarray:
+        off = xyz - on
+        return off - (off @ along)[..., None] * along
+
+    outward = -across(centre)
+    outward = outward / np.linalg.norm(outward)
+    cortex = float(np.linalg.norm(across(found.part("cortex"))))
+    return Measure(
+        "entry at cortex",
+        lambda entry, end: way * (cortex - across(entry) @ outward),
+        -np.inf,
+        high,
+        "mm",
+        "The entry lies {} the lateral cortex that was clicked",
+        f"more than {high:.0f} mm {where}, it lies {there}: pick it at the cortex, or click on the cortex again",
+        ("outside", "inside") if outside else ("inside", "outside"),
+    )
+
+
+def _to_shaft(shaft: np.ndarray, low: float, high: float) -> Measure:
+    def value(entry: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Return the obtuse angle: the shaft axis may be drawn in either direction."""
+        cosine = np.abs((end - entry) @ shaft) / _distance(entry, end)
+        return np.rad2deg(np.pi - np.arccos(np.clip(cosine, 0.0, 1.0)))
+
+    return Measure(
+        "wire to shaft",
+        value,
+        low,
+        high,
+        "°",
+        "The wire makes an angle of {} with the shaft",
+        f"plates need {low:.0f}° to {high:.0f}°: a point is wrong along its line of sight, or the shaft is drawn "
+        "wrongly: pick again",
+    )
+
+
+def _length(rule: CheckRule) -> Measure:
+    low, high = rule.range
+    return Measure(
+        "wire length",
+        _distance,
+        low,
+        high,
+        "mm",
+        "From entry to end the wire runs {}",
+        f"{rule.of} have {low:.0f} to {high:.0f} mm: entry or end is wrong, perhaps along its line of sight: pick "
+        "it again",
+    )
+
+
+def _between_views(found: Anatomy, low: float) -> Measure:
+    """Return the measure of the angle between the beams of the first two views at the wire's middle, at most 90°."""
+    focal = found.part("focal").reshape(2, 3)
+
+    def value(entry: np.ndarray, end: np.ndarray) -> np.ndarray:
+        first, second = ((entry + end) / 2 - one for one in focal)
+        cosine = np.abs((first * second).sum(axis=-1)) / (
+            np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
+        )
+        return np.rad2deg(np.arccos(np.clip(cosine, 0.0, 1.0)))
+
+    return Measure(
+        "angle between views",
+        value,
+        low,
+        np.inf,
+        "°",
+        "The beams of the two views meet at {}",
+        f"the procedure wants views at {low:.0f}° or more: acquire one of them again from the direction it states",
+    )
+
+
+def _distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    off = a - b
+    return np.sqrt(np.einsum("...i,...i->...", off, off))
+
+
+_Make = Callable[[_Bone, CheckRule], list[Measure]]
+
+
+def _of_bone(make: Callable[[_Bone, np.ndarray, CheckRule], list[Measure]]) -> _Make:
+    """Return the function of a rule that needs the head's centre; without it there is no measure."""
+    return lambda bone, rule: [] if bone.centre_mm is None else make(bone, bone.centre_mm, rule)
+
+
+def _lesser(bone: _Bone, rule: CheckRule) -> list[Measure]:
+    return [_from_lesser(bone.landmarks_mm[LESSER], rule)] if LESSER in bone.landmarks_mm else []
+
+
+def _cortex(bone: _Bone, centre: np.ndarray, rule: CheckRule) -> list[Measure]:
+    return [_from_cortex(bone.found, centre, rule)] if {"shaft", "cortex"} <= bone.found.at.keys() else []
+
+
+# The measures of each check that a procedure's file may name (`CheckRule`).
+MEASURES: dict[str, _Make] = {
+    "entry and end": _of_bone(lambda bone, centre, rule: [_order(centre)]),
+    "side": _of_bone(
+        lambda bone, centre, rule: _sides(bone.found, bone.side, bone.landmarks_mm, centre, by_wire=not bone.exchanged)
+    ),
+    "head to entry": _of_bone(lambda bone, centre, rule: [_from_head(centre, rule.range[0])]),
+    "tip in head": lambda bone, rule: [] if bone.found.head is None else [_tip(bone.found)],
+    "lateral of lesser trochanter": _lesser,
+    "anterior of lesser trochanter": _lesser,
+    "wire to shaft": lambda bone, rule: (
+        [] if bone.found.shaft is None else [_to_shaft(bone.found.shaft.direction, *rule.range)]
+    ),
+    "entry below cortex": _of_bone(_cortex),
+    "entry outside cortex": _of_bone(_cortex),
+    "wire length": lambda bone, rule: [_length(rule)],
+    "angle between views": lambda bone, rule: [_between_views(bone.found, rule.range[0])],
+    "view directions": lambda bone, rule: [],  # `judge_directions` has the views
+}

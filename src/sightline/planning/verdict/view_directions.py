@@ -1,0 +1,227 @@
+"""The directions from which the images of a plan were taken, and its side, against what its procedure wants."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.calibration.view import CalibratedView
+from sightline.checks import Check
+from sightline.errors import ReconstructionRefusedError
+from sightline.geometry.covariance import TWO_SIDED_95, response
+from sightline.planning.bone.anatomy import Anatomy
+from sightline.planning.bone.directions import anatomical, lies, unit
+from sightline.planning.points.line_residuals import no_lines
+from sightline.planning.points.results import Verdict
+from sightline.planning.procedures import Procedure
+from sightline.planning.procedures.document import BoneDirection, WantedView
+from sightline.planning.procedures.rules import HEAD_CENTRE, CheckRule
+from sightline.planning.verdict.patient_axes import BoneAxes, frame_axes
+
+_NAME = "view directions"
+# Along lateral, caudal, anterior.
+_WAYS = (("lateral of", "medial of"), ("caudal of", "cranial of"), ("in front of", "behind"))
+# Checks along lateral, caudal or anterior: those of the frame, by the stated side.
+_ALONG_AXES = ("side", "lateral of lesser trochanter", "anterior of lesser trochanter")
+_ASSUMED = (
+    "The block's axes are taken for the patient's: x towards the operated side, z forwards. No image confirms this, so "
+    "the checks of the side and of the lesser trochanter hold only if the block was placed like this."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """What a plan knows of how the patient lies: its `views` as they were taken, the `anatomy` with the picked
+    landmarks, their keys ("" for none), and the stated `side`."""
+
+    procedure: Procedure
+    views: Sequence[CalibratedView]
+    anatomy: Anatomy
+    landmarks: Sequence[str]
+    side: str | None
+
+    def judge(self) -> Verdict:
+        """Return the checks of the views' directions and of the bone's side, as far as the procedure asks for them."""
+        return self._directions().joined(self._side())
+
+    @property
+    def unknown_directions(self) -> str:
+        """Why the procedure's check of directions cannot be made, or ""."""
+        if all(one.check != _NAME for one in self.procedure.checks):
+            return ""
+        if self.side is None and any(one.tilt_deg for one in self.procedure.document.views):
+            return "The directions of the images are not checked: the side is not given, which tells head from feet."
+        if _axes_of_frame(self.views):
+            return ""
+        unsaid = "The directions of the images are not checked: nothing says how the patient lies to this frame"
+        directions = self.procedure.document.directions
+        if not directions:
+            return (
+                f"{unsaid}, and the procedure's file states no directions of the bone. Compare both images with the "
+                "views that `sightline procedure show` names."
+            )
+        lacking = self._lacking(directions[:2])
+        return f"{unsaid}; {lacking}." if lacking else ""
+
+    @property
+    def _bone(self) -> BoneAxes:
+        return BoneAxes(self.anatomy, self.procedure.document, self.landmarks, self.side or "right")
+
+    def beside(self) -> tuple[float, float]:
+        """Return how far the third direction of the bone points as on the stated side, mm, and its 95 % error."""
+        value, sd = self._bone.beside()
+        return value, TWO_SIDED_95 * sd
+
+    @property
+    def unknown_side(self) -> str:
+        """Why the bone's directions do not show the side, or ""."""
+        lacking = self._lacking(self.procedure.document.directions)
+        return f"The bone does not confirm the side: {lacking}." if lacking else ""
+
+    def _lacking(self, directions: Sequence[BoneDirection]) -> str:
+        """Return what is missing for some directions of the bone, as text."""
+        lacking = self._bone.lacking(directions)
+        lacking += ["the side is not given"] if self.side is None else []
+        lacking += ["the error of a view is not stated"] if self.anatomy.covariance is None else []
+        return "; ".join(lacking)
+
+    def _directions(self) -> Verdict:
+        rule = next((one for one in self.procedure.checks if one.check == _NAME), None)
+        if rule is None:
+            return Verdict((), ())
+        if why := self.unknown_directions:
+            missing = (Check("view directions", False, None, None, "°", why),) if rule.required else ()
+            return Verdict(missing, missing)
+        try:
+            return Verdict((self.worst_view().check(),), ())
+        except ReconstructionRefusedError as refusal:
+            return Verdict((Check("view directions", False, None, None, "°", f"Not known: {refusal}."),), ())
+
+    def worst_view(self) -> "JudgedView":
+        """Return the view that is farthest beyond its tolerance, with its error. Raises ReconstructionRefusedError."""
+        wanted = self.procedure.document.views
+        names = [view.name for view in self.views[2:]]
+        asked = [one for k, one in enumerate(wanted) if k < 2 or one.name in names]
+        beams, errors = self.beams([0, 1, *(2 + names.index(one.name) for one in asked[2:])])
+        judged = [JudgedView.of(*each) for each in zip(asked, beams, errors, strict=False)]
+        return max(judged, key=lambda one: one.over_deg)
+
+    def beams(self, of: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the beams (V, 3) at the wire's middle of some views, anatomical, and their 95 % errors (V,), rad.
+
+        An error is that of the direction in which it is largest.
+        """
+        found, at = self.anatomy, self.anatomy.at
+        further = [self.views[k].focal_point_mm for k in of[2:]]
+
+        def beams(values: np.ndarray) -> np.ndarray:
+            middle = values[:, at["wire"]].reshape(-1, 2, 3).mean(axis=1)
+            focal = [values[:, at["focal"]][:, :3], values[:, at["focal"]][:, 3:], *further]
+            return unit(np.stack([middle - one for one in focal], axis=1))
+
+        if _axes_of_frame(self.views):
+            return beams(found.values[None])[0] @ frame_axes(self.side).T, np.zeros(len(of))
+        bone = self._bone
+        assert found.covariance is not None  # noqa: S101 - else `unknown_directions`
+        flat, own = response(
+            lambda values: (beams(values) @ np.swapaxes(bone.axes(values), 1, 2)).reshape(len(values), -1), found.values
+        )
+        out, by_values = flat.reshape(-1, 3), own.reshape(len(of), 3, -1)
+        turned = np.cross(out[:, None], np.eye(3))  # of a beam, by a small rotation about each axis
+        scatter = np.swapaxes(turned, 1, 2) @ bone.scatter_rad2() @ turned
+        measured = by_values @ found.covariance @ np.swapaxes(by_values, 1, 2)
+        return out, TWO_SIDED_95 * np.sqrt(np.linalg.eigvalsh(measured + scatter)[:, -1])
+
+    def _side(self) -> Verdict:
+        """Return the check that the bone is one of the stated side, where its directions show that."""
+        document, none = self.procedure.document, Verdict((), ())
+        rule = next((one for one in self.procedure.checks if one.check == "side"), None)
+        stated_before = self.side is None and rule in rules_of_bone(self.procedure, self.views)
+        if rule is None or len(document.directions) < 3 or stated_before:
+            return none
+        if sentence := self.unknown_side:
+            by_frame = _axes_of_frame(self.views) and not {"head", HEAD_CENTRE}.isdisjoint(document.given)
+            asked = rule.required and not by_frame
+            missing = (Check("side", False, None, None, "mm", sentence),) if asked else ()
+            return Verdict(missing, missing)
+        try:
+            value, error = self.beside()
+        except ReconstructionRefusedError as refusal:
+            return Verdict((Check("side", False, None, None, "mm", f"Not known: {refusal}."),), ())
+        third = document.directions[2]
+        to, start = (" and ".join(keys).replace("-", " ") for keys in (third.to, third.from_))
+        axis = int(np.argmax(np.abs(third.nominal)))
+        positive, negative = _WAYS[axis]
+        ways = (positive, negative) if third.nominal[axis] > 0.0 else (negative, positive)
+        sentence = (
+            f"For a {self.side} side the {to} must lie {ways[0]} the {start}: it lies {lies(value, ways)} it, with "
+            f"95 % probability within {error:.1f} mm"
+        )
+        if value <= error:
+            sentence += (
+                f"; this is not a {self.side} side, an image is mirrored, or points are exchanged: look at both "
+                "images, then give the other side or pick again"
+            )
+        return Verdict((Check("side", value > error, value, error, "mm", f"{sentence}."),), ())
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedView:
+    """A view's `beam` (3,), anatomical, against the wanted one: `away_deg` from it, with its 95 % error."""
+
+    wanted: WantedView
+    beam: np.ndarray
+    away_deg: float
+    error_deg: float
+
+    @staticmethod
+    def of(wanted: WantedView, beam: np.ndarray, error_rad: float) -> "JudgedView":
+        """Return the view of a beam with its 95 % error, rad."""
+        cosine = beam @ anatomical(wanted.orbit_deg, wanted.tilt_deg)
+        away = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        return JudgedView(wanted, beam, away, float(np.rad2deg(error_rad)))
+
+    @property
+    def over_deg(self) -> float:
+        """How far the view is beyond its tolerance, with its error; negative within."""
+        return self.away_deg + self.error_deg - self.wanted.within_deg
+
+    def check(self) -> Check:
+        """Return the check that the whole 95 % interval lies within the tolerance."""
+        one = self.wanted
+        known = f", with 95 % probability within {self.error_deg:.0f}°" if self.error_deg else ""
+        sentence = (
+            f"The view {one.name} is {self.away_deg:.0f}° from its wanted direction{known} (at most "
+            f"{one.within_deg:.0f}°{', with its error' if known else ''})"
+        )
+        if self.over_deg > 0.0:
+            orbit, tilt = angles_of(self.beam)
+            sentence += (
+                f"; its beam is at orbit {orbit:.0f}°, tilt {tilt:.0f}°: acquire it at orbit {one.orbit_deg:.0f}°, "
+                f"tilt {one.tilt_deg:.0f}°, or check the side and the order of the images"
+            )
+            sentence += ", or draw the aids more accurately" if known else ""
+        return Check("view directions", self.over_deg <= 0.0, self.away_deg, one.within_deg, "°", f"{sentence}.")
+
+
+def _axes_of_frame(views: Sequence[CalibratedView]) -> bool:
+    """Return True where the axes of the views' frame are those of the patient: of plates (docs/conventions.md)."""
+    return all(one.frame_key is not None and one.adjustment is None for one in map(no_lines, views))
+
+
+def rules_of_bone(procedure: Procedure, views: Sequence[CalibratedView]) -> tuple[CheckRule, ...]:
+    """Return the procedure's rules without that of the side, where only directions of the bone show it."""
+    by_bone = len(procedure.document.directions) == 3 and not _axes_of_frame(views)
+    return tuple(one for one in procedure.checks if one.check != "side" or not by_bone)
+
+
+def assumed_axes(procedure: Procedure, views: Sequence[CalibratedView]) -> str:
+    """Return what the procedure's checks along a block's axes take for granted, or "" for plates or without such."""
+    if all(one.check not in _ALONG_AXES for one in rules_of_bone(procedure, views)):
+        return ""
+    return _ASSUMED if any(one.adjustment is not None for one in map(no_lines, views)) else ""
+
+
+def angles_of(beam: np.ndarray) -> tuple[float, float]:
+    """Return orbit and tilt, °, of a unit vector (3,): lateral, caudal, anterior."""
+    return float(np.rad2deg(np.arctan2(beam[0], beam[2]))), float(np.rad2deg(np.arcsin(np.clip(-beam[1], -1.0, 1.0))))
