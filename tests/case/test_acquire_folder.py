@@ -3,6 +3,7 @@
 import tracemalloc
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,7 +12,7 @@ from sightline.case.acquire.folder import GIVE_UP_S, SETTLED_S, Folder
 from sightline.case.journal import Case
 from sightline.errors import CaseError, UnusableInputError
 from sightline.imaging import Radiograph, write_dicom, write_png
-from sightline.imaging.limits import MAX_FILE_BYTES
+from sightline.imaging.formats import MAX_FILE_BYTES
 
 
 def image(seed: int) -> Radiograph:
@@ -50,12 +51,14 @@ def test_every_image_of_a_folder_is_taken_and_the_rest_is_told_of(watched: Watch
     write_dicom(image(1), watched.folder / "the same again.dcm")
     (watched.folder / "Doe.txt").write_text("Jane Doe, born 1950")
     (watched.folder / "empty.dcm").touch()
+    (watched.folder / "a.jpg").write_bytes(cv2.imencode(".jpg", image(4).pixels.astype(np.uint8))[1].tobytes())
     (watched.folder / ".hidden.dcm").write_bytes(b"x")
     (watched.folder / "half.dcm").write_bytes(write_dicom(image(3), watched.folder / "sub" / "z").read_bytes()[:1500])
     watched.watch.take_all()
     kinds = [news.kind for news in watched.news]
-    assert [kinds.count(kind) for kind in ("kept", "already", "refused", "note")] == [3, 1, 3, 0]
-    assert len(watched.case.entries()) == 3
+    assert [kinds.count(kind) for kind in ("kept", "already", "refused", "note")] == [4, 1, 3, 0]
+    assert len(watched.case.entries()) == 4
+    assert watched.case.problems == ()
     assert "Doe" not in watched.texts()
     assert "half" not in watched.texts()
 

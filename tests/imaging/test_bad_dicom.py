@@ -114,7 +114,7 @@ def test_a_frame_that_unpacks_to_more_than_its_file_says_never_reaches_a_decoder
 
     monkeypatch.setattr(dicom._decoder, "decode", decode)
     bomb = dcmread(files["RLE"])
-    segments = struct.pack("<16I", 2, 64, 64 + 2000, *[0] * 13) + b"\x81\x00" * 2000  # 128 times 1000, twice
+    segments = struct.pack("<16I", 2, 64, 64 + 20000, *[0] * 13) + b"\x81\x00" * 20000  # 128 times 10,000, twice
     bomb.PixelData = encapsulate([segments])
     bomb.save_as(tmp_path / "rle.dcm")
     with pytest.raises(ImageError, match="damaged, or compressed"):

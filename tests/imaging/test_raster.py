@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sightline.errors import ImageError, UnusableInputError
-from sightline.imaging import Radiograph, headers, image_checks, read_image, write_png
-from sightline.imaging.lzw import lzw_size
+from sightline.imaging import Radiograph, image_checks, read_image, write_png
+from sightline.imaging.formats import FORMATS
 
 RNG = np.random.default_rng(11)
 GREY8 = RNG.integers(0, 256, (31, 43), dtype=np.uint8)
@@ -38,8 +38,9 @@ def named(tmp_path: Path, data: bytes, name: str = "image.dat") -> Path:
         (GREY8, ".bmp", ()),
         (GREY8, ".tiff", ()),
         (GREY16, ".tiff", ()),
-        (GREY16, ".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 1)),
-        (GREY8, ".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 8)),
+        *((GREY16, ".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, c)) for c in (1, 5, 8, 32773)),
+        (GREY16.astype(np.int16), ".tiff", ()),
+        (GREY8.astype(np.float32), ".tiff", ()),
     ],
 )
 def test_grey_is_read_whatever_the_file_is_called(
@@ -47,16 +48,18 @@ def test_grey_is_read_whatever_the_file_is_called(
 ) -> None:
     image = read_image(named(tmp_path, encoded(pixels, kind, *options)))
     np.testing.assert_array_equal(image.pixels, pixels)
-    assert image.pixels.dtype == pixels.dtype
-    assert image.white == np.iinfo(pixels.dtype).max
+    if pixels.dtype.kind == "u":
+        assert image.pixels.dtype == pixels.dtype
+        assert image.white == np.iinfo(pixels.dtype).max
     assert not image.pixels.flags.writeable
 
 
 @pytest.mark.parametrize("kind", [".png", ".bmp", ".tiff"])
 @pytest.mark.parametrize("channels", [3, 4])
 def test_colour_is_read_where_it_is_grey_and_refused_where_it_is_not(tmp_path: Path, kind: str, channels: int) -> None:
-    colours = np.repeat(GREY8[..., None], channels, axis=2)
-    np.testing.assert_array_equal(read_image(named(tmp_path, encoded(colours, kind))).pixels, GREY8)
+    grey = GREY8 if kind == ".bmp" else GREY16
+    colours = np.repeat(grey[..., None], channels, axis=2)
+    np.testing.assert_array_equal(read_image(named(tmp_path, encoded(colours, kind))).pixels, grey)
     colours[3, 4, 1] ^= 1
     with pytest.raises(ImageError, match="colour"):
         read_image(named(tmp_path, encoded(colours, kind)))
@@ -87,9 +90,6 @@ def test_a_png_that_is_written_is_read_again(tmp_path: Path, bits: int) -> None:
 
 
 def _png_claiming(width: int, height: int) -> bytes:
-    import struct
-    import zlib
-
     body = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
     chunk = struct.pack(">I", 13) + body + struct.pack(">I", zlib.crc32(body))
     end = b"\0\0\0\0IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
@@ -103,7 +103,10 @@ def _png_claiming(width: int, height: int) -> bytes:
         (b"\n", "not an image"),
         (b"%PDF-1.7 a report", "not an image"),
         (encoded(GREY8, ".webp"), "not an image"),
-        (_png_claiming(60000, 60000), "limit"),
+        (_png_claiming(6000, 6000), "limit"),
+        (_png_claiming(11000, 11000), "limit"),  # Pillow warns
+        (_png_claiming(60000, 60000), "limit"),  # and here it refuses
+        (encoded(GREY8, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, 7), "LZW, Deflate or PackBits"),
         (_png_claiming(20, 20), "damaged"),
         (encoded(GREY8[:9, :9], ".png"), "at least 16"),
         (encoded(np.full((32, 32), np.nan, np.float32), ".tiff"), "not finite"),
@@ -142,80 +145,26 @@ def test_a_header_that_claims_a_huge_array_reserves_no_memory(tmp_path: Path) ->
         read_image(named(tmp_path, data))
 
 
-def restated(data: bytes, kind: str) -> bytes:
-    """Return the file with a stated width of one pixel less, and a correct checksum."""
-    out = bytearray(data)
-    width = GREY8.shape[1]
-    if kind == ".png":
-        out[16:20] = struct.pack(">I", width - 1)
-        out[29:33] = struct.pack(">I", zlib.crc32(out[12:29]))
-    elif kind == ".bmp":
-        out[18:22] = struct.pack("<i", width - 4)  # rows end at multiples of four bytes
-    else:
-        at = out.index(struct.pack("<HHI", 256, 3, 1)) + 8
-        out[at : at + 2] = struct.pack("<H", width - 1)
-    return bytes(out)
-
-
-@pytest.mark.parametrize(
-    ("kind", "options"),
-    [
-        (".png", ()),
-        (".bmp", ()),
-        (".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 1)),
-        (".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, 1, cv2.IMWRITE_TIFF_ROWSPERSTRIP, 4)),
-        *((".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, c)) for c in (5, 32773)),
-        *((".tiff", (cv2.IMWRITE_TIFF_COMPRESSION, c, cv2.IMWRITE_TIFF_ROWSPERSTRIP, 4)) for c in (5, 8, 32773)),
-    ],
-)
-def test_a_file_that_holds_more_than_it_states_is_refused_not_sheared(
-    tmp_path: Path, kind: str, options: tuple[int, ...]
-) -> None:
-    data = encoded(GREY8, kind, *options)
-    np.testing.assert_array_equal(read_image(named(tmp_path, data)).pixels, GREY8)
+@pytest.mark.parametrize(("kind", "tag"), [(".bmp", b""), (".tiff", struct.pack("<HHI", 256, 3, 1))])
+def test_a_file_that_holds_more_than_it_states_is_refused_not_sheared(tmp_path: Path, kind: str, tag: bytes) -> None:
+    """The stated width is four pixels less: rows of a BMP end at multiples of four bytes."""
+    data = bytearray(encoded(GREY8, kind, *((cv2.IMWRITE_TIFF_COMPRESSION, 1) if tag else ())))
+    struct.pack_into("<H", data, data.index(tag) + 8 if tag else 18, GREY8.shape[1] - 4)
     with pytest.raises(ImageError, match="holds more pixels than it states"):
-        read_image(named(tmp_path, restated(data, kind)))
+        read_image(named(tmp_path, bytes(data)))
 
 
-def tiled(pixels: np.ndarray, side: int, width: int) -> bytes:
-    """Return a TIFF of 8 bits in square tiles, whose header states this width."""
-    height = len(pixels)
-    whole = np.pad(pixels, [(0, -size % side) for size in pixels.shape])
-    tiles = [
-        whole[v : v + side, u : u + side].tobytes()
-        for v in range(0, whole.shape[0], side)
-        for u in range(0, whole.shape[1], side)
-    ]
-    offsets = [8 + k * side**2 for k in range(len(tiles))]
-    lists = 8 + len(tiles) * side**2
-    directory = lists + 8 * len(tiles)
-    tags = [(256, width), (257, height), (258, 8), (259, 1), (262, 1), (277, 1), (322, side), (323, side)]
-    entries = [struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags]
-    for tag, at in ((324, lists), (325, lists + 4 * len(tiles))):
-        entries.append(struct.pack("<HHII", tag, 4, len(tiles), at))
-    numbers = struct.pack(f"<{2 * len(tiles)}I", *offsets, *[side**2] * len(tiles))
-    end = struct.pack("<H", len(entries)) + b"".join(entries) + bytes(4)
-    return struct.pack("<2sHI", b"II", 42, directory) + b"".join(tiles) + numbers + end
-
-
-def test_tiles_that_are_more_than_the_image_needs_are_refused() -> None:
-    assert headers.tiff(tiled(GREY8, 16, GREY8.shape[1]), "tiled") == GREY8.shape
-    with pytest.raises(ImageError, match="truncated or damaged"):
-        headers.tiff(tiled(GREY8, 16, 32), "tiled")
-
-
-def test_a_tiff_whose_compression_tells_no_length_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match="LZW, Deflate or PackBits"):
-        read_image(named(tmp_path, encoded(GREY8, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, 7)))
-
-
-@pytest.mark.parametrize("pixels", [GREY16, np.zeros((600, 700), np.uint16), np.tile(GREY8, (9, 9))])
-def test_the_length_of_lzw_is_that_of_the_pixels(pixels: np.ndarray) -> None:
-    data = encoded(pixels, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, 5, cv2.IMWRITE_TIFF_ROWSPERSTRIP, len(pixels))
-    assert lzw_size(data[8:], 2 * pixels.nbytes) == pixels.nbytes  # the strip comes first, and ends itself
-    assert lzw_size(data[8:], 1000) < 6000  # no further than a string beyond
-    with pytest.raises(ValueError, match="LZW"):
-        lzw_size(b"\xff" * 40, 1000)
+@pytest.mark.parametrize("packing", [5, 8, 32773])
+def test_a_tiff_with_short_strips_is_refused(tmp_path: Path, packing: int) -> None:
+    """The second of its strips states two thirds of its bytes."""
+    data = bytearray(encoded(GREY8, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, packing, cv2.IMWRITE_TIFF_ROWSPERSTRIP, 4))
+    at = next(k for k in range(len(data)) if data[k : k + 2] == struct.pack("<H", 279) and data[k + 4] == 8)
+    kind, _, place = struct.unpack_from("<HII", data, at + 2)
+    form = {3: "<2H", 4: "<2I"}[kind]
+    first, second = struct.unpack_from(form, data, place)
+    struct.pack_into(form, data, place, first, second * 2 // 3)
+    with pytest.raises(ImageError, match="damaged"):
+        read_image(named(tmp_path, bytes(data)))
 
 
 def test_a_tiff_whose_numbers_are_no_numbers_is_refused_or_read(tmp_path: Path) -> None:
@@ -232,7 +181,7 @@ def test_a_tiff_whose_numbers_are_no_numbers_is_refused_or_read(tmp_path: Path) 
                 read_image(named(tmp_path, bytes(damaged)))
             except ImageError:
                 refused.add(struct.unpack_from("<H", data, entry)[0])
-    assert refused >= {256, 257, 258, 273, 277, 279}
+    assert refused >= {256, 257, 258, 273, 279}
 
 
 def test_an_array_with_more_behind_it_is_refused(tmp_path: Path) -> None:
@@ -244,22 +193,10 @@ def test_an_array_with_more_behind_it_is_refused(tmp_path: Path) -> None:
             read_image(named(tmp_path, data + more))
 
 
-def test_an_interlaced_png_is_read(tmp_path: Path) -> None:
-    """Return an Adam7 PNG, which OpenCV cannot write: seven small images without filters."""
-    rows = b"".join(
-        b"\0" + GREY8[y, left::across].tobytes()
-        for left, top, across, down in headers._ADAM7
-        for y in range(top, GREY8.shape[0], down)
-        if left < GREY8.shape[1]
-    )
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", *GREY8.shape[::-1], 8, 0, 0, 0, 1))]
-    chunks += [(b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
-    data = b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in chunks
-    )
-    np.testing.assert_array_equal(read_image(named(tmp_path, data)).pixels, GREY8)
-    with pytest.raises(ImageError, match="holds more pixels than it states"):
-        read_image(named(tmp_path, restated(data, ".png")))
+@pytest.mark.parametrize("page", ["README.md", "docs/tour.md", "docs/refusals.md"])
+def test_pages_name_all_formats(page: str) -> None:
+    text = (Path(__file__).parents[2] / page).read_text()
+    assert [known.name for known in FORMATS if known.name not in text] == []
 
 
 def test_a_folder_an_absent_file_and_a_frame_of_a_still_are_refused(tmp_path: Path) -> None:
@@ -272,6 +209,7 @@ def test_a_folder_an_absent_file_and_a_frame_of_a_still_are_refused(tmp_path: Pa
 
 
 WHOLE = {kind: encoded(GREY16, kind) for kind in (".png", ".tiff")} | {".bmp": encoded(GREY8, ".bmp")}
+BEHIND_PIXELS = {".png": 4, ".tiff": 0, ".bmp": 1}  # bytes: the last checksum, the last row's padding
 
 
 @pytest.fixture(scope="module")
@@ -280,16 +218,20 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("kind", WHOLE)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(share=st.floats(0, 1, exclude_max=True))
 def test_a_truncated_file_is_refused_not_filled_up(scratch: Path, kind: str, share: float) -> None:
-    scratch.write_bytes(WHOLE[kind][: int(share * len(WHOLE[kind]))])
+    length = int(share * len(WHOLE[kind]))
+    scratch.write_bytes(WHOLE[kind][:length])
+    if len(WHOLE[kind]) - length <= BEHIND_PIXELS[kind]:
+        np.testing.assert_array_equal(read_image(scratch).pixels, GREY8 if kind == ".bmp" else GREY16)
+        return
     with pytest.raises(ImageError):
         read_image(scratch)
 
 
 @pytest.mark.parametrize("kind", WHOLE)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(share=st.floats(0, 1, exclude_max=True), value=st.integers(0, 255))
 def test_a_damaged_file_gives_an_image_or_an_image_error(scratch: Path, kind: str, share: float, value: int) -> None:
     data = bytearray(WHOLE[kind])

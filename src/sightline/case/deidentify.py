@@ -15,11 +15,9 @@ from pydicom.uid import generate_uid
 
 from sightline import __version__
 from sightline.atomic import scratch_folder
-from sightline.bounded import regular_file
-from sightline.imaging import read_image, suffix_of, write_dicom
+from sightline.imaging import read_image, write_dicom
 from sightline.imaging.dicom import quiet
-from sightline.imaging.files import HEADER_BYTES
-from sightline.imaging.headers import damaged
+from sightline.imaging.formats import Reader, damaged, format_of_file
 
 NOBODY = "REMOVED"
 _UIDS = ("StudyInstanceUID", "SeriesInstanceUID", "SOPInstanceUID")
@@ -78,9 +76,8 @@ class Deidentifier:
 
 def _source(file: Path) -> dict[str, Any]:
     """Return the source's UIDs and whether it states burnt-in annotation; None for each that is missing."""
-    with regular_file(file) as stream:
-        suffix = suffix_of(stream.read(HEADER_BYTES))
-    if suffix != ".dcm":
+    known = format_of_file(file)
+    if known is None or known.reader is not Reader.DICOM:
         return dict.fromkeys([*_UIDS, "BurnedInAnnotation"])
     try:
         with quiet():

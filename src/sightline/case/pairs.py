@@ -25,7 +25,7 @@ from sightline.detection.detections_csv import are_detections
 from sightline.errors import CaseError, RefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.from_images.pipeline import find_beads, label_beads
-from sightline.imaging.limits import MAX_FILE_BYTES
+from sightline.imaging.formats import MAX_FILE_BYTES
 
 
 @dataclass(frozen=True, eq=False)

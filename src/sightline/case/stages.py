@@ -15,7 +15,7 @@ from sightline.errors import CaseError, ImageError
 from sightline.frame import Frame
 from sightline.frame.builtin import BUILTIN
 from sightline.imaging import Radiograph, read_image
-from sightline.imaging.limits import MAX_FILE_BYTES
+from sightline.imaging.formats import MAX_FILE_BYTES
 from sightline.planning import Plan, WirePlans
 from sightline.planning.check.drill_shot import DrillShot
 from sightline.planning.check.result import CheckShot

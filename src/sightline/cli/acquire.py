@@ -38,7 +38,7 @@ def register(parent: typer.Typer) -> None:
 
 @app.command("folder", epilog=example("sightline acquire folder images --case out/case"))
 def folder(
-    source: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with images: DICOM, PNG, TIFF, BMP, NumPy.")],
+    source: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with images.")],
     *,
     case: CaseFolder,
     watch: Annotated[
@@ -130,11 +130,12 @@ def video(
     With --average the mean of several frames, if nothing moved.
     """
     with Output(json=json, quiet=quiet) as out:
+        from sightline.imaging.formats import is_image
         from sightline.imaging.source import Run
         from sightline.imaging.video import VideoSource
 
         part = _crop(crop)
-        is_run = not place.isdigit() and _is_image(Path(place))
+        is_run = not place.isdigit() and is_image(Path(place))
         if is_run and part is not None:
             raise typer.BadParameter("a multi-frame file cannot be cropped; leave it out", param_hint="--crop")
         at = int(place) if place.isdigit() else place
@@ -225,17 +226,6 @@ def _crop(text: str | None) -> tuple[int, int, int, int] | None:
     except ValueError:
         raise typer.BadParameter("give four whole numbers: LEFT,TOP,WIDTH,HEIGHT", param_hint="--crop") from None
     return left, top, width, height
-
-
-def _is_image(file: Path) -> bool:
-    from sightline.bounded import regular_file
-    from sightline.imaging import suffix_of
-    from sightline.imaging.files import HEADER_BYTES
-
-    if not file.is_file():
-        return False
-    with regular_file(file) as stream:
-        return suffix_of(stream.read(HEADER_BYTES)) is not None
 
 
 class _Desk:

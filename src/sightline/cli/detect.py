@@ -31,7 +31,7 @@ def register(app: typer.Typer) -> None:
 
 
 def detect(
-    image: Annotated[Path, typer.Argument(help="DICOM, PNG, TIFF, BMP, JPEG or NumPy file.")],
+    image: Annotated[Path, typer.Argument(help="Image file.")],
     *,
     frame_index: FrameIndex = None,
     invert: Invert = False,

@@ -23,7 +23,7 @@ def register(app: typer.Typer) -> None:
 
 
 def undistort(
-    image: Annotated[Path, typer.Argument(help="DICOM, PNG, TIFF, BMP, JPEG or NumPy file.")],
+    image: Annotated[Path, typer.Argument(help="Image file.")],
     *,
     out: Annotated[Path, typer.Option(help="Folder for plate.png, map.npz and map.json.")],
     frame: FrameName = "gamma",

@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from sightline.imaging.defects import image_checks
-from sightline.imaging.files import as_radiograph, frames_in, read_image, suffix_of, taken_at, write_png
+from sightline.imaging.files import as_radiograph, frames_in, read_image, taken_at, write_png
 from sightline.imaging.radiograph import GeometryTags, Radiograph
 from sightline.imaging.source import Source, SourceFrame
 
@@ -20,7 +20,6 @@ __all__ = [
     "frames_in",
     "image_checks",
     "read_image",
-    "suffix_of",
     "taken_at",
     "write_dicom",
     "write_png",

@@ -5,7 +5,8 @@ import struct
 _J2K_SIZE = b"\xff\x4f\xff\x51"  # start of a codestream and its SIZ segment (ISO/IEC 15444-1, A.4 and A.5)
 _JP2 = b"\x00\x00\x00\x0cjP  "  # a JP2 file around the codestream; the standard forbids it, some devices write it
 _FRAME_HEADERS = {*range(0xC0, 0xD0), 0xF7} - {0xC4, 0xC8, 0xCC}  # SOF of JPEG; F7: of JPEG-LS
-_RLE_SEGMENTS = 15  # PS3.5, annex G
+_RLE_SEGMENTS = 6  # PS3.5, G.3: two bytes of three colours
+_RLE_HEADER = 64  # bytes
 
 
 def unpacks_to(coded: bytes, syntax: str, shape: tuple[int, int]) -> bool:
@@ -45,24 +46,12 @@ def _j2k_shape(coded: bytes) -> tuple[int, int] | None:
 
 
 def _rle_fits(coded: bytes, pixels: int) -> bool:
-    """Return whether no segment unpacks to more than a byte for each pixel, and one for padding (PS3.5, G.3)."""
-    if len(coded) < 64:
-        return False
-    count, *starts = struct.unpack_from("<16I", coded)
-    if not 0 < count <= _RLE_SEGMENTS:
-        return False
-    ends = [*starts[1:count], len(coded)]
-    most = pixels + 1
-    return all(packbits_size(coded[a:b], most) <= most for a, b in zip(starts[:count], ends, strict=True))
+    """Return whether a frame is no longer than its pixels at their worst (PS3.5, G.3).
 
-
-def packbits_size(coded: bytes, most: int) -> int:
-    """Return the unpacked size of runs and literals; counting stops beyond `most` (PS3.5, G.3; TIFF 6.0, 9)."""
-    size = at = 0
-    while at < len(coded) and size <= most:
-        code = coded[at]
-        if code < 128:
-            size, at = size + code + 1, at + code + 2
-        else:
-            size, at = size + (257 - code) % 129, at + 2  # 128 is a no-operation
-    return size
+    A byte of a segment unpacks to 64 at most, so this bounds the result; the helper process limits its memory.
+    """
+    if len(coded) < _RLE_HEADER:
+        return False
+    (segments,) = struct.unpack_from("<I", coded)
+    worst = _RLE_HEADER + segments * (pixels + pixels // 64 + 2)
+    return 0 < segments <= _RLE_SEGMENTS and len(coded) <= worst

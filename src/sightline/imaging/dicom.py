@@ -38,8 +38,8 @@ from sightline.bounded import regular_file
 from sightline.errors import ImageError
 from sightline.imaging.compressed import unpacks_to
 from sightline.imaging.decoder import Decoder
-from sightline.imaging.headers import damaged, refuse_longer
-from sightline.imaging.limits import check_size
+from sightline.imaging.files import grey
+from sightline.imaging.formats import check_size, damaged, refuse_longer
 from sightline.imaging.radiograph import GeometryTags, Radiograph
 
 _LOSSY = {JPEGBaseline8Bit, JPEGExtended12Bit, JPEGLSNearLossless, JPEG2000}  # JPEG 2000 may be lossless
@@ -106,11 +106,7 @@ def read(file: Path, frame_index: int | None) -> Radiograph:
         lossy = header["LossyImageCompression"] == "01" or _syntax(file) in _LOSSY
     if stored.shape[:2] != (height, width):
         raise damaged(file.name)
-    if stored.ndim == 3:
-        if (stored != stored[..., :1]).any():
-            raise ImageError(f"{file.name} is a colour image; export the X-ray image itself in grey")
-        stored = stored[..., 0]
-    pixels, white = _as_x_rays(stored, header, bits)
+    pixels, white = _as_x_rays(grey(stored, file.name), header, bits)
     return Radiograph(pixels, white, _geometry(header), lossy)
 
 

@@ -1,7 +1,5 @@
-"""Read and write image files: DICOM, PNG, TIFF, BMP, JPEG, NumPy. The first bytes identify the format."""
+"""Read and write image files of all `FORMATS`. The first bytes identify the format, not the name."""
 
-from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 from importlib import import_module
@@ -12,36 +10,22 @@ import cv2
 import numpy as np
 
 from sightline.atomic import write_whole
-from sightline.bounded import read_bounded, regular_file
+from sightline.bounded import read_bounded
 from sightline.errors import ImageError, UnusableInputError
-from sightline.imaging import headers
-from sightline.imaging.limits import MAX_FILE_BYTES, check_size
+from sightline.imaging.formats import (
+    FORMAT_NAMES,
+    MAX_FILE_BYTES,
+    ImageFormat,
+    Reader,
+    check_size,
+    format_of_file,
+)
 from sightline.imaging.radiograph import Radiograph
 from sightline.npy import npy_array
 
-HEADER_BYTES = 132  # tell the format: DICOM's preamble of 128 bytes and its magic number
-
-_JPEG = b"\xff\xd8\xff"
-_RASTER = {
-    b"\x89PNG\r\n\x1a\n": headers.png,
-    b"BM": headers.bmp,
-    b"II*\x00": headers.tiff,
-    b"MM\x00*": headers.tiff,
-    _JPEG: headers.jpeg,
-}
-
-_SUFFIXES = {
-    b"\x89PNG\r\n\x1a\n": ".png",
-    b"BM": ".bmp",
-    b"II*\x00": ".tif",
-    b"MM\x00*": ".tif",
-    _JPEG: ".jpg",
-    b"\x93NUMPY": ".npy",
-}
-
 
 def read_image(path: str | Path, frame_index: int | None = None, *, invert: bool = False) -> Radiograph:
-    """Return one X-ray image: DICOM, PNG, TIFF, BMP, JPEG or `.npy`, 8 to 16 bit (TIFF and `.npy` also floating point).
+    """Return one X-ray image of 8 to 16 bit: DICOM, PNG, TIFF, BMP, JPEG or `.npy` (TIFF, `.npy` also floating point).
 
     Stored values are kept: no window, look-up table or rescaling is applied, because those may clip; only their
     direction is used, so that brighter means more X-rays (see `dicom.read`). A colour image with equal channels is
@@ -84,17 +68,18 @@ def _full_scale(pixels: np.ndarray) -> float:
 
 
 def _read(file: Path, frame_index: int | None) -> Radiograph:
-    start = _first_bytes(file)
-    if start[128:132] == b"DICM":
+    known = _format(file)
+    if known is None:
+        raise ImageError(f"{file.name} is not an image that can be read; give {FORMAT_NAMES}")
+    if known.reader is Reader.DICOM:
         return _dicom().read(file, frame_index)
     if frame_index not in (None, 0):
         raise ImageError(f"{file.name} holds one image, so there is no frame {frame_index}; leave the frame out")
-    if start.startswith(b"\x93NUMPY"):
-        return _read_npy(file)
-    for magic, read_header in _RASTER.items():
-        if start.startswith(magic):
-            return _read_raster(file, read_header)
-    raise ImageError(f"{file.name} is not an image that can be read; give DICOM, PNG, TIFF, BMP, JPEG or NumPy (.npy)")
+    data = read_bounded(file, MAX_FILE_BYTES, ImageError, "export single images")
+    if known.reader is Reader.NUMPY:
+        return _radiograph(_numpy(data, file.name), file.name)
+    raster = import_module("sightline.imaging.raster")  # on first use, as `_dicom`
+    return replace(_radiograph(raster.read_raster(data, known.name, file.name), file.name), lossy=known.lossy)
 
 
 def _dicom() -> ModuleType:
@@ -104,8 +89,7 @@ def _dicom() -> ModuleType:
 
 def frames_in(path: str | Path) -> int:
     """Return the number of frames of a file; 1 for all but DICOM runs. Raises ImageError."""
-    file = Path(path)
-    return _dicom().frames_in(file) if _first_bytes(file)[128:132] == b"DICM" else 1
+    return _dicom().frames_in(Path(path)) if _is_dicom(Path(path)) else 1
 
 
 def taken_at(path: str | Path) -> datetime | None:
@@ -113,15 +97,12 @@ def taken_at(path: str | Path) -> datetime | None:
 
     Only DICOM states it. Raises ImageError.
     """
-    file = Path(path)
-    return _dicom().taken_at(file) if _first_bytes(file)[128:132] == b"DICM" else None
+    return _dicom().taken_at(Path(path)) if _is_dicom(Path(path)) else None
 
 
-def suffix_of(start: bytes) -> str | None:
-    """Return the file name suffix of an image that begins with these HEADER_BYTES; None for unreadable formats."""
-    if start[128:132] == b"DICM":
-        return ".dcm"
-    return next((suffix for magic, suffix in _SUFFIXES.items() if start.startswith(magic)), None)
+def _is_dicom(file: Path) -> bool:
+    known = _format(file)
+    return known is not None and known.reader is Reader.DICOM
 
 
 def write_png(radiograph: Radiograph, path: str | Path) -> Path:
@@ -131,12 +112,12 @@ def write_png(radiograph: Radiograph, path: str | Path) -> Path:
     return write_whole(path, cv2.imencode(".png", radiograph.pixels)[1].tobytes())
 
 
-def _first_bytes(file: Path) -> bytes:
+def _format(file: Path) -> ImageFormat | None:
+    """Return the format of a file that is neither empty nor too large. Raises ImageError."""
     try:
         size = file.stat().st_size
         if file.is_file() and 0 < size <= MAX_FILE_BYTES:
-            with regular_file(file) as stream:
-                return stream.read(HEADER_BYTES)
+            return format_of_file(file)
     except OSError as error:
         raise ImageError(f"cannot read {file.name}: {error.strerror}") from error
     if not file.is_file():
@@ -146,45 +127,16 @@ def _first_bytes(file: Path) -> bytes:
     raise ImageError(f"{file.name} has {size} bytes; the limit is {MAX_FILE_BYTES}: export single images")
 
 
-def _read_raster(file: Path, read_header: headers.HeaderReader) -> Radiograph:
-    data = read_bounded(file, MAX_FILE_BYTES, ImageError, "export single images")
-    height, width = read_header(data, file.name)
-    check_size(height, width, file.name)
-    try:
-        with _quiet():
-            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pixels = None
-    if pixels is None or pixels.shape[:2] != (height, width):
-        raise ImageError(f"{file.name} is damaged or of a kind that cannot be read; export it as 16-bit grey PNG")
-    image = _radiograph(grey(pixels, file.name), file.name)
-    return replace(image, lossy=read_header is headers.jpeg)
-
-
-@contextmanager
-def _quiet() -> Generator[None]:
-    """Silence OpenCV's decoders: their findings are reported by ImageError."""
-    log = cv2.utils.logging
-    before = log.setLogLevel(log.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        log.setLogLevel(before)
-
-
-def _read_npy(file: Path) -> Radiograph:
+def _numpy(data: bytes, name: str) -> np.ndarray:
     def look(shape: tuple[int, ...], dtype: np.dtype) -> None:
         if len(shape) not in (2, 3) or 0 in shape or dtype.hasobject:
-            raise ImageError(
-                f"{file.name} holds no image: shape {shape}, type {dtype}; save one (H, W) array of numbers"
-            )
-        check_size(shape[0], shape[1], file.name)
+            raise ImageError(f"{name} holds no image: shape {shape}, type {dtype}; save one (H, W) array of numbers")
+        check_size(shape[0], shape[1], name)
 
     try:
-        pixels = npy_array(read_bounded(file, MAX_FILE_BYTES, ImageError, "export single images"), look)
+        return npy_array(data, look)
     except ValueError as error:
-        raise ImageError(f"{file.name} is not a complete NumPy file; save the array again") from error
-    return _radiograph(grey(pixels, file.name), file.name)
+        raise ImageError(f"{name} is not a complete NumPy file; save the array again") from error
 
 
 def grey(pixels: np.ndarray, name: str) -> np.ndarray:
@@ -198,6 +150,7 @@ def grey(pixels: np.ndarray, name: str) -> np.ndarray:
 
 
 def _radiograph(pixels: np.ndarray, name: str) -> Radiograph:
+    pixels = grey(pixels, name)
     if pixels.dtype.kind in "iu" and pixels.dtype.itemsize <= 2:  # of wider ones the type does not tell the white
         return Radiograph(pixels, _full_scale(pixels))
     if pixels.dtype.kind == "f":

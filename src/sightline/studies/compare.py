@@ -12,6 +12,7 @@ from sightline.detection import Detections, detect
 from sightline.errors import DetectionRefusedError, SightlineError, UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, read_image
+from sightline.imaging.formats import FORMAT_NAMES
 from sightline.studies import image_figures as measure
 from sightline.studies.figure_xy import PlotAxis, PlotPoint, PlotSeries, xy
 from sightline.studies.image_figures import NotMeasurableError
@@ -88,7 +89,7 @@ def read_folder(folder: Path, *, invert: bool = False) -> tuple[list[tuple[str, 
             passed.append(str(error))
     if not images:
         why = f" ({'; '.join(passed)})" if passed else ""
-        raise UnusableInputError(f"no image in {folder} can be read{why}; give DICOM, PNG, TIFF, BMP or NumPy files")
+        raise UnusableInputError(f"no image in {folder} can be read{why}; give {FORMAT_NAMES} files")
     return images, passed
 
 

@@ -38,7 +38,7 @@ const drop = {
         <q-btn v-show="!told || target.label in states" outline no-caps icon="upload_file" :label="called(target)" :loading="busy === i"
                :percentage="percent" @click="$refs.inputs[i].click()"></q-btn>
         <input ref="inputs" type="file" multiple hidden :aria-label="called(target)" :data-testid="'drop-' + target.label"
-               accept=".dcm,.dicom,.png,.tif,.tiff,.bmp,.npy,application/dicom" @change="chosen($event, i)">
+               :accept="accept" @change="chosen($event, i)">
       </template>
       <span data-testid="drop-message" role="status" :class="{ 'drop-bad': bad }">{{ message }}</span>
       <template v-for="(target, i) in targets" :key="'in-' + target.address">

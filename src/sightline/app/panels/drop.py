@@ -7,6 +7,7 @@ from types import MappingProxyType
 from nicegui import ui
 
 from sightline.app.web.uploads import MAX_UPLOAD_BYTES, OnUpload, Upload, Uploads
+from sightline.imaging.formats import SUFFIXES
 
 
 class DropZone(ui.element, component=Path(__file__).parent / "drop.js"):
@@ -24,6 +25,7 @@ class DropZone(ui.element, component=Path(__file__).parent / "drop.js"):
             box = boxes.get(target["label"])
             target["box"] = None if box is None else f"c{box.id}"
         self._props["maxBytes"] = MAX_UPLOAD_BYTES
+        self._props["accept"] = ",".join([*SUFFIXES, "application/dicom"])
 
     def tell(self, states: Mapping[str, str], names: Mapping[str, str], labels: Mapping[str, str]) -> None:
         """Say what each target shows: "empty", "here", or "failed"; targets that are not named take nothing now.

@@ -9,14 +9,11 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from sightline.errors import ImageError, SightlineError
-from sightline.imaging import suffix_of
-from sightline.imaging.limits import MAX_PIXELS
+from sightline.imaging.formats import FORMAT_NAMES, HEADER_BYTES, MAX_PIXELS, format_of
 
 MAX_UPLOAD_BYTES = 4 * MAX_PIXELS + 2**20  # [calc] the largest image as float32, with a header
 MAX_AT_ONCE = 2  # [ours] two views; limits the memory that uploads use
 UPLOADS_PATH = "/upload/"
-
-_MARKED_BYTES = 132  # first bytes, which identify a file's type
 
 
 @dataclass(frozen=True)
@@ -74,16 +71,16 @@ async def receive(chunks: AsyncIterator[bytes]) -> Upload:
 
     A file that is not an image is still read to its end, because a browser shows no response before it has sent all.
     """
-    data, suffix = bytearray(), None
+    data, known = bytearray(), None
     async for chunk in chunks:
-        if suffix is not None or len(data) < _MARKED_BYTES:  # of a file that is not an image keep only the first bytes
+        if known is not None or len(data) < HEADER_BYTES:  # of a file that is not an image keep only the first bytes
             data += chunk
-            suffix = suffix or suffix_of(bytes(data[:_MARKED_BYTES]))
+            known = known or format_of(bytes(data[:HEADER_BYTES]))
     if not data:
         raise ImageError("export the image again: the file is empty")
-    if suffix is None:
-        raise ImageError("give DICOM, PNG, TIFF, BMP or NumPy (.npy): the file is not an image that can be read")
-    return Upload(suffix, bytes(data))
+    if known is None:
+        raise ImageError(f"give {FORMAT_NAMES}: the file is not an image that can be read")
+    return Upload(known.suffixes[0], bytes(data))
 
 
 def _refuse(status: int, sentence: str) -> Response:

@@ -9,8 +9,7 @@ from pathlib import Path
 from sightline.bounded import regular_file
 from sightline.case.acquire.acquirer import Acquirer, News, Tell, news_of
 from sightline.errors import CaseError, ImageError, UnusableInputError
-from sightline.imaging import suffix_of
-from sightline.imaging.limits import MAX_FILE_BYTES
+from sightline.imaging.formats import FORMAT_NAMES, MAX_FILE_BYTES, format_of
 
 SETTLED_S = 1.0  # [ours] a file is read once unchanged for this time: network folders write in bursts
 GIVE_UP_S = 30.0  # [ours] an incomplete file is refused once unchanged for this time
@@ -93,10 +92,10 @@ class Folder:
             data = _read(path)
             if _stamp(path) != file.stamp:
                 return  # it changed meanwhile; the next scan sees that
-            suffix = suffix_of(data)
-            if suffix is None:
-                raise ImageError("it is not a DICOM, PNG, TIFF, BMP or NumPy file")
-            news = news_of(self._acquirer.take(data, suffix, how={"source": "folder"}))
+            known = format_of(data)
+            if known is None:
+                raise ImageError(f"it is not a {FORMAT_NAMES} file")
+            news = news_of(self._acquirer.take(data, known.suffixes[0], how={"source": "folder"}))
         except (ImageError, OSError) as error:
             if final:
                 file.done = True

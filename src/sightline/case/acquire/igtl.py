@@ -10,7 +10,7 @@ import numpy as np
 from sightline.errors import ImageError, LinkError, SourceError
 from sightline.imaging import Radiograph, SourceFrame
 from sightline.imaging.files import grey
-from sightline.imaging.limits import check_size
+from sightline.imaging.formats import check_size
 from sightline.robot.igtl import Image, Message, Rejected, Stream
 from sightline.robot.transport import LOOPBACK
 from sightline.robot.transport.sockets import prepare

@@ -13,9 +13,10 @@ from sightline import __version__
 from sightline.case.canonical import canonical, digest
 from sightline.errors import CaseError
 from sightline.estimator import ESTIMATOR
+from sightline.imaging.formats import SUFFIXES as IMAGE_SUFFIXES
 
 # Suffixes of the files that a case keeps: images, observations, frames.
-SUFFIXES = (".dcm", ".png", ".tif", ".tiff", ".bmp", ".npy", ".csv", ".json")
+SUFFIXES = (*IMAGE_SUFFIXES, ".csv", ".json")
 _ENDING = f"(?:{'|'.join(map(re.escape, SUFFIXES))})"
 ORIGINAL = re.compile(f"[0-9a-f]{{64}}{_ENDING}")
 _END = re.compile(f'{_ENDING}"', re.IGNORECASE)

@@ -12,8 +12,7 @@ from sightline.bounded import regular_file
 from sightline.case.canonical import digest
 from sightline.case.journal.entry import ORIGINAL, SUFFIXES
 from sightline.errors import CaseError
-from sightline.imaging import suffix_of
-from sightline.imaging.files import HEADER_BYTES
+from sightline.imaging.formats import format_of_file
 
 FOLDER = "originals"
 _SHORT = 12  # leading digits of a hash: enough to tell the files of one case apart
@@ -33,10 +32,9 @@ def short(name: str) -> str:
 
 def anonymous_name(path: Path) -> str:
     """Return the short name that a case would give an image or a table of beads; the file's own may be a patient's."""
+    known = format_of_file(path)
     with regular_file(path) as file:
-        suffix = suffix_of(file.read(HEADER_BYTES)) or ".csv"
-        file.seek(0)
-        return short(file_digest(file, "sha256").hexdigest() + suffix)
+        return short(file_digest(file, "sha256").hexdigest() + (known.suffixes[0] if known else ".csv"))
 
 
 def keep(folder: Path, name: str, data: bytes) -> None:

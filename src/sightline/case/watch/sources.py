@@ -5,10 +5,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from sightline.bounded import regular_file
 from sightline.errors import UnusableInputError
-from sightline.imaging import suffix_of
-from sightline.imaging.files import HEADER_BYTES
+from sightline.imaging.formats import is_image
 from sightline.imaging.source import Run, Source, SourceFrame
 from sightline.imaging.video import VideoSource
 
@@ -34,7 +32,7 @@ def _source(name: str) -> Source:
         raise UnusableInputError(
             f"there is no file or folder {name}; name one, a device by its number, or a stream by its address"
         )
-    return Paced(VideoSource(name) if _kind(path) is None else Run(path))
+    return Paced(Run(path) if is_image(path) else VideoSource(name))
 
 
 class Paced:
@@ -76,7 +74,7 @@ class _Folder:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._files = [path for path in sorted(folder.iterdir()) if path.name[0] != "." and _kind(path) is not None]
+        self._files = [path for path in sorted(folder.iterdir()) if path.name[0] != "." and is_image(path)]
         if not self._files:
             raise UnusableInputError("the folder holds no image; name the folder of the frames")
 
@@ -87,11 +85,3 @@ class _Folder:
 
     def close(self) -> None:
         """Do nothing: no file is kept open."""
-
-
-def _kind(path: Path) -> str | None:
-    """Return the suffix that suits the file's content; None if it is not a file or not an image."""
-    if not path.is_file():
-        return None
-    with regular_file(path) as file:
-        return suffix_of(file.read(HEADER_BYTES))
