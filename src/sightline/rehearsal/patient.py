@@ -27,7 +27,7 @@ from sightline.threads import at_once
 from sightline.twin import BoneScene, HipScene, Scene, SetUp, Variation, draw_setup, render, truth_document
 from sightline.twin.arm import beam_at
 from sightline.twin.bone_scene import BONES, bone_document, shown_bone_scene
-from sightline.twin.bones import Aid, LineAid, SphereAid
+from sightline.twin.bones import Aid, BoneModel, LineAid, SphereAid
 from sightline.twin.drawn_aids import drawn_aids, hip_aids, key_of
 from sightline.twin.femur import Femur, draw_femur, to_cfcs
 from sightline.twin.nailed_femur import NailedFemur
@@ -80,6 +80,29 @@ class RehearsedPatient:
         return self.setup.side
 
     @property
+    def anatomy(self) -> Femur | BoneModel:
+        """The bone's shape, in anatomical coordinates."""
+        return self.bone.femur if isinstance(self.bone, HipScene) else self.bone.truth
+
+    def in_cfcs(self, anatomical_mm: np.ndarray) -> np.ndarray:
+        """Convert anatomical points (..., 3) of the bone to CFCS."""
+        origin = self.bone.head_mm if isinstance(self.bone, HipScene) else self.bone.origin_mm
+        return to_cfcs(anatomical_mm, self.side, origin)
+
+    def moved(self, by_mm: np.ndarray) -> "RehearsedPatient":
+        """Return the patient with the bone moved against the frame by (3,), CFCS; for studies of points."""
+        bone = self.bone
+        if isinstance(bone, HipScene):
+            return replace(self, bone=HipScene.of(Scene(), Scene(), bone.femur, self.side, bone.head_mm + by_mm))
+        return replace(self, bone=replace(bone, origin_mm=bone.origin_mm + by_mm))
+
+    def seen_along(self, beams: Mapping[str, np.ndarray], rng: np.random.Generator) -> "RehearsedPatient":
+        """Return the patient beside a solid in another set-up of the same C-arm, with two nominal beams (3,),
+        anatomical, by name. Raises SetUpError."""
+        views = {name: to_cfcs(beam, self.side, np.zeros(3)) for name, beam in beams.items()}
+        return replace(self, setup=self._set_up_again(rng, views).renamed(VIEWS))
+
+    @property
     def document(self) -> ProcedureDocument:
         """The procedure's file."""
         return document_of(self.procedure)
@@ -89,7 +112,7 @@ class RehearsedPatient:
         """Entry and end (n, 2, 3) of the ideal wires, CFCS, in the order of the procedure's file."""
         if isinstance(self.bone, BoneScene):
             return self.bone.wires_mm
-        return to_cfcs(anatomical_wires(self.bone.femur, self.procedure), self.side, self.bone.head_mm)
+        return self.in_cfcs(anatomical_wires(self.bone.femur, self.procedure))
 
     @property
     def ideal_mm(self) -> dict[str, np.ndarray]:
@@ -180,7 +203,7 @@ class RehearsedPatient:
         if isinstance(bone, BoneScene):
             return bone.aids
         shaft = bone.femur.base_mm + SHAFT_MM
-        near = LineAid(to_cfcs(shaft, self.side, bone.head_mm))
+        near = LineAid(self.in_cfcs(shaft))
         return {**hip_aids(bone.femur, self.side, bone.head_mm), "shaft": near, "cortex": self._cortex(shaft.mean(0))}
 
     def _cortex(self, on_mm: np.ndarray) -> LineAid:
@@ -192,7 +215,7 @@ class RehearsedPatient:
         source = to_cfcs(self.setup.views[VIEWS[0]].focal_point_mm - self.bone.head_mm, self.side, np.zeros(3))
         sideways = np.cross(on_mm - source, [0.0, 1.0, 0.0])
         edge = self.bone.femur.surface_mm(on_mm, sideways * np.sign(sideways[0]) / np.linalg.norm(sideways))
-        return LineAid(to_cfcs(edge, self.side, self.bone.head_mm)[None])
+        return LineAid(self.in_cfcs(edge)[None])
 
     def asked(self, rng: np.random.Generator, sd_px: float) -> tuple[PlanRequest, AidClicks]:
         """Return the plan that a person asks for, its clicks with normal noise, and the clicks on each aid by its key.

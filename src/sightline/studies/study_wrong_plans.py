@@ -21,14 +21,14 @@ from sightline.frame import Frame
 from sightline.planning import Plan, Procedure, kind
 from sightline.planning.bone.directions import anatomical, unit
 from sightline.planning.verdict.patient_axes import frame_axes
-from sightline.studies.drawn_bones import PICK_PX, DrawnBone, DrawnHip, jittered, plan_of
+from sightline.rehearsal.patient import RehearsedPatient, draw_patient
 from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import share
+from sightline.studies.plan_clicks import PICK_PX, clicks, jittered, plan_of, turned_beams, wire_pixels
 from sightline.studies.plan_margins import KnownBone
 from sightline.studies.scenes import ATTEMPTS, calibrated_views, measure
 from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.studies.wrong_kinds import (
-    BONE_OF,
     KINDS,
     MAX_AMOUNT,
     MAX_TIMES,
@@ -79,7 +79,7 @@ class WrongPlans:
         frame, of = self.frames[rng.integers(len(self.frames))], _KINDS[self.kinds[rng.integers(len(self.kinds))]]
         frame = SOLID if of.procedure in SOLID_ONLY or of.turned else frame
         drawn = _drawn(rng, Frame.load(frame), of)
-        setup, side, asked = drawn.bone.setup, drawn.bone.side, self._asked(of)
+        setup, side, asked = drawn.patient.setup, drawn.patient.side, self._asked(of)
         views = dict.fromkeys(drawn.pixels, calibrated_views(setup, measure(rng, setup, BEAD_PX)))
         if drawn.turned is not None:
             views["wrong"] = calibrated_views(drawn.turned, measure(rng, drawn.turned, BEAD_PX))
@@ -195,7 +195,7 @@ class PlanPixels:
     wrong one where it has its own.
     """
 
-    bone: DrawnHip | DrawnBone
+    patient: RehearsedPatient
     pixels: dict[str, dict[str, np.ndarray]]
     times: float
     unseen: str
@@ -204,25 +204,26 @@ class PlanPixels:
 
 def _drawn(rng: np.random.Generator, frame: Frame, of: WrongKind) -> PlanPixels:
     """Draw a bone with its plans. Raises SetUpError if none is found."""
-    asked, name = kind(of.procedure), BONE_OF.get(of.procedure)
+    asked = kind(of.procedure)
     for _ in range(ATTEMPTS):
+        seed, side = int(rng.integers(2**32)), str(rng.choice(["right", "left"]))
         try:
-            bone = DrawnHip.drawn(rng, frame) if name is None else DrawnBone.drawn(rng, frame, name, asked)
-            return _planned(rng, bone, of, asked)
+            patient = draw_patient(of.procedure.partition(":")[0], seed, frame, side, imaged=False)
+            return _planned(rng, patient, of, asked)
         except SightlineError:  # a point outside an image, a wire that this bone does not have
             continue
     raise SetUpError(f"none of {ATTEMPTS} bones has a right plan, and a wrong one of the kind {of.name!r}")
 
 
-def _planned(rng: np.random.Generator, bone: DrawnHip | DrawnBone, of: WrongKind, asked: Procedure) -> PlanPixels:
+def _planned(rng: np.random.Generator, patient: RehearsedPatient, of: WrongKind, asked: Procedure) -> PlanPixels:
     """Return the plans of this bone. Raises SightlineError where it has none."""
     # Plates stand in their directions.
-    plates = bone.setup.frame.solid is None
+    plates = patient.setup.frame.solid is None
     rules = [rule for rule in asked.checks if rule.check != "view directions" or not plates]
     rule = next(rule for rule in rules if rule.check == of.check)
-    wire, views = right_wire(rng, bone.bone, of.procedure), _exact(bone.setup)
-    right_px = bone.pixels(wire)
-    made = plan_of(views, right_px, asked, bone.side)
+    wire, views = right_wire(rng, patient.anatomy, of.procedure), _exact(patient.setup)
+    right_px = clicks(patient, wire)
+    made = plan_of(views, right_px, asked, patient.side)
     right = KnownBone.of(made)
     inside = [-right.times_beyond(rule) for rule in rules]
     if not np.isfinite(inside).all() or min(inside) < 1.0:
@@ -230,22 +231,24 @@ def _planned(rng: np.random.Generator, bone: DrawnHip | DrawnBone, of: WrongKind
     turned = None
     if of.turned:
         error = right.error_95(rule)
-        other, beyond = _from_elsewhere(rng, bone, wire, asked, draw_times(rng) * error)
-        wrong_px, turned, times = other.pixels(wire), other.setup, beyond / error
+        other, beyond = _from_elsewhere(rng, patient, wire, asked, draw_times(rng) * error)
+        wrong_px, turned, times = clicks(other, wire), other.setup, beyond / error
     else:
-        wrong = of.wrong_wire(bone.bone, wire, draw_times(rng), rule, lambda one: right.with_wire(bone.in_cfcs(one)))
-        wrong_px = {**right_px, "wire": bone.projected(wrong)}
-        times = KnownBone.of(plan_of(views, wrong_px, asked, of.side(bone.side), of.undrawn)).times_beyond(rule)
+        wrong = of.wrong_wire(
+            patient.anatomy, wire, draw_times(rng), rule, lambda other: right.with_wire(patient.in_cfcs(other))
+        )
+        wrong_px = {**right_px, "wire": wire_pixels(patient, wrong)}
+        times = KnownBone.of(plan_of(views, wrong_px, asked, of.side(patient.side), of.undrawn)).times_beyond(rule)
     if times < VIOLATED:
         raise SetUpError("not a wrong plan")
     unseen = UNSEEN[rng.integers(len(UNSEEN))]
-    unseen_px = _unseen(bone, wire, right_px, unseen, draw_times(rng) * made.trajectory.entry_error_95_mm)
-    return PlanPixels(bone, {"right": right_px, "wrong": wrong_px, "unseen": unseen_px}, times, unseen, turned)
+    unseen_px = _unseen(patient, wire, right_px, unseen, draw_times(rng) * made.trajectory.entry_error_95_mm)
+    return PlanPixels(patient, {"right": right_px, "wrong": wrong_px, "unseen": unseen_px}, times, unseen, turned)
 
 
 def _from_elsewhere(
-    rng: np.random.Generator, bone: DrawnHip | DrawnBone, wire_mm: np.ndarray, asked: Procedure, beyond_deg: float
-) -> tuple[DrawnHip | DrawnBone, float]:
+    rng: np.random.Generator, patient: RehearsedPatient, wire_mm: np.ndarray, asked: Procedure, beyond_deg: float
+) -> tuple[RehearsedPatient, float]:
     """Return the bone with one of its two views turned so far beyond its tolerance, and by how much that is.
 
     Measured along the patient's axes in the twin, not along those that the drawings show. Raises SetUpError.
@@ -253,28 +256,28 @@ def _from_elsewhere(
     which, seed, about = int(rng.integers(2)), int(rng.integers(2**32)), rng.standard_normal(3)
     views = asked.document.views
     amount, away, aim = 0.0, 0.0, views[which].within_deg + beyond_deg
-    turned = bone
+    turned = patient
     for _ in range(4):  # its pose varies about the nominal beam
         amount += aim - away
         if not 0.0 < amount <= MAX_AMOUNT:
             raise SetUpError("no view is turned so far")
-        turned = bone.turned(views, which, amount, about, np.random.default_rng(seed))
-        middle, view = bone.in_cfcs(wire_mm.mean(axis=0)), list(turned.setup.views.values())[which]
-        beam = frame_axes(bone.side) @ unit(middle - view.focal_point_mm)
+        turned = patient.seen_along(turned_beams(views, which, amount, about), np.random.default_rng(seed))
+        middle, view = patient.in_cfcs(wire_mm.mean(axis=0)), list(turned.setup.views.values())[which]
+        beam = frame_axes(patient.side) @ unit(middle - view.focal_point_mm)
         away = float(np.rad2deg(np.arccos(beam @ anatomical(views[which].orbit_deg, views[which].tilt_deg))))
     return turned, away - views[which].within_deg
 
 
 def _unseen(
-    bone: DrawnHip | DrawnBone, wire_mm: np.ndarray, right_px: dict[str, np.ndarray], unseen: str, by_mm: float
+    patient: RehearsedPatient, wire_mm: np.ndarray, right_px: dict[str, np.ndarray], unseen: str, by_mm: float
 ) -> dict[str, np.ndarray]:
     """Return the pixels of a right plan after one of UNSEEN. Raises SetUpError where an image does not show them."""
-    first, second = bone.setup.views.values()
-    entry, out = bone.in_cfcs(wire_mm[0]), {name: uv.copy() for name, uv in right_px.items()}
+    first, second = patient.setup.views.values()
+    entry, out = patient.in_cfcs(wire_mm[0]), {name: uv.copy() for name, uv in right_px.items()}
     if unseen == ALONG_CURVE:
         out["wire"][1, 0] = second.project((entry + by_mm * unit(entry - first.focal_point_mm))[None])[0]
         return out
-    moved = bone.moved(by_mm * unit(entry - second.focal_point_mm)).pixels(wire_mm)
+    moved = clicks(patient.moved(by_mm * unit(entry - second.focal_point_mm)), wire_mm)
     if moved.keys() != out.keys():
         raise SetUpError("one of the two images does not show a drawing")
     for name, uv in out.items():

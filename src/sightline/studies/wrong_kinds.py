@@ -20,7 +20,6 @@ from sightline.twin.wrong_wires import smallest_amount
 
 HIP_SCREW, CANNULATED = "hip-screw", "cannulated-hip-screws:inferior"
 PEDICLE, SACRAL, EPIPHYSIS = "pedicle-screw", "iliosacral-screw", "slipped-epiphysis-pin"
-BONE_OF = {PEDICLE: "vertebra", SACRAL: "pelvis", EPIPHYSIS: "growing-femur"}  # others are of a femur
 SOLID_ONLY = (SACRAL,)  # no plates have its views; those of the others stand in their directions
 # Sizes: uniform between the first two for NEAR_SHARE of the plans, else between the last two. Kinds without a size
 # (exchanged points, the other side) are far beyond: with them half of all plans lie within NEAR_TIMES.
