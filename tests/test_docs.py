@@ -109,7 +109,7 @@ def toctrees(page: Path) -> set[Path]:
     """Pages in the toctrees of a page."""
     blocks = re.findall(r"^```{toctree}\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     names = [line for block in blocks for line in block.splitlines() if line and not line.startswith(":")]
-    return {(page.parent / f"{name}.md").resolve() for name in names}
+    return {path.resolve() for name in names for path in page.parent.glob(f"{name}.md") if path != page}
 
 
 def test_every_page_is_in_a_toctree_of_the_site() -> None:

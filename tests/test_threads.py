@@ -2,19 +2,14 @@
 one thread: results do not depend on the user's setting, which is back afterwards."""
 
 import threading
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.detection.track_images import FRAME, beads, image
 from threadpoolctl import ThreadpoolController
 
 import sightline as sl
 from sightline import threads
-from sightline.calibration import BeadView
-from sightline.calibration.retrack import recalibrate
-from sightline.case.watch.follow import Follower
 from sightline.detection.files import read_observations
 from sightline.threads import one_blas_thread
 from sightline.twin import render
@@ -73,21 +68,6 @@ def test_a_calibration_has_the_same_bits_however_many_threads_the_user_allows() 
     assert _focal_point(4) == _focal_point(1)
 
 
-def _followed(threads_of_blas: int, first: BeadView) -> bytes:
-    seen = read_observations(Path(__file__).parent / "golden" / "observations.csv")["pa"]
-    moved = replace(seen, uv_px=seen.uv_px + np.random.default_rng(1).normal(0.0, 0.05, seen.uv_px.shape))
-    with BLAS.limit(limits=threads_of_blas):
-        view = recalibrate(moved, sl.Frame.load("gamma"), first)
-    return view.focal_point_mm.tobytes()
-
-
-def test_a_tracked_view_has_the_same_bits_however_many_threads_the_user_allows() -> None:
-    """Live images were calibrated in as many threads as the user had."""
-    seen = read_observations(Path(__file__).parent / "golden" / "observations.csv")["pa"]
-    first = sl.calibrate(seen, "gamma")
-    assert _followed(4, first) == _followed(1, first)
-
-
 def test_the_users_threads_are_back_after_an_estimate_and_after_an_error() -> None:
     with BLAS.limit(limits=3):
         with one_blas_thread:
@@ -111,20 +91,6 @@ def test_a_part_in_another_thread_that_fails_is_heard(monkeypatch: pytest.Monkey
 
     with pytest.raises(ZeroDivisionError):
         threads.in_parts(fail_elsewhere)
-
-
-def test_a_tracked_image_gives_the_same_bits_in_one_and_in_four_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A linear fit that shares a buffer between the beads of different threads fails."""
-    bits = set()
-    for count in (1, 4):
-        monkeypatch.setattr(threads, "THREADS", count)
-        threads._pool.cache_clear()
-        follower = Follower(FRAME)
-        seen = [follower.update(image(beads(), 100 + k), k / 30).observations for k in range(3)]
-        assert all(one is not None and one.covariance_px2 is not None for one in seen)
-        bits.add(b"".join(one.uv_px.tobytes() + one.covariance_px2.tobytes() for one in seen if one is not None))
-    threads._pool.cache_clear()
-    assert len(bits) == 1
 
 
 @pytest.mark.slow

@@ -204,7 +204,7 @@ def test_the_live_image_is_calibrated_overlaid_and_watched(hands: Hands, server:
     _planned(hands)
     hands.step("Drill")
     hands.press("live-start")
-    expect(hands.see("live-state")).to_contain_text("Tracking", timeout=PATIENCE_MS)
+    expect(hands.see("live-state")).to_contain_text("Calibrated", timeout=PATIENCE_MS)
     hands.until("pa", "core.state.layers.get('wire').shapes.length > 0")
     shoot(hands.page, "live")
     hands.until("pa", "!core.state.stale")

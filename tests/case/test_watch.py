@@ -1,4 +1,4 @@
-"""A live image watched: states and their reasons, the plan drawn in, frames dropped and counted, the alarm."""
+"""A live image watched: why an image gave no view, the plan drawn in, frames dropped and counted, the alarm."""
 
 import time
 from dataclasses import dataclass, replace
@@ -7,16 +7,16 @@ from threading import Event
 
 import numpy as np
 import pytest
-from tests.detection.track_images import FRAME, SIZE, beads, image
+from tests.detection.frame_images import FRAME, SIZE, beads, image
 
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.displacement import Displacement
 from sightline.case.watch.alarm import FOUND, HOUR, PROMISED_MM, Alarm, limit_mm, quantiles
 from sightline.case.watch.analyser import REST_FRAMES, LiveAnalyser, Watched, aged
-from sightline.case.watch.follow import Follower, TrackingState
 from sightline.case.watch.live import Watch
 from sightline.detection import Observations
 from sightline.errors import SourceError, UnusableInputError
+from sightline.from_images.pipeline import find_beads
 from sightline.imaging import Radiograph
 from sightline.planning import Trajectory
 from sightline.planning.points.results import SpacePoints
@@ -62,30 +62,22 @@ def settled() -> tuple[LiveAnalyser, list[Watched]]:
     return analyser, seen_by(analyser, [shown(0.0, k % NOISES) for k in range(REST_FRAMES)])
 
 
-def test_the_first_image_is_searched_and_the_others_are_tracked(settled) -> None:
-    states = [watched.state for watched in settled[1]]
-    assert states == [TrackingState.SEARCHING] + [TrackingState.TRACKING] * (REST_FRAMES - 1)
-    assert settled[1][0].reason == "the first image"
-    assert settled[1][1].reason == ""
-
-
-def test_beads_that_came_into_sight_are_found_within_half_a_second() -> None:
-    """A program that counts images instead of time fails it: at 60 images a second it would look twice as often."""
-    follower, name = Follower(FRAME), next(iter(beads()))
-    follower.update(image(beads(leave_out=1), 100), 0.0)
-    seen = {k: follower.update(shown(0.0, k % NOISES), k / 60).observations for k in range(1, 31)}
-    assert all(seen[k] is not None and name not in seen[k].ids for k in range(1, 30))
-    assert seen[30] is not None and name in seen[30].ids
-
-
-def test_a_source_that_shows_balls_bright_is_followed_inverted(settled) -> None:
+@pytest.mark.parametrize("bright", [True, False])
+def test_images_are_inverted_from_the_second_on_without_a_search(
+    settled, monkeypatch: pytest.MonkeyPatch, bright: bool
+) -> None:
+    """Of a source that shows the balls bright, and of one that inverts its images."""
+    searched = []
+    monkeypatch.setattr(
+        "sightline.case.watch.analyser.find_beads",
+        lambda image: searched.append(image.is_inverted) or find_beads(image),
+    )
     white = int(shown().white)
-    bright = [Radiograph(white - shown(0.0, k).pixels, white) for k in range(NOISES)]
-    watched = seen_by(LiveAnalyser(FRAME, None, ()), bright)
-    assert [one.state for one in watched] == [TrackingState.SEARCHING] + [TrackingState.TRACKING] * (NOISES - 1)
-    for one, upright in zip(watched, settled[1], strict=False):
-        assert one.view is not None and upright.view is not None
-        np.testing.assert_array_equal(one.view.focal_point_mm, upright.view.focal_point_mm)
+    images = [Radiograph(white - shown(0.0, k).pixels, white, is_inverted=False) for k in range(2)]
+    images = images if bright else [image.inverted() for image in images]
+    for watched, upright in zip(seen_by(LiveAnalyser(FRAME, None, ()), images), settled[1], strict=False):
+        np.testing.assert_array_equal(watched.view.focal_point_mm, upright.view.focal_point_mm)
+    assert searched == [not bright, True]
 
 
 def test_the_plan_is_drawn_where_the_view_has_it(settled) -> None:
@@ -96,15 +88,13 @@ def test_the_plan_is_drawn_where_the_view_has_it(settled) -> None:
     assert LiveAnalyser(FRAME, None, ()).look(Still(shown(), time.time()), time.monotonic(), 1, 0).corridor is None
 
 
-def test_a_jump_is_searched_for_and_lost_images_are_said() -> None:
-    analyser = LiveAnalyser(FRAME, None, ())
-    said = seen_by(analyser, [shown(), shown(4.0), EMPTY, EMPTY, shown(4.0), shown(4.0, 1)])
-    assert [w.state for w in said] == ["searching", "searching", "lost", "lost", "searching", "tracking"]
-    assert "not where they were" in said[1].reason
-    assert said[2].view is None
-    assert said[2].movement is None
-    assert said[2].reason != ""
-    assert "not be seen" in said[2].note
+def test_each_image_gives_its_own_view_or_the_reason_why_it_has_none() -> None:
+    first, empty, jumped = seen_by(LiveAnalyser(FRAME, None, ()), [shown(), EMPTY, shown(4.0)])
+    assert (empty.view, empty.movement) == (None, None)
+    assert "noise cannot be measured" in empty.reason
+    assert "not be seen" in empty.note
+    assert (first.reason, jumped.reason) == ("", "")
+    assert np.linalg.norm(jumped.view.focal_point_mm - first.view.focal_point_mm) == pytest.approx(4.0, abs=0.5)
 
 
 def test_a_shift_is_told_within_two_images_and_stays_told() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.detection.track_images import SIZE, beads, image
+from tests.detection.frame_images import SIZE, beads, image
 
 from sightline.case.watch.alarm import BLIND_TO
 from sightline.case.watch.sources import open_source
@@ -25,13 +25,13 @@ def test_every_frame_is_a_line_and_the_last_line_says_how_it_went(run, frames: P
     ran = run("watch", frames, "--json")
     assert ran.code == 0, ran.err
     *each, whole = [json.loads(line) for line in ran.out.splitlines()]
-    assert each[0]["state"] == "searching"
+    assert each[0]["reason"] == ""
     assert each[0]["view"]["name"] == "pa"
     assert each[0]["view"]["beads"] > 60
     assert each[0]["plan"] is None
     assert each[-1]["number"] == whole["frames"] == 4
     assert whole["worked_on"] + whole["dropped"] == 4
-    assert whole["moved"] is False
+    assert (whole["moved"], whole["without_view"]) == (False, 0)
     assert whole["blind_to"] == BLIND_TO
 
 

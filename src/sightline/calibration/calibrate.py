@@ -1,6 +1,5 @@
 """Calibration of a view from its labelled beads."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from sightline.calibration.classical import Fitter, PlateName, classical_residua
 from sightline.calibration.fit import Method, refuse_unknown_method
 from sightline.calibration.focal_length import CArm
 from sightline.calibration.hull import Hull
-from sightline.calibration.joint import MIN_BEADS, JointFit, fit_jointly
+from sightline.calibration.joint import MIN_BEADS, JointFit
 from sightline.calibration.localized import LocalizedMap
 from sightline.calibration.outliers import fit_robustly
 from sightline.calibration.polynomial import Affine, PolynomialMap
@@ -71,7 +70,7 @@ def calibrate(
         raise UnusableInputError(f"unknown plate {plate!r}; choose 'xrii' or 'source'")
     beads = match(observations, frame, view)
     if method == "smooth":
-        fitted = smooth_view(beads)
+        fitted = _smooth(beads)
     elif method == "localized":
         fitted = _classical(beads, method, LocalizedMap.fit, plate)
     else:
@@ -84,9 +83,9 @@ def calibrate(
     return fitted if c_arm is None else fitted.taken_by(c_arm)
 
 
-def smooth_view(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly) -> BeadView:
+def _smooth(beads: Beads) -> BeadView:
     """Return the view calibrated by the smooth method. Raises CalibrationRefusedError."""
-    fit, residuals = fit_robustly(beads, fit_to)
+    fit, residuals = fit_robustly(beads)
     return BeadView(
         name=beads.view,
         method="smooth",

@@ -146,18 +146,6 @@ def fit_jointly(beads: Beads) -> JointFit:
     return _weighted_step(beads, start.unit, learned, data.basis, kernel, pencil, slopes)
 
 
-@well_conditioned()
-def fit_jointly_from(last: JointFit, beads: Beads) -> JointFit:
-    """Return the fit of an image with prior, focal point and Jacobians taken from `last`, of the same sequence.
-
-    Raises CalibrationRefusedError.
-    """
-    unit, _ = Affine.fit(beads.uv_px, last.pencil.project(beads.xyz_mm))
-    basis = Basis.of(unit(beads.uv_px))
-    kernel = last.learned.kernel.within(basis)
-    return _weighted_step(beads, unit, last.learned, basis, kernel, last.pencil, last.map.jacobian(beads.uv_px))
-
-
 def _isotropic_step(
     beads: Beads, start: "_Start", data: PriorData, learned: Learned, kernel: np.ndarray
 ) -> tuple[Pencil, SmoothMap]:

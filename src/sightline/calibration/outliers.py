@@ -1,7 +1,5 @@
 """Outlying beads: each is tested against the prediction of the others; the worst are left out one at a time."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from sightline.calibration.beads import Beads
@@ -18,12 +16,12 @@ MAX_WRONG = 6
 MAX_WRONG_SHARE = 0.1
 
 
-def fit_robustly(beads: Beads, fit_to: Callable[[Beads], JointFit] = fit_jointly) -> tuple[JointFit, Residuals]:
+def fit_robustly(beads: Beads) -> tuple[JointFit, Residuals]:
     """Return the joint fit without outlying beads, and the residuals of all. Raises CalibrationRefusedError."""
     used = np.ones(len(beads), dtype=bool)
     limit = max(1, min(MAX_WRONG, int(MAX_WRONG_SHARE * len(beads))))
     while True:
-        fit = fit_to(beads.where(used))
+        fit = fit_jointly(beads.where(used))
         others = fit.solution.left_out()
         square = others.m2
         # If all residuals are too large, the stated noise is too small: the chi-square check reports that.

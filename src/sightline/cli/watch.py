@@ -1,6 +1,5 @@
 """`sightline watch`: calibrate each frame of a live image, draw the plan, raise an alarm when frame or C-arm move."""
 
-from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -150,8 +149,7 @@ def _rows(watched: "Watched", said: "list[Watched]") -> list[tuple[str, str]]:
     return [
         ("frame", f"{watched.number}, {watched.dropped} dropped, {_rate(said):.0f} a second"),
         ("latency", f"{1e3 * watched.latency_s:.0f} ms" + (" STALE" if watched.stale else "")),
-        ("state", f"{watched.state} {watched.reason}"),
-        ("view", "none" if view is None else f"{view.name}, {len(view.residuals.ids)} beads"),
+        ("view", f"none: {watched.reason}" if view is None else f"{view.name}, {len(view.residuals.ids)} beads"),
         ("residual", "-" if view is None else f"{view.residuals.leave_one_out_rms_mm:.3f} mm, leave-one-out"),
         ("error at the target", f"{error} (95 %)"),
         ("movement", watched.note if movement is None else f"{movement.shift_mm:.3f} mm: {movement.text}"),
@@ -174,7 +172,6 @@ def _document(watched: "Watched") -> dict[str, Any]:
         "stamped_s": watched.stamped_s,
         "latency_s": watched.latency_s,
         "stale": watched.stale,
-        "state": watched.state.value,
         "reason": watched.reason,
         "view": None
         if view is None
@@ -197,18 +194,17 @@ def _summary(said: "list[Watched]", watching: "Watch") -> dict[str, Any]:
     """Return the summary. Raises CalibrationRefusedError where no frame gave a view."""
     from statistics import median
 
-    from sightline.case.watch.follow import TrackingState
     from sightline.errors import CalibrationRefusedError
 
-    states = Counter(watched.state for watched in said)
-    if not said or states[TrackingState.LOST] == len(said):
+    without_view = [watched.reason for watched in said if watched.reason]
+    if len(without_view) == len(said):
         why = f": {said[-1].reason}" if said else ""
         raise CalibrationRefusedError(f"none of {len(said)} frames gave a calibrated view{why}")
     return {
         "frames": said[-1].number,
         "worked_on": said[-1].number - said[-1].dropped,
         "dropped": said[-1].dropped,
-        "states": {state.value: states[state] for state in TrackingState},
+        "without_view": len(without_view),
         "latency_s": {"median": median(w.latency_s for w in said), "largest": max(w.latency_s for w in said)},
         "moved": any(watched.moved for watched in said),
     }

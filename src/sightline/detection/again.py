@@ -1,6 +1,5 @@
 """Second look: once beads are labelled, fit the missing ones where the frame predicts them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -75,6 +74,7 @@ class _Expected:
         return refine.start(self.uv_px, self.radius_px, self.contrast)
 
 
+@one_blas_thread
 def look_again(
     image: Radiograph | np.ndarray | str | Path,
     beads: Detections,
@@ -102,21 +102,6 @@ def look_again(
     if is_fine(beads.radius_px, beads.contrast):
         seen = look_again(image.binned(FACTOR), coarser(beads), coarser_observations(observations), frame)
         return finer_observations(seen, observations.image_shape)
-    return look_again_with(lambda: bead_fitter(image, beads), image, beads, observations, frame)
-
-
-@one_blas_thread
-def look_again_with(
-    fitter_of_image: Callable[[], refine.BeadFitter],
-    image: Radiograph,
-    beads: Detections,
-    observations: Observations,
-    frame: Frame,
-) -> Observations:
-    """`look_again` with the image's bead fitter, which is made only if a bead is to be fitted.
-
-    Beads found in one round predict those further out in the next.
-    """
     plates = [pattern for pattern in patterns(frame) if pattern.view == observations.view]
     ids = np.array([name for pattern in plates for name in pattern.ids], dtype=object)
     before = row_of = _rows_of(observations, beads)
@@ -125,12 +110,13 @@ def look_again_with(
     rows[:, columns.CENTRE_COVARIANCE] = beads.covariance_px2.reshape(-1, 4)[:, [0, 1, 3]]
     if not plates:
         return observations
-    fitter, settled, tried = cache(fitter_of_image), np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
+    fitter = cache(lambda: bead_fitter(image, beads))  # made only if a bead is to be fitted
+    settled, tried = np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
     if beads.shadows is not None and np.array_equal(beads.shadows[:, :2], beads.uv_px):
         rows[:, columns.SHADOW] = beads.shadows
     else:
         rows[:, _NOT_STATED] = fitter()(rows)[:, _NOT_STATED]
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS):  # beads found in one round predict those further out in the next
         expected = _expected(plates, rows, row_of)
         which = _rows_to_fit(image, plates, expected, rows, settled)
         if len(which) == 0:
@@ -347,19 +333,6 @@ def _detected(rows: np.ndarray, expected: _Expected, which: np.ndarray) -> dict[
         if len(alike) == 1 and np.partition(apart, 1)[1] > expected.radius_px[k]:
             found[int(k)] = int(left[alike[0]])
     return found
-
-
-def rows_with_others(
-    beads: Detections, uv_px: np.ndarray, radius_px: np.ndarray, contrast: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return initial rows of `columns` for given beads (N,) and after them for the detections that are none of these.
-
-    And (M,) bool: which detections these are.
-    """
-    rows = refine.start(uv_px, radius_px, contrast)
-    every = refine.start(beads.uv_px, beads.radius_px, beads.contrast)
-    other = _others(every, rows)
-    return np.concatenate([rows, every[other]]), other
 
 
 def _others(every: np.ndarray, rows: np.ndarray) -> np.ndarray:

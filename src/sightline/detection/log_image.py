@@ -29,44 +29,20 @@ def log_image(image: Radiograph, mask: np.ndarray) -> np.ndarray:
 
     Pixels outside `mask` are filled from a coarse pyramid of the inside, burnt-in annotations from a fine one.
     """
-    return logs_of(image, mask, image.burnt_in)
-
-
-def logs_of(image: Radiograph, mask: np.ndarray, written: np.ndarray | None) -> np.ndarray:
-    """`log_image` with the burnt-in annotations `written` (H, W) known from a previous image."""
-    return _completed(_logs(image, image.pixels), mask, written)
+    return _completed(_logs(image), mask, image.burnt_in)
 
 
 def field_and_logs(image: Radiograph) -> tuple[np.ndarray, np.ndarray]:
     """Return `field_inset` and `log_image`, computed by two threads."""
-    mask, logs = at_once(lambda: field_inset(image), lambda: _logs(image, image.pixels))
+    mask, logs = at_once(lambda: field_inset(image), lambda: _logs(image))
     return mask, _completed(logs, mask, image.burnt_in)
 
 
-def logs_within(
-    image: Radiograph, mask: np.ndarray, before: np.ndarray, centres_px: np.ndarray, half_px: np.ndarray
-) -> np.ndarray:
-    """Return `log_image` (H, W) of the next image of a sequence in squares about pixels (N, 2); elsewhere it is unset.
-
-    Pixels outside `mask` have the values of `before`, the log image of an earlier one.
-    """
-    logs = np.empty(image.shape, np.float32)
-    for (u, v), half in zip(np.rint(centres_px).astype(int).tolist(), half_px.tolist(), strict=True):
-        part = slice(max(v - half, 0), max(v + half + 1, 0)), slice(max(u - half, 0), max(u + half + 1, 0))
-        logs[part] = np.where(mask[part], _logs(image, image.pixels[part]), before[part])
-    return logs
-
-
-def _logs(image: Radiograph, pixels: np.ndarray) -> np.ndarray:
-    """Return the logarithms of some or all pixels of an image."""
-    if pixels.dtype == np.float32:
-        return np.log(np.maximum(pixels, np.float32(darkest(image))))
-    return _looked_up(pixels, _logarithms(np.iinfo(pixels.dtype).max + 1))
-
-
-def darkest(image: Radiograph) -> float:
-    """Return the value that pixels below it count as: half a grey level."""
-    return max(float(image.white) * 2.0**-16, 1e-30) if image.pixels.dtype == np.float32 else 0.5
+def _logs(image: Radiograph) -> np.ndarray:
+    """Return the logarithms of the pixels; less than half a grey level counts as half of one."""
+    if image.pixels.dtype == np.float32:
+        return np.log(np.maximum(image.pixels, np.float32(max(float(image.white) * 2.0**-16, 1e-30))))
+    return _looked_up(image.pixels, _logarithms(np.iinfo(image.pixels.dtype).max + 1))
 
 
 def _completed(logs: np.ndarray, mask: np.ndarray, written: np.ndarray | None) -> np.ndarray:

@@ -54,32 +54,10 @@ class BeadFitter:
         """(H, W) bool: the pixels that a fit may use."""
         return self._usable
 
-    @property
-    def optics(self) -> tuple[object, ...]:
-        """What kernels need of the image's noise and blur: its line, the two filters, the profiles of shadows."""
-        return self._line, self._sharpening, self._plain, self._tables
-
-    @property
-    def brightest(self) -> float:
-        """Log intensity at which pixels count as clipped."""
-        return float(self._line[2])
-
     def within(self, usable: np.ndarray) -> "BeadFitter":
         """Return a fitter that uses only the pixels `usable` (H, W)."""
         other = copy(self)
         other._usable = usable
-        return other
-
-    def on(self, log_image: np.ndarray) -> "BeadFitter":
-        """Return a fitter for the next image of a sequence, with the same noise and sharpening."""
-        other = self.on_parts(log_image)
-        other._line = np.array([*self._line[:2], float(log_image.max())])
-        return other
-
-    def on_parts(self, log_image: np.ndarray) -> "BeadFitter":
-        """`on` for a log image known in the beads' windows alone: its largest value is that of the image before."""
-        other = copy(self)
-        other._image = log_image
         return other
 
     def __call__(

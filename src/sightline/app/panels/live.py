@@ -57,5 +57,5 @@ def _sentence(watched: "Watched") -> str:
     if watched.stale:
         return texts.STALE.format(age=watched.age_s)
     movement = watched.movement.text if watched.movement is not None else watched.note
-    reason = f" ({watched.reason})" if watched.reason else ""
-    return f"{watched.state.capitalize()}{reason}, {1000 * watched.latency_s:.0f} ms old. {movement}"
+    state = f"No view ({watched.reason})" if watched.view is None else "Calibrated"
+    return f"{state}, {1000 * watched.latency_s:.0f} ms old. {movement}"

@@ -7,14 +7,14 @@ from typing import Protocol
 
 import numpy as np
 
-from sightline.calibration import BeadView
+from sightline.calibration import BeadView, calibrate
 from sightline.calibration.displacement import Rest
 from sightline.calibration.joint import JointFit
 from sightline.case.watch.alarm import Alarm, MovementStatus
-from sightline.case.watch.follow import Followed, Follower, TrackingState
 from sightline.detection import Observations
-from sightline.errors import CalibrationRefusedError, OutsideRegionError, UnusableInputError
+from sightline.errors import CalibrationRefusedError, OutsideRegionError, RefusedError, UnusableInputError
 from sightline.frame import Frame
+from sightline.from_images.pipeline import find_beads, label_beads
 from sightline.geometry.covariance import ellipsoid_factor
 from sightline.imaging import Radiograph
 from sightline.planning.points.corridor import Corridor, corridor
@@ -23,7 +23,7 @@ from sightline.planning.points.trajectory import Trajectory
 from sightline.threads import one_blas_thread
 
 STALE_S = 0.2  # an older image may no longer be true: nothing is drawn into it
-REST_FRAMES = 16  # half a second: the mean of these images is the rest position [ours]
+REST_FRAMES = 16  # their mean is the rest position: the noise of a mean of 16 is a quarter of one image's [ours]
 _WITHIN_95 = ellipsoid_factor(0.95, 2)  # applied to the worse direction's s.d., so the bound is conservative
 _ORIGIN_MM = np.zeros((1, 3))  # nominal centre of the hip (docs/conventions.md): the target without a plan
 
@@ -48,8 +48,9 @@ class Watched:
 
     `number`: of the images received, from 1; `dropped`: how many of these a newer one replaced before analysis.
     `came_s`: when it was received, by the monotonic clock, which nobody sets. `latency_s`: from then to this result.
-    `age_s`, `stale`: at the time of the request; a stale image has no `corridor`. `error_95_mm`: bound of the error of
-    the view's lines of sight at the target, with a probability of at least 95 %.
+    `age_s`, `stale`: at the time of the request; a stale image has no `corridor`. `view` is None where the image gave
+    none; `reason` says why. `error_95_mm`: bound of the error of the view's lines of sight at the target, with a
+    probability of at least 95 %.
     `movement` is None while there is nothing to compare with; `note` says why.
     """
 
@@ -61,9 +62,8 @@ class Watched:
     latency_s: float
     age_s: float
     stale: bool
-    state: TrackingState
-    reason: str
     view: BeadView | None
+    reason: str
     corridor: Corridor | None
     error_95_mm: float | None
     movement: MovementStatus | None
@@ -81,7 +81,7 @@ class LiveAnalyser:
     def __init__(self, frame: Frame, trajectory: Trajectory | None, references: Sequence[BeadView]) -> None:
         self._frame, self._trajectory = frame, trajectory
         self._targets = _ORIGIN_MM if trajectory is None else np.stack([trajectory.entry_mm, trajectory.end_mm])
-        self._follower = Follower(frame)
+        self._inverted = False  # whether the last image showed the balls bright
         self._rest: dict[str, tuple[Rest, Alarm]] = {}
         self._settling: list[Observations] = []
         for view in references:
@@ -95,9 +95,16 @@ class LiveAnalyser:
     @one_blas_thread
     def look(self, shown: TimedImage, came_s: float, number: int, dropped: int) -> Watched:
         """Analyse an image received at `came_s` by the monotonic clock, or earlier if its own stamp says so."""
-        followed = self._follower.update(shown.image, shown.stamped_s)
-        movement, note = self._movement(followed)
-        drawn, error = self._overlay(followed.view)
+        view: BeadView | None = None
+        movement: MovementStatus | None = None
+        reason, note = "", "no view: a movement would not be seen"
+        try:
+            view, seen = self._calibrated(shown.image)
+        except RefusedError as refused:
+            reason = str(refused)
+        else:
+            movement, note = self._movement(view, seen)
+        drawn, error = self._overlay(view)
         now_s = time.monotonic()
         latency = max(now_s - came_s, time.time() - shown.stamped_s)
         return Watched(
@@ -109,19 +116,23 @@ class LiveAnalyser:
             latency_s=latency,
             age_s=latency,
             stale=latency > STALE_S,
-            state=followed.state,
-            reason=followed.reason,
-            view=followed.view,
+            view=view,
+            reason=reason,
             corridor=drawn,
             error_95_mm=error,
             movement=movement,
             note=note,
         )
 
-    def _movement(self, followed: Followed) -> tuple[MovementStatus | None, str]:
-        view, seen = followed.view, followed.observations
-        if view is None or seen is None:
-            return None, "no view: a movement would not be seen"
+    def _calibrated(self, image: Radiograph) -> tuple[BeadView, Observations]:
+        """Return the view of an image and the beads that it was calibrated from. Raises RefusedError."""
+        # Detection inverts an image that shows the balls bright, and then runs twice: begin as with the last image.
+        upright, beads = find_beads(image.inverted() if self._inverted else image)
+        self._inverted = upright.is_inverted != image.is_inverted
+        seen = label_beads(upright, beads, self._frame)
+        return calibrate(seen, self._frame), seen
+
+    def _movement(self, view: BeadView, seen: Observations) -> tuple[MovementStatus | None, str]:
         if view.name not in self._rest:
             return None, self._settle(view, seen)
         rest, alarm = self._rest[view.name]
