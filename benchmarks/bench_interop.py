@@ -20,10 +20,9 @@ from scipy.spatial.transform import Rotation
 from benchmarks.rows import Row
 from sightline.calibration.exchange.formats import write_view
 from sightline.calibration.exchange.pinhole import Pinhole
-from sightline.case.interop.dicom_capture import capture
-from sightline.case.interop.dicom_parts import ExportIdentity, file_bytes
+from sightline.case.interop.dicom import ExportIdentity, capture, file_bytes
 from sightline.case.interop.itk import T_cfcs_wire, T_lps_cfcs, transform_bytes
-from sightline.case.interop.nrrd import nrrd_bytes, plate_corner
+from sightline.case.interop.slicer import nrrd_bytes, plate_corner
 from sightline.imaging import Radiograph, write_dicom
 
 GROUP = "interop"

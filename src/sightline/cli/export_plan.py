@@ -51,7 +51,7 @@ def plan(
 
         from sightline.atomic import write_folder
         from sightline.case.interop import dicom_plan, itk, robot_files, slicer, tables
-        from sightline.case.interop.dicom_parts import ExportIdentity
+        from sightline.case.interop.dicom import ExportIdentity
         from sightline.case.interop.plan_file import PlanFile
         from sightline.errors import UnusableInputError
 

@@ -12,7 +12,7 @@ from tests.case.conftest import WIRE_MM
 from tests.case.interop.dicom_modules import faults
 
 from sightline.case.interop import dicom_plan
-from sightline.case.interop.dicom_parts import ExportIdentity
+from sightline.case.interop.dicom import ExportIdentity
 from sightline.case.interop.plan_file import PlanFile
 from sightline.errors import UnusableInputError
 from sightline.imaging import Radiograph, read_image, write_dicom

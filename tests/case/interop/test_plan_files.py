@@ -14,9 +14,9 @@ from tests.robot.rig import ROBOT, T_MCS_CFCS
 
 from sightline.calibration.exchange import xml_safe
 from sightline.case.interop import itk, robot_files, slicer, tables
-from sightline.case.interop.nrrd import plate_corner
-from sightline.case.interop.patient import R_lps_cfcs
+from sightline.case.interop.itk import R_lps_cfcs
 from sightline.case.interop.plan_file import PlanFile, sealed
+from sightline.case.interop.slicer import plate_corner
 from sightline.errors import RefusedError, RobotRefusedError, UnusableInputError
 from sightline.robot import contract
 from sightline.robot.control.insertion import LinkRegistration, Setup, read_target

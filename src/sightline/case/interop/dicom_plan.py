@@ -1,16 +1,186 @@
 """A plan as DICOM: the undistorted image of each view, a copy with the plan burnt in, and a presentation state."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
+from pydicom import Dataset, dcmread
+from pydicom.uid import GrayscaleSoftcopyPresentationStateStorage
 
-from sightline.case.interop.dicom_capture import capture
-from sightline.case.interop.dicom_parts import ExportIdentity, file_bytes
-from sightline.case.interop.dicom_state import ReferencedImage, state
-from sightline.case.interop.overlay import PlanOverlay, burn_in, on_plate
+from sightline.bounded import regular_file
+from sightline.calibration.exchange.pinhole import Pinhole
+from sightline.case.interop.dicom import ExportIdentity, capture, dataset, file_bytes
 from sightline.case.interop.plan_file import PlanFile
 from sightline.errors import UnusableInputError
+
+STRETCH = (0.5, 99.5)  # percentiles of the pixels that become black and white [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class PlanOverlay:
+    """Entry and end point (2,), and the wire from entry to end (M, 2), IDCS of the image that is drawn on."""
+
+    entry_px: np.ndarray
+    end_px: np.ndarray
+    wire_px: np.ndarray
+
+
+def on_plate(plan: PlanFile, pinhole: Pinhole) -> PlanOverlay:
+    """Return the projected plan, not the picks, in a pinhole's image, where the wire is straight."""
+    entry, end = pinhole.view().project(plan.points_mm)
+    return PlanOverlay(entry, end, np.stack([entry, end]))
+
+
+def burn_in(pixels: np.ndarray, drawn: PlanOverlay, words: str) -> np.ndarray:
+    """Return the image (H, W) as uint8, contrast stretched, with `words` and the wire in white with a black rim."""
+    low, high = np.percentile(pixels, STRETCH)
+    shown = np.clip((pixels.astype(np.float32) - low) / max(float(high - low), 1e-6) * 255, 0, 255).astype(np.uint8)
+    fine = 16  # OpenCV draws to 1/16 px
+    path = np.rint(drawn.wire_px * fine).astype(np.int32).reshape(-1, 1, 2)
+    for colour, width in ((0, 5), (255, 1)):
+        cv2.polylines(shown, [path], False, colour, width, cv2.LINE_AA, 4)
+        for place in (drawn.entry_px, drawn.end_px):
+            u, v = (int(x) for x in np.rint(np.asarray(place) * fine))
+            cv2.circle(shown, (u, v), 6 * fine, colour, width, cv2.LINE_AA, 4)
+        cv2.putText(shown, words, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, width, cv2.LINE_AA)
+    return shown
+
+
+_LAYER = "PLAN"
+_READ = ["SOPClassUID", "SOPInstanceUID", "SeriesInstanceUID", "StudyInstanceUID", "Rows", "Columns"]
+_ALSO = ["PhotometricInterpretation", "NumberOfFrames", "WindowCenter", "WindowWidth"]
+
+
+@dataclass(frozen=True)
+class ReferencedImage:
+    """The UIDs that a reference to an image needs, its shape (H, W), and how it is displayed. Nothing else is read."""
+
+    sop_class: str
+    instance: str
+    series: str
+    study: str
+    shape: tuple[int, int]
+    inverse: bool = False
+    window: tuple[str, str] | None = None
+
+    @staticmethod
+    def of(image: Dataset) -> "ReferencedImage":
+        """Return the reference to an image. Raises UnusableInputError if `image` is not a single image."""
+        missing = [keyword for keyword in _READ if not image.get(keyword)]
+        if missing or int(image.get("NumberOfFrames") or 1) != 1:
+            raise UnusableInputError(
+                f"a presentation state refers to one image; missing: {', '.join(missing) or 'none'}"
+            )
+        centre, width = (_first(image.get(keyword)) for keyword in ("WindowCenter", "WindowWidth"))
+        return ReferencedImage(
+            str(image.SOPClassUID),
+            str(image.SOPInstanceUID),
+            str(image.SeriesInstanceUID),
+            str(image.StudyInstanceUID),
+            (int(image.Rows), int(image.Columns)),
+            image.get("PhotometricInterpretation") == "MONOCHROME1",
+            (centre, width) if centre is not None and width is not None else None,
+        )
+
+    @staticmethod
+    def read(file: Path) -> "ReferencedImage":
+        """Read the reference from a DICOM file's header. Raises UnusableInputError."""
+        try:
+            with regular_file(file) as stream:
+                header = dcmread(stream, stop_before_pixels=True, specific_tags=_READ + _ALSO)
+            return ReferencedImage.of(header)
+        except UnusableInputError as error:
+            raise UnusableInputError(f"{file.name}: {error}") from None
+        except Exception:  # broken bytes may make pydicom raise anything; its messages may quote the patient
+            raise UnusableInputError(f"{file.name} is not a DICOM image; give the original of the view") from None
+
+
+def _first(value: object) -> str | None:
+    """Return the first of one or several numbers as text; None if it is not a number."""
+    several = value if isinstance(value, (list, tuple)) or hasattr(value, "__getitem__") else [value]
+    text = "" if value is None else str(several[0] if not isinstance(value, str) else value)  # pyright: ignore[reportIndexIssue]
+    try:
+        return f"{float(text):.10g}"
+    except ValueError:
+        return None
+
+
+def state(image: ReferencedImage, drawn: PlanOverlay, statement: str, identity: ExportIdentity, number: int) -> Dataset:
+    """Return the presentation state that draws wire, entry and end point, and the plan's statement over an image."""
+    out = dataset(identity, GrayscaleSoftcopyPresentationStateStorage, "PR", f"state {number}", image.study)
+    out.InstanceNumber, out.ContentLabel = number, "PLAN"
+    out.ContentDescription, out.ContentCreatorName = statement[:64], None
+    out.PresentationCreationDate = f"{identity.created:%Y%m%d}"
+    out.PresentationCreationTime = f"{identity.created:%H%M%S}"
+    out.ReferencedSeriesSequence = [_series(image)]
+    out.DisplayedAreaSelectionSequence = [_area(image)]
+    out.GraphicAnnotationSequence = [_annotation(image, drawn, statement)]
+    layer = Dataset()
+    layer.GraphicLayer, layer.GraphicLayerOrder, layer.GraphicLayerRecommendedDisplayGrayscaleValue = _LAYER, 1, 65535
+    out.GraphicLayerSequence = [layer]
+    if image.window is not None:
+        window = Dataset()
+        window.WindowCenter, window.WindowWidth = image.window
+        out.SoftcopyVOILUTSequence = [window]
+    out.PresentationLUTShape = "INVERSE" if image.inverse else "IDENTITY"
+    return out
+
+
+def _reference(image: ReferencedImage) -> Dataset:
+    one = Dataset()
+    one.ReferencedSOPClassUID, one.ReferencedSOPInstanceUID = image.sop_class, image.instance
+    return one
+
+
+def _series(image: ReferencedImage) -> Dataset:
+    out = Dataset()
+    out.SeriesInstanceUID, out.ReferencedImageSequence = image.series, [_reference(image)]
+    return out
+
+
+def _area(image: ReferencedImage) -> Dataset:
+    out = Dataset()
+    out.ReferencedImageSequence = [_reference(image)]
+    out.DisplayedAreaTopLeftHandCorner, out.DisplayedAreaBottomRightHandCorner = [1, 1], list(image.shape[::-1])
+    out.PresentationSizeMode, out.PresentationPixelAspectRatio = "SCALE TO FIT", [1, 1]
+    return out
+
+
+def _annotation(image: ReferencedImage, drawn: PlanOverlay, statement: str) -> Dataset:
+    out = Dataset()
+    out.ReferencedImageSequence, out.GraphicLayer = [_reference(image)], _LAYER
+    places = [drawn.entry_px, drawn.end_px]
+    lines = [_graphic("POLYLINE", drawn.wire_px)] if len(drawn.wire_px) > 1 else []
+    out.GraphicObjectSequence = [*lines, *(_graphic("POINT", place[None]) for place in places)]
+    out.TextObjectSequence = [
+        _text("entry", drawn.entry_px),
+        _text("end", drawn.end_px),
+        _text(statement[:1024], np.array([4.0, 4.0])),
+    ]
+    return out
+
+
+def _from_corner(uv_px: np.ndarray) -> list[float]:
+    """Convert IDCS, whose origin is the centre of the first pixel, to DICOM's, whose origin is its corner."""
+    return [float(np.float32(x)) for x in (np.asarray(uv_px) + 0.5).ravel()]
+
+
+def _graphic(kind: str, uv_px: np.ndarray) -> Dataset:
+    out = Dataset()
+    out.GraphicAnnotationUnits, out.GraphicDimensions, out.NumberOfGraphicPoints = "PIXEL", 2, len(uv_px)
+    out.GraphicData, out.GraphicType = _from_corner(uv_px), kind
+    if kind == "POLYLINE":
+        out.GraphicFilled = "N"
+    return out
+
+
+def _text(words: str, uv_px: np.ndarray) -> Dataset:
+    out = Dataset()
+    out.UnformattedTextValue, out.AnchorPointAnnotationUnits = words, "PIXEL"
+    out.AnchorPoint, out.AnchorPointVisibility = _from_corner(uv_px), "N"
+    return out
 
 
 def write(plan: PlanFile, identity: ExportIdentity, originals: Mapping[str, Path]) -> dict[str, bytes]:

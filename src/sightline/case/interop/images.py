@@ -22,8 +22,7 @@ def encode(kind: str, name: str, pixels: np.ndarray, white: float, pinhole: Pinh
         raise UnusableInputError(f"the image has {pixels.dtype} pixels, which {kind} cannot hold; choose npy")
     if kind == "png":
         return {f"{name}.png": cv2.imencode(".png", pixels)[1].tobytes()}
-    from sightline.case.interop.dicom_capture import capture
-    from sightline.case.interop.dicom_parts import ExportIdentity, file_bytes
+    from sightline.case.interop.dicom import ExportIdentity, capture, file_bytes
 
     identity = ExportIdentity("undistorted", datetime.now().replace(microsecond=0))
     return {f"{name}.dcm": file_bytes(capture((pixels, white), pinhole, identity, f"{name}, undistorted", 1))}

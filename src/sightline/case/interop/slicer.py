@@ -3,14 +3,16 @@
 Everything is in patient LPS, mm, with the CFCS origin. Slicer uses RAS inside and converts the files on reading.
 """
 
+import gzip
+from collections.abc import Sequence
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
 from sightline.calibration.exchange.pinhole import Pinhole
+from sightline.calibration.exchange.writing import json_bytes
 from sightline.case.interop.itk import T_cfcs_wire, T_lps_cfcs, transform_bytes
-from sightline.case.interop.markups import BLUE, GREEN, RED, YELLOW, markup_bytes
-from sightline.case.interop.nrrd import nrrd_bytes, plate_corner
 from sightline.case.interop.plan_file import PlanFile
 
 _RAS_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -117,3 +119,92 @@ def _slice(root: Element, layout: str, volume: str, pinhole: Pinhole, to_lps: np
     common = {"singletonTag": layout, "layoutName": layout}
     _node(root, "Slice", f"vtkMRMLSliceNode{layout}", layout, sliceVisibility="true", **common, **laid)
     _node(root, "SliceComposite", f"vtkMRMLSliceCompositeNode{layout}", layout, backgroundVolumeID=volume, **common)
+
+
+# Slicer compares this identifier; it does not fetch the address.
+_SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
+GREEN, RED, YELLOW, BLUE = (0.2, 0.8, 0.3), (0.9, 0.1, 0.1), (0.95, 0.85, 0.2), (0.3, 0.6, 1.0)
+
+
+def markup_bytes(
+    kind: str,
+    name: str,
+    points_lps_mm: np.ndarray,
+    labels: Sequence[str],
+    *,
+    colour: tuple[float, float, float],
+    description: str,
+    labelled: bool = True,
+) -> bytes:
+    """Return a markup file. `kind`: "Line" (two points) or "Fiducial"; each control point carries the description."""
+    points: list[dict[str, Any]] = [
+        {
+            "id": str(k + 1),
+            "label": label,
+            "description": description,
+            "position": [float(x) + 0.0 for x in place],
+            "selected": True,
+            "locked": True,
+            "visibility": True,
+            "positionStatus": "defined",
+        }
+        for k, (label, place) in enumerate(zip(labels, points_lps_mm, strict=True))
+    ]
+    markup = {
+        "type": kind,
+        "name": name,
+        "description": description,
+        "coordinateSystem": "LPS",
+        "coordinateUnits": "mm",
+        "locked": True,
+        "fixedNumberOfControlPoints": True,
+        "controlPoints": points,
+        "display": {
+            "visibility": True,
+            "color": list(colour),
+            "selectedColor": list(colour),
+            "pointLabelsVisibility": labelled,
+        },
+    }
+    return json_bytes({"@schema": _SCHEMA, "markups": [markup]})
+
+
+_TYPES = {"uint8": "unsigned char", "uint16": "unsigned short", "float32": "float"}
+
+
+def plate_corner(pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray]:
+    """Return the centre (3,) of the plate image's first pixel, CFCS mm, and the steps (3, 3) to the next column, to the
+    next row, and of 1 mm along the beam."""
+    distance, across, down = pinhole.detector_mm()
+    cu, cv = pinhole.camera_matrix[:2, 2]
+    corner = pinhole.focal_point_mm + pinhole.rotation.T @ [-cu * across, -cv * down, distance]
+    return corner, np.diag([across, down, 1.0]) @ pinhole.rotation
+
+
+def nrrd_bytes(pixels: np.ndarray, pinhole: Pinhole, T_lps_cfcs: np.ndarray, statement: str) -> bytes:
+    """Return an undistorted image (H, W) at the position of its plate, one voxel thick. Raises UnusableInputError."""
+    corner, steps = plate_corner(pinhole)
+    rotation = T_lps_cfcs[:3, :3]
+    height, width = pinhole.own_image(pixels).shape
+    lines = (
+        "NRRD0005",
+        f"type: {_TYPES[pixels.dtype.name]}",
+        "dimension: 3",
+        "space: left-posterior-superior",
+        f"sizes: {width} {height} 1",
+        "space directions: " + " ".join(_vector(rotation @ step) for step in steps),
+        "kinds: domain domain domain",
+        "endian: little",
+        "encoding: gzip",
+        f"space origin: {_vector(rotation @ corner + T_lps_cfcs[:3, 3])}",
+        f"sightline:={statement}",
+    )
+    raw = pixels.astype(pixels.dtype.newbyteorder("<"), copy=False).tobytes()
+    return ("\n".join(lines) + "\n\n").encode("ascii", "replace") + gzip.compress(raw, mtime=0)
+
+
+def _vector(xyz: np.ndarray) -> str:
+    return "(" + ",".join(repr(float(x) + 0.0) for x in xyz) + ")"

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sightline.case.interop.patient import R_lps_cfcs
+from sightline.case.interop.itk import R_lps_cfcs
 from sightline.case.interop.plan_file import PlanFile
 
 COLUMNS = (
