@@ -15,7 +15,7 @@ from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.detection.detections_csv import read_detections
 from sightline.detection.files import read_observations
 from sightline.frame import Frame
-from sightline.frame.measurements import read_measurements
+from sightline.frame.measured.measurements import read_measurements
 from sightline.frame.table import frame_from_csv
 from sightline.imaging import Radiograph, read_image, write_dicom
 

@@ -16,7 +16,7 @@ from sightline.case.journal.originals import anonymous_name
 from sightline.detection.detections_csv import read_detections
 from sightline.detection.files import read_observations
 from sightline.errors import UnusableInputError
-from sightline.frame.measurements import read_measurements
+from sightline.frame.measured.measurements import read_measurements
 from sightline.frame.table import frame_from_csv
 from sightline.imaging import frames_in
 from sightline.studies.points import read_points

@@ -13,7 +13,7 @@ from sightline.detection import Detections, Observations, label
 from sightline.detection.labelling.label import MAY_BE_TWO
 from sightline.errors import FrameError, LabellingRefusedError, ObservationsError
 from sightline.frame import Fiducial, Frame, FrameView, Plate
-from sightline.frame.builtin import BUILTIN
+from sightline.frame.designs import BUILTIN
 from sightline.twin.presets import PRESETS
 
 GAMMA = Frame.load("gamma")

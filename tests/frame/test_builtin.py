@@ -4,8 +4,8 @@ import pytest
 from sightline.checks import failed
 from sightline.errors import FrameError
 from sightline.frame import Frame, nominal
-from sightline.frame.builtin import BUILTIN, builtin_design, patterns_for
 from sightline.frame.check import check_frame
+from sightline.frame.designs import BUILTIN, builtin_design, patterns_for
 
 
 @pytest.mark.parametrize("name", BUILTIN)

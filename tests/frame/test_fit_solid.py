@@ -9,8 +9,8 @@ from scipy.stats import chi2
 
 from sightline.errors import FrameError
 from sightline.frame import Frame, RigidBody
-from sightline.frame.fit import Circumstances, fit_frame
-from sightline.frame.measurements import Series
+from sightline.frame.measured.fit import Circumstances, fit_frame
+from sightline.frame.measured.measurements import Series
 from sightline.geometry.rigid import rigid_fit
 
 BLOCK = Frame.load("block60")

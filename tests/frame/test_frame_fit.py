@@ -6,8 +6,8 @@ from fit_scenes import FRAME, IDS, NOMINAL_MM, SD_MM, made, measured
 from scipy.stats import chi2
 
 from sightline.errors import FrameError
-from sightline.frame.fit import Circumstances, FittedFrame, fit_frame
-from sightline.frame.measurements import Series
+from sightline.frame.measured.fit import Circumstances, FittedFrame, fit_frame
+from sightline.frame.measured.measurements import Series
 from sightline.geometry.rigid import rigid_fit
 
 STILL = Circumstances(drift_mm=0.0)

@@ -6,7 +6,7 @@ from fit_scenes import FRAME, measured
 
 from sightline.errors import FrameError
 from sightline.frame import Frame, InUse, Tolerances
-from sightline.frame.fit import Circumstances, fit_frame
+from sightline.frame.measured.fit import Circumstances, fit_frame
 from sightline.twin.carm import with_errors
 from sightline.twin.handling import Handling, in_use
 

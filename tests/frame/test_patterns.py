@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.frame import Frame
-from sightline.frame.builtin import BUILTIN, builtin_design, patterns_for
 from sightline.frame.design import grid_places
+from sightline.frame.designs import BUILTIN, builtin_design, patterns_for
 from sightline.frame.patterns import Triples, hidden_blocks, in_steps, nearest_likeness, resemblance, search
 from sightline.frame.plate import ROLES
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.frame import Frame, Plate
-from sightline.frame.deviations import plates
+from sightline.frame.measured.deviations import plates
 from sightline.geometry.rigid import displacement
 
 MOTIONS = ("shift 1", "shift 2", "along the beam", "tilt 1", "tilt 2", "twist")

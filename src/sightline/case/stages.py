@@ -13,7 +13,7 @@ from sightline.case.views import NAMES, CalibratedImage, stated_view
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, ImageError
 from sightline.frame import Frame
-from sightline.frame.builtin import BUILTIN
+from sightline.frame.designs import BUILTIN
 from sightline.imaging import Radiograph, read_image
 from sightline.imaging.formats import MAX_FILE_BYTES
 from sightline.planning import Plan, WirePlans

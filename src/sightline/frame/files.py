@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from sightline.bounded import read_bounded, read_text
 from sightline.errors import FrameError
-from sightline.frame.builtin import BUILTIN
+from sightline.frame.designs import BUILTIN
 from sightline.frame.detector_plate import WITH_PLATE
 from sightline.frame.document import FrameDocument
 from sightline.frame.solids import SOLIDS

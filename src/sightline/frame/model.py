@@ -12,8 +12,8 @@ from scipy.linalg import block_diag
 
 from sightline.atomic import write_whole
 from sightline.errors import FrameError, UnusableInputError
-from sightline.frame.builtin import BUILTIN, builtin_design
 from sightline.frame.design import FrameDesign, views_of
+from sightline.frame.designs import BUILTIN, builtin_design
 from sightline.frame.detector_plate import DETECTOR_PLATE, WITH_PLATE
 from sightline.frame.handed import is_mirror_image
 from sightline.frame.plate import Fiducial, FrameView, Plate, RigidBody

@@ -20,9 +20,9 @@ import sightline as sl
 from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
-from sightline.frame.builtin import GAMMA_BEAMS
 from sightline.frame.check import reach_mm
 from sightline.frame.design import Balls, FrameDesign
+from sightline.frame.designs import GAMMA_BEAMS
 from sightline.frame.nominal import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM, in_field
 from sightline.studies.block_places import BLOCKS, FIELDS_MM, place_table
 from sightline.studies.figure_spans import RMS, spans

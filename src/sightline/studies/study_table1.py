@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sightline.frame import Frame
-from sightline.frame.builtin import builtin_design
+from sightline.frame.designs import builtin_design
 from sightline.studies.figure_spans import Span, spans
 from sightline.studies.intervals import quantile, share
 from sightline.studies.methods import errors

@@ -12,7 +12,7 @@ from sightline.case.interop.plate import plate_image
 from sightline.case.views import CalibratedImage
 from sightline.errors import OutsideRegionError
 from sightline.frame import Frame
-from sightline.frame.deviations import plates
+from sightline.frame.measured.deviations import plates
 from sightline.planning import Plan
 
 POINTS = ("entry", "end")

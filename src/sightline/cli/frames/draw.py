@@ -33,9 +33,9 @@ def draw(
     """
     with Output(json=json, quiet=quiet) as output:
         from sightline.frame import Frame
-        from sightline.frame.bill import bill_rows
-        from sightline.frame.part import parts_of
-        from sightline.frame.workshop import write_workshop
+        from sightline.frame.drawings.bill import bill_rows
+        from sightline.frame.drawings.part import parts_of
+        from sightline.frame.drawings.workshop import write_workshop
 
         loaded = Frame.load(frame)
         with output.step("drawing the parts"):

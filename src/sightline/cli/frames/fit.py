@@ -9,7 +9,7 @@ import typer
 from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
-    from sightline.frame.fit import FittedFrame
+    from sightline.frame.measured.fit import FittedFrame
 
 _SHOWN = 8  # balls in the table; --json has them all
 
@@ -52,8 +52,8 @@ def fit(
     with Output(json=json, quiet=quiet) as output:
         from sightline.errors import FrameError
         from sightline.frame import Frame
-        from sightline.frame.fit import Circumstances, fit_frame
-        from sightline.frame.measurements import read_measurements
+        from sightline.frame.measured.fit import Circumstances, fit_frame
+        from sightline.frame.measured.measurements import read_measurements
 
         if out.exists():
             raise FrameError(f"{out.name} exists; remove it, or name another file")

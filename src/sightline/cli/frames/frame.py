@@ -125,7 +125,7 @@ def show(
         document = _document(loaded)
         _show(out, loaded, document)
         if picture is not None:
-            from sightline.frame.drawing import draw_frame
+            from sightline.frame.drawings.picture import draw_frame
 
             draw_frame(loaded, picture)
             out.say(f"written: {picture}")
@@ -164,7 +164,7 @@ def check(
 def _design(name: str, like: str, stated: dict[str, Any], datums: int | None) -> "FrameDesign":
     from dataclasses import replace
 
-    from sightline.frame.builtin import builtin_design, patterns_for
+    from sightline.frame.designs import builtin_design, patterns_for
 
     design = replace(builtin_design(like), name=name, **stated)
     return replace(design, patterns=patterns_for(design.beams, design.rows, 6 if datums is None else datums, name))

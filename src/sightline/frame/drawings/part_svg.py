@@ -5,7 +5,7 @@ from html import escape
 
 import numpy as np
 
-from sightline.frame.part import SCREW_INSET_MM, SCREW_MM, WASHER_MM, Bore, Part
+from sightline.frame.drawings.part import SCREW_INSET_MM, SCREW_MM, WASHER_MM, Bore, Part
 
 SHEET_MM = (420.0, 297.0)  # A3, ISO 216
 _VIEW_AREA_MM = (193.0, 178.0)  # width available for front and side, and height

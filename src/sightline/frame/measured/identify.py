@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import FrameError
-from sightline.frame.measurements import Series
+from sightline.frame.measured.measurements import Series
 from sightline.frame.model import Frame
 from sightline.geometry.rigid import rigid_fit, rigid_fits
 

@@ -12,7 +12,7 @@ from trimesh import Trimesh
 from trimesh.exchange.stl import export_stl
 
 from sightline.errors import FrameError
-from sightline.frame.part import SCREW_MM, Part
+from sightline.frame.drawings.part import SCREW_MM, Part
 
 FACETS = 48  # [ours] of a rim: the roundness error of a 3 mm bore is 0.003 mm
 Surface = tuple[np.ndarray, np.ndarray]  # vertices (M, 3), mm; triangles (T, 3), counter-clockwise from outside

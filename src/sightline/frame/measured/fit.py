@@ -8,10 +8,10 @@ from scipy.special import chdtri
 
 from sightline.checks import Check, failed
 from sightline.errors import FrameError
-from sightline.frame.adjust import FALSE_ALARM, Adjusted, adjust
-from sightline.frame.deviations import Completed, PlateDeviation, bodies, complete, plate_deviations, plates
-from sightline.frame.identify import Identified, identify
-from sightline.frame.measurements import Series
+from sightline.frame.measured.adjust import FALSE_ALARM, Adjusted, adjust
+from sightline.frame.measured.deviations import Completed, PlateDeviation, bodies, complete, plate_deviations, plates
+from sightline.frame.measured.identify import Identified, identify
+from sightline.frame.measured.measurements import Series
 from sightline.frame.model import Frame
 from sightline.frame.plate import Plate
 from sightline.frame.tolerances import EXPANSION_PER_K, Tolerances

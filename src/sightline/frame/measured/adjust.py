@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
 from sightline.errors import FrameError
-from sightline.frame.measurements import Series
+from sightline.frame.measured.measurements import Series
 from sightline.geometry.rigid import displacement
 
 FALSE_ALARM = 1e-4  # [ours] per frame, as for beads in images (calibration/outliers.py)

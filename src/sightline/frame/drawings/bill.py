@@ -7,9 +7,9 @@ from io import StringIO
 
 import numpy as np
 
-from sightline.frame.deviations import plates
+from sightline.frame.drawings.part import SIGMAS, Part, parts_of
+from sightline.frame.measured.deviations import plates
 from sightline.frame.model import Frame
-from sightline.frame.part import SIGMAS, Part, parts_of
 from sightline.frame.tolerances import EXPANSION_PER_K, MOISTURE_EXPANSION
 
 DRAPE_CLEARANCE_MM = 30.0  # [ours] on all sides, so that no drape pulls on a plate

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from sightline.atomic import write_whole
+from sightline.frame.drawings.part import Part, faces_of
 from sightline.frame.model import Frame
-from sightline.frame.part import Part, faces_of
 from sightline.frame.plate import ROLES, Fiducial, Plate
 
 _ORDINARY, _DATUM, _EDGE = "#4c78a8", "#d62728", "#8a8f98"

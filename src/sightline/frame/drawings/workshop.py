@@ -3,13 +3,13 @@
 from pathlib import Path
 
 from sightline.atomic import whole_folder, write_whole
-from sightline.frame.bill import bill_csv, bill_page, holes_csv, inspection_csv
-from sightline.frame.drawing import frame_png
+from sightline.frame.drawings.bill import bill_csv, bill_page, holes_csv, inspection_csv
+from sightline.frame.drawings.mesh import meshes_of
+from sightline.frame.drawings.part import parts_of
+from sightline.frame.drawings.picture import frame_png
+from sightline.frame.drawings.sheet import plate_dxf
 from sightline.frame.model import Frame
-from sightline.frame.part import parts_of
-from sightline.frame.part_dxf import plate_dxf
-from sightline.frame.part_mesh import meshes_of
-from sightline.frame.part_svg import plate_svg
+from sightline.frame.drawings.part_svg import plate_svg
 
 
 def write_workshop(frame: Frame, folder: str | Path, clearance_mm: float = 0.0) -> tuple[Path, ...]:

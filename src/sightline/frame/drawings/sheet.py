@@ -2,7 +2,7 @@
 
 from io import StringIO
 
-from sightline.frame.part import SCREW_MM, Part
+from sightline.frame.drawings.part import SCREW_MM, Part
 
 # Layer: colour of the AutoCAD index.
 LAYERS = {"OUTLINE": 7, "BORES": 5, "DATUM_BORES": 1, "SCREWS": 3, "NUMBERS": 8, "DIMENSIONS": 2, "TABLE": 7}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.errors import FrameError
-from sightline.frame.deviations import plates
+from sightline.frame.measured.deviations import plates
 from sightline.frame.model import Frame
 from sightline.frame.plate import Fiducial, Plate, RigidBody
 

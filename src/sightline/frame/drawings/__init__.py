@@ -1,0 +1,1 @@
+"""Drawings, bill and meshes with which a workshop makes a frame."""

@@ -1,0 +1,1 @@
+"""A frame fitted to measured ball centres: their identification, adjustment and checks."""
