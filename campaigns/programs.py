@@ -30,7 +30,7 @@ from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.journal.case import JOURNAL
 from sightline.cli import commands, demo, demo_robot
 from sightline.cli.output import Output
-from sightline.detection.files import write_observations
+from sightline.detection.csv_files import write_observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_png

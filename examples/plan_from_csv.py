@@ -9,7 +9,7 @@ import numpy as np
 
 import sightline as sl
 from sightline.checks import failed
-from sightline.detection.files import read_observations
+from sightline.detection.csv_files import read_observations
 from sightline.planning import kind, matching_curve, plan
 
 

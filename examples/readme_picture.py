@@ -16,7 +16,7 @@ import sightline as sl
 from sightline.case.report.drawing import plan_marks, radiographs, svg
 from sightline.case.report.drawing.radiographs import MarkedBead
 from sightline.case.views import NAMES
-from sightline.detection.files import read_observations
+from sightline.detection.csv_files import read_observations
 from sightline.planning import Plan, kind, plan
 
 SIDE, GAP = 1024, 24

@@ -11,7 +11,7 @@ import pytest
 from campaigns.files import FILES, mutated, table_of
 
 from sightline.calibration.exchange.formats import read_view
-from sightline.detection.files import read_observations
+from sightline.detection.csv_files import read_observations
 from sightline.errors import ObservationsError, SightlineError, UnusableInputError
 from sightline.imaging import read_image
 

@@ -10,7 +10,7 @@ from threadpoolctl import ThreadpoolController
 
 import sightline as sl
 from sightline import threads
-from sightline.detection.files import read_observations
+from sightline.detection.csv_files import read_observations
 from sightline.threads import one_blas_thread
 from sightline.twin import render
 from sightline.twin.things import frame_scene

@@ -18,7 +18,7 @@ from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES, calibrated, see_pair
 from sightline.checks import failed
 from sightline.detection import Observations
-from sightline.detection.files import write_observations
+from sightline.detection.csv_files import write_observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.twin import SetUp, bead_images

@@ -10,7 +10,7 @@ from sightline.calibration import CArm
 from sightline.case.documents import view_document
 from sightline.case.report.comparison import Compared
 from sightline.case.views import calibrate_pair, see_pair, stated_view
-from sightline.detection.files import write_observations
+from sightline.detection.csv_files import write_observations
 from sightline.errors import ObservationsError, UnusableInputError
 from sightline.from_images.pipeline import known_arm
 from sightline.imaging import GeometryTags, Radiograph

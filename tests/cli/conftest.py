@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from sightline.cli import commands
-from sightline.detection.files import write_observations
+from sightline.detection.csv_files import write_observations
 from sightline.detection.results import Observations
 from sightline.imaging import write_dicom
 from sightline.twin import bead_images, hip_scene, render

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sightline.detection.files import write_observations
+from sightline.detection.csv_files import write_observations
 from sightline.detection.results import Observations
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, read_image, write_dicom

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sightline.detection.files import read_observations, write_observations
+from sightline.detection.csv_files import read_observations, write_observations
 from sightline.detection.results import Observations
 from sightline.imaging import Radiograph, read_image, write_png
 

@@ -16,7 +16,7 @@ from sightline.case.contents import CheckRequest
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.cli import demo as demo_module
-from sightline.detection.files import read_observations
+from sightline.detection.csv_files import read_observations
 from sightline.errors import CaseError
 
 EXPECTED = {

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.detection.files import write_observations
+from sightline.detection.csv_files import write_observations
 from sightline.detection.results import Observations
 from sightline.frame import Frame, Tolerances
 from sightline.geometry.rigid import rigid_fit

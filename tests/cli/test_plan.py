@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sightline.cli.planning.points import parse_point
-from sightline.detection.files import write_observations
+from sightline.detection.csv_files import write_observations
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from bead_images import Bead, radiograph, transmission
 
-from sightline.detection import Observations, again, columns, detect, label, look_again, refine, scale
-from sightline.detection.covered import without_overlaps
+from sightline.detection import Observations, detect, label, look_again, scale
+from sightline.detection.beads import columns, refine
 from sightline.detection.detector import bead_fitter
+from sightline.detection.second_look import look_again as second_look
+from sightline.detection.second_look.overlaps import without_overlaps
 from sightline.errors import ObservationsError
 from sightline.frame import Frame, FrameView, Plate
 from sightline.imaging import Radiograph
@@ -358,8 +360,8 @@ def test_two_fits_of_one_shadow_are_no_beads(apart: float, kept: int) -> None:
     fits = refine.start(uv, np.full(3, 9.0), np.full(3, -0.7))
     fits[:, [columns.CUU, columns.CVV]], fits[:, columns.CCC], fits[:, columns.WEAKEST] = 0.01, 1e-4, 1.0
     predicted = uv + np.array([[-0.8, 0.5], [0.9, -0.4], [0.3, 0.2]])
-    expected = again._Expected(predicted, np.full(3, 2.0), np.full(3, 9.0), np.full(3, -0.7), np.full(3, -1))
-    clear = again._clear(fits, expected.start(), expected, np.arange(3), np.zeros(3, bool))
+    expected = second_look._Expected(predicted, np.full(3, 2.0), np.full(3, 9.0), np.full(3, -0.7), np.full(3, -1))
+    clear = second_look._clear(fits, expected.start(), expected, np.arange(3), np.zeros(3, bool))
     assert clear.tolist() == [0, 1, 2][-kept:]
 
 
@@ -468,13 +470,13 @@ def test_neighbours_at_one_distance_are_all_taken_whatever_the_rounding() -> Non
     grid = np.stack(np.meshgrid(np.arange(7.0), np.arange(7.0)), axis=-1).reshape(-1, 2)
     squares = ((grid[:, None] - grid) ** 2).sum(axis=2)
     np.fill_diagonal(squares, np.inf)
-    near = again.nearest(squares)
+    near = second_look.nearest(squares)
     assert near[24].sum() == 8  # in the middle: four beside it and four on the diagonals
     rounded = squares * (1 + 1e-12 * np.random.default_rng(1).standard_normal(squares.shape))
-    assert np.array_equal(again.nearest(rounded), near)
+    assert np.array_equal(second_look.nearest(rounded), near)
     values = np.random.default_rng(2).standard_normal(len(grid))
     expected = [np.median(values[row]) for row in near]
-    assert again.medians(values, near) == pytest.approx(expected, rel=1e-12)
+    assert second_look.medians(values, near) == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_finer_image_gives_the_same_beads() -> None:

@@ -10,8 +10,8 @@ from degraded_images import banded, blocks, in_8_bits, interlaced, jpeg, levels,
 from track_images import FRAME, beads, image
 
 from sightline.detection import Observations, detect, label, look_again
+from sightline.detection.beads.noise import LAGS, NoiseModel
 from sightline.detection.causes import cause_of
-from sightline.detection.noise import LAGS, NoiseModel
 from sightline.errors import DetectionRefusedError, LabellingRefusedError, SightlineError
 from sightline.from_images.pipeline import find_beads, label_beads
 from sightline.imaging import Radiograph, image_checks

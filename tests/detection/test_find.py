@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from bead_images import Bead, grid, quanta, radiograph
 
-from sightline.detection.find import Candidates, distinct, find_candidates
+from sightline.detection.beads.candidates import Candidates, distinct, find_candidates
+from sightline.detection.beads.noise import estimate_noise
 from sightline.detection.log_image import field_inset, log_image
-from sightline.detection.noise import estimate_noise
 from sightline.imaging import Radiograph
 
 SIZE = 320

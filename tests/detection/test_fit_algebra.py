@@ -4,11 +4,18 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, convolve1d
 
-from sightline.detection.fit import _effective_parameters
-from sightline.detection.noise import LAGS
-from sightline.detection.refine import _by_distance
-from sightline.detection.shadow import solve
-from sightline.detection.window import CLIPPED, HIDDEN, NEAR_UNUSABLE, SEEN, correlated_products, mark_near_unusable
+from sightline.detection.beads.fit import _effective_parameters
+from sightline.detection.beads.noise import LAGS
+from sightline.detection.beads.refine import _by_distance
+from sightline.detection.beads.shadow import solve
+from sightline.detection.beads.window import (
+    CLIPPED,
+    HIDDEN,
+    NEAR_UNUSABLE,
+    SEEN,
+    correlated_products,
+    mark_near_unusable,
+)
 
 
 @pytest.mark.parametrize("lags", [3, 4])

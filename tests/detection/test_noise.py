@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from bead_images import Bead, grid, transmission
 
-from sightline.detection import sharpen
-from sightline.detection.noise import BLOCK, LAGS, NoiseModel, estimate_noise
+from sightline.detection.beads import sharpen
+from sightline.detection.beads.noise import BLOCK, LAGS, NoiseModel, estimate_noise
 
 SIZE = 512
 GAIN = 8.0  # grey levels per quantum

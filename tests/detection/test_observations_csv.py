@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.detection.files import read_observations, write_observations
+from sightline.detection.csv_files import read_observations, write_observations
 from sightline.detection.results import Observations
 from sightline.errors import ObservationsError
 

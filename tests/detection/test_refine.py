@@ -5,8 +5,8 @@ import pytest
 from bead_images import Bead, grid, quanta, radiograph
 from scipy.ndimage import gaussian_filter
 
-from sightline.detection import columns, refine
-from sightline.detection.noise import estimate_noise
+from sightline.detection.beads import columns, refine
+from sightline.detection.beads.noise import estimate_noise
 
 SIZE = 320
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.detection import rim
+from sightline.detection.beads import rim
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sightline.detection import columns
+from sightline.detection.beads import columns
 from sightline.detection.labelling.patterns import Pattern, patterns
-from sightline.detection.shapes import SHAPE, expected_shapes
+from sightline.detection.second_look.shapes import SHAPE, expected_shapes
 from sightline.frame import Frame
 
 NOISE = np.array([0.006, 0.03, 0.005, 0.005])  # of log size, log blur, ellipticities: a low dose

@@ -13,7 +13,7 @@ import numpy as np
 
 import sightline as sl
 from sightline.cli.output import as_json
-from sightline.detection.files import read_observations, write_observations
+from sightline.detection.csv_files import read_observations, write_observations
 from sightline.imaging import write_png
 from sightline.planning import kind, plan
 

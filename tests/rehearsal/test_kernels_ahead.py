@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from sightline.calibration import calibrate
-from sightline.detection.clipping import clipped_shares
-from sightline.detection.columns import FITTED, STATUS, U, V
-from sightline.detection.find import find_candidates
-from sightline.detection.fit import fit_part
+from sightline.detection.beads.candidates import find_candidates
+from sightline.detection.beads.clipping import clipped_shares
+from sightline.detection.beads.columns import FITTED, STATUS, U, V
+from sightline.detection.beads.fit import fit_part
+from sightline.detection.beads.refine import BeadFitter
 from sightline.detection.labelling.joint_kernels import settle
-from sightline.detection.refine import BeadFitter
 from sightline.frame import Frame
 from sightline.kernels import is_compiled
 from sightline.planning import plan

@@ -88,7 +88,7 @@ def calibrate(
     with Output(json=json, quiet=quiet) as out:
         from sightline.case.documents import view_document
         from sightline.case.views import calibrated as calibrated_image
-        from sightline.detection.files import write_observations
+        from sightline.detection.csv_files import write_observations
         from sightline.frame import Frame
         from sightline.from_images.pipeline import known_arm
 
@@ -167,7 +167,7 @@ def _advise(seen: "ObservedView", frame: "Frame") -> dict[str, Any] | None:
 
 
 def _observed(path: Path, view: str | None) -> Any:
-    from sightline.detection.files import read_observations
+    from sightline.detection.csv_files import read_observations
     from sightline.errors import ObservationsError
 
     views = read_observations(path)

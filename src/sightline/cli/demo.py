@@ -216,7 +216,7 @@ def _compare(
 def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, Any]) -> None:
     from sightline.atomic import write_folder
     from sightline.cli.output import as_json
-    from sightline.detection.files import write_observations
+    from sightline.detection.csv_files import write_observations
     from sightline.saved import document
 
     images, planned = report.images, report.plan

@@ -6,12 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sightline.detection import columns, refine
+from sightline.detection.beads import columns, refine
+from sightline.detection.beads.candidates import distinct, find_candidates
+from sightline.detection.beads.clipping import allow_for_missing_foot, clipped_shares
+from sightline.detection.beads.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
 from sightline.detection.causes import NO_RIM, cause_of
-from sightline.detection.clipping import allow_for_missing_foot, clipped_shares
-from sightline.detection.find import distinct, find_candidates
 from sightline.detection.log_image import field_and_logs
-from sightline.detection.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
 from sightline.detection.results import Detections, RejectedCandidate
 from sightline.detection.scale import FACTOR, finer, is_fine
 from sightline.errors import DetectionRefusedError

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.detection.bone_edges import REACH_PX, UNEVEN, NoBoneEdgeError, find_bone_edge
+from sightline.detection.edges.bone import REACH_PX, UNEVEN, NoBoneEdgeError, find_bone_edge
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
 from sightline.imaging import Radiograph
 from sightline.planning.bone.aids import Circle

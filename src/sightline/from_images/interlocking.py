@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from sightline.calibration import CalibratedView
 from sightline.calibration.bead_view import bead_shadows_px
-from sightline.detection.metal_edges import MetalEdge, MetalTube, agreement, find_outline, find_rims
+from sightline.detection.edges.metal import MetalEdge, MetalTube, agreement, find_outline, find_rims
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.geometry.lines import nearest_approach
 from sightline.imaging import Radiograph

@@ -14,7 +14,7 @@ from numpy.polynomial.legendre import legvander
 
 from sightline.calibration.bead_view import bead_shadows_px
 from sightline.calibration.view import CalibratedView
-from sightline.detection.bone_edges import (
+from sightline.detection.edges.bone import (
     REACH_PX,
     BoneEdge,
     NoBoneEdgeError,

@@ -11,7 +11,7 @@ from sightline.calibration import BeadView, CalibratedView, CArm, calibrate
 from sightline.calibration.fit import Method
 from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
 from sightline.detection.causes import cause_of
-from sightline.detection.wire import WireShadow, find_wire
+from sightline.detection.wires.wire import WireShadow, find_wire
 from sightline.errors import DetectionRefusedError, LabellingRefusedError, OutsideRegionError, WireRefusedError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph, as_radiograph, image_checks

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
-from sightline.detection.bone_edges import (
+from sightline.detection.edges.bone import (
     REACH_PX,
     UNEVEN,
     BoneEdge,

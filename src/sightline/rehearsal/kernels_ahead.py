@@ -19,13 +19,13 @@ from sightline.calibration import calibrate
 from sightline.calibration.fit import Method
 from sightline.closing import Closing
 from sightline.detection import Detections, label
-from sightline.detection.clipping import clipped_shares
-from sightline.detection.find import find_candidates
-from sightline.detection.fit import fit_part
+from sightline.detection.beads.candidates import find_candidates
+from sightline.detection.beads.clipping import clipped_shares
+from sightline.detection.beads.fit import fit_part
+from sightline.detection.beads.noise import LAGS, NoiseModel, estimate_noise
+from sightline.detection.beads.refine import BeadFitter, start
 from sightline.detection.labelling.joint_kernels import settle
 from sightline.detection.log_image import field_and_logs
-from sightline.detection.noise import LAGS, NoiseModel, estimate_noise
-from sightline.detection.refine import BeadFitter, start
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph

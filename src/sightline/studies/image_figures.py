@@ -12,8 +12,8 @@ from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
 from sightline.detection import Detections
+from sightline.detection.beads.noise import NoiseModel, estimate_noise
 from sightline.detection.log_image import field_inset, log_image
-from sightline.detection.noise import NoiseModel, estimate_noise
 from sightline.errors import RefusedError
 from sightline.imaging import Radiograph
 from sightline.studies.lattice import Lattice, grow

@@ -64,5 +64,5 @@ def _wait_for(sentinel: int) -> None:
 
 def warm_up() -> None:
     """Import in advance what the first image needs."""
-    for name in ("calibration", "case.views", "detection.wire"):
+    for name in ("calibration", "case.views", "detection.wires.wire"):
         import_module(f"sightline.{name}")

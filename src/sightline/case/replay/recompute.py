@@ -15,7 +15,7 @@ from sightline.case.journal.originals import short
 from sightline.case.stages import TABLE, frame_of, image_of
 from sightline.case.views import CalibratedImage, ObservedView, calibrated
 from sightline.detection import Detections, detect
-from sightline.detection.files import read_observations
+from sightline.detection.csv_files import read_observations
 from sightline.errors import CaseError, ObservationsError, RefusedError
 from sightline.frame import Frame
 from sightline.from_images.pipeline import label_beads

@@ -99,7 +99,7 @@ def _see(path: Path, frame: "Frame", view: str | None, *, invert: bool) -> "list
     from sightline.case.views import ObservedView, see
 
     if path.suffix.lower() == ".csv":
-        from sightline.detection.files import read_observations
+        from sightline.detection.csv_files import read_observations
 
         return [ObservedView(path.name, one) for one in read_observations(path).values()]
     return [see(path, frame, view, invert=invert)]

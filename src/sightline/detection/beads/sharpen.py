@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.detection.noise import AREA, BLOCK, NoiseModel, flatten
-from sightline.detection.window import TAPS, along_both_axes
+from sightline.detection.beads.noise import AREA, BLOCK, NoiseModel, flatten
+from sightline.detection.beads.window import TAPS, along_both_axes
 from sightline.fitting.robust import quantiles
 from sightline.kernels import FAST, exact, fast, kernel
 from sightline.threads import in_parts

@@ -4,11 +4,11 @@ from copy import copy
 
 import numpy as np
 
-from sightline.detection.columns import AXIAL, BLUR, CONTRAST, COUNT, DIAGONAL, LARGE, RADIUS
-from sightline.detection.fit import PRIOR_SD, fit_part
-from sightline.detection.noise import LAGS, NoiseModel
-from sightline.detection.profile import profile_table
-from sightline.detection.sharpen import Sharpening, design, noise_blur_px
+from sightline.detection.beads.columns import AXIAL, BLUR, CONTRAST, COUNT, DIAGONAL, LARGE, RADIUS
+from sightline.detection.beads.fit import PRIOR_SD, fit_part
+from sightline.detection.beads.noise import LAGS, NoiseModel
+from sightline.detection.beads.profile import profile_table
+from sightline.detection.beads.sharpen import Sharpening, design, noise_blur_px
 from sightline.fitting.robust import median
 from sightline.threads import in_parts
 

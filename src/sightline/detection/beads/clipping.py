@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sightline.detection import columns
+from sightline.detection.beads import columns
 from sightline.imaging import Radiograph
 from sightline.kernels import exact
 

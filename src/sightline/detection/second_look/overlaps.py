@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from sightline.detection import columns, refine, window
+from sightline.detection.beads import columns, refine, window
 from sightline.fitting.kernels import distances
 
 # Deepest overlaps, in units of the smaller radius, at which two shadows can be separated: by their own rims, and where

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sightline.detection.columns import (
+from sightline.detection.beads.columns import (
     AXIAL,
     BLUR,
     CCC,
@@ -24,8 +24,8 @@ from sightline.detection.columns import (
     U,
     V,
 )
-from sightline.detection.noise import LAGS
-from sightline.detection.shadow import (
+from sightline.detection.beads.noise import LAGS
+from sightline.detection.beads.shadow import (
     BACKGROUND,
     BACKGROUND_TERMS,
     BEAD_AXIAL,
@@ -48,7 +48,7 @@ from sightline.detection.shadow import (
     solve,
     substitute,
 )
-from sightline.detection.window import (
+from sightline.detection.beads.window import (
     BEYOND,
     MARGIN,
     VECTOR,

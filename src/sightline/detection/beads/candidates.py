@@ -6,8 +6,19 @@ from threading import local
 import cv2
 import numpy as np
 
-from sightline.detection.noise import NoiseModel
-from sightline.detection.rim import FAINTEST, HOLLOW, MIN_STEP_SNR, RADIUS, RESPONSE, SCORE, U, V, broad_noise, judged
+from sightline.detection.beads.noise import NoiseModel
+from sightline.detection.beads.rim import (
+    FAINTEST,
+    HOLLOW,
+    MIN_STEP_SNR,
+    RADIUS,
+    RESPONSE,
+    SCORE,
+    U,
+    V,
+    broad_noise,
+    judged,
+)
 from sightline.kernels import FAST, exact, kernel
 from sightline.threads import at_once
 

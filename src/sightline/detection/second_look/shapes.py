@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sightline.detection.columns import AXIAL, BLUR, DIAGONAL, RADIUS
+from sightline.detection.beads.columns import AXIAL, BLUR, DIAGONAL, RADIUS
 from sightline.detection.labelling.joint_kernels import median_of
 from sightline.detection.labelling.patterns import Pattern
 from sightline.fitting.dense import factor, fast

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sightline.detection.profile import Q_COUNT, Q_STEP, T_COUNT, T_FIRST, T_STEP
+from sightline.detection.beads.profile import Q_COUNT, Q_STEP, T_COUNT, T_FIRST, T_STEP
 from sightline.kernels import fast, part_of_caller
 
 # Parameters of a bead's shadow: centre about the first guess and radius, px; blur, px; ellipticity along the axes and

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.detection import columns, refine
-from sightline.detection.clipping import WITHOUT_FOOT, allow_for_missing_foot, clipped_shares
-from sightline.detection.covered import DEEPEST_OF_KNOWN_SHAPE, hidden_share, overlap_of, without_overlaps
+from sightline.detection.beads import columns, refine
+from sightline.detection.beads.clipping import WITHOUT_FOOT, allow_for_missing_foot, clipped_shares
+from sightline.detection.beads.fit import PRIOR_SD
+from sightline.detection.beads.shadow import BEAD_RADIUS
 from sightline.detection.detector import bead_fitter, fine_reasons
-from sightline.detection.fit import PRIOR_SD
 from sightline.detection.labelling.growth import Field
 from sightline.detection.labelling.joint_kernels import SAME_DISTANCE
 from sightline.detection.labelling.map_prior import CENTRE_PX, REMAINDER_SD, features, map_covariance
@@ -19,8 +19,8 @@ from sightline.detection.labelling.seeds import best_similarity
 from sightline.detection.labelling.solve import MIN_BEADS
 from sightline.detection.results import Detections, Observations, RejectedCandidate
 from sightline.detection.scale import FACTOR, coarser, coarser_observations, finer_observations, is_fine
-from sightline.detection.shadow import BEAD_RADIUS
-from sightline.detection.shapes import SHAPE, expected_shapes
+from sightline.detection.second_look.overlaps import DEEPEST_OF_KNOWN_SHAPE, hidden_share, overlap_of, without_overlaps
+from sightline.detection.second_look.shapes import SHAPE, expected_shapes
 from sightline.errors import ObservationsError
 from sightline.fitting.kernels import distances
 from sightline.fitting.kriging import PlanarKriging

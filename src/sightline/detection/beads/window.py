@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sightline.detection.columns import CONTRAST, RADIUS, U, V
-from sightline.detection.noise import LAGS
+from sightline.detection.beads.columns import CONTRAST, RADIUS, U, V
+from sightline.detection.beads.noise import LAGS
 from sightline.kernels import exact, fast, part_of_caller, squared
 
 BEYOND = 5.0  # px of background around the rim, enough for five blurs [ours]

@@ -1,0 +1,1 @@
+"""Beads in an image: candidates, noise, and sub-pixel fits with their covariances."""

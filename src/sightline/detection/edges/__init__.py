@@ -1,0 +1,1 @@
+"""Edges of bones and of metal, to which picks are snapped."""

@@ -1,0 +1,1 @@
+"""The second look: beads that detection missed, fitted where the labelled ones predict them."""

@@ -1,0 +1,1 @@
+"""The drilled wire in an image of the check shot."""
