@@ -18,7 +18,7 @@ from benchmarks.nail_edges import Sight, seen
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from benchmarks.scenes_solid import BEAD_PX, c_arms
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.errors import RefusedError
 from sightline.frame import Frame
 from sightline.planning import Hole, Nail, WirePicks, WirePlans, fit_hole, plan_wires, reconstruct

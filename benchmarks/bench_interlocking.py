@@ -24,7 +24,7 @@ from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from benchmarks.scenes_solid import BEAD_PX, c_arms
 from sightline.calibration import CalibratedView
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.errors import RefusedError, SetUpError
 from sightline.frame import Frame
 from sightline.from_images.interlocking import find_hole, find_nail

@@ -16,7 +16,7 @@ import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from benchmarks.scenes_solid import BEAD_PX, PICK_PX, block, c_arms
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame

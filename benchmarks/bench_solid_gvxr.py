@@ -14,7 +14,7 @@ from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
 from benchmarks.scenes_solid import PICK_PX, block, c_arms, centre_squares
 from benchmarks.solid_bound import solid_bound
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.errors import SightlineError
 from sightline.imaging import Radiograph
 from sightline.studies.scenes import TargetScene

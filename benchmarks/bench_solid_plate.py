@@ -15,7 +15,7 @@ from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
 from benchmarks.scenes_solid import BEAD_PX, PICK_PX, c_arms, calibrated, gamma_in, pick_covariance
 from benchmarks.solid_bound import solid_bound
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.studies.scenes import draw_scene

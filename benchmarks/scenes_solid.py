@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from sightline.calibration import BeadView, CArm
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.detection import Observations
 from sightline.frame import Frame, Tolerances
 from sightline.studies.scenes import TargetScene, measure

@@ -6,7 +6,7 @@ from tests.three import draw_three
 
 from sightline.app.drawing.head_up import head_in, head_up
 from sightline.calibration import BeadView, calibrate
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.detection import Observations
 from sightline.frame import Frame
 from sightline.twin import SetUp, bead_images, draw_setup

@@ -10,7 +10,7 @@ from tests.three import draw_three
 
 from sightline.app.drawing.sight import sight
 from sightline.calibration import BeadView, calibrate
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.case.views import NAMES
 from sightline.detection import Observations
 from sightline.errors import OutsideRegionError

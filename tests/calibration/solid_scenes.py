@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.calibration import CArm
-from sightline.calibration.panel import PanelCamera
+from sightline.calibration.solids.panel_camera import PanelCamera
 from sightline.detection import Observations
 from sightline.frame import Frame
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.calibration.focal_point import focal_point, focal_point_response
+from sightline.calibration.plates.focal_point import focal_point, focal_point_response
 from sightline.errors import CalibrationRefusedError
 
 FOCAL_MM = np.array([5.0, -9.0, -620.0])

@@ -7,9 +7,10 @@ import pytest
 from calibration_scenes import EXACT, GAMMA, Camera
 from scipy.stats import chi2
 
-from sightline.calibration import calibrate, joint
-from sightline.calibration.beads import match
-from sightline.calibration.joint import fit_jointly
+from sightline.calibration import calibrate
+from sightline.calibration.plates import joint
+from sightline.calibration.plates.beads import match
+from sightline.calibration.plates.joint import fit_jointly
 from sightline.detection.results import Observations
 from sightline.errors import OutsideRegionError
 from sightline.twin import bead_images, draw_setup

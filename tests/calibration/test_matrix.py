@@ -5,7 +5,7 @@ import pytest
 from calibration_scenes import TARGETS_MM
 
 from sightline.calibration import view_from_matrix
-from sightline.calibration.matrix import HomographyMap
+from sightline.calibration.matrix_view import HomographyMap
 from sightline.errors import UnusableInputError
 
 FOCAL_MM = np.array([20.0, -14.0, -610.0])

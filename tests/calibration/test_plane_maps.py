@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from scipy.interpolate import RBFInterpolator
 
 from sightline.calibration import fit_map
-from sightline.calibration.localized import LocalizedMap
-from sightline.calibration.polynomial import monomials, terms
-from sightline.calibration.prior import Kernel
-from sightline.calibration.smooth import MAX_CONTROLS, FittedSmoothMap
+from sightline.calibration.maps.localized import LocalizedMap
+from sightline.calibration.maps.polynomial import monomials, terms
+from sightline.calibration.maps.prior import Kernel
+from sightline.calibration.maps.smooth import MAX_CONTROLS, FittedSmoothMap
 from sightline.errors import CalibrationRefusedError, OutsideRegionError, UnusableInputError
 
 SPACING_PX = 90.0

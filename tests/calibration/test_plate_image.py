@@ -9,9 +9,9 @@ from tests.calibration.solid_scenes import camera
 
 import sightline as sl
 from sightline.calibration import CArm, calibrate
-from sightline.calibration.plate_image import MIN_PLATE_BALLS
-from sightline.calibration.solid_start import image_of, solid_of
-from sightline.calibration.together import adjustment_of, calibrate_together
+from sightline.calibration.solids.calibrate_together import adjustment_of, calibrate_together
+from sightline.calibration.solids.plate_image import MIN_PLATE_BALLS
+from sightline.calibration.solids.start import image_of, solid_of
 from sightline.checks import failed
 from sightline.errors import CalibrationRefusedError
 from sightline.frame import Frame, Plate, Tolerances

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from calibration_scenes import GAMMA
 
-from sightline.calibration import prior
-from sightline.calibration.beads import match
-from sightline.calibration.joint import fit_jointly
+from sightline.calibration.maps import prior
+from sightline.calibration.plates.beads import match
+from sightline.calibration.plates.joint import fit_jointly
 from sightline.detection import Observations
 from sightline.twin import bead_images, draw_setup
 

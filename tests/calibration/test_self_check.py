@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from sightline.calibration.projection import Pencil
-from sightline.calibration.self_check import SelfCheck, self_check
+from sightline.calibration.self_checks.plates import SelfCheck, self_check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame

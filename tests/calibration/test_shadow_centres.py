@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.calibration import calibrate
-from sightline.calibration.shadow_centres import at_centres
+from sightline.calibration.plates.shadow_centres import at_centres
 from sightline.detection.results import Observations
 from sightline.frame import Frame
 from sightline.studies.scenes import EXACT

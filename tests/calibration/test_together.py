@@ -10,7 +10,7 @@ from tests.calibration.solid_scenes import C_ARM, SHAPE, built, camera, seen
 
 import sightline as sl
 from sightline.calibration import calibrate
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.checks import failed
 from sightline.detection import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError

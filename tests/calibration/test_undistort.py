@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sightline.calibration import fit_map
-from sightline.calibration.hull import Hull
-from sightline.calibration.undistort import undistort
+from sightline.calibration.maps.hull import Hull
+from sightline.calibration.maps.undistort import undistort
 from sightline.errors import UnusableInputError
 
 SHAPE = (400, 420)

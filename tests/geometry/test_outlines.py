@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from sightline.calibration.hull import Hull
+from sightline.calibration.maps.hull import Hull
 from sightline.geometry.outlines import convex_hull, enclosed_area
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sightline as sl
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.planning import Aids, Plan, kind, plan
 from sightline.studies.scenes import measure
 from sightline.twin import drawn_aids

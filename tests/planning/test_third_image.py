@@ -11,7 +11,7 @@ from tests.three import BLOCK, draw_three
 
 import sightline as sl
 from sightline.calibration import BeadView
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.planning import Plan, kind, plan, reconstruct
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from sightline.calibration.together import adjusted_together
+from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.errors import ReconstructionRefusedError
 from sightline.frame import Frame
 from sightline.planning import Aids, Procedure, Proposal, locate, plan, propose, propose_wires

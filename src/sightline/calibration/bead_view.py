@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from sightline.calibration.checks import handedness_check, strip_check
-from sightline.calibration.classical import PlateName
-from sightline.calibration.focal_length import CArm, FocalLength, steady_check
-from sightline.calibration.hull import Hull
-from sightline.calibration.joint import JointFit
-from sightline.calibration.polynomial import Affine
-from sightline.calibration.posterior import Posterior
+from sightline.calibration.line_errors import Posterior
+from sightline.calibration.maps.hull import Hull
+from sightline.calibration.maps.polynomial import Affine
+from sightline.calibration.plates.classical import PlateName
+from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.residuals import Residuals
-from sightline.calibration.support import MIN_STRIP, Support
 from sightline.calibration.view import CalibratedView, Deferred, LinesOfSight, PlaneMap
+from sightline.calibration.view_checks.bead_checks import handedness_check, strip_check
+from sightline.calibration.view_checks.focal_length import CArm, FocalLength, steady_check
+from sightline.calibration.view_checks.support import MIN_STRIP, Support
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError

@@ -5,19 +5,19 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.calibration.ball_size import ball_size_check
 from sightline.calibration.bead_view import BeadView, CalibrationInputs
-from sightline.calibration.beads import Beads, match
-from sightline.calibration.checks import noise_checks, row_check, view_checks
-from sightline.calibration.classical import Fitter, PlateName, classical_residuals, fit_plates
-from sightline.calibration.fit import Method, refuse_unknown_method
-from sightline.calibration.focal_length import CArm
-from sightline.calibration.hull import Hull
-from sightline.calibration.joint import MIN_BEADS, JointFit
-from sightline.calibration.localized import LocalizedMap
-from sightline.calibration.outliers import fit_robustly
-from sightline.calibration.polynomial import Affine, PolynomialMap
-from sightline.calibration.together import calibrate_together
+from sightline.calibration.maps.fit_map import Method, refuse_unknown_method
+from sightline.calibration.maps.hull import Hull
+from sightline.calibration.maps.localized import LocalizedMap
+from sightline.calibration.maps.polynomial import Affine, PolynomialMap
+from sightline.calibration.plates.beads import Beads, match
+from sightline.calibration.plates.classical import Fitter, PlateName, classical_residuals, fit_plates
+from sightline.calibration.plates.joint import MIN_BEADS, JointFit
+from sightline.calibration.plates.outliers import fit_robustly
+from sightline.calibration.solids.calibrate_together import calibrate_together
+from sightline.calibration.view_checks.ball_size import ball_size_check
+from sightline.calibration.view_checks.bead_checks import noise_checks, row_check, view_checks
+from sightline.calibration.view_checks.focal_length import CArm
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.bead_view import BeadView
-from sightline.calibration.beads import match
-from sightline.calibration.joint import JointFit
+from sightline.calibration.plates.beads import match
+from sightline.calibration.plates.joint import JointFit
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.fitting.robust import variance_ratio

@@ -6,7 +6,7 @@ from math import acos, cos, radians, sin
 from pathlib import Path
 
 from sightline.calibration import BeadView, CArm
-from sightline.calibration.fit import Method
+from sightline.calibration.maps.fit_map import Method
 from sightline.case.journal.originals import anonymous_name
 from sightline.detection import Detections, Observations
 from sightline.detection.csv_files import read_observations

@@ -11,7 +11,7 @@ from sightline.cli.demo_robot import DemoPlan, Inserted, RobotAhead, carry_out
 from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
-    from sightline.calibration.fit import Method
+    from sightline.calibration.maps.fit_map import Method
     from sightline.case.contents import PlanRequest
     from sightline.case.report.comparison import Compared, Refused, Truth
     from sightline.case.report.content import Report

@@ -12,7 +12,7 @@ from sightline.cli.output import Json, Output, Quiet, as_json, example
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
-    from sightline.calibration.undistort import PlaneImage
+    from sightline.calibration.maps.undistort import PlaneImage
 
 
 def register(app: typer.Typer) -> None:
@@ -44,7 +44,7 @@ def undistort(
     """
     with Output(json=json, quiet=quiet) as output:
         from sightline.calibration import calibrate
-        from sightline.calibration.undistort import undistort as resample
+        from sightline.calibration.maps.undistort import undistort as resample
         from sightline.errors import UnusableInputError
         from sightline.frame import Frame
 

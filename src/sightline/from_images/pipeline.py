@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sightline.calibration import BeadView, CalibratedView, CArm, calibrate
-from sightline.calibration.fit import Method
+from sightline.calibration.maps.fit_map import Method
 from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
 from sightline.detection.causes import cause_of
 from sightline.detection.wires.wire import WireShadow, find_wire

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sightline.calibration.together import adjusted_together
+from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView
 from sightline.checks import Check
 from sightline.errors import OutsideRegionError, UnusableInputError

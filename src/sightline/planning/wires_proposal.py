@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sightline.calibration.together import adjusted_together
+from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning.bone.aids import Aids

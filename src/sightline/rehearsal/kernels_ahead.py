@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from sightline.calibration import calibrate
-from sightline.calibration.fit import Method
+from sightline.calibration.maps.fit_map import Method
 from sightline.closing import Closing
 from sightline.detection import Detections, label
 from sightline.detection.beads.candidates import find_candidates

@@ -15,7 +15,7 @@ import numpy as np
 
 import sightline as sl
 from sightline.calibration import BeadView
-from sightline.calibration.fit import Method
+from sightline.calibration.maps.fit_map import Method
 from sightline.detection import Observations
 from sightline.errors import OutsideRegionError, SightlineError
 from sightline.frame import Frame

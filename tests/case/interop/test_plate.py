@@ -7,7 +7,7 @@ import pytest
 
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.exchange.formats import FORMATS, read_view, write_view
-from sightline.calibration.undistort import undistort
+from sightline.calibration.maps.undistort import undistort
 from sightline.case.interop.plate import PlateImage, plate_image, raw_pinhole
 from sightline.detection import Observations
 from sightline.errors import RefusedError

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from sightline.calibration import BeadView
-from sightline.calibration.hull import MAX_OUTSIDE
+from sightline.calibration.maps.hull import MAX_OUTSIDE
 
 NODES = 33  # per axis: cubic interpolation between them agrees with the map to 0.02 px (tests) [ours]
 _PAD = 2  # nodes beyond the region, for interpolation at its border

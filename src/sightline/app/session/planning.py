@@ -34,7 +34,7 @@ from sightline.app.session.seen import Lightbox, SeenImage, entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan, restored
 from sightline.app.session.worker import WorkerProcess, warm_up
 from sightline.calibration import BeadView, CalibratedView
-from sightline.calibration.together import adjusted_together
+from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, takes_oblique

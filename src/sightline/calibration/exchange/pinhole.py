@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import rq
 
-from sightline.calibration.matrix import MatrixView, view_from_matrix
+from sightline.calibration.matrix_view import MatrixView, view_from_matrix
 from sightline.errors import UnusableInputError
 
 # Focal lengths along u and v, in mm, that differ by a smaller share count as equal [ours]: 0.001 mm at 1000 mm.

@@ -7,7 +7,7 @@ import numpy as np
 
 from sightline.calibration import BeadView
 from sightline.calibration.exchange.pinhole import Pinhole
-from sightline.calibration.undistort import PlaneImage, undistort
+from sightline.calibration.maps.undistort import PlaneImage, undistort
 from sightline.calibration.view import LinesOfSight
 from sightline.errors import RefusedError
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from sightline.calibration.localized import LocalizedMap
+from sightline.calibration.maps.localized import LocalizedMap
 from sightline.case.report.content import Report
 from sightline.case.report.drawing import plan_marks, radiographs, scene
 from sightline.case.report.drawing.budget import budget

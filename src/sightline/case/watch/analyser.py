@@ -9,7 +9,7 @@ import numpy as np
 
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.displacement import Rest
-from sightline.calibration.joint import JointFit
+from sightline.calibration.plates.joint import JointFit
 from sightline.case.watch.alarm import Alarm, MovementStatus
 from sightline.detection import Observations
 from sightline.errors import CalibrationRefusedError, OutsideRegionError, RefusedError, UnusableInputError

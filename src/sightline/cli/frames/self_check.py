@@ -9,8 +9,8 @@ from sightline.cli.detect import Invert
 from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
-    from sightline.calibration.self_check import SelfCheck
-    from sightline.calibration.solid_self_check import KnownDistance, SolidSelfCheck
+    from sightline.calibration.self_checks.plates import SelfCheck
+    from sightline.calibration.self_checks.solid import KnownDistance, SolidSelfCheck
     from sightline.case.views import ObservedView
     from sightline.frame import Frame
 
@@ -47,8 +47,8 @@ def self_check(
     block are measured, in images of a flat panel.
     """
     with Output(json=json, quiet=quiet) as output:
-        from sightline.calibration.self_check import self_check as adjust
-        from sightline.calibration.solid_self_check import SolidSelfCheck, self_check_solid
+        from sightline.calibration.self_checks.plates import self_check as adjust
+        from sightline.calibration.self_checks.solid import SolidSelfCheck, self_check_solid
         from sightline.errors import FrameError
         from sightline.frame import Frame
 
@@ -80,7 +80,7 @@ def self_check(
 
 def _distance(text: str | None) -> "KnownDistance":
     """Return the distance that gives a block its size. Raises BadParameter."""
-    from sightline.calibration.solid_self_check import KnownDistance
+    from sightline.calibration.self_checks.solid import KnownDistance
 
     parts = (text or "").split(",")
     try:
@@ -122,7 +122,7 @@ def _show_solid(output: Output, found: "SolidSelfCheck") -> dict[str, Any]:
 
 
 def _document(found: "SelfCheck") -> dict[str, Any]:
-    from sightline.calibration.plate_motion import MOTIONS
+    from sightline.calibration.self_checks.plate_motion import MOTIONS
 
     in_plate = found.in_plate
     return {

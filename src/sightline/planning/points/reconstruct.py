@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sightline.calibration.together import adjusted_together
+from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.errors import UnusableInputError
 from sightline.planning.points.gaps import Gaps, gap_mm

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from sightline.calibration.checks import handedness_check
+from sightline.calibration.view_checks.bead_checks import handedness_check
 from sightline.checks import Check, failed
 from sightline.errors import ErrorUnknownError
 from sightline.geometry.covariance import TWO_SIDED_999, ellipsoid_factor, length_quantile

@@ -4,10 +4,10 @@ from typing import Literal
 
 import numpy as np
 
-from sightline.calibration.hull import refuse_collinear
-from sightline.calibration.localized import LocalizedMap
-from sightline.calibration.polynomial import PolynomialMap
-from sightline.calibration.smooth import FittedSmoothMap
+from sightline.calibration.maps.hull import refuse_collinear
+from sightline.calibration.maps.localized import LocalizedMap
+from sightline.calibration.maps.polynomial import PolynomialMap
+from sightline.calibration.maps.smooth import FittedSmoothMap
 from sightline.calibration.view import PlaneMap
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.threads import one_blas_thread

@@ -3,12 +3,12 @@
 import numpy as np
 from scipy.special import chdtri
 
-from sightline.calibration.checks import CHI_SQUARE_FALSE_ALARM
-from sightline.calibration.focal_length import CArm
-from sightline.calibration.panel import CENTRE, FOCAL
-from sightline.calibration.plate_image import DetectorPlateImage
-from sightline.calibration.solid import SolidAdjustment
-from sightline.calibration.solid_image import MIN_BALLS
+from sightline.calibration.solids.adjustment import SolidAdjustment
+from sightline.calibration.solids.images import MIN_BALLS
+from sightline.calibration.solids.panel_camera import CENTRE, FOCAL
+from sightline.calibration.solids.plate_image import DetectorPlateImage
+from sightline.calibration.view_checks.bead_checks import CHI_SQUARE_FALSE_ALARM
+from sightline.calibration.view_checks.focal_length import CArm
 from sightline.checks import Check
 from sightline.geometry.covariance import TWO_SIDED_999
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.calibration.hull import Hull
-from sightline.calibration.joint import JointFit
+from sightline.calibration.maps.hull import Hull
+from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.view import PlaneMap
 from sightline.checks import Check
 from sightline.errors import UnusableInputError

@@ -5,10 +5,10 @@ from functools import cached_property
 
 import numpy as np
 
-from sightline.calibration.inverse import Inverse
-from sightline.calibration.polynomial import Affine, derivatives, monomial_gradients, monomials, terms
-from sightline.calibration.prior import NOISE_SCALES_PX, QUINTIC, Basis, Kernel, PriorData, learn
-from sightline.calibration.well_conditioned import well_conditioned
+from sightline.calibration.maps.inverse import Inverse
+from sightline.calibration.maps.polynomial import Affine, derivatives, monomial_gradients, monomials, terms
+from sightline.calibration.maps.prior import NOISE_SCALES_PX, QUINTIC, Basis, Kernel, PriorData, learn
+from sightline.calibration.maps.well_conditioned import well_conditioned
 from sightline.errors import CalibrationRefusedError
 from sightline.fitting.kriging import Kriging
 

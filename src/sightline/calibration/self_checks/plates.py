@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from sightline.calibration.beads import Beads, match
-from sightline.calibration.joint import JointFit, diagonal, pixel_noise_mm2, twice
-from sightline.calibration.outliers import FALSE_ALARM, fit_robustly
-from sightline.calibration.plate_motion import Errors, InPlate, PlatePair, in_plate, plate_pairs
-from sightline.calibration.polynomial import monomials
+from sightline.calibration.maps.polynomial import monomials
+from sightline.calibration.maps.smooth import DEGREE
+from sightline.calibration.maps.well_conditioned import well_conditioned
+from sightline.calibration.plates.beads import Beads, match
+from sightline.calibration.plates.joint import JointFit, diagonal, pixel_noise_mm2, twice
+from sightline.calibration.plates.outliers import FALSE_ALARM, fit_robustly
 from sightline.calibration.projection import Pencil
-from sightline.calibration.smooth import DEGREE
-from sightline.calibration.well_conditioned import well_conditioned
+from sightline.calibration.self_checks.plate_motion import Errors, InPlate, PlatePair, in_plate, plate_pairs
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError

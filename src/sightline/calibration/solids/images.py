@@ -6,8 +6,8 @@ from typing import Self
 
 import numpy as np
 
-from sightline.calibration.hull import Hull
-from sightline.calibration.panel import PARAMETERS, PanelCamera
+from sightline.calibration.maps.hull import Hull
+from sightline.calibration.solids.panel_camera import PARAMETERS, PanelCamera
 from sightline.calibration.view import PlaneMap
 from sightline.geometry.planes import Plane
 

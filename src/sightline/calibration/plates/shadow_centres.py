@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from sightline.calibration.polynomial import monomial_gradients, monomials, terms
+from sightline.calibration.maps.polynomial import monomial_gradients, monomials, terms
 from sightline.detection.results import Observations
 from sightline.fitting.triangular import minimum_norm
 from sightline.frame import Frame, Plate

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.calibration.matrix import HomographyMap
+from sightline.calibration.matrix_view import HomographyMap
 from sightline.fitting.pinhole import Camera
 from sightline.geometry.planes import Plane
 from sightline.geometry.rigid import cross_matrix

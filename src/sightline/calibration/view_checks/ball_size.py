@@ -9,8 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from sightline.calibration.focal_length import pixel_solid_angle
-from sightline.calibration.joint import JointFit
+from sightline.calibration.plates.joint import JointFit
+from sightline.calibration.view_checks.focal_length import pixel_solid_angle
 from sightline.checks import Check
 from sightline.fitting.robust import MAD_TO_SD, median
 from sightline.frame import Frame

@@ -15,13 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-from sightline.calibration.hull import Hull
-from sightline.calibration.joint import twice
-from sightline.calibration.matrix import HomographyMap
-from sightline.calibration.panel import CENTRE, FOCAL, PARAMETERS, PanelCamera
-from sightline.calibration.polynomial import monomials
-from sightline.calibration.smooth import DEGREE, FittedSmoothMap, SmoothMap
-from sightline.calibration.solid_image import MIN_BALLS, BallShadows, SolidBalls, SolidImage, Traced
+from sightline.calibration.maps.hull import Hull
+from sightline.calibration.maps.polynomial import monomials
+from sightline.calibration.maps.smooth import DEGREE, FittedSmoothMap, SmoothMap
+from sightline.calibration.matrix_view import HomographyMap
+from sightline.calibration.plates.joint import twice
+from sightline.calibration.solids.images import MIN_BALLS, BallShadows, SolidBalls, SolidImage, Traced
+from sightline.calibration.solids.panel_camera import CENTRE, FOCAL, PARAMETERS, PanelCamera
 from sightline.calibration.view import PlaneMap
 from sightline.fitting.kriging import Kriging
 from sightline.fitting.triangular import cholesky, inverse_lower

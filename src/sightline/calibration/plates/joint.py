@@ -19,13 +19,13 @@ from functools import cached_property
 
 import numpy as np
 
-from sightline.calibration.beads import Beads
-from sightline.calibration.polynomial import Affine, derivatives, monomials, terms
-from sightline.calibration.posterior import LineErrors
-from sightline.calibration.prior import NOISE_SCALES_PX, Basis, Learned, PriorData, learn
+from sightline.calibration.line_errors import LineErrors
+from sightline.calibration.maps.polynomial import Affine, derivatives, monomials, terms
+from sightline.calibration.maps.prior import NOISE_SCALES_PX, Basis, Learned, PriorData, learn
+from sightline.calibration.maps.smooth import DEGREE, SmoothMap
+from sightline.calibration.maps.well_conditioned import well_conditioned
+from sightline.calibration.plates.beads import Beads
 from sightline.calibration.projection import Pencil, refuse_misplaced
-from sightline.calibration.smooth import DEGREE, SmoothMap
-from sightline.calibration.well_conditioned import well_conditioned
 from sightline.errors import CalibrationRefusedError
 from sightline.fitting.dense import fast
 from sightline.fitting.kriging import Kriging, PlanarKriging

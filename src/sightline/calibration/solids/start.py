@@ -4,13 +4,13 @@ from contextlib import suppress
 
 import numpy as np
 
-from sightline.calibration.focal_length import CArm
-from sightline.calibration.hull import refuse_collinear
-from sightline.calibration.panel import PanelCamera
-from sightline.calibration.plate_image import MIN_PLATE_BALLS, DetectorPlateImage
-from sightline.calibration.polynomial import Affine
-from sightline.calibration.smooth import FittedSmoothMap
-from sightline.calibration.solid_image import MIN_BALLS, PanelPrior, SolidBalls, SolidImage
+from sightline.calibration.maps.hull import refuse_collinear
+from sightline.calibration.maps.polynomial import Affine
+from sightline.calibration.maps.smooth import FittedSmoothMap
+from sightline.calibration.solids.images import MIN_BALLS, PanelPrior, SolidBalls, SolidImage
+from sightline.calibration.solids.panel_camera import PanelCamera
+from sightline.calibration.solids.plate_image import MIN_PLATE_BALLS, DetectorPlateImage
+from sightline.calibration.view_checks.focal_length import CArm
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.fitting.pinhole import Prior, fit, orthographic

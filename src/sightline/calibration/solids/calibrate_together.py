@@ -12,22 +12,22 @@ from pathlib import Path
 import numpy as np
 
 from sightline.calibration.bead_view import SOLID, BeadView, CalibrationInputs
-from sightline.calibration.checks import (
+from sightline.calibration.maps.well_conditioned import well_conditioned
+from sightline.calibration.plates.outliers import FALSE_ALARM, MAX_WRONG_SHARE
+from sightline.calibration.plates.shadow_centres import at_centres
+from sightline.calibration.residuals import Residuals
+from sightline.calibration.solids.adjustment import SolidAdjustment, adjust
+from sightline.calibration.solids.images import SolidBalls, SolidImage
+from sightline.calibration.solids.panel_camera import PanelCamera
+from sightline.calibration.solids.solid_checks import adjustment_check, checks_of_image
+from sightline.calibration.solids.start import first_camera, image_of, noise_px2, rows_of, solid_of
+from sightline.calibration.view import CalibratedView
+from sightline.calibration.view_checks.bead_checks import (
     leave_one_out_check,
     tolerance_checks,
     wrong_beads_check,
 )
-from sightline.calibration.focal_length import CArm
-from sightline.calibration.outliers import FALSE_ALARM, MAX_WRONG_SHARE
-from sightline.calibration.panel import PanelCamera
-from sightline.calibration.residuals import Residuals
-from sightline.calibration.shadow_centres import at_centres
-from sightline.calibration.solid import SolidAdjustment, adjust
-from sightline.calibration.solid_checks import adjustment_check, checks_of_image
-from sightline.calibration.solid_image import SolidBalls, SolidImage
-from sightline.calibration.solid_start import first_camera, image_of, noise_px2, rows_of, solid_of
-from sightline.calibration.view import CalibratedView
-from sightline.calibration.well_conditioned import well_conditioned
+from sightline.calibration.view_checks.focal_length import CArm
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError, UnusableInputError

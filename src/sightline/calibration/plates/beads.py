@@ -5,8 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from sightline.calibration.hull import refuse_collinear
-from sightline.calibration.shadow_centres import centres_px
+from sightline.calibration.maps.hull import refuse_collinear
+from sightline.calibration.plates.shadow_centres import centres_px
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame, Plate

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.calibration.focal_length import CArm
-from sightline.calibration.self_check import MIN_IMAGES
-from sightline.calibration.solid import SolidAdjustment
-from sightline.calibration.together import adjustment_of, calibrate_together
+from sightline.calibration.self_checks.plates import MIN_IMAGES
+from sightline.calibration.solids.adjustment import SolidAdjustment
+from sightline.calibration.solids.calibrate_together import adjustment_of, calibrate_together
+from sightline.calibration.view_checks.focal_length import CArm
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError

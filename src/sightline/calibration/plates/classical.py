@@ -13,11 +13,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from sightline.calibration.beads import Beads
-from sightline.calibration.focal_point import focal_point, focal_point_response
-from sightline.calibration.hull import Hull
-from sightline.calibration.joint import JointFit
-from sightline.calibration.posterior import LineErrors
+from sightline.calibration.line_errors import LineErrors
+from sightline.calibration.maps.hull import Hull
+from sightline.calibration.plates.beads import Beads
+from sightline.calibration.plates.focal_point import focal_point, focal_point_response
+from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.projection import Pencil, refuse_misplaced
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.view import PlaneMap

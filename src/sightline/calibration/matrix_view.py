@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.calibration.posterior import LineErrors
+from sightline.calibration.line_errors import LineErrors
 from sightline.calibration.view import LinesOfSight
 from sightline.checks import Check
 from sightline.errors import OutsideRegionError, UnusableInputError

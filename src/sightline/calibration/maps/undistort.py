@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
-from sightline.calibration.hull import Hull
+from sightline.calibration.maps.hull import Hull
 from sightline.calibration.view import PlaneMap
 from sightline.errors import UnusableInputError
 

@@ -11,8 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
-from sightline.calibration.panel import CENTRE, FOCAL, PARAMETERS, PanelCamera
-from sightline.calibration.solid_image import SolidBalls, SolidImage, Traced
+from sightline.calibration.solids.images import SolidBalls, SolidImage, Traced
+from sightline.calibration.solids.panel_camera import CENTRE, FOCAL, PARAMETERS, PanelCamera
 from sightline.errors import CalibrationRefusedError
 from sightline.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
 from sightline.geometry.planes import Plane

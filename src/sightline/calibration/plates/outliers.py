@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sightline.calibration.beads import Beads
-from sightline.calibration.joint import JointFit, fit_jointly
+from sightline.calibration.plates.beads import Beads
+from sightline.calibration.plates.joint import JointFit, fit_jointly
 from sightline.calibration.residuals import Residuals
 from sightline.errors import CalibrationRefusedError
 from sightline.fitting.kriging import LeftOut

@@ -5,7 +5,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from sightline.calibration.inverse import Inverse
+from sightline.calibration.maps.inverse import Inverse
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.fitting.triangular import minimum_norm
 from sightline.kernels import exact

@@ -15,7 +15,7 @@ from math import isnan
 
 import numpy as np
 
-from sightline.calibration.polynomial import monomials
+from sightline.calibration.maps.polynomial import monomials
 from sightline.fitting.dense import PIVOTS, STRIDE, eliminate, factor, fast
 from sightline.fitting.kernels import squared_distances, squared_exponential
 from sightline.fitting.triangular import cholesky, solve_lower, solve_lower_transposed

@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import chdtri
 
-from sightline.calibration.beads import Beads
-from sightline.calibration.joint import JointFit
+from sightline.calibration.plates.beads import Beads
+from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.residuals import Residuals
 from sightline.checks import Check
 from sightline.frame import Frame

@@ -1,0 +1,1 @@
+"""Frames measured by their own images."""

@@ -1,0 +1,1 @@
+"""Calibration of all images of a solid of balls in one adjustment."""
