@@ -1,12 +1,144 @@
 """Checks: a value against its limit, with a sentence for the user."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from math import radians
+from typing import Any, Self
 
 # An entry point within the bone, such as a nail's wall, lies at least so far in it: four standard deviations of a
 # planned entry along the wire. At most: half of a large femur above the knee [ours].
 CLEAR_MM, MAX_BEFORE_MM = 2.0, 40.0
+
+
+class Code(StrEnum):
+    """What a check is about. Programs decide by it; names and sentences are for people. A code is never reused."""
+
+    BEAD_COUNT = "bead-count"
+    BEAD_COVERAGE = "bead-coverage"
+    LEAVE_ONE_OUT_ERROR = "leave-one-out-error"
+    WRONG_BEADS = "wrong-beads"
+    FRAME_TOLERANCES = "frame-tolerances"
+    CHI_SQUARE = "chi-square"
+    IMAGE_ROWS = "image-rows"
+    BALL_SIZE = "ball-size"
+    SOURCE_DISTANCE = "source-distance"
+    FOCAL_LENGTH = "focal-length"
+    PANEL_DISTORTION = "panel-distortion"
+    INTENSIFIER_DISTORTION = "intensifier-distortion"
+    BALL_ERROR = "ball-error"
+    PRINCIPAL_POINT = "principal-point"
+    FOCAL_LENGTH_BEFORE = "focal-length-before"
+    MEASUREMENT_NOISE = "measurement-noise"
+    FRAME_HANDEDNESS = "frame-handedness"
+    MAP_MISFIT = "map-misfit"
+    CLIPPED_PIXELS = "clipped-pixels"
+    COMPRESSION = "compression"
+    INVERSION = "inversion"
+    ERROR_KNOWN = "error-known"
+    ENTRY_ERROR = "entry-error"
+    END_ERROR = "end-error"
+    DIRECTION_ERROR = "direction-error"
+    GAP = "gap"
+    BEADS_NEAR = "beads-near"
+    PICK_SPREAD = "pick-spread"
+    MOVEMENT = "movement"
+    PLAN_INSIDE_HULL = "plan-inside-hull"
+    HEAD_AGREEMENT = "head-agreement"
+    HOLE_AGREEMENT = "hole-agreement"
+    HOLE_RIMS_USED = "hole-rims-used"
+    HOLE_ACROSS_THE_NAIL = "hole-across-the-nail"
+    SIDE = "side"
+    HEAD = "head"
+    ENTRY_AND_END = "entry-and-end"
+    TIP_IN_HEAD = "tip-in-head"
+    ENTRY_AT_CORTEX = "entry-at-cortex"
+    WIRE_LENGTH = "wire-length"
+    ANGLE_BETWEEN_VIEWS = "angle-between-views"
+    TIP_APEX_DISTANCE = "tip-apex-distance"
+    CALCAR_TIP_APEX_DISTANCE = "calcar-tip-apex-distance"
+    TIP_TO_BONE_ALONG_WIRE = "tip-to-bone-along-wire"
+    TIP_TO_BONE_NEAREST = "tip-to-bone-nearest"
+    WIRE_IN_NECK = "wire-in-neck"
+    WIRE_IN_SACRAL_CORRIDOR = "wire-in-sacral-corridor"
+    TIP_IN_SACRAL_CORRIDOR = "tip-in-sacral-corridor"
+    WIRE_IN_PEDICLE = "wire-in-pedicle"
+    ENTRY_TO_PEDICLE = "entry-to-pedicle"
+    TIP_BEHIND_FRONT = "tip-behind-front"
+    TIP_TO_ENDPLATES = "tip-to-endplates"
+    WIRE_TO_GROWTH_PLATE = "wire-to-growth-plate"
+    WIRE_OFF_MIDDLE_OF_GROWTH_PLATE = "wire-off-middle-of-growth-plate"
+    TIP_BEYOND_GROWTH_PLATE = "tip-beyond-growth-plate"
+    VIEW_DIRECTIONS = "view-directions"
+    WIRE_TO_SHAFT = "wire-to-shaft"
+    ALL_WIRES = "all-wires"
+    PARALLEL = "parallel"
+    SPACING = "spacing"
+    INVERTED_TRIANGLE = "inverted-triangle"
+    SIDE_CONFIRMED = "side-confirmed"
+    FRAME_CONFIRMED = "frame-confirmed"
+    PLAN_AGE = "plan-age"
+    WIRE_ENTRY = "wire-entry"
+    WIRE_TIP = "wire-tip"
+    WIRE_AT_FAR_HOLE = "wire-at-far-hole"
+    WIRE_DIRECTION = "wire-direction"
+    CHECK_SHOT_ERROR = "check-shot-error"
+    BONE_LANDMARKS = "bone-landmarks"
+    CHECK_SHOT_RESIDUALS = "check-shot-residuals"
+    CHECK_SHOT_OUTLIER = "check-shot-outlier"
+    WIRE_BOW = "wire-bow"
+    WIRE_AHEAD = "wire-ahead"
+    WIRE_DEPTH = "wire-depth"
+    PLAN_GO = "plan-go"
+    WIRE_ENTRY_ERROR = "wire-entry-error"
+    WIRE_END_ERROR = "wire-end-error"
+    WIRE_DIRECTION_ERROR = "wire-direction-error"
+    WIRE_THROUGH_BOTH_WALLS = "wire-through-both-walls"
+    POSE_AGE = "pose-age"
+    ERRORS_AS_PREDICTED = "errors-as-predicted"
+    FRAME_VIEWS = "frame-views"
+    FRAME_IDS = "frame-ids"
+    PLATE_BEADS = "plate-beads"
+    PLATE_COLLINEAR = "plate-collinear"
+    BEAD_OVERLAP = "bead-overlap"
+    PLATE_FLAT = "plate-flat"
+    PLATE_SPACING = "plate-spacing"
+    DATUM_COUNT = "datum-count"
+    DATUM_SIZE = "datum-size"
+    DATUM_SYMMETRY = "datum-symmetry"
+    PLATE_TWIN = "plate-twin"
+    PLATE_TILT = "plate-tilt"
+    PLATE_FIELD = "plate-field"
+    WIRE_REACH = "wire-reach"
+    SOLID_BEADS = "solid-beads"
+    SOLID_EXTENT = "solid-extent"
+    SOLID_CLEAR = "solid-clear"
+    SOLID_WORST = "solid-worst"
+    SOLID_SYMMETRY = "solid-symmetry"
+    SOLID_FIELD = "solid-field"
+    FRAME_BEFORE = "frame-before"
+    MEASURED_IDS = "measured-ids"
+    MEASURED_DIAMETERS = "measured-diameters"
+    MEASURED_SERIES = "measured-series"
+    MEASUREMENTS_LEFT_OUT = "measurements-left-out"
+    MEASURED_DEVIATION = "measured-deviation"
+    IMAGE_MOVEMENT = "image-movement"
+    SELF_CHECK_CHI_SQUARE = "self-check-chi-square"
+    MISPLACED_BALLS = "misplaced-balls"
+    JOINT_LIMITS = "joint-limits"
+    PATIENT_CLEARANCE = "patient-clearance"
+    TABLE_CLEARANCE = "table-clearance"
+    C_ARM_CLEARANCE = "c-arm-clearance"
+    FRAME_REMOUNT = "frame-remount"
+    CASE_DATABASE = "case-database"
+    CASE_CHAIN = "case-chain"
+    CASE_ORIGINALS = "case-originals"
+    CASE_REPLAY = "case-replay"
+
+
+def code_key(name: str) -> str:
+    """Return the value of the code of a check, by its heading in docs/refusals.md."""
+    return name.lower().replace(" ", "-")
 
 
 @dataclass(frozen=True)
@@ -14,7 +146,9 @@ class Check:
     """One named check.
 
     `name` is a key of docs/refusals.md; `figure` (the value) and `limit` are in `unit`. `figure` is None where the
-    check is not a measurement, or the value could not be measured; in the latter case the check fails.
+    check is not a measurement, or the value could not be measured; in the latter case the check fails. `missing`: the
+    check failed because an input is missing that a person can give. `view`: of the image that the check is about, ""
+    for others. `code`: what the check is about, for programs.
     """
 
     name: str
@@ -23,6 +157,21 @@ class Check:
     limit: float | None
     unit: str
     sentence: str
+    missing: bool = False
+    view: str = ""
+    code: Code = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "code", Code(code_key(self.name)))
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Self:
+        """Return the check of a JSON document; those of version 0.1.0 lack `code`, `missing` and `view`."""
+        return cls(**{key: document[key] for key in cls.__dataclass_fields__ if key in document and key != "code"})
+
+    def of_view(self, view: str) -> Self:
+        """Return the check as that of a view, which its sentence then names."""
+        return replace(self, view=view, sentence=f"{view}: {self.sentence}")
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,8 @@ def test_a_damaged_image_is_named_as_a_person_knows_it(tmp_path: Path) -> None:
 
 def test_what_is_not_placed_is_left_to_do_and_needs_no_attention() -> None:
     """Fails where a plan without its landmarks is marked as one that failed a check."""
-    unmade, failed = (Check(name, False, None, None, "", f"{name}.") for name in ("head", "entry error"))
-    assert judged(Verdict((unmade,), (unmade,))) == (StepStatus.OPEN, "head.")
-    assert judged(Verdict((unmade, failed), (unmade,))) == (StepStatus.ATTENTION, "entry error.")
+    unmade = Check("head", False, None, None, "", "head.", missing=True)
+    failed = Check("entry error", False, None, None, "", "entry error.")
+    assert judged(Verdict((unmade,))) == (StepStatus.OPEN, "head.")
+    assert judged(Verdict((unmade, failed))) == (StepStatus.ATTENTION, "entry error.")
     assert judged(Verdict(()))[0] is StepStatus.DONE

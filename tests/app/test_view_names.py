@@ -33,16 +33,15 @@ def test_an_image_has_the_name_of_its_view_in_the_procedure() -> None:
 
 
 def test_a_check_of_one_view_names_the_view_of_the_procedure() -> None:
-    check = Check("bead count", True, 16.0, 6.0, "beads", "lateral: 16 balls of the solid are used.")
+    check = Check("bead count", True, 16.0, 6.0, "beads", "16 balls of the solid are used.").of_view("lateral")
     assert texts.sentence(with_view_named(check, SACRAL)) == "Outlet: 16 balls of the solid are used."
     assert texts.sentence(with_view_named(check, "hip-screw")) == "Lateral: 16 balls of the solid are used."
-    other = replace(check, sentence="The lateral cortex is clicked.")
+    other = replace(check, sentence="The lateral cortex is clicked.", view="")
     assert with_view_named(other, SACRAL) == other
 
 
 def _unmade(*names: str) -> Verdict:
-    checks = tuple(Check(name, False, None, None, "", f"{name}.") for name in names)
-    return Verdict(checks, checks)
+    return Verdict(tuple(Check(name, False, None, None, "", f"{name}.", missing=True) for name in names))
 
 
 def _known(bone: str, *, without: tuple[str, ...] = (), side: Any = "right") -> Any:

@@ -198,11 +198,13 @@ def test_nothing_is_asked_of_a_wire_without_a_bone():
 
 
 def test_missing_and_wrong_together_are_no_go_and_both_are_said():
-    wanting, wrong = (Check(name, False, None, None, "", f"{name}.") for name in ("side", "gap"))
+    wanting, wrong = (
+        Check(name, False, None, None, "", f"{name}.", missing=name == "side") for name in ("side", "gap")
+    )
     right = Check("error known", True, None, None, "", "Known.")
     assert Verdict((right,)).state == "go"
-    assert Verdict((right, wanting), (wanting,)).state == "incomplete"
-    both = Verdict((right, wanting, wrong), (wanting,))
+    assert Verdict((right, wanting)).state == "incomplete"
+    both = Verdict((right, wanting, wrong))
     assert (both.state, both.missing, both.go) == ("no-go", ("side.",), False)
 
 

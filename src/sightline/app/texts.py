@@ -2,7 +2,7 @@
 
 import re
 
-from sightline.checks import Check
+from sightline.checks import Check, Code
 
 _VIEWS = re.compile(r"^(?:lateral|oblique)(?=: )|\bpa\b")  # of a view, in the sentence of a check
 STEPS = {"images": "Images", "calibrate": "Calibrate", "plan": "Plan", "drill": "Drill", "verify": "Verify"}
@@ -151,18 +151,18 @@ CURVE_TITLE = "where the {name} point may lie"
 VERDICTS = {"go": "GO", "no-go": "NO-GO", "incomplete": "INCOMPLETE"}
 MORE = "(and {count} more: Details)"
 LEFT = "To do: {what}."
-FIGURES = {  # by the name of the check that states them; of a procedure's own ones the first that it has
-    "entry error": "Entry, 95 % error",
-    "end error": "Tip, 95 % error",
-    "direction error": "Direction, 95 % error",
-    "tip in head": "Tip to joint",
-    "tip behind front": "Tip to front",
-    "tip in sacral corridor": "Tip in corridor",
-    "wire in sacral corridor": "Wire in corridor",
-    "wire in pedicle": "Wire in pedicle",
-    "wire in neck": "Wire in neck",
-    "tip to bone nearest": "Tip to bone",
-    "movement": "Bone movement",
+FIGURES = {  # by the check that states them; of a procedure's own ones the first that it has
+    Code.ENTRY_ERROR: "Entry, 95 % error",
+    Code.END_ERROR: "Tip, 95 % error",
+    Code.DIRECTION_ERROR: "Direction, 95 % error",
+    Code.TIP_IN_HEAD: "Tip to joint",
+    Code.TIP_BEHIND_FRONT: "Tip to front",
+    Code.TIP_IN_SACRAL_CORRIDOR: "Tip in corridor",
+    Code.WIRE_IN_SACRAL_CORRIDOR: "Wire in corridor",
+    Code.WIRE_IN_PEDICLE: "Wire in pedicle",
+    Code.WIRE_IN_NECK: "Wire in neck",
+    Code.TIP_TO_BONE_NEAREST: "Tip to bone",
+    Code.MOVEMENT: "Bone movement",
 }
 FIGURE_AT_MOST = "at most {limit}"
 FIGURE_MOVED = ("seen", "none seen")  # of a movement between three images, which has no single value in mm

@@ -197,7 +197,7 @@ def _judged_of(key: str, document: ProcedureDocument, judged: Verdict) -> tuple[
     """Return the checks of a wire's relations that could be made."""
     asked = [relation for relation in document.relations if relation.relation != "order"]
     pairs = zip(asked, judged.checks, strict=True)
-    return tuple(check for relation, check in pairs if key in relation.wires and check not in judged.unmade)
+    return tuple(check for relation, check in pairs if key in relation.wires and not check.missing)
 
 
 def _of_all(plans: Mapping[str, Plan]) -> Verdict:
@@ -211,17 +211,15 @@ def _of_all(plans: Mapping[str, Plan]) -> Verdict:
         return [replace(check, sentence=f"{name}: {check.sentence}") for check in own]
 
     checks = [*common, *(check for name, one in verdicts.items() for check in named(one.checks, name))]
-    unmade = [check for check in first.unmade if check in common]
-    unmade += [check for name, one in verdicts.items() for check in named(one.unmade, name)]
-    return Verdict(tuple(checks), tuple(unmade))
+    return Verdict(tuple(checks))
 
 
 def _all_planned(missing: Sequence[str], count: int) -> Verdict:
     """Return the check that all wires of the procedure are planned or placed."""
     sentence = f"{count - len(missing)} of {count} wires of the procedure are planned"
     sentence += f": pick entry and end of the {' and the '.join(missing)} too." if missing else "."
-    check = Check("all wires", not missing, float(count - len(missing)), float(count), "wires", sentence)
-    return Verdict((check,), (check,) if missing else ())
+    figures = float(count - len(missing)), float(count)
+    return Verdict((Check("all wires", not missing, *figures, "wires", sentence, missing=bool(missing)),))
 
 
 def measured_lines(plans: WirePlans, shots: Mapping[str, CheckShot]) -> WireLines:

@@ -76,8 +76,7 @@ def view(given: dict[str, Any]) -> BeadView:
 
 def checks(given: list[dict[str, Any]]) -> tuple[Check, ...]:
     """Return the checks of a document."""
-    names = Check.__dataclass_fields__
-    return tuple(Check(**{name: one[name] for name in names}) for one in given)
+    return tuple(Check.of(one) for one in given)
 
 
 def matrix_written(view: MatrixView) -> dict[str, Any]:

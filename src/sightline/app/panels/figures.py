@@ -9,14 +9,14 @@ from markupsafe import Markup
 from sightline.app import texts
 from sightline.app.panels import markup
 from sightline.app.tab.tab import Tab
-from sightline.checks import Check
+from sightline.checks import Check, Code
 from sightline.planning import Plan
 from sightline.planning.points.results import MAX_GAP_SIGMA
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 
-_ERRORS = ("entry error", "end error", "direction error")
-_FALLBACK = "movement"  # of procedures without a check of their own that has a value and a limit
+_ERRORS = (Code.ENTRY_ERROR, Code.END_ERROR, Code.DIRECTION_ERROR)
+_FALLBACK = Code.MOVEMENT  # of procedures without a check of their own that has a value and a limit
 _DIGITS = 2  # decimals of a value below 10, one less above [ours]
 _ROOM = 1.25  # length of a bar over the larger one of value and limit [ours]
 _FIGURE = (
@@ -31,7 +31,7 @@ _NO_BAR = Markup('<div class="figure-bar" aria-hidden="true"></div>')  # while t
 class _Figure:
     """`value`: None while it is not known; then `said` stands in its place."""
 
-    name: str
+    code: Code
     value: float | None
     limit: float | None
     unit: str
@@ -50,10 +50,10 @@ def html(tab: Tab) -> Markup:
 
 def _figures(kind: Procedure, plan: Plan | None) -> list[_Figure]:
     """Return the figures of a procedure; a check that was made of the current wire fills its figure."""
-    made: dict[str, Check] = {}
+    made: dict[Code, Check] = {}
     for check in () if plan is None else plan.verdict.checks:
         if check.figure is not None and check.limit is not None:
-            made.setdefault(check.name, check)
+            made.setdefault(check.code, check)
     limits = kind.limits
     wanted = [
         _Figure(_ERRORS[0], None, limits.position_mm, "mm"),
@@ -61,20 +61,20 @@ def _figures(kind: Procedure, plan: Plan | None) -> list[_Figure]:
         _Figure(_ERRORS[2], None, float(np.rad2deg(limits.direction_rad)), "°"),
         _Figure(_own(kind, made), None, None, ""),
     ]
-    filled = [_filled(one, made.get(one.name)) for one in wanted]
-    return [_of_movement(one, plan) if plan is not None and one.name == _FALLBACK else one for one in filled]
+    filled = [_filled(one, made.get(one.code)) for one in wanted]
+    return [_of_movement(one, plan) if plan is not None and one.code is _FALLBACK else one for one in filled]
 
 
-def _own(kind: Procedure, made: Iterable[str]) -> str:
-    """Return the name of the procedure's own figure: of the check that `FIGURES` lists first."""
-    asked = [name for name in texts.FIGURES if name in {rule.check for rule in kind.checks}]
-    return next((name for name in asked if name in made), next(iter(asked), _FALLBACK))
+def _own(kind: Procedure, made: Iterable[Code]) -> Code:
+    """Return the code of the procedure's own figure: of the check that `FIGURES` lists first."""
+    asked = [code for code in texts.FIGURES if code in {rule.code for rule in kind.checks}]
+    return next((code for code in asked if code in made), next(iter(asked), _FALLBACK))
 
 
 def _filled(figure: _Figure, check: Check | None) -> _Figure:
     if check is None:
         return figure
-    return _Figure(figure.name, check.figure, check.limit, check.unit, check.passed)
+    return _Figure(figure.code, check.figure, check.limit, check.unit, check.passed)
 
 
 def _of_movement(figure: _Figure, plan: Plan) -> _Figure:
@@ -89,7 +89,7 @@ def _of_movement(figure: _Figure, plan: Plan) -> _Figure:
 
 
 def _html(figure: _Figure) -> Markup:
-    name, value, limit = texts.FIGURES[figure.name], figure.value, figure.limit
+    name, value, limit = texts.FIGURES[figure.code], figure.value, figure.limit
     state = {None: "open", True: "passed", False: "failed"}[figure.passed]
     sign = Markup()
     if figure.passed is not None:
@@ -102,7 +102,7 @@ def _html(figure: _Figure) -> Markup:
     whole = _ROOM * max(abs(value), abs(limit), 1e-9)
     share, at = (f"{min(max(100 * x / whole, 0), 100):.0f}" for x in (value, limit))
     shown, bound = markup.apart(value, limit, figure.unit, _number, _DIGITS, passed=bool(figure.passed))
-    said = markup.limit_said(figure.name, bound, most=(value <= limit) == figure.passed)
+    said = markup.limit_said(figure.code, bound, most=(value <= limit) == figure.passed)
     return markup.filled(_FIGURE, state, name, shown, sign, markup.filled(_BAR, share, at), said)
 
 

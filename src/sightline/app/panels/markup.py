@@ -6,7 +6,7 @@ from functools import lru_cache
 from markupsafe import Markup, escape
 
 from sightline.app import texts
-from sightline.checks import Check
+from sightline.checks import Check, Code
 from sightline.planning.procedures.rules import ABOVE_ERROR
 
 _CHECK = (
@@ -96,12 +96,12 @@ def _figure(check: Check) -> str:
         return _quantity(check.figure, check.unit, _SHOWN)
     most = (check.figure <= check.limit) == check.passed
     value, bound = apart(check.figure, check.limit, check.unit, _quantity, _SHOWN, passed=check.passed)
-    return f"{value}, {limit_said(check.name, bound, most=most)}"
+    return f"{value}, {limit_said(check.code, bound, most=most)}"
 
 
-def limit_said(name: str, bound: str, *, most: bool) -> str:
+def limit_said(code: Code, bound: str, *, most: bool) -> str:
     """Return what the limit of a check means, in words. `most`: the value must be below it."""
-    if name in ABOVE_ERROR:
+    if code in ABOVE_ERROR:
         return f"± {bound} (95 %)"
     return f"at {'most' if most else 'least'} {bound}"
 

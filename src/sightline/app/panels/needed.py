@@ -5,23 +5,24 @@ from itertools import chain
 
 from sightline.app import texts
 from sightline.app.plan.planner import Planned
+from sightline.checks import Code
 from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.rules import CHECKS
 
-_OF_BONE = {"view directions": 2, "side": 3}  # directions of the bone that a check takes from the procedure
+_OF_BONE = {Code.VIEW_DIRECTIONS: 2, Code.SIDE: 3}  # directions of the bone that a check takes from the procedure
 
 
 def needed_aids(known: Planned, verdict: Verdict) -> tuple[str, ...]:
     """Return the keys of the aids that are not drawn and without which checks of a verdict cannot be made, in the order
     of the procedure."""
-    kind, unmade = known.kind, {check.name for check in verdict.unmade}
-    needs = set(unmade)  # the check "head" has the name of its aid
+    kind, unmade = known.kind, {check.code for check in verdict.unmade}
+    needs = {"head"} if Code.HEAD in unmade else set[str]()
     for rule in kind.checks:
-        if rule.check in unmade:
+        if rule.code in unmade:
             needs.update(*CHECKS[rule.check].needs[:1])
     if known.decisions.side is not None:  # else that is what these two wait for
-        needs.update(*(_of_bone(kind, count) for name, count in _OF_BONE.items() if name in unmade))
+        needs.update(*(_of_bone(kind, count) for code, count in _OF_BONE.items() if code in unmade))
     return tuple(aid.key for aid in kind.aids if aid.key in needs and known.anatomy.undrawn(aid.key))
 
 

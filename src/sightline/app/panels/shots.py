@@ -47,7 +47,7 @@ def _decided(tab: Tab) -> tuple[str, str]:
     shots = tab.session.shots
     if shots.found is not None:
         verdict = shots.found.verdict
-        wrong = sorted(failed(verdict.checks), key=lambda one: one in verdict.unmade)
+        wrong = sorted(failed(verdict.checks), key=lambda one: one.missing)
         return shots.found.decision, texts.sentence(wrong[0]) if wrong else "The wire is on the plan. A person decides."
     if shots.objection:
         return "STOP", shots.objection

@@ -143,10 +143,10 @@ def _judged(known: Planned, verdict: Verdict | None) -> _Found:
 
 def judged(verdict: Verdict | None) -> _Found:
     """Return the status by the checks: what is not placed is left to do, only a check that failed needs attention."""
-    wrong = [] if verdict is None else sorted(failed(verdict.checks), key=lambda one: one in verdict.unmade)
+    wrong = [] if verdict is None else sorted(failed(verdict.checks), key=lambda one: one.missing)
     if verdict is None or not wrong:
         return StepStatus.DONE, "GO: every check passed."
-    return StepStatus.OPEN if wrong[0] in verdict.unmade else StepStatus.ATTENTION, texts.sentence(wrong[0])
+    return StepStatus.OPEN if wrong[0].missing else StepStatus.ATTENTION, texts.sentence(wrong[0])
 
 
 def refusals(known: Planned) -> tuple[str, ...]:

@@ -84,7 +84,7 @@ def html(tab: Tab) -> Markup:
         more = len(others)
     else:
         kind = tab.planning.decisions.kind
-        wrong = [with_view_named(check, kind) for check in failed(verdict.checks) if check not in verdict.unmade]
+        wrong = [with_view_named(check, kind) for check in failed(verdict.checks) if not check.missing]
         told, more = (texts.sentence(wrong[0]) if wrong else "Every check passed. A person decides."), len(wrong) - 1
     said = texts.MORE.format(count=more) if more > 0 else ""
     return markup.card(state, texts.VERDICTS[state], told, said, testid="verdict")

@@ -21,10 +21,7 @@ class Readiness:
         verdict = None if known is None else known.verdict
         if verdict is None:
             return None
-        decisions = self._planning.decisions
-        side, serial, _ = confirmations = self.confirmations
-        given = ((side, decisions.side), (serial, decisions.serial))
-        return verdict.joined(Verdict(tuple(confirmations), tuple(check for check, value in given if value is None)))
+        return verdict.joined(Verdict(tuple(self.confirmations)))
 
     @property
     def verdict(self) -> Verdict | None:
@@ -60,6 +57,7 @@ class Readiness:
                 f"A person confirmed on the images that this is the {side} side."
                 if side
                 else "Look at both images and confirm the patient's side, on the step Images.",
+                missing=side is None,
             ),
             Check(
                 "frame confirmed",
@@ -70,6 +68,7 @@ class Readiness:
                 _serial_sentence(serial)
                 if serial
                 else "Read the serial on the frame that the robot holds and confirm it, on the step Images.",
+                missing=serial is None,
             ),
             Check(
                 "plan age",

@@ -75,7 +75,7 @@ class Shots:
         if self._stopping is None or self._since[:2] != (self._waiting, self._drilling.held):
             return ""
         verdict = self._stopping.verdict
-        why = " ".join(one.sentence for one in failed(verdict.checks) if one not in verdict.unmade)
+        why = " ".join(one.sentence for one in failed(verdict.checks) if not one.missing)
         return f"The shot says STOP: {why}"
 
     @property

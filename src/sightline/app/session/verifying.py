@@ -62,7 +62,7 @@ class Verifying:
         if known is None or known.wires is None or len(shots) < 2 or not set(shots) <= set(known.wires.plans):
             return ()
         measured = judge_measured(known.wires, shots, known.decisions.side)
-        return tuple(one for one in measured.checks if one not in measured.unmade)
+        return tuple(one for one in measured.checks if not one.missing)
 
     @property
     def shows_all(self) -> bool:

@@ -1,14 +1,11 @@
 """Names of the images as the procedure calls its views, such as "Inlet image", in the language of the page."""
 
-import re
 from dataclasses import replace
 
 from sightline.app import texts
 from sightline.case.views import spoken
 from sightline.checks import Check
 from sightline.planning.procedures import kind as kind_of
-
-_PREFIX = re.compile(r"^(pa|lateral)(?=: )")  # of a check of one view
 
 
 def image_label(image: str, kind: str) -> str:
@@ -37,10 +34,11 @@ def in_image(image: str, kind: str) -> str:
 
 
 def with_view_named(check: Check, kind: str) -> Check:
-    """Return a check whose sentence begins with the procedure's name of its view, where it is that of one view."""
-    return replace(
-        check, sentence=_PREFIX.sub(lambda found: texts.titled(spoken(found[1], kind_of(kind))), check.sentence)
-    )
+    """Return the check; the sentence of one of a view begins with the procedure's name of the view."""
+    if not check.view:
+        return check
+    said = check.sentence.removeprefix(f"{check.view}: ")
+    return replace(check, sentence=f"{texts.titled(spoken(check.view, kind_of(kind)))}: {said}")
 
 
 def _parts(image: str, kind: str) -> tuple[str, str]:

@@ -28,10 +28,11 @@ class TrajectoryPart(_Part):
 
 
 class CheckPart(_Part):
-    """A check's name and whether it passed."""
+    """A check's name and code, and whether it passed. Version 0.1.0 wrote no codes."""
 
     name: Text
     passed: bool
+    code: Text | None = None
 
 
 class BeadPart(_Part):

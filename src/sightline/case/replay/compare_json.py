@@ -40,7 +40,8 @@ def differences(then: Any, now_text: str) -> tuple[Difference, ...]:
 
 
 def _walk(where: str, key: str, then: Any, now: Any) -> Iterator[Difference]:
-    if isinstance(then, dict) and isinstance(now, dict) and then.keys() == now.keys():
+    # Keys that the version which wrote `then` did not know are not compared.
+    if isinstance(then, dict) and isinstance(now, dict) and then.keys() <= now.keys():
         for name in then:
             yield from _walk(f"{where}.{name}".lstrip("."), name, then[name], now[name])
     elif isinstance(then, list) and isinstance(now, list) and len(then) == len(now):

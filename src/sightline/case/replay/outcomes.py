@@ -87,7 +87,7 @@ def _replayed(entry: Entry, again: Recomputed) -> Replayed:
         return Replayed(entry, ReplayOutcome.SAME, changed)
     found = differences(entry.content, text)
     reason = ""
-    if changed and all(one.close for one in found):
+    if not found or (changed and all(one.close for one in found)):
         outcome = ReplayOutcome.CLOSE
     # A new estimator may change every result but the pixels, which are read and not estimated.
     elif _estimator(entry) != ESTIMATOR and all(one.where != "pixels_sha256" for one in found):

@@ -32,6 +32,9 @@ class CheckDocument(_Open):
     limit: float | None
     unit: str
     sentence: str
+    code: str | None = Field(default=None, description="What the check is about, for programs; not in version 0.1.0.")
+    missing: bool = Field(default=False, description="The check failed because an input is missing.")
+    view: str = Field(default="", description="The view that the check is about.")
 
 
 class FrameNamed(_Open):

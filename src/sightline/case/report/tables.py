@@ -1,7 +1,6 @@
 """The texts and rounded numbers of a report as template context."""
 
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from sightline.case.report import drilled, exposures
 from sightline.case.report.comparison import Compared, Refused
 from sightline.case.report.content import Report
 from sightline.case.report.drawing.budget import Bar
-from sightline.checks import Check, failed
+from sightline.checks import Check, Code, failed
 from sightline.planning.check.result import CheckShot
 from sightline.planning.points.results import Verdict
 from sightline.planning.wires import judge_measured
@@ -74,8 +73,8 @@ def _verdict(report: Report) -> dict[str, Any]:
 
 def _reason(check: Check, report: Report) -> dict[str, str]:
     """Return a failed check, with the view that it belongs to."""
-    about = [report.spoken(image.name) for image in report.images if any(check is one for one in image.view.checks)]
-    return {"name": f"{check.name}{f' ({about[0]} view)' if about else ''}", "sentence": check.sentence}
+    view = f" ({report.spoken(check.view)} view)" if check.view else ""
+    return {"name": f"{check.name}{view}", "sentence": check.sentence.removeprefix(f"{check.view}: ")}
 
 
 def _tiles(report: Report) -> list[dict[str, str]]:
@@ -86,15 +85,15 @@ def _tiles(report: Report) -> list[dict[str, str]]:
         unknown = "the lines of sight miss each other" if failed else "a view states no covariance"
         points = [{"name": n, "value": "unknown", "note": unknown} for n in ("Entry point", "Tip", "Direction")]
         return [*points, length]
-    limits = {check.name: check.limit for check in report.plan.verdict.checks}
+    limits = {check.code: check.limit for check in report.plan.verdict.checks}
     errors = (
-        ("Entry point", "entry error", f"{path.entry_error_95_mm:.2f} mm", " mm"),
-        ("Tip", "end error", f"{path.end_error_95_mm:.2f} mm", " mm"),
-        ("Direction", "direction error", f"{np.rad2deg(path.direction_error_95_rad):.2f}°", "°"),
+        ("Entry point", Code.ENTRY_ERROR, f"{path.entry_error_95_mm:.2f} mm", " mm"),
+        ("Tip", Code.END_ERROR, f"{path.end_error_95_mm:.2f} mm", " mm"),
+        ("Direction", Code.DIRECTION_ERROR, f"{np.rad2deg(path.direction_error_95_rad):.2f}°", "°"),
     )
     return [
-        {"name": f"{name}, 95 % bound", "value": value, "note": f"limit {limits[check]:.2g}{unit}"}
-        for name, check, value, unit in errors
+        {"name": f"{name}, 95 % bound", "value": value, "note": f"limit {limits[code]:.2g}{unit}"}
+        for name, code, value, unit in errors
     ] + [length]
 
 
@@ -173,7 +172,7 @@ def _wires(report: Report) -> dict[str, Any] | None:
         "others": [f"{names[key]}: in the bone already" for key in made.placed]
         + [f"{names[key]}: not planned" for key in made.missing],
         "relations": [_check(check) for check in made.relations]
-        + [_check(replace(check, name=f"{check.name}, as measured")) for check in measured.checks],
+        + [_check(check) | {"name": f"{check.name}, as measured"} for check in measured.checks],
     }
 
 
@@ -245,9 +244,8 @@ def _row(one: Compared | Refused, report: Report) -> dict[str, Any]:
 def _checks(report: Report) -> list[dict[str, Any]]:
     """Return the checks by subject: each view after calibration, the plan, the drilling."""
     views = {image.name: image.view.checks for image in report.images}
-    of_views = [check for checks in views.values() for check in checks]
     blocks = [(f"Calibration of the {report.spoken(name)} view", checks) for name, checks in views.items()]
-    blocks.append(("The plan", tuple(c for c in report.plan.verdict.checks if c not in of_views)))
+    blocks.append(("The plan", tuple(c for c in report.plan.verdict.checks if not c.view)))
     blocks += drilled.checks(report.drilled)
     return [{"title": title, "rows": [_check(c) for c in checks]} for title, checks in blocks if checks]
 

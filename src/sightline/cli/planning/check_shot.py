@@ -101,7 +101,7 @@ def check_shot(
         if plans is not None:
             with output.step("comparing the wires that were measured"):
                 measured = judge_measured(plans, again.measured(entry), made.side)
-            relations = tuple(one for one in measured.checks if one not in measured.unmade)
+            relations = tuple(one for one in measured.checks if not one.missing)
             for check_of in measured.checks:
                 output.say(f"{check_of.name}, as measured: {check_of.sentence}")
         output.say(

@@ -1,14 +1,14 @@
 """The result of a check shot: the drilled wire against the plan, and its checks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check, Limits, failed
+from sightline.checks import Check, Code, Limits, failed
 from sightline.geometry.covariance import length_quantile
 from sightline.show import Shown
 from sightline.show.words import checks_lines, numbers
@@ -117,7 +117,7 @@ class CheckShot(Shown):
     @property
     def at_holes(self) -> bool:
         """True for a drill through a nail, which is judged at both holes instead of at its tip."""
-        return any(check.name == "wire at far hole" for check in self.checks)
+        return any(check.code is Code.WIRE_AT_FAR_HOLE for check in self.checks)
 
     def document(self) -> dict[str, Any]:
         """Return everything as JSON types: mm, angles in degrees."""
@@ -156,7 +156,7 @@ def checks(
     """
     far_mm = shot.tip_error_95_mm if walls_mm is None else shot.beside(walls_mm)[1]
     return (
-        *(replace(check, sentence=f"{view.name}: {check.sentence}") for view in views for check in view.checks),
+        *(check.of_view(view.name) for view in views for check in view.checks),
         *_deviations(shot, limits, walls_mm),
         check_shot_error(max(shot.entry_error_95_mm, far_mm), shot, limits),
         _landmarks(shot),

@@ -254,13 +254,9 @@ def _gap_check(name: str, failed: bool, sigma: float, gap_mm: float) -> Check:
 
 @dataclass(frozen=True, repr=False)
 class Verdict(Shown):
-    """GO only if every check passed; the decision is a person's.
-
-    `unmade`: the failed checks that could not be made because an input is missing.
-    """
+    """GO only if every check passed; the decision is a person's."""
 
     checks: tuple[Check, ...]
-    unmade: tuple[Check, ...] = ()
 
     def summary(self) -> str:
         """Return GO, NO-GO or INCOMPLETE, and the checks that failed."""
@@ -276,11 +272,16 @@ class Verdict(Shown):
         """ "go", "no-go", or "incomplete" where only checks with a missing input failed."""
         if self.go:
             return "go"
-        return "incomplete" if all(check in self.unmade for check in failed(self.checks)) else "no-go"
+        return "incomplete" if all(check.missing for check in failed(self.checks)) else "no-go"
 
     def joined(self, other: "Verdict") -> "Verdict":
         """Return the verdict with another's checks added."""
-        return Verdict(self.checks + other.checks, self.unmade + other.unmade)
+        return Verdict(self.checks + other.checks)
+
+    @property
+    def unmade(self) -> tuple[Check, ...]:
+        """The failed checks that could not be made because an input is missing."""
+        return tuple(check for check in self.checks if check.missing)
 
     @property
     def missing(self) -> tuple[str, ...]:

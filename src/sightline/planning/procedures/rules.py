@@ -8,6 +8,8 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from sightline.checks import Code, code_key
+
 HEAD_CENTRE, LESSER = "head-centre", "lesser-trochanter"
 
 # [ours] beyond any length (mm) or angle (°) of a wire in a bone
@@ -69,7 +71,7 @@ CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
     }
 )
 # The limit of these is the 95 % error of their own value: no clearance.
-ABOVE_ERROR = ("tip in head",)
+ABOVE_ERROR = (Code.TIP_IN_HEAD,)
 # They show whether an end of the wire lies in the bone, where the corridor says that it must.
 END_CHECKS = {
     "entry": {"entry below cortex", "lateral of lesser trochanter", "entry to pedicle"},
@@ -109,6 +111,11 @@ class CheckRule(Strict):
         if not self.range[0] < self.range[1]:
             raise ValueError(f"has the limits {self.low:g} to {self.high:g}; give a lower limit below the upper one")
         return self
+
+    @property
+    def code(self) -> Code | None:
+        """The code of the check that the rule names; None where the check is "entry at cortex"."""
+        return next((code for code in Code if code == code_key(self.check)), None)
 
     @property
     def range(self) -> tuple[float, float]:

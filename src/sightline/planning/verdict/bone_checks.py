@@ -75,12 +75,11 @@ class _Bone:
 def judge_in_bone(
     found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
 ) -> Verdict:
-    """Return the checks of the wire in `found` against the bone that `rules` ask for, and those that lack an input.
+    """Return the checks of the wire in `found` against the bone that `rules` ask for.
 
     `landmarks_mm`: (3,) by their keys in the procedure. Raises UnusableInputError for an unknown side.
     """
-    missing = _missing(found, rules, side, landmarks_mm)
-    checks = list(missing)
+    checks = _missing(found, rules, side, landmarks_mm)
     if found.head_agreement is not None:
         checks.append(found.head_agreement)
     if "wire" in found.at:
@@ -89,7 +88,7 @@ def judge_in_bone(
         checks += _of_metrics(_Bone(found, side, landmarks_mm), rules)
     if "head" not in found.at and found.absent["head"] != NOT_PLACED["head"]:
         checks.append(Check("head", False, None, None, "", f"The head is not known: {found.absent['head']}."))
-    return Verdict(tuple(checks), missing)
+    return Verdict(tuple(checks))
 
 
 def measures(
@@ -201,7 +200,7 @@ def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float
 
 def _missing(
     found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
-) -> tuple[Check, ...]:
+) -> list[Check]:
     """Return the required checks that lack an input, with what they need."""
     required = {rule.check for rule in rules if rule.required}
     wanted = {}
@@ -225,7 +224,7 @@ def _missing(
             lacking += ["the side is not given"] if without_side else []
             if lacking:
                 wanted[rule.check] = f"The {rule.check} cannot be checked: {'; '.join(lacking)}."
-    return tuple(Check(name, False, None, None, "", sentence) for name, sentence in wanted.items())
+    return [Check(name, False, None, None, "", sentence, missing=True) for name, sentence in wanted.items()]
 
 
 def _order(centre: np.ndarray) -> Measure:

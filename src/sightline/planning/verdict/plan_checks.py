@@ -1,7 +1,6 @@
 """Go or no-go: the checks of a planned trajectory against limits."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -41,33 +40,31 @@ def judge(
     if trajectory.points.joint_covariance_mm2 is not None:
         checks += [*_gaps(seen, landmarks), *_spread(seen), _movement(seen, [view.name for view in views])]
     checks.append(_inside_hull(trajectory, views))
-    # An untested movement makes the plan incomplete, not refused.
-    return Verdict(tuple(checks), tuple(c for c in checks if c.name == "movement" and c.figure is None))
+    return Verdict(tuple(checks))
 
 
 @lru_cache(maxsize=8)  # the views of a few cases [ours]
 def _named(view: CalibratedView) -> tuple[Check, ...]:
     """Return a view's checks, with its name."""
-    return tuple(replace(check, sentence=f"{view.name}: {check.sentence}") for check in view.checks)
+    return tuple(check.of_view(view.name) for check in view.checks)
 
 
 def _errors(trajectory: Trajectory, limits: Limits) -> list[Check]:
     direction_deg = float(np.rad2deg(trajectory.direction_error_95_rad))
     errors = (
-        ("entry error", "entry point", trajectory.entry_error_95_mm, limits.position_mm, "mm"),
-        ("end error", "end point", trajectory.end_error_95_mm, limits.position_mm, "mm"),
-        ("direction error", "direction", direction_deg, float(np.rad2deg(limits.direction_rad)), "°"),
+        ("entry_mm", "entry error", "entry point", trajectory.entry_error_95_mm, limits.position_mm, "mm"),
+        ("end_mm", "end error", "end point", trajectory.end_error_95_mm, limits.position_mm, "mm"),
+        ("direction_rad", "direction error", "direction", direction_deg, float(np.rad2deg(limits.direction_rad)), "°"),
     )
     return [
-        error_check(name, what, error_95, limit, unit, advice="" if error_95 <= limit else _advice(trajectory, name))
-        for name, what, error_95, limit, unit in errors
+        error_check(name, what, error_95, limit, unit, advice="" if error_95 <= limit else _advice(trajectory, key))
+        for key, name, what, error_95, limit, unit in errors
     ]
 
 
-def _advice(trajectory: Trajectory, check: str) -> str:
+def _advice(trajectory: Trajectory, key: str) -> str:
     """Return which source has the largest share of an error, in words."""
     budget = trajectory.budget_rms()
-    key = {"entry error": "entry_mm", "end error": "end_mm", "direction error": "direction_rad"}[check]
     largest = max(budget, key=lambda source: budget[source][key]).replace("_", " ")
     return f"the largest source is {largest}: reduce it first"
 
@@ -109,7 +106,7 @@ def _movement(points: SpacePoints, views: Sequence[str]) -> Check:
             f"A movement of the patient between the views is not tested: {free} point{' is' if free == 1 else 's are'} "
             f"picked freely in both views (a snapped pick has no gap); pick {MIN_FREE_POINTS} landmarks freely in both."
         )
-        return Check("movement", False, None, MAX_GAP_SIGMA, "σ", sentence)
+        return Check("movement", False, None, MAX_GAP_SIGMA, "σ", sentence, missing=True)
     shift, sd = abs(points.shift_mm), points.shift_sd_mm
     passed = shift <= MAX_GAP_SIGMA * sd
     if passed:
@@ -135,7 +132,7 @@ def _movement_between(found: Movement, free: int, views: Sequence[str]) -> Check
             f"A movement of the patient between the {images} images is not tested completely: pick {MIN_FREE_POINTS} "
             "landmarks freely in all of them."
         )
-        return Check("movement", False, None, limit, "χ²", sentence)
+        return Check("movement", False, None, limit, "χ²", sentence, missing=True)
     passed = found.chi2 <= limit
     if passed:
         first, last = found.noticed_mm[[0, -1], 1]

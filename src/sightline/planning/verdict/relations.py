@@ -73,13 +73,13 @@ def judge_relations(
     side: str | None,
     lacks: str = "is not planned",
 ) -> Verdict:
-    """Return a check for each relation of geometry, and those that could not be made.
+    """Return a check for each relation of geometry.
 
     `names`: of all wires of the procedure, by key. A relation with a missing wire is judged for the others: it fails
     where they break it, and otherwise it cannot be made; `lacks`: why it is missing. Raises UnusableInputError for an
     unknown side.
     """
-    checks, unmade = [], []
+    checks = []
     for relation in relations:
         name = relation.relation
         if name == "order":
@@ -93,10 +93,9 @@ def judge_relations(
         check = _JUDGES[name](relation, wires, names, side)
         if check is None or (lacking and check.passed):
             sentence = f"The relation '{name}' cannot be judged yet: {', '.join(lacking)}."
-            check = Check(name, False, None, None, "", sentence)
-            unmade.append(check)
+            check = Check(name, False, None, None, "", sentence, missing=True)
         checks.append(check)
-    return Verdict(tuple(checks), tuple(unmade))
+    return Verdict(tuple(checks))
 
 
 def refuse_unrelated(unchecked: Sequence[str] | None) -> None:

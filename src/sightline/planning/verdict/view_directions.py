@@ -88,14 +88,14 @@ class Located:
     def _directions(self) -> Verdict:
         rule = next((one for one in self.procedure.checks if one.check == _NAME), None)
         if rule is None:
-            return Verdict((), ())
+            return Verdict(())
         if why := self.unknown_directions:
-            missing = (Check("view directions", False, None, None, "°", why),) if rule.required else ()
-            return Verdict(missing, missing)
+            missing = Check("view directions", False, None, None, "°", why, missing=True)
+            return Verdict((missing,) if rule.required else ())
         try:
-            return Verdict((self.worst_view().check(),), ())
+            return Verdict((self.worst_view().check(),))
         except ReconstructionRefusedError as refusal:
-            return Verdict((Check("view directions", False, None, None, "°", f"Not known: {refusal}."),), ())
+            return Verdict((Check("view directions", False, None, None, "°", f"Not known: {refusal}."),))
 
     def worst_view(self) -> "JudgedView":
         """Return the view that is farthest beyond its tolerance, with its error. Raises ReconstructionRefusedError."""
@@ -134,7 +134,7 @@ class Located:
 
     def _side(self) -> Verdict:
         """Return the check that the bone is one of the stated side, where its directions show that."""
-        document, none = self.procedure.document, Verdict((), ())
+        document, none = self.procedure.document, Verdict(())
         rule = next((one for one in self.procedure.checks if one.check == "side"), None)
         stated_before = self.side is None and rule in rules_of_bone(self.procedure, self.views)
         if rule is None or len(document.directions) < 3 or stated_before:
@@ -142,12 +142,12 @@ class Located:
         if sentence := self.unknown_side:
             by_frame = _axes_of_frame(self.views) and not {"head", HEAD_CENTRE}.isdisjoint(document.given)
             asked = rule.required and not by_frame
-            missing = (Check("side", False, None, None, "mm", sentence),) if asked else ()
-            return Verdict(missing, missing)
+            missing = Check("side", False, None, None, "mm", sentence, missing=True)
+            return Verdict((missing,)) if asked else none
         try:
             value, error = self.beside()
         except ReconstructionRefusedError as refusal:
-            return Verdict((Check("side", False, None, None, "mm", f"Not known: {refusal}."),), ())
+            return Verdict((Check("side", False, None, None, "mm", f"Not known: {refusal}."),))
         third = document.directions[2]
         to, start = (" and ".join(keys).replace("-", " ") for keys in (third.to, third.from_))
         axis = int(np.argmax(np.abs(third.nominal)))
@@ -162,7 +162,7 @@ class Located:
                 f"; this is not a {self.side} side, an image is mirrored, or points are exchanged: look at both "
                 "images, then give the other side or pick again"
             )
-        return Verdict((Check("side", value > error, value, error, "mm", f"{sentence}."),), ())
+        return Verdict((Check("side", value > error, value, error, "mm", f"{sentence}."),))
 
 
 @dataclass(frozen=True, eq=False)
