@@ -21,10 +21,9 @@ from sightline.calibration import BeadView
 from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, SightlineError
 from sightline.frame import Frame
-from sightline.studies.assess import Assessment, assess
+from sightline.studies.assess import Assessment, MeasuredPoints, assess, find_balls
 from sightline.studies.bound import bound
 from sightline.studies.methods import errors
-from sightline.studies.points import MeasuredPoints, find_balls
 from sightline.studies.scenes import BEADS_20UM, EXACT, VIEWS, WHOLE, draw_scene
 from sightline.twin import draw_setup, render
 from sightline.twin.scene import four_balls

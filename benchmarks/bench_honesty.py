@@ -14,9 +14,9 @@ from scipy.stats import chi2
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from sightline.frame import Frame
+from sightline.studies.coverage import PICKS, UNEVEN, outcome
+from sightline.studies.runs.study import Values
 from sightline.studies.scenes import FAR_MM, FRAMES, draw_scene
-from sightline.studies.study import Values
-from sightline.studies.study_coverage import PICKS, UNEVEN, outcome
 
 SETUPS = 6000
 DOSES = {"beads 0.05 px": 0.05, "beads 0.1 px": 0.1, "beads 0.3 px": 0.3}

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from sightline.studies.study_fig15 import LIMIT_DEG, LIMIT_MM, Figure15
+from sightline.studies.fig15 import LIMIT_DEG, LIMIT_MM, Figure15
 
 TRIALS = 300
 MEDIAN_MM, MEDIAN_DEG = 0.3, 0.2

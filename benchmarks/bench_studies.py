@@ -11,8 +11,7 @@ import time
 
 from benchmarks.rows import Row
 from sightline.studies.catalogue import STUDIES
-from sightline.studies.run import one_trial
-from sightline.studies.workers import Workers, local_workers
+from sightline.studies.runs.run import Workers, local_workers, one_trial
 
 TRIALS = {"points": 10, "images": 4}
 IMAGES = ("fig15", "porcine")  # studies whose trials are of whole images

@@ -35,7 +35,7 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_png
 from sightline.rehearsal.kernels_ahead import KernelsAhead
-from sightline.studies.record import Record
+from sightline.studies.runs.record import Record
 from sightline.studies.scenes import VIEWS
 
 Work = Callable[[], int]

@@ -19,7 +19,7 @@ from sightline.errors import UnusableInputError
 from sightline.frame.measured.measurements import read_measurements
 from sightline.frame.table import frame_from_csv
 from sightline.imaging import frames_in
-from sightline.studies.points import read_points
+from sightline.studies.assess import read_points
 from sightline.twin.ct import read_ct
 from sightline.twin.meshes import read_mesh
 

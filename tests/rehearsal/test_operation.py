@@ -14,7 +14,7 @@ from sightline.robot.control.states import State
 from sightline.robot.kinematics.manipulator import FEED, imaging_yaw, nominal_manipulator
 from sightline.robot.kinematics.target import PlanIdentity, robot_target
 from sightline.robot.link.client import RobotClient
-from sightline.studies.study_fig15 import Figure15
+from sightline.studies.fig15 import Figure15
 
 IDEAL = np.array([[40.0, 30.0, -5.0], [-30.0, -35.0, 7.0]])
 

@@ -11,8 +11,7 @@ from sightline.calibration import BeadView
 from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, UnusableInputError
 from sightline.frame import Frame, Tolerances
-from sightline.studies.assess import Statistics, assess
-from sightline.studies.points import MeasuredPoints, find_balls, read_points
+from sightline.studies.assess import MeasuredPoints, Statistics, assess, find_balls, read_points
 from sightline.twin import SetUp, bead_images, draw_setup
 
 VIEWS = ("pa", "lateral")

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from sightline.studies.budget import FRAME_ALONE, MEANINGS, STATED, TOGETHER, Budget, SetUpWith
 from sightline.studies.scenes import EXACT, VIEWS, WHOLE
-from sightline.studies.study_budget import FRAME_ALONE, MEANINGS, STATED, TOGETHER, Budget, SetUpWith
 
 SMALL = Budget(picks_px=(0.5,))
 

@@ -9,8 +9,8 @@ import pytest
 from tests.studies.small_study import SmallStudy
 
 from sightline.errors import UnusableInputError
-from sightline.studies import workers
-from sightline.studies.run import StudyRun
+from sightline.studies.runs import run as run_module
+from sightline.studies.runs.run import StudyRun
 
 SEED, N = 5, 12
 # What Dask itself warns of while it closes is none of ours.
@@ -48,7 +48,7 @@ def test_a_cluster_gives_the_same_result_and_goes_on_where_others_stopped(cluste
 def test_workers_with_other_code_are_refused(cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = StudyRun.open(SmallStudy(), N, SEED, tmp_path)
     calls = count()
-    monkeypatch.setattr(workers, "code_digest", lambda: str(next(calls)))
+    monkeypatch.setattr(run_module, "code_digest", lambda: str(next(calls)))
     with pytest.raises(UnusableInputError, match="no Sightline or another version"):
         run.do(cluster)
     assert run.missing == list(range(N))
@@ -69,7 +69,7 @@ def test_workers_with_threads_of_linear_algebra_are_refused(
 
 
 def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(run_module, "PATIENCE_S", 0.5)
     run = StudyRun.open(SmallStudy(), N, SEED, tmp_path)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
         with pytest.raises(UnusableInputError, match=f"no scheduler answers at {address}"):
@@ -79,7 +79,7 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: 
 def test_a_scheduler_without_workers_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from distributed import LocalCluster
 
-    monkeypatch.setattr(workers, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(run_module, "PATIENCE_S", 0.5)
     with (
         LocalCluster(n_workers=0, processes=False, dashboard_address=None, protocol="tcp://") as empty,
         pytest.raises(UnusableInputError, match="has no workers"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sightline.studies.study_coverage import LEVELS, Coverage
+from sightline.studies.coverage import LEVELS, Coverage
 
 SMALL = Coverage(methods=("smooth", "localized"), beads_px=(0.1,), frames=("frame exact",))
 GROUPS = ["beads 0.1 px", "frame exact", "picks free, 0.1 px", "chain 9in-1k"]

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.studies import study_fig13
-from sightline.studies.study_fig13 import POSES, Figure13, holes_mm
+from sightline.studies import fig13 as study_fig13
+from sightline.studies.fig13 import POSES, Figure13, holes_mm
 from sightline.twin.distributions import Distortion
 
 
@@ -52,4 +52,3 @@ def test_the_summary_states_the_median_and_the_share_inside():
     summary = Figure13().summary(trials)
     assert summary.estimates[0].value == 0.4
     assert summary.findings[0].startswith("The centre hole moves by 2.9 mm")
-    assert "centre hole: moved by 2.90 mm" in summary.plots[0].svg

@@ -8,12 +8,8 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from sightline.frame import Frame
-from sightline.studies.block_places import places
-from sightline.studies.frame_errors import DesignResult
-from sightline.studies.frame_kinds import EQUAL, FrameKind, error_of_kind, which_to_build
-from sightline.studies.scenes import BEADS_20UM, EXACT, WHOLE, WIRE_ENDS_MM, draw_showing
-from sightline.studies.study import Values
-from sightline.studies.study_frame_design import (
+from sightline.studies.frames.kinds import EQUAL, DesignResult, FrameKind, error_of_kind, places, which_to_build
+from sightline.studies.frames.study import (
     AS_MADE,
     AS_MEASURED,
     DEFAULT,
@@ -24,6 +20,8 @@ from sightline.studies.study_frame_design import (
     error_of,
     obstacle,
 )
+from sightline.studies.runs.study import Values
+from sightline.studies.scenes import BEADS_20UM, EXACT, WHOLE, WIRE_ENDS_MM, draw_showing
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.handling import Handling
 

@@ -6,9 +6,9 @@ import pytest
 
 from sightline.detection import Detections
 from sightline.imaging import Radiograph
-from sightline.studies import image_figures as measure
-from sightline.studies.image_figures import NotMeasurableError
-from sightline.studies.lattice import Lattice, grow
+from sightline.studies.comparison import measures as measure
+from sightline.studies.comparison.lattice import Lattice, grow
+from sightline.studies.comparison.measures import NotMeasurableError
 
 OFF = np.array([0.31, -0.27])  # off the grid
 MIDDLE, RADIUS = np.array([511.5, 511.5]), 500.0

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sightline.errors import LabellingRefusedError
-from sightline.studies import study_porcine
-from sightline.studies.phantoms import PHANTOMS
-from sightline.studies.study_porcine import Porcine
+from sightline.studies import porcine as study_porcine
+from sightline.studies.porcine import Porcine
+from sightline.studies.scenes import PHANTOMS
 
 PIG = Porcine(phantoms=("porcine",))
 

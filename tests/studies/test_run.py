@@ -14,11 +14,11 @@ from tests.studies.small_study import SmallStudy
 from tests.systems import needs_posix
 
 from sightline.errors import RefusedError, UnusableInputError
-from sightline.studies import record as record_module
-from sightline.studies.page import render
-from sightline.studies.record import TRIALS
-from sightline.studies.run import Result, StudyRun
-from sightline.studies.study import Study
+from sightline.studies.runs import record as record_module
+from sightline.studies.runs.page import render
+from sightline.studies.runs.record import TRIALS
+from sightline.studies.runs.run import Result, StudyRun
+from sightline.studies.runs.study import Study
 
 SEED, N = 5, 12
 EXPECTED = [float(np.random.default_rng([SEED, k]).standard_normal()) for k in range(N)]
@@ -147,7 +147,8 @@ def test_the_page_needs_no_other_file_and_escapes_words(whole):
 COMMAND = """
 if __name__ == "__main__":  # workers import this file too
     from sightline.cli import main
-    from sightline.studies import catalogue, record
+    from sightline.studies import catalogue
+    from sightline.studies.runs import record
     from tests.studies.small_study import SmallStudy
 
     catalogue.STUDIES["small"] = SmallStudy(seconds=0.05)

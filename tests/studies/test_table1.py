@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from sightline.studies.study_table1 import BIPLANE, GAMMA, PAPER_MM, PLATES, Table1, frame_with, key
+from sightline.studies.table1 import BIPLANE, GAMMA, PAPER_MM, PLATES, Table1, frame_with, key
 
 SMALL = Table1(
     plates=(BIPLANE, GAMMA), methods=("smooth", "localized", "polynomial 1", "OpenCV 5"), picks_px=(0.1, 1.0)

@@ -1,15 +1,15 @@
 """All studies by name."""
 
 from sightline.errors import UnusableInputError
-from sightline.studies.study import Study
-from sightline.studies.study_budget import Budget
-from sightline.studies.study_coverage import Coverage
-from sightline.studies.study_fig13 import Figure13
-from sightline.studies.study_fig15 import Figure15
-from sightline.studies.study_frame_design import FrameDesignStudy
-from sightline.studies.study_porcine import Porcine
-from sightline.studies.study_table1 import Table1
-from sightline.studies.study_wrong_plans import WrongPlans
+from sightline.studies.budget import Budget
+from sightline.studies.coverage import Coverage
+from sightline.studies.fig13 import Figure13
+from sightline.studies.fig15 import Figure15
+from sightline.studies.frames.study import FrameDesignStudy
+from sightline.studies.porcine import Porcine
+from sightline.studies.runs.study import Study
+from sightline.studies.table1 import Table1
+from sightline.studies.wrong_plans.study import WrongPlans
 
 _ALL: tuple[Study, ...] = (
     Table1(),

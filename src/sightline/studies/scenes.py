@@ -5,7 +5,7 @@ cube around the hip. They are drawn again unless all images show them and, with 
 the convex hull of the visible beads of each plate (the paper's map is undefined outside).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,15 +13,19 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 import sightline as sl
-from sightline.calibration.solids.calibrate_together import calibrate_together
+from sightline.calibration import BeadView
+from sightline.calibration.focal_length import CArm
+from sightline.calibration.together import calibrate_together
 from sightline.calibration.view import CalibratedView
-from sightline.calibration.view_checks.focal_length import CArm
 from sightline.detection import Observations
 from sightline.errors import SetUpError
 from sightline.frame import Frame, Tolerances
+from sightline.imaging import Radiograph
 from sightline.studies.bound import BoundData
-from sightline.twin import SetUp, bead_images, draw_setup
+from sightline.twin import HipScene, SetUp, bead_images, draw_setup, render
 from sightline.twin.carm import shadow_radius_px
+from sightline.twin.femur import Femur, to_cfcs
+from sightline.twin.phantoms import PIG, plastic_hip, porcine_hip
 
 VIEWS = ("pa", "lateral")
 # Entry and end of a 97 mm wire through a right hip, CFCS (physics.md, Frame: 95 mm at 45°) [ours].
@@ -155,3 +159,49 @@ def draw_target(
         shown = all(view.in_field(uv[name], MARGIN_PX)[0] for name, view in setup.views.items())
         if shown and all(hull.find_simplex(uv[name])[0] >= 0 for name in hulls for hull in hulls[name]):
             return xyz
+
+
+SIDE = "right"
+
+
+@dataclass(frozen=True)
+class Phantom:
+    """A bone with its ideal wire centred on the origin, and the function that puts it into a set-up."""
+
+    femur: Femur
+    build: Callable[[SetUp, np.random.Generator], HipScene]
+
+    @property
+    def wire_mm(self) -> np.ndarray:
+        """Entry and end (2, 3) of the ideal wire, CFCS."""
+        wire = to_cfcs(np.stack(self.femur.wire_mm()), SIDE, np.zeros(3))
+        return wire - wire.mean(axis=0)
+
+    def draw(self, rng: np.random.Generator, frame: Frame) -> tuple[SetUp, HipScene]:
+        """Draw a set-up that shows the whole wire in both views, and its hip. Raises SetUpError."""
+        setup = draw_showing(rng, frame, self.wire_mm)
+        return setup, self.build(setup, rng)
+
+
+PHANTOMS = {
+    "plastic, bored": Phantom(Femur(), lambda setup, _: plastic_hip(setup)),
+    "porcine": Phantom(PIG, porcine_hip),
+}
+
+
+def image_of(rng: np.random.Generator, setup: SetUp, hip: HipScene, view: str) -> Radiograph:
+    """Render one view at the medium dose."""
+    return render(setup, view, hip.at(view).scene, rng)
+
+
+def observed(image: Radiograph, frame: Frame, view: str) -> Observations:
+    """Find and label the beads of an image. Raises SightlineError."""
+    return sl.label(sl.detect(image), frame, view)
+
+
+def calibrated_images(rng: np.random.Generator, setup: SetUp, hip: HipScene) -> list[BeadView]:
+    """Render and calibrate both views, each from its own image. Raises SightlineError."""
+    return [
+        sl.calibrate(observed(image_of(rng, setup, hip, name), setup.frame, name), setup.frame, view=name)
+        for name in VIEWS
+    ]

@@ -11,8 +11,7 @@ from sightline.cli.planning.plan import MethodName, Mirrored
 
 if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage
-    from sightline.studies.assess import Assessment
-    from sightline.studies.points import MeasuredPoints
+    from sightline.studies.assess import Assessment, MeasuredPoints
 
 
 def register(app: typer.Typer) -> None:
@@ -45,7 +44,7 @@ def assess(
         from sightline.case.views import calibrate_pair, see_pair
         from sightline.frame import Frame
         from sightline.studies.assess import assess as compare
-        from sightline.studies.points import read_points
+        from sightline.studies.assess import read_points
 
         known_frame, points = Frame.load(frame), read_points(truth)
         with output.step("finding and labelling the beads"):
@@ -70,7 +69,7 @@ def _pixels(points: "MeasuredPoints", images: "tuple[CalibratedImage, Calibrated
 
     from sightline.errors import UnusableInputError
     from sightline.planning import Pick
-    from sightline.studies.points import find_balls
+    from sightline.studies.assess import find_balls
 
     if points.uv_px is not None:
         covariance = Pick.free((0.0, 0.0), pick_sd).covariance_px2

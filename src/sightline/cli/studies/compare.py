@@ -31,9 +31,9 @@ def compare(
         import numpy as np
 
         from sightline.atomic import write_folder
-        from sightline.studies.compare import alone, document, findings, plots, read_folder
-        from sightline.studies.compare import compare as one_pair
-        from sightline.studies.compare_page import render
+        from sightline.studies.comparison.compare import compare as one_pair
+        from sightline.studies.comparison.compare import document, findings, plots, read_folder
+        from sightline.studies.comparison.page import render
 
         images, passed = read_folder(folder, invert=invert)
         for reason in passed:
@@ -45,7 +45,7 @@ def compare(
                 advance()
         figures = document(pairs, passed, seed)
         page = render(pairs, passed, folder.name, seed)
-        curves = {f"{picture.title.lower().replace(' ', '-')}.svg": alone(picture) for picture in plots(pairs)}
+        curves = {f"{picture.title.lower().replace(' ', '-')}.svg": picture.svg.encode() for picture in plots(pairs)}
         files = write_folder(out, {"compare.html": page.encode(), "compare.json": as_json(figures).encode(), **curves})
         for finding in findings(pairs):
             output.say(f"- {finding}")

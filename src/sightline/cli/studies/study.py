@@ -8,8 +8,8 @@ import typer
 from sightline.cli.output import Json, Output, Quiet, as_json, example
 
 if TYPE_CHECKING:
-    from sightline.studies.run import Result, StudyRun
-    from sightline.studies.study import Study
+    from sightline.studies.runs.run import Result, StudyRun
+    from sightline.studies.runs.study import Study
 
 PRINTED = 2  # tables on the terminal; the page has all of them
 
@@ -37,7 +37,7 @@ def study(
     """
     with Output(json=json, quiet=quiet) as output:
         from sightline.studies.catalogue import study_called
-        from sightline.studies.run import StudyRun
+        from sightline.studies.runs.run import StudyRun
 
         chosen = study_called(name)
         folder = out or Path("out/study") / name
@@ -66,7 +66,7 @@ def _do(output: Output, run: "StudyRun", scheduler: str | None) -> "Result":
 
 def _write(folder: Path, chosen: "Study", result: "Result") -> list[Path]:
     from sightline.atomic import write_folder
-    from sightline.studies.page import render
+    from sightline.studies.runs.page import render
 
     page = render(chosen.about, result)
     return write_folder(folder, {"report.html": page.encode(), "result.json": as_json(result.document()).encode()})

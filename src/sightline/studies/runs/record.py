@@ -15,7 +15,7 @@ from typing import Any
 
 import sightline
 from sightline.errors import UnusableInputError
-from sightline.studies.study import Study, Values
+from sightline.studies.runs.study import Study, Values
 
 TRIALS = "trials.jsonl"
 

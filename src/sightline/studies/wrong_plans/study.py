@@ -22,13 +22,11 @@ from sightline.planning import Plan, Procedure, kind
 from sightline.planning.bone.directions import anatomical, unit
 from sightline.planning.verdict.patient_axes import frame_axes
 from sightline.rehearsal.patient import RehearsedPatient, draw_patient
-from sightline.studies.figure_spans import Span, spans
-from sightline.studies.intervals import share
-from sightline.studies.plan_clicks import PICK_PX, clicks, jittered, plan_of, turned_beams, wire_pixels
-from sightline.studies.plan_margins import KnownBone
+from sightline.studies.plots import Span, spans
+from sightline.studies.runs.study import Estimate, Plot, Summary, Table, Values, share
 from sightline.studies.scenes import ATTEMPTS, calibrated_views, measure
-from sightline.studies.study import Estimate, Plot, Summary, Table, Values
-from sightline.studies.wrong_kinds import (
+from sightline.studies.wrong_plans.clicks import PICK_PX, clicks, jittered, plan_of, turned_beams, wire_pixels
+from sightline.studies.wrong_plans.kinds import (
     KINDS,
     MAX_AMOUNT,
     MAX_TIMES,
@@ -36,6 +34,7 @@ from sightline.studies.wrong_kinds import (
     NEAR_SHARE,
     NEAR_TIMES,
     SOLID_ONLY,
+    KnownBone,
     WrongKind,
     draw_times,
     right_wire,

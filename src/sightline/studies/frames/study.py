@@ -24,12 +24,26 @@ from sightline.frame.check import reach_mm
 from sightline.frame.design import Balls, FrameDesign
 from sightline.frame.designs import GAMMA_BEAMS
 from sightline.frame.nominal import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM, in_field
-from sightline.studies.block_places import BLOCKS, FIELDS_MM, place_table
-from sightline.studies.figure_spans import RMS, spans
-from sightline.studies.frame_errors import BEAD_PX, INTERVAL, PICK_PX, DesignResult, error_table, located
-from sightline.studies.frame_kinds import EQUAL, KINDS, FrameKind, error_of_kind, kinds_plot, which_to_build
+from sightline.studies.frames.kinds import (
+    BEAD_PX,
+    BLOCKS,
+    EQUAL,
+    FIELDS_MM,
+    INTERVAL,
+    KINDS,
+    PICK_PX,
+    DesignResult,
+    FrameKind,
+    error_of_kind,
+    error_table,
+    kinds_plot,
+    located,
+    place_table,
+    which_to_build,
+)
+from sightline.studies.plots import spans
+from sightline.studies.runs.study import Estimate, Plot, Summary, Table, Values
 from sightline.studies.scenes import BEADS_20UM, VIEWS, WHOLE, WIRE_ENDS_MM, draw_showing
-from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.twin import SetUp, bead_images
 from sightline.twin.beam import attenuation_per_mm
 from sightline.twin.carm import displaced
@@ -176,7 +190,7 @@ class FrameDesignStudy:
             ),
             plots=(
                 *kinds_plot(self.kinds, found),
-                Plot(title, spans(drawn, "mm", title, words=RMS), f"{INTERVAL}."),
+                Plot(title, spans(drawn, "mm", title), f"{INTERVAL}."),
             ),
         )
 

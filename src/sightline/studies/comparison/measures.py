@@ -16,7 +16,7 @@ from sightline.detection.beads.noise import NoiseModel, estimate_noise
 from sightline.detection.log_image import field_inset, log_image
 from sightline.errors import RefusedError
 from sightline.imaging import Radiograph
-from sightline.studies.lattice import Lattice, grow
+from sightline.studies.comparison.lattice import Lattice, grow
 
 DEGREES = (1, 2, 3, 4, 5, 6, 7)
 RIM = 0.9  # of the field's radius: where pincushion and turn are stated; an octagonal field reaches further [ours]

@@ -8,8 +8,8 @@ import numpy as np
 from sightline.detection import Detections
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
-from sightline.studies.image_figures import NotMeasurableError, field_circle, lattice_of, open_beam, usual_balls
-from sightline.studies.lattice import Lattice
+from sightline.studies.comparison.lattice import Lattice
+from sightline.studies.comparison.measures import NotMeasurableError, field_circle, lattice_of, open_beam, usual_balls
 from sightline.twin import Scene, ViewTruth, draw_setup, hip_scene, render
 from sightline.twin.carm import SetUp, shadow_radius_px
 from sightline.twin.things import Ball, Box, Rod, SoftTissue, Solid

@@ -19,10 +19,9 @@ from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.planning import SpacePoints
-from sightline.studies.intervals import rms, share
 from sightline.studies.methods import calibrated
+from sightline.studies.runs.study import Estimate, Plot, Summary, Table, Values, rms, share
 from sightline.studies.scenes import EXACT, VIEWS, WHOLE, TargetScene
-from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.twin import bead_images, draw_setup
 from sightline.twin.scene import TEST_BALLS_MM
 

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 
 from sightline.frame import Frame
-from sightline.frame.designs import builtin_design
-from sightline.studies.figure_spans import Span, spans
-from sightline.studies.intervals import quantile, share
+from sightline.frame.builtin import builtin_design
 from sightline.studies.methods import errors
+from sightline.studies.plots import Span, spans
+from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, quantile, share
 from sightline.studies.scenes import WHOLE, TargetScene, measure
-from sightline.studies.study import Estimate, EstimateGroup, Plot, Summary, Table, Values
 from sightline.twin import draw_setup
 from sightline.twin.scene import TEST_BALLS_MM
 

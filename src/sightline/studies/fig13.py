@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from sightline.studies.figure_field import field
-from sightline.studies.intervals import quantile, share
-from sightline.studies.study import Plot, Summary, Table, Values
+from sightline.studies.plots import field
+from sightline.studies.runs.study import Plot, Summary, Table, Values, quantile, share
 from sightline.twin.distributions import Distortion
 from sightline.twin.draw import draw_earth, draw_tube
 from sightline.twin.presets import preset

@@ -23,10 +23,8 @@ from sightline.planning import Plan, kind, plan
 from sightline.rehearsal.operation import InsertionOutcome, SimulatedTheatre
 from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.control.insertion import Setup
-from sightline.studies.intervals import quantile, share
-from sightline.studies.phantoms import PHANTOMS, SIDE, image_of, observed
-from sightline.studies.scenes import VIEWS
-from sightline.studies.study import Estimate, Summary, Table, Values
+from sightline.studies.runs.study import Estimate, Summary, Table, Values, quantile, share
+from sightline.studies.scenes import PHANTOMS, SIDE, VIEWS, image_of, observed
 from sightline.twin import HipScene, SetUp
 
 PHANTOM = "plastic, bored"

@@ -2,39 +2,27 @@
 
 import base64
 from collections.abc import Sequence
-from importlib.resources import files
 from typing import Any
 
 import cv2
-from jinja2 import Environment, StrictUndefined
-from markupsafe import Markup
 
-from sightline import __version__
 from sightline.case.report.drawing.radiographs import JPEG_QUALITY, grey
 from sightline.imaging import Radiograph
-from sightline.studies.compare import Pair, differences, findings, plots
+from sightline.studies.comparison.compare import Pair, differences, findings, plots
+from sightline.studies.runs.page import page
 
 SHOWN_PX = 512  # side of an image on the page [ours]
-PAIR_CSS = (
-    ".pair { display: flex; gap: 1rem; flex-wrap: wrap; } .pair figure { flex: 1 1 18rem; margin: 0; } "
-    ".pair img { width: 100%; }\n"
-)
 
 
 def render(pairs: Sequence[Pair], passed: Sequence[str], folder: str, seed: int) -> str:
     """Return the page as HTML, with the images scaled to SHOWN_PX."""
-    here, report = files("sightline.studies") / "templates", files("sightline.case.report") / "templates"
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    css = (report / "report.css").read_text("utf-8") + (here / "study.css").read_text("utf-8") + PAIR_CSS
-    page = environment.from_string((here / "compare.html.j2").read_text("utf-8"))
-    return page.render(
-        version=__version__,
-        css=Markup(css),  # noqa: S704 - files of this package
+    return page(
+        "compare.html.j2",
+        plots=plots(pairs),
         folder=folder,
         seed=seed,
         passed=passed,
         findings=findings(pairs),
-        plots=[{**vars(one), "svg": Markup(one.svg)} for one in plots(pairs)],  # noqa: S704 - drawn here
         images=[_shown(pair) for pair in pairs],
     )
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,12 @@ from sightline.errors import DetectionRefusedError, SightlineError, UnusableInpu
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, read_image
 from sightline.imaging.formats import FORMAT_NAMES
-from sightline.studies import image_figures as measure
-from sightline.studies.figure_xy import PlotAxis, PlotPoint, PlotSeries, xy
-from sightline.studies.image_figures import NotMeasurableError
-from sightline.studies.lattice import Lattice
-from sightline.studies.study import Plot
-from sightline.studies.twin_like import VIEW, lattice_mm, twin_of
+from sightline.studies.comparison import measures as measure
+from sightline.studies.comparison.lattice import Lattice
+from sightline.studies.comparison.measures import NotMeasurableError
+from sightline.studies.comparison.twin_like import VIEW, lattice_mm, twin_of
+from sightline.studies.plots import PlotAxis, PlotPoint, PlotSeries, xy
+from sightline.studies.runs.study import Plot
 from sightline.twin import draw_setup
 
 DRAWS = 40  # exposures of the twin from which the range of its distortion is estimated [ours]
@@ -28,9 +27,6 @@ MAX_IMAGES = 40  # per folder: each takes up to half a minute [ours]
 
 MAX_LEGEND = 4  # images per plot: eight curves can still be distinguished [ours]
 
-ALONE = "svg { background: var(--card); } text { font: 13px sans-serif; fill: var(--ink); } " + "".join(
-    f".source-{c} {{ fill: var(--{c}); }} " for c in ("beads", "frame", "focal", "picks", "map")
-)
 
 Curve = list[tuple[float, float]]
 
@@ -248,14 +244,6 @@ def plots(pairs: Sequence[Pair]) -> list[Plot]:
             svg = xy(series, PlotAxis(across, log=name == "noise"), PlotAxis(up, log=log), title)
             out.append(Plot(title, svg, "Real images, and the twin's image of the same kind (dashed)."))
     return out
-
-
-def alone(picture: Plot) -> bytes:
-    """Return the drawing as a file with its own style sheet."""
-    style = f"<style>{(files('sightline.case.report') / 'templates' / 'report.css').read_text('utf-8').split('* {')[0]}"
-    style += f"{(files('sightline.studies') / 'templates' / 'study.css').read_text('utf-8')}{ALONE}</style>"
-    head, rest = picture.svg.split(">", 1)
-    return f"{head}>{style}{rest}".encode()
 
 
 def document(pairs: Sequence[Pair], passed: Sequence[str], seed: int) -> dict[str, Any]:

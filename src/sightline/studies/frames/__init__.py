@@ -1,0 +1,1 @@
+"""The study of frames: kinds, designs and what handling does to them."""

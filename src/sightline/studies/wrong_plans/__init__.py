@@ -1,0 +1,1 @@
+"""The study of plans that are wrong by a known amount."""
