@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sightline.frame import Frame
-from sightline.frame.builtin import builtin_design
+from sightline.frame.designs import builtin_design
 from sightline.studies.methods import errors
 from sightline.studies.plots import Span, spans
 from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, quantile, share
