@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from sightline.app.session import age
+from sightline.app.session import readiness
 from sightline.cli import main
 
 
@@ -31,5 +31,5 @@ class _Clock(datetime):
 
 if __name__ == "__main__":
     _Clock.file = Path(sys.argv.pop(1))
-    age.datetime = _Clock
+    readiness.datetime = _Clock
     main()

@@ -13,7 +13,7 @@ from pydicom.config import disable_value_validation
 from pydicom.datadict import dictionary_VR
 
 from sightline.app.plan.decisions import Decisions
-from sightline.app.session import age as module
+from sightline.app.session import readiness as module
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.sent import SentPlan
 from sightline.app.session.session import Session

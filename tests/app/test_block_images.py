@@ -15,8 +15,7 @@ from sightline.app.plan.planner import plan_input
 from sightline.app.session.seen import entry_of
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
-from sightline.app.tab.placing import Placing
-from sightline.app.tab.step import ProcedureStep
+from sightline.app.tab.placing import Placing, ProcedureStep
 from sightline.case.journal import Actor, Case
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.stages import keep_frame, record_acquired, record_changed, record_planned

@@ -9,9 +9,9 @@ from tests.app.drilling import ASIDE_MM, measure, plan_and_send, take_shot, trut
 from tests.app.hands import SEED
 
 from sightline.app.session.rehearsing import Patient
+from sightline.app.session.sent import ZeroSource
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
-from sightline.app.session.zero import ZeroSource
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.errors import RobotRefusedError

@@ -12,7 +12,7 @@ from tests.planning.bone import CENTRE_MM, ENTRY_MM, LESSER_MM, ON_SHAFT_MM, vie
 from tests.planning.test_wires import WIRES_MM
 
 from sightline.app import texts
-from sightline.app.panels import figures, markup, verdict
+from sightline.app.panels import markup, verdict
 from sightline.app.plan.planner import Planned, planned
 from sightline.checks import Check
 from sightline.planning import plan
@@ -22,7 +22,7 @@ from sightline.planning.points.results import MAX_GAP_SIGMA
 def _said(known: Any, kind: str) -> list[str]:
     """What stands in the four figures: name, value, limit."""
     tab: Any = SimpleNamespace(known=known, planning=SimpleNamespace(decisions=SimpleNamespace(kind=kind)))
-    whole = figures.html(tab).split('<div class="figure ')[1:]
+    whole = verdict.figures_html(tab).split('<div class="figure ')[1:]
     return [Markup(f"<p {one}").striptags() for one in whole]  # noqa: S704 - to take the tags away
 
 

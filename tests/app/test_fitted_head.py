@@ -9,8 +9,7 @@ import pytest
 from playwright.sync_api import expect
 from tests.app.hands import Hands, rehearsal, truth
 
-from sightline.app.plan.decisions import Decisions, Mark
-from sightline.app.plan.fitted import FittedHead
+from sightline.app.plan.decisions import Decisions, FittedHead, Mark
 from sightline.app.plan.planner import drawn_head, plan_input
 from sightline.case.views import NAMES
 from sightline.errors import CaseError

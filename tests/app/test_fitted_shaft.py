@@ -17,8 +17,7 @@ from tests.app.browser import Server
 from tests.app.hands import Hands, Pixels
 from tests.planning import bone
 
-from sightline.app.plan.decisions import Decisions, Mark
-from sightline.app.plan.fitted import FittedAxis
+from sightline.app.plan.decisions import Decisions, FittedAxis, Mark
 from sightline.app.plan.planner import drawn_axis, plan_input, planned
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess

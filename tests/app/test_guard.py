@@ -22,7 +22,7 @@ from websockets.sync.client import connect
 
 from sightline.app.web.guard import MAX_BODY_BYTES, MAX_SOCKETS, Guard, is_loopback
 from sightline.app.web.serve import serve as start
-from sightline.app.web.uploads import MAX_UPLOAD_BYTES
+from sightline.app.web.transfers import MAX_UPLOAD_BYTES
 from sightline.errors import UnusableInputError
 
 TOKEN = "correct-horse-battery"  # noqa: S105

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.three import draw_three
 
-from sightline.app.drawing.head_up import head_in, head_up
+from sightline.app.drawing.pictures import head_in, head_up
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.detection import Observations

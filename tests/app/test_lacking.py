@@ -17,8 +17,7 @@ from sightline.app import texts
 from sightline.app.panels.steps import StepStatus, steps
 from sightline.app.session.rehearsing import HIP, NAIL, Patient, lacking_in
 from sightline.app.session.session import Session
-from sightline.app.tab.placing import Placing
-from sightline.app.tab.step import ProcedureStep
+from sightline.app.tab.placing import Placing, ProcedureStep
 from sightline.errors import RobotRefusedError
 from sightline.planning import PROCEDURES
 from sightline.planning.procedures.files import FOLDER

@@ -7,7 +7,7 @@ import numpy as np
 from tests.planning.bone import CENTRE_MM, ENTRY_MM, views
 
 from sightline.app import texts
-from sightline.app.tab.measuring import measured_in_both
+from sightline.app.tab.tab import measured_in_both
 
 PLANNING: Any = SimpleNamespace(seen={view.name: SimpleNamespace(view=view) for view in views()}.get)
 

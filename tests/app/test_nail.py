@@ -16,7 +16,7 @@ from sightline.app.plan.holes import HolesFound, nail_drawn, of_wire, with_nail
 from sightline.app.plan.marks import NAIL_EDGES, hole_mark
 from sightline.app.plan.planner import plan_input, planned
 from sightline.app.session.jobs import Jobs
-from sightline.app.session.nail import NailInImages
+from sightline.app.session.seen import NailInImages
 from sightline.app.tab.placing import _goals
 from sightline.calibration import view_from_matrix
 from sightline.case.views import NAMES

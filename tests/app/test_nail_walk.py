@@ -14,7 +14,7 @@ from tests.app.test_screen import wrong
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.marks import NAIL_EDGES
-from sightline.app.plan.robot_wire import ROBOT_WIRE
+from sightline.app.plan.planner import ROBOT_WIRE
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES

@@ -15,8 +15,7 @@ from tests.planning.standin import stand_in
 
 from sightline.app import texts
 from sightline.app.panels import steps
-from sightline.app.plan.decisions import Decisions, Display, Mark
-from sightline.app.plan.fitted import FittedAxis, FittedHead
+from sightline.app.plan.decisions import Decisions, Display, FittedAxis, FittedHead, Mark
 from sightline.app.plan.marks import END, ENTRY, marks_of
 from sightline.app.plan.planner import drawn_head, planned
 from sightline.app.session import drilling_workflow as module

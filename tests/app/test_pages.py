@@ -3,7 +3,7 @@
 import asyncio
 from typing import Any
 
-from sightline.app.web.pages import MAX_PAGES, MAX_WAITING, Pages
+from sightline.app.web.serve import MAX_PAGES, MAX_WAITING, Pages
 
 OTHERS = ("/image/", "/_nicegui")
 

@@ -17,7 +17,7 @@ from sightline.app import texts
 from sightline.app.panels import drill, steps
 from sightline.app.panels.drill import _depth, how_deep, reading
 from sightline.app.session.robot_session import RobotNow, RobotSession
-from sightline.app.session.zero import ZeroSource
+from sightline.app.session.sent import ZeroSource
 from sightline.checks import Limits
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.geometry.covariance import TWO_SIDED_95

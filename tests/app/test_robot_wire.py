@@ -7,7 +7,7 @@ import pytest
 from tests.planning.bone import views
 
 from sightline.app.plan.decisions import Decisions, Mark
-from sightline.app.plan.robot_wire import ROBOT_WIRE, robot_wire_seen
+from sightline.app.plan.planner import ROBOT_WIRE, robot_wire_seen
 from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError
 

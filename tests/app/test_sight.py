@@ -8,7 +8,7 @@ import pytest
 from tests.app.node import XRAY, run_node
 from tests.three import draw_three
 
-from sightline.app.drawing.sight import sight
+from sightline.app.drawing.pictures import sight
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.case.views import NAMES

@@ -28,7 +28,7 @@ from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
-from sightline.app.tab.step import ProcedureStep
+from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES
 from sightline.case.watch.analyser import STALE_S

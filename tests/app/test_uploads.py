@@ -14,8 +14,7 @@ from tests.app.browser import Server
 from tests.app.small_app import image_of
 
 from sightline.app.drawing.pictures import as_u16
-from sightline.app.web.images import Images
-from sightline.app.web.uploads import Upload, receive
+from sightline.app.web.transfers import Images, Upload, receive
 from sightline.errors import ImageError
 from sightline.imaging import Radiograph, write_dicom, write_png
 

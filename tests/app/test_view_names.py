@@ -10,9 +10,9 @@ from tests.planning.other_bones import PROCEDURES, drawn
 
 from sightline.app import texts
 from sightline.app.drawing.space.document import axis_objects, side_objects
-from sightline.app.panels.needed import aid_labels, needed_aids
+from sightline.app.panels.steps import aid_labels, needed_aids
 from sightline.app.plan.decisions import Decisions
-from sightline.app.tab.view_names import image_label, image_name, image_short, in_image, with_view_named
+from sightline.app.texts import image_label, image_name, image_short, in_image
 from sightline.checks import Check
 from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import kind as kind_of
@@ -34,10 +34,10 @@ def test_an_image_has_the_name_of_its_view_in_the_procedure() -> None:
 
 def test_a_check_of_one_view_names_the_view_of_the_procedure() -> None:
     check = Check("bead count", True, 16.0, 6.0, "beads", "16 balls of the solid are used.").of_view("lateral")
-    assert texts.sentence(with_view_named(check, SACRAL)) == "Outlet: 16 balls of the solid are used."
-    assert texts.sentence(with_view_named(check, "hip-screw")) == "Lateral: 16 balls of the solid are used."
+    assert texts.sentence(check, SACRAL) == "Outlet: 16 balls of the solid are used."
+    assert texts.sentence(check, "hip-screw") == "Lateral: 16 balls of the solid are used."
     other = replace(check, sentence="The lateral cortex is clicked.", view="")
-    assert with_view_named(other, SACRAL) == other
+    assert texts.sentence(other, SACRAL) == other.sentence
 
 
 def _unmade(*names: str) -> Verdict:

@@ -11,17 +11,17 @@ register("data:text/javascript," + encodeURIComponent(`
   export const resolve = (name, context, next) =>
     next(name === "colours" ? "${new URL("../../src/sightline/app/drawing/colours.js", import.meta.url)}" : name, context);`));
 const root = new URL("../../src/sightline/app/drawing/xray/", import.meta.url);
-const { Crosshair } = await import(new URL("xray_crosshair.js", root));
+const { Crosshair } = await import(new URL("xray_reading.js", root));
 const { Display } = await import(new URL("xray_display.js", root));
 const { Edits } = await import(new URL("xray_edits.js", root));
 const { Gestures } = await import(new URL("xray_gestures.js", root));
 const { arrange, Labels } = await import(new URL("xray_labels.js", root));
 const { hasDirection, reaches, thinned } = await import(new URL("xray_paint.js", root));
-const { Ruler } = await import(new URL("xray_ruler.js", root));
+const { Ruler } = await import(new URL("xray_reading.js", root));
 const { Matching } = await import(new URL("xray_matching.js", root));
-const { Moves } = await import(new URL("xray_moves.js", root));
+const { Moves } = await import(new URL("xray_edits.js", root));
 const sight = await import(new URL("xray_sight.js", root));
-const { Still } = await import(new URL("xray_still.js", root));
+const { Still } = await import(new URL("xray_canvas.js", root));
 
 const near = (a, b, by) => a.forEach((value, k) => assert.ok(Math.abs(value - b[k]) < by, `${a} is not ${b}`));
 

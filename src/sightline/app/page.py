@@ -7,16 +7,13 @@ from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.drawing.pictures import Pictures
-from sightline.app.panels import calibrate, drill, figures, images, lead, plan, shots, top, verdict, verify, wires
-from sightline.app.panels.drawer import Drawer
-from sightline.app.panels.menu import Menu, OpenCase
+from sightline.app.panels import calibrate, drill, images, plan, shots, top, verdict, verify, wires
+from sightline.app.panels.drawer import Drawer, Menu, OpenCase
 from sightline.app.panels.section import HtmlSection, Section, action
 from sightline.app.panels.space import Space
 from sightline.app.panels.steps import steps
 from sightline.app.session.session import Session
-from sightline.app.settings import Settings
-from sightline.app.tab.step import ProcedureStep
+from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.web.serve import ServedApp
 
@@ -24,11 +21,10 @@ _CSS, _SCRIPT = ((files("sightline.app") / name).read_text("utf-8") for name in 
 _PANELS: dict[ProcedureStep, Any] = dict(zip(ProcedureStep, (images, calibrate, plan, drill, verify), strict=True))
 
 
-def build(site: ServedApp, session: Session, pictures: Pictures, settings: Settings, open_case: OpenCase) -> None:
+def build(site: ServedApp, tab: Tab, open_case: OpenCase) -> None:
     """Build the page for one browser tab. `open_case`: shows another case on all pages."""
     ui.add_css(_CSS)
     ui.add_head_html(f"<script>{_SCRIPT}</script>")
-    tab = Tab(session, pictures, fast_robot=settings.fast_robot, live_source=settings.live)
     with ui.element("header").classes("top"):
         top.build(tab)
     ui.label(
@@ -41,23 +37,23 @@ def build(site: ServedApp, session: Session, pictures: Pictures, settings: Setti
         ).props("role=alert data-testid=reachable")
     with ui.element("div").classes("work"):
         with ui.element("div").classes("sight"):  # Quasar's page is the main landmark
-            ui.html(f"<h1>{'Sightline: planning and drilling of a wire'}</h1>", sanitize=False).classes("unseen")
+            ui.html("<h1>Sightline: planning and drilling of a wire</h1>", sanitize=False).classes("unseen")
             with ui.element("div").classes("views").props("data-testid=views"):
                 boxes = [ui.element("div").classes("view") for _ in range(2)]
                 tab.build_views(*boxes)
                 images.build_side(tab)
             menu = Menu(tab, open_case)
             space, drawer = Space(tab), Drawer(tab, menu)
-        with ui.element("aside").classes("panel").props(f'aria-label="{"Verdict, figures and what to do"}"'):
+        with ui.element("aside").classes("panel").props('aria-label="Verdict, figures and what to do"'):
             _panel(tab, site, boxes, drawer, space)
     ui.keyboard(on_key=lambda event: _key(tab, menu, event), ignore=["input", "select", "textarea"])
-    session.jobs.listeners.append(tab.later)
-    ui.context.client.on_delete(lambda: session.jobs.forget(tab.later))
+    tab.session.jobs.listeners.append(tab.later)
+    ui.context.client.on_delete(lambda: tab.session.jobs.forget(tab.later))
     leaving = _leave_question()
     ui.on("leave", leaving.open)
     request = ui.context.client.request
     asked = None if request is None else request.query_params.get("step")
-    first = ProcedureStep(asked) if asked in list(ProcedureStep) else _first_open(session)
+    first = ProcedureStep(asked) if asked in list(ProcedureStep) else _first_open(tab.session)
     tab.go_to(first)
 
 
@@ -73,7 +69,7 @@ def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, s
     HtmlSection(
         tab,
         lambda t: (t.step, t.known, t.planning.decisions.kind),
-        lambda t: figures.html(t) if t.step is ProcedureStep.PLAN else Markup(),
+        lambda t: verdict.figures_html(t) if t.step is ProcedureStep.PLAN else Markup(),
         classes="figures",
     )
     with ui.element("div").classes("step-box"):
@@ -82,7 +78,7 @@ def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, s
     with ui.element("div").classes("feet"):
         action(texts.DETAILS, drawer.toggle, testid="details", kind="plain small")
         action("3-D", space.toggle, testid="space-toggle", kind="plain small")
-        lead.build(tab)
+        top.build_lead(tab)
 
 
 def _planning(tab: Tab) -> bool:

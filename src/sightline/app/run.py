@@ -4,15 +4,37 @@ import asyncio
 import sys
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sightline.app.session.rehearsing import Patient
 from sightline.app.session.session import Session
 from sightline.app.session.worker import WorkerProcess
-from sightline.app.settings import Settings
 
 if TYPE_CHECKING:
     from sightline.app.web.serve import ServedApp
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of one run.
+
+    `folder`: of the case. `frame`: None for the case's own. `patient`: for a new case that rehearses. `live`: source of
+    a live image, as named for `sightline watch`. `fast_robot`: run a simulated robot's time as fast as possible.
+    `token`: required of every browser; if None, one is made for addresses beyond this machine.
+    """
+
+    folder: Path
+    frame: str | None
+    patient: Patient | None
+    live: str | None
+    host: str
+    port: int
+    token: str | None
+    open_browser: bool
+    fast_robot: bool
+
 
 # Thread switch interval, so that computing threads do not delay the page's thread. At Python's default of 5 ms a curve
 # waits for the plan behind it: figures follow a drag 11 ms later [measured].
@@ -31,6 +53,7 @@ def run(settings: Settings, worker: WorkerProcess, on_ready: Callable[["ServedAp
 
         from sightline.app.drawing.pictures import Pictures
         from sightline.app.page import build
+        from sightline.app.tab.tab import Tab
         from sightline.app.web.serve import serve
 
         shown: list[Pictures] = []  # of the open case
@@ -46,7 +69,7 @@ def run(settings: Settings, worker: WorkerProcess, on_ready: Callable[["ServedAp
                     client.run_javascript("sightlineOpened()")
                 await before.close()
 
-            build(site, session, shown[0], settings, open_case)
+            build(site, Tab(session, shown[0], fast_robot=settings.fast_robot, live_source=settings.live), open_case)
 
         def start(site: "ServedApp") -> None:
             shown.append(Pictures(site.images))

@@ -2,25 +2,14 @@
 
 import re
 
+from sightline.case.views import spoken
 from sightline.checks import Check, Code
+from sightline.planning.procedures import kind as kind_of
 
-_VIEWS = re.compile(r"^(?:lateral|oblique)(?=: )|\bpa\b")  # of a view, in the sentence of a check
+_PA = re.compile(r"\bpa\b")  # in the sentence of a check
+_IMAGE_OF = {"": "image", "check": "check image", "shot": "shot"}  # by what an image is taken for
 STEPS = {"images": "Images", "calibrate": "Calibrate", "plan": "Plan", "drill": "Drill", "verify": "Verify"}
-IMAGE_LABELS = {
-    "pa": "PA image",
-    "lateral": "Lateral image",
-    "oblique": "Oblique image",
-    "check-pa": "PA check image",
-    "check-lateral": "Lateral check image",
-    "shot-pa": "PA shot",
-    "shot-lateral": "Lateral shot",
-}
-IMAGE_OF_VIEW = {"": "{view} image", "check": "{view} check image", "shot": "{view} shot"}  # of other views
-IMAGE_NAMES = {
-    name: label.replace("Lateral", "lateral").replace("Oblique", "oblique") for name, label in IMAGE_LABELS.items()
-}
-DROP_LABELS = {**IMAGE_LABELS, "oblique": "Oblique image (optional)"}
-LIVE_LABELS = {"pa": "PA, live", "lateral": "Lateral, live"}
+DROP_LABELS = {"pa": "PA image", "lateral": "Lateral image", "oblique": "Oblique image (optional)"}
 STALE = "This image is {age:.1f} s old and may be out of date. The plan over it is hidden."
 STEP_STATUS = {"done": "done", "open": "to do", "attention": "needs attention", "blocked": "blocked"}
 XRAY = {
@@ -102,7 +91,6 @@ POINT_GROUPS = {
     "aid": "Aids",
     "robot": "Where is the robot?",
 }
-IMAGES_SHORT = {"pa": "PA", "lateral": "lat", "oblique": "obl"}
 PLACE_WHAT = "Place {what}"
 FIT_NECK_AGAIN = "fit the neck again: its drawing, the head or an image has changed meanwhile"
 WIRE_STATES = {  # of a wire, by its verdict and by what was done
@@ -115,16 +103,6 @@ WIRE_STATES = {  # of a wire, by its verdict and by what was done
     "verified": "verified",
     "refuted": "NOT verified",
 }
-IN_IMAGE = {
-    "pa": "PA",
-    "lateral": "LATERAL",
-    "oblique": "OBLIQUE",
-    "check-pa": "PA CHECK",
-    "check-lateral": "LATERAL CHECK",
-    "shot-pa": "PA SHOT",
-    "shot-lateral": "LATERAL SHOT",
-}
-IN_IMAGE_OF_VIEW = {"check": "{view} CHECK", "shot": "{view} SHOT"}  # of other views
 LACKS = {  # of the chosen procedure, by what the simulated patient does not have: what is wrong, and what to do
     "hip": ("The simulated patient has no hip.", "Choose another procedure, or begin another case: sightline app"),
     "nail": (
@@ -236,9 +214,13 @@ CASE_OPEN = "Open"
 CASE_QUESTION = "Open case {number}? All that was done in this case is saved; it can be opened again."
 
 
-def sentence(check: Check) -> str:
-    """Return the sentence of a check, with the names of its views as a person writes them: "PA" for "pa"."""
-    return _VIEWS.sub(lambda match: "PA" if match[0] == "pa" else titled(match[0]), check.sentence)
+def sentence(check: Check, kind: str = "") -> str:
+    """Return the sentence of a check, with the names of its views as a person writes them: "PA" for "pa". That of one
+    view begins with the view as the procedure `kind`, if given, calls it."""
+    of_view = ""
+    if check.view:
+        of_view = titled(spoken(check.view, kind_of(kind) if kind else None)) + ": "
+    return of_view + _PA.sub("PA", check.sentence.removeprefix(f"{check.view}: "))
 
 
 def tenths(value: float) -> str:
@@ -254,3 +236,32 @@ def titled(text: str) -> str:
 def in_progress(work: str) -> str:
     """Return a note that work is in progress."""
     return f"{titled(work)} …"
+
+
+def image_name(image: str, kind: str) -> str:
+    """Return the name of an image of a procedure, by its key, as in a sentence: "PA image", "inlet check image"."""
+    purpose, view = _parts(image, kind)
+    return f"{view} {_IMAGE_OF[purpose]}"
+
+
+def image_label(image: str, kind: str) -> str:
+    """Return the name of an image as on a label: "PA image", "Inlet check image"."""
+    return titled(image_name(image, kind))
+
+
+def image_short(image: str, kind: str) -> str:
+    """Return the name of an image's view where there is little room: "PA", "lat", "inlet"."""
+    _, view = _parts(image, kind)
+    return {"lateral": "lat", "oblique": "obl"}.get(view, view)
+
+
+def in_image(image: str, kind: str) -> str:
+    """Return the name of an image as in an instruction: "PA", "INLET CHECK"."""
+    purpose, view = _parts(image, kind)
+    return f"{view} {purpose}".strip().upper()
+
+
+def _parts(image: str, kind: str) -> tuple[str, str]:
+    """Return what an image is taken for, "" for the plan, "check" or "shot", and its view as the procedure calls it."""
+    purpose, _, slot = image.rpartition("-")
+    return purpose, spoken(slot, kind_of(kind))

@@ -70,8 +70,7 @@ def app_command(
         worker = WorkerProcess()
         worker.begin(warm_up)  # its imports take as long as those below: one core each
 
-        from sightline.app.run import run
-        from sightline.app.settings import Settings
+        from sightline.app.run import Settings, run
 
         folder = case or Path("out/app" if procedure is None else f"out/app-{procedure}")
         patient = None

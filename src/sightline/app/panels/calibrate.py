@@ -8,7 +8,7 @@ from sightline.app import texts
 from sightline.app.panels.images import build_oblique
 from sightline.app.panels.section import Section, checks, heading, note, table
 from sightline.app.tab.tab import Tab
-from sightline.app.tab.view_names import image_label
+from sightline.app.texts import image_label
 from sightline.case.views import OBLIQUE
 from sightline.checks import failed
 

@@ -1,15 +1,109 @@
-"""The drawer: everything that is not needed at each moment of a step, over the right part of the images."""
+"""The drawer with all that is not needed at each moment of a step, the sheet of shortcuts, and the other cases."""
 
-from collections.abc import Callable
+import asyncio
+from collections.abc import Awaitable, Callable
+from functools import partial
+from pathlib import Path
 
 from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels import calibrate, drill, images, plan, verdict, verify
-from sightline.app.panels.menu import Menu
-from sightline.app.panels.section import Section
-from sightline.app.tab.step import ProcedureStep
+from sightline.app.panels.section import Section, action, heading, table
+from sightline.app.session.reporting import CaseInFolder, cases_beside
+from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
+from sightline.case.journal import Kind
+
+_SHORTCUTS = (
+    ("stop the robot", "space bar"),
+    ("undo, redo", "Ctrl+Z, Ctrl+Y"),
+    ("place a point", "click, or Enter at the cross-hair"),
+    ("move a point", "drag, or arrow keys: 1 pixel, with Shift 0.1"),
+    ("remove a point", "Delete"),
+    ("cancel", "Escape"),
+    ("zoom, pan", "wheel or pinch; drag the background"),
+    ("brightness and contrast", "drag with the right button"),
+    ("next, previous control", "Tab, Shift+Tab"),
+    ("this sheet", "?"),
+)
+OpenCase = Callable[[Path], Awaitable[None]]
+
+
+class Menu:
+    """The dialogs of one page."""
+
+    def __init__(self, tab: Tab, open_case: OpenCase) -> None:
+        self._tab, self._open_case = tab, open_case
+        with ui.dialog() as self._shortcuts, ui.card().classes("question").props("data-testid=shortcuts-sheet"):
+            heading("Keyboard and mouse")
+            table(("to", "do"), _SHORTCUTS, testid="shortcuts-table")
+            action(texts.CLOSE, self._shortcuts.close, testid="shortcuts-close", kind="primary")
+        with ui.dialog() as self._cases, ui.card().classes("question wide").props("data-testid=cases-sheet"):
+            self._listed = ui.element("div")
+            action(texts.CLOSE, self._cases.close, testid="cases-close", kind="primary")
+
+    def build(self) -> None:
+        """Build the buttons that open the dialogs and save the report."""
+        save = self._tab.doing(self._tab.save_report)
+        with ui.element("div").classes("choice"):
+            action(texts.REPORT, save, testid="report", kind="small")
+            action(texts.CASES, self._tab.doing(self._show_cases), testid="cases", kind="small")
+            action("Shortcuts (?)", self.show_shortcuts, testid="shortcuts", kind="small")
+
+    def show_shortcuts(self) -> None:
+        """Open the sheet of shortcuts."""
+        self._shortcuts.open()
+
+    async def _show_cases(self) -> None:
+        folder = self._tab.planning.case.folder
+        found = await asyncio.to_thread(cases_beside, folder)
+        self._listed.clear()
+        with self._listed:
+            heading(texts.CASES)
+            with ui.element("table").props("data-testid=cases-table"):
+                with ui.element("tr"):
+                    for name in ("case", "newest entry, UTC", "reached", "folder", ""):
+                        _cell("th", name).props("scope=col")
+                for one in found:
+                    self._row(one, here=one.folder == folder.resolve())
+        self._cases.open()
+
+    def _row(self, one: CaseInFolder, *, here: bool) -> None:
+        with ui.element("tr"):
+            _cell("th", texts.CASE_HERE.format(number=one.number) if here else one.number).props("scope=row")
+            for text in (
+                f"{one.at:%Y-%m-%d %H:%M}",
+                "images" if one.reached is Kind.ACQUIRED else one.reached.value,
+                one.folder.name,
+            ):
+                _cell("td", text)
+            with ui.element("td"):
+                if not here:
+                    button = action(texts.CASE_OPEN, partial(self._ask, one), testid=f"open-{one.number}", kind="small")
+                    button.props(f'aria-label="{texts.CASE_OPEN} {one.number}"')
+
+    def _ask(self, one: CaseInFolder) -> None:
+        """Ask whether to leave this case for another one."""
+        now = self._tab.session.drilling.now
+        robot = () if now is None or now.lost else ("The link to the robot is closed: it stops and forgets its plan.",)
+
+        async def agreed() -> None:
+            self._cases.close()
+            await self._tab.act(lambda: self._open_case(one.folder))
+
+        self._listed.clear()
+        with self._listed:
+            for text in (texts.CASE_QUESTION.format(number=one.number), *robot):
+                ui.label(text).classes("question-text")
+            action(texts.CASE_OPEN, agreed, testid="open-yes", kind="primary")
+
+
+def _cell(tag: str, text: str) -> ui.element:
+    with ui.element(tag) as cell:
+        ui.label(text)
+    return cell
+
 
 _DETAILS: dict[ProcedureStep, Callable[[Tab], None]] = dict(
     zip(

@@ -8,15 +8,13 @@ from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import live, markup, shots, wires
-from sightline.app.panels.confirming import confirmed_action
-from sightline.app.panels.menu import save_report
-from sightline.app.panels.section import Section, action, checks, heading, note, put, table
+from sightline.app.panels import markup, shots, wires
+from sightline.app.panels.section import Section, action, checks, confirmed_action, heading, note, put, table
 from sightline.app.panels.steps import waits_for
 from sightline.app.session.planning import Planning
 from sightline.app.session.readiness import NO_SERIAL
-from sightline.app.session.zero import ZeroSource
-from sightline.app.tab.step import ProcedureStep
+from sightline.app.session.sent import ZeroSource
+from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -61,7 +59,7 @@ def build(tab: Tab) -> None:
     Section(tab, shots.key, shots.build)
     Section(tab, key, _robot)
     Section(tab, _shot_key, _second_shot)
-    live.build(tab)
+    shots.build_live(tab)
 
 
 def build_details(tab: Tab) -> None:
@@ -221,7 +219,7 @@ def build_next(tab: Tab) -> None:
     planning, drilling = tab.planning, tab.session.drilling
     session, now = drilling.session, drilling.now
     if planning.patient is None:  # a person's own images, without a robot
-        save = tab.doing(lambda: save_report(tab))
+        save = tab.doing(tab.save_report)
         made = planning.planned is not None and planning.planned.plan is not None
         action(texts.REPORT, save, testid="save-report", kind="primary", enabled=made)
         return

@@ -5,16 +5,17 @@ from collections.abc import Hashable, Sequence
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels.drop import DropZone
-from sightline.app.panels.kind import build_kind
 from sightline.app.panels.section import Section, action, heading, note, radio
-from sightline.app.tab.step import ProcedureStep
+from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
-from sightline.app.tab.view_names import image_label, image_name
+from sightline.app.texts import image_label, image_name
+from sightline.app.web.drop import DropZone
 from sightline.app.web.serve import ServedApp
-from sightline.app.web.uploads import Upload
+from sightline.app.web.transfers import Upload
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
+from sightline.planning.procedures import Procedure, procedures
+from sightline.planning.procedures import kind as kind_of
 
 _SERIAL_LENGTH = 64  # characters of a serial [ours]
 
@@ -299,3 +300,24 @@ def _display(tab: Tab) -> None:
         heading("Display")
         for line in shown:
             note(line, kind="warn")
+
+
+def build_kind(tab: Tab) -> None:
+    """Build the choice."""
+    Section(tab, lambda t: t.planning.decisions.kind, _kind)
+
+
+def _kind(tab: Tab) -> None:
+    known = kind_of(tab.planning.decisions.kind)
+    kinds: dict[str, str] = {}  # each procedure once, by its first wire
+    for key, one in procedures().items():
+        if one.wire == one.document.wires[0]:
+            kinds[key] = texts.titled(one.document.name)
+
+    async def choose(event) -> None:
+        await tab.choose_kind(event.value)
+
+    shown = Procedure.of(known.document, known.document.wires[0].key).key
+    ui.select(kinds, value=shown, on_change=choose).classes("kind").props(
+        'dense options-dense data-testid=kind aria-label="Procedure"'
+    )

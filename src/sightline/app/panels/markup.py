@@ -51,9 +51,9 @@ def card(state: str, word: str, sentence: str, more: str = "", *, testid: str) -
     return filled(_CARD, state, testid, word, size, sentence, more)
 
 
-def checks(listed: Sequence[Check], *, testid: str) -> Markup:
-    """Return checks with value, limit and sentence, the failed ones first."""
-    items = (_check(one) for one in sorted(listed, key=lambda one: one.passed))
+def checks(listed: Sequence[Check], *, testid: str, kind: str = "") -> Markup:
+    """Return checks with value, limit and sentence, the failed ones first. `kind`: as of `texts.sentence`."""
+    items = (_check(check, kind) for check in sorted(listed, key=lambda check: check.passed))
     return filled('<ul class="checks"{}>{}</ul>', _testid(testid), joined(*items))
 
 
@@ -83,9 +83,9 @@ def _row(cells: Sequence[str]) -> Markup:
 
 
 @lru_cache(maxsize=256)  # most checks stay as they are when a point moves
-def _check(check: Check) -> Markup:
+def _check(check: Check, kind: str) -> Markup:
     state, sign = ("passed", "✓") if check.passed else ("failed", "✕")
-    return filled(_CHECK, state, sign, check.name, _figure(check), texts.sentence(check), state)
+    return filled(_CHECK, state, sign, check.name, _figure(check), texts.sentence(check, kind), state)
 
 
 def _figure(check: Check) -> str:

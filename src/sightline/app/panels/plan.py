@@ -9,12 +9,10 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels import markup
-from sightline.app.panels.images import build_oblique
-from sightline.app.panels.kind import build_kind
-from sightline.app.panels.needed import aid_labels
+from sightline.app.panels.images import build_kind, build_oblique
 from sightline.app.panels.section import HtmlSection, Section, action, heading, note
-from sightline.app.plan.decisions import NECK, SHAFT
-from sightline.app.plan.fitted import FittedAxis
+from sightline.app.panels.steps import aid_labels
+from sightline.app.plan.decisions import NECK, SHAFT, FittedAxis
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import (
     Planned,
@@ -27,7 +25,7 @@ from sightline.app.plan.planner import (
 )
 from sightline.app.session.planning import kept_as_drawn
 from sightline.app.tab.tab import Tab
-from sightline.app.tab.view_names import image_short, in_image
+from sightline.app.texts import image_short, in_image
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
@@ -140,7 +138,7 @@ def _nail(tab: Tab) -> None:
         await tab.choose_nail(known.get(event.value))
 
     ui.select(names, value=shown, on_change=choose).classes("kind").props(
-        f'dense options-dense data-testid=nail aria-label="{"Nail"}"'
+        'dense options-dense data-testid=nail aria-label="Nail"'
     )
     if chosen is not None and (named := _implanted(tab)) and chosen != tab.planning.implanted:
         note(f"The simulated patient has this nail: {named}.", kind="quiet", testid="nail-implanted")
@@ -191,11 +189,11 @@ def _points(tab: Tab) -> None:
                 action("Propose the other wires", others, testid="propose-others", kind="small")
             if group == "aid" and kind_of(decisions.kind).proposal is not None:
                 action("Propose wire", tab.doing(lambda: _propose(tab)), testid="propose", kind="small").props(
-                    f'title="{"Propose a wire from the drawn aids"}"'
+                    'title="Propose a wire from the drawn aids"'
                 )
             if group == "aid" and has_head(decisions):
                 fit = action("Fit head", tab.doing(tab.planning.fit_head), testid="fit-head", kind="small")
-                fit.props(f'title="{"Fit the drawn circles of the femoral head to its edges in both images"}"')
+                fit.props('title="Fit the drawn circles of the femoral head to its edges in both images"')
         for _, same in groupby(listed, key=lambda one: one.of):
             _row(tab, tuple(same))
 

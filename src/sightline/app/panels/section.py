@@ -1,6 +1,6 @@
-"""Parts of the page that are redrawn only when their content changes."""
+"""Parts of the page that are redrawn only when their content changes, and buttons, with or without a question."""
 
-from collections.abc import Callable, Generator, Hashable, Sequence
+from collections.abc import Awaitable, Callable, Generator, Hashable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from nicegui.events import handle_event
 
 from sightline.app.drawing.calls import Calling
 from sightline.app.panels import markup
-from sightline.app.session.failures import failure_of
+from sightline.app.session.jobs import failure_of
 from sightline.app.tab.tab import Tab
 from sightline.checks import Check
 
@@ -193,3 +193,37 @@ def _again(key: tuple[str, str], handler: Any) -> _Action | None:
     button.set_visibility(True)
     button.handler = handler
     return button.move(here)
+
+
+def confirmed_action(
+    tab: Tab,
+    text: str,
+    question: str,
+    command: Callable[[], Awaitable[object] | None],
+    testid: str,
+    *,
+    what: str = "",
+    enabled: bool,
+    kind: str = "primary",
+) -> None:
+    """Build a button that asks for confirmation before it acts."""
+
+    def ask() -> None:
+        # On the page, not in this section: the question stays when the robot's state rebuilds the section. A command
+        # that no longer fits is refused by what it calls.
+        with ui.context.client, ui.dialog() as dialog, ui.card().classes("question"):
+            ui.label(question).classes("question-text")
+            if what:
+                ui.label(what)
+
+            async def agreed() -> None:
+                dialog.close()
+                await tab.act(command)
+
+            with ui.element("div").classes("choice"):
+                action("Cancel", dialog.close, testid=f"{testid}-cancel", kind="plain")
+                action(text, agreed, testid=f"{testid}-yes", kind="primary")
+        dialog.on("hide", dialog.delete)
+        dialog.open()
+
+    action(text, ask, testid=testid, kind=kind, enabled=enabled)

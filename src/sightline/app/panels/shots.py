@@ -1,23 +1,28 @@
-"""The shot while drilling, in the step Drill: its images, what it measured, and what follows from it."""
+"""The shot while drilling and the live image, in the step Drill: images, what was measured, what follows from it."""
 
 from collections.abc import Hashable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
+from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels import markup
-from sightline.app.panels.confirming import confirmed_action
-from sightline.app.panels.section import action, heading, note, table
+from sightline.app.panels.section import Section, action, confirmed_action, heading, note, table
 from sightline.app.plan.marks import SHOT_NAMES
-from sightline.app.session.zero import ZeroSource
-from sightline.app.tab.step import ProcedureStep
+from sightline.app.session.sent import ZeroSource
+from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
-from sightline.app.tab.view_names import image_label
+from sightline.app.texts import image_label
+from sightline.case.watch.alarm import BLIND_TO
 from sightline.checks import failed
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.check.drill_shot import ALIGNED, PAUSED, TURNED_AWAY, DrillShot
 from sightline.planning.check.start import MIN_LANDMARKS
+
+if TYPE_CHECKING:
+    from sightline.case.watch.analyser import Watched
 
 _STATES = {"GO": "go", "STOP": "no-go", "INCOMPLETE": "incomplete"}  # of a card, by the decision
 
@@ -126,3 +131,52 @@ def _measured(found: DrillShot) -> None:
         ("depth of the tip", f"{found.depth_mm:.2f} mm", f"{TWO_SIDED_95 * found.depth_sd_mm:.2f} mm"),
     ]
     table(("", "measured", "± 95 %"), rows, testid="shot-measured")
+
+
+_UPDATE_S = 0.1  # half of STALE_S; each update extends how long the browser shows the image as current
+
+
+def build_live(tab: Tab) -> None:
+    """Build this part of the panel."""
+    heading("Live image")
+    Section(tab, lambda t: t.session.live.watch is not None, _switch)
+    said = ui.label().classes("note").props("data-testid=live-state role=status")
+    note(BLIND_TO, kind="quiet")
+
+    def update() -> None:
+        watched = tab.session.live.latest()
+        if watched is None:
+            if tab.views.watched is not None:
+                tab.show_live(None)
+            watch = tab.session.live.watch
+            said.set_text("" if watch is None else watch.fault or "Waiting for the first image …")
+            return
+        said.set_text(_live_sentence(watched))
+        said.classes(add="bad" if watched.moved else "", remove="" if watched.moved else "bad")
+        tab.show_live(watched)
+
+    ui.timer(_UPDATE_S, update)
+
+
+def _switch(tab: Tab) -> None:
+    live = tab.session.live
+    if live.watch is None:
+        start = tab.doing(lambda: live.start(tab.live_source))
+        action("Show the live image", start, testid="live-start", kind="plain")
+        return
+
+    async def stop() -> None:
+        tab.show_live(None)
+        await live.close()
+
+    with ui.element("div").classes("choice"):
+        action("End the live image", tab.doing(stop), testid="live-stop", kind="plain")
+        action("I checked: nothing moved", tab.doing(live.watch.rest), testid="live-rest", kind="plain")
+
+
+def _live_sentence(watched: "Watched") -> str:
+    if watched.stale:
+        return texts.STALE.format(age=watched.age_s)
+    movement = watched.movement.text if watched.movement is not None else watched.note
+    state = f"No view ({watched.reason})" if watched.view is None else "Calibrated"
+    return f"{state}, {1000 * watched.latency_s:.0f} ms old. {movement}"

@@ -1,21 +1,53 @@
 """The five steps of a procedure with their status, done, open, attention or blocked, and the reason for it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import chain
 
 from sightline.app import texts
-from sightline.app.panels.needed import aid_labels, needed_aids
 from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.plan.planner import Planned
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
-from sightline.app.tab.step import ProcedureStep
-from sightline.app.tab.view_names import image_name
+from sightline.app.tab.placing import ProcedureStep
+from sightline.app.texts import image_name
 from sightline.case.views import NAMES
-from sightline.checks import failed
+from sightline.checks import Code, failed
 from sightline.planning.points.results import Verdict
+from sightline.planning.procedures import Procedure
+from sightline.planning.procedures.rules import CHECKS
 from sightline.robot.control.states import State
+
+_OF_BONE = {Code.VIEW_DIRECTIONS: 2, Code.SIDE: 3}  # directions of the bone that a check takes from the procedure
+
+
+def needed_aids(known: Planned, verdict: Verdict) -> tuple[str, ...]:
+    """Return the keys of the aids that are not drawn and without which checks of a verdict cannot be made, in the order
+    of the procedure."""
+    kind, unmade = known.kind, {check.code for check in verdict.unmade}
+    needs = {"head"} if Code.HEAD in unmade else set[str]()
+    for rule in kind.checks:
+        if rule.code in unmade:
+            needs.update(*CHECKS[rule.check].needs[:1])
+    if known.decisions.side is not None:  # else that is what these two wait for
+        needs.update(*(_of_bone(kind, count) for code, count in _OF_BONE.items() if code in unmade))
+    return tuple(aid.key for aid in kind.aids if aid.key in needs and known.anatomy.undrawn(aid.key))
+
+
+def _of_bone(kind: Procedure, count: int) -> set[str]:
+    """Return the keys that the first directions of the bone are made of; none where the procedure has fewer."""
+    directions = kind.document.directions
+    if len(directions) < count:
+        return set()
+    return set(chain.from_iterable((*one.from_, *one.to, one.along or "") for one in directions[:count]))
+
+
+def aid_labels(kind: Procedure, keys: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of aids, by their keys."""
+    names = {aid.key: texts.titled(aid.name) for aid in kind.aids}
+    return tuple(names[key] for key in keys)
 
 
 class StepStatus(StrEnum):

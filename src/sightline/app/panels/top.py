@@ -1,4 +1,5 @@
-"""The top row: the five steps, the next instruction, the time left, undo and redo, STOP with the state of its link."""
+"""The top row: the five steps, the next instruction, the time left, undo and redo, STOP with the state of its link; and
+the one primary button at the end of each step."""
 
 from collections.abc import Callable, Hashable
 from functools import partial
@@ -7,10 +8,11 @@ from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import markup, plan
-from sightline.app.panels.section import HtmlSection, PersistentSection, action
-from sightline.app.panels.steps import steps
-from sightline.app.tab.step import ProcedureStep
+from sightline.app.panels import drill, markup, plan, verify
+from sightline.app.panels.section import HtmlSection, PersistentSection, Section, action
+from sightline.app.panels.steps import needed_aids, steps, waits_for
+from sightline.app.plan.marks import MarkSpec
+from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.robot.kinematics.target import LIFETIME_S
 
@@ -21,7 +23,7 @@ _EXPIRING_S = 120.0  # time left that is marked [ours]
 def build(tab: Tab) -> None:
     """Build the row."""
     with ui.element("div").classes("guide"):
-        with ui.element("nav").props(f'aria-label="{"Steps"}" data-went=0') as nav:
+        with ui.element("nav").props('aria-label="Steps" data-went=0') as nav:
             PersistentSection(tab, lambda t: (steps(t.session), t.step), _steps, classes="steps")
         with ui.element("div").classes("say").props("role=status"):
             HtmlSection(tab, _said, _say, drag=False)
@@ -175,3 +177,44 @@ async def _stop_robot(tab: Tab) -> None:
     session = tab.session.drilling.session
     if session is not None:
         await session.stop()
+
+
+def build_lead(tab: Tab) -> None:
+    """Build the button."""
+    Section(tab, _lead_key, _lead, classes="lead")
+
+
+def _lead_key(tab: Tab) -> Hashable:
+    of = {ProcedureStep.DRILL: drill.key, ProcedureStep.VERIFY: verify.key}.get(tab.step)
+    return tab.step, _done(tab), waits_for(tab.session, tab.step), _needed(tab), None if of is None else of(tab)
+
+
+def _done(tab: Tab) -> bool:
+    return next(one.status == "done" for one in steps(tab.session) if one.step is tab.step)
+
+
+def _needed(tab: Tab) -> tuple[MarkSpec, ...]:
+    """Return the clicks of an aid that the plan cannot be checked without, once all else is placed."""
+    verdict = tab.session.readiness.verdict if tab.step is ProcedureStep.PLAN and tab.goal is None else None
+    known = tab.planning.planned
+    aids = () if verdict is None or known is None else needed_aids(known, verdict)
+    return tuple(one for one in tab.planning.specs if one.of in aids[:1])
+
+
+def _lead(tab: Tab) -> None:
+    done, before, needed = _done(tab), waits_for(tab.session, tab.step), _needed(tab)
+    if before is not None:
+        said = f"Back to {texts.STEPS[before]}"
+        action(said, lambda: tab.go_to(before), testid="back", kind="primary")
+    elif needed:
+        label = needed[0].label if len(needed) == 1 else needed[0].label.rsplit(" ", 1)[0]
+        said = texts.PLACE_WHAT.format(what=label[:1].lower() + label[1:])
+        action(said, lambda: tab.place(needed), testid="place-needed", kind="primary")
+    elif tab.step is ProcedureStep.DRILL and not (done and tab.planning.sent_is_current):
+        drill.build_next(tab)
+    elif tab.step is ProcedureStep.VERIFY:
+        verify.build_next(tab)
+    else:
+        after = list(ProcedureStep)[tab.step.number]
+        said = texts.CONTINUE_TO.format(step=texts.STEPS[after])
+        action(said, lambda: tab.go_to(after), testid="continue", kind="primary", enabled=done)

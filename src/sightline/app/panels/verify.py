@@ -7,12 +7,11 @@ import numpy as np
 
 from sightline.app import texts
 from sightline.app.panels import markup, wires
-from sightline.app.panels.menu import save_report
 from sightline.app.panels.section import Section, action, checks, heading, note, put, table
 from sightline.app.panels.steps import missing_again
 from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.tab.tab import Tab
-from sightline.app.tab.view_names import image_label
+from sightline.app.texts import image_label
 from sightline.checks import failed
 
 
@@ -66,7 +65,7 @@ def build_next(tab: Tab) -> None:
     elif verifying.shot is not None and verifying.shot.passed and wires.following(tab) is not None:
         wires.build_following(tab)
     else:
-        save = tab.doing(lambda: save_report(tab))
+        save = tab.doing(tab.save_report)
         action(texts.REPORT, save, testid="save-report", kind="primary", enabled=verifying.shot is not None)
 
 

@@ -7,7 +7,7 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels.section import PersistentSection, Section, action, note
-from sightline.app.tab.step import ProcedureStep
+from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.planning.procedures import kind as kind_of
 
@@ -54,7 +54,7 @@ def state(tab: Tab, kind: str) -> str:
 def _chooser(tab: Tab) -> Callable[[], None]:
     """Build a button for each wire of the procedure, and return what updates them."""
     made: dict[str, tuple[ui.button, ui.label]] = {}
-    with ui.element("div").classes("wires").props(f'role=group aria-label="{"Wires of the procedure"}"'):
+    with ui.element("div").classes("wires").props('role=group aria-label="Wires of the procedure"'):
         for kind in tab.planning.kinds:
             wire = kind_of(kind).wire
             name = texts.titled(wire.name).removesuffix(" wire")

@@ -1,4 +1,5 @@
-"""Computes curves, plan, anatomy and metrics from decisions and two calibrated views, without state."""
+"""Computes curves, plan, anatomy and metrics, and the place of the robot's own wire, from decisions and two calibrated
+views, without state."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -6,14 +7,14 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from sightline.app.plan.decisions import HEAD, NECK, SHAFT, Decisions, Mark, Pixel
-from sightline.app.plan.fitted import FittedAxis
+from sightline.app.plan.decisions import HEAD, NECK, SHAFT, Decisions, FittedAxis, Mark, Pixel
 from sightline.app.plan.holes import HolesFound, nail_drawn
 from sightline.app.plan.marks import END, ENTRY, MarkSpec, aid_marks, hole_mark, images_of
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import PlanRequest
 from sightline.case.views import ALL_NAMES, NAMES
-from sightline.errors import SightlineError, UnusableInputError
+from sightline.checks import failed
+from sightline.errors import RobotRefusedError, SightlineError, UnusableInputError
 from sightline.planning import (
     MatchingCurve,
     Plan,
@@ -23,13 +24,14 @@ from sightline.planning import (
     matching_curve,
     propose,
     propose_others,
+    reconstruct,
     snap,
 )
 from sightline.planning.bone.aids import Aids, Circle, Line
 from sightline.planning.bone.anatomy import Anatomy, locate
 from sightline.planning.bone.metrics import Metric, metrics
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX
-from sightline.planning.points.results import Verdict
+from sightline.planning.points.results import SpacePoints, Verdict
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.document import AidAsked, ProcedureDocument
@@ -367,3 +369,42 @@ def aid_pixels(decisions: Decisions, aid: AidAsked, image: str) -> np.ndarray | 
     """Return an aid's clicks in one image, (clicks, 2); None until all are placed."""
     at = [decisions.mark(name).at(image) for name in aid_marks(aid, decisions.borders)]
     return None if any(uv is None for uv in at) else np.array(at, dtype=np.float64)
+
+
+# The robot's own wire in the planning images of a block, which register the robot more accurately than its encoders.
+ROBOT_WIRE = (
+    MarkSpec(
+        "robot-guide",
+        "Robot's wire 1",
+        "Any point in the middle of the robot's own wire, 25 mm or more behind its tip.",
+        "robot",
+        "robot-wire",
+    ),
+    MarkSpec("robot-tip", "Robot's wire 2", "The tip of the robot's own wire, before the bone.", "robot", "robot-wire"),
+)
+
+
+def robot_wire_seen(decisions: Decisions, views: Sequence[CalibratedView]) -> SpacePoints | None:
+    """Return a point of the robot's own wire and its tip as PA and lateral image show them; None where neither is
+    clicked.
+
+    Nothing on the wire tells the same point in both images, so the first click counts across the wire only: along it,
+    its error is the distance to the tip (1 s.d.). Raises RobotRefusedError where a click is missing or both images do
+    not show one tip, and what `reconstruct` raises.
+    """
+    marks = [decisions.mark(spec.name) for spec in ROBOT_WIRE]
+    if not any(mark.places for mark in marks):
+        return None
+    if not all(mark.complete() for mark in marks):
+        raise RobotRefusedError(
+            "click tip and middle of the robot's wire in both images, or remove their marks: the robot is registered "
+            "by all four clicks, or by its encoders"
+        )
+    uv = np.array([[mark.at(name) for mark in marks] for name in NAMES])
+    spread = np.tile(PICK_SD_PX**2 * np.eye(2), (*uv.shape[:2], 1, 1))
+    for view, (point, tip) in enumerate(uv):
+        spread[view, 0] += np.outer(tip - point, tip - point)
+    seen = reconstruct(views[: len(NAMES)], uv, spread)
+    if wrong := failed(seen.checks):  # point 1 is on the wire, point 2 its tip
+        raise RobotRefusedError(f"click the robot's wire again in both images: {wrong[0].sentence}")
+    return seen

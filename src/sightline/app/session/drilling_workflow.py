@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sightline.app import texts
-from sightline.app.plan.planner import Planned, plan_input
-from sightline.app.plan.robot_wire import ROBOT_WIRE, robot_wire_seen
-from sightline.app.session.age import PlanAge
+from sightline.app.plan.planner import ROBOT_WIRE, Planned, plan_input, robot_wire_seen
 from sightline.app.session.planning import Planning
-from sightline.app.session.readiness import Readiness
+from sightline.app.session.readiness import PlanAge, Readiness
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.seen import entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan

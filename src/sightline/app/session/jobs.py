@@ -1,11 +1,44 @@
-"""Long-running work, and notification of the pages."""
+"""Long-running work, notification of the pages, and messages for errors."""
 
 import asyncio
+import traceback
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, TypeVar
 
-from sightline.app.session.failures import report, sentence_of
-from sightline.errors import UnusableInputError
+from sightline.app import texts
+from sightline.errors import RobotRefusedError, SightlineError, UnusableInputError
+
+
+def sentence_of(error: Exception) -> str:
+    """Return the message for an error: its own sentence, of a robot's refusal the reason without codes, or for a defect
+    that something in Sightline failed."""
+    if isinstance(error, RobotRefusedError) and error.reason:
+        return f"The robot refused: {error.reason}."
+    return (
+        texts.titled(str(error))
+        if isinstance(error, SightlineError)
+        else (
+            "Reload the page and report this: something in Sightline failed "
+            f"({type(error).__name__}). The plan is unchanged."
+        )
+    )
+
+
+def report(error: Exception) -> str:
+    """Return the message for an error. A defect of Sightline is also printed with its traceback."""
+    if not isinstance(error, SightlineError):
+        traceback.print_exception(error)
+    return sentence_of(error)
+
+
+def failure_of(work: Callable[[], object]) -> str:
+    """Run `work` and return the message of its error; empty if there was none."""
+    try:
+        work()
+    except Exception as error:
+        return report(error)
+    return ""
+
 
 T = TypeVar("T")
 

@@ -11,11 +11,11 @@ from typing import TypeVar, cast
 import numpy as np
 
 from sightline.app import texts
-from sightline.app.plan.decisions import NECK, SHAFT, Decisions, Display, History, Pixel, Side
-from sightline.app.plan.fitted import FittedAxis, FittedHead
+from sightline.app.plan.decisions import NECK, SHAFT, Decisions, Display, FittedAxis, FittedHead, History, Pixel, Side
 from sightline.app.plan.holes import HolesFound, nail_drawn
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import (
+    ROBOT_WIRE,
     Planned,
     drawn_axis,
     drawn_head,
@@ -25,12 +25,10 @@ from sightline.app.plan.planner import (
     planned,
     request_of,
 )
-from sightline.app.plan.robot_wire import ROBOT_WIRE
 from sightline.app.session import rehearsing
 from sightline.app.session.jobs import Jobs
-from sightline.app.session.nail import DrawnOn, NailInImages
 from sightline.app.session.rehearsing import Patient
-from sightline.app.session.seen import Lightbox, SeenImage, entry_of
+from sightline.app.session.seen import DrawnOn, Lightbox, NailInImages, SeenImage, entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan, restored
 from sightline.app.session.worker import WorkerProcess, warm_up
 from sightline.calibration import BeadView, CalibratedView
@@ -471,7 +469,7 @@ def _view_in(image: str) -> str:
 
 def kept_as_drawn(kept: Mapping[str, str]) -> list[str]:
     """Return a sentence for each view whose circle was kept, from the reasons by view."""
-    return [f"{texts.IMAGE_LABELS[view]}: kept as drawn; {why}." for view, why in kept.items()]
+    return [f"{texts.DROP_LABELS[view]}: kept as drawn; {why}." for view, why in kept.items()]
 
 
 def _same(first: Sequence[Circle | Line], second: Sequence[Circle | Line] | None) -> bool:

@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sightline.app.session.failures import sentence_of
-from sightline.app.session.zero import ZeroSource
+from sightline.app.session.jobs import sentence_of
+from sightline.app.session.sent import ZeroSource
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Plan

@@ -1,4 +1,4 @@
-"""Processing of an image of the case, from its file to a calibrated view."""
+"""Processing of an image of the case, from its file to a calibrated view, and the search for a nail in the images."""
 
 import asyncio
 from collections.abc import Callable, Sequence
@@ -6,8 +6,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
+from typing import TypeAlias
 
-from sightline.app.session.failures import sentence_of
+from sightline.app.plan.holes import NAIL, HolesFound
+from sightline.app.session.jobs import Jobs, report, sentence_of
 from sightline.app.session.worker import WorkerProcess
 from sightline.calibration import BeadView
 from sightline.case import stages
@@ -15,6 +17,7 @@ from sightline.case.journal import Actor, Case, Entry
 from sightline.case.views import CalibratedImage, ObservedView, calibrated
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, SightlineError
+from sightline.from_images.interlocking import NailDrawn
 from sightline.from_images.pipeline import find_beads, known_arm, label_beads
 from sightline.imaging import Radiograph, taken_at
 
@@ -154,3 +157,36 @@ def _record(case: Case, seen: SeenImage, frame_ref: str, before: Sequence[int]) 
     labelled = stages.record_labelled(case, detected, seen.observations, frame_ref=frame_ref, by=Actor.APP, view=view)
     held = [stages.calibrated_of(case, acquired).number for acquired in before]
     stages.record_calibrated(case, labelled, seen.calibrated, by=Actor.APP, before=held)
+
+
+DrawnOn: TypeAlias = tuple[NailDrawn, tuple[BeadView, ...], tuple[Radiograph, ...]]
+
+
+class NailInImages:
+    """What the images show of the nail as drawn. `searching`: it is being looked for."""
+
+    def __init__(self, drawn_on: Callable[[], DrawnOn | None], jobs: Jobs) -> None:
+        """`drawn_on`: returns the nail as it is drawn now, and the calibrated images; None without one."""
+        self._drawn_on, self._jobs = drawn_on, jobs
+        self._found: HolesFound | None = None
+        self.searching = False
+
+    @property
+    def found(self) -> HolesFound | None:
+        """What was found of the nail as it is drawn now; None while it is searched for, and without one."""
+        found, now = self._found, self._drawn_on()
+        return found if found is not None and now is not None and found.is_of(*now[:2]) else None
+
+    def update(self) -> None:
+        """Start the search where the nail as drawn was not looked for. Must run on the event loop."""
+        if not self.searching and self.found is None and (now := self._drawn_on()) is not None:
+            self.searching = True
+            self._jobs.start(self._search(now))
+
+    async def _search(self, now: DrawnOn) -> None:
+        try:
+            self._found = await asyncio.to_thread(HolesFound.find, *now, self._found)
+        except Exception as error:  # a defect; searching again would not help
+            self._found = HolesFound(*now, refused={NAIL: report(error)})
+        self.searching = False
+        self._jobs.notify()  # and again, if it was drawn differently meanwhile

@@ -3,14 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from enum import StrEnum
 
 import numpy as np
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.holes import HolesFound, of_wire
 from sightline.app.plan.marks import MarkSpec, names_of
-from sightline.app.plan.planner import PICK_SD_PX, Planned, has_borders, has_head, planned
-from sightline.app.plan.robot_wire import ROBOT_WIRE
+from sightline.app.plan.planner import PICK_SD_PX, ROBOT_WIRE, Planned, has_borders, has_head, planned
 from sightline.calibration import BeadView
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.views import ALL_NAMES, NAMES
@@ -20,6 +20,15 @@ from sightline.planning.check.start import Landmarks
 from sightline.planning.procedures import kind as kind_of
 from sightline.robot.link.record import DrillingRecord
 from sightline.robot.link.simulated import SimulatedWire
+
+
+class ZeroSource(StrEnum):
+    """A source of the zero of depth."""
+
+    PLAN = "plan"
+    CONTACT = "contact"
+    SHOT = "shot"
+
 
 _SAME_MM = 1e-6  # tolerance for a plan that is computed again
 

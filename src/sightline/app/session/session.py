@@ -3,12 +3,11 @@
 from pathlib import Path
 
 from sightline.app.plan.decisions import Decisions
-from sightline.app.session.age import PlanAge
 from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.jobs import Jobs
 from sightline.app.session.live import Live
 from sightline.app.session.planning import Planning
-from sightline.app.session.readiness import Readiness
+from sightline.app.session.readiness import PlanAge, Readiness
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.shots import Shots
 from sightline.app.session.verifying import Verifying

@@ -1,15 +1,31 @@
-"""The next mark to place. It is derived from the decisions, so that undo also goes back to it."""
+"""The steps of a procedure, and the next mark to place. The mark is derived from the decisions, so that undo also goes
+back to it."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 from sightline.app.plan.decisions import Decisions, Pixel
 from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, MarkSpec
 from sightline.app.session.planning import Planning
 from sightline.app.session.shots import Shots
-from sightline.app.tab.step import ProcedureStep
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.planning.check.drill_shot import ALIGNED
+
+
+class ProcedureStep(StrEnum):
+    """A step, in their order. The value is its key in the texts, in the page's address and in test hooks."""
+
+    IMAGES = "images"
+    CALIBRATE = "calibrate"
+    PLAN = "plan"
+    DRILL = "drill"
+    VERIFY = "verify"
+
+    @property
+    def number(self) -> int:
+        """Its number, from 1."""
+        return list(ProcedureStep).index(self) + 1
 
 
 @dataclass(frozen=True)

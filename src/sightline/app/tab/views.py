@@ -8,19 +8,17 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.drawing import shapes
-from sightline.app.drawing.head_up import head_in, head_up
-from sightline.app.drawing.pictures import Pictures
+from sightline.app.drawing.pictures import Pictures, head_in, head_up
 from sightline.app.drawing.xray.view import Window, XrayContent, XrayDisplay, XrayEvent, XrayView
 from sightline.app.plan.decisions import Decisions, Display, Side
 from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, MarkSpec
-from sightline.app.session.failures import failure_of
+from sightline.app.session.jobs import failure_of
 from sightline.app.session.live import fresh_s
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
 from sightline.app.tab.dragging import Preview
-from sightline.app.tab.placing import Goal
-from sightline.app.tab.step import ProcedureStep
-from sightline.app.tab.view_names import image_label
+from sightline.app.tab.placing import Goal, ProcedureStep
+from sightline.app.texts import image_label
 from sightline.calibration import BeadView
 from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE
 
@@ -94,7 +92,7 @@ class Views:
         decisions = self._planning.decisions
         head = head_in(watched.view, self._planning.frame, decisions.side)
         return XrayContent(
-            texts.LIVE_LABELS[view.name] if watched.view is not None else "Live, view unknown",
+            "Live, view unknown" if watched.view is None else "PA, live" if view.name == NAMES[0] else "Lateral, live",
             picture,
             replace(_display(decisions.display.get(view.name, Display()), head, picture.window), inverted=False),
             {"wire": [] if watched.corridor is None else shapes.band(watched.corridor)},

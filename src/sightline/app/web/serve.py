@@ -13,13 +13,45 @@ from dataclasses import dataclass, field
 import uvicorn
 from fastapi import FastAPI
 from nicegui import Client, core, ui
+from starlette.responses import PlainTextResponse
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from sightline.app.web.guard import MAX_BODY_BYTES, Guard, is_loopback
-from sightline.app.web.images import IMAGES_PATH, Images
-from sightline.app.web.pages import Pages
-from sightline.app.web.uploads import MAX_UPLOAD_BYTES, UPLOADS_PATH, Uploads
+from sightline.app.web.guard import MAX_BODY_BYTES, App, Guard, Receive, Scope, Send, is_loopback
+from sightline.app.web.transfers import IMAGES_PATH, MAX_UPLOAD_BYTES, UPLOADS_PATH, Images, Uploads
 from sightline.errors import UnusableInputError
+
+MAX_WAITING = 3  # [ours] pages that wait while one is built: seconds on a slow machine
+MAX_PAGES = 32  # [ours] open pages, as many as sockets (guard.MAX_SOCKETS)
+RETRY_S = 5  # [ours]
+_TOO_MANY = "close some pages and reload this one in a few seconds: too many are being opened"
+
+
+@dataclass
+class Pages:
+    """An ASGI app in front of `app`: pages are built one after another, and refused if too many wait or are open.
+
+    Every GET outside the path prefixes `others` is a page. `open_pages`: returns the number of open pages."""
+
+    app: App
+    others: tuple[str, ...]
+    open_pages: Callable[[], int]
+    _one: asyncio.Lock = field(default_factory=asyncio.Lock, init=False)
+    _waiting: int = field(default=0, init=False)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one connection: forward it in its turn, or refuse it."""
+        if scope["type"] != "http" or scope["method"] == "POST" or scope["path"].startswith(self.others):
+            await self.app(scope, receive, send)
+        elif self._waiting > MAX_WAITING or self.open_pages() >= MAX_PAGES:
+            await PlainTextResponse(_TOO_MANY, 503, {"Retry-After": str(RETRY_S)})(scope, receive, send)
+        else:
+            self._waiting += 1
+            try:
+                async with self._one:
+                    await self.app(scope, receive, send)
+            finally:
+                self._waiting -= 1
+
 
 MAX_CONNECTIONS = 64  # [ours] a browser opens six and a socket
 HEADERS_S = 10.0  # [ours] time limit for the headers of a request

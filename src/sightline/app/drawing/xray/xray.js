@@ -1,28 +1,24 @@
 // The X-ray view: an image with layers of shapes, and points that a person places and moves. Uses no framework.
 //
 // The core holds the state and takes messages; others take the person's edits of points (xray_edits.js) and settings
-// (xray_settings.js), draw (xray_canvas.js), listen (xray_gestures.js, xray_keys.js), load images (xray_stream.js), say
-// what is seen (xray_reading.js) and follow the other view (xray_following.js).
+// (xray_settings.js), draw (xray_canvas.js), listen (xray_gestures.js, xray_gestures.js), load images (xray_stream.js), say
+// what is seen (xray_reading.js) and follow the other view (xray_matching.js).
 // Coordinates are image pixels (see xray_display.js); the person's actions go out through `emit`.
 //
 // `word` is the content of the view by the server's newest message. A person's action is drawn over it at once;
 // when the server acknowledges it, `word` replaces it.
 
-import { Age } from "./xray_age.js";
+import { Age, Stream } from "./xray_stream.js";
 import { Canvas } from "./xray_canvas.js";
 import { Chrome } from "./xray_chrome.js";
-import { Crosshair } from "./xray_crosshair.js";
+import { Crosshair, Reading, Ruler } from "./xray_reading.js";
 import { Display } from "./xray_display.js";
 import { Edits } from "./xray_edits.js";
-import { Following } from "./xray_following.js";
+import { Following, Matching } from "./xray_matching.js";
 import { Gestures } from "./xray_gestures.js";
-import { Matching } from "./xray_matching.js";
 import { shapeFault } from "./xray_paint.js";
-import { PointButtons } from "./xray_points.js";
-import { Reading } from "./xray_reading.js";
-import { Ruler } from "./xray_ruler.js";
+import { PointButtons } from "./xray_labels.js";
 import { Settings } from "./xray_settings.js";
-import { Stream } from "./xray_stream.js";
 
 /** @typedef {import("./types").Pair} Pair */
 /** @typedef {import("./types").Point} Point */

@@ -5,16 +5,15 @@
 
 import { COLOURS } from "colours";
 import { arrange, Labels, measureOn, paintTexts } from "./xray_labels.js";
-import { paintLens } from "./xray_lens.js";
 import { hasDirection, paintCrosshair, paintDirection, paintPoint, paintShape, reaches, STYLES } from "./xray_paint.js";
-import { Picture } from "./xray_picture.js";
-import { Still } from "./xray_still.js";
+import { Bitmap } from "./xray_stream.js";
 
 /** @typedef {import("./types").Pair} Pair */
 /** @typedef {import("./types").Point} Point */
 /** @typedef {import("./types").Shape} Shape */
-/** @typedef {"table" | "image" | "overlay" | "readout"} Part table: the grey levels */
 /** @typedef {{ key: object | string, paint: (context: CanvasRenderingContext2D) => void }} Mark */
+
+/** @typedef {"table" | "image" | "overlay" | "readout"} Part table: the grey levels */
 
 const FRAMES_KEPT = 2000;
 const BREAK_MS = 250; // a longer gap between frames means that the person paused
@@ -30,7 +29,7 @@ export class Canvas {
     this.behind = opaque(document.createElement("canvas")); // the image with the marks that stand still
     this.still = new Still();
     this.shown = opaque(core.chrome.canvas);
-    this.picture = new Picture();
+    this.picture = new Bitmap();
     this.dirty = { table: false, image: true, overlay: true, readout: true };
     this.draws = { table: 0, image: 0, overlay: 0 };
     /** @type {number[]} */
@@ -251,3 +250,92 @@ export class Canvas {
 
 /** @param {HTMLCanvasElement} canvas */
 const opaque = (canvas) => /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d", { alpha: false }));
+
+// Which marks stand still while a point moves: they are painted once, over the image, on a canvas off the page. Strokes
+// are most of a frame's time.
+/** @typedef {object | string} Key of a mark: another one once it must be painted otherwise */
+
+/** @type {Set<Key>} */
+const NONE = new Set();
+
+export class Still {
+  constructor() {
+    /** @type {Set<Key>} */
+    this.before = new Set(); // of the previous frame
+    /** @type {Set<Key> | null} */
+    this.painted = null; // on the canvas; null: it holds nothing of use
+  }
+
+  /** The marks, of all `keys` in a frame, that lie on the canvas. A mark counts as still if the previous frame had it.
+   * `moving`: a point moves; else none is kept, so that all are painted in their order. `paint(still)` clears the
+   * canvas and paints these marks on it.
+   * @param {Key[]} keys
+   * @param {boolean} moving
+   * @param {(still: Set<Key>) => void} paint */
+  of(keys, moving, paint) {
+    const now = new Set(keys);
+    if (!moving) this.painted = null;
+    else if (!this.painted || [...this.painted].some((key) => !now.has(key))) {
+      this.painted = new Set(keys.filter((key) => this.before.has(key)));
+      paint(this.painted);
+    }
+    this.before = now;
+    return this.painted ?? NONE;
+  }
+
+  /** The image below has changed, or how marks are painted. */
+  forget() {
+    this.painted = null;
+  }
+}
+
+// The round magnifier above the pointer (below it at the upper edge), with a cross-hair at its position.
+const TIMES = 4;
+const ZOOM_MAX = 32; // [ours] CSS pixels per image pixel: enough to point at 1/32 of a pixel
+const RADIUS = 84; // CSS pixels
+const CLEAR = 44; // CSS pixels between its rim and the pointer
+
+/** Returns the upper edge of its box, in the marks' units. `lens`: {uv, at}, the pixel in its middle and the pointer's position in the view. `paint`: bitmap(uv, at, times),
+ * units() sets the context's units, marks(toUnits, zoom, box) paints
+ * those that show in a box.
+ * @param {CanvasRenderingContext2D} context
+ * @param {{ uv: Pair, at: Pair }} lens
+ * @param {import("./xray_display.js").Display} display
+ * @param {number} unit
+ * @param {{ bitmap: (uv: Pair, at: Pair, times: number) => void, units: () => void,
+ *   marks: (toUnits: (uv: Pair) => Pair, zoom: number, box: { middle: number[], reach: number }) => void }} paint */
+export function paintLens(context, { uv, at }, display, unit, paint) {
+  const radius = RADIUS * unit;
+  const clear = radius + CLEAR * unit;
+  const x = Math.min(Math.max(at[0], radius + 4), display.viewWidth - radius - 4);
+  const y = at[1] - clear - radius > 0 ? at[1] - clear : at[1] + clear;
+  const times = Math.max(Math.min(TIMES, ZOOM_MAX / display.zoom), 1);
+  const middle = [x / unit, y / unit];
+  const [px, py] = display.toView(uv);
+  /** @type {(place: Pair) => Pair} */
+  const toUnits = (place) => {
+    const [qx, qy] = display.toView(place);
+    return [middle[0] + ((qx - px) * times) / unit, middle[1] + ((qy - py) * times) / unit];
+  };
+  const rim = () => {
+    context.beginPath();
+    context.arc(middle[0], middle[1], RADIUS, 0, 2 * Math.PI);
+  };
+  context.save();
+  rim();
+  context.fillStyle = COLOURS.raised; // beside the image: black would look like a part of it
+  context.fill();
+  context.clip();
+  paint.bitmap(uv, [x, y], times);
+  paint.units();
+  paint.marks(toUnits, (display.zoom * times) / unit, { middle, reach: RADIUS });
+  paintCrosshair(context, middle, RADIUS);
+  context.restore();
+  rim();
+  for (const { width, colour } of [{ width: 5, colour: COLOURS.stage }, { width: 2, colour: COLOURS.text }]) {
+    context.lineWidth = width;
+    context.strokeStyle = colour;
+    context.stroke();
+  }
+  return middle[1] - RADIUS;
+}

@@ -4,6 +4,7 @@ import { shapeDistance, STYLES } from "./xray_paint.js";
 
 /** @typedef {import("./types").Pair} Pair */
 /** @typedef {import("./types").Placed} Placed */
+/** @typedef {import("./types").Shape} Shape */
 
 const TIP_REACH = 8; // CSS pixels
 const HEAD = ["head_up", "head_right", "head_down", "head_left"]; // texts, by quarter turns clockwise
@@ -101,5 +102,98 @@ export class Reading {
     const [u, v] = point.uv.map((value) => value.toFixed(1));
     const place = texts.point.replace("{name}", point.label).replace("{u}", u).replace("{v}", v);
     return point.snapped ? `${place}, ${texts.snapped}` : place;
+  }
+}
+
+// The ruler: two clicks are a length, a third makes an angle of them. The server measures, in
+// space where the other view has as many clicks.
+const MOST = 3; // clicks
+
+export class Ruler {
+  /** @param {import("./xray.js").XrayCore} core */
+  constructor(core) {
+    this.core = core;
+    /** @type {Pair[]} */
+    this.points = [];
+    this.label = "";
+  }
+
+  /** A click; after the third one the next begins anew.
+   * @param {Pair} uv */
+  add(uv) {
+    const { core } = this;
+    if (this.points.length === MOST) this.#takeAway();
+    this.points = [...this.points, core.display.clamp(uv)];
+    this.show("", "");
+    if (this.points.length > 1) core.emit({ type: "measure", image: core.shownUrl, points: this.points });
+  }
+
+  /** What the server measured, and what that means.
+   * @param {string} label
+   * @param {string} note */
+  show(label, note) {
+    this.label = label;
+    this.core.chrome.showLine(this.core.chrome.measured, note);
+    if (label) this.core.chrome.say(label);
+    this.core.canvas.invalidate("overlay");
+  }
+
+  end() {
+    this.#takeAway();
+    this.show("", "");
+  }
+
+  // The other view's ruler measures in space only while this one is shown.
+  #takeAway() {
+    const { core } = this;
+    const told = this.points.length > 1 && core.shownUrl === core.url;
+    this.points = [];
+    if (told) core.emit({ type: "measure", image: core.shownUrl, points: [] });
+  }
+
+  /** @returns {Shape[]} */
+  get shapes() {
+    if (this.points.length === 0) return [];
+    const { points, label } = this;
+    return [{ shape: "line", points, style: "focus", label }, { shape: "dots", points, style: "focus" }];
+  }
+}
+
+// The cross-hair that the keyboard steers while a point is to be placed, with the magnifier at it.
+const STEP = 10; // CSS pixels
+const FINE_STEP = 1; // image pixels, with shift
+
+export class Crosshair {
+  /** @param {import("./xray.js").XrayCore} core */
+  constructor(core) {
+    this.core = core;
+    /** @type {Pair | null} */
+    this.uv = null; // where it is in the image; null: the pointer aims
+  }
+
+  /** One step in a direction on the screen, from the middle of the view at first. A point that slides stays on its curve.
+   * @param {Pair} direction
+   * @param {boolean} fine */
+  step([right, down], fine) {
+    const { core } = this;
+    const point = core.point(core.state.placing);
+    if (!point || !core.state.image) return;
+    const size = fine ? FINE_STEP * core.display.zoom : STEP * core.canvas.unit;
+    const [u, v] = this.uv ?? core.display.centre;
+    const [du, dv] = this.uv ? core.display.toImageStep([right * size, down * size]) : [0, 0];
+    const uv = core.display.clamp(core.edits.aimed([u + du, v + dv]));
+    this.uv = uv;
+    core.display.reveal(uv);
+    core.lens = { uv, at: core.display.toView(uv) };
+    core.chrome.say(core.reading.describe({ ...point, uv, snapped: point.slides }));
+    core.settings.movedView();
+  }
+
+  /** The pointer aims again, or nothing is placed any more. */
+  end() {
+    if (this.uv === null) return;
+    this.uv = null;
+    this.core.lens = null;
+    this.core.canvas.invalidate("overlay");
   }
 }

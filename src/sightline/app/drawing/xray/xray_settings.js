@@ -1,6 +1,6 @@
 // How the person has the image drawn: grey-level window, zoom, orientation, size of the view, and the tool in use.
 
-import { heldWindow } from "./xray_picture.js";
+import { heldWindow } from "./xray_stream.js";
 
 /** @typedef {import("./types").Pair} Pair */
 /** @typedef {import("./types").Window} Window_ */

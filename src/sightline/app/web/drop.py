@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 from nicegui import ui
 
-from sightline.app.web.uploads import MAX_UPLOAD_BYTES, OnUpload, Upload, Uploads
+from sightline.app.web.transfers import MAX_UPLOAD_BYTES, OnUpload, Upload, Uploads
 from sightline.imaging.formats import SUFFIXES
 
 
