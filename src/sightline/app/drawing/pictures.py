@@ -11,7 +11,7 @@ from sightline.app.plan.decisions import Side
 from sightline.app.session.seen import SeenImage
 from sightline.app.web.transfers import Images
 from sightline.calibration import BeadView
-from sightline.calibration.hull import MAX_OUTSIDE
+from sightline.calibration.maps.hull import MAX_OUTSIDE
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 
