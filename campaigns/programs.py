@@ -43,7 +43,7 @@ Write = Callable[[Path], int]  # writes a folder, returns the exit code
 Files = Mapping[str, bytes]
 SCHEMA_0 = Path(__file__).parents[1] / "tests/case/journal-schema-0.sql"
 ITS_ORIGINAL = "2b4c342f5433ebe591a1da77e013d1b72475562d48578dca8b84bac6651c3cb9.png"
-CHANGES = ("os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.link", "os.chmod", "os.truncate", "ctypes.dlsym")
+CHANGES = ("os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.link", "os.chmod", "os.truncate")
 IMAGES, ENTRIES = 3, 6
 
 
@@ -183,6 +183,7 @@ def as_command(work: Callable[[], None]) -> int:
 def contents(folder: Path) -> dict[str, bytes]:
     """Return all files by their paths in a folder; of a case only its number of entries, because its names vary."""
     files = sorted(file for file in folder.rglob("*") if file.is_file() and file.parent.name != "originals")
+    files = [file for file in files if file.name != atomic.MANIFEST]
     return {
         str(file.relative_to(folder)): _entries(file) if file.name == JOURNAL else file.read_bytes() for file in files
     }
@@ -198,38 +199,27 @@ def _entries(journal: Path) -> bytes:
 
 @dataclass(frozen=True)
 class Results:
-    """A program that writes results into the folder `out`.
-
-    `before`: "nothing", "old" results with the same names, or "shared" with another program's file next to them.
-    """
+    """A program that writes results into the folder `out`. `before`: "nothing", or "old" results."""
 
     writer: Callable[[], Write]  # computes what is slow, once
     before: str = "old"
 
     def prepare(self, place: Path) -> None:
         """Write old results."""
-        for name, data in self._old.items():
-            file = place / "out" / name
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(data)
+        if self.before == "old":
+            atomic.write_folder(place / "out", self._old)
 
     def run(self, place: Path) -> int:
         """Write new results."""
         return self.writer()(place / "out")
 
     def damage(self, place: Path, said: str) -> str:
-        """Check for old or complete results (in a shared folder a part of one is allowed), and for reported files."""
-        found, old, new = contents(place / "out"), self._old, self._new
-        ours = {name: data for name, data in found.items() if name in new}
-        if self.before == "shared" and found.get("mine.txt") != b"mine":
-            return "another program's file is gone"
-        if "written: " in said and ours != new:
+        """Check for old or new results, in out.old between two renames, and for reported files."""
+        out = place / "out"
+        held = contents(out if out.exists() else place / "out.old")
+        if "written: " in said and held != self._new:
             return "what it said to be written is not there"
-        if ours == {name: data for name, data in old.items() if name in new} or ours == new:
-            return ""
-        if self.before == "shared" and (ours.items() <= old.items() or ours.items() <= new.items()):
-            return ""
-        return "the folder is neither old nor whole"
+        return "" if held in (self._old, self._new) else "the folder is neither old nor new"
 
     def missing(self, place: Path) -> str:
         """Check that all results are new."""
@@ -244,8 +234,7 @@ class Results:
     def _old(self) -> Files:
         if self.before == "nothing":
             return {}
-        mine = {"mine.txt": b"mine"} if self.before == "shared" else {}
-        return {name: b"old " + name.encode() for name in self._new} | mine
+        return {name: b"old " + name.encode() for name in self._new}
 
 
 @cache
@@ -516,7 +505,6 @@ PROGRAMS: dict[str, Program] = {
     "edits of a case": Journal(append, "case"),
     "plan --out": Results(plan),
     "plan --out, no folder yet": Results(plan, "nothing"),
-    "plan --out, shared folder": Results(plan, "shared"),
     "demo": Results(demonstrated),
     "export views": Results(views),
     "simulate": Results(simulated),

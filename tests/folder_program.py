@@ -9,18 +9,18 @@ import signal
 import sys
 from pathlib import Path
 
-from sightline import atomic
-from sightline.atomic import write_folder
+from sightline.atomic import MANIFEST, write_folder
 
-EVENTS = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.link", "ctypes.dlsym", "ctypes.call_function")
-OLD, NEW = (
-    {f"{name}": f"{word} {name}".encode() for name in ("plan.json", "report.html", "views/pa.csv")}
-    for word in ("old", "new")
+EVENTS = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.link")
+OLD, NEW, AGAIN = (
+    {name: f"{word} {name}".encode() for name in ("plan.json", "report.html", f"{word}/pa.csv")}
+    for word in ("old", "new", "again")
 )
 
 
 def read(folder: Path) -> dict[str, str]:
-    return {str(file.relative_to(folder)): file.read_text() for file in sorted(folder.rglob("*")) if file.is_file()}
+    files = (file for file in sorted(folder.rglob("*")) if file.is_file() and file.name != MANIFEST)
+    return {str(file.relative_to(folder)): file.read_text() for file in files}
 
 
 def killed_at(step: int, out: Path) -> bool:
@@ -42,8 +42,6 @@ def killed_at(step: int, out: Path) -> bool:
 
 
 def main(place: Path, kind: str) -> None:
-    if kind == "shared without exchange":
-        atomic._exchange = lambda *_: False
     step, going = 0, True
     while going:
         step += 1
@@ -51,10 +49,11 @@ def main(place: Path, kind: str) -> None:
         out.parent.mkdir(parents=True)
         if kind != "missing":
             write_folder(out, OLD)
-        if kind.startswith("shared"):
-            (out / "mine.txt").write_text("mine")
         going = killed_at(step, out)
-        print(json.dumps(read(out)), flush=True)
+        held = [read(folder) for folder in (out, out.with_name("out.old")) if folder.exists()]
+        write_folder(out, AGAIN)  # the next run works
+        names = sorted(path.name for path in out.parent.iterdir() if path.name[0] != ".")
+        print(json.dumps([held, read(out), names]), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Folders and files are whole or as they were, whatever happens meanwhile; what is not a file is left alone."""
+"""Folders and files are whole or as they were, whatever happens meanwhile; what is not a result is left alone."""
 
 import errno
 import json
@@ -11,91 +11,123 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from tests.folder_program import NEW, OLD, read
+from tests.folder_program import AGAIN, NEW, OLD, read
 from tests.systems import needs_posix
 
 from sightline import atomic
-from sightline.atomic import whole_folder, write_folder, write_whole
+from sightline.atomic import MANIFEST, whole_folder, write_folder, write_whole
 from sightline.errors import LinkError, UnusableInputError
 
 PROGRAM = Path(__file__).with_name("folder_program.py")
-OLD_TEXT, NEW_TEXT = ({name: data.decode() for name, data in one.items()} for one in (OLD, NEW))
-
-
-def killed(place: Path, kind: str) -> list[dict[str, str]]:
-    """What the folder held after a kill at the first, second, ... step."""
-    command = [sys.executable, str(PROGRAM), str(place), kind]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)  # noqa: S603 - our own
-    return [json.loads(line) for line in done.stdout.splitlines()]
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="folders change places in one step on Linux alone")
-@pytest.mark.parametrize("kind", ["missing", "its own"])
-def test_killed_at_any_step_a_folder_is_whole_or_as_it_was(tmp_path: Path, kind: str) -> None:
-    found = killed(tmp_path, kind)
-    before = {} if kind == "missing" else OLD_TEXT
-    assert all(one in (before, NEW_TEXT) for one in found)
-    assert found[0] == before
-    assert found[-1] == NEW_TEXT
-    assert len(found) > 20
+OLD_TEXT, NEW_TEXT, AGAIN_TEXT = ({name: data.decode() for name, data in one.items()} for one in (OLD, NEW, AGAIN))
 
 
 @needs_posix
-def test_killed_at_any_step_other_files_stay_and_two_results_are_never_mixed(tmp_path: Path) -> None:
-    found = killed(tmp_path, "shared")
-    for one in found:
-        assert one.pop("mine.txt") == "mine"
-        assert one.items() <= OLD_TEXT.items() or one.items() <= NEW_TEXT.items()
-    assert found[0] == OLD_TEXT
-    assert found[-1] == NEW_TEXT
+@pytest.mark.parametrize("kind", ["missing", "its own"])
+def test_killed_at_any_step_the_old_or_the_new_folder_is_there_and_the_next_run_works(
+    tmp_path: Path, kind: str
+) -> None:
+    command = [sys.executable, str(PROGRAM), str(tmp_path), kind]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)  # noqa: S603 - our own
+    states = [json.loads(line) for line in done.stdout.splitlines()]
+    before = [] if kind == "missing" else [OLD_TEXT]
+    assert len(states) > 20
+    assert states[0][0] == before
+    assert states[-1][0] == [NEW_TEXT]
+    for held, after, names in states:  # `out`, and `out.old` where it is there
+        assert held in (before, [NEW_TEXT], [NEW_TEXT, OLD_TEXT])
+        assert after == AGAIN_TEXT
+        assert names == ["out"]
 
 
-@pytest.fixture(params=["exchange", "each", "each, no exchange"])
-def out(request, tmp_path: Path, monkeypatch) -> Path:
-    """Return a folder with an old result, and another program's file where the parameter is "each"."""
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """Return a folder with an old result."""
     out = tmp_path / "place" / "out"
     write_folder(out, OLD)
     out.chmod(0o750)
-    if request.param == "each":
-        (out / "views" / "mine.txt").write_text("mine")
-        (out / "empty").mkdir()
-    elif "no exchange" in request.param:
-        monkeypatch.setattr(atomic, "_exchange", lambda *_: False)
     return out
 
 
+def beside(out: Path) -> list[str]:
+    return sorted(path.name for path in out.parent.iterdir())
+
+
 def test_a_new_result_takes_the_place_of_the_old_one(out: Path) -> None:
-    others = {name: text for name, text in read(out).items() if "mine" in name}
-    folders = sorted(path.name for path in out.iterdir() if path.is_dir())
+    (out / ".DS_Store").write_bytes(b"where the windows are")
     assert write_folder(out, NEW) == [out / name for name in NEW]
-    assert read(out) == NEW_TEXT | others
-    assert sorted(path.name for path in out.iterdir() if path.is_dir()) == folders
+    assert read(out) == NEW_TEXT
+    assert not (out / "old").exists()
     assert stat.S_IMODE(out.stat().st_mode) == 0o750
-    assert [path.name for path in out.parent.iterdir()] == ["out"]
+    assert beside(out) == ["out"]
+    assert set(json.loads((out / MANIFEST).read_bytes())["files"]) == set(NEW)
 
 
-def test_a_result_that_cannot_be_put_in_place_leaves_the_old_one(out: Path, monkeypatch) -> None:
-    """Something of another kind has the name of a file: it is neither replaced nor removed, and nothing else is."""
-    (out / "zoo" / "animals").mkdir(parents=True)
+def test_an_empty_folder_is_filled(tmp_path: Path) -> None:
+    write_folder(tmp_path, NEW)
+    assert read(tmp_path) == NEW_TEXT
+
+
+@pytest.mark.parametrize("stranger", ["mine.txt", "old/mine.txt", "empty", "link"])
+def test_a_folder_with_other_files_is_refused_and_nothing_is_touched(out: Path, stranger: str) -> None:
+    if stranger == "empty":
+        (out / stranger).mkdir()
+    elif stranger == "link":
+        (out / stranger).symlink_to(out.parent)
+    else:
+        (out / stranger).write_text("mine")
     before = read(out)
-    with pytest.raises(UnusableInputError, match="cannot write into out: there is a folder"):
-        write_folder(out, {**NEW, "zoo": b"a file"})
+    ran = False
+    with pytest.raises(UnusableInputError, match="out holds files that no earlier result wrote"), whole_folder(out):
+        ran = True
+    assert not ran
     assert read(out) == before
-    assert (out / "zoo" / "animals").is_dir()
+    assert beside(out) == ["out"]
 
-    rename, moved = Path.rename, []
 
-    def fails_once(path: Path, place: Path) -> Path:
-        moved.append(place)
-        if len(moved) == 5:  # with three old ones out: the second new one
+@pytest.mark.parametrize("text", ["", "[]", '{"files": 3}', "{}"])
+def test_a_damaged_manifest_makes_no_folder_ours(out: Path, text: str) -> None:
+    (out / MANIFEST).write_text(text)
+    with pytest.raises(UnusableInputError, match="no earlier result wrote"):
+        write_folder(out, NEW)
+    assert read(out) == OLD_TEXT
+
+
+def test_a_file_that_comes_while_the_result_is_made_is_not_lost(out: Path) -> None:
+    with pytest.raises(UnusableInputError, match="no earlier result wrote"), whole_folder(out):
+        (out / "mine.txt").write_text("mine")
+    assert read(out) == {**OLD_TEXT, "mine.txt": "mine"}
+
+
+def test_the_working_directory_and_what_holds_it_are_refused(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(out / "old")
+    for place in (Path(), Path(".."), out):
+        with pytest.raises(UnusableInputError, match="working directory"):
+            write_folder(place, NEW)
+    assert read(out) == OLD_TEXT
+
+
+def test_a_folder_of_the_old_results_name_is_not_removed(out: Path) -> None:
+    (out.parent / "out.old").mkdir()
+    (out.parent / "out.old" / "mine.txt").write_text("mine")
+    with pytest.raises(UnusableInputError, match=r"out\.old is in the way"):
+        write_folder(out, NEW)
+    assert read(out.parent / "out.old") == {"mine.txt": "mine"}
+
+
+def test_a_result_that_cannot_be_put_in_place_leaves_the_old_one(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rename = Path.rename
+
+    def fails(path: Path, place: Path) -> Path:
+        if path.parent.name.startswith(".out-"):
             raise OSError(5, "Input/output error")
         return rename(path, place)
 
-    monkeypatch.setattr(Path, "rename", fails_once)
+    monkeypatch.setattr(Path, "rename", fails)
     with pytest.raises(UnusableInputError, match="Input/output error"):
         write_folder(out, NEW)
-    assert read(out) == before
-    assert [path.name for path in out.parent.iterdir()] == ["out"]
+    assert read(out) == OLD_TEXT
+    assert beside(out) == ["out"]
 
 
 @needs_posix
@@ -105,64 +137,22 @@ def test_a_disk_that_fails_to_sync_is_a_refusal_and_leaves_the_old_result(
     def fail(_: int) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    before = read(out)
-    with pytest.raises(UnusableInputError, match="cannot write into out: Input/output error"), whole_folder(out) as new:
-        for name, data in NEW.items():
-            (new / name).parent.mkdir(parents=True, exist_ok=True)
-            (new / name).write_bytes(data)
+    with pytest.raises(UnusableInputError, match="folder out: Input/output error"), whole_folder(out) as new:
+        (new / "a.txt").write_bytes(b"new")
         # Folders are synced in any case; a file's error must not be lost.
         monkeypatch.setattr(atomic, "sync_folder", lambda _: None)
         monkeypatch.setattr(os, "fsync", fail)
-    assert read(out) == before
-    assert [path.name for path in out.parent.iterdir()] == ["out"]
+    assert read(out) == OLD_TEXT
+    assert beside(out) == ["out"]
 
 
-def test_old_files_that_cannot_be_put_back_are_kept_and_said_where(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    for name in ("a.txt", "b.txt", "mine.txt"):
-        (out / name).write_text(f"old {name}")
-    rename = Path.rename
-
-    def fails_from_the_new_ones_on(path: Path, place: Path) -> Path:
-        if not failed and "before" not in place.parts:
-            failed.append(path)
-        if failed:
-            raise OSError(5, "Input/output error")
-        return rename(path, place)
-
-    failed: list[Path] = []
-    monkeypatch.setattr(Path, "rename", fails_from_the_new_ones_on)
-    with pytest.raises(
-        UnusableInputError,
-        match=r"they are in \.out-\w+/before, next to out: move them back into out; name another place",
-    ):
-        write_folder(out, {"a.txt": b"new", "b.txt": b"new"})
-    (scratch,) = tmp_path.glob(".out-*")
-    assert {one.name: one.read_text() for one in (scratch / "before").iterdir()} == {
-        "a.txt": "old a.txt",
-        "b.txt": "old b.txt",
-    }
-    assert (out / "mine.txt").read_text() == "old mine.txt"
-
-
-def test_a_folder_that_is_a_unit_is_replaced_as_a_whole(tmp_path: Path) -> None:
+def test_a_folder_that_is_a_unit_belongs_to_the_result_with_what_came_into_it_later(tmp_path: Path) -> None:
     for seed in (1, 2):
         with whole_folder(tmp_path / "out", units=("case",)) as scratch:
             (scratch / "case").mkdir()
             write_whole(scratch / "case" / f"{seed}.dcm", b"image")
         assert list(read(tmp_path / "out")) == [f"case/{seed}.dcm"]
-
-
-def test_who_stands_in_the_folder_goes_on_standing_in_it(tmp_path: Path, monkeypatch) -> None:
-    out = tmp_path / "out"
-    write_folder(out, OLD)
-    monkeypatch.chdir(out)
-    write_folder(Path(), NEW)
-    assert Path.cwd().samefile(out)
-    assert read(Path()) == NEW_TEXT
+        (tmp_path / "out" / "case" / "later.dcm").write_bytes(b"image")
 
 
 def test_a_link_to_a_folder_stays_one(tmp_path: Path) -> None:

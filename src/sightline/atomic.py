@@ -1,9 +1,8 @@
-"""Atomic writes of files and, where the system allows it, of folders (see `whole_folder`)."""
+"""Atomic writes of files, and of folders by two renames (see `whole_folder`)."""
 
-import ctypes
+import json
 import os
 import shutil
-import sys
 from collections.abc import Collection, Generator, Mapping
 from contextlib import contextmanager, suppress
 from errno import EACCES, EDQUOT, EFBIG, EIO, EISDIR, ENOENT, ENOSPC, EPERM, EROFS
@@ -13,7 +12,8 @@ from threading import get_ident
 
 from sightline.errors import UnusableInputError
 
-_BEFORE = "before"  # sub-folder of a scratch folder: old files until the new ones are in place
+MANIFEST = ".sightline.json"  # in each folder of results: the names of its files
+_LITTER = {".DS_Store", "Thumbs.db", "desktop.ini"}  # of file managers
 _ADVICE = {
     ENOENT: "name a folder that exists",
     **dict.fromkeys((ENOSPC, EDQUOT, EFBIG), "free some space, or name a place on another disk"),
@@ -42,55 +42,59 @@ def write_whole(path: str | Path, data: bytes) -> Path:
     return target
 
 
-def write_folder(folder: Path, documents: Mapping[str, bytes]) -> list[Path]:
-    """Write files into a folder as `whole_folder` does; return their paths. Names may begin with a sub-folder.
+def write_files(folder: Path, documents: Mapping[str, bytes]) -> None:
+    """Write files into a folder, each as `write_whole` does. Names may begin with a sub-folder.
 
     Raises UnusableInputError.
     """
+    for name, data in documents.items():
+        with _refusing_os_errors(f"write {name}"):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / name, data)
+
+
+def write_folder(folder: Path, documents: Mapping[str, bytes]) -> list[Path]:
+    """Write a folder with these files as `whole_folder` does; return their paths. Raises UnusableInputError."""
     with whole_folder(folder) as scratch:
-        for name, data in documents.items():
-            with _refusing_os_errors(f"write {name}"):
-                (scratch / name).parent.mkdir(parents=True, exist_ok=True)
-            write_whole(scratch / name, data)
+        write_files(scratch, documents)
     return [folder / name for name in documents]
 
 
 @contextmanager
 def whole_folder(path: str | Path, units: Collection[str] = ()) -> Generator[Path]:
-    """Yield a scratch folder next to `path`; at the end of the `with` block its files are moved into `path`.
+    """Yield a scratch folder next to `path`; at the end of the `with` block it takes the place of `path`.
 
-    After an error or an interruption nothing is moved. Files in `path` that are not replaced stay there. Sub-folders
-    are merged, except those named in `units`, which are replaced as a whole.
+    `path` is missing, empty, or an older result: a folder in which MANIFEST names all files. An older result is renamed
+    to NAME.old, the new one to NAME, then the older one is removed. So NAME is the old result or the new one; after a
+    kill between the two renames the old one is NAME.old, and the next run puts it back. After an error or an
+    interruption nothing has changed.
 
-    1. Where `path` is missing, the scratch folder is renamed.
-    2. Where all its files are replaced, both folders are exchanged in one step (Linux, renameat2).
-    3. Otherwise all old files are moved out before the first new one is moved in. This holds where `path` has other
-       files, is the working directory or a mount point, or on another system.
+    `units`: sub-folders that belong to the result with everything that is added to them later, such as a case.
 
-    In the first two cases the replacement is atomic. In the third it is not: a kill can leave `path` with part of one
-    result, never with parts of two. The rest is then in the scratch folder, whose name begins with a dot.
-
-    Raises UnusableInputError where `path` cannot be written. Exceptions of the body are passed on.
+    Raises UnusableInputError for any other folder, the working directory and a mount point, before the block runs, and
+    where nothing can be written. Exceptions of the block are passed on.
     """
     target = Path(os.path.realpath(path))
-    said = f"write into {target.name}"
-    if target.exists() and not target.is_dir():
-        raise UnusableInputError(f"{target.name} is a file; name a folder")
-    with _refusing_os_errors(said):
+    what = f"write the folder {target.name}"
+    with _refusing_os_errors(what):
         target.parent.mkdir(parents=True, exist_ok=True)
+        _put_back(target)
+        _refuse_foreign(target)
         place = Path(mkdtemp(dir=target.parent, prefix=f".{target.name}-"))
     try:
         scratch = place / target.name  # with the usual permissions; `place` is accessible to its owner only
-        with _refusing_os_errors(said):
+        with _refusing_os_errors(what):
             scratch.mkdir()
         yield scratch
-        with _refusing_os_errors(said):
+        with _refusing_os_errors(what):
+            names = [*sorted(_items(scratch, units)), *(f"{unit}/" for unit in units)]
+            (scratch / MANIFEST).write_text(json.dumps({"files": names}, indent=1))
             _sync(scratch)
-            _put(scratch, target, units)
+            _refuse_foreign(target)
+            _replace(target, scratch)
             sync_folder(target.parent)
     finally:
-        if not (place / _BEFORE).exists():  # else it holds old files that could not be moved back
-            shutil.rmtree(place, ignore_errors=True)
+        shutil.rmtree(place, ignore_errors=True)
 
 
 @contextmanager
@@ -140,85 +144,85 @@ def _refuse_special(place: Path) -> None:
         raise OSError(EISDIR, "there is a folder, a device or a pipe of this name")
 
 
-def _put(new: Path, target: Path, units: Collection[str]) -> None:
-    items = _items(new, units)
-    if not target.exists():
+def _old(target: Path) -> Path:
+    return target.with_name(f"{target.name}.old")
+
+
+def _put_back(target: Path) -> None:
+    """Finish what a kill left: an old result goes back where its place is free, and is removed where it is taken."""
+    old = _old(target)
+    if _is_result(old):
+        if target.exists():
+            _discard(old)
+        else:
+            old.rename(target)
+
+
+def _discard(folder: Path) -> None:
+    """Remove a folder. It is hidden first, so that a kill leaves no part of it under its name."""
+    hidden = Path(mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
+    folder.rename(hidden / folder.name)
+    shutil.rmtree(hidden, ignore_errors=True)
+
+
+def _replace(target: Path, new: Path) -> None:
+    """Rename `target` away and `new` to it; undo the first where the second fails."""
+    old = _old(target)
+    if target.exists():
+        shutil.copymode(target, new)
+        target.rename(old)
+    try:
         new.rename(target)
-    elif _items(target, units) <= items and _may_exchange(new, target) and _exchange(new, target):
-        for appeared in _items(new, units) - items:  # moved back: written to `target` between check and exchange
-            (target / appeared).parent.mkdir(parents=True, exist_ok=True)
-            (new / appeared).rename(target / appeared)
-    else:
-        _put_each(new, target, items, units)
+    except BaseException:
+        if old.exists():
+            old.rename(target)
+        raise
+    if old.exists():
+        _discard(old)
 
 
-def _items(folder: Path, units: Collection[str]) -> set[Path]:
-    """Return the relative paths of all files, units and empty folders."""
-    found: set[Path] = set()
+def _refuse_foreign(target: Path) -> None:
+    """Raise UnusableInputError where `target` is neither missing nor empty nor an older result."""
+    if _old(target).exists():
+        raise UnusableInputError(f"{_old(target).name} is in the way: it is where an old result is kept; rename it")
+    if not target.exists():
+        return
+    if not target.is_dir():
+        raise UnusableInputError(f"{target.name} is a file; name a folder")
+    here = Path.cwd()
+    if target in (here, *here.parents) or target.is_mount():
+        raise UnusableInputError(
+            f"the folder {target.name} is the working directory or a mount point, which cannot be replaced; "
+            "name a folder in it"
+        )
+    if any(target.iterdir()) and not _is_result(target):
+        raise UnusableInputError(
+            f"the folder {target.name} holds files that no earlier result wrote; name another folder, or move them away"
+        )
+
+
+def _is_result(folder: Path) -> bool:
+    """Return whether the folder's MANIFEST names everything in it; file managers' own files do not count."""
+    try:
+        names = set(json.loads((folder / MANIFEST).read_bytes())["files"])
+        units = {name[:-1] for name in names if name.endswith("/")}
+        return {name for name in _items(folder, units) if Path(name).name not in _LITTER} <= names | {MANIFEST}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return False
+
+
+def _items(folder: Path, units: Collection[str]) -> set[str]:
+    """Return the relative paths of all files, links and empty folders outside the `units`, with / between folders."""
+    found: set[str] = set()
     for here, folders, files in os.walk(folder):
         place = Path(here).relative_to(folder)
         if place == Path():
-            found |= {Path(name) for name in folders if name in units}
             folders[:] = [name for name in folders if name not in units]
         links = [name for name in folders if (folder / place / name).is_symlink()]
-        found |= {place / name for name in (*files, *links)}
+        found |= {(place / name).as_posix() for name in (*files, *links)}
         if not folders and not files and place != Path():
-            found.add(place)
+            found.add(place.as_posix())
     return found
-
-
-def _may_exchange(new: Path, target: Path) -> bool:
-    """Return whether exchanging is safe; if so, first copy the permissions and times of `target` to `new`.
-
-    It is safe where this process's working directory is not in `target` and the owner stays the same.
-    """
-    here, old, made = Path.cwd(), target.stat(), new.stat()
-    if target in (here, *here.parents) or (old.st_uid, old.st_gid) != (made.st_uid, made.st_gid):
-        return False
-    shutil.copystat(target, new)
-    return True
-
-
-def _exchange(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step; return False where the system cannot."""
-    if sys.platform != "linux" or not hasattr(libc := ctypes.CDLL(None), "renameat2"):
-        return False
-    here, exchange = -100, 2  # AT_FDCWD, RENAME_EXCHANGE (linux/fcntl.h, linux/fs.h)
-    return libc.renameat2(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0
-
-
-def _put_each(new: Path, target: Path, items: Collection[Path], units: Collection[str]) -> None:
-    """Move every old item out, then every new one in; undo all where one cannot be moved.
-
-    Items that cannot be moved back stay in the scratch folder.
-    """
-    before = new.parent / _BEFORE
-    moved: list[tuple[Path, Path]] = []
-
-    def move(source: Path, place: Path) -> None:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        source.rename(place)
-        moved.append((source, place))
-
-    try:
-        for item in sorted(items):
-            if str(item) not in units:
-                _refuse_special(target / item)
-            if os.path.lexists(target / item):
-                move(target / item, before / item)
-        for item in sorted(items):
-            move(new / item, target / item)
-    except BaseException:
-        try:
-            for source, place in reversed(moved):
-                place.rename(source)
-        except OSError as error:
-            where = f"{before.parent.name}/{before.name}, next to {target.name}"
-            said = f"and the old files could not be moved back; they are in {where}: move them back into {target.name}"
-            raise OSError(error.errno, f"{error.strerror}, {said}") from error
-        shutil.rmtree(before, ignore_errors=True)
-        raise
-    shutil.rmtree(before, ignore_errors=True)
 
 
 def _sync(folder: Path) -> None:

@@ -26,7 +26,7 @@ def test_images_come_out_clean_under_numbers_and_with_the_same_pixels(run, pair,
     out = tmp_path / "clean"
     ran = run("export", "deidentify", *pair, "--out", out, "--json")
     assert ran.code == 0, ran.out
-    written = sorted(out.iterdir())
+    written = sorted(out.glob("[!.]*"))
     assert [file.name for file in written] == ["image-001.dcm", "image-002.dcm"]
     assert [one["file"] for one in ran.document["images"]] == [str(file) for file in written]
     assert "MILLER" not in ran.out.replace(str(tmp_path), "")

@@ -42,7 +42,7 @@ def load(folder: Path, name: str):
 def test_it_says_where_everything_is(demo_run) -> None:
     ran, out = demo_run
     assert ran.exit_code == 0, ran.stderr
-    assert {file.name for file in out.iterdir()} == EXPECTED
+    assert {file.name for file in out.glob("[!.]*")} == EXPECTED
     assert "report.html" in ran.stdout
     assert "8/8" in ran.stderr
     assert [p.name for p in out.parent.iterdir()] == ["demo"]  # no scratch folder is left

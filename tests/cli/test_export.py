@@ -192,4 +192,4 @@ def test_unusable_arguments(run, pair, planned, beads_csv, tmp_path: Path, argum
 def test_beads_alone_give_the_geometry_without_an_image(run, beads_csv: Path, tmp_path: Path) -> None:
     ran = run("export", "views", beads_csv, beads_csv, "--to", "deepdrr", "--out", tmp_path, "--json")
     assert ran.code in (0, 3), ran.out
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["lateral.deepdrr.json", "pa.deepdrr.json"]
+    assert sorted(p.name for p in tmp_path.glob("[!.]*")) == ["lateral.deepdrr.json", "pa.deepdrr.json"]

@@ -60,7 +60,7 @@ def test_people_read_points_bounds_and_verdict_and_get_a_report(run, beads_csv: 
         "report.html",
     ):
         assert words in ran.out
-    assert sorted(file.name for file in (tmp_path / "plan").iterdir()) == ["plan.json", "report.html"]
+    assert sorted(file.name for file in (tmp_path / "plan").glob("[!.]*")) == ["plan.json", "report.html"]
     written = json.loads((tmp_path / "plan" / "plan.json").read_text())
     assert f"{written['trajectory']['error_95']['entry_mm']:.2f} mm" in (tmp_path / "plan" / "report.html").read_text()
 

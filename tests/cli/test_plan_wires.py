@@ -82,7 +82,7 @@ def test_all_wires_are_planned_and_reported(planned) -> None:
         "Drill the inferior wire, then the ant",
     ):
         assert words in ran.out
-    files = {file.name for file in out.iterdir()}
+    files = {file.name for file in out.glob("[!.]*")}
     assert files == {"plan.json", *(f"report-{key}.html" for key in KEYS)}
     page = (out / "report-anterior.html").read_text()
     assert "All wires: GO" in page and "anterior wire (this report)" in page and "inverted triangle" in page

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from nibabel.nifti1 import Nifti1Header, Nifti1Image
 
+from sightline.atomic import write_folder
 from sightline.detection import detect
 from sightline.frame import Frame
 from sightline.imaging import read_image
@@ -65,7 +66,7 @@ def test_the_truth_says_where_things_are_in_the_image(simulated: Path) -> None:
 
 def test_png_holds_the_same_pixels(run, simulated: Path, tmp_path: Path) -> None:
     assert run("simulate", "object", "--seed", 5, "--png", "--out", tmp_path, "--quiet").code == 0
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["lateral.png", "pa.png", "truth.json"]
+    assert sorted(file.name for file in tmp_path.glob("[!.]*")) == ["lateral.png", "pa.png", "truth.json"]
     for view in ("pa", "lateral"):
         np.testing.assert_array_equal(
             read_image(tmp_path / f"{view}.png").pixels, read_image(simulated / f"{view}.dcm").pixels
@@ -246,8 +247,8 @@ def test_bad_input_ends_in_a_message_and_nothing_is_left(run, case: str, tmp_pat
 def test_a_full_disk_leaves_the_former_images(run, simulated: Path, tmp_path: Path) -> None:
     resource = pytest.importorskip("resource", reason="no limits on the size of files here")
     out = tmp_path / "kept"
-    out.mkdir()
-    (out / "pa.dcm").write_bytes((simulated / "pa.dcm").read_bytes())
+    write_folder(out, {"pa.dcm": (simulated / "pa.dcm").read_bytes()})
+    before = sorted(tmp_path.rglob("*"))
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
     try:
@@ -256,7 +257,7 @@ def test_a_full_disk_leaves_the_former_images(run, simulated: Path, tmp_path: Pa
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert ran.code == 2
     assert "cannot write pa.dcm" in ran.document["error"]["message"]
-    assert [file.name for file in tmp_path.rglob("*")] == ["kept", "pa.dcm"]
+    assert sorted(tmp_path.rglob("*")) == before
     assert (out / "pa.dcm").read_bytes() == (simulated / "pa.dcm").read_bytes()
 
 

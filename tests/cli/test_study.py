@@ -20,8 +20,8 @@ def test_a_study_leaves_figures_a_page_and_its_trials(run, small, tmp_path: Path
     assert ran.code == 0, ran.err
     assert "The median is" in ran.out
     assert "Values" in ran.out
-    assert {file.name for file in tmp_path.iterdir()} == {"trials.jsonl", "result.json", "report.html"}
-    document = json.loads((tmp_path / "result.json").read_text())
+    assert {file.name for file in tmp_path.iterdir()} == {"trials.jsonl", "report"}
+    document = json.loads((tmp_path / "report" / "result.json").read_text())
     assert (document["study"], document["seed"], document["trials"]) == ("small", 3, 12)
     assert document["configuration"]["spread"] == 1.0
     figure = document["figures"][0]

@@ -187,7 +187,7 @@ def test_the_keyboard_stops_it_and_the_same_command_goes_on(tmp_path):
         command, env=environment, capture_output=True, text=True, check=True, timeout=120
     )
     assert f"{kept} trials were finished earlier; {60 - kept} remain" in again.stderr
-    document = json.loads((out / "result.json").read_text())
+    document = json.loads((out / "report" / "result.json").read_text())
     expected = np.median([np.random.default_rng([SEED, k]).standard_normal() for k in range(60)])
     assert document["figures"][0]["value"] == pytest.approx(expected)
-    assert (out / "report.html").stat().st_size > 1000
+    assert (out / "report" / "report.html").stat().st_size > 1000

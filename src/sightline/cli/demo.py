@@ -214,7 +214,7 @@ def _compare(
 
 
 def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, Any]) -> None:
-    from sightline.atomic import write_folder
+    from sightline.atomic import write_files
     from sightline.cli.output import as_json
     from sightline.detection.csv_files import write_observations
     from sightline.saved import document
@@ -231,7 +231,7 @@ def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, A
         **({} if report.drilled is None else {"drilling": report.drilled.document()}),
     }
     documents = {f"{name}.json": as_json(result).encode() for name, result in results.items()}
-    write_folder(folder, {"report.html": page.encode(), **documents})
+    write_files(folder, {"report.html": page.encode(), **documents})
     write_observations([image.seen.observations for image in images], folder / "observations.csv")
 
 

@@ -69,4 +69,5 @@ def _write(folder: Path, chosen: "Study", result: "Result") -> list[Path]:
     from sightline.studies.runs.page import render
 
     page = render(chosen.about, result)
-    return write_folder(folder, {"report.html": page.encode(), "result.json": as_json(result.document()).encode()})
+    documents = {"report.html": page.encode(), "result.json": as_json(result.document()).encode()}
+    return write_folder(folder / "report", documents)

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sightline.atomic import whole_folder, write_whole
+from sightline.atomic import whole_folder, write_files
 from sightline.frame.drawings.bill import bill_csv, bill_page, holes_csv, inspection_csv
 from sightline.frame.drawings.mesh import meshes_of
 from sightline.frame.drawings.part import parts_of
@@ -33,7 +33,6 @@ def write_workshop(frame: Frame, folder: str | Path, clearance_mm: float = 0.0) 
             files[f"{part.name}.csv"] = holes_csv(part)
     files |= meshes_of(parts, clearance_mm)
     with whole_folder(folder) as scratch:
-        for name, data in files.items():
-            write_whole(scratch / name, data)
+        write_files(scratch, files)
         frame.save(scratch / "frame.json")
     return tuple(Path(folder) / name for name in sorted([*files, "frame.json"]))
