@@ -26,7 +26,7 @@ from sightline.studies.bound import bound
 from sightline.studies.methods import errors
 from sightline.studies.scenes import BEADS_20UM, EXACT, VIEWS, WHOLE, draw_scene
 from sightline.twin import draw_setup, render
-from sightline.twin.scene import four_balls
+from sightline.twin.scenes.hip_scene import four_balls
 
 SETUPS = 200
 IMAGED = 20  # set-ups with rendered images

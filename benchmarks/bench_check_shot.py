@@ -21,9 +21,9 @@ from sightline.planning.check.expected_wire import expected_wire
 from sightline.planning.check.shot import CheckShot, Landmarks, check_shot
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import HipScene, SetUp, draw_setup, shown_hip_scene
-from sightline.twin.implants import guide_wire
-from sightline.twin.motion import draw_motion
-from sightline.twin.render import expose
+from sightline.twin.objects.implants import guide_wire
+from sightline.twin.objects.things import draw_motion
+from sightline.twin.xray.render import expose
 
 SETUPS = 60
 LANDMARKS, REACH_MM = 6, 30.0  # about the wire's middle, per axis

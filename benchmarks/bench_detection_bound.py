@@ -12,7 +12,7 @@ from sightline.detection import Detections, Observations, detect, label, look_ag
 from sightline.errors import DetectionRefusedError, LabellingRefusedError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
-from sightline.twin.hard import BeadTruth, hard_scene
+from sightline.twin.scenes.hard import BeadTruth, hard_scene
 
 _FINDABLE_PX = 0.5  # a bead counts if the image determines its centre to within this
 _FOUND_PX = 2.0

@@ -15,7 +15,7 @@ from sightline.detection import Detections, Observations, detect, label, look_ag
 from sightline.errors import DetectionRefusedError, LabellingRefusedError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
-from sightline.twin.hard import BeadTruth, hard_view
+from sightline.twin.scenes.hard import BeadTruth, hard_view
 
 # Scatter: whether it is a share of the primary or follows the tissue in the beam as well, and the kernel's s.d., mm. Of
 # these the primary's on 8 mm slopes most, the even veil not at all; 30 mm are the scatter of the other hard scenes.

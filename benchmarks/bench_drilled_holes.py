@@ -29,9 +29,9 @@ from sightline.robot.kinematics.manipulator import FEED, Manipulator, imaging_ya
 from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, robot_target
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp, draw_setup
-from sightline.twin.drilling import Bone, Wire
-from sightline.twin.nails import CORTEX_MM, SPACING_MM, DistalNail
-from sightline.twin.volumes import Volume
+from sightline.twin.anatomy.nailed_femur import CORTEX_MM, SPACING_MM, DistalNail
+from sightline.twin.objects.volumes import Volume
+from sightline.twin.robot.drilling import Bone, Wire
 
 NAILS = 150  # of two holes each
 SIDE, PICK_PX, DRILL_MM = "right", 0.5, 4.0

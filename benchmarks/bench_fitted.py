@@ -30,12 +30,12 @@ from sightline.planning.bone.anatomy import locate
 from sightline.planning.bone.axis import Axis
 from sightline.planning.bone.head import Sphere
 from sightline.twin import HipScene, SetUp, render
-from sightline.twin.bones import SphereAid
-from sightline.twin.carm import BEAMS, ViewTruth
-from sightline.twin.drawn_aids import drawn_aids
-from sightline.twin.femur import to_cfcs
-from sightline.twin.scene import shown_hip_scene
-from sightline.twin.specimens import tagged
+from sightline.twin.anatomy.aids import drawn_aids
+from sightline.twin.anatomy.bone_model import SphereAid
+from sightline.twin.anatomy.femur import to_cfcs
+from sightline.twin.scenes.hip_scene import shown_hip_scene
+from sightline.twin.scenes.specimens import tagged
+from sightline.twin.xray.setup import BEAMS, ViewTruth
 
 HIPS, WITH_PLATES, ACROSS = 100, 30, 60  # with a block; with the Γ frame; with a block and a beam across the neck
 FIRST_ACROSS = 2000  # the error stated in lateral images was raised after a run of the first hips

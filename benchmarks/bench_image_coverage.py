@@ -19,7 +19,7 @@ from benchmarks.rows import Row, coverage_row, finished
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.studies.scenes import BEADS_20UM, EXACT, FAR_MM, draw_target
-from sightline.twin.hard import hard_views
+from sightline.twin.scenes.hard import hard_views
 
 PAIRS = 2400  # of which at least 2,000 must give a result
 REQUIRED = {0.50: 0.035, 0.95: 0.015, 0.99: 0.007}

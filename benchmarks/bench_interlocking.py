@@ -32,10 +32,10 @@ from sightline.imaging import Radiograph
 from sightline.planning import Hole, Nail, fit_hole, perfect_circle
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp, ViewTruth, draw_setup
-from sightline.twin.arm import beam_at
-from sightline.twin.nails import DistalNail, draw_nail, nail_scene
-from sightline.twin.render import expose
-from sightline.twin.things import frame_scene
+from sightline.twin.anatomy.nailed_femur import DistalNail, draw_nail, nail_scene
+from sightline.twin.objects.things import frame_scene
+from sightline.twin.xray.distributions import beam_at
+from sightline.twin.xray.render import expose
 
 NAILS = 1000
 POINTS = "interlocking, nails as points, "

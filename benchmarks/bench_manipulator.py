@@ -14,9 +14,9 @@ from benchmarks.rows import Row
 from sightline.robot.kinematics.manipulator import FEED, WRIST_MM, Manipulator, nominal_manipulator
 from sightline.robot.kinematics.reach import check_reach, hip_surroundings
 from sightline.robot.plant import CYCLE_S
-from sightline.twin.drilling import Bone
-from sightline.twin.femur import Femur, to_cfcs, voxelise
-from sightline.twin.manipulator import SimulatedPlant
+from sightline.twin.anatomy.femur import Femur, to_cfcs, voxelise
+from sightline.twin.robot.drilling import Bone
+from sightline.twin.robot.plant import SimulatedPlant
 
 REQUIRED_FACTOR = 50.0  # 300 insertions of two minutes in ten
 GUIDE_GAP_MM, STANDOFF_MM = 10.0, 20.0

@@ -21,8 +21,8 @@ from sightline.planning import Hole, Plan, fit_hole, matching_curve
 from sightline.rehearsal.patient import AT_HIP, BONES_OF, RehearsedPatient, draw_patient, frame_of
 from sightline.studies.scenes import calibrated_views, measure
 from sightline.twin import BoneScene
-from sightline.twin.femur import to_cfcs
-from sightline.twin.nailed_femur import NailedFemur
+from sightline.twin.anatomy.femur import to_cfcs
+from sightline.twin.anatomy.nailed_femur import NailedFemur
 
 TRIALS = 200  # of each procedure
 BEAD_PX, PICK_PX = 0.1, 0.5  # physics.md: Centroid limit, Picks

@@ -21,11 +21,11 @@ from scipy.ndimage import map_coordinates
 from benchmarks.rows import Row
 from sightline.frame import Frame
 from sightline.twin import Scene, draw_setup
-from sightline.twin.beam import WEIGHTS, attenuation_per_mm
-from sightline.twin.projector import MESH_SUB, Rays, mesh_lengths, volume_integral
-from sightline.twin.render import pixel_rays, primary
-from sightline.twin.things import Ball
-from sightline.twin.volumes import Volume
+from sightline.twin.objects.beam import WEIGHTS, attenuation_per_mm
+from sightline.twin.objects.things import Ball
+from sightline.twin.objects.volumes import Volume
+from sightline.twin.xray.projector import MESH_SUB, Rays, mesh_lengths, volume_integral
+from sightline.twin.xray.render import pixel_rays, primary
 
 REQUIRED_S, REQUIRED_MB, REQUIRED_SHARE = 0.6, 1000.0, 0.01
 REQUIRED_SMALL_S = 0.2  # 256³ voxels to 512²
@@ -39,7 +39,7 @@ GROUP = "projector, 256³ voxels"
 _PEAK = """
 import resource
 from benchmarks.bench_projector import scene_and_rays
-from sightline.twin.render import primary
+from sightline.twin.xray.render import primary
 primary(*scene_and_rays())
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """

@@ -155,7 +155,7 @@ def _stop_time(server: RobotServer, robot: RobotClient, joints: slice) -> tuple[
 def _observed(server: RobotServer) -> None:
     """Give access to the simulator's true joint speeds, which the loop cannot see."""
     from sightline.robot.kinematics.manipulator import JOINTS
-    from sightline.twin.mjcf import unit
+    from sightline.twin.robot.mjcf import unit
 
     body = server._plant._body
     server._plant._dof = np.array([body._model.joint(name).dofadr[0] for name in JOINTS])

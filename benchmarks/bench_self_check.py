@@ -27,7 +27,7 @@ from sightline.frame import Frame, Tolerances
 from sightline.geometry.rigid import rigid_fit
 from sightline.studies.scenes import VIEWS
 from sightline.twin import SetUp, bead_images, draw_setup
-from sightline.twin.carm import with_errors
+from sightline.twin.xray.setup import with_errors
 
 TRIALS = 40
 IMAGES = (4, 8, 16, 32)

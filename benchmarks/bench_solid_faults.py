@@ -23,11 +23,11 @@ from sightline.frame import Frame
 from sightline.planning import kind
 from sightline.studies.scenes import WIRE_ENDS_MM, TargetScene, draw_scene, measure
 from sightline.twin import SetUp
-from sightline.twin.arm import beam_at
-from sightline.twin.carm import displaced, with_errors
+from sightline.twin.xray.distributions import beam_at
+from sightline.twin.xray.setup import displaced, with_errors
 
 SETUPS = 40  # of each case
-# Centre of the head and tip of the lesser trochanter of an average right femur with that wire (twin/femur.py).
+# Centre of the head and tip of the lesser trochanter of an average right femur with that wire (twin/anatomy/femur.py).
 LANDMARKS_MM = np.array([[-23.0, -23.5, 5.0], [-2.5, 38.5, -22.0]])
 POINTS_MM = np.concatenate([WIRE_ENDS_MM, LANDMARKS_MM])
 BALL_MM = 0.02

@@ -21,9 +21,9 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.twin import SetUp, render, shown_hip_scene
-from sightline.twin.carm import Variation
-from sightline.twin.draw import FlatPanel
-from sightline.twin.presets import preset
+from sightline.twin.xray.presets import preset
+from sightline.twin.xray.setup import Variation
+from sightline.twin.xray.tubes import FlatPanel
 
 SETUPS = 30
 BALL_MM = 0.02

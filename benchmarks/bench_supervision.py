@@ -15,8 +15,8 @@ from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from sightline.robot.control.motion.supervision import EventKind, Supervision
 from sightline.robot.plant import CYCLE_S
-from sightline.twin.drilling import AXIAL_N_PER_MM, CORTICAL_G_CM3, Bone, Wire, sensed
-from sightline.twin.femur import draw_femur, voxelise
+from sightline.twin.anatomy.femur import draw_femur, voxelise
+from sightline.twin.robot.drilling import AXIAL_N_PER_MM, CORTICAL_G_CM3, Bone, Wire, sensed
 
 FEED_MM_S = 1.0  # 60 mm/min: physics.md, Drilling
 HOLES_A_FEMUR = 20

@@ -26,7 +26,7 @@ from sightline.case.watch.live import Watch
 from sightline.detection import Observations
 from sightline.rehearsal.stream import Shot, SimulatedFluoroscopy, shifted
 from sightline.twin import DOSES, ViewTruth, bead_images, draw_setup, shown_hip_scene
-from sightline.twin.render import expose
+from sightline.twin.xray.render import expose
 
 REQUIRED_PER_S = 10.0  # images that are calibrated, overlaid and compared with the rest position
 SEED = 3

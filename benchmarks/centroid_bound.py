@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from scipy.interpolate import LSQUnivariateSpline
 
-from sightline.twin.hard import BeadTruth
-from sightline.twin.render import ELECTRONIC_SD
+from sightline.twin.scenes.hard import BeadTruth
+from sightline.twin.xray.render import ELECTRONIC_SD
 
 _BEYOND_PX = 6.0  # of the window beyond the rim
 _MARGIN = 8  # px around the window: quanta there are blurred into it

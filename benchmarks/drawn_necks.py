@@ -3,7 +3,7 @@
 import numpy as np
 
 from sightline.errors import SetUpError
-from sightline.twin.femur import Femur
+from sightline.twin.anatomy.femur import Femur
 
 STATIONS = np.arange(0.25, 0.8, 0.006)  # along the neck, of its length from the head's centre
 DEPTHS_MM = np.arange(-14.0, 14.5, 2.0)  # along the beam, of the places where a line of sight may touch the bone

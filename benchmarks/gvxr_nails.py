@@ -16,8 +16,8 @@ from benchmarks.gvxr_projector import Window, path_lengths_mm
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.twin import ViewTruth
-from sightline.twin.nails import CORTEX_MM, THIGH_MM, DistalNail
-from sightline.twin.render import DOSES, Exposure
+from sightline.twin.anatomy.nailed_femur import CORTEX_MM, THIGH_MM, DistalNail
+from sightline.twin.xray.render import DOSES, Exposure
 
 # Attenuation at 45, 55, 65 and 80 keV, 1/mm [mem: XCOM, rounded], and the share of each energy behind a thigh [ours].
 PER_MM = {

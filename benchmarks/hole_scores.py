@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.planning import Hole
-from sightline.twin.nails import DistalNail
+from sightline.twin.anatomy.nailed_femur import DistalNail
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from sightline.planning import Edge, HoleSeen
-from sightline.twin.nails import DistalNail
+from sightline.twin.anatomy.nailed_femur import DistalNail
 
 OUTLINE_PX, RIM_PX = 0.15, 0.3  # s.d. of a point across its edge, and
 OUTLINE_COMMON_PX, RIM_COMMON_PX = 0.05, 0.15  # of an error that the points of an edge share

@@ -11,7 +11,7 @@ import numpy as np
 from sightline.detection import Detections
 from sightline.frame import Frame, FrameView
 from sightline.twin import bead_images, draw_setup
-from sightline.twin.carm import shadow_radius_px
+from sightline.twin.xray.setup import shadow_radius_px
 
 SOURCE_HIP_MM = 620.0  # physics.md, C-arm and image chain [ours]
 SOURCE_DETECTOR_MM = 1000.0  # [src ARCADIS manual]

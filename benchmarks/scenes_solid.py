@@ -10,8 +10,8 @@ from sightline.detection import Observations
 from sightline.frame import Frame, Tolerances
 from sightline.studies.scenes import TargetScene, measure
 from sightline.twin import SetUp
-from sightline.twin.carm import shadow_centres_px, with_errors
-from sightline.twin.distributions import NEAR_PLACE, SolidPlace
+from sightline.twin.xray.distributions import NEAR_PLACE, SolidPlace
+from sightline.twin.xray.setup import shadow_centres_px, with_errors
 
 BEAD_PX = PICK_PX = 0.1
 

@@ -14,9 +14,9 @@ from sightline.detection import Observations
 from sightline.frame import Fiducial, Frame
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import HipScene, SetUp, bead_images
-from sightline.twin.femur import draw_femur
-from sightline.twin.scene import shown_setup
-from sightline.twin.things import Scene
+from sightline.twin.anatomy.femur import draw_femur
+from sightline.twin.objects.things import Scene
+from sightline.twin.scenes.hip_scene import shown_setup
 
 BEAD_PX = 0.1  # physics.md, Centroid limit
 UNSEEN = 2.0  # s.d.: a smaller difference is not evidence

@@ -8,13 +8,13 @@ from benchmarks.nail_edges import Sight, ends_of_outlines
 from sightline.calibration import CalibratedView, view_from_matrix
 from sightline.geometry.planes import Plane
 from sightline.imaging import Radiograph
-from sightline.twin.arm import beam_at
-from sightline.twin.carm import ViewTruth
-from sightline.twin.draw import FlatPanel
-from sightline.twin.nails import DistalNail, nail_scene
-from sightline.twin.presets import FLAT_PANEL
-from sightline.twin.render import DOSES, expose
-from sightline.twin.things import Scene
+from sightline.twin.anatomy.nailed_femur import DistalNail, nail_scene
+from sightline.twin.objects.things import Scene
+from sightline.twin.xray.distributions import beam_at
+from sightline.twin.xray.presets import FLAT_PANEL
+from sightline.twin.xray.render import DOSES, expose
+from sightline.twin.xray.setup import ViewTruth
+from sightline.twin.xray.tubes import FlatPanel
 
 PANEL = replace(FLAT_PANEL, shape=(340, 340), field_mm=340 * 0.194, mask_px=168.0)
 ORBITS_DEG = (-16.0, 17.0)

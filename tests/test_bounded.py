@@ -20,8 +20,8 @@ from sightline.frame.measured.measurements import read_measurements
 from sightline.frame.table import frame_from_csv
 from sightline.imaging import frames_in
 from sightline.studies.assess import read_points
-from sightline.twin.ct import read_ct
-from sightline.twin.meshes import read_mesh
+from sightline.twin.objects.meshes import read_mesh
+from sightline.twin.objects.volumes import read_ct
 
 READERS: dict[str, Callable[[Path], object]] = {
     "image.dcm": sl.read_image,

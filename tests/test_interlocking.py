@@ -11,9 +11,9 @@ from sightline.errors import ReconstructionRefusedError, SightlineError, Unusabl
 from sightline.from_images.interlocking import find_hole, find_holes, find_nail
 from sightline.imaging import Radiograph
 from sightline.planning import Nail
-from sightline.twin.arm import beam_at
-from sightline.twin.nails import DistalNail
-from sightline.twin.things import Scene, rod_between
+from sightline.twin.anatomy.nailed_femur import DistalNail
+from sightline.twin.objects.things import Scene, rod_between
+from sightline.twin.xray.distributions import beam_at
 
 NAIL = DistalNail(np.array([2.3, -3.1, 4.7]), np.array([0.0, 1.0, 0.0]), beam_at(0.02), bend=0.02, bend_angle=2.0)
 MAX_MM, MAX_DEG = 0.3, 0.7

@@ -13,7 +13,7 @@ from sightline import threads
 from sightline.detection.csv_files import read_observations
 from sightline.threads import one_blas_thread
 from sightline.twin import render
-from sightline.twin.things import frame_scene
+from sightline.twin.objects.things import frame_scene
 
 
 def _count(part: int, parts: int, done: np.ndarray) -> None:

@@ -5,9 +5,9 @@ import numpy as np
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.twin import SetUp, draw_setup, render
-from sightline.twin.carm import BEAMS
-from sightline.twin.specimens import tagged
-from sightline.twin.things import frame_scene
+from sightline.twin.objects.things import frame_scene
+from sightline.twin.scenes.specimens import tagged
+from sightline.twin.xray.setup import BEAMS
 
 BLOCK = Frame.load("block60")
 # About the middle of the hip: entry, end and three landmarks.

@@ -12,7 +12,7 @@ from sightline.app.session.worker import WorkerProcess
 from sightline.case.views import NAMES
 from sightline.imaging import write_dicom
 from sightline.twin import SetUp
-from sightline.twin.carm import BEAMS
+from sightline.twin.xray.setup import BEAMS
 
 LANDMARKS = [spec.name for spec in marks_of("hip-screw") if spec.group == "landmark"]
 PICK_PX = 0.5

@@ -27,7 +27,7 @@ from sightline.imaging import Radiograph
 from sightline.planning import kind, plan
 from sightline.robot.kinematics.manipulator import YAW, imaging_yaw, nominal_manipulator
 from sightline.twin import bead_images
-from sightline.twin.scene import shown_hip_scene
+from sightline.twin.scenes.hip_scene import shown_hip_scene
 
 HOSTILE = "<img src=x onerror='window.hacked=1'>"
 GROUPS = {"frame": "Frame", "views": "Views", "bone": "Bone", "rays": "Lines of sight", "wire": "Wire"}

@@ -21,7 +21,7 @@ from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.stages import keep_frame, record_acquired, record_changed, record_planned
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.twin import SetUp
-from sightline.twin.carm import BEAMS
+from sightline.twin.xray.setup import BEAMS
 
 
 @pytest.fixture(scope="module")

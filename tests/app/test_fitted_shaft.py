@@ -27,10 +27,10 @@ from sightline.frame import Frame
 from sightline.imaging import write_dicom
 from sightline.planning import Line
 from sightline.twin import HipScene, SetUp, render
-from sightline.twin.bones import SphereAid
-from sightline.twin.drawn_aids import drawn_aids
-from sightline.twin.femur import to_cfcs
-from sightline.twin.scene import shown_hip_scene
+from sightline.twin.anatomy.aids import drawn_aids
+from sightline.twin.anatomy.bone_model import SphereAid
+from sightline.twin.anatomy.femur import to_cfcs
+from sightline.twin.scenes.hip_scene import shown_hip_scene
 
 AXIS = ("shaft-1", "shaft-2")
 BORDERS = tuple(f"shaft-border-{k}" for k in range(1, 5))

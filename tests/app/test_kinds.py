@@ -13,7 +13,7 @@ from tests.app.hands import Hands, Pixels, by_image, rehearsal, truth
 from sightline.app.plan.marks import marks_of
 from sightline.case.views import NAMES
 from sightline.imaging import write_dicom
-from sightline.twin.femur import to_cfcs
+from sightline.twin.anatomy.femur import to_cfcs
 
 pytestmark = pytest.mark.slow
 SEEN_PX = 1.2  # a click is a whole pixel of the screen, the image drawn at 0.45: half of one over that

@@ -25,7 +25,7 @@ from sightline.robot.control.states import State
 from sightline.robot.kinematics.target import LIFETIME_S
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.twin import render
-from sightline.twin.implants import guide_wire
+from sightline.twin.objects.implants import guide_wire
 
 SEEN_PX = 1.2  # a click is a whole pixel of the screen, the image drawn at 0.45: half of one over that
 # How far a point is from [name, u, v], px.

@@ -23,8 +23,8 @@ from sightline.app.drawing.space.surface import CELL_MM, outer_surface
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.robot.kinematics.manipulator import FEED, PITCH, YAW, nominal_manipulator
-from sightline.twin.femur import Femur, voxelise
-from sightline.twin.volumes import Volume
+from sightline.twin.anatomy.femur import Femur, voxelise
+from sightline.twin.objects.volumes import Volume
 
 
 def of_kind(objects: list[dict], kind: str) -> list[dict]:

@@ -11,7 +11,7 @@ from sightline.detection import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.twin import SetUp, Variation, bead_images, draw_setup
-from sightline.twin.carm import shadow_radius_px
+from sightline.twin.xray.setup import shadow_radius_px
 
 GAMMA = Frame.load("gamma")
 BIAS = 1.012  # by which detection sees balls too large in the twin (calibration/view_checks/ball_size.py)

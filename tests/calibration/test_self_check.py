@@ -9,7 +9,7 @@ from sightline.calibration.self_checks.plates import SelfCheck, self_check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame
-from sightline.twin.carm import bead_images, displaced, draw_setup, with_errors
+from sightline.twin.xray.setup import bead_images, displaced, draw_setup, with_errors
 
 GAMMA = Frame.load("gamma")
 IDS = [f.id for f in GAMMA.fiducials]

@@ -11,7 +11,7 @@ from sightline.detection.results import Observations
 from sightline.frame import Frame
 from sightline.studies.scenes import EXACT
 from sightline.twin import SetUp, draw_setup
-from sightline.twin.carm import shadow_centres_px, shadow_radius_px
+from sightline.twin.xray.setup import shadow_centres_px, shadow_radius_px
 
 GAMMA = replace(Frame.load("gamma"), tolerances=EXACT)
 PLATE = replace(Frame.load("block30+detector-plate"), tolerances=EXACT)

@@ -10,7 +10,7 @@ import pytest
 from sightline.case.journal import Case, Kind
 from sightline.imaging import write_dicom
 from sightline.twin import hip_scene, render
-from sightline.twin.implants import guide_wire
+from sightline.twin.objects.implants import guide_wire
 
 VIEWS = ("pa", "lateral")
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])

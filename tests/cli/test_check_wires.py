@@ -11,7 +11,7 @@ from sightline.case.journal import Case, Kind
 from sightline.imaging import write_dicom
 from sightline.planning.procedures.files import copy_text
 from sightline.twin import HipScene, hip_scene, render
-from sightline.twin.implants import guide_wire
+from sightline.twin.objects.implants import guide_wire
 
 VIEWS = ("pa", "lateral")
 KEYS = ("inferior", "anterior", "posterior")

@@ -27,9 +27,8 @@ from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.kinematics.target import RobotTarget
 from sightline.studies.scenes import VIEWS
 from sightline.twin import Scene, SetUp, draw_setup, render
-from sightline.twin.motion import BoneMotion, draw_motion
-from sightline.twin.specimens import tagged
-from sightline.twin.things import SoftTissue, frame_scene
+from sightline.twin.objects.things import BoneMotion, SoftTissue, draw_motion, frame_scene
+from sightline.twin.scenes.specimens import tagged
 
 BLOCK = Frame.load("block60")
 PICK_PX = 0.2

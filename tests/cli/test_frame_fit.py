@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.frame import Frame
 from sightline.geometry.rigid import rigid_fit
-from sightline.twin.carm import with_errors
+from sightline.twin.xray.setup import with_errors
 
 GAMMA = Frame.load("gamma")
 TRUE = with_errors(GAMMA, np.random.default_rng(4))

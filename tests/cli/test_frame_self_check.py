@@ -7,7 +7,7 @@ from sightline.detection.csv_files import write_observations
 from sightline.detection.results import Observations
 from sightline.frame import Frame, Tolerances
 from sightline.geometry.rigid import rigid_fit
-from sightline.twin.carm import bead_images, displaced, draw_setup, with_errors
+from sightline.twin.xray.setup import bead_images, displaced, draw_setup, with_errors
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from sightline.from_images.interlocking import NailDrawn
 from sightline.imaging import Radiograph, write_dicom
 from sightline.rehearsal.patient import NAILED, VIEWS, RehearsedPatient, draw_patient
 from sightline.twin import render
-from sightline.twin.bone_scene import placed_bone
+from sightline.twin.scenes.bone_scene import placed_bone
 
 KEYS = ("distal", "proximal")
 Arguments = Callable[..., list[Any]]

@@ -11,7 +11,7 @@ from tests.three import POINTS_MM, draw_three, three_images
 from sightline.case.journal import Case, Kind
 from sightline.imaging import write_dicom
 from sightline.twin import SetUp
-from sightline.twin.carm import BEAMS
+from sightline.twin.xray.setup import BEAMS
 
 PAIR = ("pa", "lateral")
 OF_BLOCK = ("--frame", "block60", "--procedure", "free-wire")

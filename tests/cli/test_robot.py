@@ -15,7 +15,7 @@ from sightline.frame import Frame
 from sightline.rehearsal.operation import SimulatedTheatre
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.link.client import RobotClient
-from sightline.twin.carm import hip_of
+from sightline.twin.xray.setup import hip_of
 
 
 def run(*args: object, say: str = ""):

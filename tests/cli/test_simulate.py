@@ -14,8 +14,8 @@ from sightline.atomic import write_folder
 from sightline.detection import detect
 from sightline.frame import Frame
 from sightline.imaging import read_image
-from sightline.twin.carm import with_errors
-from sightline.twin.presets import PRESETS
+from sightline.twin.xray.presets import PRESETS
+from sightline.twin.xray.setup import with_errors
 
 GAMMA = Frame.load("gamma")
 FILES = ["lateral.dcm", "pa.dcm", "truth.json"]

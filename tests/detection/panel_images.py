@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.geometry.planes import Plane
-from sightline.twin.carm import ViewTruth, shadow_centres_px, shadow_radius_px
-from sightline.twin.draw import FlatPanel
-from sightline.twin.femur import draw_femur, voxelise
-from sightline.twin.presets import ImageChain
-from sightline.twin.render import Projection, project
-from sightline.twin.things import Ball, Box, Scene, SoftTissue
+from sightline.twin.anatomy.femur import draw_femur, voxelise
+from sightline.twin.objects.things import Ball, Box, Scene, SoftTissue
+from sightline.twin.xray.presets import ImageChain
+from sightline.twin.xray.render import Projection, project
+from sightline.twin.xray.setup import ViewTruth, shadow_centres_px, shadow_radius_px
+from sightline.twin.xray.tubes import FlatPanel
 
 TO_HIP_MM = 620.0
 HALF_MM = 30.0  # half the edge of the cube of balls

@@ -17,8 +17,8 @@ from sightline.errors import ObservationsError
 from sightline.frame import Frame, FrameView, Plate
 from sightline.imaging import Radiograph
 from sightline.twin import draw_setup
-from sightline.twin.carm import shadow_centres_px, shadow_radius_px
-from sightline.twin.hard import hard_view
+from sightline.twin.scenes.hard import hard_view
+from sightline.twin.xray.setup import shadow_centres_px, shadow_radius_px
 
 GAMMA = Frame.load("gamma")
 DIAMETER_MM = {bead.id: bead.diameter_mm for bead in GAMMA.view("pa").fiducials}

@@ -9,9 +9,9 @@ from tests.detection.panel_images import hip, middle_of, scattered, shown, view_
 
 from sightline.detection import Detections, detect
 from sightline.errors import DetectionRefusedError
-from sightline.twin.presets import preset
-from sightline.twin.render import DOSES, Dose
-from sightline.twin.things import Scene
+from sightline.twin.objects.things import Scene
+from sightline.twin.xray.presets import preset
+from sightline.twin.xray.render import DOSES, Dose
 
 PANELS = "flat-panel-0.1", "flat-panel-0.2", "flat-panel-0.3"
 FIELD_MM = 120.0

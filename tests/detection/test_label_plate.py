@@ -10,7 +10,7 @@ from sightline.detection import Detections, label
 from sightline.errors import CalibrationRefusedError, LabellingRefusedError
 from sightline.frame import Frame, Plate
 from sightline.twin import draw_setup
-from sightline.twin.carm import shadow_radius_px
+from sightline.twin.xray.setup import shadow_radius_px
 
 FRAME = Frame.load("block40+detector-plate")
 SD_PX = 0.15

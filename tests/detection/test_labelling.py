@@ -14,7 +14,7 @@ from sightline.detection.labelling.label import MAY_BE_TWO
 from sightline.errors import FrameError, LabellingRefusedError, ObservationsError
 from sightline.frame import Fiducial, Frame, FrameView, Plate
 from sightline.frame.designs import BUILTIN
-from sightline.twin.presets import PRESETS
+from sightline.twin.xray.presets import PRESETS
 
 GAMMA = Frame.load("gamma")
 ALL_SEEN = Hiding(most=0.15)

@@ -5,7 +5,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.frame import Fiducial, Frame, FrameView, Plate, Tolerances
 from sightline.frame.measured.measurements import Series
-from sightline.twin.carm import with_errors
+from sightline.twin.xray.setup import with_errors
 
 SD_MM = 0.005
 # Off any grid, so that no plate turned or mirrored is itself.

@@ -15,8 +15,8 @@ from sightline.imaging.average import average, movement
 from sightline.imaging.interlace import MOVED, comb, field_of
 from sightline.imaging.source import Run
 from sightline.imaging.video import VideoSource
-from sightline.twin.presets import preset
-from sightline.twin.render import Exposure
+from sightline.twin.xray.presets import preset
+from sightline.twin.xray.render import Exposure
 
 SIZE = (288, 384)
 

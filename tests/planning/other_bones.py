@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 
 from sightline.planning import Aids, Anatomy, Pick, kind, locate
-from sightline.twin.bone_scene import BONES, INLET, OUTLET
-from sightline.twin.bones import Aid, BoneModel
-from sightline.twin.drawn_aids import drawn_aids
-from sightline.twin.femur import to_cfcs
+from sightline.twin.anatomy.aids import drawn_aids
+from sightline.twin.anatomy.bone_model import Aid, BoneModel
+from sightline.twin.anatomy.femur import to_cfcs
+from sightline.twin.scenes.bone_scene import BONES, INLET, OUTLET
 
 from .standin import StandInView, stand_in, turned
 

@@ -15,7 +15,7 @@ from sightline.planning.check.expected_wire import expected_wire
 from sightline.planning.check.shot import CheckShot, Landmarks, check_shot
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import SetUp, draw_setup
-from sightline.twin.motion import draw_motion
+from sightline.twin.objects.things import draw_motion
 
 PLAN = np.array([[35.0, 34.0, -8.0], [-33.0, -36.0, 7.0]])
 MARKS = np.array(

@@ -11,8 +11,8 @@ from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Aids, Drawing, Pick, locate
 from sightline.planning.bone.metrics import metric
-from sightline.twin.bones import PlaneAid, TubeAid
-from sightline.twin.drawn_aids import clicked_mm
+from sightline.twin.anatomy.aids import clicked_mm
+from sightline.twin.anatomy.bone_model import PlaneAid, TubeAid
 
 from .other_bones import PROCEDURES, drawn, views
 from .standin import StandInView

@@ -18,7 +18,7 @@ from sightline.planning.check.shot import Landmarks
 from sightline.planning.check.start import Beforehand, on_patient
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import SetUp, draw_setup
-from sightline.twin.motion import BoneMotion, draw_motion
+from sightline.twin.objects.things import BoneMotion, draw_motion
 
 BLOCK = Frame.load("block60")
 LENGTH_MM = float(np.linalg.norm(PLAN[1] - PLAN[0]))

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from sightline.calibration import view_from_matrix
 from sightline.errors import ErrorUnknownError, ReconstructionRefusedError
 from sightline.planning import Edge, Hole, HoleSeen, Nail, fit_hole
-from sightline.twin.arm import beam_at
-from sightline.twin.nails import DistalNail, draw_nail
+from sightline.twin.anatomy.nailed_femur import DistalNail, draw_nail
+from sightline.twin.xray.distributions import beam_at
 
 SMALL = np.eye(12) * 1e-16  # a matrix with hardly an error
 ORBITS, TRIALS = (-16.0, 16.0), 25

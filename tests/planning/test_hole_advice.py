@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from sightline.calibration import view_from_matrix
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning import Hole, Nail, perfect_circle
-from sightline.twin.arm import beam_at
+from sightline.twin.xray.distributions import beam_at
 
 SD_RAD = np.deg2rad(0.35)  # of the measured direction, per axis: the limit of 0.7° for 95 % [ours]
 OFF_CENTRE_MM = 20.0

@@ -4,17 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.planning.wrong_wires import wrong_wires
 
 import sightline as sl
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.planning import Aids, Plan, kind, plan
 from sightline.studies.scenes import measure
 from sightline.twin import drawn_aids
-from sightline.twin.bone_scene import BoneScene, shown_bone_scene
-from sightline.twin.carm import SetUp
-from sightline.twin.drawn_aids import key_of
-from sightline.twin.femur import to_cfcs
-from sightline.twin.wrong_wires import wrong_wires
+from sightline.twin.anatomy.aids import key_of
+from sightline.twin.anatomy.femur import to_cfcs
+from sightline.twin.scenes.bone_scene import BoneScene, shown_bone_scene
+from sightline.twin.xray.setup import SetUp
 
 from .other_bones import PROCEDURES
 

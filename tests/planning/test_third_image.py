@@ -15,7 +15,7 @@ from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.planning import Plan, kind, plan, reconstruct
 from sightline.studies.scenes import measure
 from sightline.twin import SetUp
-from sightline.twin.carm import BEAMS
+from sightline.twin.xray.setup import BEAMS
 
 BALL_PX, PICK_PX, SHIFT_MM, OFF_MM = 0.1, 0.5, 2.0, 1.0
 

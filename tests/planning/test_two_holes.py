@@ -11,8 +11,8 @@ from sightline.checks import failed
 from sightline.errors import ReconstructionRefusedError
 from sightline.from_images.interlocking import refuse_confused
 from sightline.planning import Hole, Nail, WirePicks, fit_hole, plan_wires
-from sightline.twin.arm import beam_at
-from sightline.twin.nails import SPACING_MM, DistalNail
+from sightline.twin.anatomy.nailed_femur import SPACING_MM, DistalNail
+from sightline.twin.xray.distributions import beam_at
 
 ERRORS = np.eye(12) * 1e-14  # a matrix with a small error
 ORBITS_DEG = (-106.0, -74.0)  # the beams run from lateral to medial

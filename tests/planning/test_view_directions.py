@@ -14,8 +14,8 @@ from sightline.planning.bone.directions import anatomical
 from sightline.planning.procedures.files import copy_text, document_from_json
 from sightline.planning.verdict.patient_axes import frame_axes
 from sightline.planning.verdict.view_directions import Located, angles_of, assumed_axes
-from sightline.twin.drawn_aids import drawn_aids, key_of
-from sightline.twin.femur import to_cfcs
+from sightline.twin.anatomy.aids import drawn_aids, key_of
+from sightline.twin.anatomy.femur import to_cfcs
 
 from . import bone, other_bones
 from .standin import StandInView, stand_in, turned

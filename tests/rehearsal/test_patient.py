@@ -7,7 +7,7 @@ from sightline.case.views import NAMES
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.rehearsal.patient import BONE_OF, LANDMARK_MARGIN_PX, RehearsedPatient, draw_patient
-from sightline.twin.bones import SphereAid
+from sightline.twin.anatomy.bone_model import SphereAid
 
 BLOCK, SEED = Frame.load("block60"), 5
 

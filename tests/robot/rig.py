@@ -21,7 +21,7 @@ from sightline.robot.link.dialect import SIGHTLINE, Dialect
 from sightline.robot.link.dialogue import Dialogue
 from sightline.robot.link.server import RobotServer
 from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
-from sightline.twin.manipulator import SimulatedPlant
+from sightline.twin.robot.plant import SimulatedPlant
 
 IMAGED = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.5])  # joints at the images
 # CFCS; shorter than a wire in a hip, since drilling takes a second for each millimetre

@@ -8,7 +8,7 @@ import pytest
 
 from sightline.studies import fig13 as study_fig13
 from sightline.studies.fig13 import POSES, Figure13, holes_mm
-from sightline.twin.distributions import Distortion
+from sightline.twin.xray.distributions import Distortion
 
 
 def test_poses_are_right_handed_and_turn_about_the_long_axis():

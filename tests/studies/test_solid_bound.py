@@ -14,10 +14,10 @@ from sightline.planning import reconstruct
 from sightline.studies.bound import BoundData
 from sightline.studies.scenes import draw_scene
 from sightline.twin import SetUp, ViewTruth, draw_setup
-from sightline.twin.arm import beam_at
-from sightline.twin.carm import BEAMS
-from sightline.twin.draw import FlatPanel
-from sightline.twin.presets import preset
+from sightline.twin.xray.distributions import beam_at
+from sightline.twin.xray.presets import preset
+from sightline.twin.xray.setup import BEAMS
+from sightline.twin.xray.tubes import FlatPanel
 
 BLOCK = Frame.load("block60")
 BEAD_PX, PICK_PX = 0.1, 0.1

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.errors import UnusableInputError
-from sightline.twin.accessories import ACCESSORIES, with_accessories
-from sightline.twin.specimens import Specimen
-from sightline.twin.things import Scene, SoftTissue
+from sightline.twin.objects.things import Scene, SoftTissue
+from sightline.twin.scenes.specimens import ACCESSORIES, Specimen, with_accessories
 
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
 NEEDS_A_WIRE = ("guide-wire", "lag-screw", "angled-plate", "drill-guide")

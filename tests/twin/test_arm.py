@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import SetUpError
 from sightline.frame import nominal
 from sightline.twin import Variation, draw_setup
-from sightline.twin.arm import OneArm, draw_arm, orbit_of
-from sightline.twin.distributions import Arm, Pose
+from sightline.twin.xray.distributions import Arm, OneArm, Pose, draw_arm, orbit_of
 
 STEADY = Arm(repeat_mm=0.0)
 AXES = np.eye(3)[:2]

@@ -9,16 +9,16 @@ from scipy.ndimage import distance_transform_edt
 
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.frame import Frame
-from sightline.twin.bone_scene import BONES, bone_document, draw_origin, placed_bone, shown_bone_scene
-from sightline.twin.bones import BoneModel, PlaneAid, SphereAid
-from sightline.twin.carm import with_errors
-from sightline.twin.femur import to_cfcs
-from sightline.twin.growing_femur import DOME_MM, GrowingFemur
-from sightline.twin.pelvis import Pelvis
-from sightline.twin.projector import Rays, volume_integral
-from sightline.twin.shapes import ball, box, cone, half_space, plate
-from sightline.twin.specimens import SetUpSpec, specimen
-from sightline.twin.vertebra import Vertebra
+from sightline.twin.anatomy.bone_model import BoneModel, PlaneAid, SphereAid
+from sightline.twin.anatomy.femur import to_cfcs
+from sightline.twin.anatomy.growing_femur import DOME_MM, GrowingFemur
+from sightline.twin.anatomy.pelvis import Pelvis
+from sightline.twin.anatomy.shapes import ball, box, cone, half_space, plate
+from sightline.twin.anatomy.vertebra import Vertebra
+from sightline.twin.scenes.bone_scene import BONES, bone_document, draw_origin, placed_bone, shown_bone_scene
+from sightline.twin.scenes.specimens import SetUpSpec, specimen
+from sightline.twin.xray.projector import Rays, volume_integral
+from sightline.twin.xray.setup import with_errors
 
 BLOCK, NAILED = Frame.load("block60"), "nailed-femur"
 BARE = [name for name in BONES if name != NAILED]

@@ -8,10 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.twin import Variation, draw_setup
-from sightline.twin.distributions import Distortion, Pose
-from sightline.twin.draw import Tube
-from sightline.twin.magnetic import PLACES, Site, Steel, earth_ut, field_at
-from sightline.twin.presets import preset
+from sightline.twin.xray.distributions import Distortion, Pose
+from sightline.twin.xray.presets import preset
+from sightline.twin.xray.tubes import PLACES, Site, Steel, Tube, earth_ut, field_at
 
 CHAIN = preset("9in-1k")
 MAGNETIC_ONLY = replace(Distortion(), asymmetric_mm=0.0, beyond_degree5_mm=(0.0, 0.0))

@@ -11,12 +11,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.twin import Scene, draw_setup
-from sightline.twin.beam import excess_per_mm
-from sightline.twin.meshes import Mesh, box_mesh, read_mesh
-from sightline.twin.motion import moved
-from sightline.twin.projector import Rays, box_length, mesh_lengths
-from sightline.twin.render import expose
-from sightline.twin.things import Ball, Box
+from sightline.twin.objects.beam import excess_per_mm
+from sightline.twin.objects.meshes import Mesh, box_mesh, read_mesh
+from sightline.twin.objects.things import Ball, Box, moved
+from sightline.twin.xray.projector import Rays, box_length, mesh_lengths
+from sightline.twin.xray.render import expose
 
 FOCAL = np.array([3.0, -7.0, -600.0])
 POINT = np.zeros((2, 3))  # a focal spot without size

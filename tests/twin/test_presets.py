@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from sightline.twin import Scene, draw_setup, hard_scene, shown_hip_scene
-from sightline.twin.distortion import disc_mm
-from sightline.twin.distributions import Distortion
-from sightline.twin.draw import draw_earth, draw_tube
-from sightline.twin.presets import PRESETS, preset
-from sightline.twin.render import DOSES, expose
-from sightline.twin.things import frame_solids
+from sightline.twin.objects.things import frame_solids
+from sightline.twin.xray.distortion import disc_mm
+from sightline.twin.xray.distributions import Distortion
+from sightline.twin.xray.presets import PRESETS, preset
+from sightline.twin.xray.render import DOSES, expose
+from sightline.twin.xray.tubes import draw_earth, draw_tube
 
 
 def detector(chain: str, seed: int):

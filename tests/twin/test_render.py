@@ -10,10 +10,10 @@ from scipy.stats import norm
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.twin import DOSES, Dose, Scene, draw_setup, render, shown_hip_scene
-from sightline.twin.beam import THREE, WEIGHTS, attenuation_per_mm, spectrum
-from sightline.twin.carm import shadow_centres_px, shadow_radius_px
-from sightline.twin.presets import preset
-from sightline.twin.render import (
+from sightline.twin.objects.beam import THREE, WEIGHTS, attenuation_per_mm, spectrum
+from sightline.twin.objects.things import Ball, Box, Rod, frame_boxes, frame_solids
+from sightline.twin.xray.presets import preset
+from sightline.twin.xray.render import (
     ELECTRONIC_SD,
     HIP_MM,
     MAX_TISSUE_MM,
@@ -23,7 +23,7 @@ from sightline.twin.render import (
     render_views,
     tissue_mm,
 )
-from sightline.twin.things import Ball, Box, Rod, frame_boxes, frame_solids
+from sightline.twin.xray.setup import shadow_centres_px, shadow_radius_px
 
 CHAIN = preset("9in-1k")
 

@@ -7,7 +7,7 @@ import pytest
 
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.twin import draw_setup, shown_hip_scene, write_truth
-from sightline.twin.femur import (
+from sightline.twin.anatomy.femur import (
     BOX_LOW_MM,
     LONG_HIGH_MM,
     VOXEL_MM,
@@ -20,8 +20,8 @@ from sightline.twin.femur import (
     to_cfcs,
     voxelise,
 )
-from sightline.twin.hard import hard_scene, hard_views
-from sightline.twin.scene import four_balls
+from sightline.twin.scenes.hard import hard_scene, hard_views
+from sightline.twin.scenes.hip_scene import four_balls
 
 
 @pytest.fixture(scope="module")

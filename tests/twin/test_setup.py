@@ -8,8 +8,8 @@ import pytest
 from sightline.errors import OutsideRegionError, SetUpError, UnusableInputError
 from sightline.frame import Frame, nominal
 from sightline.twin import Variation, bead_images, draw_setup
-from sightline.twin.carm import shadow_radius_px
-from sightline.twin.distributions import Pose
+from sightline.twin.xray.distributions import Pose
+from sightline.twin.xray.setup import shadow_radius_px
 
 
 def test_the_same_seed_gives_the_same_set_up(frame):

@@ -11,10 +11,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.errors import SetUpError
 from sightline.robot.kinematics.manipulator import FEED, LIFT, TRAVERSE, YAW, nominal_manipulator
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, Plant, PlantFlag
-from sightline.twin.drilling import Bone
-from sightline.twin.manipulator import SimulatedPlant
-from sightline.twin.mjcf import Build, mjcf, unit
-from sightline.twin.volumes import Volume
+from sightline.twin.objects.volumes import Volume
+from sightline.twin.robot.drilling import Bone
+from sightline.twin.robot.mjcf import Build, mjcf, unit
+from sightline.twin.robot.plant import SimulatedPlant
 
 pytest.importorskip("mujoco")
 NOMINAL = nominal_manipulator()

@@ -10,15 +10,14 @@ from sightline.errors import SetUpError
 from sightline.frame import Fiducial, Frame, RigidBody
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.twin import SetUp, Variation, bead_images, draw_setup, hard_scene, hip_scene
-from sightline.twin.arm import beam_at
-from sightline.twin.carm import BEAMS, displaced
-from sightline.twin.distributions import HipPlace, SolidPlace
-from sightline.twin.femur import LONG_HIGH_MM, Femur, to_cfcs
-from sightline.twin.handling import Handling, in_use
-from sightline.twin.render import expose
-from sightline.twin.scene import draw_head
-from sightline.twin.specimens import SetUpSpec
-from sightline.twin.things import Ball, frame_scene
+from sightline.twin.anatomy.femur import LONG_HIGH_MM, Femur, to_cfcs
+from sightline.twin.objects.things import Ball, frame_scene
+from sightline.twin.scenes.hip_scene import draw_head
+from sightline.twin.scenes.specimens import SetUpSpec
+from sightline.twin.xray.distributions import HipPlace, SolidPlace, beam_at
+from sightline.twin.xray.handling import Handling, in_use
+from sightline.twin.xray.render import expose
+from sightline.twin.xray.setup import BEAMS, displaced
 
 BLOCK = Frame.load("block60")
 IDS = tuple(f"b{n}" for n in range(1, 17))

@@ -7,10 +7,10 @@ import pytest
 
 from sightline.errors import UnusableInputError
 from sightline.twin import Scene, draw_setup
-from sightline.twin.beam import TABLE_KEV, TABLE_PER_CM, THREE, attenuation_per_mm, spectrum
-from sightline.twin.presets import PRESETS
-from sightline.twin.render import expose
-from sightline.twin.things import Ball, pack
+from sightline.twin.objects.beam import TABLE_KEV, TABLE_PER_CM, THREE, attenuation_per_mm, spectrum
+from sightline.twin.objects.things import Ball, pack
+from sightline.twin.xray.presets import PRESETS
+from sightline.twin.xray.render import expose
 
 TUNGSTEN = ("70kVp-3Al", "70kVp-3Al-0.1Cu")
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.errors import SetUpError
-from sightline.twin.presets import Video, preset
-from sightline.twin.render import Exposure
+from sightline.twin.xray.presets import Video, preset
+from sightline.twin.xray.render import Exposure
 
 PAL = preset("9in-pal")
 VIDEO = PAL.video or Video()

@@ -10,13 +10,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
 from sightline.twin import Scene, draw_setup, hip_scene, write_truth
-from sightline.twin.beam import WEIGHTS, attenuation_per_mm
-from sightline.twin.motion import BoneMotion, draw_motion, moved
-from sightline.twin.phantoms import broken, plastic_hip, porcine_hip
-from sightline.twin.projector import Rays, volume_integral
-from sightline.twin.render import expose
-from sightline.twin.things import Ball, Box, Rod, SoftTissue
-from sightline.twin.volumes import Volume, bored, fractured
+from sightline.twin.objects.beam import WEIGHTS, attenuation_per_mm
+from sightline.twin.objects.things import Ball, BoneMotion, Box, Rod, SoftTissue, draw_motion, moved
+from sightline.twin.objects.volumes import Volume, bored, fractured
+from sightline.twin.scenes.specimens import broken, plastic_hip, porcine_hip
+from sightline.twin.xray.projector import Rays, volume_integral
+from sightline.twin.xray.render import expose
 
 VOXEL = np.array([0.7, 0.8, 1.0])
 

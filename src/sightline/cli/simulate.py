@@ -10,7 +10,7 @@ from sightline.cli.output import Json, Output, Quiet, as_json, example
 
 if TYPE_CHECKING:
     from sightline.imaging import Radiograph
-    from sightline.twin.specimens import Specimen
+    from sightline.twin.scenes.specimens import Specimen
 
 AS_MADE = "frame-as-made.json"
 _ACCESSORIES = 1  # stream of the accessories, beside that of set-up and noise
@@ -106,10 +106,9 @@ def simulate(
         from sightline.errors import UnusableInputError
         from sightline.frame import Frame
         from sightline.twin import DOSES, render
-        from sightline.twin.accessories import with_accessories
-        from sightline.twin.carm import chain_for, with_errors
-        from sightline.twin.presets import preset as chain_called
-        from sightline.twin.specimens import SetUpSpec, specimen
+        from sightline.twin.scenes.specimens import SetUpSpec, specimen, with_accessories
+        from sightline.twin.xray.presets import preset as chain_called
+        from sightline.twin.xray.setup import chain_for, with_errors
 
         if png and tags:
             raise UnusableInputError("a PNG holds no geometry tags; leave out --png or --tags")
@@ -164,7 +163,7 @@ def _write(
 
     from sightline.atomic import write_whole
     from sightline.imaging import write_dicom, write_png
-    from sightline.twin.specimens import nominal_tags
+    from sightline.twin.scenes.specimens import nominal_tags
 
     files = []
     for name, image in images.items():

@@ -14,10 +14,10 @@ from sightline.imaging import Radiograph
 from sightline.planning import Plan
 from sightline.planning.check.shot import CheckShot, Landmarks
 from sightline.twin import BoneScene, HipScene, SetUp
-from sightline.twin.implants import guide_wire
-from sightline.twin.motion import moved
-from sightline.twin.render import render_views
-from sightline.twin.specimens import tagged
+from sightline.twin.objects.implants import guide_wire
+from sightline.twin.objects.things import moved
+from sightline.twin.scenes.specimens import tagged
+from sightline.twin.xray.render import render_views
 
 ATTEMPTS = 200
 MARGIN_PX = 20.0  # minimum distance of wire and landmarks from the edge of the field

@@ -34,7 +34,7 @@ from sightline.kernels import is_compiled
 from sightline.planning import plan
 from sightline.threads import THREADS
 from sightline.twin import draw_setup
-from sightline.twin.carm import bead_images, shadow_radius_px
+from sightline.twin.xray.setup import bead_images, shadow_radius_px
 
 SEED = 9  # that of the demo: its beads are labelled and calibrated by all methods
 SD_PX = 0.03  # noise of a centre, as a demo's images have [ours]

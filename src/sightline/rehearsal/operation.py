@@ -29,10 +29,10 @@ from sightline.robot.link.server import RobotServer
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.robot.transport import LOOPBACK
 from sightline.twin import BoneScene, HipScene
-from sightline.twin.carm import hip_of
-from sightline.twin.drilling import Bone
-from sightline.twin.implants import WIRE_DIAMETER_MM
-from sightline.twin.manipulator import SimulatedPlant
+from sightline.twin.objects.implants import WIRE_DIAMETER_MM
+from sightline.twin.robot.drilling import Bone
+from sightline.twin.robot.plant import SimulatedPlant
+from sightline.twin.xray.setup import hip_of
 
 SLEEVE_MM = 5.0  # distance from the mouth of the wire's sleeve to the entry point, at the bone [ours]
 IN_SLEEVE_MM = 0.5  # feed of a retracted wire, just inside the joint's limit [ours]

@@ -25,15 +25,14 @@ from sightline.rehearsal.check_images import CheckImages
 from sightline.robot.kinematics.calibrated import REMOUNT_SD
 from sightline.threads import at_once
 from sightline.twin import BoneScene, HipScene, Scene, SetUp, Variation, draw_setup, render, truth_document
-from sightline.twin.arm import beam_at
-from sightline.twin.bone_scene import BONES, bone_document, shown_bone_scene
-from sightline.twin.bones import Aid, BoneModel, LineAid, SphereAid
-from sightline.twin.drawn_aids import drawn_aids, hip_aids, key_of
-from sightline.twin.femur import Femur, draw_femur, to_cfcs
-from sightline.twin.nailed_femur import NailedFemur
-from sightline.twin.nails import SPACING_MM
-from sightline.twin.scene import placed_hip, shown_setup
-from sightline.twin.specimens import tagged
+from sightline.twin.anatomy.aids import drawn_aids, hip_aids, key_of
+from sightline.twin.anatomy.bone_model import Aid, BoneModel, LineAid, SphereAid
+from sightline.twin.anatomy.femur import Femur, draw_femur, to_cfcs
+from sightline.twin.anatomy.nailed_femur import SPACING_MM, NailedFemur
+from sightline.twin.scenes.bone_scene import BONES, bone_document, shown_bone_scene
+from sightline.twin.scenes.hip_scene import placed_hip, shown_setup
+from sightline.twin.scenes.specimens import tagged
+from sightline.twin.xray.distributions import beam_at
 
 # Each has its own generator; add new parts at the end.
 PARTS = (*VIEWS, "robot", "check", "picks", "ALIGNED", "PAUSED", "oblique")

@@ -29,11 +29,11 @@ from sightline.robot.kinematics.calibrated import REMOUNT_SD, CalibratedRobot
 from sightline.robot.kinematics.manipulator import Manipulator, imaging_yaw
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.twin import HipScene, Scene, render, shown_hip_scene
-from sightline.twin.bone_scene import shown_bone_scene
-from sightline.twin.carm import BEAMS
-from sightline.twin.femur import draw_femur
-from sightline.twin.implants import WIRE_DIAMETER_MM, guide_wire
-from sightline.twin.specimens import tagged
+from sightline.twin.anatomy.femur import draw_femur
+from sightline.twin.objects.implants import WIRE_DIAMETER_MM, guide_wire
+from sightline.twin.scenes.bone_scene import shown_bone_scene
+from sightline.twin.scenes.specimens import tagged
+from sightline.twin.xray.setup import BEAMS
 
 SHOWN_MM, MAX_SHOWN_MM = 25.0, 60.0  # length of the robot's own wire, to its tip, in images of a block [ours]
 PICKED = 7  # points that a person picks on the robot's wire, its tip last [ours]

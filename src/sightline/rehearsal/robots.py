@@ -10,7 +10,7 @@ from sightline.frame import Frame
 from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot
 from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, YAW, Manipulator, nominal_manipulator
 from sightline.robot.kinematics.mounts import Mount
-from sightline.twin.carm import hip_of
+from sightline.twin.xray.setup import hip_of
 
 # Mounts of frame or block and of wire on the flange, s.d. of a twist: 0.1 mm as in the accuracy trial, over a lever of
 # 330 mm.

@@ -12,7 +12,7 @@ from sightline.imaging import Radiograph
 from sightline.planning import Trajectory
 from sightline.planning.points.results import SpacePoints
 from sightline.twin import DOSES, ViewTruth, shown_hip_scene
-from sightline.twin.render import expose
+from sightline.twin.xray.render import expose
 
 IMAGES_PER_S = 30.0
 BUMP_S = 6.0  # time of the bump after the start

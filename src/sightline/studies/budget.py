@@ -23,7 +23,7 @@ from sightline.studies.methods import calibrated
 from sightline.studies.runs.study import Estimate, Plot, Summary, Table, Values, rms, share
 from sightline.studies.scenes import EXACT, VIEWS, WHOLE, TargetScene
 from sightline.twin import bead_images, draw_setup
-from sightline.twin.scene import TEST_BALLS_MM
+from sightline.twin.scenes.hip_scene import TEST_BALLS_MM
 
 # Sources in the frame, each with the tolerances that its errors are drawn from.
 FRAME_ALONE = {

@@ -14,9 +14,9 @@ import numpy as np
 
 from sightline.studies.plots import field
 from sightline.studies.runs.study import Plot, Summary, Table, Values, quantile, share
-from sightline.twin.distributions import Distortion
-from sightline.twin.draw import draw_earth, draw_tube
-from sightline.twin.presets import preset
+from sightline.twin.xray.distributions import Distortion
+from sightline.twin.xray.presets import preset
+from sightline.twin.xray.tubes import draw_earth, draw_tube
 
 PAPER_MM = (2.0, 3.0)
 HOLE_PITCH_MM = 20.0  # [ours]

@@ -23,9 +23,9 @@ from sightline.frame import Frame, Tolerances
 from sightline.imaging import Radiograph
 from sightline.studies.bound import BoundData
 from sightline.twin import HipScene, SetUp, bead_images, draw_setup, render
-from sightline.twin.carm import shadow_radius_px
-from sightline.twin.femur import Femur, to_cfcs
-from sightline.twin.phantoms import PIG, plastic_hip, porcine_hip
+from sightline.twin.anatomy.femur import Femur, to_cfcs
+from sightline.twin.scenes.specimens import PIG, plastic_hip, porcine_hip
+from sightline.twin.xray.setup import shadow_radius_px
 
 VIEWS = ("pa", "lateral")
 # Entry and end of a 97 mm wire through a right hip, CFCS (physics.md, Frame: 95 mm at 45°) [ours].

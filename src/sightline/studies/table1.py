@@ -18,7 +18,7 @@ from sightline.studies.plots import Span, spans
 from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, quantile, share
 from sightline.studies.scenes import WHOLE, TargetScene, measure
 from sightline.twin import draw_setup
-from sightline.twin.scene import TEST_BALLS_MM
+from sightline.twin.scenes.hip_scene import TEST_BALLS_MM
 
 BIPLANE = "biplane ±150"
 GAMMA = "gamma 150/300"

@@ -11,8 +11,8 @@ from sightline.imaging import Radiograph
 from sightline.studies.comparison.lattice import Lattice
 from sightline.studies.comparison.measures import NotMeasurableError, field_circle, lattice_of, open_beam, usual_balls
 from sightline.twin import Scene, ViewTruth, draw_setup, hip_scene, render
-from sightline.twin.carm import SetUp, shadow_radius_px
-from sightline.twin.things import Ball, Box, Rod, SoftTissue, Solid
+from sightline.twin.objects.things import Ball, Box, Rod, SoftTissue, Solid
+from sightline.twin.xray.setup import SetUp, shadow_radius_px
 
 VIEW = "pa"
 PLATE_THICKNESS_MM = 1.0  # thickness of the twin's perforated plate [ours]

@@ -26,9 +26,9 @@ from sightline.studies.scenes import (
     draw_showing,
     measure,
 )
-from sightline.twin.carm import Variation
-from sightline.twin.distributions import NEAR_PLACE, SolidPlace
-from sightline.twin.things import SoftTissue
+from sightline.twin.objects.things import SoftTissue
+from sightline.twin.xray.distributions import NEAR_PLACE, SolidPlace
+from sightline.twin.xray.setup import Variation
 
 PICK_PX = 0.1  # a located target (physics.md, Picks)
 BEAD_PX = 0.1  # physics.md, Centroid limit

@@ -45,10 +45,10 @@ from sightline.studies.plots import spans
 from sightline.studies.runs.study import Estimate, Plot, Summary, Table, Values
 from sightline.studies.scenes import BEADS_20UM, VIEWS, WHOLE, WIRE_ENDS_MM, draw_showing
 from sightline.twin import SetUp, bead_images
-from sightline.twin.beam import attenuation_per_mm
-from sightline.twin.carm import displaced
-from sightline.twin.handling import Handling, in_use
-from sightline.twin.things import PLATE_THICKNESS_MM
+from sightline.twin.objects.beam import attenuation_per_mm
+from sightline.twin.objects.things import PLATE_THICKNESS_MM
+from sightline.twin.xray.handling import Handling, in_use
+from sightline.twin.xray.setup import displaced
 
 BEAD_MM = 3.0  # diameter of a ball that BEAD_PX holds for (physics.md, Centroid limit)
 MIDDLE_ENERGY = 1  # 60 keV of the beam's three

@@ -24,7 +24,7 @@ from sightline.planning import Trajectory
 from sightline.robot.kinematics.manipulator import FEED, Manipulator
 
 if TYPE_CHECKING:
-    from sightline.twin.volumes import Volume
+    from sightline.twin.objects.volumes import Volume
 
 Object = dict[str, Any]
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import binary_fill_holes, gaussian_filter
 
-from sightline.twin.volumes import Volume
+from sightline.twin.objects.volumes import Volume
 
 CELL_MM = 3.0  # [ours] some 10,000 triangles of a proximal femur
 BONE_SHARE = 0.03  # [calc] below the 0.041 of osteoporotic spongiosa: 99 HU less noise, with nothing around it

@@ -1,0 +1,255 @@
+"""Objects in the beam: balls, rods, plates, a body; a scene of them; and their rigid motions. mm, CFCS."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from math import radians
+from typing import TypeAlias, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.errors import SetUpError
+from sightline.frame import Fiducial, Frame, Plate, RigidBody
+from sightline.twin.objects.beam import THREE, excess_per_mm, spectrum
+from sightline.twin.objects.meshes import Mesh
+from sightline.twin.objects.volumes import Volume
+
+Point: TypeAlias = tuple[float, float, float]
+PLATE_THICKNESS_MM = 8.0  # of a calibration plate [ours]
+PLATE_RIM_MM = 8.0  # distance from the outermost beads to the edge of the plate [ours]
+SOLID_COVER_MM = 3.5  # PMMA over the centres of a solid's outermost beads, as of block60
+WASHER_HOLE = 0.5  # ratio of inner to outer diameter [ours]
+WASHER_THICKNESS_MM = 1.5  # [ours]
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A ball that displaces the material `within`; None: air."""
+
+    centre_mm: Point
+    radius_mm: float
+    within: str | None = "pmma"
+    material: str = "steel"
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A cylinder, or a tube or washer if `hole_mm` > 0, that displaces the material `within`; None: air.
+
+    `axis`: unit vector; `half_mm`: half the length along it; `hole_mm`: radius of the hole.
+    """
+
+    centre_mm: Point
+    axis: Point
+    radius_mm: float
+    half_mm: float
+    hole_mm: float = 0.0
+    within: str | None = "tissue"
+    material: str = "steel"
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A cuboid, cast with one ray per pixel. `axes` (3, 3): rows are its own axes; `half_mm` (3,): half its edges."""
+
+    centre_mm: np.ndarray
+    axes: np.ndarray
+    half_mm: np.ndarray
+    material: str = "pmma"
+    within: str | None = None
+
+
+@dataclass(frozen=True)
+class SoftTissue:
+    """Hip and thigh as an elliptic cylinder along Y. Centre (x, z) and half-axes (x, z), mm [ours]."""
+
+    centre_mm: tuple[float, float] = (-35.0, -5.0)
+    half_mm: tuple[float, float] = (140.0, 105.0)
+
+    def around(self, hip_mm: np.ndarray) -> "SoftTissue":
+        """Return the body around a hip at (3,), CFCS, instead of one at the origin."""
+        (x, z), (hip_x, _, hip_z) = self.centre_mm, hip_mm
+        return replace(self, centre_mm=(float(x + hip_x), float(z + hip_z)))
+
+    def skin_mm(self, ends_mm: np.ndarray) -> np.ndarray:
+        """Return the point (3,) at which a line through two points (2, 3) leaves the body, on the side of the first.
+
+        Raises SetUpError if the second point is not inside the body or the line does not leave it.
+        """
+        first, inner = np.asarray(ends_mm, dtype=np.float64)
+        start, step = ((p[[0, 2]] - o) / self.half_mm for p, o in ((inner, self.centre_mm), (first - inner, 0.0)))
+        a, b, c = step @ step, step @ start, start @ start - 1
+        if not (c < 0 and a > 0):
+            raise SetUpError("the line does not leave the body; its second point must lie within it")
+        return inner + (first - inner) * (-b + np.sqrt(b * b - a * c)) / a
+
+    def length_mm(self, focal_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
+        """Return the length (...,) of tissue, mm, on the rays from a focal point to points (..., 3)."""
+        start = (focal_mm[[0, 2]] - self.centre_mm) / np.array(self.half_mm)
+        x, y, z = (points_mm[..., k] - focal_mm[k] for k in range(3))  # sums over an axis of two or three are slow
+        u, w = x / self.half_mm[0], z / self.half_mm[1]
+        a, b, c = u * u + w * w, u * start[0] + w * start[1], (start**2).sum() - 1
+        return 2 * np.sqrt(np.maximum(b * b - a * c, 0.0)) / a * np.sqrt(x * x + y * y + z * z)
+
+
+Solid: TypeAlias = Ball | Rod
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The objects in the beam; scenes can be added. `tissue`: the body, displaced by objects within "tissue"."""
+
+    solids: tuple[Solid, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    volumes: tuple[Volume, ...] = ()
+    meshes: tuple[Mesh, ...] = ()
+    tissue: SoftTissue | None = None
+
+    def __add__(self, other: "Scene") -> "Scene":
+        if self.tissue is not None and other.tissue is not None:
+            raise SetUpError("two scenes with a body each cannot be added; remove the tissue from one of them")
+        parts = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self) if f.name != "tissue"}
+        return Scene(**parts, tissue=self.tissue or other.tissue)
+
+
+def rod_between(
+    start_mm: np.ndarray, end_mm: np.ndarray, radius_mm: float, hole_mm: float = 0.0, within: str | None = "tissue"
+) -> Rod:
+    """Return a steel rod or tube with the centres of its end faces at two points (3,)."""
+    start, end = np.asarray(start_mm, dtype=np.float64), np.asarray(end_mm, dtype=np.float64)
+    length = float(np.linalg.norm(end - start))
+    if not length > 0:
+        raise SetUpError("a rod needs two different points")
+    (x, y, z), (a, b, c) = ((start + end) / 2).tolist(), ((end - start) / length).tolist()
+    return Rod((x, y, z), (a, b, c), radius_mm, length / 2, hole_mm, within)
+
+
+# Columns of a packed solid.
+CENTRE, AXIS, RADIUS, HOLE, HALF = slice(0, 3), slice(3, 6), 6, 7, 8
+COLUMNS = 9
+
+
+def pack(solids: Sequence[Solid], beam: str = THREE) -> tuple[np.ndarray, np.ndarray]:
+    """Pack solids into arrays: shapes (M, 9), with a negative half-length for a ball; attenuation (M, N) above that of
+    the displaced material, 1/mm, at the N energies of a spectrum."""
+    shapes, excess = np.zeros((len(solids), COLUMNS)), np.zeros((len(solids), len(spectrum(beam).weights)))
+    for row, one in enumerate(solids):
+        shapes[row, CENTRE], shapes[row, RADIUS] = one.centre_mm, one.radius_mm
+        excess[row] = excess_per_mm(one.material, one.within, beam)
+        if isinstance(one, Rod):
+            shapes[row, AXIS], shapes[row, HOLE], shapes[row, HALF] = one.axis, one.hole_mm, one.half_mm
+        else:
+            shapes[row, HALF] = -1.0
+    return shapes, excess
+
+
+def stations(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (D, 3) along the axes of packed solids (M, 9), at most half a radius apart (for a ball its centre),
+    and the index (D,) of the solid of each."""
+    places, owner = [], []
+    for m, shape in enumerate(shapes):
+        half = max(shape[HALF], 0.0)
+        steps = np.linspace(-half, half, 1 + int(np.ceil(4 * half / shape[RADIUS])))
+        places.append(shape[CENTRE] + steps[:, None] * shape[AXIS])
+        owner.append(np.full(len(steps), m))
+    return np.concatenate([np.zeros((0, 3)), *places]), np.concatenate([np.zeros(0, dtype=int), *owner])
+
+
+def frame_scene(frame: Frame) -> Scene:
+    """Return a frame's beads and its plates or solid as a scene, without a plate on the detector."""
+    still = replace(frame, detector=None)
+    return Scene(solids=frame_solids(still), boxes=frame_boxes(still))
+
+
+def plate_scene(frame: Frame) -> Scene:
+    """Return the plate on the detector alone, where a frame has one; it is placed by `SetUp.frame_in`."""
+    if frame.detector is None:
+        return Scene()
+    beads = tuple(_bead(bead, frame.detector) for bead in frame.detector.fiducials)
+    return Scene(solids=beads, boxes=(_plate_box(frame.detector),))
+
+
+def frame_solids(frame: Frame) -> tuple[Solid, ...]:
+    """Return the beads of a frame, in the order of `Frame.fiducials`. Raises SetUpError for a washer in a solid."""
+    return tuple(_bead(bead, body) for body in frame.bodies for bead in body.fiducials)
+
+
+def _bead(bead: Fiducial, body: RigidBody) -> Solid:
+    if bead.shape == "ball":
+        return Ball(bead.xyz_mm, bead.diameter_mm / 2)
+    if not isinstance(body, Plate):
+        raise SetUpError(f"the twin cannot place the washer {bead.id!r} in a solid; a solid holds balls")
+    x, y, z = (float(c) for c in body.plane.normal)
+    hole = WASHER_HOLE * bead.diameter_mm / 2
+    return Rod(bead.xyz_mm, (x, y, z), bead.diameter_mm / 2, WASHER_THICKNESS_MM / 2, hole_mm=hole, within="pmma")
+
+
+def frame_boxes(frame: Frame) -> tuple[Box, ...]:
+    """Return the PMMA plates or the PMMA solid of a frame, sized to their beads."""
+    return tuple(_plate_box(body) if isinstance(body, Plate) else _solid_box(body) for body in frame.bodies)
+
+
+def _solid_box(solid: RigidBody) -> Box:
+    """Return the cuboid around the beads, without pockets, along the axes of CFCS."""
+    low, high = solid.xyz_mm.min(axis=0) - SOLID_COVER_MM, solid.xyz_mm.max(axis=0) + SOLID_COVER_MM
+    return Box((low + high) / 2, np.eye(3), (high - low) / 2)
+
+
+def _plate_box(plate: Plate) -> Box:
+    xy = plate.plane.to_plane(plate.xyz_mm)
+    low, high = xy.min(axis=0) - PLATE_RIM_MM, xy.max(axis=0) + PLATE_RIM_MM
+    return Box(
+        centre_mm=plate.plane.to_space((low + high) / 2),
+        axes=plate.plane.basis,
+        half_mm=np.array([*(high - low) / 2, PLATE_THICKNESS_MM / 2]),
+    )
+
+
+Thing = TypeVar("Thing", bound=Ball | Rod | Box | Volume | Mesh | Scene)
+
+
+@dataclass(frozen=True)
+class BoneMotion:
+    """Unnoticed motion of a leg: s.d. per axis [ours]."""
+
+    shift_mm: float = 1.0
+    rotation: float = radians(0.5)
+
+
+def draw_motion(rng: np.random.Generator, about_mm: np.ndarray, spread: BoneMotion | None = None) -> RigidTransform:
+    """Draw a small rigid motion in CFCS, with its rotation about a point (3,)."""
+    spread = spread or BoneMotion()
+    rotation = Rotation.from_rotvec(rng.normal(0.0, spread.rotation, 3))
+    about = np.asarray(about_mm)
+    shift = about + rng.normal(0.0, spread.shift_mm, 3) - rotation.apply(about)
+    return RigidTransform.from_components(shift, rotation)
+
+
+def moved(thing: Thing, motion: RigidTransform) -> Thing:
+    """Return an object, or a scene without moving its body, after a rigid motion: p becomes motion.apply(p)."""
+    rotation = motion.rotation.as_matrix()
+    match thing:
+        case Ball():
+            return replace(thing, centre_mm=_point(motion, thing.centre_mm))
+        case Rod():
+            x, y, z = (float(c) for c in rotation @ thing.axis)
+            return replace(thing, centre_mm=_point(motion, thing.centre_mm), axis=(x, y, z))
+        case Box():
+            return replace(thing, centre_mm=motion.apply(thing.centre_mm), axes=thing.axes @ rotation.T)
+        case Volume():
+            return replace(thing, origin_mm=motion.apply(thing.origin_mm), axes=thing.axes @ rotation.T)
+        case Mesh():
+            return replace(thing, vertices_mm=motion.apply(thing.vertices_mm))
+        case Scene():
+            return replace(
+                thing,
+                solids=tuple(moved(one, motion) for one in thing.solids),
+                boxes=tuple(moved(one, motion) for one in thing.boxes),
+                volumes=tuple(moved(one, motion) for one in thing.volumes),
+                meshes=tuple(moved(one, motion) for one in thing.meshes),
+            )
+
+
+def _point(motion: RigidTransform, at: Point) -> Point:
+    x, y, z = (float(c) for c in motion.apply(np.array(at)))
+    return x, y, z

@@ -1,0 +1,272 @@
+"""Volumes in the beam: the share of a material in every voxel; and CT scans as volumes. Lengths mm, points in CFCS.
+
+CT scans are NIfTI files and DICOM series, converted to shares of soft tissue and bone. Patient coordinates are DICOM's:
+x to the patient's left, y to the back, z to the head. Elements that identify the patient are never read.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from sightline.errors import SetUpError, UnusableInputError
+from sightline.twin.objects.beam import TABLE_PER_CM
+
+WATER_PER_CM = 0.206  # at 60 keV [calc, xraydb], where a CT number is taken as mu_water (1 + HU/1000)
+MAX_VOXELS = 2**26  # [ours] 256 slices of 512²; 0.7 GB during projection
+MAX_SLICES = 4096  # [ours] files in one folder
+SPACING_MM = (0.1, 10.0)  # [ours] voxel edges of clinical CT; others are probably not in mm
+HU = (-1024, 3071)  # range of twelve bits; values outside are clipped
+NO_AIR_HU = -100  # [ours] a scan of a body has fat or air below this; values of another modality have not
+UNEVEN = 0.01  # [ours] of the slice spacing: a larger deviation means a missing slice
+TILTED = 1e-3  # [ours] cosine between axes that should be perpendicular
+# Rows: CFCS axes in patient coordinates (docs/conventions.md: +X lateral, +Z anterior, +Y completes them).
+CFCS_OF_PATIENT = {
+    "right": np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]]),
+    "left": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+}
+_TAGS = [
+    "Modality",
+    "SeriesInstanceUID",
+    "NumberOfFrames",
+    "ImageOrientationPatient",
+    "ImagePositionPatient",
+    "PixelSpacing",
+    "RescaleSlope",
+    "RescaleIntercept",
+    "Rows",
+    "Columns",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """The share of a material (nx, ny, nz), float32; the remainder is the material `within`; None: air.
+
+    Value [i, j, k] is at origin_mm + (voxel_mm * (i, j, k)) @ axes, with `voxel_mm` (3,), and the volume's own axes as
+    rows of `axes` (3, 3).
+    """
+
+    values: np.ndarray
+    origin_mm: np.ndarray
+    voxel_mm: np.ndarray
+    axes: np.ndarray = field(default_factory=lambda: np.eye(3))
+    material: str = "bone"
+    within: str | None = "tissue"
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 3 or min(self.values.shape) < 2:
+            raise SetUpError(f"a volume needs at least two voxels per side, not the shape {self.values.shape}")
+        object.__setattr__(self, "values", np.ascontiguousarray(self.values, dtype=np.float32))
+
+    def along_mm(self, xyz_mm: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Return the distance (nx, ny, nz), float32, of every voxel from a point (3,) along a direction (3,)."""
+        first = (self.origin_mm - xyz_mm) @ direction
+        i, j, k = (np.arange(n, dtype=np.float32) for n in self.values.shape)
+        a, b, c = (self.voxel_mm * (self.axes @ direction)).astype(np.float32)
+        return np.float32(first) + a * i[:, None, None] + b * j[:, None] + c * k
+
+
+def bored(volume: Volume, ends_mm: np.ndarray, diameter_mm: float) -> Volume:
+    """Return the volume with a round bore between two points (2, 3), flat at both ends. Raises SetUpError."""
+    start, end = np.asarray(ends_mm, dtype=np.float64)
+    length = float(np.linalg.norm(end - start))
+    if not (length > 0 and diameter_mm > 0):
+        raise SetUpError("a bore needs two different points and a diameter above zero")
+    along = (end - start) / length
+    across = np.linalg.svd(along[None])[2][1:]
+    edge = np.float32(volume.voxel_mm.mean())
+    radial = np.hypot(*(volume.along_mm(start, one) for one in across))
+    beyond = volume.along_mm(start, along)
+    depth = np.minimum(np.float32(diameter_mm / 2) - radial, np.minimum(beyond, np.float32(length) - beyond))
+    return replace(volume, values=volume.values * (1 - _step(depth / edge)))
+
+
+def fractured(volume: Volume, at_mm: np.ndarray, normal: np.ndarray, gap_mm: float = 1.0) -> tuple[Volume, Volume]:
+    """Return the two fragments behind and before a plane through a point (3,) with a `normal` (3,), with a gap between.
+
+    The gap is filled with the material around the volume. A gap of 1 mm [ours] is a fracture line; `motion.moved`
+    displaces a fragment. Raises SetUpError.
+    """
+    length = float(np.linalg.norm(normal))
+    if not (length > 0 and gap_mm >= 0):
+        raise SetUpError("a fracture needs a normal that is not zero, and a gap of zero or more")
+    beyond = volume.along_mm(np.asarray(at_mm), np.asarray(normal) / length)
+    edge = np.float32(volume.voxel_mm.mean())
+    behind, before = (_step((side * beyond - np.float32(gap_mm / 2)) / edge) for side in (-1, 1))
+    return replace(volume, values=volume.values * behind), replace(volume, values=volume.values * before)
+
+
+def _step(voxels: np.ndarray) -> np.ndarray:
+    """Return a linear ramp from 0 to 1 across one voxel around 0: a voxel's partial volume."""
+    return np.clip(voxels + np.float32(0.5), 0, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class CtScan:
+    """CT numbers `hu` (nx, ny, nz) int16; voxel [i, j, k] is at origin_mm + (voxel_mm * (i, j, k)) @ axes, patient
+    coordinates, mm."""
+
+    hu: np.ndarray
+    origin_mm: np.ndarray
+    voxel_mm: np.ndarray
+    axes: np.ndarray
+
+
+def read_ct(path: str | Path) -> CtScan:
+    """Read a CT scan from a NIfTI file (.nii, .nii.gz) or from a folder with one DICOM series.
+
+    Raises UnusableInputError if it is not a CT, states no spacing or position, lacks slices, is skewed or too large.
+    """
+    place = Path(path)
+    return _series(place) if place.is_dir() else _nifti(place)
+
+
+def ct_volumes(scan: CtScan, side: str, hip_mm: np.ndarray, at_mm: np.ndarray | None = None) -> tuple[Volume, Volume]:
+    """Return soft tissue and bone of a scan in CFCS, with the point `hip_mm` (3,), patient coordinates, moved to
+    `at_mm` (default: the origin).
+
+    A voxel below soft tissue is a mixture of tissue and air, one above it of tissue and bone; one beyond cortical bone
+    is denser bone, also where it is metal, which 12 bits clip. The mixture has the attenuation of the scan at 60 keV,
+    and that of its materials at other energies.
+    """
+    if side not in CFCS_OF_PATIENT:
+        raise UnusableInputError(f"a hip's side is 'right' or 'left', not {side!r}")
+    rotation = CFCS_OF_PATIENT[side]
+    origin = rotation @ (scan.origin_mm - np.asarray(hip_mm)) + (np.zeros(3) if at_mm is None else np.asarray(at_mm))
+    index = np.clip(scan.hu, *HU) - HU[0]
+    tissue, bone = (
+        Volume(share[index], origin, scan.voxel_mm, scan.axes @ rotation.T, material, None)
+        for share, material in zip(shares_of_hu(np.arange(HU[0], HU[1] + 1)), ("tissue", "bone"), strict=True)
+    )
+    return tissue, bone
+
+
+def shares_of_hu(hu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shares of soft tissue and cortical bone, float32, with the attenuation of CT numbers at 60 keV."""
+    soft, hard = TABLE_PER_CM["tissue"][1], TABLE_PER_CM["bone"][1]
+    mu = np.maximum(WATER_PER_CM * (1 + np.asarray(hu) / 1000), 0.0)
+    tissue = np.interp(mu, [0.0, soft, hard], [0.0, 1.0, 0.0])
+    bone = np.where(mu < hard, np.interp(mu, [soft, hard], [0.0, 1.0]), mu / hard)
+    return tissue.astype(np.float32), bone.astype(np.float32)
+
+
+def _nifti(file: Path) -> CtScan:
+    from nibabel.nifti1 import Nifti1Image
+
+    if not file.is_file():
+        raise UnusableInputError(f"there is no {file.name}; name a NIfTI file or a folder of DICOM files")
+    try:
+        image = Nifti1Image.from_filename(file)
+        header = image.header
+        codes, unit = (int(header["sform_code"]), int(header["qform_code"])), header.get_xyzt_units()[0]
+        affine, shape = np.asarray(image.affine, dtype=np.float64), image.shape
+    except Exception as error:  # broken bytes may make nibabel raise anything
+        raise UnusableInputError(f"{file.name} is not a NIfTI file, or is damaged; export it again") from error
+    if not any(codes):
+        raise UnusableInputError(f"{file.name} has no orientation (sform, qform); export it with one")
+    if unit not in ("mm", "unknown"):
+        raise UnusableInputError(f"{file.name} is in {unit}; export it in mm")
+    if len(shape) != 3:
+        raise UnusableInputError(f"{file.name} has {len(shape)} dimensions; give one scan of three")
+    _check_size(shape, file.name)
+    try:
+        values = np.asarray(image.dataobj, dtype=np.float32)
+    except Exception as error:
+        raise UnusableInputError(f"{file.name} is truncated or damaged; copy or export it again") from error
+    to_patient = np.diag([-1.0, -1.0, 1.0])  # NIfTI: x to the right, y to the front
+    return _scan(values, to_patient @ affine[:3, 3], to_patient @ affine[:3, :3], file.name)
+
+
+def _series(folder: Path) -> CtScan:
+    import pydicom
+    from pydicom.pixels.utils import pixel_array
+
+    files = [file for file in sorted(folder.iterdir()) if file.is_file()]
+    if not 0 < len(files) <= MAX_SLICES:
+        raise UnusableInputError(f"{folder.name} holds {len(files)} files; give a folder of 1 to {MAX_SLICES}")
+    slices = []
+    for file in files:
+        try:
+            slices.append((file, pydicom.dcmread(file, stop_before_pixels=True, specific_tags=_TAGS)))
+        except Exception as error:  # pydicom's messages may quote the patient
+            raise UnusableInputError(f"{file.name} is not a DICOM file; leave only the scan in the folder") from error
+    for file, header in slices:
+        _check_slice(header, file.name)
+    first = slices[0][1]
+    for what in ("SeriesInstanceUID", "ImageOrientationPatient", "PixelSpacing", "Rows", "Columns"):
+        if any(header[what].value != first[what].value for _, header in slices):
+            raise UnusableInputError(f"the files of {folder.name} differ in {what}; leave one series in the folder")
+    _check_size((int(first.Columns), int(first.Rows), len(slices)), folder.name)
+    right, down = np.array(first.ImageOrientationPatient, dtype=np.float64).reshape(2, 3)
+    normal = np.cross(right, down)
+    slices.sort(key=lambda one: float(np.dot(one[1].ImagePositionPatient, normal)))
+    at = np.array([header.ImagePositionPatient for _, header in slices], dtype=np.float64)
+    values = np.empty((int(first.Columns), int(first.Rows), len(slices)), dtype=np.float32)
+    for k, (file, header) in enumerate(slices):
+        try:
+            stored = pixel_array(file)
+        except Exception as error:
+            raise UnusableInputError(f"{file.name} is truncated or damaged; copy or export it again") from error
+        values[:, :, k] = stored.T * float(header.RescaleSlope) + float(header.RescaleIntercept)
+    by_row, by_column = (float(c) for c in first.PixelSpacing)  # between rows, between columns
+    return _scan(
+        values, at[0], np.stack([by_column * right, by_row * down, _slice_step(at, folder.name)], 1), folder.name
+    )
+
+
+def _check_slice(header, name: str) -> None:
+    """Raise UnusableInputError if a slice is not of a CT, or lacks elements that give its position."""
+    if header.get("Modality") != "CT":
+        raise UnusableInputError(f"{name} is of modality {header.get('Modality') or 'unknown'}; give a CT series")
+    missing = [tag for tag in _TAGS if tag != "NumberOfFrames" and header.get(tag) in (None, "")]
+    if missing:
+        raise UnusableInputError(f"{name} states no {missing[0]}; export the series with it")
+    if int(header.get("NumberOfFrames") or 1) > 1:
+        raise UnusableInputError(f"{name} holds many slices in one file; export one file per slice")
+    for tag, count in (("ImageOrientationPatient", 6), ("ImagePositionPatient", 3), ("PixelSpacing", 2)):
+        if np.size(header[tag].value) != count:
+            raise UnusableInputError(f"{name} has a malformed {tag}; export the series again")
+
+
+def _slice_step(at_mm: np.ndarray, name: str) -> np.ndarray:
+    """Return the step (3,) from slice to slice, mm. Raises UnusableInputError for missing or duplicate slices."""
+    if len(at_mm) < 2:
+        raise UnusableInputError(f"{name} holds one slice; give the whole series")
+    mean = (at_mm[-1] - at_mm[0]) / (len(at_mm) - 1)
+    uneven = np.linalg.norm(np.diff(at_mm, axis=0) - mean, axis=1).max()
+    if not uneven <= UNEVEN * np.linalg.norm(mean):
+        raise UnusableInputError(
+            f"the slices of {name} are not evenly spaced: one is missing or duplicate; export the series again"
+        )
+    return mean
+
+
+def _check_size(shape: tuple[int, ...], name: str) -> None:
+    if min(shape) < 2 or np.prod(shape, dtype=np.float64) > MAX_VOXELS:
+        raise UnusableInputError(
+            f"{name} has {' x '.join(map(str, shape))} voxels; a scan has two a side and at most {MAX_VOXELS} in all: "
+            "crop it about the hip"
+        )
+
+
+def _scan(values: np.ndarray, origin_mm: np.ndarray, steps_mm: np.ndarray, name: str) -> CtScan:
+    """Return a scan whose indices i, j, k step by the columns of `steps_mm` (3, 3). Raises UnusableInputError."""
+    voxel = np.linalg.norm(steps_mm, axis=0)
+    if not (np.isfinite(origin_mm).all() and (voxel >= SPACING_MM[0]).all() and (voxel <= SPACING_MM[1]).all()):
+        raise UnusableInputError(
+            f"{name} has voxels of {' x '.join(f'{v:.4g}' for v in voxel)} mm; a CT has {SPACING_MM[0]:g} to "
+            f"{SPACING_MM[1]:g}: export it with its spacing"
+        )
+    axes = (steps_mm / voxel).T
+    if np.abs(axes @ axes.T - np.eye(3)).max() > TILTED:
+        raise UnusableInputError(
+            f"the axes of {name} are not perpendicular (a tilted gantry?); resample it to perpendicular axes"
+        )
+    if not np.isfinite(values).all():
+        raise UnusableInputError(f"{name} holds values that are not finite; export it again without them")
+    if values.min() > NO_AIR_HU:
+        raise UnusableInputError(
+            f"{name} has no value below {NO_AIR_HU}, so its values are not CT numbers; give a CT in Hounsfield units"
+        )
+    return CtScan(np.clip(np.rint(values), *HU).astype(np.int16), origin_mm, voxel, axes)

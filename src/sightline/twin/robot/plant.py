@@ -1,0 +1,250 @@
+"""The simulated plant: the true manipulator, simulated by MuJoCo, with its wire in the bone of the images."""
+
+from importlib import import_module
+from itertools import product
+from math import isfinite
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from sightline.errors import SetUpError
+from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator
+from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag, Reading
+from sightline.twin.objects.implants import WIRE_DIAMETER_MM
+from sightline.twin.robot.drilling import Bone, Wire, sensed
+from sightline.twin.robot.mjcf import STEP_S, Build, M, mjcf, unit
+
+STEPS = round(CYCLE_S / STEP_S)
+SETTLE_S = 0.5  # time to come to rest under gravity
+GUIDE_MM = 85.0  # feed at which the wire leaves its guide, about 15 mm before a typical entry point [ours]
+FULL_FORCE = 0.999  # share of a drive's maximum force above which it cannot follow
+_REPORTED = (PlantFlag.DRILL_ON, PlantFlag.STOP_PRESSED, PlantFlag.RUN_HELD, PlantFlag.OVERLOAD, PlantFlag.AT_LIMIT)
+
+
+def _all_set(flags: tuple[bool, ...]) -> PlantFlag:
+    out = PlantFlag.NONE
+    for flag, is_set in zip(_REPORTED, flags, strict=True):
+        out |= flag if is_set else PlantFlag.NONE
+    return out
+
+
+# Joined once: an `|` of two flags takes over a microsecond, and a cycle has up to five.
+_FLAGS = {flags: _all_set(flags) for flags in product((False, True), repeat=len(_REPORTED))}
+
+
+class SimulatedPlant:
+    """A `Plant` with its own clock, which `advance` moves on. Methods named true_ return the true state, including what
+    encoders cannot measure (play, springs, gravity, thrust, a bent wire): for evaluation, never for a controller.
+
+    `robot`: the true manipulator. `bone` None: the wire moves in air. `start` (5,): joints at time zero. `guide_mm`:
+    the feed at which the wire's tip is at the mouth of its guide, which a person pushes forward to the bone.
+    `stop_pressed`, `run_held`: the hardware inputs. Raises SetUpError if MuJoCo is not installed or the start is beyond
+    the limits.
+    """
+
+    def __init__(
+        self,
+        robot: Manipulator,
+        bone: Bone | None,
+        rng: np.random.Generator,
+        start: np.ndarray | None = None,
+        build: Build | None = None,
+    ) -> None:
+        self.robot = robot
+        self.wire: Wire | None = None
+        self.guide_mm = GUIDE_MM
+        self.stop_pressed, self.run_held = False, True
+        self._rng = rng
+        at = np.zeros(len(JOINTS)) if start is None else np.asarray(start, dtype=np.float64)
+        if not np.isfinite(at).all() or robot.beyond_limits(at).any():
+            raise SetUpError("the plant must start within its joints' limits")
+        self._body = _Body(robot, build or Build(), at)
+        self._slowest = -robot.speed
+        self._goal, self._drill_on = np.zeros(len(JOINTS)), False
+        self._time_s, self._owed_s = 0.0, 0.0
+        self._told_s = 0.0  # time of the last command
+        if bone is not None:
+            self.meet(bone)
+        self._reading = self._sample(overloaded=False, limited=False)
+
+    def read(self) -> Reading:
+        """See Plant."""
+        return self._reading
+
+    def command(self, joint_velocity: np.ndarray, drill_on: bool) -> None:
+        """See Plant. Raises ValueError unless the velocities are five finite numbers."""
+        velocity = np.asarray(joint_velocity, dtype=np.float64)
+        if velocity.shape != (len(JOINTS),) or not all(map(isfinite, velocity.tolist())):
+            raise ValueError("a command is five finite joint velocities")
+        self._goal = np.minimum(np.maximum(velocity, self._slowest), self.robot.speed)
+        self._drill_on, self._told_s = drill_on, self._time_s
+
+    def hold(self) -> None:
+        """See Plant."""
+        self._goal, self._drill_on = np.zeros(len(JOINTS)), False
+
+    def meet(self, bone: Bone, diameter_mm: float = WIRE_DIAMETER_MM) -> None:
+        """Mount a new wire in front of this bone."""
+        self.wire = Wire(bone, diameter_mm)
+        self._drill()
+
+    def advance(self, dt_s: float) -> None:
+        """Advance the clock by whole cycles; the remainder is carried over to the next call."""
+        self._owed_s += dt_s
+        while self._owed_s > CYCLE_S - 1e-9:
+            self._owed_s -= CYCLE_S
+            self._cycle()
+
+    @property
+    def thrust_n(self) -> float:
+        """True reaction force of the bone along the wire, N."""
+        return 0.0 if self.wire is None else self.wire.thrust_n
+
+    def true_T_mcs_flange(self) -> RigidTransform:
+        """Return the true pose of the flange."""
+        return self._body.pose("flange")
+
+    def true_T_mcs_cfcs(self) -> RigidTransform:
+        """Return the true pose of the frame."""
+        return self._body.pose("cfcs")
+
+    def true_T_mcs_tool(self) -> RigidTransform:
+        """Return the true pose of the wire's tip, +z along the wire there, including its bending."""
+        straight = self._body.pose("tool")
+        if self.wire is None:
+            return straight
+        axis = straight.rotation.apply([0.0, 0.0, 1.0])
+        bend = Rotation.from_rotvec(np.cross(axis, self.wire.slope))
+        return RigidTransform.from_components(self.wire.tip_mm, bend * straight.rotation)
+
+    def true_wire_mm(self) -> np.ndarray:
+        """Return three points (3, 3) of the wire: at its guide's mouth, where bone holds it (else halfway), its tip."""
+        tool = self._body.pose("tool")
+        free = max(self._body.positions()[FEED] - self.guide_mm, 0.0)
+        mouth = tool.apply([0.0, 0.0, -free])
+        tip = tool.translation if self.wire is None else self.wire.tip_mm
+        held = None if self.wire is None else self.wire.entry_mm
+        return np.stack([mouth, (mouth + tip) / 2 if held is None else held, tip])
+
+    @property
+    def _may_move(self) -> bool:
+        return self.run_held and not self.stop_pressed
+
+    def _cycle(self) -> None:
+        if self._time_s - self._told_s > WATCHDOG_S - CYCLE_S / 2:
+            self.hold()
+        goal = self._goal if self._may_move else np.zeros(len(JOINTS))
+        overloaded, limited = self._body.drive(goal)
+        self._time_s += CYCLE_S
+        self._drill()
+        self._reading = self._sample(overloaded, limited)
+
+    def _drill(self) -> None:
+        if self.wire is None:
+            return
+        tip, axes = self._body.tool()
+        free = self._body.positions()[FEED] - self.guide_mm
+        thrust = self.wire.step(tip, axes, free, self._drill_on and self._may_move, CYCLE_S)
+        self._body.push(tip, -thrust * axes[2])
+
+    def _sample(self, overloaded: bool, limited: bool) -> Reading:
+        drills = self._drill_on and self._may_move
+        flags = _FLAGS[bool(drills), bool(self.stop_pressed), bool(self.run_held), overloaded, limited]
+        encoders = np.rint(self._body.encoders() / self.robot.resolution) * self.robot.resolution
+        encoders.flags.writeable = False
+        return Reading(self._time_s, encoders, sensed(self.thrust_n, self._rng), flags)
+
+
+class _Body:
+    """The moving masses: MuJoCo's state, in mm and rad.
+
+    A cycle handles five numbers at a time: Python's lists compare them, and `np.minimum` limits them, in a third of
+    the time of numpy's `all`, `any` and `clip` or less.
+    """
+
+    def __init__(self, robot: Manipulator, build: Build, start: np.ndarray) -> None:
+        try:
+            mujoco = import_module("mujoco")
+        except ImportError as error:
+            raise SetUpError("the simulated robot needs MuJoCo: pip install 'sightline[robot]'") from error
+        self._mujoco = mujoco
+        self._model = mujoco.MjModel.from_xml_string(mjcf(robot, build))
+        self._data = mujoco.MjData(self._model)
+        self._lower, self._upper, self._acceleration = robot.lower, robot.upper, robot.acceleration
+        braking = robot.speed**2 / (2 * robot.acceleration) + robot.speed * CYCLE_S  # longest stopping distance
+        self._free = list(zip((robot.lower + braking).tolist(), (robot.upper - braking).tolist(), strict=True))
+        self._ramp = robot.acceleration * STEP_S  # largest change of a velocity in one step
+        self._units = np.array([unit(joint) for joint in range(len(JOINTS))])
+        # Each joint has one degree of freedom, so its index in positions is that in forces.
+        self._seen = np.array([self._model.joint(name).qposadr[0] for name in JOINTS])
+        self._behind = np.array([self._model.joint(f"{name}-behind").qposadr[0] for name in JOINTS])
+        self._force = np.array(build.drive_force)
+        self._full: list[float] = (FULL_FORCE * self._force).tolist()
+        self._site = {name: self._model.site(name).id for name in ("flange", "cfcs", "tool")}
+        self._fed = self._model.body("feed-link").id
+        self._pace = np.zeros(len(JOINTS))  # present command, mm/s and rad/s
+        data = self._data
+        # Views of MuJoCo's own memory: each look-up by name takes a microsecond.
+        self._qpos, self._drive_force = data.qpos, data.qfrc_actuator
+        self._tip, self._tip_axes = data.site_xpos[self._site["tool"]], data.site_xmat[self._site["tool"]].reshape(3, 3)
+        self._fed_middle, self._fed_force = data.xipos[self._fed], data.xfrc_applied[self._fed]
+        self._control = data.ctrl[: len(JOINTS)], data.ctrl[len(JOINTS) :]
+        data.qpos[self._seen] = data.act[:] = start * self._units
+        mujoco.mj_step(self._model, data, nstep=round(SETTLE_S / STEP_S))
+        mujoco.mj_kinematics(self._model, data)
+
+    def encoders(self) -> np.ndarray:
+        """Return the joints (5,) at their drives."""
+        return self._qpos[self._seen] / self._units
+
+    def positions(self) -> np.ndarray:
+        """Return the true joints (5,), behind play and springs."""
+        return (self._qpos[self._seen] + self._qpos[self._behind]) / self._units
+
+    def tool(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the tip (3,) of a straight wire, mm, and the tool's axes (3, 3), rows."""
+        return self._tip / M, self._tip_axes.T
+
+    def pose(self, name: str) -> RigidTransform:
+        """Return the pose of a site."""
+        site = self._site[name]
+        rotation = Rotation.from_matrix(self._data.site_xmat[site].reshape(3, 3))
+        return RigidTransform.from_components(self._data.site_xpos[site] / M, rotation)
+
+    def push(self, at_mm: np.ndarray, force_n: np.ndarray) -> None:
+        """Apply a force (3,) to the wire at a point (3,), until the next call."""
+        x, y, z = (at_mm * M - self._fed_middle).tolist()
+        a, b, c = force_n.tolist()
+        # Cross product by hand: numpy's takes 40 µs, half of a cycle.
+        self._fed_force[:] = (a, b, c, y * c - z * b, z * a - x * c, x * b - y * a)
+
+    def drive(self, goal: np.ndarray) -> tuple[bool, bool]:
+        """Simulate one cycle towards joint velocities (5,); return whether a drive was overloaded, and whether a limit
+        was reached."""
+        at = self.encoders()
+        within = all(low < q < high for q, (low, high) in zip(at.tolist(), self._free, strict=True))
+        allowed = goal if within else self._braked(goal, at)
+        data, model = self._data, self._model
+        wanted, left = allowed.tolist(), STEPS
+        while left and self._pace.tolist() != wanted:
+            self._pace = self._pace + np.minimum(np.maximum(allowed - self._pace, -self._ramp), self._ramp)
+            first, second = self._control
+            first[:] = second[:] = self._pace * self._units
+            self._mujoco.mj_step(model, data)
+            left -= 1
+        if left:
+            self._mujoco.mj_step(model, data, nstep=left)
+        force = self._drive_force[self._seen].tolist()
+        overloaded = any(abs(one) > full for one, full in zip(force, self._full, strict=True))
+        if overloaded:  # keep the reference near the joint
+            slack = self._force / self._model.actuator_gainprm[: len(JOINTS), 0]
+            data.act[:] = np.clip(data.act, self._qpos[self._seen] - slack, self._qpos[self._seen] + slack)
+        self._mujoco.mj_kinematics(model, data)
+        return overloaded, allowed is not goal and wanted != goal.tolist()
+
+    def _braked(self, goal: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """Return `goal` (5,) limited to velocities that can stop before a joint limit after one more cycle."""
+        spent, twice = np.abs(self._pace) * CYCLE_S, 2 * self._acceleration
+        forward = np.sqrt(twice * np.maximum(self._upper - at - spent, 0.0))
+        backward = np.sqrt(twice * np.maximum(at - self._lower - spent, 0.0))
+        return np.minimum(np.maximum(goal, -backward), forward)

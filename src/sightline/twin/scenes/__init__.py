@@ -1,0 +1,1 @@
+"""Whole scenes drawn from their distributions, and their truth."""

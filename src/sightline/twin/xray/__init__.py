@@ -1,0 +1,1 @@
+"""The C-arm and its image chain: poses, distortion, ray-casting, rendering."""
