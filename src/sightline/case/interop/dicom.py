@@ -1,4 +1,4 @@
-"""DICOM objects of an export: the modules they share, and an image as a secondary capture. The case number alone names the
+"""DICOM objects of an export: the modules they share, and an image as a secondary capture. The case number names the
 patient."""
 
 import re
