@@ -114,7 +114,7 @@ def test_go_and_the_honest_notes(report, page) -> None:
 def test_no_go_gives_the_reasons_and_the_view(report) -> None:
     bad = Check("bead count", False, 3.0, 24.0, "beads", "Too few beads; move the frame.")
     image = replace(report.images[1], view=replace(report.images[1].view, checks=(bad,)))
-    verdict = Verdict((bad, *report.plan.verdict.checks))
+    verdict = Verdict((bad.of_view("lateral"), *report.plan.verdict.checks))
     text = Page(
         render(replace(report, images=(report.images[0], image), plan=replace(report.plan, verdict=verdict)))
     ).text

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.view import CalibratedView
 from sightline.case.canonical import digest, plain, with_null
-from sightline.case.documents import check_document, view_document
+from sightline.case.documents import view_document
 from sightline.case.views import CalibratedImage
 from sightline.checks import Limits
 from sightline.detection import Detections, Observations
@@ -33,6 +33,7 @@ from sightline.planning.check.placed_wires import PlacedWire
 from sightline.planning.check.result import CheckShot
 from sightline.planning.check.start import Beforehand, Landmarks, on_patient, picked_wire
 from sightline.planning.points.picks import PickArrays
+from sightline.planning.points.solution import Method
 from sightline.planning.procedures.files import kept
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 Pair = tuple[CalibratedImage, CalibratedImage]
 Images = tuple[CalibratedImage, ...]  # of a plan: PA, lateral, and the third where there is one
-_OF_SEVERAL = ("others", "placed", "nail")  # of a request, which an entry of a wire alone does not hold
+_RARE = ("others", "placed", "nail", "method")  # of a request: written only where they differ from the default
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +71,7 @@ class PlanRequest:
     others: Mapping[str, WirePicks] | None = None
     placed: Mapping[str, Axis] | None = None
     nail: NailDrawn | None = None
+    method: Method = "weighted"
 
     @staticmethod
     def of(document: dict[str, Any]) -> "PlanRequest":
@@ -178,6 +180,7 @@ class PlanRequest:
             "landmarks_uv_px": None if marks is None else np.array(marks, dtype=np.float64).reshape(views, -1, 2),
             "landmark_names": self.landmark_names,
             "aids": self.aids,
+            "method": self.method,
             "curve": curve,
         }
 
@@ -355,10 +358,13 @@ def planned(asked: PlanRequest, made: Plan) -> dict[str, Any]:
     """Return the content of a planned entry: the request, the picks as they were used, and the plan."""
     used = [[with_null(pick.uv_px) for pick in point] for point in made.picks]
     return {
-        "asked": {key: one for key, one in with_null(asked).items() if one is not None or key not in _OF_SEVERAL},
+        "asked": {
+            key: value
+            for key, value in with_null(asked).items()
+            if key not in _RARE or value != getattr(PlanRequest, key)
+        },
         "used_uv_px": {"entry": used[0], "end": used[1]},
         **made.document(),
-        "checks": [check_document(check) for check in made.verdict.checks],
     }
 
 

@@ -1,9 +1,8 @@
-"""A calibrated view and a check as JSON."""
+"""A calibrated view as JSON."""
 
 from typing import Any
 
 from sightline.case.views import CalibratedImage
-from sightline.checks import Check
 
 
 def view_document(image: CalibratedImage) -> dict[str, Any]:
@@ -26,10 +25,5 @@ def view_document(image: CalibratedImage) -> dict[str, Any]:
                 residuals.ids, residuals.uv_px, residuals.residual_mm, residuals.used, strict=True
             )
         ],
-        "checks": [check_document(check) for check in view.checks],
+        "checks": [vars(check) for check in view.checks],
     }
-
-
-def check_document(check: Check) -> dict[str, Any]:
-    """Return a check as JSON types."""
-    return dict(vars(check))

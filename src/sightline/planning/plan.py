@@ -193,13 +193,16 @@ class Plan(Plotted):
         return out
 
     def document(self) -> dict[str, Any]:
-        """Return verdict, limits, trajectory and landmarks as JSON types, without the checks."""
+        """Return the plan as the JSON types of `PlanDocument`."""
+        alone = {"unchecked_relations": list(self.unchecked_relations)} if self.kind.several else {}
         return {
             **self.verdict_document(),
             "trajectory": self.trajectory.document(),
             "landmarks": self.landmarks_document(),
             "implant": None if self.implant is None else vars(self.implant),
             **self._hole_document(),
+            **alone,
+            "checks": [vars(check) for check in self.verdict.checks],
         }
 
     def _hole_document(self) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
-from sightline.case.report.document import CalibratedViewDocument, CheckDocument, TrajectoryDocument
+from sightline.case.report.document import CalibratedViewDocument
+from sightline.planning.document import CheckDocument, PlanDocument, TrajectoryDocument
 from sightline.planning.procedures.document import ProcedureDocument
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -147,13 +148,10 @@ class SavedTrajectory(TrajectoryDocument, _Saved):
     points: PointsDocument
 
 
-class SavedPlan(_Saved):
+class SavedPlan(PlanDocument, _Saved):
     """A plan with the keys of plan.json, and `asked`, what `plan` was given."""
 
     schema_: Annotated[Literal["sightline-plan/1"], Field(alias="schema")]
-    go: bool
-    trajectory: TrajectoryDocument
-    checks: tuple[CheckDocument, ...]
     views: Annotated[tuple[dict[str, Any], ...], Field(min_length=2)]
     asked: dict[str, Any]
 

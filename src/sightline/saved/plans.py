@@ -8,14 +8,13 @@ from scipy.spatial.transform import RigidTransform
 from sightline.calibration import BeadView
 from sightline.calibration.exchange.reading import array
 from sightline.case.canonical import plain, with_null
+from sightline.case.contents import PlanRequest
 from sightline.case.interop.bundle import bundle
-from sightline.checks import Limits
 from sightline.errors import UnusableInputError
-from sightline.planning import Aids, Plan, SpacePoints, Trajectory
-from sightline.planning import plan as make_plan
+from sightline.planning import Plan, SpacePoints, Trajectory
 from sightline.planning.check.result import CheckShot
 from sightline.planning.points.gaps import Movement
-from sightline.planning.procedures.files import keeping, kept
+from sightline.planning.procedures.files import keeping
 from sightline.saved import views
 
 _SAME_MM = 0.01  # the views may come out otherwise by a tenth of it, and a wire's end lies beyond their plates [ours]
@@ -80,7 +79,6 @@ def plan_written(plan: Plan) -> dict[str, Any]:
     return {
         **plan.document(),
         "views": [_view_written(one) for one in views_of],
-        "checks": plan.verdict.checks,
         "asked": {
             **with_null(dict(plan.arguments)),
             "kind": plan.kind.key,
@@ -103,11 +101,8 @@ def plan(given: dict[str, Any]) -> Plan:
 
     Raises UnusableInputError where it comes out otherwise than the document states, and what `plan` raises.
     """
-    asked = dict(given["asked"])
-    known = kept(asked.pop("kind"), asked.pop("procedure", None)).with_limits(Limits(**asked.pop("limits")))
-    aids = asked.pop("aids")
     on = [views.view(one) if one["schema"] == "sightline-view/1" else views.matrix_view(one) for one in given["views"]]
-    out = make_plan(on, kind=known, aids=None if aids is None else Aids.of(aids), **asked)
+    out = PlanRequest.of(given["asked"]).plan_on(on)
     if "relations" in given:  # to wires that the file does not hold
         out = out.related(views.checks(given["relations"]))
     ends = np.array([given["trajectory"][name] for name in ("entry_mm", "end_mm")])

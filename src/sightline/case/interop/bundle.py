@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 
 from sightline.calibration.exchange import opencv
-from sightline.case.interop.plan_document import SOLID
 from sightline.case.interop.plate import plate_image
 from sightline.case.views import CalibratedImage
 from sightline.errors import OutsideRegionError
 from sightline.frame import Frame
 from sightline.frame.measured.deviations import plates
 from sightline.planning import Plan
+from sightline.planning.document import SOLID
 
 POINTS = ("entry", "end")
 _WIRE_POINTS = 21  # [ours] about 5 mm apart, since distortion bends the drawn wire

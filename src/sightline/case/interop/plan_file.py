@@ -14,13 +14,13 @@ from pydantic import ValidationError
 from sightline.calibration.exchange import opencv, reading
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.canonical import canonical, digest
-from sightline.case.interop.plan_document import SOLID, PlanDocument
 from sightline.checks import Code, Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import length_quantile
 from sightline.imaging import read_image
 from sightline.planning import Trajectory
 from sightline.planning.bone.directions import caudal
+from sightline.planning.document import SOLID, PlanFileDocument
 from sightline.planning.points.results import SpacePoints
 from sightline.planning.verdict.relations import refuse_unrelated
 
@@ -83,7 +83,7 @@ def _of_wire(given: Mapping[str, Any], wire: str | None) -> dict[str, Any]:
 class PlanFile:
     """A plan to be exported or sent: the content of its file, and values derived from it."""
 
-    def __init__(self, document: PlanDocument, folder: Path) -> None:
+    def __init__(self, document: PlanFileDocument, folder: Path) -> None:
         self.document = document
         self._folder = folder
 
@@ -301,7 +301,7 @@ def _given(path: str | Path) -> tuple[Path, dict[str, Any]]:
 def _checked(file: Path, given: Mapping[str, Any], wire: str | None) -> PlanFile:
     """Return the plan of a file's content, of one of its wires where it has several. Raises UnusableInputError."""
     try:
-        plan = PlanFile(PlanDocument.model_validate_json(json.dumps(_of_wire(given, wire))), file.parent)
+        plan = PlanFile(PlanFileDocument.model_validate_json(json.dumps(_of_wire(given, wire))), file.parent)
         plan.refuse_contradictions()
     except ValidationError as error:
         first = error.errors()[0]

@@ -6,45 +6,26 @@ Later versions may add keys, which readers must ignore. The keys named here do n
 import json
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from sightline.case.canonical import canonical
-from sightline.case.documents import check_document, view_document
+from sightline.case.documents import view_document
 from sightline.case.journal.entry import versions
 from sightline.case.report.content import Report
 from sightline.case.report.exposures import NOTE
 from sightline.planning import WirePlans
+from sightline.planning.document import CheckDocument, OpenDocument, PlanDocument, Point
 from sightline.planning.points.results import State
 
-Point = tuple[float, float, float]
 
-
-class _Open(BaseModel):
-    model_config = ConfigDict(extra="allow", frozen=True)
-
-
-class CheckDocument(_Open):
-    """One check: a value (`figure`) and its limit, both in `unit`; null where there is none."""
-
-    name: str
-    passed: bool
-    figure: float | None
-    limit: float | None
-    unit: str
-    sentence: str
-    code: str | None = Field(default=None, description="What the check is about, for programs; not in version 0.1.0.")
-    missing: bool = Field(default=False, description="The check failed because an input is missing.")
-    view: str = Field(default="", description="The view that the check is about.")
-
-
-class FrameNamed(_Open):
+class FrameNamed(OpenDocument):
     """The calibration frame."""
 
     name: str
     serial: str | None
 
 
-class BeadDocument(_Open):
+class BeadDocument(OpenDocument):
     """One bead: its measured centre, IDCS px, and its residual on the reference plane, mm."""
 
     id: str
@@ -53,7 +34,7 @@ class BeadDocument(_Open):
     used: bool
 
 
-class CalibratedViewDocument(_Open):
+class CalibratedViewDocument(OpenDocument):
     """One calibrated view; lengths in mm, CFCS. Rms values are per axis."""
 
     view: str
@@ -67,74 +48,7 @@ class CalibratedViewDocument(_Open):
     checks: tuple[CheckDocument, ...]
 
 
-class ErrorBounds(_Open):
-    """Bounds that each error stays below with a probability of 95 %."""
-
-    entry_mm: float
-    end_mm: float
-    direction_deg: float
-
-
-class TrajectoryDocument(_Open):
-    """The planned wire, CFCS, mm. `error_95` is null if the error of a view is unknown."""
-
-    coordinates: Literal["CFCS"]
-    entry_mm: Point
-    end_mm: Point
-    direction: Point
-    length_mm: float
-    error_95: ErrorBounds | None
-    gap_mm: tuple[float, float]
-    gap_tested: tuple[bool, bool]
-
-
-class ProcedureNamed(_Open):
-    """The procedure that was planned: its name, and its file's key with a hash of the content."""
-
-    name: str
-    fingerprint: str
-
-
-class LimitsDocument(_Open):
-    """The limits that a plan was judged by: of its 95 % errors, how far past its end point it may be drilled, and how
-    far before its entry point bone may begin."""
-
-    position_mm: float
-    direction_deg: float
-    beyond_mm: float
-    before_mm: float = 0.0
-
-
-class ImplantDocument(_Open):
-    """The implant of the catalogue that fits the wire, mm and °; null where none fits or it is not known."""
-
-    length_mm: float | None
-    plate_angle_deg: float | None
-    sentence: str
-
-
-class AlongDocument(_Open):
-    """How far entry and end could be wrong along a line of sight before a check of the bone fails; null if no check
-    would detect it."""
-
-    entry: float | None
-    end: float | None
-
-
-class LandmarkDocument(_Open):
-    """A point of the bone that both views show; `name` is null if it has none."""
-
-    name: str | None
-    xyz_mm: Point
-    gap_mm: float
-    gap_sigma: float | None
-    residual_px: dict[str, tuple[float, float] | None] | None = Field(
-        default=None,
-        description="With three views: by view the pick less the landmark's projection; null where it was not picked.",
-    )
-
-
-class ExposureDocument(_Open):
+class ExposureDocument(OpenDocument):
     """An acquired image, by the first digits of its hash. `at`: UTC, when it was kept; null outside a case. `frames`:
     the number of frames exposed for it, in a run or an average."""
 
@@ -144,7 +58,7 @@ class ExposureDocument(_Open):
     frames: int
 
 
-class WiresDocument(_Open):
+class WiresDocument(OpenDocument):
     """The wires that were planned together with this one: by key the verdict on each in the order of drilling, the
     verdict on all of them, and the relations between them."""
 
@@ -154,12 +68,10 @@ class WiresDocument(_Open):
     relations: tuple[CheckDocument, ...]
 
 
-class ReportDocument(_Open):
+class ReportDocument(PlanDocument):
     """The report of one plan. `case`: the number of its case, the only identity in it; null outside a case.
 
-    `go`: true only if every check passed; a person decides. `verdict`: "incomplete" if nothing but the `missing` parts
-    stands against the plan. `limits`: what the plan was judged by. `drilled`: null until a robot has carried out the
-    plan.
+    `drilled`: null until a robot has carried out the plan.
     """
 
     model_config = ConfigDict(title="Sightline report")
@@ -171,18 +83,6 @@ class ReportDocument(_Open):
     provenance: dict[str, str]
     frame: FrameNamed
     views: tuple[CalibratedViewDocument, ...]
-    go: bool
-    verdict: State
-    missing: tuple[str, ...]
-    noticed_along_mm: AlongDocument
-    kind: str
-    procedure: ProcedureNamed
-    side: str | None
-    limits: LimitsDocument
-    trajectory: TrajectoryDocument
-    landmarks: tuple[LandmarkDocument, ...]
-    implant: ImplantDocument | None
-    checks: tuple[CheckDocument, ...]
     exposures: tuple[ExposureDocument, ...] = Field(description=NOTE)
     drilled: dict[str, Any] | None
     wires: WiresDocument | None = Field(default=None, description="Null for the plan of a wire alone.")
@@ -200,7 +100,6 @@ def report_document(report: Report, case_number: str | None = None) -> ReportDoc
         "frame": {"name": report.frame.name, "serial": report.frame.serial},
         "views": [view_document(image) for image in report.images],
         **plan.document(),
-        "checks": [check_document(check) for check in plan.verdict.checks],
         "exposures": report.exposures,
         "drilled": None if report.drilled is None else report.drilled.document(),
         "wires": _wires(report.wires),
@@ -215,7 +114,7 @@ def _wires(made: WirePlans | None) -> dict[str, Any] | None:
         "each": {key: one.verdict.state for key, one in made.plans.items()},
         "verdict": made.verdict.state,
         "missing": made.verdict.missing,
-        "relations": [check_document(check) for check in made.relations],
+        "relations": [vars(check) for check in made.relations],
     }
 
 

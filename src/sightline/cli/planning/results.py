@@ -31,12 +31,7 @@ def plan_document(planned: "Plan", images: "Images") -> dict[str, Any]:
     """Return the plan of a wire as JSON types."""
     from sightline.case.documents import view_document
 
-    alone = {"unchecked_relations": list(planned.unchecked_relations)} if planned.kind.several else {}
-    return {
-        **planned.document(),
-        **alone,
-        "views": [view_document(image) for image in images],
-    }
+    return {**planned.document(), "views": [view_document(image) for image in images]}
 
 
 def planned_document(planned: "Plan | WirePlans", images: "Images", frame: "Frame") -> dict[str, Any]:
@@ -151,7 +146,7 @@ def write(
     for key, report in made.items():
         taken, files = bundle(report.plan, report.images, report.frame)
         own = document["wires"][key] if key else document
-        plans[key] = {**own, **taken, "checks": report.plan.verdict.checks}
+        plans[key] = {**own, **taken}
     whole = plans[""] if "" in plans else of_wires({**document, "checks": planned.verdict.checks}, plans)
     pages = {f"report{f'-{key}' if key else ''}.html": render(report).encode() for key, report in made.items()}
     return write_folder(folder, {**pages, "plan.json": as_json(sealed(whole)).encode(), **files})
