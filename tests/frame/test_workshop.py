@@ -13,8 +13,7 @@ from sightline.frame import Fiducial, Frame, FrameView, Plate, RigidBody
 from sightline.frame.drawings.bill import bill_csv, bill_page, drape_envelopes, inspection_csv
 from sightline.frame.drawings.mesh import FACETS, meshes_of, plate_mesh, solid_mesh
 from sightline.frame.drawings.part import CHAMFER_MM, SCREW_MM, parts_of
-from sightline.frame.drawings.part_svg import plate_svg
-from sightline.frame.drawings.sheet import plate_dxf
+from sightline.frame.drawings.sheet import plate_dxf, plate_svg
 from sightline.frame.drawings.workshop import write_workshop
 from sightline.frame.measured.deviations import plates
 from sightline.frame.measured.fit import Circumstances, fit_frame
@@ -97,39 +96,26 @@ def test_dxf_holds_every_bore_at_its_true_diameter_in_mm(name):
         said = {text.dxf.text for text in document.modelspace().query('TEXT[layer=="TABLE"]')}
         assert {b.ball.id for b in part.bores} <= said
         measured = sorted(d.get_measurement() for d in document.modelspace().query("DIMENSION"))
-        assert measured == pytest.approx(sorted((part.width_mm, part.height_mm)))
+        assert measured == pytest.approx(sorted((part.width_mm, part.height_mm, part.thickness_mm)))
+        notes = " ".join(text.dxf.text for text in document.modelspace().query('TEXT[layer=="NOTES"]'))
+        for words in (
+            f"{part.title}, frame {name}",
+            f"looks to {part.front}",
+            f"{len(part.bores)} blind bores",
+            "0.08",
+        ):
+            assert words in notes
 
 
-@pytest.mark.parametrize("name", FRAMES)
-def test_svg_is_a_sheet_with_every_bore_and_nothing_beyond_its_border(name):
-    for part in parts_of(Frame.load(name)):
-        root = ET.fromstring(plate_svg(part, name))  # noqa: S314 - our own
-        ns = "{http://www.w3.org/2000/svg}"
-        texts = [node.text for node in root.iter(f"{ns}text")]
-        assert {b.ball.id for b in part.bores} <= set(texts)
-        assert {"PMMA, cast, 8 mm", "1:1", "A", "B", "C"} <= set(texts)
-        for node in [*root.iter(f"{ns}polyline"), *root.iter(f"{ns}polygon")]:
-            xy = np.array([[float(v) for v in pair.split(",")] for pair in node.get("points").split()])
-            assert ((xy >= 10) & (xy <= (410, 287))).all()
-        radii = [float(node.get("r")) for node in root.iter(f"{ns}circle")]
-        for bore in part.bores:
-            assert pytest.approx(bore.ball.diameter_mm / 2, abs=1e-3) in radii
-
-
-def test_a_name_cannot_break_the_sheet():
-    text = plate_svg(parts_of(GAMMA)[0], 'a<b>&"c')
-    ET.fromstring(text)  # noqa: S314 - our own
-    assert "a&lt;b&gt;" in text
-
-
-def test_a_plate_larger_than_the_sheet_is_drawn_smaller():
-    view = GAMMA.view("pa")
-    wide = Plate(tuple(replace(f, xyz_mm=(3 * f.xyz_mm[0], f.xyz_mm[1], f.xyz_mm[2])) for f in view.xrii.fiducials))
-    part = parts_of(replace(GAMMA, views={"pa": FrameView(wide, view.source)}))[0]
-    assert part.width_mm == 3 * 132 + 30
-    text = plate_svg(part, "wide")
-    assert "1:5" in text
-    assert "426 ±0.1" in text
+def test_svg_is_the_same_drawing_at_its_true_size_whatever_the_frame_is_called():
+    part = parts_of(GAMMA)[0]
+    root = ET.fromstring(plate_svg(part, 'a<b>&"c'))  # noqa: S314 - our own
+    wide, high = (float(root.get(side).removesuffix("mm")) for side in ("width", "height"))
+    assert part.width_mm + 150 < wide < part.width_mm + 230  # beside the plate: its side and the table
+    assert part.height_mm + 60 < high < part.height_mm + 120  # above and below: title, dimension, notes
+    box = [float(number) for number in root.get("viewBox").split()]
+    assert box[2] / wide == pytest.approx(100, abs=1)
+    assert len(list(root.iter("{http://www.w3.org/2000/svg}path"))) > len(part.bores)
 
 
 def test_washers_get_a_pocket_and_large_balls_a_thicker_plate():
@@ -297,6 +283,6 @@ def test_a_folder_holds_it_all_and_an_own_frame_is_drawn_too(tmp_path):
     own = Frame("own", {"front": FrameView(plate("a", 200.0), plate("b", -120.0))})
     files = write_workshop(own, tmp_path / "shop")
     names = {file.name for file in files}
-    assert names == {file.name for file in (tmp_path / "shop").iterdir()}
+    assert names == {file.name for file in (tmp_path / "shop").glob("[!.]*")}
     assert {f"front-{role}.{kind}" for role in ("xrii", "source") for kind in ("svg", "dxf", "stl", "csv")} <= names
     assert [f.id for f in Frame.load(tmp_path / "shop" / "frame.json").fiducials] == [f.id for f in own.fiducials]

@@ -6,9 +6,8 @@ from sightline.atomic import whole_folder, write_files
 from sightline.frame.drawings.bill import bill_csv, bill_page, holes_csv, inspection_csv
 from sightline.frame.drawings.mesh import meshes_of
 from sightline.frame.drawings.part import parts_of
-from sightline.frame.drawings.part_svg import plate_svg
 from sightline.frame.drawings.picture import frame_png
-from sightline.frame.drawings.sheet import plate_dxf
+from sightline.frame.drawings.sheet import plate_dxf, plate_svg
 from sightline.frame.model import Frame
 
 
