@@ -67,9 +67,7 @@ def _drawing(part: Part, frame: str) -> Drawing:
     _text(space, "NOTES", (0, top), f"{part.title}, frame {frame}", _TITLE_MM)
     facts = f"PMMA, cast, {part.thickness_mm:g} mm. All sizes in mm, scale 1:1, ISO 2768-mK, first-angle projection."
     _text(space, "NOTES", (0, top - 2 * _TEXT_MM), facts)
-    looks = (
-        f"Front face, looks to {part.front}; right {part.right}, up {part.up} of CFCS. Datums: A, B edges; C front"
-    )
+    looks = f"Front face, looks to {part.front}; right {part.right}, up {part.up} of CFCS. Datums: A, B edges; C front"
     _text(space, "NOTES", (0, top - 4 * _TEXT_MM), looks)
     for row, line in enumerate(_notes(part)):
         _text(space, "NOTES", (0, -30 - _ROW_MM * row), line)
