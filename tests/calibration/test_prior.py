@@ -32,8 +32,8 @@ def test_the_evidence_is_that_of_its_definition() -> None:
     shape = np.cov(rng.normal(size=(n, 3 * n)))
     design, data, columns = rng.normal(size=(n, a)), rng.normal(size=(n, 2)), rng.normal(size=(n, 2, shared))
     diagonal = rng.uniform(0.5, 1.0, n)
-    rows = np.ascontiguousarray(np.concatenate([design, data, np.swapaxes(columns, 1, 2).reshape(n, -1)], axis=1).T)
-    found = prior._log_evidence(shape, 3.0, diagonal, rows, a)
+    rows = np.concatenate([design, data, np.swapaxes(columns, 1, 2).reshape(n, -1)], axis=1).T
+    evidence = prior._log_evidence(3.0 * shape + np.diag(diagonal), rows, a)
 
     covariance = np.kron(3.0 * shape + np.diag(diagonal), np.eye(2))
     every = np.hstack([np.kron(design, np.eye(2)), columns.reshape(2 * n, shared)])
@@ -42,13 +42,7 @@ def test_the_evidence_is_that_of_its_definition() -> None:
     residual = data.ravel() - every @ np.linalg.solve(normal, every.T @ inverse @ data.ravel())
     misfit = residual @ inverse @ residual
     log_det = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(normal)[1]
-    assert found == pytest.approx(-0.5 * (log_det + misfit), rel=1e-10)
-
-
-def test_a_covariance_that_is_not_positive_definite_has_no_evidence() -> None:
-    rows = np.random.default_rng(0).normal(size=(4, 3))
-    assert np.isfinite(prior._log_evidence(np.eye(3), 1.0, np.ones(3), rows, 2))
-    assert np.isnan(prior._log_evidence(np.eye(3), 1.0, np.array([1.0, -2.0, 1.0]), rows, 2))
+    assert evidence == pytest.approx(-0.5 * (log_det + misfit), rel=1e-10)
 
 
 def test_the_prior_does_not_depend_on_the_rounding_of_pixels() -> None:

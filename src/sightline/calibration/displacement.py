@@ -115,7 +115,7 @@ class Rest:
     def _at_targets(self) -> np.ndarray:
         """Return (T, 2, 11): derivatives of the lines of sight at the targets, perpendicular to the lines."""
         pencil, plane = self.fit.pencil, self.fit.pencil.plane
-        place, by_pq = pencil.linearised(self.targets_mm)
+        place, by_pq = pencil.project(self.targets_mm), pencil.by_pq(self.targets_mm)
         reach = 1.0 - plane.height_mm(self.targets_mm) * pencil.pq[2]
         on_plane = reach[:, None, None] * np.concatenate([_homography(place), -by_pq], axis=2)
         across = np.array([_across(target - pencil.focal_point_mm) for target in self.targets_mm])

@@ -49,12 +49,11 @@ class Pencil:
 
     def by_pq(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return (N, 2, 3): the derivative of `project` by pq."""
-        return self.linearised(xyz_mm)[1]
-
-    def linearised(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `project` and `by_pq`."""
         y, h, depth = self._placed(xyz_mm)
-        return y, _by_pq(y, h / depth)
+        out = np.zeros((len(y), 2, 3))
+        out[:, 0, 0] = out[:, 1, 1] = -h / depth
+        out[:, :, 2] = (h / depth)[:, None] * y
+        return out
 
     def by_point(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return (N, 2, 3): the derivative of `project` by the points."""
@@ -63,29 +62,14 @@ class Pencil:
     def projected(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return `project`, `by_point`, and (N,) the depth of the points from F over that of the plane."""
         y, _, depth = self._placed(xyz_mm)
-        return y, self._by_point(y, depth), depth
-
-    def expanded(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return `project`, `by_pq` and `by_point`."""
-        y, h, depth = self._placed(xyz_mm)
-        return y, _by_pq(y, h / depth), self._by_point(y, depth)
+        lift = self.pq[2] * y - self.pq[:2]
+        return y, (self.plane.axes + lift[:, :, None] * self.plane.normal) / depth[:, None, None], depth
 
     def _placed(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return `project`, and the points' heights (N,), mm, and depths (N,) from F, over that of the plane."""
         h = self.plane.height_mm(xyz_mm)
         depth = 1 - h * self.pq[2]
         return (self.plane.to_plane(xyz_mm) - h[:, None] * self.pq[:2]) / depth[:, None], h, depth
-
-    def _by_point(self, y: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        lift = self.pq[2] * y - self.pq[:2]
-        return (self.plane.axes + lift[:, :, None] * self.plane.normal) / depth[:, None, None]
-
-
-def _by_pq(y: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    out = np.zeros((len(y), 2, 3))
-    out[:, 0, 0] = out[:, 1, 1] = -reach
-    out[:, :, 2] = reach[:, None] * y
-    return out
 
 
 def refuse_misplaced(pencil: Pencil, xyz_mm: np.ndarray) -> None:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from sightline.errors import OutsideRegionError
-from sightline.kernels import kernel
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -19,10 +18,6 @@ CONVERGED_PX = 1e-3
 # How far outside the controls' bounding box a pixel may lie, in sizes of that box [ours]: further out a polynomial is
 # meaningless.
 MAX_OUTSIDE = 0.5
-# Pairs of points and controls up to which all distances are computed: a query of the tree takes 60 µs before its first
-# point, as long as these distances.
-_FEW = 60_000
-_DROPPED, _GOES_ON, _FOUND = 0, 1, 2
 
 
 class SmoothPlaneMap(Protocol):
@@ -50,8 +45,7 @@ class Inverse:
     def of(plane_map: SmoothPlaneMap, controls_px: np.ndarray) -> "Inverse":
         """Return the inverse of a map that is valid near its controls (M, 2)."""
         xy, jacobian = plane_map.linearised(controls_px)
-        # Copies, because the kernels are compiled again for arrays that are read-only or not contiguous.
-        return Inverse(plane_map, np.array(controls_px), np.array(xy, order="C"), np.linalg.pinv(jacobian))
+        return Inverse(plane_map, controls_px, xy, np.linalg.pinv(jacobian))
 
     def __call__(self, xy_mm: np.ndarray) -> np.ndarray:
         """Return the pixels (N, 2) that the map takes to points (N, 2), mm.
@@ -70,100 +64,43 @@ class Inverse:
 
     def find(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the pixels (M, 2) of the points (N, 2) that have one near the controls, and which do, (N,) bool."""
-        (low_mm, high_mm), (low, high) = self._boxes
+        (low_mm, high_mm), (low, high) = (
+            (at.min(axis=0), at.max(axis=0)) for at in (self.controls_mm, self.controls_px)
+        )
         size = float((high - low).max())
         # Twice the limit for pixels: no usable map stretches by more than that outside its controls.
         at = np.flatnonzero(_within(xy_mm, low_mm, high_mm, 2 * MAX_OUTSIDE * float((high_mm - low_mm).max())))
-        target = xy_mm[at]
-        few = len(target) * len(self.controls_mm) <= _FEW
-        near = _nearest(target, self.controls_mm) if few else self._tree.query(target)[1]
-        here = _started(near, target, self.controls_px, self.controls_mm, self.back)
-        uv, length = np.zeros((len(xy_mm), 2)), np.full(len(at), np.inf)
-        found = np.zeros(len(uv), dtype=bool)
+        near = self._tree.query(xy_mm[at])[1]
+        here = self.controls_px[near] + np.einsum("nij,nj->ni", self.back[near], xy_mm[at] - self.controls_mm[near])
+        uv, length, found = np.zeros((len(xy_mm), 2)), np.full(len(at), np.inf), np.zeros(len(xy_mm), dtype=bool)
         for _ in range(ITERATIONS):
             if not len(at):
                 break
             xy, jacobian = self.plane_map.linearised(here)
-            state = _stepped(here, length, target, np.ascontiguousarray(xy), jacobian, low, high, size)
-            uv[at], found[at] = here, state == _FOUND
-            on = state == _GOES_ON
-            if not on.all():
-                at, target, here, length = at[on], target[on], here[on], length[on]
+            (a, b), (c, d) = np.moveaxis(jacobian, 0, -1)
+            x, y = (xy_mm[at] - xy).T
+            determinant = a * d - b * c
+            regular = np.abs(determinant) >= 1e-9 * (a * a + b * b + c * c + d * d)  # elsewhere the map folds
+            step = np.stack([d * x - b * y, a * y - c * x], axis=1) / np.where(regular, determinant, 1.0)[:, None]
+            before, length = length, np.hypot(*step.T)
+            here = here + step * np.minimum(1.0, 0.25 * size / np.maximum(length, 1e-300))[:, None]
+            # Converging steps shrink faster, and no point returns from far outside.
+            converges = regular & (length < 0.5 * before) & _within(here, low, high, 1.25 * MAX_OUTSIDE * size)
+            ended = converges & (length < CONVERGED_PX)
+            uv[at], found[at] = here, ended & _within(here, low, high, MAX_OUTSIDE * size)
+            on = converges & ~ended
+            at, here, length = at[on], here[on], length[on]
         return uv[found], found
 
     @cached_property
     def _tree(self) -> "KDTree":
-        """The controls, mm, for searches of many points."""
-        from scipy.spatial import KDTree  # here: few points need no tree, and it takes 6 MB
+        """The controls, mm."""
+        from scipy.spatial import KDTree  # here: lines of sight need no inverse, and it takes 6 MB
 
         return KDTree(self.controls_mm)
-
-    @cached_property
-    def _boxes(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Lowest and highest coordinates (2,) of the controls, mm, and those of their pixels."""
-        return [(one.min(axis=0), one.max(axis=0)) for one in (self.controls_mm, self.controls_px)]
 
 
 def _within(points: np.ndarray, low: np.ndarray, high: np.ndarray, margin: float) -> np.ndarray:
     """Return (N,) bool: whether points (N, 2) lie in a box widened by `margin`."""
     inside = (points >= low - margin) & (points <= high + margin)
     return inside[:, 0] & inside[:, 1]
-
-
-@kernel(nogil=True)
-def _nearest(target, controls_mm):
-    """Return for each of the points (N, 2), mm, the control (M, 2) that is nearest to it."""
-    near = np.zeros(len(target), dtype=np.int64)
-    for n in range(len(target)):
-        least = np.inf
-        for k in range(len(controls_mm)):
-            x, y = target[n, 0] - controls_mm[k, 0], target[n, 1] - controls_mm[k, 1]
-            away = x * x + y * y
-            if away < least:
-                least, near[n] = away, k
-    return near
-
-
-@kernel(nogil=True)
-def _started(near, target, controls_px, controls_mm, back):
-    """Return where the iteration starts (N, 2): points (N, 2), mm, by the inverse Jacobian at their controls `near`."""
-    here = np.empty((len(near), 2))
-    for n in range(len(near)):
-        k = near[n]
-        x, y = target[n, 0] - controls_mm[k, 0], target[n, 1] - controls_mm[k, 1]
-        here[n, 0] = controls_px[k, 0] + (back[k, 0, 0] * x + back[k, 0, 1] * y)
-        here[n, 1] = controls_px[k, 1] + (back[k, 1, 0] * x + back[k, 1, 1] * y)
-    return here
-
-
-@kernel(nogil=True, error_model="numpy")
-def _stepped(here, length, target, xy, jacobian, low, high, size):  # noqa: PLR0917 - a kernel
-    """Move pixels `here` (N, 2) by one Newton step, and set `length` (N,), the last step's, to this one's.
-
-    The map takes them to `xy` (N, 2), with `jacobian` (N, 2, 2); `low`, `high` (2,), `size`: the box of the controls,
-    px. Return their states (N,): _FOUND, _GOES_ON, or _DROPPED where the map folds (determinant zero), where the steps
-    do not shrink as fast as converging ones do, and outside the box, from where none returns.
-    """
-    state = np.empty(len(here), dtype=np.int8)
-    for n in range(len(here)):
-        a, b, c, d = jacobian[n, 0, 0], jacobian[n, 0, 1], jacobian[n, 1, 0], jacobian[n, 1, 1]
-        x, y = target[n, 0] - xy[n, 0], target[n, 1] - xy[n, 1]
-        det = a * d - b * c
-        state[n] = _DROPPED
-        if not abs(det) >= 1e-9 * (a * a + b * b + c * c + d * d):
-            continue
-        du, dv = (d * x - b * y) / det, (a * y - c * x) / det
-        before, length[n] = length[n], np.sqrt(du * du + dv * dv)
-        if not length[n] < 0.5 * before:
-            continue
-        held = min(1.0, 0.25 * size / max(length[n], 1e-300))
-        here[n, 0] += du * held
-        here[n, 1] += dv * held
-        found = length[n] < CONVERGED_PX
-        margin = (1.0 if found else 1.25) * MAX_OUTSIDE * size
-        inside = True
-        for k in range(2):
-            inside = inside and low[k] - margin <= here[n, k] <= high[k] + margin
-        if inside:
-            state[n] = _FOUND if found else _GOES_ON
-    return state

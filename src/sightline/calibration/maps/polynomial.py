@@ -8,7 +8,6 @@ import numpy as np
 from sightline.calibration.maps.inverse import Inverse
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.fitting.triangular import minimum_norm
-from sightline.kernels import exact
 
 DEGREES = range(1, 8)
 
@@ -49,22 +48,11 @@ def terms(degree: int) -> int:
 
 def monomials(xy: np.ndarray, degree: int) -> np.ndarray:
     """Return (N, terms): x^i y^j with i + j <= degree, by increasing degree."""
-    out = np.empty((len(xy), terms(degree)))
-    _fill_monomials(np.asarray(xy, dtype=np.float64), degree, out)
-    return out
-
-
-@exact
-def _fill_monomials(xy, degree, out):
-    x, y = np.ones(degree + 1), np.ones(degree + 1)
-    for n in range(len(out)):
-        for k in range(degree):
-            x[k + 1], y[k + 1] = x[k] * xy[n, 0], y[k] * xy[n, 1]
-        term = 0
-        for total in range(degree + 1):
-            for j in range(total + 1):
-                out[n, term] = x[total - j] * y[j]
-                term += 1
+    powers = np.empty((degree + 1, 2, len(xy)))
+    powers[0], powers[1:] = 1.0, np.transpose(xy)
+    np.multiply.accumulate(powers, out=powers)
+    i, j = _exponents(degree)
+    return np.ascontiguousarray((powers[i, 0] * powers[j, 1]).T)
 
 
 def monomial_gradients(xy: np.ndarray, degree: int) -> np.ndarray:

@@ -7,16 +7,14 @@ the average over the grid. The covariance thus contains the uncertainty of ampli
 hyper-prior decides. Lengths are in unit coordinates (1 = radius of the region of the controls).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from heapq import heappop, heappush
-from math import isnan
 
 import numpy as np
 
 from sightline.calibration.maps.polynomial import monomials
-from sightline.fitting.dense import PIVOTS, STRIDE, eliminate, factor, fast
 from sightline.fitting.kernels import squared_distances, squared_exponential
 from sightline.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
 
@@ -38,31 +36,6 @@ _HYPER = (
     -0.5 * (np.log(LENGTHS / LENGTH_MEDIAN) / LENGTH_SPREAD)[:, None, None] ** 2
     - 0.5 * (np.log(AMPLITUDES / AMPLITUDE_MEDIAN) / AMPLITUDE_SPREAD)[:, None] ** 2
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Basis:
-    """What covariances between N points have in common, whatever their amplitudes.
-
-    `monomials` (N, 21) to degree 5; `quintic` (N, 11): the polynomials of degree 4 and 5; `rough`: (N, N) for each of
-    LENGTHS.
-    """
-
-    monomials: np.ndarray
-    quintic: np.ndarray
-    rough: Mapping[float, np.ndarray]
-
-    @staticmethod
-    def of(unit_xy: np.ndarray) -> "Basis":
-        """Return the basis at unit coordinates (N, 2)."""
-        whole, d2 = monomials(unit_xy, QUINTIC), squared_distances(unit_xy, unit_xy)
-        rough = {length: squared_exponential(d2, length) for length in LENGTHS.tolist()}
-        return Basis(whole, whole @ _quintics(), rough)
-
-    def shapes(self) -> list[np.ndarray]:
-        """Return the covariance (N, N) of unit amplitude for each of LENGTHS."""
-        quintic = QUINTIC_SHARE * self.quintic @ self.quintic.T
-        return [quintic + (1 - QUINTIC_SHARE) / _beyond_cubic(length) * one for length, one in self.rough.items()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,19 +64,9 @@ class Kernel:
             out += variance * squared_exponential(d2, length)
         return out
 
-    def within(self, basis: Basis) -> np.ndarray:
-        """Return (N, N), mm², for the points of a basis."""
-        out = self.quintic_mm2 * basis.quintic @ basis.quintic.T
-        for variance, length in zip(self.variances_mm2.tolist(), self.lengths.tolist(), strict=True):
-            out += variance * basis.rough[length]
-        return out
-
-    def quintic_of(self, whole: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the polynomial coefficients (21, c) of degree 4 and 5 in kernel(., b) @ weights (M, c).
-
-        `whole` (M, 21): the monomials at b.
-        """
-        return self.quintic_mm2 * (_quintics() @ (_quintics().T @ (whole.T @ weights)))
+    def polynomial_part(self, b: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return the coefficients (21, c) of the polynomial of degree 4 and 5 in kernel(., b) @ weights (M, c)."""
+        return self.quintic_mm2 * (_quintics() @ (_quintics().T @ (monomials(b, QUINTIC).T @ weights)))
 
 
 @lru_cache(maxsize=1)
@@ -137,12 +100,12 @@ def _beyond_cubic(length: float) -> float:
 class PriorData:
     """Data from which the prior is learned: isotropic noise for each of N beads.
 
-    `basis`: of the beads' unit coordinates; `design` (N, a), the same columns for x and y; `shared` (N, 2, s): columns
+    `at` (N, 2): the beads' unit coordinates; `design` (N, a), the same columns for x and y; `shared` (N, 2, s): columns
     of parameters that act on both coordinates; `data_mm` (N, 2); `noise_mm2` (N,): variance of one coordinate;
     `frame_mm2`: variance that the frame's errors add to each; `radius_mm`: length of one unit.
     """
 
-    basis: Basis
+    at: np.ndarray
     design: np.ndarray
     shared: np.ndarray
     data_mm: np.ndarray
@@ -165,22 +128,20 @@ def learn(data: PriorData, noise_scales: np.ndarray | None = None) -> Learned:
     `noise_scales`: grid of the noise's standard deviation, px, where it is unknown; `noise_mm2` is then that of 1 px.
     """
     scales = np.ones(1) if noise_scales is None else noise_scales
-    shapes = data.basis.shapes()
+    shapes = [Kernel.of_amplitudes(unit)(data.at, data.at) for unit in np.eye(len(LENGTHS))]
     # The evidence does not depend on the design's share of the data, but its rounding errors grow with that.
     r = cholesky(data.design.T @ data.design)
     rest = data.data_mm - data.design @ solve_lower_transposed(r, solve_lower(r, data.design.T @ data.data_mm))
     columns = [data.design, rest, np.swapaxes(data.shared, 1, 2).reshape(len(rest), -1)]
-    rows = np.ascontiguousarray(np.concatenate(columns, axis=1).T)
+    rows = np.concatenate(columns, axis=1).T
     hyper = _HYPER if noise_scales is None else _HYPER - 0.5 * (np.log(scales / NOISE_MEDIAN_PX) / NOISE_SPREAD) ** 2
 
     def score(at: tuple[int, ...]) -> float:
         i, j, k = at
         diagonal = scales[k] ** 2 * data.noise_mm2 + data.frame_mm2
         amplitude2 = float(AMPLITUDES[j] * data.radius_mm) ** 2
-        evidence = _log_evidence(shapes[i], amplitude2, diagonal, rows, data.design.shape[1])
-        if isnan(evidence):
-            raise np.linalg.LinAlgError("a matrix is not positive definite")
-        return float(evidence + hyper[at])
+        covariance = amplitude2 * shapes[i] + np.diag(diagonal)
+        return _log_evidence(covariance, rows, data.design.shape[1]) + float(hyper[at])
 
     weight = _weights(score, hyper)
     squares = weight.sum(axis=2) @ (AMPLITUDES * data.radius_mm) ** 2
@@ -212,65 +173,19 @@ def _weights(score: Callable[[tuple[int, ...]], float], hyper: np.ndarray) -> np
     return weight / weight.sum()
 
 
-@fast
-def _log_evidence(shape, amplitude2, diagonal, rows, a):
-    """Return the REML log-likelihood up to a constant for covariance amplitude2 * shape + diag(diagonal), or NaN.
+def _log_evidence(covariance: np.ndarray, rows: np.ndarray, a: int) -> float:
+    """Return the REML log-likelihood, up to a constant, of data with a covariance (N, N). Raises LinAlgError.
 
-    `rows` (m, N): design (a), data x and y, shared x, y, x, y ... It is NaN where a matrix is not positive definite.
+    `rows` (m, N): design (a), data x and y, shared x, y, x, y ... The design is that of either coordinate, the shared
+    columns act on both.
     """
-    n, m = len(diagonal), len(rows)
-    first = (n + PIVOTS - 1) // PIVOTS * PIVOTS  # column of the first of the rows
-    matrix = np.zeros((first + m + m % 2, (first + m + STRIDE - 1) // STRIDE * STRIDE))  # [[covariance, rows], [., 0]]
-    for i in range(n, first):
-        matrix[i, i] = 1.0
-    for i in range(n):
-        own = matrix[i]
-        for j in range(i, n):
-            own[j] = amplitude2 * shape[i, j]
-        own[i] += diagonal[i]
-        for r in range(m):
-            own[first + r] = rows[r, i]
-    if not eliminate(first, first + m, matrix):
-        return np.nan
-    gram = np.empty((m, m))  # of the rows, times the inverse of the covariance's factor
-    for r in range(m):
-        for c in range(r + 1):
-            gram[r, c] = -matrix[first + c, first + r]
-    if not factor(a, gram):
-        return np.nan
-    both = _without_design(gram, a)
-    if not factor(len(both), both):
-        return np.nan
-    log_det = 0.0
-    for i in range(n):
-        log_det += 4 * np.log(matrix[i, i])
-    for k in range(a):
-        log_det += 4 * np.log(gram[k, k])
-    for k in range(len(both) - 1):
-        log_det += 2 * np.log(both[k, k])
-    return -0.5 * (log_det + both[-1, -1] * both[-1, -1])
-
-
-@fast
-def _without_design(gram, a):
-    """Return the inner products (1 + s, 1 + s) of the shared columns and, last, of the data, orthogonal to the design.
-
-    They are those of x and of y together. The Cholesky factor of the design is in the first `a` rows of `gram`. Of both
-    matrices only the lower triangles are used. The result's last pivot is what the shared columns leave of the data.
-    """
-    m = len(gram)
-    for r in range(a, m):
-        for k in range(a):
-            for j in range(k):
-                gram[r, k] -= gram[r, j] * gram[k, j]
-            gram[r, k] /= gram[k, k]
-        for c in range(a, r + 1):
-            for k in range(a):
-                gram[r, c] -= gram[r, k] * gram[c, k]
-    size = (m - a) // 2
-    both = np.empty((size, size))
-    for r in range(size):
-        for c in range(r + 1):
-            i, j = a + 2 * (size - 1 - c), a + 2 * (size - 1 - r)
-            both[r, c] = gram[i, j] + gram[i + 1, j + 1]
-    return both
+    lower = cholesky(covariance)
+    white = solve_lower(lower, rows.T)
+    factor = cholesky(white[:, :a].T @ white[:, :a])
+    along = solve_lower(factor, white[:, :a].T @ white[:, a:])
+    gram = white[:, a:].T @ white[:, a:] - along.T @ along  # orthogonal to the design
+    both = gram[::2, ::2] + gram[1::2, 1::2]  # of x and y together: the data first, then the shared columns
+    shared = cholesky(both[1:, 1:])
+    rest = both[0, 0] - float((solve_lower(shared, both[1:, :1]) ** 2).sum())
+    log_det = 4 * np.log(lower.diagonal()).sum() + 4 * np.log(factor.diagonal()).sum()
+    return -0.5 * float(log_det + 2 * np.log(shared.diagonal()).sum() + rest)

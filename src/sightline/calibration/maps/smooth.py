@@ -7,9 +7,10 @@ import numpy as np
 
 from sightline.calibration.maps.inverse import Inverse
 from sightline.calibration.maps.polynomial import Affine, derivatives, monomial_gradients, monomials, terms
-from sightline.calibration.maps.prior import NOISE_SCALES_PX, QUINTIC, Basis, Kernel, PriorData, learn
+from sightline.calibration.maps.prior import NOISE_SCALES_PX, QUINTIC, Kernel, PriorData, learn
 from sightline.calibration.maps.well_conditioned import well_conditioned
 from sightline.errors import CalibrationRefusedError
+from sightline.fitting.kernels import squared_distances, squared_exponential
 from sightline.fitting.kriging import Kriging
 
 DEGREE = 3
@@ -22,17 +23,13 @@ BLOCK = 2**20  # kernel values held at once: 8 MB [ours]
 
 @dataclass(frozen=True, eq=False)
 class SmoothMap:
-    """`cubic` (10, 2) on normalised pixels plus kernel(., controls) @ `dual` (N, 2), mm.
-
-    `basis`: of the controls' unit coordinates, None where nobody computed it.
-    """
+    """`cubic` (10, 2) on normalised pixels plus kernel(., controls) @ `dual` (N, 2), mm."""
 
     unit: Affine
     kernel: Kernel
     cubic: np.ndarray
     dual: np.ndarray
     controls_px: np.ndarray
-    basis: Basis | None
 
     @cached_property
     def controls_unit(self) -> np.ndarray:
@@ -41,9 +38,7 @@ class SmoothMap:
 
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
         """Return the plane coordinates (N, 2), mm, of pixels (N, 2): the posterior mean."""
-        if uv_px is self.controls_px:
-            return self._at_controls[0]
-        return np.concatenate([self._terms(at)[:, :2] for at in self._blocks(uv_px)])
+        return self.linearised(uv_px)[0]
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
         """Return (N, 2, 2) d xy / d uv, mm/px."""
@@ -56,74 +51,37 @@ class SmoothMap:
     @cached_property
     def _at_controls(self) -> tuple[np.ndarray, np.ndarray]:
         """`linearised` at the controls, read-only: residuals, checks and the inverse map ask for it."""
-        if self.basis is None:
-            xy, jacobian = self._linearised(self.controls_px)
-        else:
-            rough = np.concatenate([self.basis.rough[length] for length in self.kernel.lengths.tolist()], axis=1)
-            xy, jacobian = self._of_terms(self._sums(self.basis.monomials, rough), self.controls_unit)
+        xy, jacobian = self._linearised(self.controls_px)
         xy.flags.writeable = jacobian.flags.writeable = False
         return xy, jacobian
 
     def _linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        blocks = self._blocks(uv_px)
-        terms = [self._terms(at) for at in blocks]
-        return self._of_terms(*(one[0] if len(blocks) == 1 else np.concatenate(one) for one in (terms, blocks)))
+        """Return `linearised` in blocks, so that the kernel of millions of pixels is never held at once."""
+        rows = max(1, BLOCK // len(self.dual))
+        at = self.unit(uv_px)
+        blocks = [self._block(at[k : k + rows]) for k in range(0, max(len(at), 1), rows)]
+        xy, by_unit = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+        return xy, by_unit @ self.unit.matrix
 
-    def _of_terms(self, terms: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        by_unit = terms[:, 2:6].reshape(-1, 2, 2) - terms[:, 6:, None] * at[:, None, :]
-        return terms[:, :2], (by_unit.reshape(-1, 2) @ self.unit.matrix).reshape(-1, 2, 2)
-
-    def _terms(self, at: np.ndarray) -> np.ndarray:
-        """Return (N, 8) at unit coordinates `at` (N, 2): xy (2), terms of its derivatives (4), and factors (2).
-
-        The derivatives by the unit coordinates are the terms minus factor times `at`, since the derivative of
-        exp(-|a - b|² / 2 l²) by a is that times (b - a) / l².
-        """
-        factors = np.ones((len(at), 4))
-        factors[:, :2] = at
-        np.einsum("ni,ni->n", at, at, out=factors[:, 2])
-        rough = factors @ self._exponents
-        np.exp(rough, out=rough)
-        return self._sums(monomials(at, QUINTIC), rough)
-
-    def _sums(self, whole: np.ndarray, rough: np.ndarray) -> np.ndarray:
-        """Return `_terms` from monomials (N, 21) and exponentials (N, lengths * controls)."""
-        return whole @ self._polynomial + rough @ self._rough
-
-    @cached_property
-    def _exponents(self) -> np.ndarray:
-        """(4, lengths * N): takes (a, |a|², 1) to -|a - control|² / 2 length²."""
-        b = self.controls_unit
-        whole = np.vstack([-2 * b.T, np.ones(len(b)), (b**2).sum(axis=1)])
-        return np.hstack([whole * (-0.5 / length**2) for length in self.kernel.lengths])
-
-    @cached_property
-    def _rough(self) -> np.ndarray:
-        """(lengths * N, 8): coefficients of the process's exponentials in `_terms`."""
-        own = np.empty((len(self.dual), 8))
-        own[:, :2] = own[:, 6:] = self.dual
-        own[:, 2:6] = (self.controls_unit[:, None, :] * self.dual[:, :, None]).reshape(-1, 4)
-        out = np.empty((len(self.kernel.lengths), *own.shape))
-        for k, (variance, length) in enumerate(zip(self.kernel.variances_mm2, self.kernel.lengths, strict=True)):
-            out[k, :, :2], out[k, :, 2:] = variance * own[:, :2], variance / length**2 * own[:, 2:]
-        return out.reshape(-1, 8)
+    def _block(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return plane coordinates (N, 2) at unit coordinates `at` (N, 2), and their derivatives (N, 2, 2) by these."""
+        basis, d2 = monomials(at, QUINTIC), squared_distances(at, self.controls_unit)
+        xy = basis @ self._polynomial
+        by_unit = np.stack([basis @ (by @ self._polynomial) for by in derivatives(QUINTIC)], axis=-1)
+        moments = (self.dual[:, :, None] * self.controls_unit[:, None, :]).reshape(-1, 4)
+        for variance, length in zip(self.kernel.variances_mm2, self.kernel.lengths, strict=True):
+            near = variance * squared_exponential(d2, length)
+            own = near @ self.dual
+            xy += own  # and d exp(-|a - b|² / 2 l²) / da is that times (b - a) / l²
+            by_unit += ((near @ moments).reshape(-1, 2, 2) - own[:, :, None] * at[:, None, :]) / length**2
+        return xy, by_unit
 
     @cached_property
     def _polynomial(self) -> np.ndarray:
-        """(21, 8): coefficients of the monomials in `_terms`: the cubic and the process's degrees 4 and 5."""
-        whole = monomials(self.controls_unit, QUINTIC) if self.basis is None else self.basis.monomials
-        out = np.zeros((whole.shape[1], 8))
-        out[:, :2] = self.kernel.quintic_of(whole, self.dual)
-        out[: len(self.cubic), :2] += self.cubic
-        for k, by in enumerate(derivatives(QUINTIC)):
-            out[:, 2 + k : 6 : 2] = by @ out[:, :2]
+        """(21, 2): coefficients of the monomials to degree 5: the cubic, and the process's polynomial."""
+        out = self.kernel.polynomial_part(self.controls_unit, self.dual)
+        out[: len(self.cubic)] += self.cubic
         return out
-
-    def _blocks(self, uv_px: np.ndarray) -> list[np.ndarray]:
-        """Return the unit coordinates in blocks, so that the kernel of millions of pixels is never held at once."""
-        rows = max(1, BLOCK // self._exponents.shape[1])
-        at = self.unit(uv_px)
-        return [at[k : k + rows] for k in range(0, max(len(at), 1), rows)]
 
     def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the pixels (M, 2) of the plane coordinates (N, 2) that have one, and which do, (N,) bool."""
@@ -165,13 +123,12 @@ class FittedSmoothMap(SmoothMap):
         per_px2 = 0.5 * (slopes**2).sum(axis=(1, 2))
         some = np.arange(n) if n <= LEARN_FROM else np.random.default_rng(0).permutation(n)[:LEARN_FROM]
         noise = per_px2 if noise_px is None else per_px2 * noise_px**2
-        data = PriorData(
-            Basis.of(at[some]), design[some], np.zeros((len(some), 2, 0)), xy_mm[some], noise[some], 0.0, radius
-        )
+        none_shared = np.zeros((len(some), 2, 0))
+        data = PriorData(at[some], design[some], none_shared, xy_mm[some], noise[some], 0.0, radius)
         learned = learn(data, NOISE_SCALES_PX if noise_px is None else None)
         covariance = learned.kernel(at, at) + np.diag(learned.noise_scale**2 * noise)
         solution = Kriging.of(design, covariance, xy_mm)
-        return FittedSmoothMap(unit, learned.kernel, solution.theta, solution.dual, uv_px, None, solution)
+        return FittedSmoothMap(unit, learned.kernel, solution.theta, solution.dual, uv_px, solution)
 
     def covariance_mm2(self, uv_px: np.ndarray) -> np.ndarray:
         """Return the posterior covariance (N, N), mm², of one plane coordinate at pixels (N, 2).

@@ -21,13 +21,12 @@ import numpy as np
 
 from sightline.calibration.line_errors import LineErrors
 from sightline.calibration.maps.polynomial import Affine, derivatives, monomials, terms
-from sightline.calibration.maps.prior import NOISE_SCALES_PX, Basis, Learned, PriorData, learn
+from sightline.calibration.maps.prior import NOISE_SCALES_PX, Learned, PriorData, learn
 from sightline.calibration.maps.smooth import DEGREE, SmoothMap
 from sightline.calibration.maps.well_conditioned import well_conditioned
 from sightline.calibration.plates.beads import Beads
 from sightline.calibration.projection import Pencil, refuse_misplaced
 from sightline.errors import CalibrationRefusedError
-from sightline.fitting.dense import fast
 from sightline.fitting.kriging import Kriging, PlanarKriging
 from sightline.fitting.triangular import cholesky, least_squares, minimum_norm, solve_lower
 from sightline.threads import one_blas_thread
@@ -71,12 +70,14 @@ class JointFit:
         noise = x * self.noise[:, 0, 0] @ x.T + y * self.noise[:, 1, 1] @ y.T
         mixed = x * self.noise[:, 0, 1] @ y.T
         noise += mixed + mixed.T
-        frame_factor = -self._frame_errors.carried(weights, x, y)
+        frame_factor = -weights @ self._frame_response
         return LineErrors(noise, _without_negative(total - noise - frame_factor @ frame_factor.T), frame_factor)
 
     @cached_property
-    def _frame_errors(self) -> "_FrameErrors":
-        return _FrameErrors.of(self.beads.frame_factor(), self.jacobian)
+    def _frame_response(self) -> np.ndarray:
+        """(2N, K): response of the data to the unit-variance errors of `Frame.error_factor`."""
+        by_bead = self.beads.frame_factor().reshape(len(self.beads), 3, -1)
+        return (self.jacobian @ by_bead).reshape(2 * len(self.beads), -1)
 
     def prediction_sigma(self, others: Beads) -> np.ndarray:
         """Return (M,): Mahalanobis distances of other beads from their predictions (two degrees of freedom each)."""
@@ -94,41 +95,6 @@ class JointFit:
         return np.sqrt(np.einsum("ia,ia->i", residual, np.linalg.solve(own, residual[..., None])[..., 0]))
 
 
-@dataclass(frozen=True, eq=False)
-class _FrameErrors:
-    """Response of the data of N beads to the `count` unit-variance errors of `Frame.error_factor`.
-
-    Most of these move one bead alone: `of_one` (E,): which, `bead` (E,): whose, `each` (2, E): the response of its x
-    and y. `of_many` (C,): which the others are that the data feel, `shared` (2N, C): the response to them.
-    """
-
-    count: int
-    of_one: np.ndarray
-    bead: np.ndarray
-    each: np.ndarray
-    of_many: np.ndarray
-    shared: np.ndarray
-
-    @staticmethod
-    def of(factor: np.ndarray, jacobian: np.ndarray) -> "_FrameErrors":
-        """Return the response from the beads' rows (3N, K) of the factor, and d data / d beads (N, 2, 3)."""
-        by_bead = factor.reshape(len(jacobian), 3, -1)
-        moved = np.any(by_bead, axis=1)
-        beads_moved = moved.sum(axis=0)
-        of_one, of_many = (np.flatnonzero(found) for found in (beads_moved == 1, beads_moved > 1))
-        bead = moved[:, of_one].argmax(axis=0)
-        each = np.einsum("eab,eb->ae", jacobian[bead], by_bead[bead, :, of_one])
-        shared = (jacobian @ by_bead[:, :, of_many]).reshape(2 * len(jacobian), len(of_many))
-        return _FrameErrors(factor.shape[1], of_one, bead, each, of_many, shared)
-
-    def carried(self, weights: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the response (k, K) of numbers that are `weights` (k, 2N) @ data; `x`, `y` (k, N): of its x and y."""
-        out = np.zeros((len(weights), self.count))
-        out[:, self.of_one] = x[:, self.bead] * self.each[0] + y[:, self.bead] * self.each[1]
-        out[:, self.of_many] = weights @ self.shared
-        return out
-
-
 @well_conditioned()
 def fit_jointly(beads: Beads) -> JointFit:
     """Return plane map and focal point of the beads. Raises CalibrationRefusedError."""
@@ -138,47 +104,39 @@ def fit_jointly(beads: Beads) -> JointFit:
             "60 or more are good: move the frame into the field, or use the localized method"
         )
     start = _Start.of(beads, _Start.of(beads, _first_pencil(beads)).pencil)
-    data = _prior_data(beads, start)
+    data = _prior_data(start)
     learned = learn(data, NOISE_SCALES_PX if beads.covariance_px2 is None else None)
-    kernel = learned.kernel.within(data.basis)
-    pencil, plane_map = _isotropic_step(beads, start, data, learned, kernel)
-    slopes = plane_map.jacobian(beads.uv_px)
-    return _weighted_step(beads, start.unit, learned, data.basis, kernel, pencil, slopes)
+    kernel = learned.kernel(start.at, start.at)
+    pencil, plane_map = _isotropic_step(start, data, learned, kernel)
+    return _weighted_step(start, learned, kernel, pencil, plane_map.jacobian(beads.uv_px))
 
 
-def _isotropic_step(
-    beads: Beads, start: "_Start", data: PriorData, learned: Learned, kernel: np.ndarray
-) -> tuple[Pencil, SmoothMap]:
+def _isotropic_step(start: "_Start", data: PriorData, learned: Learned, kernel: np.ndarray) -> tuple[Pencil, SmoothMap]:
     """Make one Gauss-Newton step with isotropic noise: x and y share one matrix, of a quarter of the size."""
     covariance = kernel.copy()
     np.einsum("ii->i", covariance)[:] += learned.noise_scale**2 * data.noise_mm2 + data.frame_mm2
     solution = PlanarKriging.of(covariance, data.data_mm, design=data.design, columns=data.shared)
+    beads = start.beads
     moved = Pencil(beads.plane, start.pencil.pq - np.append(solution.theta[-1], solution.shared))
     refuse_misplaced(moved, beads.xyz_mm)
-    return moved, SmoothMap(start.unit, learned.kernel, solution.theta[:-1], solution.dual, beads.uv_px, data.basis)
+    return moved, SmoothMap(start.unit, learned.kernel, solution.theta[:-1], solution.dual, beads.uv_px)
 
 
-def _weighted_step(  # noqa: PLR0917
-    beads: Beads,
-    unit: Affine,
-    learned: Learned,
-    basis: Basis,
-    kernel: np.ndarray,
-    pencil: Pencil,
-    slopes: np.ndarray,
+def _weighted_step(
+    start: "_Start", learned: Learned, kernel: np.ndarray, pencil: Pencil, slopes: np.ndarray
 ) -> JointFit:
     """Make one Gauss-Newton step with full weights; a second changes the result negligibly (tests)."""
-    y, by_pq, jacobian = pencil.expanded(beads.xyz_mm)
+    beads = start.beads
+    (y, jacobian, _), by_pq = pencil.projected(beads.xyz_mm), pencil.by_pq(beads.xyz_mm)
     noise = pixel_noise_mm2(beads, slopes, learned.noise_scale)
-    covariance = _propagated(beads, jacobian, noise, kernel)
-    design = np.concatenate([twice(basis.monomials[:, :_CUBIC]), -by_pq.reshape(-1, 3)], axis=1)
+    covariance = _propagated(beads, jacobian) + twice(kernel) + diagonal(noise)
+    design = np.concatenate([twice(start.basis), -by_pq.reshape(-1, 3)], axis=1)
     solution = Kriging.of(design, covariance, y.reshape(-1, 1))
     theta = solution.theta[:, 0]
     moved = Pencil(beads.plane, pencil.pq + theta[-3:])
     refuse_misplaced(moved, beads.xyz_mm)
-    plane_map = SmoothMap(
-        unit, learned.kernel, theta[:-3].reshape(_CUBIC, 2), solution.dual.reshape(-1, 2), beads.uv_px, basis
-    )
+    cubic, dual = theta[:-3].reshape(_CUBIC, 2), solution.dual.reshape(-1, 2)
+    plane_map = SmoothMap(start.unit, learned.kernel, cubic, dual, beads.uv_px)
     return JointFit(beads, moved, plane_map, learned, solution, y.reshape(-1), noise, jacobian)
 
 
@@ -191,6 +149,7 @@ class _Start:
     `design` (2N, 23): the design matrix, and `r` (23, 23) the lower factor of its normal equations.
     """
 
+    beads: Beads
     unit: Affine
     radius_mm: float
     at: np.ndarray
@@ -203,7 +162,7 @@ class _Start:
     @staticmethod
     def of(beads: Beads, pencil: Pencil) -> "_Start":
         """Return the result of one Gauss-Newton step from `pencil`."""
-        y, by_pq = pencil.linearised(beads.xyz_mm)
+        y, by_pq = pencil.project(beads.xyz_mm), pencil.by_pq(beads.xyz_mm)
         unit, radius = Affine.fit(beads.uv_px, y)
         at = unit(beads.uv_px)
         basis = monomials(at, DEGREE)
@@ -211,7 +170,7 @@ class _Start:
         theta, r = least_squares(design, y.reshape(-1))
         moved = Pencil(beads.plane, pencil.pq + theta[-3:])
         refuse_misplaced(moved, beads.xyz_mm)
-        return _Start(unit, radius, at, basis, moved, theta[:-3].reshape(_CUBIC, 2), design, r)
+        return _Start(beads, unit, radius, at, basis, moved, theta[:-3].reshape(_CUBIC, 2), design, r)
 
     def slopes(self) -> np.ndarray:
         """Return the derivative (N, 2, 2) of the cubic by the pixel, mm/px."""
@@ -241,14 +200,15 @@ def _first_pencil(beads: Beads) -> Pencil:
     return Pencil(plane, minimum_norm(design.reshape(-1, 3), (y - x).reshape(-1, 1))[:, 0])
 
 
-def _prior_data(beads: Beads, start: _Start) -> PriorData:
+def _prior_data(start: _Start) -> PriorData:
     """Return the data from which kernel and noise scale are learned, with isotropic noise for each bead."""
-    y, by_pq, by_point = start.pencil.expanded(beads.xyz_mm)
+    beads = start.beads
+    (y, by_point, _), by_pq = start.pencil.projected(beads.xyz_mm), start.pencil.by_pq(beads.xyz_mm)
     noise = pixel_noise_mm2(beads, start.slopes(), 1.0)
     own = (noise[:, 0, 0] + noise[:, 1, 1]) / 2
     frame_mm2 = _frame_variance(beads, by_point, start.fixed())
     common = np.column_stack([start.basis, by_pq[:, 0, 0]])
-    return PriorData(Basis.of(start.at), common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
+    return PriorData(start.at, common, by_pq[:, :, 2:], y, own, frame_mm2, start.radius_mm)
 
 
 def _frame_variance(beads: Beads, jacobian: np.ndarray, fixed: np.ndarray) -> float:
@@ -281,39 +241,12 @@ def diagonal(blocks: np.ndarray) -> np.ndarray:
     return out.reshape(2 * n, 2 * n)
 
 
-def _propagated(
-    beads: Beads, jacobian: np.ndarray, noise: np.ndarray | None = None, kernel: np.ndarray | None = None
-) -> np.ndarray:
-    """Return the covariance (2N, 2N), mm², of J x for the errors x of the beads in the frame, and J (N, 2, 3).
-
-    With that of their `noise` (N, 2, 2), and of a `kernel` (N, N) for either coordinate.
-    """
-    n = len(beads)
-    out = np.empty((2 * n, 2 * n))
-    noise = np.zeros((n, 2, 2)) if noise is None else noise
-    kernel = np.zeros((n, n)) if kernel is None else kernel
-    _fill_propagated(beads.frame_covariance, beads.rows, np.ascontiguousarray(jacobian), noise, kernel, out)
-    return out
-
-
-@fast
-def _fill_propagated(covariance, rows, jacobian, noise, kernel, out):  # noqa: PLR0917 - a kernel
-    """Fill `out` from the covariance (3M, 3M) of all beads of the view, of which the rows, in order, are used."""
-    half = np.empty((2, len(covariance)))
-    for i in range(len(rows)):
-        first = 3 * rows[i]
-        for a in range(2):
-            x, y, z = jacobian[i, a, 0], jacobian[i, a, 1], jacobian[i, a, 2]
-            for k in range(first + 3):
-                half[a, k] = x * covariance[first, k] + y * covariance[first + 1, k] + z * covariance[first + 2, k]
-        for j in range(i + 1):
-            k = 3 * rows[j]
-            for a in range(2):
-                for c in range(2):
-                    value = half[a, k] * jacobian[j, c, 0] + half[a, k + 1] * jacobian[j, c, 1]
-                    value += half[a, k + 2] * jacobian[j, c, 2] + (kernel[i, j] if a == c else 0.0)
-                    value += noise[i, a, c] if i == j else 0.0
-                    out[2 * i + a, 2 * j + c] = out[2 * j + c, 2 * i + a] = value
+def _propagated(beads: Beads, jacobian: np.ndarray) -> np.ndarray:
+    """Return the covariance (2N, 2N), mm², of J x for the errors x of the beads in the frame, and J (N, 2, 3)."""
+    rows = (3 * beads.rows[:, None] + np.arange(3)).ravel()
+    covariance = beads.frame_covariance[np.ix_(rows, rows)].reshape(len(jacobian), 3, -1)
+    half = (jacobian @ covariance).reshape(-1, len(jacobian), 3)
+    return (half.transpose(1, 0, 2) @ jacobian.transpose(0, 2, 1)).transpose(1, 0, 2).reshape(len(half), -1)
 
 
 def twice(matrix: np.ndarray) -> np.ndarray:

@@ -199,8 +199,7 @@ def _eliminated(image: _Image, pencil: Pencil, errors: np.ndarray) -> tuple[np.n
     """Return whitened data (2N,) and response (2N, 3N) to the beads' errors with cubic and focal point eliminated, and
     the back-substitution (23, 1 + 3N) from (1, errors) to cubic and focal point."""
     xyz = image.beads.xyz_mm + errors.reshape(-1, 3)
-    y, by_pq = pencil.linearised(xyz)
-    by_point = pencil.by_point(xyz)
+    (y, by_point, _), by_pq = pencil.projected(xyz), pencil.by_pq(xyz)
     n = len(xyz)
     response = np.zeros((n, 2, n, 3))
     response[range(n), :, range(n), :] = -by_point

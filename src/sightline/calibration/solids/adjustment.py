@@ -120,18 +120,28 @@ class SolidAdjustment:
 
 def adjust(solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera]) -> SolidAdjustment:
     """Return the adjustment of images, begun at approximate cameras. Raises CalibrationRefusedError."""
+    fit, converged = iterated(solid, images, cameras)
+    if not converged:
+        raise CalibrationRefusedError(
+            "the balls' images do not determine the views: the adjustment does not converge; check the labels, that "
+            "the frame file describes the solid in the images, and that they are a flat panel's: an image intensifier "
+            "needs a plate on the detector"
+        )
+    return fit
+
+
+def iterated(
+    solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera]
+) -> tuple[SolidAdjustment, bool]:
+    """Return the adjustment after at most _STEPS, and whether it converged."""
     now = _linearised(solid, images, cameras, np.zeros(solid.factor.shape[1]))
     for _ in range(_STEPS):
         step = now.gain @ now.residual
         better = None if now.residual @ (now.design @ step) <= _CONVERGED else _shortened(now, step)
         if better is None:
-            return now
+            return now, True
         now = better
-    raise CalibrationRefusedError(
-        "the balls' images do not determine the views: the adjustment does not converge; check the labels, that the "
-        "frame file describes the solid in the images, and that they are a flat panel's: an image intensifier needs a "
-        "plate on the detector"
-    )
+    return now, False
 
 
 def _shortened(now: SolidAdjustment, step: np.ndarray) -> SolidAdjustment | None:

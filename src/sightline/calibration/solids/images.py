@@ -7,25 +7,11 @@ from typing import Self
 import numpy as np
 
 from sightline.calibration.maps.hull import Hull
-from sightline.calibration.solids.panel_camera import PARAMETERS, PanelCamera
+from sightline.calibration.solids.panel_camera import PARAMETERS, PanelCamera, PanelPrior
 from sightline.calibration.view import PlaneMap
 from sightline.geometry.planes import Plane
 
 MIN_BALLS = 6  # of the solid in one image: 9 unknowns of its camera, two equations for each ball [ours]
-
-
-@dataclass(frozen=True)
-class PanelPrior:
-    """What is known of a panel before its image is calibrated, with standard deviations.
-
-    `focal_px` and `focal_share`, relative; `centre_px` (u, v) and `centre_sd_px`, per axis. Of an intensifier all are
-    mm on its plate.
-    """
-
-    focal_px: float
-    focal_share: float
-    centre_px: tuple[float, float]
-    centre_sd_px: float
 
 
 @dataclass(frozen=True, eq=False)

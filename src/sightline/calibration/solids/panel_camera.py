@@ -5,12 +5,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.calibration.matrix_view import HomographyMap
-from sightline.fitting.pinhole import Camera
 from sightline.geometry.planes import Plane
 from sightline.geometry.rigid import cross_matrix
 
 PARAMETERS = 9  # rotation vector of the camera (rad), translation (mm), log focal length, principal point (px)
 FOCAL, CENTRE = 6, slice(7, 9)  # their places among the parameters
+
+
+@dataclass(frozen=True)
+class PanelPrior:
+    """What is known of a panel before its image is calibrated, with standard deviations.
+
+    `focal_px` and `focal_share`, relative; `centre_px` (u, v) and `centre_sd_px`, per axis. Of an intensifier all are
+    mm on its plate.
+    """
+
+    focal_px: float
+    focal_share: float
+    centre_px: tuple[float, float]
+    centre_sd_px: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,23 +56,33 @@ class PanelCamera:
         return inner @ np.column_stack([self.rotation, self.translation_mm])
 
     @staticmethod
-    def of(camera: Camera, *, mirrored: bool) -> "PanelCamera":
-        """Return a camera that was fitted to an image or, with the signs of its u reversed, to a mirrored one."""
-        matrix, middle_mm, (u, v, log_scale, log_focal, *principal) = camera
-        focal = float(np.exp(log_focal))
-        at_mm = np.array([u - principal[0], v - principal[1], focal]) / np.exp(log_scale)
-        centre = np.array(principal) * [-1.0 if mirrored else 1.0, 1.0]
-        return PanelCamera(matrix, at_mm - matrix @ middle_mm, focal, centre, mirrored)
+    def orthographic(prior: PanelPrior, xyz_mm: np.ndarray, uv_px: np.ndarray, *, mirrored: bool) -> "PanelCamera":
+        """Return the camera whose scaled orthography is nearest to images (N, 2) of points (N, 3), to begin with."""
+        sign, centre = np.array([-1.0 if mirrored else 1.0, 1.0]), np.array(prior.centre_px)
+        middle, at = xyz_mm.mean(axis=0), uv_px.mean(axis=0)
+        affine = np.linalg.lstsq(xyz_mm - middle, sign * (uv_px - at), rcond=None)[0].T
+        left, scales, right = np.linalg.svd(affine, full_matrices=False)
+        rows = left @ right
+        rotation = np.vstack([rows, np.cross(rows[0], rows[1])])
+        at_mm = np.append(sign * (at - centre), prior.focal_px) / scales.mean()
+        return PanelCamera(rotation, at_mm - rotation @ middle, prior.focal_px, centre, mirrored)
 
     def moved(self, step: np.ndarray) -> "PanelCamera":
-        """Return the camera with its parameters changed by `step` (9,); the rotation acts in camera axes."""
+        """Return the camera with its parameters changed by `step` (9,); the rotation acts in camera axes.
+
+        The translation is changed to first order: the origin's pixel linearly and its depth in proportion, as the focal
+        length is. A long step thus keeps the scale of the image, which a linear one would not.
+        """
         from scipy.spatial.transform import Rotation  # here: views of plates do not need it, and it takes 6 MB
 
+        grown, deeper = float(np.exp(step[FOCAL])), step[5] / self.translation_mm[2]
+        across = self.translation_mm[:2] * (1.0 - deeper + step[FOCAL]) + step[3:5]
+        depth = float(np.exp(deeper))
         return replace(
             self,
             rotation=Rotation.from_rotvec(step[:3]).as_matrix() @ self.rotation,
-            translation_mm=self.translation_mm + step[3:6],
-            focal_px=self.focal_px * float(np.exp(step[FOCAL])),
+            translation_mm=np.append(across * depth / grown, self.translation_mm[2] * depth),
+            focal_px=self.focal_px * grown,
             centre_px=self.centre_px + step[CENTRE],
         )
 

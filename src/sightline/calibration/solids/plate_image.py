@@ -152,7 +152,7 @@ class DetectorPlateImage(SolidImage):
         shadows = self.shadows(camera, solid, e, self.rows)
         solution = Kriging.of(self._design, self._covariance, shadows.at.reshape(-1, 1))
         cubic, dual = solution.theta.reshape(-1, 2), solution.dual.reshape(-1, 2)
-        return FittedSmoothMap(self.start.unit, self.start.kernel, cubic, dual, self.uv_px, None, solution)
+        return FittedSmoothMap(self.start.unit, self.start.kernel, cubic, dual, self.uv_px, solution)
 
     def traced(self, camera: PanelCamera, solid: SolidBalls, e: np.ndarray, uv_px: np.ndarray) -> Traced:
         """Return the places of pixels (N, 2) on the plate's plane, mm."""

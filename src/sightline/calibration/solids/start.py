@@ -7,13 +7,13 @@ import numpy as np
 from sightline.calibration.maps.hull import refuse_collinear
 from sightline.calibration.maps.polynomial import Affine
 from sightline.calibration.maps.smooth import FittedSmoothMap
-from sightline.calibration.solids.images import MIN_BALLS, PanelPrior, SolidBalls, SolidImage
-from sightline.calibration.solids.panel_camera import PanelCamera
+from sightline.calibration.solids.adjustment import iterated
+from sightline.calibration.solids.images import MIN_BALLS, SolidBalls, SolidImage
+from sightline.calibration.solids.panel_camera import PanelCamera, PanelPrior
 from sightline.calibration.solids.plate_image import MIN_PLATE_BALLS, DetectorPlateImage
 from sightline.calibration.view_checks.focal_length import CArm
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
-from sightline.fitting.pinhole import Prior, fit, orthographic
 from sightline.frame import Frame
 from sightline.geometry.planes import Plane
 
@@ -27,7 +27,6 @@ CENTRE_SHARE = CENTRE_SD_MM / 200.0  # of the image's width, for the smallest pa
 UNKNOWN_NOISE_PX = 0.5  # where none is stated: a careful click (physics.md, Picks)
 # Difference of chi-square between an image and its mirror image that decides [ours]: odds of e^12 to 1.
 MIRROR_EVIDENCE = 25.0
-FIRST_FITS = 3  # of four steps [ours]; one suffices, but not for the wrong handedness
 # Of a plate on the detector: the middle of the beam is this far from its own, per axis [ours]: 5 mm as of a panel, 3 mm
 # and 0.3° by which it is put on askew. A C-arm that states no distance has 0.9 to 1.2 m.
 PLATE_CENTRE_SD_MM = 8.0
@@ -112,8 +111,7 @@ def first_camera(solid: SolidBalls, seen: SolidImage, view: str) -> PanelCamera:
     """Return an approximate camera, mirrored where the image shows the solid as its mirror image.
 
     Only perspective tells: without it a mirrored image is the solid seen from the other side. On a plate, whose z
-    points towards the source, the camera is always mirrored. The balls' errors count as noise here.
-    Raises CalibrationRefusedError.
+    points towards the source, the camera is always mirrored. Raises CalibrationRefusedError.
     """
     image = seen.undistorted()
     (plain, plain_chi2), (mirrored, mirrored_chi2) = (_fitted(solid, image, mirrored=one) for one in (False, True))
@@ -134,18 +132,15 @@ def first_camera(solid: SolidBalls, seen: SolidImage, view: str) -> PanelCamera:
 
 
 def _fitted(solid: SolidBalls, image: SolidImage, *, mirrored: bool) -> tuple[PanelCamera, float]:
-    """Return the camera of one handedness that fits an image best, and its chi-square, infinite if it diverges."""
-    sign, known = np.array([-1.0 if mirrored else 1.0, 1.0]), image.prior
-    prior = Prior(np.log(known.focal_px), known.focal_share, sign * known.centre_px, known.centre_sd_px)
-    xyz, uv = solid.xyz_mm[image.rows], sign * image.uv_px
-    camera = orthographic(prior, xyz, uv)
-    errors_px = np.exp(camera.numbers[2]) * solid.error_mm
-    noise = sign[:, None] * image.covariance_px2 * sign + errors_px**2 * np.eye(2)
-    chi2 = np.inf
+    """Return the camera of one handedness that fits an image best, and its chi-square, infinite if there is none.
+
+    Of the wrong handedness the last steps may gain too little to converge: its chi-square is as good as the least.
+    """
+    start = PanelCamera.orthographic(image.prior, solid.xyz_mm[image.rows], image.uv_px, mirrored=mirrored)
     with suppress(np.linalg.LinAlgError):
-        for _ in range(FIRST_FITS):
-            camera, _, chi2, _ = fit(camera, prior, xyz, uv, noise)
-    return PanelCamera.of(camera, mirrored=mirrored), chi2 if np.isfinite(chi2) else np.inf
+        fit, _ = iterated(solid, [image], [start])
+        return fit.cameras[0], fit.chi_square
+    return start, np.inf
 
 
 def rows_of(seen: Observations, frame: Frame) -> np.ndarray:

@@ -4,8 +4,6 @@ The checks of this module do not judge a view by its focal point alone: if F is 
 error at the target can be below 0.2 mm.
 """
 
-from functools import lru_cache
-
 import numpy as np
 from scipy.special import chdtri
 
@@ -145,7 +143,9 @@ def _count(count: int) -> Check:
 
 
 def _coverage(used: Beads) -> Check:
-    shares = _coverage_shares(used.frame, used.view, used.rows.tobytes())
+    plates, shares = used.frame.view(used.view), {}
+    for name, plate, own in (("XRII", plates.xrii, used.on_xrii), ("source", plates.source, ~used.on_xrii)):
+        shares[name] = _area_mm2(plate.plane, used.xyz_mm[own]) / _area_mm2(plate.plane, plate.xyz_mm)
     smallest = min(shares, key=lambda name: shares[name])
     share = float(shares[smallest])
     sentence = f"The beads used span {share:.0%} of the {smallest} plate" + (
@@ -154,27 +154,9 @@ def _coverage(used: Beads) -> Check:
     return Check("bead coverage", share >= MIN_COVERAGE, share, MIN_COVERAGE, "", sentence)
 
 
-@lru_cache(maxsize=64)
-def _coverage_shares(frame: Frame, view: str, rows: bytes) -> dict[str, float]:
-    """Return the share of each plate's area within the convex hull of the beads `rows` (int), in the frame."""
-    used, plates, first, shares = np.frombuffer(rows, dtype=int), frame.view(view), 0, {}
-    for name, plate in (("XRII", plates.xrii), ("source", plates.source)):
-        own = used[(used >= first) & (used < first + len(plate.fiducials))] - first
-        first += len(plate.fiducials)
-        shares[name] = _area_mm2(plate.plane, plate.xyz_mm[own]) / _plate_areas_mm2(frame, view)[name]
-    return shares
-
-
 def _area_mm2(plane: Plane, xyz_mm: np.ndarray) -> float:
     xy = plane.to_plane(xyz_mm)
     return enclosed_area(xy[convex_hull(xy)])
-
-
-@lru_cache(maxsize=16)
-def _plate_areas_mm2(frame: Frame, view: str) -> dict[str, float]:
-    """Return the areas of a view's plates, the same for every image of the frame."""
-    plates = {"XRII": frame.view(view).xrii, "source": frame.view(view).source}
-    return {name: _area_mm2(plate.plane, plate.xyz_mm) for name, plate in plates.items()}
 
 
 def leave_one_out_check(residuals: Residuals) -> Check:

@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 
 from sightline.fitting.kernels import distances
-from sightline.kernels import kernel
 
 # Unlabelled detections beside missing beads, all by one shift along the rows: so many are a strip of shifted rows. Of
 # 28 detections and 20 missing beads at random places six agree in fewer than one of a million images [calc].
@@ -80,9 +79,15 @@ class Support:
 
     def _counted(self, uv_px: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Return `near` of pixels (N, 2) where the beads `seen` (E,) and the used ones are expected."""
-        stray = np.zeros((0, 2)) if self.stray_px is None else self.stray_px
-        used, beside, count = _nearest(uv_px, self.places_px, seen | self.used, self.used, stray)
-        hidden = np.zeros_like(used) if self.stray_px is None else np.maximum(count - used - beside, 0)
+        expected = np.flatnonzero(seen | self.used)
+        away, count = distances(uv_px, self.places_px[expected]), min(len(expected), NEIGHBOURS)
+        near = away.argsort(axis=1)[:, :count]
+        used = self.used[expected[near]].sum(axis=1)
+        hidden = np.zeros_like(used)
+        if self.stray_px is not None:
+            reach = np.take_along_axis(away, near, axis=1).max(axis=1, initial=0.0)
+            beside = (distances(uv_px, self.stray_px) <= reach[:, None]).sum(axis=1)
+            hidden = np.maximum(count - used - beside, 0)
         return np.stack([used, hidden, np.full_like(used, count)], axis=1)
 
     def strip_shift_px(self) -> float | None:
@@ -100,35 +105,6 @@ class Support:
         count = np.minimum(together.any(axis=1).sum(axis=1), together.any(axis=2).sum(axis=1))
         best = int(count.argmax())
         return float(np.median(shift[together[best]])) if count[best] >= MIN_STRIP else None
-
-
-@kernel(nogil=True)
-def _nearest(uv, places, expected, used, stray):
-    """Return for each pixel (N, 2) how many of the NEIGHBOURS nearest beads `expected` are `used` (N,); how many of
-    `stray` (M, 2) are no farther away than these (N,); and how many beads they are."""
-    count = 0
-    for k in range(len(expected)):
-        count += expected[k] and count < NEIGHBOURS
-    found, beside = np.zeros(len(uv), dtype=np.int64), np.zeros(len(uv), dtype=np.int64)
-    near, which = np.empty(count + 1), np.empty(count + 1, dtype=np.int64)
-    for i in range(len(uv)):
-        full = 0
-        for k in range(len(places)):
-            if not expected[k]:
-                continue
-            away = np.sqrt((uv[i, 0] - places[k, 0]) ** 2 + (uv[i, 1] - places[k, 1]) ** 2)
-            at = full
-            while at > 0 and near[at - 1] > away:
-                near[at], which[at] = near[at - 1], which[at - 1]
-                at -= 1
-            near[at], which[at] = away, k
-            full = min(full + 1, count)
-        for k in range(count):
-            found[i] += used[which[k]]
-        reach = near[count - 1] if count else 0.0
-        for k in range(len(stray)):
-            beside[i] += np.sqrt((uv[i, 0] - stray[k, 0]) ** 2 + (uv[i, 1] - stray[k, 1]) ** 2) <= reach
-    return found, beside, count
 
 
 def _sides(corners_px: np.ndarray) -> np.ndarray | None:

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import gammaln
 
-from sightline.fitting.pinhole import PARAMETERS, Fit, Prior
+from sightline.detection.labelling.pinhole import PARAMETERS, Fit, Prior
 
 PRINCIPAL_SD = 0.1  # of the principal point about the image's middle, over the longer side: cropped images [ours]
 LOG_SCALES = 3.0  # range of the log scale: 0.5 to 10 px/mm [ours]

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.detection.labelling.cloud_evidence import log_evidence
 from sightline.detection.labelling.cloud_kernels import RADIUS_RATIO
 from sightline.detection.labelling.cloud_search import Hypothesis, Problem, sign_of
-from sightline.fitting.pinhole import Camera, Fit, fit, project
+from sightline.detection.labelling.pinhole import Camera, Fit, fit, project
 
 GATE_M2 = 13.8  # 99.9 % of chi-square with two degrees of freedom [calc]
 GATE_SD_PX = 4.0  # largest s.d. for which a gate is looked at, px [ours]

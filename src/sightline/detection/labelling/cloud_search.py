@@ -20,8 +20,8 @@ from sightline.detection.labelling.cloud_kernels import (
     nearest_table,
     search,
 )
+from sightline.detection.labelling.pinhole import Prior
 from sightline.detection.results import Detections
-from sightline.fitting.pinhole import Prior
 from sightline.fitting.robust import median
 
 GATE_MM, MIN_GATE_PX = 0.8, 3.0  # of a hypothesis from three detections: errors of their centres, amplified [ours]

@@ -1,6 +1,6 @@
-"""A pinhole camera with square pixels and its least-squares fit to points, fast enough to try many.
+"""A pinhole camera with square pixels and its least-squares fit to balls, fast enough to try many.
 
-Labelling tries hypotheses with it, and the calibration of a solid begins with it.
+Labelling tries hypotheses with it; a solid is calibrated with the camera of `calibration.solids.panel_camera`.
 """
 
 from typing import NamedTuple
@@ -128,13 +128,3 @@ def fit(camera, prior, xyz_mm, uv_px, variance_px2):
         camera = Camera(_rotated(camera.matrix, step[:3]), camera.middle_mm, camera.numbers + step[3:])
         precision, gradient, chi2, half_log_det = _normal_equations(camera, prior, xyz_mm, uv_px, variance_px2)
     return Fit(camera, precision, chi2, half_log_det)
-
-
-def orthographic(prior: Prior, xyz_mm: np.ndarray, uv_px: np.ndarray) -> Camera:
-    """Return the camera whose scaled orthography is nearest to the images (n, 2) of points (n, 3), to begin with."""
-    middle = xyz_mm.mean(axis=0)
-    affine = np.linalg.lstsq(xyz_mm - middle, uv_px - uv_px.mean(axis=0), rcond=None)[0].T  # (2, 3)
-    left, size, right = np.linalg.svd(affine, full_matrices=False)
-    rows = left @ right
-    numbers = np.array([*uv_px.mean(axis=0), np.log(size.mean()), prior.log_focal, *prior.principal_px])
-    return Camera(np.vstack([rows, np.cross(rows[0], rows[1])]), middle, numbers)
