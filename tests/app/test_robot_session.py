@@ -29,7 +29,7 @@ from sightline.robot.control.states import State
 from sightline.robot.kinematics.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, PLAN_SD_MM
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.link.client import RobotClient
-from sightline.robot.link.server import RobotServer
+from sightline.robot.link.server import RobotServer, Simulation
 
 
 @pytest.fixture
@@ -138,7 +138,7 @@ def paused() -> Iterator[RobotSession]:
         assert controller.machine.insertion is not None
         plant.zero_mm = float(controller.machine.insertion.q[FEED])
 
-    with RobotServer(controller, plant, port=0, advance=plant.advance, virtual=True) as server:
+    with RobotServer(controller, plant, Simulation(plant.advance, virtual=True), port=0) as server:
         session = RobotSession(ROBOT, server.port, lambda: None, heartbeat=False)
         asyncio.run(session._do("aiming", ready))
         assert session.now.zero == (ZeroSource.PLAN,)

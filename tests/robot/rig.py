@@ -19,7 +19,7 @@ from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.link import client, exchange, stop_channel
 from sightline.robot.link.dialect import SIGHTLINE, Dialect
 from sightline.robot.link.dialogue import Dialogue
-from sightline.robot.link.server import RobotServer
+from sightline.robot.link.server import RobotServer, Simulation
 from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
 from sightline.twin.robot.plant import SimulatedPlant
 
@@ -233,7 +233,7 @@ def served(
         for module in (client, exchange, stop_channel):
             stack.enter_context(patch.object(module, "ACK_S", BUSY_S))
             stack.enter_context(patch.object(module, "STATUS_S", BUSY_S))
-        server = stack.enter_context(RobotServer(controller, moved, port=port, advance=advance, virtual=virtual))
+        server = stack.enter_context(RobotServer(controller, moved, Simulation(advance, virtual), port=port))
         yield server
 
 

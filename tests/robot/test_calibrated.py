@@ -22,17 +22,16 @@ IMAGED = np.array([-12.0, 15.0, 0.75, -0.05, 0.0])
 TARGETS_MM = np.array([[40.0, 10.0, -20.0], [-35.0, 25.0, 30.0], [5.0, -50.0, 60.0]])
 
 
-@pytest.mark.slow
 def test_the_wire_errs_as_stated():
     robot, rng = calibrated_robot(), np.random.default_rng(1)
     manipulator = robot.manipulator
     wire = manipulator.T_mcs_tool(READY).apply([[0.0, 0.0, -95.0], [0.0, 0.0, 0.0]])
     stated = robot.wire_against_frame(IMAGED, READY, wire)
     covariance = np.sum([stated[source] for source in SOURCES], axis=0)
-    errors = np.array([_off(robot, true_manipulator(robot, rng), wire, rng) for _ in range(1000)])
+    errors = np.array([_off(robot, true_manipulator(robot, rng), wire, rng) for _ in range(200)])
     values, axes = np.linalg.eigh(covariance)
     ratio = (errors @ axes[:, 1:]).var(axis=0) / values[1:]  # 5: the wire is rigid, its length does not err
-    assert np.abs(ratio - 1).max() < 0.18  # 4 s.d. of a variance of 1,000
+    assert np.abs(ratio - 1).max() < 0.4  # 4 s.d. of a variance of 200
     assert values[0] < 1e-3 * values[1]
 
 
@@ -83,12 +82,11 @@ def wire_in_frame(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
     return (manipulator.T_mcs_cfcs(q).inv() * manipulator.T_mcs_tool(q)).apply(SEEN_MM)
 
 
-@pytest.mark.slow
 def test_a_wire_seen_beside_the_frame_covers_as_stated():
-    """Frame and wire as images of 0.1 mm correct them, against the truth: 1,000 robots, each at joints of its own."""
+    """Frame and wire as images of 0.1 mm correct them, against the truth: 150 robots, each at joints of its own."""
     robot, rng, image_mm = calibrated_robot(), np.random.default_rng(7), 0.1
     covered, bounds, before = [], [], []
-    for _ in range(1000):
+    for _ in range(150):
         true, q = true_manipulator(robot, rng), IMAGED + np.array([20.0, 20.0, 0.1, 0.1, 40.0]) * rng.uniform(0, 1, 5)
         fed = q + np.array([0, 0, 0, 0, robot.joint_sd[4]]) * np.sqrt(3) * rng.uniform(-1, 1, 5)
         slid = np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)])  # the point is not known along the wire
@@ -105,14 +103,13 @@ def test_a_wire_seen_beside_the_frame_covers_as_stated():
         covered.append([np.linalg.norm(off[3:]) < bound[0], np.linalg.norm(line @ off) < bound[1]])
         bounds.append([bound[0], np.rad2deg(bound[1])])
         before.append(length_quantile(stated[1][3:, 3:]))
-    assert np.abs(np.mean(covered, axis=0) - 0.95).max() < 0.02
+    assert np.abs(np.mean(covered, axis=0) - 0.95).max() < 0.053  # 3 s.d. of 150
     tip_mm, direction_deg = np.max(bounds, axis=0)
     assert tip_mm < 0.3
     assert direction_deg < 0.2
     assert np.min(before) > 1.1 * tip_mm
 
 
-@pytest.mark.slow
 def test_images_of_a_block_on_the_guide_correct_the_mounts_as_stated():
     """The whole chain: balls of 0.05 px, both views calibrated, mouth and tip picked with 0.5 px, against the truth."""
     robot, q, block = calibrated_robot(), IMAGED + np.array([0.0, 0.0, 0.0, 0.0, 100.0]), Frame.load("block30")
@@ -120,7 +117,7 @@ def test_images_of_a_block_on_the_guide_correct_the_mounts_as_stated():
     beside_mm = known.T_flange_tool.apply([0.0, 0.0, 100.0]) + np.array([0.0, 60.0, -20.0])
     held = RigidTransform.from_components(beside_mm, known.T_flange_cfcs.rotation)
     robot, rng, covered = replace(robot, manipulator=replace(known, T_flange_cfcs=held)), np.random.default_rng(5), []
-    for _ in range(60):
+    for _ in range(20):
         true, setup = true_manipulator(robot, rng), draw_setup(rng, block)
         wire, balls = wire_in_frame(true, q), measure(rng, setup, 0.05)
         uv = np.stack([setup.views[name].project(wire) for name in VIEWS]) + 0.5 * rng.standard_normal((2, 2, 2))
@@ -132,7 +129,7 @@ def test_images_of_a_block_on_the_guide_correct_the_mounts_as_stated():
         bound = length_quantile((parts["hand_eye"] + parts["drill_axis"])[3:, 3:])
         covered.append(np.linalg.norm(wire_in_frame(found.manipulator, q)[1] - wire[1]) < bound)
         assert bound < 0.3
-    assert np.mean(covered) > 0.86  # 95 % less 3 s.d. of 60
+    assert np.mean(covered) > 0.80  # 95 % less 3 s.d. of 20
 
 
 def test_a_frame_that_was_knocked_on_the_flange_is_refused():
@@ -154,11 +151,10 @@ def measured(true: Manipulator, rng: np.random.Generator, sd: float, n: int = 30
     return q, targets + sd * rng.standard_normal(targets.shape)
 
 
-@pytest.mark.slow
 def test_calibrated_axes_put_the_flange_where_it_is():
     nominal, rng, sd = nominal_manipulator("right"), np.random.default_rng(2), 0.03
     squares, before, after = [], [], []
-    for _ in range(40):
+    for _ in range(12):
         true = nominal.displaced(np.pad(MACHINED_SD * rng.standard_normal((4, 6)), ((0, 2), (0, 0))))
         found = calibrate_axes(nominal, *measured(true, rng, sd), sd)
         q = rng.uniform(0.8 * true.lower, 0.8 * true.upper)
@@ -169,7 +165,7 @@ def test_calibrated_axes_put_the_flange_where_it_is():
         jacobian = np.stack([_derivative(found.manipulator, q, k) for k in range(24)], axis=1)
         squares.append(off @ np.linalg.solve(jacobian @ found.covariance @ jacobian.T + 1e-12 * np.eye(3), off) / 3)
     assert np.linalg.norm(after, axis=1).mean() < 0.1 * np.linalg.norm(before, axis=1).mean()
-    assert abs(np.mean(squares) - 1) < 0.39  # 3 s.d. of 40 trials of 3 numbers
+    assert abs(np.mean(squares) - 1) < 0.71  # 3 s.d. of 12 trials of 3 numbers
 
 
 def _between(manipulator: Manipulator, one: np.ndarray, other: np.ndarray) -> np.ndarray:

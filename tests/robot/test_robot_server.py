@@ -34,7 +34,7 @@ from sightline.robot.control.states import MOVING, State
 from sightline.robot.igtl import Message, String, Transform, encode
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.exchange import RequestResult
-from sightline.robot.link.server import RobotServer
+from sightline.robot.link.server import RobotServer, Simulation
 from sightline.robot.transport import BlockingClient
 
 
@@ -440,7 +440,7 @@ class Clock:
 def test_a_simulated_robot_stands_still_while_its_program_does(simulated, monkeypatch):
     """Its motion goes on afterwards; a real robot's drives have stopped, and the motion ends."""
     rig = Rig.at(State.ALIGN)
-    server = RobotServer(rig.controller, rig.plant, advance=rig.plant.advance if simulated else None)
+    server = RobotServer(rig.controller, rig.plant, Simulation(rig.plant.advance) if simulated else None)
     server.dialogue = rig.dialogue
     began, own = rig.now_s, LoopClock()
     own.now_s = began  # the rig's time goes on in the server's

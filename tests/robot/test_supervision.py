@@ -93,17 +93,17 @@ def test_a_plan_beyond_the_depth_limit_is_refused():
             depth_limit(distance, error)
 
 
-@pytest.mark.slow
 def test_the_filter_is_as_sure_as_it_says():
     """Of a force that wanders as the filter assumes; the mean squared normalised error of force and rate is 1."""
     rng = np.random.default_rng(4)
+    wander = np.linalg.cholesky(25.0**2 * np.array([[DT**3 / 3, DT**2 / 2], [DT**2 / 2, DT]]))
     squares = []
-    for _ in range(150):
+    for _ in range(40):
         watch, force, rate = ForceFilter(), 20.0, 0.0
         for k in range(300):
             if k:
-                step = rng.multivariate_normal([0, 0], 25.0**2 * np.array([[DT**3 / 3, DT**2 / 2], [DT**2 / 2, DT]]))
+                step = wander @ rng.standard_normal(2)
                 force, rate = force + DT * rate + step[0], rate + step[1]
             watch.add(k * DT, force + np.hypot(0.1 * force, 0.3) * rng.standard_normal())
         squares.append((watch.rate_n_s - rate) ** 2 / (watch.rate_n_s / watch.rate_sigma) ** 2)
-    assert abs(np.mean(squares) - 1) < 0.35  # 3 s.d. of 150 numbers
+    assert abs(np.mean(squares) - 1) < 0.67  # 3 s.d. of 40 numbers

@@ -55,18 +55,18 @@ def test_a_moved_shape_is_the_shape_elsewhere():
         assert shape.shifted(by).distance_mm(WIDE + by) == pytest.approx(shape.distance_mm(WIDE))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("of", ["surface", "outline", "cancellous"])
-@pytest.mark.parametrize("name", BONES)
+@pytest.mark.parametrize(
+    ("name", "of"), [("vertebra", "surface"), ("pelvis", "outline"), ("growing-femur", "cancellous")]
+)
 def test_distances_are_those_of_voxels(name: str, of: str):
     """A voxel on the other side of the surface is never nearer than the surface, and at most 1.5 voxels farther."""
     bone, side = MIDDLE[name], 0.35
     middle = bone.wires_mm[0].mean(axis=0) + 6.0 * np.eye(3)[2]
-    steps = side * np.arange(-36, 37)
+    steps = side * np.arange(-22, 23)
     grid = middle + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1)
     inside = bone.depth_mm(grid, of) < 0
     voxels = side * np.maximum(distance_transform_edt(~inside), distance_transform_edt(inside))
-    reach = 36 * side - np.abs(grid - middle).max(axis=-1)
+    reach = 22 * side - np.abs(grid - middle).max(axis=-1)
     known = np.argwhere(voxels < reach)  # nothing outside the box is nearer
     picked = tuple(np.random.default_rng(6).choice(known, 40).T)
     exact = bone.distance_mm(grid[picked], of)
@@ -195,8 +195,7 @@ def test_wires_of_a_nailed_femur_pass_the_middle_of_its_nails_holes():
         assert nail.volume_mm3 > 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "side"), [("vertebra", "left"), ("growing-femur", "right"), ("pelvis", "left")])
+@pytest.mark.parametrize(("name", "side"), [("growing-femur", "right"), ("pelvis", "left")])
 def test_landmarks_lie_on_the_edge_of_the_shadow(name: str, side: str):
     """Where the surface turns away from the beam, rays 1.5 mm inside a landmark pass bone that those outside miss."""
     bone = replace(MIDDLE[name], around=(), voxel_mm=1.0)

@@ -127,18 +127,21 @@ def radial(plastic, xyz):
     return np.linalg.norm(np.cross(from_entry, plastic.axes[2]), axis=-1)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("aside", "tilt_deg"), [(0.0, 0.0), (1.0, 0.6)])
-def test_in_the_bore_a_wire_within_the_papers_limits_touches_nothing(plastic, aside, tilt_deg):
-    wire, turn = Wire(plastic.bone), Rotation.from_rotvec(np.deg2rad(tilt_deg) * plastic.axes[1])
-    through = plastic.entry + aside * plastic.axes[0]
+def test_in_the_bore_a_wire_within_the_papers_limits_touches_nothing(plastic):
+    wire, turn = Wire(plastic.bone), Rotation.from_rotvec(np.deg2rad(0.6) * plastic.axes[1])
+    through = plastic.entry + plastic.axes[0]
     run = drill(
-        wire, plastic.length - 3.0, guide_mm=-15.0, axes=turn.apply(plastic.axes), through=through, turning=False
+        wire,
+        plastic.length - 3.0,
+        feed_mm_s=4.0,
+        guide_mm=-15.0,
+        axes=turn.apply(plastic.axes),
+        through=through,
+        turning=False,
     )
     assert run.thrust_n.max() == 0.0
 
 
-@pytest.mark.slow
 def test_the_wall_of_the_bore_bends_a_wire_that_is_tilted_too_far(plastic):
     turned = Rotation.from_rotvec(np.deg2rad(3.0) * plastic.axes[1]).apply(plastic.axes)
     run = drill(
@@ -150,10 +153,8 @@ def test_the_wall_of_the_bore_bends_a_wire_that_is_tilted_too_far(plastic):
     assert run.thrust_n.max() > 1.0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("hu", [132.0, 41.0])
-def test_the_femurs_cortex_is_felt_and_its_spongy_bone_hardly(hu):
-    femur = Femur(cancellous_hu=hu)
+def test_the_femurs_cortex_is_felt_and_its_spongy_bone_hardly():
+    femur = Femur(cancellous_hu=132.0)
     wire_mm = to_cfcs(np.stack(femur.wire_mm()), "left", np.zeros(3))
     volume = voxelise(femur, "left", np.zeros(3), np.random.default_rng(5))
     moved = RigidTransform.from_components([300.0, -200.0, 50.0], Rotation.from_rotvec([0.1, 0.2, -0.4]))

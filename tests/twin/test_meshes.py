@@ -11,7 +11,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.twin import Scene, draw_setup
-from sightline.twin.objects.beam import excess_per_mm
 from sightline.twin.objects.meshes import Mesh, box_mesh, read_mesh
 from sightline.twin.objects.things import Ball, Box, moved
 from sightline.twin.xray.projector import Rays, box_length, mesh_lengths
@@ -81,10 +80,9 @@ def test_no_ray_slips_between_triangles_or_meets_both():
     assert np.abs(found[:, 30, 30] - 10.0).max() < 1e-4
 
 
-@pytest.mark.slow
 def test_a_sphere_of_triangles_has_its_chords():
-    mesh = sphere(20.0, 6000)
-    assert mesh.volume_mm3 == pytest.approx(4 / 3 * np.pi * 20**3, rel=2e-3)
+    mesh = sphere(20.0, 1500)
+    assert mesh.volume_mm3 == pytest.approx(4 / 3 * np.pi * 20**3, rel=5e-3)
     cast = rays()
     found = lengths(mesh, cast)[:, 1:-1, 1:-1]
     d = sub_rays(cast) - FOCAL
@@ -95,7 +93,7 @@ def test_a_sphere_of_triangles_has_its_chords():
     sides = np.prod([np.linalg.norm(p - q, axis=-1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
     circumradius = sides / (2 * np.linalg.norm(np.cross(b - a, c - a), axis=-1))
     sagitta = circumradius.max() ** 2 / 40.0
-    assert sagitta < 0.02
+    assert sagitta < 0.08
     deep = exact > 10  # its error: the sagitta at either end, over the cosine at the surface
     assert np.abs(found - exact)[deep].max() < (2 * sagitta * 40.0 / exact[deep]).max()
     assert found[across > 20.0].max() == 0.0
@@ -121,14 +119,9 @@ def test_a_mesh_in_the_image_takes_what_its_ball_takes(frame):
         assert abs(shift_px) < 0.02
 
 
-@pytest.mark.slow
-def test_bone_in_tissue_takes_the_difference(frame):
+def test_a_mesh_behind_the_source_is_refused(frame):
     view = draw_setup(np.random.default_rng(4), frame).views["pa"]
-    slab = box_mesh(np.array([-200.0, -200, -5]), np.array([200.0, 200, 5]), "bone", "tissue")
-    metal = box_mesh(np.array([-200.0, -200, -5]), np.array([200.0, 200, 5]), "titanium", None)
-    assert (excess_per_mm("bone", "tissue") < excess_per_mm("titanium", None)).all()
-    assert expose(view, Scene(meshes=(slab,))).gain == expose(view, Scene(meshes=(metal,))).gain
-    behind = moved(slab, RigidTransform.from_translation(2 * view.focal_point_mm))
+    behind = moved(BOX, RigidTransform.from_translation(2 * view.focal_point_mm))
     with pytest.raises(OutsideRegionError):
         expose(view, Scene(meshes=(behind,)))
 

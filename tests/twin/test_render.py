@@ -103,6 +103,11 @@ def test_a_ball_takes_what_steel_takes(setup):
     assert left == pytest.approx(float(WEIGHTS @ np.exp(-5.0 * excess)), rel=0.01)
 
 
+def coarse(view, side=256):
+    """The view by a chain with larger pixels: what scatters is told in mm."""
+    return replace_chain(view, shape=(side, side), mask_px=0.494 * side)
+
+
 def replace_chain(view, **changes):
     tube = view.intensifier
     return replace(view, intensifier=type(tube)(replace(tube.chain, **changes), tube.distortion, tube.prior))
@@ -129,12 +134,11 @@ def test_tissue_of_a_transmission_is_the_tissue_that_leaves_it(beam):
     assert tissue_mm(np.array([0.0, 1e-30, 1.0]), beam) == pytest.approx([MAX_TISSUE_MM, MAX_TISSUE_MM, 0.0])
 
 
-@pytest.mark.slow
 def test_scatter_follows_what_lies_in_the_beam(setup):
     """Behind a ball in an open beam nothing is scattered, behind one in a block of tissue the share of its thickness.
 
     A block far wider than scatter reaches; the ball takes a little of what scatters."""
-    view = setup.views["pa"]
+    view = coarse(setup.views["pa"])
     ball = Ball((0.0, 0.0, 0.0), 4.0, within=None)
     u, v = np.rint(view.project(np.zeros(3))).astype(int)
     alone = expose(replace_chain(view, scatter_to_primary=0.0), Scene(solids=(ball,)))
@@ -148,14 +152,13 @@ def test_scatter_follows_what_lies_in_the_beam(setup):
             assert seen.quanta[v, u] / seen.open_quanta[v, u] == pytest.approx(expected, abs=0.03), (thick_mm, even)
 
 
-@pytest.mark.slow
 def test_a_drawn_hip_has_the_chain_s_scatter_in_the_mean_of_its_views():
     """Against even scatter: the light in the middle of both views, to 10 %; less in PA, more in the lateral view."""
     setup, hip = shown_hip_scene(np.random.default_rng(4), Frame.load("gamma"))
-    middle = (slice(384, 640), slice(384, 640))
+    middle = (slice(96, 160), slice(96, 160))
     shares = []
     for name in ("pa", "lateral"):
-        view = setup.views[name]
+        view = coarse(setup.views[name])
         rays, area = pixel_rays(view)
         arriving, without = primary(view, hip.scene, rays)
         hidden = ((without - arriving) * area)[middle]
@@ -228,22 +231,6 @@ def test_noise_is_correlated_as_the_blur_makes_it(bare, bare_noise):
     assert shape[1] / shape[0] > 0.5  # it is correlated
 
 
-@pytest.mark.slow
-def test_noise_grows_with_the_root_of_the_signal(setup, bare, bare_noise):
-    """Under half a millimetre of steel: variance over mean, less black and electronic noise, as without it."""
-    rod = Rod((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 20.0, 0.25)
-    exposure = expose(setup.views["pa"], Scene(solids=(rod,)), DOSES["medium"])
-    u, v = np.rint(setup.views["pa"].project(np.zeros(3))).astype(int)
-    part = (slice(v - 60, v + 60), slice(u - 60, u + 60))
-    mean, rng = exposure.mean_pixels()[part], np.random.default_rng(5)
-    noise = np.stack([exposure.read_out(rng).pixels[part] - mean for _ in range(6)])
-    added = (ELECTRONIC_SD * CHAIN.white) ** 2 + 1 / 12
-    under = (noise.var() - added) / exposure.quanta[part].mean() / exposure.gain**2
-    free = (bare_noise[0].var() - added) / bare.quanta[bare_noise[1]].mean() / bare.gain**2
-    assert exposure.quanta[part].mean() < 0.8 * exposure.open_quanta[part].mean()
-    assert under == pytest.approx(free, rel=0.05)
-
-
 def test_the_same_seed_gives_the_same_image(setup, frame_exposure):
     again = render(setup, "pa", Scene(solids=frame_solids(setup.true_frame)), np.random.default_rng(6))
     assert np.array_equal(again.pixels, frame_exposure.read_out(np.random.default_rng(6)).pixels)
@@ -270,23 +257,21 @@ def test_bright_parts_saturate(setup):
     assert 0.05 < (image.pixels == 4095).mean() < 0.6
 
 
-@pytest.mark.slow
 def test_nothing_left_to_expose_with_is_refused(setup):
     wall = Rod((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 300.0, 250.0)
     with pytest.raises(SetUpError, match="no radiation passes"):
-        expose(setup.views["pa"], Scene(solids=(wall,)))
+        expose(coarse(setup.views["pa"]), Scene(solids=(wall,)))
 
 
-@pytest.mark.slow
 def test_scatter_spreads_as_wide_as_its_kernel(setup):
     """Behind opaque balls beside a block of tissue: how much of its scatter is there.
 
     To 0.03 of that: the sides of the block do not lie along all rays, and the balls take a little of what scatters."""
-    view, at = setup.views["pa"], np.array([[-45.0, 0.0, 20.0], [8.0, 0.0, 20.0], [16.0, 0.0, 20.0]])
+    view, at = coarse(setup.views["pa"], 512), np.array([[-45.0, 0.0, 20.0], [8.0, 0.0, 20.0], [16.0, 0.0, 20.0]])
     block = Box(np.array([-150.0, 0.0, 0.0]), np.eye(3), np.array([150.0, 300.0, 5.0]), "tissue")
     scene = Scene(solids=tuple(Ball((x, y, z), 4.0, within=None) for x, y, z in at.tolist()), boxes=(block,))
     u, v = np.rint(view.project(at)).astype(int).T
-    beside_mm = (view.project(at) - view.project(np.zeros(3)))[1:] * CHAIN.pitch_mm
+    beside_mm = (view.project(at) - view.project(np.zeros(3)))[1:] * view.chain.pitch_mm
     tissue = float(WEIGHTS @ np.exp(-10.0 * attenuation_per_mm("tissue")))
     for width_mm in (8.0, 12.0, np.inf):
         seen = expose(view, scene, scatter_mm=width_mm)

@@ -25,7 +25,7 @@ from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, robot_t
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.dialect import SIGHTLINE, Dialect
 from sightline.robot.link.record import DrillingRecord, Recorder
-from sightline.robot.link.server import RobotServer
+from sightline.robot.link.server import RobotServer, Simulation
 from sightline.robot.link.simulated import SimulatedWire
 from sightline.robot.transport import LOOPBACK
 from sightline.twin import BoneScene, HipScene
@@ -129,16 +129,8 @@ class SimulatedTheatre:
                 self.plant.guide_mm = float(insertion.q[FEED]) + self._surface_mm(insertion) - SLEEVE_MM
             self.plant.advance(dt_s)
 
-        return RobotServer(
-            controller,
-            self.plant,
-            host=host,
-            port=port,
-            advance=advance,
-            virtual=virtual,
-            truth=self._truth,
-            dialect=dialect,
-        )
+        simulation = Simulation(advance, virtual, self._truth)
+        return RobotServer(controller, self.plant, simulation, host=host, port=port, dialect=dialect)
 
     def _surface_mm(self, insertion: Insertion) -> float:
         """Return the depth of the bone's surface on an insertion's line, where a person pushes the sleeve against it:

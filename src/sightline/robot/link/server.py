@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from operator import attrgetter
@@ -46,31 +46,42 @@ MAX_BODY_BYTES = 1 << 20  # a hundred times the largest message of the contract
 _AFTER_REQUEST = 20  # cycles that virtual time runs on after a request
 
 
+@dataclass(frozen=True)
+class Simulation:
+    """How a simulated plant is run. `advance(dt_s)` advances its time, which stands still while this program does not.
+
+    With `virtual`, time runs as fast as possible while something moves and stands still otherwise: for trials, with
+    clients that send no heartbeats. `truth`: text for simulated imaging devices (robot/link/simulated.py).
+    """
+
+    advance: Callable[[float], None]
+    virtual: bool = False
+    truth: Callable[[], str] | None = None
+
+
 class RobotServer(Closing):
     """`with RobotServer(controller, plant):` listens at `port` until the block ends.
 
-    `advance(dt_s)` advances a simulated plant's time, which stands still while this program does not run; a real plant
-    needs none. With `virtual`, time runs as fast as possible while something moves and stands still otherwise: for
-    trials, with clients that send no heartbeats. `truth`: text for simulated imaging devices (robot/link/simulated.py).
-    `dialect`: see robot/link/dialect.py. Raises LinkError if the port cannot be opened.
+    A real plant has no `simulation`. `dialect`: see robot/link/dialect.py. Raises LinkError if the port cannot be
+    opened.
     """
 
     def __init__(
         self,
         controller: Controller,
         plant: Plant,
+        simulation: Simulation | None = None,
         *,
         host: str = LOOPBACK,
         port: int = PORT,
-        advance: Callable[[float], None] | None = None,
-        virtual: bool = False,
-        truth: Callable[[], str] | None = None,
         dialect: Dialect = SIGHTLINE,
     ) -> None:
         self.port = port
-        telemetry_s = VIRTUAL_TELEMETRY_S if virtual else contract.TELEMETRY_S
-        self.dialogue = Dialogue(controller, advance is not None, truth, telemetry_s, dialect)
-        self._controller, self._plant, self._advance, self._virtual = controller, plant, advance, virtual
+        self._advance = simulation.advance if simulation else None
+        self._virtual = virtual = simulation is not None and simulation.virtual
+        truth, telemetry_s = simulation and simulation.truth, VIRTUAL_TELEMETRY_S if virtual else contract.TELEMETRY_S
+        self.dialogue = Dialogue(controller, simulation is not None, truth, telemetry_s, dialect)
+        self._controller, self._plant = controller, plant
         self._host = host
         self._inbox = Inbox()
         self._connections: dict[int, Connection] = {}
@@ -176,12 +187,12 @@ class RobotServer(Closing):
     def _deliver(self, batch: list[Outgoing]) -> None:
         self._delivered += 1
         now = timestamp_of(time.time())
-        for client, said in groupby(batch, attrgetter("client")):
+        for client, messages in groupby(batch, attrgetter("client")):
             connection = self._connections.get(client)
             if connection is None:
                 continue
             with connection.joined():
-                for outgoing in said:
+                for outgoing in messages:
                     put = connection.stream if outgoing.telemetry else connection.send
                     try:
                         put(replace(outgoing.message, timestamp=now))
@@ -219,14 +230,14 @@ class RobotServer(Closing):
             cycles.worst_s = max(cycles.worst_s, late)
             if self._rounds >= asked + 2:  # the second round has begun after the time noted
                 read_s, asked_s, asked = asked_s, own.now_s, self._rounds
-            said = self._guarded(self._hear, own.now_s if self._advance else due)
+            messages = self._guarded(self._handle_requests, own.now_s if self._advance else due)
             # Skipped cycles are not made up for: requests may take long while the robot stands still.
             skipped = int((time.monotonic() - due) / CYCLE_S)
             cycles.count += skipped
             cycles.missed += skipped
             due += CYCLE_S * skipped
             passed = own.tick(due)
-            self._turn(own.now_s if self._advance else due, passed, said, own.now_s - read_s)
+            self._turn(own.now_s if self._advance else due, passed, messages, own.now_s - read_s)
             self._cycled_s = time.monotonic()
 
     def _turn_virtually(self) -> None:
@@ -239,18 +250,18 @@ class RobotServer(Closing):
                 time.sleep(0.0005)  # time stands still
                 continue
             now += CYCLE_S
-            self._turn(now, CYCLE_S, self._guarded(self._hear, now))
+            self._turn(now, CYCLE_S, self._guarded(self._handle_requests, now))
 
-    def _turn(self, now_s: float, elapsed_s: float, said: list[Outgoing], unread_s: float = 0.0) -> None:
+    def _turn(self, now_s: float, elapsed_s: float, messages: list[Outgoing], unread_s: float = 0.0) -> None:
         """Advance the plant's time, run one cycle of the controller, and hand the messages to the link."""
         if self._advance is not None:
             self._advance(elapsed_s)
-        said = said + self._guarded(partial(self.dialogue.cycle, unread_s=unread_s), now_s)
+        messages = messages + self._guarded(partial(self.dialogue.cycle, unread_s=unread_s), now_s)
         waiting = self._handed - self._delivered
-        if said and (waiting < WAITING_BATCHES or not all(outgoing.telemetry for outgoing in said)):
+        if messages and (waiting < WAITING_BATCHES or not all(outgoing.telemetry for outgoing in messages)):
             self._handed += 1
             with suppress(RuntimeError):  # the link has ended; the loop will end too
-                self._event_loop.call_soon_threadsafe(self._deliver, said)
+                self._event_loop.call_soon_threadsafe(self._deliver, messages)
 
     def _guarded(self, what: Callable[[float], list[Outgoing]], now_s: float) -> list[Outgoing]:
         try:
@@ -260,22 +271,22 @@ class RobotServer(Closing):
             self._controller.machine.fail(Code.HARDWARE, f"a bug in the controller: {type(error).__name__}", now_s)
             return []
 
-    def _hear(self, now_s: float) -> list[Outgoing]:
+    def _handle_requests(self, now_s: float) -> list[Outgoing]:
         """Handle the clients' messages, stops first, and return the answers."""
         if self._inbox.stop_waits:
             self._plant.hold()
-        said: list[Outgoing] = []
-        for heard in self._inbox.batch(REQUESTS_PER_CYCLE, lambda: self._controller.checking_for):
-            said += self._heard(heard, now_s)
-        return said
+        messages: list[Outgoing] = []
+        for item in self._inbox.batch(REQUESTS_PER_CYCLE, lambda: self._controller.checking_for):
+            messages += self._handle(item, now_s)
+        return messages
 
-    def _heard(self, heard: InboxItem, now_s: float) -> list[Outgoing]:
-        if heard.what is Change.JOINED:
-            self.dialogue.joined(heard.client)
-        elif heard.what is Change.LEFT:
-            self.dialogue.left(heard.client, now_s)
-        elif not isinstance(heard.what, Change):
-            return self.dialogue.receive(heard.client, heard.what, now_s, heard.overtaken)
+    def _handle(self, item: InboxItem, now_s: float) -> list[Outgoing]:
+        if item.what is Change.JOINED:
+            self.dialogue.joined(item.client)
+        elif item.what is Change.LEFT:
+            self.dialogue.left(item.client, now_s)
+        elif not isinstance(item.what, Change):
+            return self.dialogue.receive(item.client, item.what, now_s, item.overtaken)
         return []
 
 
