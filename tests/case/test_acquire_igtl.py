@@ -17,7 +17,7 @@ from sightline.case.stages import image_of
 from sightline.errors import ImageError, LinkError, SourceError
 from sightline.imaging import Radiograph, SourceFrame
 from sightline.robot.igtl import Image, Message, NDArray, String, encode, timestamp_of
-from sightline.robot.kinematics.registration import FRESH_S
+from sightline.robot.kinematics.target import FRESH_S
 
 SENT_S = 1_700_000_000.25
 

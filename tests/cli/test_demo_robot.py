@@ -16,7 +16,7 @@ from sightline.geometry.covariance import length_quantile
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.rehearsal.robots import SHOWN_FEED_MM, drawn_robot, shown_wire_mm
 from sightline.robot.kinematics.manipulator import imaging_yaw
-from sightline.robot.kinematics.registration import Registration
+from sightline.robot.kinematics.target import Registration
 from sightline.studies.scenes import VIEWS, measure
 
 BLOCK = Frame.load("block60")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sightline.robot.igtl import Event, Fault, Image, Message, Rejected, Status, Stream, String, Transform, encode
-from sightline.robot.igtl.header import HEADER_BYTES
+from sightline.robot.igtl.wire import HEADER_BYTES
 
 SIZE_AT = slice(42, 50)
 TYPE_AT = slice(2, 14)

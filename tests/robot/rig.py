@@ -13,12 +13,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.rehearsal.robots import calibrated_robot
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.insertion import Setup
-from sightline.robot.control.panel import Panel
+from sightline.robot.control.requests import Panel
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Message, Status, String, Transform
-from sightline.robot.link import client, exchange, stop_channel
-from sightline.robot.link.dialect import SIGHTLINE, Dialect
+from sightline.robot.link import client, exchange
 from sightline.robot.link.dialogue import Dialogue
+from sightline.robot.link.outgoing import SIGHTLINE, Dialect
 from sightline.robot.link.server import RobotServer, Simulation
 from sightline.robot.plant import CYCLE_S, PlantFlag, Reading
 from sightline.twin.robot.plant import SimulatedPlant
@@ -230,7 +230,7 @@ def served(
         moved.advance(dt_s)
 
     with ExitStack() as stack:
-        for module in (client, exchange, stop_channel):
+        for module in (client, exchange):
             stack.enter_context(patch.object(module, "ACK_S", BUSY_S))
             stack.enter_context(patch.object(module, "STATUS_S", BUSY_S))
         server = stack.enter_context(RobotServer(controller, moved, Simulation(advance, virtual), port=port))

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sightline.robot import contract
-from sightline.robot.control.loop_clock import LoopClock
+from sightline.robot.control.timing import LoopClock
 from sightline.robot.igtl import (
     Capability,
     Command,

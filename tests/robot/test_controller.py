@@ -8,9 +8,9 @@ import pytest
 from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, IMAGED, ROBOT, T_MCS_CFCS, Rig, code, metadata, wire
 
 from sightline.robot.contract import HEARTBEAT, Code
-from sightline.robot.control.loop_clock import LoopClock
 from sightline.robot.control.requests import Reset
 from sightline.robot.control.states import COMMANDS, MOVING, TRANSITIONS, WAITING, State, Trigger, phase
+from sightline.robot.control.timing import LoopClock
 from sightline.robot.igtl import Capability, Command, CommandReply, Status, String, Transform
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.plant import CYCLE_S, PlantFlag

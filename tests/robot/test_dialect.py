@@ -13,7 +13,7 @@ from tests.robot.rig import CLIENT, IMAGED, ROBOT, SETUP, Rig
 from sightline.rehearsal.operation import own_frames
 from sightline.robot.control.insertion import Setup
 from sightline.robot.igtl import Message, Status, String, Transform
-from sightline.robot.link.dialect import BRP2013
+from sightline.robot.link.outgoing import BRP2013
 from sightline.robot.plant import CYCLE_S
 
 POSE = np.eye(4)  # registration and target alike

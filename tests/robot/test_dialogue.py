@@ -8,7 +8,7 @@ from sightline.robot.contract import Code
 from sightline.robot.control.requests import Answer
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Capability, Message, Status, String, Transform
-from sightline.robot.link.answer_cache import MAX_ANSWERS, AnswerCache
+from sightline.robot.link.inbox import MAX_ANSWERS, AnswerCache
 
 OTHER = 2
 LENGTH_MM = float(np.linalg.norm(END_MM - ENTRY_MM))

@@ -29,8 +29,8 @@ from tests.robot.rig import (
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.control.controller import Controller
-from sightline.robot.control.loop_clock import LoopClock
 from sightline.robot.control.states import MOVING, State
+from sightline.robot.control.timing import LoopClock
 from sightline.robot.igtl import Message, String, Transform, encode
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.exchange import RequestResult

@@ -9,8 +9,15 @@ from sightline.checks import Check, Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.planning.bone.directions import unit
 from sightline.rehearsal.robots import calibrated_robot
-from sightline.robot.kinematics.registration import PoseAtImage, Registration, register
-from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity, RobotTarget, robot_target
+from sightline.robot.kinematics.target import (
+    LIFETIME_S,
+    PlanIdentity,
+    PoseAtImage,
+    Registration,
+    RobotTarget,
+    register,
+    robot_target,
+)
 from sightline.robot.link.client import plan_metadata
 
 Q = np.array([3.0, -5.0, np.pi / 4, 0.0, 0.0])

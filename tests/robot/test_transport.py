@@ -14,7 +14,7 @@ from sightline.errors import LinkError, MessageError
 from sightline.robot.igtl import Event, Image, Message, Rejected, Status, String, Transform, encode
 from sightline.robot.transport import BlockingClient, Client, Connection, Server, connection, outbox, server
 from sightline.robot.transport import serve as serve_at
-from sightline.robot.transport.outbox import Outbox
+from sightline.robot.transport.connection import Outbox
 
 PATIENCE_S = 20.0  # a test that waits longer has failed
 

@@ -115,7 +115,7 @@ def replace_chain(view, **changes):
 
 def test_beam_hardening(setup):
     """Twice the steel takes less than the square: the beam that is left is harder."""
-    view = replace_chain(setup.views["pa"], scatter_to_primary=0.0)
+    view = replace_chain(coarse(setup.views["pa"]), scatter_to_primary=0.0)
     left = []
     for thickness in (1.0, 2.0):
         rod = Rod((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 8.0, thickness / 2)

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from sightline.rehearsal.patient import RehearsedPatient
     from sightline.rehearsal.process import RobotProcess
     from sightline.rehearsal.rehearsal import Rehearsal
-    from sightline.robot.kinematics.registration import Registration
-    from sightline.robot.kinematics.target import RobotTarget
+    from sightline.robot.kinematics.target import Registration, RobotTarget
 
 Who_co = TypeVar("Who_co", bound="RehearsedPatient", covariant=True)
 BY_ENCODERS, BY_IMAGES = "encoders", "images"

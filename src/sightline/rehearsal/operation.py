@@ -20,10 +20,16 @@ from sightline.robot.control.insertion import Insertion, OwnFrames, Setup
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED, YAW, imaging_yaw
-from sightline.robot.kinematics.registration import PoseAtImage, Registration, register
-from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, robot_target
+from sightline.robot.kinematics.target import (
+    PlanIdentity,
+    PoseAtImage,
+    Registration,
+    RobotTarget,
+    register,
+    robot_target,
+)
 from sightline.robot.link.client import RobotClient
-from sightline.robot.link.dialect import SIGHTLINE, Dialect
+from sightline.robot.link.outgoing import SIGHTLINE, Dialect
 from sightline.robot.link.record import DrillingRecord, Recorder
 from sightline.robot.link.server import RobotServer, Simulation
 from sightline.robot.link.simulated import SimulatedWire

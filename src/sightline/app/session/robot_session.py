@@ -23,8 +23,7 @@ from sightline.robot import contract
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Message, NDArray, Sensor
 from sightline.robot.kinematics.calibrated import CalibratedRobot
-from sightline.robot.kinematics.registration import PoseAtImage, register
-from sightline.robot.kinematics.target import PlanIdentity, RobotTarget
+from sightline.robot.kinematics.target import PlanIdentity, PoseAtImage, RobotTarget, register
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.record import DrillingRecord, Recorder
 from sightline.robot.link.simulated import SimulatedWire

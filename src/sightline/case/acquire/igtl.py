@@ -13,7 +13,7 @@ from sightline.imaging.files import grey
 from sightline.imaging.formats import check_size
 from sightline.robot.igtl import Image, Message, Rejected, Stream
 from sightline.robot.transport import LOOPBACK
-from sightline.robot.transport.sockets import prepare
+from sightline.robot.transport.connection import prepare
 
 PORT = 18944  # OpenIGTLink's default
 SILENCE_S = 10.0  # [ours] time without an image, or without a peer, after which the source fails

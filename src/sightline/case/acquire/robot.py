@@ -10,7 +10,7 @@ from sightline.checks import Check
 from sightline.errors import LinkError
 from sightline.robot.contract import MEASURED_JS
 from sightline.robot.igtl import NDArray
-from sightline.robot.kinematics.registration import FRESH_S
+from sightline.robot.kinematics.target import FRESH_S
 from sightline.robot.link.client import RobotClient
 
 _WAIT_S, _RETRY_S = 1.0, 0.5

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from sightline.frame import Frame
     from sightline.rehearsal.operation import SimulatedTheatre
     from sightline.robot.kinematics.measured import RobotFile
-    from sightline.robot.kinematics.registration import Registration
-    from sightline.robot.kinematics.target import RobotTarget
+    from sightline.robot.kinematics.target import Registration, RobotTarget
     from sightline.robot.link.client import RobotClient
     from sightline.robot.link.server import RobotServer
 
@@ -84,7 +83,7 @@ def serve(
     Its wire moves in air, or with --rehearse in a simulated bone.
     """
     with Output(json=json, quiet=quiet) as out:
-        from sightline.robot.link.dialect import DIALECTS
+        from sightline.robot.link.outgoing import DIALECTS
         from sightline.robot.link.server import tune_process
 
         theatre = _theatre(side, frame_serial, rehearse, frame, procedure)
@@ -558,7 +557,7 @@ def _send(robot: "RobotClient", plan: "PlanFile", name: str, frame_serial: str, 
     from sightline.errors import RobotRefusedError
     from sightline.frame import Frame
     from sightline.rehearsal.rehearsal import robot_at
-    from sightline.robot.kinematics.registration import PoseAtImage, register
+    from sightline.robot.kinematics.target import PoseAtImage, register
 
     if not robot.simulated:
         raise RobotRefusedError(

@@ -12,14 +12,13 @@ from sightline.robot import contract
 from sightline.robot.contract import Code
 from sightline.robot.control.collision_check import MAX_CHECK_S, CheckExecutor, CollisionCheck, run_at_once
 from sightline.robot.control.insertion import Insertion, Setup, read_registration, read_target
-from sightline.robot.control.lifetimes import Lifetimes
 from sightline.robot.control.machine import Machine
 from sightline.robot.control.motion.course import STANDING_LIMIT
-from sightline.robot.control.panel import Panel
 from sightline.robot.control.requests import (
     Answer,
     CommandRequest,
     Outcome,
+    Panel,
     Register,
     Request,
     RequestRefusedError,
@@ -28,6 +27,7 @@ from sightline.robot.control.requests import (
     ShotDepth,
 )
 from sightline.robot.control.states import COMMANDS, TRANSITIONS, State, Trigger
+from sightline.robot.control.timing import Lifetimes
 from sightline.robot.igtl import Message
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED

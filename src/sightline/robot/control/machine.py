@@ -6,15 +6,12 @@ import numpy as np
 
 from sightline.robot.contract import Code
 from sightline.robot.control.insertion import Insertion, LinkRegistration, Setup
-from sightline.robot.control.lease import Lease
-from sightline.robot.control.loop_clock import LoopClock
 from sightline.robot.control.motion.course import Activity, align, retract
 from sightline.robot.control.motion.drilling import Drilling
-from sightline.robot.control.outcomes import Outcomes
-from sightline.robot.control.panel import Panel
-from sightline.robot.control.requests import Answer, Outcome, RequestRefusedError, RobotFault, Snapshot
+from sightline.robot.control.requests import Answer, Outcome, Outcomes, Panel, RequestRefusedError, RobotFault, Snapshot
 from sightline.robot.control.samples import STALE_S, Samples
 from sightline.robot.control.states import ACTIVITIES, MOVING, TRANSITIONS, State, Trigger
+from sightline.robot.control.timing import Lease, LoopClock
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.depth import DepthZero
 from sightline.robot.kinematics.manipulator import FEED, JOINTS

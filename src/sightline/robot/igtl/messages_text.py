@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from sightline.errors import MessageError
-from sightline.robot.igtl.header import TYPE_BYTES
-from sightline.robot.igtl.wire import Reader, encoded, field, text_of
+from sightline.robot.igtl.wire import TYPE_BYTES, Reader, encoded, field, text_of
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from sightline.geometry.rigid import why_not_rigid
 from sightline.robot.kinematics.calibrated import CalibratedAxes, CalibratedRobot, calibrate_axes
 from sightline.robot.kinematics.manipulator import nominal_manipulator
 from sightline.robot.kinematics.mounts import Mount, measured_axis, measured_mount
-from sightline.robot.kinematics.registration import PoseAtImage, Registration, register
-from sightline.robot.kinematics.target import LIFETIME_S
+from sightline.robot.kinematics.target import LIFETIME_S, PoseAtImage, Registration, register
 
 MAX_BYTES = 2**20  # [ours] 36 x 36 numbers take 30 kB; 200 poses of 20 targets 300 kB
 CALIBRATION_DAYS = 90  # validity of a calibration: a knock on the flange goes unnoticed [ours]

@@ -24,10 +24,9 @@ from sightline.robot.igtl import (
 )
 from sightline.robot.kinematics.depth import MAX_ZERO_SHIFT_MM, SHOT_SD_MM
 from sightline.robot.kinematics.target import RobotTarget
-from sightline.robot.link.exchange import Exchange, RequestResult, matrix_of, pose_of
+from sightline.robot.link.exchange import Exchange, RequestResult, StopChannel, matrix_of, pose_of
 from sightline.robot.link.shared_connection import LateError, SharedConnection
 from sightline.robot.link.simulated import SimulatedWire
-from sightline.robot.link.stop_channel import StopChannel
 from sightline.robot.link.wire_deviation import WireDeviation, refuse_other_pose
 from sightline.robot.transport import LOOPBACK, PORT
 

@@ -36,10 +36,17 @@ from sightline.robot.igtl import (
     String,
     Transform,
 )
-from sightline.robot.link.answer_cache import AnswerCache
-from sightline.robot.link.dialect import SIGHTLINE, Dialect
-from sightline.robot.link.inbox import stop_word
-from sightline.robot.link.outgoing import NamedBody, Outgoing, echo_of, fitting, message_of, with_mirror
+from sightline.robot.link.inbox import AnswerCache, stop_word
+from sightline.robot.link.outgoing import (
+    SIGHTLINE,
+    Dialect,
+    NamedBody,
+    Outgoing,
+    echo_of,
+    fitting,
+    message_of,
+    with_mirror,
+)
 from sightline.robot.link.telemetry import Cycles, Telemetry
 from sightline.robot.plant import CYCLE_S
 

@@ -1,15 +1,19 @@
-"""Queue of clients' messages: stops come first, and a motion command sent before a stop is cancelled."""
+"""What clients send, in the order in which it is handled, and the answers that were given already."""
 
-from collections import Counter, deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 
 from sightline.robot import contract
+from sightline.robot.contract import Code
+from sightline.robot.control.requests import Answer
 from sightline.robot.control.states import Trigger
 from sightline.robot.igtl import Event, Message, Rejected, String
 
 STOPPING = (Trigger.STOP.value, Trigger.EMERGENCY.value)
+MAX_ANSWERS = 256  # identifiers kept per connection: a repeat comes within a few messages of the first [ours]
+_TEXT = 100  # characters of a request that are compared: no valid request is longer [ours]
 
 
 class Change(Enum):
@@ -118,3 +122,41 @@ def stop_word(text: str) -> str | None:
     None."""
     word = text.split("\0", maxsplit=1)[0].strip().upper()
     return word if word in STOPPING else None
+
+
+@dataclass
+class _Entry:
+    text: str
+    answer: Answer
+
+
+class AnswerCache:
+    """The newest requests of one connection with their answers, by identifier."""
+
+    def __init__(self) -> None:
+        self._entries: OrderedDict[str, _Entry] = OrderedDict()
+
+    def earlier(self, identifier: str, text: str) -> Answer | None:
+        """Return the answer to a repeated request, a refusal if the identifier belongs to another request, or None if
+        it is new."""
+        entry = self._entries.get(identifier)
+        if entry is None:
+            return None
+        if entry.text == text[:_TEXT]:
+            return entry.answer
+        reason = f"{identifier[:20]} was {entry.text[:20]!r} before; give every request an identifier of its own"
+        return Answer(Code.CONFIGURATION, reason)
+
+    def put(self, identifier: str, text: str, answer: Answer) -> None:
+        """Store a request with its answer."""
+        self._entries[identifier] = _Entry(text[:_TEXT], answer)
+        self._entries.move_to_end(identifier)
+        if len(self._entries) > MAX_ANSWERS:
+            self._entries.popitem(last=False)
+
+    def ended(self, text: str, answer: Answer) -> None:
+        """Replace the answer of the newest unfinished request of this text."""
+        for entry in reversed(self._entries.values()):
+            if entry.text == text and not entry.answer.done:
+                entry.answer = answer
+                return

@@ -22,12 +22,11 @@ from sightline.errors import LinkError, MessageError
 from sightline.robot import contract
 from sightline.robot.contract import Code
 from sightline.robot.control.controller import Controller
-from sightline.robot.control.loop_clock import LoopClock
+from sightline.robot.control.timing import LoopClock
 from sightline.robot.igtl import Event, timestamp_of
-from sightline.robot.link.dialect import SIGHTLINE, Dialect
 from sightline.robot.link.dialogue import Dialogue
 from sightline.robot.link.inbox import Change, Inbox, InboxItem, stop_of
-from sightline.robot.link.outgoing import Outgoing
+from sightline.robot.link.outgoing import SIGHTLINE, Dialect, Outgoing
 from sightline.robot.plant import CYCLE_S, Plant
 from sightline.robot.transport import LOOPBACK, PORT, Connection, serve
 
@@ -62,7 +61,7 @@ class Simulation:
 class RobotServer(Closing):
     """`with RobotServer(controller, plant):` listens at `port` until the block ends.
 
-    A real plant has no `simulation`. `dialect`: see robot/link/dialect.py. Raises LinkError if the port cannot be
+    A real plant has no `simulation`. `dialect`: see robot/link/outgoing.py. Raises LinkError if the port cannot be
     opened.
     """
 

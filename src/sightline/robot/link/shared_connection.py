@@ -9,7 +9,7 @@ from threading import Lock
 
 from sightline.errors import LinkError
 from sightline.robot.contract import ALIVE_S, HEARTBEAT, HEARTBEAT_S, IDLE_S, STATUS_S
-from sightline.robot.control.loop_clock import LoopClock
+from sightline.robot.control.timing import LoopClock
 from sightline.robot.igtl import Body, Capability, Get, Message, Rejected, String, timestamp_of
 from sightline.robot.transport import BlockingClient
 from sightline.robot.transport.heartbeat import Heartbeat, Pace

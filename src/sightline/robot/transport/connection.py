@@ -1,20 +1,87 @@
-"""A connection to one peer, for server and client: messages in order, detection of silence and disconnection."""
+"""One connection: a byte stream as events, and messages as bytes, with bounded queues."""
 
 import asyncio
+import socket
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Concatenate, ParamSpec, Protocol, cast
 
 from sightline.errors import LinkError
 from sightline.robot.igtl import MAX_BODY_BYTES, Event, Message, Rejected, Stream, encode
-from sightline.robot.transport.outbox import Outbox
-from sightline.robot.transport.sockets import prepare
 
+TELEMETRY_MESSAGES = 64  # [ours] a third of a second at 200 Hz: older telemetry is useless
+ANSWER_BYTES = 1 << 20  # [ours] thousands of answers: a peer that has not read these reads none
+_IDLE_S, _INTERVAL_S, _PROBES = 1, 1, 3  # [ours] a peer that vanished is detected within 4 s
 P = ParamSpec("P")
 
 MESSAGE_S = 5.0  # [ours] time limit to complete a message: 16 MiB at 30 Mbit/s; after that its size must be wrong
 _PIECE = 1 << 15  # bytes: some hundred messages, which take ten milliseconds [ours]
 GOODBYE_S = 1.0  # [ours] time limit to send what waits when closing
+
+
+class Outbox:
+    """Waiting messages. If too much telemetry waits, the oldest is dropped; answers are never dropped."""
+
+    def __init__(self):
+        self.dropped = 0  # number of dropped telemetry messages
+        self._waiting: dict[int, bytes] = {}  # by number, in common order of answers and telemetry
+        self._telemetry: dict[int, None] = {}  # the numbers of telemetry, oldest first
+        self._answer_bytes = 0
+        self._next = 0
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def put_answer(self, data: bytes) -> None:
+        """Add an answer. Raises LinkError if so many answers wait that the peer cannot be reading."""
+        if self._answer_bytes + len(data) > ANSWER_BYTES and self._answer_bytes:
+            raise LinkError(f"the peer does not read: {self._answer_bytes} bytes of answers wait for it")
+        self._answer_bytes += len(data)
+        self._put(data)
+
+    def put_telemetry(self, data: bytes) -> None:
+        """Add telemetry; the oldest is dropped if too much waits."""
+        if len(self._telemetry) == TELEMETRY_MESSAGES:
+            oldest = next(iter(self._telemetry))
+            del self._telemetry[oldest], self._waiting[oldest]
+            self.dropped += 1
+        self._telemetry[self._next] = None
+        self._put(data)
+
+    def take(self) -> bytes:
+        """Remove and return the next message. Raises KeyError if nothing waits."""
+        number = next(iter(self._waiting), None)
+        if number is None:
+            raise KeyError("nothing waits")
+        data = self._waiting.pop(number)
+        if number in self._telemetry:
+            del self._telemetry[number]
+        else:
+            self._answer_bytes -= len(data)
+        return data
+
+    def _put(self, data: bytes) -> None:
+        self._waiting[self._next] = data
+        self._next += 1
+
+
+def prepare(sock: socket.socket) -> None:
+    """Set a socket to send without delay, to probe an idle peer, and to give up one that acknowledges nothing.
+
+    This detects a lost peer within seconds; faster detection needs a heartbeat.
+    """
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in (
+        ("TCP_KEEPIDLE", _IDLE_S),
+        ("TCP_KEEPALIVE", _IDLE_S),  # its name on macOS
+        ("TCP_KEEPINTVL", _INTERVAL_S),
+        ("TCP_KEEPCNT", _PROBES),
+        ("TCP_USER_TIMEOUT", 1000 * (_IDLE_S + _INTERVAL_S * _PROBES)),  # Linux
+    ):
+        option = getattr(socket, name, None)
+        if option is not None:
+            sock.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 class Handler(Protocol):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import HEARTBEAT_S, Code
-from sightline.robot.control.loop_clock import LoopClock
+from sightline.robot.control.timing import LoopClock
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.exchange import pose_of

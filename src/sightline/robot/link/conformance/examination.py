@@ -1,8 +1,4 @@
-"""The conformance test of a robot against the contract of docs/robot-link.md, over the link.
-
-Only the dry run moves the robot. It sends no DRILL. Each question tests one requirement; it is not asked where its
-precondition cannot be reached.
-"""
+"""The conformance test of a robot against the contract of docs/robot-link.md, over the link."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -11,10 +7,19 @@ from sightline.closing import Closing
 from sightline.errors import SightlineError
 from sightline.robot.igtl import Fault, Rejected
 from sightline.robot.link.client import RobotClient
+from sightline.robot.link.conformance import commands, poses, stops
 from sightline.robot.link.conformance.asking import Question, UnsupportedError
 from sightline.robot.link.conformance.conversation import NotAskedError
 from sightline.robot.link.conformance.motions import MOTIONS
-from sightline.robot.link.conformance.questions import QUESTIONS
+
+QUESTIONS: dict[str, Question] = {
+    **commands.COMMANDS,
+    **poses.QUESTIONS,
+    **stops.STOPS,
+    **commands.MESSAGES,
+    **stops.CLIENTS,
+    **stops.EMERGENCIES,
+}
 
 
 class ConformanceVerdict(Enum):
