@@ -205,7 +205,7 @@ def test_where_no_stop_is_answered_the_connections_are_closed(monkeypatch):
 
 
 def test_a_stop_s_connection_that_dies_is_made_anew(monkeypatch):
-    monkeypatch.setattr("sightline.robot.link.shared_connection.PROBE_S", 0.05)
+    monkeypatch.setattr("sightline.robot.link.exchange.PROBE_S", 0.05)
     peer = ScriptedRobot()
     with serving(peer) as port, RobotClient(port=port) as robot:
         told(robot)

@@ -146,12 +146,12 @@ def test_what_stands_between_two_free_places_is_met_on_the_way():
     path = np.zeros((2, 5))
     path[:, TRAVERSE] = [-100.0, 100.0]
     chuck_mm = robot.T_mcs_tool(np.zeros(5)).translation - [140.0, 0.0, 0.0]
-    thin = Obstacle("post", RigidTransform.from_translation(chuck_mm), np.array([1.0, 1.0, 400.0]))
+    thin = Obstacle("table", RigidTransform.from_translation(chuck_mm), np.array([1.0, 1.0, 400.0]))
     theatre = Surroundings((thin,), frame_mounted=False)
     for end in path:
         assert not failed(check_reach(robot, end[None], theatre))
     checks = check_reach(robot, path, theatre)
-    assert names(checks) == ["post clearance"]
+    assert names(checks) == ["table clearance"]
     assert checks[1].figure is not None
     assert checks[1].figure < 0
 
@@ -161,7 +161,7 @@ def test_the_clearance_stated_is_the_distance_less_half_a_step():
     tip = robot.T_mcs_tool(np.zeros(5)).translation
     # A wall ahead of the chuck, whose cap ends 15 mm beyond (0, -40, 55) of the flange.
     wall = Obstacle(
-        "wall", RigidTransform.from_translation([250.0 + 200.0, 0.0, tip[2]]), np.array([10.0, 500.0, 10.0])
+        "table", RigidTransform.from_translation([250.0 + 200.0, 0.0, tip[2]]), np.array([10.0, 500.0, 10.0])
     )
     checks = check_reach(robot, np.zeros((1, 5)), Surroundings((wall,), frame_mounted=False))
     to_slide = 190.0 - 120.0 - 45.0  # the slide reaches further forward than the retracted chuck

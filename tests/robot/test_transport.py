@@ -12,7 +12,7 @@ import pytest
 
 from sightline.errors import LinkError, MessageError
 from sightline.robot.igtl import Event, Image, Message, Rejected, Status, String, Transform, encode
-from sightline.robot.transport import BlockingClient, Client, Connection, Server, connection, outbox, server
+from sightline.robot.transport import BlockingClient, Client, Connection, Server, connection, server
 from sightline.robot.transport import serve as serve_at
 from sightline.robot.transport.connection import Outbox
 
@@ -146,17 +146,17 @@ def test_clients_are_told_apart_and_one_too_many_is_turned_away() -> None:
 def test_what_waits_is_bounded_in_its_order() -> None:
     box = Outbox()
     box.put_answer(b"first")
-    for number in range(outbox.TELEMETRY_MESSAGES + 3):
+    for number in range(connection.TELEMETRY_MESSAGES + 3):
         box.put_telemetry(b"%d" % number)
         if number == 10:
             box.put_answer(b"between")
     sent = [box.take() for _ in range(len(box))]
-    kept = [b"%d" % number for number in range(3, outbox.TELEMETRY_MESSAGES + 3)]
+    kept = [b"%d" % number for number in range(3, connection.TELEMETRY_MESSAGES + 3)]
     assert box.dropped == 3
     assert sent == [b"first", *kept[:8], b"between", *kept[8:]]
     with pytest.raises(KeyError):
         box.take()
-    box.put_answer(bytes(2 * outbox.ANSWER_BYTES))  # one answer alone may be as large as it likes
+    box.put_answer(bytes(2 * connection.ANSWER_BYTES))  # one answer alone may be as large as it likes
     with pytest.raises(LinkError, match="does not read"):
         box.put_answer(b"second")
 

@@ -153,17 +153,17 @@ def read_target(
     """
     sent = _rigid(message, "target")
     T_cfcs_wire = sent.rigid()
-    said = message.metadata
-    _refuse_frame_and_units(said)
+    metadata = message.metadata
+    _refuse_frame_and_units(metadata)
     if setup.frames is None:
         _refuse_metres(T_cfcs_wire)
     if message.timestamp and registration.timestamp and message.timestamp < registration.timestamp:
         raise RobotRefusedError("the target is older than the registration; plan again on the images just taken")
     identity, length, limit, expires = None, BARE_LENGTH_MM, BARE_LENGTH_MM + DEPTH_SLACK_MM, now_s + LIFETIME_S
     limits = Limits()
-    if contract.PLAN in said:
-        identity, length, limit, valid = _plan(said, setup)
-        expires, limits = now_s + valid, _beside_bone(said, length)
+    if contract.PLAN in metadata:
+        identity, length, limit, valid = _plan(metadata, setup)
+        expires, limits = now_s + valid, _beside_bone(metadata, length)
     end = registration.T_mcs_cfcs.apply(T_cfcs_wire.translation)
     along = (registration.T_mcs_cfcs * T_cfcs_wire).rotation.apply([0.0, 0.0, 1.0])
     entry = end - length * along
@@ -199,8 +199,8 @@ def _rigid(message: Message, what: str) -> Transform:
     return body
 
 
-def _refuse_frame_and_units(said: Mapping[str, str]) -> None:
-    frame, units = said.get(contract.COORDINATES, contract.CFCS), said.get(contract.UNITS, contract.MM)
+def _refuse_frame_and_units(metadata: Mapping[str, str]) -> None:
+    frame, units = metadata.get(contract.COORDINATES, contract.CFCS), metadata.get(contract.UNITS, contract.MM)
     if frame != contract.CFCS:
         raise RobotRefusedError(f"the target is in the frame {frame!r}; send it in {contract.CFCS}")
     if units != contract.MM:
@@ -216,22 +216,22 @@ def _refuse_metres(T_cfcs_wire: RigidTransform) -> None:
         )
 
 
-def _plan(said: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, float, float]:
+def _plan(metadata: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, float, float]:
     """Return (identity, length mm, depth limit mm, remaining validity s)."""
-    missing = [key for key in contract.PLAN_KEYS if key not in said]
+    missing = [key for key in contract.PLAN_KEYS if key not in metadata]
     if missing:
-        raise RobotRefusedError(f"the plan {said[contract.PLAN]!r} does not state {', '.join(missing)}")
-    go = said[contract.GO]
+        raise RobotRefusedError(f"the plan {metadata[contract.PLAN]!r} does not state {', '.join(missing)}")
+    go = metadata[contract.GO]
     if go not in (contract.YES, contract.NO):
         raise RobotRefusedError(f"{contract.GO} is {contract.YES!r} or {contract.NO!r}, not {go!r}")
     try:
         identity = PlanIdentity(
-            said[contract.PLAN],
-            said[contract.SIDE],
-            said[contract.FRAME_SERIAL],
+            metadata[contract.PLAN],
+            metadata[contract.SIDE],
+            metadata[contract.FRAME_SERIAL],
             go == contract.YES,
-            said.get(contract.KIND, ""),
-            said.get(contract.FRAME, ""),
+            metadata.get(contract.KIND, ""),
+            metadata.get(contract.FRAME, ""),
         )
     except UnusableInputError as error:
         raise RobotRefusedError(str(error)) from error
@@ -248,7 +248,7 @@ def _plan(said: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, f
                 "this frame; find out which before anything else"
             )
     length, limit, valid = (
-        _number(said, key) for key in (contract.LENGTH_MM, contract.DEPTH_LIMIT_MM, contract.VALID_S)
+        _number(metadata, key) for key in (contract.LENGTH_MM, contract.DEPTH_LIMIT_MM, contract.VALID_S)
     )
     if length < MIN_LENGTH_MM:
         raise RobotRefusedError(
@@ -274,9 +274,11 @@ def _plan(said: Mapping[str, str], setup: Setup) -> tuple[PlanIdentity, float, f
     return identity, length, limit, valid
 
 
-def _beside_bone(said: Mapping[str, str], length_mm: float) -> Limits:
+def _beside_bone(metadata: Mapping[str, str], length_mm: float) -> Limits:
     """Return how far past the end point the wire is drilled, and how far before the entry point bone may begin."""
-    beyond, before = (_number(said, key) if key in said else 0.0 for key in (contract.BEYOND_MM, contract.BEFORE_MM))
+    beyond, before = (
+        _number(metadata, key) if key in metadata else 0.0 for key in (contract.BEYOND_MM, contract.BEFORE_MM)
+    )
     if not 0.0 <= beyond < length_mm:
         raise RobotRefusedError(f"{contract.BEYOND_MM} is {beyond:g}: it is a part of the length of {length_mm:.1f} mm")
     if before != 0.0 and not CLEAR_MM < before <= MAX_BEFORE_MM:
@@ -287,11 +289,11 @@ def _beside_bone(said: Mapping[str, str], length_mm: float) -> Limits:
     return Limits(beyond_mm=beyond, before_mm=before)
 
 
-def _number(said: Mapping[str, str], key: str) -> float:
+def _number(metadata: Mapping[str, str], key: str) -> float:
     try:
-        value = float(said[key])
+        value = float(metadata[key])
     except ValueError:
         value = float("nan")
     if not isfinite(value):
-        raise RobotRefusedError(f"{key} is {said[key]!r}, which is no number")
+        raise RobotRefusedError(f"{key} is {metadata[key]!r}, which is no number")
     return value

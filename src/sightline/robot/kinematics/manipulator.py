@@ -236,9 +236,11 @@ class Manipulator:
 
     def _refuse_beyond(self, q: np.ndarray) -> None:
         beyond = self.beyond_limits(q)
-        said = [describe_excess(joint, q[joint], beyond[joint]) for joint in np.flatnonzero(beyond).tolist()]
-        if said:
-            raise RobotRefusedError(f"the line is out of reach: {'; '.join(said)}; move the robot's base or the line")
+        excesses = [describe_excess(joint, q[joint], beyond[joint]) for joint in np.flatnonzero(beyond).tolist()]
+        if excesses:
+            raise RobotRefusedError(
+                f"the line is out of reach: {'; '.join(excesses)}; move the robot's base or the line"
+            )
 
 
 def imaging_yaw(side: str) -> float:

@@ -127,15 +127,22 @@ class RobotFile(_Part):
     wire_seen: WireSeenPart | None = None
 
     @staticmethod
-    def calibrated(said: Measurements) -> "tuple[RobotFile, dict[str, float]]":
+    def calibrated(measurements: Measurements) -> "tuple[RobotFile, dict[str, float]]":
         """Return the robot from its measurements, and the rms residual of each calibration, mm.
 
         Raises UnusableInputError, and RobotRefusedError for measurements that contradict each other."""
         axes = calibrate_axes(
-            nominal_manipulator(said.side), np.array(said.axes.q), _even(said.axes.targets_mm), said.axes.sd_mm
+            nominal_manipulator(measurements.side),
+            np.array(measurements.axes.q),
+            _even(measurements.axes.targets_mm),
+            measurements.axes.sd_mm,
         )
-        frame = measured_mount(np.array(said.frame.own_mm), np.array(said.frame.flange_mm), said.frame.sd_mm)
-        wire = measured_axis(np.array(said.wire.feed_mm), np.array(said.wire.tip_flange_mm), said.wire.sd_mm)
+        frame = measured_mount(
+            np.array(measurements.frame.own_mm), np.array(measurements.frame.flange_mm), measurements.frame.sd_mm
+        )
+        wire = measured_axis(
+            np.array(measurements.wire.feed_mm), np.array(measurements.wire.tip_flange_mm), measurements.wire.sd_mm
+        )
         robot = CalibratedRobot.of(axes, frame, wire)
         manipulator = robot.manipulator
         part = ManipulatorPart.model_validate(
@@ -149,10 +156,10 @@ class RobotFile(_Part):
         )
         file = RobotFile.model_validate(
             {
-                "robot_serial": said.robot_serial,
-                "frame_serial": said.frame_serial,
-                "side": said.side,
-                "measured_on": said.measured_on,
+                "robot_serial": measurements.robot_serial,
+                "frame_serial": measurements.frame_serial,
+                "side": measurements.side,
+                "measured_on": measurements.measured_on,
                 "manipulator": part,
                 "covariance": robot.covariance.tolist(),
                 "compliance_sd": robot.compliance_sd.tolist(),

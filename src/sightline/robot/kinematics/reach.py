@@ -68,8 +68,12 @@ PATIENT_MM = (
     (-300.0, -900.0, -115.0),
     (70.0, 900.0, 100.0),
 )  # lateral of the incision's bottom, some 35 mm on the bone [ours]
-TABLE_MM = ((-340.0, -1000.0, -175.0), (160.0, 1000.0, -115.0))  # 500 mm wide, the hip 90 mm beside its middle [mem]
-# The detector's housing: its face 380 mm from the hip (1000 mm from a source at 620), edge 300, depth 350 [mem].
+TABLE_MM = (
+    (-340.0, -1000.0, -175.0),
+    (160.0, 1000.0, -115.0),
+)  # 500 mm wide, the hip 90 mm beside its middle [ours, typical]
+# The detector's housing: its face 380 mm from the hip (1000 mm from a source at 620), edge 300, depth 350
+# [ours, typical].
 DETECTOR_FACE_MM, DETECTOR_HALF_MM = 380.0, (150.0, 150.0, 175.0)
 SWING_RAD = np.deg2rad(np.arange(0.0, 90.1, 7.5))  # from the PA to the lateral view
 
@@ -159,11 +163,11 @@ def frame_capsules(robot: Manipulator) -> Iterable[Capsule]:
 def _limits(robot: Manipulator, path: np.ndarray) -> Check:
     beyond = robot.beyond_limits(path)
     worst = [int(np.argmax(np.abs(column))) for column in beyond.T]
-    said = [
+    excesses = [
         describe_excess(j, path[worst[j], j], beyond[worst[j], j]) for j in range(len(JOINTS)) if beyond[worst[j], j]
     ]
-    if said:
-        return Check("joint limits", False, None, None, "", f"On its way {'; '.join(said)}: move the robot's base.")
+    if excesses:
+        return Check("joint limits", False, None, None, "", f"On its way {'; '.join(excesses)}: move the robot's base.")
     return Check("joint limits", True, None, None, "", "All joints stay within their limits.")
 
 

@@ -184,9 +184,9 @@ class RobotTarget:
             ("wire direction error", "direction", *degrees, "°"),
         )
         go = self.identity.go
-        said = "Planning says GO." if go else "Planning says NO-GO: see its checks, and plan again."
+        text = "Planning says GO." if go else "Planning says NO-GO: see its checks, and plan again."
         errors = tuple(self._check(*value) for value in values)
-        return (Check("plan go", go, None, None, "", said), *errors, *self._through_walls())
+        return (Check("plan go", go, None, None, "", text), *errors, *self._through_walls())
 
     def refuse_unfit(self, now_s: float) -> None:
         """Raise RobotRefusedError if a check failed, the target has expired, or its images are dated in the future."""
@@ -213,11 +213,11 @@ class RobotTarget:
         share = both_within(across @ self.covariance_mm2 @ across.T, self.limits.position_mm)
         passed = share >= MIN_PASSING
         shown = 100 * share if passed else min(100 * share, 100 * MIN_PASSING - 0.1)  # never rounded up to its limit
-        said = f"By the stated errors the drill passes both walls with a probability of {shown:.1f} % "
-        said += (
+        text = f"By the stated errors the drill passes both walls with a probability of {shown:.1f} % "
+        text += (
             f"(at least {100 * MIN_PASSING:g} %{'' if passed else f' is needed; largest share: {self._largest()}'})."
         )
-        return (Check("wire through both walls", passed, 100 * share, 100 * MIN_PASSING, "%", said),)
+        return (Check("wire through both walls", passed, 100 * share, 100 * MIN_PASSING, "%", text),)
 
     def _check(self, name: str, what: str, value: float, limit: float, unit: str) -> Check:
         return error_check(name, f"drilled {what}", value, limit, unit, advice=f"largest share: {self._largest()}")

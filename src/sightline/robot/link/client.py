@@ -96,10 +96,10 @@ class RobotClient(Closing):
         self.command(Trigger.CALIBRATION.value).refuse_unless_ok()
         sent = T_mcs_cfcs.inv()
         with self.connection.mailbox() as mail:
-            said, echo = self.exchange.transform(
+            answer, echo = self.exchange.transform(
                 mail, contract.CALIBRATION, sent.as_matrix(), "CALIBRATION", imaged_s=imaged_s
             )
-        said.refuse_unless_ok()
+        answer.refuse_unless_ok()
         with self._verified("registration"):
             refuse_other_pose(matrix_of(echo), sent.as_matrix(), "registration")
 
@@ -117,10 +117,10 @@ class RobotClient(Closing):
         self._target = None
         self.command(Trigger.TARGETING.value).refuse_unless_ok()
         with self.connection.mailbox() as mail:
-            said, echo = self.exchange.transform(
+            answer, echo = self.exchange.transform(
                 mail, contract.TARGET, T_cfcs_wire.as_matrix(), "TARGET", metadata=metadata, imaged_s=imaged_s
             )
-            said.refuse_unless_ok()
+            answer.refuse_unless_ok()
             reachable = mail.until(
                 lambda m: m.device_name == "REACHABLE_TARGET", STATUS_S if self.exchange.knows_ours else ACK_S
             )
@@ -191,14 +191,14 @@ class RobotClient(Closing):
     def position(self) -> RigidTransform:
         """Return the wire's pose, CFCS. Raises RobotRefusedError if no registration was sent yet, or if the robot's
         answer is not a pose."""
-        said = self.exchange.ask(
+        answer = self.exchange.ask(
             String(contract.CURRENT_POSITION),
             contract.CURRENT_POSITION,
             lambda m: m.device_name == contract.CURRENT_POSITION and isinstance(m.body, (Transform, Status)),
         )
-        if isinstance(said.body, Status):
-            RequestResult(contract.CURRENT_POSITION, said.body.code, said.body.text).refuse_unless_ok()
-        return pose_of(said)
+        if isinstance(answer.body, Status):
+            RequestResult(contract.CURRENT_POSITION, answer.body.code, answer.body.text).refuse_unless_ok()
+        return pose_of(answer)
 
     def wire_deviation(self) -> WireDeviation:
         """Return the wire's deviation from the target, by the robot's own position. Raises RobotRefusedError if it
@@ -219,8 +219,10 @@ class RobotClient(Closing):
 
     def joints(self) -> np.ndarray:
         """Return (6, N): position, velocity, commanded position, commanded velocity, lower and upper limit; mm, rad."""
-        said = self.exchange.ask(Get("NDARRAY"), contract.MEASURED_JS, lambda m: m.device_name == contract.MEASURED_JS)
-        body = said.body
+        answer = self.exchange.ask(
+            Get("NDARRAY"), contract.MEASURED_JS, lambda m: m.device_name == contract.MEASURED_JS
+        )
+        body = answer.body
         if not (isinstance(body, NDArray) and body.values.ndim == 2 and len(body.values) == 6):
             raise LinkError(f"the robot's {contract.MEASURED_JS} is not an array (6, N)")
         return body.values

@@ -131,31 +131,31 @@ class Dialogue:
 
     def _answer(self, client: int, message: Message, now_s: float, overtaken: bool) -> list[NamedBody]:
         name = message.device_name
-        said: list[NamedBody] = []
+        bodies: list[NamedBody] = []
         match message.body:
             case String(text):
-                said = self._of_string(client, name, text, now_s, overtaken)
+                bodies = self._of_string(client, name, text, now_s, overtaken)
             case Transform():
-                said = self._of_transform(client, message, now_s)
+                bodies = self._of_transform(client, message, now_s)
             case Command(number, command, text):
-                said = [(name, self._of_command(client, number, command, text, now_s))]
+                bodies = [(name, self._of_command(client, number, command, text, now_s))]
             case Capability(types):
                 self._peers[client].telemetry = contract.HAS_TELEMETRY in types
                 self._peers[client].drills_by_name = contract.HAS_DRILLING in types
                 if contract.HAS_HEARTBEAT in types:
                     self.controller.heartbeat(client)
-                said = [self._capability()]
+                bodies = [self._capability()]
             case Get("CAPABILITY"):
-                said = [self._capability()]
+                bodies = [self._capability()]
             case Get("STATUS"):
-                said = [self._facts.state_now()]
+                bodies = [self._facts.state_now()]
             case Get("TRANSFORM"):
-                said = [self._facts.position()]
+                bodies = [self._facts.position()]
             case Get("NDARRAY"):
-                said = [self._facts.joints(self._machine.snapshot())]
+                bodies = [self._facts.joints(self._machine.snapshot())]
             case _:
                 pass  # what is not understood gets no answer
-        return said
+        return bodies
 
     def _capability(self) -> NamedBody:
         here = OFFERED + ((contract.IS_SIMULATED,) if self.simulated else ())
@@ -196,14 +196,14 @@ class Dialogue:
             command = CommandRequest(stop or text, overtaken, peer.drills_by_name)
             answer = self.controller.submit(client, command, now_s)
             peer.asked.put(name, text, answer)
-        said: list[NamedBody] = [
+        bodies: list[NamedBody] = [
             (contract.ACKNOWLEDGED + name.removeprefix(contract.COMMAND), String(text)),
             (contract.CURRENT_STATUS, self._after_command(stop or text)),
         ]
         entered = answer.code is Code.OK and text in (Trigger.PLANNING.value, Trigger.CALIBRATION.value)
         if not answer.done or (entered and not self.dialect.tells_entered):
-            return said
-        return [*said, (fitting(stop or text), self._status(answer))]
+            return bodies
+        return [*bodies, (fitting(stop or text), self._status(answer))]
 
     def _after_command(self, text: str) -> Status:
         commanded = self.dialect.names_commanded and text in PHASES
@@ -214,13 +214,13 @@ class Dialogue:
         return [echo_of(message.device_name, message.body), *(self._target_answer(answer) if answer.done else [])]
 
     def _target_answer(self, answer: Answer) -> list[NamedBody]:
-        said: list[NamedBody] = [(TARGET, self._status(answer))]
+        bodies: list[NamedBody] = [(TARGET, self._status(answer))]
         insertion = self._machine.insertion
         if answer.code is Code.OK and insertion is not None:
-            said.append((TARGET, insertion.sent))
+            bodies.append((TARGET, insertion.sent))
             if self.dialect.tells_reachable:
-                said.append(("REACHABLE_TARGET", Transform.of(insertion.T_cfcs_wire)))
-        return said
+                bodies.append(("REACHABLE_TARGET", Transform.of(insertion.T_cfcs_wire)))
+        return bodies
 
     def _of_command(self, client: int, number: int, command: str, text: str, now_s: float) -> CommandReply:
         if command == contract.SIMULATED_WIRE and self.truth is not None:
@@ -250,10 +250,10 @@ class Dialogue:
             if outcome.code is Code.EMERGENCY and self._peers[client].sent_emergency:
                 self._peers[client].sent_emergency = False
                 answer = Answer(self.dialect.own_emergency, outcome.text)
-        said: list[NamedBody] = [(fitting(outcome.name), self._status(answer))]
+        bodies: list[NamedBody] = [(fitting(outcome.name), self._status(answer))]
         if outcome.name == Trigger.MOVE_TO_TARGET.value:
-            said.append(self._facts.position())
-        return said
+            bodies.append(self._facts.position())
+        return bodies
 
     def _status(self, answer: Answer) -> Status:
         code = self.dialect.in_manual if answer.code is Code.MANUAL else answer.code
@@ -267,11 +267,11 @@ class Dialogue:
             self._hole, self._events = self._machine.drilling, 0
         noted = [] if self._hole is None else self._hole.noted[self._events :]
         self._events += len(noted)
-        said: list[NamedBody] = [
+        bodies: list[NamedBody] = [
             (contract.EVENT, String(f"{n.kind.value}; {n.depth_mm:.2f} mm; {n.force_n:.1f} N")) for n in noted
         ]
-        listening = [client for client, peer in self._peers.items() if peer.telemetry] if said else []
-        return [outgoing for client in listening for outgoing in self._all(client, said)]
+        listening = [client for client, peer in self._peers.items() if peer.telemetry] if bodies else []
+        return [outgoing for client in listening for outgoing in self._all(client, bodies)]
 
     def _telemetry(self, now_s: float) -> list[Outgoing]:
         due = [client for client, peer in self._peers.items() if now_s - peer.told_s > self.telemetry_s - CYCLE_S / 2]
@@ -287,15 +287,15 @@ class Dialogue:
         position = self._facts.position() if moving else None
         for client in {**dict.fromkeys(full), **dict.fromkeys(plain)}:
             self._peers[client].told_s = now_s
-            said = [position] if position is not None and client in plain else []
-            out += self._all(client, said + (streams if client in full else []), telemetry=True)
+            bodies = [position] if position is not None and client in plain else []
+            out += self._all(client, bodies + (streams if client in full else []), telemetry=True)
         return out
 
-    def _all(self, client: int, said: list[NamedBody], *, telemetry: bool = False) -> list[Outgoing]:
+    def _all(self, client: int, bodies: list[NamedBody], *, telemetry: bool = False) -> list[Outgoing]:
         peer = self._peers.get(client) or _Peer()
         if peer.mirrored:
-            said = [each for name, body in said for each in with_mirror(name, body)]
-        return [Outgoing(client, message_of(name, body, peer.version), telemetry) for name, body in said]
+            bodies = [each for name, body in bodies for each in with_mirror(name, body)]
+        return [Outgoing(client, message_of(name, body, peer.version), telemetry) for name, body in bodies]
 
 
 def _request(command: str, text: str) -> Request | str:

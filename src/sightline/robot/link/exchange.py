@@ -64,10 +64,10 @@ class Exchange:
         with self._connection.mailbox() as mail:
             self._connection.send(Get("CAPABILITY"), "")
             self._connection.send(String(contract.CURRENT_STATUS), contract.CURRENT_STATUS)
-            said = mail.until(lambda m: isinstance(m.body, (Capability, Status)), ACK_S)
-            if said is None or not isinstance(said.body, Capability):
+            answer = mail.until(lambda m: isinstance(m.body, (Capability, Status)), ACK_S)
+            if answer is None or not isinstance(answer.body, Capability):
                 return
-            self.capabilities = frozenset(said.body.types)
+            self.capabilities = frozenset(answer.body.types)
             mine = {contract.HAS_TELEMETRY: streams, contract.HAS_HEARTBEAT: heartbeat}
             # A client that announces drilling drills by DRILL only: a stray MOVE_TO_TARGET at the bone is then refused.
             announced = (*_UNDERSTOOD, contract.HAS_DRILLING, *(name for name, wanted in mine.items() if wanted))
@@ -111,11 +111,11 @@ class Exchange:
         number = next(self._numbers)
         with self._connection.mailbox() as mail:
             self._connection.send(Command(number, name, text), name, version=2)
-            said = mail.need(lambda m: isinstance(m.body, CommandReply) and m.body.command_id == number, ACK_S, name)
-        assert isinstance(said.body, CommandReply)  # noqa: S101
-        if said.body.error:
-            raise RobotRefusedError(f"the robot refused {name}: {said.body.text}", said.body.text)
-        return said.body.text
+            answer = mail.need(lambda m: isinstance(m.body, CommandReply) and m.body.command_id == number, ACK_S, name)
+        assert isinstance(answer.body, CommandReply)  # noqa: S101
+        if answer.body.error:
+            raise RobotRefusedError(f"the robot refused {name}: {answer.body.text}", answer.body.text)
+        return answer.body.text
 
     def ask(self, body: Body, name: str, answers: Callable[[Message], bool]) -> Message:
         """Send a query and return its answer."""

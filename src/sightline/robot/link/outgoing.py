@@ -51,11 +51,11 @@ class Outgoing:
 
 def message_of(name: str, body: Body, version: int) -> Message:
     """Return a message; with header version 2 a pose carries its frame and unit as metadata."""
-    said: dict[str, str] = {}
+    metadata: dict[str, str] = {}
     if version == 2 and isinstance(body, Transform):
         frame = contract.MCS if name == contract.MEASURED_CP else contract.CFCS
-        said = {contract.UNITS: contract.MM, contract.COORDINATES: frame}
-    return Message(body, name, version=version, metadata=said)
+        metadata = {contract.UNITS: contract.MM, contract.COORDINATES: frame}
+    return Message(body, name, version=version, metadata=metadata)
 
 
 def with_mirror(name: str, body: Body) -> list[NamedBody]:

@@ -75,9 +75,9 @@ class Recorder:
             elif message.device_name == contract.DEPTH and np.isfinite([value, self._force_n]).all():
                 self._samples.append((value, self._force_n, self._sd_mm))
         elif isinstance(body, String) and message.device_name == contract.EVENT:
-            said = _EVENT.fullmatch(body.text)
-            if said is not None:
-                self._events.append(DrillingEvent(said[1], float(said[2]), float(said[3])))
+            match = _EVENT.fullmatch(body.text)
+            if match is not None:
+                self._events.append(DrillingEvent(match[1], float(match[2]), float(match[3])))
 
     @property
     def record(self) -> DrillingRecord:

@@ -32,9 +32,9 @@ class SimulatedWire:
     def of(text: str) -> "SimulatedWire":
         """Return the wire from such a text. Raises UnusableInputError."""
         try:
-            said = loads(text)
+            values_by_name = loads(text)
             names = ("wire_mm", "T_mcs_cfcs", "imaged")
-            wire, frame, imaged = (np.array(said[name], dtype=np.float64) for name in names)
+            wire, frame, imaged = (np.array(values_by_name[name], dtype=np.float64) for name in names)
         except (JSONDecodeError, KeyError, TypeError, ValueError) as error:
             raise UnusableInputError("this text does not describe a simulated wire") from error
         finite = all(np.isfinite(value).all() for value in (wire, frame, imaged))

@@ -62,7 +62,7 @@ class Telemetry:
     def streams(self, now: Snapshot) -> list[NamedBody]:
         """Return all streams except the pose in CFCS."""
         tool = self.machine.robot.manipulator.tool_matrix(now.reading.encoders)
-        said: list[NamedBody] = [
+        bodies: list[NamedBody] = [
             (contract.MEASURED_CP, Transform(tool)),
             self.joints(now),
             (contract.FORCE, Sensor(np.array([now.reading.force_n]), NEWTON)),
@@ -71,5 +71,5 @@ class Telemetry:
         ]
         for name, value in ((contract.DEPTH_SD, now.depth_sd_mm), (contract.DEPTH, now.depth_mm)):
             if value is not None:
-                said.append((name, Sensor(np.array([value]), MILLIMETRE)))
-        return said
+                bodies.append((name, Sensor(np.array([value]), MILLIMETRE)))
+        return bodies

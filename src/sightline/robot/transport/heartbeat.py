@@ -46,10 +46,10 @@ def beat(link: socket.socket, told: socket.socket, message: bytes, pace: Pace) -
             sent_s = now
         left = sent_s + pace.every_s - time.monotonic()
         if select.select([told], [], [], min(max(left, 0.001), pace.every_s))[0]:
-            said = told.recv(4096)
-            if not said:
+            report = told.recv(4096)
+            if not report:
                 return
-            waiting, quiet_s, turned_s = said.endswith(WAITING), 0.0, time.monotonic()
+            waiting, quiet_s, turned_s = report.endswith(WAITING), 0.0, time.monotonic()
 
 
 def _sent(link: socket.socket, message: bytes) -> bool:

@@ -18,7 +18,7 @@ from sightline.twin.objects.volumes import Volume
 
 VOXEL_MM = 0.75
 SHORT_MM = 8.0  # distance of the ideal wire's tip from the surface of the head: 5-10 mm [physics.md, Planning figures]
-CORTEX_GAP_MM = 3.0  # between a cannulated screw and the neck's surface [mem]
+CORTEX_GAP_MM = 3.0  # between a cannulated screw and the neck's surface [ours, typical]
 NARROWEST = 0.96  # radius of the neck where it is narrowest, over `neck_radius_mm`
 # The voxelised box, anatomical coordinates: the part of a hip that a field of 215 mm at the detector can show.
 BOX_LOW_MM = np.array([-110.0, -110.0, -48.0])
@@ -41,7 +41,7 @@ class Femur:
 
     head_radius_mm: float = 23.0
     neck_radius_mm: float = 16.0
-    neck_length_mm: float = 52.0  # centre of the head to the axis of the shaft [mem]
+    neck_length_mm: float = 52.0  # centre of the head to the axis of the shaft [ours, typical]
     neck_shaft_deg: float = 128.0
     anteversion_deg: float = 12.0
     shaft_radius_mm: float = 15.0
@@ -229,8 +229,8 @@ def _bone(p: np.ndarray, n: np.ndarray, texture: float, medial: float) -> float:
 @exact_unchecked
 def _femur_share(p: np.ndarray, n: np.ndarray, texture: float) -> tuple[float, float]:
     """Return the share of cortical bone without the socket, and the distance from the head's surface. The cortex is
-    1 mm thick on the head, 2 mm on the neck, and increases along the shaft down to the canal (5 mm laterally) [mem];
-    inside is cancellous bone, denser in the head.
+    1 mm thick on the head, 2 mm on the neck, and increases along the shaft down to the canal (5 mm laterally)
+    [ours, typical]; inside is cancellous bone, denser in the head.
     """
     distance, head = _femur_distance(p, n)
     down = p[1] - n[5]

@@ -15,7 +15,7 @@ from sightline.twin.anatomy.bone_model import BoneModel, BonePart, LineAid, Plan
 from sightline.twin.anatomy.femur import BONE_PER_HU
 from sightline.twin.anatomy.shapes import ball, cone, ellipsoid, half_space
 
-SHORT_MM = 5.0  # from the wire's end to the head's surface [mem]
+SHORT_MM = 5.0  # from the wire's end to the head's surface [ours, typical]
 DOME_MM = 24.0  # radius of the growth plate: 30° and a third of its width, the limits of a mild slip, agree [calc]
 OVERLAP_MM = 0.5  # of neck and head where the growth plate displaces the neck [ours]
 JOINT_MM = 3.5  # between head and socket, as of the adult's

@@ -14,7 +14,7 @@ from sightline.twin.anatomy.shapes import cone, ellipsoid
 from sightline.twin.objects.meshes import Mesh
 from sightline.twin.objects.things import Rod, Scene, SoftTissue
 
-SPACING_MM = 28.0  # between both holes; makers have 25 to 30 mm [mem]
+SPACING_MM = 28.0  # between both holes; makers have 25 to 30 mm [ours, typical]
 BENT_MM = 100.0  # the length over which the nail bends [ours]
 REACH_MM = 90.0  # how far the mesh reaches from the first hole, away from the tip [ours]
 TIP_MM = 14.0  # from the second hole to the tip [ours]

@@ -16,7 +16,8 @@ from sightline.twin.anatomy.shapes import SolidShape, ball, barrel, box, cone, e
 PAST_MIDDLE_MM = 8.0  # how far the wire's end lies beyond the middle plane [ours]
 CORRIDOR_MM = np.array([36.0, -10.0])  # where the drawn corridor begins and ends, from the middle plane [ours]
 LOW_MM, HIGH_MM = np.array([-95.0, -85.0, -80.0]), np.array([132.0, 150.0, 100.0])  # what views show
-# Places on a hip bone, anatomical coordinates [ours], with the hip's centre by a pelvic incidence of 52° [mem].
+# Places on a hip bone, anatomical coordinates [ours], with the hip's centre by a pelvic incidence of 52°
+# [ours, typical].
 HIP = np.array([88.0, 100.0, 33.0])
 PSIS, PIIS = np.array([42.0, 6.0, -60.0]), np.array([45.0, 38.0, -42.0])
 FRONT, BACK = (

@@ -62,7 +62,7 @@ class SolidShape:
 
 
 def _shape(kind: int, *numbers: ArrayLike) -> SolidShape:
-    return SolidShape(kind, tuple(np.concatenate([np.ravel(one) for one in numbers]).astype(float).tolist()))
+    return SolidShape(kind, tuple(np.concatenate([np.ravel(number) for number in numbers]).astype(float).tolist()))
 
 
 def cone(

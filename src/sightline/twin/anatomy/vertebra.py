@@ -12,7 +12,7 @@ from sightline.twin.anatomy.shapes import barrel, box, cone, plate
 SHORT_MM = 8.0  # from the wire's end to the anterior cortex along it [ours]
 SHELL_MM = 0.6  # cortex of the body: 0.35 mm, CT shows twice as much [src Silva 1994]
 ARCH_MM = 1.6  # cortex of pedicles and arch, which is thicker than the body's [src Odeh 2021; value ours]
-DISC_MM = 11.0  # height of a disc [mem]
+DISC_MM = 11.0  # height of a disc [ours, typical]
 ISTHMUS_MM = 10.0  # of the pedicle's length that a person draws [ours]
 REACH_MM = 95.0  # of the voxels along the spine, with the vertebrae above and below
 
@@ -111,16 +111,23 @@ class Vertebra:
             keep_out={"canal": (canal,)},
             mirrored=True,
         )
-        landmarks = {
-            "spinous process": bone.surface_mm(spine, np.array([0.0, 1.0, 0.0])),
-            "superior articular process": bone.surface_mm(upper, np.array([0.0, -1.0, 0.0])),
-            "inferior articular process": bone.surface_mm(lower, np.array([0.0, 1.0, 0.0])),
-            "transverse process": bone.surface_mm(process, np.array([1.0, 0.0, 0.0])),
-        }
-        landmarks |= {f"opposite {name}": at * [-1.0, 1.0, 1.0] for name, at in landmarks.items() if at[0] > 0}
-        bone = replace(bone, landmarks_mm=landmarks)
+        bone = _with_landmarks(bone, spine, upper, lower, process)
         wire = bone.wire_through(self.pedicle_mm, self.along, SHORT_MM)
         return bone.with_wire(wire, {"entry cortex": (1.0, 0.0, 0.0)})
+
+
+def _with_landmarks(
+    bone: BoneModel, spine: np.ndarray, upper: np.ndarray, lower: np.ndarray, process: np.ndarray
+) -> BoneModel:
+    """Return the bone with the tips of its processes, near the given points (3,), as landmarks."""
+    landmarks = {
+        "spinous process": bone.surface_mm(spine, np.array([0.0, 1.0, 0.0])),
+        "superior articular process": bone.surface_mm(upper, np.array([0.0, -1.0, 0.0])),
+        "inferior articular process": bone.surface_mm(lower, np.array([0.0, 1.0, 0.0])),
+        "transverse process": bone.surface_mm(process, np.array([1.0, 0.0, 0.0])),
+    }
+    landmarks |= {f"opposite {name}": at * [-1.0, 1.0, 1.0] for name, at in landmarks.items() if at[0] > 0}
+    return replace(bone, landmarks_mm=landmarks)
 
 
 def draw_vertebra(rng: np.random.Generator) -> Vertebra:

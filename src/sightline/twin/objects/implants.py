@@ -10,7 +10,7 @@ from sightline.twin.objects.things import Box, Scene, SoftTissue, rod_between
 WIRE_DIAMETER_MM = 2.5  # [paper]
 WIRE_LENGTH_MM = 200.0  # [paper]
 TIP_STEP_MM = 0.1  # of the radius, from disc to disc of a trocar tip: half a pixel or less in an image [ours]
-# A sliding hip screw of 135° [paper]; sizes of a common make [mem].
+# A sliding hip screw of 135° [paper]; sizes of a common make [ours, typical].
 SHANK_DIAMETER_MM = 8.0
 THREAD_DIAMETER_MM, THREAD_LENGTH_MM, THREAD_PITCH_MM = 12.5, 22.0, 2.75
 BORE_DIAMETER_MM = 3.2  # cannulation
@@ -22,7 +22,7 @@ SCREW_DIAMETER_MM, SCREW_LENGTH_MM = 4.5, 38.0
 SHEET_MM = 0.15  # thickness of a sterile drape of polyethylene [ours]
 FOLD_SHEETS = (2, 8)  # range of the number of sheets in a fold, both included [ours]
 FOLD_MM = (4.0, 15.0)  # half-width of a fold [ours]
-RAIL_MM = (10.0, 25.0)  # thickness and height of an operating table's steel rail [mem]
+RAIL_MM = (10.0, 25.0)  # thickness and height of an operating table's steel rail [ours, typical]
 GUIDE_MM, GUIDE_LENGTH_MM, GUIDE_PLAY_MM = 10.0, 120.0, 0.2  # outer diameter, length, hole over wire [ours]
 FOOT_MM, FOOT_THICK_MM = 18.0, 3.0  # the guide's foot on the skin [ours]
 

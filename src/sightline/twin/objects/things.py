@@ -243,10 +243,10 @@ def moved(thing: Thing, motion: RigidTransform) -> Thing:
         case Scene():
             return replace(
                 thing,
-                solids=tuple(moved(one, motion) for one in thing.solids),
-                boxes=tuple(moved(one, motion) for one in thing.boxes),
-                volumes=tuple(moved(one, motion) for one in thing.volumes),
-                meshes=tuple(moved(one, motion) for one in thing.meshes),
+                solids=tuple(moved(solid, motion) for solid in thing.solids),
+                boxes=tuple(moved(box, motion) for box in thing.boxes),
+                volumes=tuple(moved(volume, motion) for volume in thing.volumes),
+                meshes=tuple(moved(mesh, motion) for mesh in thing.meshes),
             )
 
 

@@ -21,10 +21,10 @@ THRUST_N, FEED_PER_REV_MM, FEED_POWER, CORTICAL_G_CM3 = 35.0, 0.06, 0.6, 1.9
 REVS_PER_S = 1000 / 60  # physics.md [ours]
 AXIAL_N_PER_MM = 100.0  # wire in its chuck against bone: physics.md [ours]
 NOISE_SHARE, NOISE_N = 0.1, 0.3  # of the force sensor, s.d.: physics.md [ours]
-DENSITY_G_CM3 = {"bone": CORTICAL_G_CM3, "composite": 1.64}  # at a share of 1; glass-filled epoxy [mem]
+DENSITY_G_CM3 = {"bone": CORTICAL_G_CM3, "composite": 1.64}  # at a share of 1; glass-filled epoxy [ours, typical]
 STEEL_N_PER_MM2 = 193e3  # physics.md
 MAX_SLOPE = 3.0  # the flank of a trocar tip 1.5 diameters long (implants.py) cannot rest on a steeper slope
-FRICTION = 0.3  # steel on wet bone [mem]
+FRICTION = 0.3  # steel on wet bone [ours, typical]
 MIN_FREE_MM = 5.0  # minimum free length, from the play of the guide [ours]
 # A sleeve that ends within GRIP_MM of the point where bone holds the wire stands on the bone, and its teeth grip. Its
 # mouth stays there; an arm with compliance or play rotates it about its mouth [ours: 8 mm across, on 45° of cortex].

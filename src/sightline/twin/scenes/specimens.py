@@ -35,7 +35,7 @@ MARGIN_PX = 30.0  # minimum distance of points of interest from the edge of both
 PERSPEX_MM = np.array([60.0, 60.0, 50.0])  # size of the block with the four balls [ours]
 PLASTIC_BORE_MM = 8.0  # diameter [paper]
 FOAM_SHARE = 0.14  # polyurethane foam of 0.27 g/cm³ over glass-filled epoxy of 1.64, at 60 keV [calc]
-# A pig of 100 kg: head of 34 mm, short neck, stout shaft [mem].
+# A pig of 100 kg: head of 34 mm, short neck, stout shaft [ours, typical].
 PIG = Femur(
     head_radius_mm=17.0,
     neck_radius_mm=13.0,

@@ -1,6 +1,6 @@
 """The distributions that simulated set-ups are drawn from, with their sources; pointing and sag of the C-arm.
 
-The benchmarks' scenes depend on them. Tags as in docs/twin.md: [paper], [src], [mem], [calc], [ours].
+The benchmarks' scenes depend on them. Tags as in docs/twin.md: [paper], [src], [calc], [ours].
 """
 
 from dataclasses import dataclass
@@ -60,8 +60,8 @@ class Arm:
 
     orbit: float = radians(8.0)  # off the view's own orbit [ours]
     tilt: float = radians(6.0)  # about the arm's support, cranial or caudal [ours]
-    swivel: float = radians(6.0)  # of the whole arm; machines turn by 10-12.5° [mem]
-    orbit_limits: tuple[float, float] = (radians(-40.0), radians(100.0))  # of the machine [mem]
+    swivel: float = radians(6.0)  # of the whole arm; machines turn by 10-12.5° [ours, typical]
+    orbit_limits: tuple[float, float] = (radians(-40.0), radians(100.0))  # of the machine [ours, typical]
     repeat_mm: float = 0.25  # repeatability at the same orbit, s.d. per axis; an upper bound [src Daly 2008]
 
 

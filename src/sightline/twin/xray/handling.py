@@ -8,8 +8,10 @@ from sightline.errors import SetUpError
 from sightline.frame import Frame, RigidBody
 from sightline.twin.xray.setup import displaced
 
-EXPANSION_PER_K = 70e-6  # PMMA [mem, physics.md]
-MOISTURE_EXPANSION = 0.2  # relative growth in length per share of mass absorbed as water: 1 % of water, 0.2 % [mem]
+EXPANSION_PER_K = 70e-6  # PMMA, 0.07 mm/(m K) [src data sheets of cast PMMA; physics.md, Frame]
+MOISTURE_EXPANSION = (
+    0.2  # relative growth in length per share of mass absorbed as water: 1 % of water, 0.2 % [ours, typical]
+)
 DRAPE_N = 10.0  # load of a wet drape on one arm, which displaces a plate by one plate tolerance [ours]
 DOWN = np.array([0.0, 0.0, -1.0])  # the patient lies supine: +Z is up
 

@@ -18,12 +18,12 @@ class Video:
     that remains in the next field; the square of it remains in the one after, and so on.
     """
 
-    field_s: float = 0.020  # PAL [mem]
+    field_s: float = 0.020  # 50 fields a second [src ITU-R BT.1700]
     pairing_px: float = 0.1  # [ours] a tenth of a line
     field_gain: float = 0.01  # [ours]
-    jitter_px: float = 0.1  # [mem] sync good to 5-10 ns, a pixel takes 68 ns
-    noise: float = 0.004  # [mem] 48 dB
-    lag: float = 0.01  # [mem] CCD and output phosphor: at most this after 20 ms; a vidicon has 0.2 or more
+    jitter_px: float = 0.1  # [ours, typical] sync good to 5-10 ns, a pixel takes 68 ns
+    noise: float = 0.004  # [ours, typical] 48 dB
+    lag: float = 0.01  # [ours, typical] CCD and output phosphor: at most this after 20 ms; a vidicon has 0.2 or more
 
 
 @dataclass(frozen=True)
@@ -86,16 +86,16 @@ class ImageChain:
 NINE_INCH = ImageChain(
     name="9in-1k",
     sdd_mm=1000.0,  # [src ARCADIS Varic manual]
-    field_mm=215.0,  # [mem] useful field of a 9 in tube
+    field_mm=215.0,  # [ours, typical] useful field of a 9 in tube
     tube_mm=215.0,
-    shape=(1024, 1024),  # 0.21 mm/px [mem]
+    shape=(1024, 1024),  # 0.21 mm/px [ours, typical]
     mask_px=506.0,  # [ours] 6 px inside the edge
-    focal_spot_mm=0.6,  # [mem]
+    focal_spot_mm=0.6,  # [ours, typical]
     core_mm=0.22,  # [calc] from the MTF of 25 tubes, Phys Med Biol 33:1 1988
-    glare=0.15,  # [mem]
-    glare_mm=20.0,  # [mem]
-    scatter_to_primary=0.6,  # [mem] 0.4-0.8 with a grid
-    dqe=0.65,  # [mem]
+    glare=0.15,  # [ours, typical]
+    glare_mm=20.0,  # [ours, typical]
+    scatter_to_primary=0.6,  # [ours, typical] 0.4-0.8 with a grid
+    dqe=0.65,  # [ours, typical]
     white=4095,  # 12 bit
 )
 FLAT_PANEL = ImageChain(
@@ -105,36 +105,36 @@ FLAT_PANEL = ImageChain(
     tube_mm=None,
     shape=(1536, 1536),
     mask_px=760.0,  # [ours] the collimator leaves 8 px dark
-    focal_spot_mm=0.6,  # [mem]
-    core_mm=0.17,  # [mem] CsI of 0.5 mm: 55 % at 1/mm, the pixel's width included
+    focal_spot_mm=0.6,  # [ours, typical]
+    core_mm=0.17,  # [ours, typical] CsI of 0.5 mm: 55 % at 1/mm, the pixel's width included
     glare=0.0,  # only tubes have veiling glare
     glare_mm=0.0,
-    scatter_to_primary=0.6,  # [mem] 0.4-0.8 with a grid
-    dqe=0.70,  # [mem] CsI
+    scatter_to_primary=0.6,  # [ours, typical] 0.4-0.8 with a grid
+    dqe=0.70,  # [ours, typical] CsI
     white=65535,  # 16 bit
-    spectrum="70kVp-3Al-0.1Cu",  # [mem]
+    spectrum="70kVp-3Al-0.1Cu",  # [ours, typical]
 )
 CHAINS = (
     NINE_INCH,
     replace(
         NINE_INCH,
         name="9in-pal",
-        shape=(576, 768),  # frame grabber [mem]; 0.37 mm/px, within what the paper's "2-3 mm = 8 px" gives
+        shape=(576, 768),  # frame grabber [ours, typical]; 0.37 mm/px, within what the paper's "2-3 mm = 8 px" gives
         mask_px=284.0,  # [ours] 4 px inside the edge
-        white=255,  # 8 bit [mem]
+        white=255,  # 8 bit [ours, typical]
         video=Video(),
-        spectrum="70kVp-3Al",  # [mem]
+        spectrum="70kVp-3Al",  # [ours, typical]
     ),
     replace(
         NINE_INCH,
         name="17cm-1k",
-        field_mm=160.0,  # [mem] useful field of a 17 cm zoom, as 215 mm is of 23 cm
+        field_mm=160.0,  # [ours, typical] useful field of a 17 cm zoom, as 215 mm is of 23 cm
         core_mm=0.18,  # [ours] a zoom has a higher resolution
-        spectrum="70kVp-3Al",  # [mem]
+        spectrum="70kVp-3Al",  # [ours, typical]
     ),
     FLAT_PANEL,
-    # Panels of 30 cm with pixels of a tenth of a millimetre, read singly or averaged 2 x 2 or 3 x 3 [mem]; the rest as
-    # above [ours].
+    # Panels of 30 cm with pixels of a tenth of a millimetre, read singly or averaged 2 x 2 or 3 x 3 [ours, typical];
+    # the rest as above [ours].
     *(
         replace(FLAT_PANEL, name=f"flat-panel-{pitch}", field_mm=300.0, shape=(side, side), mask_px=0.495 * side)
         for pitch, side in ((0.1, 3000), (0.2, 1500), (0.3, 1000))

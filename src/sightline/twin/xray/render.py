@@ -33,7 +33,8 @@ RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between
 # The best kernels for head, chest and pelvis phantoms had a full width at half maximum of 50-150 of 512 pixels across
 # fields of 15-36 cm [src Med Phys 14:178 1987]: s.d. 6-45 mm [calc].
 SCATTER_MM = 30.0  # [ours]
-# Thickness of tissue, mm, at which the ratio of scatter to primary is that of the chain; it grows in proportion [mem].
+# Thickness of tissue, mm, at which the ratio of scatter to primary is that of the chain; it grows in proportion
+# [ours, typical].
 # It is the equivalent of drawn hips with bone and plates, mean of PA and lateral [calc].
 HIP_MM = 250.0
 MAX_TISSUE_MM = 600.0  # thicker tissue counts as this

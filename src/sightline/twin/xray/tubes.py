@@ -198,7 +198,8 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 class Steel:
     """A lump of iron, modelled as a ball magnetised by the geomagnetic field: its centre in CFCS and its radius, mm.
 
-    The field of a ball of high permeability is B = (a/r)³ (3 (B0 · r) r - B0), with r a unit vector [mem].
+    The field of a ball of high permeability is B = (a/r)³ (3 (B0 · r) r - B0), with r a unit vector [src Jackson,
+    Classical Electrodynamics, 5.11].
     """
 
     at_mm: tuple[float, float, float]

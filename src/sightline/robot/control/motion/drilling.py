@@ -127,9 +127,9 @@ class Drilling:
         return None
 
     def _on_event(self, noted: SupervisionEvent) -> Step | None:
-        said = _SAID.get(noted.kind)
-        if said is not None:
-            return _stop(Trigger.FAULT, said.format(force=noted.force_n, depth=noted.depth_mm))
+        text = _SAID.get(noted.kind)
+        if text is not None:
+            return _stop(Trigger.FAULT, text.format(force=noted.force_n, depth=noted.depth_mm))
         if noted.kind is EventKind.CORTEX:
             self._seeks_bone = False
         length, beyond = self._insertion.length_mm, self._insertion.limits.beyond_mm

@@ -92,10 +92,10 @@ def _refuses_a_used_identifier(robot: RobotClient) -> str:
     if talk.command("START_UP", number=number).code != Code.OK:
         raise NotAskedError("START_UP was not done")
     before = talk.phase()
-    said = expect_code(talk.command("PLANNING", number=number), Code.CONFIGURATION)
+    text = expect_code(talk.command("PLANNING", number=number), Code.CONFIGURATION)
     phase = talk.phase()
     expect(phase == before, f"it was obeyed: the phase went from {before} to {phase}")
-    return said
+    return text
 
 
 COMMANDS: dict[str, Question] = {

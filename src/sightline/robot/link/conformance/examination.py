@@ -74,19 +74,19 @@ class Examination(Closing):
     def _ask(self, name: str, question: Question) -> Finding:
         try:
             robot = self._connected()
-            said = Finding(name, ConformanceVerdict.PASSED, question(robot))
+            finding = Finding(name, ConformanceVerdict.PASSED, question(robot))
         except UnsupportedError as why:
             return Finding(name, ConformanceVerdict.UNSUPPORTED, str(why))
         except NotAskedError as why:
-            said = Finding(name, ConformanceVerdict.NOT_ASKED, str(why))
+            finding = Finding(name, ConformanceVerdict.NOT_ASKED, str(why))
         except SightlineError as error:
-            said = Finding(name, ConformanceVerdict.FAILED, str(error))
+            finding = Finding(name, ConformanceVerdict.FAILED, str(error))
         if self._robot is not None:
             self._unreadable += self._robot.connection.unreadable
             self._robot.connection.unreadable.clear()
             if self._robot.connection.closed:
                 self.close()
-        return said
+        return finding
 
     def _connected(self) -> RobotClient:
         if self._robot is None:
