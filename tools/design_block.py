@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.frame.check_solid import clear_of_each_other
+from sightline.frame.solid_shape import clear_of_each_other
 from sightline.frame.solids import LARGE_MM, SMALL_MM
 
 DEPTH_MM = 3.5  # of a ball's centre under its face: 1 mm of PMMA over the larger balls

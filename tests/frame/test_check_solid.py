@@ -11,10 +11,10 @@ from sightline.checks import failed
 from sightline.errors import FrameError
 from sightline.frame import Fiducial, Frame, RigidBody
 from sightline.frame.check import check_frame
-from sightline.frame.check_solid import FIELDS_MM, clear_beads, clear_of_each_other, offset_mm, radius_mm
 from sightline.frame.drawings.mesh import meshes_of
 from sightline.frame.drawings.part import parts_of
 from sightline.frame.drawings.picture import frame_png
+from sightline.frame.solid_shape import FIELDS_MM, clear_beads, clear_of_each_other, offset_mm, radius_mm
 
 BLOCKS = ("block30", "block60", "cube120")
 BLOCK = Frame.load("block60")

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from sightline.checks import failed
 from sightline.frame import Fiducial, Frame, FrameView, Plate
 from sightline.frame.check import check_frame, reach_mm
-from sightline.frame.design import Beam
-from sightline.frame.designs import builtin_design
+from sightline.frame.designs import Beam, builtin_design
 
 GAMMA = Frame.load("gamma")
 Change = Callable[[Fiducial], Fiducial | None]

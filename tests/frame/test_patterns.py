@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.frame import Frame
-from sightline.frame.design import grid_places
-from sightline.frame.designs import BUILTIN, builtin_design, patterns_for
+from sightline.frame.designs import BUILTIN, builtin_design, grid_places, patterns_for
 from sightline.frame.patterns import Triples, hidden_blocks, in_steps, nearest_likeness, resemblance, search
 from sightline.frame.plate import ROLES
 

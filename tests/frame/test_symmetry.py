@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sightline.frame import Frame
-from sightline.frame.symmetry import in_words, symmetry_of
+from sightline.frame.solid_shape import in_words, symmetry_of
 
 CUBE = 20.0 * np.array(list(product((-1, 1), repeat=3)))
 SCATTERED = np.random.default_rng(4).uniform(-30, 30, (5, 3))

@@ -15,7 +15,6 @@ from sightline.frame.drawings.mesh import FACETS, meshes_of, plate_mesh, solid_m
 from sightline.frame.drawings.part import CHAMFER_MM, SCREW_MM, parts_of
 from sightline.frame.drawings.sheet import plate_dxf, plate_svg
 from sightline.frame.drawings.workshop import write_workshop
-from sightline.frame.measured.deviations import plates
 from sightline.frame.measured.fit import Circumstances, fit_frame
 from sightline.frame.measured.measurements import read_measurements
 
@@ -36,7 +35,7 @@ def changed(ball: int, **what) -> Frame:
 def test_bores_put_the_balls_where_the_frame_has_them(name):
     """Sheet coordinates, rotated back by the sheet's stated axes, are the frame's, to the drawing's 0.001 mm."""
     frame = Frame.load(name)
-    for part, (_, _, plate) in zip(parts_of(frame), plates(frame), strict=True):
+    for part, (_, _, plate) in zip(parts_of(frame), frame.named_plates, strict=True):
         at = np.array([[b.x_mm, b.y_mm, part.thickness_mm - b.depth_mm + b.ball.diameter_mm / 2] for b in part.bores])
         true = np.array([b.ball.xyz_mm for b in part.bores])
         assert {b.ball.id for b in part.bores} == set(plate.ids)

@@ -1,22 +1,57 @@
-"""Checks of a frame's design, before any image of it is acquired."""
+"""Checks of a frame's design, before any image of it is acquired: rules for plates and for solids."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
 from sightline.checks import Check, failed
+from sightline.errors import FrameError
 from sightline.frame import nominal
-from sightline.frame.check_solid import SOLID_BEADS, SOLID_VIEWS
+from sightline.frame.handed import MIN_COMMON, common_ids, fits_mirrored, misfits_mm
 from sightline.frame.model import Frame
 from sightline.frame.patterns import Triples, in_steps, nearest_likeness
-from sightline.frame.plate import ROLES, FrameView, Plate, RigidBody
-from sightline.frame.rules import Rule, Values, judge
+from sightline.frame.plate import FrameView, Plate, RigidBody
+from sightline.frame.solid_shape import FIELDS_MM, clear_beads, in_words, offset_mm, symmetry_of
 
+MAX_CHANGE_MM = 1.0  # [ours] rms; a larger change means another frame, as in "plate-flat"
 WIRE_END_MM = 95 / np.sqrt(8)  # half a 95 mm wire at 45° (physics.md, Frame), along each axis of the view
 
 _NOMINAL = f"a C-arm with the hip {nominal.SOURCE_TO_HIP_MM:g} mm from its source"
+SYMMETRY_MM = 1.0  # [ours] five times the error of a printed ball: nearer to a symmetry, labels may be exchanged
+_RARE = 0.02  # [ours] share of the directions in which an image may be refused
+
+Values = Iterator[tuple[str, float | None]]  # (place, value; None where it cannot be measured)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """The rule of a check: `measure` yields a value for every place of a frame; `limit` applies to the worst."""
+
+    name: str
+    measure: Callable[[Frame], Values]
+    at_least: bool
+    limit: float
+    unit: str
+    meaning: str
+    advice: str
+
+
+def _judged(rules: tuple[Rule, ...], frame: Frame) -> tuple[Check, ...]:
+    """Return a check of each rule that applies to some place of the frame."""
+    measured = ((rule, list(rule.measure(frame))) for rule in rules)
+    return tuple(_judge(rule, values) for rule, values in measured if values)
+
+
+def _judge(rule: Rule, values: list[tuple[str, float | None]]) -> Check:
+    """Return the check of the worst place; a place that cannot be measured is the worst."""
+    sign = 1 if rule.at_least else -1
+    where, value = min(values, key=lambda entry: -np.inf if entry[1] is None else sign * entry[1])
+    passed = value is not None and sign * value >= sign * rule.limit
+    sentence = f"{where}: {rule.meaning}" if passed else f"{where}: {rule.advice}"
+    return Check(rule.name, passed, None if value is None else float(value), rule.limit, rule.unit, sentence)
 
 
 def check_frame(frame: Frame) -> tuple[Check, ...]:
@@ -27,17 +62,40 @@ def check_frame(frame: Frame) -> tuple[Check, ...]:
     them), so the stages after a failed one are left out.
     """
     checks: tuple[Check, ...] = ()
-    for stage in ((*_BEADS, *SOLID_BEADS), _PLATES, (*_VIEWS, *SOLID_VIEWS)):
-        checks += judge(stage, frame)
+    for stage in ((*_BEADS, *_SOLID_BEADS), _PLATES, (*_VIEWS, *_SOLID_VIEWS)):
+        checks += _judged(stage, frame)
         if failed(checks):
             break
     return checks
 
 
+def before_check(frame: Frame, before: Frame) -> Check:
+    """Return the check that the beads lie as in the earlier file, up to a rigid motion.
+
+    Raises FrameError for fewer than 4 common ids.
+    """
+    now, then = frame.xyz_mm_by_id, before.xyz_mm_by_id
+    if (common := len(common_ids(now, then))) < MIN_COMMON:
+        raise FrameError(
+            f"the frames {frame.key.rstrip('/')} and {before.key.rstrip('/')} have {common} ids in common (at least "
+            f"{MIN_COMMON} are needed to compare them); give two files of one frame"
+        )
+    upright, mirrored = misfits_mm(now, then)
+    passed = upright <= MAX_CHANGE_MM
+    sentence = f"Aligned with the earlier file, the beads differ by {upright:.2f} mm rms"
+    if fits_mirrored(upright, mirrored):
+        sentence += (
+            f", mirrored by {mirrored:.2f} mm: this file is the mirror image of the earlier one; write the coordinates "
+            "in a right-handed system"
+        )
+    elif not passed:
+        sentence += ": this is another frame, or its beads are numbered differently; give an earlier file of this frame"
+    return Check("frame-before", passed, upright, MAX_CHANGE_MM, "mm", f"{sentence}.")
+
+
 def _plates(frame: Frame) -> Iterator[tuple[str, FrameView, Plate]]:
-    for name, view in frame.views.items():
-        for role in ROLES:
-            yield f"{name}, {'XRII' if role == 'xrii' else 'source'} plate", view, getattr(view, role)
+    for name, role, plate in frame.named_plates:
+        yield f"{name}, {'XRII' if role == 'xrii' else 'source'} plate", frame.views[name], plate
 
 
 def _flat(frame: Frame) -> Iterator[tuple[str, Plate]]:
@@ -165,6 +223,43 @@ def _datum_steps(plate: Plate) -> np.ndarray:
     return in_steps(plate.plane.to_plane(plate.xyz_mm))[plate.is_datum]
 
 
+def _solid_beads(frame: Frame) -> Values:
+    if frame.solid is not None:
+        yield frame.name, len(frame.solid.ids)
+
+
+def _solid_extent(frame: Frame) -> Values:
+    """Yield the rms distance of the balls from their best-fitting plane; that from a line is never smaller."""
+    if frame.solid is not None:
+        centred = frame.solid.xyz_mm - frame.solid.xyz_mm.mean(axis=0)
+        yield frame.name, float(np.linalg.svd(centred, compute_uv=False)[2] / np.sqrt(len(centred)))
+
+
+def _clear_mean(frame: Frame) -> Values:
+    if frame.solid is not None:
+        yield frame.name, float(clear_beads(frame.solid).mean())
+
+
+def _clear_worst(frame: Frame) -> Values:
+    if frame.solid is not None:
+        yield frame.name, float(np.quantile(clear_beads(frame.solid), _RARE, method="lower"))
+
+
+def _symmetries(frame: Frame) -> Values:
+    """Yield the number of symmetries, with one of them: a rotation where there is one."""
+    if frame.solid is not None:
+        found = symmetry_of(frame.solid.xyz_mm, frame.solid.diameter_mm, SYMMETRY_MM)
+        named = f", {in_words(max(found, key=np.linalg.det))}" if found else ""
+        yield frame.name + named, len(found)
+
+
+def _solid_offset(frame: Frame) -> Values:
+    """Yield the `offset_mm` in the largest field."""
+    if frame.solid is not None:
+        name, field = max(FIELDS_MM.items(), key=lambda entry: entry[1])
+        yield name, offset_mm(frame.solid, field)
+
+
 _BEADS = (
     Rule(
         "frame-views", _views, at_least=True, limit=2, unit="views",
@@ -239,5 +334,39 @@ _VIEWS = (
         "wire-reach", _reach, at_least=True, limit=10.0, unit="mm",  # set-up error (physics.md, Frame)
         meaning="projected to the hip, the beads surround a 95 mm wire at 45° by this margin",
         advice="add rows or pitch, or move the plate: at the hip, its beads do not surround a 95 mm wire at 45°",
+    ),
+)  # fmt: skip
+_SOLID_BEADS = (
+    Rule(
+        "solid-beads", _solid_beads, at_least=True, limit=9, unit="beads",  # [ours] labels with an error of 1e-6
+        meaning="there are enough beads to label an image by their geometry",
+        advice="there are too few beads to label an image reliably; add beads",
+    ),
+    Rule(
+        "solid-extent", _solid_extent, at_least=True, limit=5.0, unit="mm",  # [ours] half of what a block of 30 mm has
+        meaning="the beads spread in three directions (rms from their best-fitting plane)",
+        advice="the beads lie in or near a plane, which leaves the focal length unknown; add beads away from it",
+    ),
+)  # fmt: skip
+_SOLID_VIEWS = (
+    Rule(
+        "solid-clear", _clear_mean, at_least=True, limit=9.0, unit="beads",  # as solid-beads
+        meaning="from a random direction this many beads are clear of each other on average",
+        advice="from most directions too few beads are clear of each other; move beads apart or add some",
+    ),
+    Rule(
+        "solid-worst", _clear_worst, at_least=True, limit=6.0, unit="beads",  # 12 equations, 11 unknowns
+        meaning="from all but 2 % of the directions at least this many beads are clear of each other",
+        advice="from over 2 % of the directions too few beads are clear of each other; move beads out of rows",
+    ),
+    Rule(
+        "solid-symmetry", _symmetries, at_least=False, limit=0, unit="symmetries",
+        meaning="no rotation or mirror image can be confused with the solid",
+        advice="the solid looks the same, so its balls cannot be labelled; move balls, or give some another size",
+    ),
+    Rule(
+        "solid-field", _solid_offset, at_least=True, limit=0.0, unit="mm",
+        meaning="at the hip the solid's middle may stand this far from the beam's axis with all beads in the image",
+        advice="at the hip beads are cut off from the image; make the solid smaller",
     ),
 )  # fmt: skip

@@ -1,13 +1,120 @@
-"""The designs of the built-in frames, and the datum patterns of any frame."""
+"""Frames designed from a few parameters, the designs of the built-in frames, and the datum patterns of any frame.
 
-from collections.abc import Callable, Mapping
-from math import cos, radians, sin
+A designed frame has square grids of balls across the beams of two views, and datums by pattern.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import ceil, cos, radians, sin
 
 import numpy as np
 
 from sightline.errors import FrameError
-from sightline.frame.design import Balls, Beam, FrameDesign, Pattern, grid_places
+from sightline.frame.nominal import SOURCE_TO_HIP_MM
 from sightline.frame.patterns import search
+from sightline.frame.plate import Fiducial, FrameView, Plate
+from sightline.geometry.planes import Plane
+
+Pattern = tuple[tuple[int, int], ...]  # (row, column) of each datum, counted from 1 as in the ids
+
+
+@dataclass(frozen=True)
+class Beam:
+    """The beam of a view, CFCS: along `direction` through the origin; `normal`: unit normal of its plates."""
+
+    direction: tuple[float, float, float]
+    normal: tuple[float, float, float]
+
+    @property
+    def obliquity(self) -> float:
+        """Distance along the beam per distance along the plates' normal."""
+        return 1 / float(np.dot(self.direction, self.normal))
+
+
+@dataclass(frozen=True)
+class Balls:
+    """Ball diameters of one plate, mm."""
+
+    ordinary_mm: float = 3.0  # physics.md, Frame [ours]
+    datum_mm: float = 5.0  # physics.md, Frame [ours]
+
+
+@dataclass(frozen=True)
+class FrameDesign:
+    """Parameters of a frame; distances are from the hip along the plate normal, positive towards the intensifier.
+
+    The XRII plate has `rows` x `rows` balls, `pitch_mm` apart. The source plate has one more row on the same field: the
+    two grids beat once across the image, so balls of the two plates overlap in a few places wherever the frame is, and
+    never all at once. `patterns`: each view's datums, XRII plate first.
+    """
+
+    name: str
+    beams: Mapping[str, Beam]
+    patterns: Mapping[str, tuple[Pattern, Pattern]]
+    rows: int = 7
+    pitch_mm: float = 22.0  # [ours] reaches the ends of a 95 mm wire at 45° (physics.md, Frame)
+    xrii_mm: float = 300.0  # physics.md, Frame [ours]
+    source_mm: float = 150.0  # physics.md, Frame [ours]
+    xrii_balls: Balls = Balls()
+    source_balls: Balls = Balls()
+
+
+def grid_places(rows: int) -> tuple[tuple[int, int], ...]:
+    """Return (row, column), counted from 1, of the balls of a square plate."""
+    return tuple((row, column) for row in range(1, rows + 1) for column in range(1, rows + 1))
+
+
+def source_pitch_mm(design: FrameDesign, beam: Beam) -> float:
+    """Return the pitch at which the source plate covers the XRII plate's field, rounded up to half a millimetre."""
+    source, xrii = (SOURCE_TO_HIP_MM + beam.obliquity * mm for mm in (design.source_mm, design.xrii_mm))
+    return ceil(2 * design.pitch_mm * source / xrii * (design.rows - 1) / design.rows) / 2
+
+
+def views_of(design: FrameDesign) -> dict[str, FrameView]:
+    """Return the views of a design; ids are view-plate-row-column, such as "pa-x-3-4". Raises FrameError."""
+    if design.rows < 3 or design.pitch_mm <= 0 or design.source_mm >= design.xrii_mm:
+        raise FrameError(
+            "give at least 3 rows, a pitch above zero, and an XRII plate further towards the intensifier "
+            "than the source plate"
+        )
+    return {view: _view(design, view) for view in design.beams}
+
+
+def _view(design: FrameDesign, name: str) -> FrameView:
+    beam = design.beams[name]
+    xrii, source = design.patterns[name]
+    pitch = source_pitch_mm(design, beam)
+    if pitch <= 0 or SOURCE_TO_HIP_MM + beam.obliquity * design.source_mm <= 0:
+        raise FrameError(
+            f"the source plate lies behind the X-ray source, {SOURCE_TO_HIP_MM:g} mm from the hip; move it towards the "
+            "hip"
+        )
+    return FrameView(
+        xrii=_plate(
+            f"{name}-x", _across(beam, design.xrii_mm), (design.rows, design.pitch_mm), xrii, design.xrii_balls
+        ),
+        source=_plate(
+            f"{name}-s", _across(beam, design.source_mm), (design.rows + 1, pitch), source, design.source_balls
+        ),
+    )
+
+
+def _across(beam: Beam, distance_mm: float) -> Plane:
+    """Return the plane of a plate, with its origin on the beam."""
+    return Plane.across(np.array(beam.normal), np.array(beam.direction) * distance_mm * beam.obliquity)
+
+
+def _plate(prefix: str, plane: Plane, grid: tuple[int, float], datums: Pattern, balls: Balls) -> Plate:
+    rows, pitch = grid
+    middle = (rows + 1) / 2
+    fiducials: list[Fiducial] = []
+    for row, column in grid_places(rows):
+        datum = (row, column) in datums
+        x, y, z = plane.to_space(pitch * (np.array([column, row]) - middle)).round(6).tolist()
+        diameter = balls.datum_mm if datum else balls.ordinary_mm
+        fiducials.append(Fiducial(f"{prefix}-{row}-{column}", (x, y, z), diameter, datum))
+    return Plate(tuple(fiducials))
+
 
 # Found by search(grids, 6, np.random.default_rng(seed), moves) of patterns.py for grids of 7 and of 8 rows: gamma seed
 # 13, 300,000 moves, without the corners of 8 rows; biplane 37 and stereo 33, 150,000 moves. Within a frame no triple
@@ -78,46 +185,24 @@ def patterns_for(
     return dict(zip(beams, zip(patterns[::2], patterns[1::2], strict=True), strict=True))
 
 
-def gamma_design() -> FrameDesign:
-    """Return the Γ frame of the paper: both plates of a view on the intensifier's side of the hip."""
-    return FrameDesign("gamma", GAMMA_BEAMS, patterns_for(GAMMA_BEAMS, name="gamma"))
-
-
-def biplane_design() -> FrameDesign:
-    """Return the classical frame: the hip between the plates of each view, 150 mm from each [ours]."""
-    return FrameDesign(
-        "biplane",
-        GAMMA_BEAMS,
-        patterns_for(GAMMA_BEAMS, name="biplane"),
-        pitch_mm=18.5,
-        xrii_mm=150.0,
-        source_mm=-150.0,
-        source_balls=Balls(2.0, 3.0),
-    )
-
-
-def stereo_design() -> FrameDesign:
-    """Return the stereo frame (paper, Fig. 4b): two beams converge at the hip through parallel plates; sizes [ours]."""
-    return FrameDesign(
-        "stereo",
-        STEREO_BEAMS,
-        patterns_for(STEREO_BEAMS, name="stereo"),
-        pitch_mm=24.0,
-        xrii_mm=330.0,
-        source_mm=-200.0,
-        source_balls=Balls(1.5, 2.5),
-    )
-
-
-BUILTIN: dict[str, Callable[[], FrameDesign]] = {
-    "gamma": gamma_design,
-    "biplane": biplane_design,
-    "stereo": stereo_design,
-}
+BUILTIN = {
+    # Of the paper: both plates of a view on the intensifier's side of the hip.
+    "gamma": FrameDesign("gamma", GAMMA_BEAMS, patterns_for(GAMMA_BEAMS, name="gamma")),
+    # The classical frame: the hip between the plates of each view, 150 mm from each [ours].
+    "biplane": FrameDesign(
+        "biplane", GAMMA_BEAMS, patterns_for(GAMMA_BEAMS, name="biplane"), pitch_mm=18.5, xrii_mm=150.0,
+        source_mm=-150.0, source_balls=Balls(2.0, 3.0),
+    ),
+    # Paper, Fig. 4b: two beams converge at the hip through parallel plates; sizes [ours].
+    "stereo": FrameDesign(
+        "stereo", STEREO_BEAMS, patterns_for(STEREO_BEAMS, name="stereo"), pitch_mm=24.0, xrii_mm=330.0,
+        source_mm=-200.0, source_balls=Balls(1.5, 2.5),
+    ),
+}  # fmt: skip
 
 
 def builtin_design(name: str) -> FrameDesign:
     """Return a built-in design by name. Raises FrameError, with the valid names."""
     if name not in BUILTIN:
         raise FrameError(f"there is no built-in frame {name!r}; choose one of {', '.join(BUILTIN)}")
-    return BUILTIN[name]()
+    return BUILTIN[name]

@@ -7,10 +7,8 @@ from pydantic import ValidationError
 
 from sightline.bounded import read_bounded, read_text
 from sightline.errors import FrameError
-from sightline.frame.designs import BUILTIN
-from sightline.frame.detector_plate import WITH_PLATE
 from sightline.frame.document import FrameDocument
-from sightline.frame.solids import SOLIDS
+from sightline.frame.solids import FRAME_NAMES
 from sightline.frame.xmalab import DIAMETER_MM, cube_document
 from sightline.strict import explain, read_strictly
 
@@ -31,7 +29,7 @@ def read_document(path: Path) -> FrameDocument:
     if not path.is_file():
         raise FrameError(
             f"there is no frame file {path.name!r}; give a file, or one of the built-in frames: "
-            f"{', '.join((*BUILTIN, *SOLIDS, *WITH_PLATE))}"
+            f"{', '.join(FRAME_NAMES)}"
         )
     if path.suffix.lower() == ".csv":
         return read_cube(path)

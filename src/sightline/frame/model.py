@@ -1,6 +1,7 @@
 """A calibration frame as data: its plates or its solid, and how well their beads are known. CFCS, mm."""
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from hashlib import sha256
@@ -12,14 +13,11 @@ from scipy.linalg import block_diag
 
 from sightline.atomic import write_whole
 from sightline.errors import FrameError, UnusableInputError
-from sightline.frame.design import FrameDesign, views_of
-from sightline.frame.designs import BUILTIN, builtin_design
-from sightline.frame.detector_plate import DETECTOR_PLATE, WITH_PLATE
+from sightline.frame.designs import BUILTIN, FrameDesign, builtin_design, views_of
 from sightline.frame.handed import is_mirror_image
-from sightline.frame.plate import Fiducial, FrameView, Plate, RigidBody
-from sightline.frame.solids import SOLIDS
-from sightline.frame.text import body_document, json_of
-from sightline.frame.tolerances import InUse, Tolerances, error_factor, solid_error_factor
+from sightline.frame.plate import ROLES, Fiducial, FrameView, Plate, RigidBody
+from sightline.frame.solids import DETECTOR_PLATE, FRAME_NAMES, SOLIDS, WITH_PLATE
+from sightline.frame.tolerances import InUse, Tolerances, error_factor
 from sightline.show import Plotted
 
 if TYPE_CHECKING:
@@ -112,8 +110,13 @@ class Frame(Plotted):
     def bodies(self) -> tuple[RigidBody, ...]:
         """The rigid bodies, in the order of `error_factor`: plates of the views in file order, XRII plate first; or the
         solid and the plate on the detector."""
-        plates = tuple(plate for view in self.views.values() for plate in (view.xrii, view.source))
+        plates = tuple(plate for _, _, plate in self.named_plates)
         return plates if self.solid is None else tuple(one for one in (self.solid, self.detector) if one is not None)
+
+    @property
+    def named_plates(self) -> tuple[tuple[str, str, Plate], ...]:
+        """(view, role, plate) of each plate, in the order of the frame's covariance; of a solid none."""
+        return tuple((name, role, getattr(view, role)) for name, view in self.views.items() for role in ROLES)
 
     @cached_property
     def fiducials(self) -> tuple[Fiducial, ...]:
@@ -190,9 +193,7 @@ class Frame(Plotted):
         adds columns.
         """
         stated = self.effective_tolerances if self.covariance_mm2 is None else self.covariance_mm2
-        if self.solid is not None:
-            return solid_error_factor([body.xyz_mm for body in self.bodies], stated, self.in_use)
-        return error_factor(self.views, stated, self.in_use)
+        return error_factor([body.xyz_mm for body in self.bodies], self.views, stated, self.in_use)
 
     @property
     def key(self) -> str:
@@ -237,7 +238,7 @@ class Frame(Plotted):
         if isinstance(frame, str | Path):
             return Frame.load(frame)
         raise UnusableInputError(
-            f"a frame is a Frame, the path of a frame file or one of {', '.join((*BUILTIN, *SOLIDS, *WITH_PLATE))}, "
+            f"a frame is a Frame, the path of a frame file or one of {', '.join(FRAME_NAMES)}, "
             f"not {type(frame).__name__}"
         )
 
@@ -322,14 +323,43 @@ class Frame(Plotted):
         if self.in_use is not None:
             out["in_use"] = asdict(self.in_use)
         if self.solid is not None:
-            out["solid"] = body_document(self.solid)
+            out["solid"] = _fiducials_document(self.solid)
             if self.detector is not None:
-                out["detector"] = body_document(self.detector)
+                out["detector"] = _fiducials_document(self.detector)
         else:
             out["views"] = {
-                name: {"xrii": body_document(view.xrii), "source": body_document(view.source)}
+                name: {"xrii": _fiducials_document(view.xrii), "source": _fiducials_document(view.source)}
                 for name, view in self.views.items()
             }
         if self.covariance_mm2 is not None:
             out["covariance_mm2"] = self.covariance_mm2.tolist()
-        return json_of(out)
+        return _text(out)
+
+
+def _fiducials_document(body: RigidBody) -> list[dict[str, Any]]:
+    """Return the fiducials of a plate or a solid as plain values."""
+    out: list[dict[str, Any]] = []
+    for f in body.fiducials:
+        one: dict[str, Any] = {"id": f.id, "xyz": list(f.xyz_mm), "diameter": f.diameter_mm, "datum": f.datum}
+        out.append(one if f.shape == "ball" else {**one, "shape": f.shape})
+    return out
+
+
+def _text(document: Mapping[str, Any]) -> bytes:
+    """Return the text of a frame file, with a line for each fiducial and each row of the covariance."""
+    blocks = ("views", "solid", "covariance_mm2")
+    parts = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in document.items() if key not in blocks]
+    if "views" in document:
+        views = [_view_text(name, view) for name, view in document["views"].items()]
+        parts.append(' "views": {\n' + ",\n".join(views) + "\n }")
+    parts += [f' "{key}": ' + _lines(document[key], "  ") for key in ("solid", "covariance_mm2") if key in document]
+    return ("{\n" + ",\n".join(parts) + "\n}\n").encode()
+
+
+def _view_text(name: str, view: dict[str, list[Any]]) -> str:
+    plates = ",\n".join(f'   "{role}": {_lines(fiducials, "    ")}' for role, fiducials in view.items())
+    return f"  {json.dumps(name)}: {{\n{plates}\n  }}"
+
+
+def _lines(entries: list[Any], indent: str) -> str:
+    return "[\n" + ",\n".join(indent + json.dumps(entry) for entry in entries) + f"\n{indent[:-1]}]"

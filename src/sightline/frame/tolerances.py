@@ -56,36 +56,30 @@ def _stated_factor(covariance_mm2: np.ndarray) -> np.ndarray:
 
 
 def error_factor(
-    views: Mapping[str, FrameView], stated: Tolerances | np.ndarray, in_use: InUse | None = None
+    bodies: Sequence[np.ndarray],
+    views: Mapping[str, FrameView],
+    stated: Tolerances | np.ndarray,
+    in_use: InUse | None = None,
 ) -> np.ndarray:
-    """Return L (3M, K), mm: the errors of the views' M bead coordinates are L @ e with K independent unit-variance e.
+    """Return L (3M, K), mm: the errors of the M bead coordinates are L @ e with K independent unit-variance e.
 
-    `stated`: tolerances, or the full covariance (3M, 3M), mm². `in_use`: handling errors to add. Order of the rows: see
-    `Frame.error_factor`.
+    `bodies`: beads (N, 3) of each plate, or of a solid and the plate with it; `views`: empty for a solid, whose bodies
+    share no errors. `stated`: tolerances, or the full covariance (3M, 3M), mm². `in_use`: handling errors to add. Order
+    of the rows: see `Frame.error_factor`.
+
+    All bodies have one material and one environment, and expand alike, each about its middle: heat and water are one
+    number each. A drape loads an arm, and moves both plates of a view together.
     """
     if isinstance(stated, Tolerances):
-        beads = sum(len(view.fiducials) for view in views.values())
-        columns = [stated.bead_mm * np.eye(3 * beads), *_shared(views, stated)]
+        columns = [stated.bead_mm * np.eye(3 * sum(map(len, bodies))), *_shared(views, stated)]
     else:
         columns = [_stated_factor(stated)]
     if in_use is not None:
-        columns += _handling(views, in_use)
-    return np.hstack(columns)
-
-
-def solid_error_factor(
-    bodies: Sequence[np.ndarray], stated: Tolerances | np.ndarray, in_use: InUse | None = None
-) -> np.ndarray:
-    """Return the factor (3M, K), mm, as of `error_factor`, for the M beads (N, 3) of a solid and of the plate with it,
-    which share no errors.
-
-    Of the handling errors heat and water expand each about its middle; drapes do not bend it.
-    """
-    beads = sum(len(xyz) for xyz in bodies)
-    columns = [stated.bead_mm * np.eye(3 * beads) if isinstance(stated, Tolerances) else _stated_factor(stated)]
-    if in_use is not None:
         expansion = np.concatenate([xyz - xyz.mean(axis=0) for xyz in bodies]).reshape(-1, 1)
+        load = in_use.drape_n / DRAPE_N
+        sag = Tolerances(0.0, 0.0, 0.0, load * Tolerances.plate_mm, load * Tolerances.plate_rad)
         columns += [EXPANSION_PER_K * in_use.warmer_k * expansion, MOISTURE_EXPANSION * in_use.water_share * expansion]
+        columns += _shared(views, sag)
     return np.hstack(columns)
 
 
@@ -106,20 +100,3 @@ def _shared(views: Mapping[str, FrameView], sd: Tolerances) -> list[np.ndarray]:
             shared.append(block)
         start += len(both)
     return shared
-
-
-def _handling(views: Mapping[str, FrameView], in_use: InUse) -> list[np.ndarray]:
-    """Return the columns of the handling errors.
-
-    All plates have one material and one environment, and expand alike, each about its centroid: heat and water are one
-    number each. A drape loads an arm, and moves both plates of a view together.
-    """
-    plates = [plate.xyz_mm for view in views.values() for plate in (view.xrii, view.source)]
-    expansion = np.concatenate([xyz - xyz.mean(axis=0) for xyz in plates]).reshape(-1, 1)
-    load = in_use.drape_n / DRAPE_N
-    sag = Tolerances(0.0, 0.0, 0.0, load * Tolerances.plate_mm, load * Tolerances.plate_rad)
-    return [
-        EXPANSION_PER_K * in_use.warmer_k * expansion,
-        MOISTURE_EXPANSION * in_use.water_share * expansion,
-        *_shared(views, sag),
-    ]

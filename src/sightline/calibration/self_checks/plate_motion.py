@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.frame import Frame, Plate
-from sightline.frame.measured.deviations import plates
 from sightline.geometry.rigid import displacement
 
 MOTIONS = ("shift 1", "shift 2", "along the beam", "tilt 1", "tilt 2", "twist")
@@ -64,7 +63,7 @@ def plate_pairs(frame: Frame, errors: Errors) -> tuple[PlatePair, ...]:
 def in_plate(frame: Frame, errors: Errors) -> InPlate:
     """Return the displacement of every ball within its plate."""
     rest, start = np.eye(errors.moved_mm.size), 0
-    for _, _, plate in plates(frame):
+    for _, _, plate in frame.named_plates:
         rows = slice(start, start + 3 * len(plate.ids))
         rigid = _rigid(plate, plate)
         rest[rows, rows] -= rigid @ _motion(plate, plate, errors.sound[rows.start // 3 : rows.stop // 3])

@@ -11,7 +11,6 @@ from sightline.case.interop.plate import plate_image
 from sightline.case.views import CalibratedImage
 from sightline.errors import OutsideRegionError
 from sightline.frame import Frame
-from sightline.frame.measured.deviations import plates
 from sightline.planning import Plan
 from sightline.planning.document import SOLID
 
@@ -40,7 +39,7 @@ def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple
 
 
 def _frame(frame: Frame) -> dict[str, Any]:
-    bodies = plates(frame) if frame.solid is None else (("all", SOLID, frame.solid),)  # the rest is not CFCS
+    bodies = frame.named_plates if frame.solid is None else (("all", SOLID, frame.solid),)  # the rest is not CFCS
     beads = [
         {"id": bead.id, "view": name, "plate": role, "xyz_mm": list(map(float, bead.xyz_mm))}
         for name, role, body in bodies

@@ -10,7 +10,7 @@ from sightline.cli.frames import draw, fit, self_check
 from sightline.cli.output import Json, Output, Quiet, example
 
 if TYPE_CHECKING:
-    from sightline.frame.design import FrameDesign
+    from sightline.frame.designs import FrameDesign
     from sightline.frame.model import Frame
     from sightline.frame.plate import FrameView, Plate, RigidBody
 
@@ -74,9 +74,8 @@ def new(
 
         from sightline.errors import FrameError
         from sightline.frame.check import check_frame
-        from sightline.frame.detector_plate import WITH_PLATE
         from sightline.frame.model import Frame
-        from sightline.frame.solids import SOLIDS
+        from sightline.frame.solids import SOLIDS, WITH_PLATE
         from sightline.frame.table import frame_from_csv
 
         values = {"rows": rows, "pitch_mm": pitch_mm, "xrii_mm": xrii_mm, "source_mm": source_mm}
@@ -148,8 +147,7 @@ def check(
     """
     with Output(json=json, quiet=quiet) as out:
         from sightline.frame import Frame
-        from sightline.frame.check import check_frame
-        from sightline.frame.compare import before_check
+        from sightline.frame.check import before_check, check_frame
 
         loaded = Frame.load(frame)
         checks = check_frame(loaded)
@@ -229,7 +227,7 @@ def _solid_document(solid: "RigidBody") -> dict[str, Any]:
 
     import numpy as np
 
-    from sightline.frame.check_solid import FIELDS_MM, clear_beads, offset_mm, radius_mm
+    from sightline.frame.solid_shape import FIELDS_MM, clear_beads, offset_mm, radius_mm
 
     clear = clear_beads(solid)
     return {

@@ -11,7 +11,7 @@ from sightline.detection.labelling.cloud_match import Labelling, converge
 from sightline.detection.labelling.cloud_search import Problem, Search, promising
 from sightline.detection.results import Detections
 from sightline.errors import LabellingRefusedError, UnusableInputError
-from sightline.frame.symmetry import in_words
+from sightline.frame.solid_shape import in_words
 
 MIN_MATCHED = 6  # balls: twelve coordinates for nine unknowns of a camera
 MAX_BALL_SD_MM = 0.5  # of a coordinate: of 80 scenes none was labelled wrongly with 0.5 mm, one with 1 mm [calc]

@@ -8,7 +8,6 @@ from io import StringIO
 import numpy as np
 
 from sightline.frame.drawings.part import SIGMAS, Part, parts_of
-from sightline.frame.measured.deviations import plates
 from sightline.frame.model import Frame
 from sightline.frame.tolerances import EXPANSION_PER_K, MOISTURE_EXPANSION
 
@@ -72,7 +71,7 @@ def holes_csv(part: Part) -> bytes:
 def inspection_csv(frame: Frame) -> bytes:
     """Return the inspection sheet to be filled in, one row for each ball; `sightline frame fit` reads it."""
     tolerance = round(SIGMAS * frame.effective_tolerances.bead_mm, 3)
-    balls = [(view, role, f) for view, role, plate in plates(frame) for f in plate.fiducials]
+    balls = [(view, role, f) for view, role, plate in frame.named_plates for f in plate.fiducials]
     if frame.solid is not None:
         balls = [("", part.name, bore.ball) for part in parts_of(frame) for bore in part.bores]
     rows = [

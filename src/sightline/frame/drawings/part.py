@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.errors import FrameError
-from sightline.frame.measured.deviations import plates
 from sightline.frame.model import Frame
 from sightline.frame.plate import Fiducial, Plate, RigidBody
 
@@ -107,7 +106,7 @@ def parts_of(frame: Frame) -> tuple[Part, ...]:
             _refuse_thin_walls(face)
         _refuse_bores_that_meet(faces)
         return faces if frame.detector is None else (*faces, _plate("detector", "plate", frame.detector, position))
-    return tuple(_plate(view, role, plate, position) for view, role, plate in plates(frame))
+    return tuple(_plate(view, role, plate, position) for view, role, plate in frame.named_plates)
 
 
 def _plate(view: str, role: str, plate: Plate, position_mm: float) -> Part:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.frame.model import Frame
-from sightline.frame.plate import ROLES, Plate, RigidBody
+from sightline.frame.plate import Plate, RigidBody
 from sightline.geometry.rigid import displacement
 
 # [ours] prior s.d., mm, of a rigid motion of the whole frame, which is not an error of a plate.
@@ -114,14 +114,9 @@ def _deviation(  # noqa: PLR0917
     )
 
 
-def plates(frame: Frame) -> tuple[tuple[str, str, Plate], ...]:
-    """Return (view, role, plate) in the order of the frame's covariance."""
-    return tuple((name, role, getattr(view, role)) for name, view in frame.views.items() for role in ROLES)
-
-
 def bodies(frame: Frame) -> tuple[tuple[str, str, RigidBody], ...]:
     """Return (view, role, plate) of each plate, or ("solid", "", solid) and that on the detector, in the order of the
     frame's covariance."""
     if frame.solid is None:
-        return plates(frame)
+        return frame.named_plates
     return tuple(zip(("solid", "detector"), ("", "plate"), frame.bodies, strict=False))

@@ -9,7 +9,7 @@ from scipy.special import chdtri
 from sightline.checks import Check, failed
 from sightline.errors import FrameError
 from sightline.frame.measured.adjust import FALSE_ALARM, Adjusted, adjust
-from sightline.frame.measured.deviations import Completed, PlateDeviation, bodies, complete, plate_deviations, plates
+from sightline.frame.measured.deviations import Completed, PlateDeviation, bodies, complete, plate_deviations
 from sightline.frame.measured.identify import Identified, identify
 from sightline.frame.measured.measurements import Series
 from sightline.frame.model import Frame
@@ -139,7 +139,7 @@ def _id_errors(one: Identified, frame: Frame) -> str:
         )
     whole = [
         f"the {view} {role} plate is numbered from another corner, or as another plate"
-        for view, role, plate in plates(frame)
+        for view, role, plate in frame.named_plates
         if sum(ball in one.renamed for ball in plate.ids) > len(plate.ids) / 2
     ]
     if whole:

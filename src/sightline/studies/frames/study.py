@@ -21,8 +21,7 @@ from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.frame.check import reach_mm
-from sightline.frame.design import Balls, FrameDesign
-from sightline.frame.designs import GAMMA_BEAMS
+from sightline.frame.designs import GAMMA_BEAMS, Balls, FrameDesign
 from sightline.frame.nominal import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM, in_field
 from sightline.studies.frames.kinds import (
     BEAD_PX,

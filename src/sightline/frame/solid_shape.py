@@ -1,15 +1,62 @@
-"""Symmetries of a solid: rotations, with or without a reflection, that carry its balls onto each other."""
+"""The shape of a solid: which balls cast shadows of their own, where it may stand, and its symmetries.
+
+A symmetry is a rotation, with or without a reflection, that carries the balls onto each other.
+"""
 
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
+from sightline.frame import nominal
+from sightline.frame.plate import RigidBody
 from sightline.geometry.rigid import rigid_fit
 
+# Fields at the hip by the detector: 9 inches and 300 mm, 1000 mm from the source, seen at 620 mm, rounded down [calc].
+FIELDS_MM = {"9-inch intensifier": 140.0, "30 cm panel": 185.0}
+SHADOW_GAP_MM = 1.0  # [ours] minimum distance between two shadows for both to be measured
+_DIRECTIONS = 400  # [ours] of a Fibonacci lattice, 10° apart
 SAME_TURN = np.cos(np.radians(3))  # of two symmetries that count as one [ours]
 AXES = "xyz"
 AXIS_TOLERANCE = 0.02  # of a unit vector's components: an axis within 1° of x, y or z is named so [ours]
+
+
+def clear_of_each_other(xyz_mm: np.ndarray, radius_mm: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Return (D,): how many of N balls (N, 3) cast a shadow of their own along each unit vector (D, 3)."""
+    i, j = np.triu_indices(len(xyz_mm), 1)
+    apart = xyz_mm[i] - xyz_mm[j]
+    across = np.sqrt(np.maximum((apart**2).sum(axis=1)[:, None] - (apart @ directions.T) ** 2, 0))
+    near = across < (radius_mm[i] + radius_mm[j])[:, None] + SHADOW_GAP_MM
+    hidden = np.zeros((len(xyz_mm), len(directions)), dtype=bool)
+    for pair, which in enumerate(near):
+        hidden[i[pair]] |= which
+        hidden[j[pair]] |= which
+    return (~hidden).sum(axis=0)
+
+
+def clear_beads(solid: RigidBody) -> np.ndarray:
+    """Return (400,): how many balls are clear of each other, from directions spread over the sphere."""
+    k = np.arange(_DIRECTIONS) + 0.5
+    height, angle = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
+    level = np.sqrt(1 - height**2)
+    directions = np.stack([level * np.cos(angle), level * np.sin(angle), height], axis=1)
+    return clear_of_each_other(solid.xyz_mm, solid.diameter_mm / 2, directions)
+
+
+def offset_mm(solid: RigidBody, field_mm: float) -> float:
+    """Return how far from a beam's axis, mm at the hip, the solid's middle may stand with all its balls in the field.
+
+    However the solid is turned, and with the magnification of balls nearer to the source; negative where it is too
+    large for the field.
+    """
+    half = field_mm / 2
+    return half - radius_mm(solid) * float(np.hypot(1.0, half / nominal.SOURCE_TO_HIP_MM))
+
+
+def radius_mm(solid: RigidBody) -> float:
+    """Return the radius of the sphere about the middle of the balls' box that contains all balls, mm."""
+    middle = (solid.xyz_mm.min(axis=0) + solid.xyz_mm.max(axis=0)) / 2
+    return float((np.linalg.norm(solid.xyz_mm - middle, axis=1) + solid.diameter_mm / 2).max())
 
 
 def symmetry_of(xyz_mm: np.ndarray, diameter_mm: np.ndarray, tolerance_mm: float) -> tuple[np.ndarray, ...]:
