@@ -1,20 +1,20 @@
-"""Run the benchmarks: `python -m benchmarks [NAME ...] [--quick]`; names are files here without their `bench_`."""
+"""Run the benchmarks: `python -m benchmarks [NAME ...] [--quick]`; names are files here without their `bench_`.
+
+What is measured replaces the benchmark's entries in results.json, unless it is `--quick`. `--page` writes the recorded
+values into docs/benchmarks.md.
+"""
 
 import argparse
 import importlib
 import os
 import sys
 import time
-from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks import results
 from benchmarks.rows import Row
-
-
-def _names() -> list[str]:
-    return sorted(p.stem.removeprefix("bench_") for p in Path(__file__).parent.glob("bench_*.py"))
 
 
 def _table(rows: list[Row]) -> Table:
@@ -31,17 +31,24 @@ def main() -> int:
     """Print the table; return 1 if a required value is not met."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before numpy is imported
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", choices=[[], *_names()])
+    parser.add_argument("names", nargs="*", choices=[[], *results.names()])
     parser.add_argument(
         "--quick", action="store_true", help="a tenth of the trials: a quick check, not for publication"
     )
+    parser.add_argument("--page", action="store_true", help="write the recorded values into docs/benchmarks.md")
     options = parser.parse_args()
+    if options.page:
+        results.PAGE.write_text(results.page())
+        return 0
     console = Console(width=160)
     everything: list[Row] = []
-    for name in options.names or _names():
+    for name in options.names or results.names():
         started = time.perf_counter()
-        rows = importlib.import_module(f"benchmarks.bench_{name}").run(quick=options.quick)
+        module = importlib.import_module(f"benchmarks.bench_{name}")
+        rows = module.run(quick=options.quick)
         everything += rows
+        if not options.quick:
+            results.update(name, rows, getattr(module, "FIRST_SEED", None))
         console.print(_table(rows))
         console.print(f"{name}: {time.perf_counter() - started:.0f} s")
     missed = [row for row in everything if row.met is False]

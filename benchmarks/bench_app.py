@@ -24,7 +24,7 @@ from playwright.sync_api import Browser, Page
 from tests.app.browser import FLAGS, Server, chromium, find_chromium
 from tests.app.hands import SEED, Hands
 
-from benchmarks.bench_xray import FRAME_MS, drag, high
+from benchmarks.dragging import FRAME_MS, drag, high
 from benchmarks.rows import Row
 
 GROUP = "app"

@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from benchmarks.nail_edges import Sight, seen
+from benchmarks.holes.nail_edges import Sight, seen
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from sightline.calibration.view import CalibratedView

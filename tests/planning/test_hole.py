@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.hole_scores import scored
-from benchmarks.nail_edges import Sight, seen
+from benchmarks.holes.nail_edges import Sight, seen
+from benchmarks.holes.scores import scored
 from scipy.spatial.transform import Rotation
 
 from sightline.calibration import view_from_matrix

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
-from benchmarks.scenes_solid import PICK_PX, block, c_arms, centre_squares, pick_covariance, squares_of
+from benchmarks.solid.scenes import PICK_PX, block, c_arms, centre_squares, pick_covariance, squares_of
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.detection import Observations
 from sightline.errors import SightlineError

@@ -1,11 +1,10 @@
-"""Cost of `detect` against the image's size and the number of beads, drawn into docs/pictures/speed-against-size.svg.
+"""Cost of `detect` against the image's size and the number of beads.
 
 The images are balls of one radius in pixels on an even background, with Poisson noise and a detector's blur. Costs are
 processor time of all threads, the smallest of several runs: another program's load hardly changes it.
 """
 
 import time
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,7 +12,6 @@ import numpy as np
 import sightline as sl
 from benchmarks.rows import Row
 
-PICTURE = Path(__file__).parents[1] / "docs" / "pictures" / "speed-against-size.svg"
 SIDES = (512, 724, 1024, 1448, 2048, 2896, 4096)
 COUNTS = (50, 100, 200, 400)
 SIDE, COUNT = 1024, 100  # of the images that vary in the other property
@@ -42,12 +40,10 @@ def image_of(side: int, count: int) -> sl.Radiograph:
 
 
 def run(quick: bool) -> list[Row]:
-    """Return the rows; a full run also draws the picture."""
+    """Return the rows of this part."""
     sides, runs = (SIDES[:3], 2) if quick else (SIDES, RUNS)
     by_side = np.array([_cost_ms(side, COUNT, runs) for side in sides])
     by_count = np.array([_cost_ms(SIDE, count, runs) for count in COUNTS])
-    if not quick:
-        _draw(by_side, by_count)
     pixels = np.array(sides, dtype=float) ** 2
     large = pixels >= SIDE**2 if not quick else pixels > 0
     exponent = float(np.polyfit(np.log(pixels[large]), np.log(by_side[large]), 1)[0])
@@ -87,25 +83,3 @@ def _cost_ms(side: int, count: int, runs: int) -> float:
     if len(found) != count:
         print(f"{side} px squared: {len(found)} of {count} beads found")
     return min(taken[1:])
-
-
-def _draw(by_side: np.ndarray, by_count: np.ndarray) -> None:
-    """Draw both costs with lines in proportion to pixels, and to beads."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    mpl.rcParams["svg.hashsalt"] = "sightline"
-    figure = Figure(figsize=(8, 3.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    megapixels = np.array(SIDES) ** 2 / 1e6
-    left.loglog(megapixels, by_side, "o", label="measured")
-    left.loglog(megapixels, by_side[-1] * megapixels / megapixels[-1], "--", label="in proportion to the pixels")
-    left.set(xlabel=f"megapixels ({COUNT} beads)", ylabel="processor time of detect, ms")
-    right.plot(COUNTS, by_count, "o", label="measured")
-    slope, level = np.polyfit(COUNTS, by_count, 1)
-    right.plot(COUNTS, level + slope * np.array(COUNTS), "--", label=f"{level:.0f} ms + {slope:.2f} ms a bead")
-    right.set(xlabel=f"beads ({SIDE} x {SIDE} px)", ylabel="processor time of detect, ms", ylim=(0, None))
-    for panel in (left, right):
-        panel.legend()
-        panel.grid(alpha=0.3)
-    figure.savefig(PICTURE, metadata={"Date": None})

@@ -13,8 +13,8 @@ from scipy.stats import chi2
 import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
-from benchmarks.scenes_solid import BEAD_PX, PICK_PX, c_arms, calibrated, gamma_in, pick_covariance
-from benchmarks.solid_bound import solid_bound
+from benchmarks.solid.bound import solid_bound
+from benchmarks.solid.scenes import BEAD_PX, PICK_PX, c_arms, calibrated, gamma_in, pick_covariance
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from benchmarks.scenes_solid import BEAD_PX, PICK_PX, block, c_arms
+from benchmarks.solid.scenes import BEAD_PX, PICK_PX, block, c_arms
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.detection import Observations
 from sightline.errors import SightlineError

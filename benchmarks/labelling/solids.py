@@ -1,6 +1,6 @@
 """Labelling of solids by geometry alone, in random scenes of points: shares labelled, wrong and refused, and times.
 
-`python -m benchmarks.bench_cloud KIND COUNT` prints the scenes of one kind that were not labelled correctly.
+`python -m benchmarks.labelling.solids KIND COUNT` prints the scenes of one kind that were not labelled correctly.
 """
 
 import sys
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.labelling.solid_scenes import BALL_SD_MM, CloudScene, draw_cloud, draw_cloud_scene
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from benchmarks.scenes_cloud import BALL_SD_MM, CloudScene, draw_cloud, draw_cloud_scene
 from sightline.detection.labelling.cloud import label_cloud
 from sightline.errors import LabellingRefusedError
 from sightline.frame import Frame

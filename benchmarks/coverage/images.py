@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import sightline as sl
-from benchmarks.bench_second_look import covers
+from benchmarks.detection.second_look import covers
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, coverage_row, finished
 from sightline.errors import SightlineError

@@ -2,7 +2,7 @@
 
 Points are those of studies/nail_edges.py, on views calibrated from their beads. The sizes of the nail differ from the
 stated ones by machining tolerances. Images are the twin's, and those whose rays gVirtualXray casts (gvxr_nails.py;
-optional: `pip install gvxr`). `python -m benchmarks.bench_interlocking COUNT` prints the rows of so many nails as
+optional: `pip install gvxr`). `python -m benchmarks.holes.measured COUNT` prints the rows of so many nails as
 points. Finished nails are kept in out/bench: the same command goes on with a stopped run.
 """
 
@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import sightline as sl
-from benchmarks.gvxr_nails import cast, image, window_px
-from benchmarks.hole_scores import Trial, scored
-from benchmarks.nail_edges import Sight, ends_of_outlines, seen
+from benchmarks.holes.gvxr_nails import cast, image, window_px
+from benchmarks.holes.nail_edges import Sight, ends_of_outlines, seen
+from benchmarks.holes.scores import Trial, scored
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from benchmarks.scenes_solid import BEAD_PX, c_arms
+from benchmarks.solid.scenes import BEAD_PX, c_arms
 from sightline.calibration import CalibratedView
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.errors import RefusedError, SetUpError

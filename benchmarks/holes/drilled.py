@@ -13,11 +13,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import sightline as sl
-from benchmarks.bench_interlocking import HALF_ANGLE_DEG, known_nail
-from benchmarks.nail_edges import Sight, seen
+from benchmarks.holes.measured import HALF_ANGLE_DEG, known_nail
+from benchmarks.holes.nail_edges import Sight, seen
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from benchmarks.scenes_solid import BEAD_PX, c_arms
+from benchmarks.solid.scenes import BEAD_PX, c_arms
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.errors import RefusedError
 from sightline.frame import Frame

@@ -6,27 +6,24 @@ its rim; overlapping by a share of the smaller radius. The seeds were not used f
 Each scene is exposed at each dose: the noise of one exposure alone moves error / stated of twenty beads by a tenth.
 
 That bound takes the light behind two balls for known. Beads in deep overlaps are counted again if the pixels that
-only they change determine them (`own`), and those that were missed at the highest dose are drawn.
+only they change determine them (`own`).
 """
 
 import warnings
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.bench_detection_scatter import kinds
-from benchmarks.centroid_bound import centroid_bounds
+from benchmarks.detection.centroid_bound import centroid_bounds
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
 from sightline.detection import detect, label, look_again
 from sightline.errors import DetectionRefusedError, LabellingRefusedError
 from sightline.frame import Frame
-from sightline.imaging import Radiograph
-from sightline.twin.scenes.hard import BeadTruth, HardView, hard_view
-from sightline.twin.xray.setup import shadow_centres_px
+from sightline.twin.carm import shadow_centres_px
+from sightline.twin.hard import BeadTruth, HardView, hard_view
 
 KINDS = {  # and the recall asked
     "free": 0.998,
@@ -47,9 +44,8 @@ _CLIPPED = 0.3
 _DEEP, _STEP = 0.4, 0.4
 _TOUCHING = -0.4
 
-PICTURE = Path(__file__).parents[1] / "docs/pictures/beads-under-beads.png"
-_CROP_PX = 20  # half the side
-_DRAWN, _DRAWN_DOSE = 10, "high"  # missed beads in the picture: each once, and not missed for its noise
+_ISOLATED_PX = 6.0  # from rim to rim, or to the field's edge: nothing else lies in the window of the fit
+_EDGE = 0.15  # of the light around a bead: range beyond which a bone's edge, not its slope alone, lies in the window
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,24 +61,11 @@ class _Seen:
 
 
 @dataclass(frozen=True, eq=False)
-class _Missed:
-    """A bead in a deep overlap that was not found: its bounds (per axis, px), the image about it, and the outlines
-    (K, 3): u, v and radius of it and the beads around it, in that part of the image."""
-
-    bound_px: float
-    own_px: float
-    pixels: np.ndarray
-    outlines: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class _View:
-    """One image: its beads before and after the second look, the number of false ones, and the missed deep ones that
-    are drawn."""
+    """One image: its beads before and after the second look, and the number of false ones."""
 
     stages: dict[str, list[_Seen]]
     false: int
-    missed: list[_Missed]
 
 
 def run(quick: bool) -> list[Row]:
@@ -100,8 +83,6 @@ def run(quick: bool) -> list[Row]:
     rows += _rows("all", after, before, 0.98)
     clear, at_first = ([bead for bead in beads if bead.kind != "clipped"] for beads in (after, before))
     rows += _rows("all but clipped", clear, at_first, 0.98)
-    if not quick:
-        _draw([missed for view in views for missed in view.missed])
     false = sum(view.false for view in views)
     return [*rows, Row("second look", f"false beads in {len(views)} images", str(false), "0", met=false == 0)]
 
@@ -139,27 +120,6 @@ def _recall(kind: str, after: list[_Seen], before: list[_Seen], asked: float | N
     )
 
 
-def _draw(missed: list[_Missed]) -> None:
-    """Draw the missed beads in deep overlaps whose bound is smallest, with their outlines, as PICTURE."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(2, _DRAWN // 2, figsize=(10, 4.6), layout="constrained")
-    for ax in axes.ravel():
-        ax.set_axis_off()
-    for ax, one in zip(axes.ravel(), sorted(missed, key=lambda each: each.bound_px), strict=False):
-        ax.imshow(one.pixels, cmap="gray", interpolation="nearest")
-        for k, (u, v, radius) in enumerate(one.outlines):
-            ax.add_patch(plt.Circle((u, v), radius, fill=False, color="#e69f00" if k == 0 else "#56b4e9", linewidth=1))
-        own = f"{one.own_px:.2f} px" if np.isfinite(one.own_px) else "none"
-        ax.set_title(f"bound {one.bound_px:.2f} px\nof its own pixels {own}", fontsize=8)
-        ax.set_xlim(-0.5, one.pixels.shape[1] - 0.5)
-        ax.set_ylim(one.pixels.shape[0] - 0.5, -0.5)
-    figure.savefig(PICTURE, dpi=90, metadata={"Software": None})
-
-
 def _views(seed: int) -> list[_View | str]:
     """Return one scene at each dose, that which its seed draws first; or why an image has no beads."""
     warnings.simplefilter("ignore", RuntimeWarning)  # of bounds where no bead is whole
@@ -183,7 +143,7 @@ def _view(scene: HardView, rng: np.random.Generator, dose: str, name: str) -> _V
     xyz, radius = np.array([one.xyz_mm for one in beads_there]), np.array([one.diameter_mm / 2 for one in beads_there])
     shadows = shadow_centres_px(scene.projection.view, xyz, radius)
     place = {one.id: uv for one, uv in zip(beads_there, shadows, strict=True)}
-    kind, false, plates, missed = covers(truth), 0, frame.view(labelled.view).by_id, []
+    kind, false, plates = covers(truth), 0, frame.view(labelled.view).by_id
     for stage, seen in (("before", labelled), ("after", look_again(image, beads, labelled, frame))):
         assert seen.covariance_px2 is not None
         row = {one: i for i, one in enumerate(seen.ids)}
@@ -193,19 +153,7 @@ def _view(scene: HardView, rng: np.random.Generator, dose: str, name: str) -> _V
             error = np.zeros(2) if k is None else seen.uv_px[k] - truth.shadow_px[i]
             square = 0.0 if k is None else float(error @ np.linalg.solve(seen.covariance_px2[k], error)) / 2
             stages[stage].append(_Seen(kind[i], dose, k is not None, square, bool(own[i] < _FINDABLE_PX)))
-            if k is None and stage == "after" and dose == _DRAWN_DOSE and kind[i].startswith("overlap"):
-                missed.append(_Missed(float(bound[i]), float(own[i]), *_about(image, truth, i)))
-    return _View(dict(stages), false, missed)
-
-
-def _about(image: Radiograph, truth: BeadTruth, i: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixels about a bead, and the outlines in them of it and the beads around it."""
-    u, v = np.rint(truth.shadow_px[i]).astype(int)
-    left, top = max(u - _CROP_PX, 0), max(v - _CROP_PX, 0)
-    apart = np.linalg.norm(truth.shadow_px - truth.shadow_px[i], axis=1)
-    near = [j for j in np.argsort(apart) if apart[j] < 1.5 * _CROP_PX]
-    outlines = np.column_stack([truth.shadow_px - [left, top], truth.radius_px])[near]
-    return image.pixels[top : v + _CROP_PX + 1, left : u + _CROP_PX + 1].copy(), outlines
+    return _View(dict(stages), false)
 
 
 def covers(truth: BeadTruth) -> list[str]:
@@ -220,5 +168,26 @@ def covers(truth: BeadTruth) -> list[str]:
         ["overlap above 1.6", "overlap 1.2 to 1.6", "overlap 0.8 to 1.2"],
         "overlap 0.4 to 0.8",
     )
-    lying = [truth.saturated > _CLIPPED, metal, overlap > _DEEP, overlap > _TOUCHING, kinds(truth) == "bone edge"]
+    lying = [truth.saturated > _CLIPPED, metal, overlap > _DEEP, overlap > _TOUCHING, _on_bone_edge(truth)]
     return np.select(lying, ["clipped", "beside metal", deep, "touching", "bone edge"], "free").tolist()
+
+
+def _on_bone_edge(truth: BeadTruth) -> np.ndarray:
+    """Return whether each bead (N,) lies alone in the window of its fit, before the edge of a bone."""
+    alone = (truth.rim_px > _ISOLATED_PX) & (truth.saturated == 0) & (truth.gap_px > _ISOLATED_PX)
+    return alone & (_bends(truth) > _EDGE)
+
+
+def _bends(truth: BeadTruth) -> np.ndarray:
+    """Return the range (N,) of the background around each bead, after subtracting a plane, over its mean."""
+    light = truth.exposure.open_pixels() - truth.exposure.black
+    out = np.zeros(len(truth))
+    for i, ((u, v), radius) in enumerate(zip(truth.shadow_px, truth.radius_px, strict=True)):
+        reach = int(radius) + 5
+        left, top = max(round(u) - reach, 0), max(round(v) - reach, 0)
+        part = light[top : top + 2 * reach + 1, left : left + 2 * reach + 1]
+        y, x = np.mgrid[: part.shape[0], : part.shape[1]]
+        design = np.stack([np.ones(part.size), x.ravel(), y.ravel()], axis=1)
+        plane = design @ np.linalg.lstsq(design, part.ravel())[0]
+        out[i] = np.ptp(part.ravel() - plane) / part.mean()
+    return out

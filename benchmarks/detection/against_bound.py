@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.bench_detection import blobs_of_opencv, blobs_of_trackpy
-from benchmarks.centroid_bound import centroid_bounds
+from benchmarks.detection.centroid_bound import centroid_bounds
+from benchmarks.detection.real_images import blobs_of_opencv, blobs_of_trackpy
 from benchmarks.rows import Row
 from sightline.detection import Detections, Observations, detect, label, look_again
 from sightline.errors import DetectionRefusedError, LabellingRefusedError

@@ -12,8 +12,8 @@ import sightline as sl
 from benchmarks.gvxr_projector import image, parts_of
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
-from benchmarks.scenes_solid import PICK_PX, block, c_arms, centre_squares
-from benchmarks.solid_bound import solid_bound
+from benchmarks.solid.bound import solid_bound
+from benchmarks.solid.scenes import PICK_PX, block, c_arms, centre_squares
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.errors import SightlineError
 from sightline.imaging import Radiograph

@@ -1,0 +1,124 @@
+"""The measured values of all benchmarks in results.json, and their table in docs/benchmarks.md.
+
+Running a benchmark replaces its own entries only. An entry states where its value is from: commit, machine, date and
+first seed; null where that was not recorded.
+"""
+
+import ast
+import json
+import os
+import platform
+import re
+import subprocess
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from benchmarks.rows import Row
+
+HERE = Path(__file__).parent
+RESULTS, PAGE = HERE / "results.json", HERE.parent / "docs" / "benchmarks.md"
+BEGIN, END = "<!-- results: begin (made by `python -m benchmarks --page`) -->", "<!-- results: end -->"
+Entry = dict[str, Any]
+_UNIT = re.compile(r"^([-+\d.,/ ]*\d) ?(mm|px|°|%|ms|µs|s|MB|Hz|images/s|times)$")
+# Values of each group on the page, besides those that are not met: the others are in the file alone.
+SHOWN = 2
+_PROVENANCE = ("commit", "processor", "cores", "date", "seed")
+
+
+def names() -> list[str]:
+    """Return the names of all benchmarks."""
+    return sorted(path.stem.removeprefix("bench_") for path in HERE.glob("bench_*.py"))
+
+
+def read() -> list[Entry]:
+    """Return all entries."""
+    return json.loads(RESULTS.read_text())
+
+
+def write(entries: Sequence[Entry]) -> None:
+    """Write all entries, one a line."""
+    lines = (json.dumps(entry, ensure_ascii=False) for entry in entries)
+    RESULTS.write_text("[\n" + ",\n".join(lines) + "\n]\n")
+
+
+def entry(benchmark: str, row: Row, provenance: Entry) -> Entry:
+    """Return the entry of one row."""
+    split = _UNIT.match(row.value)
+    value, unit = split.groups() if split else (row.value, "")
+    measured = {"benchmark": benchmark, "group": row.group, "name": row.name, "value": value, "unit": unit}
+    return {**measured, "asked": row.required, "peer": row.peer, "met": row.met, **provenance}
+
+
+def update(benchmark: str, rows: Sequence[Row], seed: int | None) -> None:
+    """Replace the entries of a benchmark."""
+    kept = [each for each in read() if each["benchmark"] != benchmark]
+    made = [entry(benchmark, row, _provenance(seed)) for row in rows]
+    write(sorted([*kept, *made], key=lambda each: each["benchmark"]))
+
+
+def _provenance(seed: int | None) -> Entry:
+    command = ["git", "describe", "--always", "--dirty"]
+    git = subprocess.run(command, cwd=HERE, capture_output=True, text=True, check=False)
+    cpuinfo = Path("/proc/cpuinfo")
+    model = re.search(r"model name\s*: (.*)", cpuinfo.read_text()) if cpuinfo.exists() else None
+    processor = model.group(1) if model else platform.processor()
+    return dict(
+        zip(
+            _PROVENANCE,
+            (git.stdout.strip() or None, processor, os.cpu_count(), datetime.now(UTC).date().isoformat(), seed),
+            strict=True,
+        )
+    )
+
+
+def table(entries: Sequence[Entry]) -> str:
+    """Return the tables of the page: for each benchmark what it measures, its values, and where they are from."""
+    parts = []
+    for name in names():
+        own = [each for each in entries if each["benchmark"] == name]
+        compared = [each for each in own if each["asked"] or each["peer"]]
+        rank = {id(each): k for group in _groups(compared or own) for k, each in enumerate(group)}
+        shown = [each for each in compared or own if rank[id(each)] < SHOWN or each["met"] is False]
+        if shown:
+            about = ast.get_docstring(ast.parse((HERE / f"bench_{name}.py").read_text())) or ""
+            head = "| value | measured | asked | peer |\n|---|---|---|---|"
+            rows = [f"| {_name(each, shown)} | {_value(each)} | {_asked(each)} | {each['peer']} |" for each in shown]
+            source = _source(shown)
+            about = " ".join(about.split("\n\n")[0].split()) + (f" {source}" if source else "")
+            parts.append("\n".join([f"### {name}", about, "", head, *rows]))
+    return "\n\n".join(parts)
+
+
+def _groups(entries: Sequence[Entry]) -> list[list[Entry]]:
+    return [
+        [each for each in entries if each["group"] == group] for group in dict.fromkeys(e["group"] for e in entries)
+    ]
+
+
+def _name(each: Entry, shown: Sequence[Entry]) -> str:
+    several = len({other["group"] for other in shown}) > 1
+    return f"{each['group']}: {each['name']}" if several and each["group"] not in each["name"] else each["name"]
+
+
+def _value(each: Entry) -> str:
+    return f"{each['value']}{'' if each['unit'] == '°' else ' '}{each['unit']}".strip()
+
+
+def _asked(each: Entry) -> str:
+    return each["asked"] if each["met"] is not False else f"{each['asked']}: **not met**"
+
+
+def _source(shown: Sequence[Entry]) -> str:
+    """Return where the values of a benchmark are from, as far as it was recorded."""
+    sources = dict.fromkeys(tuple(each[key] for key in _PROVENANCE) for each in shown)
+    known = [[f"{key} {value}" for key, value in zip(_PROVENANCE, each, strict=True) if value] for each in sources]
+    return f"Measured with {'; '.join(', '.join(each) for each in known if each)}." if any(known) else ""
+
+
+def page() -> str:
+    """Return the page with the tables of the recorded values."""
+    text = PAGE.read_text()
+    start, end = text.index(BEGIN) + len(BEGIN), text.index(END)
+    return f"{text[:start]}\n{table(read())}\n{text[end:]}"
