@@ -22,8 +22,8 @@ from benchmarks.rows import Row, finished
 from sightline.detection import detect, label, look_again
 from sightline.errors import DetectionRefusedError, LabellingRefusedError
 from sightline.frame import Frame
-from sightline.twin.carm import shadow_centres_px
-from sightline.twin.hard import BeadTruth, HardView, hard_view
+from sightline.twin.scenes.hard import BeadTruth, HardView, hard_view
+from sightline.twin.xray.setup import shadow_centres_px
 
 KINDS = {  # and the recall asked
     "free": 0.998,

@@ -16,7 +16,7 @@ from benchmarks.rows import Row
 from sightline.detection import Observations, label
 from sightline.errors import LabellingRefusedError
 from sightline.frame import Frame
-from sightline.twin.presets import PRESETS
+from sightline.twin.xray.presets import PRESETS
 
 SCENES = 10_000
 BLOCK = 250

@@ -21,7 +21,7 @@ from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.studies.methods import METHODS, REFUSALS
 from sightline.studies.scenes import draw_scene
-from sightline.twin.arm import beam_at
+from sightline.twin.xray.distributions import beam_at
 
 BALLS_MM = (0.02, 0.05, 0.1)
 SETUPS = 200  # for each error of the balls

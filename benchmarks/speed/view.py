@@ -22,7 +22,7 @@ import numpy as np
 import sightline as sl
 from benchmarks.rows import Row
 from sightline.twin import draw_setup, render
-from sightline.twin.things import frame_scene
+from sightline.twin.objects.things import frame_scene
 
 REQUIRED_MS = 33.0
 REQUIRED_MB = 200.0
