@@ -30,7 +30,7 @@ def drilled(forces=FORCE_N, at=AT_MM, planned=100.0, limit=100.0, seed=1, noise=
 @pytest.mark.parametrize("seed", range(5))
 def test_each_cortex_is_entered_and_left_once_and_in_time(seed):
     found = drilled(seed=seed)
-    assert [one.kind for one in found] == [
+    assert [one.event for one in found] == [
         EventKind.CONTACT, EventKind.CORTEX, EventKind.BREAK_THROUGH, EventKind.CORTEX, EventKind.BREAK_THROUGH,
     ]  # fmt: skip
     contact, entry, left, shell, out = (one.depth_mm for one in found)
@@ -46,25 +46,25 @@ def test_a_plateau_of_uneven_bone_is_left_by_nobody(seed):
     at = np.arange(0.0, 40.0, 0.5)
     uneven = 25 + 4 * np.random.default_rng(100 + seed).standard_normal(len(at))
     forces, places = np.concatenate([[0, 0], uneven]), np.concatenate([[-3.0, -0.5], at])
-    assert EventKind.BREAK_THROUGH not in [one.kind for one in drilled(forces, places, seed=seed)]
+    assert EventKind.BREAK_THROUGH not in [one.event for one in drilled(forces, places, seed=seed)]
 
 
 def test_cancellous_bone_is_a_contact_but_no_cortex():
     found = drilled(np.array([0.0, 0.0, 1.5, 1.5]), np.array([-3.0, 0.0, 1.0, 30.0]))
-    assert [one.kind for one in found] == [EventKind.CONTACT]
+    assert [one.event for one in found] == [EventKind.CONTACT]
 
 
 def test_planned_depth_is_said_once_and_limits_in_every_cycle():
     found = drilled(np.array([0.0, 0.0]), np.array([0.0, 10.0]), planned=5.0, limit=9.0)
-    assert [one.kind for one in found].count(EventKind.DEPTH) == 1
-    assert found[0].kind is EventKind.DEPTH
+    assert [one.event for one in found].count(EventKind.DEPTH) == 1
+    assert found[0].event is EventKind.DEPTH
     assert found[0].depth_mm == pytest.approx(5.0, abs=0.006)
-    assert [one.kind for one in found].count(EventKind.DEPTH_LIMIT) == pytest.approx(200, abs=1)
+    assert [one.event for one in found].count(EventKind.DEPTH_LIMIT) == pytest.approx(200, abs=1)
 
 
 def test_too_much_force_is_said():
     found = drilled(np.array([0.0, 0.0, 120.0, 120.0]), np.array([0.0, 5.0, 5.3, 6.0]))
-    first = next(one for one in found if one.kind is EventKind.FORCE_LIMIT)
+    first = next(one for one in found if one.event is EventKind.FORCE_LIMIT)
     assert 5.15 < first.depth_mm < 5.4
     assert 80.0 < first.force_n < 100.0
 

@@ -169,13 +169,6 @@ def test_a_cubic_is_no_part_of_what_is_beyond_it(frame):
     assert np.abs(overlap).max() < 1e-9
 
 
-def test_the_tube_sees_the_field_in_its_own_axes(frame):
-    view = draw_setup(np.random.default_rng(14), frame).views["pa"]
-    axes = view.detector.basis
-    assert np.allclose(axes @ axes.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(axes) == pytest.approx(1.0)
-
-
 def test_bad_input():
     tube = intensifier(2)
     with pytest.raises(OutsideRegionError):

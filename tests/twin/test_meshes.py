@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
@@ -126,43 +127,22 @@ def test_a_mesh_behind_the_source_is_refused(frame):
         expose(view, Scene(meshes=(behind,)))
 
 
-def ascii_stl(mesh: Mesh) -> str:
-    facets = [
-        "facet normal 0 0 0\nouter loop\n"
-        + "".join(f"vertex {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in corners)
-        + "endloop\nendfacet\n"
-        for corners in mesh.vertices_mm[mesh.triangles]
-    ]
-    return "solid thing\n" + "".join(facets) + "endsolid thing\n"
-
-
 def binary_stl(mesh: Mesh) -> bytes:
-    rows = np.zeros(len(mesh.triangles), dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
-    rows["v"] = mesh.vertices_mm[mesh.triangles]
-    return bytes(80) + np.uint32(len(rows)).tobytes() + rows.tobytes()
+    return written(mesh, "stl")
 
 
-def obj(mesh: Mesh) -> str:
-    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices_mm]
-    return "\n".join(lines + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.triangles]) + "\n"
-
-
-def ply(mesh: Mesh) -> str:
-    head = ["ply", "format ascii 1.0", f"element vertex {len(mesh.vertices_mm)}"]
-    head += [f"property float {axis}" for axis in "xyz"] + [f"element face {len(mesh.triangles)}"]
-    head += ["property list uchar int vertex_indices", "end_header"]
-    lines = [f"{x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices_mm]
-    return "\n".join(head + lines + [f"3 {a} {b} {c}" for a, b, c in mesh.triangles]) + "\n"
+def written(mesh: Mesh, file_type: str) -> bytes:
+    data = trimesh.Trimesh(mesh.vertices_mm, mesh.triangles, process=False).export(file_type=file_type)
+    return data.encode() if isinstance(data, str) else data
 
 
 BOX = box_mesh(np.array([-3.25, 1.5, -7.0]), np.array([4.5, 9.125, 11.0]), "bone", "tissue")
-WRITERS = {"a.stl": ascii_stl, "b.STL": binary_stl, "c.obj": obj, "d.ply": ply}
+FILES = {"a.stl": "stl_ascii", "b.STL": "stl", "c.obj": "obj", "d.ply": "ply"}
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", FILES)
 def test_a_mesh_is_read_as_written(name, tmp_path):
-    written = WRITERS[name](BOX)
-    (tmp_path / name).write_bytes(written if isinstance(written, bytes) else written.encode())
+    (tmp_path / name).write_bytes(written(BOX, FILES[name]))
     again = read_mesh(tmp_path / name, "titanium", None)
     assert (again.material, again.within) == ("titanium", None)
     assert len(again.vertices_mm) == 8

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
 from sightline.robot.kinematics.manipulator import FEED, LIFT, TRAVERSE, YAW, nominal_manipulator
-from sightline.robot.plant import CYCLE_S, WATCHDOG_S, Plant, PlantFlag
+from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag
 from sightline.twin.objects.volumes import Volume
 from sightline.twin.robot.drilling import Bone
 from sightline.twin.robot.mjcf import Build, mjcf, unit
@@ -55,14 +55,6 @@ def test_without_springs_mujoco_has_the_closed_form_kinematics(robot):
         ):
             assert np.abs(data.site(site).xpos * 1e3 - pose.translation).max() < 1e-6
             assert np.abs(data.site(site).xmat.reshape(3, 3) - pose.rotation.as_matrix()).max() < 1e-9
-
-
-def test_it_is_a_plant():
-    one: Plant = plant()
-    reading = one.read()
-    assert reading.time_s == 0.0
-    assert reading.flags is PlantFlag.RUN_HELD
-    assert reading.encoders.shape == (5,)
 
 
 def test_encoders_count_in_their_resolution():
@@ -230,10 +222,10 @@ def test_a_hold_while_drilling_leaves_the_tip_where_it_is():
 
 
 def test_whatever_is_commanded_the_plant_stays_whole():
-    """A minute of random commands: nothing leaves its limits, the truth stays with the encoders."""
+    """Fifteen seconds of random commands: nothing leaves its limits, the truth stays with the encoders."""
     rng = np.random.default_rng(11)
     one = plant()
-    for _ in range(200):
+    for _ in range(50):
         driven(one, rng.uniform(-2, 2, 5) * NOMINAL.speed, 0.3, drill_on=bool(rng.integers(2)))
         encoders = one.read().encoders
         assert (np.abs(NOMINAL.beyond_limits(encoders)) < 0.01 * NOMINAL.speed).all()
@@ -251,18 +243,6 @@ def test_without_mujoco_the_plant_says_what_to_install(monkeypatch):
 def test_a_start_beyond_the_limits_is_refused(bad):
     with pytest.raises(SetUpError, match="limits"):
         plant(start=bad)
-
-
-def test_the_sensor_reads_the_thrust_with_its_noise():
-    one = plant(bone=slab(NOMINAL, START, 2.0), build=WEIGHTLESS)
-    one.guide_mm = START[FEED] - 5.0
-    driven(one, np.array([0.0, 0.0, 0.0, 0.0, 1.0]), 6.0, drill_on=True)
-    read = []
-    for _ in range(400):
-        driven(one, np.array([0.0, 0.0, 0.0, 0.0, 1.0]), CYCLE_S, drill_on=True)
-        read.append(one.read().force_n)
-    assert np.mean(read) == pytest.approx(35.0, abs=5 * 3.5 / 20)
-    assert np.std(read) == pytest.approx(3.5, rel=0.2)
 
 
 def test_a_drive_that_cannot_follow_says_so_and_does_not_wind_up():
@@ -295,14 +275,6 @@ def test_the_true_wire_runs_from_its_guide_through_its_entry_to_its_tip():
     leaning, beyond = (np.cross(axis, part / np.linalg.norm(part)) for part in (entry - mouth, tip - entry))
     assert np.linalg.norm(leaning) > 2e-3
     assert np.allclose(beyond, 1.5 * leaning, atol=0.15 * np.linalg.norm(leaning))  # a cantilever's end
-
-
-def test_before_time_passes_the_wire_is_where_the_joints_put_it():
-    one = plant(bone=slab(NOMINAL, START), build=WEIGHTLESS)
-    assert np.allclose(one.true_T_mcs_tool().translation, NOMINAL.T_mcs_tool(START).translation, atol=0.01)
-    later = plant(build=WEIGHTLESS)
-    later.meet(slab(NOMINAL, START))
-    assert np.allclose(later.true_T_mcs_tool().translation, one.true_T_mcs_tool().translation, atol=1e-9)
 
 
 def test_the_same_generator_gives_the_same_readings():

@@ -13,7 +13,7 @@ from sightline.twin import Scene, draw_setup, hip_scene, write_truth
 from sightline.twin.objects.beam import WEIGHTS, attenuation_per_mm
 from sightline.twin.objects.things import Ball, BoneMotion, Box, Rod, SoftTissue, draw_motion, moved
 from sightline.twin.objects.volumes import Volume, bored, fractured
-from sightline.twin.scenes.specimens import broken, plastic_hip, porcine_hip
+from sightline.twin.scenes.specimens import broken, plastic_hip
 from sightline.twin.xray.projector import Rays, volume_integral
 from sightline.twin.xray.render import expose
 
@@ -47,12 +47,6 @@ def test_a_bore_takes_its_cylinder():
     assert (share_at(bored(block(), ends, 8.0), on_axis) == 0).all()
     beyond = ends[1] + 2.0 * (ends[1] - ends[0]) / length
     assert share_at(bored(block(), ends, 8.0), beyond[None])[0] == 1.0
-
-
-def test_a_bore_goes_with_the_volume():
-    ends, turn = np.array([[-9.3, -6.2, -7.1], [8.4, 7.7, 9.9]]), motion()
-    after = bored(moved(block(), turn), turn.apply(ends), 8.0)
-    assert np.abs(after.values - bored(block(), ends, 8.0).values).max() < 1e-3
 
 
 @pytest.mark.parametrize("gap", [0.0, 1.5])
@@ -191,9 +185,8 @@ def test_a_broken_hip_shows_its_gap_and_its_displacement(hip):
     assert np.array_equal(displaced.bone.volumes[1].origin_mm, head.origin_mm)
 
 
-@pytest.mark.parametrize("side", ["right", "left"])
-def test_the_plastic_femur_has_its_bore_along_the_wire(frame, side):
-    setup = draw_setup(np.random.default_rng(11), frame, side=side)
+def test_the_plastic_femur_has_its_bore_along_the_wire(frame):
+    setup = draw_setup(np.random.default_rng(11), frame, side="left")
     plastic = plastic_hip(setup)
     (bone,) = plastic.bone.volumes
     assert (bone.material, bone.within, plastic.scene.tissue) == ("composite", None, None)
@@ -207,15 +200,3 @@ def test_the_plastic_femur_has_its_bore_along_the_wire(frame, side):
     assert (share_at(bone, on_axis[5:] + 5.5 * across) > 0.05).all()
     shell = entry + np.arange(0.0, 9.0, 0.5)[:, None] * along
     assert share_at(bone, np.concatenate([shell + 5.5 * across, shell - 5.5 * across])).max() > 0.7  # beside the bore
-
-
-def test_the_pig_has_flesh_about_its_femur(frame):
-    setup = draw_setup(np.random.default_rng(12), frame)
-    pig = porcine_hip(setup, np.random.default_rng(13))
-    (bone,), body = pig.bone.volumes, pig.scene.tissue
-    assert body is not None
-    i, j, k = np.nonzero(bone.values > 0)
-    at = bone.origin_mm + np.stack([i, j, k], -1) * bone.voxel_mm
-    far = np.hypot(*((at[:, [0, 2]] - body.centre_mm) / body.half_mm).T)
-    assert far.max() < 1.0
-    assert 15 < np.linalg.norm(at[i.argmin()] - at[i.argmax()]) < 110

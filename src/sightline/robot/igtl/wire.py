@@ -152,12 +152,12 @@ def read_header(data: bytes) -> Header:
 
     The protocol requires ASCII device names. Another name does not lose the stream: each such byte is read as �.
     """
-    version, kind, name, timestamp, size, crc = _HEADER.unpack(data)
+    version, type_field, name, timestamp, size, crc = _HEADER.unpack(data)
     if version not in VERSIONS:
         raise MessageError(f"header version {version}; only 1 and 2 are read")
-    match = _TYPE.fullmatch(kind)
+    match = _TYPE.fullmatch(type_field)
     if match is None:
-        raise MessageError(f"{kind!r} is not a type name")
+        raise MessageError(f"{type_field!r} is not a type name")
     return Header(
         version, match[1].decode("ascii"), name.split(b"\0", 1)[0].decode("ascii", "replace"), timestamp, size, crc
     )

@@ -301,9 +301,9 @@ class RobotFile(_Part):
             )
 
 
-def _read(file: Path, kind: type[Any]) -> Any:
+def _read(file: Path, model: type[Any]) -> Any:
     try:
-        return kind.model_validate(loads(read_bounded(file, MAX_BYTES, UnusableInputError, "give a robot's own file")))
+        return model.model_validate(loads(read_bounded(file, MAX_BYTES, UnusableInputError, "give a robot's own file")))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))

@@ -268,7 +268,7 @@ class Dialogue:
         noted = [] if self._hole is None else self._hole.noted[self._events :]
         self._events += len(noted)
         bodies: list[NamedBody] = [
-            (contract.EVENT, String(f"{n.kind.value}; {n.depth_mm:.2f} mm; {n.force_n:.1f} N")) for n in noted
+            (contract.EVENT, String(f"{n.event.value}; {n.depth_mm:.2f} mm; {n.force_n:.1f} N")) for n in noted
         ]
         listening = [client for client, peer in self._peers.items() if peer.telemetry] if bodies else []
         return [outgoing for client in listening for outgoing in self._all(client, bodies)]

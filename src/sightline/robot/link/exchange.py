@@ -93,7 +93,7 @@ class Exchange:
     def transform(
         self,
         mail: Mailbox,
-        kind: str,
+        prefix: str,
         matrix: np.ndarray,
         name: str,
         *,
@@ -102,7 +102,7 @@ class Exchange:
     ) -> tuple[RequestResult, Message]:
         """Send a registration or a target (4, 4), wait for its echo and STATUS, and return (result, echo)."""
         number = self.next_number()
-        self._connection.send(Transform(matrix), kind + number, metadata=metadata, imaged_s=imaged_s)
+        self._connection.send(Transform(matrix), prefix + number, metadata=metadata, imaged_s=imaged_s)
         echo = mail.need(lambda m: m.device_name == contract.ACKNOWLEDGED + number, ACK_S, f"ACK of {name}")
         return self._outcome(mail, name, STATUS_S), echo
 

@@ -13,7 +13,7 @@ MAX_FILE_BYTES = 2**28  # [ours] 5 million triangles of binary STL
 MAX_TRIANGLES = 2**21  # [ours] 25 times those of a femur from clinical CT
 SIZE_MM = (1.0, 1000.0)  # [ours] longest side: smaller meshes are in metres or inches, larger ones do not fit the beam
 FLAT = 1e-9  # volume over longest side cubed: smaller values are rounding errors
-KINDS = ("stl", "ply", "obj")
+FILE_TYPES = ("stl", "ply", "obj")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +55,19 @@ def read_mesh(path: str | Path, material: str = "bone", within: str | None = "ti
     import trimesh  # loads slowly, and few scenes have meshes
 
     file = Path(path)
-    kind = file.suffix.lower().removeprefix(".")
-    if kind not in KINDS:
-        raise UnusableInputError(f"{file.name} is not a mesh file ({', '.join(KINDS)}); convert it to one of these")
+    file_type = file.suffix.lower().removeprefix(".")
+    if file_type not in FILE_TYPES:
+        raise UnusableInputError(
+            f"{file.name} is not a mesh file ({', '.join(FILE_TYPES)}); convert it to one of these"
+        )
     data = read_bounded(file, MAX_FILE_BYTES, UnusableInputError, "reduce the mesh")
     try:
-        loaded = trimesh.load_mesh(BytesIO(data), file_type=kind, process=False)
+        loaded = trimesh.load_mesh(BytesIO(data), file_type=file_type, process=False)
         vertices, triangles = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
     except Exception as error:  # broken bytes may make the reader raise anything
-        raise UnusableInputError(f"{file.name} is damaged or not a {kind.upper()} mesh; export it again") from error
+        raise UnusableInputError(
+            f"{file.name} is damaged or not a {file_type.upper()} mesh; export it again"
+        ) from error
     try:
         if len(triangles) and triangles.max() < len(vertices):
             vertices, corner = np.unique(vertices, axis=0, return_inverse=True)

@@ -15,7 +15,7 @@ from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph
 from sightline.twin.anatomy.femur import BONE_PER_HU, Femur, draw_femur, to_cfcs, voxelise
 from sightline.twin.objects.implants import angled_plate, drape, drill_guide, guide_wire, lag_screw, table_rail
-from sightline.twin.objects.meshes import KINDS, read_mesh
+from sightline.twin.objects.meshes import FILE_TYPES, read_mesh
 from sightline.twin.objects.things import Ball, Box, Scene, SoftTissue, frame_scene, moved
 from sightline.twin.objects.volumes import bored, ct_volumes, fractured, read_ct
 from sightline.twin.scenes.bone_scene import BONES, BoneKind, bone_document, draw_origin, placed_bone
@@ -118,10 +118,10 @@ def specimen(what: str, rng: np.random.Generator, spec: SetUpSpec, at_mm: np.nda
     if not path.exists():
         raise UnusableInputError(
             f"there is no specimen {path.name!r}; name one of {', '.join(SPECIMENS)}, or the path of a mesh "
-            f"({', '.join(KINDS)}), a NIfTI file or a folder of CT slices"
+            f"({', '.join(FILE_TYPES)}), a NIfTI file or a folder of CT slices"
         )
     setup, shown = spec.draw(rng, np.zeros((1, 3)))
-    scene, middle = (_mesh if path.suffix.lower().removeprefix(".") in KINDS else _ct)(path, setup, at_mm)
+    scene, middle = (_mesh if path.suffix.lower().removeprefix(".") in FILE_TYPES else _ct)(path, setup, at_mm)
     truth = points_document(setup, {"origin": setup.hip_mm})
     return Specimen(setup, frame_scene(setup.true_frame) + scene, truth | {"origin_in_file_mm": middle.tolist()}, shown)
 

@@ -103,7 +103,7 @@ class Drilling:
             return _stop(Trigger.FAULT, str(error))
         self.noted += noted
         for event in noted:
-            stopped = self._on_contact(feed, depth) if event.kind is EventKind.CONTACT else self._on_event(event)
+            stopped = self._on_contact(feed, depth) if event.event is EventKind.CONTACT else self._on_event(event)
             if stopped is not None:
                 return stopped
         if self._seeks_bone and depth > self._contact_mm[1]:
@@ -127,13 +127,13 @@ class Drilling:
         return None
 
     def _on_event(self, noted: SupervisionEvent) -> Step | None:
-        text = _SAID.get(noted.kind)
+        text = _SAID.get(noted.event)
         if text is not None:
             return _stop(Trigger.FAULT, text.format(force=noted.force_n, depth=noted.depth_mm))
-        if noted.kind is EventKind.CORTEX:
+        if noted.event is EventKind.CORTEX:
             self._seeks_bone = False
         length, beyond = self._insertion.length_mm, self._insertion.limits.beyond_mm
-        if noted.kind is EventKind.BREAK_THROUGH and noted.depth_mm > FAR_SHARE * length:
+        if noted.event is EventKind.BREAK_THROUGH and noted.depth_mm > FAR_SHARE * length:
             if beyond > 0 and noted.depth_mm >= length - beyond:  # the far cortex, which is what the drill is to reach
                 self._end_mm = min(noted.depth_mm + POINT_MM, length)
                 self._begin()

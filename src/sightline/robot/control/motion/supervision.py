@@ -42,7 +42,7 @@ class EventKind(Enum):
 class SupervisionEvent:
     """An event with its time, its depth beyond the zero of depth, and the filtered force."""
 
-    kind: EventKind
+    event: EventKind
     time_s: float
     depth_mm: float
     force_n: float

@@ -58,17 +58,17 @@ def target_in_air(robot: RobotClient, talk: Conversation) -> np.ndarray:
         hip = T_mcs_wire.apply([0.0, 0.0, HIP_AHEAD_MM])
         registration = RigidTransform.from_components(hip, Rotation.from_rotvec([0.0, 0.0, np.pi]))
     talk.bring("CALIBRATION")
-    said = talk.pose(contract.CALIBRATION, registration.inv().as_matrix())
-    if said.code != Code.OK:
-        raise NotAskedError(f"no registration was accepted: {said.text or said.code}")
+    answer = talk.pose(contract.CALIBRATION, registration.inv().as_matrix())
+    if answer.code != Code.OK:
+        raise NotAskedError(f"no registration was accepted: {answer.text or answer.code}")
     now, why = robot.position(), ""
     talk.bring("TARGETING")
     for ahead in AHEAD_MM:
         target = (now * RigidTransform.from_translation([0.0, ASIDE_MM, ahead])).as_matrix()
-        said = talk.pose(contract.TARGET, target)
-        if said.code == Code.OK:
+        answer = talk.pose(contract.TARGET, target)
+        if answer.code == Code.OK:
             return target
-        why = why or said.text
+        why = why or answer.text
     raise NotAskedError(f"no target ahead of the wire is reachable: {why or 'no reason given'}")
 
 
@@ -95,9 +95,9 @@ def expect(condition: bool, seen: str) -> None:
 def expect_code(answer: Response, *codes: Code) -> str:
     """Return the response's code and text. Raises RobotRefusedError for any other code, and if none came."""
     expect(answer.code is not None, "no STATUS came")
-    said = f"code {answer.code}: {answer.text}" if answer.text else f"code {answer.code}"
-    expect(answer.code in codes, f"{said}; wanted {' or '.join(str(int(code)) for code in codes)}")
-    return said
+    received = f"code {answer.code}: {answer.text}" if answer.text else f"code {answer.code}"
+    expect(answer.code in codes, f"{received}; wanted {' or '.join(str(int(code)) for code in codes)}")
+    return received
 
 
 def expect_echo(answer: Response, sent: np.ndarray, what: str) -> str:

@@ -74,13 +74,13 @@ class Conversation:
 
         return self.exchange(send, number, name, whole=whole, within_s=within_s)
 
-    def pose(self, kind: str, matrix: np.ndarray, said: Mapping[str, str] | None = None) -> Response:
+    def pose(self, prefix: str, matrix: np.ndarray, metadata: Mapping[str, str] | None = None) -> Response:
         """Send a registration or a target and return its response."""
         number = self._robot.exchange.next_number()
-        status = "TARGET" if kind == contract.TARGET else "CALIBRATION"
+        status = "TARGET" if prefix == contract.TARGET else "CALIBRATION"
 
         def send() -> None:
-            self._robot.connection.send(Transform(matrix), kind + number, metadata=said)
+            self._robot.connection.send(Transform(matrix), prefix + number, metadata=metadata)
 
         return self.exchange(send, number, status, within_s=contract.STATUS_S)
 
@@ -128,14 +128,14 @@ class Conversation:
 
     def phase(self) -> str:
         """Query the state and return the name of the STATUS that answers. Raises LateError."""
-        said = self._robot.connection.ask(
+        answer = self._robot.connection.ask(
             String(contract.CURRENT_STATUS),
             contract.CURRENT_STATUS,
             lambda m: isinstance(m.body, Status) and m.device_name != contract.CURRENT_STATUS,
             contract.CURRENT_STATUS,
             marked=bool(self._robot.capabilities),
         )
-        return said.device_name
+        return answer.device_name
 
     def tip(self) -> RigidTransform:
         """Return the wire's current pose, from the stream if there is one, else by a query."""
@@ -222,6 +222,6 @@ def _arrived(message: Message) -> bool:
     return message.device_name == "MOVE_TO_TARGET" and isinstance(body, Status) and body.code == Code.OK
 
 
-def _apart(one: RigidTransform, other: RigidTransform) -> tuple[float, float]:
-    between = one.inv() * other
+def _apart(first: RigidTransform, second: RigidTransform) -> tuple[float, float]:
+    between = first.inv() * second
     return float(np.linalg.norm(between.translation)), float(between.rotation.magnitude())

@@ -57,7 +57,7 @@ def _no_target(change: Callable[[np.ndarray], np.ndarray]) -> Question:
     return question
 
 
-def _no_plan(**said: str) -> Question:
+def _no_plan(**metadata: str) -> Question:
     """Return the question whether metadata are refused, for a pose that was accepted without them."""
 
     def question(robot: RobotClient) -> str:
@@ -65,7 +65,7 @@ def _no_plan(**said: str) -> Question:
         talk = Conversation(robot)
         good = target_in_air(robot, talk)
         talk.bring("TARGETING")
-        return expect_code(talk.pose(contract.TARGET, good, said), Code.CONFIGURATION)
+        return expect_code(talk.pose(contract.TARGET, good, metadata), Code.CONFIGURATION)
 
     return question
 
