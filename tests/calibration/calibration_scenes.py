@@ -60,6 +60,7 @@ def choose(observations: Observations, keep) -> Observations:
         ids=tuple(observations.ids[k] for k in rows),
         uv_px=observations.uv_px[rows],
         covariance_px2=None if noise is None else noise[rows],
+        radius_px=None if observations.radius_px is None else observations.radius_px[rows],
     )
 
 

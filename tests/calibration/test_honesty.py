@@ -68,7 +68,7 @@ def test_what_a_classical_map_misses_is_what_is_stated(method, degree):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("method", "degree"), [("localized", 3), ("polynomial", 3), ("polynomial", 5)])
+@pytest.mark.parametrize(("method", "degree"), [("localized", 3), ("polynomial", 5)])
 def test_classical_ellipses_cover_nearly_as_they_say(method, degree):
     found = squares(range(100, 160), method, degree=degree)
     assert 0.90 < np.mean(found <= chi2.ppf(0.95, 2)) < 0.99
@@ -76,10 +76,10 @@ def test_classical_ellipses_cover_nearly_as_they_say(method, degree):
 
 @pytest.mark.slow
 def test_stated_ellipses_cover_as_they_say():
-    found = squares(range(100, 500))
+    found = squares(range(100, 200))
     for stated in (0.5, 0.95, 0.99):
         share = np.mean(found <= chi2.ppf(stated, 2))
-        # 800 views, two of a set-up alike in nothing but their tube: 3.5 standard deviations of a share.
+        # 200 views, two of a set-up alike in nothing but their tube: 3.5 standard deviations of a share.
         assert abs(share - stated) < 3.5 * np.sqrt(stated * (1 - stated) / len(found)), stated
 
 

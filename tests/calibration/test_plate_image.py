@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_scenes import choose
 from scipy.stats import chi2
 from tests.calibration.solid_scenes import camera
 
@@ -83,9 +84,9 @@ def test_pixels_of_balls_are_mapped_to_their_shadows_and_back():
 
 @pytest.mark.slow
 def test_the_stated_error_of_a_target_is_the_scatter_about_the_truth():
-    """100 set-ups: the mean of the squared Mahalanobis length of three coordinates is 3 ± 4 s.d. of such a mean."""
+    """40 set-ups: the mean of the squared Mahalanobis length of three coordinates is 3 ± 4 s.d. of such a mean."""
     squares, chi_squares, away = [], [], []
-    for seed in range(100):
+    for seed in range(40):
         views, scene, rng = _drawn(seed)
         uv = scene.target_px + PICK_PX * rng.standard_normal(scene.target_px.shape)
         found = sl.reconstruct(views, uv, np.broadcast_to(PICK_PX**2 * np.eye(2), (2, 1, 2, 2)))
@@ -93,8 +94,8 @@ def test_the_stated_error_of_a_target_is_the_scatter_about_the_truth():
         squares.append(off @ np.linalg.solve(found.covariance_mm2[0], off))
         chi_squares.append(next(c.figure for c in views[0].checks if c.name == "chi-square"))
         away.append(off @ off)
-    assert abs(np.mean(squares) - 3.0) < 4 * np.sqrt(6.0 / 100)
-    assert np.mean(np.array(squares) < chi2.ppf(0.95, 3)) > 0.88
+    assert abs(np.mean(squares) - 3.0) < 4 * np.sqrt(6.0 / 40)
+    assert np.mean(np.array(squares) < chi2.ppf(0.95, 3)) > 0.95 - 3.5 * np.sqrt(0.95 * 0.05 / 40)
     assert abs(np.mean(chi_squares) - 1.0) < 0.07
     assert np.sqrt(np.mean(away)) < 0.12
 
@@ -134,18 +135,12 @@ def test_a_flat_panels_image_with_the_plate_fails_with_the_evidence():
         assert check.passed and check.figure > 4.0
 
 
-@pytest.mark.parametrize("seed", [7, 8, 9])
+@pytest.mark.parametrize("seed", [7, 8])
 def test_an_intensifiers_image_of_the_block_alone_fails_with_the_evidence(seed):
     """Or the images cannot be adjusted at all."""
     _, scene, _ = _drawn(seed)
     alone = replace(FRAME, detector=None, name="block40")
-    given = []
-    for seen in scene.observations.values():
-        kept = [k for k, name in enumerate(seen.ids) if name in alone.solid.ids]
-        ids = tuple(seen.ids[k] for k in kept)
-        noise = None if seen.covariance_px2 is None else seen.covariance_px2[kept]
-        radius = None if seen.radius_px is None else seen.radius_px[kept]
-        given.append(replace(seen, ids=ids, uv_px=seen.uv_px[kept], covariance_px2=noise, radius_px=radius))
+    given = [choose(seen, alone.solid.ids.__contains__) for seen in scene.observations.values()]
     try:
         views = calibrate_together(given, alone, [CArm(1000.0, 0.21)] * 2)
     except CalibrationRefusedError as refusal:
@@ -157,18 +152,11 @@ def test_an_intensifiers_image_of_the_block_alone_fails_with_the_evidence(seed):
 def test_too_few_balls_and_a_plate_put_on_back_to_front_are_refused():
     rng = np.random.default_rng(8)
     seen = measure(rng, draw_setup(rng, FRAME), 0.1)["pa"]
-    of_plate = [k for k, name in enumerate(seen.ids) if name in FRAME.detector.ids]
-
-    def only(rows):
-        noise = None if seen.covariance_px2 is None else seen.covariance_px2[rows]
-        ids, radius = tuple(seen.ids[k] for k in rows), None if seen.radius_px is None else seen.radius_px[rows]
-        return replace(seen, ids=ids, uv_px=seen.uv_px[rows], covariance_px2=noise, radius_px=radius)
-
-    few = [k for k in range(len(seen)) if k not in of_plate[MIN_PLATE_BALLS - 1 :]]
+    of_plate = [name for name in seen.ids if name in FRAME.detector.ids]
     with pytest.raises(CalibrationRefusedError, match="11 balls of the plate"):
-        calibrate(only(few), FRAME)
+        calibrate(choose(seen, lambda name: name not in of_plate[MIN_PLATE_BALLS - 1 :]), FRAME)
     with pytest.raises(CalibrationRefusedError, match="0 balls of the solid"):
-        calibrate(only(of_plate), FRAME)
+        calibrate(choose(seen, of_plate.__contains__), FRAME)
     turned = tuple(replace(f, xyz_mm=(-f.xyz_mm[0], *f.xyz_mm[1:])) for f in FRAME.detector.fiducials)
     with pytest.raises(CalibrationRefusedError, match="the right way round"):
         calibrate(seen, replace(FRAME, detector=Plate(turned)), c_arm=CArm(1000.0))

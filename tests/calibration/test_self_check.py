@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_scenes import choose
 from scipy.stats import chi2
 
 from sightline.calibration.projection import Pencil
@@ -9,18 +10,22 @@ from sightline.calibration.self_checks.plates import SelfCheck, self_check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame
+from sightline.twin import SetUp
 from sightline.twin.xray.setup import bead_images, displaced, draw_setup, with_errors
 
 GAMMA = Frame.load("gamma")
 IDS = [f.id for f in GAMMA.fiducials]
 NOMINAL_MM = np.array([f.xyz_mm for f in GAMMA.fiducials])
-SEEDS = (11, 12, 13, 14, 15)
+SEEDS = (11, 12, 13)
 SD_PX = 0.1
 
 
 def image(rng: np.random.Generator, true: Frame, view: str) -> Observations:
     """The beads of one image, the C-arm and its distortion drawn afresh."""
-    setup = draw_setup(rng, true, frame_errors=False)
+    return observed(draw_setup(rng, true, frame_errors=False), view, rng)
+
+
+def observed(setup: SetUp, view: str, rng: np.random.Generator) -> Observations:
     ids, uv = bead_images(setup, view, rng, SD_PX)
     return Observations(view, ids, uv, np.broadcast_to(SD_PX**2 * np.eye(2), (len(ids), 2, 2)))
 
@@ -163,16 +168,7 @@ def test_a_bead_found_wrong_in_one_image_is_left_out_of_that_image_alone():
 def test_balls_outside_every_field_keep_their_tolerance():
     rng = np.random.default_rng(23)
     true = with_errors(GAMMA, rng)
-    hidden = "pa-x-1-1"
-
-    def without(one: Observations) -> Observations:
-        rows = [k for k, ball in enumerate(one.ids) if ball != hidden]
-        assert one.covariance_px2 is not None
-        return replace(
-            one, ids=tuple(one.ids[k] for k in rows), uv_px=one.uv_px[rows], covariance_px2=one.covariance_px2[rows]
-        )
-
-    found = self_check([without(one) for one in images(rng, true, 4)], GAMMA)
+    found = self_check([choose(seen, lambda ball: ball != "pa-x-1-1") for seen in images(rng, true, 4)], GAMMA)
     assert found.images[0] == 0
     assert (found.in_plate.sd_mm[0] > 0.9 * found.in_plate.prior_sd_mm[0]).all()
 
@@ -190,10 +186,7 @@ def test_a_frame_with_twice_the_stated_errors_is_estimated_and_with_four_times_r
 def test_an_arm_that_did_not_move_is_told():
     rng = np.random.default_rng(25)
     setup = draw_setup(rng, GAMMA)
-    seen = []
-    for view in ("pa", "lateral", "pa", "lateral"):
-        ids, uv = bead_images(setup, view, rng, SD_PX)
-        seen.append(Observations(view, ids, uv, np.broadcast_to(SD_PX**2 * np.eye(2), (len(ids), 2, 2))))
+    seen = [observed(setup, view, rng) for view in ("pa", "lateral", "pa", "lateral")]
     movement = self_check(seen, GAMMA).checks[0]
     assert not movement.passed
     assert movement.figure is not None

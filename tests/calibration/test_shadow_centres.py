@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_scenes import choose
 
 from sightline.calibration import calibrate
 from sightline.calibration.plates.shadow_centres import at_centres
@@ -82,15 +83,7 @@ def test_noise_and_one_wrong_bead_hardly_change_the_shift() -> None:
 def test_few_balls_of_a_plate_stay_where_they_are(count: int) -> None:
     setup = draw_setup(np.random.default_rng(44), GAMMA, chain="9in-1k", frame_errors=False)
     seen, _ = shadows(setup, "pa")
-    mine = np.flatnonzero(np.isin(seen.ids, GAMMA.view("pa").xrii.ids))[:count]
-    assert seen.covariance_px2 is not None and seen.radius_px is not None
-    few = replace(
-        seen,
-        ids=tuple(seen.ids[k] for k in mine),
-        uv_px=seen.uv_px[mine],
-        covariance_px2=seen.covariance_px2[mine],
-        radius_px=seen.radius_px[mine],
-    )
+    few = choose(seen, [name for name in seen.ids if name in GAMMA.view("pa").xrii.ids][:count].__contains__)
     assert np.array_equal(at_centres(few, GAMMA).uv_px, few.uv_px) == (count < 18)
 
 

@@ -79,10 +79,10 @@ def test_a_shadow_is_centred_where_the_outline_of_the_ball_is():
 @pytest.mark.slow
 @pytest.mark.parametrize("sd_mm", [0.02, 0.1])
 def test_the_stated_error_of_a_target_is_the_scatter_about_the_truth(sd_mm):
-    """120 set-ups: the mean of the squared Mahalanobis length of three coordinates is 3 ± 4 s.d. of such a mean."""
+    """60 set-ups: the mean of the squared Mahalanobis length of three coordinates is 3 ± 4 s.d. of such a mean."""
     frame = replace(BLOCK, tolerances=Tolerances(sd_mm, 0.0, 0.0, 0.0, 0.0))
     rng, squares, chi_squares, away = np.random.default_rng(3), [], [], []
-    for _ in range(120):
+    for _ in range(60):
         cameras, given, _ = _pair(rng, frame)
         views = calibrate_together(given, frame, [C_ARM, C_ARM])
         picks = np.stack([_pixels(one, TARGET_MM) for one in cameras]) + 0.1 * rng.standard_normal((2, 1, 2))
@@ -92,9 +92,9 @@ def test_the_stated_error_of_a_target_is_the_scatter_about_the_truth(sd_mm):
         squares.append(off @ np.linalg.solve(found.joint_covariance_mm2, off))
         chi_squares.append(_one(views[0].checks, "chi-square").figure)
         away.append(off @ off)
-    assert abs(np.mean(squares) - 3.0) < 4 * np.sqrt(6.0 / 120)
-    assert np.mean(np.array(squares) < chi2.ppf(0.95, 3)) > 0.89
-    assert abs(np.mean(chi_squares) - 1.0) < 0.07  # 52 degrees of freedom: 4 s.d. of the mean are 0.07
+    assert abs(np.mean(squares) - 3.0) < 4 * np.sqrt(6.0 / 60)
+    assert np.mean(np.array(squares) < chi2.ppf(0.95, 3)) > 0.95 - 3.5 * np.sqrt(0.95 * 0.05 / 60)
+    assert abs(np.mean(chi_squares) - 1.0) < 4 * np.sqrt(2.0 / 52 / 60)  # 52 degrees of freedom
     assert np.sqrt(np.mean(away)) < {0.02: 0.056, 0.1: 0.18}[sd_mm]
 
 
@@ -107,14 +107,14 @@ def _line_variance_mm2(view, truth):
 
 @pytest.mark.slow
 def test_a_view_alone_states_its_error_too():
-    """120 views: the squared Mahalanobis length of two coordinates is 2 on average."""
+    """60 views: the squared Mahalanobis length of two coordinates is 2 on average."""
     rng, squares = np.random.default_rng(5), []
-    for _ in range(60):
+    for _ in range(30):
         cameras, given, _ = _pair(rng)
         for one, truth in zip(given, cameras, strict=True):
             covariance, residual = _line_variance_mm2(calibrate(one, BLOCK, c_arm=C_ARM), truth)
             squares.append(residual @ np.linalg.solve(covariance, residual))
-    assert abs(np.mean(squares) - 2.0) < 4 * np.sqrt(4.0 / 120)
+    assert abs(np.mean(squares) - 2.0) < 4 * np.sqrt(4.0 / 60)
 
 
 def test_adjusting_together_is_better_than_each_alone():

@@ -4,16 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.lines import cross, meeting_point, nearest_approach
+from sightline.geometry.lines import meeting_point, nearest_approach
 
 FOCAL = np.array([13.7, -8.2, -617.3])
 GRID = np.stack([*np.meshgrid([-66.0, -22, 22, 66], [-66.0, -22, 22, 66], [300.0])], axis=-1).reshape(-1, 3)
-
-
-def test_cross_products_are_those_of_numpy_for_many_vectors_and_for_one():
-    first, second = np.random.default_rng(3).normal(size=(2, 2, 5, 3))
-    np.testing.assert_array_equal(cross(first, second), np.cross(first, second))
-    np.testing.assert_array_equal(cross(first[0, 0], second), np.cross(first[0, 0], second))
 
 
 def test_lines_through_a_point_meet_there():
@@ -82,14 +76,6 @@ def test_nearest_approach_is_perpendicular_to_both_lines(o1, d1, o2, d2):
     for point, origin, direction, length in ((met.first_mm, o1, d1, lengths[0]), (met.second_mm, o2, d2, lengths[1])):
         assert np.linalg.norm(np.cross(point - origin, direction)) / length < 1e-6
     np.testing.assert_allclose(met.gap_mm, np.linalg.norm(between))
-
-
-def test_nearest_approach_of_many_pairs_at_once():
-    targets = np.array([[1.0, 2, 3], [-30, 20, 10]])
-    lateral = np.array([-620.0, 4, 5])
-    met = nearest_approach(np.stack([FOCAL, FOCAL]), targets - FOCAL, np.stack([lateral, lateral]), targets - lateral)
-    np.testing.assert_allclose(met.middle_mm, targets, atol=1e-9)
-    np.testing.assert_allclose(met.gap_mm, 0, atol=1e-9)
 
 
 def test_parallel_lines_of_sight_are_refused():

@@ -58,12 +58,6 @@ def test_central_projection_lies_on_the_ray_and_on_the_plane():
     np.testing.assert_allclose(np.cross(shadow - focal, beads - focal) / 1e5, 0, atol=1e-12)
 
 
-def test_points_of_the_plane_do_not_move_with_the_focal_point():
-    plane = Plane.fit(grid(2))
-    first, second = (plane.central_projection(np.array(f), grid(2)) for f in ([0, 0, -620.0], [30.0, -20.0, -500.0]))
-    np.testing.assert_allclose(first, second, atol=1e-10)
-
-
 @pytest.mark.parametrize("bead", [[0.0, 0.0, -620.0], [10.0, 0.0, -700.0]])
 def test_a_point_behind_the_focal_point_casts_no_shadow(bead):
     with pytest.raises(OutsideRegionError, match="casts no shadow"):

@@ -8,7 +8,7 @@ from sightline.calibration.plates.setup_aid import SetupAdvice, advise
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.calibration.view import CalibratedView, LinesOfSight, PlaneMap
-from sightline.calibration.view_checks.focal_length import CArm
+from sightline.calibration.view_checks.lengths import CArm
 
 __all__ = [
     "BeadView",

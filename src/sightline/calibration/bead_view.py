@@ -15,7 +15,7 @@ from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.view import CalibratedView, Deferred, LinesOfSight, PlaneMap
 from sightline.calibration.view_checks.bead_checks import handedness_check, strip_check
-from sightline.calibration.view_checks.focal_length import CArm, FocalLength, steady_check
+from sightline.calibration.view_checks.lengths import CArm, FocalLength, steady_check
 from sightline.calibration.view_checks.support import MIN_STRIP, Support
 from sightline.checks import Check
 from sightline.detection.results import Observations
@@ -183,9 +183,9 @@ class BeadView(Plotted):
         if self.focal_length is None or not self.focal_length.is_of_a_panel:
             return self
         comparable = (
-            one.focal_length
-            for one in before
-            if (one.name, one.frame_key, one.image_shape) == (self.name, self.frame_key, self.image_shape)
+            view.focal_length
+            for view in before
+            if (view.name, view.frame_key, view.image_shape) == (self.name, self.frame_key, self.image_shape)
         )
         known = [length for length in comparable if length is not None]
         return replace(self, checks=(*self.checks, steady_check(self.focal_length, known))) if known else self
@@ -214,8 +214,8 @@ class BeadView(Plotted):
     def project_seen(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the pixels (M, 2) of the points (N, 3), CFCS, that `project` accepts, and which, (N,) bool."""
         xy, seen = self.plane.shadows(self.focal_point_mm, xyz_mm)
-        uv, found = self.plane_map.find_image(xy)
-        seen[seen] = found
+        uv, mapped = self.plane_map.find_image(xy)
+        seen[seen] = mapped
         near = self.hull.is_near(uv)
         seen[seen] = near
         return uv[near], seen
@@ -231,7 +231,7 @@ class BeadView(Plotted):
         both = seen & rim_seen
         centres = places[both[seen]]
         radii = np.linalg.norm(rims[both[rim_seen]] - centres, axis=1)
-        shown = [f.id for f, one in zip(fiducials, both, strict=True) if one]
+        shown = [f.id for f, is_shown in zip(fiducials, both, strict=True) if is_shown]
         return {i: (u, v, r) for i, (u, v), r in zip(shown, centres.tolist(), radii.tolist(), strict=True)}
 
     @cached_property

@@ -12,12 +12,10 @@ from sightline.calibration.maps.localized import LocalizedMap
 from sightline.calibration.maps.polynomial import Affine, PolynomialMap
 from sightline.calibration.plates.beads import Beads, match
 from sightline.calibration.plates.classical import Fitter, PlateName, classical_residuals, fit_plates
-from sightline.calibration.plates.joint import MIN_BEADS, JointFit
-from sightline.calibration.plates.outliers import fit_robustly
+from sightline.calibration.plates.joint import MIN_BEADS, JointFit, fit_robustly
 from sightline.calibration.solids.calibrate_together import calibrate_together
-from sightline.calibration.view_checks.ball_size import ball_size_check
 from sightline.calibration.view_checks.bead_checks import noise_checks, row_check, view_checks
-from sightline.calibration.view_checks.focal_length import CArm
+from sightline.calibration.view_checks.lengths import CArm, ball_size_check
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
@@ -75,7 +73,7 @@ def calibrate(
         fitted = _classical(beads, method, LocalizedMap.fit, plate)
     else:
         fitted = _classical(beads, method, lambda uv, xy: PolynomialMap.fit(uv, xy, degree), plate)
-    rejected = None if observations.rejected is None else [one.uv_px for one in observations.rejected]
+    rejected = None if observations.rejected is None else [candidate.uv_px for candidate in observations.rejected]
     rejected_px = None if rejected is None else np.reshape(np.array(rejected, dtype=np.float64), (-1, 2))
     inputs = CalibrationInputs(observations, frame, degree, plate)
     fitted = replace(fitted, image_shape=observations.image_shape, rejected_px=rejected_px, inputs=inputs)
@@ -153,10 +151,10 @@ def _classical_checks(misfit_mm2: float, joint: JointFit | None, noise_px: float
         else "the difference between its map and the smooth method's beyond the beads' noise. The stated bounds "
         "include it."
     )
-    out = [Check("map misfit", True, misfit, None, "mm", sentence)]
+    checks = [Check("map misfit", True, misfit, None, "mm", sentence)]
     if joint is not None:
-        return [*out, *_joint_checks(joint)]
+        return [*checks, *_joint_checks(joint)]
     if noise_px is not None:
         sentence = f"The beads' noise is not stated, and they are too few to estimate it; {noise_px} px is assumed."
-        out.append(Check("measurement noise", True, noise_px, None, "px", sentence))
-    return out
+        checks.append(Check("measurement noise", True, noise_px, None, "px", sentence))
+    return checks

@@ -76,8 +76,8 @@ class Rest:
         if not isinstance(view.posterior, JointFit):
             raise UnusableInputError("calibrate with 'smooth' to measure movements; other methods do not support it")
         each = np.full((2, len(seen), len(frame.view(view.name).fiducials), 2, 2), np.nan)
-        for k, one in enumerate(seen):
-            rows, place, covariance = _on_plane(view, frame, one)
+        for k, observations in enumerate(seen):
+            rows, place, covariance = _on_plane(view, frame, observations)
             each[0, k, rows, 0], each[1, k, rows] = place, covariance
         known = np.isfinite(each[0, :, :, 0, 0])
         count = np.maximum(known.sum(axis=0), 1)[:, None]

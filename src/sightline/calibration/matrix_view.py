@@ -55,9 +55,9 @@ class HomographyMap:
 
 def _homogeneous(matrix: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the homogeneous images (N, 3) of points (N, 2), and which lie off the matrix's horizon, (N,) bool."""
-    out = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+    image = np.column_stack([points, np.ones(len(points))]) @ matrix.T
     size = np.abs(matrix[2]) @ np.array([*np.abs(points).max(axis=0, initial=0.0), 1.0])
-    return out, np.abs(out[:, 2]) >= 1e-12 * size
+    return image, np.abs(image[:, 2]) >= 1e-12 * size
 
 
 def _apply(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -106,8 +106,8 @@ class MatrixView(Shown):
     def project_seen(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the pixels (M, 2) of the points (N, 3), CFCS, that `project` accepts, and which, (N,) bool."""
         xy, seen = self.plane.shadows(self.focal_point_mm, xyz_mm)
-        uv, found = self.plane_map.find_image(xy)
-        seen[seen] = found
+        uv, regular = self.plane_map.find_image(xy)
+        seen[seen] = regular
         return uv, seen
 
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
@@ -188,11 +188,13 @@ def _spanning_points(normal: np.ndarray) -> np.ndarray:
 def _checked(covariance: np.ndarray | None) -> np.ndarray | None:
     if covariance is None:
         return None
-    out = np.array(covariance, dtype=np.float64)
-    if out.shape != (12, 12) or not np.isfinite(out).all():
-        raise UnusableInputError(f"the matrix's covariance must be finite and of the shape (12, 12); got {out.shape}")
-    if not np.allclose(out, out.T) or np.linalg.eigvalsh(out).min() < -1e-9 * np.abs(out).max():
+    matrix = np.array(covariance, dtype=np.float64)
+    if matrix.shape != (12, 12) or not np.isfinite(matrix).all():
+        raise UnusableInputError(
+            f"the matrix's covariance must be finite, of the shape (12, 12); got {matrix.shape}"
+        )
+    if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix).min() < -1e-9 * np.abs(matrix).max():
         raise UnusableInputError(
             "the matrix's covariance is not symmetric and positive semi-definite; give that of its 12 entries"
         )
-    return out
+    return matrix

@@ -50,10 +50,10 @@ class Pencil:
     def by_pq(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return (N, 2, 3): the derivative of `project` by pq."""
         y, h, depth = self._placed(xyz_mm)
-        out = np.zeros((len(y), 2, 3))
-        out[:, 0, 0] = out[:, 1, 1] = -h / depth
-        out[:, :, 2] = (h / depth)[:, None] * y
-        return out
+        derivative = np.zeros((len(y), 2, 3))
+        derivative[:, 0, 0] = derivative[:, 1, 1] = -h / depth
+        derivative[:, :, 2] = (h / depth)[:, None] * y
+        return derivative
 
     def by_point(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return (N, 2, 3): the derivative of `project` by the points."""

@@ -101,7 +101,7 @@ def undistorted(
     with Output(json=json, quiet=quiet) as output:
         from sightline.atomic import write_folder
         from sightline.calibration.exchange import opencv
-        from sightline.calibration.exchange.writing import json_bytes
+        from sightline.calibration.exchange.reading import json_bytes
         from sightline.case.interop.images import encode
 
         calibrated = _calibrate(output, [pa, lateral], frame, pixels=True, invert=invert)

@@ -30,7 +30,7 @@ _SQUARES = np.stack(
 def _sphere() -> tuple[np.ndarray, np.ndarray]:
     """Return unit vectors (N, 4) and weights (N,) that integrate a function of opposite directions alike."""
     angle = (np.arange(32) + 0.5) * np.pi / 32
-    height, first, second = (one.ravel() for one in np.meshgrid(_HEIGHTS, angle, 2 * angle, indexing="ij"))
+    height, first, second = (grid.ravel() for grid in np.meshgrid(_HEIGHTS, angle, 2 * angle, indexing="ij"))
     a, b = np.sqrt(height), np.sqrt(1 - height)
     nodes = np.stack([a * np.cos(first), a * np.sin(first), b * np.cos(second), b * np.sin(second)], axis=1)
     return nodes, np.repeat(_COSINE_WEIGHTS / 2, len(angle) ** 2) / len(angle) ** 2
@@ -44,15 +44,15 @@ def ellipsoid_factor(probability: float, dimension: int) -> float:
 
 def joined(own: Sequence[np.ndarray], between: Callable[[int, int], np.ndarray]) -> np.ndarray:
     """Return the covariance of several vectors: `own` (n_i, n_i) of each, `between(i, j)` (n_i, n_j) of two, i < j."""
-    ends = np.cumsum([0, *(len(one) for one in own)])
+    ends = np.cumsum([0, *(len(block) for block in own)])
     at = [slice(int(a), int(b)) for a, b in pairwise(ends)]
-    out = np.zeros((ends[-1], ends[-1]))
-    for i, one in enumerate(own):
-        out[at[i], at[i]] = one
+    covariance = np.zeros((ends[-1], ends[-1]))
+    for i, block in enumerate(own):
+        covariance[at[i], at[i]] = block
         for j in range(i + 1, len(own)):
-            out[at[i], at[j]] = between(i, j)
-            out[at[j], at[i]] = out[at[i], at[j]].T
-    return out
+            covariance[at[i], at[j]] = between(i, j)
+            covariance[at[j], at[i]] = covariance[at[i], at[j]].T
+    return covariance
 
 
 def length_quantile(covariance: np.ndarray, probability: float = 0.95) -> np.ndarray:

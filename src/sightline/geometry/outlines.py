@@ -29,25 +29,25 @@ def convex_hull(points: np.ndarray) -> np.ndarray:
 def _chain(points):
     """Return the rows of the hull of points sorted by x and y: its lower side, then its upper side (Andrew 1979)."""
     n = len(points)
-    out, count = np.empty(2 * n + 1, np.int64), 0
+    corners, count = np.empty(2 * n + 1, np.int64), 0
     for side in range(2):
         first = count
         for k in range(n):
             i = k if side == 0 else n - 1 - k
             while count >= first + 2:
-                a, b = points[out[count - 2]], points[out[count - 1]]
+                a, b = points[corners[count - 2]], points[corners[count - 1]]
                 if (b[0] - a[0]) * (points[i, 1] - a[1]) > (b[1] - a[1]) * (points[i, 0] - a[0]):
                     break
                 count -= 1
-            out[count] = i
+            corners[count] = i
             count += 1
         count -= 1  # the last of a side is the first of the next
-    return out[:count]
+    return corners[:count]
 
 
 @exact_unchecked
 def _centroids(outlines):
-    out = np.empty((len(outlines), 2))
+    centres = np.empty((len(outlines), 2))
     for n in range(len(outlines)):
         points, area, moment_x, moment_y, x, y = outlines[n], 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(len(points)):
@@ -58,5 +58,5 @@ def _centroids(outlines):
             twice = a * d - b * c
             area, moment_x, moment_y = area + twice, moment_x + twice * (a + c), moment_y + twice * (b + d)
             a, b = c, d
-        out[n, 0], out[n, 1] = x + moment_x / (3 * area), y + moment_y / (3 * area)
-    return out
+        centres[n, 0], centres[n, 1] = x + moment_x / (3 * area), y + moment_y / (3 * area)
+    return centres

@@ -58,16 +58,16 @@ class Plane:
     @cached_property
     def normal(self) -> np.ndarray:
         """Unit normal (3,)."""
-        out = np.cross(self.axes[0], self.axes[1])
-        out.flags.writeable = False
-        return out
+        normal = np.cross(self.axes[0], self.axes[1])
+        normal.flags.writeable = False
+        return normal
 
     @cached_property
     def basis(self) -> np.ndarray:
         """(3, 3), its rows: both axes and the normal."""
-        out = np.vstack([self.axes, self.normal])
-        out.flags.writeable = False
-        return out
+        basis = np.vstack([self.axes, self.normal])
+        basis.flags.writeable = False
+        return basis
 
     def to_space(self, xy_mm: np.ndarray) -> np.ndarray:
         """Return points (..., 3) in space of plane coordinates (..., 2)."""

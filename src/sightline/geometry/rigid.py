@@ -41,10 +41,10 @@ def cross_matrix(vector: np.ndarray) -> np.ndarray:
 def adjoint(pose: "RigidTransform") -> np.ndarray:
     """Return the adjoint (..., 6, 6) of `pose`, which transforms twists: exp(adjoint(T) x) = T exp(x) T⁻¹."""
     rotation = pose.rotation.as_matrix()
-    out = np.zeros((*rotation.shape[:-2], 6, 6))
-    out[..., :3, :3] = out[..., 3:, 3:] = rotation
-    out[..., 3:, :3] = cross_matrix(pose.translation) @ rotation
-    return out
+    matrix = np.zeros((*rotation.shape[:-2], 6, 6))
+    matrix[..., :3, :3] = matrix[..., 3:, 3:] = rotation
+    matrix[..., 3:, :3] = cross_matrix(pose.translation) @ rotation
+    return matrix
 
 
 def displacement(xyz_mm: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from sightline.atomic import write_whole
 from sightline.bounded import read_bounded
 from sightline.calibration import BeadView, MatrixView
 from sightline.calibration.exchange import reading
-from sightline.calibration.exchange.writing import json_bytes
+from sightline.calibration.exchange.reading import json_bytes
 from sightline.case.canonical import plain
 from sightline.case.interop.plan_file import sealed
 from sightline.detection import Detections, Observations

@@ -11,7 +11,7 @@ import sightline as sl
 from sightline.calibration import BeadView
 from sightline.calibration.maps.fit_map import Method as MapName
 from sightline.calibration.maps.hull import Hull
-from sightline.calibration.plates.focal_point import focal_point
+from sightline.calibration.plates.classical import focal_point
 from sightline.errors import SightlineError
 from sightline.geometry.lines import nearest_approach
 from sightline.studies.scenes import VIEWS, TargetScene

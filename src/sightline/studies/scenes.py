@@ -16,7 +16,7 @@ import sightline as sl
 from sightline.calibration import BeadView
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.calibration.view import CalibratedView
-from sightline.calibration.view_checks.focal_length import CArm
+from sightline.calibration.view_checks.lengths import CArm
 from sightline.detection import Observations
 from sightline.errors import SetUpError
 from sightline.frame import Frame, Tolerances

@@ -45,17 +45,6 @@ def test_a_view_comes_back(kind: str, tmp_path_factory: pytest.TempPathFactory) 
 
 
 @settings(max_examples=30, deadline=None, database=None)
-@given(pinholes(mirrored=None))
-def test_a_matrix_is_decomposed_at_any_scale_and_sign(pinhole: Pinhole) -> None:
-    for scale in (1.0, -3.7e-3, 5.1e4):
-        back = Pinhole.of_matrix(scale * pinhole.matrix, "pa")
-        assert np.allclose(back.camera_matrix, pinhole.camera_matrix, rtol=1e-9, atol=1e-7)
-        assert np.allclose(back.rotation, pinhole.rotation, atol=1e-10)
-        assert np.allclose(back.translation_mm, pinhole.translation_mm, atol=1e-7)
-        assert np.linalg.det(back.rotation) > 0
-
-
-@settings(max_examples=30, deadline=None, database=None)
 @given(pinholes())
 def test_rtk_sees_the_written_image_as_its_documentation_says(pinhole: Pinhole) -> None:
     """Source and detector as points in space, from RTK's drawing of its parameters: no matrix of ours."""

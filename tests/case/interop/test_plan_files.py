@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from tests.robot.rig import ROBOT, T_MCS_CFCS
 
-from sightline.calibration.exchange import xml_safe
+from sightline.calibration.exchange.rtk import parsed_xml
 from sightline.case.interop import itk, robot_files, slicer, tables
 from sightline.case.interop.itk import R_lps_cfcs
 from sightline.case.interop.plan_file import PlanFile, sealed
@@ -69,7 +69,7 @@ def test_every_file_of_the_scene_is_there_and_every_reference_leads_to_a_node(
     go_plan: PlanFile, scenes, side: str
 ) -> None:
     files = scenes[side]
-    root = xml_safe.parse(files["scene.mrml"])
+    root = parsed_xml(files["scene.mrml"])
     nodes = {node.get("id"): node for node in root}
     assert len(nodes) == len(root)
     stored = {node.get("fileName") for node in root if node.get("fileName")}
@@ -110,7 +110,7 @@ def test_the_images_stand_on_their_plates(go_plan: PlanFile, scenes, side: str) 
 @pytest.mark.parametrize("side", SIDES)
 def test_the_slice_viewers_lie_in_the_images(go_plan: PlanFile, scenes, side: str) -> None:
     """RAS: the image's first axis, up, and the way to the X-ray source, from which it is looked at."""
-    root = xml_safe.parse(scenes[side]["scene.mrml"])
+    root = parsed_xml(scenes[side]["scene.mrml"])
     to_ras = np.diag([-1.0, -1.0, 1.0]) @ R_lps_cfcs(side)
     volumes = {node.get("id"): node.get("name", "") for node in root.findall("Volume")}
     shown = {n.get("layoutName"): volumes[n.get("backgroundVolumeID")] for n in root.findall("SliceComposite")}

@@ -7,7 +7,7 @@ import numpy as np
 
 from sightline.calibration.exchange import reading
 from sightline.calibration.exchange.pinhole import Pinhole
-from sightline.calibration.exchange.writing import json_bytes
+from sightline.calibration.exchange.reading import json_bytes
 
 _HALF = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
 
@@ -39,6 +39,6 @@ def read(data: bytes, name: str) -> Pinhole:
     shape = reading.image_shape(reading.entry(given, "sensor_height"), reading.entry(given, "sensor_width"))
     size, pixel = given.get("pixel_size"), None
     if size is not None:
-        u, v = (reading.positive(one, "pixel_size") for one in reading.array(size, (2,), "pixel_size"))
+        u, v = (reading.positive(side, "pixel_size") for side in reading.array(size, (2,), "pixel_size"))
         pixel = (u, v)
     return Pinhole.of_matrix(camera @ np.column_stack([rotation, extrinsic[:3, 3]]), name, shape, pixel)

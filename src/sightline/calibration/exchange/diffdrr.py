@@ -9,7 +9,7 @@ import numpy as np
 
 from sightline.calibration.exchange import reading
 from sightline.calibration.exchange.pinhole import Pinhole
-from sightline.calibration.exchange.writing import json_bytes
+from sightline.calibration.exchange.reading import json_bytes
 from sightline.errors import UnusableInputError
 
 _HALF_ROTATION = np.diag([-1.0, -1.0, 1.0])  # by 180° about the beam

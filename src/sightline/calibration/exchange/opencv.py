@@ -7,7 +7,7 @@ import numpy as np
 
 from sightline.calibration.exchange import reading
 from sightline.calibration.exchange.pinhole import Pinhole
-from sightline.calibration.exchange.writing import json_bytes
+from sightline.calibration.exchange.reading import json_bytes
 from sightline.errors import UnusableInputError
 from sightline.npy import npy_array
 
@@ -55,7 +55,7 @@ def of_document(given: dict[str, Any], name: str) -> Pinhole:
     size, pixel, covariance = (given.get(key) for key in ("image_size", "pixel_mm", "covariance_of_matrix"))
     shape = None if size is None else reading.image_shape(*reading.array(size, (2,), "the image size")[::-1])
     if pixel is not None:
-        u, v = (reading.positive(one, "the pixel size") for one in reading.array(pixel, (2,), "the pixel size"))
+        u, v = (reading.positive(side, "the pixel size") for side in reading.array(pixel, (2,), "the pixel size"))
         pixel = (u, v)
     if covariance is not None:
         covariance = reading.array(covariance, (12, 12), "the covariance of the matrix")
@@ -71,8 +71,8 @@ def _of_parts(given: dict[str, Any]) -> np.ndarray:
 
 def _refuse_two(whole: np.ndarray, parts: np.ndarray) -> None:
     """Raise UnusableInputError where a matrix and its parts differ by more than scale."""
-    one, other = whole / np.linalg.norm(whole), parts / np.linalg.norm(parts)
-    if min(np.abs(one - other).max(), np.abs(one + other).max()) > _MAX_DIFFERENCE:
+    first, second = whole / np.linalg.norm(whole), parts / np.linalg.norm(parts)
+    if min(np.abs(first - second).max(), np.abs(first + second).max()) > _MAX_DIFFERENCE:
         raise UnusableInputError(
             "export the file again: its matrix disagrees with its camera matrix, rotation and translation"
         )

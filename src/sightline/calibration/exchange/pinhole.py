@@ -81,9 +81,9 @@ class Pinhole:
     @property
     def extrinsic(self) -> np.ndarray:
         """(4, 4) matrix from CFCS to camera coordinates."""
-        out = np.eye(4)
-        out[:3, :3], out[:3, 3] = self.rotation, self.translation_mm
-        return out
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation_mm
+        return matrix
 
     @property
     def focal_point_mm(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Parts common to all readers: size limits, text, strict JSON, finite numbers. All raise UnusableInputError."""
+"""Parts common to all formats: size limits, text, strict JSON, finite numbers. Readers raise UnusableInputError."""
 
 import json
 import re
@@ -31,10 +31,10 @@ def text(data: bytes) -> str:
 
 def json_object(data: bytes, depth: int = _MAX_DEPTH) -> dict[str, Any]:
     """Return a JSON object without repeated keys or NaN, nested no deeper than `depth`."""
-    out = json_value(data, depth)
-    if not isinstance(out, dict):
+    value = json_value(data, depth)
+    if not isinstance(value, dict):
         raise UnusableInputError("the file must hold one JSON object, { ... }")
-    return out
+    return value
 
 
 def json_value(data: bytes, depth: int = _MAX_DEPTH) -> Any:
@@ -52,10 +52,10 @@ def json_value(data: bytes, depth: int = _MAX_DEPTH) -> Any:
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    out = dict(pairs)
-    if len(out) != len(pairs):
+    entries = dict(pairs)
+    if len(entries) != len(pairs):
         raise UnusableInputError("the JSON has a key twice; write each key once")
-    return out
+    return entries
 
 
 def _no_constant(name: str) -> float:
@@ -74,13 +74,13 @@ def entry(document: dict[str, Any], key: str) -> Any:
 def array(value: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
     """Return finite numbers of a shape, none beyond MAX_NUMBER, so that arithmetic does not overflow."""
     try:
-        out = np.array(value, dtype=np.float64)
+        numbers = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        out = None
-    if out is None or out.shape != shape or not (np.abs(out) <= MAX_NUMBER).all():
+        numbers = None
+    if numbers is None or numbers.shape != shape or not (np.abs(numbers) <= MAX_NUMBER).all():
         wanted = " x ".join(map(str, shape)) or "one"
         raise UnusableInputError(f"{what} must be {wanted} finite numbers; export it again")
-    return out
+    return numbers
 
 
 def number(value: Any, what: str) -> float:
@@ -92,10 +92,10 @@ def number(value: Any, what: str) -> float:
 
 def positive(value: Any, what: str) -> float:
     """Return a finite number above zero."""
-    out = number(value, what)
-    if out < 1 / MAX_NUMBER:
-        raise UnusableInputError(f"{what} is {out:g}; it must be above zero")
-    return out
+    positive_number = number(value, what)
+    if positive_number < 1 / MAX_NUMBER:
+        raise UnusableInputError(f"{what} is {positive_number:g}; it must be above zero")
+    return positive_number
 
 
 def image_shape(height: Any, width: Any) -> tuple[int, int]:
@@ -110,12 +110,17 @@ def image_shape(height: Any, width: Any) -> tuple[int, int]:
 
 def rotation(value: Any, what: str = "the rotation") -> np.ndarray:
     """Return a proper rotation (3, 3), orthogonal to 1e-4 (0.06 mm at 600 mm) in the file, orthonormalised."""
-    out = array(value, (3, 3), what)
-    if np.abs(out @ out.T - np.eye(3)).max() > 1e-4:
+    matrix = array(value, (3, 3), what)
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-4:
         raise UnusableInputError(f"{what} is not a rotation: its rows are not orthonormal; export it again")
-    if np.linalg.det(out) < 0:
+    if np.linalg.det(matrix) < 0:
         raise UnusableInputError(
             f"{what} contains a reflection; flip the image's columns and give the geometry of the flipped image"
         )
-    left, _, right = np.linalg.svd(out)
+    left, _, right = np.linalg.svd(matrix)
     return left @ right
+
+
+def json_bytes(document: dict[str, Any]) -> bytes:
+    """Return a document of plain types as JSON. Raises ValueError for a number that is not finite, which is a bug."""
+    return json.dumps(document, indent=1, allow_nan=False).encode()

@@ -4,12 +4,13 @@ RTK's detector axes and the direction from detector to source are right-handed, 
 the image is written bottom row first. See documentation/docs/Geometry.md in RTK's repository.
 """
 
-from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Comment, Element, SubElement, TreeBuilder, indent, tostring
+from xml.parsers import expat
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sightline.calibration.exchange import reading, xml_safe
+from sightline.calibration.exchange import reading
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.errors import UnusableInputError
 
@@ -30,6 +31,7 @@ _NAMES = (
 _NEEDED = _NAMES[:3]
 # A file's matrix must agree with its parameters, as in RTK [ours]: 0.001 px at 0.2 mm.
 _MAX_DIFFERENCE_MM = 2e-4
+_MAX_DEPTH = 16  # [ours] of nested elements; RTK's files have 3
 
 
 def parameters(pinhole: Pinhole) -> dict[str, float]:
@@ -81,8 +83,8 @@ def write(pinhole: Pinhole, pixels: np.ndarray | None = None) -> dict[str, bytes
     indent(root, " ")
     header, image = _image(pinhole, pixels)
     stem = f"{pinhole.name}.rtk"
-    out = {f"{stem}.xml": _HEAD + tostring(root)}
-    return out | {f"{stem}.mha": header + image}
+    files = {f"{stem}.xml": _HEAD + tostring(root)}
+    return files | {f"{stem}.mha": header + image}
 
 
 def _image(pinhole: Pinhole, pixels: np.ndarray | None) -> tuple[bytes, bytes]:
@@ -113,7 +115,7 @@ def read(data: bytes, name: str, image_header: bytes | None = None) -> Pinhole:
 
     RTK's geometry is in mm on the detector; the pixels are defined by the image.
     """
-    root = xml_safe.parse(data)
+    root = parsed_xml(data)
     projections = root.findall("Projection")
     if root.tag != _ROOT or len(projections) != 1:
         raise UnusableInputError(f"give RTK's geometry of one projection; this file has {len(projections)}")
@@ -180,3 +182,38 @@ def _geometry(header: bytes) -> tuple[tuple[int, int], tuple[float, float], tupl
     rows, columns = reading.image_shape(height, width)
     x, y = pair("Offset")
     return (columns, rows), (u, v), (x, y)
+
+
+def parsed_xml(data: bytes) -> Element:
+    """Return the root of an XML text. Raises UnusableInputError.
+
+    A bare `<!DOCTYPE NAME>`, as in RTK, is ignored. Declarations in it are refused: no entity is expanded or fetched.
+    """
+    builder, depth = TreeBuilder(), 0
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > _MAX_DEPTH:
+            raise UnusableInputError("the XML is nested too deeply to be a geometry")
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag)
+
+    def document_type(_name: str, system: str | None, public: str | None, internal: bool) -> None:
+        if system or public or internal:
+            raise UnusableInputError(
+                "remove everything but the name from the XML's document type: declarations in it are not accepted"
+            )
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = builder.data, document_type
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise UnusableInputError(f"the file is not XML: {error}") from None
+    return builder.close()

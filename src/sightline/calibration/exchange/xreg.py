@@ -108,7 +108,11 @@ def _camera(file: "h5py.File", name: str) -> dict[str, Any]:
     if _has(file, "num-rows"):
         return _values(file)
     count = reading.number(_values(file).get("num-projs", 0), "num-projs")
-    names = [one for one in (f"proj-{k:03d}" for k in range(min(int(count), _MAX_PROJECTIONS))) if _has(file, one)]
+    names = [
+        name_in_file
+        for name_in_file in (f"proj-{k:03d}" for k in range(min(int(count), _MAX_PROJECTIONS)))
+        if _has(file, name_in_file)
+    ]
     if name not in names and (len(names) != 1 or name.startswith("proj-")):
         known = ", ".join(names[:3]) or "none"
         raise UnusableInputError(f"the file has no projection {name!r}; its {len(names)} projections are: {known}")
@@ -128,7 +132,7 @@ def _has(group: Any, name: str) -> bool:
 
 def _values(group: "h5py.Group") -> dict[str, Any]:
     """Return the values of the group: small datasets of a known type, stored uncompressed in the file itself."""
-    out: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for key in (key for key in _STATED if _has(group, key)):
         held: Any = group[key]
         if not isinstance(held, _library().Dataset) or held.size is None:
@@ -137,5 +141,5 @@ def _values(group: "h5py.Group") -> dict[str, Any]:
         small = held.size <= _MAX_ENTRIES and held.dtype.itemsize <= _MAX_BYTES
         if here and small and held.dtype.kind in "iufSO":
             value = held[()]
-            out[key] = value.decode("ascii", "replace") if isinstance(value, bytes) else value
-    return out
+            values[key] = value.decode("ascii", "replace") if isinstance(value, bytes) else value
+    return values

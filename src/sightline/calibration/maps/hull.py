@@ -1,5 +1,7 @@
-"""The convex hull of the beads in the image."""
+"""Where a map holds: the convex hull of the beads in the image; and refusals of beads that determine no map."""
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -66,3 +68,15 @@ class Hull:
                 f"{far.sum()} pixels lie far outside the beads' convex hull ({where}), where nothing is calibrated; "
                 "choose points nearer to the beads, or move the frame so that its beads surround them"
             )
+
+
+@contextmanager
+def well_conditioned() -> Generator[None]:
+    """Raise CalibrationRefusedError where a factorisation within finds a matrix that is not positive definite."""
+    try:
+        yield
+    except np.linalg.LinAlgError:
+        raise CalibrationRefusedError(
+            "the beads' covariances make the calibration ill-conditioned; check the stated noise, and that no bead is "
+            "given twice"
+        ) from None

@@ -53,11 +53,11 @@ class Inverse:
         Raises OutsideRegionError where there is none near the controls.
         """
         target = np.asarray(xy_mm, dtype=np.float64)
-        uv, found = self.find(target)
-        if not found.all():
-            where = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in target[~found][:3])
+        uv, mapped = self.find(target)
+        if not mapped.all():
+            where = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in target[~mapped][:3])
             raise OutsideRegionError(
-                f"{(~found).sum()} points lie outside the region the beads calibrate (plane coordinates {where} mm); "
+                f"{(~mapped).sum()} points lie outside the region the beads calibrate (plane coordinates {where} mm); "
                 "choose points inside the beads' convex hull, or move the frame"
             )
         return uv
@@ -72,7 +72,7 @@ class Inverse:
         at = np.flatnonzero(_within(xy_mm, low_mm, high_mm, 2 * MAX_OUTSIDE * float((high_mm - low_mm).max())))
         near = self._tree.query(xy_mm[at])[1]
         here = self.controls_px[near] + np.einsum("nij,nj->ni", self.back[near], xy_mm[at] - self.controls_mm[near])
-        uv, length, found = np.zeros((len(xy_mm), 2)), np.full(len(at), np.inf), np.zeros(len(xy_mm), dtype=bool)
+        uv, length, converged = np.zeros((len(xy_mm), 2)), np.full(len(at), np.inf), np.zeros(len(xy_mm), dtype=bool)
         for _ in range(ITERATIONS):
             if not len(at):
                 break
@@ -87,10 +87,10 @@ class Inverse:
             # Converging steps shrink faster, and no point returns from far outside.
             converges = regular & (length < 0.5 * before) & _within(here, low, high, 1.25 * MAX_OUTSIDE * size)
             ended = converges & (length < CONVERGED_PX)
-            uv[at], found[at] = here, ended & _within(here, low, high, MAX_OUTSIDE * size)
+            uv[at], converged[at] = here, ended & _within(here, low, high, MAX_OUTSIDE * size)
             on = converges & ~ended
             at, here, length = at[on], here[on], length[on]
-        return uv[found], found
+        return uv[converged], converged
 
     @cached_property
     def _tree(self) -> "KDTree":

@@ -69,28 +69,28 @@ class LocalizedMap:
 
     def containing_triangle(self, uv_px: np.ndarray) -> np.ndarray:
         """Return (N,) int: the index of the usable triangle that contains each pixel (N, 2), -1 if there is none."""
-        found = self.triangulation.find_simplex(uv_px, tol=_EDGE)
-        return np.where((found >= 0) & self.usable[found], found, -1)
+        triangle = self.triangulation.find_simplex(uv_px, tol=_EDGE)
+        return np.where((triangle >= 0) & self.usable[triangle], triangle, -1)
 
     def _inside(self, uv_px: np.ndarray) -> np.ndarray:
-        found = self.containing_triangle(uv_px)
-        if (found < 0).any():
-            where = ", ".join(f"({u:.1f}, {v:.1f})" for u, v in uv_px[found < 0][:3])
+        triangle = self.containing_triangle(uv_px)
+        if (triangle < 0).any():
+            where = ", ".join(f"({u:.1f}, {v:.1f})" for u, v in uv_px[triangle < 0][:3])
             raise OutsideRegionError(
-                f"{(found < 0).sum()} pixels lie in no triangle of beads ({where}); the localized method does not "
+                f"{(triangle < 0).sum()} pixels lie in no triangle of beads ({where}); the localized method does not "
                 "extrapolate: choose points inside the beads' convex hull, or the smooth method"
             )
-        return found
+        return triangle
 
     def weights(self, uv_px: np.ndarray) -> np.ndarray:
         """Return (N, controls): to_plane(uv) = weights @ the controls' plane coordinates. Raises OutsideRegionError."""
-        found = self._inside(uv_px)
-        transform = self.triangulation.transform[found]
+        triangle = self._inside(uv_px)
+        transform = self.triangulation.transform[triangle]
         first = np.einsum("nij,nj->ni", transform[:, :2], uv_px - transform[:, 2])
-        out = np.zeros((len(uv_px), len(self.controls_px)))
+        weights = np.zeros((len(uv_px), len(self.controls_px)))
         shares = np.concatenate([first, 1 - first.sum(axis=1, keepdims=True)], axis=1)
-        np.put_along_axis(out, self.triangulation.simplices[found], shares, axis=1)
-        return out
+        np.put_along_axis(weights, self.triangulation.simplices[triangle], shares, axis=1)
+        return weights
 
     def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
         """Return the plane coordinates (N, 2), mm, of pixels (N, 2). Raises OutsideRegionError."""

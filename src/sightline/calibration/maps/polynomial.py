@@ -64,13 +64,13 @@ def monomial_gradients(xy: np.ndarray, degree: int) -> np.ndarray:
 def derivatives(degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Return two matrices (terms, terms) from a polynomial's coefficients to those of its derivatives by x and y."""
     powers = [tuple(p) for p in _exponents(degree).T.tolist()]
-    out = np.zeros((2, len(powers), len(powers)))
+    matrices = np.zeros((2, len(powers), len(powers)))
     for column, (i, j) in enumerate(powers):
         if i:
-            out[0, powers.index((i - 1, j)), column] = i
+            matrices[0, powers.index((i - 1, j)), column] = i
         if j:
-            out[1, powers.index((i, j - 1)), column] = j
-    return out[0], out[1]
+            matrices[1, powers.index((i, j - 1)), column] = j
+    return matrices[0], matrices[1]
 
 
 @cache

@@ -59,10 +59,10 @@ class Kernel:
         d2 = squared_distances(a, b)
         of_a = monomials(a, QUINTIC) @ _quintics()
         of_b = of_a if b is a else monomials(b, QUINTIC) @ _quintics()
-        out = self.quintic_mm2 * of_a @ of_b.T
+        covariance = self.quintic_mm2 * of_a @ of_b.T
         for variance, length in zip(self.variances_mm2, self.lengths, strict=True):
-            out += variance * squared_exponential(d2, length)
-        return out
+            covariance += variance * squared_exponential(d2, length)
+        return covariance
 
     def polynomial_part(self, b: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return the coefficients (21, c) of the polynomial of degree 4 and 5 in kernel(., b) @ weights (M, c)."""
@@ -168,8 +168,8 @@ def _weights(score: Callable[[tuple[int, ...]], float], hyper: np.ndarray) -> np
                     best = max(best, known[near])
                     heappush(queue, (-known[near], near))
     weight = np.zeros(hyper.shape)
-    for at, one in known.items():
-        weight[at] = np.exp(one - best)
+    for at, value in known.items():
+        weight[at] = np.exp(value - best)
     return weight / weight.sum()
 
 

@@ -5,10 +5,10 @@ from functools import cached_property
 
 import numpy as np
 
+from sightline.calibration.maps.hull import well_conditioned
 from sightline.calibration.maps.inverse import Inverse
 from sightline.calibration.maps.polynomial import Affine, derivatives, monomial_gradients, monomials, terms
 from sightline.calibration.maps.prior import NOISE_SCALES_PX, QUINTIC, Kernel, PriorData, learn
-from sightline.calibration.maps.well_conditioned import well_conditioned
 from sightline.errors import CalibrationRefusedError
 from sightline.fitting.kernels import squared_distances, squared_exponential
 from sightline.fitting.kriging import Kriging
@@ -79,9 +79,9 @@ class SmoothMap:
     @cached_property
     def _polynomial(self) -> np.ndarray:
         """(21, 2): coefficients of the monomials to degree 5: the cubic, and the process's polynomial."""
-        out = self.kernel.polynomial_part(self.controls_unit, self.dual)
-        out[: len(self.cubic)] += self.cubic
-        return out
+        coefficients = self.kernel.polynomial_part(self.controls_unit, self.dual)
+        coefficients[: len(self.cubic)] += self.cubic
+        return coefficients
 
     def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the pixels (M, 2) of the plane coordinates (N, 2) that have one, and which do, (N,) bool."""

@@ -119,7 +119,7 @@ def _places(frame: Frame, view: str) -> tuple[dict[str, int], np.ndarray]:
     """Return the row of each fiducial of a view by its id, and their coordinates (M, 3), mm."""
     fiducials = frame.view(view)
     xyz_mm = np.concatenate([fiducials.xrii.xyz_mm, fiducials.source.xyz_mm])
-    return {one.id: row for row, one in enumerate(fiducials.fiducials)}, xyz_mm
+    return {fiducial.id: row for row, fiducial in enumerate(fiducials.fiducials)}, xyz_mm
 
 
 def _refuse_stated(covariance_px2: np.ndarray) -> None:

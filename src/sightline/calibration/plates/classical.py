@@ -16,12 +16,12 @@ import numpy as np
 from sightline.calibration.line_errors import LineErrors
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.plates.beads import Beads
-from sightline.calibration.plates.focal_point import focal_point, focal_point_response
 from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.projection import Pencil, refuse_misplaced
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.view import PlaneMap
-from sightline.errors import CalibrationRefusedError, OutsideRegionError
+from sightline.errors import CalibrationRefusedError, OutsideRegionError, ReconstructionRefusedError
+from sightline.geometry.lines import meeting_point
 from sightline.geometry.planes import Plane
 from sightline.threads import one_blas_thread
 
@@ -29,6 +29,8 @@ PlateName = Literal["xrii", "source"]
 # Correlation length of a map's misfit, in radii of the convex hull [ours]: about three spacings of 7 x 7 beads.
 MISFIT_LENGTH = 0.5
 PROBES = 12  # per side of the grid about a plate's convex hull where its map is compared with the smooth one [ours]
+# The paper used 16 to 25 lines. Four lines leave five degrees of freedom to test three parameters [ours].
+MIN_LINES = 4
 
 
 class LinearMap(PlaneMap, Protocol):
@@ -208,13 +210,13 @@ class ClassicalFit:
     def _misfit(self, to_plane2: np.ndarray, at_lines: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
         n = len(uv_px)
         to_focal = to_plane2.transpose(1, 0, 2).reshape(3, -1)
-        out = np.zeros((3 + 2 * n, 3 + 2 * n))
-        out[:3, :3] = to_focal @ self.source.misfit(at_lines, at_lines) @ to_focal.T
-        out[3:, 3:] = self.plate.misfit(uv_px, uv_px)
+        covariance = np.zeros((3 + 2 * n, 3 + 2 * n))
+        covariance[:3, :3] = to_focal @ self.source.misfit(at_lines, at_lines) @ to_focal.T
+        covariance[3:, 3:] = self.plate.misfit(uv_px, uv_px)
         if self.through == "source":
-            out[:3, 3:] = to_focal @ self.source.misfit(at_lines, uv_px)
-            out[3:, :3] = out[:3, 3:].T
-        return out
+            covariance[:3, 3:] = to_focal @ self.source.misfit(at_lines, uv_px)
+            covariance[3:, :3] = covariance[:3, 3:].T
+        return covariance
 
     def _frame(self, by_control: np.ndarray, by_from: np.ndarray, sizes: list[int]) -> np.ndarray:
         """Return the response to the frame's errors: displaced beads act through their projections onto the plate."""
@@ -279,3 +281,35 @@ def classical_residuals(fit: ClassicalFit, given: Beads, used: np.ndarray) -> Re
         mine = error[on_plate]
         sigma[on_plate] = np.sqrt(np.einsum("ia,ia->i", mine, np.linalg.solve(spread, mine.T).T))
     return Residuals(given.ids, given.uv_px, residual, error, predicted, sigma, used)
+
+
+def focal_point(from_mm: np.ndarray, to_mm: np.ndarray) -> np.ndarray:
+    """Return the least-squares intersection (3,) of lines through `from_mm` (N, 3) and `to_mm` (N, 3).
+
+    Raises CalibrationRefusedError for too few or parallel lines.
+    """
+    if len(from_mm) < MIN_LINES:
+        raise CalibrationRefusedError(
+            f"only {len(from_mm)} lines of sight run through the beads of both plates (at least {MIN_LINES} are "
+            "needed, 16 or more are good): move the frame so that the plates' images overlap"
+        )
+    try:
+        return meeting_point(from_mm, to_mm - from_mm).point_mm
+    except ReconstructionRefusedError as refused:
+        raise CalibrationRefusedError(f"no focal point: {refused}") from refused
+
+
+def focal_point_response(
+    from_mm: np.ndarray, to_mm: np.ndarray, focal_point_mm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the derivatives (N, 3, 3) of `focal_point` by `from_mm` and by `to_mm`, to first order in the distances.
+
+    A line through A and B passes F at A + t (B - A); displacements a of A and b of B move it there by (1 - t) a + t b,
+    of which only the component perpendicular to the line counts.
+    """
+    along = to_mm - from_mm
+    length2 = np.einsum("ni,ni->n", along, along)
+    across = np.eye(3) - along[:, :, None] * along[:, None, :] / length2[:, None, None]
+    t = np.einsum("ni,ni->n", focal_point_mm - from_mm, along) / length2
+    gain = np.linalg.solve(across.sum(axis=0), across)
+    return (1 - t)[:, None, None] * gain, t[:, None, None] * gain

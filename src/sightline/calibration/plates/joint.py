@@ -1,4 +1,4 @@
-"""The smooth method: plane map and focal point fitted jointly to the beads of both plates.
+"""The smooth method: plane map and focal point fitted jointly to the beads of both plates, without outlying beads.
 
 The model of a bead with pixel u and frame coordinates X is
 
@@ -20,19 +20,26 @@ from functools import cached_property
 import numpy as np
 
 from sightline.calibration.line_errors import LineErrors
+from sightline.calibration.maps.hull import well_conditioned
 from sightline.calibration.maps.polynomial import Affine, derivatives, monomials, terms
 from sightline.calibration.maps.prior import NOISE_SCALES_PX, Learned, PriorData, learn
 from sightline.calibration.maps.smooth import DEGREE, SmoothMap
-from sightline.calibration.maps.well_conditioned import well_conditioned
 from sightline.calibration.plates.beads import Beads
 from sightline.calibration.projection import Pencil, refuse_misplaced
+from sightline.calibration.residuals import Residuals
 from sightline.errors import CalibrationRefusedError
-from sightline.fitting.kriging import Kriging, PlanarKriging
+from sightline.fitting.kriging import Kriging, LeftOut, PlanarKriging
+from sightline.fitting.robust import variance_ratio
 from sightline.fitting.triangular import cholesky, least_squares, minimum_norm, solve_lower
 from sightline.threads import one_blas_thread
 
 # The cubic has 20 parameters and F 3; with fewer beads too few degrees of freedom are left to test them [ours].
 MIN_BEADS = 16
+# Once in 10,000 views a correct bead is rejected: chi-square, two degrees of freedom, over all beads of a view [ours].
+FALSE_ALARM = 1e-4
+# More outliers than this, or than this share, mean a wrong frame, image or labelling [ours].
+MAX_WRONG = 6
+MAX_WRONG_SHARE = 0.1
 _CUBIC = terms(DEGREE)
 
 
@@ -236,9 +243,9 @@ def pixel_noise_mm2(beads: Beads, slopes: np.ndarray, scale: float) -> np.ndarra
 def diagonal(blocks: np.ndarray) -> np.ndarray:
     """Return the matrix (2N, 2N) with `blocks` (N, 2, 2) on its diagonal."""
     n = len(blocks)
-    out = np.zeros((n, 2, n, 2))
-    out[range(n), :, range(n), :] = blocks
-    return out.reshape(2 * n, 2 * n)
+    matrix = np.zeros((n, 2, n, 2))
+    matrix[range(n), :, range(n), :] = blocks
+    return matrix.reshape(2 * n, 2 * n)
 
 
 def _propagated(beads: Beads, jacobian: np.ndarray) -> np.ndarray:
@@ -265,3 +272,36 @@ def _without_negative(matrix: np.ndarray) -> np.ndarray:
         return symmetric
     values, vectors = np.linalg.eigh(symmetric)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def fit_robustly(beads: Beads) -> tuple[JointFit, Residuals]:
+    """Return the joint fit without outlying beads, and the residuals of all. Raises CalibrationRefusedError."""
+    used = np.ones(len(beads), dtype=bool)
+    limit = max(1, min(MAX_WRONG, int(MAX_WRONG_SHARE * len(beads))))
+    while True:
+        fit = fit_jointly(beads.where(used))
+        others = fit.solution.left_out()
+        square = others.m2
+        # If all residuals are too large, the stated noise is too small: the chi-square check reports that.
+        common = max(1.0, variance_ratio(square))
+        worst = int(np.argmax(square))
+        if square[worst] <= -2 * np.log(FALSE_ALARM / len(square)) * common:
+            return fit, _residuals(fit, beads, used, others)
+        if (~used).sum() == limit:
+            wrong = [i for i, u in zip(beads.ids, used, strict=True) if not u]
+            raise CalibrationRefusedError(
+                f"more than {limit} beads contradict the others ({', '.join(wrong)} and {fit.beads.ids[worst]} first); "
+                "check that frame, view and labels are right and that the frame is undamaged, then acquire another "
+                "image"
+            )
+        used[np.flatnonzero(used)[worst]] = False
+
+
+def _residuals(fit: JointFit, beads: Beads, used: np.ndarray, others: LeftOut) -> Residuals:
+    """Return the residuals of every bead given; a bead that was left out is predicted by all that were used."""
+    residual = fit.map.to_plane(beads.uv_px) - fit.pencil.project(beads.xyz_mm)
+    loo, sigma = residual.copy(), np.zeros(len(beads))
+    loo[used], sigma[used] = -others.residual, np.sqrt(np.maximum(others.m2, 0.0))
+    if not used.all():
+        sigma[~used] = fit.prediction_sigma(beads.where(~used))
+    return Residuals(beads.ids, beads.uv_px, residual, loo, np.ones(len(beads), dtype=bool), sigma, used)

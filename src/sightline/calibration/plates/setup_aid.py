@@ -89,10 +89,10 @@ def _projection(beads: Beads) -> np.ndarray:
 def _normaliser(points: np.ndarray) -> np.ndarray:
     """Return the homogeneous matrix that moves points to their mean and scales them to unit size."""
     d = points.shape[1]
-    out = np.eye(d + 1)
-    out[:d, :d] /= points.std()
-    out[:d, d] = -points.mean(axis=0) / points.std()
-    return out
+    matrix = np.eye(d + 1)
+    matrix[:d, :d] /= points.std()
+    matrix[:d, d] = -points.mean(axis=0) / points.std()
+    return matrix
 
 
 def _moves(view: FrameView) -> np.ndarray:

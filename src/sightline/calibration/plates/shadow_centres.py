@@ -45,7 +45,7 @@ class _Balls:
         """Return the balls of a plate for polynomials of a degree."""
         xy = plate.plane.to_plane(plate.xyz_mm)
         centre, half = xy.mean(axis=0), float(np.ptp(xy)) / 2
-        at, reach = (xy - centre) / half, np.array([one.diameter_mm for one in plate.fiducials]) / (2 * half)
+        at, reach = (xy - centre) / half, np.array([ball.diameter_mm for ball in plate.fiducials]) / (2 * half)
         rims = (at[:, None] + reach[:, None, None] * _RIM).reshape(-1, 2)
         rims_basis = monomials(rims, degree).reshape(len(xy), len(_RIM), -1)
         return cls(xy, centre, half, degree, monomials(at, degree), rims_basis)

@@ -47,7 +47,7 @@ class Errors:
 
 def plate_pairs(frame: Frame, errors: Errors) -> tuple[PlatePair, ...]:
     """Return the relative motion of the two plates of every view."""
-    out = []
+    pairs = []
     for name, view in frame.views.items():
         to_pair = np.zeros((6, errors.moved_mm.size))
         start = frame.rows(name).start
@@ -56,8 +56,8 @@ def plate_pairs(frame: Frame, errors: Errors) -> tuple[PlatePair, ...]:
             to_pair[:, rows] = sign * _motion(plate, view.xrii, errors.sound[rows.start // 3 : rows.stop // 3])
             start = rows.stop
         sds = (_sd(to_pair, covariance) for covariance in (errors.prior, errors.covariance))
-        out.append(PlatePair(name, to_pair @ errors.moved_mm.ravel(), *sds))
-    return tuple(out)
+        pairs.append(PlatePair(name, to_pair @ errors.moved_mm.ravel(), *sds))
+    return tuple(pairs)
 
 
 def in_plate(frame: Frame, errors: Errors) -> InPlate:
@@ -79,9 +79,9 @@ def _sd(rows: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 def _motion(plate: Plate, axes_of: Plate, sound: np.ndarray) -> np.ndarray:
     """Return (6, 3N): takes the errors of a plate's balls to its rigid motion, using the sound ones."""
     rows = np.repeat(sound, 3)
-    out = np.zeros((6, len(rows)))
-    out[:, rows] = np.linalg.pinv(_rigid(plate, axes_of)[rows])
-    return out
+    motion = np.zeros((6, len(rows)))
+    motion[:, rows] = np.linalg.pinv(_rigid(plate, axes_of)[rows])
+    return motion
 
 
 def _rigid(plate: Plate, axes_of: Plate) -> np.ndarray:

@@ -16,12 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
+from sightline.calibration.maps.hull import well_conditioned
 from sightline.calibration.maps.polynomial import monomials
 from sightline.calibration.maps.smooth import DEGREE
-from sightline.calibration.maps.well_conditioned import well_conditioned
 from sightline.calibration.plates.beads import Beads, match
-from sightline.calibration.plates.joint import JointFit, diagonal, pixel_noise_mm2, twice
-from sightline.calibration.plates.outliers import FALSE_ALARM, fit_robustly
+from sightline.calibration.plates.joint import FALSE_ALARM, JointFit, diagonal, fit_robustly, pixel_noise_mm2, twice
 from sightline.calibration.projection import Pencil
 from sightline.calibration.self_checks.plate_motion import Errors, InPlate, PlatePair, in_plate, plate_pairs
 from sightline.checks import Check
@@ -147,7 +146,7 @@ def _images(observations: Sequence[Observations], frame: Frame) -> list[_Image]:
 
     A bead that is an outlier in one image only is left out of it; an outlier in most images has moved, and stays.
     """
-    matched = [match(one, frame, None) for one in observations]
+    matched = [match(seen, frame, None) for seen in observations]
     fits = [fit_robustly(beads) for beads in matched]
     seen: dict[str, int] = {}
     wrong: dict[str, int] = {}
@@ -156,11 +155,11 @@ def _images(observations: Sequence[Observations], frame: Frame) -> list[_Image]:
             seen[ball] = seen.get(ball, 0) + 1
             wrong[ball] = wrong.get(ball, 0) + (not used)
     moved = {ball for ball, count in wrong.items() if count > 1 and 2 * count >= seen[ball]}
-    out = []
+    images = []
     for beads, (fit, residuals) in zip(matched, fits, strict=True):
         kept = residuals.used | np.array([ball in moved for ball in beads.ids])
-        out.append(_Image.of(beads.where(kept), fit))
-    return out
+        images.append(_Image.of(beads.where(kept), fit))
+    return images
 
 
 def _estimate(images: Sequence[_Image], factor: np.ndarray) -> _Normal:
@@ -227,9 +226,9 @@ def _score(normal: _Normal) -> np.ndarray:
 
 def _freed(ball: int, size: int) -> np.ndarray:
     """Return (size, 3): additional prior columns of a ball with a free position."""
-    out = np.zeros((size, 3))
-    out[3 * ball : 3 * ball + 3] = FREE_SD_MM * np.eye(3)
-    return out
+    columns = np.zeros((size, 3))
+    columns[3 * ball : 3 * ball + 3] = FREE_SD_MM * np.eye(3)
+    return columns
 
 
 def _result(
@@ -272,10 +271,10 @@ def _movement(images: Sequence[_Image]) -> Check:
     views = [[image for image in images if image.beads.view == name] for name in images[0].beads.frame.views]
     single = [own[0].beads.view for own in views if len(own) == 1]
     nearest = [
-        min(_distance_mm(one, other) for other in own if other is not one)
+        min(_distance_mm(image, other) for other in own if other is not image)
         for own in views
         if len(own) > 1
-        for one in own
+        for image in own
     ]
     quartile = float(np.quantile(nearest, 0.25)) if nearest else None
     passed = quartile is not None and quartile >= MIN_MOVEMENT_MM
@@ -330,12 +329,12 @@ def _misplaced(names: Sequence[str], free: Sequence[int], within: InPlate, count
 
 
 def _refuse_repeats(observations: Sequence[Observations]) -> None:
-    for k, one in enumerate(observations):
+    for k, seen in enumerate(observations):
         for other in observations[:k]:
-            shared = set(one.ids) & set(other.ids) if one.view == other.view else set()
+            shared = set(seen.ids) & set(other.ids) if seen.view == other.view else set()
             if not shared:
                 continue
-            at = [np.array([o.uv_px[o.ids.index(i)] for i in sorted(shared)]) for o in (one, other)]
+            at = [np.array([o.uv_px[o.ids.index(i)] for i in sorted(shared)]) for o in (seen, other)]
             if np.mean(np.all(at[0] == at[1], axis=1)) > 0.5:
                 raise ObservationsError(
                     "one image was given twice; leave out the repetition, which adds no information"

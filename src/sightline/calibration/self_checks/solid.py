@@ -12,7 +12,7 @@ import numpy as np
 from sightline.calibration.self_checks.plates import MIN_IMAGES
 from sightline.calibration.solids.adjustment import SolidAdjustment
 from sightline.calibration.solids.calibrate_together import adjustment_of, calibrate_together
-from sightline.calibration.view_checks.focal_length import CArm
+from sightline.calibration.view_checks.lengths import CArm
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
@@ -87,7 +87,7 @@ def self_check_solid(
 def _with_distance(frame: Frame, known: KnownDistance) -> Frame:
     """Return the frame with its prior conditioned on a distance."""
     place = {f.id: k for k, f in enumerate(frame.fiducials)}
-    if unknown := [one for one in (known.first, known.second) if one not in place]:
+    if unknown := [name for name in (known.first, known.second) if name not in place]:
         raise UnusableInputError(f"frame {frame.name!r} has no ball {unknown[0]!r}; name two of its balls")
     first, second = place[known.first], place[known.second]
     xyz = frame.xyz_mm

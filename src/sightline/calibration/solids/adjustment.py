@@ -61,7 +61,7 @@ class SolidAdjustment:
 
     def rows_of(self, image: int) -> slice:
         """Return the rows of an image's balls."""
-        start = sum(one.data for one in self.images[:image])
+        start = sum(image_k.data for image_k in self.images[:image])
         return slice(start, start + self.images[image].data)
 
     def columns_of(self, image: int) -> slice:
@@ -112,7 +112,7 @@ class SolidAdjustment:
         onward = np.zeros((len(lines), 2 * len(uv_px)))
         for k, slope in enumerate(slopes):
             onward[3 + 2 * k : 5 + 2 * k, 2 * k : 2 * k + 2] = slope
-        balls = sum(one.data for one in self.images)
+        balls = sum(image_k.data for image_k in self.images)
         panels = balls + 3 * len(self.images)
         shared = {"beads": lines[:, :balls], "focal_point": lines[:, balls:panels], "frame": -lines[:, panels:]}
         return shared, onward @ pixels.covariance @ onward.T
@@ -162,7 +162,7 @@ def _linearised(
     solid: SolidBalls, images: Sequence[SolidImage], cameras: Sequence[PanelCamera], e: np.ndarray
 ) -> SolidAdjustment:
     """Return residuals (data minus model) and design at given parameters."""
-    size, balls = len(e) + PARAMETERS * len(images), sum(one.data for one in images)
+    size, balls = len(e) + PARAMETERS * len(images), sum(image_k.data for image_k in images)
     residual = np.zeros(balls + 3 * len(images) + len(e))
     design = np.zeros((len(residual), size))
     start = 0

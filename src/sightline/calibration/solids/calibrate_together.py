@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from sightline.calibration.bead_view import SOLID, BeadView, CalibrationInputs
-from sightline.calibration.maps.well_conditioned import well_conditioned
-from sightline.calibration.plates.outliers import FALSE_ALARM, MAX_WRONG_SHARE
+from sightline.calibration.maps.hull import well_conditioned
+from sightline.calibration.plates.joint import FALSE_ALARM, MAX_WRONG_SHARE
 from sightline.calibration.plates.shadow_centres import at_centres
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.solids.adjustment import SolidAdjustment, adjust
@@ -27,7 +27,7 @@ from sightline.calibration.view_checks.bead_checks import (
     tolerance_checks,
     wrong_beads_check,
 )
-from sightline.calibration.view_checks.focal_length import CArm
+from sightline.calibration.view_checks.lengths import CArm
 from sightline.checks import Check
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError, UnusableInputError
@@ -53,23 +53,23 @@ def calibrate_together(
     frame = Frame.of(frame)
     if frame.solid is None:
         raise CalibrationRefusedError(f"frame {frame.name} has plates: calibrate each of its images by itself")
-    if len({one.view for one in observations}) < len(observations):
+    if len({seen.view for seen in observations}) < len(observations):
         raise ObservationsError("two images are of the same view; give each image a name of its own")
     known = c_arms or [None] * len(observations)
     solid = solid_of(frame)
-    centred = [at_centres(one, frame) for one in observations]
-    images = [image_of(one, frame, solid, c_arm) for one, c_arm in zip(centred, known, strict=True)]
+    centred = [at_centres(seen, frame) for seen in observations]
+    images = [image_of(seen, frame, solid, c_arm) for seen, c_arm in zip(centred, known, strict=True)]
     with well_conditioned():
-        cameras = [first_camera(solid, image, one.view) for image, one in zip(images, observations, strict=True)]
+        cameras = [first_camera(solid, image, seen.view) for image, seen in zip(images, observations, strict=True)]
         fit, left = _robustly(solid, images, cameras, observations)
-    adjustment = sha256(b"".join(one.view.encode() + one.uv_px.tobytes() for one in observations)).hexdigest()[:16]
+    adjustment = sha256(b"".join(seen.view.encode() + seen.uv_px.tobytes() for seen in observations)).hexdigest()[:16]
     checks = (adjustment_check(fit), *tolerance_checks(frame))
     return tuple(
         replace(
             _view(_InOne(fit, k, adjustment), centred[k], frame, c_arm, (left[k], checks)),
-            inputs=CalibrationInputs(one, frame),
+            inputs=CalibrationInputs(seen, frame),
         )
-        for k, (one, c_arm) in enumerate(zip(observations, known, strict=True))
+        for k, (seen, c_arm) in enumerate(zip(observations, known, strict=True))
     )
 
 
@@ -78,15 +78,15 @@ def adjusted_together(views: Sequence[CalibratedView]) -> tuple[CalibratedView, 
 
     They keep the checks of their images and what a person said of the display. Raises CalibrationRefusedError.
     """
-    own = [one for one in views if isinstance(one, BeadView) and one.method == SOLID and one.inputs is not None]
-    apart = len({one.adjustment for one in own}) == len({one.name for one in own}) == len(views) > 1
-    return _adjusted_together(*own) if apart and len({one.frame_key for one in own}) == 1 else tuple(views)
+    own = [view for view in views if isinstance(view, BeadView) and view.method == SOLID and view.inputs is not None]
+    apart = len({view.adjustment for view in own}) == len({view.name for view in own}) == len(views) > 1
+    return _adjusted_together(*own) if apart and len({view.frame_key for view in own}) == 1 else tuple(views)
 
 
 @lru_cache(maxsize=8)  # a point that is dragged is planned again and again on the same views
 def _adjusted_together(*views: BeadView) -> tuple[BeadView, ...]:
-    inputs = [one.inputs for one in views if one.inputs is not None]
-    made = calibrate_together([one.observations for one in inputs], inputs[0].frame, [one.c_arm for one in views])
+    inputs = [view.inputs for view in views if view.inputs is not None]
+    made = calibrate_together([view.observations for view in inputs], inputs[0].frame, [view.c_arm for view in views])
     return tuple(_with_checks_of(new, old) for new, old in zip(made, views, strict=True))
 
 
@@ -144,8 +144,8 @@ def _robustly(
 ) -> tuple[SolidAdjustment, list[list[str]]]:
     """Return the adjustment without outlying balls, and their names by image. Raises CalibrationRefusedError."""
     left: list[list[str]] = [[] for _ in images]
-    names = [list(one.ids) for one in seen]
-    total = sum(len(one.rows) for one in images)
+    names = [list(image.ids) for image in seen]
+    total = sum(len(image.rows) for image in images)
     limit = max(1, int(MAX_WRONG_SHARE * total))
     while True:
         fit = adjust(solid, images, cameras)
@@ -156,9 +156,11 @@ def _robustly(
         if squares[k][worst] <= -2 * np.log(FALSE_ALARM / total) * common:
             return fit, left
         left[k].append(names[k].pop(worst))
-        images = [one.without(worst) if n == k else one for n, one in enumerate(images)]
+        images = [image.without(worst) if n == k else image for n, image in enumerate(images)]
         if sum(map(len, left)) > limit or not images[k].enough:
-            wrong = ", ".join(f"{ball} in {one.view}" for one, balls in zip(seen, left, strict=True) for ball in balls)
+            wrong = ", ".join(
+                f"{ball} in {image.view}" for image, balls in zip(seen, left, strict=True) for ball in balls
+            )
             raise CalibrationRefusedError(
                 f"more than {limit} balls contradict the others ({wrong}); check that the frame file is that of the "
                 "solid in the images, that it did not move between them, and that it is undamaged"
@@ -173,7 +175,9 @@ def _view(
     residuals = _residuals(own, seen, frame, told[0])
     checks = [*checks_of_image(fit, own.image, c_arm), leave_one_out_check(residuals)]
     checks += [wrong_beads_check(residuals)] if residuals.left_out else []
-    strays = None if seen.rejected is None else np.array([one.uv_px for one in seen.rejected]).reshape(-1, 2)
+    strays = (
+        None if seen.rejected is None else np.array([candidate.uv_px for candidate in seen.rejected]).reshape(-1, 2)
+    )
     return BeadView(
         name=seen.view,
         method=SOLID,

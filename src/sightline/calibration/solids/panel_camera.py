@@ -104,12 +104,12 @@ class PanelCamera:
         by_camera[:, 0, 0] = by_camera[:, 1, 1] = z / below
         by_camera[:, :, 2] = -np.stack([x, y], axis=1) * ((z**2 + radius_mm**2) / below**2)[:, None]
         by_camera *= self._scale_px[:, None]
-        out = np.zeros((len(z), 2, PARAMETERS))
-        out[:, :, :3] = by_camera @ -cross_matrix(turned)
-        out[:, :, 3:6] = by_camera
-        out[:, :, FOCAL] = self._scale_px * ratio
-        out[:, 0, CENTRE.start] = out[:, 1, CENTRE.start + 1] = 1.0
-        return self.centre_px + self._scale_px * ratio, out, by_camera @ self.rotation
+        by_parameters = np.zeros((len(z), 2, PARAMETERS))
+        by_parameters[:, :, :3] = by_camera @ -cross_matrix(turned)
+        by_parameters[:, :, 3:6] = by_camera
+        by_parameters[:, :, FOCAL] = self._scale_px * ratio
+        by_parameters[:, 0, CENTRE.start] = by_parameters[:, 1, CENTRE.start + 1] = 1.0
+        return self.centre_px + self._scale_px * ratio, by_parameters, by_camera @ self.rotation
 
     def plane_map(self, plane: Plane) -> HomographyMap:
         """Return the map between the image and a plane."""

@@ -119,9 +119,9 @@ class DetectorPlateImage(SolidImage):
     def _covariance(self) -> np.ndarray:
         """(2N, 2N), mm², of g and of the noise of the balls' images."""
         at, slopes, n = self.start.unit(self.uv_px), self.start.jacobian(self.uv_px), len(self.rows)
-        out = twice(self.start.kernel(at, at)).reshape(n, 2, n, 2)
-        out[range(n), :, range(n), :] += slopes @ self.covariance_px2 @ np.swapaxes(slopes, 1, 2)
-        return out.reshape(2 * n, 2 * n)
+        covariance = twice(self.start.kernel(at, at)).reshape(n, 2, n, 2)
+        covariance[range(n), :, range(n), :] += slopes @ self.covariance_px2 @ np.swapaxes(slopes, 1, 2)
+        return covariance.reshape(2 * n, 2 * n)
 
     @cached_property
     def _contrasts(self) -> np.ndarray:
@@ -164,7 +164,9 @@ class DetectorPlateImage(SolidImage):
             twice(plate_map.kernel(at, plate_map.controls_unit)),
             twice(plate_map.kernel(at, at)),
         )
-        by_camera, by_e = (weights @ one.reshape(len(self._design), -1) for one in (shadows.by_camera, shadows.by_e))
+        by_camera, by_e = (
+            weights @ derivative.reshape(len(self._design), -1) for derivative in (shadows.by_camera, shadows.by_e)
+        )
         return Traced(xy, by_camera.reshape(n, 2, -1), by_e.reshape(n, 2, -1), jacobian, covariance)
 
 
@@ -185,9 +187,9 @@ class ThroughPlate:
 
     def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the pixels (M, 2) of the plane coordinates (N, 2) that have one, and which do, (N,) bool."""
-        on_plate, found = self.beyond.find_image(xy_mm)
-        uv, found[found] = self.plate_map.find_image(on_plate)
-        return uv, found
+        on_plate, regular = self.beyond.find_image(xy_mm)
+        uv, regular[regular] = self.plate_map.find_image(on_plate)
+        return uv, regular
 
     def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
         """Return (N, 2, 2) d xy / d uv, mm/px."""

@@ -8,7 +8,7 @@ from sightline.calibration.solids.images import MIN_BALLS
 from sightline.calibration.solids.panel_camera import CENTRE, FOCAL
 from sightline.calibration.solids.plate_image import DetectorPlateImage
 from sightline.calibration.view_checks.bead_checks import CHI_SQUARE_FALSE_ALARM
-from sightline.calibration.view_checks.focal_length import CArm
+from sightline.calibration.view_checks.lengths import CArm
 from sightline.checks import Check
 from sightline.geometry.covariance import TWO_SIDED_999
 

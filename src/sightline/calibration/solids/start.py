@@ -11,7 +11,7 @@ from sightline.calibration.solids.adjustment import iterated
 from sightline.calibration.solids.images import MIN_BALLS, SolidBalls, SolidImage
 from sightline.calibration.solids.panel_camera import PanelCamera, PanelPrior
 from sightline.calibration.solids.plate_image import MIN_PLATE_BALLS, DetectorPlateImage
-from sightline.calibration.view_checks.focal_length import CArm
+from sightline.calibration.view_checks.lengths import CArm
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame
@@ -114,7 +114,9 @@ def first_camera(solid: SolidBalls, seen: SolidImage, view: str) -> PanelCamera:
     points towards the source, the camera is always mirrored. Raises CalibrationRefusedError.
     """
     image = seen.undistorted()
-    (plain, plain_chi2), (mirrored, mirrored_chi2) = (_fitted(solid, image, mirrored=one) for one in (False, True))
+    (plain, plain_chi2), (mirrored, mirrored_chi2) = (
+        _fitted(solid, image, mirrored=handedness) for handedness in (False, True)
+    )
     evidence = mirrored_chi2 - plain_chi2  # for the one that is not mirrored
     if isinstance(seen, DetectorPlateImage):
         if evidence > MIRROR_EVIDENCE:

@@ -26,10 +26,10 @@ MIN_BESIDE_ROW = 6  # [ours] beads on either side of a row that is tested for a 
 def view_checks(beads: Beads, residuals: Residuals) -> list[Check]:
     """Return the checks common to all methods: count, coverage, leave-one-out, wrong beads, tolerances."""
     used = beads.where(residuals.used)
-    out = [_count(len(used)), _coverage(used), leave_one_out_check(residuals)]
+    checks = [_count(len(used)), _coverage(used), leave_one_out_check(residuals)]
     if residuals.left_out:
-        out.append(wrong_beads_check(residuals))
-    return out + tolerance_checks(beads.frame)
+        checks.append(wrong_beads_check(residuals))
+    return checks + tolerance_checks(beads.frame)
 
 
 def tolerance_checks(frame: Frame) -> list[Check]:
@@ -108,7 +108,7 @@ def row_check(fit: JointFit) -> Check:
     rows = (v[MIN_BESIDE_ROW - 1 : -MIN_BESIDE_ROW] + v[MIN_BESIDE_ROW : len(v) - MIN_BESIDE_ROW + 1]) / 2
     below = np.searchsorted(v, rows, side="right")
     scores = [fit.solution.score_tails(-slopes[:, :, k], order, below) for k in range(2)]
-    shifts_px, sds_px = (np.concatenate(one) for one in zip(*scores, strict=True))
+    shifts_px, sds_px = (np.concatenate(values) for values in zip(*scores, strict=True))
     sigma = np.abs(shifts_px) / sds_px
     worst = int(sigma.argmax())
     largest, limit = float(sigma[worst]), float(np.sqrt(chdtri(1, CHI_SQUARE_FALSE_ALARM / len(sigma))))

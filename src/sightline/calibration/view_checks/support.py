@@ -55,12 +55,12 @@ class Support:
         edge whose beads were all dropped.
         """
         inside = _inside(self._sides, uv_px)
-        out = np.zeros((len(uv_px), 3), dtype=int)
-        out[inside] = self._counted(uv_px[inside], self._expected)
+        counts = np.zeros((len(uv_px), 3), dtype=int)
+        counts[inside] = self._counted(uv_px[inside], self._expected)
         for k in np.flatnonzero(~inside):
             sides = _sides(np.concatenate([self._known_px, uv_px[k : k + 1]]))
-            out[k] = self._counted(uv_px[k : k + 1], _inside(sides, self.places_px, self.radii_px))
-        return out
+            counts[k] = self._counted(uv_px[k : k + 1], _inside(sides, self.places_px, self.radii_px))
+        return counts
 
     @cached_property
     def _known_px(self) -> np.ndarray:

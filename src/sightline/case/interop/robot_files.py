@@ -8,7 +8,7 @@ from math import degrees
 
 import numpy as np
 
-from sightline.calibration.exchange.writing import json_bytes
+from sightline.calibration.exchange.reading import json_bytes
 from sightline.case.interop.itk import T_cfcs_wire
 from sightline.case.interop.plan_file import PlanFile
 from sightline.robot import contract

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from sightline.calibration.exchange.pinhole import Pinhole
-from sightline.calibration.exchange.writing import json_bytes
+from sightline.calibration.exchange.reading import json_bytes
 from sightline.case.interop.itk import T_cfcs_wire, T_lps_cfcs, transform_bytes
 from sightline.case.interop.plan_file import PlanFile
 

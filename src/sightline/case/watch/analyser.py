@@ -150,7 +150,7 @@ class LiveAnalyser:
             return f"finding the rest position, {len(self._settling)} of {REST_FRAMES} images"
         rest, alarm = Rest.of(view, self._frame, self._settling, self._targets), self._alarm("rest")
         try:
-            moving = any(alarm.update(rest.displacement(one)).moved for one in self._settling)
+            moving = any(alarm.update(rest.displacement(seen)).moved for seen in self._settling)
         except CalibrationRefusedError as error:
             moving, why = True, str(error)
         else:

@@ -18,7 +18,7 @@ from sightline.errors import FrameError
 from sightline.frame.measured.measurements import Series
 from sightline.geometry.rigid import displacement
 
-FALSE_ALARM = 1e-4  # [ours] per frame, as for beads in images (calibration/plates/outliers.py)
+FALSE_ALARM = 1e-4  # [ours] per frame, as for beads in images (calibration/plates/joint.py)
 CONVERGED_MM = 1e-9
 MAX_STEPS = 20
 

@@ -1,14 +1,20 @@
-"""The focal length of a view in pixels, and checks of it against a C-arm's known dimensions.
+"""Checks of the frame file's lengths: by the focal length of a view in pixels, and by the size of the balls.
 
 A calibration determines the distance from source to plate in the frame file's lengths and, independently of any length,
 the solid angle of a pixel. The inverse root of that solid angle is the source-detector distance in pixels; times the
 pixel size it is the C-arm's distance, whatever the scale of the frame file. The two are therefore checked separately:
 the focal length against distance and pixel size shows a plate that has shifted along the beam; the distance to the
 plate, which must be smaller than that to the detector, shows a frame file of a wrong scale.
+
+The ball diameters are the only length of the file that a single image can measure. A wrong scale of the file's
+coordinates shows in no residual, since it scales the focal point's distance as well. The shadow of a ball does not
+scale with it: seen from the focal point, a ball of radius r at the distance L fills the solid angle pi (r / L)^2, which
+the area of its shadow in pixels measures.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,6 +23,8 @@ from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.view import PlaneMap
 from sightline.checks import Check
 from sightline.errors import UnusableInputError
+from sightline.fitting.robust import MAD_TO_SD, median
+from sightline.frame import Frame
 from sightline.geometry.covariance import TWO_SIDED_999, response
 from sightline.geometry.planes import Plane
 
@@ -32,6 +40,12 @@ _MAX_PANEL_SPREAD = 0.02
 MIN_SOURCE_PLATE_MM = 400.0
 # Half the side of the square of pixels whose solid angle is measured, in radii of the beads' convex hull [ours].
 _HALF_SIDE = 0.5
+# Systematic error of the fitted log radius where blur or beam hardening differ from the fit's model [twin, ours]: in 17
+# images of four image chains, three doses and twice the blur, balls of 3 mm looked 0.4 to 1.8 % too large, those of
+# 5 mm 0.9 to 2.6 %; on an unmeasured machine the error may be three times as large.
+SYSTEMATIC = 0.06
+_MIN_BALLS = 8  # balls [ours]
+_MEDIAN = 1.2533  # s.d. of the median over that of the mean (normal distribution)
 
 
 def pixel_solid_angle(plane_map: PlaneMap, plane: Plane, focal_point_mm: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
@@ -121,15 +135,15 @@ class CArm:
                 "zero"
             )
 
-    def checks(self, found: FocalLength) -> list[Check]:
+    def checks(self, length: FocalLength) -> list[Check]:
         """Return the checks of the distance to the plate and, where the pixel size is known, of the focal length."""
-        out = [self._plate(found)]
-        return out if self.pixel_mm is None else [*out, self._focal_length(found, self.pixel_mm)]
+        checks = [self._plate(length)]
+        return checks if self.pixel_mm is None else [*checks, self._focal_length(length, self.pixel_mm)]
 
-    def _plate(self, found: FocalLength) -> Check:
-        sid, margin = self.source_detector_mm, TWO_SIDED_999 * found.plate_sd_mm
+    def _plate(self, length: FocalLength) -> Check:
+        sid, margin = self.source_detector_mm, TWO_SIDED_999 * length.plate_sd_mm
         high, low = (1 + MAX_FLEX) * sid + margin, MIN_SOURCE_PLATE_MM - margin
-        distance = found.plate_mm
+        distance = length.plate_mm
         passed = low <= distance <= high
         sentence = (
             f"By the frame file the XRII plate is {distance:.0f} mm from the X-ray source; the detector is "
@@ -146,11 +160,11 @@ class CArm:
         )
         return Check("source distance", bool(passed), distance, float(high if distance >= low else low), "mm", sentence)
 
-    def _focal_length(self, found: FocalLength, pixel_mm: float) -> Check:
+    def _focal_length(self, length: FocalLength, pixel_mm: float) -> Check:
         sid = self.source_detector_mm
-        low, value, high = (pixel_mm * px for px in (found.low_px, found.value_px, found.high_px))
+        low, value, high = (pixel_mm * px for px in (length.low_px, length.value_px, length.high_px))
         beyond = float(max(np.log(sid / max(high, value)), np.log(min(low, value) / sid), 0.0))
-        limit = MAX_FLEX + TWO_SIDED_999 * found.sd
+        limit = MAX_FLEX + TWO_SIDED_999 * length.sd
         passed = beyond <= limit
         sentence = (
             f"Focal length times pixel size is {value:.0f} mm ({low:.0f} to {high:.0f} over the image), the "
@@ -165,16 +179,19 @@ class CArm:
         return Check("focal length", passed, 100 * beyond, 100 * limit, "%", sentence)
 
 
-def steady_check(found: FocalLength, before: Sequence[FocalLength]) -> Check:
+def steady_check(length: FocalLength, before: Sequence[FocalLength]) -> Check:
     """Return the check that a flat panel's focal length is that of earlier images of the same view and C-arm.
 
     It shows plates that moved against each other since; an error common to all the images, such as a wrong frame file,
     does not show.
     """
-    changes = np.array([np.log(found.value_px / one.value_px) for one in before])
+    changes = np.array([np.log(length.value_px / earlier.value_px) for earlier in before])
     variances = [
-        found.variance + one.variance + ((found.frame_response - one.frame_response) ** 2).sum() + 2 * _FLEX_SD**2
-        for one in before
+        length.variance
+        + earlier.variance
+        + ((length.frame_response - earlier.frame_response) ** 2).sum()
+        + 2 * _FLEX_SD**2
+        for earlier in before
     ]
     limits = TWO_SIDED_999 * np.sqrt(variances)
     worst = int(np.argmax(np.abs(changes) / limits))
@@ -204,3 +221,44 @@ def _over_beads(fit: JointFit, middle_px: np.ndarray) -> tuple[float, float]:
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     local = np.sqrt((rays @ rays[0]) ** 3 / pixel_solid_angle(fit.map, plane, focal, uv))
     return float(local.min()), float(local.max())
+
+
+def ball_size_check(fit: JointFit) -> list[Check]:
+    """Return the check for the beads used; none where their radii were not measured or too few are balls."""
+    beads = fit.beads
+    if beads.radius_px is None:
+        return []
+    all_balls, radius_mm = _stated(beads.frame, beads.view)
+    balls = all_balls[beads.rows]
+    if balls.sum() < _MIN_BALLS:
+        return []
+    larger = np.log(beads.radius_px * _mm_per_px(fit) / radius_mm[beads.rows])[balls]
+    usual = median(larger)
+    sd = _MEDIAN * MAD_TO_SD * median(np.abs(larger - usual)) / np.sqrt(len(larger))
+    limit = float(SYSTEMATIC + TWO_SIDED_999 * sd)
+    passed = abs(usual) <= limit
+    sentence = (
+        f"The balls look {abs(100 * np.expm1(usual)):.1f} % {'larger' if usual > 0 else 'smaller'} than the frame "
+        f"file says; up to {100 * np.expm1(limit):.0f} % may be blur"
+    )
+    sentence += (
+        ", so a smaller error of the file's scale does not show here."
+        if passed
+        else ". The scale of the file's coordinates is wrong, and with it every length, or its diameters are wrong: "
+        "measure both, and correct the file."
+    )
+    return [Check("ball size", passed, 100 * usual, 100 * limit, "%", sentence)]
+
+
+@lru_cache(maxsize=16)
+def _stated(frame: Frame, view: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return which fiducials of a view are balls, (M,) bool, and their radii (M,), mm, the same for every image."""
+    fiducials = frame.view(view).fiducials
+    return np.array([f.shape == "ball" for f in fiducials]), np.array([f.diameter_mm for f in fiducials]) / 2
+
+
+def _mm_per_px(fit: JointFit) -> np.ndarray:
+    """Return (N,) the size of a pixel at each bead, perpendicular to its ray: sqrt(solid angle) times distance."""
+    plane, focal = fit.beads.plane, fit.pencil.focal_point_mm
+    distance = np.linalg.norm(fit.beads.xyz_mm - focal, axis=1)
+    return np.sqrt(pixel_solid_angle(fit.map, plane, focal, fit.beads.uv_px)) * distance
