@@ -190,9 +190,7 @@ def _checked(covariance: np.ndarray | None) -> np.ndarray | None:
         return None
     matrix = np.array(covariance, dtype=np.float64)
     if matrix.shape != (12, 12) or not np.isfinite(matrix).all():
-        raise UnusableInputError(
-            f"the matrix's covariance must be finite, of the shape (12, 12); got {matrix.shape}"
-        )
+        raise UnusableInputError(f"the matrix's covariance must be finite, of the shape (12, 12); got {matrix.shape}")
     if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix).min() < -1e-9 * np.abs(matrix).max():
         raise UnusableInputError(
             "the matrix's covariance is not symmetric and positive semi-definite; give that of its 12 entries"
