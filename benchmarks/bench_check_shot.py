@@ -81,9 +81,7 @@ def trial(seed: int) -> dict[str, tuple[float, float, float, float]] | str:
         out = {}
         for name, sd in SD_PX.items():
             result = check_shot(
-                made.trajectory,
-                made.picks,
-                before,
+                made.to_check(before),
                 [view for view, _ in seen],
                 [wire for _, wire in seen],
                 landmarks=found_again(rng, shot, sd),

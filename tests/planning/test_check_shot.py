@@ -47,15 +47,9 @@ class Case:
 
     def result(self, **others) -> CheckShot:
         given = {name: getattr(self, name) for name in ("before", "after", "wires", "landmarks")} | others
-        return check_shot(
-            self.made.trajectory,
-            self.made.picks,
-            given["before"],
-            given["after"],
-            given["wires"],
-            landmarks=given["landmarks"],
-            limits=others.get("limits"),
-        )
+        of_plan = self.made.to_check(given["before"])
+        of_plan = replace(of_plan, limits=others.get("limits", Limits()))
+        return check_shot(of_plan, given["after"], given["wires"], landmarks=given["landmarks"])
 
 
 def shows(setup: SetUp, xyz: np.ndarray) -> bool:
@@ -183,7 +177,7 @@ def test_a_plan_on_three_views_is_checked_against_all_its_picks(one):
     def checked(third_px: np.ndarray) -> CheckShot:
         uv = np.concatenate([ends, third_px[None]])
         made = plan([*one.before, oblique], uv[:, 0], uv[:, 1], kind=kind("free-wire"))
-        return check_shot(made.trajectory, made.picks, made.views, one.after, one.wires, landmarks=one.landmarks)
+        return check_shot(made.to_check(), one.after, one.wires, landmarks=one.landmarks)
 
     two, without = one.result(), checked(np.full((2, 2), np.nan))
     np.testing.assert_allclose(without.deviation_mm, two.deviation_mm, atol=1e-9)
@@ -193,7 +187,7 @@ def test_a_plan_on_three_views_is_checked_against_all_its_picks(one):
     assert error @ np.linalg.solve(three.covariance_mm2, error) < 20.5  # chi-square of 5, once in a thousand
     assert np.abs(three.deviation_mm - two.deviation_mm).max() > 0.005  # the third picks count
     with pytest.raises(UnusableInputError, match="all views of the plan"):
-        check_shot(one.made.trajectory, one.made.picks, [*one.before, oblique], one.after, one.wires)
+        check_shot(one.made.to_check([*one.before, oblique]), one.after, one.wires)
 
 
 def test_a_wire_within_its_limits_passes_and_says_what_it_is(one):

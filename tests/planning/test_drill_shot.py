@@ -9,7 +9,7 @@ from tests.planning.test_check_shot import MARK_PX, MARKS, PLAN, Wire, shows, wi
 
 import sightline as sl
 from sightline.calibration import BeadView
-from sightline.checks import failed
+from sightline.checks import Limits, failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
@@ -44,9 +44,7 @@ class Taken:
     def shot(self, **others) -> DrillShot:
         given = vars(self) | others
         return drill_shot(
-            self.made.trajectory,
-            self.made.picks,
-            self.before,
+            replace(self.made.to_check(self.before), limits=Limits()),
             given["after"],
             given["wires"],
             tip_mm=given["tip_mm"],

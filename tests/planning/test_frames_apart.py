@@ -74,5 +74,5 @@ def test_a_check_shot_through_another_frame_is_refused() -> None:
     ]
     for checked in (_views(FOURTH, FOURTH), _views(THIRD, FOURTH)):
         with pytest.raises(ReconstructionRefusedError, match="gamma/03 and gamma/04"):
-            check_shot(made.trajectory, made.picks, planned, checked, wires)
-    assert check_shot(made.trajectory, made.picks, planned, _views(THIRD, THIRD), wires).tip_deviation_mm < 0.1
+            check_shot(made.to_check(planned), checked, wires)
+    assert check_shot(made.to_check(planned), _views(THIRD, THIRD), wires).tip_deviation_mm < 0.1

@@ -228,16 +228,7 @@ class CheckRequest:
 
         wires = [find_planned_wire(made, *_with_wire(one), one.view, self.wire_mm, others_mm) for one in checked]
         before, after = ([image.view for image in pair] for pair in (planned, checked))
-        return check_shot(
-            made.trajectory,
-            made.picks,
-            before,
-            after,
-            wires,
-            landmarks=self.landmarks,
-            limits=made.kind.limits,
-            through=made.hole is not None,
-        )
+        return check_shot(made.to_check(before), after, wires, landmarks=self.landmarks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,18 +292,8 @@ class DrillShotRequest:
             covered = () if hole is None else [nail_px(one.view, hole, known.movement)]
             at = (beads.uv_px, beads.radius_px)
             wires.append(find_wire(image, path, self.check.wire_mm, *at, others=others, covered_px=covered))
-        return drill_shot(
-            trajectory,
-            made.picks,
-            before,
-            after,
-            wires,
-            tip_mm=self.tip_mm,
-            known=known,
-            landmarks=self.check.landmarks,
-            limits=limits,
-            through=hole is not None,
-        )
+        known_marks = self.check.landmarks
+        return drill_shot(made.to_check(before), after, wires, tip_mm=self.tip_mm, known=known, landmarks=known_marks)
 
 
 def _with_wire(image: CalibratedImage) -> tuple[Radiograph, Detections]:

@@ -92,10 +92,7 @@ def check_shot(
         view = view_of(observations, image, frame, c_arm=known_arm(image))
         wires.append(find_planned_wire(plan, image, beads, view, plan.kind.wire_mm, others_mm))
         views.append(view)
-    through, limits = plan.hole is not None, plan.kind.limits
-    return adjusted(
-        plan.trajectory, plan.picks, planned, views, wires, landmarks=landmarks, limits=limits, through=through
-    )
+    return adjusted(plan.to_check(planned), views, wires, landmarks=landmarks)
 
 
 def find_planned_wire(  # noqa: PLR0917

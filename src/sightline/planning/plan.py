@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,7 @@ from sightline.checks import Check
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning.bone.aids import Aids
 from sightline.planning.bone.anatomy import Anatomy, Drawings, located
+from sightline.planning.check.shot import PlannedWire
 from sightline.planning.nail.perfect_circle import perfect_circles
 from sightline.planning.nail.result import Hole
 from sightline.planning.points.curve import MatchingCurve, matching_curve, snap
@@ -152,6 +153,11 @@ class Plan(Plotted):
             said += [self.hole.sentence, *(turn.sentence for turn in perfect_circles(self.hole, self.views))]
         return [*said, *(sentence for sentence in axes if sentence)]
 
+    def to_check(self, views: Sequence[CalibratedView] | None = None) -> PlannedWire:
+        """Return what a check shot compares its wire with; `views`: those of the plan as they were calibrated again."""
+        through = self.hole is not None
+        return PlannedWire(self.trajectory, self.picks, views or self.views, self.kind.limits, through)
+
     @property
     def unchecked_relations(self) -> tuple[str, ...]:
         """Names of the procedure's relations between this wire and others that were not checked."""
@@ -251,37 +257,59 @@ class Plan(Plotted):
         ]
 
 
+class SharedInputs(TypedDict, total=False):
+    """Rarely given arguments of `plan`, the same for all wires of a procedure; `PlanInputs` has their defaults."""
+
+    pick_sd_px: float
+    landmarks_uv_px: ArrayLike | None
+    landmark_names: Sequence[str]
+    aids: Aids | None
+    method: Method
+    curve: Callable[..., MatchingCurve]
+
+
+@dataclass(frozen=True, eq=False)
+class PlanInputs:
+    """What a plan may be given besides its views, points, procedure and side.
+
+    `pick_sd_px`: standard deviation of a pick, per axis. `landmarks_uv_px` (V, L, 2): points of the bone picked freely
+    in all views, or NaN, which show whether it moved between them; they change neither entry nor end.
+    `landmark_names`: their keys in the procedure, "" for none. `aids`: what is drawn of the bone. `curve`:
+    `matching_curve`, or a replacement that caches its curves.
+    """
+
+    pick_sd_px: float = DEFAULT_PICK_SD_PX
+    landmarks_uv_px: ArrayLike | None = None
+    landmark_names: Sequence[str] = ()
+    aids: Aids | None = None
+    method: Method = "weighted"
+    curve: Callable[..., MatchingCurve] = matching_curve
+
+
 @one_blas_thread
 def plan(
     views: Sequence[CalibratedView],
     entry_uv_px: ArrayLike,
     end_uv_px: ArrayLike,
     *,
-    pick_sd_px: float = DEFAULT_PICK_SD_PX,
     snapped: bool | Sequence[bool] = False,
-    landmarks_uv_px: ArrayLike | None = None,
-    landmark_names: Sequence[str] = (),
+    hole: Hole | None = None,
     kind: Procedure | str = "hip-screw",
     side: str | None = None,
-    aids: Aids | None = None,
-    method: Method = "weighted",
-    curve: Callable[..., MatchingCurve] = matching_curve,
-    hole: Hole | None = None,
+    **shared: Unpack[SharedInputs],
 ) -> Plan:
     """Return the plan of entry and end point, given their pixels (V, 2) each, IDCS: a row for each of V >= 2 views.
 
     The curves lie between the first two views; give the others in the order in which their images were acquired. The
     views of a solid are adjusted together first (`adjusted_together`).
 
-    `pick_sd_px`: standard deviation of a pick, per axis. `snapped`: whether the second view's picks are snapped to the
-    image-matching curves of the first view's: one flag, or (entry, end). Picks in further views are free, NaN where a
-    view does not show the point. `landmarks_uv_px` (V, L, 2): points of the bone picked freely in all views, or NaN,
-    which show whether it moved between them; they change neither entry nor end. A plan with snapped picks needs two of
-    them for a GO (`judge`). `landmark_names`: their keys in the procedure, "" for none. `kind`: a procedure, its key or
-    its file; sets the limits and the inputs asked for. `side` ("right", "left") and `aids`: the wire is checked against
-    them where the procedure has checks of the bone; without them the plan is incomplete. `curve`: `matching_curve`, or
-    a replacement that caches its curves. `hole`: entry and end are those of a measured hole (`WirePicks.of_hole`); its
-    errors replace those of the picks, and its checks enter the verdict.
+    `snapped`: whether the second view's picks are snapped to the image-matching curves of the first view's: one flag,
+    or (entry, end). Picks in further views are free, NaN where a view does not show the point. A plan with snapped
+    picks needs two landmarks for a GO (`judge`). `hole`: entry and end are those of a measured hole
+    (`WirePicks.of_hole`); its errors replace those of the picks, and its checks enter the verdict. `kind`: a procedure,
+    its key or its file; sets the limits and the inputs asked for. `side` ("right", "left") and `aids`: the wire is
+    checked against them where the procedure has checks of the bone; without them the plan is incomplete. `shared`: the
+    fields of `PlanInputs`.
     Raises UnusableInputError, and what `reconstruct`, `matching_curve` and `snap` raise.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
@@ -290,63 +318,69 @@ def plan(
     'incomplete'
     >>> ax = plan.plot()
     """
+    inputs, kind = PlanInputs(**shared), kind_of(kind) if isinstance(kind, str) else kind
     if len(views) < 2:
         raise UnusableInputError(f"{len(views)} views given; give two or more to plan on")
-    at_rest = adjusted_together(views)
     each = (snapped, snapped) if isinstance(snapped, bool) else tuple(snapped)
-    picked = [
-        _picks(at_rest, uv, pick_sd_px, taken, curve) for uv, taken in zip((entry_uv_px, end_uv_px), each, strict=True)
-    ]
-    (entry, entry_curve), (end, end_curve) = picked
-    free = _landmarks(len(views), landmarks_uv_px, pick_sd_px)
-    kind = kind_of(kind) if isinstance(kind, str) else kind
-    names = _names(kind, landmark_names, len(free))
+    at_rest = adjusted_together(views)
+    points = [_picks(at_rest, uv, inputs, own) for uv, own in zip((entry_uv_px, end_uv_px), each, strict=True)]
+    (entry, entry_curve), (end, end_curve) = points
+    free = _landmarks(len(views), inputs)
+    names = _names(kind, inputs.landmark_names, len(free))
     refuse_repeated(at_rest)
-    arrays = checked_picks(len(views), *stack([entry, end, *free]))
-    drawings = Drawings.of(at_rest, aids or Aids(), (entry, end, *free))
-    solution = drawings.solve(arrays, method)
-    seen = points_of(solution)
-    if hole is not None:
-        seen = hole.located(seen)
-    trajectory = Trajectory(seen.first(2) if free else seen)
-    anatomy = (
-        None
-        if aids is None and not kind.checks
-        else located(drawings, lambda: solution, bool(kind.document.directions))
-    )
-    called = {landmark.key: landmark.name for landmark in kind.landmarks}
-    verdict = judge(trajectory, at_rest, kind.limits, seen, [called.get(name, "") for name in names])
-    if hole is not None:
-        verdict = verdict.joined(Verdict(hole.checks))
-    if kind.checks and anatomy is not None:
-        rules = rules_of_bone(kind, at_rest)
-        verdict = verdict.joined(judge_in_bone(anatomy, rules, side, _landmarks_mm(names, seen)))
-        verdict = verdict.joined(Located(kind, at_rest, anatomy, names, side).judge())
-    return Plan(
-        trajectory=trajectory,
+    drawings = Drawings.of(at_rest, inputs.aids or Aids(), (entry, end, *free))
+    solution = drawings.solve(checked_picks(len(views), *stack([entry, end, *free])), inputs.method)
+    seen = points_of(solution) if hole is None else hole.located(points_of(solution))
+    asked = inputs.aids is not None or bool(kind.checks)
+    anatomy = located(drawings, lambda: solution, bool(kind.document.directions)) if asked else None
+    made = Plan(
+        trajectory=Trajectory(seen.first(2) if free else seen),
         picks=(entry, end),
         seen=seen,
         entry_curve=entry_curve,
         end_curve=end_curve,
-        verdict=verdict,
+        verdict=Verdict(()),
         kind=kind,
         side=side,
         anatomy=anatomy,
         landmark_names=names,
         views=tuple(views),
-        arguments={
-            "entry_uv_px": np.array(entry_uv_px, dtype=np.float64),
-            "end_uv_px": np.array(end_uv_px, dtype=np.float64),
-            "pick_sd_px": pick_sd_px,
-            "snapped": each,
-            "landmarks_uv_px": None if landmarks_uv_px is None else np.array(landmarks_uv_px, dtype=np.float64),
-            "landmark_names": names,
-            "side": side,
-            "aids": aids,
-            "method": method,
-        },
+        arguments=_arguments(entry_uv_px, end_uv_px, each, side, replace(inputs, landmark_names=names)),
         hole=hole,
     )
+    return replace(made, verdict=_judged(made, at_rest))
+
+
+def _arguments(
+    entry_uv_px: ArrayLike, end_uv_px: ArrayLike, snapped: tuple[bool, ...], side: str | None, inputs: PlanInputs
+) -> dict[str, Any]:
+    """Return what a plan was given, but for the kind and `curve`."""
+    marks = inputs.landmarks_uv_px
+    return {
+        "entry_uv_px": np.array(entry_uv_px, dtype=np.float64),
+        "end_uv_px": np.array(end_uv_px, dtype=np.float64),
+        "pick_sd_px": inputs.pick_sd_px,
+        "snapped": snapped,
+        "landmarks_uv_px": None if marks is None else np.array(marks, dtype=np.float64),
+        "landmark_names": inputs.landmark_names,
+        "side": side,
+        "aids": inputs.aids,
+        "method": inputs.method,
+    }
+
+
+def _judged(made: Plan, views: Sequence[CalibratedView]) -> Verdict:
+    """Return the verdict on a plan made on `views`, as they were adjusted together."""
+    kind, names, anatomy = made.kind, made.landmark_names, made.anatomy
+    called = {landmark.key: landmark.name for landmark in kind.landmarks}
+    verdict = judge(made.trajectory, views, kind.limits, made.seen, [called.get(name, "") for name in names])
+    if made.hole is not None:
+        verdict = verdict.joined(Verdict(made.hole.checks))
+    if kind.checks and anatomy is not None:
+        rules = rules_of_bone(kind, views)
+        verdict = verdict.joined(judge_in_bone(anatomy, rules, made.side, _landmarks_mm(names, made.seen)))
+        verdict = verdict.joined(Located(kind, views, anatomy, names, made.side).judge())
+    return verdict
 
 
 def _landmarks_mm(names: tuple[str, ...], seen: SpacePoints) -> dict[str, np.ndarray]:
@@ -371,30 +405,28 @@ def _names(kind: Procedure, landmark_names: Sequence[str], count: int) -> tuple[
     return names or ("",) * count
 
 
-def _landmarks(views: int, uv_px: ArrayLike | None, sd_px: float) -> list[tuple[Pick, ...]]:
+def _landmarks(views: int, inputs: PlanInputs) -> list[tuple[Pick, ...]]:
     """Return free picks at (V, L, 2) pixels. Raises UnusableInputError."""
-    uv = np.zeros((views, 0, 2)) if uv_px is None else np.asarray(uv_px, dtype=np.float64)
+    given = inputs.landmarks_uv_px
+    uv = np.zeros((views, 0, 2)) if given is None else np.asarray(given, dtype=np.float64)
     if uv.ndim != 3 or uv.shape[0] != views or uv.shape[2] != 2 or (views == 2 and not np.isfinite(uv).all()):
         raise UnusableInputError(
             f"landmarks have the shape {uv.shape}; give finite pixels ({views}, L, 2): view, landmark, (u, v)"
         )
-    return [tuple(Pick.free(one, sd_px) for one in point) for point in np.swapaxes(uv, 0, 1)]
+    return [tuple(Pick.free(pixel, inputs.pick_sd_px) for pixel in point) for point in np.swapaxes(uv, 0, 1)]
 
 
 def _picks(
-    views: Sequence[CalibratedView],
-    uv_px: ArrayLike,
-    sd_px: float,
-    snapped: bool,
-    draw: Callable[..., MatchingCurve],
+    views: Sequence[CalibratedView], uv_px: ArrayLike, inputs: PlanInputs, snapped: bool
 ) -> tuple[tuple[Pick, ...], MatchingCurve]:
-    uv = np.asarray(uv_px, dtype=np.float64)
+    """Return the picks of a point in all views, and the curve of the first. Raises UnusableInputError."""
+    uv, sd_px = np.asarray(uv_px, dtype=np.float64), inputs.pick_sd_px
     if uv.shape != (len(views), 2) or not np.isfinite(uv[:2]).all():
         raise UnusableInputError(
             f"give one pixel (u, v) in each of the {len(views)} images for a plan point, finite in the first two; got "
             f"the shape {uv.shape}"
         )
     first = Pick.free(uv[0], sd_px)
-    curve = draw(views[0], first.uv_px, views[1], first.covariance_px2)
+    curve = inputs.curve(views[0], first.uv_px, views[1], first.covariance_px2)
     second = snap(curve, uv[1], sd_px) if snapped else Pick.free(uv[1], sd_px)
-    return (first, second, *(Pick.free(one, sd_px) for one in uv[2:])), curve
+    return (first, second, *(Pick.free(pixel, sd_px) for pixel in uv[2:])), curve

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from sightline.planning.bone.directions import MEDIAL, towards
 from sightline.planning.check.placed_wires import PlacedWire
 from sightline.planning.check.result import CheckShot
 from sightline.planning.nail.result import Hole
-from sightline.planning.plan import Plan, plan
+from sightline.planning.plan import Plan, SharedInputs, plan
 from sightline.planning.points.picks import PickArrays, stack
 from sightline.planning.points.reconstruct import reconstruct
 from sightline.planning.points.results import Verdict
@@ -119,7 +119,7 @@ def plan_wires(
     procedure: ProcedureDocument | str,
     placed: Mapping[str, Axis] | None = None,
     side: str | None = None,
-    **shared: Any,
+    **shared: Unpack[SharedInputs],
 ) -> WirePlans:
     """Return the plans of several wires of a procedure on the same V >= 2 views, and their relations.
 

@@ -151,17 +151,8 @@ class Verifying:
             if not self._is_asked(request):
                 return
             self.found[request.kind] = dict(zip(CHECK_NAMES, wires, strict=True))
-            plan, before = request.sent.plan, request.sent.planned.views
-            self.shots[request.kind] = check_shot(
-                plan.trajectory,
-                plan.picks,
-                before,
-                request.views,
-                wires,
-                landmarks=request.landmarks,
-                limits=plan.kind.limits,
-                through=plan.hole is not None,
-            )
+            plan = request.sent.plan.to_check(request.sent.planned.views)
+            self.shots[request.kind] = check_shot(plan, request.views, wires, landmarks=request.landmarks)
         except RefusedError as error:
             if self._is_asked(request):
                 self._record(request, str(error))

@@ -15,11 +15,9 @@ from sightline.checks import Check, Code, Limits, failed
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import length_quantile
 from sightline.planning.check.result import CheckShot, check_shot_error
-from sightline.planning.check.shot import check_shot
+from sightline.planning.check.shot import PlannedWire, check_shot
 from sightline.planning.check.start import Beforehand, Landmarks, WireSeen
-from sightline.planning.points.picks import Pick
 from sightline.planning.points.results import Verdict
-from sightline.planning.points.trajectory import Trajectory
 
 ALIGNED, PAUSED = "ALIGNED", "PAUSED"  # as the robot's states
 TURNED_AWAY = (
@@ -86,34 +84,29 @@ class DrillShot:
 
 
 def drill_shot(
-    trajectory: Trajectory,
-    picks: Sequence[Sequence[Pick]],
-    planned: Sequence[CalibratedView],
+    plan: PlannedWire,
     taken: Sequence[CalibratedView],
     wires: Sequence[WireSeen],
     *,
     tip_mm: float,
     known: Beforehand,
     landmarks: Landmarks | None = None,
-    limits: Limits | None = None,
-    through: bool = False,
 ) -> DrillShot:
     """Return where two images that were `taken` while drilling show the wire, against the plan.
 
     `tip_mm`: depth of the tip beyond the planned entry by the robot, negative before it. `known`: how the frame moved
-    since the planning images (`CalibratedRobot.frame_moved`); `known.straight` in ALIGNED. `through`: the wire is a
-    drill for the hole of a nail, straight in PAUSED too, where it waits before the nail. The others as of `check_shot`,
-    which also says what is raised; UnusableInputError too for a tip at the entry, from which no line to
-    the end follows.
+    since the planning images (`CalibratedRobot.frame_moved`); `known.straight` in ALIGNED. A drill for the hole of a
+    nail is straight in PAUSED too, where it waits before the nail. The others as of `check_shot`, which also says what
+    is raised; UnusableInputError too for a tip at the entry, from which no line to the end follows.
     """
     if abs(tip_mm) < MIN_TIP_MM:
         raise UnusableInputError(
             f"the tip is {tip_mm:+.1f} mm from the planned entry; take the shot before it or deeper"
         )
-    limits = limits or Limits()
-    here = replace(limits, beyond_mm=tip_mm - trajectory.length_mm)
-    of_wire = replace(known, straight=known.straight or through, before_mm=limits.before_mm)
-    wire = check_shot(trajectory, picks, planned, taken, wires, landmarks=landmarks, limits=here, known=of_wire)
+    trajectory, limits = plan.trajectory, plan.limits
+    here = replace(plan, limits=replace(limits, beyond_mm=tip_mm - trajectory.length_mm), through=False)
+    of_wire = replace(known, straight=known.straight or plan.through, before_mm=limits.before_mm)
+    wire = check_shot(here, taken, wires, landmarks=landmarks, known=of_wire)
     share = (trajectory.length_mm + limits.beyond_mm) / tip_mm
     to_end = np.hstack([(1 - share) * np.eye(2), share * np.eye(2), np.zeros((2, 1))])
     end, spread = to_end @ wire.deviation_mm, to_end @ wire.covariance_mm2 @ to_end.T

@@ -6,7 +6,7 @@ landmarks in four images, centre line and tip in two. Each view has its stated c
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,64 +21,64 @@ from sightline.planning.points.picks import Pick
 from sightline.planning.points.trajectory import Trajectory
 from sightline.threads import one_blas_thread
 
-__all__ = ["CheckShot", "Landmarks", "check_shot"]
+__all__ = ["CheckShot", "Landmarks", "PlannedWire", "check_shot"]
 
 _ITERATIONS = 5
 _MAX_LEFT_OUT = 0.2  # share of the centre-line points that may be left out: bone edges displace some of them [ours]
 
 
+@dataclass(frozen=True, eq=False)
+class PlannedWire:
+    """What a check shot compares a wire with: the trajectory of a plan, and the picks (entry, end) in its `views`.
+
+    `limits`: what the wire is judged by. `through`: it is a drill through both walls of a nail, at the plan's two
+    points: it is taken to be straight, and judged at both walls.
+    """
+
+    trajectory: Trajectory
+    picks: Sequence[Sequence[Pick]]
+    views: Sequence[CalibratedView]
+    limits: Limits
+    through: bool = False
+
+
 @one_blas_thread
 def check_shot(
-    trajectory: Trajectory,
-    picks: Sequence[Sequence[Pick]],
-    planned: Sequence[CalibratedView],
+    plan: PlannedWire,
     checked: Sequence[CalibratedView],
     wires: Sequence[WireSeen],
     *,
     landmarks: Landmarks | None = None,
-    limits: Limits | None = None,
     known: Beforehand = STILL,
-    through: bool = False,
 ) -> CheckShot:
     """Return the wire that two check images show, against the plan made on two or more others.
 
-    `trajectory`, `picks` (entry, end): of a `Plan` made on the views `planned`; `landmarks`: of the first two of them.
-    `wires`: found in the images of the views `checked`, in the same order. The picks define the plan, so their errors
-    are not counted. Outlying points of the centre lines are left out, the worst first, a fifth at most; a tip or a
-    landmark is never left out. `known`: of images taken while drilling. `through`: the wire is a drill through both
-    walls of a nail, at the plan's two points: it is taken to be straight, and judged at both walls.
+    `wires`: found in the images of the views `checked`, in the same order. `landmarks`: of the first two of the plan's
+    views. The picks define the plan, so their errors are not counted. Outlying points of the centre lines are left out,
+    the worst first, a fifth at most; a tip or a landmark is never left out. `known`: of images taken while drilling.
     Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError, ErrorUnknownError.
     """
-    landmarks, known = landmarks or Landmarks(), replace(known, straight=True) if through else known
-    each = {len(point) for point in picks} == {len(planned)}
-    if len(planned) < 2 or not each or len(checked) != 2 or len(wires) != 2 or len(picks) != 2:
+    landmarks, known = landmarks or Landmarks(), replace(known, straight=True) if plan.through else known
+    each = {len(point) for point in plan.picks} == {len(plan.views)}
+    if len(plan.views) < 2 or not each or len(checked) != 2 or len(wires) != 2 or len(plan.picks) != 2:
         raise UnusableInputError(
             "give all views of the plan with two picks in each, and two views of the check with a wire in each"
         )
-    planned, checked = adjusted_together(planned), adjusted_together(checked)
-    shot = _adjusted(trajectory, picks, (planned, checked), wires, landmarks, known=known)
+    views = adjusted_together(plan.views), adjusted_together(checked)
+
+    def adjusted(wires: Sequence[WireSeen]) -> Adjustment:
+        shot = Adjustment(plan.trajectory, plan.picks, views, wires, landmarks, known=known)
+        for _ in range(_ITERATIONS):
+            shot.step()
+        return shot
+
+    shot = adjusted(wires)
     for _ in range(int(_MAX_LEFT_OUT * sum(len(wire.uv_px) for wire in shot.wires))):
         outlier = shot.outlying_point()
         if outlier is None:
             break
-        wires = [_without(wire, outlier[1]) if k == outlier[0] else wire for k, wire in enumerate(shot.wires)]
-        shot = _adjusted(trajectory, picks, (planned, checked), wires, landmarks, known=known)
-    return shot.result(limits or Limits(), through=through)
-
-
-def _adjusted(
-    trajectory: Trajectory,
-    picks: Sequence[Sequence[Pick]],
-    views: tuple[Sequence[CalibratedView], Sequence[CalibratedView]],
-    wires: Sequence[WireSeen],
-    landmarks: Landmarks,
-    *,
-    known: Beforehand,
-) -> Adjustment:
-    shot = Adjustment(trajectory, picks, views, wires, landmarks, known=known)
-    for _ in range(_ITERATIONS):
-        shot.step()
-    return shot
+        shot = adjusted([_without(wire, outlier[1]) if k == outlier[0] else wire for k, wire in enumerate(shot.wires)])
+    return shot.result(plan.limits, through=plan.through)
 
 
 def _without(wire: KnownWire, point: int) -> KnownWire:
