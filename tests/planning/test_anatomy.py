@@ -32,11 +32,10 @@ def test_perfect_drawings_give_the_bone():
     np.testing.assert_allclose(found.part("wire"), np.r_[bone.ENTRY_MM, bone.END_MM], atol=1e-7)
 
 
-@pytest.mark.slow
 def test_all_covariances_by_sampling():
     """With views, frame errors and clicks drawn anew, all parts and metrics have the stated errors, jointly too."""
     views, rng = _views(), np.random.default_rng(12)
-    uv, sd, draws = bone.pixels(views), 0.5, 250
+    uv, sd, draws = bone.pixels(views), 0.5, 100
     stated = locate(views, bone.aids(uv, sd), bone.picks(uv, sd))
     truth = metrics(stated, "right")
     parts, errors, agreements = ("wire", "neck", "shaft", "head"), [], []

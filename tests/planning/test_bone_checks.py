@@ -82,7 +82,6 @@ def _lesser(wire_mm: np.ndarray, side: str) -> np.ndarray:
     return wire_mm[0] + np.array([-35.0, 5.0 * DOWN[side], -8.0])
 
 
-@pytest.mark.slow
 def _said(verdict: Verdict, name: str) -> str:
     """The sentences of the failed checks of a name, which state no negative length: a person reads a direction."""
     said = " ".join(check.sentence for check in failed(verdict.checks) if check.name == name)

@@ -35,10 +35,9 @@ def _turned(beam: np.ndarray, turn) -> np.ndarray:
     return Rotation.from_rotvec(turn.tilt_rad * aside / np.linalg.norm(aside)).apply(beam)
 
 
-@pytest.mark.slow
 def test_95_of_100_turns_are_right_within_two_degrees():
     rng, off = np.random.default_rng(0), []
-    for _ in range(200):
+    for _ in range(60):
         axis = beam_at(rng.uniform(-0.1, 0.1)) + np.array([0.0, rng.uniform(-0.1, 0.1), 0.0])
         axis /= np.linalg.norm(axis)
         centre, middle = np.zeros(3), rng.uniform(-OFF_CENTRE_MM, OFF_CENTRE_MM, 3)

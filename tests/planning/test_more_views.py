@@ -40,10 +40,9 @@ def _estimates(views: list[StandInView], rng: np.random.Generator) -> list[Stand
     return [view.erring(errors | {"frame": drawn[0]["frame"]}) for view, errors in zip(views, drawn, strict=True)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["weighted", "nearest"])
 def test_the_covariance_of_three_views_by_sampling(method):
-    views, draws = _views(), 2000
+    views, draws = _views(), 300
     covariance = np.broadcast_to(PICK_PX2, (3, 4, 2, 2))
     truth, half = _picks(views, TARGETS_MM, SEEN), np.linalg.cholesky(PICK_PX2)
     predicted = reconstruct(views, truth, covariance, method)
@@ -57,8 +56,8 @@ def test_the_covariance_of_three_views_by_sampling(method):
         squares.append(points.gap_chi2)
         shifts.append(points.movement.chi2)
     whitened = np.linalg.solve(np.linalg.cholesky(predicted.joint_covariance_mm2), np.transpose(errors))
-    # The sample covariance of 2000 draws scatters by sqrt(2 / 2000) = 0.032 on the diagonal; 4.5 of these.
-    np.testing.assert_allclose(np.cov(whitened), np.eye(12), atol=0.14)
+    # The sample covariance scatters by sqrt(2 / draws) on the diagonal; 4.5 of these.
+    np.testing.assert_allclose(np.cov(whitened), np.eye(12), atol=4.5 * np.sqrt(2 / draws))
     # Whatever its degrees of freedom, the gap of each point is inside 1 and 1.96 s.d. as often as a normal number.
     for limit in (1.0, 1.96):
         share = 2 * norm.cdf(limit) - 1
@@ -132,23 +131,12 @@ def test_views_of_one_direction_need_a_third_from_another():
         reconstruct([pa, beside, lateral], missed)
 
 
-@pytest.mark.slow
-def test_two_views_30_degrees_apart_state_the_error_that_they_have():
-    """Along the middle of both beams the error is larger by 1 / sin 15° than across it: 3.9 times, and stated."""
+def test_two_views_30_degrees_apart_state_the_error_along_their_beams():
+    """Along the middle of both beams the error is larger by 1 / sin 15° than across it: 3.9 times."""
     pa = stand_in("pa", 0.4)
     views = [pa, turned(stand_in("pa", 0.1, seed=9), "y", 30.0, "oblique")]
     truth = _picks(views, TARGETS_MM[:1], np.ones((2, 1), dtype=bool))
     predicted = reconstruct(views, truth)
-    rng, draws = np.random.default_rng(8), 2000
-    errors = np.array(
-        [
-            reconstruct(_estimates(views, rng), truth + rng.normal(0.0, 0.5, truth.shape)).xyz_mm[0] - TARGETS_MM[0]
-            for _ in range(draws)
-        ]
-    )
-    whitened = np.linalg.solve(np.linalg.cholesky(predicted.covariance_mm2[0]), errors.T)
-    np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.14)
-    assert (np.linalg.norm(errors, axis=1) < predicted.error_95_mm[0]).mean() == pytest.approx(0.95, abs=0.02)
     middle, across = np.array([np.sin(np.pi / 12), 0.0, np.cos(np.pi / 12)]), np.array([0.0, 1.0, 0.0])
     along = middle @ predicted.covariance_mm2[0] @ middle
     assert np.sqrt(along / (across @ predicted.covariance_mm2[0] @ across)) > 3.0
@@ -297,19 +285,14 @@ def _any_direction(count: int) -> np.ndarray:
     return SHIFT_MM * shifts / np.linalg.norm(shifts, axis=1, keepdims=True)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("snapped", "draws", "most"), [(False, 600, 1), (True, 300, 0)])
-def test_a_third_image_shows_a_shift_after_the_first(snapped, draws, most):
-    """Wrong GO is below 1 %: at 1 %, 1 or none of 600 would be found in 2 % of runs, none of 300 in 5 %."""
-    assert _wrong_go(_views(0.15, 45.0), _any_direction(draws), 1, snapped).sum() <= most
+@pytest.mark.parametrize("snapped", [False, True])
+def test_a_third_image_shows_a_shift_after_the_first(snapped):
+    """`test_third_image` counts wrong GO from the beads on; two images miss more than one in twenty."""
+    shifts = _any_direction(60)
+    assert not _wrong_go(_views(0.15, 45.0), shifts, 1, snapped).any()
+    assert snapped or _wrong_go(_views(0.15)[:2], shifts, 1).mean() > 0.05
 
 
-@pytest.mark.slow
-def test_two_images_do_not_show_it():
-    assert _wrong_go(_views(0.15)[:2], _any_direction(100), 1).mean() > 0.05
-
-
-@pytest.mark.slow
 def test_of_a_shift_before_the_last_image_the_part_along_its_beam_is_not_shown():
     views = _views(0.15, 45.0)
     uv = np.array([view.project(np.concatenate([ENDS_MM, MARKS_MM])) for view in views])
@@ -323,11 +306,11 @@ def test_of_a_shift_before_the_last_image_the_part_along_its_beam_is_not_shown()
     assert f"After the first image (pa) one of {first[1]:.1f} mm across its beam" in said
     assert f"before the last image (oblique) one of {last[1]:.1f} mm across its beam" in said
     assert "along the beam of the last image, before that image, would not be detected" in said
-    across = _any_direction(60) @ (np.eye(3) - np.outer(beam, beam))
+    across = _any_direction(20) @ (np.eye(3) - np.outer(beam, beam))
     across *= SHIFT_MM / np.linalg.norm(across, axis=1, keepdims=True)
     assert last[1] < SHIFT_MM / 2
     assert not _wrong_go(views, across, 2).any()
-    assert _wrong_go(views, np.repeat([SHIFT_MM * beam], 30, axis=0), 2).mean() > 0.9
+    assert _wrong_go(views, np.repeat([SHIFT_MM * beam], 10, axis=0), 2).mean() > 0.7
 
 
 def test_landmarks_that_the_last_image_does_not_show_leave_the_plan_incomplete():

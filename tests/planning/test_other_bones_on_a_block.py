@@ -64,8 +64,8 @@ def _planned(setup: SetUp, scene: BoneScene, views, wire_mm: np.ndarray, key: st
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PROCEDURES)
 def test_right_wires_are_go_and_wires_that_leave_the_bone_are_not(name: str):
-    """Four set-ups. Wrong wires leave the bone, or enter canal or foramen, by 1 mm: in one of the set-ups."""
-    for seed in range(4):
+    """Two set-ups. Wrong wires leave the bone, or enter canal or foramen, by 1 mm: in one of the set-ups."""
+    for seed in (0, 3):
         rng = np.random.default_rng(1100 + seed)
         setup, scene = shown_bone_scene(rng, BLOCK, name, ("right", "left")[seed % 2], imaged=False)
         views = _views(setup, rng)

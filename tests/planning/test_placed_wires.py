@@ -71,13 +71,12 @@ def erring_views(rng: np.random.Generator):
     return tuple(view.erring(errors) for view, errors in zip(views(), (pa, lateral), strict=True))
 
 
-@pytest.mark.slow
 def test_the_stated_covariance_is_that_of_the_errors():
     """Errors of the views and of the images, drawn; the place along the wire of the chosen entry does not count."""
     rng, squares = np.random.default_rng(3), []
     along = (WIRE[1] - WIRE[0]) / np.linalg.norm(WIRE[1] - WIRE[0])
     beside = np.linalg.svd(along[None])[2][1:]
-    for _ in range(100):
+    for _ in range(40):
         true = erring_views(rng)
         try:
             (axis,) = found(WIRE, shown=true, rng=rng)
@@ -87,8 +86,9 @@ def test_the_stated_covariance_is_that_of_the_errors():
         to = np.zeros((5, 6))
         to[:2, :3], to[2:, 3:] = beside, np.eye(3)
         squares.append(error @ np.linalg.solve(to @ axis.covariance_mm2 @ to.T, error))
-    assert len(squares) > 97
-    assert 0.8 < np.mean(squares) / 5 < 1.25  # 500 numbers: 1 ± 0.06, and the line is not straight in the errors
+    assert len(squares) > 38
+    # 200 numbers: 1 ± 0.1, of which three and a half, and the line is not straight in the errors.
+    assert 0.65 < np.mean(squares) / 5 < 1.4
 
 
 def test_two_wires_taken_for_one_are_refused():
