@@ -8,8 +8,8 @@ import pytest
 from tests.bone_images import SIZE, rays, shown, with_cortex
 from tests.planning.bone import CENTRE_MM, NECK, RADIUS_MM, SHAFT, rim, views
 
-from sightline.from_images import neck as module
 from sightline.case.canonical import plain
+from sightline.from_images import neck as module
 from sightline.from_images.neck import fit_neck
 from sightline.imaging import Radiograph
 from sightline.planning import Aids, Circle, Line
