@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import UnusableInputError
 
-TRIES = {"points": 4, "images": 1, "files": 12, "robots": 1, "kills": 2, "disks": 1, "pages": 4}  # of each class
+TRIES = {"points": 1, "images": 1, "files": 2, "robots": 1, "kills": 1, "disks": 1, "pages": 1}  # of each class
 
 
 @pytest.mark.slow
@@ -55,14 +55,14 @@ def moved_across(world: World, _: np.random.Generator) -> None:
 @pytest.mark.parametrize("change", [points.nothing, points.scaled_frame, points.one_pick_along])
 def test_these_cannot_be_seen_in_any_observation(change: points.Change) -> None:
     """docs/safety.md, What is not covered."""
-    assert all(points.apart(change, np.random.default_rng([3, k])) < points.UNSEEN for k in range(4))
+    assert all(points.apart(change, np.random.default_rng([3, k])) < points.UNSEEN for k in range(2))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("change", [points.one_pick_off, points.careless, moved_across])
 def test_these_can_be_seen(change: points.Change) -> None:
     """So that the measure is one."""
-    assert all(points.apart(change, np.random.default_rng([3, k])) > points.WEAK for k in range(4))
+    assert all(points.apart(change, np.random.default_rng([3, k])) > points.WEAK for k in range(2))
 
 
 def test_a_refusal_names_its_cause_or_does_not() -> None:

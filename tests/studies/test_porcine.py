@@ -53,8 +53,3 @@ def test_the_summary_counts_endings_and_what_is_within_the_papers_figures():
     assert row[5].startswith("0.75 / ")
     assert row[8] == "33%"
     assert PIG.summary([{"porcine": refused}]).findings == ("porcine: every image is refused.",)
-
-
-@pytest.mark.parametrize("name", list(PHANTOMS))
-def test_every_phantom_has_its_picks(name):
-    assert study_porcine.PICKS_PX[name] > 0
