@@ -2,13 +2,9 @@
 
 Each set-up is a patient of `sightline demo --frame block60`: images read back from files, picks of 0.5 px, the plan of
 a hip screw, and the same true robot drilled by each registration; errors are those of the physics against the ideal
-wire. `python -m benchmarks.bench_block_demo COUNT FILE` keeps each set-up as a line of FILE as soon as it is done, and
-goes on where an earlier run stopped.
+wire. Finished set-ups are kept: the same command goes on with a stopped run.
 """
 
-import json
-import sys
-from pathlib import Path
 from time import monotonic
 from typing import Any
 
@@ -36,12 +32,7 @@ GROUP = "block demo"
 
 def run(quick: bool) -> list[Row]:
     """Return the rows of this benchmark; `quick` drills two set-ups."""
-    return rows_of(in_parallel(_trial, range(QUICK if quick else SETUPS)))
-
-
-def rows_of(trials: "list[dict[str, Any] | str]") -> list[Row]:
-    """Return the rows of set-ups, each its errors or the reason of its refusal."""
-    done, rows = finished(GROUP, trials)
+    done, rows = finished(GROUP, in_parallel(_trial, range(QUICK if quick else SETUPS), "block-demo"))
     if not done:
         return rows
     rows += _rows_of(PLANNED, [one[PLANNED] for one in done])
@@ -119,18 +110,3 @@ def _drilled(seed: int) -> dict[str, Any]:
 
 def _named(values: "tuple[float, float] | list[float]", what: str) -> dict[str, float]:
     return {f"{what}{end}": float(value) for end, value in zip(ENDS, values, strict=True)}
-
-
-def resumed(count: int, file: Path) -> list[Row]:
-    """Return the rows of so many set-ups, of which those in `file` are not made again; each is kept when it is done."""
-    known = dict(map(json.loads, file.read_text().splitlines())) if file.exists() else {}
-    for seed in set(range(count)) - known.keys():
-        known[seed] = _trial(seed)
-        with file.open("a") as lines:
-            lines.write(json.dumps([seed, known[seed]]) + "\n")
-    return rows_of([known[seed] for seed in range(count)])
-
-
-if __name__ == "__main__":
-    for row in resumed(int(sys.argv[1]), Path(sys.argv[2])):
-        print(row.name, row.value, row.required, row.peer, row.met, sep=" | ")

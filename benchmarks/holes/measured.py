@@ -1,12 +1,10 @@
 """Hole of a nail from two views: error, coverage, refusals, advice and time.
 
-Points are those of studies/nail_edges.py, on views calibrated from their beads. The sizes of the nail differ from the
+Points are those of nail_edges.py, on views calibrated from their beads. The sizes of the nail differ from the
 stated ones by machining tolerances. Images are the twin's, and those whose rays gVirtualXray casts (gvxr_nails.py;
-optional: `pip install gvxr`). `python -m benchmarks.holes.measured COUNT` prints the rows of so many nails as
-points. Finished nails are kept in out/bench: the same command goes on with a stopped run.
+optional: `pip install gvxr`). Finished nails are kept in out/bench: the same command goes on with a stopped run.
 """
 
-import sys
 import time
 from dataclasses import replace
 from importlib.util import find_spec
@@ -297,8 +295,3 @@ def _rows(group: str, trials: list[Trial | str], *, required: bool = False) -> l
         Row(group, "time after the last click, median", f"{np.median([1e3 * t.time_s for t in kept]):.0f} ms"),
         *_turned_row(group, [t.turned_deg for t in kept if required and np.isfinite(t.turned_deg)]),
     ]
-
-
-if __name__ == "__main__":
-    for row in points(int(sys.argv[1])):
-        print(row.group, row.name, row.value, row.required, row.met, sep=" | ")

@@ -1,17 +1,12 @@
-"""Labelling of random scenes of points: shares labelled, refused and labelled wrongly.
+"""Labelling of random scenes of points: shares labelled, refused and labelled wrongly."""
 
-`python -m benchmarks.labelling.plates SEED COUNT` prints the scenes that were not labelled correctly.
-"""
-
-import multiprocessing
-import os
-import sys
 import time
 from dataclasses import dataclass
 
 import numpy as np
 
 from benchmarks.labelling.plate_scenes import Scene, clean_views, draw_scene
+from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from sightline.detection import Observations, label
 from sightline.errors import LabellingRefusedError
@@ -64,14 +59,6 @@ def _block(start: int) -> list[Outcome]:
     return [outcome(frame, number) for number in range(start, start + BLOCK)]
 
 
-def outcomes(count: int) -> list[Outcome]:
-    """Return the results of the first `count` scenes, computed on all cores."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    with multiprocessing.get_context("spawn").Pool() as pool:
-        return [one for block in pool.imap(_block, range(0, count, BLOCK)) for one in block]
-
-
 def _refused_clean(chain: str, cropped: bool, count: int) -> tuple[int, int]:
     """Return how many of `count` clean views are refused or labelled wrongly, and how many correctly."""
     frame, wrong, right, seed = Frame.load("gamma"), 0, 0, 0
@@ -99,7 +86,8 @@ def _clean_rows(count: int) -> list[Row]:
 
 def run(quick: bool = False) -> list[Row]:
     """Return the rows of this benchmark."""
-    every = outcomes(SCENES // 10 if quick else SCENES)
+    starts = range(0, SCENES // 10 if quick else SCENES, BLOCK)
+    every = [scene for block in in_parallel(_block, starts) for scene in block]
     solvable = [one for one in every if one.solvable]
     labelled = [one for one in every if one.refusal is None]
     fewer = [one for one in every if not one.solvable]
@@ -135,10 +123,3 @@ def run(quick: bool = False) -> list[Row]:
         Row(group, "median processor time of one image", f"{warm_ms:.1f} ms"),
         *_clean_rows(50 if quick else 500),
     ]
-
-
-if __name__ == "__main__":
-    gamma = Frame.load("gamma")
-    for k in range(int(sys.argv[2])):
-        if (one := outcome(gamma, k, int(sys.argv[1]))).wrong or one.false or (one.refusal and one.solvable):
-            print(one)

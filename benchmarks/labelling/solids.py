@@ -1,9 +1,5 @@
-"""Labelling of solids by geometry alone, in random scenes of points: shares labelled, wrong and refused, and times.
+"""Labelling of solids by geometry alone, in random scenes of points: shares labelled, wrong and refused, and times."""
 
-`python -m benchmarks.labelling.solids KIND COUNT` prints the scenes of one kind that were not labelled correctly.
-"""
-
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -135,9 +131,3 @@ def run(quick: bool = False) -> list[Row]:
         every = [one for (number, _), block in zip(starts, results, strict=True) if number == index for one in block]
         rows += _rows(kind, every)
     return rows
-
-
-if __name__ == "__main__":
-    for k in range(int(sys.argv[2])):
-        if (one := outcome(KINDS[int(sys.argv[1])], k)).wrong or one.false or one.misread or one.refusal:
-            print(one)

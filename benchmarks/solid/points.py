@@ -2,10 +2,9 @@
 
 Beads and picks have errors of 0.1 px. A Γ frame of default tolerances stands in the same beams, with the same errors of
 its picks. Coverage of the stated ellipsoids is by angle between the views, error of the balls, and share of hidden
-balls. `python -m benchmarks.solid.points COUNT` prints the coverage of so many set-ups alone.
+balls.
 """
 
-import sys
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -157,8 +156,3 @@ def _fewer(rng: np.random.Generator, seen: Observations, hidden: float) -> Obser
     kept = np.sort(rng.permutation(len(seen))[round(hidden * len(seen)) :])
     ids = tuple(seen.ids[k] for k in kept)
     return replace(seen, ids=ids, uv_px=seen.uv_px[kept], covariance_px2=seen.covariance_px2[kept])
-
-
-if __name__ == "__main__":
-    for row in coverage(int(sys.argv[1])):
-        print(row.name, row.value, row.required, row.met, sep=" | ")
