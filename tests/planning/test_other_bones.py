@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from tests.planning.wrong_wires import wrong_wires
 
 from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Anatomy, Procedure, kind
@@ -16,6 +15,7 @@ from sightline.planning.procedures.files import copy_text, document_from_json
 from sightline.planning.procedures.rules import CHECKS
 from sightline.planning.verdict.bone_checks import judge_in_bone, measures, metric_measures, noticed_beyond_mm
 from sightline.twin.anatomy.femur import to_cfcs
+from sightline.twin.anatomy.wrong_wires import wrong_wires
 
 from .other_bones import PROCEDURES, Drawn, drawn, views
 from .test_drawings import METRICS

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.planning.wrong_wires import wrong_wires
 
 import sightline as sl
 from sightline.calibration.solids.calibrate_together import calibrate_together
@@ -13,6 +12,7 @@ from sightline.studies.scenes import measure
 from sightline.twin import drawn_aids
 from sightline.twin.anatomy.aids import key_of
 from sightline.twin.anatomy.femur import to_cfcs
+from sightline.twin.anatomy.wrong_wires import wrong_wires
 from sightline.twin.scenes.bone_scene import BoneScene, shown_bone_scene
 from sightline.twin.xray.setup import SetUp
 

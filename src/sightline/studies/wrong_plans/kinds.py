@@ -20,6 +20,7 @@ from sightline.planning.verdict.bone_checks import MEASURES, measures
 from sightline.planning.verdict.view_directions import Located
 from sightline.twin.anatomy.bone_model import BoneModel
 from sightline.twin.anatomy.femur import NARROWEST, Femur
+from sightline.twin.anatomy.wrong_wires import smallest_amount
 
 HIP_SCREW, CANNULATED = "hip-screw", "cannulated-hip-screws:inferior"
 PEDICLE, SACRAL, EPIPHYSIS = "pedicle-screw", "iliosacral-screw", "slipped-epiphysis-pin"
@@ -34,7 +35,6 @@ ANGLE_DEG, FREEHAND_DEG, ASIDE_MM, SHORT_MM, SPREAD = (130.0, 140.0), 2.0, 1.5, 
 SCREW_ROOM_MM = 6.65  # of a cannulated screw's axis to the neck's surface, its procedure's limit
 NEAR_MM, NEAR_DEG = 0.5, 1.0  # a right wire of another bone off its standard one: s.d. per axis of place, direction
 LATERAL, CAUDAL, ANTERIOR = np.eye(3)
-STEP_MM = 3.0  # a wire that is wrong for a smaller movement only, and not for a larger one, may be missed [ours]
 # Makes of a bone, a right wire (2, 3) and an amount a wrong wire, anatomical coordinates.
 Change = Callable[[Any, np.ndarray, float], np.ndarray]
 
@@ -205,18 +205,6 @@ class WrongKind:
             made = make(bone, wire_mm, amount)
             error = at(made).error_95(rule)
         return made
-
-
-def smallest_amount(violation_mm: Callable[[float], float], wanted_mm: float, limit: float) -> float | None:
-    """Return the smallest amount at which a violation is as wanted, to 0.001 mm; None up to `limit`."""
-    high = next((s for s in np.arange(STEP_MM, limit, STEP_MM) if violation_mm(s) >= wanted_mm), None)
-    if high is None:
-        return None
-    low = high - STEP_MM
-    for _ in range(12):
-        middle = (low + high) / 2
-        low, high = (low, middle) if violation_mm(middle) >= wanted_mm else (middle, high)
-    return float(high)
 
 
 def draw_times(rng: np.random.Generator) -> float:

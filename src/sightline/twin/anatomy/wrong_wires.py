@@ -1,13 +1,15 @@
-"""Wires that are wrong by a known amount, made of a bone's standard wire."""
+"""Wires that are wrong by a known amount, made of a bone's standard wire: for studies of the checks of plans."""
+
+from collections.abc import Callable
 
 import numpy as np
 
 from sightline.errors import SetUpError
-from sightline.studies.wrong_plans.kinds import smallest_amount
 from sightline.twin.anatomy.bone_model import BoneModel
 
 MAX_LONGER_MM = 60.0  # a wire that ends farther beyond is another wire [ours]
 MAX_ASIDE_MM = 80.0  # of the end, to leave a corridor or to reach what must not be touched [ours]
+STEP_MM = 3.0  # a wire that is wrong for a smaller movement only, and not for a larger one, may be missed [ours]
 FAR, CORTEX = "through the far surface", "out of the cortex"
 
 
@@ -53,6 +55,18 @@ def _towards(bone: BoneModel, of: str, along: np.ndarray) -> np.ndarray:
     steps = 0.01 * np.eye(3)
     slope = bone.distance_mm(nearest - steps, of) - bone.distance_mm(nearest + steps, of)
     return _unit(slope - (slope @ along) * along)
+
+
+def smallest_amount(violation_mm: Callable[[float], float], wanted_mm: float, limit: float) -> float | None:
+    """Return the smallest amount at which a violation is as wanted, to 0.001 mm; None up to `limit`."""
+    high = next((s for s in np.arange(STEP_MM, limit, STEP_MM) if violation_mm(s) >= wanted_mm), None)
+    if high is None:
+        return None
+    low = high - STEP_MM
+    for _ in range(12):
+        middle = (low + high) / 2
+        low, high = (low, middle) if violation_mm(middle) >= wanted_mm else (middle, high)
+    return float(high)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
