@@ -103,23 +103,14 @@ def test_killed_while_it_is_created_a_case_is_there_or_can_be_created(tmp_path: 
     assert found == {(False, False), (True, False), (True, True)}  # the steps reach from before to after
 
 
-def killed_at_random_instants(folder: Path, seed: int, times: int) -> Acknowledged:
-    rng, acknowledged = random.Random(seed), Acknowledged()  # noqa: S311 - no secret
-    for k in range(times):
-        killed_after(folder, 1000 * seed + k, rng.randrange(3, 12), rng.uniform(0.0, 0.01), acknowledged)
-        acknowledged.all_there(folder)
-    return acknowledged
-
-
 @pytest.mark.slow
 def test_killed_at_eight_random_instants_nothing_acknowledged_is_lost(tmp_path: Path) -> None:
-    assert len(killed_at_random_instants(tmp_path / "case", 1, 8).chains) >= 8
-
-
-@pytest.mark.slow
-def test_killed_at_a_hundred_random_instants_nothing_acknowledged_is_lost(tmp_path: Path) -> None:
-    for seed in range(2, 7):
-        assert len(killed_at_random_instants(tmp_path / str(seed), seed, 20).chains) >= 20
+    """The campaign `kills` does so at thousands of instants."""
+    rng, acknowledged = random.Random(1), Acknowledged()  # noqa: S311 - no secret
+    for k in range(8):
+        killed_after(tmp_path / "case", 1000 + k, rng.randrange(3, 12), rng.uniform(0.0, 0.01), acknowledged)
+        acknowledged.all_there(tmp_path / "case")
+    assert len(acknowledged.chains) >= 8
 
 
 def test_what_a_power_cut_must_find_on_the_disk_is_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
