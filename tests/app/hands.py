@@ -1,8 +1,6 @@
 """A person before the planning page: looks, clicks, drags, types. What they know of the patient is the twin's truth."""
 
-from collections.abc import Sequence
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -117,18 +115,6 @@ class Hands:
         self._until_shown(view)
         uv = self.core(view, "core.state.points.get(value).uv", name)
         return uv[0], uv[1]
-
-    def load(self, files: Sequence[Path], side: str = "right", serial: str = "none") -> None:
-        """Both images from their files, taken two minutes ago, then what `confirm` does."""
-        self.step("Images")
-        for name, file in zip(("PA", "Lateral"), files, strict=True):
-            self.see(f"drop-{name} image").set_input_files(file)
-        self.wait_for_step("Calibrate", "done")
-        for name in NAMES:
-            self.page.locator(f"input[data-testid=taken-{name}], [data-testid=taken-{name}] input").fill("2")
-            self.press(f"confirm-taken-{name}")
-            expect(self.see(f"taken-unknown-{name}")).to_have_count(0)
-        self.confirm(side, serial)
 
     def confirm(self, side: str = "right", serial: str = "none") -> None:
         """Side and serial."""

@@ -1,18 +1,12 @@
-"""A person who knows only the screen: reads its words, finds a place by what the picture shows, and presses buttons."""
+"""A person who knows only the screen: reads its words and presses buttons."""
 
-import io
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-from PIL import Image
 from playwright.sync_api import Page, expect
 from tests.app.hands import PATIENCE_MS, Pixels
-from tests.app.picture import find
-
-from sightline.imaging import Radiograph
 
 # "3 of 10 · LATERAL · Entry point: slide along its curve and click"
 _ORDER = re.compile(r"^(\d+) of (\d+) · (PA|LATERAL|INLET|OUTLET)(?: CHECK)? · ([^:]+): ")
@@ -40,7 +34,7 @@ class Place(Protocol):
 
 
 class Person:
-    """Before a page. `find` first, then `place` what the page asks for."""
+    """Before a page. `know` first, then `place` what the page asks for."""
 
     def __init__(self, page: Page) -> None:
         self.page = page
@@ -72,27 +66,8 @@ class Person:
         expect(self.page.get_by_text(words).first).to_be_visible(timeout=PATIENCE_MS)
 
     def know(self, shown: Mapping[str, Place]) -> None:
-        """Be told where each view shows its image, for a walk that is not about finding them."""
+        """Be told where each view shows its image."""
         self._shown.update(shown)
-
-    def find(self, images: Mapping[str, Radiograph], labels: Mapping[str, str]) -> None:
-        """Find each image on the screen, and see that it stands below its own label: "PA image"."""
-        for view, label in labels.items():
-            self.read(label)
-            seen = np.asarray(Image.open(io.BytesIO(self.page.screenshot())).convert("L"))
-            self._shown[view] = shown = find(images[view].pixels, seen)
-            assert not shown.mirrored
-            assert self._nearest_label(shown.middle, list(labels.values())) == label
-
-    def _nearest_label(self, at: np.ndarray, labels: list[str]) -> str:
-        """The label above a place that is nearest to it."""
-        boxes = [(one, box) for one in labels for box in self._boxes(one) if box["y"] < at[1] and box["x"] < at[0]]
-        return min(boxes, key=lambda one: float(np.hypot(one[1]["x"] - at[0], one[1]["y"] - at[1])))[0]
-
-    def _boxes(self, label: str) -> Iterator[dict[str, float]]:
-        for one in self.page.get_by_text(label, exact=True).all():
-            if one.is_visible() and (box := one.bounding_box()) is not None:
-                yield dict(box)
 
     def place(self, known: Mapping[str, Pixels]) -> int:
         """Click what the page asks for, wherever `known` has it by its name on the page, until it was the last; return

@@ -49,7 +49,7 @@ def is_colour(value: str) -> bool:
 def test_every_colour_is_named_once() -> None:
     assert len(COLOURS) > 20 and len(set(COLOURS.values())) == len(COLOURS)
     assert set(WORDS) | set(HUES) | set(GROUNDS) <= set(COLOURS)
-    for path in ("page.css", "panels/drop.js", "drawing/xray", "drawing/space"):
+    for path in ("page.css", "web/drop.js", "drawing/xray", "drawing/space"):
         inside = APP / path
         for file in [inside] if inside.is_file() else [f for f in inside.iterdir() if f.name.endswith(".js")]:
             stray = set(re.findall(r"#[0-9a-f]{3,8}\b", file.read_text("utf-8"))) - {"#ffffff"}  # lamps of the scene

@@ -223,9 +223,8 @@ def test_pixels_arrive_as_they_are(open_app: App) -> None:
     assert ask(open_app, "/image/guessed.u16").status_code == 404
 
 
-@pytest.mark.slow
 @needs_posix
-@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("sign", [signal.SIGTERM])
 def test_it_ends_in_order_and_leaves_nothing(tmp_path: Path, sign: signal.Signals) -> None:
     command = [sys.executable, "-m", "tests.app.small_app", "0"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

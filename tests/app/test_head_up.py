@@ -43,7 +43,6 @@ def test_the_head_is_up_however_the_image_is_stored(name: str, side: str, to_hea
     assert [(head - stored[0]) % 360 for head in stored] == [0, 90, 180, 270]
 
 
-@pytest.mark.slow
 def test_it_is_unknown_without_a_side_a_map_or_plates() -> None:
     view = _view("pa")
     assert head_in(None, FRAME, "right") is None

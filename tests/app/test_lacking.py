@@ -9,8 +9,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from playwright.sync_api import expect
-from tests.app.hands import Hands
 from tests.planning.bone import views
 
 from sightline.app import texts
@@ -87,18 +85,3 @@ def test_a_nail_s_procedure_of_the_user_s_own_needs_a_nail_too(
     assert not planning.lacking
     planning.lacking_in = {}  # images of a C-arm, or of a patient who is not known yet
     assert not planning.lacking
-
-
-@pytest.mark.slow  # a server and a browser
-def test_the_page_says_that_its_patient_has_no_nail(hands: Hands, shoot) -> None:
-    hands.step("Plan")
-    hands.see("kind").click()
-    hands.page.get_by_role("option", name="Interlocking holes", exact=True).click()
-    expect(hands.see("verdict")).to_contain_text("The simulated patient has no nail.")
-    expect(hands.see("instruction")).to_contain_text("The simulated patient has no nail.")
-    assert not hands.core("pa", "core.state.placing")
-    shoot(hands.page, "no-nail")
-    hands.see("kind").click()
-    hands.page.get_by_role("option", name="Hip screw", exact=True).click()
-    expect(hands.see("verdict")).to_contain_text("To do: ")
-    expect(hands.see("instruction")).to_contain_text("1 of ")

@@ -27,8 +27,6 @@ def test_a_check_says_on_which_side_of_its_limit_its_value_must_be(check: Check,
 @pytest.mark.parametrize(
     ("sentence", "said"),
     [
-        ("pa: 5 beads are used.", "PA: 5 beads are used."),
-        ("lateral: The image is not torn.", "Lateral: The image is not torn."),
         ("The view pa is 2° from its wanted direction.", "The view PA is 2° from its wanted direction."),
         ("The entry lies 36.4 mm lateral of it.", "The entry lies 36.4 mm lateral of it."),
     ],

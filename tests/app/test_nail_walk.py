@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
+from tests.app.eyes import wrong
 from tests.app.hands import PATIENCE_MS, Hands
-from tests.app.test_screen import wrong
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.marks import NAIL_EDGES

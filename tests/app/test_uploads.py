@@ -107,7 +107,6 @@ def test_only_grey_pixels_are_published_and_only_once_each() -> None:
             images.publish(wrong)
 
 
-@pytest.mark.slow
 def test_a_chosen_file_reaches_its_target(
     app: Server, open_page: Callable[..., Page], png: Path, tmp_path: Path
 ) -> None:

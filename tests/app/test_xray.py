@@ -183,7 +183,6 @@ def test_a_click_on_what_is_seen_reports_where_it_is(view: View, rotation: int, 
     assert (turned["rotation"], turned["mirrored"]) == (expected, mirrored)
 
 
-@pytest.mark.slow
 def test_on_a_dense_screen_too(open_page: Callable[..., Page], server: Server) -> None:
     view = View(open_page(server.url, device_scale_factor=2.0), server)
     view.ready()
@@ -1141,7 +1140,6 @@ def test_a_missing_text_is_named() -> None:
 # the server went away
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("changed", [False, True])
 def test_an_edit_made_while_the_server_is_away(
     serve: Callable[..., Server], open_page: Callable[..., Page], changed: bool
@@ -1193,7 +1191,6 @@ def test_what_a_message_leaves_out_stays_as_it_was(view: View) -> None:
 # to look at
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (3840, 2160)])
 def test_pictures_for_the_eye(
     server: Server, open_page: Callable[..., Page], shoot: Callable[..., None], width: int, height: int

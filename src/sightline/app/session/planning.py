@@ -390,7 +390,9 @@ class Planning:
     async def start(self) -> None:
         """Open the images named in the decisions; a rehearsal without images acquires them."""
         with suppress(SightlineError):  # pages show it as `jobs.trouble`
-            await self.jobs.during("starting", lambda: self.worker.do(warm_up))
+            await self.jobs.during(
+                "starting; the first start of a version compiles for a minute", lambda: self.worker.do(warm_up)
+            )
             if self.patient is not None and not self.decisions.images:
                 await self.take_rehearsed()
             if self.patient is not None and document_of(self.patient.procedure).through_holes:
