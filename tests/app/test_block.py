@@ -23,7 +23,7 @@ from sightline.case.views import NAMES, OBLIQUE
 from sightline.checks import Code
 from sightline.imaging import write_dicom
 from sightline.twin import SetUp
-from sightline.twin.carm import BEAMS
+from sightline.twin.xray.setup import BEAMS
 
 LANDMARKS = [spec.name for spec in marks_of("hip-screw") if spec.group == "landmark"]
 PICK_PX = 0.5

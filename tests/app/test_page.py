@@ -36,7 +36,7 @@ from sightline.planning.procedures.files import shipped
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.target import LIFETIME_S
 from sightline.robot.link.simulated import SimulatedWire
-from sightline.twin.femur import to_cfcs
+from sightline.twin.anatomy.femur import to_cfcs
 
 SEEN_PX = 1.2  # a click is a whole pixel of the screen, the image drawn at 0.45: half of one over that
 # How far a point is from [name, u, v], px.
