@@ -14,7 +14,7 @@ from sightline.rehearsal.rehearsal import Rehearsal
 SEED = 9
 KIND = "hip-screw"
 LANDMARKS = ("head centre", "lesser trochanter", "greater trochanter")  # as the twin names the kind's, in its order
-PATIENCE_MS = 300_000  # for images that are taken and calibrated on a busy machine
+PATIENCE_MS = 120_000  # for images that are taken and calibrated on a busy machine
 Pixels = dict[str, tuple[float, float]]
 
 
