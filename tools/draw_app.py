@@ -8,7 +8,11 @@ from pathlib import Path
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
-NAMES = {"plan": "planned", "verify": "verified", "nail": "nail-walk-planned"}  # of the pages' pictures and of screenshots
+NAMES = {
+    "plan": "planned",
+    "verify": "verified",
+    "nail": "nail-walk-planned",
+}  # of the pages' pictures and of screenshots
 QUALITY = 88  # text stays sharp below 200 kB [ours]
 
 
