@@ -134,11 +134,9 @@ def scatter(state: str, count: int, frame: Frame | None = None, **others) -> tup
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("state", "marked", "frame"), [(ALIGNED, False, None), (PAUSED, True, None), (PAUSED, True, "block40")]
-)
+@pytest.mark.parametrize(("state", "marked", "frame"), [(ALIGNED, False, None), (PAUSED, True, "block40")])
 def test_errors_are_those_stated(state, marked, frame):
-    """Without landmarks, where only encoders and a leg assumed still tell where the bone is, with them, and with
+    """Without landmarks, where only encoders and a leg assumed still tell where the bone is, and with
     another block on the patient, of which shared errors of the frame would be wrong."""
     on_patient = None if frame is None else Frame.load(frame)
     squares, depths = scatter(state, 24, on_patient, **({} if marked else {"landmarks": Landmarks()}))

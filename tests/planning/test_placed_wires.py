@@ -147,10 +147,10 @@ def relations(lines: WireLines, wires: np.ndarray) -> tuple[float, float]:
 
 @pytest.mark.slow
 def test_relations_to_a_placed_wire_have_the_errors_that_they_state():
-    """Views, images and clicks drawn: 200 pairs of numbers, whose root mean squares are known to 4 and 5 %."""
+    """Views, images and clicks drawn: 60 pairs of numbers, of which rms values are known to 7 %; 3.5 times that."""
     rng, squares, apart = np.random.default_rng(11), [], []
     both = np.array([WIRE + UP, WIRE])  # planned, placed
-    for _ in range(200):
+    for _ in range(60):
         true = erring_views(rng)
         try:
             (axis,) = found(WIRE, shown=true, rng=rng)
@@ -159,10 +159,10 @@ def test_relations_to_a_placed_wire_have_the_errors_that_they_state():
         noise = CLICK_PX * rng.standard_normal((2, 2, 2))
         for kept, wire in ((squares, axis), (apart, Axis(axis.ends_mm, axis.covariance_mm2))):
             kept.append(relations(related(wire, both[0], true, noise).lines, both))
-    assert len(squares) > 195
+    assert len(squares) > 57
     parallel, spacing = np.sqrt(np.mean(squares, axis=0))
-    assert 0.9 < parallel < 1.15
-    assert 0.9 < spacing < 1.15
+    assert 0.77 < parallel < 1.23
+    assert 0.77 < spacing < 1.23
     assert (np.sqrt(np.mean(apart, axis=0)) < 0.85).any(), apart  # taken for independent, the errors are overstated
 
 

@@ -69,12 +69,12 @@ def test_a_plan_is_saved_with_the_pick_that_the_third_image_lacks(tmp_path):
 
 @pytest.mark.slow
 def test_wrong_go_after_a_shift_is_rare_and_the_error_is_as_stated():
-    """120 set-ups with a shift of 2 mm in any direction after the first image: none is GO and off by over 1 mm.
+    """40 set-ups with a shift of 2 mm in any direction after the first image: none is GO and off by over 1 mm.
 
     Of bones at rest nearly all are GO, and the entry's chi-square is that of 3 numbers.
     """
     rng, go, wrong, squares = np.random.default_rng(32), 0, 0, []
-    for _ in range(120):
+    for _ in range(40):
         setup, views, xyz = _scene(rng)
         noise = rng.normal(0.0, PICK_PX, (3, len(xyz), 2))
         shift = rng.normal(size=3)
@@ -92,7 +92,7 @@ def test_wrong_go_after_a_shift_is_rare_and_the_error_is_as_stated():
         made = _planned(views, moved)
         wrong += made.verdict.go and _off_mm(made, xyz[:2] + shift) > OFF_MM
     assert wrong == 0
-    assert go >= 114  # eight checks of one in a thousand each: 99 %
-    # The mean of 120 chi-squares of 15 numbers: 15 ± 0.5, here four times that.
-    assert abs(np.mean(squares) - 15.0) < 2.0
-    assert np.mean(np.array(squares) < chi2.ppf(0.95, 15)) > 0.87
+    assert go >= 37  # eight checks of one in a thousand each: 99 %
+    # The mean of 40 chi-squares of 15 numbers: 15 ± 0.87, here four times that.
+    assert abs(np.mean(squares) - 15.0) < 3.5
+    assert np.mean(np.array(squares) < chi2.ppf(0.95, 15)) > 0.82
