@@ -22,6 +22,7 @@ from sightline.planning import Trajectory
 from sightline.planning.bone.directions import caudal
 from sightline.planning.document import SOLID, PlanFileDocument
 from sightline.planning.points.results import SpacePoints
+from sightline.planning.procedures.procedure import ProcedureKey
 from sightline.planning.verdict.relations import refuse_unrelated
 
 _DIGEST = "digest"
@@ -133,7 +134,7 @@ class PlanFile:
                 f"the plan of all wires is {document.all_wires.upper()}: none of them is sent to a robot; see its "
                 "checks and relations, and plan again"
             )
-        if ":" in (document.kind or ""):  # one of several wires
+        if ProcedureKey.of(document.kind or "").wire:  # one of several
             refuse_unrelated(document.unchecked_relations)
         if document.digest is None:
             raise RobotRefusedError(
@@ -180,7 +181,7 @@ class PlanFile:
     @property
     def procedure(self) -> str:
         """Key of the procedure's file; "" if the plan does not state it."""
-        return (self.document.kind or "").partition(":")[0]
+        return ProcedureKey.of(self.document.kind or "").file
 
     @property
     def images(self) -> dict[str, str]:

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from sightline.bounded import read_bounded
 from sightline.errors import UnusableInputError
 from sightline.planning.procedures.document import ProcedureDocument
-from sightline.planning.procedures.procedure import Procedure
+from sightline.planning.procedures.procedure import Procedure, ProcedureKey
 from sightline.strict import explain, read_strictly
 
 FOLDER = "SIGHTLINE_PROCEDURES"  # environment variable: the folder of the user's files
@@ -164,7 +164,7 @@ def kept(key: str, content: dict[str, Any] | None) -> Procedure:
         document = ProcedureDocument.model_validate_json(json.dumps(content))
     except ValidationError as error:
         raise UnusableInputError(f"the procedure {key} cannot be read: {explain(error, ADVICE)}") from None
-    return Procedure.of(document, key.partition(":")[2])
+    return Procedure.of(document, ProcedureKey.of(key).wire)
 
 
 def keeping(procedure: Procedure) -> dict[str, Any] | None:

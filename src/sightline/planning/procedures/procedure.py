@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from math import radians
-from typing import Any
+from typing import Any, NamedTuple
 
 from sightline.checks import Limits
 from sightline.errors import UnusableInputError
@@ -27,6 +27,22 @@ class PlanInput:
     key: str
     name: str
     sentence: str
+
+
+class ProcedureKey(NamedTuple):
+    """The key of a procedure's file, and of one of its wires; "" for the only one. Written as "FILE:WIRE"."""
+
+    file: str
+    wire: str
+
+    @staticmethod
+    def of(text: str) -> "ProcedureKey":
+        """Return the keys in a text."""
+        file, _, wire = text.partition(":")
+        return ProcedureKey(file, wire)
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.wire}" if self.wire else self.file
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +88,7 @@ class Procedure:
     @property
     def key(self) -> str:
         """Key of the file; of several wires with that of the wire, as "FILE:WIRE"."""
-        return f"{self.document.key}:{self.wire.key}" if self.several else self.document.key
+        return str(ProcedureKey(self.document.key, self.wire.key if self.several else ""))
 
     @property
     def name(self) -> str:

@@ -20,6 +20,7 @@ from sightline.errors import SetUpError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Plan, Procedure, kind
 from sightline.planning.bone.directions import anatomical, unit
+from sightline.planning.procedures.procedure import ProcedureKey
 from sightline.planning.verdict.patient_axes import frame_axes
 from sightline.rehearsal.patient import RehearsedPatient, draw_patient
 from sightline.studies.plots import Span, spans
@@ -207,7 +208,7 @@ def _drawn(rng: np.random.Generator, frame: Frame, of: WrongKind) -> PlanPixels:
     for _ in range(ATTEMPTS):
         seed, side = int(rng.integers(2**32)), str(rng.choice(["right", "left"]))
         try:
-            patient = draw_patient(of.procedure.partition(":")[0], seed, frame, side, imaged=False)
+            patient = draw_patient(ProcedureKey.of(of.procedure).file, seed, frame, side, imaged=False)
             return _planned(rng, patient, of, asked)
         except SightlineError:  # a point outside an image, a wire that this bone does not have
             continue
