@@ -20,7 +20,7 @@ $(READY): requirements.lock pyproject.toml
 	$(PIP) --no-deps --no-build-isolation -e .
 	@touch $@
 
-# The first demo compiles the kernels and keeps them. Tests in several processes would each compile them.
+# The first demo compiles the kernels and keeps them. Tests in several processes would wait for one that compiles.
 $(KERNELS): $(READY)
 	-@$(BIN)/sightline demo --quiet --out $(VENV)/first-run
 	@touch $@

@@ -12,8 +12,7 @@ import numpy as np
 from campaigns.campaign import Campaign, Damage, Ended
 from sightline.calibration.exchange.formats import FORMATS, read_view, write_view
 from sightline.calibration.exchange.pinhole import Pinhole
-from sightline.detection.csv_files import read_observations
-from sightline.detection.detections_csv import read_detections
+from sightline.detection.csv_files import read_detections, read_observations
 from sightline.frame import Frame
 from sightline.frame.measured.measurements import read_measurements
 from sightline.frame.table import frame_from_csv

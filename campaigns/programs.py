@@ -34,7 +34,6 @@ from sightline.detection.csv_files import write_observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_png
-from sightline.rehearsal.kernels_ahead import KernelsAhead
 from sightline.studies.runs.record import Record
 from sightline.studies.scenes import VIEWS
 
@@ -324,13 +323,11 @@ def demonstrated() -> Write:
         patch.object(demo, "record", lambda _, what: steps.append(lambda out: record(out / "case", what))),
         patch.object(demo, "_write_results", lambda _, *what: steps.append(lambda out: results(out, *what))),
         demo.RobotAhead(demo.SEED, "hip-screw", "gamma") as ahead,
-        KernelsAhead("gamma", demo.METHODS) as kernels,
     ):
         demo._run(
             output,
             computed,
             ahead,
-            kernels,
             seed=demo.SEED,
             frame_name="gamma",
             procedure="hip-screw",

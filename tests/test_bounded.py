@@ -13,8 +13,7 @@ from sightline.case.deidentify import Deidentifier
 from sightline.case.interop.dicom_plan import ReferencedImage
 from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal.originals import anonymous_name
-from sightline.detection.csv_files import read_observations
-from sightline.detection.detections_csv import read_detections
+from sightline.detection.csv_files import read_detections, read_observations
 from sightline.errors import UnusableInputError
 from sightline.frame.measured.measurements import read_measurements
 from sightline.frame.table import frame_from_csv

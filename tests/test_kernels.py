@@ -8,8 +8,8 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from types import FunctionType, ModuleType
 
-import numba as nb
 import numpy as np
 import pytest
 from numba.core.registry import CPUDispatcher
@@ -17,7 +17,173 @@ from numba.core.registry import CPUDispatcher
 import sightline
 from sightline.case.views import NAMES
 from sightline.imaging.files import write_png
+from sightline.kernels import version
 from sightline.twin import hip_scene, render
+
+# Functions that numba compiles to instructions of the caller. Others are kernels of numba's own, with the options of
+# whatever was compiled first.
+_OF_THE_CALLER = {
+    "exp",
+    "log",
+    "sqrt",
+    "float32",
+    "int32",
+    "uint32",
+    "zeros",
+    "empty",
+    "len",
+    "range",
+    "min",
+    "max",
+    "int",
+}
+
+
+def _kernels() -> dict[str, CPUDispatcher]:
+    """Return the package's kernels by module and name."""
+    names = [
+        module.name for module in pkgutil.walk_packages(sightline.__path__, "sightline.") if ".app" not in module.name
+    ]
+    held = [value for name in names if "__main__" not in name for value in vars(import_module(name)).values()]
+    kernels = [value for value in held if isinstance(value, CPUDispatcher)]
+    return {f"{kernel.py_func.__module__}.{kernel.__name__}": kernel for kernel in kernels}
+
+
+def _read_by(kernel: CPUDispatcher) -> dict[str, object]:
+    """Return what a kernel reads from its module by name."""
+    here = kernel.py_func.__globals__
+    return {name: here[name] for name in kernel.py_func.__code__.co_names if name in here}
+
+
+def _called(kernel: CPUDispatcher) -> set[str]:
+    """Return the names of functions and operators of numba's own in a kernel."""
+    (function,) = ast.parse(inspect.getsource(kernel.py_func)).body
+    assert isinstance(function, ast.FunctionDef)
+    names, read = set[str](), _read_by(kernel)
+    for node in (node for statement in function.body for node in ast.walk(statement)):
+        if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.Pow | ast.MatMult):
+            names.add(type(node.op).__name__)
+        if isinstance(node, ast.Call):
+            names.add(node.func.attr if isinstance(node.func, ast.Attribute) else ast.unparse(node.func))
+    return names - read.keys()
+
+
+def test_fastmath_is_for_kernels_that_python_calls_and_uses_no_kernel_of_numba() -> None:
+    kernels = _kernels()
+    assert len(kernels) > 60
+    fast = {name for name, kernel in kernels.items() if kernel.targetoptions["fastmath"]}
+    assert {name: _called(kernels[name]) - _OF_THE_CALLER for name in fast} == {name: set() for name in fast}
+    for name, caller in kernels.items():
+        assert caller.targetoptions.keys() >= {"fastmath", "error_model", "forceinline", "boundscheck"}, name
+        called = [value for value in _read_by(caller).values() if isinstance(value, CPUDispatcher)]
+        assert not [part for part in called if part.targetoptions["fastmath"] and not part.targetoptions["forceinline"]]
+
+
+def test_every_constant_of_a_kernel_is_in_a_file_that_the_version_counts() -> None:
+    """A constant under a name in lower case, or one read through a module, would outlive its change."""
+    for name, kernel in _kernels().items():
+        for read, value in _read_by(kernel).items():
+            if isinstance(value, ModuleType):
+                assert read == "np", name
+            elif not isinstance(value, CPUDispatcher | FunctionType | type):
+                assert read.isupper(), f"{name} reads {read}"
+
+
+_CALLER = """
+from sightline.kernels import kernel
+from sightline.callee import halved
+from sightline.limits import LIMIT
+
+@kernel()
+def called(x):
+    return LIMIT - halved(x)
+
+@kernel()
+def second(x):
+    return x[1]
+"""
+_CALLEE = """
+from sightline.kernels import kernel
+
+@kernel()
+def halved(x):
+    return 0.5 * x
+"""
+_CALL = """
+import numpy as np
+from sightline.caller import called, second
+x = np.arange(4.0)
+print(called(3.0), second(x), sum(called.stats.cache_hits.values()))
+"""
+
+
+def _run(program: str, folder: Path) -> subprocess.Popen[str]:
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    environment["PYTHONPATH"] = str(folder)
+    command = [sys.executable, "-B", "-c", program]
+    return subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True)  # noqa: S603 - ours
+
+
+def _printed(program: str, folder: Path) -> str:
+    return _run(program, folder).communicate()[0]
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A folder with a package of two modules with kernels, one with a constant, and one with neither."""
+    package = tmp_path / "sightline"
+    package.mkdir()
+    texts = {"__init__": "", "caller": _CALLER, "callee": _CALLEE, "limits": "LIMIT = 10.0", "other": "LIMIT = 1"}
+    texts["kernels"] = Path(inspect.getfile(version)).read_text()
+    for name, text in texts.items():
+        (package / f"{name}.py").write_text(text)
+    return package
+
+
+def test_kernels_are_compiled_again_where_a_file_that_they_are_made_from_has_changed(package: Path) -> None:
+    assert _printed(_CALL, package.parent) == "8.5 1.0 0\n"
+    (package / "other.py").write_text("LIMIT = 2")
+    assert _printed(_CALL, package.parent) == "8.5 1.0 1\n"
+    (package / "limits.py").write_text("LIMIT = 15.5")
+    assert _printed(_CALL, package.parent) == "14.0 1.0 0\n"
+    (package / "callee.py").write_text(_CALLEE.replace("0.5", "2.0"))
+    assert _printed(_CALL, package.parent) == "9.5 1.0 0\n"
+    assert len(list((package / "__pycache__").glob("kernels-*"))) == 3
+    (package / "limits.py").write_text("LIMIT = 20.5")
+    assert _printed(_CALL, package.parent) == "14.5 1.0 0\n"
+    assert len(list((package / "__pycache__").glob("kernels-*"))) == 3
+
+
+def test_another_cache_folder_is_used_where_the_package_cannot_be_written(package: Path, monkeypatch) -> None:
+    (package / "__pycache__").write_text("no folder")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(package.parent / "cache"))
+    assert [_printed(_CALL, package.parent) for _ in range(2)] == ["8.5 1.0 0\n", "8.5 1.0 1\n"]
+    assert len(list((package.parent / "cache" / "sightline").glob("kernels-*"))) == 1
+
+
+# As numba writes: first the index, then the code. The pause lets another process come between.
+_SLOW = """
+import time
+from numba.core.caching import IndexDataCacheFile
+write = IndexDataCacheFile._save_index
+def slowly(self, overloads):
+    time.sleep(1.0)
+    write(self, overloads)
+IndexDataCacheFile._save_index = slowly
+import numpy as np
+from sightline.caller import second
+print(second(np.arange(4, dtype=DTYPE)))
+"""
+
+
+def test_two_processes_that_compile_for_different_types_leave_code_for_both(package: Path) -> None:
+    """Without a lock one names the file that the other writes: later, code runs on arguments of other types."""
+    both = [_run(_SLOW.replace("DTYPE", f'"{dtype}"'), package.parent) for dtype in ("f8", "f4")]
+    assert [process.communicate()[0] for process in both] == ["1.0\n", "1.0\n"]
+    program = "import numpy as np\nfrom sightline.caller import second\n"
+    program += "print(second(np.arange(4.0)), second(np.arange(4, dtype='f4')), len(second.stats.cache_misses))"
+    assert _printed(program, package.parent) == "1.0 1.0 0\n"
+
 
 _FIND = """
 import hashlib, sys
@@ -30,146 +196,6 @@ for path in sys.argv[1:]:
         whole.update(values.tobytes())
 print(whole.hexdigest())
 """
-
-
-# Functions and methods that numba compiles to instructions of the caller, or to a call of the C library, and those that
-# compute nothing but indices. All others are kernels of numba's own.
-_OF_THE_CALLER = {"exp", "log", "sqrt", "float32", "int32", "int64", "uint8", "uint32", "uint64"} | {
-    *("array", "copy", "empty", "ones", "reshape", "zeros"),
-}
-
-
-def _kernels() -> dict[str, CPUDispatcher]:
-    """Return the package's kernels by module and name."""
-    names = [one.name for one in pkgutil.walk_packages(sightline.__path__, "sightline.") if ".app" not in one.name]
-    held = [value for name in names if "__main__" not in name for value in vars(import_module(name)).values()]
-    kernels = [value for value in held if isinstance(value, CPUDispatcher)]
-    return {f"{one.py_func.__module__}.{one.__name__}": one for one in kernels}
-
-
-def _called_by(kernel: CPUDispatcher) -> list[CPUDispatcher]:
-    here = kernel.py_func.__globals__
-    return [here[name] for name in kernel.py_func.__code__.co_names if isinstance(here.get(name), CPUDispatcher)]
-
-
-def test_kernels_state_how_they_are_compiled_and_fastmath_is_for_python_or_inlined() -> None:
-    kernels = _kernels()
-    assert len(kernels) > 60
-    assert {"fit_part", "_cast_volume"} <= {one.__name__ for one in kernels.values() if _is_fast(one)}
-    for caller in kernels.values():
-        assert caller.targetoptions.keys() >= {"fastmath", "error_model", "forceinline"}, caller.__name__
-        copied = [one for one in _called_by(caller) if _is_fast(one) and not one.targetoptions["forceinline"]]
-        assert [one.__name__ for one in copied] == [], caller.__name__
-
-
-def _is_fast(kernel: CPUDispatcher) -> bool:
-    return bool(kernel.targetoptions.get("fastmath"))
-
-
-def _with_inlined(kernel: CPUDispatcher) -> list[CPUDispatcher]:
-    """Return a kernel and those that become part of it before it is compiled."""
-    inlined = [one for one in _called_by(kernel) if one.targetoptions.get("inline") == "always"]
-    return [kernel, *(part for one in inlined for part in _with_inlined(one))]
-
-
-def _kernels_of_numba(kernel: CPUDispatcher) -> set[str]:
-    """Return the operators, functions and methods in a kernel for which numba has kernels of its own."""
-    found = set[str]()
-    for part in _with_inlined(kernel):
-        (function,) = ast.parse(inspect.getsource(part.py_func)).body
-        assert isinstance(function, ast.FunctionDef)
-        for node in (node for statement in function.body for node in ast.walk(statement)):
-            if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.Pow | ast.MatMult):
-                found.add(type(node.op).__name__)
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
-                found.add(node.func.attr)
-    return found - _OF_THE_CALLER
-
-
-def test_no_kernel_with_fastmath_uses_a_kernel_of_numba_which_any_other_may_have_compiled_without() -> None:
-    fast = [one for one in _kernels().values() if _is_fast(one)]
-    assert {one.__name__: found for one in fast if (found := _kernels_of_numba(one))} == {}
-
-
-@nb.njit(inline="always")
-def _root(x: float, y: float) -> float:
-    return np.hypot(x, y)
-
-
-@nb.njit(fastmath=True)
-def _raised(x: np.ndarray) -> float:
-    return _root(x[0], x[1]) + x.sum() ** 2 + np.sqrt(x[0])
-
-
-def test_kernels_of_numba_are_found_where_they_are_inlined() -> None:
-    assert isinstance(_raised, CPUDispatcher)
-    assert _kernels_of_numba(_raised) == {"Pow", "sum", "hypot"}
-
-
-_CALLER = """
-from sightline.kernels import exact
-from callee import halved
-from limits import LIMIT
-
-@exact
-def called(x):
-    return LIMIT - halved(x)
-
-@exact
-def second(x):
-    return x[1]
-"""
-_CALLEE = """
-from sightline.kernels import exact
-
-@exact
-def halved(x):
-    return 0.5 * x
-"""
-_CALL = """
-import numpy as np
-from caller import called, second
-from sightline.kernels import is_compiled
-x = np.arange(4.0)
-print(is_compiled(called), called(3.0), second(x[::2]), second(x))
-"""
-
-
-def _print_calls(folder: Path) -> str:
-    command = [sys.executable, "-B", "-c", _CALL]
-    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    ran = subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True, text=True)  # noqa: S603 - ours
-    return ran.stdout
-
-
-@pytest.fixture
-def compiled(tmp_path: Path) -> Path:
-    """A folder with two modules whose kernels are on the disk."""
-    (tmp_path / "caller.py").write_text(_CALLER)
-    (tmp_path / "callee.py").write_text(_CALLEE)
-    (tmp_path / "limits.py").write_text("LIMIT = 10.0")
-    assert _print_calls(tmp_path) == "False 8.5 2.0 1.0\n"
-    assert len(list(tmp_path.rglob("caller.second-*.nbc"))) == 2
-    return tmp_path
-
-
-@pytest.mark.parametrize(
-    ("file", "new", "want"), [("callee", _CALLEE.replace("0.5", "2.0"), "4.0"), ("limits", "LIMIT = 15.5", "14.0")]
-)
-def test_a_kernel_is_compiled_again_when_another_file_has_changed(
-    file: str, new: str, want: str, compiled: Path
-) -> None:
-    (compiled / f"{file}.py").write_text(new)
-    assert _print_calls(compiled) == f"False {want} 2.0 1.0\n"
-    assert len(list(compiled.rglob("caller.called-*.nbc"))) == 2
-
-
-def test_code_for_other_types_than_its_index_says_is_not_run(compiled: Path) -> None:
-    one, other = sorted(compiled.rglob("caller.second-*.nbc"))  # as two processes leave it that write at once
-    held = one.read_bytes()
-    one.write_bytes(other.read_bytes())
-    other.write_bytes(held)
-    assert _print_calls(compiled) == "True 8.5 2.0 1.0\n"
 
 
 @pytest.mark.slow

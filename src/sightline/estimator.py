@@ -37,7 +37,8 @@ CHANGES = {
     "the tip of a wire is fitted with the width that the wire has there, before with that of its last pieces, "
     "and with less of the background beyond it",
     17: "calibration computes with NumPy what kernels did, which rounds differently; the handedness of a solid's image "
-    "is decided by the adjustment itself, with the errors of its balls, before by a camera of its own",
+    "is decided by the adjustment itself, with the errors of its balls, before by a camera of its own; "
+    "sums of a bead's fit are added in one stated order, so that the last digits of centres and errors differ",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

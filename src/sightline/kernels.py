@@ -1,115 +1,152 @@
 """Kernels: functions that numba compiles, and keeps on the disk for the processes to come.
 
-Results are bit-identical for the same image, whichever kernel is compiled first. Three properties of numba stand in the
-way. It takes unstated options (fastmath, error model, inlining) from the caller that is compiled first. The linker may
-call any loaded copy of a function that is not inlined, whichever caller it was compiled with; the last bits of fastmath
-differ between copies. And numba's own functions (whole powers, hypot, sums) state no options. Therefore all options are
-stated; fastmath is used only in kernels that Python calls, or that are inlined there; and it computes with operators
-and intrinsics alone (sqrt, exp, log).
+Estimates are bit-identical on one machine, whichever kernel was compiled first. numba takes options that are not stated
+from the caller that is compiled first; so all are stated here. A function that is not inlined is there once for each
+kernel that calls it, and the linker may take any of these copies. Their bits agree as long as no sum is reordered.
+Therefore fastmath is only for kernels that Python calls and for parts that are inlined in these.
 """
 
-from collections.abc import Callable
+import os
+import re
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import IO, Any
 
 import numba as nb
-import numpy as np
-from numba.core.caching import FunctionCache
-from numba.core.registry import CPUDispatcher
-from numba.core.sigutils import normalize_signature
+from numba.core import config, event
 
-FAST = {"reassoc", "contract", "arcp", "nsz"}  # the part of fastmath that keeps NaN and infinity
-_STATED: dict[str, Any] = {"fastmath": False, "error_model": "python", "forceinline": False}  # numba's defaults
+_CONFIG: Any = config  # which NUMBA_CACHE_DIR and the other variables set
+_PACKAGE = Path(__file__).parent
+_NAME = "kernels-"  # a folder's name begins like this
+_KEPT_VERSIONS = 3  # so that a change of branches compiles nothing [ours]
+_IMPORTED = re.compile(rb"^from (sightline[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
+_CONSTANT = re.compile(rb"\b[A-Z][A-Z0-9_]+\b")
+# The part of fastmath that lets sums be reordered, and keeps NaN and infinity.
+_FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 
 
-class _Kept(FunctionCache):
-    """A kernel's compiled code on the disk, with two faults of numba's cache mended.
+def kernel(
+    *, nogil: bool = False, fastmath: bool = False, inlined: bool = False
+) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator that compiles a function on its first call.
 
-    It asks only whether the kernel's own file is the same. But what the kernel calls or reads in other files may have
-    changed, by a new version of this package: old code would be run. And of two processes that add to it at once, one
-    may name the other's file: code would be run with arguments of other types.
+    `nogil`: other threads of Python run meanwhile. `fastmath`: sums may be reordered; with operators, sqrt, exp and log
+    alone, because numba's own functions state no options. `inlined`: compiled into each caller, for parts with
+    `fastmath` and for what is called a thousand times an image.
+    Division by zero gives infinity or NaN.
     """
-
-    def __init__(self, kernel: CPUDispatcher) -> None:
-        super().__init__(kernel.py_func)
-        self._kernel = kernel
-
-    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        fields = tuple(getattr(one, "fields", ()) for one in normalize_signature(sig)[0])  # of named tuples, in order
-        return (*super()._index_key(sig, codegen), fields, _made_from(self._kernel))
-
-    def holds_any(self) -> bool:
-        """Return whether there is code for any types, made from the present sources."""
-        index = self._cache_file._load_index()  # pyright: ignore[reportPrivateUsage]
-        return any(key[-1] == _made_from(self._kernel) for key in index)
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        found = super().load_overload(sig, target_context)
-        if found is not None and tuple(found.signature.args) != tuple(normalize_signature(sig)[0]):
-            return None
-        return found
-
-
-@cache
-def _made_from(kernel: CPUDispatcher) -> str:
-    """Return a hash of the files of a kernel and of those that it calls, and of the constants they read."""
-    return sha256("\n".join(sorted(_parts(kernel))).encode()).hexdigest()
-
-
-@cache
-def _parts(kernel: CPUDispatcher) -> frozenset[str]:
-    function, found = kernel.py_func, {_source(__file__), _source(kernel.py_func.__code__.co_filename)}
-    for name in function.__code__.co_names:
-        value = function.__globals__.get(name)
-        if isinstance(value, CPUDispatcher):
-            found |= _parts(value)
-        elif isinstance(value, ModuleType):
-            found.add(_source(getattr(value, "__file__", None) or ""))
-        elif isinstance(value, np.ndarray):
-            found.add(f"{name} {value.dtype} {value.shape} {sha256(value.tobytes()).hexdigest()}")
-        else:
-            found.add(f"{name} {getattr(value, '_fields', value)!r}")
-    return frozenset(found)
-
-
-@cache
-def _source(path: str) -> str:
-    file = Path(path)  # not there in a frozen program, of which numba compares the whole
-    return sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
-
-
-def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that compiles a function for the types of its arguments, with numba's `options`."""
+    options: dict[str, Any] = {
+        "nogil": nogil,
+        "fastmath": _FASTMATH if fastmath else False,
+        "forceinline": inlined,
+        "error_model": "numpy",
+        "boundscheck": False,
+    }
 
     def compiled(function: Callable[..., Any]) -> Any:
-        one = nb.njit(**(_STATED | options))(function)
-        if isinstance(one, CPUDispatcher):  # else numba is told to compile nothing
-            vars(one)["_cache"] = _Kept(one)  # as its option `cache` does
-        return one
+        folder, before = cache_folder(), _CONFIG.CACHE_DIR
+        # numba reads the folder when it decorates. Other programs' kernels in this process keep their own.
+        _CONFIG.CACHE_DIR = str(folder or "")
+        try:
+            return nb.njit(cache=folder is not None, **options)(function)
+        finally:
+            _CONFIG.CACHE_DIR = before
 
     return compiled
 
 
-def is_compiled(function: Callable[..., Any]) -> bool:
-    """Return whether a kernel is on the disk for some types, or numba compiles nothing."""
-    kept = vars(function).get("_cache")
-    return not isinstance(kept, _Kept) or kept.holds_any()
+@cache
+def cache_folder() -> Path | None:
+    """Return the folder of this version's compiled kernels; None where no folder can be written.
+
+    It is in NUMBA_CACHE_DIR where that is set, else in the package, else in the user's cache. The oldest versions
+    beside it are removed.
+    """
+    chosen = _CONFIG.CACHE_DIR
+    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
+    for place in [Path(chosen)] if chosen else [_PACKAGE / "__pycache__", Path(home) / "sightline"]:
+        folder = place / f"{_NAME}{version(_PACKAGE)}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+        except OSError:
+            continue
+        others = [path for path in place.glob(f"{_NAME}*") if path != folder]
+        for old in sorted(others, key=lambda path: path.stat().st_mtime)[: 1 - _KEPT_VERSIONS]:
+            shutil.rmtree(old, ignore_errors=True)
+        event.register("numba:compiler_lock", _OneProcess(folder / "lock"))
+        return folder
+    return None
 
 
-exact = kernel()
-exact_unchecked = kernel(error_model="numpy")
-# For what is called a thousand times an image: each call of another kernel counts the references to its arrays, and
-# atomic counters stall the processor.
-inlined = kernel(forceinline=True)
-fast = kernel(fastmath=FAST, error_model="numpy", forceinline=True)
-# Inlined before compilation; otherwise a function with one caller would be compiled twice.
-part_of_caller = kernel(inline="always")
+def version(package: Path) -> str:
+    """Return a hash of numba's version and of the files that kernels are made from.
+
+    These are the files that import this module, and those from which they import constants. Only they count, so that a
+    change elsewhere compiles nothing: all kernels take a minute. numba itself looks only at the file of a kernel, not
+    at what the kernel calls or reads in other files.
+    """
+    texts = {path: path.read_bytes() for path in package.rglob("*.py")}
+    made_from = [path for path, text in texts.items() if b"from sightline.kernels import" in text]
+    for path in made_from:  # which grows
+        made_from += [other for other in _constants_of(texts[path], package) if other not in made_from]
+    whole = sha256(f"{nb.__version__}\n".encode())
+    for path in sorted({*made_from, package / "kernels.py"} & texts.keys()):
+        whole.update(str(path.relative_to(package)).encode() + texts[path])
+    return whole.hexdigest()[:16]
 
 
-@part_of_caller
-def squared(x):
-    """Return x * x, as numba's own powers may not be used with fastmath."""
-    return x * x
+def _constants_of(text: bytes, package: Path) -> Iterator[Path]:
+    """Yield the modules from which a module imports constants."""
+    for module, names in _IMPORTED.findall(text):
+        if _CONSTANT.search(names):
+            path = package.parent.joinpath(*module.decode().split("."))
+            yield from (file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file())
+
+
+class _OneProcess(event.Listener):
+    """Lets one process at a time compile: a file is locked as long as numba's own lock is held.
+
+    Of two processes that add code for different types to a kernel, one could name the file that the other writes: code
+    would run on arguments of another type. A process that has waited finds on the disk what the other has compiled.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._held = path, threading.local()
+
+    def on_start(self, event: Any) -> None:
+        """Wait for the file. numba's lock is re-entrant, so it counts."""
+        depth = self._held.depth = getattr(self._held, "depth", 0) + 1
+        if depth == 1:
+            self._held.file = _locked(self._path)
+
+    def on_end(self, event: Any) -> None:
+        """Close the file, which unlocks it."""
+        self._held.depth -= 1
+        if self._held.depth == 0:
+            self._held.file.close()
+
+
+def _locked(path: Path) -> IO[bytes]:
+    """Return an open file that no other process or thread has locked; wait for it."""
+    path.parent.mkdir(parents=True, exist_ok=True)  # another version may have removed it
+    file = path.open("wb")
+    if sys.platform == "win32":
+        import msvcrt
+
+        while True:
+            try:
+                msvcrt.locking(file.fileno(), msvcrt.LK_LOCK, 1)  # for ten seconds
+                return file
+            except OSError:
+                continue
+    import fcntl
+
+    fcntl.flock(file, fcntl.LOCK_EX)
+    return file

@@ -9,7 +9,8 @@ import pytest
 from bead_images import Bead, radiograph, transmission
 
 from sightline.detection import Observations, detect, label, look_again, scale
-from sightline.detection.beads import columns, refine
+from sightline.detection.beads import refine
+from sightline.detection.beads.bead import centres
 from sightline.detection.detector import bead_fitter
 from sightline.detection.second_look import look_again as second_look
 from sightline.detection.second_look.overlaps import without_overlaps
@@ -358,7 +359,8 @@ def test_two_fits_of_one_shadow_are_no_beads(apart: float, kept: int) -> None:
     """A program that accepts each fit by its own prediction alone gives one shadow to two beads."""
     uv = np.array([[100.3, 100.2], [100.3 + apart, 100.2], [150.4, 120.7]])
     fits = refine.start(uv, np.full(3, 9.0), np.full(3, -0.7))
-    fits[:, [columns.CUU, columns.CVV]], fits[:, columns.CCC], fits[:, columns.WEAKEST] = 0.01, 1e-4, 1.0
+    fits["uu_px2"] = fits["vv_px2"] = 0.01
+    fits["contrast_variance"], fits["weakest"] = 1e-4, 1.0
     predicted = uv + np.array([[-0.8, 0.5], [0.9, -0.4], [0.3, 0.2]])
     expected = second_look._Expected(predicted, np.full(3, 2.0), np.full(3, 9.0), np.full(3, -0.7), np.full(3, -1))
     clear = second_look._clear(fits, expected.start(), expected, np.arange(3), np.zeros(3, bool))
@@ -458,11 +460,11 @@ def test_the_shadows_of_a_finer_image_are_those_of_its_beads_in_both_scales() ->
     beads = detect(replace(coarse, pixels=np.minimum(pixels, np.uint16(coarse.white))))
     for one in (beads, scale.coarser(beads)):
         assert one.shadows is not None
-        assert np.array_equal(one.shadows[:, :2], one.uv_px)
+        assert np.array_equal(centres(one.shadows), one.uv_px)
     usual, binned = detect(coarse).shadows, scale.coarser(beads).shadows
     assert usual is not None
     assert binned is not None
-    assert np.median(binned[:, 2]) == pytest.approx(np.median(usual[:, 2]), rel=0.1)
+    assert np.median(binned["blur_px"]) == pytest.approx(np.median(usual["blur_px"]), rel=0.1)
 
 
 def test_neighbours_at_one_distance_are_all_taken_whatever_the_rounding() -> None:

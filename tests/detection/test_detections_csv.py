@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.detection import Detections, detect
-from sightline.detection.detections_csv import are_detections, label_csv, read_detections
+from sightline.detection.csv_files import are_detections, label_csv, read_detections
 from sightline.detection.labelling import label
 from sightline.errors import ObservationsError
 from sightline.twin import hip_scene, render

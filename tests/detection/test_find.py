@@ -8,6 +8,7 @@ from bead_images import Bead, grid, quanta, radiograph
 
 from sightline.detection.beads.candidates import Candidates, distinct, find_candidates
 from sightline.detection.beads.noise import estimate_noise
+from sightline.detection.beads.rim import EXTREMUM
 from sightline.detection.log_image import field_inset, log_image
 from sightline.imaging import Radiograph
 
@@ -96,8 +97,8 @@ def test_of_edges_corners_and_wires_only_a_crossing_may_pass_for_a_candidate() -
 
 
 def test_distinct_keeps_the_better_of_a_repetition_and_both_signs() -> None:
-    rows = np.array([[50.0, 50, 9, -1], [52, 50, 8, -1], [56, 50, 8, -1], [50, 50, 4, 1], [300, 300, 9, -1]])
-    assert distinct(rows).tolist() == [True, False, True, True, True]
+    spots = [(50.0, 50, 9, -1), (52, 50, 8, -1), (56, 50, 8, -1), (50, 50, 4, 1), (300, 300, 9, -1)]
+    assert distinct(np.array(spots, EXTREMUM)).tolist() == [True, False, True, True, True]
 
 
 def test_candidates_do_not_depend_on_the_images_searched_before_or_beside() -> None:

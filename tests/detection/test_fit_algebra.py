@@ -6,26 +6,38 @@ from scipy.ndimage import binary_dilation, convolve1d
 
 from sightline.detection.beads.fit import _effective_parameters
 from sightline.detection.beads.noise import LAGS
-from sightline.detection.beads.refine import _by_distance
-from sightline.detection.beads.shadow import solve
+from sightline.detection.beads.refine import by_distance
+from sightline.detection.beads.shadow import normal_equations, solve
 from sightline.detection.beads.window import (
     CLIPPED,
     HIDDEN,
     NEAR_UNUSABLE,
     SEEN,
+    along_both_axes,
     correlated_products,
     mark_near_unusable,
 )
 
 
-@pytest.mark.parametrize("lags", [3, 4])
+@pytest.mark.parametrize("reach", [0, 3, 6, 7])
+def test_a_filter_of_any_length_is_a_convolution_along_both_axes(reach: int) -> None:
+    rng = np.random.default_rng(8)
+    field, taps = rng.normal(size=(23, 25)).astype(np.float32), rng.normal(size=reach + 1).astype(np.float32)
+    whole = np.concatenate([taps[:0:-1], taps]).astype(np.float64)
+    expected = convolve1d(convolve1d(field.astype(np.float64), whole, 0), whole, 1)
+    inner = slice(reach, 23 - reach), slice(reach, 25 - reach)
+    got = along_both_axes(field, taps)[:, : 25 - 2 * reach]
+    np.testing.assert_allclose(got, expected[inner], rtol=0, atol=1e-5 * np.abs(whole).sum() ** 2)
+
+
+@pytest.mark.parametrize("lags", [2, 3, 4])
 def test_products_through_correlated_noise_are_those_of_convolved_fields(lags: int) -> None:
     # Fields that differ and are not symmetric: a program that swaps fields or axes, or drops the last lag, fails.
     rng = np.random.default_rng(5)
     side, correlation = 17, np.append(1.0, rng.uniform(-0.3, 0.5, lags)).astype(np.float32)
     u, v, w = fields = [np.pad(rng.normal(size=(side, side)), LAGS).astype(np.float32) for _ in range(3)]
     kernel = np.concatenate([correlation[:0:-1], correlation]).astype(np.float64)
-    got = correlated_products(np.array([one.ravel() for one in fields]), correlation, np.uint32(side + 2 * LAGS))
+    got = correlated_products(np.array([one.ravel() for one in fields]), correlation, side + 2 * LAGS)
     for product, one, other in zip(got, (u, u, v, w), (u, v, v, w), strict=True):
         convolved = convolve1d(
             convolve1d(other.astype(np.float64), kernel, 0, mode="constant"), kernel, 1, mode="constant"
@@ -49,27 +61,31 @@ def test_effective_parameters_are_the_trace_through_correlated_noise(reach: floa
     terms += [~inside * x**a * y**b for a in range(4) for b in range(4 - a)]
     padded = -len(r) % 32
     columns = np.pad(np.array(terms), ((0, 0), (0, padded))).astype(np.float32)
-    lower = np.linalg.cholesky(columns @ columns.T + 1e-3 * np.eye(len(columns)))
+    upper = np.linalg.cholesky(columns @ columns.T + 1e-3 * np.eye(len(columns))).T.copy()
     rows = np.zeros((len(columns), 31, 31))
-    rows[:, *where] = np.linalg.solve(lower, columns)[:, : len(r)]
+    rows[:, *where] = np.linalg.solve(upper.T, columns)[:, : len(r)]
     kernel = np.array([*correlation[:0:-1], *correlation])
     through = convolve1d(convolve1d(rows, kernel, 1, mode="constant"), kernel, 2, mode="constant")
     got = _effective_parameters(
-        columns, np.pad(where, ((0, 0), (0, padded))).astype(np.uint32), lower, _by_distance(np.array(correlation))
+        columns, np.pad(where, ((0, 0), (0, padded))).astype(np.uint32), upper, by_distance(np.array(correlation))
     )
     assert got == pytest.approx((rows * through).sum(), rel=0.04)  # as the docstring states
 
 
-def test_symmetric_equations_are_solved_from_their_lower_half() -> None:
+@pytest.mark.parametrize("unknowns", [19, 20, 31])
+def test_symmetric_equations_are_solved(unknowns: int) -> None:
     rng = np.random.default_rng(6)
-    jacobian = rng.normal(size=(40, 19))
-    matrix, right = jacobian.T @ jacobian, rng.normal(size=19)
-    held = np.full((21, 21), np.nan)  # as in a fit: two rows more, and an upper half that means nothing
-    held[:19, :19] = np.where(np.tri(19, dtype=bool), matrix, np.nan)
-    lower, found = np.zeros((19, 19)), np.zeros(19)
-    assert solve(held, right, lower, found)
-    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9)
-    np.testing.assert_allclose(np.tril(lower), np.linalg.cholesky(matrix), rtol=1e-10, atol=1e-10)
+    columns = rng.normal(size=(unknowns + 1, 40)).astype(np.float32)  # the derivatives, and the residuals
+    jacobian, residual = columns[:-1].T.astype(np.float64), columns[-1].astype(np.float64)
+    matrix, right = np.empty((unknowns, unknowns)), np.empty(unknowns)
+    square = normal_equations(columns, matrix, right)
+    np.testing.assert_allclose(matrix, jacobian.T @ jacobian, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(right, jacobian.T @ residual, rtol=0, atol=1e-4)
+    assert square == pytest.approx(residual @ residual, rel=1e-5)
+    upper, found = np.zeros(matrix.shape), np.zeros(unknowns)
+    assert solve(np.triu(matrix), right, upper, found)
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-7)
+    np.testing.assert_allclose(np.triu(upper), np.linalg.cholesky(matrix).T, rtol=1e-7, atol=1e-9)
 
 
 def test_equations_that_do_not_determine_every_unknown_are_refused() -> None:

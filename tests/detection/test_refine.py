@@ -5,7 +5,8 @@ import pytest
 from bead_images import Bead, grid, quanta, radiograph
 from scipy.ndimage import gaussian_filter
 
-from sightline.detection.beads import columns, refine
+from sightline.detection.beads import refine
+from sightline.detection.beads.bead import Status, centre_covariances, centres
 from sightline.detection.beads.noise import estimate_noise
 
 SIZE = 320
@@ -18,7 +19,7 @@ def answers(
     scatter: float | np.ndarray = 0.4,
     hidden: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return fits (N, COUNT) with initial errors of 0.3 px and 5 %; `hidden` pixels (H, W) do not count."""
+    """Return fits (N,) with initial errors of 0.3 px and 5 %; `hidden` pixels (H, W) do not count."""
     image = radiograph(quanta(beads, open_quanta, scatter), rng)
     light = np.log(np.maximum(image.pixels, 0.5)).astype(np.float32)
     usable = np.ones(light.shape, bool)
@@ -28,14 +29,13 @@ def answers(
     radius = np.array([b.radius * rng.uniform(0.95, 1.05) for b in beads])
     rows = refine.start(truth + rng.uniform(-0.3, 0.3, truth.shape), radius, np.full(len(beads), -0.9))
     out = refine.BeadFitter(light, usable if hidden is None else ~hidden, noise)(rows)
-    assert (out[:, columns.STATUS] == columns.FITTED).all()
+    assert (out["status"] == Status.FITTED).all()
     return out
 
 
 def errors(beads: list[Bead], out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Errors (N, 2) and covariances (N, 2, 2) of fits."""
-    cov = out[:, [columns.CUU, columns.CUV, columns.CUV, columns.CVV]].reshape(-1, 2, 2)
-    return out[:, :2] - np.array([(b.u, b.v) for b in beads]), cov
+    return centres(out) - np.array([(b.u, b.v) for b in beads]), centre_covariances(out)
 
 
 def fitted(
@@ -83,7 +83,7 @@ def test_stated_covariance_holds_where_half_a_bead_is_hidden() -> None:
             hidden |= beyond & (np.hypot(x - bead.u, y - bead.v) < 20)
         out = answers(beads, np.full((SIZE, SIZE), 120.0), rng, hidden=hidden)
         chi2 += list(normalised(*errors(beads, out)))
-        residual += list(out[:, columns.CHI2])
+        residual += list(out["chi2"])
     assert 0.8 < np.mean(chi2) < 1.2  # standard error 0.07; 0.08 for the noise estimate
     assert 0.9 < np.mean(residual) < 1.15  # 0.02; 0.08 for the noise estimate
 
@@ -144,8 +144,8 @@ def test_the_larger_of_two_sizes_is_a_large_ball() -> None:
     """Not the balls of one size that lie nearer to the source, and appear larger by a fifth."""
     radius = np.array([8.0, 8.0, 8.1, 9.6, 13.3, 15.0])
     rows = refine.start(np.zeros((6, 2)), radius, np.full(6, -0.9))
-    np.testing.assert_array_equal(rows[:, columns.LARGE], [0.0, 0.0, 0.0, 0.0, 1.0, 1.0])
-    assert refine.start(np.zeros((0, 2)), np.zeros(0), np.zeros(0)).shape == (0, columns.COUNT)
+    np.testing.assert_array_equal(rows["large"], [0.0, 0.0, 0.0, 0.0, 1.0, 1.0])
+    assert refine.start(np.zeros((0, 2)), np.zeros(0), np.zeros(0)).shape == (0,)
 
 
 def test_a_large_ball_half_before_clipped_light_is_where_it_is() -> None:
@@ -162,7 +162,7 @@ def test_a_large_ball_half_before_clipped_light_is_where_it_is() -> None:
     places, radii = np.array([(b.u, b.v) for b in (*small, large)]), np.array([8.0, 8.0, 8.0, 13.5])
     rows = refine.start(places, radii, np.full(4, -0.9))
     as_small = rows.copy()
-    as_small[:, columns.LARGE] = 0.0
-    off, off_as_small = (np.hypot(*(fit(each)[3, :2] - (large.u, large.v))) for each in (rows, as_small))
+    as_small["large"] = 0.0
+    off, off_as_small = (np.hypot(*(centres(fit(each))[3] - (large.u, large.v))) for each in (rows, as_small))
     assert off < 0.03
     assert off_as_small > 2 * off

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.detection.beads import columns
+from sightline.detection.beads.bead import BEAD
 from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.second_look.shapes import SHAPE, expected_shapes
 from sightline.frame import Frame
@@ -16,7 +16,7 @@ def plate() -> Pattern:
 
 
 def shapes(pattern: Pattern) -> np.ndarray:
-    """Return true columns SHAPE (P, 4) of an oblique, distorted plate: radii differ by a quarter over it."""
+    """Return true fields SHAPE (P, 4) of an oblique, distorted plate: radii differ by a quarter over it."""
     x, y = pattern.xy_mm.T / 100
     size = np.exp(0.96 + 0.11 * x - 0.07 * y + 0.04 * x * x + 0.03 * x * y)
     return np.stack(
@@ -26,10 +26,11 @@ def shapes(pattern: Pattern) -> np.ndarray:
 
 
 def rows(true: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return fits (P, COUNT) with these shapes and noise."""
-    out, noise = np.zeros((len(true), columns.COUNT)), NOISE * rng.standard_normal(true.shape)
-    out[:, SHAPE] = np.where(np.arange(4) < 2, true * np.exp(noise), true + noise)
-    return out
+    """Return fits (P,) with these shapes and noise."""
+    fits, noise = np.zeros(len(true), BEAD), NOISE * rng.standard_normal(true.shape)
+    for name, values in zip(SHAPE, np.where(np.arange(4) < 2, true * np.exp(noise), true + noise).T, strict=True):
+        fits[name] = values
+    return fits
 
 
 def off(mean: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -58,7 +59,7 @@ def test_a_tenth_of_wrong_shapes_changes_little() -> None:
     fits = rows(true, rng)
     every = np.arange(len(true))
     before = expected_shapes(pattern, every, fits)[0]
-    fits[::10, columns.RADIUS] *= 1.3
+    fits["radius_px"][::10] *= 1.3
     after, sd = expected_shapes(pattern, every, fits)
     assert (abs(off(after, before)) < sd).all()
 

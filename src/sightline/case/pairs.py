@@ -21,7 +21,7 @@ from sightline.case.stages import (
     view_of_acquired,
 )
 from sightline.case.views import NAMES, CalibratedImage, ObservedView, see_oblique, see_pair, spoken
-from sightline.detection.detections_csv import are_detections
+from sightline.detection.csv_files import are_detections
 from sightline.errors import CaseError, RefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.from_images.pipeline import find_beads, label_beads

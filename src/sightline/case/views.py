@@ -9,8 +9,7 @@ from sightline.calibration import BeadView, CArm
 from sightline.calibration.maps.fit_map import Method
 from sightline.case.journal.originals import anonymous_name
 from sightline.detection import Detections, Observations
-from sightline.detection.csv_files import read_observations
-from sightline.detection.detections_csv import are_detections, label_csv
+from sightline.detection.csv_files import are_detections, label_csv, read_observations
 from sightline.errors import FrameError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
 from sightline.from_images.pipeline import find_beads, known_arm, label_beads, view_of

@@ -135,7 +135,7 @@ def see(
     """
     from sightline.case import views
     from sightline.case.journal.originals import anonymous_name
-    from sightline.detection.detections_csv import are_detections, label_csv
+    from sightline.detection.csv_files import are_detections, label_csv
     from sightline.errors import UnusableInputError
 
     if path.suffix.lower() == ".csv":

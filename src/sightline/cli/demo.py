@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from sightline.checks import Check
     from sightline.frame import Frame
     from sightline.planning import WirePlans
-    from sightline.rehearsal.kernels_ahead import KernelsAhead
 
 METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")  # the plan is made with the first
 OF_SOLIDS: "tuple[Method, ...]" = METHODS[:1]  # the others are for plates
@@ -70,15 +69,14 @@ def demo(
             from sightline.atomic import whole_folder
             from sightline.cli.demo_procedures import frame_for
             from sightline.frame import Frame
-            from sightline.rehearsal.kernels_ahead import KernelsAhead
 
             frame_name = frame_for(procedure, frame)
             how_long = "about a quarter of a minute, of three wires twice that"
             output.note(f"Sightline demo, seed {seed}: {how_long}; the first run compiles and takes a minute more")
             read = Frame.load(frame_name)
             ahead.keep_beside(read)
-            with KernelsAhead(frame_name, _methods(read)) as kernels, whole_folder(out, units=("case",)) as scratch:
-                document = _run(output, scratch, ahead, kernels, seed=seed, frame_name=frame_name, procedure=procedure)
+            with whole_folder(out, units=("case",)) as scratch:
+                document = _run(output, scratch, ahead, seed=seed, frame_name=frame_name, procedure=procedure)
                 files = [out / file.name for file in sorted(scratch.iterdir())]
         output.say(f"report: {out / 'report.html'}")
         output.say(f"images and results: {', '.join(file.name for file in files if file.suffix != '.html')} in {out}")
@@ -89,7 +87,6 @@ def _run(
     output: Output,
     folder: Path,
     ahead: RobotAhead,
-    kernels: "KernelsAhead",
     *,
     seed: int,
     frame_name: str,
@@ -123,7 +120,6 @@ def _run(
             write_dicom(rehearsal.images[name], folder / f"demo_{name}.dcm", rehearsal.side) for name in NAMES
         )
     with output.step("2/8 reading the images, finding and labelling the beads"):
-        kernels.wait()
         seen = see_pair(pa, lateral, frame)
     methods = _methods(frame)
     with output.step(f"3/8 calibrating both views: {', '.join(methods)}"):

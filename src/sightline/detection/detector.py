@@ -6,7 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sightline.detection.beads import columns, refine
+from sightline.detection.beads import refine
+from sightline.detection.beads.bead import SHADOW, Status, centre_covariances, centres
 from sightline.detection.beads.candidates import distinct, find_candidates
 from sightline.detection.beads.clipping import allow_for_missing_foot, clipped_shares
 from sightline.detection.beads.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
@@ -52,9 +53,9 @@ _NO_BEADS = (
     "exposed so that they differ from their surroundings"
 )
 _FIT_REASONS = {
-    columns.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
-    columns.WANDERED: "no disc at this place: the fit moved away",
-    columns.SINGULAR: "no disc at this place: the fit found none",
+    Status.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
+    Status.WANDERED: "no disc at this place: the fit moved away",
+    Status.SINGULAR: "no disc at this place: the fit found none",
 }
 
 
@@ -90,7 +91,7 @@ def _detected(image: Radiograph, mask: np.ndarray, logs: np.ndarray, noise: Nois
         binned = image.binned(FACTOR)
         return finer(_detected(binned, *_prepared(binned)), image.shape)
     rows = refine.start(spots.uv_px, spots.radius_px, spots.response)
-    rejected = _rejected(rows[~spots.round], np.full(len(rows), _NOT_ROUND))
+    rejected = _rejected(rows[~spots.round], np.full(np.count_nonzero(~spots.round), _NOT_ROUND))
     usable = without_middles(mask, spots.uv_px[spots.washer], spots.radius_px[spots.washer])
     fit = refine.BeadFitter(logs, usable, noise)
     beads, unfit = _fitted(rows[spots.round], fit)
@@ -103,7 +104,7 @@ def _detected(image: Radiograph, mask: np.ndarray, logs: np.ndarray, noise: Nois
     beads, washer = beads[reason == ""], washer[reason == ""]
     allow_for_missing_foot(beads, clipped_shares(image, usable, beads))
     if len(beads) == 0:
-        why = _LARGE_BEADS if fine else cause_of(image, beads[:, :3], rejected) or _NO_BEADS
+        why = _LARGE_BEADS if fine else cause_of(image, _discs(beads), rejected) or _NO_BEADS
         raise DetectionRefusedError(f"no bead was found ({len(rejected)} candidates were rejected); {why}")
     return _detections(beads, washer, image, rejected)
 
@@ -150,8 +151,8 @@ def _fitted(rows: np.ndarray, fit: refine.BeadFitter) -> tuple[np.ndarray, tuple
     reason[likely[_duplicates(first[likely])]] = "lies on a stronger bead"
     rejected = _rejected(first[reason != ""], reason[reason != ""])
     beads, gone = first[reason == ""], rows[reason != ""]
-    apart = distances(beads[:, :2], gone[:, :2])
-    near = apart < beads[:, None, columns.RADIUS] + gone[None, :, columns.RADIUS] + _WINDOW_PX
+    apart = distances(centres(beads), centres(gone))
+    near = apart < beads["radius_px"][:, None] + gone["radius_px"] + _WINDOW_PX
     again = np.flatnonzero(near.any(axis=1))
     beads[again] = fit(beads, again)
     reason = fine_reasons(beads)
@@ -171,25 +172,25 @@ def without_middles(mask: np.ndarray, uv_px: np.ndarray, radius_px: np.ndarray) 
 def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     """Return why each fit is not a bead, judged on its own; empty where it may be one."""
     reason = np.full(len(fit), "", dtype=object)
-    size = fit[:, columns.RADIUS]
+    size = fit["radius_px"]
     excess, weakest = limits
-    reason[fit[:, columns.EXCESS] > excess] = "not a disc: the fit's residual is too large for its contrast"
-    reason[fit[:, columns.WEAKEST] < weakest] = _NOT_ROUND
-    reason[fit[:, columns.BLUR] > _MAX_BLUR * size + 0.1] = f"{NO_RIM}: it fades out like anatomy, not like a bead"
+    reason[fit["excess"] > excess] = "not a disc: the fit's residual is too large for its contrast"
+    reason[fit["weakest"] < weakest] = _NOT_ROUND
+    reason[fit["blur_px"] > _MAX_BLUR * size + 0.1] = f"{NO_RIM}: it fades out like anatomy, not like a bead"
     reason[size < _MIN_RADIUS_PX] = "its radius is below 2 px"
     reason[size > _MAX_RADIUS_PX] = "much larger than most beads"
     for status, why in _FIT_REASONS.items():
-        reason[fit[:, columns.STATUS] == status] = why
+        reason[fit["status"] == status] = why
     return reason
 
 
 def fine_reasons(fit: np.ndarray) -> np.ndarray:
     """Return `_shape_reasons` and the reasons that need the covariance."""
     reason = _shape_reasons(fit, _STRICT)
-    reason[np.maximum(fit[:, columns.CUU], fit[:, columns.CVV]) > _MAX_SD_PX**2] = "its centre is too uncertain"
-    reason[np.abs(fit[:, columns.CONTRAST]) < _MIN_CONTRAST_SD * np.sqrt(np.abs(fit[:, columns.CCC]))] = "lost in noise"
+    reason[np.maximum(fit["uu_px2"], fit["vv_px2"]) > _MAX_SD_PX**2] = "its centre is too uncertain"
+    reason[np.abs(fit["contrast"]) < _MIN_CONTRAST_SD * np.sqrt(np.abs(fit["contrast_variance"]))] = "lost in noise"
     for status, why in _FIT_REASONS.items():
-        reason[fit[:, columns.STATUS] == status] = why
+        reason[fit["status"] == status] = why
     return reason
 
 
@@ -199,20 +200,20 @@ def _outlier_reasons(beads: np.ndarray, washer: np.ndarray) -> np.ndarray:
     `washer` (N,) bool: washers are thin, and therefore fainter than balls.
     """
     reason = np.full(len(beads), "", dtype=object)
-    dark = beads[:, columns.CONTRAST] < 0
-    strength = np.abs(beads[:, columns.CONTRAST]) * beads[:, columns.RADIUS]
+    dark = beads["contrast"] < 0
+    strength = np.abs(beads["contrast"]) * beads["radius_px"]
     few = dark if 2 * strength[dark].sum() < strength.sum() else ~dark
     if np.count_nonzero(few) < _MINORITY * len(beads):
         reason[few] = "dark among bright beads, or bright among dark ones"
     usual = reason == ""
     if np.count_nonzero(usual) >= _ENOUGH_TO_COMPARE:
-        reason[usual & (beads[:, columns.BLUR] > _BLURRED * median(beads[usual, columns.BLUR]))] = (
+        reason[usual & (beads["blur_px"] > _BLURRED * median(beads["blur_px"][usual]))] = (
             "its rim is softer than those of the other beads"
         )
-        reason[usual & (beads[:, columns.RADIUS] < _SMALL * median(beads[usual, columns.RADIUS]))] = (
+        reason[usual & (beads["radius_px"] < _SMALL * median(beads["radius_px"][usual]))] = (
             "much smaller than the other beads"
         )
-        contrast = np.abs(beads[:, columns.CONTRAST])
+        contrast = np.abs(beads["contrast"])
         if (solid := usual & ~washer).any():
             reason[solid & (contrast < _FAINT * median(contrast[solid]))] = "much fainter than the other beads"
     return reason
@@ -220,14 +221,14 @@ def _outlier_reasons(beads: np.ndarray, washer: np.ndarray) -> np.ndarray:
 
 def _at_centres(mask: np.ndarray, beads: np.ndarray) -> np.ndarray:
     """Return (N,) bool: whether a mask (H, W) is true at each bead's centre."""
-    u, v = np.clip(np.rint(beads[:, :2]).astype(int), 0, np.array(mask.shape[::-1]) - 1).T
+    u, v = np.clip(np.rint(centres(beads)).astype(int), 0, np.array(mask.shape[::-1]) - 1).T
     return mask[v, u]
 
 
 def _covered(beads: np.ndarray, written: np.ndarray) -> np.ndarray:
     """Return the share (N,) of each bead's disc, with its rim, that lies under the mask `written` (H, W)."""
     shares = np.zeros(len(beads))
-    for i, (u, v, radius) in enumerate(beads[:, :3]):
+    for i, (u, v, radius) in enumerate(_discs(beads)):
         disc = np.zeros(written.shape, np.uint8)
         cv2.circle(disc, (round(u), round(v)), round(radius) + 1, 1, -1)
         shares[i] = written[disc > 0].mean()
@@ -236,7 +237,7 @@ def _covered(beads: np.ndarray, written: np.ndarray) -> np.ndarray:
 
 def _duplicates(fit: np.ndarray) -> np.ndarray:
     """Return (N,) bool: fits that share a place with a fit that explains more of the image."""
-    strength = np.abs(fit[:, columns.CONTRAST]) * fit[:, columns.RADIUS] / (0.05 + fit[:, columns.EXCESS])
+    strength = np.abs(fit["contrast"]) * fit["radius_px"] / (0.05 + fit["excess"])
     order = np.argsort(-strength, kind="stable")
     repeated = np.empty(len(fit), bool)
     repeated[order] = ~distinct(fit[order])
@@ -244,23 +245,29 @@ def _duplicates(fit: np.ndarray) -> np.ndarray:
 
 
 def _rejected(rows: np.ndarray, reasons: np.ndarray) -> tuple[RejectedCandidate, ...]:
-    """Return rows (u, v and radius in the first three columns) with their reasons."""
+    """Return beads with the reasons for which they are rejected."""
+    discs = _discs(rows).tolist()
     return tuple(
-        RejectedCandidate((u, v), r, str(why)) for (u, v, r), why in zip(rows[:, :3].tolist(), reasons, strict=False)
+        RejectedCandidate((u, v), radius, str(why)) for (u, v, radius), why in zip(discs, reasons, strict=True)
     )
+
+
+def _discs(beads: np.ndarray) -> np.ndarray:
+    """Return u, v and radius (N, 3), px."""
+    return np.stack([beads["u_px"], beads["v_px"], beads["radius_px"]], axis=1)
 
 
 def _detections(
     beads: np.ndarray, washer: np.ndarray, image: Radiograph, rejected: tuple[RejectedCandidate, ...]
 ) -> Detections:
-    """Return rows of `columns` as Detections. `washer` (N,) bool: which of them are washers."""
+    """Return beads as Detections. `washer` (N,) bool: which of them are washers."""
     return Detections(
-        uv_px=beads[:, :2],
-        radius_px=beads[:, columns.RADIUS],
-        covariance_px2=columns.centre_covariances(beads),
-        kind=tuple(np.where(washer, "washer", np.where(beads[:, columns.CONTRAST] < 0, "ball", "hole")).tolist()),
-        contrast=beads[:, columns.CONTRAST],
+        uv_px=centres(beads),
+        radius_px=beads["radius_px"],
+        covariance_px2=centre_covariances(beads),
+        kind=tuple(np.where(washer, "washer", np.where(beads["contrast"] < 0, "ball", "hole")).tolist()),
+        contrast=beads["contrast"],
         image_shape=image.shape,
         rejected=rejected,
-        shadows=beads[:, columns.SHADOW],
+        shadows=beads[SHADOW],
     )

@@ -12,7 +12,6 @@ from sightline.threads import at_once
 _COARSE = 4  # px; outside the field, pixels are filled at this resolution
 _KNOWN = 0.01  # smallest share of a pyramid's pixel inside the field
 _EDGE = 5  # px, side of the square that erodes two pixels of the field
-_kernel = kernel(nogil=True)
 
 
 def field_inset(image: Radiograph) -> np.ndarray:
@@ -42,7 +41,9 @@ def _logs(image: Radiograph) -> np.ndarray:
     """Return the logarithms of the pixels; less than half a grey level counts as half of one."""
     if image.pixels.dtype == np.float32:
         return np.log(np.maximum(image.pixels, np.float32(max(float(image.white) * 2.0**-16, 1e-30))))
-    return _looked_up(image.pixels, _logarithms(np.iinfo(image.pixels.dtype).max + 1))
+    pixels = image.pixels.astype(np.uint16, copy=False).view()
+    pixels.flags.writeable = False  # as an image's own: the kernel is compiled for one type
+    return _looked_up(pixels, _logarithms())
 
 
 def _completed(logs: np.ndarray, mask: np.ndarray, written: np.ndarray | None) -> np.ndarray:
@@ -56,8 +57,8 @@ def _completed(logs: np.ndarray, mask: np.ndarray, written: np.ndarray | None) -
 
 
 @cache
-def _logarithms(count: int) -> np.ndarray:
-    return np.log(np.maximum(np.arange(count), 0.5)).astype(np.float32)
+def _logarithms() -> np.ndarray:
+    return np.log(np.maximum(np.arange(2**16), 0.5)).astype(np.float32)
 
 
 def _extrapolated(values: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -79,7 +80,7 @@ def _filled(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.divide(total, weight, out=out, where=weight > _KNOWN)
 
 
-@_kernel
+@kernel(nogil=True)
 def _looked_up(pixels, table):
     out = np.empty(pixels.shape, np.float32)
     for i in range(pixels.shape[0]):
@@ -88,7 +89,7 @@ def _looked_up(pixels, table):
     return out
 
 
-@_kernel
+@kernel(nogil=True)
 def _fill(values, mask, coarse):
     """Fill `values` outside `mask` from both ends of each row: the field is convex, so it is one run per row."""
     height, width = values.shape

@@ -45,8 +45,8 @@ class Detections(Plotted):
     `uv_px` (N, 2), `radius_px` (N,) (the outer radius of a washer), `covariance_px2` (N, 2, 2),
     `kind` (N,) of "ball", "washer" or "hole", `contrast` (N,) (signed change of log intensity at the centre),
     `rejected` with reasons, `image_shape` (H, W). `pixels` (H, W): the image itself where it is known, for plots.
-    `shadows` (N, 6): centre and blur, px, ellipticity along axes and diagonals, and residual of each shadow's fit, for
-    `look_again`, which fits all beads again where it is None, as after `sl.load`, or of other `uv_px`.
+    `shadows` (N,): centre, blur, ellipticity and residual of each shadow's fit, fields of a record, for `look_again`.
+    It fits all beads again where they are None, as after `sl.load`, or of other `uv_px`.
 
     >>> beads = sl.detect("out/demo/demo_pa.dcm")
     >>> ax = beads.plot()

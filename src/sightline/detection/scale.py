@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sightline.detection.beads.bead import centres
 from sightline.detection.results import Detections, Observations, RejectedCandidate
 from sightline.fitting.robust import quantiles
 
@@ -84,8 +85,10 @@ def _scaled_shadows(
 ) -> np.ndarray | None:
     if shadows is None:
         return None
-    uv_px, blur_px, rest = np.split(shadows, [2, 3], axis=1)
-    return np.concatenate([to_other(uv_px), factor * blur_px, rest], axis=1)
+    scaled = shadows.copy()
+    scaled["u_px"], scaled["v_px"] = to_other(centres(shadows)).T
+    scaled["blur_px"] *= factor
+    return scaled
 
 
 def _scaled(

@@ -5,7 +5,6 @@ from functools import cached_property
 
 import numpy as np
 
-from sightline.fitting.dense import PIVOTS, STRIDE, eliminate, fast
 from sightline.fitting.triangular import cholesky, inverse_lower, solve_lower, solve_lower_transposed
 
 _AT_ONCE = 400  # numbers whose matrices fit into a core's cache; LAPACK takes more than these in blocks [calc]
@@ -188,51 +187,26 @@ def _products(pairs: np.ndarray) -> np.ndarray:
 
 
 def _eliminated(covariance: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return factor^-1 (n, n), by columns, factor^-1 columns (n, k) and columns^T covariance^-1 (k, n).
+    """Return factor^-1 (n, n), factor^-1 columns (n, k) and columns^T covariance^-1 (k, n).
 
     Raises np.linalg.LinAlgError.
     """
-    n, k = columns.shape
-    first = -(-n // PIVOTS) * PIVOTS
-    beside = first + k
-    matrix = np.zeros((beside + k % 2, -(-(beside + first) // STRIDE) * STRIDE))
-    matrix[:n, :n], matrix[:n, first:beside] = covariance, columns
-    rows = np.arange(first)
-    matrix[rows, rows + beside] = matrix[rows[n:], rows[n:]] = 1.0
-    if not eliminate(first, beside, matrix):
-        raise np.linalg.LinAlgError("the matrix is not positive definite")
-    inverse = np.asfortranarray(matrix[:n, beside : beside + n])
-    return inverse, matrix[:n, first:beside].copy(), -matrix[first:beside, beside : beside + n]
+    inverse = inverse_lower(cholesky(covariance))
+    white = inverse @ columns
+    return inverse, white, white.T @ inverse
 
 
-@fast
-def _tail_precisions(inverse, back, pairs, order):
+def _tail_precisions(inverse: np.ndarray, back: np.ndarray, pairs: np.ndarray, order: np.ndarray) -> np.ndarray:
     """Return d^T P d (N,) of the directions d = pairs[order[k:]]; `inverse` (n, n) and `back` (n, m): transposed."""
-    white, fixed, out = np.zeros(inverse.shape[1]), np.zeros(back.shape[1]), np.empty(len(order))
-    for k in range(len(order) - 1, -1, -1):
-        i, total = order[k], 0.0
-        x, y = pairs[i, 0], pairs[i, 1]
-        for n in range(len(white)):
-            white[n] += x * inverse[2 * i, n] + y * inverse[2 * i + 1, n]
-            total += white[n] * white[n]
-        for n in range(len(fixed)):
-            fixed[n] += x * back[2 * i, n] + y * back[2 * i + 1, n]
-            total -= fixed[n] * fixed[n]
-        out[k] = total
-    return out
+    x, y = pairs[order].T[:, :, None]
+    total = np.zeros(len(order))
+    for sign, rows in ((1.0, inverse), (-1.0, back)):
+        along = x * rows[::2][order] + y * rows[1::2][order]
+        total += sign * (np.cumsum(along[::-1], axis=0)[::-1] ** 2).sum(axis=1)
+    return total
 
 
-@fast
-def _pair_precisions(inverse, back):
+def _pair_precisions(inverse: np.ndarray, back: np.ndarray) -> np.ndarray:
     """Return entries xx, xy and yy (3, N) of the diagonal blocks of P; arguments as for `_tail_precisions`."""
-    out = np.zeros((3, len(inverse) // 2))
-    for i in range(out.shape[1]):
-        xx = xy = yy = 0.0
-        for n in range(2 * i, inverse.shape[1]):
-            x, y = inverse[2 * i, n], inverse[2 * i + 1, n]
-            xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
-        for n in range(back.shape[1]):
-            x, y = back[2 * i, n], back[2 * i + 1, n]
-            xx, xy, yy = xx - x * x, xy - x * y, yy - y * y
-        out[0, i], out[1, i], out[2, i] = xx, xy, yy
-    return out
+    inner, fixed = (_products(np.stack([rows[::2], rows[1::2]], axis=1)) for rows in (inverse, back))
+    return inner - fixed

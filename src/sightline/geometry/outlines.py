@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sightline.kernels import exact, exact_unchecked
+from sightline.kernels import kernel
 
 
 def centroids(outlines: np.ndarray) -> np.ndarray:
@@ -25,7 +25,7 @@ def convex_hull(points: np.ndarray) -> np.ndarray:
     return order[_chain(np.ascontiguousarray(points[order], dtype=np.float64))]
 
 
-@exact
+@kernel()
 def _chain(points):
     """Return the rows of the hull of points sorted by x and y: its lower side, then its upper side (Andrew 1979)."""
     n = len(points)
@@ -45,7 +45,7 @@ def _chain(points):
     return corners[:count]
 
 
-@exact_unchecked
+@kernel()
 def _centroids(outlines):
     centres = np.empty((len(outlines), 2))
     for n in range(len(outlines)):

@@ -24,7 +24,7 @@ def comb(image: Radiograph) -> float:
     return float(np.sqrt(near / count) / max(np.sqrt(far / count), 1e-6)) if count else 0.0
 
 
-@kernel(fastmath={"reassoc", "contract"}, nogil=True)
+@kernel(nogil=True, fastmath=True)
 def _squares(pixels, field):
     """Return the sums of squares of both differences of `comb`, and the number of pixels that count."""
     near = far = 0.0

@@ -6,20 +6,10 @@ from threading import local
 import cv2
 import numpy as np
 
+from sightline.detection.beads.bead import centres
 from sightline.detection.beads.noise import NoiseModel
-from sightline.detection.beads.rim import (
-    FAINTEST,
-    HOLLOW,
-    MIN_STEP_SNR,
-    RADIUS,
-    RESPONSE,
-    SCORE,
-    U,
-    V,
-    broad_noise,
-    judged,
-)
-from sightline.kernels import FAST, exact, kernel
+from sightline.detection.beads.rim import EXTREMUM, FAINTEST, MIN_STEP_SNR, broad_noise, judged
+from sightline.kernels import kernel
 from sightline.threads import at_once
 
 # Extrema are searched for at half resolution, where a disc of 2 px with the usual blur is still well sampled. The bands
@@ -86,21 +76,21 @@ def find_candidates(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) 
     )
     bands = [finest, *coarser]
     every = judged(base, np.concatenate(bands), line)
-    sizes = every[every[:, SCORE] > 0][:, [RADIUS, RESPONSE]]
+    sizes = np.stack([every["radius_px"], every["contrast"]], axis=1)[every["score"] > 0]
     spots = every[: sum(map(len, bands[:-_FURTHER_OCTAVES]))]
     spots = np.concatenate([spots, judged(base, _washers_around(spots), line)])
-    spots = spots[spots[:, RADIUS] > 0]
-    spots = spots[np.argsort(-spots[:, SCORE], kind="stable")]
+    spots = spots[spots["radius_px"] > 0]
+    spots = spots[np.argsort(-spots["score"], kind="stable")]
     spots = spots[distinct(spots)]
-    dark = spots[:, RESPONSE] < 0
-    washer = dark & (spots[:, HOLLOW] > _HOLLOW[0]) & (spots[:, HOLLOW] < _HOLLOW[1]) & (spots[:, SCORE] > 0)
+    dark, is_round = spots["contrast"] < 0, spots["score"] > 0
+    washer = dark & (spots["hollow"] > _HOLLOW[0]) & (spots["hollow"] < _HOLLOW[1]) & is_round
     ball, keep = dark & ~washer, ~_middles(spots, washer)
-    radius = spots[:, RADIUS] + np.where(ball, _BALL_RIM_PX, 0.0)
+    radius = spots["radius_px"] + np.where(ball, _BALL_RIM_PX, 0.0)
     deeper = np.minimum(1.0 + (_DEEPER_PX / radius) ** 2, _DEEPEST)
-    strength = np.where(spots[:, SCORE] > 0, spots[:, RESPONSE] * radius, 0.0)
+    strength = np.where(is_round, spots["contrast"] * radius, 0.0)
     deeper[~ball | (strength.sum() > 0)] = 1.0  # between the holes of a plate, dark spots are not balls
-    columns = spots[:, :2], radius, deeper * spots[:, RESPONSE], washer, spots[:, SCORE] > 0
-    return Candidates(*(column[keep] for column in columns), sizes=sizes)
+    values = centres(spots), radius, deeper * spots["contrast"], washer, is_round
+    return Candidates(*(value[keep] for value in values), sizes=sizes)
 
 
 def _smoothed(shape: tuple[int, ...], half: tuple[int, ...]) -> list[np.ndarray]:
@@ -116,7 +106,7 @@ def _smoothed(shape: tuple[int, ...], half: tuple[int, ...]) -> list[np.ndarray]
 
 
 def _bands(first: np.ndarray, second: np.ndarray, mask: np.ndarray, line: np.ndarray) -> list[np.ndarray]:
-    """Return the extrema (N, 4) of each band but the finest; `first`: the half-size image with a blur of 1 px.
+    """Return the extrema (N,) of each band but the finest; `first`: the half-size image with a blur of 1 px.
 
     `second`: an image of that size, to be overwritten.
     """
@@ -133,38 +123,40 @@ def _washers_around(spots: np.ndarray) -> np.ndarray:
 
     The initial radius is large enough that the middle of the washer, half as wide, is not taken for its inside.
     """
-    holes = spots[(spots[:, SCORE] > 0) & (spots[:, RESPONSE] > 0)]
-    return holes[:, : RESPONSE + 1] * [1.0, 1.0, 2.8, -1.0]
+    holes = spots[(spots["score"] > 0) & (spots["contrast"] > 0)]
+    washers = np.zeros(len(holes), EXTREMUM)
+    washers["u_px"], washers["v_px"] = holes["u_px"], holes["v_px"]
+    washers["radius_px"], washers["contrast"] = 2.8 * holes["radius_px"], -holes["contrast"]
+    return washers
 
 
 def _middles(spots: np.ndarray, washer: np.ndarray) -> np.ndarray:
     """Return (N,) bool: which spots are the bright middles of washers."""
     inside = np.zeros(len(spots), bool)
-    for u, v, radius in spots[washer][:, [U, V, RADIUS]]:
-        near = np.hypot(spots[:, U] - u, spots[:, V] - v) < 0.4 * radius
-        inside |= near & (spots[:, RADIUS] < radius) & (spots[:, RESPONSE] > 0)
+    for outer in spots[washer]:
+        near = np.hypot(spots["u_px"] - outer["u_px"], spots["v_px"] - outer["v_px"]) < 0.4 * outer["radius_px"]
+        inside |= near & (spots["radius_px"] < outer["radius_px"]) & (spots["contrast"] > 0)
     return inside
 
 
 def _extrema(fine, coarse, mask, step: int, radius: float, line) -> np.ndarray:  # noqa: PLR0917
-    """Return the local extrema (N, 4) of a pyramid band, fine - coarse, with `step` image px per pixel.
+    """Return the local extrema (N,) of a pyramid band, fine - coarse, with `step` image px per pixel.
 
     The band responds most to discs of `radius` of its pixels.
     """
-    rows = np.empty((_MAX_EXTREMA, 4))
+    rows = np.empty(_MAX_EXTREMA, EXTREMUM)
     if min(fine.shape) < 5:
         return rows[:0]
     return rows[: _band(fine, coarse, mask, step, radius * step, line, rows)]
 
 
-@kernel(fastmath=FAST, nogil=True)
+@kernel(nogil=True)
 def _band(fine, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
     """Fill `rows` with the extrema of a band; return their number."""
     height, width = fine.shape
     reach = 0 if step > _HALF else 1 if radius < _BAND_RADIUS * step else 2
     faintest = np.float32(_BAND_GAIN * FAINTEST)
-    extremal, differences = np.zeros((width + 7) // 8 * 8, np.bool_), np.empty((3, width), np.float32)
-    places = np.empty(width + 8, np.uint32)
+    extremal, differences = np.zeros(width, np.bool_), np.empty((3, width), np.float32)
     _subtract(fine[0], coarse[0], differences[0])
     _subtract(fine[1], coarse[1], differences[1])
     n = 0
@@ -172,9 +164,8 @@ def _band(fine, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
         before, here, after = differences[(y - 1) % 3], differences[y % 3], differences[(y + 1) % 3]
         _subtract(fine[y + 1], coarse[y + 1], after)
         _mark_extremal(before, here, after, faintest, extremal)
-        for k in range(_list_true(extremal, places)):
-            x = int(places[k])
-            if not mask[y * step, x * step]:
+        for x in range(1, width - 1):
+            if not extremal[x] or not mask[y * step, x * step]:
                 continue
             value, noise = here[x], broad_noise(coarse[y, x], line) / radius
             if abs(value) < _MIN_SNR * _BAND_NOISE * noise or n == _MAX_EXTREMA:
@@ -186,19 +177,19 @@ def _band(fine, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
             u = x + (0.5 * (left - right) / bend_u if abs(bend_u) > 1e-9 else 0.0)
             v = y + (0.5 * (above - below) / bend_v if abs(bend_v) > 1e-9 else 0.0)
             # Pixel 0 of the half-size image is centred between pixels 0 and 1 of the image.
-            rows[n, U], rows[n, V] = u * step + 0.5 * (_HALF - 1), v * step + 0.5 * (_HALF - 1)
-            rows[n, RADIUS], rows[n, RESPONSE] = radius, value
+            rows[n].u_px, rows[n].v_px = u * step + 0.5 * (_HALF - 1), v * step + 0.5 * (_HALF - 1)
+            rows[n].radius_px, rows[n].contrast = radius, value
             n += 1
     return n
 
 
-@exact
+@kernel()
 def _subtract(fine, coarse, out):
     for x in range(len(out)):
         out[x] = fine[x] - coarse[x]
 
 
-@exact
+@kernel()
 def _mark_extremal(before, here, after, least, extremal):
     """Mark the extrema of the row `here`, between the rows beside it, that are `least` or more from zero.
 
@@ -212,22 +203,7 @@ def _mark_extremal(before, here, after, least, extremal):
         extremal[x] = (here[x] >= max(above, least)) | (here[x] <= min(below, -least))
 
 
-@exact
-def _list_true(marks, places) -> int:
-    """Fill `places` with the true `marks`, whose number is a multiple of eight; return how many.
-
-    Eight false ones are passed over at once, since few are true.
-    """
-    eights, count = marks.view(np.uint64), 0
-    for k in range(len(eights)):
-        if eights[k]:
-            for x in range(8 * k, 8 * k + 8):
-                places[count] = x
-                count += marks[x]
-    return count
-
-
-@exact
+@kernel()
 def _has_sides(fine, y, x, reach, bright, least) -> bool:  # noqa: PLR0917
     """Return whether values fall towards at least 5 of 8 places around an extremum, on average by half of `least`.
 
@@ -254,31 +230,30 @@ def _has_sides(fine, y, x, reach, bright, least) -> bool:  # noqa: PLR0917
 
 
 def distinct(spots: np.ndarray) -> np.ndarray:
-    """Return (N,) bool: rows of u, v, radius and contrast, best first, that do not duplicate a better one.
+    """Return (N,) bool: candidates or beads, best first, that do not duplicate a better one.
 
     A duplicate has the same sign, and its centre lies within half the larger radius of the other's.
     """
-    keep = np.ones(len(spots), bool)
+    keep, uv = np.ones(len(spots), bool), centres(spots)
     if len(spots):
-        columns, lines = (np.maximum(spots[:, :2].max(axis=0), 0) / _CELL).astype(int) + 2
-        _mark_duplicates(np.ascontiguousarray(spots), keep, np.full((lines, columns), -1), np.full(len(spots), -1))
+        columns, lines = (np.maximum(uv.max(axis=0), 0) / _CELL).astype(int) + 2
+        radius, dark = spots["radius_px"].copy(), spots["contrast"] < 0
+        _mark_duplicates(uv, radius, dark, keep, np.full((lines, columns), -1), np.full(len(spots), -1))
     return keep
 
 
-@exact
-def _mark_duplicates(spots, keep, head, following):
+@kernel()
+def _mark_duplicates(uv, radius, dark, keep, head, following):  # noqa: PLR0917 - a kernel
     """Clear `keep` of duplicates. `head` of each cell and `following` of each row link the kept rows of a cell."""
     lines, columns = head.shape
-    for i in range(len(spots)):
-        u, v, radius = spots[i, U], spots[i, V], spots[i, RADIUS]
-        row, column = int(max(v, 0.0) / _CELL), int(max(u, 0.0) / _CELL)
+    for i in range(len(uv)):
+        row, column = int(max(uv[i, 1], 0.0) / _CELL), int(max(uv[i, 0], 0.0) / _CELL)
         for y in range(max(row - 1, 0), min(row + 2, lines)):
             for x in range(max(column - 1, 0), min(column + 2, columns)):
                 j = head[y, x]
                 while j >= 0 and keep[i]:
-                    larger = max(radius, spots[j, RADIUS])
-                    apart = (spots[j, U] - u) ** 2 + (spots[j, V] - v) ** 2
-                    keep[i] = apart > (0.5 * larger) ** 2 or spots[i, RESPONSE] * spots[j, RESPONSE] < 0
+                    apart = (uv[j, 0] - uv[i, 0]) ** 2 + (uv[j, 1] - uv[i, 1]) ** 2
+                    keep[i] = apart > (0.5 * max(radius[i], radius[j])) ** 2 or dark[i] != dark[j]
                     j = following[j]
         if keep[i]:
             following[i] = head[row, column]

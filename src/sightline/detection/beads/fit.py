@@ -1,29 +1,10 @@
 """Fit a bead by weighted least squares in its window, jointly with neighbours that overlap the window."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from sightline.detection.beads.columns import (
-    AXIAL,
-    BLUR,
-    CCC,
-    CHI2,
-    CONTRAST,
-    CUU,
-    CUV,
-    CVV,
-    DIAGONAL,
-    EXCESS,
-    FITTED,
-    LARGE,
-    RADIUS,
-    SINGULAR,
-    STATUS,
-    TOO_FEW_PIXELS,
-    WANDERED,
-    WEAKEST,
-    U,
-    V,
-)
+from sightline.detection.beads.bead import Status
 from sightline.detection.beads.noise import LAGS
 from sightline.detection.beads.shadow import (
     BACKGROUND,
@@ -62,8 +43,10 @@ from sightline.detection.beads.window import (
     visible_rim,
     window_light,
 )
-from sightline.kernels import FAST, exact, fast, kernel, part_of_caller, squared
+from sightline.kernels import kernel
 
+# Kernels compute with the values of an enum.
+FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = map(int, Status)
 _LIGHT_STEPS = 32  # entries of the noise table per unit of light
 MAX_JOINT = 3  # beads of a joint fit
 _MAX_ITERATIONS = 12
@@ -100,164 +83,185 @@ MAX_RIM_LOST = 0.15  # share of the rim that sharpening may cost; above it, the 
 PRIOR_SD = np.array([[2.0, 2.0, 0.2, 0.5, 0.05, 0.05], [0.7, 0.7, 0.06, 0.3, 0.05, 0.05]])
 
 
-@exact
-def _copy(values, out):
-    for k in range(len(out)):  # assigning to out[:] takes seconds to compile
-        out[k] = values[k]
+class Filter(NamedTuple):
+    """A symmetric filter of an image and what it leaves.
+
+    `taps` along both axes; `gain` of the noise's variance; `blur2_px2`: change of the squared blur; `shared_px2`:
+    squared blur of background and shadow together. `correlation` of the noise after it, by lag along an axis;
+    `by_distance` (LAGS + 1,): the correlations of all neighbours at about this distance.
+    """
+
+    taps: np.ndarray
+    gain: float
+    blur2_px2: float
+    shared_px2: float
+    correlation: np.ndarray
+    by_distance: np.ndarray
 
 
-@exact
+class Optics(NamedTuple):
+    """What a fit needs of an image's noise and blur.
+
+    `line` (3,): offset and slope of the noise, and the log intensity at which pixels are clipped. The filters, and the
+    profiles of balls and of holes.
+    """
+
+    line: np.ndarray
+    sharpened: Filter
+    plain: Filter
+    balls: np.ndarray
+    holes: np.ndarray
+
+
+@kernel()
 def joint_rows(spots, i, reach, prior_sd):
     """Return the rows of bead `i` and of the nearest beads that reach into its window: MAX_JOINT at most.
 
     A wide disc around bead `i` is anatomy, unless `prior_sd` says that its shape is known: then it is a ball.
     """
-    rows, gaps = np.empty(MAX_JOINT, np.int64), np.empty(MAX_JOINT)
-    rows[:], rows[0] = -1, i
-    if spots[i, CONTRAST] > 0:
-        return rows[:1]  # holes of a plate never overlap: neighbours are masked
-    gaps[:] = reach - spots[i, RADIUS] + 2.0
-    for j in range(len(spots)):
-        if j == i or spots[j, CONTRAST] * spots[i, CONTRAST] < 0:
+    own, gaps, rows, count = spots[i], np.empty(MAX_JOINT), np.empty(MAX_JOINT, np.int64), 1
+    rows[0] = i
+    for j in range(len(spots) if own.contrast <= 0 else 0):  # holes of a plate never overlap: neighbours are masked
+        other = spots[j]
+        if j == i or other.contrast > 0:
             continue
-        du, dv, near = spots[j, U] - spots[i, U], spots[j, V] - spots[i, V], reach + spots[j, RADIUS] + 2.0
+        du, dv, near = other.u_px - own.u_px, other.v_px - own.v_px, reach + other.radius_px + 2.0
         if not (abs(du) < near and abs(dv) < near):
             continue  # most spots are far away
         apart = np.hypot(du, dv)
         known = prior_sd[1, j, BEAD_RADIUS] < PRIOR_SD[1, BEAD_RADIUS]
-        if not known and apart < spots[j, RADIUS] - 0.5 * spots[i, RADIUS]:
+        gap = apart - own.radius_px - other.radius_px
+        if (not known and apart < other.radius_px - 0.5 * own.radius_px) or gap >= reach - own.radius_px + 2.0:
             continue
-        gap = apart - spots[i, RADIUS] - spots[j, RADIUS]
-        for k in range(1, MAX_JOINT):
-            if gap < gaps[k]:
-                for m in range(MAX_JOINT - 1, k, -1):
-                    gaps[m], rows[m] = gaps[m - 1], rows[m - 1]
-                gaps[k], rows[k] = gap, j
-                break
-    count = 1
-    while count < MAX_JOINT and rows[count] >= 0:
-        count += 1
+        k = min(count, MAX_JOINT - 1)
+        if count == MAX_JOINT and gap >= gaps[k]:
+            continue
+        while k > 1 and gap < gaps[k - 1]:
+            gaps[k], rows[k] = gaps[k - 1], rows[k - 1]
+            k -= 1
+        gaps[k], rows[k] = gap, j
+        count = min(count + 1, MAX_JOINT)
     return rows[:count]
 
 
-@part_of_caller
-def _solve(spots, rows, noise, unit_sds, sharpening, plain, prior_sd, tables, light, state, window, out):  # noqa: PLR0917
-    """Fit the beads `rows` jointly to the visible pixels and write the first bead's result into `out`."""
-    left, top, reach, zero = window
-    row, radius = rows[0], spots[rows[0], RADIUS]
-    table, stopped = (tables[0], STOPPED_BY_BALL) if spots[row, CONTRAST] < 0 else (tables[1], STOPPED_BY_HOLE)
-    size = BEAD_TERMS * len(rows) + SCATTER_TERMS + BACKGROUND_TERMS
-    x0, y0 = spots[row, U] - left, spots[row, V] - top
-    filtered = mark_near_unusable(state, x0, y0, radius) < MAX_RIM_LOST
-    taps, gain, blur2, together2, correlation, by_lag = sharpening if filtered else plain
-    at, where, counting = gather_pixels(
-        state, filtered, along_both_axes(light, taps) if filtered else light, x0, y0, reach
-    )
-    beads, scatter, background = initial_values(spots, rows, blur2)
-    initial = beads.copy()
-    columns, inverse_sd = np.empty((size + 3, at.shape[1]), np.float32), np.empty(at.shape[1], np.float32)
-    behind, effect = np.empty((4, at.shape[1]), np.float32), np.empty((len(rows), at.shape[1]), np.float32)
-    A, L, b, step = np.empty((size + 2, size + 2)), np.empty((size, size)), np.empty(size), np.zeros(size)
-    prior, wanted = np.zeros(size), np.array([BEAD_X, BEAD_Y, BEAD_TERMS * len(rows)])
-    optics = np.float32(1.0 / reach), stopped, np.float32(together2)
-    inverse_sds = unit_sds / np.float32(np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(gain))
-    brightest = np.exp(noise[2] - zero - CLIPPING_MARGIN_SD * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
-    out[STATUS], chi2, pixels, coupling, moved = TOO_FEW_PIXELS, 0.0, 0, 0.0, np.inf
-    for iteration in range(_MAX_ITERATIONS + 1):
-        fill_light(table, at, beads, scatter, background, optics, behind, effect, columns)
-        if iteration == _MAX_ITERATIONS or out[STATUS] == FITTED:  # the light of the result, before sharpening
-            break
-        if iteration < _ADAPTIVE_ITERATIONS:
-            pixels = weigh(columns[LIGHT], counting, np.float32(brightest), inverse_sds, inverse_sd)
-        if pixels < 2 * size:
-            return
-        fill_slopes(at, optics[0], inverse_sd, behind, effect, columns)
-        chi2 = normal_equations(columns, A, b)
-        coupling = add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b)
-        if not solve(A, b, L, step):
-            out[STATUS] = SINGULAR
-            return
-        before = moved
-        moved = _take_step(beads, scatter, background, step, 1.0 if iteration < _ADAPTIVE_ITERATIONS else 0.5)
-        out[STATUS] = WANDERED
-        if (
-            squared(beads[0, BEAD_X]) + squared(beads[0, BEAD_Y]) > squared(0.5 * radius + 1)
-            or not 0.5 < beads[0, BEAD_RADIUS] / radius < 1.9
-        ):
-            return
-        if iteration == 0 or not (moved < _CONVERGED or moved * moved < _REMAINS * (before - moved)):
-            continue
-        if squared(beads[0, BEAD_AXIAL]) + squared(beads[0, BEAD_DIAGONAL]) > squared(MAX_ELLIPTICITY):
-            return
-        out[STATUS] = FITTED
-        freedom = max(pixels - _effective_parameters(columns, where, L, by_lag), 1.0)
-        out[CHI2], scale2 = chi2 / freedom, (PRIOR_PIXELS + chi2) / (PRIOR_PIXELS + freedom)
-        out[BLUR] = np.sqrt(max(squared(beads[0, BEAD_BLUR]) - blur2, 0.0))
-        _covariance(wanted, columns, where, L, len(state), correlation, scale2, prior, coupling, background, out)
-        inside = max((1.0 - stopped) * background[0] + scatter[0], 0.02 * background[0])
-        out[CCC] /= squared(inside)
-        out[U], out[V], out[RADIUS] = (
-            spots[row, U] + beads[0, BEAD_X],
-            spots[row, V] + beads[0, BEAD_Y],
-            beads[0, BEAD_RADIUS],
-        )
-        out[AXIAL], out[DIAGONAL] = beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]
-        out[CONTRAST] = np.log(inside / max(background[0], 1e-3))
-        optics = optics[0], stopped, unsharpen(beads, at, where, light, blur2, together2)
-    if out[STATUS] == FITTED:
-        assess(at, beads, gain, inverse_sd, pixels, behind, columns, out)
+@kernel(nogil=True)
+def fit_part(part, parts, image, usable, spots, which, optics, prior_sd, out):  # noqa: PLR0917 - a kernel
+    """Fit the beads `which[part::parts]` of `spots` and write bead `which[i]` into row i of `out`.
 
-
-@kernel(fastmath=FAST, error_model="numpy", nogil=True)
-def fit_part(part, parts, image, usable, spots, which, noise, sharpening, plain, prior_sd, tables, out):  # noqa: PLR0917
-    """Fit rows `which[part::parts]` of `spots` and write row `which[i]` into row i of `out`.
-
-    `noise`: offset, slope, and the log intensity at which pixels are clipped. `sharpening`: taps, gain, change of the
-    squared blur, remaining squared blur, noise correlation after sharpening by lag along an axis, and by distance.
-    `plain`: the same without sharpening.
     Where a large residual remains, metal around the bead is searched for and hidden, and the fit is repeated.
     """
-    result, unit_sds = np.empty(spots.shape[1]), inverse_sd_table(noise[1])
+    trial, unit_sds = spots[:1].copy(), inverse_sd_table(optics.line[1])
     for i in range(part, len(which), parts):
         row = which[i]
-        reach = spots[row, RADIUS] + BEYOND
+        u, v, radius = spots[row].u_px, spots[row].v_px, spots[row].radius_px
+        reach = radius + BEYOND
         rows = joint_rows(spots, row, reach, prior_sd)
         half = int(reach) + 1
-        left, top = int(spots[row, U] + 0.5) - half, int(spots[row, V] + 0.5) - half
-        zero = log_level(image, usable, spots[row], reach)
+        left, top = int(u + 0.5) - half, int(v + 0.5) - half
+        zero = log_level(image, usable, u, v, radius, reach)
         light = window_light(image, left, top, half, zero)
-        state = pixel_states(image, usable, spots, rows, left, top, 2 * half + 1, noise[2])
-        window = left, top, reach, zero
-        for again in range(2):
-            _copy(spots[row], result)
-            _solve(spots, rows, noise, unit_sds, sharpening, plain, prior_sd, tables, light, state, window, result)
-            better = result[STATUS] == FITTED and (out[i, STATUS] != FITTED or result[EXCESS] < out[i, EXCESS])
-            if better or not again:
-                _copy(result, out[i])
-            if again or (result[STATUS] == FITTED and result[EXCESS] <= SUSPICIOUS_EXCESS) or spots[row, CONTRAST] > 0:
+        state = pixel_states(image, usable, spots, rows, left, top, 2 * half + 1, optics.line[2])
+        for attempt in range(2):
+            trial[0] = spots[row]
+            _fit(spots, rows, optics, unit_sds, prior_sd, light, state, left, top, reach, zero, trial)
+            fitted = trial[0].status == FITTED
+            if attempt == 0 or (fitted and (out[i].status != FITTED or trial[0].excess < out[i].excess)):
+                out[i] = trial[0]
+            if attempt == 1 or (fitted and trial[0].excess <= SUSPICIOUS_EXCESS) or spots[row].contrast > 0:
                 break
             metal = hide_metal(state, spots, rows, left, top, light)
             if not metal or visible_rim(state, spots, rows, left, top) <= _MIN_RIM_SHARE:
                 break
 
 
-@exact
+@kernel()
+def _fit(spots, rows, optics, unit_sds, prior_sd, light, state, left, top, reach, zero, out):  # noqa: PLR0915, PLR0917 - a kernel
+    """Fit the beads `rows` jointly to the visible pixels and write the first bead's result into `out` (1,)."""
+    own, noise = spots[rows[0]], optics.line
+    radius, x0, y0 = own.radius_px, own.u_px - left, own.v_px - top
+    table, stopped = (optics.balls, STOPPED_BY_BALL) if own.contrast < 0 else (optics.holes, STOPPED_BY_HOLE)
+    size = BEAD_TERMS * len(rows) + SCATTER_TERMS + BACKGROUND_TERMS
+    filtered = mark_near_unusable(state, x0, y0, radius) < MAX_RIM_LOST
+    used = optics.sharpened if filtered else optics.plain
+    values = along_both_axes(light, used.taps) if filtered else light
+    at, where, counting = gather_pixels(state, filtered, values, x0, y0, reach)
+    beads, scatter, background = initial_values(spots, rows, used.blur2_px2)
+    initial, pixels_held = beads.copy(), at.shape[1]
+    columns, inverse_sd = np.empty((size + 3, pixels_held), np.float32), np.empty(pixels_held, np.float32)
+    behind, effect = np.empty((4, pixels_held), np.float32), np.empty((len(rows), pixels_held), np.float32)
+    A, U, b, step, prior = (
+        np.empty((size, size)),
+        np.zeros((size, size)),
+        np.empty(size),
+        np.zeros(size),
+        np.zeros(size),
+    )
+    scale, shared = np.float32(1.0 / reach), np.float32(used.shared_px2)
+    unit = np.float32(1.0 / (np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(used.gain)))
+    brightest = np.float32(
+        np.exp(noise[2] - zero - CLIPPING_MARGIN_SD * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
+    )
+    out[0].status, chi2, pixels, coupling, moved = TOO_FEW_PIXELS, 0.0, 0, 0.0, np.inf
+    for iteration in range(_MAX_ITERATIONS):
+        fill_light(table, at, beads, scatter, background, scale, stopped, shared, behind, effect, columns)
+        if iteration < _ADAPTIVE_ITERATIONS:
+            pixels = weigh(columns[LIGHT], counting, brightest, unit, unit_sds, inverse_sd)
+        if pixels < 2 * size:
+            return
+        fill_slopes(at, scale, inverse_sd, behind, effect, columns)
+        chi2 = normal_equations(columns, A, b)
+        coupling = add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b)
+        if not solve(A, b, U, step):
+            out[0].status = SINGULAR
+            return
+        before = moved
+        moved = _take_step(beads, scatter, background, step, 1.0 if iteration < _ADAPTIVE_ITERATIONS else 0.5)
+        out[0].status = WANDERED
+        if (
+            beads[0, BEAD_X] ** 2 + beads[0, BEAD_Y] ** 2 > (0.5 * radius + 1) ** 2
+            or not 0.5 < beads[0, BEAD_RADIUS] / radius < 1.9
+        ):
+            return
+        if iteration == 0 or not (moved < _CONVERGED or moved * moved < _REMAINS * (before - moved)):
+            continue
+        if beads[0, BEAD_AXIAL] ** 2 + beads[0, BEAD_DIAGONAL] ** 2 > MAX_ELLIPTICITY**2:
+            return
+        out[0].status = FITTED
+        break
+    if out[0].status != FITTED:
+        return
+    freedom = max(pixels - _effective_parameters(columns, where, U, used.by_distance), 1.0)
+    scale2 = (PRIOR_PIXELS + chi2) / (PRIOR_PIXELS + freedom)
+    out[0].chi2 = chi2 / freedom
+    out[0].blur_px = np.sqrt(max(beads[0, BEAD_BLUR] ** 2 - used.blur2_px2, 0.0))
+    _covariance(columns, where, U, len(state), used.correlation, scale2, prior, coupling, background, out)
+    inside = max((1.0 - stopped) * background[0] + scatter[0], 0.02 * background[0])
+    out[0].contrast_variance /= inside**2
+    out[0].u_px, out[0].v_px = own.u_px + beads[0, BEAD_X], own.v_px + beads[0, BEAD_Y]
+    out[0].radius_px, out[0].contrast = beads[0, BEAD_RADIUS], np.log(inside / max(background[0], 1e-3))
+    out[0].axial, out[0].diagonal = beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]
+    unsharpen(beads, at, where, light, used.blur2_px2)
+    shared = np.float32(used.shared_px2 - used.blur2_px2)
+    fill_light(table, at, beads, scatter, background, scale, stopped, shared, behind, effect, columns)
+    assess(at, beads, used.gain, inverse_sd, pixels, columns, out)
+
+
+@kernel()
 def initial_values(spots, rows, blur2):
     """Return initial beads (K, BEAD_LARGE + 1), relative to the first one's place, scatter and background."""
-    one = spots[rows[0]]
-    beads = np.zeros((len(rows), BEAD_LARGE + 1))
+    own, beads = spots[rows[0]], np.zeros((len(rows), BEAD_LARGE + 1))
     for k in range(len(rows)):
-        bead = spots[rows[k]]
-        beads[k, BEAD_X], beads[k, BEAD_Y], beads[k, BEAD_RADIUS] = bead[U] - one[U], bead[V] - one[V], bead[RADIUS]
-        beads[k, BEAD_BLUR] = np.sqrt(max(bead[BLUR] ** 2 + blur2, 0.4**2))
-        beads[k, BEAD_AXIAL], beads[k, BEAD_DIAGONAL], beads[k, BEAD_LARGE] = bead[AXIAL], bead[DIAGONAL], bead[LARGE]
+        bead, row = spots[rows[k]], beads[k]
+        row[BEAD_X], row[BEAD_Y], row[BEAD_RADIUS] = bead.u_px - own.u_px, bead.v_px - own.v_px, bead.radius_px
+        row[BEAD_BLUR] = np.sqrt(max(bead.blur_px**2 + blur2, 0.4**2))
+        row[BEAD_AXIAL], row[BEAD_DIAGONAL], row[BEAD_LARGE] = bead.axial, bead.diagonal, bead.large
     scatter, background = np.zeros(SCATTER_TERMS), np.zeros(BACKGROUND_TERMS)
     background[0] = 1.0
-    scatter[0] = np.exp(one[CONTRAST]) - (1.0 - STOPPED_BY_BALL if one[CONTRAST] < 0 else 1.0)
+    scatter[0] = np.exp(own.contrast) - (1.0 - STOPPED_BY_BALL if own.contrast < 0 else 1.0)
     return beads, scatter, background
 
 
-@exact
+@kernel()
 def inverse_sd_table(slope):
     """Return one over the noise's s.d. at light 0 to 2, in units of that at 1.
 
@@ -269,18 +273,18 @@ def inverse_sd_table(slope):
     return inverse_sds
 
 
-@part_of_caller
-def weigh(light, counting, brightest, inverse_sds, inverse_sd):
+@kernel()
+def weigh(light, counting, brightest, unit, unit_sds, inverse_sd):  # noqa: PLR0917 - a kernel
     """Fill `inverse_sd` with one over the noise's s.d. at the model's light; return how many pixels count.
 
-    Zero, for pixels that do not count: those from `counting` on, and those that the model makes brighter than
-    `brightest`, which may be clipped. The model decides, not the value seen: selecting by the value would keep the
-    pixels with negative noise.
+    `unit` is its value at light 1. Zero, for pixels that do not count: those from `counting` on, and those that the
+    model makes brighter than `brightest`, which may be clipped. The model decides, not the value seen: selecting by the
+    value would keep the pixels with negative noise.
     """
     count, zero, steps, last = np.int32(0), np.float32(0.0), np.float32(_LIGHT_STEPS), np.float32(2 * _LIGHT_STEPS - 1)
     for p in range(len(inverse_sd)):
         at = np.uint32(np.int32(min(max(light[p] * steps, zero), last)))
-        inverse_sd[p] = inverse_sds[at] if light[p] < brightest else zero
+        inverse_sd[p] = unit * unit_sds[at] if light[p] < brightest else zero
     for p in range(counting, len(inverse_sd)):
         inverse_sd[p] = zero
     for p in range(len(inverse_sd)):
@@ -288,7 +292,7 @@ def weigh(light, counting, brightest, inverse_sds, inverse_sd):
     return count
 
 
-@exact
+@kernel()
 def add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b):  # noqa: PLR0917
     """Add the priors to the normal equations `A`, `b` and fill `prior` with their precisions (1 / s.d.²).
 
@@ -309,7 +313,7 @@ def add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b)
         prior[at + m] = 1.0 / sd2
         b[at + m] += off
         b[to + m] -= coupling * off
-        A[to + m, at + m] -= coupling / sd2
+        A[at + m, to + m] -= coupling / sd2
         A[to + m, to + m] += coupling**2 / sd2
     for m in range(BACKGROUND_TERMS - CUBIC_TERMS):
         prior[len(b) - BACKGROUND_TERMS + m] = 1.0 / _BACKGROUND_SD[m] ** 2
@@ -323,7 +327,7 @@ def add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b)
     return coupling
 
 
-@exact
+@kernel()
 def _take_step(beads, scatter, background, step, share):
     """Apply `share` of a step, each parameter's change limited.
 
@@ -350,158 +354,126 @@ def _take_step(beads, scatter, background, step, share):
     return max(abs(step[BEAD_X]), abs(step[BEAD_Y]), abs(step[BEAD_RADIUS]), abs(step[at]))
 
 
-@fast
-def _effective_parameters(columns, where, L, by_lag):
+@kernel()
+def _effective_parameters(columns, where, U, by_lag):  # noqa: PLR0912 - a kernel
     """Return the effective number of parameters: tr(H C) with the projection H = J A^-1 J' and the noise correlation C.
 
     The fit lowers the expected sum of squared residuals by so much. For white noise it is the number of parameters.
-    `by_lag` (LAGS + 1,): the correlations of all neighbours at about this distance. H is nearly the same in all
-    directions, so neighbours in a row stand for all, and every third row of a large window for the others: to 4 % of
-    the number, which is a tenth of the pixels [calc].
+    `U`: the upper Cholesky factor of A; `by_lag` (LAGS + 1,): the correlations of all neighbours at about this
+    distance. H is nearly the same in all directions, so neighbours in a row stand for all, and every third row of a
+    large window for the others: to 4 % of the number, which is a tenth of the pixels [calc].
     """
-    size, pixels = len(L), columns.shape[1]
-    last = np.uint32(0)
-    for p in range(pixels):
-        last = max(last, where[0, p])
-    wanted = np.zeros(last + 1, np.uint32)
-    wanted[1 :: 1 if pixels < _LARGE_WINDOW else 3] = 1  # none in the corners of a window, where the padding is
-    picked, used, every = np.empty(pixels, np.uint32), np.uint32(0), np.uint32(0)
-    for p in range(pixels):
-        picked[used] = p
-        every += np.uint32(where[0, p] > np.uint32(0))
-        used += wanted[where[0, p]]
-    count = (int(used) + VECTOR - 1) // VECTOR * VECTOR
-    of_row, of_column = np.zeros(count + LAGS, np.uint32), np.zeros(count + LAGS, np.uint32)
-    for p in range(used):
-        of_row[p], of_column[p] = where[0, picked[p]], where[1, picked[p]]
+    size, pixels = len(U), columns.shape[1]
+    picked, used, every, stride = np.empty(pixels, np.int64), 0, 0, 1 if pixels < _LARGE_WINDOW else 3
+    for p in range(pixels):  # row 0 has none: it lies in the corners of a window, where the padding is
+        every += where[0, p] > 0
+        if where[0, p] > 0 and (where[0, p] - 1) % stride == 0:
+            picked[used] = p
+            used += 1
+    count = (used + VECTOR - 1) // VECTOR * VECTOR
     shares, rows = np.zeros((LAGS + 1, count), np.float32), np.zeros((size, count + LAGS), np.float32)
     for lag in range(LAGS + 1):
-        share, factor, one = shares[lag], np.float32(by_lag[lag] * every / max(used, 1)), np.uint32(lag)
-        later_row, later_column = of_row[lag:], of_column[lag:]
-        for p in range(count):
-            beside = (later_row[p] == of_row[p]) & (later_column[p] == of_column[p] + one)
-            share[p] = factor if beside else np.float32(0.0)
-    s0, s1, s2, s3, s4 = shares[0], shares[1], shares[2], shares[3], shares[4]
-    total = np.float32(0.0)
-    for k in range(size):  # rows of L^-1 J'
-        row, lower, column = rows[k], L[k], columns[k]
-        scale = np.float32(1.0 / lower[k])
+        for k in range(used - lag):
+            p, q = picked[k], picked[k + lag]
+            if where[0, p] == where[0, q] and where[1, p] + lag == where[1, q]:
+                shares[lag, k] = by_lag[lag] * every / used
+    products, total = np.zeros(count, np.float32), 0.0
+    for k in range(size):  # rows of U^-T J
+        row, column = rows[k], columns[k]
         for p in range(used):
-            row[p] = scale * column[picked[p]]
-        for m in range(0, k - 3, 4):  # four at once, which saves loads and stores
-            a, b, c, d = rows[m], rows[m + 1], rows[m + 2], rows[m + 3]
-            x, y = scale * np.float32(lower[m]), scale * np.float32(lower[m + 1])
-            z, w = scale * np.float32(lower[m + 2]), scale * np.float32(lower[m + 3])
-            for p in range(count):
-                row[p] -= x * a[p] + y * b[p] + z * c[p] + w * d[p]
-        for m in range(k - k % 4, k):
-            part, other = scale * np.float32(lower[m]), rows[m]
+            row[p] = column[picked[p]]
+        for m in range(k):
+            part, other = np.float32(U[m, k]), rows[m]
             for p in range(count):
                 row[p] -= part * other[p]
-        r1, r2, r3, r4 = row[1:], row[2:], row[3:], row[4:]
+        scale = np.float32(1.0 / U[k, k])
         for p in range(count):
-            total += row[p] * (s0[p] * row[p] + s1[p] * r1[p] + s2[p] * r2[p] + s3[p] * r3[p] + s4[p] * r4[p])
+            row[p] *= scale
+        for lag in range(LAGS + 1):
+            share, later = shares[lag], row[lag:]
+            for p in range(count):
+                products[p] += share[p] * row[p] * later[p]
+    for p in range(count):
+        total += products[p]
     return total
 
 
-@exact
-def _covariance(wanted, columns, where, L, side, correlation, scale2, prior, coupling, background, out):  # noqa: PLR0917
+@kernel()
+def _covariance(columns, where, U, side, correlation, scale2, prior, coupling, background, out):  # noqa: PLR0917 - a kernel
     """Write the covariance of u, v and the variance of the light in the middle into `out`, whose blur must be set.
 
-    `wanted` (3,): the places of these parameters; a number of them that the compiler knows would unroll all loops
-    here, and double its time. Propagated are noise of the given `correlation` and the uncertainty of the priors.
+    Propagated are noise of the given `correlation` and the uncertainty of the priors.
     """
-    size = len(L)
+    size = len(U)
     of_background = size - BACKGROUND_TERMS
     of_scatter = of_background - SCATTER_TERMS
-    unit, influence = np.zeros(size), np.empty((len(wanted), size))
-    for row in range(len(wanted)):
+    unit, influence = np.zeros(size), np.empty((3, size))
+    for row in range(3):
+        wanted = BEAD_X if row == 0 else BEAD_Y if row == 1 else of_scatter
         unit[:] = 0.0
-        unit[wanted[row]] = 1.0
-        substitute(L, unit, influence[row])
-    reach = np.uint32(LAGS)
-    width, pixels = np.uint32(side) + 2 * reach, columns.shape[1]
-    total = np.zeros((len(wanted), pixels), np.float32)
-    field = np.zeros((len(wanted), width * width), np.float32)
-    for row in range(len(wanted)):
-        of_row, x = total[row], influence[row].astype(np.float32)
-        for k in range(0, size - 3, 4):  # four at once, which saves loads and stores
-            a, b, c, d = columns[k], columns[k + 1], columns[k + 2], columns[k + 3]
-            x0, x1, x2, x3 = x[k], x[k + 1], x[k + 2], x[k + 3]
-            for p in range(pixels):
-                of_row[p] += x0 * a[p] + x1 * b[p] + x2 * c[p] + x3 * d[p]
-        for k in range(size - size % 4, size):
-            column = columns[k]
-            for p in range(pixels):
-                of_row[p] += x[k] * column[p]
-    for p in range(pixels):
-        at = (where[0, p] + reach) * width + where[1, p] + reach
-        field[0, at], field[1, at], field[2, at] = total[0, p], total[1, p], total[2, p]
+        unit[wanted] = 1.0
+        substitute(U, unit, influence[row])
+    total = np.dot(influence.astype(np.float32), columns[:size])
+    width = side + 2 * LAGS
+    field = np.zeros((3, width * width), np.float32)
+    for p in range(columns.shape[1]):
+        at = (int(where[0, p]) + LAGS) * width + int(where[1, p]) + LAGS
+        for row in range(3):
+            field[row, at] = total[row, p]
     uu, uv, vv, ww = correlated_products(field, correlation, width)
-    out[CUU], out[CUV], out[CVV], out[CCC] = scale2 * uu, scale2 * uv, scale2 * vv, scale2 * ww
     for m in range(SCATTER_TERMS - 1):
         for row in range(2):
             influence[row, of_scatter + 1 + m] -= coupling * influence[row, of_background + 1 + m]
+    uu, uv, vv, ww = scale2 * uu, scale2 * uv, scale2 * vv, scale2 * ww
     for k in range(size):
         # The prior pulls cubic terms to zero: their error is taken to be as large as their fitted values.
-        m = k - of_background
-        is_cubic = m >= BACKGROUND_TERMS - CUBIC_TERMS
-        missing = prior[k] ** 2 * (background[m] ** 2 + _MIN_CUBIC**2) if is_cubic else prior[k]
-        out[CUU] += influence[0, k] ** 2 * missing
-        out[CUV] += influence[0, k] * influence[1, k] * missing
-        out[CVV] += influence[1, k] ** 2 * missing
-    bent = 1.0 + _RIM_NONLINEARITY * 0.5 * (out[CUU] + out[CVV]) / max(out[BLUR], MIN_BLUR_PX) ** 2
-    out[CUU], out[CUV], out[CVV] = bent * out[CUU], bent * out[CUV], bent * out[CVV]
+        m, missing = k - of_background, prior[k]
+        if m >= BACKGROUND_TERMS - CUBIC_TERMS:
+            missing = prior[k] ** 2 * (background[m] ** 2 + _MIN_CUBIC**2)
+        uu += influence[0, k] ** 2 * missing
+        uv += influence[0, k] * influence[1, k] * missing
+        vv += influence[1, k] ** 2 * missing
+    bent = 1.0 + _RIM_NONLINEARITY * 0.5 * (uu + vv) / max(out[0].blur_px, MIN_BLUR_PX) ** 2
+    out[0].uu_px2, out[0].uv_px2, out[0].vv_px2, out[0].contrast_variance = bent * uu, bent * uv, bent * vv, ww
 
 
-@exact
-def unsharpen(beads, at, where, light, blur2, together2):  # noqa: PLR0917
-    """Make `beads` and `at` those of the window before sharpening, which changed the squared blur by `blur2`.
-
-    Returns the squared blur that background and shadow then went through together, as `fill_light` needs it.
-    """
+@kernel()
+def unsharpen(beads, at, where, light, blur2):
+    """Make `beads` and `at` those of the window before sharpening, which changed the squared blur by `blur2`."""
     for k in range(len(beads)):
         beads[k, BEAD_BLUR] = np.sqrt(max(beads[k, BEAD_BLUR] ** 2 - blur2, MIN_BLUR_PX**2))
-    margin = np.uint32(MARGIN)
     for p in range(at.shape[1]):
-        at[2, p] = light[where[0, p] + margin, where[1, p] + margin]
-    return np.float32(together2 - blur2)
+        at[2, p] = light[int(where[0, p]) + MARGIN, int(where[1, p]) + MARGIN]
 
 
-@part_of_caller
-def assess(at, beads, gain, inverse_sd, pixels, behind, columns, out):  # noqa: PLR0917
+@kernel()
+def assess(at, beads, gain, inverse_sd, pixels, columns, out):  # noqa: PLR0917 - a kernel
     """Write into `out` how well the bead explains its window before sharpening: residual excess, weakest sector.
 
-    `columns`: from `fill_light`, for beads and values before sharpening; `behind` (4, N) is overwritten.
+    `columns`: from `fill_light`, for beads and values before sharpening.
     """
-    darkest, zero = np.float32(0.02), np.float32(0.0)
-    rest, meant_light, bright = columns[RESIDUAL], columns[LIGHT], columns[BACKGROUND]
-    residuals = expected = zero
-    for p in range(at.shape[1]):
-        m, counts = max(meant_light[p], darkest), inverse_sd[p] > zero
-        residual, sd = rest[p] / m, np.float32(1.0) / (inverse_sd[p] * m)
-        residuals += residual * residual if counts else zero
-        expected += sd * sd if counts else zero
-    beyond = max(residuals - _NOISE_MARGIN * expected / gain, 0.0) / pixels
-    out[EXCESS] = np.sqrt(beyond) / max(abs(out[CONTRAST]), 1e-9)
-    u, v = np.float32(beads[0, BEAD_X]), np.float32(beads[0, BEAD_Y])
-    rim2 = np.float32(squared(beads[0, BEAD_RADIUS] + 1))
-    of_seen, of_meant, sectors = behind[0], behind[1], np.empty(at.shape[1], np.uint8)
-    for p in range(at.shape[1]):  # without branches, so that it is vectorised
-        x, y = at[0, p] - u, at[1, p] - v
-        counts = (x * x + y * y < rim2) & (inverse_sd[p] > zero)
-        bead = max(meant_light[p], darkest) / bright[p] - np.float32(1.0)
-        of_seen[p] = (rest[p] / bright[p] + bead) * bead if counts else zero
-        of_meant[p] = bead * bead if counts else zero
-        sectors[p] = 4 * np.uint8(x > zero) + 2 * np.uint8(y > zero) + np.uint8(abs(x) > abs(y))
+    rest, light, bright = columns[RESIDUAL], columns[LIGHT], columns[BACKGROUND]
+    u, v, rim2 = beads[0, BEAD_X], beads[0, BEAD_Y], (beads[0, BEAD_RADIUS] + 1) ** 2
+    residuals = expected = 0.0
     seen, meant = np.zeros(8), np.zeros(8)
     for p in range(at.shape[1]):
-        seen[sectors[p]] += of_seen[p]
-        meant[sectors[p]] += of_meant[p]
-    whole = 0.0
+        if inverse_sd[p] == 0.0:
+            continue
+        here = max(light[p], np.float32(0.02))
+        residuals += (rest[p] / here) ** 2
+        expected += 1.0 / (inverse_sd[p] * here) ** 2
+        x, y = at[0, p] - u, at[1, p] - v
+        if x * x + y * y < rim2:
+            bead = here / bright[p] - 1.0
+            sector = 4 * int(x > 0) + 2 * int(y > 0) + int(abs(x) > abs(y))
+            seen[sector] += (rest[p] / bright[p] + bead) * bead
+            meant[sector] += bead * bead
+    beyond = max(residuals - _NOISE_MARGIN * expected / gain, 0.0) / pixels
+    out[0].excess = np.sqrt(beyond) / max(abs(out[0].contrast), 1e-9)
+    weakest, whole = 1.0, 0.0
     for k in range(8):
         whole += meant[k]
-    out[WEAKEST] = 1.0
     for k in range(8):
         if meant[k] > whole / 32:  # a sector that a neighbour covers is not judged
-            out[WEAKEST] = min(out[WEAKEST], seen[k] / meant[k])
+            weakest = min(weakest, seen[k] / meant[k])
+    out[0].weakest = weakest

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from sightline.fitting.robust import median
-from sightline.kernels import FAST, exact, fast, kernel
+from sightline.kernels import kernel
 
 BLOCK = 16  # px; small enough that most blocks of anatomy are nearly planes [ours]
 AREA = BLOCK * BLOCK
@@ -100,7 +100,7 @@ def _quiet_line(level: np.ndarray, log_variance: np.ndarray) -> tuple[float, flo
     return median(y + slope * x), slope
 
 
-@kernel(fastmath=FAST, nogil=True)
+@kernel(nogil=True)
 def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return each block's mean level, largest value, and half mean squared difference at lags 1..LAGS and the sill.
 
@@ -122,13 +122,13 @@ def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nda
             brightest[n] = max(brightest[n], sums[2, j])
         for k in range(LAGS + 1):
             lag = k + 1 if k < LAGS else _SILL
-            gamma[n, k] = _squares(block, BLOCK * lag) + _squares(transposed, BLOCK * lag)
+            gamma[n, k] = _squares(block, BLOCK * lag, sums[0]) + _squares(transposed, BLOCK * lag, sums[0])
             gamma[n, k] /= 4.0 * BLOCK * (BLOCK - lag)
         n += 1
     return level[:n], brightest[:n], gamma[:n]
 
 
-@exact
+@kernel()
 def _copied(image, mask, top, left, block) -> bool:
     """Copy the pixels at (`top`, `left`) to `block`; return whether all lie inside the mask."""
     inside = np.uint8(1)
@@ -145,7 +145,7 @@ def _copied(image, mask, top, left, block) -> bool:
     return True
 
 
-@exact
+@kernel()
 def flatten(block, transposed, sums) -> float:
     """Subtract a plane from a `block` (AREA,) and write its transpose to `transposed`; return its mean.
 
@@ -177,11 +177,18 @@ def flatten(block, transposed, sums) -> float:
     return mean
 
 
-@fast
-def _squares(values, lag):
-    """Return the sum of squared differences of values `lag` apart, in one loop that the compiler vectorises."""
-    later, total = values[lag:], np.float32(0)
-    for k in range(len(later)):
-        change = later[k] - values[k]
-        total += change * change
+@kernel()
+def _squares(values, lag, sums):
+    """Return the sum of squared differences of `values` (AREA,) `lag` apart, a multiple of BLOCK.
+
+    Columns are summed side by side in `sums` (BLOCK,), which the compiler vectorises.
+    """
+    sums[:] = 0.0
+    for first in range(0, AREA - lag, BLOCK):
+        for j in range(BLOCK):
+            change = values[first + lag + j] - values[first + j]
+            sums[j] += change * change
+    total = 0.0
+    for j in range(BLOCK):
+        total += sums[j]
     return total

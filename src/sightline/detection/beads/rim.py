@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from sightline.kernels import exact, inlined, kernel
+from sightline.kernels import kernel
 from sightline.threads import in_parts
 
-# Columns of an extremum (the first four) and of a candidate.
-U, V, RADIUS, RESPONSE, SCORE, HOLLOW = range(6)
+EXTREMUM = np.dtype([(name, np.float64) for name in ("u_px", "v_px", "radius_px", "contrast")])
+# `score`: 0 where the rim is not round. `hollow`: how much the middle lacks, over the contrast.
+CANDIDATE = np.dtype([*EXTREMUM.descr, ("score", np.float64), ("hollow", np.float64)])
 FAINTEST = 0.08  # step of log intensity; a 3 mm steel ball under much scatter still makes 0.3 [ours]
 _RAYS = 16
 _BESIDE = 3  # adjacent rays averaged in large discs
@@ -51,7 +52,7 @@ def _middle_network(count: int) -> tuple[np.ndarray, np.ndarray]:
 _LOWER, _UPPER = _middle_network(_RAYS)
 
 
-@exact
+@kernel()
 def broad_noise(level, line) -> float:
     """Return the noise of a mean over many pixels, times the root of their number, at the log intensity `level`."""
     return np.exp(np.float32(0.5) * (line[0] - line[1] * level))
@@ -59,75 +60,81 @@ def broad_noise(level, line) -> float:
 
 def judged(base: np.ndarray, extrema: np.ndarray, line: np.ndarray) -> np.ndarray:
     """Return a candidate for each extremum: radius 0 where there is no disc, score 0 where its rim is not round."""
-    out = np.zeros((len(extrema), HOLLOW + 1))
-    in_parts(_judge_part, base, extrema, line, out)
-    return out
+    candidates = np.zeros(len(extrema), CANDIDATE)
+    in_parts(_judge_part, base, extrema, line, candidates)
+    return candidates
 
 
 @kernel(nogil=True)
-def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917
-    # Views are made here once: each one made for an extremum counts its references, and atomic counters stall.
-    pixels, seen = base.reshape(-1), np.empty((_PLACES, _RAYS), np.float32)
-    every = seen.reshape(-1)
+def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917 - a kernel
+    """Fit a circle to the rim points around each extremum and write the candidate into its row of `out`."""
+    # Made once: threads that count the references of one array a thousand times an image stall each other.
+    pixels, shape, seen = base.reshape(-1), base.shape, np.empty((_PLACES, _RAYS), np.float32)
     x, y, values = np.empty(seen.size, np.float32), np.empty(seen.size, np.float32), np.empty(seen.size, np.float32)
     at = np.empty(seen.size, np.uint32)
     rim, step, ordered = np.empty(_RAYS, np.float32), np.empty(_RAYS, np.float32), np.empty(_RAYS, np.float32)
     for i in range(part, len(extrema), parts):
-        _judge(base, pixels, extrema, i, line, seen, every, x, y, at, values, rim, step, ordered, out)
+        u, v, radius = extrema[i].u_px, extrema[i].v_px, extrema[i].radius_px
+        first_u, first_v, first_radius, sign = u, v, radius, 1.0 if extrema[i].contrast > 0 else -1.0
+        _two_rings(pixels, shape, u, v, 0.4 * radius, 1.7 * radius, 2, x, y, at, values)
+        noise = broad_noise(values[16], line)
+        if not _has_all_sides(values, radius, sign, noise):
+            continue
+        sound, middle, is_disc = 0, 0.0, True
+        for iteration in range(_ITERATIONS):
+            spacing = max(_SPACING[0] * radius, _SPACING[1])
+            first = max(radius - (_PLACES // 2) * spacing, 0.3)
+            averaged = iteration == _ITERATIONS - 1 and radius > _LARGE
+            _cast(pixels, shape, u, v, first, spacing, sign, _BESIDE if averaged else 1, seen, x, y, at, values)
+            _steepest(seen, first, spacing, rim, step)
+            middle = _median(step, ordered)
+            is_disc = middle >= max(FAINTEST, MIN_STEP_SNR * noise / radius)
+            if not is_disc:
+                break
+            slack = max(_OFF_CIRCLE[iteration] * radius, _MIN_SLACK_PX)
+            sound, du, dv, radius = _circle(rim, step, _SOUND * middle, slack, radius, ordered)
+            u, v = u + du, v + dv
+            if iteration == _ITERATIONS - 1:
+                out[i].u_px, out[i].v_px, out[i].radius_px, out[i].contrast = u, v, radius, sign * middle
+            far = (u - first_u) ** 2 + (v - first_v) ** 2 > (0.8 * first_radius + 1) ** 2
+            is_disc = sound >= _MIN_RAYS[iteration] and not far and 0.5 * first_radius < radius < 2.0 * first_radius
+            if not is_disc:
+                break
+        if not is_disc:
+            continue
+        # The mean within a circle minus the mean around it: linear in the image, so noise causes no bias.
+        inner, outer = max(0.7 * radius, radius - 2.0), max(1.3 * radius, radius + 1.5)
+        _two_rings(pixels, shape, u, v, inner, outer, 1, x, y, at, values)
+        whole = 0.0
+        for k in range(_RAYS):
+            whole += values[k] - values[_RAYS + k]
+        if sign * whole / _RAYS < max(FAINTEST, MIN_STEP_SNR * noise / radius):
+            continue
+        _two_rings(pixels, shape, u, v, 0.15 * radius, 0.75 * radius, 2, x, y, at, values)
+        core, ring = float(values[16]), 0.0
+        for k in range(8):
+            core += values[k]
+            ring += values[8 + k]
+        out[i].score = middle * np.sqrt(radius) * sound**2
+        out[i].hollow = sign * (ring / 8 - core / 9) / middle
 
 
-@inlined
-def _judge(base, pixels, extrema, i, line, seen, every, x, y, at, values, rim, step, ordered, out):  # noqa: PLR0917
-    """Fit a circle to the rim points around extremum `i` and write the candidate into row `i` of `out`.
-
-    `pixels`: all of `base`, row by row. What lies between `line` and `out` is overwritten.
-    """
-    shape = base.shape
-    u, v, radius, sign = extrema[i, U], extrema[i, V], extrema[i, RADIUS], 1.0 if extrema[i, RESPONSE] > 0 else -1.0
-    _sample_sides(pixels, shape, u, v, radius, x, y, at, values)
-    noise = broad_noise(values[16], line)
-    if not _has_all_sides(values, radius, sign, noise):
-        return
-    sound, middle = 0, 0.0
-    for iteration in range(_ITERATIONS):
-        spacing = max(_SPACING[0] * radius, _SPACING[1])
-        first = max(radius - (_PLACES // 2) * spacing, 0.3)
-        averaged = iteration == _ITERATIONS - 1 and radius > _LARGE
-        _cast(pixels, shape, u, v, first, spacing, sign, averaged, every, x, y, at, values)
-        _steepest(seen, first, spacing, rim, step)
-        middle = _median(step, ordered)
-        if middle < max(FAINTEST, MIN_STEP_SNR * noise / radius):
-            return
-        slack = max(_OFF_CIRCLE[iteration] * radius, _MIN_SLACK_PX)
-        sound, du, dv, radius = _circle(rim, step, _SOUND * middle, slack, radius, ordered)
-        u, v = u + du, v + dv
-        if iteration == _ITERATIONS - 1:
-            out[i, U], out[i, V], out[i, RADIUS], out[i, RESPONSE] = u, v, radius, sign * middle
-        far = (u - extrema[i, U]) ** 2 + (v - extrema[i, V]) ** 2 > (0.8 * extrema[i, RADIUS] + 1) ** 2
-        resized = not 0.5 * extrema[i, RADIUS] < radius < 2.0 * extrema[i, RADIUS]
-        if sound < _MIN_RAYS[iteration] or far or resized:
-            return
-    step_all = _step_at(pixels, shape, u, v, radius, sign, x, y, at, values)
-    if step_all < max(FAINTEST, MIN_STEP_SNR * noise / radius):
-        return
-    out[i, SCORE] = middle * np.sqrt(radius) * sound**2
-    out[i, HOLLOW] = _hollow(pixels, shape, u, v, radius, sign, x, y, at, values) / middle
+@kernel()
+def _two_rings(pixels, shape, u, v, inner, outer, every, x, y, at, values):  # noqa: PLR0917 - a kernel
+    """Fill `values` with those at `inner` px from (u, v), then those at `outer` px, on every first or second ray; and
+    in the middle."""
+    count = _RAYS // every
+    for k in range(count):
+        c, s = _COS[0, every * k], _SIN[0, every * k]
+        x[k], y[k] = u + inner * c, v + inner * s
+        x[count + k], y[count + k] = u + outer * c, v + outer * s
+    x[2 * count], y[2 * count] = u, v
+    _interpolate(pixels, shape, 2 * count + 1, x, y, at, values)
 
 
-@inlined
-def _sample_sides(pixels, shape, u, v, radius, x, y, at, values):  # noqa: PLR0917
-    """Fill `values` with the values at 8 places inside the disc, at 8 outside, and in the middle."""
-    for k in range(8):
-        c, s = _COS[0, 2 * k], _SIN[0, 2 * k]
-        x[k], y[k] = u + 0.4 * radius * c, v + 0.4 * radius * s
-        x[8 + k], y[8 + k] = u + 1.7 * radius * c, v + 1.7 * radius * s
-    x[16], y[16] = u, v
-    _interpolate(pixels, shape, 17, x, y, at, values)
-
-
-@inlined
+@kernel()
 def _has_all_sides(values, radius, sign, noise) -> bool:
-    """Return whether values (see `_sample_sides`) fall outwards in at least 5 of 8 directions; overwrites some."""
+    """Return whether the values of two rings of 8 fall outwards in at least 5 directions; overwrites some."""
     whole = 0.0
     for k in range(8):
         values[k] = sign * (values[k] - values[8 + k])
@@ -140,28 +147,24 @@ def _has_all_sides(values, radius, sign, noise) -> bool:
     return down >= 5
 
 
-@inlined
-def _cast(pixels, shape, u, v, first, spacing, sign, averaged, every, x, y, at, values):  # noqa: PLR0917
-    """Fill `every` with signed values along rays from (u, v), or their means over adjacent rays.
-
-    For each of _PLACES, all _RAYS.
-    """
-    count = _BESIDE if averaged else 1
-    part = np.float32(sign / count)
+@kernel()
+def _cast(pixels, shape, u, v, first, spacing, sign, beside, seen, x, y, at, values):  # noqa: PLR0917 - a kernel
+    """Fill `seen` (_PLACES, _RAYS) with signed values along rays from (u, v), or their means over `beside` rays."""
+    part = np.float32(sign / beside)
     u, v = np.float32(u), np.float32(v)
-    for n in range(len(every)):
-        every[n] = 0
-    for b in range(count):
+    seen[:] = 0
+    for b in range(beside):
         for j in range(_PLACES):
             r, first_ray = np.float32(first + j * spacing), j * _RAYS
             for k in range(_RAYS):
                 x[first_ray + k], y[first_ray + k] = u + r * _COS[b, k], v + r * _SIN[b, k]
-        _interpolate(pixels, shape, len(every), x, y, at, values)
-        for n in range(len(every)):
-            every[n] += part * values[n]
+        _interpolate(pixels, shape, seen.size, x, y, at, values)
+        for j in range(_PLACES):
+            for k in range(_RAYS):
+                seen[j, k] += part * values[j * _RAYS + k]
 
 
-@inlined
+@kernel()
 def _interpolate(pixels, shape, count, x, y, at, values):  # noqa: PLR0917
     """Fill the first `count` of `values` with the bilinear values at `x`, `y`; the border repeats.
 
@@ -184,7 +187,7 @@ def _interpolate(pixels, shape, count, x, y, at, values):  # noqa: PLR0917
         values[n] = top + (low - top) * y[n]
 
 
-@inlined
+@kernel()
 def _steepest(seen, first, spacing, rim, step):
     """Fill `rim` and `step` with the place where each ray falls most steeply, and by how much it falls there."""
     for k in range(_RAYS):  # branch-free, so that it is vectorised over the rays
@@ -203,7 +206,7 @@ def _steepest(seen, first, spacing, rim, step):
         rim[k], step[k] = first + (at + shift) * spacing, before + after
 
 
-@inlined
+@kernel()
 def _median(values, ordered) -> float:
     """Return the median of the rays' values; overwrites `ordered`."""
     for k in range(_RAYS):
@@ -215,7 +218,7 @@ def _median(values, ordered) -> float:
     return 0.5 * (ordered[_RAYS // 2 - 1] + ordered[_RAYS // 2])
 
 
-@inlined
+@kernel()
 def _circle(rim, step, least, slack, radius, ordered):  # noqa: PLR0917
     """Fit r = R + a cos + b sin to the rim points; return how many lie within `slack`, the centre (a, b), and R."""
     a = b = 0.0
@@ -242,35 +245,3 @@ def _circle(rim, step, least, slack, radius, ordered):  # noqa: PLR0917
         a, b = (ss * rc - cs * rs) / whole, (cc * rs - cs * rc) / whole
         size = r1 - a * c1 - b * s1
     return sound, a, b, size
-
-
-@inlined
-def _step_at(pixels, shape, u, v, radius, sign, x, y, at, values) -> float:  # noqa: PLR0917
-    """Return the mean within a circle minus the mean around it: linear in the image, so noise causes no bias."""
-    within, around = max(0.7 * radius, radius - 2.0), max(1.3 * radius, radius + 1.5)
-    for k in range(_RAYS):
-        c, s = _COS[0, k], _SIN[0, k]
-        x[k], y[k] = u + within * c, v + within * s
-        x[_RAYS + k], y[_RAYS + k] = u + around * c, v + around * s
-    _interpolate(pixels, shape, 2 * _RAYS, x, y, at, values)
-    step = 0.0
-    for k in range(_RAYS):
-        step += values[k]
-        step -= values[_RAYS + k]
-    return sign * step / _RAYS
-
-
-@inlined
-def _hollow(pixels, shape, u, v, radius, sign, x, y, at, values) -> float:  # noqa: PLR0917
-    """Return the mean of a ring at three quarters of the radius minus that of the disc's middle."""
-    for k in range(8):
-        c, s = _COS[0, 2 * k], _SIN[0, 2 * k]
-        x[k], y[k] = u + 0.15 * radius * c, v + 0.15 * radius * s
-        x[8 + k], y[8 + k] = u + 0.75 * radius * c, v + 0.75 * radius * s
-    x[16], y[16] = u, v
-    _interpolate(pixels, shape, 17, x, y, at, values)
-    middle, ring = float(values[16]), 0.0
-    for k in range(8):
-        middle += values[k]
-        ring += values[8 + k]
-    return sign * (ring / 8 - middle / 9)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sightline.detection.beads.profile import Q_COUNT, Q_STEP, T_COUNT, T_FIRST, T_STEP
-from sightline.kernels import fast, part_of_caller
+from sightline.kernels import kernel
 
 # Parameters of a bead's shadow: centre about the first guess and radius, px; blur, px; ellipticity along the axes and
 # along the diagonals.
@@ -24,7 +24,7 @@ LEFT, CLEAR, LEFT_X, LEFT_Y = range(4)
 STOPPED_BY_BALL, STOPPED_BY_HOLE = np.float32(0.87), np.float32(0.0)
 
 
-@part_of_caller
+@kernel()
 def _profile_row(tables, bead, row):
     """Fill `row` (2, T_COUNT) with a bead's profile, and its derivative by blur over radius."""
     radius, blur, large = bead[BEAD_RADIUS], bead[BEAD_BLUR], bead[BEAD_LARGE]
@@ -42,7 +42,7 @@ def _profile_row(tables, bead, row):
             row[1, j] += large * ((table[i + 1, j] - table[i, j]) / Q_STEP - row[1, j])
 
 
-@part_of_caller
+@kernel()
 def _shadow(row, at, bead, out, slopes):
     """Fill `out` (BEAD_TERMS, N) with the derivatives of a bead's share by its parameters, `slopes` (3, N) with the
     share and its slopes.
@@ -87,13 +87,13 @@ def _shadow(row, at, bead, out, slopes):
         out[4, n], out[5, n] = -g * (c * c - s * s), -g * two * c * s
 
 
-@part_of_caller
-def fill_light(tables, at, beads, scatter, background, optics, behind, effect, columns):  # noqa: PLR0917
+@kernel()
+def fill_light(tables, at, beads, scatter, background, scale, stopped, shared, behind, effect, columns):  # noqa: PLR0917
     """Fill `columns` with the residual, the model's light and the background, and with what `fill_slopes` needs.
 
-    `tables`: as of `profile_table`; `at` (3, N): x, y, measured value; `scatter` (3,): level and slopes; `optics`: one
-    over the window's reach, the share that a bead stops, and the squared blur that background and shadow went through
-    together.
+    `tables`: as of `profile_table`; `at` (3, N): x, y, measured value; `scatter` (3,): level and slopes; `scale`: one
+    over the window's reach; `stopped`: the share that a bead stops; `shared`: the squared blur that background and
+    shadow went through together.
 
     Filled are: `columns` (BEAD_TERMS K + SCATTER_TERMS + BACKGROUND_TERMS + 3, N), of which the first BEAD_TERMS K
     rows receive the derivatives of each bead's share; `effect` (K, N): derivative of the light by each share;
@@ -103,7 +103,7 @@ def fill_light(tables, at, beads, scatter, background, optics, behind, effect, c
     Blur over a slope of G moves the rim: to first order by blur² grad G grad W.
     """
     count, pixels = len(beads), at.shape[1]
-    scale, stopped, blur2, one = optics[0], optics[1], optics[2] * optics[0], np.float32(1.0)
+    blur2, one = shared * scale, np.float32(1.0)
     three, s0, s1, s2 = np.float32(3.0), np.float32(scatter[0]), np.float32(scatter[1]), np.float32(scatter[2])
     row, slopes = np.empty((2, T_COUNT), np.float32), np.empty((count, 3, pixels), np.float32)
     others_left, others_clear = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
@@ -148,7 +148,7 @@ def fill_light(tables, at, beads, scatter, background, optics, behind, effect, c
         rest[n] = at[2, n] - light[n]
 
 
-@part_of_caller
+@kernel()
 def fill_slopes(at, scale, inverse_sd, behind, effect, columns):  # noqa: PLR0917
     """Fill `columns` with the derivatives of the light by all parameters and the residual, times `inverse_sd` (N,).
 
@@ -183,66 +183,56 @@ def fill_slopes(at, scale, inverse_sd, behind, effect, columns):  # noqa: PLR091
         background[8, n], background[9, n] = w * ab * b + bb * x + two * ab * y, w * bb * b + three * bb * y
 
 
-@part_of_caller
+@kernel()
 def normal_equations(columns, A, b):
-    """Fill the lower half of A = J'J and b = J'r; return the sum of r².
+    """Fill A = J'J (n, n) and b = J'r (n,); return the sum of r². J: the first n rows of `columns`, r: the next one."""
+    n = len(b)
+    products = np.dot(columns[: n + 1], columns[: n + 1].T)
+    for i in range(n):
+        b[i] = products[n, i]
+        for j in range(n):
+            A[i, j] = products[i, j]
+    return float(products[n, n])
 
-    J: the first len(b) rows of `columns`, r: the one after them. A has two rows and columns more than J'J: it is
-    computed in blocks of 3 x 3.
+
+@kernel()
+def solve(A, b, U, x):
+    """Solve A x = b by the upper Cholesky factor of A, which fills `U`; return False where A is not positive definite.
+
+    Of A and U the upper triangle counts.
     """
     n = len(b)
-    for i in range(0, n + 1, 3):
-        first, second, third = columns[i], columns[i + 1], columns[i + 2]
-        for j in range(0, i + 1, 3):
-            x, y, z = columns[j], columns[j + 1], columns[j + 2]
-            fx = fy = fz = gx = gy = gz = hx = hy = hz = np.float32(0.0)
-            for p in range(columns.shape[1]):  # nine sums at once need a third of the memory loads
-                f, g, h = first[p], second[p], third[p]
-                fx, fy, fz = fx + f * x[p], fy + f * y[p], fz + f * z[p]
-                gx, gy, gz = gx + g * x[p], gy + g * y[p], gz + g * z[p]
-                hx, hy, hz = hx + h * x[p], hy + h * y[p], hz + h * z[p]
-            A[i, j], A[i, j + 1], A[i, j + 2] = fx, fy, fz
-            A[i + 1, j], A[i + 1, j + 1], A[i + 1, j + 2] = gx, gy, gz
-            A[i + 2, j], A[i + 2, j + 1], A[i + 2, j + 2] = hx, hy, hz
-    for k in range(n):
-        b[k] = A[n, k]
-    return A[n, n]
-
-
-@fast
-def solve(A, b, L, x):
-    """Solve A x = b for symmetric A by Cholesky into `L`; return False where A is not positive definite."""
-    n = len(b)
-    inverse = np.empty(n)
     for i in range(n):
-        row = L[i]
-        for j in range(i):
-            rest, other = A[i, j], L[j]
-            for k in range(j):
-                rest -= row[k] * other[k]
-            row[j] = rest * inverse[j]
-        rest = A[i, i]
-        for k in range(i):
-            rest -= row[k] * row[k]
-        if rest <= 1e-7 * A[i, i] or rest <= 0:
+        for j in range(i, n):
+            U[i, j] = A[i, j]
+    for i in range(n):
+        row = U[i]
+        if row[i] <= 1e-7 * A[i, i] or row[i] <= 0:
             return False
-        row[i] = np.sqrt(rest)
-        inverse[i] = 1.0 / row[i]
-    return substitute(L, b, x)
+        inverse = 1.0 / np.sqrt(row[i])
+        for j in range(i, n):
+            row[j] *= inverse
+        for k in range(i + 1, n):
+            share, other = row[k], U[k]
+            for j in range(k, n):
+                other[j] -= share * row[j]
+    substitute(U, b, x)
+    return True
 
 
-@fast
-def substitute(L, b, x):
-    """Solve L L' x = b; return True."""
+@kernel()
+def substitute(U, b, x):
+    """Solve U' U x = b for an upper triangle U."""
     n = len(b)
     for i in range(n):
-        rest, row = b[i], L[i]
-        for k in range(i):
-            rest -= row[k] * x[k]
-        x[i] = rest / row[i]
+        x[i] = b[i]
+    for i in range(n):
+        row = U[i]
+        x[i] /= row[i]
+        for j in range(i + 1, n):
+            x[j] -= row[j] * x[i]
     for i in range(n - 1, -1, -1):
-        row = L[i]
-        x[i] = share = x[i] / row[i]
-        for k in range(i):
-            x[k] -= row[k] * share
-    return True
+        rest, row = x[i], U[i]
+        for j in range(i + 1, n):
+            rest -= row[j] * x[j]
+        x[i] = rest / row[i]

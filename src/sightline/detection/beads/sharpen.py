@@ -7,7 +7,7 @@ import numpy as np
 from sightline.detection.beads.noise import AREA, BLOCK, NoiseModel, flatten
 from sightline.detection.beads.window import TAPS, along_both_axes
 from sightline.fitting.robust import quantiles
-from sightline.kernels import FAST, exact, fast, kernel
+from sightline.kernels import kernel
 from sightline.threads import in_parts
 
 _WIDE, _STEP = BLOCK + 2 * TAPS, 4 * BLOCK  # px: side of a block with the filter's margin; distance of blocks
@@ -94,7 +94,7 @@ def _correlations_after(image: np.ndarray, mask: np.ndarray, noise: NoiseModel, 
     return out
 
 
-@kernel(fastmath=FAST, nogil=True)
+@kernel(nogil=True)
 def _correlations_part(part, parts, image, mask, line, taps, ceiling, columns, out):  # noqa: PLR0917
     block, transposed, sums = np.empty(AREA, np.float32), np.empty(AREA, np.float32), np.empty((3, BLOCK), np.float32)
     for b in range(part, len(out), parts):
@@ -107,11 +107,11 @@ def _correlations_part(part, parts, image, mask, line, taps, ceiling, columns, o
                 block[BLOCK * i + j] = sharp[i, j]
         variance = np.exp(line[0] - line[1] * flatten(block, transposed, sums))
         for lag in range(AFTER_LAGS + 1):
-            total = _products(block, BLOCK * lag) + _products(transposed, BLOCK * lag)
+            total = _products(block, BLOCK * lag, sums[0]) + _products(transposed, BLOCK * lag, sums[0])
             out[b, lag] = total / (2.0 * BLOCK * (BLOCK - lag)) / variance
 
 
-@exact
+@kernel()
 def _usable(image, mask, top, left, ceiling) -> bool:
     """Return whether the pixels of a block and its margin are all in the field and none is clipped."""
     for i in range(top, top + _WIDE):
@@ -123,10 +123,17 @@ def _usable(image, mask, top, left, ceiling) -> bool:
     return True
 
 
-@fast
-def _products(values, lag):
-    """Return the sum of products of values `lag` apart, in one loop that the compiler vectorises."""
-    later, total = values[lag:], np.float32(0)
-    for k in range(len(later)):
-        total += later[k] * values[k]
+@kernel()
+def _products(values, lag, sums):
+    """Return the sum of products of `values` (AREA,) `lag` apart, a multiple of BLOCK.
+
+    Columns are summed side by side in `sums` (BLOCK,), which the compiler vectorises.
+    """
+    sums[:] = 0.0
+    for first in range(0, AREA - lag, BLOCK):
+        for j in range(BLOCK):
+            sums[j] += values[first + lag + j] * values[first + j]
+    total = 0.0
+    for j in range(BLOCK):
+        total += sums[j]
     return total

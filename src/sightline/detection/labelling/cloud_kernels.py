@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.kernels import exact_unchecked
+from sightline.kernels import kernel
 
 RADIUS_RATIO = 0.25  # largest share by which a radius differs from the expected one: noise, blur [ours]
 SCALE_RATIO = 0.12  # of the scale of three points to their mean magnification by radius: 3 % each, blur [ours]
@@ -66,7 +66,7 @@ class Hypotheses(NamedTuple):
     focal: np.ndarray
 
 
-@exact_unchecked
+@kernel()
 def nearest_table(w, corner, cells, gate):
     """Return the detection nearest to the middle of each cell, or -1 where none is within the gate of the cell."""
     table, nearest = np.full((CELLS, CELLS), -1), np.full((CELLS, CELLS), np.inf)
@@ -82,13 +82,13 @@ def nearest_table(w, corner, cells, gate):
     return table
 
 
-@exact_unchecked
+@kernel()
 def _square(z):
     """Return the squared modulus of a complex number."""
     return z.real**2 + z.imag**2
 
 
-@exact_unchecked
+@kernel()
 def _heights(d1, d2, g11, g22, g12):
     """Return the squared scale and the depths (px) of two points over a first, under scaled orthography.
 
@@ -102,25 +102,25 @@ def _heights(d1, d2, g11, g22, g12):
     return q, h1, h2 if q * g12 >= c else -h2
 
 
-@exact_unchecked
+@kernel()
 def _cross(a, b):
     """Return the cross product of two vectors, as a tuple."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@exact_unchecked
+@kernel()
 def _from(origin, point):
     """Return the vector from one point to another, as a tuple."""
     return point[0] - origin[0], point[1] - origin[1], point[2] - origin[2]
 
 
-@exact_unchecked
+@kernel()
 def _dot(a, b):
     """Return the product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@exact_unchecked
+@kernel()
 def _hits(seen, cloud, first, u0, matrix, focal, scale, least):  # noqa: PLR0917 - a kernel
     """Return the number of balls with a detection of their size in the gate; 0 where the hypothesis is given up.
 
@@ -151,7 +151,7 @@ def _hits(seen, cloud, first, u0, matrix, focal, scale, least):  # noqa: PLR0917
     return hits
 
 
-@exact_unchecked
+@kernel()
 def _pose(rows, balls, seen, cloud, near, focal, matrices):  # noqa: PLR0917 - a kernel
     """Write the upright and the mirrored matrix (2, 3, 3) with three detections as three balls; return their scale.
 
@@ -181,7 +181,7 @@ def _pose(rows, balls, seen, cloud, near, focal, matrices):  # noqa: PLR0917 - a
     return scale
 
 
-@exact_unchecked
+@kernel()
 def _keep(best, hits, rows, balls, matrix, focal):  # noqa: PLR0917 - a kernel
     """Put a hypothesis in the place of the worst one."""
     worst = best.hits.argmin()
@@ -190,7 +190,7 @@ def _keep(best, hits, rows, balls, matrix, focal):  # noqa: PLR0917 - a kernel
         best.rows[worst, c], best.balls[worst, c] = rows[c], balls[c]
 
 
-@exact_unchecked
+@kernel()
 def _verify(rows, balls, seen, cloud, focals, best, least):  # noqa: PLR0917 - a kernel
     """Keep the best hypotheses that three detections show three balls; return the most hits."""
     matrices, most = seen.matrices, 0
@@ -206,7 +206,7 @@ def _verify(rows, balls, seen, cloud, focals, best, least):  # noqa: PLR0917 - a
     return most
 
 
-@exact_unchecked
+@kernel()
 def _search_one(rows, seen, cloud, focals, best, least, enough):  # noqa: PLR0917 - a kernel
     """Take three detections for every three balls that are far enough apart; return whether one has `enough` hits."""
     w, magnification, apart = seen.w, seen.magnification, cloud.apart
@@ -244,7 +244,7 @@ def _search_one(rows, seen, cloud, focals, best, least, enough):  # noqa: PLR091
     return False
 
 
-@exact_unchecked
+@kernel()
 def search(triples, seen, cloud, focals, best, least, enough):  # noqa: PLR0917 - a kernel
     """Fill `best` with hypotheses of at least `least` hits; return how many of the `triples` (T, 3) it took.
 

@@ -5,21 +5,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.special import gammaln
 
-from sightline.detection.labelling.cloud_evidence import log_evidence
 from sightline.detection.labelling.cloud_kernels import RADIUS_RATIO
 from sightline.detection.labelling.cloud_search import Hypothesis, Problem, sign_of
-from sightline.detection.labelling.pinhole import Camera, Fit, fit, project
+from sightline.detection.labelling.pinhole import PARAMETERS, Camera, Fit, Prior, fit, project
 
 GATE_M2 = 13.8  # 99.9 % of chi-square with two degrees of freedom [calc]
 GATE_SD_PX = 4.0  # largest s.d. for which a gate is looked at, px [ours]
-RADIUS_SD, MISJUDGED = (
-    0.06,
-    0.05,
-)  # of log radii: noise, blur; share of radii far off (2 % in images of the twin) [ours]
+RADIUS_SD = 0.06  # of log radii: noise, blur [ours]
+MISJUDGED = 0.05  # share of radii far off: 2 % in images of the twin [ours]
 LOG_RADII = 2.5  # range of log radii of false detections: 2 to 25 px [ours]
 ROUNDS, NARROWED = 12, 2  # of matching and fitting; the first ones within a gate in px
 MIN_SCALE = 1e-6  # px/mm, of balls behind the source
+LOG_SCALES = 3.0  # range of the log scale: 0.5 to 10 px/mm [ours]
 MIN_PAIRS = 4  # that determine a camera with the help of its priors [ours]
 
 
@@ -109,7 +108,7 @@ def _converged(problem: Problem, start: Hypothesis, gate_px: float) -> Labelling
         unclear=unclear,
         fit=one,
         mirrored=start.mirrored,
-        evidence=log_evidence(one, problem.prior, len(rows), len(problem.xyz_mm), len(uv_px)),
+        evidence=_log_evidence(one, problem.prior, len(rows), len(problem.xyz_mm), len(uv_px)),
         by_radius=_by_radius(problem.log_radius[rows] - problem.log_half[balls] - np.log(scales)),
         off_px=uv_px[rows] - at_px,
     )
@@ -162,3 +161,22 @@ def _by_radius(off: np.ndarray) -> float:
     """Return the log likelihood ratio, to false detections, of log radii `off` (n,) the expected ones."""
     like = np.exp(-0.5 * (off / RADIUS_SD) ** 2) / (RADIUS_SD * np.sqrt(2 * np.pi))
     return float(np.log((1 - MISJUDGED) * like * LOG_RADII + MISJUDGED).sum())
+
+
+def _log_evidence(fitted: Fit, prior: Prior, matched: int, balls: int, detections: int) -> float:
+    """Return minus the log of the chance that false detections alone match a cloud as well as this fit does.
+
+    `prior`: of `prior_of`. The chance is the union bound over all labellings of `matched` of the balls: their number
+    over the likelihood ratio of the fit (marginal over the camera, by Laplace's method) to detections spread evenly
+    over the image, both hands.
+    """
+    area_px2 = float(np.prod(2.0 * prior.principal_px + 1.0))  # of the image, whose middle it is
+    labellings = (
+        gammaln(balls + 1) - gammaln(matched + 1) - gammaln(balls - matched + 1)
+        + gammaln(detections + 1) - gammaln(detections - matched + 1) + np.log(2)
+    )  # fmt: skip
+    _, log_det = np.linalg.slogdet(fitted.precision)
+    log_prior = -np.log(8 * np.pi**2 * area_px2 * LOG_SCALES)
+    log_prior -= np.log(prior.log_focal_sd * prior.principal_sd_px**2) + 1.5 * np.log(2 * np.pi)
+    occam = log_prior + PARAMETERS / 2 * np.log(2 * np.pi) - log_det / 2
+    return matched * np.log(area_px2 / (2 * np.pi)) - fitted.half_log_det - fitted.chi2 / 2 + occam - labellings

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from sightline.detection.labelling.cloud_evidence import prior_of
 from sightline.detection.labelling.cloud_kernels import (
     CELLS,
     SEEN,
@@ -34,6 +33,19 @@ ALL, DRAWN = 40, 6000  # with more detections than ALL, triples are drawn at ran
 ALIKE = 0.1  # log ratio of radii that the same size may have: noise, depth [ours]
 MIN_AREA = 0.15  # of three detections: doubled area over the square of their longest side [ours]
 OVERHEAD = 30  # cost of a triple of detections besides its triples of balls
+PRINCIPAL_SD = 0.1  # of the principal point about the image's middle, over the longer side: cropped images [ours]
+
+
+def prior_of(focal_px: tuple[float, float], image_shape: tuple[int, int]) -> Prior:
+    """Return the priors for focal lengths from low to high (95 %) and an image of (H, W) pixels.
+
+    >>> prior_of((5000.0, 5400.0), (1024, 1024)).principal_px
+    array([511.5, 511.5])
+    """
+    low, high = np.log(focal_px)
+    height, width = image_shape
+    middle = np.array([width - 1.0, height - 1.0]) / 2
+    return Prior((low + high) / 2, max((high - low) / 4, 1e-3), middle, PRINCIPAL_SD * max(width, height))
 
 
 def sign_of(mirrored: bool) -> np.ndarray:

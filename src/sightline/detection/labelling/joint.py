@@ -1,18 +1,33 @@
-"""Joint fit of both plates of a view: one smooth map, one focal point, and leave-one-out predictions."""
+"""Joint fit of both plates of a view: one smooth map, one focal point, and leave-one-out predictions.
+
+Fits are in the sheet's coordinates: places and focal point are (x, y, height) over the XRII plate, from the field's
+centre in units of its radius. Only labels follow from these numbers, no estimate.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from sightline.detection.labelling.growth import Grown
-from sightline.detection.labelling.joint_kernels import Places, Spots, settle
 from sightline.detection.labelling.map_prior import CENTRE_PX, features, map_covariance
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
-from sightline.fitting.kernels import squared_distances
+from sightline.fitting.kernels import exact_squares, squared_distances
+from sightline.fitting.robust import MEDIAN_M2, median
+from sightline.fitting.triangular import cholesky, inverse_lower
+from sightline.geometry.lines import SPREAD_RAD
 
+MIN_BEADS = 8  # of each plate [ours]
+MIN_BEYOND = 0.1  # smallest distance of the focal point beyond the source plate, over that between the plates [ours]
+GATE_M2 = 11.3  # squared Mahalanobis distance in place and radius: 99 %, 3 degrees of freedom [ours]
+NEAR_M2 = 24.0  # detections or places as near as this can be confused with each other [ours]
+MAX_FITS, NOISE_FITS = 10, 3  # iterations, and those in which the noise is estimated
+SAME_NOISE = 0.1  # relative change of the noise that needs no further fit [ours]
+MAX_NOISE = 100.0  # times the stated variance [ours]; rendered images have up to 3.5; 1 would lose 7 % of the beads
+SAME_DISTANCE = 1e-6  # relative, of two squares that rounding alone tells apart
 FOCAL_STEP_MM = 500.0  # wide prior s.d. of the focal point's step [ours]
 
 
@@ -91,12 +106,13 @@ class Model:
         squared misfit of each detection's radius on each place, in standard deviations.
         """
         unit, centre = self.sheet.unit_mm, np.append(self.sheet.centre_mm, 0.0)
-        plane, on = self.xrii.plane, on.copy()
+        plane = self.xrii.plane
         places = Places((self.shadows.xyh_mm - centre) / unit, len(self.xrii.ids), FOCAL_STEP_MM / unit)
         at = (self.xy_mm - self.sheet.centre_mm) / unit
-        fit, settled = settle(Spots(self.w, self.kernel, self.noise, size_m2, usable), places, at, on)
-        if not settled:
+        fit = settle(Spots(self.w, self.kernel, self.noise, size_m2, usable), places, at, on)
+        if fit is None:
             return None
+        on = fit.on
         rows = np.flatnonzero(on >= 0)
         return Joint(
             beads=np.stack([rows, on[rows]], axis=1),
@@ -106,3 +122,178 @@ class Model:
             target_mm=fit.target * unit + self.sheet.centre_mm,
             bend=float(np.abs(self.phi.T @ fit.dual).max()),
         )
+
+
+class Spots(NamedTuple):
+    """N detections: sheet coordinates `w` (N, 2), prior covariance of the map there, `kernel` (N, N), `noise` (N,).
+
+    `size_m2` (N, P): squared misfit of each detection's radius on each place; `usable` (N,) bool.
+    """
+
+    w: np.ndarray
+    kernel: np.ndarray
+    noise: np.ndarray
+    size_m2: np.ndarray
+    usable: np.ndarray
+
+
+class Places(NamedTuple):
+    """P places `xyh` (P, 3), those of the XRII plate, `on_xrii` of them, before those of the source plate.
+
+    `focal_sd`: prior s.d. per axis of the focal point's step.
+    """
+
+    xyh: np.ndarray
+    on_xrii: int
+    focal_sd: float
+
+    def seen_by(self, focal: np.ndarray) -> bool:
+        """Return whether a focal point lies beyond the source plate, seen from the XRII plate."""
+        return bool((focal[2] / self.xyh[self.on_xrii :, 2] > 1.0 + MIN_BEYOND).all())
+
+    def projected(self, focal: np.ndarray) -> np.ndarray:
+        """Return the places (P, 2) projected from a focal point; those of the XRII plate have no height."""
+        share = self.xyh[:, 2:] / (self.xyh[:, 2:] - focal[2])
+        return self.xyh[:, :2] + share * (focal[:2] - self.xyh[:, :2])
+
+    def fewest(self, on: np.ndarray) -> int:
+        """Return the smaller number of beads of one plate, of beads on places `on` (N,), or -1."""
+        xrii, source = int(((on >= 0) & (on < self.on_xrii)).sum()), int((on >= self.on_xrii).sum())
+        return xrii if self.on_xrii == len(self.xyh) else min(xrii, source)
+
+
+class Fitted(NamedTuple):
+    """A fit to beads `on` (N,) places, or -1: `focal` (3,), and of every detection `at` (N, 2) and `variance` (N,).
+
+    They are predicted without the detection itself; the variance is that of either coordinate, with its noise.
+    `target` (P, 2): the places projected from `focal`. `dual` (N, 2): the map less identity is kernel @ dual. `m2`:
+    squared leave-one-out Mahalanobis distances of the beads.
+    """
+
+    on: np.ndarray
+    focal: np.ndarray
+    at: np.ndarray
+    variance: np.ndarray
+    target: np.ndarray
+    dual: np.ndarray
+    m2: np.ndarray
+
+
+def settle(spots: Spots, places: Places, at: np.ndarray, on: np.ndarray) -> Fitted | None:
+    """Fit and match in turns until beads and noise stay, beginning with the places `on` (N,) of the detections, or -1.
+
+    Begin at `first_focal` of `at` (N, 2). None where the fit does not settle, or too few beads are left.
+    """
+    focal, growth = first_focal(places, at, on), 1.0
+    for iteration in range(MAX_FITS if places.seen_by(focal) else 0):
+        fit, before = _fitted(on, spots, places, focal, growth), growth
+        if fit is None:
+            return None
+        focal = fit.focal
+        if iteration < NOISE_FITS:  # later, gating has cut off the tails, and the noise would be underestimated
+            growth = min(max(growth * median(fit.m2) / MEDIAN_M2, 1.0), MAX_NOISE)
+        new = _matched(fit, growth / before, spots)
+        if iteration >= NOISE_FITS:  # from here beads are only removed, so the loop terminates
+            new[new != on] = -1
+        if iteration and np.array_equal(new, on) and abs(growth - before) < SAME_NOISE * before:
+            return fit
+        on = new
+        if places.fewest(on) < MIN_BEADS or not places.seen_by(focal):
+            return None
+    return None
+
+
+def first_focal(places: Places, at: np.ndarray, on: np.ndarray) -> np.ndarray:
+    """Return the point (3,) nearest to the lines from the source beads through their images on the XRII plate.
+
+    `at` (N, 2): the detections, mapped to the XRII plate; `on` (N,): their places, or -1. The origin, which
+    `Places.seen_by` refuses, if the lines are nearly parallel; with one plate any point.
+    """
+    if places.on_xrii == len(places.xyh):
+        return np.array([0.0, 0.0, 1.0])
+    beads = on >= places.on_xrii
+    source = places.xyh[on[beads]]
+    along = source.copy()
+    along[:, :2] -= at[beads]
+    square = (along**2).sum(axis=1)
+    foot = source - ((source * along).sum(axis=1) / square)[:, None] * along  # nearest to the origin
+    normal = len(source) * np.eye(3) - (along / square[:, None]).T @ along
+    try:
+        if cholesky(normal)[2, 2] ** 2 < len(source) * SPREAD_RAD**2:
+            return np.zeros(3)
+    except np.linalg.LinAlgError:
+        return np.zeros(3)
+    return np.linalg.solve(normal, foot.sum(axis=0))
+
+
+def _fitted(on: np.ndarray, spots: Spots, places: Places, focal: np.ndarray, growth: float) -> Fitted | None:
+    """Return the fit to the beads `on` (N,) after one Gauss-Newton step from `focal`; None if it is not determined.
+
+    V is the covariance of either coordinate. The derivatives of a bead's coordinates by the focal point are (s, 0, g_x)
+    and (0, s, g_y), so that five vectors determine the fit: x, y, s, g_x and g_y. `growth`: of the noise.
+    """
+    rows, others = np.flatnonzero(on >= 0), np.flatnonzero(on < 0)
+    place, target = on[rows], places.projected(focal)
+    xyh, height = places.xyh[place], places.xyh[place, 2] - focal[2]
+    s = places.focal_sd * xyh[:, 2] / height
+    slopes = [s * (focal[c] - xyh[:, c]) / height for c in (0, 1)]
+    vectors = np.stack([*(target[place] - spots.w[rows]).T, s, *slopes])
+    try:
+        inverse = inverse_lower(cholesky(spots.kernel[np.ix_(rows, rows)] + np.diag(growth * spots.noise[rows])))
+    except np.linalg.LinAlgError:
+        return None
+    white = inverse @ vectors.T
+    solved, products = (inverse.T @ white).T, white.T @ white
+    u, v, a, bx, by = solved
+    information = np.diag([1.0 + products[2, 2], 1.0 + products[2, 2], 1.0 + products[3, 3] + products[4, 4]])
+    information[2, :2] = information[:2, 2] = products[2, 3:]
+    covariance = np.linalg.inv(information)
+    spread = np.linalg.cholesky(covariance)
+    step = covariance @ [products[0, 2], products[1, 2], products[0, 3] + products[1, 4]]
+    u -= a * step[0] + bx * step[2]
+    v -= a * step[1] + by * step[2]
+    focal = focal - places.focal_sd * step
+    target = places.projected(focal)
+
+    # Of the beads, each without itself: the blocks of the inverse covariance, less the focal point's part.
+    x, y = np.outer(a, spread[0]) + np.outer(bx, spread[2]), np.outer(a, spread[1]) + np.outer(by, spread[2])
+    own = (inverse**2).sum(axis=0)
+    xx, xy, yy = own - (x**2).sum(axis=1), -(x * y).sum(axis=1), own - (y**2).sum(axis=1)
+    det = xx * yy - xy * xy
+    off = np.stack([(yy * u - xy * v) / det, (xx * v - xy * u) / det], axis=1)
+    at, variance, dual = np.empty(spots.w.shape), np.empty(len(on)), np.zeros(spots.w.shape)
+    at[rows], variance[rows], dual[rows] = target[place] - off, (xx + yy) / (2 * det), solved[:2].T
+
+    cross = spots.kernel[np.ix_(others, rows)]
+    sums = cross @ solved.T
+    x = np.outer(sums[:, 2], spread[0]) + np.outer(sums[:, 3], spread[2])
+    y = np.outer(sums[:, 2], spread[1]) + np.outer(sums[:, 4], spread[2])
+    at[others] = spots.w[others] + sums[:, :2]
+    variance[others] = spots.kernel[others, others] + growth * spots.noise[others]
+    variance[others] += (x**2 + y**2).sum(axis=1) / 2 - ((cross @ inverse.T) ** 2).sum(axis=1)
+    return Fitted(on, focal, at, variance, target, dual, u * off[:, 0] + v * off[:, 1])
+
+
+def _matched(fit: Fitted, growth: float, spots: Spots) -> np.ndarray:
+    """Return the place (N,) of each usable detection within the gate, or -1 where there is none or several.
+
+    `growth`: of the fit's variances.
+    """
+    m2 = exact_squares(fit.at, fit.target) / (growth * fit.variance)[:, None] + spots.size_m2
+    near = spots.usable[:, None] & (m2 < NEAR_M2)
+    alone = near & (near.sum(axis=1) == 1)[:, None] & (near.sum(axis=0) == 1) & (m2 < GATE_M2)
+    return np.where(alone.any(axis=1), alone.argmax(axis=1), -1)
+
+
+def empty_near(target: np.ndarray, places: np.ndarray, count: int) -> np.ndarray:
+    """Return the share (B,) of places near each of `places` (B,) that are not among these, with one more of each kind.
+
+    `target` (P, 2). Near are the `count` nearest ones and all that are as far as the last of them but for rounding: on
+    a grid there are several, and rounding must not choose among them.
+    """
+    free = np.ones(len(target), bool)
+    free[places] = False
+    off2 = exact_squares(target[places], target)
+    off2[np.arange(len(places)), places] = np.inf
+    near = off2 < (1.0 + SAME_DISTANCE) * np.partition(off2, min(count, len(target)) - 1, axis=1)[:, [count - 1]]
+    return (np.count_nonzero(near & free, axis=1) + 1.0) / (np.count_nonzero(near, axis=1) + 2.0)

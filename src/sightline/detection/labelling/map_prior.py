@@ -3,7 +3,6 @@
 import numpy as np
 
 from sightline.fitting.kernels import squared_exponential
-from sightline.kernels import exact_unchecked
 
 DEGREE = 5
 # Prior s.d. of what a map adds to a similarity, per degree, as a share of the field's radius: position, tilt and scale,
@@ -19,21 +18,12 @@ _POWERS = np.array([(d - k, k) for d in range(DEGREE + 1) for k in range(d + 1)]
 _SD = PRIOR[_POWERS.sum(axis=1)]
 
 
-@exact_unchecked
-def features(w):
+def features(w: np.ndarray) -> np.ndarray:
     """Return monomials to degree 5 of (N, 2) times their prior s.d., and their two derivatives (3, N, 21)."""
-    out = np.empty((3, len(w), len(_POWERS)))
-    x, y = np.empty(DEGREE + 1), np.empty(DEGREE + 1)
-    x[0] = y[0] = 1.0
-    for n in range(len(w)):
-        for d in range(DEGREE):
-            x[d + 1], y[d + 1] = x[d] * w[n, 0], y[d] * w[n, 1]
-        for k in range(len(_POWERS)):
-            i, j = _POWERS[k, 0], _POWERS[k, 1]
-            out[0, n, k] = x[i] * y[j] * _SD[k]
-            out[1, n, k] = i * x[i - 1] * y[j] * _SD[k] if i else 0.0
-            out[2, n, k] = j * x[i] * y[j - 1] * _SD[k] if j else 0.0
-    return out
+    x, y = (np.vander(values, DEGREE + 1, increasing=True) for values in w.T)
+    i, j = _POWERS.T
+    by_x, by_y = i * x[:, np.maximum(i - 1, 0)] * y[:, j], j * x[:, i] * y[:, np.maximum(j - 1, 0)]
+    return np.stack([x[:, i] * y[:, j], by_x, by_y]) * _SD
 
 
 def map_covariance(phi_a: np.ndarray, phi_b: np.ndarray, squares: np.ndarray) -> np.ndarray:

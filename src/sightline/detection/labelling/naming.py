@@ -13,7 +13,7 @@ from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import complex_points, real_points
 from sightline.fitting.kernels import exact_squares
 from sightline.fitting.robust import median
-from sightline.kernels import exact_unchecked, kernel
+from sightline.kernels import kernel
 
 # Cost of a bead: half the square of its log-radius error over RADIUS_SD, at most CONTRADICTION. That is the log odds
 # against a misjudged size, or against a bead where the plate has none (2 % each) [ours].
@@ -74,13 +74,13 @@ def _map_of(pattern: Pattern) -> _Map:
 class _Beads(NamedTuple):
     """A lattice in the form that kernels need.
 
-    Beads `z` = x + iy, mm; `larger`: log sizes over the median; two neighbours at `origin` and at `away` from it.
-    `own`: the reading of its own pattern with which the lattice was grown. `tilt_rad`: rotation of the plate in the
-    image; `mirror`: whether it is a mirror image.
+    Beads at `x`, `y`, mm; two neighbours at `origin` and at `away` from it, x + iy. `own`: the reading of its own
+    pattern with which the lattice was grown. `tilt_rad`: rotation of the plate in the image; `mirror`: whether it is a
+    mirror image.
     """
 
-    z: np.ndarray
-    larger: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
     origin: complex
     away: complex
     own: int
@@ -97,7 +97,7 @@ class _Costs(NamedTuple):
     cheapest: np.ndarray
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel()
 def _reading(start, step, origin, away, flip):
     """Return rotation and shift of z = x + iy, mm, conjugated first for `flip`.
 
@@ -109,23 +109,14 @@ def _reading(start, step, origin, away, flip):
     return rotation, start - rotation * (origin.conjugate() if flip else origin)
 
 
-@exact_unchecked
-def _cost_on_place(larger, sizes):
-    """Return the cost (N, P + 1) of each bead on each place, by its size, and off all places."""
-    out = np.empty((len(larger), len(sizes) + 1))
-    for n in range(len(larger)):
-        for p in range(len(sizes)):
-            out[n, p] = min(CONTRADICTION, 0.5 * ((larger[n] - sizes[p]) / RADIUS_SD) ** 2)
-        out[n, len(sizes)] = CONTRADICTION
-    return out
+@kernel()
+def _cheapest(beads, pattern, of_place, least, costs):
+    """Fill `costs`; return the lowest cost of all and of `least`, which is infinite for the lattice's own pattern.
 
-
-@exact_unchecked
-def _cheapest(beads, pattern, least, costs):
-    """Fill `costs`; return the lowest cost of all and of `least`, which is infinite for the lattice's own pattern."""
-    of_place = _cost_on_place(beads.larger, pattern.larger)
+    `of_place` (N, P + 1): the cost of each bead on each place, by its size, and off all places.
+    """
     first, second, index = costs
-    x, y, count = beads.z.real.copy(), beads.z.imag.copy(), len(beads.z)
+    x, y, count = beads.x, beads.y, len(beads.x)
     table, starts, steps, step_rad = pattern.table, pattern.start, pattern.step, pattern.step_rad
     per_mm, low_u, low_v, readings = 1.0 / pattern.cell, pattern.low[0], pattern.low[1], len(pattern.step)
     # Its own reading, first, is usually cheap, so that most others are soon abandoned.
@@ -194,10 +185,14 @@ class _Lattice:
         similarity, least = self.grown.sheet.similarity, np.inf
         tilt_rad = phase(similarity.rotation) - reference_rad
         own = self.origin, self.away, self.own, phase(self.away), tilt_rad, similarity.mirror
-        beads, shape = _Beads(self.z, self.larger, *own), (len(patterns), 24)
+        (x, y), shape = real_points(self.z).T.copy(), (len(patterns), 24)
+        beads = _Beads(x, y, *own)
         out = Readings(np.full(shape, np.inf), np.full(shape, np.inf), np.full(shape, -1))
         for k in sorted(range(len(patterns)), key=lambda k: patterns[k] is not self.grown.pattern):
-            least = _cheapest(beads, _map_of(patterns[k]), least, _Costs(out.cost[k], out.second[k], out.index[k]))
+            held, costs = _map_of(patterns[k]), _Costs(out.cost[k], out.second[k], out.index[k])
+            sizes = np.append(held.larger, np.inf)  # of no place
+            of_place = np.minimum(0.5 * ((self.larger[:, None] - sizes) / RADIUS_SD) ** 2, CONTRADICTION)
+            least = _cheapest(beads, held, of_place, least, costs)
         return out
 
     def is_own(self, pattern: Pattern, index: int) -> bool:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.kernels import exact_unchecked
+from sightline.kernels import kernel
 
 STEPS = 4  # Gauss-Newton steps of a fit; from a hypothesis three suffice for 0.01 px [calc]
 PARAMETERS = 9
@@ -43,7 +43,7 @@ class Fit(NamedTuple):
     half_log_det: float
 
 
-@exact_unchecked
+@kernel()
 def project(camera, xyz_mm):
     """Return pixels (N, 2) of points (N, 3), px/mm (N,) there, and the derivatives (N, 2, 9) of the pixels.
 
@@ -70,7 +70,7 @@ def project(camera, xyz_mm):
     return uv, scales, by
 
 
-@exact_unchecked
+@kernel()
 def _normal_equations(camera, prior, xyz_mm, uv_px, variance_px2):
     """Return the precision (9, 9), the gradient (9,), chi-square, and half the log determinants of the covariances."""
     uv, _, by = project(camera, xyz_mm)
@@ -100,7 +100,7 @@ def _normal_equations(camera, prior, xyz_mm, uv_px, variance_px2):
     return precision, gradient, chi2, half_log_det
 
 
-@exact_unchecked
+@kernel()
 def _rotated(matrix, vector):
     """Return the rotation by a small rotation vector, to second order and made orthonormal again, of a matrix."""
     out = np.empty((3, 3))
@@ -115,7 +115,7 @@ def _rotated(matrix, vector):
     return out
 
 
-@exact_unchecked
+@kernel()
 def fit(camera, prior, xyz_mm, uv_px, variance_px2):
     """Return the least-squares camera for balls (n, 3) seen at pixels (n, 2) with covariances (n, 2, 2).
 

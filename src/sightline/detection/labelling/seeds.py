@@ -8,9 +8,8 @@ import numpy as np
 
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
-from sightline.fitting.dense import STRIDE
 from sightline.fitting.robust import median
-from sightline.kernels import exact_unchecked, kernel, part_of_caller
+from sightline.kernels import kernel
 
 MAX_LARGE = 32  # detections tried as datum markers [ours: 12 datums, 10 false ones, and a margin]
 LARGER = 1.12  # than the median detection: half the step from 3 to 5 mm, less 15 % for the plates' scales [ours]
@@ -119,38 +118,37 @@ class _Best(NamedTuple):
     found: np.ndarray
 
 
-@exact_unchecked
-def _nearest_table(w, usable, width, height):
-    """Return the detection nearest to the middle of each of CELLS x CELLS cells of the image, or -1."""
-    table, nearest = np.empty((CELLS, CELLS), np.int64), np.empty((CELLS, CELLS))
-    u, v = np.empty(CELLS), np.empty(CELLS)  # of the cells' middles
-    for i in range(CELLS):
-        u[i], v[i] = (i + 0.5) * width / CELLS, (i + 0.5) * height / CELLS
-        for j in range(CELLS):
-            table[i, j], nearest[i, j] = -1, np.inf
-    for k in range(len(w)):
-        ci, cj = int(w[k].imag * CELLS / height), int(w[k].real * CELLS / width)
-        for i in range(max(ci - NEAR, 0), min(ci + NEAR + 1, CELLS) if usable[k] else 0):
-            for j in range(max(cj - NEAR, 0), min(cj + NEAR + 1, CELLS)):
-                d = (w[k].real - u[j]) ** 2 + (w[k].imag - v[i]) ** 2
-                if d < nearest[i, j]:
-                    table[i, j], nearest[i, j] = k, d
+def _nearest_table(w: np.ndarray, usable: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return the usable detection nearest to the middle of each of CELLS x CELLS cells of the image, or -1.
+
+    Only those within NEAR cells count.
+    """
+    rows, middles = np.flatnonzero(usable), np.arange(CELLS) + 0.5
+    u, v = (real_points(w[rows]) * CELLS / (width, height)).T[:, :, None]
+    du, dv = (u - middles) * width / CELLS, (v - middles) * height / CELLS
+    du[np.abs(np.floor(u) + 0.5 - middles) > NEAR] = np.inf
+    dv[np.abs(np.floor(v) + 0.5 - middles) > NEAR] = np.inf
+    table, nearest = np.full((CELLS, CELLS), -1), np.full((CELLS, CELLS), np.inf)
+    for k, row in enumerate(rows.tolist()):
+        squares = dv[k, :, None] ** 2 + du[k] ** 2
+        closer = squares < nearest
+        table[closer], nearest[closer] = row, squares[closer]
     return table
 
 
-@part_of_caller
+@kernel()
 def _square(z):
     """Return the squared modulus of a complex number."""
     return z.real**2 + z.imag**2
 
 
-@part_of_caller
+@kernel()
 def _laid(z, mirror):
     """Return a place of the plate, conjugated if mirrored."""
     return z.conjugate() if mirror else z
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel()
 def _score(triple, plate, beads, least):
     """Return the number of beads in place, less half of those with a wrong size and a third of the missing ones.
 
@@ -174,28 +172,7 @@ def _score(triple, plate, beads, least):
     return score
 
 
-@exact_unchecked
-def _large(beads, rows):
-    """Return u, v and log radius (M,) of detections `rows` (L,), M >= L: some at infinity fill up vectorised steps."""
-    count = (len(rows) + STRIDE - 1) // STRIDE * STRIDE
-    u, v, log_radius = np.full(count, np.inf), np.full(count, np.inf), np.full(count, np.inf)
-    for m in range(len(rows)):
-        u[m], v[m], log_radius[m] = beads.w[rows[m]].real, beads.w[rows[m]].imag, beads.log_radius[rows[m]]
-    return u, v, log_radius
-
-
-@exact_unchecked
-def _log_sides(plate):
-    """Return the log distances (D, D), mm, between each datum and those after it."""
-    z, datums = plate.z, plate.datums
-    out = np.empty((len(datums), len(datums)))
-    for a in range(len(datums)):
-        for b in range(a + 1, len(datums)):
-            out[a, b] = np.log(abs(z[datums[b]] - z[datums[a]]))
-    return out
-
-
-@kernel(error_model="numpy", forceinline=True)
+@kernel()
 def _fitted(beads, plate, rows, places, mirror, ratios):  # noqa: PLR0917 - a kernel
     """Return the least-squares triple of detections `rows` and `places`.
 
@@ -211,7 +188,7 @@ def _fitted(beads, plate, rows, places, mirror, ratios):  # noqa: PLR0917 - a ke
     return _Triple(rows, places, rotation, wm - rotation * zm, mirror, level)
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel()
 def _offer(triple, plate, beads, best):
     """Insert a triple into the sorted best ones, if it is one of them; the worst is dropped when they are full."""
     scores, what, found = best.scores, best.what, best.found
@@ -233,14 +210,19 @@ def _offer(triple, plate, beads, best):
     what[at, 6] = triple.mirror
 
 
-@exact_unchecked
-def _search(beads, plate, rows, best):
-    """Fill `best` with the similarities that map three datum markers to three large detections, `rows`."""
+@kernel()
+def _search(beads, plate, rows, log_side, best):  # noqa: PLR0912 - a kernel
+    """Fill `best` with the similarities that map three datum markers to three large detections, `rows`.
+
+    `log_side` (D, D): the log distances, mm, between the datum markers.
+    """
     w, z, log_r, datums, log_half = beads.w, plate.z, beads.log_radius, plate.datums, plate.log_half
     if len(z) <= best.least:  # no score can exceed it
         return
-    log_least, log_side = np.log(MIN_PITCH_PX / plate.pitch), _log_sides(plate)
-    us, vs, log_rs = _large(beads, rows)
+    log_least = np.log(MIN_PITCH_PX / plate.pitch)
+    us, vs, log_rs = np.empty(len(rows)), np.empty(len(rows)), np.empty(len(rows))
+    for m in range(len(rows)):
+        us[m], vs[m], log_rs[m] = w[rows[m]].real, w[rows[m]].imag, log_r[rows[m]]
     for i in rows:
         for j in rows:
             if i == j:
@@ -307,7 +289,10 @@ def _best_seeds(beads: _Beads, patterns: list[Pattern], may_be: dict[str, np.nda
     for k in sorted(range(len(patterns)), key=lambda k: -len(patterns[k].z)):
         pattern = patterns[k]
         plate = _Plate(pattern.z, pattern.log_half, pattern.datums, pattern.pitch_mm)
-        _search(beads, plate, may_be[pattern.datum_kind], _Best(least, counts[k], scores[k], what[k], found[k]))
+        datums, best = plate.z[plate.datums], _Best(least, counts[k], scores[k], what[k], found[k])
+        with np.errstate(divide="ignore"):
+            log_side = np.log(np.abs(datums - datums[:, None]))
+        _search(beads, plate, may_be[pattern.datum_kind], log_side, best)
         guesses += [(score, k, i) for i, score in enumerate(scores[k, : counts[k, 0]].tolist())]
         least = max(guesses)[0] if most == 1 and guesses else least
     out = []

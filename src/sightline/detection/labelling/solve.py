@@ -6,12 +6,12 @@ import numpy as np
 
 from sightline.detection.labelling.checks import AttemptError, Stage, check, check_alone
 from sightline.detection.labelling.growth import LOG_RADIUS, Grown, grow
-from sightline.detection.labelling.joint import Joint, Model
-from sightline.detection.labelling.joint_kernels import MIN_BEADS, NEAR_M2, empty_near, nearest_squares
+from sightline.detection.labelling.joint import MIN_BEADS, NEAR_M2, Joint, Model, empty_near
 from sightline.detection.labelling.naming import Naming, name, name_alone
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, best_similarity
 from sightline.detection.results import Detections
+from sightline.fitting.kernels import exact_squares
 from sightline.fitting.robust import MAD_TO_SD, median
 
 MAX_NAMINGS = 4
@@ -181,7 +181,7 @@ def solve(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> LabellingSolu
     ids = xrii.ids + source.ids
     normal_along_beam = model.shadows.side < 0
     mirrored = pair[0].sheet.similarity.mirror == normal_along_beam
-    on_place = nearest_squares(fit.xy_mm, fit.target_mm) / fit.variance_mm2 < NEAR_M2
+    on_place = exact_squares(fit.xy_mm, fit.target_mm).min(axis=1) / fit.variance_mm2 < NEAR_M2
     return LabellingSolution(xrii.view, tuple(ids[p] for p in beads[:, 1]), beads[:, 0], bool(mirrored), on_place)
 
 

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.detection.beads import columns, refine
+from sightline.detection.beads import refine
+from sightline.detection.beads.bead import SHADOW, Status, centre_covariances, centres
 from sightline.detection.beads.clipping import WITHOUT_FOOT, allow_for_missing_foot, clipped_shares
 from sightline.detection.beads.fit import PRIOR_SD
 from sightline.detection.beads.shadow import BEAD_RADIUS
 from sightline.detection.detector import bead_fitter, fine_reasons
 from sightline.detection.labelling.growth import Field
-from sightline.detection.labelling.joint_kernels import SAME_DISTANCE
+from sightline.detection.labelling.joint import SAME_DISTANCE
 from sightline.detection.labelling.map_prior import CENTRE_PX, REMAINDER_SD, features, map_covariance
 from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import best_similarity
@@ -31,7 +32,7 @@ from sightline.threads import one_blas_thread
 
 _ROUNDS = 6  # of fitting, each further out [ours]
 # What a file of detections does not state of their fits.
-_NOT_STATED = [columns.BLUR, columns.AXIAL, columns.DIAGONAL, columns.STATUS, columns.EXCESS]
+_NOT_STATED = ["blur_px", "axial", "diagonal", "status", "excess"]
 _NEIGHBOURS = 6  # nearest beads of the plate, or more at the same distance, predict a bead's size and contrast [ours]
 _MAX_PREDICTION_SD_PX = 2.0  # with a less certain prediction, the fit may find something else [ours]
 # Overlap beyond which detection finds one bead, or the two bias each other: chi-square / 2 of labelled beads is 1.2-4.4
@@ -70,7 +71,7 @@ class _Expected:
     row: np.ndarray
 
     def start(self) -> np.ndarray:
-        """Return the beads as initial rows (P, COUNT) of `columns`."""
+        """Return the beads (P,) with the initial values of a fit."""
         return refine.start(self.uv_px, self.radius_px, self.contrast)
 
 
@@ -107,15 +108,15 @@ def look_again(
     before = row_of = _rows_of(observations, beads)
     _require_enough(plates, row_of)
     rows = refine.start(beads.uv_px, beads.radius_px, beads.contrast)
-    rows[:, columns.CENTRE_COVARIANCE] = beads.covariance_px2.reshape(-1, 4)[:, [0, 1, 3]]
+    rows["uu_px2"], rows["uv_px2"], _, rows["vv_px2"] = beads.covariance_px2.reshape(-1, 4).T
     if not plates:
         return observations
     fitter = cache(lambda: bead_fitter(image, beads))  # made only if a bead is to be fitted
     settled, tried = np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
-    if beads.shadows is not None and np.array_equal(beads.shadows[:, :2], beads.uv_px):
-        rows[:, columns.SHADOW] = beads.shadows
+    if beads.shadows is not None and np.array_equal(centres(beads.shadows), beads.uv_px):
+        rows[SHADOW] = beads.shadows
     else:
-        rows[:, _NOT_STATED] = fitter()(rows)[:, _NOT_STATED]
+        rows[_NOT_STATED] = fitter()(rows)[_NOT_STATED]
     for _ in range(_ROUNDS):  # beads found in one round predict those further out in the next
         expected = _expected(plates, rows, row_of)
         which = _rows_to_fit(image, plates, expected, rows, settled)
@@ -146,9 +147,9 @@ def look_again(
     return replace(
         observations,
         ids=tuple(row_of),
-        uv_px=rows[row, :2],
-        covariance_px2=columns.centre_covariances(rows[row]),
-        radius_px=rows[row, columns.RADIUS],
+        uv_px=centres(rows[row]),
+        covariance_px2=centre_covariances(rows[row]),
+        radius_px=rows["radius_px"][row],
         rejected=_rejected(observations, beads, [before[i] for i in ids[tried] if i in before], rows[new]),
     )
 
@@ -167,7 +168,7 @@ def _rejected(
     )
     every = (*observations.rejected, *hidden)
     places = np.array([one.uv_px for one in every]).reshape(-1, 2)
-    covered = np.any(distances(places, good[:, :2]) < good[:, columns.RADIUS], axis=1).tolist()
+    covered = np.any(distances(places, centres(good)) < good["radius_px"], axis=1).tolist()
     return tuple(one for one, taken in zip(every, covered, strict=True) if not taken)
 
 
@@ -194,7 +195,7 @@ def _too_few(plates: list[Pattern], row_of: dict[str, int]) -> list[Pattern]:
 
 
 def _expected(plates: list[Pattern], rows: np.ndarray, row_of: dict[str, int]) -> _Expected:
-    """Return the predicted beads of all plates of the view, plate after plate; `rows` (M, COUNT): the beads known."""
+    """Return the predicted beads of all plates of the view, plate after plate; `rows` (M,): the beads known."""
     parts = []
     for pattern in plates:
         row = np.array([row_of.get(name, -1) for name in pattern.ids])
@@ -209,9 +210,9 @@ def _predicted(pattern: Pattern, rows: np.ndarray, row: np.ndarray) -> tuple[np.
     remainder.
     """
     seen = np.flatnonzero(row >= 0)
-    uv, covariance = rows[row[seen], :2], columns.centre_covariances(rows[row[seen]])
+    uv, covariance = centres(rows[row[seen]]), centre_covariances(rows[row[seen]])
     similarity = best_similarity(pattern.xy_mm[seen], uv)
-    field = Field.of(rows[:, :2])
+    field = Field.of(centres(rows))
     middle, half = field.centre_px, field.radius_px
     laid, measured = (similarity.to_image(pattern.xy_mm) - middle) / half, (uv - middle) / half
     phi = features(laid)[0]
@@ -235,8 +236,8 @@ def _predicted(pattern: Pattern, rows: np.ndarray, row: np.ndarray) -> tuple[np.
     variance[seen] = others.variance - factor * noise
     gap2[seen, np.arange(len(seen))] = np.inf
     near = nearest(gap2)
-    size = medians(np.log(rows[row[seen], columns.RADIUS] / pattern.diameter_mm[seen]), near)
-    contrast = medians(rows[row[seen], columns.CONTRAST], near)
+    size = medians(np.log(rows["radius_px"][row[seen]] / pattern.diameter_mm[seen]), near)
+    contrast = medians(rows["contrast"][row[seen]], near)
     return (
         place * half + middle,
         (np.maximum(variance, 0.0) + factor * own) * half**2,
@@ -277,7 +278,7 @@ def _rows_to_fit(
     overlap = overlap_of(apart, radius[:, None], radius)
     np.fill_diagonal(overlap, 0.0)
     wanted = (expected.row < 0) | (overlap.max(axis=1) > _DEEP_OVERLAP)
-    wanted |= rows[expected.row, columns.EXCESS] > _MAX_EXCESS
+    wanted |= rows["excess"][expected.row] > _MAX_EXCESS
     wanted &= (
         ~settled
         & (expected.variance_px2 < _MAX_PREDICTION_SD_PX**2)
@@ -292,7 +293,7 @@ def _rows_to_fit(
 def _initial(
     plates: list[Pattern], rows: np.ndarray, expected: _Expected, which: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return initial rows of `columns`: the expected beads, then the known `rows` that are none of these.
+    """Return beads to begin with: the expected ones, then the known `rows` that are none of these.
 
     And their prior s.d. (2, N, BEAD_TERMS). The shape of each ball is that of the other balls of its plate.
     """
@@ -305,14 +306,13 @@ def _initial(
     for pattern in plates:
         of_plate = np.arange(first, first + len(pattern.ids))
         first += len(of_plate)
-        seen = np.flatnonzero(
-            np.isin(of_plate, known) & ~pattern.washer & (own[of_plate, columns.STATUS] == columns.FITTED)
-        )
+        seen = np.flatnonzero(np.isin(of_plate, known) & ~pattern.washer & (own["status"][of_plate] == Status.FITTED))
         if len(seen) < MIN_BEADS:
             continue
         shape, sd = expected_shapes(pattern, seen, own[of_plate[seen]])
         balls = of_plate[~pattern.washer]
-        initial[np.ix_(balls, SHAPE)] = shape[~pattern.washer]
+        for name, values in zip(SHAPE, shape[~pattern.washer].T, strict=True):
+            initial[name][balls] = values
         prior_sd[:, balls, BEAD_RADIUS:] = np.minimum(prior_sd[:, balls, BEAD_RADIUS:], sd[~pattern.washer])
     return initial, prior_sd
 
@@ -322,12 +322,12 @@ def _detected(rows: np.ndarray, expected: _Expected, which: np.ndarray) -> dict[
 
     Labelling does not take them, because their radii are too small.
     """
-    left, found = np.setdiff1d(np.flatnonzero(rows[:, columns.CONTRAST] < 0), expected.row), {}
+    left, found = np.setdiff1d(np.flatnonzero(rows["contrast"] < 0), expected.row), {}
     for k in which[expected.row[which] < 0]:
-        total = columns.centre_covariances(rows[left]) + expected.variance_px2[k] * np.eye(2)
-        off = rows[left, :2] - expected.uv_px[k]
+        total = centre_covariances(rows[left]) + expected.variance_px2[k] * np.eye(2)
+        off = centres(rows[left]) - expected.uv_px[k]
         m2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(total), off)
-        size = np.log(rows[left, columns.RADIUS] / expected.radius_px[k])
+        size = np.log(rows["radius_px"][left] / expected.radius_px[k])
         alike = np.flatnonzero((m2 < _MAX_M2) & (size > _MIN_LOG_SIZE_WITHOUT_FOOT) & (size < _MAX_LOG_SIZE))
         apart = distances(expected.uv_px[[k]], expected.uv_px)[0] - expected.radius_px
         if len(alike) == 1 and np.partition(apart, 1)[1] > expected.radius_px[k]:
@@ -337,17 +337,17 @@ def _detected(rows: np.ndarray, expected: _Expected, which: np.ndarray) -> dict[
 
 def _others(every: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return which rows of `every` are none of the beads `rows`: a bool for each."""
-    apart = distances(every[:, :2], rows[:, :2])
-    return np.asarray((apart > np.maximum(every[:, columns.RADIUS, None], rows[:, columns.RADIUS])).all(axis=1))
+    apart = distances(centres(every), centres(rows))
+    return np.asarray((apart > np.maximum(every["radius_px"][:, None], rows["radius_px"])).all(axis=1))
 
 
 def _fitted(fit: refine.BeadFitter, rows: np.ndarray, which: np.ndarray, prior_sd: np.ndarray) -> np.ndarray:
     """Fit the rows `which` outside metal and overlaps; status TOO_FEW_PIXELS where too little is left."""
     usable, enough = without_overlaps(fit, rows, which, DEEPEST_OF_KNOWN_SHAPE)
-    out = rows[which]
-    out[:, columns.STATUS] = columns.TOO_FEW_PIXELS
-    out[enough] = fit.within(usable)(rows, which[enough], prior_sd)
-    return out
+    fitted = rows[which]
+    fitted["status"] = Status.TOO_FEW_PIXELS
+    fitted[enough] = fit.within(usable)(rows, which[enough], prior_sd)
+    return fitted
 
 
 def _clear(
@@ -360,18 +360,18 @@ def _clear(
     """
     clear, tried = np.flatnonzero(fine_reasons(fit) == ""), which
     fit, which, without_foot = fit[clear], which[clear], without_foot[clear]
-    covariance, off = columns.centre_covariances(fit), fit[:, :2] - expected.uv_px[which]
+    covariance, off = centre_covariances(fit), centres(fit) - expected.uv_px[which]
     total = covariance + expected.variance_px2[which, None, None] * np.eye(2)
     off_m2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(total), off)
-    size = np.log(fit[:, columns.RADIUS] / initial[which, columns.RADIUS])
+    size = np.log(fit["radius_px"] / initial["radius_px"][which])
     least = np.where(without_foot, _MIN_LOG_SIZE_WITHOUT_FOOT, -_MAX_LOG_SIZE)
-    contrast = np.maximum(fit[:, columns.CONTRAST] / expected.contrast[which], 1e-9)
+    contrast = np.maximum(fit["contrast"] / expected.contrast[which], 1e-9)
     good = (covariance.max(axis=(1, 2)) < _MAX_SD_PX**2) & (off_m2 < _MAX_M2)
     fainter = np.where(without_foot, _MIN_LOG_CONTRAST_WITHOUT_FOOT, -_MAX_LOG_CONTRAST)
     good &= (size > least) & (size < _MAX_LOG_SIZE)
     good &= (np.log(contrast) > fainter) & (np.log(contrast) < _MAX_LOG_CONTRAST)
     good = np.flatnonzero(good)
-    same = distances(fit[good, :2], fit[good, :2]) < _SAME_PLACE * fit[good, columns.RADIUS]
+    same = distances(centres(fit[good]), centres(fit[good])) < _SAME_PLACE * fit["radius_px"][good]
     good = good[same.sum(axis=1) == 1]  # each is at its own place
     good = good[_rim_is_seen(fit[good], initial, which[good])]
     return clear[good][_with_partners(expected, tried, which[good])]
@@ -384,7 +384,7 @@ def _rim_is_seen(fit: np.ndarray, initial: np.ndarray, which: np.ndarray) -> np.
     """
     rows = initial.copy()
     rows[which] = fit
-    share = hidden_share(distances(fit[:, :2], rows[:, :2]), fit[:, columns.RADIUS, None], rows[:, columns.RADIUS])
+    share = hidden_share(distances(centres(fit), centres(rows)), fit["radius_px"][:, None], rows["radius_px"])
     share[np.arange(len(which)), which] = 0.0
     return np.asarray(share.max(axis=1, initial=0.0) < _MOST_RIM_HIDDEN)
 

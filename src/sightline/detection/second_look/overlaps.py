@@ -3,7 +3,8 @@
 import cv2
 import numpy as np
 
-from sightline.detection.beads import columns, refine, window
+from sightline.detection.beads import refine, window
+from sightline.detection.beads.bead import centres
 from sightline.fitting.kernels import distances
 
 # Deepest overlaps, in units of the smaller radius, at which two shadows can be separated: by their own rims, and where
@@ -35,16 +36,15 @@ def _clear_covered(fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.
 
     Infinite where too little of the bead is left.
     """
-    u, v, radius = rows[i, :3]
+    u, v, radius = (float(rows[i][name]) for name in ("u_px", "v_px", "radius_px"))
     reach = radius + window.BEYOND
-    apart = distances(rows[i : i + 1, :2], rows[:, :2])[0]
-    near = np.flatnonzero(apart < 1.5 * reach + 4.0 + rows[:, columns.RADIUS])  # the window's corners too
+    apart = distances(centres(rows[i : i + 1]), centres(rows))[0]
+    near = np.flatnonzero(apart < 1.5 * reach + 4.0 + rows["radius_px"])  # the window's corners too
     near = near[np.argsort(apart[near])]  # itself first
     half = int(reach) + 1
     left, top = int(u + 0.5) - half, int(v + 0.5) - half
-    light = window.window_light(
-        fit.log_image, left, top, half, window.log_level(fit.log_image, fit.usable, rows[i], reach)
-    )
+    level = window.log_level(fit.log_image, fit.usable, u, v, radius, reach)
+    light = window.window_light(fit.log_image, left, top, half, level)
     state = window.pixel_states(fit.log_image, fit.usable, rows, near, left, top, 2 * half + 1, np.inf)
     outside = state == window.HIDDEN
     window.hide_metal(state, rows, near, left, top, light)
@@ -53,16 +53,16 @@ def _clear_covered(fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.
     hidden = cv2.dilate(metal.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
     y, x = np.arange(len(state))[:, None] + top, np.arange(len(state)) + left
     from_centre = np.hypot(x - u, y - v)
-    overlap = overlap_of(apart[near[1:]], radius, rows[near[1:], columns.RADIUS])
+    overlap = overlap_of(apart[near[1:]], radius, rows["radius_px"][near[1:]])
     for j in near[1:][overlap > 0]:
-        from_other = np.hypot(x - rows[j, 0], y - rows[j, 1])
-        hidden |= (from_centre < radius + _MARGIN_PX) & (from_other < rows[j, columns.RADIUS] + _MARGIN_PX)
+        from_other = np.hypot(x - rows[j]["u_px"], y - rows[j]["v_px"])
+        hidden |= (from_centre < radius + _MARGIN_PX) & (from_other < rows[j]["radius_px"] + _MARGIN_PX)
     height, width = usable.shape
     seen = slice(max(-top, 0), max(height - top, 0)), slice(max(-left, 0), max(width - left, 0))
     there = slice(max(top, 0), top + len(state)), slice(max(left, 0), left + len(state))
     usable[there] &= ~hidden[seen]
     rim = window.visible_rim(state, rows, near, left, top)
-    share = hidden_share(apart[near[1:]], radius, rows[near[1:], columns.RADIUS])
+    share = hidden_share(apart[near[1:]], radius, rows["radius_px"][near[1:]])
     if rim <= _MIN_RIM_SHARE or share.max(initial=0.0) == 1.0:  # of a rim that is hidden all round, the foot is left
         return np.inf
     return overlap[share > _MOST_HIDDEN].max(initial=0.0)

@@ -2,13 +2,11 @@
 
 import numpy as np
 
-from sightline.detection.beads.columns import AXIAL, BLUR, DIAGONAL, RADIUS
-from sightline.detection.labelling.joint_kernels import median_of
 from sightline.detection.labelling.patterns import Pattern
-from sightline.fitting.dense import factor, fast
 from sightline.fitting.robust import MAD_TO_SD
 
-SHAPE = np.array([RADIUS, BLUR, AXIAL, DIAGONAL])
+SHAPE = ["radius_px", "blur_px", "axial", "diagonal"]  # fields of a bead
+_MEAN_ALONE = np.array([False, True, False, False])
 # Over a plate, log size and ellipticity follow a quadratic polynomial of the place to 0.002-0.007 [twin]: perspective,
 # distortion and oblique rays. The blur is the same everywhere.
 _TERMS = 6
@@ -19,78 +17,32 @@ _HUBER = 1.5  # s.d. beyond which a bead counts less [ours]
 _ROUNDS = 8  # of reweighting [ours]
 
 
-def expected_shapes(pattern: Pattern, seen: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return columns SHAPE (P, 4) of all beads of a plate, and their s.d. (radius and blur: share of the value).
+def expected_shapes(pattern: Pattern, seen: np.ndarray, beads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shapes (P, 4), fields SHAPE, of all beads of a plate, and their s.d. (P, 4).
 
-    `rows` (M, COUNT): fits of its beads `seen` (M,), M >= 3.
+    The s.d. of radius and blur are shares of their values. `beads` (M,): fits of the plate's beads `seen` (M,), M >= 3.
+    A polynomial of the place is fitted robustly to each field.
     """
     x, y = (2 * (pattern.xy_mm - pattern.xy_mm.mean(axis=0)) / np.ptp(pattern.xy_mm)).T
-    places = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-    values = rows[:, SHAPE]
-    values[:, 0] /= pattern.diameter_mm[seen]
-    values[:, :2] = np.log(values[:, :2])
-    mean, sd = np.empty((len(x), len(SHAPE))), np.empty((len(x), len(SHAPE)))
-    for k, value in enumerate(np.ascontiguousarray(values.T)):
-        terms = 1 if SHAPE[k] == BLUR or len(seen) < _ENOUGH else _TERMS
-        mean[:, k], sd[:, k] = _predicted(np.ascontiguousarray(places[:, :terms]), seen, value, float(_FLOOR[k]))
+    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)[None].repeat(len(SHAPE), axis=0)
+    simple = _MEAN_ALONE | (len(seen) < _ENOUGH)
+    design[simple, :, 1:] = 0.0
+    values = np.stack([beads[name] for name in SHAPE])
+    values[0] /= pattern.diameter_mm[seen]
+    values[:2] = np.log(values[:2])
+    freedom = len(seen) - np.where(simple, 1, _TERMS)
+    known, ridge = design[:, seen], np.diag([0.0, *[_RIDGE] * (_TERMS - 1)])
+    normal, coefficients, spread = ridge, values, np.full(len(SHAPE), np.inf)
+    rest = np.zeros(values.shape)
+    for _ in range(_ROUNDS):
+        weight = 1.0 / np.maximum(1.0, rest / (_HUBER * spread[:, None]))
+        weighted = np.swapaxes(known * weight[:, :, None], 1, 2)
+        normal = weighted @ known + ridge
+        coefficients = np.linalg.solve(normal, weighted @ values[:, :, None])
+        rest = np.abs(values - (known @ coefficients)[:, :, 0])
+        spread = np.maximum(MAD_TO_SD * np.median(rest, axis=1) * np.sqrt(len(seen) / freedom), _FLOOR)
+    mean = (design @ coefficients)[:, :, 0].T
+    leverage = (design * np.swapaxes(np.linalg.solve(normal, np.swapaxes(design, 1, 2)), 1, 2)).sum(axis=2)
     mean[:, :2] = np.exp(mean[:, :2])
     mean[:, 0] *= pattern.diameter_mm
-    return mean, sd
-
-
-def _predicted(places: np.ndarray, seen: np.ndarray, value: np.ndarray, floor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a robust linear fit of `value` (M,) at the places (P, K) of rows `seen`, at all places, and its s.d."""
-    mean, sd = np.empty(len(places)), np.empty(len(places))
-    if not _fill_predicted(places, seen, value, floor, mean, sd):
-        raise np.linalg.LinAlgError("the beads do not determine the shapes of the others")
-    return mean, sd
-
-
-@fast
-def _fill_predicted(places, seen, value, floor, mean, sd):  # noqa: PLR0912, PLR0917 - a kernel
-    """Fill `mean` and `sd` (P,) of `_predicted`; return whether the normal matrix is positive definite."""
-    count, terms, spread = len(seen), places.shape[1], floor
-    lower, coefficients = np.empty((terms, terms)), np.empty(terms)
-    weight, rest, ordered = np.ones(count), np.empty(count), np.empty(count)
-    for _ in range(_ROUNDS):
-        for i in range(terms):
-            coefficients[i] = 0.0
-            for j in range(i + 1):
-                lower[i, j] = _RIDGE if i == j and i > 0 else 0.0
-        for n in range(count):
-            row = places[seen[n]]
-            for i in range(terms):
-                part = weight[n] * row[i]
-                coefficients[i] += part * value[n]
-                for j in range(i + 1):
-                    lower[i, j] += part * row[j]
-        if not factor(terms, lower):
-            return False
-        for i in range(terms):
-            for j in range(i):
-                coefficients[i] -= lower[i, j] * coefficients[j]
-            coefficients[i] /= lower[i, i]
-        for i in range(terms - 1, -1, -1):
-            coefficients[i] /= lower[i, i]
-            for j in range(i):
-                coefficients[j] -= lower[i, j] * coefficients[i]
-        for n in range(count):
-            fitted = 0.0
-            for i in range(terms):
-                fitted += places[seen[n], i] * coefficients[i]
-            rest[n] = ordered[n] = abs(value[n] - fitted)
-        spread = max(MAD_TO_SD * median_of(ordered, count) * np.sqrt(count / (count - terms)), floor)
-        for n in range(count):
-            weight[n] = 1.0 / max(1.0, rest[n] / (_HUBER * spread))
-    half = np.empty(terms)
-    for p in range(len(places)):
-        mean[p], leverage = 0.0, 0.0
-        for i in range(terms):
-            mean[p] += places[p, i] * coefficients[i]
-            half[i] = places[p, i]
-            for j in range(i):
-                half[i] -= lower[i, j] * half[j]
-            half[i] /= lower[i, i]
-            leverage += half[i] * half[i]
-        sd[p] = spread * np.sqrt(1.0 + leverage)
-    return True
+    return mean, (spread[:, None] * np.sqrt(1.0 + leverage)).T

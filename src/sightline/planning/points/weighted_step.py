@@ -9,7 +9,7 @@ import numpy as np
 from sightline.kernels import kernel
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def weighted_step(xyz, planes, xy, seen, focal, first, total, picks, snapped):  # noqa: PLR0917 - a kernel
     """Move points `xyz` (N, 3) by one step. Return False where a point is behind a focal point, or a covariance is
     singular.
@@ -42,7 +42,7 @@ def weighted_step(xyz, planes, xy, seen, focal, first, total, picks, snapped):  
     return True
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _residual(point, view, line, slope, by_focal, residual):  # noqa: PLR0917 - a kernel
     """Set what `LineResiduals` holds of a point (3,) in a view (5, 3): both residuals (2,), and the derivatives (2, 3)
     of its shadow by the point and of its residuals by the focal point. Return whether it casts a shadow."""
@@ -66,7 +66,7 @@ def _residual(point, view, line, slope, by_focal, residual):  # noqa: PLR0917 - 
     return True
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _covariance(total, picks, by_focal, place, base, own):  # noqa: PLR0917 - a kernel
     """Return the covariance (n, n) of a point's residuals: of its lines, of the focal points, and of its picks."""
     rows = len(own)
@@ -82,7 +82,7 @@ def _covariance(total, picks, by_focal, place, base, own):  # noqa: PLR0917 - a 
     return out
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _take_out(information, direction, own):
     """Set the information (n, n) to that in the limit of infinite variance in a direction; none where it is zero."""
     rows = len(own)
@@ -97,7 +97,7 @@ def _take_out(information, direction, own):
                 information[p, q] -= carried[p] * carried[q] / weight
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _move(point, slope, information, residual):
     """Move a point (3,) by the least-squares step; return False where its residuals (n,) do not determine it."""
     normal, right = np.zeros((3, 3)), np.zeros(3)
@@ -117,7 +117,7 @@ def _move(point, slope, information, residual):
     return True
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _invert(matrix):
     """Replace a symmetric positive definite matrix (n, n) by its inverse; return whether it has one."""
     n = len(matrix)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.errors import SetUpError
-from sightline.kernels import exact_unchecked, kernel
+from sightline.kernels import kernel
 from sightline.threads import in_parts
 from sightline.twin.anatomy.femur import placed
 from sightline.twin.anatomy.shapes import ADD, CUT, NUMBERS, SolidShape, blend, shape_distance, step, texture
@@ -280,7 +280,7 @@ def _directions() -> np.ndarray:
     return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], -1)
 
 
-@exact_unchecked
+@kernel()
 def _parts(x, y, z, table, parts, mirrored, out):  # noqa: PLR0917
     """Fill `out` (P, 3) for a point with the distance from each part without and with its gap, and with its cortex's
     thickness."""
@@ -306,7 +306,7 @@ def _parts(x, y, z, table, parts, mirrored, out):  # noqa: PLR0917
         before = min(before, out[k, 0])
 
 
-@exact_unchecked
+@kernel()
 def _field(x, y, z, table, parts, mirrored, of, work):  # noqa: PLR0917
     """Return the field number `of` in FIELDS at a point; `work` (P, 3) is overwritten."""
     _parts(x, y, z, table, parts, mirrored, work)
@@ -324,14 +324,14 @@ def _field(x, y, z, table, parts, mirrored, of, work):  # noqa: PLR0917
     return max(outline, -surface)
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _depths(part, parts_, points, table, parts, mirrored, of, out):  # noqa: PLR0917
     work = np.empty((len(parts), 3))
     for k in range(part, len(points), parts_):
         out[k] = _field(points[k, 0], points[k, 1], points[k, 2], table, parts, mirrored, of, work)
 
 
-@exact_unchecked
+@kernel()
 def _ray(p, d, limit, fine, inside, table, parts, mirrored, of, work):  # noqa: PLR0917
     """Return the length of a ray from p along d to the surface, to `fine`, or `limit` if it is longer."""
     at, near, far = 0.0, 0.0, -1.0
@@ -345,7 +345,7 @@ def _ray(p, d, limit, fine, inside, table, parts, mirrored, of, work):  # noqa: 
     return min(far, limit) if far >= 0.0 else limit
 
 
-@exact_unchecked
+@kernel()
 def _refined(p, best_d, best, inside, table, parts, mirrored, of, work):  # noqa: PLR0917
     """Return the length of the shortest ray found around the direction `best_d` (3,), at most `best`; `best_d` is
     overwritten with its direction."""
@@ -372,7 +372,7 @@ def _refined(p, best_d, best, inside, table, parts, mirrored, of, work):  # noqa
     return best
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _nearest(part, parts_, points, table, parts, mirrored, of, directions, out):  # noqa: PLR0917
     """Fill in the signed distance of every point: the shortest ray to the surface, refined around the best of the
     directions and around the best of those that are far from it."""
@@ -396,7 +396,7 @@ def _nearest(part, parts_, points, table, parts, mirrored, of, directions, out):
         out[k] = -best if inside else best
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _fill(part, parts_, low, voxel, table, parts, mirrored, tile, out):  # noqa: PLR0917
     """Fill in the share of bone at every voxel; the outermost voxels stay empty. Blocks far from bone are skipped."""
     tx, ty, tz = tile.shape

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 from sightline.errors import SetUpError
-from sightline.kernels import exact_unchecked, kernel
+from sightline.kernels import kernel
 from sightline.threads import in_parts
 from sightline.twin.anatomy.shapes import blend, ellipsoid_distance, step, texture
 from sightline.twin.objects.volumes import Volume
@@ -174,7 +174,7 @@ def placed(values: np.ndarray, low_mm: np.ndarray, voxel_mm: float, side: str, o
     return Volume(values, low + origin_mm, np.full(3, voxel_mm))
 
 
-@exact_unchecked
+@kernel()
 def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
     """Return the signed distance from the femur's surface (negative inside), and from that of the head alone."""
     rh, rn, rs = n[0], n[1], n[2]
@@ -199,7 +199,7 @@ def _femur_distance(p: np.ndarray, n: np.ndarray) -> tuple[float, float]:
     return blend(blend(neck, head, 6.0), body, 14.0), head
 
 
-@exact_unchecked
+@kernel()
 def _medial_limit(n: np.ndarray) -> float:
     """Return x below which a femur with the numbers `n` leaves every voxel empty.
 
@@ -208,13 +208,13 @@ def _medial_limit(n: np.ndarray) -> float:
     return -12.0 - max(n[0], 1.25 * n[1], 1.3 * n[2] - n[4], LESSER_HALF_MM[0] - LESSER_MM[0] - n[4])
 
 
-@exact_unchecked
+@kernel()
 def _without_socket(p: np.ndarray, head: float) -> bool:
     """Return whether a point is so far lateral or caudal of the head that neither socket nor pelvis reaches it."""
     return head > 6.5 and (p[0] > 40.0 or p[1] > 40.0)
 
 
-@exact_unchecked
+@kernel()
 def _bone(p: np.ndarray, n: np.ndarray, texture: float, medial: float) -> float:
     """Return the share of cortical bone at a point. `medial`: see `_medial_limit`."""
     if p[0] < medial:
@@ -226,7 +226,7 @@ def _bone(p: np.ndarray, n: np.ndarray, texture: float, medial: float) -> float:
     return share
 
 
-@exact_unchecked
+@kernel()
 def _femur_share(p: np.ndarray, n: np.ndarray, texture: float) -> tuple[float, float]:
     """Return the share of cortical bone without the socket, and the distance from the head's surface. The cortex is
     1 mm thick on the head, 2 mm on the neck, and increases along the shaft down to the canal (5 mm laterally)
@@ -242,7 +242,7 @@ def _femur_share(p: np.ndarray, n: np.ndarray, texture: float) -> tuple[float, f
     return max(spongy, 0.0) * (within - hard) + (0.92 + 0.03 * texture) * hard, head
 
 
-@exact_unchecked
+@kernel()
 def _socket(p: np.ndarray, head: float, texture: float, spongy: float) -> float:
     """Return the share of bone of the acetabulum (a shell 3.5 mm outside the head, open laterally and caudally) and of
     the bone that supports it."""
@@ -259,7 +259,7 @@ def _socket(p: np.ndarray, head: float, texture: float, spongy: float) -> float:
     return max(0.85 * max(shell, hard), fill)
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _fill(part, parts, low, n, tile, out):  # noqa: PLR0917
     """Fill in the share of bone at every voxel; the outermost voxels stay empty."""
     tx, ty, tz = tile.shape

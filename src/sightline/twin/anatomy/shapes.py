@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
-from sightline.kernels import exact_unchecked
+from sightline.kernels import kernel
 
 CONE, BOX, ELLIPSOID, BARREL, PLATE, HALF_SPACE = range(6)
 ADD, CUT, KEEP = range(3)
@@ -111,20 +111,20 @@ def texture(rng: np.random.Generator) -> np.ndarray:
     return tile / tile.std()
 
 
-@exact_unchecked
+@kernel()
 def blend(a: float, b: float, k: float) -> float:
     """Return the smooth minimum of two distances over a width k."""
     h = max(k - abs(a - b), 0.0) / k
     return min(a, b) - h * h * k / 4
 
 
-@exact_unchecked
+@kernel()
 def step(x: float, width: float) -> float:
     """Return a linear ramp from 0 to 1 across `width` around 0: a voxel's partial volume."""
     return min(max(x / width + 0.5, 0.0), 1.0)
 
 
-@exact_unchecked
+@kernel()
 def ellipsoid_distance(at: tuple[float, float, float], half: tuple[float, float, float]) -> float:
     """Return the distance from an ellipsoid at the origin with the given half-axes, to first order."""
     k0, k1 = 0.0, 0.0
@@ -134,7 +134,7 @@ def ellipsoid_distance(at: tuple[float, float, float], half: tuple[float, float,
     return np.sqrt(k0) * (np.sqrt(k0) - 1) / max(np.sqrt(k1), 1e-9)
 
 
-@exact_unchecked
+@kernel()
 def shape_distance(x: float, y: float, z: float, kind: int, n: np.ndarray) -> float:
     """Return the signed distance of a point from a shape of a kind with the numbers `n`."""
     x, y, z = x - n[0], y - n[1], z - n[2]
@@ -158,14 +158,14 @@ def shape_distance(x: float, y: float, z: float, kind: int, n: np.ndarray) -> fl
     return _corner(radial + n[15], abs(b) - n[13] + n[15], -1e9) - n[15]
 
 
-@exact_unchecked
+@kernel()
 def _corner(a: float, b: float, c: float) -> float:
     """Return the distance from the corner of three faces that are perpendicular to each other."""
     outside = np.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2 + max(c, 0.0) ** 2)
     return outside + min(max(a, b, c), 0.0)
 
 
-@exact_unchecked
+@kernel()
 def _cone(x: float, y: float, z: float, n: np.ndarray) -> float:
     """Return the distance from the hull of two balls; (x, y, z) from the first [src Quilez, distance functions]."""
     u, v, w, first, second = n[3] - n[0], n[4] - n[1], n[5] - n[2], n[6], n[7]
@@ -186,7 +186,7 @@ def _cone(x: float, y: float, z: float, n: np.ndarray) -> float:
     return (np.sqrt(across2 * slope2 / length2) + along * shrink) / length2 - first
 
 
-@exact_unchecked
+@kernel()
 def _plate(x: float, y: float, z: float, n: np.ndarray) -> float:
     """Return the distance from a thick triangle; (x, y, z) from its first corner [src Ericson, Real-Time Collision
     Detection, 5.1.5]."""
@@ -215,7 +215,7 @@ def _plate(x: float, y: float, z: float, n: np.ndarray) -> float:
     return np.sqrt(x * x + y * y + z * z) - n[9]
 
 
-@exact_unchecked
+@kernel()
 def _distances(points: np.ndarray, kind: int, row: np.ndarray) -> np.ndarray:
     out = np.empty(len(points))
     for k in range(len(points)):

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import SetUpError
-from sightline.kernels import exact
+from sightline.kernels import kernel
 from sightline.twin.objects.implants import WIRE_DIAMETER_MM
 from sightline.twin.objects.volumes import Volume
 
@@ -222,7 +222,7 @@ def sensed(thrust_n: float, rng: np.random.Generator) -> float:
     return thrust_n + hypot(NOISE_SHARE * thrust_n, NOISE_N) * float(rng.standard_normal())
 
 
-@exact
+@kernel()
 def _squeezed(total: float, rate: float, power: float) -> float:
     """Return the root y in (0, total) of y + rate y^power = total, by Newton's method from above (convex function)."""
     y = total
@@ -234,7 +234,7 @@ def _squeezed(total: float, rate: float, power: float) -> float:
     return max(y, 0.0)
 
 
-@exact
+@kernel()
 def _add_density(total: np.ndarray, values: np.ndarray, index: np.ndarray, points: np.ndarray, whole: float) -> None:
     """Add trilinear shares times the density `whole` of the solid material; nothing outside the volume."""
     for n in range(len(points)):

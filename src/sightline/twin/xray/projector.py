@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.kernels import exact_unchecked, kernel
+from sightline.kernels import kernel
 from sightline.threads import in_parts
 from sightline.twin.objects.things import COLUMNS
 
@@ -28,7 +28,7 @@ class Rays(NamedTuple):
     inside: np.ndarray
 
 
-@exact_unchecked
+@kernel()
 def _towards(rays: Rays, r: int, c: int, d: np.ndarray) -> float:
     """Fill `d` (3,) with the vector from the focal point to one pixel's point on the input plane; return its length."""
     norm = 0.0
@@ -38,7 +38,7 @@ def _towards(rays: Rays, r: int, c: int, d: np.ndarray) -> float:
     return np.sqrt(norm)
 
 
-@exact_unchecked
+@kernel()
 def _within(span: tuple[float, float], start: float, slope: float, low: float, high: float) -> tuple[float, float]:
     """Return the part (near, far) of a span of t where low <= start + t slope <= high; far < near: none."""
     near, far = span
@@ -63,7 +63,7 @@ def volume_integral(rays: Rays, values: np.ndarray, origin: np.ndarray, voxel: n
 
 
 # Reassociation lets the compiler take eight samples at a time; the float32 results stay bit-identical.
-@kernel(nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@kernel(nogil=True, fastmath=True)
 def _cast_volume(part, parts, rays, flat, shape, start, ratio, unit, out):  # noqa: PLR0917
     """Voxels `flat` (n,) of `shape`; `start` (3,) the focal point in voxels, `ratio` (3,) voxels per `unit` mm."""
     h, w = rays.inside.shape
@@ -102,7 +102,7 @@ def _cast_volume(part, parts, rays, flat, shape, start, ratio, unit, out):  # no
             out[r, c] = total * step * unit
 
 
-@exact_unchecked
+@kernel()
 def _cylinder(o: np.ndarray, d: np.ndarray, shapes: np.ndarray, m: int, radius: float) -> float:
     """Return the length of the ray o + t d, |d| = 1, within a finite cylinder."""
     along, slope, dot, o2 = 0.0, 0.0, 0.0, 0.0
@@ -132,7 +132,7 @@ def _cylinder(o: np.ndarray, d: np.ndarray, shapes: np.ndarray, m: int, radius: 
     return max(far - near, 0.0)
 
 
-@exact_unchecked
+@kernel()
 def chord(o: np.ndarray, d: np.ndarray, shapes: np.ndarray, m: int) -> float:
     """Return the length, mm, of the ray o + t d, |d| = 1, within one of the packed solids (M, 9) of `things.pack`."""
     if shapes[m, 8] >= 0.0:
@@ -147,7 +147,7 @@ def chord(o: np.ndarray, d: np.ndarray, shapes: np.ndarray, m: int) -> float:
     return 2.0 * np.sqrt(left) if left > 0.0 else 0.0
 
 
-@exact_unchecked
+@kernel()
 def _sub_ray(rays, spot, r, c, s, sub, o, d):  # noqa: PLR0917
     """Fill `o` and `d` (3,) with the start and unit direction of a pixel's sub-ray number `s` of sub x sub.
 
@@ -192,7 +192,7 @@ def solid_transmission(
     return out
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _cast_solids(part, parts, rays, spot, first, index, shapes, grown, excess, out):  # noqa: PLR0912, PLR0917
     """Cast sub-rays through `shapes`. `grown` (M, 9): enlarged solids, met by a pixel's ray if any sub-ray meets the
     solid."""
@@ -237,7 +237,7 @@ def box_length(rays: Rays, centres: np.ndarray, axes: np.ndarray, halves: np.nda
     return out
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _cast_boxes(part, parts, rays, centres, axes, halves, out):  # noqa: PLR0917
     h, w = rays.inside.shape
     d = np.empty(3)
@@ -260,7 +260,7 @@ def _cast_boxes(part, parts, rays, centres, axes, halves, out):  # noqa: PLR0917
 
 
 # These two are inlined: each call would count the references to its arrays, and a mesh would take 2.5 times as long.
-@kernel(error_model="numpy", forceinline=True)
+@kernel(inlined=True)
 def _side(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, i: int, j: int) -> float:
     """Return d · ((a - o) x (b - o)), whose sign tells the side of the ray o + t d on which the edge from vertex i (a)
     to vertex j (b) passes."""
@@ -269,7 +269,7 @@ def _side(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, i: int, j: int) ->
     return d[0] * (ay * bz - az * by) + d[1] * (az * bx - ax * bz) + d[2] * (ax * by - ay * bx)
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel(inlined=True)
 def _crossing(o: np.ndarray, d: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, m: int) -> float:
     """Return the signed distance to triangle `m` along the ray o + t d, |d| = 1: t where the ray leaves through it, -t
     where it enters, 0 where it misses.
@@ -315,7 +315,7 @@ def mesh_lengths(
     return out
 
 
-@exact_unchecked
+@kernel()
 def _fill_sub_rays(rays, spot, pixels, cast):
     """Fill `cast` (rows, columns, MESH_SUB², 2, 3) with starts and directions of the sub-rays of a block of `pixels`:
     first row, last row + 1, first column, last column + 1."""
@@ -327,7 +327,7 @@ def _fill_sub_rays(rays, spot, pixels, cast):
                 _sub_ray(rays, spot, r, c, s, MESH_SUB, ray[0], ray[1])
 
 
-@kernel(nogil=True, error_model="numpy")
+@kernel(nogil=True)
 def _cast_mesh(part, parts, rays, xi, spot, vertices, triangles, shadows, out):  # noqa: PLR0917
     h, w = rays.inside.shape
     tall, wide = (h + MESH_CELL_PX - 1) // MESH_CELL_PX, (w + MESH_CELL_PX - 1) // MESH_CELL_PX

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sightline.detection.labelling.joint_kernels import Places, first_focal
+from sightline.detection.labelling.joint import Places, first_focal
 
 FOCAL = np.array([0.137, -0.082, 5.713])  # of the sheet: a unit is the field's radius
 SIDE = np.linspace(-0.62, 0.57, 4)
