@@ -84,9 +84,9 @@ def test_pixels_of_balls_are_mapped_to_their_shadows_and_back():
 
 @pytest.mark.slow
 def test_the_stated_error_of_a_target_is_the_scatter_about_the_truth():
-    """40 set-ups: the mean of the squared Mahalanobis length of three coordinates is 3 ± 4 s.d. of such a mean."""
+    """20 set-ups: the mean of the squared Mahalanobis length of three coordinates is 3 ± 4 s.d. of such a mean."""
     squares, chi_squares, away = [], [], []
-    for seed in range(40):
+    for seed in range(20):
         views, scene, rng = _drawn(seed)
         uv = scene.target_px + PICK_PX * rng.standard_normal(scene.target_px.shape)
         found = sl.reconstruct(views, uv, np.broadcast_to(PICK_PX**2 * np.eye(2), (2, 1, 2, 2)))
@@ -94,8 +94,8 @@ def test_the_stated_error_of_a_target_is_the_scatter_about_the_truth():
         squares.append(off @ np.linalg.solve(found.covariance_mm2[0], off))
         chi_squares.append(next(c.figure for c in views[0].checks if c.name == "chi-square"))
         away.append(off @ off)
-    assert abs(np.mean(squares) - 3.0) < 4 * np.sqrt(6.0 / 40)
-    assert np.mean(np.array(squares) < chi2.ppf(0.95, 3)) > 0.95 - 3.5 * np.sqrt(0.95 * 0.05 / 40)
+    assert abs(np.mean(squares) - 3.0) < 4 * np.sqrt(6.0 / 20)
+    assert np.mean(np.array(squares) < chi2.ppf(0.95, 3)) > 0.95 - 3.5 * np.sqrt(0.95 * 0.05 / 20)
     assert abs(np.mean(chi_squares) - 1.0) < 0.07
     assert np.sqrt(np.mean(away)) < 0.12
 
