@@ -7,7 +7,7 @@ from sightline.geometry.planes import Plane
 
 SOURCE_TO_HIP_MM = 620.0  # physics.md, C-arm and image chain [ours]
 SOURCE_TO_DETECTOR_MM = 1000.0  # ARCADIS Varic 968 [src manual]
-FIELD_DIAMETER_MM = 215.0  # useful field of a 9 inch intensifier [mem]
+FIELD_DIAMETER_MM = 215.0  # [ours] useful field of a 9 inch (229 mm) intensifier, its rim left out
 
 
 def axis(view: FrameView) -> np.ndarray:

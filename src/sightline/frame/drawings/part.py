@@ -17,7 +17,7 @@ CHAMFER_MM = 6.0  # [ours] one corner is cut, so that no plate is mounted mirror
 WALL_MM = 1.0  # [ours] minimum material between two bores
 WASHER_MM = 1.5  # [ours] thickness, as in the twin
 COVER_MM = 3.5  # [ours] from the outermost balls' centres to the faces of a solid, as in the built-in blocks
-# ISO 286-2, H8: upper deviation of a bore up to this diameter, mm; the lower one is zero [mem].
+# H8: upper deviation of a bore up to this diameter, mm; the lower one is zero [src ISO 286-1, table 1, IT8].
 _H8 = ((3.0, 0.014), (6.0, 0.018), (10.0, 0.022), (18.0, 0.027), (30.0, 0.033), (50.0, 0.039))
 SIGMAS = 2.0  # [ours] a tolerance on a drawing is plus or minus two standard deviations
 
