@@ -300,9 +300,7 @@ def plan(
 ) -> Plan:
     """Return the plan of entry and end point, given their pixels (V, 2) each, IDCS: a row for each of V >= 2 views.
 
-    The curves lie between the first two views; give the others in the order in which their images were acquired. The
-    views of a solid are adjusted together first (`adjusted_together`).
-
+    The curves lie between the first two views; give the others in the order in which their images were acquired.
     `snapped`: whether the second view's picks are snapped to the image-matching curves of the first view's: one flag,
     or (entry, end). Picks in further views are free, NaN where a view does not show the point. A plan with snapped
     picks needs two landmarks for a GO (`judge`). `hole`: entry and end are those of a measured hole
