@@ -3,7 +3,6 @@
 A run is a process forked from this one, in which everything is imported and slow results are already computed.
 """
 
-import atexit
 import os
 import re
 import sqlite3
@@ -15,8 +14,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from io import StringIO
 from pathlib import Path
-from shutil import rmtree
-from tempfile import TemporaryDirectory, mkdtemp
+from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 from unittest.mock import patch
 
@@ -24,11 +22,11 @@ import numpy as np
 
 from campaigns.person import Clicks
 from campaigns.points import World
-from sightline import atomic, twin
+from sightline import atomic
 from sightline.case.acquire import folder as acquire_folder
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.journal.case import JOURNAL
-from sightline.cli import commands, demo, demo_robot
+from sightline.cli import commands
 from sightline.cli.output import Output
 from sightline.detection.csv_files import write_observations
 from sightline.errors import SightlineError
@@ -180,9 +178,12 @@ def as_command(work: Callable[[], None]) -> int:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return all files by their paths in a folder; of a case only its number of entries, because its names vary."""
+    """Return all files by their paths in a folder; of a case only its number of entries, because its names vary.
+
+    A killed process leaves its scratch file, which is no result.
+    """
     files = sorted(file for file in folder.rglob("*") if file.is_file() and file.parent.name != "originals")
-    files = [file for file in files if file.name != atomic.MANIFEST]
+    files = [file for file in files if file.name != atomic.MANIFEST and file.suffix != ".part"]
     return {
         str(file.relative_to(folder)): _entries(file) if file.name == JOURNAL else file.read_bytes() for file in files
     }
@@ -246,8 +247,9 @@ def _results_of(writer: Callable[[], Write]) -> Files:
         return contents(Path(folder) / "out")
 
 
-def computed(*words: str) -> Write:
-    """Return a writer of the results of a command on a procedure's beads, which are computed once, here."""
+@cache
+def plan() -> Write:
+    """Return the writer of the results of `sightline plan --out`, which are computed once, here."""
     documents: dict[str, bytes] = {}
 
     def keep(_: Path, given: Files) -> list[Path]:
@@ -257,8 +259,7 @@ def computed(*words: str) -> Write:
     with TemporaryDirectory() as folder, patch.object(atomic, "write_folder", keep):
         world = World.draw(np.random.default_rng(3))
         beads = write_observations(list(world.observations.values()), Path(folder) / "beads.csv")
-        told = _told(world.clicks) if words[0] == "plan" else ()
-        assert command(*words, beads, beads, *told, "--out", folder, "--quiet") == 0
+        assert command("plan", beads, beads, *_told(world.clicks), "--out", folder, "--quiet") == 0
 
     def write(out: Path) -> int:
         def work() -> None:
@@ -283,69 +284,9 @@ def _told(clicks: Clicks) -> tuple[str, ...]:
 
 
 @cache
-def plan() -> Write:
-    """Return the writer of `sightline plan --out`."""
-    return computed("plan")
-
-
-@cache
-def views() -> Write:
-    """Return the writer of `sightline export views`."""
-    return computed("export", "views", "--to", "opencv,rtk,xreg")
-
-
-@cache
-def simulated() -> Write:
-    """Return the writer of `sightline simulate`, without rendering."""
-
-    def write(out: Path) -> int:
-        with patch.object(twin, "render", lambda setup, view, *_: _image(view)):
-            return command("simulate", "object", "--out", out)
-
-    return write
-
-
-@cache
 def _image(seed: str | int) -> Radiograph:
     rng = np.random.default_rng(list(str(seed).encode()))
     return Radiograph(rng.integers(0, 65536, (60, 64), dtype=np.uint16), 65535.0)
-
-
-@cache
-def demonstrated() -> Write:
-    """Return the writer of `sightline demo`, whose results are computed once, here."""
-    computed = Path(mkdtemp(prefix="sightline-campaign-"))
-    atexit.register(rmtree, computed, ignore_errors=True)
-    record, results = demo.record, demo._write_results
-    steps: list[Callable[[Path], None]] = []
-    with (
-        Output(json=False, quiet=True) as output,
-        patch.object(demo, "record", lambda _, what: steps.append(lambda out: record(out / "case", what))),
-        patch.object(demo, "_write_results", lambda _, *what: steps.append(lambda out: results(out, *what))),
-        demo.RobotAhead(demo.SEED, "hip-screw", "gamma") as ahead,
-    ):
-        demo._run(
-            output,
-            computed,
-            ahead,
-            seed=demo.SEED,
-            frame_name="gamma",
-            procedure="hip-screw",
-        )
-
-    def run(output: Output, scratch: Path, *ahead: object, **drawn: Any) -> dict[str, Any]:
-        for image in sorted(computed.iterdir()):
-            atomic.write_whole(scratch / image.name, image.read_bytes())
-        for step in steps:
-            step(scratch)
-        return {}
-
-    def write(out: Path) -> int:
-        no_robot = patch.object(demo_robot, "_installed", lambda: False)  # it would be started, and drill nothing
-        with no_robot, patch.object(demo, "_run", run):
-            return command("demo", "--out", out)
-
-    return write
 
 
 @cache
@@ -502,9 +443,6 @@ PROGRAMS: dict[str, Program] = {
     "edits of a case": Journal(append, "case"),
     "plan --out": Results(plan),
     "plan --out, no folder yet": Results(plan, "nothing"),
-    "demo": Results(demonstrated),
-    "export views": Results(views),
-    "simulate": Results(simulated),
     "a frame file": Results(frame_file),
     "trials of a study": Trials(),
 }
