@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.twin import Scene, draw_setup
-from sightline.twin.objects.meshes import Mesh, box_mesh, read_mesh
+from sightline.twin.objects.meshes import Mesh, read_mesh
 from sightline.twin.objects.things import Ball, Box, moved
 from sightline.twin.xray.projector import Rays, box_length, mesh_lengths
 from sightline.twin.xray.render import expose
@@ -33,6 +33,14 @@ def lengths(mesh: Mesh, cast: Rays) -> np.ndarray:
     """(4, H, W) mm, no triangle left out."""
     shadows = np.tile(EVERYWHERE, (len(mesh.triangles), 1))
     return mesh_lengths(cast, cast.points[..., :2].copy(), POINT, (mesh.vertices_mm, mesh.triangles), shadows)
+
+
+def box_mesh(low_mm: np.ndarray, high_mm: np.ndarray, material: str, within: str | None) -> Mesh:
+    """Return a cuboid between two corners (3,), with sides along the axes, such as a metal plate."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = np.array([[(a, b, c), (a, c, d)] for a, b, c, d in quads]).reshape(-1, 3)
+    return Mesh(np.where(corners, high_mm, low_mm), triangles, material, within)
 
 
 def sphere(radius_mm: float, points: int) -> Mesh:

@@ -79,14 +79,6 @@ def read_mesh(path: str | Path, material: str = "bone", within: str | None = "ti
         raise UnusableInputError(f"{file.name}: {error}") from error
 
 
-def box_mesh(low_mm: np.ndarray, high_mm: np.ndarray, material: str, within: str | None) -> Mesh:
-    """Return a cuboid between two corners (3,), with sides along the axes, such as a metal plate."""
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = np.array([[(a, b, c), (a, c, d)] for a, b, c, d in quads]).reshape(-1, 3)
-    return Mesh(np.where(corners, high_mm, low_mm), triangles, material, within)
-
-
 def _check(vertices: np.ndarray, triangles: np.ndarray) -> None:
     if not len(triangles):
         raise UnusableInputError("the mesh has no triangles; give the surface of a solid")
