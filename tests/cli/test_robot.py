@@ -49,7 +49,12 @@ def trajectory(wire_mm: np.ndarray | None = None, variance_mm2: float = 0.01) ->
         "coordinates": "CFCS",
         "entry_mm": entry.tolist(),
         "end_mm": end.tolist(),
+        "direction": ((end - entry) / np.linalg.norm(end - entry)).tolist(),
+        "length_mm": float(np.linalg.norm(end - entry)),
         "covariance_mm2": covariance.tolist(),
+        "error_95": None,
+        "gap_mm": [0.0, 0.0],
+        "gap_tested": [True, True],
     }
 
 
