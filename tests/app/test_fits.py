@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from tests.planning import bone
 from tests.planning.bone import rim, views
+from tests.test_fitted_head import head_image
 from tests.test_fitted_neck import neck_borders, neck_image
 
 from sightline.app.plan.decisions import Decisions, FittedAxis, Mark
@@ -151,7 +152,7 @@ def test_a_head_without_its_edges_is_kept_as_drawn_and_says_why_in_each_image(pl
 
 def test_one_image_without_an_edge_keeps_its_circle_and_the_other_is_fitted(planning: _Planning) -> None:
     """Fails for a plan that takes the fitted circle's small error for the drawn one's."""
-    planning.images = (_good()[0], _dark(_good()[1]))
+    planning.images = (head_image(VIEWS[0], 0), _dark(_good()[1]))
     asyncio.run(planning.fit_head())
     fitted, drawn = planning.decisions.fitted_head, drawn_head(planning.decisions)
     assert fitted is not None and drawn is not None and list(fitted.kept) == ["lateral"]
