@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from degraded_images import banded, blocks, in_8_bits, interlaced, jpeg, levels, torn
-from track_images import FRAME, beads, image
+from tests.detection.frame_images import FRAME, beads, image
 
 from sightline.detection import Observations, detect, label, look_again
 from sightline.detection.beads.noise import LAGS, NoiseModel
