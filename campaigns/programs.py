@@ -3,6 +3,7 @@
 A run is a process forked from this one, in which everything is imported and slow results are already computed.
 """
 
+import json
 import os
 import re
 import sqlite3
@@ -259,7 +260,7 @@ def plan() -> Write:
     with TemporaryDirectory() as folder, patch.object(atomic, "write_folder", keep):
         world = World.draw(np.random.default_rng(3))
         beads = write_observations(list(world.observations.values()), Path(folder) / "beads.csv")
-        assert command("plan", beads, beads, *_told(world.clicks), "--out", folder, "--quiet") == 0
+        assert command("plan", beads, beads, *_told(world.clicks, Path(folder)), "--out", folder, "--quiet") == 0
 
     def write(out: Path) -> int:
         def work() -> None:
@@ -271,16 +272,20 @@ def plan() -> Write:
     return write
 
 
-def _told(clicks: Clicks) -> tuple[str, ...]:
-    """Return the arguments of `sightline plan`."""
+def _told(clicks: Clicks, folder: Path) -> tuple[str, ...]:
+    """Return the arguments of `sightline plan`, and write the file of picks that they name."""
 
-    def both(uv: np.ndarray) -> str:
-        rows = zip(VIEWS, uv, strict=True)
-        return " ".join(f"{name}:{','.join(f'{value:.2f}' for value in row)}" for name, row in rows)
+    def both(uv: np.ndarray) -> dict[str, list[float]]:
+        return {name: row.round(2).tolist() for name, row in zip(VIEWS, uv, strict=True)}
 
-    marks = [f"{name} {both(clicks.landmarks[:, k])}" for k, name in enumerate(clicks.names)]
-    told = ("--entry", both(clicks.wire[:, 0]), "--end", both(clicks.wire[:, 1]), "--head", both(clicks.head))
-    return *told, "--side", clicks.side, *(word for mark in marks for word in ("--landmark", mark))
+    content = {
+        "wires": {"guide-wire": {"entry": both(clicks.wire[:, 0]), "end": both(clicks.wire[:, 1])}},
+        "head": both(clicks.head),
+        "landmarks": [{"name": name, **both(clicks.landmarks[:, k])} for k, name in enumerate(clicks.names)],
+    }
+    picks = folder / "picks.json"
+    picks.write_text(json.dumps({"schema": "sightline-picks/1", **content}))
+    return "--picks", str(picks), "--side", clicks.side
 
 
 @cache

@@ -67,7 +67,9 @@ def told(words: list[str]) -> tuple[Any, list[str]]:
 
 def options_of(command: Any) -> set[str]:
     """Every spelling of every option."""
-    return {"--help", "-h"}.union(*(set(one.opts) | set(one.secondary_opts) for one in command.params))
+    return {"--help", "-h", "--json", "--quiet"}.union(
+        *(set(one.opts) | set(one.secondary_opts) for one in command.params)
+    )
 
 
 @pytest.fixture
@@ -110,9 +112,10 @@ def test_every_command_of_a_page_exists_and_takes_its_options(page: Path) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WALKED)
 def test_a_walk_runs_from_top_to_bottom(name: str, place: Path) -> None:
-    """Commands and Python in the order of the page; a table that the page shows, `NAME.csv`, is written first."""
+    """Commands and Python in the order of the page; a file that the page shows, `NAME.csv` or `NAME.json`, is written
+    first."""
     page = ROOT / "docs" / name
-    shown = r"`([\w.-]+\.csv)`:\n\n```csv\n(.*?)^```"
+    shown = r"`([\w.-]+\.(?:csv|json))`:\n\n```(?:csv|json)\n(.*?)^```"
     for file, table in re.findall(shown, page.read_text(), re.MULTILINE | re.DOTALL):
         (place / file).write_text(table)
     known: dict[str, Any] = {}

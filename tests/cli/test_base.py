@@ -3,10 +3,11 @@
 import errno
 import json
 import os
-import re
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pytest
@@ -15,8 +16,8 @@ from typer.testing import CliRunner
 
 import sightline
 from sightline.checks import Check
-from sightline.cli import _COMMANDS
-from sightline.cli.output import Json, Output, Quiet, Terminated, as_json
+from sightline.cli.options import command
+from sightline.cli.output import Output, Terminated, as_json
 from sightline.errors import ImageError, LabellingRefusedError
 
 PASSED = Check("bead count", True, 98.0, 60.0, "beads", "98 beads are used.")
@@ -27,23 +28,43 @@ def invoke(body, *arguments: str):
     """A command whose body is `body(out)`, run with arguments."""
     app = typer.Typer(pretty_exceptions_enable=False)
 
-    @app.command()
-    def command(json: Json = False, quiet: Quiet = False) -> None:
-        with Output(json=json, quiet=quiet) as out:
-            body(out)
+    @command(app, "probe", "probe")
+    def probe(out: Output) -> None:
+        body(out)
 
     return CliRunner().invoke(app, list(arguments))
 
 
-def test_help_lists_every_command_and_each_takes_json_and_quiet(run) -> None:
-    listed = run("--help").out
-    for name in (module.replace("_", "-") for module in _COMMANDS):
-        assert re.search(rf"^\W*{name} ", listed, re.MULTILINE), name
-        told = run(name, "--help")
-        assert told.code == 0
-        if not re.search(r"Usage:.* COMMAND", told.out):  # of a group the commands have them
-            assert "--json" in told.out, name
-            assert "--quiet" in told.out, name
+@dataclass(frozen=True)
+class Grouped:
+    """Options of a command, one an argument."""
+
+    file: Annotated[Path, typer.Argument(help="A file.")]
+    count: Annotated[int, typer.Option(help="A number.")] = 3
+    names: Annotated[list[str] | None, typer.Option("--name", help="Names.")] = None
+
+
+def test_a_dataclass_of_options_is_spread_over_them() -> None:
+    app, given = typer.Typer(pretty_exceptions_enable=False), []
+
+    @command(app, "probe", "probe a.txt --count 4")
+    def probe(out: Output, grouped: Grouped, flag: Annotated[bool, typer.Option("--flag", help="A flag.")] = False):
+        """Probe the options."""
+        given.append((grouped, flag))
+        out.result({"count": grouped.count})
+
+    for words, group, flag in (
+        (["a.txt"], Grouped(Path("a.txt")), False),
+        (["--name", "x", "--name", "y", "a.txt", "--flag"], Grouped(Path("a.txt"), 3, ["x", "y"]), True),
+    ):
+        ran = CliRunner().invoke(app, [*words, "--json"])
+        assert (ran.exit_code, json.loads(ran.stdout)) == (0, {"count": 3})
+        assert given[-1] == (group, flag)
+    assert CliRunner().invoke(app, []).exit_code == 2  # without the file
+    told = CliRunner().invoke(app, ["--help"]).stdout
+    for words in ("Probe the options.", "A file.", "--count", "[default: 3]", "--name", "--flag", "--json", "--quiet"):
+        assert words in told
+    assert "probe a.txt --count 4" in told
 
 
 def test_help_loads_nothing_that_is_slow() -> None:

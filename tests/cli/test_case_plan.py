@@ -6,24 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.cli.picked import VIEWS, picks_file, place, wire
 
 from sightline.case.journal import Case, Kind
 from sightline.imaging import write_dicom
 from sightline.twin import hip_scene, render
 from sightline.twin.objects.implants import guide_wire
 
-VIEWS = ("pa", "lateral")
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
 OFF_MM = 0.6  # how far beside its plan the wire is drilled in these images
-
-
-def text(setup, xyz_mm: np.ndarray, prefix: str = "") -> str:
-    pixels = {name: setup.views[name].project(xyz_mm) for name in VIEWS}
-    return " ".join(f"{prefix}{name}:{u:.3f},{v:.3f}" for name, (u, v) in pixels.items())
-
-
-def picks(setup, wire_mm: np.ndarray) -> list[str]:
-    return ["--entry", text(setup, wire_mm[0]), "--end", text(setup, wire_mm[1]), "--pick-sd", "0.1"]
 
 
 def kinds(folder: Path) -> list[str]:
@@ -32,7 +23,8 @@ def kinds(folder: Path) -> list[str]:
 
 
 def test_a_plan_is_recorded_in_a_case_and_comes_out_the_same(run, beads_csv: Path, setup, tmp_path: Path) -> None:
-    plan = ["plan", beads_csv, beads_csv, *picks(setup, WIRE_MM), "--kind", "free-wire", "--case", tmp_path / "case"]
+    picks = picks_file(tmp_path, wires={"wire": wire(setup, WIRE_MM)}, pick_sd_px=0.1)
+    plan = ["plan", beads_csv, beads_csv, "--picks", picks, "--kind", "free-wire", "--case", tmp_path / "case"]
     first, second = run(*plan, "--json"), run(*plan, "--side", "right")
     assert (first.code, second.code) == (0, 0), second.err
     assert first.document["case"]["images"] == {"pa": 1, "lateral": 1}
@@ -75,10 +67,10 @@ def planned(run: Callable[..., Any], pair, setup, tmp_path_factory: pytest.TempP
     np.save(folder / "in" / "z.npy", np.full((64, 64), 900, np.uint16))
     assert run("acquire", "folder", folder / "in", "--case", folder / "case").code == 0
     hip = hip_scene(setup, np.random.default_rng(8))
-    marks = [
-        word for name, xyz_mm in hip.landmarks_mm.items() for word in ("--landmark", f"{name} {text(setup, xyz_mm)}")
-    ]
-    ran = run("plan", "--case", folder / "case", *picks(setup, hip.wire_mm), *marks, "--side", "right")
+    marks = [{"name": "-".join(name.split()), **place(setup, xyz_mm)} for name, xyz_mm in hip.landmarks_mm.items()]
+    wires = {"guide-wire": wire(setup, hip.wire_mm)}
+    picks = picks_file(folder, wires=wires, landmarks=marks, pick_sd_px=0.1)
+    ran = run("plan", "--case", folder / "case", "--picks", picks, "--side", "right")
     assert "INCOMPLETE: 1 check could" in ran.out, ran.err  # the head is not drawn
     assert "image of entry 3 skipped" in ran.err
     return folder / "case"
@@ -103,13 +95,11 @@ def test_a_check_shot_finds_the_wire_where_it_is(run, planned: Path, setup, tmp_
     aside = np.linalg.svd(along[None])[2][1]
     scene = hip.scene + guide_wire(hip.wire_mm + OFF_MM * aside)
     files = [write_dicom(render(setup, view, scene, rng), tmp_path / f"{view}.dcm") for view in VIEWS]
-    marks = [
-        word
-        for name, xyz_mm in hip.landmarks_mm.items()
-        for word in ("--landmark", f"{name} {text(setup, xyz_mm, 'check-')}")
-    ]
-    shot = ["check-shot", *files, "--case", planned, "--pick-sd", "0.1"]
-    measured = run(*shot, *marks, "--json")
+    again = {"-".join(name.split()): place(setup, xyz_mm, "check-") for name, xyz_mm in hip.landmarks_mm.items()}
+    marks = [{"name": name, **places} for name, places in again.items()]
+    picks = ["--picks", picks_file(tmp_path, landmarks=marks, pick_sd_px=0.1)]
+    shot = ["check-shot", *files, "--case", planned]
+    measured = run(*shot, *picks, "--json")
     assert measured.code in (0, 3), measured.out
     found, error = measured.document["deviation"], measured.document["error_95"]
     assert abs(found["entry_mm"] - OFF_MM) < error["entry_mm"] + 0.1
@@ -126,9 +116,10 @@ def test_a_check_shot_finds_the_wire_where_it_is(run, planned: Path, setup, tmp_
         assert len(shots) == 2
         assert case.entry(shots[0].rests_on[0]).kind is Kind.PLANNED
         assert shots[0].rests_on == shots[1].rests_on  # the same views, recorded once
-    again = run("check-shot", "--case", planned, "--pick-sd", "0.1", *marks, "--json")  # the newest images, now in it
-    assert again.document["deviation"] == found
-    newest = run("check-shot", "--case", planned, "--landmark", "patella check-pa:1,2 check-lateral:3,4")
+    newest = run("check-shot", "--case", planned, *picks, "--json")  # the newest images, now in it
+    assert newest.document["deviation"] == found
+    other = picks_file(tmp_path, landmarks=[{**marks[0], "name": "patella"}])
+    newest = run("check-shot", "--case", planned, "--picks", other)
     assert newest.code == 2
     assert "no landmark 'patella'; it has head-centre, lesser-trochanter, greater-trochanter" in newest.err
 
@@ -141,12 +132,17 @@ def test_a_check_shot_without_the_wire_is_refused_and_recorded(run, planned: Pat
 
 
 @pytest.mark.parametrize(
-    "mark", ["head-centre", "head-centre check-pa:1,2", "check-pa:1,2 check-lateral:3,4", "pa:1,2 check-pa:1,2"]
+    "mark",
+    [
+        {"name": "head-centre"},
+        {"name": "head-centre", "check-pa": [1, 2]},
+        {"pa": [1, 2], "check-pa": [1, 2], "check-lateral": [3, 4]},
+    ],
 )
-def test_landmarks_that_cannot_be_read_are_refused(run, planned: Path, mark: str) -> None:
-    ran = run("check-shot", "--case", planned, "--landmark", mark)
+def test_landmarks_that_cannot_be_read_are_refused(run, planned: Path, mark: dict[str, Any], tmp_path: Path) -> None:
+    ran = run("check-shot", "--case", planned, "--picks", picks_file(tmp_path, landmarks=[mark]))
     assert ran.code == 2
-    assert "is not a landmark; write" in ran.err
+    assert "landmarks[0] needs its pixels in" in ran.err
 
 
 def test_a_case_without_a_plan_has_no_check_shot(run, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.cli.picked import VIEWS, picks_file, place, wire
 
 from sightline.case.journal import Case, Kind
 from sightline.imaging import write_dicom
@@ -13,7 +14,6 @@ from sightline.planning.procedures.files import copy_text
 from sightline.twin import HipScene, hip_scene, render
 from sightline.twin.objects.implants import guide_wire
 
-VIEWS = ("pa", "lateral")
 KEYS = ("inferior", "anterior", "posterior")
 ASIDE_MM = 8.0  # between neighbours, in each image
 OFF_MM = {"inferior": 0.0, "anterior": 0.7}  # how far beside their plans two of them are drilled
@@ -32,11 +32,6 @@ def wires_mm(hip: HipScene) -> np.ndarray:
     return hip.wire_mm + np.array([k * ASIDE_MM * (up + front) for k in (0, 1, -1)])[:, None]
 
 
-def _text(setup: Any, xyz_mm: np.ndarray, prefix: str = "") -> str:
-    pixels = {name: setup.views[name].project(xyz_mm) for name in VIEWS}
-    return " ".join(f"{prefix}{name}:{u:.3f},{v:.3f}" for name, (u, v) in pixels.items())
-
-
 def _procedure(folder: Path) -> Path:
     """The shipped file without checks of the bone, with its relations of geometry but for the triangle."""
     given = json.loads(copy_text("cannulated-hip-screws", "mine"))
@@ -50,12 +45,22 @@ def _procedure(folder: Path) -> Path:
 def case(run, beads_csv: Path, setup, hip: HipScene, wires_mm: np.ndarray, tmp_path_factory) -> Path:
     """A case with the plan of three wires."""
     folder = tmp_path_factory.mktemp("wires")
-    given: list[Any] = ["plan", beads_csv, beads_csv, "--side", "right", "--pick-sd", 0.2]
-    for key, (entry, end) in zip(KEYS, wires_mm, strict=True):
-        given += ["--entry", f"{key} {_text(setup, entry)}", "--end", f"{key} {_text(setup, end)}"]
-    for name, xyz in hip.landmarks_mm.items():
-        given += ["--landmark", f"{name} {_text(setup, xyz)}"]
-    ran = run(*given, "--procedure", _procedure(folder), "--case", folder / "case")
+    wires = {key: wire(setup, ends_mm) for key, ends_mm in zip(KEYS, wires_mm, strict=True)}
+    marks = [{"name": "-".join(name.split()), **place(setup, xyz)} for name, xyz in hip.landmarks_mm.items()]
+    picks = picks_file(folder, wires=wires, landmarks=marks, pick_sd_px=0.2)
+    ran = run(
+        "plan",
+        beads_csv,
+        beads_csv,
+        "--side",
+        "right",
+        "--picks",
+        picks,
+        "--procedure",
+        _procedure(folder),
+        "--case",
+        folder / "case",
+    )
     assert ran.code == 0, ran.out + ran.err
     return folder / "case"
 
@@ -70,12 +75,8 @@ def test_two_wires_in_one_case_are_measured_each_against_its_plan(
     for key, off in OFF_MM.items():
         scene += guide_wire(wires_mm[KEYS.index(key)] + off * aside, 2.8)
     files = [write_dicom(render(setup, view, scene, rng), tmp_path / f"{view}.dcm") for view in VIEWS]
-    marks = [
-        word
-        for name, xyz in hip.landmarks_mm.items()
-        for word in ("--landmark", f"{name} {_text(setup, xyz, 'check-')}")
-    ]
-    shot = ["check-shot", "--case", case, "--pick-sd", "0.1", *marks]
+    marks = [{"name": "-".join(name.split()), **place(setup, xyz, "check-")} for name, xyz in hip.landmarks_mm.items()]
+    shot = ["check-shot", "--case", case, "--picks", picks_file(tmp_path, landmarks=marks, pick_sd_px=0.1)]
     unnamed = run(*shot, *files)
     assert unnamed.code == 2 and "--wire; the plan's are inferior, anterior, posterior" in unnamed.err
 
@@ -109,18 +110,21 @@ def test_a_wire_is_planned_beside_one_that_the_images_show(
     rng = np.random.default_rng(6)
     scene = hip.scene + guide_wire(wires_mm[0], 2.8)
     files = [write_dicom(render(setup, view, scene, rng), tmp_path / f"{view}.dcm") for view in VIEWS]
-    given: list[Any] = ["plan", *files, "--procedure", _procedure(tmp_path), "--side", "right", "--json"]
     clicked = wires_mm.copy()
     clicked[0, 1] += [0.0, 0.0, 2.5]  # the tip of the wire in the bone: 1.5° from where it lies
-    for key, (entry, end) in zip(KEYS, clicked, strict=True):
-        given += ["--entry", f"{key} {_text(setup, entry)}", "--end", f"{key} {_text(setup, end)}"]
-    ran = run(*given, "--placed", "inferior")
+    wires, procedure = {key: wire(setup, ends) for key, ends in zip(KEYS, clicked, strict=True)}, _procedure(tmp_path)
+
+    def beside(*in_bone: str) -> Any:
+        picks = picks_file(tmp_path, wires=wires, in_bone=in_bone)
+        return run("plan", *files, "--procedure", procedure, "--side", "right", "--picks", picks, "--json")
+
+    ran = beside("inferior")
     assert ran.code in (0, 3), ran.err
     parallel = next(check for check in ran.document["relations"] if check["name"] == "parallel")
     assert parallel["passed"] and parallel["figure"] < 1.0, parallel
     assert list(ran.document["wires"]) == ["anterior", "posterior"]
     assert "all wires" not in {check["name"] for check in ran.document["checks"] if not check["passed"]}
-    missing = run(*given, "--placed", "anterior")  # it is not in
+    missing = beside("anterior")  # it is not in
     assert missing.code == 3 and "placed wire 'anterior', view 'pa'" in missing.document["error"]["message"]
-    unknown = run(*given, "--placed", "medial")
-    assert unknown.code == 2 and "--placed names medial" in unknown.document["error"]["message"]
+    unknown = beside("medial")
+    assert unknown.code == 2 and "has no wire 'medial'" in unknown.document["error"]["message"]

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
+from tests.cli.picked import picks_file, place
+from tests.cli.picked import wire as wire_picks
 from tests.cli.test_robot import run as robot
 from tests.cli.test_robot import written
 from tests.planning.test_drill_shot import drawn
@@ -17,8 +19,9 @@ from tests.robot.rig import END_MM, ENTRY_MM
 
 from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal import Case, Kind
+from sightline.case.picks import CHECK_NAMES
 from sightline.case.replay import ReplayOutcome, replay
-from sightline.cli.robots.robot import _target
+from sightline.cli.robots.drive import _target
 from sightline.frame import Frame
 from sightline.imaging import write_dicom
 from sightline.planning.check.drill_shot import ALIGNED, PAUSED
@@ -32,7 +35,6 @@ from sightline.twin.scenes.specimens import tagged
 
 BLOCK = Frame.load("block60")
 PICK_PX = 0.2
-WIRE = "check-pa:1,1,2,2,3,3,4,4,5,5 check-lateral:1,1,2,2,3,3,4,4,5,5"  # as good as any where no file is read
 MARKS_MM = np.array([[-19.3, -12.6, 9.2], [14.7, 21.8, -11.3], [17.6, -18.9, 15.8]])
 SHORT_MM = {ALIGNED: -20.0, PAUSED: float(np.linalg.norm(END_MM - ENTRY_MM)) - 10.0}  # depth of the tip
 
@@ -42,11 +44,6 @@ def imaged(rng: np.random.Generator, setup: SetUp, folder: Path, name: str) -> l
     scene = frame_scene(setup.true_frame) + Scene(tissue=SoftTissue().around(setup.hip_mm))
     images = {view: tagged(setup, view, render(setup, view, scene, rng)) for view in VIEWS}
     return [write_dicom(image, folder / f"{name}-{view}.dcm") for view, image in images.items()]
-
-
-def written_as(uv: np.ndarray, names: tuple[str, str]) -> str:
-    """Pixels (2, N, 2) as a person writes them."""
-    return " ".join(f"{name}:{','.join(f'{v:.3f}' for v in one.ravel())}" for name, one in zip(names, uv, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +59,7 @@ class Planned:
     def shot(
         self, state: str, off_mm: np.ndarray | None = None, *, marks: int = 3, on_patient: Frame | None = None
     ) -> str:
-        """Return what a person answers: files, landmarks found again and points on a wire that lies `off_mm` aside.
+        """Return what a person answers: images, and a file of landmarks and of points on a wire `off_mm` aside.
 
         `on_patient`: the frame in the images, where no encoder knows it; else the block on its mount.
         """
@@ -84,14 +81,11 @@ class Planned:
             uv = np.stack([on.views[name].project(xyz) for name in VIEWS])
             return uv + PICK_PX * rng.standard_normal(uv.shape)
 
-        checked = ("check-pa", "check-lateral")
-        lines = [" ".join(map(str, files))]
-        for before, after in list(zip(self.marks_mm, found, strict=True))[:marks]:
-            lines.append(
-                f"{written_as(picked(self.setup, before[None]), VIEWS)} "
-                f"{written_as(picked(setup, after[None]), checked)}"
-            )
-        return "\n".join([*lines, "", written_as(picked(setup, line), checked), ""])
+        both = zip(picked(self.setup, self.marks_mm).swapaxes(0, 1), picked(setup, found).swapaxes(0, 1), strict=True)
+        landmarks = [dict(zip((*VIEWS, *CHECK_NAMES), np.concatenate(pixels).tolist(), strict=True)) for pixels in both]
+        points = dict(zip(CHECK_NAMES, picked(setup, line).tolist(), strict=True))
+        picks = picks_file(self.folder, landmarks=landmarks[:marks], wire_points=points, pick_sd_px=PICK_PX)
+        return " ".join(map(str, (*files, picks))) + "\n"
 
 
 @pytest.fixture(scope="module")
@@ -101,21 +95,10 @@ def planned(run, tmp_path_factory: pytest.TempPathFactory) -> Planned:
     wire, marks = np.stack([ENTRY_MM, END_MM]) + hip, MARKS_MM + hip
     setup = drawn(rng, np.concatenate([wire, marks]))
 
-    def pixels(xyz: np.ndarray) -> str:
-        return written_as(np.stack([setup.views[name].project(xyz[None]) for name in VIEWS]), VIEWS)
-
-    given = [
-        "plan",
-        *imaged(rng, setup, folder, "plan"),
-        "--frame",
-        "block60",
-        "--procedure",
-        "free-wire",
-        "--side",
-        "right",
-    ]
-    given += ["--entry", pixels(wire[0]), "--end", pixels(wire[1]), "--pick-sd", 0.2]
-    given += [text for mark in marks for text in ("--landmark", pixels(mark))]
+    landmarks, wires = [place(setup, mark) for mark in marks], {"wire": wire_picks(setup, wire)}
+    picks = picks_file(folder, wires=wires, landmarks=landmarks, pick_sd_px=0.2)
+    given = ["plan", *imaged(rng, setup, folder, "plan"), "--frame", "block60", "--procedure", "free-wire"]
+    given += ["--side", "right", "--picks", picks]
     ran = run(*given, "--out", folder / "plan", "--case", folder / "case")
     assert ran.code == 0, ran.err
     theatre, plan = SimulatedTheatre.in_air("right", "simulated", BLOCK), PlanFile.read(folder / "plan")
@@ -124,7 +107,7 @@ def planned(run, tmp_path_factory: pytest.TempPathFactory) -> Planned:
 
 
 def drive(planned: Planned, say: str, *more: str):
-    given = ("--frame", "block60", "--case", planned.folder / "case", "--pick-sd", "0.2", "--json", *more)
+    given = ("--frame", "block60", "--case", planned.folder / "case", "--json", *more)
     done = robot("drive", planned.folder / "plan", *given, say=say)
     done.told = json.loads(done.stdout[done.stdout.index("{") :]) if "{" in done.stdout else None
     done.said = " ".join(done.stderr.split())
@@ -191,7 +174,7 @@ def test_a_frame_on_the_patient_shows_the_guide_and_needs_landmarks(planned: Pla
 
 @pytest.mark.slow
 def test_an_incomplete_shot_is_asked_for_again_and_without_one_the_person_decides(planned: Planned) -> None:
-    done = drive(planned, f"y\ny\n{planned.shot(ALIGNED, marks=0)}nowhere.dcm none.dcm\n\n{WIRE}\n\nn\n")
+    done = drive(planned, f"y\ny\n{planned.shot(ALIGNED, marks=0)}nowhere.dcm none.dcm\n\nn\n")
     assert done.exit_code == 0, done.output
     assert "ALIGNED: INCOMPLETE" in done.said
     assert "ALIGNED: not measured" in done.said

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydicom import dcmread
+from tests.cli.picked import picks_file
 
 from sightline.calibration.exchange.formats import FORMATS, read_view
 from sightline.case.interop.plan_file import sealed
@@ -22,7 +23,7 @@ def pick(setup, xyz_mm: np.ndarray) -> str:
 
 @pytest.fixture(scope="module")
 def planned(run, pair, setup, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("planned")
+    out, folder = tmp_path_factory.mktemp("planned"), tmp_path_factory.mktemp("picks")
     entry, end = (pick(setup, one) for one in WIRE_MM)
     ran = run(
         "plan",
@@ -32,8 +33,8 @@ def planned(run, pair, setup, tmp_path_factory: pytest.TempPathFactory) -> Path:
         entry,
         "--end",
         end,
-        "--pick-sd",
-        "0.1",
+        "--picks",
+        picks_file(folder, pick_sd_px=0.1),
         "--kind",
         "free-wire",
         "--side",

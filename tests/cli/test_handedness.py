@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.cli.picked import picks_file
 
 from sightline.calibration import calibrate
 from sightline.case import stages
@@ -105,11 +106,13 @@ def test_the_command_line_refuses_until_it_is_confirmed(run, beads_csv: Path, se
     assert ran.document["verdict"] == "no-go"
     assert "frame handedness" in [c["name"] for c in ran.document["checks"] if not c["passed"]]
     assert [view["mirrored"] for view in ran.document["views"]] == [True, True]
-    ran = run(*command, "--mirrored", "lateral")  # said wrongly: the lateral beam still comes from the medial side
+    ran = run(
+        *command, "--picks", picks_file(tmp_path, mirrored=["lateral"])
+    )  # said wrongly: the lateral beam still comes from the medial side
     failed = {c["name"] for c in ran.document["checks"] if not c["passed"]}
     assert ran.document["verdict"] == "no-go"
     assert "view directions" in failed and "frame handedness" not in failed
-    assert "'AP' is not a view" in run(*command, "--mirrored", "AP").out
+    assert "'AP' is not a view" in run(*command, "--picks", picks_file(tmp_path, mirrored=["AP"])).out
     alone = ["calibrate", beads_csv, "--view", "pa", "--frame", left]
     assert run(*alone).code == 0
     ran = run(*alone, "--no-mirrored")

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.cli.picked import picks_file, place, wire
 
 from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.case.journal import Case, Kind
@@ -24,21 +25,15 @@ LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
 
 
 @pytest.fixture(scope="module")
-def arguments(setup, beads_csv: Path) -> Callable[..., list[Any]]:
-    """`arguments(WIRES_MM)`: of `plan`, with the exact picks of wires by name."""
-
-    def written(xyz_mm: np.ndarray) -> str:
-        return " ".join(
-            f"{view}:{u:.2f},{v:.2f}" for view in ("pa", "lateral") for u, v in setup.views[view].project(xyz_mm[None])
-        )
+def arguments(setup, beads_csv: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., list[Any]]:
+    """`arguments(WIRES_MM)`: of `plan`, with a file of the exact picks of wires by name."""
+    folder = tmp_path_factory.mktemp("picks")
 
     def given(wires_mm: np.ndarray, keys: tuple[str, ...] = KEYS) -> list[Any]:
-        out: list[Any] = ["plan", beads_csv, beads_csv, "--side", "right", "--pick-sd", 0.2]
-        for key, (entry, end) in zip(keys, wires_mm, strict=True):
-            out += ["--entry", f"{key} {written(entry)}", "--end", f"{key} {written(end)}"]
-        for xyz in LANDMARKS_MM:
-            out += ["--landmark", written(xyz)]
-        return out
+        wires = {key: wire(setup, ends_mm) for key, ends_mm in zip(keys, wires_mm, strict=True)}
+        landmarks = [place(setup, xyz_mm) for xyz_mm in LANDMARKS_MM]
+        picks = picks_file(folder, wires=wires, landmarks=landmarks, pick_sd_px=0.2)
+        return ["plan", beads_csv, beads_csv, "--side", "right", "--picks", picks]
 
     return given
 
@@ -83,7 +78,7 @@ def test_all_wires_are_planned_and_reported(planned) -> None:
     ):
         assert words in ran.out
     files = {file.name for file in out.glob("[!.]*")}
-    assert files == {"plan.json", *(f"report-{key}.html" for key in KEYS)}
+    assert files == {"plan.json", "picks.json", *(f"report-{key}.html" for key in KEYS)}
     page = (out / "report-anterior.html").read_text()
     assert "All wires: GO" in page and "anterior wire (this report)" in page and "inverted triangle" in page
 
@@ -171,10 +166,7 @@ def test_a_wire_that_is_left_out_is_asked_for_and_the_others_are_not_sent(run, a
 
 def test_a_wire_without_its_relations_is_not_sent_and_not_exported(run, arguments, procedure, tmp_path: Path) -> None:
     out, of_one = tmp_path / "plan", f"{procedure()}:inferior"
-    unnamed = [
-        one.removeprefix("inferior ") if isinstance(one, str) else one for one in arguments(WIRES_MM[:1], KEYS[:1])
-    ]
-    planned = run(*unnamed, "--procedure", of_one, "--out", out)
+    planned = run(*arguments(WIRES_MM[:1], KEYS[:1]), "--procedure", of_one, "--out", out)
     assert planned.code == 0, planned.err  # GO for this wire
     for given in (
         ("robot", "drive", out, "--yes"),
@@ -207,19 +199,6 @@ def test_a_program_that_drops_relations_gets_no_wire_to_a_robot(planned, tmp_pat
             read.refuse_for_robot()
 
 
-def test_names_of_wires_are_asked_for_once_each(run, arguments, procedure) -> None:
-    file = procedure()
-    unnamed = [
-        text.removeprefix("inferior ") if isinstance(text, str) else text for text in arguments(WIRES_MM[:1], KEYS[:1])
-    ]
-    twice = arguments(WIRES_MM[:2], ("inferior", "inferior"))
-    one_end = arguments(WIRES_MM[:1], KEYS[:1])
-    one_end[one_end.index("--end") + 1] = one_end[one_end.index("--end") + 1].replace("inferior", "anterior")
-    for given, words in (
-        (unnamed, "name the wire of each entry and end"),
-        (twice, "give one of each for every wire"),
-        (one_end, "give one of each for every wire"),
-        (arguments(WIRES_MM[:1], ("lowest",)), "has no wire 'lowest'"),
-    ):
-        ran = run(*given, "--procedure", file)
-        assert ran.code == 2 and words in ran.err.replace("\n", " "), ran.err
+def test_a_wire_that_the_procedure_does_not_have_is_refused(run, arguments, procedure) -> None:
+    ran = run(*arguments(WIRES_MM[:1], ("lowest",)), "--procedure", procedure())
+    assert ran.code == 2 and "has no wire 'lowest'; its wires are inferior" in " ".join(ran.err.split())

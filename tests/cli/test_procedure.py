@@ -5,13 +5,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from tests.cli.test_case_plan import WIRE_MM, picks
+from tests.cli.picked import VIEWS
+from tests.cli.test_case_plan import WIRE_MM
 
 from sightline.case.journal import Case, Kind
 from sightline.case.replay.recompute import Recomputed
 from sightline.planning import PROCEDURES
 from sightline.planning.procedures.files import FOLDER, copy_text
+
+
+@pytest.fixture
+def wire(setup) -> list[str]:
+    """The options of a wire's entry and end."""
+    ends = np.swapaxes([setup.views[name].project(WIRE_MM) for name in VIEWS], 0, 1)
+    texts = [" ".join(f"{name}:{u:.3f},{v:.3f}" for name, (u, v) in zip(VIEWS, uv, strict=True)) for uv in ends]
+    return ["--entry", texts[0], "--end", texts[1]]
 
 
 def test_shipped_procedures_are_listed_and_shown(run) -> None:
@@ -24,7 +34,7 @@ def test_shipped_procedures_are_listed_and_shown(run) -> None:
         assert words in " ".join(said.split()), words
 
 
-def test_a_procedure_of_ones_own_is_written_checked_planned_and_kept(run, beads_csv: Path, setup, tmp_path) -> None:
+def test_a_procedure_of_ones_own_is_written_checked_planned_and_kept(run, beads_csv: Path, wire, tmp_path) -> None:
     """A person copies a procedure, edits a limit in a text editor, checks the file and plans with it."""
     mine, case = tmp_path / "my-wire.json", tmp_path / "case"
     assert run("procedure", "new", mine, "--like", "free-wire").code == 0
@@ -36,7 +46,7 @@ def test_a_procedure_of_ones_own_is_written_checked_planned_and_kept(run, beads_
     checked = run("procedure", "check", mine, "--json")
     assert (checked.code, checked.document["key"]) == (0, "my-wire")
 
-    plan = ["plan", beads_csv, beads_csv, *picks(setup, WIRE_MM), "--procedure"]
+    plan = ["plan", beads_csv, beads_csv, *wire, "--procedure"]
     assert run(*plan, "free-wire", "--json").code == 0
     strict = run(*plan, mine, "--case", case, "--out", tmp_path / "out", "--json")
     assert strict.code == 3
@@ -78,9 +88,9 @@ def _old(content: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("flag", ["--kind", "--procedure"])
-def test_interlocking_of_old_cases_and_flags_is_distal_interlocking(run, beads_csv, setup, tmp_path, flag) -> None:
+def test_interlocking_of_old_cases_and_flags_is_distal_interlocking(run, beads_csv, wire, tmp_path, flag) -> None:
     case = tmp_path / "case"
-    given = ["plan", beads_csv, beads_csv, *picks(setup, WIRE_MM), flag, "interlocking", "--case", case, "--json"]
+    given = ["plan", beads_csv, beads_csv, *wire, flag, "interlocking", "--case", case, "--json"]
     assert run(*given).document["kind"] == "distal-interlocking:distal"
     with Case.open(case, read_only=True) as opened:
         entry = opened.latest(Kind.PLANNED)

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from sightline.cli.planning.points import parse_nail
+from sightline.case.picks import NailPicked
 from sightline.errors import UnusableInputError
+from sightline.from_images.interlocking import NailDrawn
 from sightline.planning import Nail
 from sightline.planning.nail.files import NAILS_FOLDER, known_nails, nail_of, shipped_nails
 
-EDGES = "pa:1,2,3,4,5,6,7,8 lateral:1,2,3,4,5,6,7,8"
+EDGE, CLICK = [[1, 2], [3, 4], [5, 6], [7, 8]], {"pa": [1, 2], "lateral": [3, 4]}
 OWN = {
     "schema": "sightline-nail/1",
     "name": "Mine",
@@ -36,17 +37,17 @@ def test_shipped_nails_and_those_of_a_folder_are_known_by_key(tmp_path: Path, mo
     assert set(known_nails()) == {"mine", *shipped_nails()}
 
 
-def test_the_command_line_takes_a_key_a_file_or_sizes(tmp_path: Path) -> None:
-    for given in (
-        "titanium-11",
-        str(
-            _write(tmp_path / "n.json", diameter_mm=11.0, hole_mm=5.0, bore_mm=5, material="titanium", spacing_mm=28.0)
-        ),
-        "diameter:11 hole:5 bore:5 spacing:28 titanium",
-    ):
-        assert parse_nail(EDGES, given)[0] == Nail(11.0, 5.0, 5.0, "titanium", spacing_mm=28.0)
+def test_a_file_of_picks_takes_a_key_a_file_or_sizes(tmp_path: Path) -> None:
+    sizes = {"diameter_mm": 11.0, "hole_mm": 5.0, "bore_mm": 5, "material": "titanium", "spacing_mm": 28.0}
+
+    def drawn(nail: object) -> NailDrawn:
+        picked = {"nail": nail, "edges": {"pa": EDGE, "lateral": EDGE}, "holes": {"distal": CLICK}}
+        return NailPicked.model_validate_json(json.dumps(picked)).drawn(())
+
+    for given in ("titanium-11", str(_write(tmp_path / "n.json", **sizes)), sizes):
+        assert drawn(given).nail == Nail(11.0, 5.0, 5.0, "titanium", spacing_mm=28.0)
     with pytest.raises(UnusableInputError, match="or one of steel-10"):
-        parse_nail(EDGES, "titanium-99")
+        drawn("titanium-99")
 
 
 @pytest.mark.parametrize(

@@ -1,21 +1,18 @@
-"""The command line, one file per command.
+"""The command line, one file per command or group of commands.
 
-A command lives in `cli/<name>.py`, stands in `_COMMANDS` below and has a function
+A command lives in a file that `_FILES` below names, and is a function with this decorator:
 
-    def register(app: typer.Typer) -> None:
-        app.command("plan", epilog=example("sightline plan ..."))(plan)    # or, for a command with sub-commands:
-        app.add_typer(frame_app, name="frame")
-
-The body runs inside one `Output` (cli/output.py), which prints, encodes and turns errors into exit codes:
-
-    def plan(pa: Path, ..., json: Json = False, quiet: Quiet = False) -> None:
+    @command(commands, "plan", "sightline plan ...")      # the lines are the example in its help
+    def plan(output: Output, pa: Annotated[Path, typer.Argument(help=...)], options: PlanOptions) -> None:
         "First line of the docstring: what `sightline --help` lists, at most 60 characters."
-        with Output(json=json, quiet=quiet) as out:
-            from sightline.planning import ...       # heavy imports here: `sightline --help` stays below 0.5 s
-            with out.step("finding beads"):
-                ...
-            out.table("Points", ("point", "x mm"), rows)
-            out.result({"points": points, ...}, checks=verdict.checks)   # exit code 3 where a check failed
+        from sightline.planning import ...       # heavy imports here: `sightline --help` stays below 0.5 s
+        with output.step("finding beads"):
+            ...
+        output.table("Points", ("point", "x mm"), rows)
+        output.result({"points": points, ...}, checks=verdict.checks)   # exit code 3 where a check failed
+
+`Output` (cli/output.py) prints, encodes and turns errors into exit codes; every command takes its --json and --quiet.
+A parameter whose type is a dataclass (`PlanOptions`) stands for its fields (cli/options.py).
 
 At its top a command file imports the standard library, typer and `sightline.cli`, and nothing that is slow. Help is
 plain text: Rich would take `[...]` for markup.
@@ -24,19 +21,18 @@ plain text: Rich would take `[...]` for markup.
 import os
 import signal
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Annotated
 
 import typer
 
 from sightline import __version__
+from sightline.cli.options import commands
 from sightline.cli.output import Terminated
 
-_COMMANDS = (
+_FILES = (  # in the order in which `sightline --help` lists their commands
     "demo",
     "detect",
     "calibrate",
-    "undistort",
     "planning.plan",
     "planning.check_shot",
     "studies.assess",
@@ -44,21 +40,16 @@ _COMMANDS = (
     "studies.study",
     "studies.compare",
     "frames.frame",
+    "frames.fit",
+    "frames.self_check",
     "procedure",
     "robots.robot",
+    "robots.drive",
     "acquire",
     "app",
     "case",
     "watch",
     "export",
-)
-
-commands = typer.Typer(
-    name="sightline",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
@@ -81,9 +72,8 @@ def _sightline(
     """
 
 
-for _name in _COMMANDS:
-    if find_spec(f"sightline.cli.{_name}"):
-        import_module(f"sightline.cli.{_name}").register(commands)
+for _file in _FILES:
+    import_module(f"sightline.cli.{_file}")
 
 
 # Matrices here are small: threads of the linear algebra cost more than they save. With them a detection takes twice

@@ -4,114 +4,111 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from sightline.cli.detect import Invert
-from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.options import Invert, command, group
+from sightline.cli.output import Output
 
 if TYPE_CHECKING:
     from sightline.case.acquire import Acquirer, News
+    from sightline.case.acquire.acquirer import Taken
     from sightline.case.acquire.robot import RobotWatch
     from sightline.case.journal import Case
     from sightline.imaging import Source
 
 _REMEMBERED = 1000  # refusals kept for the result, so that a faulty sender does not fill the memory
 
-app = typer.Typer(no_args_is_help=True, help="Acquire images into a case.")
-
-CaseFolder = Annotated[Path, typer.Option("--case", help="Folder of the case; created if it does not exist.")]
+app = group("acquire", "Acquire images into a case.")
 
 Average = Annotated[int, typer.Option(min=1, max=64, help="Number of frames to average; refused if something moves.")]
-Robot = Annotated[
-    str | None,
-    typer.Option(metavar="HOST:PORT", help="Robot whose pose is recorded with each image.", show_default=False),
-]
 
 
-def register(parent: typer.Typer) -> None:
-    """Add the commands."""
-    parent.add_typer(app, name="acquire")
+@dataclass(frozen=True)
+class Into:
+    """Where images go, and what is done with each."""
+
+    case: Annotated[Path, typer.Option(help="Folder of the case; created if it does not exist.")]
+    robot: Annotated[
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="Robot whose pose is recorded with each image.", show_default=False),
+    ] = None
+    invert: Invert = False
 
 
-@app.command("folder", epilog=example("sightline acquire folder images --case out/case"))
+@command(app, "folder", "sightline acquire folder images --case out/case")
 def folder(
-    source: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with images.")],
+    out: Output,
     *,
-    case: CaseFolder,
+    source: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with images.")],
+    into: Into,
     watch: Annotated[
         bool, typer.Option("--watch", help="Keep running until Ctrl-C and take each image as it is written.")
     ] = False,
-    robot: Robot = None,
-    invert: Invert = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Acquire the images of a folder.
 
     Each image is taken once; with --watch also images that are written later.
     """
-    if robot and not watch:
+    if into.robot and not watch:
         raise typer.BadParameter(
             "needs --watch: nobody knows when a file was taken that exists already",
             param_hint="--robot",
         )
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.case.acquire.folder import SCAN_S, Folder, check_folder
+    from sightline.case.acquire.folder import SCAN_S, Folder, check_folder
 
-        check_folder(source)
-        with _into(case, out, robot, invert=invert) as desk:
-            files = Folder(source, desk.acquirer, desk.tell)
-            if watch:
-                out.note("watching the folder; stop with Ctrl-C")
-                desk.until_interrupted(lambda: files.scan(time.monotonic()), SCAN_S)
-            else:
-                files.take_all()
-            out.result({**desk.document(), "waiting": files.waiting})
-            desk.end()
+    check_folder(source)
+    with _into(out, into) as desk:
+        files = Folder(source, desk.acquirer, desk.tell)
+        if watch:
+            out.note("watching the folder; stop with Ctrl-C")
+            desk.until_interrupted(lambda: files.scan(time.monotonic()), SCAN_S)
+        else:
+            files.take_all()
+        out.result({**desk.document(), "waiting": files.waiting})
+        desk.end()
 
 
-@app.command("dicom", epilog=example("sightline acquire dicom --peer CARM@192.168.1.20 --case out/case"))
+@command(app, "dicom", "sightline acquire dicom --peer CARM@192.168.1.20 --case out/case")
 def dicom(
+    out: Output,
     *,
     peer: Annotated[
         list[str], typer.Option("--peer", metavar="AET@HOST", help="A sender that is allowed; repeat it for several.")
     ],
-    case: CaseFolder,
+    into: Into,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one.")] = 11112,
     aet: Annotated[str, typer.Option(help="AE title of this receiver.")] = "SIGHTLINE",
     host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for all networks.")] = "127.0.0.1",
-    robot: Robot = None,
-    invert: Invert = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Receive images by DICOM C-STORE.
 
     Runs until Ctrl-C. Each image is on the disk before the sender gets its answer.
     """
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.case.acquire.dicom import DicomReceiver, Peer
+    from sightline.case.acquire.dicom import DicomReceiver, Peer
 
-        peers = [Peer.parse(text) for text in peer]
-        # The port first: without it no case is created.
-        with (
-            DicomReceiver(peers, aet=aet, host=host, port=port) as receiver,
-            _into(case, out, robot, invert=invert) as desk,
-        ):
-            with receiver.receiving(desk.acquirer, desk.tell):
-                out.note(f"listening at port {receiver.port} as {aet}; stop with Ctrl-C")
-                desk.until_interrupted(lambda: None, 0.5)
-            out.result({"port": receiver.port, **desk.document()})
+    peers = [Peer.parse(text) for text in peer]
+    # The port first: without it no case is created.
+    with (
+        DicomReceiver(peers, aet=aet, host=host, port=port) as receiver,
+        _into(out, into) as desk,
+    ):
+        with receiver.receiving(desk.acquirer, desk.tell):
+            out.note(f"listening at port {receiver.port} as {aet}; stop with Ctrl-C")
+            desk.until_interrupted(lambda: None, 0.5)
+        out.result({"port": receiver.port, **desk.document()})
 
 
-@app.command("video", epilog=example("sightline acquire video 0 --average 8 --case out/case"))
+@command(app, "video", "sightline acquire video 0 --average 8 --case out/case")
 def video(
-    place: Annotated[str, typer.Argument(help="Device number, video file, stream address or multi-frame DICOM file.")],
+    out: Output,
     *,
-    case: CaseFolder,
+    place: Annotated[str, typer.Argument(help="Device number, video file, stream address or multi-frame DICOM file.")],
+    into: Into,
     average: Average = 1,
     skip: Annotated[int, typer.Option(min=0, help="Number of frames to skip first.")] = 0,
     field: Annotated[
@@ -120,89 +117,64 @@ def video(
     crop: Annotated[
         str | None, typer.Option(metavar="LEFT,TOP,WIDTH,HEIGHT", help="Part of the image to keep, px.")
     ] = None,
-    robot: Robot = None,
-    invert: Invert = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Acquire one image from video.
 
     With --average the mean of several frames, if nothing moved.
     """
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.imaging.formats import is_image
-        from sightline.imaging.source import Run
-        from sightline.imaging.video import VideoSource
+    from sightline.case.acquire.frames import take_frames
+    from sightline.imaging.formats import is_image
+    from sightline.imaging.source import Run
+    from sightline.imaging.video import VideoSource
 
-        part = _crop(crop)
-        is_run = not place.isdigit() and is_image(Path(place))
-        if is_run and part is not None:
-            raise typer.BadParameter("a multi-frame file cannot be cropped; leave it out", param_hint="--crop")
-        at = int(place) if place.isdigit() else place
-        source = Run(Path(place)) if is_run else VideoSource(at, crop=part, tell=out.note)
-        how = {"crop": part} if part else {}
-        options = {"field": field, "interlaced": not is_run}
-        _take(
-            out,
-            case,
-            source,
-            first=skip + 1,
-            average=average,
-            robot=robot,
-            invert=invert,
-            options=options,
-            how=lambda: how,
-        )
+    part = _crop(crop)
+    is_run = not place.isdigit() and is_image(Path(place))
+    if is_run and part is not None:
+        raise typer.BadParameter("a multi-frame file cannot be cropped; leave it out", param_hint="--crop")
+    at = int(place) if place.isdigit() else place
+    source = Run(Path(place)) if is_run else VideoSource(at, crop=part, tell=out.note)
+    told = {"crop": part} if part else {}
+    keep = partial(take_frames, field=field, interlaced=not is_run, how=told)
+    _take(out, into, source, (skip + 1, average), keep)
 
 
-@app.command("igtl", epilog=example("sightline acquire igtl 127.0.0.1:18944 --case out/case"))
+@command(app, "igtl", "sightline acquire igtl 127.0.0.1:18944 --case out/case")
 def igtl(
+    out: Output,
+    *,
     address: Annotated[
         str, typer.Argument(metavar="HOST:PORT", help="Address of the peer; with --listen, the address to listen at.")
     ],
-    *,
-    case: CaseFolder,
+    into: Into,
     listen: Annotated[bool, typer.Option("--listen", help="Wait for the peer to connect.")] = False,
     average: Average = 1,
-    robot: Robot = None,
-    invert: Invert = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Acquire one image by OpenIGTLink.
 
     The peer may be 3D Slicer or PLUS. With --average the mean of several frames, if nothing moved.
     """
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.case.acquire.igtl import ImageLink
-        from sightline.cli.robots.robot import parse_address
-
-        host, port = parse_address(address)
-        link = ImageLink(host, port, listen=listen, tell=out.note)
-        if listen:
-            out.note(f"waiting at port {link.port}")
-        _take(out, case, link, first=1, average=average, robot=robot, invert=invert, options={}, how=link.stated)
-
-
-def _take(
-    out: Output,
-    case: Path,
-    source: "Source",
-    *,
-    first: int,
-    average: int,
-    robot: str | None,
-    invert: bool,
-    options: dict[str, Any],
-    how: Callable[[], dict[str, Any]],
-) -> None:
-    """Acquire frames `first` and following of a source as one image, with the robot's pose at the last of them."""
-    from sightline.case.acquire import news_of
     from sightline.case.acquire.frames import take_frames
+    from sightline.case.acquire.igtl import ImageLink
+    from sightline.cli.robots.robot import parse_address
+
+    host, port = parse_address(address)
+    link = ImageLink(host, port, listen=listen, tell=out.note)
+    if listen:
+        out.note(f"waiting at port {link.port}")
+    _take(out, into, link, (1, average), lambda *given, **pose: take_frames(*given, **pose, how=link.stated()))
+
+
+def _take(out: Output, into: Into, source: "Source", asked: tuple[int, int], keep: "Callable[..., Taken]") -> None:
+    """Acquire frames of a source as one image by `keep`, with the robot's pose at the last of them.
+
+    `asked`: the number of the first frame, from 1, and how many are averaged. Raises SourceError for too few.
+    """
+    from sightline.case.acquire import news_of
     from sightline.errors import SourceError
 
+    first, average = asked
     with ExitStack() as stack:
-        watch = stack.enter_context(_robot(robot)) if robot else None
+        watch = stack.enter_context(_robot(into.robot)) if into.robot else None
         stack.callback(source.close)
         frames, pose = [], None
         for frame in source:
@@ -213,8 +185,9 @@ def _take(
                 break
         if len(frames) < average:
             raise SourceError(f"the source ended after {len(frames)} of {average} images; ask for fewer")
-        desk = stack.enter_context(_into(case, out, invert=invert))  # only now, so that a failure creates no case
-        desk.tell(news_of(take_frames(desk.acquirer, frames, pose=pose, how=how(), **options)))
+        # Only now, so that a failure creates no case.
+        desk = stack.enter_context(_into(out, replace(into, robot=None)))
+        desk.tell(news_of(keep(desk.acquirer, frames, pose=pose)))
         out.result(desk.document(), checks=[pose.check] if pose else [])
 
 
@@ -278,18 +251,18 @@ class _Desk:
 
 
 @contextmanager
-def _into(folder: Path, out: Output, robot: str | None = None, *, invert: bool) -> Generator[_Desk]:
-    """Open or create a case; `robot`: address of the robot whose pose is recorded when an image arrives."""
+def _into(out: Output, into: Into) -> Generator[_Desk]:
+    """Open or create a case; the pose of a robot is recorded when an image arrives."""
     from sightline.case.acquire import Acquirer
     from sightline.case.journal import Case
 
     with ExitStack() as stack:
-        pose = stack.enter_context(_robot(robot)).now if robot else None
-        case = stack.enter_context(Case.create(folder, exist_ok=True))
+        pose = stack.enter_context(_robot(into.robot)).now if into.robot else None
+        case = stack.enter_context(Case.create(into.case, exist_ok=True))
         for problem in case.problems:
             out.note(f"the case has a problem: {problem.sentence}")
         out.note(f"case {case.number}")
-        yield _Desk(case, Acquirer(case, arrival_pose=pose, invert=invert), out)
+        yield _Desk(case, Acquirer(case, arrival_pose=pose, invert=into.invert), out)
 
 
 def _robot(address: str) -> "RobotWatch":

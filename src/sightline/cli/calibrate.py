@@ -1,154 +1,149 @@
-"""`sightline calibrate`: calibrate one view from its own beads."""
+"""`sightline calibrate` and `undistort`: one view from its own beads, and its image without distortion."""
 
+from io import BytesIO
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.detect import FrameIndex, Invert
-from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.options import Distances, Labelling, Method, Spacing, command, commands
+from sightline.cli.output import Output, as_json
 
 if TYPE_CHECKING:
-    from sightline.calibration import BeadView
+    from sightline.calibration.maps.undistort import PlaneImage
     from sightline.case.views import ObservedView
     from sightline.frame import Frame
 
 _SHOWN = 10  # beads in the table; --json has them all
 
-FrameName = Annotated[str, typer.Option("--frame", help="A frame file, gamma, biplane or stereo.")]
-ViewName = Annotated[
-    str | None,
-    typer.Option(
-        "--view",
-        help="View of the image, pa or lateral, of a block also oblique; by default as the datum markers show.",
-        show_default=False,
-    ),
-]
-Datums = Annotated[
-    list[str] | None,
-    typer.Option("--datum", help="Pixel of a datum marker, 'ID=U,V', where it is not found; give one for each marker."),
-]
 
-
-Sid = Annotated[
-    float | None,
-    typer.Option(
-        "--sid",
-        min=1.0,
-        help="Distance from X-ray source to detector, mm; by default as DICOM states it, if it does.",
-        show_default=False,
-    ),
-]
-PixelSize = Annotated[
-    float | None,
-    typer.Option(
-        "--pixel",
-        min=1e-4,
-        help="Size of a pixel on the detector, mm; by default as DICOM states it, if it does.",
-        show_default=False,
-    ),
-]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("calibrate", epilog=example("sightline calibrate out/demo/demo_pa.dcm --picture out/residuals.png"))(
-        calibrate
-    )
-
-
+@command(commands, "calibrate", "sightline calibrate out/demo/demo_pa.dcm --picture out/residuals.png")
 def calibrate(
-    image: Annotated[Path, typer.Argument(help="An image, or its beads as CSV, labelled (observations) or not.")],
+    out: Output,
     *,
-    frame: FrameName = "gamma",
-    view: ViewName = None,
-    method: Annotated[
-        str, typer.Option(help="Calibration method: smooth, localized (the paper's) or polynomial.")
-    ] = "smooth",
-    datum: Datums = None,
-    frame_index: FrameIndex = None,
+    image: Annotated[Path, typer.Argument(help="An image, or its beads as CSV, labelled (observations) or not.")],
+    labelling: Labelling,
+    method: Method = "smooth",
     mirrored: Annotated[
         bool | None,
         typer.Option(help="Whether the image is shown mirrored: writing in it reads backwards.", show_default=False),
     ] = None,
-    sid: Sid = None,
-    pixel: PixelSize = None,
-    invert: Invert = False,
+    distances: Distances,
     csv: Annotated[Path | None, typer.Option(help="Write the labelled beads to this CSV file.")] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Write a PNG of the image with each bead's residual as an arrow.")
     ] = None,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Calibrate one view from its own beads.
 
     Gives the focal point, the residual of each bead and the checks of the view. Exit code 3 if a check fails.
     """
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.case.documents import view_document
-        from sightline.case.views import calibrated as calibrated_image
-        from sightline.detection.csv_files import write_observations
-        from sightline.frame import Frame
-        from sightline.from_images.pipeline import known_arm
+    from sightline.atomic import write_whole
+    from sightline.case.documents import view_document
+    from sightline.case.views import calibrated as calibrated_image
+    from sightline.detection.csv_files import write_observations
+    from sightline.frame import Frame
+    from sightline.from_images.pipeline import known_arm
 
-        known_frame = Frame.load(frame)
-        with out.step("finding and labelling the beads"):
-            seen = see(image, known_frame, view, datum, frame_index, invert=invert)
-        if csv is not None:
-            write_observations([seen.observations], csv)
-        # Before the calibration: where that is refused for want of beads, this says how to get them.
-        advice = None if known_frame.solid else _advise(seen, known_frame)
-        for sentence in advice["sentences"] if advice else ():
-            out.say(sentence)
-        with out.step(f"calibrating ({method})"):
-            calibrated = calibrated_image(
-                seen,
-                known_frame,
-                method,  # pyright: ignore[reportArgumentType]
-                known_arm(seen.image, sid, pixel),
-                mirrored_display=mirrored,
-            )
-        document = view_document(calibrated) | {"set_up": advice}
-        _add_leave_one_out(document, calibrated.view)
-        if picture is not None:
-            from sightline.atomic import write_whole
-
-            write_whole(picture, calibrated.view.png())
-        out.failures(calibrated.view.checks)
-        _show(out, document)
-        out.result(document, calibrated.view.checks)
+    frame = Frame.load(labelling.frame)
+    with out.step("finding and labelling the beads"):
+        seen = see(image, frame, labelling)
+    if csv is not None:
+        write_observations([seen.observations], csv)
+    # Before the calibration: where that is refused for want of beads, this says how to get them.
+    advice = None if frame.solid else _advise(seen, frame)
+    for sentence in advice["sentences"] if advice else ():
+        out.say(sentence)
+    with out.step(f"calibrating ({method})"):
+        arm = known_arm(seen.image, distances.sid, distances.pixel)
+        calibrated = calibrated_image(seen, frame, method, arm, mirrored_display=mirrored)
+    document: dict[str, Any] = {**view_document(calibrated), "set_up": advice}
+    left = calibrated.view.residuals
+    for bead, error, known in zip(document["beads"], left.leave_one_out_mm, left.predicted, strict=True):
+        bead["leave_one_out_mm"] = error.tolist() if known else None
+    if picture is not None:
+        write_whole(picture, calibrated.view.png())
+    out.failures(calibrated.view.checks)
+    _show(out, document)
+    out.result(document, calibrated.view.checks)
 
 
-def see(
-    path: Path,
-    frame: "Frame",
-    view: str | None,
-    datum: list[str] | None,
-    frame_index: int | None,
+@command(commands, "undistort", "sightline undistort out/demo/demo_pa.dcm --out out/undistorted")
+def undistort(
+    output: Output,
     *,
-    invert: bool = False,
-) -> "ObservedView":
+    image: Annotated[Path, typer.Argument(help="Image file.")],
+    out: Annotated[Path, typer.Option(help="Folder for plate.png, map.npz and map.json.")],
+    labelling: Labelling,
+    spacing: Spacing = None,
+) -> None:
+    """Remove the distortion from an image.
+
+    The image is resampled to the plane of its XRII plate; image and map are written (docs/undistort.md).
+    """
+    from sightline.calibration import calibrate
+    from sightline.calibration.maps.undistort import undistort as resample
+    from sightline.errors import UnusableInputError
+    from sightline.frame import Frame
+
+    if image.suffix.lower() == ".csv":
+        raise UnusableInputError("a CSV file has no pixels to resample; give the image")
+    frame = Frame.load(labelling.frame)
+    frame.refuse_solid("its images come from flat panels, which have no distortion to remove")
+    with output.step("finding and labelling the beads"):
+        seen = see(image, frame, labelling)
+    with output.step("calibrating (smooth)"):
+        view = calibrate(seen.observations, frame, labelling.view)
+    with output.step("resampling"):
+        assert seen.image is not None  # noqa: S101 - it is not a CSV file
+        plane_image = resample(seen.image.pixels, view.plane_map, view.hull, spacing)
+    document: dict[str, Any] = {  # map.json, docs/undistort.md
+        "source": seen.source,
+        "view": view.name,
+        "units": "mm",
+        "shape": plane_image.pixels.shape,
+        "origin_mm": plane_image.origin_mm,
+        "spacing_mm": plane_image.spacing_mm,
+        "plane": {"origin_mm": view.plane.origin_mm, "axes": view.plane.axes},
+        "focal_point_mm": view.focal_point_mm,
+    }
+    files = _write(out, plane_image, document)
+    height, width = plane_image.pixels.shape
+    output.say(f"{width} x {height} pixels of {plane_image.spacing_mm:.4f} mm on the XRII plate of view {view.name}")
+    output.written(files)
+    output.result(document | {"files": files}, view.checks)
+
+
+def see(path: Path, frame: "Frame", labelling: Labelling) -> "ObservedView":
     """Return the labelled beads of one view: of an image, or of a CSV file with or without the beads' ids.
 
     Raises what reading and labelling raise.
     """
     from sightline.case import views
     from sightline.case.journal.originals import anonymous_name
-    from sightline.detection.csv_files import are_detections, label_csv
-    from sightline.errors import UnusableInputError
+    from sightline.detection.csv_files import are_detections, label_csv, read_observations
+    from sightline.errors import ObservationsError, UnusableInputError
 
-    if path.suffix.lower() == ".csv":
-        if invert:
-            raise UnusableInputError("--invert is of images; beads in CSV have no pixels to invert")
-        if frame_index is None and are_detections(path):
-            return views.ObservedView(anonymous_name(path), label_csv(path, frame, view, _datums(datum)))
-        if datum or frame_index is not None:
-            raise UnusableInputError(
-                "--datum and --frame-index are for images; the beads of this CSV file are labelled already"
-            )
-        return views.ObservedView(anonymous_name(path), _observed(path, view))
-    return views.see(path, frame, view, _datums(datum), frame_index, invert=invert)
+    view, datums = labelling.view, _datums(labelling.datum)
+    if path.suffix.lower() != ".csv":
+        return views.see(path, frame, view, datums, labelling.frame_index, invert=labelling.invert)
+    if labelling.invert:
+        raise UnusableInputError("--invert is of images; beads in CSV have no pixels to invert")
+    if labelling.frame_index is None and are_detections(path):
+        return views.ObservedView(anonymous_name(path), label_csv(path, frame, view, datums))
+    if datums or labelling.frame_index is not None:
+        raise UnusableInputError(
+            "--datum and --frame-index are for images; the beads of this CSV file are labelled already"
+        )
+    observed = read_observations(path)
+    if view is None and len(observed) == 1:
+        view = next(iter(observed))
+    if view not in observed:
+        raise ObservationsError(
+            f"{path.name} holds observations of {', '.join(observed)}; choose one of them with --view"
+        )
+    return views.ObservedView(anonymous_name(path), observed[view])
 
 
 def _advise(seen: "ObservedView", frame: "Frame") -> dict[str, Any] | None:
@@ -158,52 +153,26 @@ def _advise(seen: "ObservedView", frame: "Frame") -> dict[str, Any] | None:
     if seen.image is None:
         return None
     advice = advise(seen.observations, frame, seen.image.field_mask)
-    return {
-        "sentences": advice.sentences,
-        "outside": advice.outside,
-        "outside_after": advice.outside_after,
-        "move_mm": advice.move_mm,
-    }
-
-
-def _observed(path: Path, view: str | None) -> Any:
-    from sightline.detection.csv_files import read_observations
-    from sightline.errors import ObservationsError
-
-    views = read_observations(path)
-    if view is None and len(views) == 1:
-        return next(iter(views.values()))
-    if view not in views:
-        known = ", ".join(views)
-        raise ObservationsError(f"{path.name} holds observations of {known}; choose one with --view")
-    return views[view]
+    return {name: getattr(advice, name) for name in ("sentences", "outside", "outside_after", "move_mm")}
 
 
 def _datums(texts: list[str] | None) -> dict[str, tuple[float, float]] | None:
     """Return the pixels of 'ID=U,V' texts by fiducial. Raises UnusableInputError."""
-    from math import isfinite
-
     from sightline.errors import UnusableInputError
 
-    out: dict[str, tuple[float, float]] = {}
+    datums: dict[str, tuple[float, float]] = {}
     for text in texts or ():
         try:
             name, numbers = text.split("=")
             u, v = (float(number) for number in numbers.split(","))
         except ValueError:
             raise UnusableInputError(f"--datum {text!r} is not ID=U,V; write for example pa-x-d1=512.0,388.5") from None
-        if name in out or not (isfinite(u) and isfinite(v)):
+        if name in datums or not (isfinite(u) and isfinite(v)):
             raise UnusableInputError(
                 f"--datum {text!r} is given twice or is not finite; give one pixel for each marker"
             )
-        out[name] = (u, v)
-    return out or None
-
-
-def _add_leave_one_out(document: dict[str, Any], view: "BeadView") -> None:
-    left = view.residuals
-    for bead, error, known in zip(document["beads"], left.leave_one_out_mm, left.predicted, strict=True):
-        bead["leave_one_out_mm"] = error.tolist() if known else None
+        datums[name] = (u, v)
+    return datums or None
 
 
 def _show(out: Output, document: dict[str, Any]) -> None:
@@ -230,3 +199,23 @@ def _show(out: Output, document: dict[str, Any]) -> None:
 
 def _length(xy: Any) -> float:
     return float(xy[0] ** 2 + xy[1] ** 2) ** 0.5
+
+
+def _write(folder: Path, image: "PlaneImage", document: dict[str, Any]) -> list[Path]:
+    import cv2
+    import numpy as np
+
+    from sightline.atomic import write_folder
+
+    arrays = BytesIO()
+    np.savez_compressed(
+        arrays, uv_px=image.uv_px, inside_hull=image.inside_hull, origin_mm=image.origin_mm, spacing_mm=image.spacing_mm
+    )
+    return write_folder(
+        folder,
+        {
+            "plate.png": cv2.imencode(".png", image.pixels)[1].tobytes(),
+            "map.npz": arrays.getvalue(),
+            "map.json": as_json(document).encode(),
+        },
+    )

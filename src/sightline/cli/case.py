@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.checks import Check
-from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.options import command, group
+from sightline.cli.output import Output
 
 if TYPE_CHECKING:
     from sightline.case.journal import Entry
@@ -15,104 +16,95 @@ if TYPE_CHECKING:
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the case.")]
 _SHOWN = 3  # differences of an entry shown to people
 
-case_app = typer.Typer(help="Check, replay, list or report a case.", no_args_is_help=True)
+app = group("case", "Check, replay, list or report a case.")
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.add_typer(case_app, name="case")
-
-
-@case_app.command("check", epilog=example("sightline case check out/demo/case"))
-def check(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
+@command(app, "check", "sightline case check out/demo/case")
+def check(output: Output, folder: Folder) -> None:
     """Check that a case is complete and unchanged.
 
     Checks the database, the chain of entries and the original files. Exit code 3 if a check fails.
     """
-    with Output(json=json, quiet=quiet) as output:
-        document, checks = _checked(folder)
-        if document:
-            output.say(f"case {document['case']}, {document['entries']} entries")
-        output.result(document, checks)
+    document, checks = _checked(folder)
+    if document:
+        output.say(f"case {document['case']}, {document['entries']} entries")
+    output.result(document, checks)
 
 
-@case_app.command("replay", epilog=example("sightline case replay out/demo/case"))
-def replay(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
+@command(app, "replay", "sightline case replay out/demo/case")
+def replay(output: Output, folder: Folder) -> None:
     """Compute every entry again from the original files.
 
     Says which entries are bit-identical and which differ. Exit code 3 if one differs.
     """
-    with Output(json=json, quiet=quiet) as output:
-        from sightline.case.journal import Case
-        from sightline.case.replay import judge
-        from sightline.case.replay import replay as computed_again
+    from sightline.case.journal import Case
+    from sightline.case.replay import judge
+    from sightline.case.replay import replay as computed_again
 
-        with Case.open(folder, read_only=True) as case:
-            found, problems, number = [], case.problems, case.number
-            with output.progress("computing again", case.last) as advance:
-                for one in computed_again(case):
-                    found.append(one)
-                    advance()
-        output.table(f"Case {number}, computed again", ("entry", "", "outcome"), [_row(one) for one in found])
-        for change in sorted({change for one in found for change in one.changed}):
-            output.say(f"computed with other versions: {change}")
-        document = {"case": number, "entries": [_document(one) for one in found]}
-        output.result(document, (*problems, judge(found)))
+    with Case.open(folder, read_only=True) as case:
+        found, problems, number = [], case.problems, case.number
+        with output.progress("computing again", case.last) as advance:
+            for one in computed_again(case):
+                found.append(one)
+                advance()
+    output.table(f"Case {number}, computed again", ("entry", "", "outcome"), [_row(one) for one in found])
+    for change in sorted({change for one in found for change in one.changed}):
+        output.say(f"computed with other versions: {change}")
+    document = {"case": number, "entries": [_document(one) for one in found]}
+    output.result(document, (*problems, judge(found)))
 
 
-@case_app.command("show", epilog=example("sightline case show out/demo/case"))
-def show(folder: Folder, *, json: Json = False, quiet: Quiet = False) -> None:
+@command(app, "show", "sightline case show out/demo/case")
+def show(output: Output, folder: Folder) -> None:
     """List the entries of a case.
 
     For each entry: when, what, by whom, and the entries it was made from.
     """
-    with Output(json=json, quiet=quiet) as output:
-        from sightline.case.journal import Case
+    from sightline.case.journal import Case
 
-        with Case.open(folder, read_only=True) as case:
-            entries, number, problems = case.entries(), case.number, case.problems
-        rows = [
-            (one.number, f"{one.at:%Y-%m-%d %H:%M:%S}", one.kind, one.by, _listed(one.rests_on), _gist(one))
-            for one in entries
-        ]
-        output.table(f"Case {number}", ("entry", "UTC", "kind", "by", "rests on", ""), rows)
-        document = [{**vars(one), "at": one.at.isoformat()} for one in entries]
-        output.result({"case": number, "entries": document}, problems)
+    with Case.open(folder, read_only=True) as case:
+        entries, number, problems = case.entries(), case.number, case.problems
+    rows = [
+        (one.number, f"{one.at:%Y-%m-%d %H:%M:%S}", one.kind, one.by, _listed(one.rests_on), _gist(one))
+        for one in entries
+    ]
+    output.table(f"Case {number}", ("entry", "UTC", "kind", "by", "rests on", ""), rows)
+    document = [{**vars(one), "at": one.at.isoformat()} for one in entries]
+    output.result({"case": number, "entries": document}, problems)
 
 
-@case_app.command("report", epilog=example("sightline case report out/demo/case --out out/report"))
+@command(app, "report", "sightline case report out/demo/case --out out/report")
 def report(
-    folder: Folder,
+    output: Output,
     *,
+    folder: Folder,
     out: Annotated[Path, typer.Option(help="Folder for report.html and report.json.")],
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
-    """Write the report of the last plan in a case, as a page (print it from a browser for paper or PDF) and as JSON.
+    """Write the report of the last plan in a case.
 
-    The plan is computed again from the originals. The report names the case by its number alone.
+    It is a page, which a browser prints on paper or as PDF, and JSON. The plan is computed again from the originals.
+    The report names the case by its number alone.
     """
-    with Output(json=json, quiet=quiet) as output:
-        from sightline.atomic import write_folder
-        from sightline.case.journal import Case
-        from sightline.case.report.document import report_document
-        from sightline.case.report.from_case import report_of
-        from sightline.case.report.page import render
+    from sightline.atomic import write_folder
+    from sightline.case.journal import Case
+    from sightline.case.report.document import report_document
+    from sightline.case.report.from_case import report_of
+    from sightline.case.report.page import render
 
-        with Case.open(folder, read_only=True) as case:
-            with output.step("computing the last plan again"):
-                made = report_of(case)
-            number = case.number
-        with output.step("writing the report"):
-            document = report_document(made, number)
-            pages = {
-                "report.html": render(made).encode(),
-                "report.json": document.model_dump_json(indent=1).encode(),
-            }
-            files = write_folder(out, pages)
-        for file in files:
-            output.say(f"written: {file}")
-        output.result({"case": number, "go": made.plan.verdict.go, "files": files})
+    with Case.open(folder, read_only=True) as case:
+        with output.step("computing the last plan again"):
+            made = report_of(case)
+        number = case.number
+    with output.step("writing the report"):
+        document = report_document(made, number)
+        pages = {
+            "report.html": render(made).encode(),
+            "report.json": document.model_dump_json(indent=1).encode(),
+        }
+        files = write_folder(out, pages)
+    for file in files:
+        output.say(f"written: {file}")
+    output.result({"case": number, "go": made.plan.verdict.go, "files": files})
 
 
 def _checked(folder: Path) -> tuple[dict[str, Any], tuple[Check, ...]]:

@@ -8,7 +8,8 @@ import typer
 
 from sightline.cli.demo_case import Kept, record
 from sightline.cli.demo_robot import DemoPlan, Inserted, RobotAhead, carry_out
-from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.options import command, commands
+from sightline.cli.output import Output
 
 if TYPE_CHECKING:
     from sightline.calibration.maps.fit_map import Method
@@ -30,13 +31,11 @@ BY_HAND = f"picked by hand: {PICK_SD_PX:g} px of noise, lateral picks snapped to
 EXACT = "located exactly: no noise, 0.1 px assumed"
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    examples = ("sightline demo --out out/demo", "sightline demo --procedure pedicle-screw --out out/pedicle")
-    app.command("demo", epilog=example(*examples))(demo)
-
-
+@command(
+    commands, "demo", "sightline demo --out out/demo", "sightline demo --procedure pedicle-screw --out out/pedicle"
+)
 def demo(
+    output: Output,
     *,
     out: Annotated[Path, typer.Option(help="Folder for the report, the images and the results.")] = Path("out/demo"),
     seed: Annotated[
@@ -52,8 +51,6 @@ def demo(
             show_default=False,
         ),
     ] = None,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Simulate, plan and drill one case.
 
@@ -61,26 +58,25 @@ def demo(
     result with the truth. The robot is simulated at the hip and beside a nail; at other bones the wire is put where it
     was planned.
     """
-    with Output(json=json, quiet=quiet) as output:
-        from sightline.cli.demo_procedures import SEEDS
+    from sightline.cli.demo_procedures import SEEDS
 
-        seed = SEEDS.get(procedure, SEED) if seed is None else seed
-        with RobotAhead(seed, procedure, frame) as ahead:  # its process imports while this one does
-            from sightline.atomic import whole_folder
-            from sightline.cli.demo_procedures import frame_for
-            from sightline.frame import Frame
+    seed = SEEDS.get(procedure, SEED) if seed is None else seed
+    with RobotAhead(seed, procedure, frame) as ahead:  # its process imports while this one does
+        from sightline.atomic import whole_folder
+        from sightline.cli.demo_procedures import frame_for
+        from sightline.frame import Frame
 
-            frame_name = frame_for(procedure, frame)
-            how_long = "about a quarter of a minute, of three wires twice that"
-            output.note(f"Sightline demo, seed {seed}: {how_long}; the first run compiles and takes a minute more")
-            read = Frame.load(frame_name)
-            ahead.keep_beside(read)
-            with whole_folder(out, units=("case",)) as scratch:
-                document = _run(output, scratch, ahead, seed=seed, frame_name=frame_name, procedure=procedure)
-                files = [out / file.name for file in sorted(scratch.iterdir())]
-        output.say(f"report: {out / 'report.html'}")
-        output.say(f"images and results: {', '.join(file.name for file in files if file.suffix != '.html')} in {out}")
-        output.result({**document, "files": files})
+        frame_name = frame_for(procedure, frame)
+        how_long = "about a quarter of a minute, of three wires twice that"
+        output.note(f"Sightline demo, seed {seed}: {how_long}; the first run compiles and takes a minute more")
+        read = Frame.load(frame_name)
+        ahead.keep_beside(read)
+        with whole_folder(out, units=("case",)) as scratch:
+            document = _run(output, scratch, ahead, seed=seed, frame_name=frame_name, procedure=procedure)
+            files = [out / file.name for file in sorted(scratch.iterdir())]
+    output.say(f"report: {out / 'report.html'}")
+    output.say(f"images and results: {', '.join(file.name for file in files if file.suffix != '.html')} in {out}")
+    output.result({**document, "files": files})
 
 
 def _run(

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.options import FrameIndex, Invert, command, commands
+from sightline.cli.output import Output
 
 if TYPE_CHECKING:
     from sightline.detection import Detections
@@ -15,50 +16,35 @@ if TYPE_CHECKING:
 _BEAD, _REJECTED = (80, 220, 80), (60, 60, 255)
 _SCALE = 2  # of the picture, so that rings do not hide small beads
 
-FrameIndex = Annotated[
-    int | None, typer.Option("--frame-index", help="Which image of a multi-frame file, from 0.", show_default=False)
-]
-Invert = Annotated[
-    bool,
-    typer.Option("--invert", help="Invert the image first: the file shows the balls bright, whatever its header says."),
-]
 
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    epilog = example("sightline detect out/demo/demo_pa.dcm --picture out/beads.png")
-    app.command("detect", epilog=epilog)(detect)
-
-
+@command(commands, "detect", "sightline detect out/demo/demo_pa.dcm --picture out/beads.png")
 def detect(
-    image: Annotated[Path, typer.Argument(help="Image file.")],
+    out: Output,
     *,
+    image: Annotated[Path, typer.Argument(help="Image file.")],
     frame_index: FrameIndex = None,
     invert: Invert = False,
     csv: Annotated[Path | None, typer.Option(help="Write the beads to this CSV file.")] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Write a PNG of the image with beads and rejected candidates marked.")
     ] = None,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Find the beads of one image.
 
     Gives centres with covariance, radii, and why candidates were rejected.
     """
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.detection import detect as find
-        from sightline.imaging import image_checks, read_image
+    from sightline.detection import detect as find
+    from sightline.imaging import image_checks, read_image
 
-        radiograph = read_image(image, frame_index, invert=invert)
-        with out.step("finding beads"):
-            beads = find(radiograph)
-        if csv is not None:
-            _write_csv(beads, csv)
-        if picture is not None:
-            _write_picture(radiograph, beads, picture)
-        _show(out, beads)
-        out.result(_document(beads), image_checks(radiograph))
+    radiograph = read_image(image, frame_index, invert=invert)
+    with out.step("finding beads"):
+        beads = find(radiograph)
+    if csv is not None:
+        _write_csv(beads, csv)
+    if picture is not None:
+        _write_picture(radiograph, beads, picture)
+    _show(out, beads)
+    out.result(_document(beads), image_checks(radiograph))
 
 
 def _document(beads: "Detections") -> dict[str, Any]:

@@ -1,193 +1,289 @@
-"""`sightline export`: views, undistorted images and plans in the formats of other programs (docs/interop.md)."""
+"""`sightline export`: views, undistorted images and plans in other programs' formats, and images without identity."""
 
-from importlib import import_module
-from importlib.util import find_spec
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.calibrate import FrameName, see
-from sightline.cli.detect import Invert
-from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.calibrate import see
+from sightline.cli.options import (
+    FrameIndex,
+    FrameName,
+    Invert,
+    Labelling,
+    OutFolder,
+    Side,
+    Spacing,
+    command,
+    group,
+)
+from sightline.cli.output import Output
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from sightline.calibration import BeadView
     from sightline.calibration.exchange.pinhole import Pinhole
-    from sightline.case.interop.plate import PlateImage
     from sightline.case.views import ObservedView
 
-export_app = typer.Typer(no_args_is_help=True)
-
-Out = Annotated[Path, typer.Option(help="Folder for the files.")]
-Image = Annotated[Path, typer.Argument(help="Image of one view, or observations as CSV.")]
-Second = Annotated[Path | None, typer.Argument(help="Image of the other view.", show_default=False)]
+app = group("export", "Write files for other programs.")
+PLAN_FORMATS = ("slicer", "itk", "dicom", "csv", "igtl")
 
 
-def register(app: typer.Typer) -> None:
-    """Add the group and its commands."""
-    app.add_typer(export_app, name="export", help="Write files for other programs.")
-    for name in ("export_plan", "deidentify"):
-        if find_spec(f"sightline.cli.{name}"):
-            import_module(f"sightline.cli.{name}").register(export_app)
+@dataclass(frozen=True)
+class Images:
+    """The images whose views are exported."""
+
+    pa: Annotated[Path, typer.Argument(help="Image of one view, or observations as CSV.")]
+    lateral: Annotated[Path | None, typer.Argument(help="Image of the other view.", show_default=False)] = None
+    frame: FrameName = "gamma"
+    invert: Invert = False
 
 
-@export_app.command(
-    "views", epilog=example("sightline export views pa.dcm lateral.dcm --to opencv,rtk --out out/views")
-)
+@command(app, "views", "sightline export views pa.dcm lateral.dcm --to opencv,rtk --out out/views")
 def views(
-    pa: Image,
-    lateral: Second = None,
+    output: Output,
     *,
-    out: Out,
+    images: Images,
+    out: OutFolder,
     to: Annotated[str, typer.Option(help="Formats: opencv,rtk,mayacam2,diffdrr,deepdrr,xreg.")] = "opencv",
-    frame: FrameName = "gamma",
     raw: Annotated[
         bool,
         typer.Option("--raw", help="Export the raw image with its nearest pinhole; refused if the image is distorted."),
     ] = False,
-    invert: Invert = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Export each view's matrix and undistorted image.
 
     Exit code 3 if a check of a view fails.
     """
-    with Output(json=json, quiet=quiet) as output:
-        from sightline.atomic import write_folder
-        from sightline.calibration.exchange.formats import check_format, write_view
+    import cv2
 
-        kinds = [check_format(kind.strip()) for kind in to.split(",")]
-        calibrated = _calibrate(output, [pa, lateral], frame, pixels=raw, invert=invert)
-        files: dict[str, bytes] = {}
-        documents = []
-        for view, seen in calibrated:
-            pinhole, pixels, document = _raw(view, seen) if raw else _plate(view, seen)
-            documents.append(document)
-            if pixels is not None and not raw:
-                files[f"{view.name}.png"] = _png(pixels)
-            for kind in kinds:
-                files |= write_view(pinhole, kind, pixels)
-        written = write_folder(out, files)
-        _say(output, documents, written)
-        output.result(
-            {"views": documents, "files": written}, [check for view, _ in calibrated for check in view.checks]
-        )
+    from sightline.calibration.exchange.formats import check_format, write_view
+
+    formats = [check_format(name.strip()) for name in to.split(",")]
+    calibrated = _calibrate(output, images, pixels=raw)
+    files: dict[str, bytes] = {}
+    documents = []
+    for view, seen in calibrated:
+        pinhole, pixels, document = _raw(view, seen) if raw else _plate(view, seen, None)
+        documents.append(document)
+        if pixels is not None and not raw:
+            files[f"{view.name}.png"] = cv2.imencode(".png", pixels)[1].tobytes()
+        for name in formats:
+            files |= write_view(pinhole, name, pixels)
+    _finish(output, out, files, documents, [view for view, _ in calibrated])
 
 
-@export_app.command("undistorted", epilog=example("sightline export undistorted pa.dcm lateral.dcm --out out/plates"))
+@command(app, "undistorted", "sightline export undistorted pa.dcm lateral.dcm --out out/plates")
 def undistorted(
-    pa: Image,
-    lateral: Second = None,
+    output: Output,
     *,
-    out: Out,
+    images: Images,
+    out: OutFolder,
     to: Annotated[
         str, typer.Option(help="Formats: png,npy,dicom; png and npy keep the original's 8 or 16 bits.")
     ] = "png",
-    frame: FrameName = "gamma",
-    spacing: Annotated[
-        float | None,
-        typer.Option(help="Pixel size on the plate, mm; by default as in the image.", show_default=False),
-    ] = None,
-    invert: Invert = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    spacing: Spacing = None,
 ) -> None:
     """Export each image without distortion.
 
     The image is as the X-ray source sees the XRII plate; its matrix is written beside it.
     """
-    with Output(json=json, quiet=quiet) as output:
-        from sightline.atomic import write_folder
-        from sightline.calibration.exchange import opencv
-        from sightline.calibration.exchange.reading import json_bytes
-        from sightline.case.interop.images import encode
+    from sightline.calibration.exchange import opencv
+    from sightline.calibration.exchange.reading import json_bytes
+    from sightline.case.interop.images import encode
 
-        calibrated = _calibrate(output, [pa, lateral], frame, pixels=True, invert=invert)
-        files: dict[str, bytes] = {}
-        documents = []
-        for view, seen in calibrated:
-            pinhole, pixels, document = _plate(view, seen, spacing)
-            documents.append(document)
-            files[f"{view.name}.opencv.json"] = json_bytes(opencv.document(pinhole))
-            for kind in to.split(","):
-                files |= encode(kind.strip(), view.name, pixels, seen.image.white, pinhole)  # pyright: ignore[reportOptionalMemberAccess]
-        written = write_folder(out, files)
-        _say(output, documents, written)
-        output.result(
-            {"views": documents, "files": written}, [check for view, _ in calibrated for check in view.checks]
-        )
+    calibrated = _calibrate(output, images, pixels=True)
+    files: dict[str, bytes] = {}
+    documents = []
+    for view, seen in calibrated:
+        pinhole, pixels, document = _plate(view, seen, spacing)
+        assert seen.image is not None and pixels is not None  # noqa: S101 - `_calibrate` refused
+        documents.append(document)
+        files[f"{view.name}.opencv.json"] = json_bytes(opencv.document(pinhole))
+        for name in to.split(","):
+            files |= encode(name.strip(), view.name, pixels, seen.image.white, pinhole)
+    _finish(output, out, files, documents, [view for view, _ in calibrated])
 
 
-def _calibrate(
-    output: Output, paths: list[Path | None], frame_name: str, *, pixels: bool, invert: bool
-) -> "list[tuple[BeadView, ObservedView]]":
+@command(app, "plan", "sightline export plan out/plan --to csv,slicer --out out/export")
+def plan(
+    output: Output,
+    *,
+    path: Annotated[Path, typer.Argument(metavar="PLAN", help="plan.json, or the folder of `sightline plan --out`.")],
+    out: OutFolder,
+    to: Annotated[
+        str,
+        typer.Option(
+            help=f"Formats: {','.join(PLAN_FORMATS)}. Each goes to a folder of its name, of several wires one for each "
+            "in it."
+        ),
+    ] = "csv",
+    side: Annotated[
+        Side | None,
+        typer.Option(
+            help="Side of the patient, which patient axes depend on; needed where the plan does not state it."
+        ),
+    ] = None,
+    case: Annotated[str, typer.Option(help="Case number: the only identification in the files.")] = "plan",
+    original: Annotated[
+        list[str] | None,
+        typer.Option(help="Raw DICOM image to draw on, 'pa:FILE'; its UIDs are written.", show_default=False),
+    ] = None,
+) -> None:
+    """Export a plan.
+
+    A plan that is not GO says so in every file, and is not exported as a robot's message.
+    """
+    from datetime import datetime
+
+    from sightline.atomic import write_folder
+    from sightline.case.interop import dicom_plan, itk, robot_files, slicer, tables
+    from sightline.case.interop.dicom import ExportIdentity
+    from sightline.case.interop.plan_file import PlanFile
+    from sightline.errors import UnusableInputError
+
+    formats = [name.strip() for name in to.split(",")]
+    if unknown := [name for name in formats if name not in PLAN_FORMATS]:
+        raise UnusableInputError(f"{unknown[0]!r} is not a format of a plan; choose from {', '.join(PLAN_FORMATS)}")
+    wires, originals = PlanFile.read_all(path), _originals(original)
+    if originals and "dicom" not in formats:
+        raise UnusableInputError("--original is for --to dicom only; leave it out")
+    stated = next(iter(wires.values())).side  # one patient's, the same for all wires
+    if side is not None and stated is None:
+        output.note(f"the plan does not state its side: the patient axes rest on --side {side} alone")
+    side = side or stated
+    for wire in wires.values() if side else ():
+        wire.refuse_other_side(side or "")
+    identity = ExportIdentity(case, datetime.now().replace(microsecond=0), side)
+    writers: dict[str, Callable[[PlanFile], dict[str, bytes]]] = {
+        "slicer": lambda wire: slicer.write(wire, side),
+        "itk": lambda wire: itk.write(wire, side),
+        "dicom": lambda wire: dicom_plan.write(wire, identity, originals),
+        "csv": lambda wire: tables.write(wire, side),
+        "igtl": lambda wire: robot_files.write(wire, case),
+    }
+    with output.step("making the files"):  # all of them before any is written
+        documents = {
+            f"{name}/{f'{key}/' if key else ''}{file}": data
+            for name in formats
+            for key, wire in wires.items()
+            for file, data in writers[name](wire).items()
+        }
+    files = write_folder(out, documents)
+    statements = {key: wire.statement for key, wire in wires.items()}
+    for key, statement in statements.items():
+        output.say(f"{key}: {statement}" if key else statement)
+    output.written(files)
+    stated_of = {"statement": statements[""]} if "" in statements else {"statements": statements}
+    go = all(wire.go and wire.document.all_wires in (None, "go") for wire in wires.values())
+    output.result({"go": go, **stated_of, "side": side, "files": files})
+
+
+@command(app, "deidentify", "sightline export deidentify pa.dcm lateral.dcm --out out/anonymous")
+def deidentify(
+    output: Output,
+    *,
+    images: Annotated[list[Path], typer.Argument(metavar="DICOM...", help="DICOM images of one patient.")],
+    out: Annotated[Path, typer.Option(help="Folder for image-001.dcm, image-002.dcm, ... in the order given.")],
+    frame_index: FrameIndex = None,
+) -> None:
+    """Write DICOM files without the patient's identity.
+
+    The new files hold pixels and geometry only. Burnt-in annotation stays in the pixels.
+    """
+    from sightline.atomic import write_folder
+    from sightline.case.deidentify import Deidentifier
+
+    cleaner = Deidentifier()
+    cleaned = [cleaner.clean(image, frame_index) for image in images]  # all of them before one is written
+    named = {f"image-{k:03d}.dcm": image for k, image in enumerate(cleaned, 1)}
+    files = write_folder(out, {name: image.data for name, image in named.items()})
+    output.written(files)
+    burnt = [name for name, image in named.items() if image.burnt_in_stated or image.burnt_in_found]
+    found = f"; annotation found in {', '.join(burnt)}" if burnt else ""
+    output.note(f"look at every image before you pass it on: burnt-in annotation is not removed{found}")
+    documents = [
+        {"file": file, "burnt_in_stated": image.burnt_in_stated, "burnt_in_found": image.burnt_in_found}
+        for file, image in zip(files, cleaned, strict=True)
+    ]
+    output.result({"images": documents})
+
+
+def _calibrate(output: Output, images: Images, *, pixels: bool) -> "list[tuple[BeadView, ObservedView]]":
     """Return each calibrated view with its image and beads; with `pixels` each must have an image."""
     from sightline.calibration import calibrate
     from sightline.case.views import see_pair
     from sightline.errors import UnusableInputError
     from sightline.frame import Frame
 
-    known: Frame = Frame.load(frame_name)
-    first, second = paths
-    assert first is not None  # noqa: S101 - typer requires it
+    frame = Frame.load(images.frame)
     with output.step("finding and labelling the beads"):
-        if second is None:
-            seen = [see(first, known, None, None, None, invert=invert)]
+        if images.lateral is None:
+            seen = [see(images.pa, frame, Labelling(invert=images.invert))]
         else:
-            seen = list(see_pair(first, second, known, invert=invert))
-    for one in seen:
-        if pixels and one.image is None:
-            raise UnusableInputError(f"a CSV file has no pixels; give the image of the {one.observations.view} view")
+            seen = list(see_pair(images.pa, images.lateral, frame, invert=images.invert))
+    for view in seen:
+        if pixels and view.image is None:
+            raise UnusableInputError(f"a CSV file has no pixels; give the image of the {view.observations.view} view")
     with output.step("calibrating (smooth)"):
-        return [(calibrate(one.observations, known), one) for one in seen]
+        return [(calibrate(view.observations, frame), view) for view in seen]
 
 
-def _plate(view: "BeadView", seen: "ObservedView", spacing: float | None = None) -> Any:
+_Exported = tuple["Pinhole", "np.ndarray | None", dict[str, Any]]
+
+
+def _plate(view: "BeadView", seen: "ObservedView", spacing: float | None) -> _Exported:
     """Return the pinhole and the pixels, or None, of the undistorted image, and their document."""
     from sightline.case.interop.plate import plate_image
 
-    plate: PlateImage = plate_image(view, None if seen.image is None else seen.image.pixels, spacing)
-    pinhole = _with_checks(plate.pinhole, view)
-    document = {"view": view.name, "source": seen.source, "image": "undistorted", "residual_px": 0.0}
-    return pinhole, plate.pixels, document | _geometry(pinhole)
+    plate = plate_image(view, None if seen.image is None else seen.image.pixels, spacing)
+    return _documented(view, seen, plate.pinhole, plate.pixels, {"image": "undistorted", "residual_px": 0.0})
 
 
-def _raw(view: "BeadView", seen: "ObservedView") -> Any:
+def _raw(view: "BeadView", seen: "ObservedView") -> _Exported:
     """Return the same as `_plate`, of the raw image."""
     from sightline.case.interop.plate import raw_pinhole
 
     assert seen.image is not None  # noqa: S101 - `_calibrate` refused
     pinhole, residual = raw_pinhole(view, seen.image.shape)
-    pinhole = _with_checks(pinhole, view)
-    document = {"view": view.name, "source": seen.source, "image": "raw", "residual_px": residual}
-    return pinhole, seen.image.pixels, document | _geometry(pinhole)
+    return _documented(view, seen, pinhole, seen.image.pixels, {"image": "raw", "residual_px": residual})
 
 
-def _with_checks(pinhole: "Pinhole", view: "BeadView") -> "Pinhole":
-    """Return the pinhole with the failed checks in its note, which is written into the file."""
-    from dataclasses import replace
-
+def _documented(
+    view: "BeadView", seen: "ObservedView", pinhole: "Pinhole", pixels: "np.ndarray | None", image: dict[str, Any]
+) -> _Exported:
+    """Return a pinhole with the failed checks in its note, which is written into the file, and its document."""
     from sightline.checks import failed
 
-    bad = ", ".join(check.name for check in failed(view.checks))
-    return replace(pinhole, note=f"{pinhole.note}; NOT TO BE TRUSTED, checks failed: {bad}") if bad else pinhole
+    if bad := ", ".join(check.name for check in failed(view.checks)):
+        pinhole = replace(pinhole, note=f"{pinhole.note}; NOT TO BE TRUSTED, checks failed: {bad}")
+    geometry = {name: getattr(pinhole, name) for name in ("matrix", "shape", "pixel_mm", "note")}
+    return pinhole, pixels, {"view": view.name, "source": seen.source, **image, **geometry}
 
 
-def _geometry(pinhole: "Pinhole") -> dict[str, Any]:
-    return {"matrix": pinhole.matrix, "shape": pinhole.shape, "pixel_mm": pinhole.pixel_mm, "note": pinhole.note}
+def _finish(
+    output: Output, folder: Path, files: dict[str, bytes], documents: list[dict[str, Any]], views: "list[BeadView]"
+) -> None:
+    from sightline.atomic import write_folder
 
-
-def _png(pixels: Any) -> bytes:
-    import cv2
-
-    return cv2.imencode(".png", pixels)[1].tobytes()
-
-
-def _say(output: Output, documents: list[dict[str, Any]], written: list[Path]) -> None:
+    written = write_folder(folder, files)
     for document in documents:
         height, width = document["shape"]
         output.say(f"{document['view']}: {width} x {height} pixels, {document['image']}; {document['note']}")
-    for file in written:
-        output.say(f"written: {file}")
+    output.written(written)
+    output.result({"views": documents, "files": written}, [check for view in views for check in view.checks])
+
+
+def _originals(texts: list[str] | None) -> dict[str, Path]:
+    from sightline.errors import UnusableInputError
+
+    originals: dict[str, Path] = {}
+    for text in texts or ():
+        view, colon, file = text.partition(":")
+        if not colon or not file or view in originals:
+            raise UnusableInputError(f"--original {text!r} is not VIEW:FILE, for example pa:shot1.dcm, once a view")
+        originals[view] = Path(file)
+    return originals

@@ -9,7 +9,7 @@ from json import dumps
 from pathlib import Path
 from time import perf_counter
 from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import typer
 
@@ -20,18 +20,10 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, for machines.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors and what --json asks for.")]
-
 # Typer turns these into exit codes itself.
 _PASSED_ON = (typer.Exit, typer.Abort, typer.BadParameter, BrokenPipeError)
 _REFUSED, _BUG = 3, 1
 _INTERRUPTED, _TERMINATED = 130, 143  # 128 + SIGINT, 128 + SIGTERM, as shells expect
-
-
-def example(*lines: str) -> str:
-    """Return the end of a command's help: command lines that a person can copy, not wrapped."""
-    return "\b\n" + "\n".join(["Example:", *lines])
 
 
 class Terminated(KeyboardInterrupt):
@@ -77,6 +69,11 @@ class Output:
         if not self._silent:
             _console().print(text, markup=False, highlight=False, soft_wrap=True)
 
+    def written(self, files: Iterable[Path]) -> None:
+        """Print the files that were written, for people."""
+        for file in files:
+            self.say(f"written: {file}")
+
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
         """Print a table of the result, for people; None is shown as a dash."""
         if not self._silent:
@@ -118,8 +115,8 @@ class Output:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is None:
-            if self._json:
+        if error is None or isinstance(error, typer.Exit):
+            if self._json and (self._document or error is None):
                 typer.echo(self._document or "{}")
             if self._refused:
                 raise typer.Exit(_REFUSED)

@@ -5,108 +5,97 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.options import command, group
+from sightline.cli.output import Output
 
 if TYPE_CHECKING:
     from sightline.planning.procedures.document import ProcedureDocument, Relation
     from sightline.planning.procedures.rules import CheckRule
 
-app = typer.Typer(no_args_is_help=True, help="List, show, check and make procedures.")
+app = group("procedure", "List, show, check and make procedures.")
 
 ProcedureSource = Annotated[str, typer.Argument(metavar="PROCEDURE", help="A key of the list, or a procedure's file.")]
 
 
-def register(parent: typer.Typer) -> None:
-    """Add the commands."""
-    parent.add_typer(app, name="procedure")
-
-
-@app.command("list", epilog=example("sightline procedure list"))
-def list_all(*, json: Json = False, quiet: Quiet = False) -> None:
+@command(app, "list", "sightline procedure list")
+def list_all(out: Output) -> None:
     """List the shipped procedures and your own.
 
     Your own files lie in the folder that the environment variable SIGHTLINE_PROCEDURES names, each called KEY.json.
     """
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.errors import UnusableInputError
-        from sightline.planning.procedures.files import own_file, own_files, shipped
+    from sightline.errors import UnusableInputError
+    from sightline.planning.procedures.files import own_file, own_files, shipped
 
-        rows = [(document, "shipped") for document in shipped().values()]
-        unusable: dict[str, str] = {}
-        for key, path in own_files().items():
-            try:
-                rows.append((own_file(key), str(path)))
-            except UnusableInputError as error:
-                unusable[key] = str(error)
-        out.table(
-            "Procedures",
-            ("key", "name", "wires", "file"),
-            [(one.key, one.name, len(one.wires), where) for one, where in rows],
-        )
-        for why in unusable.values():
-            out.note(f"left out: {why}")
-        listed = [{"key": one.key, "name": one.name, "wires": len(one.wires), "file": where} for one, where in rows]
-        out.result({"procedures": listed, "unusable": unusable})
+    rows = [(document, "shipped") for document in shipped().values()]
+    unusable: dict[str, str] = {}
+    for key, path in own_files().items():
+        try:
+            rows.append((own_file(key), str(path)))
+        except UnusableInputError as error:
+            unusable[key] = str(error)
+    out.table(
+        "Procedures",
+        ("key", "name", "wires", "file"),
+        [(one.key, one.name, len(one.wires), where) for one, where in rows],
+    )
+    for why in unusable.values():
+        out.note(f"left out: {why}")
+    listed = [{"key": one.key, "name": one.name, "wires": len(one.wires), "file": where} for one, where in rows]
+    out.result({"procedures": listed, "unusable": unusable})
 
 
-@app.command("show", epilog=example("sightline procedure show hip-screw"))
-def show(procedure: ProcedureSource, *, json: Json = False, quiet: Quiet = False) -> None:
+@command(app, "show", "sightline procedure show hip-screw")
+def show(out: Output, procedure: ProcedureSource) -> None:
     """Show points, limits, checks and their sources."""
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.planning.procedures.files import document_of
-        from sightline.planning.procedures.procedure import fingerprint
+    from sightline.planning.procedures.files import document_of
+    from sightline.planning.procedures.procedure import fingerprint
 
-        document = document_of(procedure)
-        _show(out, document)
-        out.result({"fingerprint": fingerprint(document), **document.model_dump(mode="json", by_alias=True)})
+    document = document_of(procedure)
+    _show(out, document)
+    out.result({"fingerprint": fingerprint(document), **document.model_dump(mode="json", by_alias=True)})
 
 
-@app.command("check", epilog=example("sightline procedure check mine.json"))
-def check(
-    file: Annotated[Path, typer.Argument(help="The procedure's file.")], *, json: Json = False, quiet: Quiet = False
-) -> None:
+@command(app, "check", "sightline procedure check mine.json")
+def check(out: Output, file: Annotated[Path, typer.Argument(help="The procedure's file.")]) -> None:
     """Check a procedure's file.
 
     Exit code 2 with a sentence for what is wrong in it; otherwise what it asks for, and what no check shows.
     """
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.planning.procedures.document import open_ends
-        from sightline.planning.procedures.files import read_document
-        from sightline.planning.procedures.procedure import fingerprint
+    from sightline.planning.procedures.document import open_ends
+    from sightline.planning.procedures.files import read_document
+    from sightline.planning.procedures.procedure import fingerprint
 
-        document = read_document(file)
-        ends = open_ends(document)
-        idle = [f"corridor: no check shows whether the {end} leaves the bone" for end in ends]
-        if not document.directions and any(one.check == "view directions" for one in document.checks):
-            idle.append("view directions with a block: state 'directions' of the bone, which tell how the patient lies")
-        out.say(f"{file.name} is a procedure: {document.name}, {len(document.checks)} checks of the bone")
-        for one in idle:
-            out.say(f"not evaluated: {one}")
-        out.result({"file": file, "key": document.key, "fingerprint": fingerprint(document), "not_evaluated": idle})
+    document = read_document(file)
+    ends = open_ends(document)
+    idle = [f"corridor: no check shows whether the {end} leaves the bone" for end in ends]
+    if not document.directions and any(one.check == "view directions" for one in document.checks):
+        idle.append("view directions with a block: state 'directions' of the bone, which tell how the patient lies")
+    out.say(f"{file.name} is a procedure: {document.name}, {len(document.checks)} checks of the bone")
+    for one in idle:
+        out.say(f"not evaluated: {one}")
+    out.result({"file": file, "key": document.key, "fingerprint": fingerprint(document), "not_evaluated": idle})
 
 
-@app.command("new", epilog=example("sightline procedure new mine.json --like hip-screw"))
+@command(app, "new", "sightline procedure new mine.json --like hip-screw")
 def new(
-    file: Annotated[Path, typer.Argument(help="The file to write; its name without .json becomes the key.")],
+    out: Output,
     *,
+    file: Annotated[Path, typer.Argument(help="The file to write; its name without .json becomes the key.")],
     like: Annotated[str, typer.Option(help="The procedure to copy: a key of the list, or a file.")],
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Write a procedure's file like another one, to be edited."""
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.atomic import write_whole
-        from sightline.errors import UnusableInputError
-        from sightline.planning.procedures.files import copy_text
+    from sightline.atomic import write_whole
+    from sightline.errors import UnusableInputError
+    from sightline.planning.procedures.files import copy_text
 
-        if file.suffix != ".json":
-            raise UnusableInputError(f"only files ending in .json are found as procedures: name it {file.name}.json")
-        if file.exists():
-            raise UnusableInputError(f"{file.name} exists; remove it, or name another file")
-        write_whole(file, copy_text(like, file.stem))
-        out.say(f"written: {file}")
-        out.say(f"edit it, then: sightline procedure check {file}")
-        out.result({"file": file, "key": file.stem})
+    if file.suffix != ".json":
+        raise UnusableInputError(f"only files ending in .json are found as procedures: name it {file.name}.json")
+    if file.exists():
+        raise UnusableInputError(f"{file.name} exists; remove it, or name another file")
+    write_whole(file, copy_text(like, file.stem))
+    out.say(f"written: {file}")
+    out.say(f"edit it, then: sightline procedure check {file}")
+    out.result({"file": file, "key": file.stem})
 
 
 def _show(out: Output, document: "ProcedureDocument") -> None:

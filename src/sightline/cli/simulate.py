@@ -1,37 +1,30 @@
 """`sightline simulate`: images of the digital twin as a C-arm would store them, with their truth."""
 
+from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet, as_json, example
+from sightline.cli.options import FrameName, Side, command, commands
+from sightline.cli.output import Output, as_json
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from sightline.frame import Frame
     from sightline.imaging import Radiograph
     from sightline.twin.scenes.specimens import Specimen
 
 AS_MADE = "frame-as-made.json"
 _ACCESSORIES = 1  # stream of the accessories, beside that of set-up and noise
-DoseName = Literal["low", "medium", "high"]
-SideName = Literal["right", "left"]
 
 
-_EXAMPLES = (
-    "sightline simulate hip --seed 3 --with lag-screw --with drape --out out/hip",
-    "sightline simulate object --seed 4 --frame-errors 7 --out out/frame-7",
-    "sightline simulate hip --frame block60 --out out/block",
-    "sightline simulate pelvis --frame block60 --out out/pelvis",
-)
+@dataclass(frozen=True)
+class Scene:
+    """What lies in the beam, and the machine in front of it."""
 
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("simulate", epilog=example(*_EXAMPLES))(simulate)
-
-
-def simulate(
     what: Annotated[
         str,
         typer.Argument(
@@ -39,22 +32,20 @@ def simulate(
             "four balls in Perspex), plastic (its bored femur), porcine; or a file: a closed mesh in mm (STL, PLY, "
             "OBJ) or a CT scan (NIfTI, folder of slices)."
         ),
-    ] = "hip",
-    *,
+    ] = "hip"
     preset: Annotated[
         str | None,
         typer.Option(
             help="Image chain; a wrong name lists them all. By default 9in-1k, for a solid flat-panel.",
             show_default=False,
         ),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 1,
-    frame: Annotated[str, typer.Option(help="A frame file, gamma, biplane, stereo or block60.")] = "gamma",
+    ] = None
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 1
+    frame: FrameName = "gamma"
     oblique: Annotated[
         bool, typer.Option("--oblique", help="Add a third image between PA and lateral; needs a block.")
-    ] = False,
-    side: Annotated[SideName, typer.Option(help="Side of the hip.")] = "right",
-    dose: Annotated[DoseName, typer.Option(help="1, 8 or 32 frames of fluoroscopy.")] = "medium",
+    ] = False
+    side: Annotated[Side, typer.Option(help="Side of the hip.")] = "right"
     at: Annotated[
         str | None,
         typer.Option(
@@ -63,7 +54,7 @@ def simulate(
             "origin, or beside a solid; by default its middle.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     accessory: Annotated[
         list[str] | None,
         typer.Option(
@@ -72,7 +63,7 @@ def simulate(
             "drape, table-rail.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     frame_errors: Annotated[
         int | None,
         typer.Option(
@@ -82,7 +73,42 @@ def simulate(
             "The frame as made is written beside the images.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
+
+    def drawn(self, rng: "np.random.Generator") -> "tuple[Specimen, Frame, Frame | None]":
+        """Return the set-up, the frame as designed, and the one as made where that is kept over all images."""
+        import numpy as np
+
+        from sightline.frame import Frame
+        from sightline.twin.scenes.specimens import SetUpSpec, specimen, with_accessories
+        from sightline.twin.xray.presets import preset
+        from sightline.twin.xray.setup import chain_for, with_errors
+
+        frame = Frame.load(self.frame)
+        chain = preset(self.preset or chain_for(frame))
+        made = None if self.frame_errors is None else with_errors(frame, np.random.default_rng(self.frame_errors))
+        machine = SetUpSpec(frame, self.side, chain.name, made, oblique=self.oblique)
+        drawn = specimen(self.what, rng, machine, None if self.at is None else np.array(_place(self.at)))
+        if self.accessory:  # from their own generator, so that the set-up is the same with and without them
+            drawn = with_accessories(drawn, self.accessory, np.random.default_rng([self.seed, _ACCESSORIES]))
+        return drawn, frame, made
+
+
+@command(
+    commands,
+    "simulate",
+    "sightline simulate hip --seed 3 --with lag-screw --with drape --out out/hip",
+    "sightline simulate object --seed 4 --frame-errors 7 --out out/frame-7",
+    "sightline simulate hip --frame block60 --out out/block",
+    "sightline simulate pelvis --frame block60 --out out/pelvis",
+)
+def simulate(
+    output: Output,
+    *,
+    scene: Scene,
+    dose: Annotated[
+        Literal["low", "medium", "high"], typer.Option(help="1, 8 or 32 frames of fluoroscopy.")
+    ] = "medium",
     png: Annotated[bool, typer.Option("--png", help="PNG instead of DICOM.")] = False,
     tags: Annotated[
         bool | None,
@@ -92,55 +118,42 @@ def simulate(
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the images and truth.json.")] = Path("out/simulate"),
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Make simulated X-ray images and their truth.
 
     One image for each view of the frame, and truth.json beside them.
     """
-    with Output(json=json, quiet=quiet) as output:
-        import numpy as np
+    import numpy as np
 
-        from sightline.atomic import whole_folder
-        from sightline.errors import UnusableInputError
-        from sightline.frame import Frame
-        from sightline.twin import DOSES, render
-        from sightline.twin.scenes.specimens import SetUpSpec, specimen, with_accessories
-        from sightline.twin.xray.presets import preset as chain_called
-        from sightline.twin.xray.setup import chain_for, with_errors
+    from sightline.atomic import whole_folder
+    from sightline.errors import UnusableInputError
+    from sightline.twin import DOSES, render
 
-        if png and tags:
-            raise UnusableInputError("a PNG holds no geometry tags; leave out --png or --tags")
-        designed = Frame.load(frame)
-        stated = tags if tags is not None else designed.solid is not None
-        chain = chain_called(preset or chain_for(designed))
-        as_made = None if frame_errors is None else with_errors(designed, np.random.default_rng(frame_errors))
-        machine = SetUpSpec(designed, side, chain.name, as_made, oblique=oblique)
-        place = None if at is None else np.array(_place(at))
-        rng = np.random.default_rng(seed)
-        with output.step("drawing the set-up"):
-            made = specimen(what, rng, machine, place)
-            if accessory:  # from their own generator, so that the set-up is the same with and without them
-                made = with_accessories(made, accessory, np.random.default_rng([seed, _ACCESSORIES]))
-        images = {}
-        for view in made.setup.views:
-            with output.step(f"exposing {view}"):
-                images[view] = render(made.setup, view, made.scene, rng, DOSES[dose])
-        told = {"what": Path(what).name, "preset": chain.name, "seed": seed, "dose": dose, "whole_shown": made.shown}
-        if frame_errors is not None:
-            told["frame_errors"] = frame_errors
-        with whole_folder(out) as scratch:
-            files = _write(scratch, images, made, {**told, **made.truth}, png=png, tags=stated)
-            if as_made is not None:
-                as_made.save(scratch / AS_MADE)
-                files.append(scratch / AS_MADE)
-        if not made.shown:
-            output.note(f"the field of {chain.name} does not show everything; see the pixels in truth.json")
-        written = [out / file.name for file in files]
-        for file in written:
-            output.say(f"written: {file}")
-        output.result({**told, "frame": machine.frame.key, "side": side, "files": written})
+    if png and tags:
+        raise UnusableInputError("a PNG holds no geometry tags; leave out --png or --tags")
+    rng = np.random.default_rng(scene.seed)
+    with output.step("drawing the set-up"):
+        drawn, frame, made = scene.drawn(rng)
+    images = {}
+    for view in drawn.setup.views:
+        with output.step(f"exposing {view}"):
+            images[view] = render(drawn.setup, view, drawn.scene, rng, DOSES[dose])
+    chain = next(iter(drawn.setup.views.values())).chain.name
+    truth: dict[str, Any] = {"what": Path(scene.what).name, "preset": chain, "seed": scene.seed, "dose": dose}
+    truth["whole_shown"] = drawn.shown
+    if made is not None:
+        truth["frame_errors"] = scene.frame_errors
+    with whole_folder(out) as scratch:
+        stated = tags if tags is not None else frame.solid is not None
+        files = _write(scratch, images, drawn, png=png, tags=stated)
+        (scratch / "truth.json").write_text(as_json({**truth, **drawn.truth}))
+        if made is not None:
+            made.save(scratch / AS_MADE)
+    if not drawn.shown:
+        output.note(f"the field of {chain} does not show everything; see the pixels in truth.json")
+    written = [out / name for name in (*files, "truth.json", *([] if made is None else [AS_MADE]))]
+    output.written(written)
+    output.result({**truth, "frame": frame.key, "side": scene.side, "files": written})
 
 
 def _place(text: str) -> list[float]:
@@ -156,20 +169,17 @@ def _place(text: str) -> list[float]:
     return numbers
 
 
-def _write(
-    folder: Path, images: "dict[str, Radiograph]", made: "Specimen", truth: dict[str, Any], *, png: bool, tags: bool
-) -> list[Path]:
-    from dataclasses import replace
-
-    from sightline.atomic import write_whole
+def _write(folder: Path, images: "dict[str, Radiograph]", drawn: "Specimen", *, png: bool, tags: bool) -> list[str]:
+    """Write the images; return the names of their files."""
     from sightline.imaging import write_dicom, write_png
     from sightline.twin.scenes.specimens import nominal_tags
 
-    files = []
-    for name, image in images.items():
+    names = []
+    for view, image in images.items():
+        names.append(f"{view}.{'png' if png else 'dcm'}")
         if png:
-            files.append(write_png(image, folder / f"{name}.png"))
+            write_png(image, folder / names[-1])
         else:
-            stated = nominal_tags(made.setup.views[name], made.setup.side) if tags else image.tags
-            files.append(write_dicom(replace(image, tags=stated), folder / f"{name}.dcm", made.setup.side))
-    return [*files, write_whole(folder / "truth.json", as_json(truth).encode())]
+            stated = nominal_tags(drawn.setup.views[view], drawn.setup.side) if tags else image.tags
+            write_dicom(replace(image, tags=stated), folder / names[-1], drawn.setup.side)
+    return names

@@ -1,13 +1,14 @@
 """`sightline watch`: calibrate each frame of a live image, draw the plan, raise an alarm when frame or C-arm move."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.detect import Invert
-from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.options import FrameName, Invert, WireKey, command, commands
+from sightline.cli.output import Output
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
@@ -19,28 +20,29 @@ if TYPE_CHECKING:
 _WAIT_S = 0.5  # timeout of one wait for a frame
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    epilog = example("sightline watch 0 --plan out/plan", "sightline watch --rehearse 1 --seconds 10")
-    app.command("watch", epilog=epilog)(watch)
+@dataclass(frozen=True)
+class Live:
+    """The live image: a source, or a simulated C-arm."""
 
-
-def watch(
     source: Annotated[
         str | None,
         typer.Argument(help="Device number, stream address, video file, multi-frame DICOM file or folder of images."),
-    ] = None,
-    *,
+    ] = None
     rehearse: Annotated[
         int | None,
         typer.Option(metavar="SEED", help="Watch a simulated C-arm drawn from this seed; it is bumped after 6 s."),
-    ] = None,
-    frame: Annotated[str, typer.Option(help="A frame file, gamma, biplane or stereo.")] = "gamma",
+    ] = None
+    frame: FrameName = "gamma"
+    invert: Invert = False
+
+
+@command(commands, "watch", "sightline watch 0 --plan out/plan", "sightline watch --rehearse 1 --seconds 10")
+def watch(
+    out: Output,
+    *,
+    live: Live,
     plan: Annotated[Path | None, typer.Option(help="Plan to draw: plan.json of `sightline plan --out`.")] = None,
-    of_wire: Annotated[
-        str | None,
-        typer.Option("--wire", help="Key of the wire to draw, in a plan of several.", show_default=False),
-    ] = None,
+    wire: WireKey = None,
     planned: Annotated[
         list[Path] | None,
         typer.Option(
@@ -49,47 +51,41 @@ def watch(
         ),
     ] = None,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time.", show_default=False)] = None,
-    invert: Invert = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Watch a live image and report movements.
 
     Every frame is calibrated, the plan is drawn into it, and an alarm is given when frame or C-arm move. With --json
     every frame is one line, and the last line is the summary.
     """
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.case.watch.alarm import BLIND_TO
-        from sightline.case.watch.live import Watch
-        from sightline.frame import Frame
+    from sightline.case.watch.alarm import BLIND_TO
+    from sightline.case.watch.live import Watch
+    from sightline.frame import Frame
 
-        known = Frame.load(frame)
-        known.refuse_solid("a live image is watched by the plates of a frame")
-        images, wire = _opened(source, rehearse, known, out, invert=invert)
-        wire = wire if plan is None else _planned(plan, of_wire, known, out)
-        with out.step("planning images"):
-            references = [_reference(path, known, invert=invert) for path in planned or ()]
-        out.note(BLIND_TO)
-        with Watch(known, images, wire, references) as watching:
-            tally = _follow(watching, out, seconds)
-        out.result(_summary(tally, watching) | {"blind_to": BLIND_TO})
+    frame = Frame.load(live.frame)
+    frame.refuse_solid("a live image is watched by the plates of a frame")
+    images, drawn = _opened(live, frame, out)
+    drawn = drawn if plan is None else _planned(plan, wire, frame, out)
+    with out.step("planning images"):
+        references = [_reference(path, frame, invert=live.invert) for path in planned or ()]
+    out.note(BLIND_TO)
+    with Watch(frame, images, drawn, references) as watching:
+        tally = _follow(watching, out, seconds)
+    out.result(_summary(tally, watching) | {"blind_to": BLIND_TO})
 
 
-def _opened(
-    source: str | None, seed: int | None, frame: "Frame", out: Output, *, invert: bool
-) -> "tuple[Iterable[TimedImage], Trajectory | None]":
+def _opened(live: Live, frame: "Frame", out: Output) -> "tuple[Iterable[TimedImage], Trajectory | None]":
     """Return the images of the source, and the wire of a simulated one. Raises UnusableInputError."""
     from sightline.case.watch.sources import open_source
     from sightline.errors import UnusableInputError
 
-    if (source is None) == (seed is None):
+    if (live.source is None) == (live.rehearse is None):
         raise UnusableInputError("give one source, or --rehearse SEED for a simulated one")
-    if source is not None:
-        return open_source(source, invert=invert), None
+    if live.source is not None:
+        return open_source(live.source, invert=live.invert), None
     from sightline.rehearsal.stream import SimulatedFluoroscopy
 
     with out.step("taking the C-arm's images"):
-        stream = SimulatedFluoroscopy(int(seed or 0), frame)
+        stream = SimulatedFluoroscopy(int(live.rehearse or 0), frame)
     return stream, stream.wire
 
 
@@ -118,7 +114,6 @@ def _reference(path: Path, frame: "Frame", *, invert: bool) -> "BeadView":
 
 def _follow(watching: "Watch", out: Output, seconds: float | None) -> "list[Watched]":
     """Return the result of each processed frame, without its image."""
-    from dataclasses import replace
     from time import monotonic
 
     end = None if seconds is None else monotonic() + seconds

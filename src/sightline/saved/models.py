@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
+from sightline.case.picks import Picks
 from sightline.case.report.document import CalibratedViewDocument
 from sightline.planning.document import CheckDocument, PlanDocument, TrajectoryDocument
 from sightline.planning.procedures.document import ProcedureDocument
@@ -175,7 +176,7 @@ class SavedCheckShot(_Saved):
     checks: tuple[CheckDocument, ...]
 
 
-PUBLISHED = {"views": SavedViews, "trajectory": SavedTrajectory, "procedure": ProcedureDocument}
+PUBLISHED = {"views": SavedViews, "trajectory": SavedTrajectory, "procedure": ProcedureDocument, "picks": Picks}
 
 
 def schema_text(name: str) -> str:

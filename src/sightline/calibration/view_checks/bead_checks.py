@@ -80,7 +80,7 @@ def handedness_check(upright: bool, mirrored_display: bool | None) -> Check:
             if upright
             else "Every image shows the mirror image of the frame file: either the displays are mirrored, or the file "
             "is left-handed and every point is wrong. Look at writing in the images. If it is mirrored, confirm that: "
-            "calibrate(..., mirrored_display=True), --mirrored on the command line, or the step Images of the app. If "
+            "calibrate(..., mirrored_display=True), mirrored in the file of picks, or the step Images of the app. If "
             "not, correct the frame file."
         )
     else:

@@ -1,12 +1,15 @@
 """`sightline frame fit`: a frame file from measurements of the balls."""
 
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.frames.frame import app
+from sightline.cli.options import command, refuse_existing
+from sightline.cli.output import Output
 
 if TYPE_CHECKING:
     from sightline.frame.measured.fit import FittedFrame
@@ -14,64 +17,65 @@ if TYPE_CHECKING:
 _SHOWN = 8  # balls in the table; --json has them all
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to `sightline frame`."""
-    epilog = example("sightline frame fit measured.csv --frame gamma --out gamma-07.json --serial 07")
-    app.command("fit", epilog=epilog)(fit)
+@dataclass(frozen=True)
+class Conditions:
+    """Which frame was measured, when, and how it is used."""
 
-
-def fit(
-    measurements: Annotated[Path, typer.Argument(help="CSV of measured balls (docs/own-frame.md).")],
-    *,
-    frame: Annotated[str, typer.Option(help="The frame as designed: a frame file, or a built-in one.")],
-    out: Annotated[Path, typer.Option(help="Frame file to write.")],
-    covariance: Annotated[
-        Path | None, typer.Option(help="CSV with the full covariance of all coordinates, mm².")
-    ] = None,
-    serial: Annotated[str | None, typer.Option(help="Serial number of the frame.")] = None,
-    measured_on: Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Date of the measurement.")] = None,
-    temperature_c: Annotated[
-        float | None, typer.Option(help="Temperature of the frame when it was measured, °C.")
-    ] = None,
+    serial: Annotated[str | None, typer.Option(help="Serial number of the frame.")] = None
+    measured_on: Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Date of the measurement.")] = None
+    temperature_c: Annotated[float | None, typer.Option(help="Temperature of the frame when it was measured, °C.")] = (
+        None
+    )
     use_temperature_c: Annotated[
         float | None, typer.Option(help="Temperature in use, °C; plates or block are scaled to it.")
-    ] = None,
+    ] = None
     drift_mm: Annotated[
         float,
         typer.Option(
             help="Movement of a plate until it is used, 1 s.d. per axis, mm: heat, moisture, drapes. None for a block."
         ),
-    ] = 0.05,
-    json: Json = False,
-    quiet: Quiet = False,
+    ] = 0.05
+
+
+@command(app, "fit", "sightline frame fit measured.csv --frame gamma --out gamma-07.json --serial 07")
+def fit(
+    output: Output,
+    *,
+    measurements: Annotated[Path, typer.Argument(help="CSV of measured balls (docs/own-frame.md).")],
+    frame: Annotated[str, typer.Option(help="The frame as designed: a frame file, or a built-in one.")],
+    out: Annotated[Path, typer.Option(help="Frame file to write.")],
+    covariance: Annotated[
+        Path | None, typer.Option(help="CSV with the full covariance of all coordinates, mm².")
+    ] = None,
+    conditions: Conditions,
 ) -> None:
     """Make a frame file from measured balls.
 
     The frame is adjusted to the measurements. Where a check fails, nothing is written (exit code 3).
     """
-    with Output(json=json, quiet=quiet) as output:
-        from sightline.errors import FrameError
-        from sightline.frame import Frame
-        from sightline.frame.measured.fit import Circumstances, fit_frame
-        from sightline.frame.measured.measurements import read_measurements
+    from sightline.frame import Frame
+    from sightline.frame.measured.fit import Circumstances, fit_frame
+    from sightline.frame.measured.measurements import read_measurements
 
-        if out.exists():
-            raise FrameError(f"{out.name} exists; remove it, or name another file")
-        day = measured_on.date().isoformat() if measured_on else None
-        told = Circumstances(serial, day, temperature_c, use_temperature_c, drift_mm)
-        nominal = Frame.load(frame)
-        series = read_measurements(measurements, covariance)
-        with output.step("adjusting the frame"):
-            fitted = fit_frame(nominal, series, told)
-        document = _document(fitted)
-        output.failures(fitted.checks)
-        _show(output, document)
-        if fitted.frame is not None:
-            fitted.frame.save(out)
-            if told.growth:
-                output.say(f"grown by {1e6 * told.growth:.0f} ppm, from {temperature_c:g} to {use_temperature_c:g} °C")
-            output.say(f"written: {out}")
-        output.result({"file": out if fitted.frame else None, "growth": told.growth, **document}, fitted.checks)
+    refuse_existing(out)
+    day = conditions.measured_on.date().isoformat() if conditions.measured_on else None
+    told = Circumstances(
+        conditions.serial, day, conditions.temperature_c, conditions.use_temperature_c, conditions.drift_mm
+    )
+    nominal = Frame.load(frame)
+    series = read_measurements(measurements, covariance)
+    with output.step("adjusting the frame"):
+        fitted = fit_frame(nominal, series, told)
+    document = _document(fitted)
+    output.failures(fitted.checks)
+    _show(output, document)
+    if fitted.frame is not None:
+        fitted.frame.save(out)
+        if told.growth:
+            grown = f"from {conditions.temperature_c:g} to {conditions.use_temperature_c:g} °C"
+            output.say(f"grown by {1e6 * told.growth:.0f} ppm, {grown}")
+        output.say(f"written: {out}")
+    output.result({"file": out if fitted.frame else None, "growth": told.growth, **document}, fitted.checks)
 
 
 def _document(fitted: "FittedFrame") -> dict[str, Any]:

@@ -1,53 +1,73 @@
-"""`sightline frame new | show | check`, and the group of all `frame` commands."""
+"""`sightline frame new | show | check | draw`."""
 
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sightline.checks import failed
-from sightline.cli.frames import draw, fit, self_check
-from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.options import FrameSource, command, group, refuse_existing
+from sightline.cli.output import Output
 
 if TYPE_CHECKING:
-    from sightline.frame.designs import FrameDesign
     from sightline.frame.model import Frame
     from sightline.frame.plate import FrameView, Plate, RigidBody
 
-app = typer.Typer(no_args_is_help=True, help="Make, measure, draw and check frames.")
-
-FrameSource = Annotated[
-    str, typer.Argument(metavar="FRAME", help="A frame file, or a built-in frame: gamma, biplane, stereo, block60, ...")
-]
+app = group("frame", "Make, measure, draw and check frames.")
 
 
-def register(parent: typer.Typer) -> None:
-    """Add the commands."""
-    for command in (fit, draw, self_check):
-        command.register(app)
-    parent.add_typer(app, name="frame")
+@dataclass(frozen=True)
+class Design:
+    """The values of a new frame that are not those of the frame that it is like."""
+
+    rows: Annotated[
+        int | None, typer.Option(help="Rows of balls on the XRII plate; the source plate has one more.")
+    ] = None
+    pitch_mm: Annotated[
+        float | None, typer.Option(help="Distance between neighbouring balls on the XRII plate, mm.")
+    ] = None
+    xrii_mm: Annotated[
+        float | None, typer.Option(help="Distance of the XRII plate from the hip, towards the intensifier, mm.")
+    ] = None
+    source_mm: Annotated[
+        float | None, typer.Option(help="Distance of the source plate from the hip, mm; negative on the source side.")
+    ] = None
+    datums: Annotated[int | None, typer.Option(help="Number of datum markers on each plate.")] = None
+
+    @property
+    def stated(self) -> dict[str, Any]:
+        """The values that are given, by name."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def frame(self, name: str, like: str) -> "Frame":
+        """Return a frame like a built-in one. Raises FrameError."""
+        from sightline.errors import FrameError
+        from sightline.frame import Frame
+        from sightline.frame.designs import builtin_design, patterns_for
+        from sightline.frame.solids import SOLIDS, WITH_PLATE
+
+        if like in SOLIDS or like in WITH_PLATE:
+            if self.stated:
+                raise FrameError(f"{like} is a block without plates; leave out their values, and edit its balls")
+            return replace(Frame.load(like), name=name)
+        values = {"datums": 6, **self.stated}
+        datums = values.pop("datums")
+        design = replace(builtin_design(like), name=name, **values)
+        patterns = patterns_for(design.beams, design.rows, datums, name)
+        return Frame.from_design(replace(design, patterns=patterns))
 
 
-@app.command("new", epilog=example("sightline frame new mine.json --like gamma --rows 7 --pitch-mm 22"))
+@command(app, "new", "sightline frame new mine.json --like gamma --rows 7 --pitch-mm 22")
 def new(
-    file: Annotated[Path, typer.Argument(help="The frame file to write.")],
+    out: Output,
     *,
+    file: Annotated[Path, typer.Argument(help="The frame file to write.")],
     like: Annotated[
         str, typer.Option(help="Built-in frame that gives the beams and every value not stated here, or a block.")
     ] = "gamma",
-    rows: Annotated[
-        int | None, typer.Option(help="Rows of balls on the XRII plate; the source plate has one more.")
-    ] = None,
-    pitch_mm: Annotated[
-        float | None, typer.Option(help="Distance between neighbouring balls on the XRII plate, mm.")
-    ] = None,
-    xrii_mm: Annotated[
-        float | None, typer.Option(help="Distance of the XRII plate from the hip, towards the intensifier, mm.")
-    ] = None,
-    source_mm: Annotated[
-        float | None, typer.Option(help="Distance of the source plate from the hip, mm; negative on the source side.")
-    ] = None,
-    datums: Annotated[int | None, typer.Option(help="Number of datum markers on each plate.")] = None,
+    design: Design,
     csv: Annotated[
         Path | None,
         typer.Option(
@@ -61,111 +81,124 @@ def new(
     units: Annotated[
         str | None, typer.Option(help="Unit of a frame specification of XMALab, mm or cm; default by its size.")
     ] = None,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Write a frame file.
 
     The frame is made from a few values or from a table of measured balls. It is checked first: where a check fails,
     nothing is written (exit code 3).
     """
-    with Output(json=json, quiet=quiet) as out:
-        from dataclasses import replace
+    from sightline.errors import FrameError
+    from sightline.frame.check import check_frame
+    from sightline.frame.table import frame_from_csv
 
-        from sightline.errors import FrameError
-        from sightline.frame.check import check_frame
-        from sightline.frame.model import Frame
-        from sightline.frame.solids import SOLIDS, WITH_PLATE
-        from sightline.frame.table import frame_from_csv
-
-        values = {"rows": rows, "pitch_mm": pitch_mm, "xrii_mm": xrii_mm, "source_mm": source_mm}
-        stated = {key: value for key, value in values.items() if value is not None}
-        if csv is not None and (stated or datums is not None):
-            raise FrameError("--csv states the whole frame; leave out the other values")
-        if file.exists():
-            raise FrameError(f"{file.name} exists; remove it, or name another file")
-        with out.step("making the frame"):
-            if csv is not None:
-                frame = frame_from_csv(csv, file.stem, diameter_mm, units)
-            elif diameter_mm is not None or units is not None:
-                raise FrameError("--diameter-mm and --units hold for --csv alone; leave them out")
-            elif like in SOLIDS or like in WITH_PLATE:
-                if stated or datums is not None:
-                    raise FrameError(f"{like} is a block without plates; leave out their values, and edit its balls")
-                frame = replace(Frame.load(like), name=file.stem)
-            else:
-                frame = Frame.from_design(_design(file.stem, like, stated, datums))
-        checks = check_frame(frame)
-        sound = not failed(checks)
-        if sound:
-            frame.save(file)
-        out.say(f"written: {file}" if sound else f"{file} was not written: a check failed")
-        out.result({"file": file if sound else None, **_document(frame)}, checks)
+    refuse_existing(file)
+    if csv is not None and design.stated:
+        raise FrameError("--csv states the whole frame; leave out the other values")
+    if csv is None and (diameter_mm is not None or units is not None):
+        raise FrameError("--diameter-mm and --units hold for --csv alone; leave them out")
+    with out.step("making the frame"):
+        if csv is None:
+            frame = design.frame(file.stem, like)
+        else:
+            frame = frame_from_csv(csv, file.stem, diameter_mm, units)
+    checks = check_frame(frame)
+    sound = not failed(checks)
+    if sound:
+        frame.save(file)
+    out.say(f"written: {file}" if sound else f"{file} was not written: a check failed")
+    out.result({"file": file if sound else None, **_document(frame)}, checks)
 
 
-@app.command("show", epilog=example("sightline frame show gamma --picture out/plates.png"))
+@command(app, "show", "sightline frame show gamma --picture out/plates.png")
 def show(
-    frame: FrameSource,
+    out: Output,
     *,
+    frame: FrameSource,
     picture: Annotated[
         Path | None, typer.Option(help="Write a PNG of the plates, or of the block's faces, to this file.")
     ] = None,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Show plates, datums, tolerances and reach of a frame.
 
     Of a block: its balls, and where it may stand.
     """
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.frame import Frame
+    from sightline.frame import Frame
 
-        loaded = Frame.load(frame)
-        document = _document(loaded)
-        _show(out, loaded, document)
-        if picture is not None:
-            from sightline.frame.drawings.picture import draw_frame
+    loaded = Frame.load(frame)
+    document = _document(loaded)
+    _show(out, loaded, document)
+    if picture is not None:
+        from sightline.frame.drawings.picture import draw_frame
 
-            draw_frame(loaded, picture)
-            out.say(f"written: {picture}")
-        out.result(document)
+        draw_frame(loaded, picture)
+        out.say(f"written: {picture}")
+    out.result(document)
 
 
-@app.command("check", epilog=example("sightline frame check gamma"))
+@command(app, "check", "sightline frame check gamma")
 def check(
-    frame: FrameSource,
+    out: Output,
     *,
+    frame: FrameSource,
     before: Annotated[
         str | None, typer.Option(help="Earlier file of the same frame: fail if the new one is its mirror image.")
     ] = None,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Check a frame.
 
     Exit code 3 if a check fails. Of a block, it also says where it may stand.
     """
-    with Output(json=json, quiet=quiet) as out:
-        from sightline.frame import Frame
-        from sightline.frame.check import before_check, check_frame
+    from sightline.frame import Frame
+    from sightline.frame.check import before_check, check_frame
 
-        loaded = Frame.load(frame)
-        checks = check_frame(loaded)
-        if before is not None:
-            checks += (before_check(loaded, Frame.load(before)),)
-        solid = None if loaded.solid is None else _solid_document(loaded.solid)
-        if solid is not None:
-            _show_solid(out, solid)
-        out.result({"frame": loaded.key, "solid": solid}, checks)
+    loaded = Frame.load(frame)
+    checks = check_frame(loaded)
+    if before is not None:
+        checks += (before_check(loaded, Frame.load(before)),)
+    solid = None if loaded.solid is None else _solid_document(loaded.solid)
+    if solid is not None:
+        _show_solid(out, solid)
+    out.result({"frame": loaded.key, "solid": solid}, checks)
 
 
-def _design(name: str, like: str, stated: dict[str, Any], datums: int | None) -> "FrameDesign":
-    from dataclasses import replace
+@command(app, "draw", "sightline frame draw gamma --out out/drawings")
+def draw(
+    output: Output,
+    *,
+    frame: FrameSource,
+    out: Annotated[Path, typer.Option(help="Folder for the files.")],
+    clearance_mm: Annotated[
+        float,
+        typer.Option(help="Added to the bores' diameters in the STL, mm: 0.2 for FDM, 0.1 for SLA.", min=0, max=1),
+    ] = 0.0,
+) -> None:
+    """Write the drawings that a workshop needs.
 
-    from sightline.frame.designs import builtin_design, patterns_for
+    SVG and DXF of each plate or face, STL, an assembly picture, a bill of material and an inspection sheet.
+    """
+    from sightline.frame import Frame
+    from sightline.frame.drawings.bill import bill_rows
+    from sightline.frame.drawings.part import parts_of
+    from sightline.frame.drawings.workshop import write_workshop
 
-    design = replace(builtin_design(like), name=name, **stated)
-    return replace(design, patterns=patterns_for(design.beams, design.rows, 6 if datums is None else datums, name))
+    loaded = Frame.load(frame)
+    with output.step("drawing the parts"):
+        files = write_workshop(loaded, out, clearance_mm)
+    parts = parts_of(loaded)
+    output.table("Bill of material", ("item", "number", "material", "remark"), bill_rows(parts))
+    output.say(f"written: {len(files)} files in {out}")
+    document = [
+        {
+            "plate": part.name,
+            "width_mm": part.width_mm,
+            "height_mm": part.height_mm,
+            "thickness_mm": part.thickness_mm,
+            "bores": len(part.bores),
+            "position_tolerance_mm": part.position_mm,
+        }
+        for part in parts
+    ]
+    output.result({"files": files, "parts": document})
 
 
 def _document(frame: "Frame") -> dict[str, Any]:

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.detect import Invert
-from sightline.cli.output import Json, Output, Quiet, example
+from sightline.cli.frames.frame import app
+from sightline.cli.options import FrameName, Invert, command, refuse_existing
+from sightline.cli.output import Output
 
 if TYPE_CHECKING:
     from sightline.calibration.self_checks.plates import SelfCheck
@@ -18,64 +19,53 @@ _SHOWN = 8  # balls in the table; --json has them all
 _UNSEEN = 0.9  # an error whose s.d. the images leave above this share of its prior is not determined by them [ours]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to `sightline frame`."""
-    epilog = example("sightline frame self-check 1.dcm 2.dcm 3.dcm 4.dcm --frame gamma")
-    app.command("self-check", epilog=epilog)(self_check)
-
-
+@command(app, "self-check", "sightline frame self-check 1.dcm 2.dcm 3.dcm 4.dcm --frame gamma")
 def self_check(
+    output: Output,
+    *,
     images: Annotated[
         list[Path], typer.Argument(help="4 or more images, or observations as CSV, with the C-arm moved between them.")
     ],
-    *,
-    frame: Annotated[
-        str, typer.Option(help="The frame in the images: a frame file, gamma, biplane, stereo, block60 ...")
-    ] = "gamma",
+    frame: FrameName = "gamma",
     distance: Annotated[
         str | None,
         typer.Option(metavar="ID,ID,MM,SD", help="Of a block: a measured distance between two balls' centres, 1 s.d."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write the frame as the images show it to this file.")] = None,
     invert: Invert = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Check a frame by several images of itself.
 
     Finds balls beyond their tolerance and rotated plates, and says which errors images cannot show. The balls of a
     block are measured, in images of a flat panel.
     """
-    with Output(json=json, quiet=quiet) as output:
-        from sightline.calibration.self_checks.plates import self_check as adjust
-        from sightline.calibration.self_checks.solid import SolidSelfCheck, self_check_solid
-        from sightline.errors import FrameError
-        from sightline.frame import Frame
+    from sightline.calibration.self_checks.plates import self_check as adjust
+    from sightline.calibration.self_checks.solid import SolidSelfCheck, self_check_solid
+    from sightline.frame import Frame
 
-        if out is not None and out.exists():
-            raise FrameError(f"{out.name} exists; remove it, or name another file")
-        known = Frame.load(frame)
-        measured = None if known.solid is None else _distance(distance)
-        seen: list[ObservedView] = []
-        with output.progress("finding and labelling the beads", len(images)) as advance:
-            for path in images:
-                seen += _see(path, known, None if measured is None else f"image-{len(seen) + 1}", invert=invert)
-                advance()
-        with output.step("adjusting all images together"):
-            beads = [one.observations for one in seen]
-            if measured is None:
-                found = adjust(beads, known)
-            else:
-                from sightline.from_images.pipeline import known_arm
+    refuse_existing(out)
+    known = Frame.load(frame)
+    measured = None if known.solid is None else _distance(distance)
+    seen: list[ObservedView] = []
+    with output.progress("finding and labelling the beads", len(images)) as advance:
+        for path in images:
+            seen += _see(path, known, None if measured is None else f"image-{len(seen) + 1}", invert=invert)
+            advance()
+    with output.step("adjusting all images together"):
+        beads = [one.observations for one in seen]
+        if measured is None:
+            found = adjust(beads, known)
+        else:
+            from sightline.from_images.pipeline import known_arm
 
-                found = self_check_solid(beads, known, measured, [known_arm(one.image) for one in seen])
-        output.failures(found.checks)
-        document = _show_solid(output, found) if isinstance(found, SolidSelfCheck) else _show(output, _document(found))
-        written = out if out is not None and all(check.passed for check in found.checks) else None
-        if written is not None:
-            found.frame.save(written)
-            output.say(f"written: {written}")
-        output.result({"file": written, "images": len(seen), **document}, found.checks)
+            found = self_check_solid(beads, known, measured, [known_arm(one.image) for one in seen])
+    output.failures(found.checks)
+    document = _show_solid(output, found) if isinstance(found, SolidSelfCheck) else _show(output, _document(found))
+    written = out if out is not None and all(check.passed for check in found.checks) else None
+    if written is not None:
+        found.frame.save(written)
+        output.say(f"written: {written}")
+    output.result({"file": written, "images": len(seen), **document}, found.checks)
 
 
 def _distance(text: str | None) -> "KnownDistance":

@@ -7,68 +7,57 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.checks import failed
-from sightline.cli.calibrate import PixelSize, Sid
-from sightline.cli.detect import Invert
-from sightline.cli.output import Json, Output, Quiet, example
-from sightline.cli.planning.plan import Mirrored, both_or_none, image_numbers, images_of
-from sightline.cli.planning.points import CHECK_VIEWS, FoundAgain, parse_found_again
+from sightline.cli.options import Distances, Invert, WireKey, command, commands
+from sightline.cli.output import Output
+from sightline.cli.planning.images import both_or_none, image_numbers, images_of
 
 if TYPE_CHECKING:
     from sightline.case.journal import Entry
+    from sightline.case.picks import Picks
     from sightline.planning.check.result import CheckShot
     from sightline.planning.check.start import Landmarks
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    epilog = example(
-        "sightline check-shot check_pa.dcm check_lateral.dcm --case out/case \\",
-        "  --landmark 'head-centre check-pa:703.2,425.4 check-lateral:438.9,358.1'",
-    )
-    app.command("check-shot", epilog=epilog)(check_shot)
-
-
+@command(
+    commands,
+    "check-shot",
+    "sightline check-shot check_pa.dcm check_lateral.dcm --case out/case \\",
+    "  --picks found.json",
+)
 def check_shot(
+    output: Output,
+    *,
     pa: Annotated[
         Path | None, typer.Argument(help="PA image with the wire. Default: the newest of the case since the plan.")
     ] = None,
     lateral: Annotated[Path | None, typer.Argument(help="Lateral image with the wire.")] = None,
-    *,
     case: Annotated[Path, typer.Option(help="Folder of the case with the plan, made by `plan --case` or the app.")],
-    landmark: Annotated[
-        list[str] | None,
+    picks: Annotated[
+        Path | None,
         typer.Option(
-            help="A landmark found again: 'NAME check-pa:U,V check-lateral:U,V' for one of the plan; for another point "
-            "add where it lies in the planning images, pa:U,V lateral:U,V. Three show how the bone moved.",
+            metavar="FILE",
+            help="JSON file of landmarks found again (docs/check-shot.md). Three show how the bone moved.",
             show_default=False,
         ),
     ] = None,
-    wire: Annotated[
-        str | None,
-        typer.Option(help="Key of the wire, where several were planned together.", show_default=False),
-    ] = None,
-    pick_sd: Annotated[float, typer.Option(help="Standard deviation of a pick, px; 0.5 is a careful click.")] = 0.5,
-    mirrored: Mirrored = None,
-    sid: Sid = None,
-    pixel: PixelSize = None,
+    wire: WireKey = None,
+    distances: Distances,
     invert: Invert = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Measure the inserted wire against its plan.
 
     The wire is found in two more images of the same views and compared with the last plan of the case, in which the
     result is recorded. Exit code 3 if a check fails or the wire is not found.
     """
-    with Output(json=json, quiet=quiet) as output, ExitStack() as stack:
+    with ExitStack() as stack:
         files = both_or_none(pa, lateral)
-        points = [parse_found_again(text) for text in landmark or ()]
         from sightline.case.contents import CheckRequest
         from sightline.case.journal import Actor, Case, Kind
         from sightline.case.pairs import record_images
+        from sightline.case.picks import CHECK_NAMES, Picks
         from sightline.case.replay import Recomputed
         from sightline.case.stages import frame_of, record_verified
-        from sightline.case.views import calibrate_pair
+        from sightline.case.views import NAMES, calibrate_pair
         from sightline.errors import CaseError, RefusedError
         from sightline.planning.wires import judge_measured
 
@@ -79,14 +68,16 @@ def check_shot(
             raise CaseError("the case holds no plan; make one with `sightline plan --case`")
         entry = _of_wire(entry, again.of_all_wires(entry), wire)
         asked = entry.content["asked"]
-        landmarks = landmarks_of(points, asked["landmark_names"], asked["landmarks_uv_px"], pick_sd)
+        given = Picks() if picks is None else Picks.read(picks)
+        landmarks = landmarks_of(given, asked["landmark_names"], asked["landmarks_uv_px"])
         frame = frame_of(opened, opened.entry(entry.rests_on[0]).settings["frame"])
         with output.step("computing the plan again"):
             made, planned = again.plan(entry), again.images(entry)
         with output.step("finding and labelling the beads"):
-            taken = images_of(output, opened, files, frame, invert=invert, after=entry.number)
+            taken = images_of(output, opened, files, frame, NAMES, invert=invert, after=entry.number)
         with output.step("calibrating both views (smooth)"):
-            images = calibrate_pair(taken.seen, frame, "smooth", mirrored or (), source_detector_mm=sid, pixel_mm=pixel)
+            known = {"source_detector_mm": distances.sid, "pixel_mm": distances.pixel}
+            images = calibrate_pair(taken.seen, frame, "smooth", given.mirrored, **known)
         views = record_images(opened, taken, images, frame, by=Actor.COMMAND)
         check = CheckRequest(made.kind.wire_mm, landmarks)
         try:
@@ -108,7 +99,7 @@ def check_shot(
             f"case {opened.number}: the check shot is entry {kept.number}, against the plan of entry {entry.number}"
         )
         numbers = {"number": opened.number, "plan": entry.number, "entry": kept.number}
-        numbers |= {"images": image_numbers(opened, views, CHECK_VIEWS)}
+        numbers |= {"images": image_numbers(opened, views, CHECK_NAMES)}
         document = {key: value for key, value in shot.document().items() if key != "checks"}
         output.result({**document, "case": numbers}, (*shot.checks, *relations))
 
@@ -125,28 +116,31 @@ def _of_wire(last: "Entry", of_all: "dict[str, Entry]", wire: str | None) -> "En
     return of_all[wire]
 
 
-def landmarks_of(points: list[FoundAgain], names: list[str], picked: Any, sd_px: float) -> "Landmarks":
-    """Return landmarks found again; `names`, `picked` (V, L, 2): those of the plan, of which the first two views count.
+def landmarks_of(picks: "Picks", names: list[str], planned: Any) -> "Landmarks":
+    """Return landmarks found again; `names`, `planned` (V, L, 2): of the plan, of which the first two views count.
 
     Raises UnusableInputError.
     """
     import numpy as np
 
+    from sightline.case.picks import CHECK_NAMES
+    from sightline.case.views import NAMES
     from sightline.errors import UnusableInputError
     from sightline.planning.check.start import Landmarks
 
-    before = np.array([[], []] if picked is None else picked[:2], dtype=np.float64).reshape(2, -1, 2)
+    before = np.array([[], []] if planned is None else planned[:2], dtype=np.float64).reshape(2, -1, 2)
     known = {name: before[:, k] for k, name in enumerate(names) if name and np.isfinite(before[:, k]).all()}
-    for point in points:
-        if point.planned is None and point.name not in known:
+    again = [mark for mark in picks.landmarks if mark.check_pa is not None]
+    for mark in again:
+        if mark.pa is None and mark.name not in known:
             raise UnusableInputError(
-                f"the plan has no landmark {point.name!r}; it has {', '.join(known) or 'none with a name'}. Add where "
-                "the point lies in the planning images: pa:U,V lateral:U,V"
+                f"the plan has no landmark {mark.name!r}; it has {', '.join(known) or 'none with a name'}. Add where "
+                "the point lies in the planning images: pa and lateral"
             )
-    planned = [known[point.name] if point.planned is None else np.array(point.planned) for point in points]
-    checked = [np.array(point.checked) for point in points]
-    given, found = (np.reshape(px, (-1, 2, 2)).swapaxes(0, 1) for px in (planned, checked))
-    return Landmarks(given, found, sd_px)
+    given = [known[mark.name] if mark.pa is None else mark.uv_px(NAMES) for mark in again]
+    found = [mark.uv_px(CHECK_NAMES) for mark in again]
+    planned_px, checked_px = (np.reshape(uv_px, (-1, 2, 2)).swapaxes(0, 1) for uv_px in (given, found))
+    return Landmarks(planned_px, checked_px, picks.pick_sd_px)
 
 
 def _show(output: Output, shot: "CheckShot") -> None:

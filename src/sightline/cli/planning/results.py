@@ -9,6 +9,7 @@ from sightline.cli.output import Output
 
 if TYPE_CHECKING:
     from sightline.case.contents import Images
+    from sightline.case.picks import AskedPlan, Picks
     from sightline.case.report.content import Report
     from sightline.frame import Frame
     from sightline.planning import Plan, WirePlans
@@ -83,8 +84,7 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], 
         number, entries = document["case"]["number"], document["case"].get("entries", {})
         for wire, entry in (entries or {"": document["case"].get("entry")}).items():
             output.say(f"case {number}: the plan{f' of the wire {wire}' if wire else ''} is entry {entry}")
-    for file in document.get("files", ()):
-        output.say(f"written: {file}")
+    output.written(document.get("files", ()))
 
 
 def _rows(planned: "Plan", *, alone: bool) -> list[tuple[str | None, ...]]:
@@ -117,7 +117,9 @@ def _called(key: str, name: str) -> str:
     return key if name == f"{key} point" else f"{key} ({name})"
 
 
-def reports(planned: "Plan | WirePlans", images: "Images", frame: "Frame", picks: str) -> "Mapping[str, Report]":
+def reports(
+    planned: "Plan | WirePlans", images: "Images", frame: "Frame", asked: "AskedPlan"
+) -> "Mapping[str, Report]":
     """Return the report of each wire's plan, by wire; "" for that of a wire alone."""
     from sightline.case.report import exposures
     from sightline.case.report.content import Report
@@ -126,16 +128,21 @@ def reports(planned: "Plan | WirePlans", images: "Images", frame: "Frame", picks
     plans = each_of(planned)
     exposed = exposures.of_images(images, exposures.PLANNING, next(iter(plans.values())).kind)
     wires = None if isinstance(planned, Plan) else planned
+    picks = {"picks": "; ".join([*asked.proposals, f"all in picks.json, with {asked.picks.pick_sd_px:g} px s.d."])}
     return {
-        key: Report("Planned guide wire", frame, images, one, exposed, {"picks": picks}, wires=wires)
-        for key, one in plans.items()
+        key: Report("Planned guide wire", frame, images, plan, exposed, picks, wires=wires)
+        for key, plan in plans.items()
     }
 
 
 def write(
-    folder: Path, planned: "Plan | WirePlans", made: "Mapping[str, Report]", document: dict[str, Any]
+    folder: Path,
+    planned: "Plan | WirePlans",
+    made: "Mapping[str, Report]",
+    document: dict[str, Any],
+    picks: "Picks",
 ) -> list[Path]:
-    """Write the reports, plan.json and the undistorted images; return the files."""
+    """Write the reports, plan.json, picks.json and the undistorted images; return the files."""
     from sightline.atomic import write_folder
     from sightline.case.interop.bundle import bundle
     from sightline.case.interop.plan_file import of_wires, sealed
@@ -149,4 +156,5 @@ def write(
         plans[key] = {**own, **taken}
     whole = plans[""] if "" in plans else of_wires({**document, "checks": planned.verdict.checks}, plans)
     pages = {f"report{f'-{key}' if key else ''}.html": render(report).encode() for key, report in made.items()}
-    return write_folder(folder, {**pages, "plan.json": as_json(sealed(whole)).encode(), **files})
+    texts = {"plan.json": as_json(sealed(whole)), "picks.json": picks.text}
+    return write_folder(folder, {**pages, **{name: text.encode() for name, text in texts.items()}, **files})

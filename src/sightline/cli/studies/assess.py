@@ -1,66 +1,67 @@
 """`sightline assess`: the paper's Table 1 measured on your own C-arm."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.detect import Invert
-from sightline.cli.output import Json, Output, Quiet, example
-from sightline.cli.planning.plan import MethodName, Mirrored
+from sightline.cli.options import FrameName, Invert, Method, Mirrored, command, commands
+from sightline.cli.output import Output
 
 if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage
     from sightline.studies.assess import Assessment, MeasuredPoints
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("assess", epilog=example("sightline assess pa.dcm lateral.dcm --truth points.csv"))(assess)
+@dataclass(frozen=True)
+class Pair:
+    """Both images, and how they are calibrated."""
+
+    pa: Annotated[Path, typer.Argument(help="The PA image, or observations as CSV.")]
+    lateral: Annotated[Path, typer.Argument(help="The lateral image, or observations as CSV (may be the same file).")]
+    frame: FrameName = "gamma"
+    method: Method = "smooth"
+    mirrored: Mirrored = None
+    invert: Invert = False
 
 
+@command(commands, "assess", "sightline assess pa.dcm lateral.dcm --truth points.csv")
 def assess(
-    pa: Annotated[Path, typer.Argument(help="The PA image, or observations as CSV.")],
-    lateral: Annotated[Path, typer.Argument(help="The lateral image, or observations as CSV (may be the same file).")],
+    output: Output,
     *,
+    pair: Pair,
     truth: Annotated[
         Path,
         typer.Option(help="CSV of measured test points: name,x_mm,y_mm,z_mm and, if picked, four pixel coordinates."),
     ],
-    frame: Annotated[str, typer.Option(help="A frame file, gamma, biplane or stereo.")] = "gamma",
-    method: Annotated[MethodName, typer.Option(help="Calibration method; localized is the paper's.")] = "smooth",
     pick_sd: Annotated[float, typer.Option(help="Standard deviation of the pixels in the table, px.")] = 0.5,
-    mirrored: Mirrored = None,
-    invert: Invert = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Reconstruct test points and compare them with measured ones.
 
     Exit code 3: the errors are larger than predicted.
     """
-    with Output(json=json, quiet=quiet) as output:
-        from sightline.case.documents import view_document
-        from sightline.case.views import calibrate_pair, see_pair
-        from sightline.frame import Frame
-        from sightline.studies.assess import assess as compare
-        from sightline.studies.assess import read_points
+    from sightline.case.documents import view_document
+    from sightline.case.views import calibrate_pair, see_pair
+    from sightline.frame import Frame
+    from sightline.studies.assess import assess as compare
+    from sightline.studies.assess import read_points
 
-        known_frame, points = Frame.load(frame), read_points(truth)
-        with output.step("finding and labelling the beads"):
-            seen = see_pair(pa, lateral, known_frame, invert=invert)
-        with output.step(f"calibrating both views ({method})"):
-            images = calibrate_pair(seen, known_frame, method, mirrored or ())
-        uv_px, covariance_px2 = _pixels(points, images, pick_sd)
-        result = compare([image.view for image in images], points, uv_px, covariance_px2)
-        checks = (
-            [check for image in images for check in image.view.checks]
-            + list(result.checks)
-            + list(result.points.frame_checks())
-        )
-        output.failures(checks)
-        _show(output, result)
-        output.result({**result.document(), "views": [view_document(image) for image in images]}, checks)
+    frame, points = Frame.load(pair.frame), read_points(truth)
+    with output.step("finding and labelling the beads"):
+        seen = see_pair(pair.pa, pair.lateral, frame, invert=pair.invert)
+    with output.step(f"calibrating both views ({pair.method})"):
+        images = calibrate_pair(seen, frame, pair.method, pair.mirrored or ())
+    uv_px, covariance_px2 = _pixels(points, images, pick_sd)
+    result = compare([image.view for image in images], points, uv_px, covariance_px2)
+    checks = (
+        [check for image in images for check in image.view.checks]
+        + list(result.checks)
+        + list(result.points.frame_checks())
+    )
+    output.failures(checks)
+    _show(output, result)
+    output.result({**result.document(), "views": [view_document(image) for image in images]}, checks)
 
 
 def _pixels(points: "MeasuredPoints", images: "tuple[CalibratedImage, CalibratedImage]", pick_sd: float) -> Any:

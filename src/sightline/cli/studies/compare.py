@@ -5,49 +5,43 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.detect import Invert
-from sightline.cli.output import Json, Output, Quiet, as_json, example
+from sightline.cli.options import Invert, command, commands
+from sightline.cli.output import Output, as_json
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("compare", epilog=example("sightline compare images --out out/compare"))(compare)
-
-
+@command(commands, "compare", "sightline compare images --out out/compare")
 def compare(
-    folder: Annotated[Path, typer.Argument(help="Folder of images of one C-arm: plates, beads, open beam, anatomy.")],
+    output: Output,
     *,
+    folder: Annotated[Path, typer.Argument(help="Folder of images of one C-arm: plates, beads, open beam, anatomy.")],
     seed: Annotated[int, typer.Option(min=0, help="The twin of image k draws from the generator of [seed, k].")] = 1,
     out: Annotated[Path, typer.Option(help="Folder for the page and the plots.")] = Path("out/compare"),
     invert: Invert = False,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Compare real images with the digital twin's.
 
     Both are measured in the same way; the page says by how much they differ.
     """
-    with Output(json=json, quiet=quiet) as output:
-        import numpy as np
+    import numpy as np
 
-        from sightline.atomic import write_folder
-        from sightline.studies.comparison.compare import compare as one_pair
-        from sightline.studies.comparison.compare import document, findings, plots, read_folder
-        from sightline.studies.comparison.page import render
+    from sightline.atomic import write_folder
+    from sightline.studies.comparison.compare import compare as one_pair
+    from sightline.studies.comparison.compare import document, findings, plots, read_folder
+    from sightline.studies.comparison.page import render
 
-        images, passed = read_folder(folder, invert=invert)
-        for reason in passed:
-            output.note(f"skipped: {reason}")
-        pairs = []
-        with output.progress("images and their twins", len(images)) as advance:
-            for k, (name, image) in enumerate(images):
-                pairs.append(one_pair(name, image, np.random.default_rng([seed, k])))
-                advance()
-        figures = document(pairs, passed, seed)
-        page = render(pairs, passed, folder.name, seed)
-        curves = {f"{picture.title.lower().replace(' ', '-')}.svg": picture.svg.encode() for picture in plots(pairs)}
-        files = write_folder(out, {"compare.html": page.encode(), "compare.json": as_json(figures).encode(), **curves})
-        for finding in findings(pairs):
-            output.say(f"- {finding}")
-        output.say(f"page: {files[0]}; all values: {files[1]}")
-        output.result({**figures, "files": files})
+    images, passed = read_folder(folder, invert=invert)
+    for reason in passed:
+        output.note(f"skipped: {reason}")
+    pairs = []
+    with output.progress("images and their twins", len(images)) as advance:
+        for k, (name, image) in enumerate(images):
+            pairs.append(one_pair(name, image, np.random.default_rng([seed, k])))
+            advance()
+    figures = document(pairs, passed, seed)
+    page = render(pairs, passed, folder.name, seed)
+    curves = {f"{picture.title.lower().replace(' ', '-')}.svg": picture.svg.encode() for picture in plots(pairs)}
+    files = write_folder(out, {"compare.html": page.encode(), "compare.json": as_json(figures).encode(), **curves})
+    for finding in findings(pairs):
+        output.say(f"- {finding}")
+    output.say(f"page: {files[0]}; all values: {files[1]}")
+    output.result({**figures, "files": files})

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sightline.cli.output import Json, Output, Quiet, as_json, example
+from sightline.cli.options import command, commands
+from sightline.cli.output import Output, as_json
 
 if TYPE_CHECKING:
     from sightline.studies.runs.run import Result, StudyRun
@@ -14,41 +15,35 @@ if TYPE_CHECKING:
 PRINTED = 2  # tables on the terminal; the page has all of them
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("study", epilog=example("sightline study table1 --trials 50"))(study)
-
-
+@command(commands, "study", "sightline study table1 --trials 50")
 def study(
-    name: Annotated[str, typer.Argument(help="Name of the study; a wrong name lists them all.")],
+    output: Output,
     *,
+    name: Annotated[str, typer.Argument(help="Name of the study; a wrong name lists them all.")],
     trials: Annotated[int, typer.Option(min=1, help="Number of trials; more can be added later.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Trial k draws from default_rng([seed, k]).")] = 1,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a Dask scheduler; by default the cores of this machine.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for trials and results; by default out/study/NAME.")] = None,
-    json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Measure accuracy on the digital twin.
 
     An interrupted run continues where it stopped.
     """
-    with Output(json=json, quiet=quiet) as output:
-        from sightline.studies.catalogue import study_called
-        from sightline.studies.runs.run import StudyRun
+    from sightline.studies.catalogue import study_called
+    from sightline.studies.runs.run import StudyRun
 
-        chosen = study_called(name)
-        folder = out or Path("out/study") / name
-        result = _do(output, StudyRun.open(chosen, trials, seed, folder), scheduler)
-        files = _write(folder, chosen, result)
-        for finding in result.summary.findings:
-            output.say(f"- {finding}")
-        for table in result.summary.tables[:PRINTED]:
-            output.table(table.title, table.columns, table.rows)
-        output.say(f"page: {files[0]}; values with their intervals: {files[1]}")
-        output.result({**result.document(), "files": files})
+    chosen = study_called(name)
+    folder = out or Path("out/study") / name
+    result = _do(output, StudyRun.open(chosen, trials, seed, folder), scheduler)
+    files = _write(folder, chosen, result)
+    for finding in result.summary.findings:
+        output.say(f"- {finding}")
+    for table in result.summary.tables[:PRINTED]:
+        output.table(table.title, table.columns, table.rows)
+    output.say(f"page: {files[0]}; values with their intervals: {files[1]}")
+    output.result({**result.document(), "files": files})
 
 
 def _do(output: Output, run: "StudyRun", scheduler: str | None) -> "Result":

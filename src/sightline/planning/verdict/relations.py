@@ -107,7 +107,7 @@ def refuse_unrelated(unchecked: Sequence[str] | None) -> None:
         which = "the plan does not state whether its" if unchecked is None else f"the {' and '.join(unchecked)}"
         raise RobotRefusedError(
             f"this is one wire of several: {which} relations to the others were {'' if unchecked is None else 'not '}"
-            "checked; plan all wires together, or name those that are in the bone with --placed"
+            "checked; plan all wires together, or name those that are in the bone in in_bone of the file of picks"
         )
 
 

@@ -1,0 +1,486 @@
+"""`sightline robot drive`: a planned wire drilled by a robot, and the shots that are measured while it waits."""
+
+import shlex
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.checks import failed
+from sightline.cli.options import WireKey, command, parse_address
+from sightline.cli.output import Output
+from sightline.cli.planning.check_shot import landmarks_of
+from sightline.cli.planning.images import images_of
+from sightline.cli.robots.robot import (
+    SERIAL,
+    Simulator,
+    Yes,
+    agreed,
+    app,
+    read_plan,
+    refuse_yes,
+    registration_for,
+)
+
+if TYPE_CHECKING:
+    from sightline.case.contents import DrillShotRequest
+    from sightline.case.interop.plan_file import PlanFile
+    from sightline.case.journal import Case, Entry
+    from sightline.case.picks import Picks
+    from sightline.case.replay import Recomputed
+    from sightline.frame import Frame
+    from sightline.planning.check.drill_shot import DrillShot
+    from sightline.robot.kinematics.measured import RobotFile
+    from sightline.robot.kinematics.target import Registration, RobotTarget
+    from sightline.robot.link.client import RobotClient
+
+
+FROM_CASE = "case"  # instead of files
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Where the shots while drilling are measured."""
+
+    case: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the case with this plan: with a block or --patient-frame, the shots at the skin and at the "
+            "pause are measured against it while the robot waits, and recorded.",
+            show_default=False,
+        ),
+    ] = None
+    patient_frame: Annotated[
+        str | None,
+        typer.Option(
+            help="Frame that is fixed to the patient in these shots: a file, or a built-in frame. The robot must not "
+            "hold it; three landmarks found again tell where it is.",
+            show_default=False,
+        ),
+    ] = None
+
+    @property
+    def frame_on_patient(self) -> "Frame | None":
+        """The frame that is fixed to the patient. Raises FrameError, UnusableInputError where no shot is measured."""
+        from sightline.errors import UnusableInputError
+        from sightline.frame import Frame
+
+        if self.patient_frame is not None and self.case is None:
+            raise UnusableInputError("--patient-frame serves the shots that are measured: give --case too")
+        return None if self.patient_frame is None else Frame.load(self.patient_frame)
+
+
+@command(app, "drive", "sightline robot drive out/plan/plan.json --rehearse 9")
+def drive(
+    out: Output,
+    *,
+    plan: Annotated[Path, typer.Argument(help="plan.json of `sightline plan --out`, or its folder.")],
+    address: Annotated[
+        str | None, typer.Argument(metavar="HOST:PORT", help="Address of the robot; without it a simulator is started.")
+    ] = None,
+    registration: Annotated[
+        Path | None, typer.Option(help="Robot file with the joints at both images; a real robot needs it.")
+    ] = None,
+    wire: WireKey = None,
+    simulator: Simulator,
+    measured: Measured,
+    yes: Yes = False,
+) -> None:
+    """Drive a planned wire into the bone.
+
+    Align, confirm, drill, pause, confirm, drill. A person confirms each motion. A real robot first makes a dry run
+    without the wire. A shot that says STOP ends it.
+    """
+    from sightline.robot.kinematics.measured import RobotFile
+    from sightline.robot.link.server import tune_process
+
+    tune_process()
+    known = read_plan(plan, wire)
+    on_patient = measured.frame_on_patient
+    block = known.of_solid and on_patient is None  # that a person puts back on its mount for the shots
+    measurable = block or on_patient is not None
+    case = measured.case if measurable else None
+    planned = 0 if case is None else planned_in(case, known)
+    stood = None if registration is None else RobotFile.read(registration)
+    _refuse_contradictions(address, stood, simulator)
+    with ExitStack() as stack:
+        robot, held = _connected(out, stack, address, simulator, known)
+        refuse_yes(robot.simulated, yes)
+        with out.step("sending the plan"):
+            name = known.identifier(plan.stem)
+            if stood is None:
+                target = _send(robot, known, name, held)
+            else:
+                target = _send_registered(robot, known, name, stood)
+        _show(out, target, robot)
+        shots = None if case is None or yes else DriveShots(out, case, planned, robot, target, on_patient)
+        for step in _steps(robot, target, block=known.of_solid, put_back=block):
+            if step.state_before:
+                _shot(out, robot, step.state_before, shots, measurable=measurable)
+            if not agreed(robot.simulated, yes, step.question):
+                robot.stop()
+                out.note(f"stopped before: {step.name}")
+                break
+            with out.step(step.name):
+                step.start()
+        state, tip_mm = robot.status().text.split(";")[0], robot.position().translation
+        out.say(f"state of the robot: {state}")
+        document = {"state": state, "tip_mm": tip_mm, "end_mm": known.points_mm[1]}
+        if shots is not None:
+            document["shots"] = shots.document()
+        if simulator.rehearse is not None:
+            document["true_wire_mm"] = robot.simulated_wire().axis_mm
+        out.result(document)
+
+
+def _connected(
+    out: Output, stack: ExitStack, address: str | None, simulator: Simulator, plan: "PlanFile"
+) -> "tuple[RobotClient, Simulator]":
+    """Return the robot at an address, or one that is simulated until the stack ends, and what it holds."""
+    from sightline.robot.link.client import RobotClient
+
+    if address is not None:
+        return stack.enter_context(RobotClient(*parse_address(address))), simulator
+    with out.step("starting a simulator"):
+        theatre = simulator.theatre(plan.side or "", plan.procedure)
+    server = stack.enter_context(theatre.server(virtual=True))
+    robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False))
+    return robot, replace(simulator, frame_serial=theatre.setup.frame_serial)
+
+
+def _refuse_contradictions(address: str | None, stood: "RobotFile | None", simulator: Simulator) -> None:
+    """Raise UnusableInputError for options of `drive` that exclude each other."""
+    from sightline.errors import UnusableInputError
+
+    if address is None and stood is not None:
+        raise UnusableInputError("--registration belongs to a robot at an address; give its HOST:PORT")
+    if address is not None and simulator.rehearse is not None:
+        raise UnusableInputError(
+            "--rehearse starts a simulator and takes no address; leave out one of them, and state --frame-serial"
+        )
+    if stood is not None and simulator.frame_serial is not None:
+        raise UnusableInputError("the robot file states the frame's serial; leave out --frame-serial")
+
+
+def _shot(out: Output, robot: "RobotClient", state: str, shots: "DriveShots | None", *, measurable: bool) -> None:
+    """Measure the shot before a step, or say why it is not measured. Stops the robot where the shot says STOP.
+
+    Raises RobotRefusedError.
+    """
+    from sightline.errors import RobotRefusedError
+    from sightline.planning.check.drill_shot import TURNED_AWAY
+
+    if not measurable:
+        out.note(f"{state}: {TURNED_AWAY}")
+    elif shots is None:
+        out.note(f"{state}: the shot is not measured: give --case, the case with this plan. The decision is yours.")
+    else:
+        try:
+            shots.ask(state)
+        except RobotRefusedError:
+            robot.stop()
+            raise
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A motion: the question that a person must answer first, the call that starts it, and the robot's state at the
+    shot before it, if there is one."""
+
+    name: str
+    question: str
+    start: Callable[[], object]
+    state_before: str = ""
+
+
+def _steps(robot: "RobotClient", target: "RobotTarget", *, block: bool, put_back: bool) -> list[_Step]:
+    """Return each motion. `block`: the robot held one at the images, which a person takes off first; `put_back`: and
+    puts back for each shot."""
+    from sightline.planning.check.drill_shot import ALIGNED, PAUSED
+    from sightline.robot import contract
+
+    def again() -> None:
+        robot.retract()
+        _tell(robot, target, time.time())
+
+    again_off = "Is the block off again? " if put_back else ""
+    off = _Step("block off", "Take the block off the robot: the arm must not turn with it. Is it off?", lambda: None)
+    straight = _Step(
+        "go to the target",
+        "This robot knows only the convention of 2013: it moves the wire straight to the end point, without a dry run. "
+        "Is the way clear, and is the plan right in both images?",
+        robot.align,
+    )
+    dry = (
+        _Step(
+            "dry run", "Dry run: take the wire out. The arm moves to the plan in air. Is the way clear?", robot.align
+        ),
+        _Step("draw back", "Did the arm reach the planned position? It will draw back; then put the wire in.", again),
+    )
+    drilling = (
+        _Step(
+            "align",
+            "The wire draws back, the arm turns, the wire stops 20 mm before the bone. Is the way clear?",
+            robot.align,
+        ),
+        _Step(
+            "drill",
+            f"{again_off}Does the sleeve stand on the bone, and does the confirmation shot show the guide on the plan? "
+            "The robot will drill.",
+            robot.drill,
+            ALIGNED,
+        ),
+        _Step(
+            "drill on",
+            f"{again_off}Does the second shot, 10 mm short of the tip, show the wire on the plan?",
+            robot.drill,
+            PAUSED,
+        ),
+    )
+    first = [off] if block else []
+    if contract.HAS_DRILLING not in robot.capabilities:
+        return [*first, straight]
+    return [*first, *(() if robot.simulated else dry), *drilling]
+
+
+def _send(robot: "RobotClient", plan: "PlanFile", name: str, simulator: Simulator) -> "RobotTarget":
+    """Register a simulator by its encoders at the images, and send it the plan.
+
+    Raises RobotRefusedError for a real robot, whose position at the images the plan does not hold, and for a plan made
+    with another block.
+    """
+    from sightline.errors import RobotRefusedError
+    from sightline.frame import Frame
+    from sightline.rehearsal.rehearsal import robot_at
+    from sightline.robot.kinematics.target import PoseAtImage, register
+
+    if not robot.simulated:
+        raise RobotRefusedError(
+            "give --registration, the robot file of `sightline robot calibrate` and `register`: a plan does not say "
+            "where a real robot was at its images"
+        )
+    held = Frame.load(simulator.frame)
+    if plan.of_solid and plan.frame != held.fingerprint:
+        raise RobotRefusedError(
+            f"the plan was made with the block {plan.frame}, the simulated robot holds {held.fingerprint}; name the "
+            "plan's block with --frame"
+        )
+    now = time.time()
+    robot.start_up()
+    q = robot.simulated_wire().imaged  # where it stood at the images, not where an earlier drive left it
+    poses = {view: PoseAtImage(q, now, now) for view in ("pa", "lateral")}
+    # A new name each time: a robot refuses a plan that it has drilled.
+    stood = register(robot_at(plan.procedure, plan.side or "", held), poses)
+    target = _target(plan, f"{name}-{now:.0f}", simulator.frame_serial or SERIAL, stood)
+    _tell(robot, target, now)
+    return target
+
+
+def _send_registered(robot: "RobotClient", plan: "PlanFile", name: str, stood: "RobotFile") -> "RobotTarget":
+    """Send the plan to a robot registered by its file. Raises RobotRefusedError where they do not belong together."""
+    registration = registration_for(plan, stood)
+    target = _target(plan, name, stood.frame_serial, registration)
+    target.refuse_unfit(time.time())
+    robot.start_up()
+    _tell(robot, target, time.time())
+    return target
+
+
+def _target(plan: "PlanFile", name: str, frame_serial: str, registration: "Registration") -> "RobotTarget":
+    from sightline.robot.kinematics.target import PlanIdentity, robot_target
+
+    budget = None if plan.covariance_mm2 is None else {"planning": plan.covariance_mm2}
+    identity = PlanIdentity(name, plan.side or "", frame_serial, plan.go, plan.document.kind or "", plan.frame)
+    return robot_target(identity, plan.points_mm, budget, registration, plan.limits)
+
+
+def _tell(robot: "RobotClient", target: "RobotTarget", now_s: float) -> None:
+    from sightline.robot.control.insertion import DEPTH_SLACK_MM
+
+    robot.calibrate(target.registration.T_mcs_cfcs, target.registration.imaged_s)
+    robot.aim_plan(target, now_s, target.depth_mm + DEPTH_SLACK_MM)
+
+
+def _show(out: Output, target: "RobotTarget", robot: "RobotClient") -> None:
+    entry, end = target.entry_mm, target.end_mm
+    rows = [(name, *(f"{v:.1f}" for v in xyz)) for name, xyz in (("entry", entry), ("end", end))]
+    kind = "simulated robot" if robot.simulated else "REAL ROBOT"
+    out.table(f"Wire of {target.length_mm:.1f} mm for a {kind}, MCS, mm", ("point", "x", "y", "z"), rows)
+    out.say(
+        f"95 % errors: entry {target.entry_error_95_mm:.2f} mm, tip {target.end_error_95_mm:.2f} mm; side "
+        f"{target.identity.side}, frame {target.identity.frame_serial}"
+    )
+
+
+def planned_in(folder: Path, plan: "PlanFile") -> int:
+    """Return the number of a plan's entry in the case of a folder. Raises CaseError, RobotRefusedError."""
+    from sightline.case.journal import Case, Kind
+    from sightline.errors import RobotRefusedError
+
+    points = plan.points_mm.tolist()
+    with Case.open(folder, read_only=True) as case:
+        for entry in reversed(case.entries(Kind.PLANNED)):
+            path = entry.content["trajectory"]
+            if entry.content.get("kind") == plan.document.kind and [path["entry_mm"], path["end_mm"]] == points:
+                return entry.number
+    raise RobotRefusedError(
+        "the case does not hold this plan, so that no shot can be compared with it; plan with --case and --out together"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class DriveShots:
+    """The shots of one drilling, against the plan of the entry `planned` in the case of `folder`.
+
+    `on_patient`: the frame fixed to the patient; None for the plan's own
+    block, put back on its mount. `taken`: the results by the robot's state.
+    """
+
+    output: "Output"
+    folder: Path
+    planned: int
+    robot: "RobotClient"
+    target: "RobotTarget"
+    on_patient: "Frame | None" = None
+    taken: "dict[str, DrillShot]" = field(default_factory=dict)
+
+    def ask(self, state: str) -> None:
+        """Measure the shot that a person gives while the robot waits in a state, until it says GO or none is given.
+
+        A depth that says GO in PAUSED is sent to the robot. Raises RobotRefusedError for a shot that says STOP.
+        """
+        from sightline.errors import RobotRefusedError, SightlineError
+        from sightline.planning.check.drill_shot import PAUSED
+
+        with_it = "put the block on its mount" if self.on_patient is None else "leave the frame on the patient"
+        while True:
+            given = typer.prompt(
+                f"Shot at {state}: {with_it}, take two images, and give both files and one of picks, 'PA LATERAL "
+                f"PICKS', or '{FROM_CASE} PICKS' for the newest images of the case; with nothing you decide by eye",
+                default="",
+                show_default=False,
+                err=True,
+            )
+            if not given.strip():
+                _answer(f"{state}: no shot was given; the decision is yours")
+                return
+            try:
+                found = self._measure(state, shlex.split(given))
+            except SightlineError as refused:
+                _answer(f"{state}: not measured: {refused}")
+                continue
+            self.taken[state] = found
+            _say(self.output, found)
+            if found.decision == "STOP":
+                raise RobotRefusedError(f"the shot at {state} says STOP: {_reasons(found)}")
+            if found.decision == "GO":
+                if state == PAUSED:
+                    self.robot.shot_depth(found.depth_mm, found.depth_sd_mm)
+                    _answer("the depth was sent to the robot")
+                return
+
+    def document(self) -> dict[str, Any]:
+        """Return the shots as JSON types, by state."""
+        return {state: found.document() for state, found in self.taken.items()}
+
+    def _measure(self, state: str, files: list[str]) -> "DrillShot":
+        """Read, calibrate and measure two images, and record them with the result. Raises SightlineError."""
+        from sightline.case.journal import Actor, Case
+        from sightline.case.pairs import record_images
+        from sightline.case.picks import Picks
+        from sightline.case.replay import Recomputed
+        from sightline.case.stages import frame_of, record_shot
+        from sightline.case.views import NAMES, calibrate_pair
+        from sightline.errors import RefusedError, UnusableInputError
+
+        images, rest = ([], files[1:]) if files[0] == FROM_CASE else (files[:2], files[2:])
+        if len(images) == 1 or len(rest) > 1:
+            raise UnusableInputError(
+                f"give the files of two images, PA first, or '{FROM_CASE}', and at most one file of picks"
+            )
+        picks, paths = Picks.read(Path(rest[0])) if rest else Picks(), tuple(map(Path, images)) or None
+        with Case.open(self.folder) as case:
+            plan, again = case.entry(self.planned), Recomputed(case)
+            frame = self.on_patient or frame_of(case, case.entry(plan.rests_on[0]).settings["frame"])
+            asked = self._asked(state, again, plan, picks)
+            with self.output.step("finding and labelling the beads"):
+                seen = images_of(self.output, case, paths, frame, NAMES, after=self._newest(case))
+            before = again.images(plan)[:2]
+            arm = before[0].view.c_arm
+            known = {} if arm is None else {"source_detector_mm": arm.source_detector_mm, "pixel_mm": arm.pixel_mm}
+            mirrored = [one.name for one in before if one.view.mirrored_display]
+            with self.output.step("calibrating both views"):
+                images = calibrate_pair(seen.seen, frame, "smooth", mirrored, **known)
+            views = record_images(case, seen, images, frame, by=Actor.COMMAND)
+            try:
+                with self.output.step("measuring the wire"):
+                    found = asked.shot(again.plan(plan), again.images(plan), images, again.others_mm(plan))
+            except RefusedError as refused:
+                record_shot(case, plan, views, asked, str(refused), by=Actor.COMMAND)
+                raise
+            record_shot(case, plan, views, asked, found, by=Actor.COMMAND)
+        return found
+
+    def _newest(self, case: "Case") -> int:
+        """Return the number of the last entry that is older than the images of this moment."""
+        from sightline.case.journal import Kind
+
+        return max([self.planned, *(entry.number for entry in case.entries(Kind.SHOT, self.planned))])
+
+    def _asked(self, state: str, again: "Recomputed", plan: "Entry", picks: "Picks") -> "DrillShotRequest":
+        """Return the request with what a person picked, and with what the robot's encoders say.
+
+        Raises UnusableInputError.
+        """
+        from sightline.case.contents import CheckRequest, DrillShotRequest
+        from sightline.errors import UnusableInputError
+        from sightline.planning.check.drill_shot import ALIGNED
+        from sightline.robot.kinematics.manipulator import FEED
+
+        stood, straight = self.target.registration, state == ALIGNED
+        if straight and picks.wire_points is None:
+            raise UnusableInputError(
+                "in its guide the wire is not found by itself: give points on it in both images, wire_points of the "
+                "file of picks"
+            )
+        asked = plan.content["asked"]
+        landmarks = landmarks_of(picks, asked["landmark_names"], asked["landmarks_uv_px"])
+        check, picked = CheckRequest(again.plan(plan).kind.wire_mm, landmarks), picks.wire_uv_px
+        q = self.robot.joints()[0]
+        tip_mm = float(q[FEED] - self.target.q[FEED])
+        if self.on_patient is not None:
+            return DrillShotRequest(check, tip_mm, straight, None, None, picked)
+        middle_mm = again.plan(plan).trajectory.points.xyz_mm.mean(axis=0)
+        movement, covariance = stood.robot.frame_moved(stood.q, q, middle_mm)
+        return DrillShotRequest(check, tip_mm, straight, movement.as_matrix(), covariance, picked)
+
+
+def _answer(text: str) -> None:
+    """Print what a person needs to go on, also with --json."""
+    typer.echo(text, err=True)
+
+
+def _reasons(found: "DrillShot") -> str:
+    return " ".join(one.sentence for one in failed(found.verdict.checks))
+
+
+def _say(output: "Output", found: "DrillShot") -> None:
+    """Print a shot for people: its decision, what failed, and what was measured."""
+    shown = found.document()
+    off, error = shown["deviation"], shown["error_95"]
+    _answer(f"{found.state}: {found.decision}{'' if found.decision == 'GO' else f': {_reasons(found)}'}")
+    rows = [
+        ("axis at the entry", f"{off['entry_mm']:.2f} mm", f"{error['entry_mm']:.2f} mm"),
+        (
+            "axis at the end, drilled on straight",
+            f"{shown['end_deviation_mm']:.2f} mm",
+            f"{shown['end_error_95_mm']:.2f} mm",
+        ),
+        ("direction", f"{off['direction_deg']:.2f}°", f"{error['direction_deg']:.2f}°"),
+    ]
+    output.table("Wire against the plan", ("of", "deviation", "95 % error"), rows)
+    output.say(f"the tip is {found.depth_mm:.2f} mm beyond the planned entry (s.d. {found.depth_sd_mm:.2f} mm)")
