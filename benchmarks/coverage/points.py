@@ -40,7 +40,7 @@ def trial(seed: int) -> tuple[tuple[str, ...], Values] | None:
     dose, frame, picks = CLASSES[seed % len(CLASSES)]
     told = replace(Frame.load("gamma"), tolerances=FRAMES[frame])
     rng = np.random.default_rng(seed)
-    scene = draw_scene(rng, told, DOSES[dose], targets=1, reach_mm=FAR_MM, surrounded=False, uneven=UNEVEN)
+    scene = draw_scene(rng, told, DOSES[dose], targets=1, reach_mm=FAR_MM, uneven=UNEVEN)
     came = outcome(scene, np.random.default_rng([seed, 1]).standard_normal((2, 2)), picks, "smooth")
     if came is None:
         return None

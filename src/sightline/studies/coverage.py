@@ -54,7 +54,7 @@ class Coverage:
         bead = self.beads_px[rng.integers(len(self.beads_px))]
         frame, picks, chain = (each[rng.integers(len(each))] for each in (self.frames, self.picks, self.chains))
         told = replace(Frame.load("gamma"), tolerances=FRAMES[frame])
-        scene = draw_scene(rng, told, bead, targets=1, reach_mm=FAR_MM, surrounded=False, uneven=UNEVEN, chain=chain)
+        scene = draw_scene(rng, told, bead, targets=1, reach_mm=FAR_MM, uneven=UNEVEN, chain=chain)
         noise = rng.standard_normal((2, 2))
         groups = [f"beads {bead:g} px", frame, picks, f"chain {chain}"]
         return {"groups": groups, **{method: outcome(scene, noise, picks, method) for method in self.methods}}

@@ -1,8 +1,8 @@
 """Random scenes for studies and benchmarks: a set-up, the measurements of its beads, and targets.
 
 Poses, distortions and frame errors are those of `sightline.twin.draw_setup` with its defaults. Targets are uniform in a
-cube around the hip. They are drawn again unless all images show them and, with `surrounded`, unless they lie inside
-the convex hull of the visible beads of each plate (the paper's map is undefined outside).
+cube around the hip. They are drawn again unless all images show them and, in a cube of TARGET_REACH_MM or less, unless
+they lie inside the convex hull of the visible beads of each plate (the paper's map is undefined outside).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -80,18 +80,17 @@ def draw_scene(
     *,
     targets: int,
     reach_mm: float = TARGET_REACH_MM,
-    surrounded: bool = True,
     uneven: float = 0.0,
     chain: str | None = None,
     views: Mapping[str, np.ndarray] | None = None,
 ) -> TargetScene:
     """Draw a scene. `uneven`: the standard deviation of each bead is `bead_px` times exp(uneven * N(0, 1)).
 
-    `chain`, `views`: as in `draw_setup`. A solid surrounds no target: there `surrounded` has no effect.
+    `chain`, `views`: as in `draw_setup`. A solid surrounds no target.
     """
     setup = draw_setup(rng, frame, chain=chain, views=views)
     observations = measure(rng, setup, bead_px, uneven)
-    hulls = {n: _plate_hulls(setup, n, observations[n]) if surrounded else [] for n in frame.views}
+    hulls = {n: _plate_hulls(setup, n, observations[n]) if reach_mm <= TARGET_REACH_MM else [] for n in frame.views}
     return TargetScene.of(
         setup, observations, np.array([draw_target(rng, setup, reach_mm, hulls) for _ in range(targets)])
     )

@@ -176,7 +176,10 @@ def error_of_kind(kind: FrameKind, sd: Tolerances, seed: int) -> Values | None:
         return None
 
 
-FIELDS_MM = {"9-inch intensifier": 140.0, "30 cm panel": 185.0}  # at the hip [mem]
+FIELDS_MM = {
+    "9-inch intensifier": 140.0,
+    "30 cm panel": 185.0,
+}  # at the hip [ours]: 9 inches and 298 mm on the detector times 620 / 1000, to 5 mm
 BLOCKS = ("block30", "block40", "block60", "cube120")
 MARGIN_MM = 8.0  # aiming error per image, at the hip [ours]
 DRAPES_MM = 5.0  # [ours]

@@ -53,7 +53,7 @@ BEAD_MM = 3.0  # diameter of a ball that BEAD_PX holds for (physics.md, Centroid
 MIDDLE_ENERGY = 1  # 60 keV of the beam's three
 # The thigh's skin lies up to 105 mm from the hip (twin, SoftTissue); 5 mm for drapes [ours].
 NEAREST_MM = 105.0 + 5.0 + PLATE_THICKNESS_MM / 2
-# The intensifier's housing begins 30 mm before its input plane [mem].
+# Room for the intensifier's housing before its input plane: 30 mm [ours], so that no plate touches it.
 FARTHEST_MM = SOURCE_TO_DETECTOR_MM - SOURCE_TO_HIP_MM - 30.0 - PLATE_THICKNESS_MM / 2
 MIN_REACH_MM, MIN_IN_FIELD = 10.0, 0.6  # of `check_frame`
 MIN_GAIN = 0.10  # a smaller reduction of the error is not worth a new frame [ours]
