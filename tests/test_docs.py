@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sightline import errors
-from sightline.checks import Code, code_key
+from sightline.checks import CheckCode, code_key
 from sightline.planning.procedures.files import shipped
 
 ROOT = Path(__file__).parents[1]
@@ -27,7 +27,7 @@ def headings(page: Path) -> list[str]:
 def test_every_code_of_a_check_has_its_heading() -> None:
     third = re.findall(r"^### (.+)$", (ROOT / "docs" / "refusals.md").read_text(), flags=re.MULTILINE)
     assert len(third) == len(set(third))
-    assert {code_key(name) for name in third if not name.endswith("Error")} == set(Code)
+    assert {code_key(name) for name in third if not name.endswith("Error")} == set(CheckCode)
 
 
 def test_every_error_has_its_heading() -> None:

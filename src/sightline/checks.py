@@ -11,7 +11,7 @@ from typing import Any, Self
 CLEAR_MM, MAX_BEFORE_MM = 2.0, 40.0
 
 
-class Code(StrEnum):
+class CheckCode(StrEnum):
     """What a check is about. Programs decide by it; names and sentences are for people. A code is never reused."""
 
     BEAD_COUNT = "bead-count"
@@ -159,10 +159,10 @@ class Check:
     sentence: str
     missing: bool = False
     view: str = ""
-    code: Code = field(init=False)
+    code: CheckCode = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "code", Code(code_key(self.name)))
+        object.__setattr__(self, "code", CheckCode(code_key(self.name)))
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Self:

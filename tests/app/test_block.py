@@ -20,7 +20,7 @@ from sightline.case.journal import Actor, Case
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.stages import keep_frame, record_acquired, record_changed, record_planned
 from sightline.case.views import NAMES, OBLIQUE
-from sightline.checks import Code
+from sightline.checks import CheckCode
 from sightline.imaging import write_dicom
 from sightline.twin import SetUp
 from sightline.twin.xray.setup import BEAMS
@@ -73,7 +73,7 @@ def _place(session: Session, three: SetUp, images: tuple[str, ...], shift_mm: np
 def _movement(session: Session):
     known = session.planning.planned
     assert known is not None and known.plan is not None, known and known.refused
-    return next(check for check in known.plan.verdict.checks if check.code is Code.MOVEMENT)
+    return next(check for check in known.plan.verdict.checks if check.code is CheckCode.MOVEMENT)
 
 
 @pytest.mark.slow  # three images are rendered and calibrated

@@ -6,7 +6,7 @@ from bead_images import Bead, grid, quanta, radiograph
 from scipy.ndimage import gaussian_filter
 
 from sightline.detection.beads import refine
-from sightline.detection.beads.bead import Status, centre_covariances, centres
+from sightline.detection.beads.bead import BeadStatus, centre_covariances, centres
 from sightline.detection.beads.noise import estimate_noise
 
 SIZE = 320
@@ -29,7 +29,7 @@ def answers(
     radius = np.array([b.radius * rng.uniform(0.95, 1.05) for b in beads])
     rows = refine.start(truth + rng.uniform(-0.3, 0.3, truth.shape), radius, np.full(len(beads), -0.9))
     out = refine.BeadFitter(light, usable if hidden is None else ~hidden, noise)(rows)
-    assert (out["status"] == Status.FITTED).all()
+    assert (out["status"] == BeadStatus.FITTED).all()
     return out
 
 

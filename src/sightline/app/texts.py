@@ -3,7 +3,7 @@
 import re
 
 from sightline.case.views import spoken
-from sightline.checks import Check, Code
+from sightline.checks import Check, CheckCode
 from sightline.planning.procedures import kind as kind_of
 
 _PA = re.compile(r"\bpa\b")  # in the sentence of a check
@@ -130,17 +130,17 @@ VERDICTS = {"go": "GO", "no-go": "NO-GO", "incomplete": "INCOMPLETE"}
 MORE = "(and {count} more: Details)"
 LEFT = "To do: {what}."
 FIGURES = {  # by the check that states them; of a procedure's own ones the first that it has
-    Code.ENTRY_ERROR: "Entry, 95 % error",
-    Code.END_ERROR: "Tip, 95 % error",
-    Code.DIRECTION_ERROR: "Direction, 95 % error",
-    Code.TIP_IN_HEAD: "Tip to joint",
-    Code.TIP_BEHIND_FRONT: "Tip to front",
-    Code.TIP_IN_SACRAL_CORRIDOR: "Tip in corridor",
-    Code.WIRE_IN_SACRAL_CORRIDOR: "Wire in corridor",
-    Code.WIRE_IN_PEDICLE: "Wire in pedicle",
-    Code.WIRE_IN_NECK: "Wire in neck",
-    Code.TIP_TO_BONE_NEAREST: "Tip to bone",
-    Code.MOVEMENT: "Bone movement",
+    CheckCode.ENTRY_ERROR: "Entry, 95 % error",
+    CheckCode.END_ERROR: "Tip, 95 % error",
+    CheckCode.DIRECTION_ERROR: "Direction, 95 % error",
+    CheckCode.TIP_IN_HEAD: "Tip to joint",
+    CheckCode.TIP_BEHIND_FRONT: "Tip to front",
+    CheckCode.TIP_IN_SACRAL_CORRIDOR: "Tip in corridor",
+    CheckCode.WIRE_IN_SACRAL_CORRIDOR: "Wire in corridor",
+    CheckCode.WIRE_IN_PEDICLE: "Wire in pedicle",
+    CheckCode.WIRE_IN_NECK: "Wire in neck",
+    CheckCode.TIP_TO_BONE_NEAREST: "Tip to bone",
+    CheckCode.MOVEMENT: "Bone movement",
 }
 FIGURE_AT_MOST = "at most {limit}"
 FIGURE_MOVED = ("seen", "none seen")  # of a movement between three images, which has no single value in mm

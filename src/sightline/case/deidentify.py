@@ -17,7 +17,7 @@ from sightline import __version__
 from sightline.atomic import scratch_folder
 from sightline.imaging import read_image, write_dicom
 from sightline.imaging.dicom import quiet
-from sightline.imaging.formats import Reader, damaged, format_of_file
+from sightline.imaging.formats import ReadBy, damaged, format_of_file
 
 NOBODY = "REMOVED"
 _UIDS = ("StudyInstanceUID", "SeriesInstanceUID", "SOPInstanceUID")
@@ -77,7 +77,7 @@ class Deidentifier:
 def _source(file: Path) -> dict[str, Any]:
     """Return the source's UIDs and whether it states burnt-in annotation; None for each that is missing."""
     known = format_of_file(file)
-    if known is None or known.reader is not Reader.DICOM:
+    if known is None or known.reader is not ReadBy.DICOM:
         return dict.fromkeys([*_UIDS, "BurnedInAnnotation"])
     try:
         with quiet():

@@ -46,7 +46,7 @@ _MAX_BYTES = 2**20  # [ours] a hundred times the largest of our own
 _ADVICE = {**ADVICE, "extra_forbidden": "is not a key of a file of picks; correct its spelling or remove it"}
 
 
-class Place(Strict):
+class PickedPlace(Strict):
     """A point in the images that show it, px."""
 
     pa: Pixel | None = None
@@ -61,13 +61,13 @@ class Place(Strict):
         return np.array([(np.nan, np.nan) if place is None else place for place in places])
 
     @staticmethod
-    def of(uv_px: np.ndarray) -> "Place":
+    def of(uv_px: np.ndarray) -> "PickedPlace":
         """Return the place of pixels (V, 2) in PA, lateral and any oblique image."""
         shown = {name: tuple(uv.tolist()) for name, uv in zip(ALL_NAMES, uv_px, strict=False) if np.isfinite(uv).all()}
-        return Place.model_validate(shown)
+        return PickedPlace.model_validate(shown)
 
 
-class Landmark(Place):
+class Landmark(PickedPlace):
     """A point of the bone. `name`: its key in the procedure; "" for a point that only shows whether the patient moved.
 
     In the images of a plan it is picked in two of them or more; in those of a check shot in both, and in PA and lateral
@@ -86,11 +86,11 @@ class Landmark(Place):
         return self
 
 
-class Wire(Strict):
+class PickedWire(Strict):
     """Entry and end, the tip, of a wire. `snapped`: which of them have their lateral pixel moved to its curve."""
 
-    entry: Place
-    end: Place
+    entry: PickedPlace
+    end: PickedPlace
     snapped: tuple[End, ...] = ()
 
     @model_validator(mode="after")
@@ -106,12 +106,12 @@ class Wire(Strict):
         return WirePicks(self.entry.uv_px(images), self.end.uv_px(images), each if len(set(each)) > 1 else each[0])
 
     @staticmethod
-    def of(picks: WirePicks) -> "Wire":
+    def of(picks: WirePicks) -> "PickedWire":
         """Return the wire of picks."""
         each = [picks.snapped] * 2 if isinstance(picks.snapped, bool) else picks.snapped
         snapped: tuple[End, ...] = tuple(name for name, is_snapped in zip(ENDS, each, strict=True) if is_snapped)
-        entry, end = (Place.of(np.asarray(uv)) for uv in (picks.entry_uv_px, picks.end_uv_px))
-        return Wire(entry=entry, end=end, snapped=snapped)
+        entry, end = (PickedPlace.of(np.asarray(uv)) for uv in (picks.entry_uv_px, picks.end_uv_px))
+        return PickedWire(entry=entry, end=end, snapped=snapped)
 
 
 class NailSizes(Strict):
@@ -133,7 +133,7 @@ class NailPicked(Strict):
 
     nail: NailSizes | Text
     edges: dict[View, tuple[Pixel, Pixel, Pixel, Pixel]]
-    holes: dict[Text, Place]
+    holes: dict[Text, PickedPlace]
 
     @model_validator(mode="after")
     def _both_views(self) -> Self:
@@ -167,7 +167,7 @@ class Picks(Strict):
     """
 
     schema_: Annotated[Literal["sightline-picks/1"], Field(alias="schema")] = "sightline-picks/1"
-    wires: dict[Text, Wire] = Field(default_factory=dict)
+    wires: dict[Text, PickedWire] = Field(default_factory=dict)
     in_bone: tuple[Text, ...] = ()
     landmarks: tuple[Landmark, ...] = ()
     head: dict[View, tuple[Number, Number, Positive]] | None = None
@@ -292,7 +292,7 @@ def ask_plan(picks: Picks, images: Images, procedure: str, side: str | None, *, 
         placed=placed or None,
         nail=nail,
     )
-    wires = picks.wires | {key: Wire.of(picked[key]) for key in missing}
+    wires = picks.wires | {key: PickedWire.of(picked[key]) for key in missing}
     said = tuple(f"{'' if alone else key} {proposals[key].sentence}".strip() for key in missing)
     return AskedPlan(request, picks.model_copy(update={"wires": wires}), said, unfitted)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import Distances, Labelling, Method, Spacing, command, commands
+from sightline.cli.options import Distances, LabellingOptions, Method, Spacing, command, commands
 from sightline.cli.output import Output, as_json
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def calibrate(
     out: Output,
     *,
     image: Annotated[Path, typer.Argument(help="An image, or its beads as CSV, labelled (observations) or not.")],
-    labelling: Labelling,
+    labelling: LabellingOptions,
     method: Method = "smooth",
     mirrored: Annotated[
         bool | None,
@@ -75,7 +75,7 @@ def undistort(
     *,
     image: Annotated[Path, typer.Argument(help="Image file.")],
     out: Annotated[Path, typer.Option(help="Folder for plate.png, map.npz and map.json.")],
-    labelling: Labelling,
+    labelling: LabellingOptions,
     spacing: Spacing = None,
 ) -> None:
     """Remove the distortion from an image.
@@ -115,7 +115,7 @@ def undistort(
     output.result(document | {"files": files}, view.checks)
 
 
-def see(path: Path, frame: "Frame", labelling: Labelling) -> "ObservedView":
+def see(path: Path, frame: "Frame", labelling: LabellingOptions) -> "ObservedView":
     """Return the labelled beads of one view: of an image, or of a CSV file with or without the beads' ids.
 
     Raises what reading and labelling raise.

@@ -12,7 +12,7 @@ from sightline.cli.options import (
     FrameIndex,
     FrameName,
     Invert,
-    Labelling,
+    LabellingOptions,
     OutFolder,
     Side,
     Spacing,
@@ -33,7 +33,7 @@ PLAN_FORMATS = ("slicer", "itk", "dicom", "csv", "igtl")
 
 
 @dataclass(frozen=True)
-class Images:
+class ImageOptions:
     """The images whose views are exported."""
 
     pa: Annotated[Path, typer.Argument(help="Image of one view, or observations as CSV.")]
@@ -46,7 +46,7 @@ class Images:
 def views(
     output: Output,
     *,
-    images: Images,
+    images: ImageOptions,
     out: OutFolder,
     to: Annotated[str, typer.Option(help="Formats: opencv,rtk,mayacam2,diffdrr,deepdrr,xreg.")] = "opencv",
     raw: Annotated[
@@ -80,7 +80,7 @@ def views(
 def undistorted(
     output: Output,
     *,
-    images: Images,
+    images: ImageOptions,
     out: OutFolder,
     to: Annotated[
         str, typer.Option(help="Formats: png,npy,dicom; png and npy keep the original's 8 or 16 bits.")
@@ -212,7 +212,7 @@ def deidentify(
     output.result({"images": documents})
 
 
-def _calibrate(output: Output, images: Images, *, pixels: bool) -> "list[tuple[BeadView, ObservedView]]":
+def _calibrate(output: Output, images: ImageOptions, *, pixels: bool) -> "list[tuple[BeadView, ObservedView]]":
     """Return each calibrated view with its image and beads; with `pixels` each must have an image."""
     from sightline.calibration import calibrate
     from sightline.case.views import see_pair
@@ -222,7 +222,7 @@ def _calibrate(output: Output, images: Images, *, pixels: bool) -> "list[tuple[B
     frame = Frame.load(images.frame)
     with output.step("finding and labelling the beads"):
         if images.lateral is None:
-            seen = [see(images.pa, frame, Labelling(invert=images.invert))]
+            seen = [see(images.pa, frame, LabellingOptions(invert=images.invert))]
         else:
             seen = list(see_pair(images.pa, images.lateral, frame, invert=images.invert))
     for view in seen:

@@ -51,7 +51,7 @@ _alone.command()(_of_every_command)
 _OF_EVERY_COMMAND = typer.main.get_command(_alone).params
 
 
-class Command(TyperCommand):
+class JsonCommand(TyperCommand):
     """A command that takes --json and --quiet, as every command takes --help."""
 
     def get_params(self, ctx: Any) -> list[Any]:
@@ -87,7 +87,7 @@ def command(app: typer.Typer, name: str, *examples: str) -> Callable[[Callable[.
         run.__doc__ = body.__doc__
         run.__signature__ = Signature(spread)  # pyright: ignore[reportFunctionMemberAccess] - typer reads it
         run.__annotations__ = {parameter.name: parameter.annotation for parameter in spread}
-        app.command(name, cls=Command, epilog="\b\n" + "\n".join(["Example:", *examples]))(run)
+        app.command(name, cls=JsonCommand, epilog="\b\n" + "\n".join(["Example:", *examples]))(run)
         return body
 
     return register
@@ -144,7 +144,7 @@ class Distances:
 
 
 @dataclass(frozen=True)
-class Labelling:
+class LabellingOptions:
     """How the beads of one image are found and labelled."""
 
     frame: FrameName = "gamma"

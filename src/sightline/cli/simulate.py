@@ -22,7 +22,7 @@ _ACCESSORIES = 1  # stream of the accessories, beside that of set-up and noise
 
 
 @dataclass(frozen=True)
-class Scene:
+class SceneOptions:
     """What lies in the beam, and the machine in front of it."""
 
     what: Annotated[
@@ -105,7 +105,7 @@ class Scene:
 def simulate(
     output: Output,
     *,
-    scene: Scene,
+    scene: SceneOptions,
     dose: Annotated[
         Literal["low", "medium", "high"], typer.Option(help="1, 8 or 32 frames of fluoroscopy.")
     ] = "medium",

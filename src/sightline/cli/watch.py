@@ -21,7 +21,7 @@ _WAIT_S = 0.5  # timeout of one wait for a frame
 
 
 @dataclass(frozen=True)
-class Live:
+class LiveOptions:
     """The live image: a source, or a simulated C-arm."""
 
     source: Annotated[
@@ -40,7 +40,7 @@ class Live:
 def watch(
     out: Output,
     *,
-    live: Live,
+    live: LiveOptions,
     plan: Annotated[Path | None, typer.Option(help="Plan to draw: plan.json of `sightline plan --out`.")] = None,
     wire: WireKey = None,
     planned: Annotated[
@@ -73,7 +73,7 @@ def watch(
     out.result(_summary(tally, watching) | {"blind_to": BLIND_TO})
 
 
-def _opened(live: Live, frame: "Frame", out: Output) -> "tuple[Iterable[TimedImage], Trajectory | None]":
+def _opened(live: LiveOptions, frame: "Frame", out: Output) -> "tuple[Iterable[TimedImage], Trajectory | None]":
     """Return the images of the source, and the wire of a simulated one. Raises UnusableInputError."""
     from sightline.case.watch.sources import open_source
     from sightline.errors import UnusableInputError

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from sightline.detection.beads import refine
-from sightline.detection.beads.bead import SHADOW, Status, centre_covariances, centres
+from sightline.detection.beads.bead import SHADOW, BeadStatus, centre_covariances, centres
 from sightline.detection.beads.candidates import distinct, find_candidates
 from sightline.detection.beads.clipping import allow_for_missing_foot, clipped_shares
 from sightline.detection.beads.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
@@ -53,9 +53,9 @@ _NO_BEADS = (
     "exposed so that they differ from their surroundings"
 )
 _FIT_REASONS = {
-    Status.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
-    Status.WANDERED: "no disc at this place: the fit moved away",
-    Status.SINGULAR: "no disc at this place: the fit found none",
+    BeadStatus.TOO_FEW_PIXELS: "too few usable pixels: at the edge of the field, or covered by another bead",
+    BeadStatus.WANDERED: "no disc at this place: the fit moved away",
+    BeadStatus.SINGULAR: "no disc at this place: the fit found none",
 }
 
 

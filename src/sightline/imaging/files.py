@@ -16,7 +16,7 @@ from sightline.imaging.formats import (
     FORMAT_NAMES,
     MAX_FILE_BYTES,
     ImageFormat,
-    Reader,
+    ReadBy,
     check_size,
     format_of_file,
 )
@@ -71,12 +71,12 @@ def _read(file: Path, frame_index: int | None) -> Radiograph:
     known = _format(file)
     if known is None:
         raise ImageError(f"{file.name} is not an image that can be read; give {FORMAT_NAMES}")
-    if known.reader is Reader.DICOM:
+    if known.reader is ReadBy.DICOM:
         return _dicom().read(file, frame_index)
     if frame_index not in (None, 0):
         raise ImageError(f"{file.name} holds one image, so there is no frame {frame_index}; leave the frame out")
     data = read_bounded(file, MAX_FILE_BYTES, ImageError, "export single images")
-    if known.reader is Reader.NUMPY:
+    if known.reader is ReadBy.NUMPY:
         return _radiograph(_numpy(data, file.name), file.name)
     raster = import_module("sightline.imaging.raster")  # on first use, as `_dicom`
     return replace(_radiograph(raster.read_raster(data, known.name, file.name), file.name), lossy=known.lossy)
@@ -102,7 +102,7 @@ def taken_at(path: str | Path) -> datetime | None:
 
 def _is_dicom(file: Path) -> bool:
     known = _format(file)
-    return known is not None and known.reader is Reader.DICOM
+    return known is not None and known.reader is ReadBy.DICOM
 
 
 def write_png(radiograph: Radiograph, path: str | Path) -> Path:

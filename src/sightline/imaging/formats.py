@@ -13,7 +13,7 @@ MIN_SIDE = 16  # as `Radiograph`
 HEADER_BYTES = 132  # tell the format: DICOM's preamble of 128 bytes and its magic number
 
 
-class Reader(Enum):
+class ReadBy(Enum):
     """What reads a format."""
 
     DICOM = auto()
@@ -32,7 +32,7 @@ class ImageFormat:
     name: str
     suffixes: tuple[str, ...]
     magic: tuple[bytes, ...]
-    reader: Reader
+    reader: ReadBy
     holds: str
     magic_at: int = 0
     lossy: bool = False
@@ -41,13 +41,19 @@ class ImageFormat:
 
 FORMATS = (
     ImageFormat(
-        "DICOM", (".dcm", ".dicom"), (b"DICM",), Reader.DICOM, "8 to 16 bit, also runs", magic_at=128, writable=True
+        "DICOM",
+        (".dcm", ".dicom"),
+        (b"DICM",),
+        ReadBy.DICOM,
+        "8 to 16 bit, also runs",
+        magic_at=128,
+        writable=True,
     ),
-    ImageFormat("PNG", (".png",), (b"\x89PNG\r\n\x1a\n",), Reader.PILLOW, "8 or 16 bit", writable=True),
-    ImageFormat("TIFF", (".tif", ".tiff"), (b"II*\0", b"MM\0*"), Reader.PILLOW, "8 or 16 bit, 32-bit floating point"),
-    ImageFormat("BMP", (".bmp",), (b"BM",), Reader.PILLOW, "8 bit"),
-    ImageFormat("JPEG", (".jpg", ".jpeg"), (b"\xff\xd8\xff",), Reader.PILLOW, "8 bit", lossy=True),
-    ImageFormat("NumPy", (".npy",), (b"\x93NUMPY",), Reader.NUMPY, "8 or 16 bit, floating point", writable=True),
+    ImageFormat("PNG", (".png",), (b"\x89PNG\r\n\x1a\n",), ReadBy.PILLOW, "8 or 16 bit", writable=True),
+    ImageFormat("TIFF", (".tif", ".tiff"), (b"II*\0", b"MM\0*"), ReadBy.PILLOW, "8 or 16 bit, 32-bit floating point"),
+    ImageFormat("BMP", (".bmp",), (b"BM",), ReadBy.PILLOW, "8 bit"),
+    ImageFormat("JPEG", (".jpg", ".jpeg"), (b"\xff\xd8\xff",), ReadBy.PILLOW, "8 bit", lossy=True),
+    ImageFormat("NumPy", (".npy",), (b"\x93NUMPY",), ReadBy.NUMPY, "8 or 16 bit, floating point", writable=True),
 )
 FORMAT_NAMES = f"{', '.join(known.name for known in FORMATS[:-1])} or {FORMATS[-1].name}"
 SUFFIXES = tuple(suffix for known in FORMATS for suffix in known.suffixes)

@@ -142,7 +142,7 @@ class BeadOfFrame(OpenDocument):
     xyz_mm: Point
 
 
-class FrameDocument(OpenDocument):
+class FrameReference(OpenDocument):
     """The frame that the plan was made with; `fingerprint`: of its file, "" in plans of older versions."""
 
     name: Text
@@ -182,7 +182,7 @@ class PlanFileDocument(PlanDocument):
     all_wires: State | None = None
     digest: Text | None = None
     views: Annotated[tuple[ViewNamed, ...], Field(max_length=3)] = ()
-    frame: FrameDocument | None = None
+    frame: FrameReference | None = None
     plates: dict[str, dict[str, Any]] | None = None
     lines_of_sight: Annotated[tuple[SightDocument, ...], _MOST] = ()
     drawn: dict[str, DrawnDocument] | None = None

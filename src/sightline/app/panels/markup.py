@@ -6,7 +6,7 @@ from functools import lru_cache
 from markupsafe import Markup, escape
 
 from sightline.app import texts
-from sightline.checks import Check, Code
+from sightline.checks import Check, CheckCode
 from sightline.planning.procedures.rules import ABOVE_ERROR
 
 _CHECK = (
@@ -99,7 +99,7 @@ def _figure(check: Check) -> str:
     return f"{value}, {limit_said(check.code, bound, most=most)}"
 
 
-def limit_said(code: Code, bound: str, *, most: bool) -> str:
+def limit_said(code: CheckCode, bound: str, *, most: bool) -> str:
     """Return what the limit of a check means, in words. `most`: the value must be below it."""
     if code in ABOVE_ERROR:
         return f"± {bound} (95 %)"

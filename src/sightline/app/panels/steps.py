@@ -14,20 +14,21 @@ from sightline.app.session.session import Session
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.texts import image_name
 from sightline.case.views import NAMES
-from sightline.checks import Code, failed
+from sightline.checks import CheckCode, failed
 from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.rules import CHECKS
 from sightline.robot.control.states import State
 
-_OF_BONE = {Code.VIEW_DIRECTIONS: 2, Code.SIDE: 3}  # directions of the bone that a check takes from the procedure
+# Directions of the bone that a check takes from the procedure.
+_OF_BONE = {CheckCode.VIEW_DIRECTIONS: 2, CheckCode.SIDE: 3}
 
 
 def needed_aids(known: Planned, verdict: Verdict) -> tuple[str, ...]:
     """Return the keys of the aids that are not drawn and without which checks of a verdict cannot be made, in the order
     of the procedure."""
     kind, unmade = known.kind, {check.code for check in verdict.unmade}
-    needs = {"head"} if Code.HEAD in unmade else set[str]()
+    needs = {"head"} if CheckCode.HEAD in unmade else set[str]()
     for rule in kind.checks:
         if rule.code in unmade:
             needs.update(*CHECKS[rule.check].needs[:1])

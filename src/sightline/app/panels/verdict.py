@@ -11,7 +11,7 @@ from sightline.app.panels import markup
 from sightline.app.panels.section import HtmlSection
 from sightline.app.panels.steps import aid_labels, needed_aids, refusals
 from sightline.app.tab.tab import Tab
-from sightline.checks import Check, Code, failed
+from sightline.checks import Check, CheckCode, failed
 from sightline.errors import SightlineError
 from sightline.planning import Plan
 from sightline.planning.points.error_shares import Share, error_shares, error_shares_of
@@ -20,8 +20,8 @@ from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.robot.kinematics.target import RobotTarget
 
-_ERRORS = (Code.ENTRY_ERROR, Code.END_ERROR, Code.DIRECTION_ERROR)
-_FALLBACK = Code.MOVEMENT  # of procedures without a check of their own that has a value and a limit
+_ERRORS = (CheckCode.ENTRY_ERROR, CheckCode.END_ERROR, CheckCode.DIRECTION_ERROR)
+_FALLBACK = CheckCode.MOVEMENT  # of procedures without a check of their own that has a value and a limit
 _DIGITS = 2  # decimals of a value below 10, one less above [ours]
 _ROOM = 1.25  # length of a bar over the larger one of value and limit [ours]
 _FIGURE = (
@@ -36,7 +36,7 @@ _NO_BAR = Markup('<div class="figure-bar" aria-hidden="true"></div>')  # while t
 class _Figure:
     """`value`: None while it is not known; then `said` stands in its place."""
 
-    code: Code
+    code: CheckCode
     value: float | None
     limit: float | None
     unit: str
@@ -55,7 +55,7 @@ def figures_html(tab: Tab) -> Markup:
 
 def _figures(kind: Procedure, plan: Plan | None) -> list[_Figure]:
     """Return the figures of a procedure; a check that was made of the current wire fills its figure."""
-    made: dict[Code, Check] = {}
+    made: dict[CheckCode, Check] = {}
     for check in () if plan is None else plan.verdict.checks:
         if check.figure is not None and check.limit is not None:
             made.setdefault(check.code, check)
@@ -70,7 +70,7 @@ def _figures(kind: Procedure, plan: Plan | None) -> list[_Figure]:
     return [_of_movement(one, plan) if plan is not None and one.code is _FALLBACK else one for one in filled]
 
 
-def _own(kind: Procedure, made: Iterable[Code]) -> Code:
+def _own(kind: Procedure, made: Iterable[CheckCode]) -> CheckCode:
     """Return the code of the procedure's own figure: of the check that `FIGURES` lists first."""
     asked = [code for code in texts.FIGURES if code in {rule.code for rule in kind.checks}]
     return next((code for code in asked if code in made), next(iter(asked), _FALLBACK))

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from sightline.calibration.exchange import opencv, reading
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.canonical import canonical, digest
-from sightline.checks import Code, Limits
+from sightline.checks import CheckCode, Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.geometry.covariance import length_quantile
 from sightline.imaging import read_image
@@ -159,7 +159,7 @@ class PlanFile:
         entry, end = self.points_mm
         down_mm = float((entry - end) @ caudal(side))
         of_hip = self.document.kind == "hip-screw" or any(
-            (check.code or check.name) == Code.SIDE for check in self.document.checks
+            (check.code or check.name) == CheckCode.SIDE for check in self.document.checks
         )
         if of_hip and down_mm < -_MIN_RISE_MM:
             other = "left" if side == "right" else "right"

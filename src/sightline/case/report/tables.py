@@ -9,7 +9,7 @@ from sightline.case.report import drilled, exposures
 from sightline.case.report.comparison import Compared, Refused
 from sightline.case.report.content import Report
 from sightline.case.report.drawing.budget import Bar
-from sightline.checks import Check, Code, failed
+from sightline.checks import Check, CheckCode, failed
 from sightline.planning.check.result import CheckShot
 from sightline.planning.points.results import Verdict
 from sightline.planning.wires import judge_measured
@@ -87,9 +87,9 @@ def _tiles(report: Report) -> list[dict[str, str]]:
         return [*points, length]
     limits = {check.code: check.limit for check in report.plan.verdict.checks}
     errors = (
-        ("Entry point", Code.ENTRY_ERROR, f"{path.entry_error_95_mm:.2f} mm", " mm"),
-        ("Tip", Code.END_ERROR, f"{path.end_error_95_mm:.2f} mm", " mm"),
-        ("Direction", Code.DIRECTION_ERROR, f"{np.rad2deg(path.direction_error_95_rad):.2f}°", "°"),
+        ("Entry point", CheckCode.ENTRY_ERROR, f"{path.entry_error_95_mm:.2f} mm", " mm"),
+        ("Tip", CheckCode.END_ERROR, f"{path.end_error_95_mm:.2f} mm", " mm"),
+        ("Direction", CheckCode.DIRECTION_ERROR, f"{np.rad2deg(path.direction_error_95_rad):.2f}°", "°"),
     )
     return [
         {"name": f"{name}, 95 % bound", "value": value, "note": f"limit {limits[code]:.2g}{unit}"}

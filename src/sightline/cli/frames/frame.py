@@ -18,7 +18,7 @@ app = group("frame", "Make, measure, draw and check frames.")
 
 
 @dataclass(frozen=True)
-class Design:
+class DesignOptions:
     """The values of a new frame that are not those of the frame that it is like."""
 
     rows: Annotated[
@@ -67,7 +67,7 @@ def new(
     like: Annotated[
         str, typer.Option(help="Built-in frame that gives the beams and every value not stated here, or a block.")
     ] = "gamma",
-    design: Design,
+    design: DesignOptions,
     csv: Annotated[
         Path | None,
         typer.Option(

@@ -54,7 +54,7 @@ class PlanImages:
     method: Method = "smooth"
     invert: Invert = False
 
-    def taken(self, output: Output, stack: ExitStack, picks: "Picks") -> "Taken":
+    def taken(self, output: Output, stack: ExitStack, picks: "Picks") -> "PlanningImages":
         """Return the images with their beads, read or taken from the case, which is open until the stack ends.
 
         Raises BadParameter for a missing image, CaseError, and what reading and labelling raise.
@@ -78,11 +78,11 @@ class PlanImages:
         in_use = None if case is None or self.frame is not None else frame_in_use(case)
         frame = Frame.load(self.frame or "gamma") if case is None or in_use is None else frame_of(case, in_use)
         with output.step("finding and labelling the beads"):
-            return Taken(case, frame, names, images_of(output, case, files, frame, names, invert=self.invert))
+            return PlanningImages(case, frame, names, images_of(output, case, files, frame, names, invert=self.invert))
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
+class PlanningImages:
     """The images of the views `names` before calibration, their frame, and the case, None where there is none yet."""
 
     case: "Case | None"

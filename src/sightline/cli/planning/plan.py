@@ -178,11 +178,11 @@ def parse_point(text: str, option: str) -> Point:
 
 def _with_wire(picks: "Picks", key: str, points: Sequence[Point], views: "Sequence[CalibratedView]") -> "Picks":
     """Return the picks with the wire between two typed points; those with a depth are snapped to their curves."""
-    from sightline.case.picks import Wire
+    from sightline.case.picks import PickedWire
     from sightline.planning import WirePicks
 
     entry, end = (_pixels(point, views, picks.pick_sd_px) for point in points)
-    wire = Wire.of(WirePicks(entry, end, ["depth" in point for point in points]))
+    wire = PickedWire.of(WirePicks(entry, end, ["depth" in point for point in points]))
     return picks.model_copy(update={"wires": {key: wire}})
 
 

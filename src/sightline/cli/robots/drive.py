@@ -43,7 +43,7 @@ FROM_CASE = "case"  # instead of files
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredShots:
     """Where the shots while drilling are measured."""
 
     case: Annotated[
@@ -87,7 +87,7 @@ def drive(
     ] = None,
     wire: WireKey = None,
     simulator: Simulator,
-    measured: Measured,
+    measured: MeasuredShots,
     yes: Yes = False,
 ) -> None:
     """Drive a planned wire into the bone.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Pair:
+class PairOptions:
     """Both images, and how they are calibrated."""
 
     pa: Annotated[Path, typer.Argument(help="The PA image, or observations as CSV.")]
@@ -30,7 +30,7 @@ class Pair:
 def assess(
     output: Output,
     *,
-    pair: Pair,
+    pair: PairOptions,
     truth: Annotated[
         Path,
         typer.Option(help="CSV of measured test points: name,x_mm,y_mm,z_mm and, if picked, four pixel coordinates."),

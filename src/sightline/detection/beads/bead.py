@@ -5,7 +5,7 @@ from enum import IntEnum
 import numpy as np
 
 
-class Status(IntEnum):
+class BeadStatus(IntEnum):
     """How the fit of a bead ended."""
 
     FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = range(4)

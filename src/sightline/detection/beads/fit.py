@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.detection.beads.bead import Status
+from sightline.detection.beads.bead import BeadStatus
 from sightline.detection.beads.noise import LAGS
 from sightline.detection.beads.shadow import (
     BACKGROUND,
@@ -46,7 +46,7 @@ from sightline.detection.beads.window import (
 from sightline.kernels import kernel
 
 # Kernels compute with the values of an enum.
-FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = map(int, Status)
+FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = map(int, BeadStatus)
 _LIGHT_STEPS = 32  # entries of the noise table per unit of light
 MAX_JOINT = 3  # beads of a joint fit
 _MAX_ITERATIONS = 12

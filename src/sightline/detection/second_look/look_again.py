@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.detection.beads import refine
-from sightline.detection.beads.bead import SHADOW, Status, centre_covariances, centres
+from sightline.detection.beads.bead import SHADOW, BeadStatus, centre_covariances, centres
 from sightline.detection.beads.clipping import WITHOUT_FOOT, allow_for_missing_foot, clipped_shares
 from sightline.detection.beads.fit import PRIOR_SD
 from sightline.detection.beads.shadow import BEAD_RADIUS
@@ -306,7 +306,9 @@ def _initial(
     for pattern in plates:
         of_plate = np.arange(first, first + len(pattern.ids))
         first += len(of_plate)
-        seen = np.flatnonzero(np.isin(of_plate, known) & ~pattern.washer & (own["status"][of_plate] == Status.FITTED))
+        seen = np.flatnonzero(
+            np.isin(of_plate, known) & ~pattern.washer & (own["status"][of_plate] == BeadStatus.FITTED)
+        )
         if len(seen) < MIN_BEADS:
             continue
         shape, sd = expected_shapes(pattern, seen, own[of_plate[seen]])
@@ -345,7 +347,7 @@ def _fitted(fit: refine.BeadFitter, rows: np.ndarray, which: np.ndarray, prior_s
     """Fit the rows `which` outside metal and overlaps; status TOO_FEW_PIXELS where too little is left."""
     usable, enough = without_overlaps(fit, rows, which, DEEPEST_OF_KNOWN_SHAPE)
     fitted = rows[which]
-    fitted["status"] = Status.TOO_FEW_PIXELS
+    fitted["status"] = BeadStatus.TOO_FEW_PIXELS
     fitted[enough] = fit.within(usable)(rows, which[enough], prior_sd)
     return fitted
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check, Code, Limits, failed
+from sightline.checks import Check, CheckCode, Limits, failed
 from sightline.errors import UnusableInputError
 from sightline.geometry.covariance import length_quantile
 from sightline.planning.check.result import CheckShot, check_shot_error
@@ -27,7 +27,7 @@ TURNED_AWAY = (
 MIN_TIP_MM = 1.0  # nearer to the entry, the tip says nothing of the line's direction [ours]
 MAX_DEPTH_MM = 3.0  # a robot refuses a measured depth that is further from its own [docs/robot-link.md]
 _WORDS = {"go": "GO", "no-go": "STOP", "incomplete": "INCOMPLETE"}
-_INPUTS = (Code.CHECK_SHOT_ERROR, Code.BONE_LANDMARKS)  # where these fail, an input is missing
+_INPUTS = (CheckCode.CHECK_SHOT_ERROR, CheckCode.BONE_LANDMARKS)  # where these fail, an input is missing
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def drill_shot(
     state = ALIGNED if known.straight else PAUSED
     shot = DrillShot(state, wire, end, spread, Verdict(()))
     checks = [check for one in wire.checks for check in _checks(one, shot, limits)]
-    vague = any(one.code is Code.CHECK_SHOT_ERROR for one in failed(checks))
+    vague = any(one.code is CheckCode.CHECK_SHOT_ERROR for one in failed(checks))
     judged = tuple(replace(one, missing=not one.passed and _lacks_input(one, shot, vague=vague)) for one in checks)
     return replace(shot, verdict=Verdict(judged))
 
@@ -122,9 +122,9 @@ def _lacks_input(of: Check, shot: DrillShot, *, vague: bool) -> bool:
     """Whether a failed check lacks an input: it is one of the inputs, or a deviation that is not known to pass its
     limit because the errors are larger than theirs (`vague`)."""
     known = {
-        Code.WIRE_ENTRY: shot.wire.entry_error_95_mm,
-        Code.WIRE_AHEAD: shot.end_error_95_mm,
-        Code.WIRE_DIRECTION: float(np.rad2deg(shot.wire.direction_error_95_rad)),
+        CheckCode.WIRE_ENTRY: shot.wire.entry_error_95_mm,
+        CheckCode.WIRE_AHEAD: shot.end_error_95_mm,
+        CheckCode.WIRE_DIRECTION: float(np.rad2deg(shot.wire.direction_error_95_rad)),
     }
     if vague and of.code in known and of.figure is not None and of.limit is not None:
         return of.figure - known[of.code] <= of.limit
@@ -133,9 +133,9 @@ def _lacks_input(of: Check, shot: DrillShot, *, vague: bool) -> bool:
 
 def _checks(of_wire: Check, shot: DrillShot, limits: Limits) -> list[Check]:
     """Return what replaces one of the wire's checks: of the end ahead and the depth, not of the tip."""
-    if of_wire.code is Code.CHECK_SHOT_ERROR:
+    if of_wire.code is CheckCode.CHECK_SHOT_ERROR:
         return [check_shot_error(max(shot.wire.entry_error_95_mm, shot.end_error_95_mm), shot.wire, limits)]
-    if of_wire.code is not Code.WIRE_TIP:
+    if of_wire.code is not CheckCode.WIRE_TIP:
         return [of_wire]
     end, off = float(np.linalg.norm(shot.end_mm)), float(shot.wire.deviation_mm[4])
     ahead = (

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check, Code, Limits, failed
+from sightline.checks import Check, CheckCode, Limits, failed
 from sightline.geometry.covariance import length_quantile
 from sightline.show import Shown
 from sightline.show.words import checks_lines, numbers
@@ -117,7 +117,7 @@ class CheckShot(Shown):
     @property
     def at_holes(self) -> bool:
         """True for a drill through a nail, which is judged at both holes instead of at its tip."""
-        return any(check.code is Code.WIRE_AT_FAR_HOLE for check in self.checks)
+        return any(check.code is CheckCode.WIRE_AT_FAR_HOLE for check in self.checks)
 
     def document(self) -> dict[str, Any]:
         """Return everything as JSON types: mm, angles in degrees."""

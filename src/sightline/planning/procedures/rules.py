@@ -8,7 +8,7 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from sightline.checks import Code, code_key
+from sightline.checks import CheckCode, code_key
 
 HEAD_CENTRE, LESSER = "head-centre", "lesser-trochanter"
 
@@ -71,7 +71,7 @@ CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
     }
 )
 # The limit of these is the 95 % error of their own value: no clearance.
-ABOVE_ERROR = (Code.TIP_IN_HEAD,)
+ABOVE_ERROR = (CheckCode.TIP_IN_HEAD,)
 # They show whether an end of the wire lies in the bone, where the corridor says that it must.
 END_CHECKS = {
     "entry": {"entry below cortex", "lateral of lesser trochanter", "entry to pedicle"},
@@ -113,9 +113,9 @@ class CheckRule(Strict):
         return self
 
     @property
-    def code(self) -> Code | None:
+    def code(self) -> CheckCode | None:
         """The code of the check that the rule names; None where the check is "entry at cortex"."""
-        return next((code for code in Code if code == code_key(self.check)), None)
+        return next((code for code in CheckCode if code == code_key(self.check)), None)
 
     @property
     def range(self) -> tuple[float, float]:
