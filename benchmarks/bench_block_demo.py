@@ -12,10 +12,10 @@ import numpy as np
 
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
-from sightline.atomic import scratch_folder
 from sightline.case.views import NAMES, calibrate_pair, see_pair
-from sightline.cli.demo import PICK_SD_PX
-from sightline.cli.demo_robot import BY_ENCODERS, BY_IMAGES, DemoPlan, depth_limit_mm, registrations, targets_by
+from sightline.cli.demos.demo import PICK_SD_PX
+from sightline.cli.demos.robot import BY_ENCODERS, BY_IMAGES, DemoPlan, depth_limit_mm, registrations, targets_by
+from sightline.common.atomic import scratch_folder
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import write_dicom

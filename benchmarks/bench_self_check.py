@@ -21,10 +21,10 @@ from benchmarks.rows import Row
 from sightline.calibration.self_checks.plate_motion import MOTIONS, Errors, in_plate, plate_pairs
 from sightline.calibration.self_checks.plates import self_check
 from sightline.calibration.self_checks.solid import KnownDistance, self_check_solid
+from sightline.common.geometry.rigid import rigid_fit
 from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
-from sightline.geometry.rigid import rigid_fit
 from sightline.studies.scenes import VIEWS
 from sightline.twin import SetUp, bead_images, draw_setup
 from sightline.twin.xray.setup import with_errors

@@ -7,7 +7,7 @@ import numpy as np
 
 from campaigns.campaign import Ended
 from sightline.calibration import CalibratedView
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.planning import Plan, plan
 from sightline.planning.bone.aids import Aids, Circle
 from sightline.studies.scenes import VIEWS

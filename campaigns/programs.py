@@ -23,12 +23,12 @@ import numpy as np
 
 from campaigns.person import Clicks
 from campaigns.points import World
-from sightline import atomic
 from sightline.case.acquire import folder as acquire_folder
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.journal.case import JOURNAL
 from sightline.cli import commands
 from sightline.cli.output import Output
+from sightline.common import atomic
 from sightline.detection.csv_files import write_observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame

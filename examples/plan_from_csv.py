@@ -8,7 +8,7 @@ import sys
 import numpy as np
 
 import sightline as sl
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.detection.csv_files import read_observations
 from sightline.planning import kind, matching_curve, plan
 

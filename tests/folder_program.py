@@ -9,7 +9,7 @@ import signal
 import sys
 from pathlib import Path
 
-from sightline.atomic import MANIFEST, write_folder
+from sightline.common.atomic import MANIFEST, write_folder
 
 EVENTS = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.link")
 OLD, NEW, AGAIN = (

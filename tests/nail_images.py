@@ -6,7 +6,7 @@ import numpy as np
 from benchmarks.holes.nail_edges import Sight, ends_of_outlines
 
 from sightline.calibration import CalibratedView, view_from_matrix
-from sightline.geometry.planes import Plane
+from sightline.common.geometry.planes import Plane
 from sightline.imaging import Radiograph
 from sightline.twin.anatomy.nailed_femur import DistalNail, nail_scene
 from sightline.twin.objects.things import Scene

@@ -14,8 +14,8 @@ import pytest
 from tests.folder_program import AGAIN, NEW, OLD, read
 from tests.systems import needs_posix
 
-from sightline import atomic
-from sightline.atomic import MANIFEST, whole_folder, write_folder, write_whole
+from sightline.common import atomic
+from sightline.common.atomic import MANIFEST, whole_folder, write_folder, write_whole
 from sightline.errors import LinkError, UnusableInputError
 
 PROGRAM = Path(__file__).with_name("folder_program.py")

@@ -8,11 +8,11 @@ import pytest
 from tests.systems import needs_posix
 
 import sightline as sl
-from sightline.bounded import read_bounded, regular_file
 from sightline.case.deidentify import Deidentifier
 from sightline.case.interop.dicom_plan import ReferencedImage
 from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal.originals import anonymous_name
+from sightline.common.bounded import read_bounded, regular_file
 from sightline.detection.csv_files import read_detections, read_observations
 from sightline.errors import UnusableInputError
 from sightline.frame.measured.measurements import read_measurements

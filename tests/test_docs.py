@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sightline import errors
-from sightline.checks import CheckCode, code_key
+from sightline.common.checks import CheckCode, code_key
 from sightline.planning.procedures.files import shipped
 
 ROOT = Path(__file__).parents[1]

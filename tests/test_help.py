@@ -16,7 +16,7 @@ from tests.worked import Worked
 import sightline as sl
 from sightline.calibration.exchange.formats import write_view
 from sightline.calibration.exchange.pinhole import Pinhole
-from sightline.saved import document
+from sightline.case.saved import document
 
 MATRIX = np.array([[5000.0, 0.0, 512.0, 3e5], [0.0, 5000.0, 512.0, 3e5], [0.0, 0.0, 1.0, 600.0]])
 NAMES = [name for name in sl.__all__ if name != "__version__"]

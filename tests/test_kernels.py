@@ -16,8 +16,8 @@ from numba.core.registry import CPUDispatcher
 
 import sightline
 from sightline.case.views import NAMES
+from sightline.common.kernels import version
 from sightline.imaging.files import write_png
-from sightline.kernels import version
 from sightline.twin import hip_scene, render
 
 # Functions that numba compiles to instructions of the caller. Others are kernels of numba's own, with the options of
@@ -77,7 +77,7 @@ def test_every_constant_of_a_kernel_is_in_a_file_that_the_version_counts() -> No
 
 
 _CALLER = """
-from sightline.kernels import kernel
+from sightline.common.kernels import kernel
 from sightline.callee import halved
 from sightline.limits import LIMIT
 
@@ -90,7 +90,7 @@ def second(x):
     return x[1]
 """
 _CALLEE = """
-from sightline.kernels import kernel
+from sightline.common.kernels import kernel
 
 @kernel()
 def halved(x):

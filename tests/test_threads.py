@@ -9,9 +9,9 @@ import pytest
 from threadpoolctl import ThreadpoolController
 
 import sightline as sl
-from sightline import threads
+from sightline.common import threads
+from sightline.common.threads import one_blas_thread
 from sightline.detection.csv_files import read_observations
-from sightline.threads import one_blas_thread
 from sightline.twin import render
 from sightline.twin.objects.things import frame_scene
 

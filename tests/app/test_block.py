@@ -20,7 +20,7 @@ from sightline.case.journal import Actor, Case
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.stages import keep_frame, record_acquired, record_changed, record_planned
 from sightline.case.views import NAMES, OBLIQUE
-from sightline.checks import CheckCode
+from sightline.common.checks import CheckCode
 from sightline.imaging import write_dicom
 from sightline.twin import SetUp
 from sightline.twin.xray.setup import BEAMS

@@ -14,7 +14,7 @@ from tests.app.hands import Hands
 from sightline.app.panels.steps import StepStatus, judged
 from sightline.case.journal import Actor, Case
 from sightline.case.stages import record_acquired
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.errors import ImageError
 from sightline.imaging import Radiograph, write_dicom
 from sightline.planning.points.results import Verdict

@@ -14,7 +14,7 @@ from tests.planning.test_wires import WIRES_MM
 from sightline.app import texts
 from sightline.app.panels import markup, verdict
 from sightline.app.plan.planner import Planned, planned
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.planning import plan
 from sightline.planning.points.results import MAX_GAP_SIGMA
 

@@ -4,7 +4,7 @@ import pytest
 
 from sightline.app import texts
 from sightline.app.panels import markup
-from sightline.checks import Check
+from sightline.common.checks import Check
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from sightline.case import stages
 from sightline.case.journal import Actor, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES, calibrated, see_pair
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.detection import Observations
 from sightline.detection.csv_files import write_observations
 from sightline.errors import UnusableInputError

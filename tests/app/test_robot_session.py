@@ -18,9 +18,9 @@ from sightline.app.panels import drill, steps
 from sightline.app.panels.drill import _depth, how_deep, reading
 from sightline.app.session.robot_session import RobotNow, RobotSession
 from sightline.app.session.sent import ZeroSource
-from sightline.checks import Limits
+from sightline.common.checks import Limits
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import LinkError, RobotRefusedError
-from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.rehearsal.operation import SimulatedTheatre
 from sightline.robot.contract import DEPTH
 from sightline.robot.control.controller import Controller

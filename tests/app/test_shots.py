@@ -24,7 +24,7 @@ from sightline.app.tab.placing import ProcedureStep
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES
-from sightline.checks import Check, failed
+from sightline.common.checks import Check, failed
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_dicom

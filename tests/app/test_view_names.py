@@ -13,7 +13,7 @@ from sightline.app.drawing.space.document import axis_objects, side_objects
 from sightline.app.panels.steps import aid_labels, needed_aids
 from sightline.app.plan.decisions import Decisions
 from sightline.app.texts import image_label, image_name, image_short, in_image
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import kind as kind_of
 

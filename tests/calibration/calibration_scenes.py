@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sightline.common.geometry.planes import Plane
 from sightline.detection.results import Observations
 from sightline.frame import Frame, Tolerances
-from sightline.geometry.planes import Plane
 
 GAMMA = Frame.load("gamma")
 EXACT = replace(GAMMA, tolerances=Tolerances(1e-9, 0.0, 0.0, 0.0, 0.0))

@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from sightline.calibration import calibrate
 from sightline.calibration.view import SOURCES
+from sightline.common.geometry.planes import Plane
 from sightline.errors import (
     CalibrationRefusedError,
     FrameError,
@@ -17,7 +18,6 @@ from sightline.errors import (
     UnusableInputError,
 )
 from sightline.frame import Frame
-from sightline.geometry.planes import Plane
 
 METHODS = ("smooth", "polynomial", "localized")
 CLASSICAL = [("polynomial", "xrii"), ("polynomial", "source"), ("localized", "xrii"), ("localized", "source")]

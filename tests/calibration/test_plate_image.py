@@ -13,7 +13,7 @@ from sightline.calibration import CArm, calibrate
 from sightline.calibration.solids.calibrate_together import adjustment_of, calibrate_together
 from sightline.calibration.solids.plate_image import MIN_PLATE_BALLS
 from sightline.calibration.solids.start import image_of, solid_of
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.errors import CalibrationRefusedError
 from sightline.frame import Frame, Plate, Tolerances
 from sightline.studies.scenes import draw_scene, measure

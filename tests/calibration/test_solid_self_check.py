@@ -8,9 +8,9 @@ from scipy.stats import chi2
 from tests.calibration.solid_scenes import C_ARM, built, turned_images
 
 from sightline.calibration.self_checks.solid import KnownDistance, self_check_solid
+from sightline.common.geometry.rigid import rigid_fit
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.frame import Frame, Tolerances
-from sightline.geometry.rigid import rigid_fit
 
 PRINTED = replace(Frame.load("block60"), name="printed", tolerances=Tolerances(0.2, 0.0, 0.0, 0.0, 0.0))
 IMAGES = 10

@@ -11,11 +11,11 @@ from tests.calibration.solid_scenes import C_ARM, SHAPE, built, camera, seen
 import sightline as sl
 from sightline.calibration import calibrate
 from sightline.calibration.solids.calibrate_together import calibrate_together
-from sightline.checks import failed
+from sightline.common.checks import failed
+from sightline.common.geometry.planes import Plane
 from sightline.detection import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame, Tolerances
-from sightline.geometry.planes import Plane
 from sightline.planning.points.line_residuals import LineResiduals
 
 BLOCK = Frame.load("block60")

@@ -12,7 +12,7 @@ from sightline.case.report.comparison import Refused
 from sightline.case.report.document import report_document
 from sightline.case.report.page import render
 from sightline.case.report.tables import tables
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.planning import Verdict
 
 VOID = {"meta", "link", "img", "br"}

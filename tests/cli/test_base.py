@@ -15,9 +15,9 @@ import typer
 from typer.testing import CliRunner
 
 import sightline
-from sightline.checks import Check
 from sightline.cli.options import command
 from sightline.cli.output import Output, Terminated, as_json
+from sightline.common.checks import Check
 from sightline.errors import ImageError, LabellingRefusedError
 
 PASSED = Check("bead count", True, 98.0, 60.0, "beads", "98 beads are used.")

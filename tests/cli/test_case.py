@@ -15,8 +15,8 @@ from sightline.case.contents import PlanRequest
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.replay import Recomputed, replay
 from sightline.case.views import NAMES, calibrate_pair, see_pair
+from sightline.common.estimator import ESTIMATOR
 from sightline.errors import CaseError
-from sightline.estimator import ESTIMATOR
 from sightline.imaging import write_dicom
 from sightline.twin import draw_setup, hip_scene, render
 

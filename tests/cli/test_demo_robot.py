@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from sightline.calibration import calibrate
-from sightline.cli import demo_robot
-from sightline.cli.demo_robot import BY_ENCODERS, BY_IMAGES, DemoPlan, RobotAhead, registrations
+from sightline.cli.demos import robot as demo_robot
+from sightline.cli.demos.robot import BY_ENCODERS, BY_IMAGES, DemoPlan, RobotAhead, registrations
+from sightline.common.geometry.covariance import length_quantile
 from sightline.errors import RobotRefusedError
 from sightline.frame import Frame
-from sightline.geometry.covariance import length_quantile
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.rehearsal.robots import SHOWN_FEED_MM, drawn_robot, shown_wire_mm
 from sightline.robot.kinematics.manipulator import imaging_yaw

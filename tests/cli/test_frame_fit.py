@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sightline.common.geometry.rigid import rigid_fit
 from sightline.frame import Frame
-from sightline.geometry.rigid import rigid_fit
 from sightline.twin.xray.setup import with_errors
 
 GAMMA = Frame.load("gamma")

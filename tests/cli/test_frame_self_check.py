@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sightline.common.geometry.rigid import rigid_fit
 from sightline.detection.csv_files import write_observations
 from sightline.detection.results import Observations
 from sightline.frame import Frame, Tolerances
-from sightline.geometry.rigid import rigid_fit
 from sightline.twin.xray.setup import bead_images, displaced, draw_setup, with_errors
 
 

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from nibabel.nifti1 import Nifti1Header, Nifti1Image
 
-from sightline.atomic import write_folder
+from sightline.common.atomic import write_folder
 from sightline.detection import detect
 from sightline.frame import Frame
 from sightline.imaging import read_image

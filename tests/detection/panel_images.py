@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.geometry.planes import Plane
+from sightline.common.geometry.planes import Plane
 from sightline.twin.anatomy.femur import draw_femur, voxelise
 from sightline.twin.objects.things import Ball, Box, Scene, SoftTissue
 from sightline.twin.xray.presets import ImageChain

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from sightline.calibration import fit_map
+from sightline.common.fitting import kriging
+from sightline.common.fitting.kernels import squared_distances, squared_exponential
+from sightline.common.fitting.kriging import Kriging, PlanarKriging
+from sightline.common.fitting.robust import median, variance_ratio
+from sightline.common.fitting.triangular import cholesky
 from sightline.errors import CalibrationRefusedError
-from sightline.fitting import kriging
-from sightline.fitting.kernels import squared_distances, squared_exponential
-from sightline.fitting.kriging import Kriging, PlanarKriging
-from sightline.fitting.robust import median, variance_ratio
-from sightline.fitting.triangular import cholesky
 
 N, SHARED = 30, 3
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.errors import FrameError
 from sightline.frame import Frame, nominal
 from sightline.frame.check import check_frame

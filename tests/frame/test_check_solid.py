@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.errors import FrameError
 from sightline.frame import Fiducial, Frame, RigidBody
 from sightline.frame.check import check_frame

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
+from sightline.common.geometry.rigid import rigid_fit
 from sightline.errors import FrameError
 from sightline.frame import Frame, RigidBody
 from sightline.frame.measured.fit import Circumstances, fit_frame
 from sightline.frame.measured.measurements import Series
-from sightline.geometry.rigid import rigid_fit
 
 BLOCK = Frame.load("block60")
 NOMINAL_MM = BLOCK.solid.xyz_mm

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.frame import Fiducial, Frame, FrameView, Plate
 from sightline.frame.check import check_frame, reach_mm
 from sightline.frame.designs import Beam, builtin_design

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.frame import Frame, Tolerances
 from sightline.frame.check import check_frame
 from sightline.frame.designs import BUILTIN

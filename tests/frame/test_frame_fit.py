@@ -5,10 +5,10 @@ import pytest
 from fit_scenes import FRAME, IDS, NOMINAL_MM, SD_MM, made, measured
 from scipy.stats import chi2
 
+from sightline.common.geometry.rigid import rigid_fit
 from sightline.errors import FrameError
 from sightline.frame.measured.fit import Circumstances, FittedFrame, fit_frame
 from sightline.frame.measured.measurements import Series
-from sightline.geometry.rigid import rigid_fit
 
 STILL = Circumstances(drift_mm=0.0)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.errors import FrameError
 from sightline.frame import Frame, InUse, Plate, Tolerances
 from sightline.frame.check import check_frame

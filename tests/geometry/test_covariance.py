@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from sightline.geometry.covariance import both_within, ellipsoid_factor, length_quantile
+from sightline.common.geometry.covariance import both_within, ellipsoid_factor, length_quantile
 
 
 @pytest.mark.parametrize("probability", [0.5, 0.95, 0.99])

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sightline.common.geometry.lines import meeting_point, nearest_approach
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.lines import meeting_point, nearest_approach
 
 FOCAL = np.array([13.7, -8.2, -617.3])
 GRID = np.stack([*np.meshgrid([-66.0, -22, 22, 66], [-66.0, -22, 22, 66], [300.0])], axis=-1).reshape(-1, 3)

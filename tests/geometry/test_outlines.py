@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from sightline.calibration.maps.hull import Hull
-from sightline.geometry.outlines import convex_hull, enclosed_area
+from sightline.common.geometry.outlines import convex_hull, enclosed_area
 
 
 @pytest.mark.parametrize("count", [3, 4, 9, 120])

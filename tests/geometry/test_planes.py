@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from sightline.common.geometry.planes import Plane
 from sightline.errors import OutsideRegionError, UnusableInputError
-from sightline.geometry.planes import Plane
 
 
 def grid(normal_axis: int) -> np.ndarray:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
-from sightline.geometry.rigid import adjoint, cross_matrix, displacement
+from sightline.common.geometry.rigid import adjoint, cross_matrix, displacement
 
 numbers = st.lists(st.floats(-2.0, 2.0), min_size=6, max_size=6).map(np.array)
 

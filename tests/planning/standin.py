@@ -6,9 +6,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.calibration.view import LinesOfSight
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.geometry.planes import Plane
 from sightline.errors import OutsideRegionError
-from sightline.geometry.planes import Plane
 
 CENTRE_PX = 512.0
 SCALE_PX = 512.0

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.checks import Check, failed
+from sightline.common.checks import Check, failed
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning import Aids, Circle, MatchingCurve, Plan, Procedure, kind, plan
 from sightline.planning.points.results import Verdict

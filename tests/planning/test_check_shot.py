@@ -7,7 +7,7 @@ import pytest
 
 import sightline as sl
 from sightline.calibration import BeadView
-from sightline.checks import Limits, failed
+from sightline.common.checks import Limits, failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan

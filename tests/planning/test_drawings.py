@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from sightline.case.canonical import plain
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import UnusableInputError
-from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Aids, Drawing, Pick, locate
 from sightline.planning.bone.metrics import metric
 from sightline.twin.anatomy.aids import clicked_mm

@@ -9,7 +9,7 @@ from tests.planning.test_check_shot import MARK_PX, MARKS, PLAN, Wire, shows, wi
 
 import sightline as sl
 from sightline.calibration import BeadView
-from sightline.checks import Limits, failed
+from sightline.common.checks import Limits, failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan

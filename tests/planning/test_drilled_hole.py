@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.checks import Check, Limits
+from sightline.common.checks import Check, Limits
 from sightline.planning.check.result import checks
 
 from .shots import straight_shot

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.calibration import view_from_matrix
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning import Trajectory, corridor, error_shares, plan, reconstruct
 from sightline.planning.points.results import MAX_GAP_SIGMA

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.calibration.view import LinesOfSight
-from sightline.geometry.planes import Plane
+from sightline.common.geometry.planes import Plane
 from sightline.planning.points.line_residuals import LineResiduals
 
 POINTS_MM = np.array([[3.7, -11.2, 18.3], [-24.1, 27.9, -46.6], [5.2, 8.9, 131.4]])

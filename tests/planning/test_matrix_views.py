@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sightline as sl
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning import kind, matching_curve, plan
 

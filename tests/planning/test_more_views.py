@@ -9,9 +9,9 @@ from scipy.stats import chi2, norm
 
 import sightline as sl
 from sightline.calibration import view_from_matrix
-from sightline.checks import failed
+from sightline.common.checks import failed
+from sightline.common.geometry.lines import meeting_point
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
-from sightline.geometry.lines import meeting_point
 from sightline.planning import kind, matching_curve, plan, reconstruct
 from sightline.planning.points.results import BUDGET, SpacePoints
 

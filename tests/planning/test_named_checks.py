@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sightline.checks import Check
-from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.common.checks import Check
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Aids, Line, Plan, Procedure, kind, locate, metrics, plan
 from sightline.planning.procedures.files import copy_text, document_from_json
 from sightline.planning.procedures.rules import CHECKS

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Anatomy, Procedure, kind
 from sightline.planning.bone.metrics import metric
 from sightline.planning.points.results import Verdict

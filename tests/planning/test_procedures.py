@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sightline.checks import Limits
+from sightline.common.checks import Limits
 from sightline.errors import UnusableInputError
 from sightline.planning import PROCEDURES, Aids, ProposalRule, kind, locate, procedures
 from sightline.planning.bone.metrics import metric

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sightline.calibration import BeadView, calibrate
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.detection import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.points.ruler import measured_in_plane, measured_in_space
 from sightline.twin import SetUp, bead_images, draw_setup
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.checks import Check, failed
+from sightline.common.checks import Check, failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning import Limits, SpacePoints, Trajectory, judge, kind, plan, reconstruct
 from sightline.planning.points.picks import Pick, stack

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.holes.nail_edges import Sight, seen
 
 from sightline.calibration import view_from_matrix
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.errors import ReconstructionRefusedError
 from sightline.from_images.interlocking import refuse_confused
 from sightline.planning import Hole, Nail, WirePicks, fit_hole, plan_wires

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sightline.calibration.view import LinesOfSight
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.planning import Aids, Plan, Procedure, kind, plan
 from sightline.planning.bone.directions import anatomical
 from sightline.planning.procedures.files import copy_text, document_from_json

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.planning import (
     Axis,

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 import sightline as sl
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.frame import Frame
 from sightline.from_images.pipeline import label_beads
 from sightline.planning import plan

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.robot.rig import END_MM, ENTRY_MM, wait_for
 
-from sightline.checks import Limits
+from sightline.common.checks import Limits
 from sightline.errors import RobotRefusedError
 from sightline.rehearsal.operation import SLEEVE_MM, InsertionOutcome, SimulatedTheatre, registered
 from sightline.robot.control.states import State

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from tests.robot.test_target import IDENTITY
 
-from sightline.checks import Limits
+from sightline.common.checks import Limits
 from sightline.errors import RobotRefusedError
 from sightline.frame import Frame
 from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup, registered

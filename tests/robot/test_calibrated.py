@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration import calibrate
+from sightline.common.geometry.covariance import length_quantile, line_direction
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.frame import Frame
-from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.planning import reconstruct
 from sightline.rehearsal.robots import calibrated_robot, true_manipulator
 from sightline.robot.kinematics.calibrated import MACHINED_SD, REMOUNT_SD, SOURCES, calibrate_axes

@@ -74,7 +74,7 @@ def _at(pose: RigidTransform, feed: float) -> np.ndarray:
 
 
 def _design(pose: RigidTransform, feed: float) -> np.ndarray:
-    from sightline.geometry.rigid import displacement
+    from sightline.common.geometry.rigid import displacement
 
     return displacement(_at(pose, feed))
 

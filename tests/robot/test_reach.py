@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.errors import UnusableInputError
 from sightline.robot.kinematics.manipulator import FEED, LIFT, PITCH, TRAVERSE, YAW, nominal_manipulator
 from sightline.robot.kinematics.reach import (

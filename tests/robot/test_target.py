@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.checks import Check, Limits
+from sightline.common.checks import Check, Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.planning.bone.directions import unit
 from sightline.rehearsal.robots import calibrated_robot

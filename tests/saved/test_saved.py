@@ -11,10 +11,10 @@ from tests.worked import Worked
 
 import sightline as sl
 from sightline.case.interop.plan_file import PlanFile, sealed
-from sightline.checks import Check
+from sightline.case.saved import document
+from sightline.case.saved.models import PUBLISHED, schema_text
+from sightline.common.checks import Check
 from sightline.errors import UnusableInputError
-from sightline.saved import document
-from sightline.saved.models import PUBLISHED, schema_text
 
 SCHEMAS = Path(__file__).parents[2] / "docs" / "schemas"
 MATRIX = np.array([[1000.0, 0.0, 512.0, 0.0], [0.0, 1000.0, 512.0, 0.0], [0.0, 0.0, 1.0, 600.0]])
@@ -149,7 +149,7 @@ def test_a_frame_is_saved_as_its_own_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(PUBLISHED))
 def test_the_published_schemas_are_those_of_the_code(name: str) -> None:
     published = SCHEMAS / f"{name}.schema.json"
-    assert published.read_text() == schema_text(name), "python -m sightline.saved docs/schemas"
+    assert published.read_text() == schema_text(name), "python -m sightline.case.saved docs/schemas"
 
 
 def test_a_saved_trajectory_keeps_the_published_schema(files) -> None:

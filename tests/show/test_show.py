@@ -13,8 +13,8 @@ from tests.worked import Worked
 
 import sightline as sl
 from sightline.case.canonical import plain
+from sightline.common.show import Plotted, Shown
 from sightline.errors import UnusableInputError
-from sightline.show import Plotted, Shown
 
 MATRIX = np.array([[1000.0, 0.0, 512.0, 0.0], [0.0, 1000.0, 512.0, 0.0], [0.0, 0.0, 1.0, 600.0]])
 
@@ -105,7 +105,7 @@ def test_text_of_a_file_cannot_become_markup() -> None:
 
 
 def test_a_large_picture_is_made_smaller(monkeypatch: pytest.MonkeyPatch, worked: Worked) -> None:
-    monkeypatch.setattr("sightline.show.face._MAX_PICTURE_BYTES", 40_000)
+    monkeypatch.setattr("sightline.common.show.face._MAX_PICTURE_BYTES", 40_000)
     assert len(worked.beads._repr_html_()) < 60_000
 
 

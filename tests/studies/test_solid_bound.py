@@ -8,8 +8,8 @@ from benchmarks.solid.bound import solid_bound
 from scipy.spatial.transform import Rotation
 
 from sightline.calibration import CArm, calibrate_together
+from sightline.common.geometry.planes import Plane
 from sightline.frame import Fiducial, Frame, RigidBody, Tolerances
-from sightline.geometry.planes import Plane
 from sightline.planning import reconstruct
 from sightline.studies.bound import BoundData
 from sightline.studies.scenes import draw_scene

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sightline import threads
+from sightline.common import threads
 from sightline.twin.objects.beam import TABLE_PER_CM, attenuation_per_mm
 from sightline.twin.objects.things import Ball, Rod, SoftTissue, pack
 from sightline.twin.xray.projector import Rays, box_length, chord, volume_integral

@@ -3,7 +3,7 @@
 import re
 
 from sightline.case.views import spoken
-from sightline.checks import Check, CheckCode
+from sightline.common.checks import Check, CheckCode
 from sightline.planning.procedures import kind as kind_of
 
 _PA = re.compile(r"\bpa\b")  # in the sentence of a check

@@ -17,13 +17,13 @@ from sightline.calibration.view import CalibratedView, Deferred, LinesOfSight, P
 from sightline.calibration.view_checks.bead_checks import handedness_check, strip_check
 from sightline.calibration.view_checks.lengths import CArm, FocalLength, steady_check
 from sightline.calibration.view_checks.support import MIN_STRIP, Support
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.geometry.planes import Plane
+from sightline.common.show import Plotted, dataframe
+from sightline.common.show.words import checks_lines, counted, numbers
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Fiducial, Frame
-from sightline.geometry.planes import Plane
-from sightline.show import Plotted, dataframe
-from sightline.show.words import checks_lines, counted, numbers
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -111,7 +111,7 @@ class BeadView(Plotted):
 
     def _draw(self, ax: Any) -> None:
         """Draw the residuals as arrows, carried into the image by the affine map that is nearest to the view's own."""
-        from sightline.show import draw
+        from sightline.common.show import draw
 
         left = self.residuals
         by_px = self._mm_per_px()

@@ -16,11 +16,11 @@ from sightline.calibration.plates.joint import MIN_BEADS, JointFit, fit_robustly
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.calibration.view_checks.bead_checks import noise_checks, row_check, view_checks
 from sightline.calibration.view_checks.lengths import CArm, ball_size_check
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.threads import one_blas_thread
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-from sightline.threads import one_blas_thread
 
 # Noise assumed where none is stated and the beads are too few to estimate it: a careful click (physics.md, Picks).
 UNKNOWN_NOISE_PX = 0.5

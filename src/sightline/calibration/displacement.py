@@ -14,9 +14,9 @@ import numpy as np
 from sightline.calibration.bead_view import BeadView
 from sightline.calibration.plates.beads import match
 from sightline.calibration.plates.joint import JointFit
+from sightline.common.fitting.robust import variance_ratio
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
-from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
 
 MIN_BEADS = 12  # two equations each for 11 parameters, with redundancy to find wrong beads [ours]

@@ -6,11 +6,11 @@ import numpy as np
 
 from sightline.calibration.line_errors import LineErrors
 from sightline.calibration.view import LinesOfSight
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.geometry.planes import Plane
+from sightline.common.show import Shown
+from sightline.common.show.words import checks_lines, numbers
 from sightline.errors import OutsideRegionError, UnusableInputError
-from sightline.geometry.planes import Plane
-from sightline.show import Shown
-from sightline.show.words import checks_lines, numbers
 
 # For a source at infinity the unit rows of the left 3x3 block span less volume than this [ours].
 MIN_VOLUME = 1e-9

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.common.geometry.planes import Plane
 from sightline.errors import CalibrationRefusedError
-from sightline.geometry.planes import Plane
 
 # Limits for the ratio of a bead's height above the reference plane to that of F [ours]; 0.16 on a Γ frame's source
 # plate.

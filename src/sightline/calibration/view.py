@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from sightline.calibration.projection import Pencil
-from sightline.checks import Check
-from sightline.geometry.planes import Plane
+from sightline.common.checks import Check
+from sightline.common.geometry.planes import Plane
 
 # The sources of a line of sight's error; their covariances add up to the total.
 SOURCES = ("beads", "map", "focal_point", "frame")

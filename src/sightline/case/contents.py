@@ -11,7 +11,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.case.canonical import digest, plain, with_null
 from sightline.case.documents import view_document
 from sightline.case.views import CalibratedImage
-from sightline.checks import Limits
+from sightline.common.checks import Limits
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, UnusableInputError
 from sightline.from_images.interlocking import NailDrawn, plan_found_holes, plan_holes

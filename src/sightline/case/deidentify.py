@@ -14,7 +14,7 @@ from pydicom.sequence import Sequence
 from pydicom.uid import generate_uid
 
 from sightline import __version__
-from sightline.atomic import scratch_folder
+from sightline.common.atomic import scratch_folder
 from sightline.imaging import read_image, write_dicom
 from sightline.imaging.dicom import quiet
 from sightline.imaging.formats import ReadBy, damaged, format_of_file

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sightline.bounded import read_bounded
 from sightline.case import contents
 from sightline.case.canonical import canonical, digest
 from sightline.case.contents import Images
@@ -21,6 +20,7 @@ from sightline.case.stages import (
     view_of_acquired,
 )
 from sightline.case.views import NAMES, CalibratedImage, ObservedView, see_oblique, see_pair, spoken
+from sightline.common.bounded import read_bounded
 from sightline.detection.csv_files import are_detections
 from sightline.errors import CaseError, RefusedError, UnusableInputError
 from sightline.frame import Frame

@@ -13,10 +13,11 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from sightline.bounded import read_bounded
 from sightline.calibration.view import CalibratedView
 from sightline.case.contents import Images, PlanRequest
 from sightline.case.views import ALL_NAMES, NAMES
+from sightline.common.bounded import read_bounded
+from sightline.common.strict import read_strictly
 from sightline.errors import UnusableInputError
 from sightline.from_images.head import fit_head, refuse_tables
 from sightline.from_images.interlocking import NailDrawn
@@ -30,7 +31,6 @@ from sightline.planning.nail.files import known_nails, nail_of
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import ADVICE, document_of, keeping
 from sightline.planning.procedures.rules import Strict
-from sightline.strict import read_strictly
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]

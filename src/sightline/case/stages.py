@@ -5,11 +5,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sightline.bounded import read_bounded
 from sightline.case import contents
 from sightline.case.contents import CheckRequest, DrillShotRequest, PlanRequest
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.views import NAMES, CalibratedImage, stated_view
+from sightline.common.bounded import read_bounded
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, ImageError
 from sightline.frame import Frame

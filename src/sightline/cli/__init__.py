@@ -30,7 +30,7 @@ from sightline.cli.options import commands
 from sightline.cli.output import Terminated
 
 _FILES = (  # in the order in which `sightline --help` lists their commands
-    "demo",
+    "demos.demo",
     "detect",
     "calibrate",
     "planning.plan",

@@ -39,9 +39,9 @@ def calibrate(
 
     Gives the focal point, the residual of each bead and the checks of the view. Exit code 3 if a check fails.
     """
-    from sightline.atomic import write_whole
     from sightline.case.documents import view_document
     from sightline.case.views import calibrated as calibrated_image
+    from sightline.common.atomic import write_whole
     from sightline.detection.csv_files import write_observations
     from sightline.frame import Frame
     from sightline.from_images.pipeline import known_arm
@@ -205,7 +205,7 @@ def _write(folder: Path, image: "PlaneImage", document: dict[str, Any]) -> list[
     import cv2
     import numpy as np
 
-    from sightline.atomic import write_folder
+    from sightline.common.atomic import write_folder
 
     arrays = BytesIO()
     np.savez_compressed(

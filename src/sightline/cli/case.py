@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.checks import Check
 from sightline.cli.options import command, group
 from sightline.cli.output import Output
+from sightline.common.checks import Check
 
 if TYPE_CHECKING:
     from sightline.case.journal import Entry
@@ -85,11 +85,11 @@ def report(
     It is a page, which a browser prints on paper or as PDF, and JSON. The plan is computed again from the originals.
     The report names the case by its number alone.
     """
-    from sightline.atomic import write_folder
     from sightline.case.journal import Case
     from sightline.case.report.document import report_document
     from sightline.case.report.from_case import report_of
     from sightline.case.report.page import render
+    from sightline.common.atomic import write_folder
 
     with Case.open(folder, read_only=True) as case:
         with output.step("computing the last plan again"):

@@ -76,7 +76,7 @@ def _show(out: Output, beads: "Detections") -> None:
 
 
 def _write_csv(beads: "Detections", path: Path) -> None:
-    from sightline.atomic import write_whole
+    from sightline.common.atomic import write_whole
 
     rows = ["u_px,v_px,radius_px,suu_px2,suv_px2,svv_px2,kind,contrast"]
     for i, (u, v) in enumerate(beads.uv_px):
@@ -89,8 +89,8 @@ def _write_csv(beads: "Detections", path: Path) -> None:
 def _write_picture(radiograph: "Radiograph", beads: "Detections", path: Path) -> None:
     import cv2
 
-    from sightline.atomic import write_whole
     from sightline.case.report.drawing.radiographs import grey
+    from sightline.common.atomic import write_whole
 
     height, width = radiograph.shape
     large = cv2.resize(grey(radiograph), (_SCALE * width, _SCALE * height), interpolation=cv2.INTER_LINEAR)

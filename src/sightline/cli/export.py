@@ -139,10 +139,10 @@ def plan(
     """
     from datetime import datetime
 
-    from sightline.atomic import write_folder
     from sightline.case.interop import dicom_plan, itk, robot_files, slicer, tables
     from sightline.case.interop.dicom import ExportIdentity
     from sightline.case.interop.plan_file import PlanFile
+    from sightline.common.atomic import write_folder
     from sightline.errors import UnusableInputError
 
     formats = [name.strip() for name in to.split(",")]
@@ -194,8 +194,8 @@ def deidentify(
 
     The new files hold pixels and geometry only. Burnt-in annotation stays in the pixels.
     """
-    from sightline.atomic import write_folder
     from sightline.case.deidentify import Deidentifier
+    from sightline.common.atomic import write_folder
 
     cleaner = Deidentifier()
     cleaned = [cleaner.clean(image, frame_index) for image in images]  # all of them before one is written
@@ -256,7 +256,7 @@ def _documented(
     view: "BeadView", seen: "ObservedView", pinhole: "Pinhole", pixels: "np.ndarray | None", image: dict[str, Any]
 ) -> _Exported:
     """Return a pinhole with the failed checks in its note, which is written into the file, and its document."""
-    from sightline.checks import failed
+    from sightline.common.checks import failed
 
     if bad := ", ".join(check.name for check in failed(view.checks)):
         pinhole = replace(pinhole, note=f"{pinhole.note}; NOT TO BE TRUSTED, checks failed: {bad}")
@@ -267,7 +267,7 @@ def _documented(
 def _finish(
     output: Output, folder: Path, files: dict[str, bytes], documents: list[dict[str, Any]], views: "list[BeadView]"
 ) -> None:
-    from sightline.atomic import write_folder
+    from sightline.common.atomic import write_folder
 
     written = write_folder(folder, files)
     for document in documents:

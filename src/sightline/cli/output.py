@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import typer
 
-from sightline.checks import Check, failed
+from sightline.common.checks import Check, failed
 from sightline.errors import SightlineError, UnusableInputError
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def as_json(value: Any) -> str:
 
 def _disk_error(error: OSError) -> str:
     """Return the message of a disk error without the file's name, which may be a patient's; "" for other errors."""
-    from sightline.atomic import advice, is_of_a_disk
+    from sightline.common.atomic import advice, is_of_a_disk
 
     return f"disk error: {error.strerror}; {advice(error)}" if is_of_a_disk(error) else ""
 

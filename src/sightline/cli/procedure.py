@@ -84,7 +84,7 @@ def new(
     like: Annotated[str, typer.Option(help="The procedure to copy: a key of the list, or a file.")],
 ) -> None:
     """Write a procedure's file like another one, to be edited."""
-    from sightline.atomic import write_whole
+    from sightline.common.atomic import write_whole
     from sightline.errors import UnusableInputError
     from sightline.planning.procedures.files import copy_text
 

@@ -125,7 +125,7 @@ def simulate(
     """
     import numpy as np
 
-    from sightline.atomic import whole_folder
+    from sightline.common.atomic import whole_folder
     from sightline.errors import UnusableInputError
     from sightline.twin import DOSES, render
 

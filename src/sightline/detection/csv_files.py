@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.atomic import write_whole
-from sightline.bounded import read_text, regular_file
+from sightline.common.atomic import write_whole
+from sightline.common.bounded import read_text, regular_file
 from sightline.detection.labelling import label
 from sightline.detection.results import Detections, Observations
 from sightline.errors import ObservationsError

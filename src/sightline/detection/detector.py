@@ -6,6 +6,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from sightline.common.fitting.kernels import distances
+from sightline.common.fitting.robust import median
+from sightline.common.threads import at_once, one_blas_thread
 from sightline.detection.beads import refine
 from sightline.detection.beads.bead import SHADOW, BeadStatus, centre_covariances, centres
 from sightline.detection.beads.candidates import distinct, find_candidates
@@ -16,11 +19,8 @@ from sightline.detection.log_image import field_and_logs
 from sightline.detection.results import Detections, RejectedCandidate
 from sightline.detection.scale import FACTOR, finer, is_fine
 from sightline.errors import DetectionRefusedError
-from sightline.fitting.kernels import distances
-from sightline.fitting.robust import median
 from sightline.imaging import Radiograph, as_radiograph
 from sightline.imaging.defects import interlaced
-from sightline.threads import at_once, one_blas_thread
 
 _MIN_RADIUS_PX, _MAX_RADIUS_PX = 1.7, 27.0  # the promised 2-25 px, and a margin for the fit
 _MAX_SD_PX = 1.0  # a less certain centre is of no use; recall is promised below 0.5 px [ours]

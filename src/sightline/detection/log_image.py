@@ -5,9 +5,9 @@ from functools import cache
 import cv2
 import numpy as np
 
+from sightline.common.kernels import kernel
+from sightline.common.threads import at_once
 from sightline.imaging import Radiograph
-from sightline.kernels import kernel
-from sightline.threads import at_once
 
 _COARSE = 4  # px; outside the field, pixels are filled at this resolution
 _KNOWN = 0.01  # smallest share of a pyramid's pixel inside the field

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sightline.common.show import Plotted, dataframe
+from sightline.common.show.table import covariance_columns
+from sightline.common.show.words import centre_sd, counted, image_size
 from sightline.errors import ObservationsError
-from sightline.show import Plotted, dataframe
-from sightline.show.table import covariance_columns
-from sightline.show.words import centre_sd, counted, image_size
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -92,7 +92,7 @@ class Detections(Plotted):
         return dataframe(place | rest)
 
     def _draw(self, ax: Any) -> None:
-        from sightline.show import draw
+        from sightline.common.show import draw
 
         draw.image(ax, self.pixels, self.image_shape, self.uv_px, f"{counted(len(self), 'bead')} detected")
         for kind, colour in (("ball", draw.ORANGE), ("washer", draw.BLUE), ("hole", draw.GREEN)):
@@ -161,7 +161,7 @@ class Observations(Plotted):
         return dataframe(columns | known)
 
     def _draw(self, ax: Any) -> None:
-        from sightline.show import draw
+        from sightline.common.show import draw
 
         title = f"view {self.view}: {counted(len(self), 'bead')} labelled"
         draw.image(ax, self.pixels, self.image_shape, self.uv_px, title)

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from sightline.common.fitting.robust import quantiles
 from sightline.detection.beads.bead import centres
 from sightline.detection.results import Detections, Observations, RejectedCandidate
-from sightline.fitting.robust import quantiles
 
 FACTOR = 2
 _USUAL_RADIUS_PX = 14.0  # largest median of the beads; datum balls, 5/3 as large, then have 24 px [ours]

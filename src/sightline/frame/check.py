@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
-from sightline.checks import Check, failed
+from sightline.common.checks import Check, failed
 from sightline.errors import FrameError
 from sightline.frame import nominal
 from sightline.frame.handed import MIN_COMMON, common_ids, fits_mirrored, misfits_mm

@@ -9,11 +9,11 @@ from math import ceil, cos, radians, sin
 
 import numpy as np
 
+from sightline.common.geometry.planes import Plane
 from sightline.errors import FrameError
 from sightline.frame.nominal import SOURCE_TO_HIP_MM
 from sightline.frame.patterns import search
 from sightline.frame.plate import Fiducial, FrameView, Plate
-from sightline.geometry.planes import Plane
 
 Pattern = tuple[tuple[int, int], ...]  # (row, column) of each datum, counted from 1 as in the ids
 

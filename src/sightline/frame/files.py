@@ -5,12 +5,12 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from sightline.bounded import read_bounded, read_text
+from sightline.common.bounded import read_bounded, read_text
+from sightline.common.strict import explain, read_strictly
 from sightline.errors import FrameError
 from sightline.frame.document import FrameDocument
 from sightline.frame.solids import FRAME_NAMES
 from sightline.frame.xmalab import DIAMETER_MM, cube_document
-from sightline.strict import explain, read_strictly
 
 SIZE_LIMIT_BYTES = 64 * 2**20  # [ours] six times the full covariance of the built-in frames
 ADVICE = {

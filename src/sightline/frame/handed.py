@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sightline.geometry.rigid import rigid_fit
+from sightline.common.geometry.rigid import rigid_fit
 
 MIN_COMMON = 4  # beads: three always lie in one plane
 MIRRORED_RATIO = 2.0  # [ours] of the misfits, upright to mirrored: beads in one plane are their own mirror image

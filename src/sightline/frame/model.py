@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from scipy.linalg import block_diag
 
-from sightline.atomic import write_whole
+from sightline.common.atomic import write_whole
+from sightline.common.show import Plotted
 from sightline.errors import FrameError, UnusableInputError
 from sightline.frame.designs import BUILTIN, FrameDesign, builtin_design, views_of
 from sightline.frame.handed import is_mirror_image
 from sightline.frame.plate import ROLES, Fiducial, FrameView, Plate, RigidBody
 from sightline.frame.solids import DETECTOR_PLATE, FRAME_NAMES, SOLIDS, WITH_PLATE
 from sightline.frame.tolerances import InUse, Tolerances, error_factor
-from sightline.show import Plotted
 
 if TYPE_CHECKING:
     from sightline.frame.document import FrameDocument
@@ -83,7 +83,7 @@ class Frame(Plotted):
         return figure.add_subplot(projection="3d")
 
     def _draw(self, ax: Any) -> None:
-        from sightline.show import draw
+        from sightline.common.show import draw
 
         for name, view in self.views.items():
             for role, plate in (("XRII", view.xrii), ("source", view.source)):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from sightline.common.geometry.planes import Plane
 from sightline.frame.plate import FrameView
-from sightline.geometry.planes import Plane
 
 SOURCE_TO_HIP_MM = 620.0  # physics.md, C-arm and image chain [ours]
 SOURCE_TO_DETECTOR_MM = 1000.0  # ARCADIS Varic 968 [src manual]

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from sightline.geometry.planes import Plane
+from sightline.common.geometry.planes import Plane
 
 Shape = Literal["ball", "washer"]
 ROLES = ("xrii", "source")

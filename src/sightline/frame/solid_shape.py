@@ -8,9 +8,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
+from sightline.common.geometry.rigid import rigid_fit
 from sightline.frame import nominal
 from sightline.frame.plate import RigidBody
-from sightline.geometry.rigid import rigid_fit
 
 # Fields at the hip by the detector: 9 inches and 300 mm, 1000 mm from the source, seen at 620 mm, rounded down [calc].
 FIELDS_MM = {"9-inch intensifier": 140.0, "30 cm panel": 185.0}

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from sightline.bounded import read_text
+from sightline.common.bounded import read_text
+from sightline.common.strict import explain
 from sightline.errors import FrameError
 from sightline.frame.document import FrameDocument
 from sightline.frame.files import ADVICE, SIZE_LIMIT_BYTES, read_cube
@@ -18,7 +19,6 @@ from sightline.frame.model import Frame
 from sightline.frame.plate import ROLES
 from sightline.frame.tolerances import Tolerances
 from sightline.frame.xmalab import DIAMETER_MM
-from sightline.strict import explain
 
 _PLATE = ("view", "plate")  # both are left out for a solid
 _NEEDED = ("id", "x_mm", "y_mm", "z_mm", "diameter_mm")

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 
 from sightline.calibration import CalibratedView
 from sightline.calibration.bead_view import bead_shadows_px
+from sightline.common.geometry.lines import nearest_approach
+from sightline.common.threads import one_blas_thread
 from sightline.detection.edges.metal import MetalEdge, MetalTube, agreement, find_outline, find_rims
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
-from sightline.geometry.lines import nearest_approach
 from sightline.imaging import Radiograph
 from sightline.planning import Hole, HoleSeen, Nail, WirePicks, WirePlans, fit_hole, plan_wires
 from sightline.planning.bone.directions import caudal, towards, unit
@@ -29,7 +30,6 @@ from sightline.planning.nail.hole import farthest_apart, nail_line, turned_to_ri
 from sightline.planning.nail.result import HolePose
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import document_of
-from sightline.threads import one_blas_thread
 
 _HARDNESS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15)  # of beams of about 60 to 120 kV [ours]
 _FIRST_BLUR_PX = 1.0  # for a first look at the rims

@@ -9,6 +9,7 @@ import numpy as np
 
 from sightline.calibration import BeadView, CalibratedView, CArm, calibrate
 from sightline.calibration.maps.fit_map import Method
+from sightline.common.threads import one_blas_thread
 from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
 from sightline.detection.causes import cause_of
 from sightline.detection.wires.wire import WireShadow, find_wire
@@ -21,7 +22,6 @@ from sightline.planning.check.placed_wires import PlacedWire, placed_wires
 from sightline.planning.check.result import CheckShot
 from sightline.planning.check.shot import Landmarks
 from sightline.planning.check.shot import check_shot as adjusted
-from sightline.threads import one_blas_thread
 
 # A line within this of a placed wire must be another that was clicked: parallel screws are up to 25 mm apart [ours].
 _PLACED_CORRIDOR_MM = 25.0

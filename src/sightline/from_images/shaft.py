@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.common.geometry.lines import nearest_approach
 from sightline.detection.edges.bone import (
     REACH_PX,
     UNEVEN,
@@ -19,7 +20,6 @@ from sightline.detection.edges.bone import (
     points_of_border,
 )
 from sightline.errors import OutsideRegionError
-from sightline.geometry.lines import nearest_approach
 from sightline.imaging import Radiograph
 from sightline.planning.bone.aids import Aids, Line
 from sightline.planning.bone.anatomy import locate

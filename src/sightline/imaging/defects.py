@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.imaging.interlace import MOVED, comb
 from sightline.imaging.radiograph import Radiograph
 

@@ -33,8 +33,8 @@ from pydicom.uid import (
     generate_uid,
 )
 
-from sightline.atomic import write_whole
-from sightline.bounded import regular_file
+from sightline.common.atomic import write_whole
+from sightline.common.bounded import regular_file
 from sightline.errors import ImageError
 from sightline.imaging.compressed import unpacks_to
 from sightline.imaging.decoder import Decoder

@@ -9,8 +9,9 @@ from types import ModuleType
 import cv2
 import numpy as np
 
-from sightline.atomic import write_whole
-from sightline.bounded import read_bounded
+from sightline.common.atomic import write_whole
+from sightline.common.bounded import read_bounded
+from sightline.common.npy import npy_array
 from sightline.errors import ImageError, UnusableInputError
 from sightline.imaging.formats import (
     FORMAT_NAMES,
@@ -21,7 +22,6 @@ from sightline.imaging.formats import (
     format_of_file,
 )
 from sightline.imaging.radiograph import Radiograph
-from sightline.npy import npy_array
 
 
 def read_image(path: str | Path, frame_index: int | None = None, *, invert: bool = False) -> Radiograph:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from pathlib import Path
 
-from sightline.bounded import regular_file
+from sightline.common.bounded import regular_file
 from sightline.errors import ImageError
 
 MAX_FILE_BYTES = 2**30  # [ours] a run of 500 frames of 1024² at 16 bit

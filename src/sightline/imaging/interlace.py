@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from sightline.common.kernels import kernel
 from sightline.imaging.radiograph import Radiograph
-from sightline.kernels import kernel
 
 # In a progressive frame, a line differs from the mean of its neighbours by no more than from the mean of the lines two
 # away; white noise gives a ratio of 1. Movement between two fields gives a larger ratio.

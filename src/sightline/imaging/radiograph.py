@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from sightline.common.show import Plotted
 from sightline.errors import ImageError
 from sightline.imaging.burnt_in import burnt_in
 from sightline.imaging.collimation import field_mask
-from sightline.show import Plotted
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Radiograph(Plotted):
         return "\n".join([*lines, "  inverted, white for black"] if self.is_inverted else lines)
 
     def _draw(self, ax: Any) -> None:
-        from sightline.show import draw
+        from sightline.common.show import draw
 
         draw.image(ax, self.pixels, self.shape, np.zeros((0, 2)), f"{self.shape[1]} x {self.shape[0]} px")
 

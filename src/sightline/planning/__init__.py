@@ -1,6 +1,6 @@
 """Reconstruction, image-matching curves, trajectories and verdicts; drawn aids and metrics of hip implants."""
 
-from sightline.checks import Limits
+from sightline.common.checks import Limits
 from sightline.planning.bone.aids import Aids, Circle, Drawing, Line
 from sightline.planning.bone.anatomy import Anatomy, locate
 from sightline.planning.bone.axis import Axis

@@ -11,7 +11,10 @@ from numpy.typing import ArrayLike
 
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.show import Plotted, dataframe
+from sightline.common.show.words import checks_lines
+from sightline.common.threads import one_blas_thread
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning.bone.aids import Aids
 from sightline.planning.bone.anatomy import Anatomy, Drawings, located
@@ -31,9 +34,6 @@ from sightline.planning.verdict.bone_checks import judge_in_bone, measures, metr
 from sightline.planning.verdict.implant import Implant, fitting
 from sightline.planning.verdict.plan_checks import judge
 from sightline.planning.verdict.view_directions import Located, assumed_axes, rules_of_bone
-from sightline.show import Plotted, dataframe
-from sightline.show.words import checks_lines
-from sightline.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -105,7 +105,7 @@ class Plan(Plotted):
 
     def _draw(self, ax: Any) -> None:
         """Draw each view's picks and the wire as it sees it, in the second also the curves of the first's picks."""
-        from sightline.show import draw
+        from sightline.common.show import draw
 
         for k, (panel, view) in enumerate(zip(ax, self.views, strict=True)):
             picks = np.array([point[k].uv_px for point in self.picks])

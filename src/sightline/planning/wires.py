@@ -9,7 +9,10 @@ from numpy.typing import ArrayLike
 
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.show import Shown
+from sightline.common.show.words import checks_lines
+from sightline.common.threads import one_blas_thread
 from sightline.errors import UnusableInputError
 from sightline.planning.bone.axis import Axis
 from sightline.planning.bone.directions import MEDIAL, towards
@@ -26,9 +29,6 @@ from sightline.planning.procedures.files import document_of
 from sightline.planning.procedures.procedure import fingerprint
 from sightline.planning.procedures.proposal import Proposal
 from sightline.planning.verdict.relations import WireLines, judge_relations
-from sightline.show import Shown
-from sightline.show.words import checks_lines
-from sightline.threads import one_blas_thread
 
 
 @dataclass(frozen=True, eq=False)

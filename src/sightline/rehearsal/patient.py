@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.case.contents import PlanRequest
 from sightline.case.views import NAMES as VIEWS
+from sightline.common.threads import at_once
 from sightline.frame import Frame
 from sightline.from_images.interlocking import NailDrawn
 from sightline.imaging import Radiograph
@@ -23,7 +24,6 @@ from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.files import document_of
 from sightline.rehearsal.check_images import CheckImages
 from sightline.robot.kinematics.calibrated import REMOUNT_SD
-from sightline.threads import at_once
 from sightline.twin import BoneScene, HipScene, Scene, SetUp, Variation, draw_setup, render, truth_document
 from sightline.twin.anatomy.aids import drawn_aids, hip_aids, key_of
 from sightline.twin.anatomy.bone_model import Aid, BoneModel, LineAid, SphereAid

@@ -10,7 +10,7 @@ from tempfile import TemporaryFile
 from threading import Thread
 from typing import IO
 
-from sightline.closing import Closing
+from sightline.common.closing import Closing
 from sightline.errors import LinkError
 
 START_S = 120.0  # imports and bone take 3 s; the first start compiles kernels [measured]

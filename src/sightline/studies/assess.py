@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from sightline.bounded import read_text
 from sightline.calibration import CalibratedView
-from sightline.checks import Check
+from sightline.common.bounded import read_text
+from sightline.common.checks import Check
+from sightline.common.geometry.covariance import length_quantile
 from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, UnusableInputError
-from sightline.geometry.covariance import length_quantile
 from sightline.planning import SpacePoints, reconstruct
 from sightline.planning.points.solution import Method
 

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from sightline.geometry.planes import Plane
+from sightline.common.geometry.planes import Plane
 from sightline.twin import SetUp, ViewTruth
 
 _STEP_MM = 1e-3  # of numerical derivatives; the functions are smooth on a scale of millimetres

@@ -12,8 +12,8 @@ from sightline.calibration import BeadView
 from sightline.calibration.maps.fit_map import Method as MapName
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.plates.classical import focal_point
+from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import SightlineError
-from sightline.geometry.lines import nearest_approach
 from sightline.studies.scenes import VIEWS, TargetScene
 
 # From target pixels (2, T, 2) and their standard deviation, px, to points (T, 3), CFCS.

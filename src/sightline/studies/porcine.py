@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.planning import kind, plan

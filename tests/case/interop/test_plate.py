@@ -9,9 +9,9 @@ from sightline.calibration import BeadView, calibrate
 from sightline.calibration.exchange.formats import FORMATS, read_view, write_view
 from sightline.calibration.maps.undistort import undistort
 from sightline.case.interop.plate import PlateImage, plate_image, raw_pinhole
+from sightline.common.geometry.planes import Plane
 from sightline.detection import Observations
 from sightline.errors import RefusedError
-from sightline.geometry.planes import Plane
 from sightline.planning import reconstruct
 from sightline.twin import bead_images
 

@@ -10,7 +10,7 @@ from sightline.app.panels.section import Section, checks, heading, note, table
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_label
 from sightline.case.views import OBLIQUE
-from sightline.checks import failed
+from sightline.common.checks import failed
 
 
 def build(tab: Tab) -> None:

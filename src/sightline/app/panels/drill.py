@@ -17,7 +17,7 @@ from sightline.app.session.sent import ZeroSource
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
-from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.robot.control.states import State
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from functools import lru_cache
 from markupsafe import Markup, escape
 
 from sightline.app import texts
-from sightline.checks import Check, CheckCode
+from sightline.common.checks import Check, CheckCode
 from sightline.planning.procedures.rules import ABOVE_ERROR
 
 _CHECK = (

@@ -27,8 +27,8 @@ from sightline.app.session.planning import kept_as_drawn
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_short, in_image
 from sightline.case.views import NAMES, OBLIQUE
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import UnusableInputError
-from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.bone.axis import Axis
 from sightline.planning.nail.files import known_nails
 from sightline.planning.nail.perfect_circle import perfect_circles

@@ -13,7 +13,7 @@ from sightline.app.drawing.calls import Calling
 from sightline.app.panels import markup
 from sightline.app.session.jobs import failure_of
 from sightline.app.tab.tab import Tab
-from sightline.checks import Check
+from sightline.common.checks import Check
 
 Key = Callable[[Tab], Hashable]
 

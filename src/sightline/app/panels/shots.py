@@ -16,8 +16,8 @@ from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_label
 from sightline.case.watch.alarm import BLIND_TO
-from sightline.checks import failed
-from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.common.checks import failed
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.planning.check.drill_shot import ALIGNED, PAUSED, TURNED_AWAY, DrillShot
 from sightline.planning.check.start import MIN_LANDMARKS
 

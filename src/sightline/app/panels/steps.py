@@ -14,7 +14,7 @@ from sightline.app.session.session import Session
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.texts import image_name
 from sightline.case.views import NAMES
-from sightline.checks import CheckCode, failed
+from sightline.common.checks import CheckCode, failed
 from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.rules import CHECKS

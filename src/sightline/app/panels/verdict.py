@@ -11,7 +11,7 @@ from sightline.app.panels import markup
 from sightline.app.panels.section import HtmlSection
 from sightline.app.panels.steps import aid_labels, needed_aids, refusals
 from sightline.app.tab.tab import Tab
-from sightline.checks import Check, CheckCode, failed
+from sightline.common.checks import Check, CheckCode, failed
 from sightline.errors import SightlineError
 from sightline.planning import Plan
 from sightline.planning.points.error_shares import Share, error_shares, error_shares_of

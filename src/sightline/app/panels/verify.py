@@ -12,7 +12,7 @@ from sightline.app.panels.steps import missing_again
 from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_label
-from sightline.checks import failed
+from sightline.common.checks import failed
 
 
 def key(tab: Tab) -> Hashable:

@@ -13,7 +13,7 @@ from sightline.app.plan.marks import END, ENTRY, MarkSpec, aid_marks, hole_mark,
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import PlanRequest
 from sightline.case.views import ALL_NAMES, NAMES
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.errors import RobotRefusedError, SightlineError, UnusableInputError
 from sightline.planning import (
     MatchingCurve,

@@ -16,9 +16,9 @@ from sightline.app.session.seen import entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_changed, record_planned
-from sightline.checks import failed
+from sightline.common.checks import failed
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.bone.metrics import Metric
 from sightline.planning.procedures import kind as kind_of
 from sightline.robot.control.insertion import DEPTH_SLACK_MM

@@ -9,7 +9,7 @@ from sightline.app.plan.planner import Planned
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.case.journal import Actor
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.errors import UnusableInputError
 from sightline.planning.points.results import Verdict
 from sightline.robot.kinematics.target import LIFETIME_S

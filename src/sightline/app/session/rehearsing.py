@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sightline.atomic import scratch_folder
 from sightline.case.views import NAMES, OBLIQUE
+from sightline.common.atomic import scratch_folder
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_dicom
 from sightline.planning import Nail

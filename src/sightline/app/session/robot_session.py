@@ -14,8 +14,8 @@ import numpy as np
 
 from sightline.app.session.jobs import sentence_of
 from sightline.app.session.sent import ZeroSource
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import LinkError, RobotRefusedError, SightlineError
-from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Plan
 from sightline.planning.points.results import SpacePoints
 from sightline.rehearsal.operation import target_of

@@ -16,9 +16,9 @@ from sightline.case.contents import CheckRequest, DrillShotRequest
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_changed, record_shot
 from sightline.case.views import ALL_NAMES
-from sightline.checks import failed
+from sightline.common.checks import failed
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import RefusedError, RobotRefusedError, SetUpError, SightlineError
-from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.check.drill_shot import ALIGNED, PAUSED, DrillShot
 from sightline.planning.check.start import MIN_LANDMARKS, Landmarks
 from sightline.robot.kinematics.manipulator import FEED

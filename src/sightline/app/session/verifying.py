@@ -14,7 +14,7 @@ from sightline.calibration import BeadView
 from sightline.case.contents import CheckRequest
 from sightline.case.journal import Actor
 from sightline.case.stages import record_verified
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.errors import RefusedError, SightlineError, UnusableInputError
 from sightline.from_images.pipeline import planned_search
 from sightline.planning.check.result import CheckShot

@@ -10,8 +10,8 @@ from sightline.app.plan.planner import Planned, planned
 from sightline.app.session.planning import Planning
 from sightline.calibration import BeadView
 from sightline.case.views import ALL_NAMES
+from sightline.common.threads import one_blas_thread
 from sightline.errors import SightlineError
-from sightline.threads import one_blas_thread
 
 _Views = tuple[BeadView, ...]
 

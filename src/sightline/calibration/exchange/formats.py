@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.bounded import regular_file
 from sightline.calibration.exchange import deepdrr, diffdrr, mayacam2, opencv, reading, rtk, xreg
 from sightline.calibration.exchange.pinhole import Pinhole
+from sightline.common.bounded import regular_file
 from sightline.errors import UnusableInputError
 
 _WRITE: dict[str, Callable[[Pinhole], dict[str, bytes]]] = {

@@ -8,8 +8,8 @@ import numpy as np
 from sightline.calibration.exchange import reading
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.calibration.exchange.reading import json_bytes
+from sightline.common.npy import npy_array
 from sightline.errors import UnusableInputError
-from sightline.npy import npy_array
 
 CONVENTION = (
     "(u w, v w, w) = camera_matrix (rotation X + translation_mm), X in CFCS mm; pixel (0, 0) is the centre of the "

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.bounded import read_bounded
+from sightline.common.bounded import read_bounded
 from sightline.errors import UnusableInputError
 
 MAX_BYTES = 2**20  # [ours] a matrix with its covariance takes 5 kB

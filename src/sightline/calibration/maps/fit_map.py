@@ -9,8 +9,8 @@ from sightline.calibration.maps.localized import LocalizedMap
 from sightline.calibration.maps.polynomial import PolynomialMap
 from sightline.calibration.maps.smooth import FittedSmoothMap
 from sightline.calibration.view import PlaneMap
+from sightline.common.threads import one_blas_thread
 from sightline.errors import CalibrationRefusedError, UnusableInputError
-from sightline.threads import one_blas_thread
 
 Method = Literal["smooth", "polynomial", "localized"]
 METHODS: tuple[Method, ...] = ("smooth", "polynomial", "localized")

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from sightline.common.geometry.outlines import convex_hull, enclosed_area
 from sightline.errors import CalibrationRefusedError, OutsideRegionError
-from sightline.geometry.outlines import convex_hull, enclosed_area
 
 # How far outside the convex hull a map may be evaluated, in radii of the hull [ours]: further out no bead supports it.
 MAX_OUTSIDE = 0.5

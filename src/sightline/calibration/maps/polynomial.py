@@ -6,8 +6,8 @@ from functools import cache, cached_property
 import numpy as np
 
 from sightline.calibration.maps.inverse import Inverse
+from sightline.common.fitting.triangular import minimum_norm
 from sightline.errors import CalibrationRefusedError, UnusableInputError
-from sightline.fitting.triangular import minimum_norm
 
 DEGREES = range(1, 8)
 

@@ -9,9 +9,9 @@ from sightline.calibration.maps.hull import well_conditioned
 from sightline.calibration.maps.inverse import Inverse
 from sightline.calibration.maps.polynomial import Affine, derivatives, monomial_gradients, monomials, terms
 from sightline.calibration.maps.prior import NOISE_SCALES_PX, QUINTIC, Kernel, PriorData, learn
+from sightline.common.fitting.kernels import squared_distances, squared_exponential
+from sightline.common.fitting.kriging import Kriging
 from sightline.errors import CalibrationRefusedError
-from sightline.fitting.kernels import squared_distances, squared_exponential
-from sightline.fitting.kriging import Kriging
 
 DEGREE = 3
 # With more controls a fit takes seconds and gigabytes: their covariance is dense [ours].

@@ -7,10 +7,10 @@ import numpy as np
 
 from sightline.calibration.maps.hull import refuse_collinear
 from sightline.calibration.plates.shadow_centres import centres_px
+from sightline.common.geometry.planes import Plane
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame, Plate
-from sightline.geometry.planes import Plane
 
 MIN_SD_PX, MAX_SD_PX = 1e-6, 1e3  # of a bead's centre: far below any measurement's, about the size of an image [ours]
 

@@ -20,10 +20,10 @@ from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.projection import Pencil, refuse_misplaced
 from sightline.calibration.residuals import Residuals
 from sightline.calibration.view import PlaneMap
+from sightline.common.geometry.lines import meeting_point
+from sightline.common.geometry.planes import Plane
+from sightline.common.threads import one_blas_thread
 from sightline.errors import CalibrationRefusedError, OutsideRegionError, ReconstructionRefusedError
-from sightline.geometry.lines import meeting_point
-from sightline.geometry.planes import Plane
-from sightline.threads import one_blas_thread
 
 PlateName = Literal["xrii", "source"]
 # Correlation length of a map's misfit, in radii of the convex hull [ours]: about three spacings of 7 x 7 beads.

@@ -27,11 +27,11 @@ from sightline.calibration.maps.smooth import DEGREE, SmoothMap
 from sightline.calibration.plates.beads import Beads
 from sightline.calibration.projection import Pencil, refuse_misplaced
 from sightline.calibration.residuals import Residuals
+from sightline.common.fitting.kriging import Kriging, LeftOut, PlanarKriging
+from sightline.common.fitting.robust import variance_ratio
+from sightline.common.fitting.triangular import cholesky, least_squares, minimum_norm, solve_lower
+from sightline.common.threads import one_blas_thread
 from sightline.errors import CalibrationRefusedError
-from sightline.fitting.kriging import Kriging, LeftOut, PlanarKriging
-from sightline.fitting.robust import variance_ratio
-from sightline.fitting.triangular import cholesky, least_squares, minimum_norm, solve_lower
-from sightline.threads import one_blas_thread
 
 # The cubic has 20 parameters and F 3; with fewer beads too few degrees of freedom are left to test them [ours].
 MIN_BEADS = 16

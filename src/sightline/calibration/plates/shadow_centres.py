@@ -12,10 +12,10 @@ from typing import Self
 import numpy as np
 
 from sightline.calibration.maps.polynomial import monomial_gradients, monomials, terms
+from sightline.common.fitting.triangular import minimum_norm
+from sightline.common.geometry.outlines import centroids
 from sightline.detection.results import Observations
-from sightline.fitting.triangular import minimum_norm
 from sightline.frame import Frame, Plate
-from sightline.geometry.outlines import centroids
 
 MAX_DEGREE = 5  # leaves 0.004 px rms of 0.018 in the twin's images; degree 3 leaves 0.005 [twin]
 BALLS_PER_TERM = 3  # at least [ours]; with fewer than 18 balls of a plate nothing is known of the bending

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.common.geometry.rigid import displacement
 from sightline.frame import Frame, Plate
-from sightline.geometry.rigid import displacement
 
 MOTIONS = ("shift 1", "shift 2", "along the beam", "tilt 1", "tilt 2", "twist")
 

@@ -23,10 +23,10 @@ from sightline.calibration.plates.beads import Beads, match
 from sightline.calibration.plates.joint import FALSE_ALARM, JointFit, diagonal, fit_robustly, pixel_noise_mm2, twice
 from sightline.calibration.projection import Pencil
 from sightline.calibration.self_checks.plate_motion import Errors, InPlate, PlatePair, in_plate, plate_pairs
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.fitting.triangular import cholesky, solve_lower
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
-from sightline.fitting.triangular import cholesky, solve_lower
 from sightline.frame import Frame
 
 MIN_IMAGES = 4  # [ours] two of each of two views: in one image the map absorbs the frame's errors

@@ -13,11 +13,11 @@ from sightline.calibration.self_checks.plates import MIN_IMAGES
 from sightline.calibration.solids.adjustment import SolidAdjustment
 from sightline.calibration.solids.calibrate_together import adjustment_of, calibrate_together
 from sightline.calibration.view_checks.lengths import CArm
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.geometry.rigid import displacement
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.frame import Frame
-from sightline.geometry.rigid import displacement
 
 MAX_SD_MM = 0.05  # [ours] rms over all coordinates: causes 0.07 mm at a target beside block60 (docs/benchmarks.md)
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from sightline.calibration.solids.images import SolidBalls, SolidImage, Traced
 from sightline.calibration.solids.panel_camera import CENTRE, FOCAL, PARAMETERS, PanelCamera
+from sightline.common.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
+from sightline.common.geometry.planes import Plane
 from sightline.errors import CalibrationRefusedError
-from sightline.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
-from sightline.geometry.planes import Plane
 
 _STEPS = 50  # at most; from scaled orthography four suffice, of the right handedness
 _HALVINGS = 10  # at most, of a step that would increase the misfit

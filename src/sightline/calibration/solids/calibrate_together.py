@@ -28,13 +28,13 @@ from sightline.calibration.view_checks.bead_checks import (
     wrong_beads_check,
 )
 from sightline.calibration.view_checks.lengths import CArm
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.fitting.robust import variance_ratio
+from sightline.common.geometry.planes import Plane
+from sightline.common.threads import one_blas_thread
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError, UnusableInputError
-from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
-from sightline.geometry.planes import Plane
-from sightline.threads import one_blas_thread
 
 
 @one_blas_thread

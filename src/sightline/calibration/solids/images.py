@@ -9,7 +9,7 @@ import numpy as np
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.solids.panel_camera import PARAMETERS, PanelCamera, PanelPrior
 from sightline.calibration.view import PlaneMap
-from sightline.geometry.planes import Plane
+from sightline.common.geometry.planes import Plane
 
 MIN_BALLS = 6  # of the solid in one image: 9 unknowns of its camera, two equations for each ball [ours]
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.calibration.matrix_view import HomographyMap
-from sightline.geometry.planes import Plane
-from sightline.geometry.rigid import cross_matrix
+from sightline.common.geometry.planes import Plane
+from sightline.common.geometry.rigid import cross_matrix
 
 PARAMETERS = 9  # rotation vector of the camera (rad), translation (mm), log focal length, principal point (px)
 FOCAL, CENTRE = 6, slice(7, 9)  # their places among the parameters

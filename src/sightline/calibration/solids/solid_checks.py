@@ -9,8 +9,8 @@ from sightline.calibration.solids.panel_camera import CENTRE, FOCAL
 from sightline.calibration.solids.plate_image import DetectorPlateImage
 from sightline.calibration.view_checks.bead_checks import CHI_SQUARE_FALSE_ALARM
 from sightline.calibration.view_checks.lengths import CArm
-from sightline.checks import Check
-from sightline.geometry.covariance import TWO_SIDED_999
+from sightline.common.checks import Check
+from sightline.common.geometry.covariance import TWO_SIDED_999
 
 # Smallest range of the pixel's size over a plate, beyond that of a tilt: intensifiers have 6 to 18 % over their field,
 # flat panels 0.3 % by their noise [measured on the twin].

@@ -12,10 +12,10 @@ from sightline.calibration.solids.images import MIN_BALLS, SolidBalls, SolidImag
 from sightline.calibration.solids.panel_camera import PanelCamera, PanelPrior
 from sightline.calibration.solids.plate_image import MIN_PLATE_BALLS, DetectorPlateImage
 from sightline.calibration.view_checks.lengths import CArm
+from sightline.common.geometry.planes import Plane
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame
-from sightline.geometry.planes import Plane
 
 # S.d. of what is known of a panel [ours]: the stated source-detector distance changes by 6 to 8 mm over the orbit and
 # the piercing point wanders by up to 16 mm where the C-arm flexes (physics.md, C-arm).

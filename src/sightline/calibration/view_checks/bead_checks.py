@@ -10,10 +10,10 @@ from scipy.special import chdtri
 from sightline.calibration.plates.beads import Beads
 from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.residuals import Residuals
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.geometry.outlines import convex_hull, enclosed_area
+from sightline.common.geometry.planes import Plane
 from sightline.frame import Frame
-from sightline.geometry.outlines import convex_hull, enclosed_area
-from sightline.geometry.planes import Plane
 
 MIN_COUNT = 24  # [ours] a cubic and F have 23 parameters: 25 degrees of freedom are left
 MIN_COVERAGE = 0.45  # [ours] share of each plate's area within the convex hull of its used beads

@@ -21,12 +21,12 @@ import numpy as np
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.view import PlaneMap
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.fitting.robust import MAD_TO_SD, median
+from sightline.common.geometry.covariance import TWO_SIDED_999, response
+from sightline.common.geometry.planes import Plane
 from sightline.errors import UnusableInputError
-from sightline.fitting.robust import MAD_TO_SD, median
 from sightline.frame import Frame
-from sightline.geometry.covariance import TWO_SIDED_999, response
-from sightline.geometry.planes import Plane
 
 # As a C-arm orbits, the source-detector distance changes by 6 to 8 mm of 1000 (physics.md, C-arm): the allowed maximum.
 MAX_FLEX = 0.008

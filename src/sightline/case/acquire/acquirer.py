@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
-from sightline.atomic import scratch_folder
 from sightline.case import contents
 from sightline.case.journal import Actor, Case, Entry, Kind, originals
+from sightline.common.atomic import scratch_folder
 from sightline.errors import CaseError, ImageError, OvertakenError
 from sightline.imaging import frames_in, read_image
 

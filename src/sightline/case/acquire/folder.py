@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from sightline.bounded import regular_file
 from sightline.case.acquire.acquirer import Acquirer, News, Tell, news_of
+from sightline.common.bounded import regular_file
 from sightline.errors import CaseError, ImageError, UnusableInputError
 from sightline.imaging.formats import FORMAT_NAMES, MAX_FILE_BYTES, format_of
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from sightline.atomic import scratch_folder
 from sightline.case.acquire.acquirer import Acquirer, Taken
 from sightline.case.acquire.robot import PoseNow
+from sightline.common.atomic import scratch_folder
 from sightline.errors import MovedRefusedError
 from sightline.imaging import Radiograph, SourceFrame, write_png
 from sightline.imaging.average import average

@@ -6,7 +6,7 @@ from threading import Event, Lock, Thread
 from types import TracebackType
 from typing import Any, Self
 
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.errors import LinkError
 from sightline.robot.contract import MEASURED_JS
 from sightline.robot.igtl import NDArray

@@ -9,10 +9,10 @@ import numpy as np
 from pydicom import Dataset, dcmread
 from pydicom.uid import GrayscaleSoftcopyPresentationStateStorage
 
-from sightline.bounded import regular_file
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.dicom import ExportIdentity, capture, dataset, file_bytes
 from sightline.case.interop.plan_file import PlanFile
+from sightline.common.bounded import regular_file
 from sightline.errors import UnusableInputError
 
 STRETCH = (0.5, 99.5)  # percentiles of the pixels that become black and white [ours]

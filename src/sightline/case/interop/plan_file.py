@@ -14,9 +14,9 @@ from pydantic import ValidationError
 from sightline.calibration.exchange import opencv, reading
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.canonical import canonical, digest
-from sightline.checks import CheckCode, Limits
+from sightline.common.checks import CheckCode, Limits
+from sightline.common.geometry.covariance import length_quantile
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.geometry.covariance import length_quantile
 from sightline.imaging import read_image
 from sightline.planning import Trajectory
 from sightline.planning.bone.directions import caudal

@@ -11,8 +11,8 @@ from typing import Any
 
 from sightline import __version__
 from sightline.case.canonical import canonical, digest
+from sightline.common.estimator import ESTIMATOR
 from sightline.errors import CaseError
-from sightline.estimator import ESTIMATOR
 from sightline.imaging.formats import SUFFIXES as IMAGE_SUFFIXES
 
 # Suffixes of the files that a case keeps: images, observations, frames.

@@ -9,7 +9,7 @@ from sightline.case.canonical import digest
 from sightline.case.journal.entry import next_link, originals_in
 from sightline.case.journal.originals import is_whole
 from sightline.case.journal.rows import HEAD, entry_of_row, first_link, head_of_row
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.errors import CaseError
 
 _SHOWN = 3

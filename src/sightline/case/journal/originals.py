@@ -7,10 +7,10 @@ from pathlib import Path
 from stat import S_IRGRP, S_IROTH, S_IRUSR
 from threading import get_ident
 
-from sightline.atomic import sync_folder
-from sightline.bounded import regular_file
 from sightline.case.canonical import digest
 from sightline.case.journal.entry import ORIGINAL, SUFFIXES
+from sightline.common.atomic import sync_folder
+from sightline.common.bounded import regular_file
 from sightline.errors import CaseError
 from sightline.imaging.formats import format_of_file
 

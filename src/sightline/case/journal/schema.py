@@ -4,11 +4,11 @@ import secrets
 import sqlite3
 from pathlib import Path
 
-from sightline.atomic import sync_folder
 from sightline.case.canonical import digest
 from sightline.case.journal.database import connect, transaction
 from sightline.case.journal.entry import next_link
 from sightline.case.journal.rows import HEAD, first_link, head_of_row
+from sightline.common.atomic import sync_folder
 from sightline.errors import CaseError
 
 APPLICATION = 0x51674C6E  # "QgLn": distinguishes a case from other SQLite files

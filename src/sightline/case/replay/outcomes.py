@@ -10,9 +10,9 @@ from sightline.case.journal.entry import versions
 from sightline.case.replay.compare_json import Difference, differences, largest
 from sightline.case.replay.recompute import Recomputed
 from sightline.case.replay.stated_error import beyond_stated
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.estimator import ESTIMATOR, FIRST
 from sightline.errors import SightlineError
-from sightline.estimator import ESTIMATOR, FIRST
 
 
 class ReplayOutcome(StrEnum):

@@ -14,7 +14,7 @@ from sightline.robot.kinematics.target import RobotTarget
 from sightline.robot.link.record import DrillingRecord
 
 if TYPE_CHECKING:
-    from sightline.checks import Check
+    from sightline.common.checks import Check
 
 BEFORE_MM = 10.0  # the plot of the force begins this far before the entry point and all events
 # Error sources that a robot adds to a plan, in the order of the chain from frame to wire.

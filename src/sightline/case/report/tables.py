@@ -9,7 +9,7 @@ from sightline.case.report import drilled, exposures
 from sightline.case.report.comparison import Compared, Refused
 from sightline.case.report.content import Report
 from sightline.case.report.drawing.budget import Bar
-from sightline.checks import Check, CheckCode, failed
+from sightline.common.checks import Check, CheckCode, failed
 from sightline.planning.check.result import CheckShot
 from sightline.planning.points.results import Verdict
 from sightline.planning.wires import judge_measured

@@ -11,16 +11,16 @@ from sightline.calibration import BeadView, calibrate
 from sightline.calibration.displacement import Rest
 from sightline.calibration.plates.joint import JointFit
 from sightline.case.watch.alarm import Alarm, MovementStatus
+from sightline.common.geometry.covariance import ellipsoid_factor
+from sightline.common.threads import one_blas_thread
 from sightline.detection import Observations
 from sightline.errors import CalibrationRefusedError, OutsideRegionError, RefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.from_images.pipeline import find_beads, label_beads
-from sightline.geometry.covariance import ellipsoid_factor
 from sightline.imaging import Radiograph
 from sightline.planning.points.corridor import Corridor, corridor
 from sightline.planning.points.line_residuals import LineResiduals
 from sightline.planning.points.trajectory import Trajectory
-from sightline.threads import one_blas_thread
 
 STALE_S = 0.2  # an older image may no longer be true: nothing is drawn into it
 REST_FRAMES = 16  # their mean is the rest position: the noise of a mean of 16 is a quarter of one image's [ours]

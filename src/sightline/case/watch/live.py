@@ -7,7 +7,7 @@ from typing import Self
 
 from sightline.calibration import BeadView
 from sightline.case.watch.analyser import LiveAnalyser, TimedImage, Watched, aged
-from sightline.closing import Closing
+from sightline.common.closing import Closing
 from sightline.errors import SightlineError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning.points.trajectory import Trajectory

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.checks import failed
 from sightline.cli.options import FrameSource, command, group, refuse_existing
 from sightline.cli.output import Output
+from sightline.common.checks import failed
 
 if TYPE_CHECKING:
     from sightline.frame.model import Frame

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.checks import failed
 from sightline.cli.options import Distances, Invert, WireKey, command, commands
 from sightline.cli.output import Output
 from sightline.cli.planning.images import both_or_none, image_numbers, images_of
+from sightline.common.checks import failed
 
 if TYPE_CHECKING:
     from sightline.case.journal import Entry

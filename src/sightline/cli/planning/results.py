@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sightline.checks import failed
 from sightline.cli.output import Output
+from sightline.common.checks import failed
 
 if TYPE_CHECKING:
     from sightline.case.contents import Images
@@ -59,7 +59,7 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], 
 
     Where a gap contradicts the stated error, no error is shown beside the coordinates.
     """
-    from sightline.show.words import counted
+    from sightline.common.show.words import counted
 
     verdict, plans = planned.verdict, each_of(planned)
     output.say(SAID[verdict.state].format(counted(len(failed(verdict.checks)), "check")))
@@ -143,11 +143,11 @@ def write(
     picks: "Picks",
 ) -> list[Path]:
     """Write the reports, plan.json, picks.json and the undistorted images; return the files."""
-    from sightline.atomic import write_folder
     from sightline.case.interop.bundle import bundle
     from sightline.case.interop.plan_file import of_wires, sealed
     from sightline.case.report.page import render
     from sightline.cli.output import as_json
+    from sightline.common.atomic import write_folder
 
     plans, files = {}, {}
     for key, report in made.items():

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.checks import failed
 from sightline.cli.options import WireKey, command, parse_address
 from sightline.cli.output import Output
 from sightline.cli.planning.check_shot import landmarks_of
@@ -25,6 +24,7 @@ from sightline.cli.robots.robot import (
     refuse_yes,
     registration_for,
 )
+from sightline.common.checks import failed
 
 if TYPE_CHECKING:
     from sightline.case.contents import DrillShotRequest

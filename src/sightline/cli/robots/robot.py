@@ -260,7 +260,7 @@ def _pose_errors(stood: "Registration") -> tuple[float, float]:
     """Return the 95 % errors of the wire against the frame at the images: tip in mm, direction in degrees."""
     import numpy as np
 
-    from sightline.geometry.covariance import length_quantile, line_direction
+    from sightline.common.geometry.covariance import length_quantile, line_direction
 
     tool = stood.robot.manipulator.T_mcs_tool(stood.q)
     wire = tool.apply(np.array([[0.0, 0.0, -100.0], [0.0, 0.0, 0.0]]))

@@ -24,7 +24,7 @@ def compare(
     """
     import numpy as np
 
-    from sightline.atomic import write_folder
+    from sightline.common.atomic import write_folder
     from sightline.studies.comparison.compare import compare as one_pair
     from sightline.studies.comparison.compare import document, findings, plots, read_folder
     from sightline.studies.comparison.page import render

@@ -60,7 +60,7 @@ def _do(output: Output, run: "StudyRun", scheduler: str | None) -> "Result":
 
 
 def _write(folder: Path, chosen: "Study", result: "Result") -> list[Path]:
-    from sightline.atomic import write_folder
+    from sightline.common.atomic import write_folder
     from sightline.studies.runs.page import render
 
     page = render(chosen.about, result)

@@ -6,11 +6,11 @@ from threading import local
 import cv2
 import numpy as np
 
+from sightline.common.kernels import kernel
+from sightline.common.threads import at_once
 from sightline.detection.beads.bead import centres
 from sightline.detection.beads.noise import NoiseModel
 from sightline.detection.beads.rim import EXTREMUM, FAINTEST, MIN_STEP_SNR, broad_noise, judged
-from sightline.kernels import kernel
-from sightline.threads import at_once
 
 # Extrema are searched for at half resolution, where a disc of 2 px with the usual blur is still well sampled. The bands
 # respond most to discs of 2.2, 3.8, 7.6, 15 and 30 px radius: each of 2-25 px is within a factor of sqrt 2 [calc].

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from sightline.common.kernels import kernel
 from sightline.imaging import Radiograph
-from sightline.kernels import kernel
 
 _AROUND_PX = -1.0, 4.0  # the ring around a bead, from its rim [ours]
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sightline.common.kernels import kernel
 from sightline.detection.beads.bead import BeadStatus
 from sightline.detection.beads.noise import LAGS
 from sightline.detection.beads.shadow import (
@@ -43,7 +44,6 @@ from sightline.detection.beads.window import (
     visible_rim,
     window_light,
 )
-from sightline.kernels import kernel
 
 # Kernels compute with the values of an enum.
 FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = map(int, BeadStatus)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sightline.fitting.robust import median
-from sightline.kernels import kernel
+from sightline.common.fitting.robust import median
+from sightline.common.kernels import kernel
 
 BLOCK = 16  # px; small enough that most blocks of anatomy are nearly planes [ours]
 AREA = BLOCK * BLOCK

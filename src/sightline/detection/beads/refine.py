@@ -4,13 +4,13 @@ from copy import copy
 
 import numpy as np
 
+from sightline.common.fitting.robust import median
+from sightline.common.threads import in_parts
 from sightline.detection.beads.bead import BEAD
 from sightline.detection.beads.fit import PRIOR_SD, Filter, Optics, fit_part
 from sightline.detection.beads.noise import LAGS, NoiseModel
 from sightline.detection.beads.profile import profile_table
 from sightline.detection.beads.sharpen import Sharpening, design, noise_blur_px
-from sightline.fitting.robust import median
-from sightline.threads import in_parts
 
 # Radius over the usual one from which, and up to which, a ball becomes a large one (5 instead of 3 mm). Balls of one
 # size on two plates differ by 1.2, by the distances from the source [ours].

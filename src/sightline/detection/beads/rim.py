@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sightline.kernels import kernel
-from sightline.threads import in_parts
+from sightline.common.kernels import kernel
+from sightline.common.threads import in_parts
 
 EXTREMUM = np.dtype([(name, np.float64) for name in ("u_px", "v_px", "radius_px", "contrast")])
 # `score`: 0 where the rim is not round. `hollow`: how much the middle lacks, over the contrast.

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from sightline.common.kernels import kernel
 from sightline.detection.beads.profile import Q_COUNT, Q_STEP, T_COUNT, T_FIRST, T_STEP
-from sightline.kernels import kernel
 
 # Parameters of a bead's shadow: centre about the first guess and radius, px; blur, px; ellipticity along the axes and
 # along the diagonals.

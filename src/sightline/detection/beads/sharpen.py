@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.common.fitting.robust import quantiles
+from sightline.common.kernels import kernel
+from sightline.common.threads import in_parts
 from sightline.detection.beads.noise import AREA, BLOCK, NoiseModel, flatten
 from sightline.detection.beads.window import TAPS, along_both_axes
-from sightline.fitting.robust import quantiles
-from sightline.kernels import kernel
-from sightline.threads import in_parts
 
 _WIDE, _STEP = BLOCK + 2 * TAPS, 4 * BLOCK  # px: side of a block with the filter's margin; distance of blocks
 AFTER_LAGS = 3  # px, of the noise correlation after sharpening

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from sightline.common.kernels import kernel
 from sightline.detection.beads.noise import LAGS
-from sightline.kernels import kernel
 
 BEYOND = 5.0  # px of background around the rim, enough for five blurs [ours]
 TAPS = 6  # px to either side, of the filter

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, map_coordinates, uniform_filter1d
 
+from sightline.common.fitting.robust import MAD_TO_SD
 from sightline.detection.log_image import field_inset
 from sightline.errors import UnusableInputError
-from sightline.fitting.robust import MAD_TO_SD
 from sightline.imaging import Radiograph
 
 REACH_PX = 12.0  # how far from a drawn curve the edge is searched

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
+from sightline.common.fitting.robust import MAD_TO_SD
 from sightline.errors import UnusableInputError, WireRefusedError
-from sightline.fitting.robust import MAD_TO_SD
 from sightline.imaging import Radiograph
 
 # Attenuation at 40, 50 and 60 keV, 1/mm, and the energies' shares behind 20 cm of tissue, as in wire_model.py

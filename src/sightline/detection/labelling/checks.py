@@ -4,9 +4,9 @@ from enum import IntEnum
 
 import numpy as np
 
+from sightline.common.fitting.kernels import exact_squares
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.joint import Joint, Model
-from sightline.fitting.kernels import exact_squares
 
 MAX_SCATTER = 0.02  # of the pitch, rms of the beads about their places; 2 px at the design distance [ours]
 MAX_BEND = 4.5  # s.d. of the prior that a map may need [ours]

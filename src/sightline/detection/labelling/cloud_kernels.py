@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.kernels import kernel
+from sightline.common.kernels import kernel
 
 RADIUS_RATIO = 0.25  # largest share by which a radius differs from the expected one: noise, blur [ours]
 SCALE_RATIO = 0.12  # of the scale of three points to their mean magnification by radius: 3 % each, blur [ours]

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from sightline.common.fitting.robust import median
 from sightline.detection.labelling.cloud_kernels import (
     CELLS,
     SEEN,
@@ -21,7 +22,6 @@ from sightline.detection.labelling.cloud_kernels import (
 )
 from sightline.detection.labelling.pinhole import Prior
 from sightline.detection.results import Detections
-from sightline.fitting.robust import median
 
 GATE_MM, MIN_GATE_PX = 0.8, 3.0  # of a hypothesis from three detections: errors of their centres, amplified [ours]
 GATE_SD = 5.0  # s.d. of the balls' own errors: those of the three, amplified, and of the others [ours]

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from sightline.common.fitting.kernels import exact_squares
+from sightline.common.fitting.robust import median
+from sightline.common.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
 from sightline.detection.labelling.map_prior import features
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, Similarity
 from sightline.detection.results import Detections
-from sightline.fitting.kernels import exact_squares
-from sightline.fitting.robust import median
-from sightline.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
 
 REMAINDER = 0.003  # s.d. beyond degree 5, share of the radius: 0.3 mm of 107 (physics.md: 0.11-0.13 mm rms) [ours]
 GATE = 3.5  # standard deviations [ours]

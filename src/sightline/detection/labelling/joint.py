@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sightline.common.fitting.kernels import exact_squares, squared_distances
+from sightline.common.fitting.robust import MEDIAN_M2, median
+from sightline.common.fitting.triangular import cholesky, inverse_lower
+from sightline.common.geometry.lines import SPREAD_RAD
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.map_prior import CENTRE_PX, features, map_covariance
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
-from sightline.fitting.kernels import exact_squares, squared_distances
-from sightline.fitting.robust import MEDIAN_M2, median
-from sightline.fitting.triangular import cholesky, inverse_lower
-from sightline.geometry.lines import SPREAD_RAD
 
 MIN_BEADS = 8  # of each plate [ours]
 MIN_BEYOND = 0.1  # smallest distance of the focal point beyond the source plate, over that between the plates [ours]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.common.threads import one_blas_thread
 from sightline.detection.labelling.checks import AttemptError, Stage
 from sightline.detection.labelling.growth import Grown, grow
 from sightline.detection.labelling.naming import most_like
@@ -14,7 +15,6 @@ from sightline.detection.labelling.solve import MIN_BEADS, LabellingProblem, Lab
 from sightline.detection.results import Detections, Observations, RejectedCandidate
 from sightline.errors import LabellingRefusedError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
-from sightline.threads import one_blas_thread
 
 SEEDS = 12  # of each plate [ours]
 MAX_FIRST, MAX_SECOND, MAX_GROWN = 4, 3, 12  # lattices tried before giving up [ours]

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sightline.common.fitting.kernels import exact_squares
+from sightline.common.fitting.robust import median
+from sightline.common.kernels import kernel
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import complex_points, real_points
-from sightline.fitting.kernels import exact_squares
-from sightline.fitting.robust import median
-from sightline.kernels import kernel
 
 # Cost of a bead: half the square of its log-radius error over RADIUS_SD, at most CONTRADICTION. That is the log odds
 # against a misjudged size, or against a bead where the plate has none (2 % each) [ours].

@@ -5,9 +5,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from sightline.fitting.kernels import distances, exact_squares
+from sightline.common.fitting.kernels import distances, exact_squares
+from sightline.common.geometry.planes import Plane
 from sightline.frame import Frame, Plate
-from sightline.geometry.planes import Plane
 
 NEIGHBOUR = 1.2  # pitches between neighbours at most, which excludes the diagonal of a square [ours]
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.kernels import kernel
+from sightline.common.kernels import kernel
 
 STEPS = 4  # Gauss-Newton steps of a fit; from a hypothesis three suffice for 0.01 px [calc]
 PARAMETERS = 9

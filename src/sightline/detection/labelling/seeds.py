@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sightline.common.fitting.robust import median
+from sightline.common.kernels import kernel
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
-from sightline.fitting.robust import median
-from sightline.kernels import kernel
 
 MAX_LARGE = 32  # detections tried as datum markers [ours: 12 datums, 10 false ones, and a margin]
 LARGER = 1.12  # than the median detection: half the step from 3 to 5 mm, less 15 % for the plates' scales [ours]

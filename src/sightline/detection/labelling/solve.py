@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.common.fitting.kernels import exact_squares
+from sightline.common.fitting.robust import MAD_TO_SD, median
 from sightline.detection.labelling.checks import AttemptError, Stage, check, check_alone
 from sightline.detection.labelling.growth import LOG_RADIUS, Grown, grow
 from sightline.detection.labelling.joint import MIN_BEADS, NEAR_M2, Joint, Model, empty_near
@@ -11,8 +13,6 @@ from sightline.detection.labelling.naming import Naming, name, name_alone
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, best_similarity
 from sightline.detection.results import Detections
-from sightline.fitting.kernels import exact_squares
-from sightline.fitting.robust import MAD_TO_SD, median
 
 MAX_NAMINGS = 4
 MARGIN = 6.0  # smallest log odds against any other reading: one and a half misjudged sizes [ours]

@@ -6,6 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.common.fitting.kernels import distances
+from sightline.common.fitting.kriging import PlanarKriging
+from sightline.common.fitting.robust import variance_ratio
+from sightline.common.threads import one_blas_thread
 from sightline.detection.beads import refine
 from sightline.detection.beads.bead import SHADOW, BeadStatus, centre_covariances, centres
 from sightline.detection.beads.clipping import WITHOUT_FOOT, allow_for_missing_foot, clipped_shares
@@ -23,12 +27,8 @@ from sightline.detection.scale import FACTOR, coarser, coarser_observations, fin
 from sightline.detection.second_look.overlaps import DEEPEST_OF_KNOWN_SHAPE, hidden_share, overlap_of, without_overlaps
 from sightline.detection.second_look.shapes import SHAPE, expected_shapes
 from sightline.errors import ObservationsError
-from sightline.fitting.kernels import distances
-from sightline.fitting.kriging import PlanarKriging
-from sightline.fitting.robust import variance_ratio
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, as_radiograph
-from sightline.threads import one_blas_thread
 
 _ROUNDS = 6  # of fitting, each further out [ours]
 # What a file of detections does not state of their fits.

@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 
+from sightline.common.fitting.kernels import distances
 from sightline.detection.beads import refine, window
 from sightline.detection.beads.bead import centres
-from sightline.fitting.kernels import distances
 
 # Deepest overlaps, in units of the smaller radius, at which two shadows can be separated: by their own rims, and where
 # other beads say what shape they have [twin].

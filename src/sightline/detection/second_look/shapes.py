@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from sightline.common.fitting.robust import MAD_TO_SD
 from sightline.detection.labelling.patterns import Pattern
-from sightline.fitting.robust import MAD_TO_SD
 
 SHAPE = ["radius_px", "blur_px", "axial", "diagonal"]  # fields of a bead
 _MEAN_ALONE = np.array([False, True, False, False])

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter
 
+from sightline.common.fitting.robust import MAD_TO_SD
 from sightline.detection.beads.noise import NoiseModel, estimate_noise
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.wires.model import BEND, ImagePath, SteelWire, WireFit, fit_across, fit_tip
 from sightline.detection.wires.search import CORRIDOR_MM, search
 from sightline.errors import UnusableInputError, WireRefusedError
-from sightline.fitting.robust import MAD_TO_SD
 from sightline.imaging import Radiograph
 
 POINT_DIAMETERS = 1.5  # length of a trocar point over the wire's diameter [ours]

@@ -10,7 +10,7 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
-from sightline.atomic import write_whole
+from sightline.common.atomic import write_whole
 from sightline.frame.drawings.part import Part, faces_of
 from sightline.frame.model import Frame
 from sightline.frame.plate import ROLES, Fiducial, Plate

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sightline.atomic import whole_folder, write_files
+from sightline.common.atomic import whole_folder, write_files
 from sightline.frame.drawings.bill import bill_csv, bill_page, holes_csv, inspection_csv
 from sightline.frame.drawings.mesh import meshes_of
 from sightline.frame.drawings.part import parts_of

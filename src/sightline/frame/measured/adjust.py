@@ -14,9 +14,9 @@ from scipy.linalg import block_diag, cho_factor, cho_solve, cholesky, solve_tria
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
+from sightline.common.geometry.rigid import displacement
 from sightline.errors import FrameError
 from sightline.frame.measured.measurements import Series
-from sightline.geometry.rigid import displacement
 
 FALSE_ALARM = 1e-4  # [ours] per frame, as for beads in images (calibration/plates/joint.py)
 CONVERGED_MM = 1e-9

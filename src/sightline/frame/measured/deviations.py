@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.common.geometry.rigid import displacement
 from sightline.frame.model import Frame
 from sightline.frame.plate import Plate, RigidBody
-from sightline.geometry.rigid import displacement
 
 # [ours] prior s.d., mm, of a rigid motion of the whole frame, which is not an error of a plate.
 WHOLE_FRAME_MM = 10.0

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from sightline.checks import Check, failed
+from sightline.common.checks import Check, failed
 from sightline.errors import FrameError
 from sightline.frame.measured.adjust import FALSE_ALARM, Adjusted, adjust
 from sightline.frame.measured.deviations import Completed, PlateDeviation, bodies, complete, plate_deviations

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.bounded import read_text
+from sightline.common.bounded import read_text
 from sightline.errors import FrameError
 from sightline.frame.files import SIZE_LIMIT_BYTES
 

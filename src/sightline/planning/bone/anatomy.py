@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.geometry.covariance import response
+from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, SightlineError, UnusableInputError
-from sightline.geometry.covariance import response
-from sightline.geometry.lines import nearest_approach
 from sightline.planning.bone.aids import Aids, Circle, Line
 from sightline.planning.bone.axis import Axis, find_axis
 from sightline.planning.bone.directions import caudal

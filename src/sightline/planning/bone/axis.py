@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.common.geometry.covariance import line_direction, response
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.covariance import line_direction, response
 from sightline.planning.points.lines_of_sight import Sights
 from sightline.planning.points.trajectory import MIN_LENGTH_MM
 

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from sightline.common.geometry.covariance import response
+from sightline.common.geometry.lines import NearestApproach, nearest_approach
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.covariance import response
-from sightline.geometry.lines import NearestApproach, nearest_approach
 from sightline.planning.bone.axis import MIN_ANGLE_RAD
 from sightline.planning.bone.directions import across, unit
 from sightline.planning.bone.tube import Tube, cylinder, refuse_borders, refuse_oval

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.geometry.covariance import ellipsoid_factor, response
+from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.covariance import ellipsoid_factor, response
-from sightline.geometry.lines import nearest_approach
 from sightline.planning.bone.aids import Circle
 from sightline.planning.bone.directions import across, unit
 from sightline.planning.points.lines_of_sight import Sights

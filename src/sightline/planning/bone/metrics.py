@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.common.geometry.covariance import response
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.covariance import response
 from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.directions import ANTERIOR, MEDIAL, across, caudal, towards, unit
 from sightline.planning.bone.tube import entry_to_oval, tip_in_tube, wire_in_oval, wire_in_tube

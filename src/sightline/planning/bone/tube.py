@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.lines import nearest_approach
 from sightline.planning.bone.directions import unit
 
 # For both images the focal point and four clicks on the view's plate, (K, 2, 5, 3).

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
-from sightline.checks import Limits
+from sightline.common.checks import Limits
+from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.lines import nearest_approach
 from sightline.planning.check.expected_wire import GUIDED_MM
 from sightline.planning.check.result import MAX_OUTLIER, MIN_LANDMARKS, CheckShot, checks
 from sightline.planning.check.rows import Rows, along_and_across, joint_covariance

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check, CheckCode, Limits, failed
+from sightline.common.checks import Check, CheckCode, Limits, failed
+from sightline.common.geometry.covariance import length_quantile
 from sightline.errors import UnusableInputError
-from sightline.geometry.covariance import length_quantile
 from sightline.planning.check.result import CheckShot, check_shot_error
 from sightline.planning.check.shot import PlannedWire, check_shot
 from sightline.planning.check.start import Beforehand, Landmarks, WireSeen

@@ -11,7 +11,7 @@ import numpy as np
 
 from sightline.calibration.projection import Pencil
 from sightline.calibration.view import LinesOfSight
-from sightline.geometry.covariance import joined
+from sightline.common.geometry.covariance import joined
 from sightline.planning.points.line_residuals import LineResiduals, pick_covariance_mm2
 
 

@@ -12,14 +12,14 @@ import numpy as np
 
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Limits
+from sightline.common.checks import Limits
+from sightline.common.threads import one_blas_thread
 from sightline.errors import UnusableInputError
 from sightline.planning.check.adjustment import Adjustment
 from sightline.planning.check.result import CheckShot
 from sightline.planning.check.start import STILL, Beforehand, KnownWire, Landmarks, WireSeen
 from sightline.planning.points.picks import Pick
 from sightline.planning.points.trajectory import Trajectory
-from sightline.threads import one_blas_thread
 
 __all__ = ["CheckShot", "Landmarks", "PlannedWire", "check_shot"]
 

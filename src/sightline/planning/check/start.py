@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.calibration.view import CalibratedView
+from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
-from sightline.geometry.lines import nearest_approach
 from sightline.planning.check.result import MIN_LANDMARKS
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX
 from sightline.planning.points.reconstruct import reconstruct

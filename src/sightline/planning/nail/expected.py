@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
+from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.lines import nearest_approach
 from sightline.planning.bone.directions import across, unit
 from sightline.planning.nail.result import HolePose, Nail
 

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sightline.calibration.view import SOURCES, CalibratedView
-from sightline.checks import Check, failed
+from sightline.common.checks import Check, failed
+from sightline.common.fitting.robust import MAD_TO_SD
+from sightline.common.geometry.covariance import TWO_SIDED_999, ellipsoid_factor
+from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
-from sightline.fitting.robust import MAD_TO_SD
-from sightline.geometry.covariance import TWO_SIDED_999, ellipsoid_factor
-from sightline.geometry.lines import nearest_approach
 from sightline.planning.bone.directions import across, unit
 from sightline.planning.nail.expected import LocalCamera, through_surface
 from sightline.planning.nail.result import Hole, HolePose, Nail

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from sightline.checks import Check, failed
+from sightline.common.checks import Check, failed
+from sightline.common.geometry.covariance import length_quantile, line_direction
+from sightline.common.show import Shown
+from sightline.common.show.words import checks_lines, numbers
 from sightline.errors import UnusableInputError
-from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.planning.bone.axis import Axis
 from sightline.planning.bone.directions import unit
 from sightline.planning.points.results import SpacePoints, error_unknown
-from sightline.show import Shown
-from sightline.show.words import checks_lines, numbers
 
 
 @dataclass(frozen=True)

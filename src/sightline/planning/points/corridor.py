@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
+from sightline.common.geometry.covariance import TWO_SIDED_95
+from sightline.common.geometry.lines import cross
 from sightline.errors import OutsideRegionError
-from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.geometry.lines import cross
 from sightline.planning.points.trajectory import Trajectory
 
 WIRE_DIAMETER_MM = 2.5  # physics.md, Planning figures [paper]

@@ -7,8 +7,8 @@ from functools import cached_property, partial
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import OutsideRegionError, UnusableInputError
-from sightline.geometry.covariance import TWO_SIDED_95
 from sightline.planning.points.line_residuals import (
     LineResiduals,
     no_lines,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.geometry.covariance import line_direction
+from sightline.common.geometry.covariance import line_direction
 from sightline.planning.points.results import error_unknown
 from sightline.planning.points.trajectory import Trajectory
 

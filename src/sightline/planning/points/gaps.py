@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chndtrinc, gammaincc, ndtri
 
-from sightline.geometry.covariance import ellipsoid_factor
-from sightline.geometry.lines import cross
+from sightline.common.geometry.covariance import ellipsoid_factor
+from sightline.common.geometry.lines import cross
 from sightline.planning.points.solution import Solution, inverse
 
 # Correct plans exceed the limits of all gaps and of a movement together once in a thousand [ours].

@@ -12,8 +12,8 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.common.geometry.planes import refuse_behind
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
-from sightline.geometry.planes import refuse_behind
 
 # Two X-ray sources nearer than this belong to one exposure given twice [ours].
 MIN_BASELINE_MM = 1.0

@@ -6,13 +6,13 @@ import numpy as np
 
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.common.threads import one_blas_thread
 from sightline.errors import UnusableInputError
 from sightline.planning.points.gaps import Gaps, gap_mm
 from sightline.planning.points.line_residuals import refuse_repeated
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, PickArrays
 from sightline.planning.points.results import SpacePoints
 from sightline.planning.points.solution import Method, Solution, solve
-from sightline.threads import one_blas_thread
 
 
 @one_blas_thread

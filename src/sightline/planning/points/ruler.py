@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
+from sightline.common.geometry.covariance import TWO_SIDED_95, response
 from sightline.errors import UnusableInputError
-from sightline.geometry.covariance import TWO_SIDED_95, response
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX
 from sightline.planning.points.reconstruct import reconstruct
 

@@ -9,8 +9,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from sightline.calibration.view import SOURCES, LinesOfSight
+from sightline.common.geometry.lines import NearestApproach, cross, nearest_approach
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
-from sightline.geometry.lines import NearestApproach, cross, nearest_approach
 from sightline.planning.points.line_residuals import (
     LineResiduals,
     covariance_of_residuals,

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from sightline.common.geometry.covariance import length_quantile, line_direction
+from sightline.common.show import Plotted
+from sightline.common.show.words import numbers
 from sightline.errors import ErrorUnknownError, UnusableInputError
-from sightline.geometry.covariance import length_quantile, line_direction
 from sightline.planning.points.results import SpacePoints, error_unknown
-from sightline.show import Plotted
-from sightline.show.words import numbers
 
 # Two points nearer than this do not give a direction [ours].
 MIN_LENGTH_MM = 5.0

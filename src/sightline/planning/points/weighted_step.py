@@ -6,7 +6,7 @@ long.
 
 import numpy as np
 
-from sightline.kernels import kernel
+from sightline.common.kernels import kernel
 
 
 @kernel(nogil=True)

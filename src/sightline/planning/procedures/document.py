@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from sightline.checks import CLEAR_MM, MAX_BEFORE_MM
+from sightline.common.checks import CLEAR_MM, MAX_BEFORE_MM
 from sightline.planning.bone.aids import CLICKS
 from sightline.planning.bone.directions import anatomical
 from sightline.planning.procedures.proposal_rules import RULES

@@ -13,11 +13,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from sightline.bounded import read_bounded
+from sightline.common.bounded import read_bounded
+from sightline.common.strict import explain, read_strictly
 from sightline.errors import UnusableInputError
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.procedure import Procedure, ProcedureKey
-from sightline.strict import explain, read_strictly
 
 FOLDER = "SIGHTLINE_PROCEDURES"  # environment variable: the folder of the user's files
 MAX_BYTES = 2**18  # [ours] fifty times the largest shipped file

@@ -7,7 +7,7 @@ from hashlib import sha256
 from math import radians
 from typing import Any, NamedTuple
 
-from sightline.checks import Limits
+from sightline.common.checks import Limits
 from sightline.errors import UnusableInputError
 from sightline.planning.procedures.document import AidAsked, ProcedureDocument, WireAsked
 from sightline.planning.procedures.proposal_rules import ProposalRule

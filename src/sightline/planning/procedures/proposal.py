@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
+from sightline.common.geometry.covariance import length_quantile, response
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.covariance import length_quantile, response
 from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.procedures.proposal_rules import RULES, ProposalRule
 

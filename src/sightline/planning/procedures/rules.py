@@ -8,7 +8,7 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from sightline.checks import CheckCode, code_key
+from sightline.common.checks import CheckCode, code_key
 
 HEAD_CENTRE, LESSER = "head-centre", "lesser-trochanter"
 

@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from sightline.checks import Check
-from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.common.checks import Check
+from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.planning.bone.anatomy import NOT_PLACED, Anatomy
 from sightline.planning.bone.directions import ANTERIOR, MEDIAL, caudal, lies
 from sightline.planning.bone.metrics import Metric, metric, metric_of_wires, tip_depth

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.common.geometry.covariance import TWO_SIDED_95
+from sightline.common.kernels import kernel
 from sightline.errors import OutsideRegionError
-from sightline.geometry.covariance import TWO_SIDED_95
-from sightline.kernels import kernel
 from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.metrics import metric
 from sightline.planning.points.corridor import Corridor

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.geometry.covariance import response
+from sightline.common.geometry.covariance import response
 from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.directions import ANTERIOR, MEDIAL, across, caudal, unit
 from sightline.planning.bone.tube import line_of_tube

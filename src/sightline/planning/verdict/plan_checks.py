@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check, Limits, error_check
-from sightline.geometry.covariance import ellipsoid_factor
+from sightline.common.checks import Check, Limits, error_check
+from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.planning.points.gaps import CONFIDENCE, Movement
 from sightline.planning.points.results import MAX_GAP_SIGMA, SpacePoints, Verdict, error_known
 from sightline.planning.points.trajectory import Trajectory

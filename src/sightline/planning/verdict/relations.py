@@ -9,9 +9,9 @@ from itertools import combinations
 
 import numpy as np
 
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.geometry.covariance import joined, length_quantile, response
 from sightline.errors import RobotRefusedError
-from sightline.geometry.covariance import joined, length_quantile, response
 from sightline.planning.bone.axis import Axis
 from sightline.planning.bone.directions import ANTERIOR, across, caudal, lies, unit
 from sightline.planning.points.results import SpacePoints, Verdict, error_unknown

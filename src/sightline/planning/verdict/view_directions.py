@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import Check
+from sightline.common.checks import Check
+from sightline.common.geometry.covariance import TWO_SIDED_95, response
 from sightline.errors import ReconstructionRefusedError
-from sightline.geometry.covariance import TWO_SIDED_95, response
 from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.directions import anatomical, lies, unit
 from sightline.planning.points.line_residuals import no_lines

@@ -7,7 +7,7 @@ from math import isfinite
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sightline.checks import CLEAR_MM, MAX_BEFORE_MM, Limits, failed
+from sightline.common.checks import CLEAR_MM, MAX_BEFORE_MM, Limits, failed
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot import contract
 from sightline.robot.igtl import Message, Transform

@@ -1,6 +1,6 @@
 """OpenIGTLink, header versions 1 and 2: messages as values, encoded and decoded without input or output."""
 
-from sightline.geometry.rigid import why_not_rigid
+from sightline.common.geometry.rigid import why_not_rigid
 from sightline.robot.igtl.messages import (
     LONG_NAME,
     MAX_BODY_BYTES,

@@ -6,8 +6,8 @@ from typing import Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sightline.common.geometry.rigid import why_not_rigid
 from sightline.errors import MessageError
-from sightline.geometry.rigid import why_not_rigid
 from sightline.robot.igtl.wire import Reader, field, floats, read_only
 
 Colour = tuple[int, int, int, int]

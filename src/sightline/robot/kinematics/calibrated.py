@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtrc  # not scipy.stats, which takes half a second to import
 
+from sightline.common.geometry.rigid import adjoint, displacement
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.geometry.rigid import adjoint, displacement
 from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, Manipulator
 from sightline.robot.kinematics.mounts import MIN_PROBABILITY, Mount, refuse_unlikely
 

@@ -6,7 +6,7 @@ Plan, contact and shot are combined with weights from their variances; every dep
 from dataclasses import dataclass
 from math import hypot, isfinite, sqrt
 
-from sightline.checks import CLEAR_MM, Limits
+from sightline.common.checks import CLEAR_MM, Limits
 from sightline.errors import RobotRefusedError
 
 # Error of the planned entry along the wire, 1 s.d.: targets with a 95 % error above 1 mm are refused [target.py].

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sightline.common.geometry.lines import nearest_approach
+from sightline.common.geometry.rigid import adjoint, cross_matrix, displacement
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.geometry.lines import nearest_approach
-from sightline.geometry.rigid import adjoint, cross_matrix, displacement
 
 JOINTS = ("lift", "traverse", "yaw", "pitch", "feed")
 LIFT, TRAVERSE, YAW, PITCH, FEED = range(5)

@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
-from sightline.atomic import write_whole
-from sightline.bounded import read_bounded
+from sightline.common.atomic import write_whole
+from sightline.common.bounded import read_bounded
+from sightline.common.geometry.rigid import why_not_rigid
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.geometry.rigid import why_not_rigid
 from sightline.robot.kinematics.calibrated import CalibratedAxes, CalibratedRobot, calibrate_axes
 from sightline.robot.kinematics.manipulator import nominal_manipulator
 from sightline.robot.kinematics.mounts import Mount, measured_axis, measured_mount

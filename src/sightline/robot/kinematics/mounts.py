@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtrc  # not scipy.stats, which takes half a second to import
 
+from sightline.common.geometry.rigid import adjoint, displacement
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.geometry.rigid import adjoint, displacement
 
 # A fit less probable than this means swapped points or a wrong stated accuracy [ours].
 MIN_PROBABILITY = 1e-4

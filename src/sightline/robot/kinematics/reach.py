@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.errors import UnusableInputError
 from sightline.robot.kinematics.manipulator import ARM_JOINTS, JOINTS, ROTARY, Manipulator, describe_excess
 

@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sightline.checks import Check, Limits, error_check
+from sightline.common.checks import Check, Limits, error_check
+from sightline.common.geometry.covariance import both_within, length_quantile, line_direction
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.geometry.covariance import both_within, length_quantile, line_direction
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.depth import CONTACT_SHIFT_SD_MM, CONTACT_WEIGHT
 from sightline.robot.kinematics.manipulator import FEED, JOINTS, describe_excess

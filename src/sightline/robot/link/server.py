@@ -17,7 +17,7 @@ from itertools import groupby
 from operator import attrgetter
 from typing import Self
 
-from sightline.closing import Closing
+from sightline.common.closing import Closing
 from sightline.errors import LinkError, MessageError
 from sightline.robot import contract
 from sightline.robot.contract import Code

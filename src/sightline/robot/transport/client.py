@@ -10,7 +10,7 @@ from threading import Lock
 from types import TracebackType
 from typing import Self
 
-from sightline.closing import Closing
+from sightline.common.closing import Closing
 from sightline.errors import LinkError
 from sightline.robot.igtl import Event, Message, Rejected, Stream, encode
 from sightline.robot.transport.connection import Connection, Handler, prepare

@@ -12,7 +12,7 @@ from sightline.studies.runs.run import Result
 
 def page(template: str, *, plots: Any, **values: Any) -> str:
     """Return the page of a template of this room with its values; `plots`: their drawings are put in as they are."""
-    here, report = files("sightline.studies") / "templates", files("sightline.case.report") / "templates"
+    here, report = files("sightline.studies.runs") / "templates", files("sightline.case.report") / "templates"
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     css = (report / "report.css").read_text("utf-8") + (here / "study.css").read_text("utf-8")
     return environment.from_string((here / template).read_text("utf-8")).render(

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.stats import beta, binom
 
-from sightline.geometry.covariance import TWO_SIDED_95
+from sightline.common.geometry.covariance import TWO_SIDED_95
 
 Values = dict[str, Any]  # results of one trial: numbers, lists of them, texts; None for a refusal
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from sightline.common.geometry.covariance import TWO_SIDED_95, response
 from sightline.errors import SetUpError
-from sightline.geometry.covariance import TWO_SIDED_95, response
 from sightline.planning import Anatomy, Plan
 from sightline.planning.bone.directions import across, unit
 from sightline.planning.bone.metrics import metric

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.checks import failed
+from sightline.common.checks import failed
 from sightline.detection import Observations
 from sightline.errors import SetUpError, SightlineError
 from sightline.frame import Frame

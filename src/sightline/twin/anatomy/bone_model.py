@@ -11,9 +11,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sightline.common.kernels import kernel
+from sightline.common.threads import in_parts
 from sightline.errors import SetUpError
-from sightline.kernels import kernel
-from sightline.threads import in_parts
 from sightline.twin.anatomy.femur import placed
 from sightline.twin.anatomy.shapes import ADD, CUT, NUMBERS, SolidShape, blend, shape_distance, step, texture
 from sightline.twin.objects.meshes import Mesh

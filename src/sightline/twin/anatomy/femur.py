@@ -10,9 +10,9 @@ from math import cos, radians, sin
 import numpy as np
 from scipy.optimize import root_scalar
 
+from sightline.common.kernels import kernel
+from sightline.common.threads import in_parts
 from sightline.errors import SetUpError
-from sightline.kernels import kernel
-from sightline.threads import in_parts
 from sightline.twin.anatomy.shapes import blend, ellipsoid_distance, step, texture
 from sightline.twin.objects.volumes import Volume
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
-from sightline.kernels import kernel
+from sightline.common.kernels import kernel
 
 CONE, BOX, ELLIPSOID, BARREL, PLATE, HALF_SPACE = range(6)
 ADD, CUT, KEEP = range(3)

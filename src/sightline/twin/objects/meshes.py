@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.bounded import read_bounded
+from sightline.common.bounded import read_bounded
 from sightline.errors import UnusableInputError
 
 MAX_FILE_BYTES = 2**28  # [ours] 5 million triangles of binary STL

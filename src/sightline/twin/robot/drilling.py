@@ -11,8 +11,8 @@ from math import hypot, inf, sqrt
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sightline.common.kernels import kernel
 from sightline.errors import SetUpError
-from sightline.kernels import kernel
 from sightline.twin.objects.implants import WIRE_DIAMETER_MM
 from sightline.twin.objects.volumes import Volume
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sightline.atomic import write_whole
+from sightline.common.atomic import write_whole
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.twin.anatomy.femur import BOX_HIGH_MM, LONG_HIGH_MM, Femur, draw_femur, to_cfcs, voxelise

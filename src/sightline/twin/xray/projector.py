@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.kernels import kernel
-from sightline.threads import in_parts
+from sightline.common.kernels import kernel
+from sightline.common.threads import in_parts
 from sightline.twin.objects.things import COLUMNS
 
 CELL_PX = 16

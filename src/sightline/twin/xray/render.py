@@ -16,9 +16,9 @@ from scipy.fft import next_fast_len
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import map_coordinates
 
+from sightline.common.threads import at_once
 from sightline.errors import SetUpError
 from sightline.imaging import Radiograph
-from sightline.threads import at_once
 from sightline.twin.objects.beam import attenuation_per_mm, excess_per_mm, spectrum
 from sightline.twin.objects.meshes import Mesh
 from sightline.twin.objects.things import RADIUS, Box, Scene, pack, plate_scene, stations

@@ -7,10 +7,10 @@ from math import pi
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sightline.common.geometry.outlines import centroids
+from sightline.common.geometry.planes import Plane
 from sightline.errors import OutsideRegionError, SetUpError
 from sightline.frame import Fiducial, Frame, nominal
-from sightline.geometry.outlines import centroids
-from sightline.geometry.planes import Plane
 from sightline.twin.xray.distributions import (
     NEAR_PLACE,
     Arm,

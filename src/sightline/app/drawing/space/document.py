@@ -16,9 +16,9 @@ from scipy.spatial.transform import RigidTransform
 from sightline.app.session.rehearsing import Patient, rehearsal_of
 from sightline.calibration.view import CalibratedView
 from sightline.case.report.drawing.scene import NEAR_MM, magnification
+from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.frame import Frame
 from sightline.frame.plate import Plate, RigidBody
-from sightline.geometry.covariance import ellipsoid_factor
 from sightline.imaging import Radiograph
 from sightline.planning import Trajectory
 from sightline.robot.kinematics.manipulator import FEED, Manipulator

@@ -4,7 +4,7 @@ import numpy as np
 
 from sightline.calibration import CalibratedView
 from sightline.case.report.drawing import svg
-from sightline.geometry.covariance import ellipsoid_factor
+from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.planning import Hole, MatchingCurve, Pick, Plan, Trajectory
 from sightline.planning.nail.expected import rim
 

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from sightline.case.report.drawing import svg
-from sightline.geometry.covariance import ellipsoid_factor
-from sightline.geometry.planes import Plane
+from sightline.common.geometry.covariance import ellipsoid_factor
+from sightline.common.geometry.planes import Plane
 
 # Initial view: from the front, a little to the side and from above, so that both arms are visible [ours].
 AZIMUTH_DEG, ELEVATION_DEG = -28.0, 20.0

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import Enum
 
-from sightline.closing import Closing
+from sightline.common.closing import Closing
 from sightline.errors import SightlineError
 from sightline.robot.igtl import Fault, Rejected
 from sightline.robot.link.client import RobotClient

@@ -1,6 +1,6 @@
 """How a result shows itself: text at a prompt, a picture in a notebook, a plot, a table."""
 
-from sightline.show.face import Plotted, Shown
-from sightline.show.table import dataframe
+from sightline.common.show.face import Plotted, Shown
+from sightline.common.show.table import dataframe
 
 __all__ = ["Plotted", "Shown", "dataframe"]

@@ -7,19 +7,19 @@ from typing import Any, TypeVar, overload
 
 from pydantic import BaseModel, ValidationError
 
-from sightline.atomic import write_whole
-from sightline.bounded import read_bounded
 from sightline.calibration import BeadView, MatrixView
 from sightline.calibration.exchange import reading
 from sightline.calibration.exchange.reading import json_bytes
 from sightline.case.canonical import plain
 from sightline.case.interop.plan_file import sealed
+from sightline.case.saved import beads, models, plans, views
+from sightline.common.atomic import write_whole
+from sightline.common.bounded import read_bounded
 from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, SpacePoints, Trajectory
 from sightline.planning.check.result import CheckShot
-from sightline.saved import beads, models, plans, views
 
 _MAX_BYTES = 2**26  # [ours] six times a view of a frame with a full covariance
 _MAX_DEPTH = 12

@@ -10,12 +10,12 @@ from sightline.calibration.exchange.reading import array
 from sightline.case.canonical import plain, with_null
 from sightline.case.contents import PlanRequest
 from sightline.case.interop.bundle import bundle
+from sightline.case.saved import views
 from sightline.errors import UnusableInputError
 from sightline.planning import Plan, SpacePoints, Trajectory
 from sightline.planning.check.result import CheckShot
 from sightline.planning.points.gaps import Movement
 from sightline.planning.procedures.files import keeping
-from sightline.saved import views
 
 _SAME_MM = 0.01  # the views may come out otherwise by a tenth of it, and a wire's end lies beyond their plates [ours]
 

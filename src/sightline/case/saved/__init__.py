@@ -5,6 +5,6 @@ have the keys that the command line writes, and what they were made from besides
 from that when it is read, which takes hundredths of a second, and is refused where the result differs from the file's.
 """
 
-from sightline.saved.files import document, load, save
+from sightline.case.saved.files import document, load, save
 
 __all__ = ["document", "load", "save"]

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from sightline.checks import Check, failed
+from sightline.common.checks import Check, failed
 
 _LONGEST = 110  # characters of a line
 

@@ -22,7 +22,7 @@ import numba as nb
 from numba.core import config, event
 
 _CONFIG: Any = config  # which NUMBA_CACHE_DIR and the other variables set
-_PACKAGE = Path(__file__).parent
+_PACKAGE = Path(__file__).parents[1]
 _NAME = "kernels-"  # a folder's name begins like this
 _KEPT_VERSIONS = 3  # so that a change of branches compiles nothing [ours]
 _IMPORTED = re.compile(rb"^from (sightline[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
@@ -93,11 +93,11 @@ def version(package: Path) -> str:
     at what the kernel calls or reads in other files.
     """
     texts = {path: path.read_bytes() for path in package.rglob("*.py")}
-    made_from = [path for path, text in texts.items() if b"from sightline.kernels import" in text]
+    made_from = [path for path, text in texts.items() if b"from sightline.common.kernels import" in text]
     for path in made_from:  # which grows
         made_from += [other for other in _constants_of(texts[path], package) if other not in made_from]
     whole = sha256(f"{nb.__version__}\n".encode())
-    for path in sorted({*made_from, package / "kernels.py"} & texts.keys()):
+    for path in sorted({*made_from, package / "common/kernels.py"} & texts.keys()):
         whole.update(str(path.relative_to(package)).encode() + texts[path])
     return whole.hexdigest()[:16]
 

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from sightline.case.contents import DrillShotRequest, Pair
-    from sightline.cli.demo_robot import DemoPlan
+    from sightline.cli.demos.robot import DemoPlan
     from sightline.cli.output import Output
     from sightline.planning.check.drill_shot import DrillShot
     from sightline.planning.check.start import Landmarks
@@ -75,7 +75,7 @@ def _shot(
 ) -> ShotTaken:
     """Take and measure two images, with the block on its mount again; send a depth measured at the pause."""
     from sightline.case.contents import CheckRequest, DrillShotRequest
-    from sightline.cli.demo_robot import read_back
+    from sightline.cli.demos.robot import read_back
     from sightline.errors import RefusedError, RobotRefusedError
     from sightline.robot.control.states import State
     from sightline.robot.kinematics.manipulator import FEED

@@ -1,4 +1,4 @@
-"""The forms of saved results, as models. `python -m sightline.saved FOLDER` writes the published schemas there.
+"""The forms of saved results, as models. `python -m sightline.case.saved FOLDER` writes the published schemas there.
 
 Keys that are not named here may follow: readers pass over what they do not know.
 """

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sightline.kernels import kernel
+from sightline.common.kernels import kernel
 
 
 def centroids(outlines: np.ndarray) -> np.ndarray:

@@ -7,9 +7,9 @@ if TYPE_CHECKING:
 
     from sightline.case.report.comparison import Compared, Refused
     from sightline.case.report.drilled import Drilled
-    from sightline.checks import Check
-    from sightline.cli.demo_robot import Inserted
+    from sightline.cli.demos.robot import Inserted
     from sightline.cli.output import Output
+    from sightline.common.checks import Check
     from sightline.frame import Frame
     from sightline.planning import WirePlans
     from sightline.planning.check.result import CheckShot

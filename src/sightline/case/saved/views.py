@@ -11,11 +11,11 @@ from sightline.calibration.exchange import opencv
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.canonical import plain
 from sightline.case.documents import view_document
+from sightline.case.saved.beads import observations
 from sightline.case.views import CalibratedImage, ObservedView
-from sightline.checks import Check
+from sightline.common.checks import Check
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-from sightline.saved.beads import observations
 
 # Machines and versions of libraries differ by less; an estimator that has changed, by more [ours].
 _SAME_MM = 1e-3

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sightline.fitting.triangular import cholesky, inverse_lower, solve_lower, solve_lower_transposed
+from sightline.common.fitting.triangular import cholesky, inverse_lower, solve_lower, solve_lower_transposed
 
 _AT_ONCE = 400  # numbers whose matrices fit into a core's cache; LAPACK takes more than these in blocks [calc]
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from sightline.case.contents import Pair, PlanRequest
     from sightline.case.journal import Case, Entry
     from sightline.case.views import CalibratedImage
-    from sightline.cli.demo_robot import Checked, Inserted
+    from sightline.cli.demos.robot import Checked, Inserted
     from sightline.planning import Plan, WirePlans
     from sightline.rehearsal.patient import AidClicks, RehearsedPatient
 
@@ -80,9 +80,9 @@ def _record_check(case: "Case", plan: "Entry", checked: "Checked", frame_ref: st
 
 def _record_images(case: "Case", images: "Pair | None", frame_ref: str) -> "list[Entry]":
     """Record calibrated images; return their entries."""
-    from sightline.atomic import scratch_folder
     from sightline.case import stages
     from sightline.case.journal import Actor
+    from sightline.common.atomic import scratch_folder
     from sightline.imaging import write_dicom
 
     entries = []

@@ -5,14 +5,14 @@ from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
-from sightline.closing import Closing
+from sightline.common.closing import Closing
 
 if TYPE_CHECKING:
     import numpy as np
 
     from sightline.case.contents import CheckRequest, Pair, PlanRequest
     from sightline.case.report.drilled import Deviation, Drilled
-    from sightline.cli.demo_shots import ShotTaken
+    from sightline.cli.demos.shots import ShotTaken
     from sightline.cli.output import Output
     from sightline.frame import Frame
     from sightline.imaging import Radiograph
@@ -100,7 +100,7 @@ class RobotAhead(Closing):
     """
 
     def __init__(self, seed: int, procedure: str, frame: str | None) -> None:
-        from sightline.cli.demo_procedures import SIDE, WITH_ROBOT
+        from sightline.cli.demos.procedures import SIDE, WITH_ROBOT
 
         starts = procedure in WITH_ROBOT and _installed()
         self._running = _robot(seed, frame or WITH_ROBOT[procedure], SIDE, procedure) if starts else None
@@ -138,7 +138,7 @@ def carry_out(
     They are drilled by the robot, or placed at bones that its simulation does not know. It ends where the robot does
     not drill (`drill`).
     """
-    from sightline.cli.demo_procedures import PLACED, with_robot
+    from sightline.cli.demos.procedures import PLACED, with_robot
 
     done: dict[str, Inserted] = {}
     drills = with_robot(planned.rehearsal.procedure)
@@ -236,8 +236,8 @@ def _drill(output: "Output", planned: "DemoPlan[Rehearsal]", ahead: RobotAhead, 
     from time import monotonic
 
     from sightline.case.report.drilled import Drilled
-    from sightline.checks import failed
-    from sightline.cli.demo_shots import confirming
+    from sightline.cli.demos.shots import confirming
+    from sightline.common.checks import failed
     from sightline.rehearsal.operation import insert
     from sightline.robot.link.client import RobotClient
 
@@ -294,7 +294,7 @@ def targets_by(stood: "dict[str, Registration]", planned: "DemoPlan[Rehearsal]")
 def check(planned: "DemoPlan[RehearsedPatient]", taken: "CheckImages", rng: "np.random.Generator") -> Checked:
     """Return the check shot of a wire on two more images."""
     from sightline.case.contents import CheckRequest
-    from sightline.cli.demo_shots import found_again
+    from sightline.cli.demos.shots import found_again
     from sightline.errors import RefusedError
 
     asked, images = CheckRequest(planned.plan.kind.wire_mm, found_again(planned, taken, rng)), None
@@ -307,8 +307,8 @@ def check(planned: "DemoPlan[RehearsedPatient]", taken: "CheckImages", rng: "np.
 
 def read_back(images: "dict[str, Radiograph]", frame: "Frame") -> "Pair":
     """Return both images read back from files, as the planning images are, and calibrated."""
-    from sightline.atomic import scratch_folder
     from sightline.case.views import NAMES, calibrate_pair, see_pair
+    from sightline.common.atomic import scratch_folder
     from sightline.imaging import write_dicom
 
     with scratch_folder() as folder:
@@ -321,7 +321,7 @@ def depth_limit_mm(planned: "DemoPlan[Rehearsal]", target: "RobotTarget", rng: "
     both views, less the 95 % error of both. A drill through a nail has that of a plan without a surface."""
     import numpy as np
 
-    from sightline.geometry.covariance import TWO_SIDED_95
+    from sightline.common.geometry.covariance import TWO_SIDED_95
     from sightline.robot.control.insertion import DEPTH_SLACK_MM
     from sightline.robot.control.motion.supervision import depth_limit
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.demo_case import Kept, record
-from sightline.cli.demo_robot import DemoPlan, Inserted, RobotAhead, carry_out
+from sightline.cli.demos.case import Kept, record
+from sightline.cli.demos.robot import DemoPlan, Inserted, RobotAhead, carry_out
 from sightline.cli.options import command, commands
 from sightline.cli.output import Output
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sightline.case.report.comparison import Compared, Refused, Truth
     from sightline.case.report.content import Report
     from sightline.case.views import CalibratedImage
-    from sightline.checks import Check
+    from sightline.common.checks import Check
     from sightline.frame import Frame
     from sightline.planning import WirePlans
 
@@ -58,12 +58,12 @@ def demo(
     result with the truth. The robot is simulated at the hip and beside a nail; at other bones the wire is put where it
     was planned.
     """
-    from sightline.cli.demo_procedures import SEEDS
+    from sightline.cli.demos.procedures import SEEDS
 
     seed = SEEDS.get(procedure, SEED) if seed is None else seed
     with RobotAhead(seed, procedure, frame) as ahead:  # its process imports while this one does
-        from sightline.atomic import whole_folder
-        from sightline.cli.demo_procedures import frame_for
+        from sightline.cli.demos.procedures import frame_for
+        from sightline.common.atomic import whole_folder
         from sightline.frame import Frame
 
         frame_name = frame_for(procedure, frame)
@@ -94,7 +94,7 @@ def _run(
     from sightline.case.report.content import Report
     from sightline.case.report.page import render
     from sightline.case.views import NAMES, calibrate_pair, see_pair
-    from sightline.cli.demo_procedures import (
+    from sightline.cli.demos.procedures import (
         command,
         drawn_patient,
         measured,
@@ -206,10 +206,10 @@ def _compare(
 
 
 def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, Any]) -> None:
-    from sightline.atomic import write_files
+    from sightline.case.saved import document
     from sightline.cli.output import as_json
+    from sightline.common.atomic import write_files
     from sightline.detection.csv_files import write_observations
-    from sightline.saved import document
 
     images, planned = report.images, report.plan
     stated = {"landmarks": planned.landmarks_document(), **planned.verdict_document()}
