@@ -121,9 +121,11 @@ def package(tmp_path: Path) -> Path:
     package = tmp_path / "sightline"
     package.mkdir()
     texts = {"__init__": "", "caller": _CALLER, "callee": _CALLEE, "limits": "LIMIT = 10.0", "other": "LIMIT = 1"}
-    texts["kernels"] = Path(inspect.getfile(version)).read_text()
     for name, text in texts.items():
         (package / f"{name}.py").write_text(text)
+    (package / "common").mkdir()
+    (package / "common" / "__init__.py").touch()
+    (package / "common" / "kernels.py").write_text(Path(inspect.getfile(version)).read_text())
     return package
 
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from sightline.planning.check.result import CheckShot as CheckShot
     from sightline.planning.check.shot import Landmarks as Landmarks
 
-    # Declared, not imported: rooms below `saved` take `__version__` from here, and must not reach up to it.
+    # Declared, not imported: rooms below `case.saved` take `__version__` from here, and must not reach up to it.
     load: Callable[..., Any]
     save: Callable[[Any, str | Path], Path]
 
@@ -64,13 +64,13 @@ _HOMES = {
     "detect": "detection",
     "fit_map": "calibration",
     "label": "detection",
-    "load": "saved",
+    "load": "case.saved",
     "look_again": "detection",
     "read_image": "imaging",
     "read_view": "calibration.exchange.formats",
     "plan": "planning",
     "reconstruct": "planning",
-    "save": "saved",
+    "save": "case.saved",
     "view_from_matrix": "calibration",
 }
 __all__ = [  # noqa: RUF022 - the order a reader meets them in

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from nibabel.nifti1 import Nifti1Header, Nifti1Image
 
-from sightline.common.atomic import write_folder
+from sightline.common.atomic import MANIFEST, write_folder
 from sightline.detection import detect
 from sightline.frame import Frame
 from sightline.imaging import read_image
@@ -38,7 +38,7 @@ def test_any_seed_gives_the_same_files_again_to_the_byte(run, simulated: Path, t
     assert other.code == 0
     assert other.err == ""
     assert other.document["seed"] == 6
-    assert sorted(file.name for file in simulated.parent.rglob("*") if file.is_file()) == FILES
+    assert sorted(file.name for file in simulated.parent.rglob("*") if file.is_file()) == [MANIFEST, *FILES]
     for name in FILES:
         assert (tmp_path / "again" / name).read_bytes() == (simulated / name).read_bytes()
         assert (tmp_path / "other" / name).read_bytes() != (simulated / name).read_bytes()

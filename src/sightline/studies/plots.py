@@ -123,6 +123,6 @@ def _svg(axes: Any, description: str) -> str:
 
     text = StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": description}):
-        axes.figure.savefig(text, format="svg", metadata={"Date": None})
+        axes.figure.savefig(text, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
     element = text.getvalue()[text.getvalue().index("<svg") :]
     return re.sub("^<svg", f'<svg role="img" aria-label="{escape(description, quote=True)}"', element)

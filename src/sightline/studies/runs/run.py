@@ -44,6 +44,7 @@ def local_workers(number: int | None = None) -> Generator[Workers]:
     with _one_thread():  # the variables are read when a process first imports numpy
         pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_settle)
         try:
+            _start_all(pool, number)
             yield Workers(pool, number, (BrokenProcessPool,))
         finally:
             pool.shutdown(cancel_futures=True)
@@ -107,6 +108,18 @@ def _refuse_other_code(client, address: str) -> int:
 def one_threaded() -> bool:
     """Whether this process uses one thread for linear algebra, so that results are bit-identical."""
     return all(os.environ.get(name) == "1" for name in _LINEAR_ALGEBRA)
+
+
+def _start_all(pool: Executor, number: int) -> None:
+    """Start the processes of a pool out of reach of Ctrl-C; before `_settle` it would print a traceback."""
+    if threading.current_thread() is not threading.main_thread():
+        return  # only the main thread may set a signal's handler, and only it is interrupted
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # new processes inherit it
+    try:
+        for _ in range(number):
+            pool.submit(int)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _settle() -> None:
