@@ -453,6 +453,7 @@ def test_the_head_is_fitted_with_its_error_and_a_wire_proposed_by_the_rule(hands
     hands.details()
     hands.press("propose")
     expect(hands.see("metrics")).to_contain_text("135.0")
+    expect(hands.see("metrics").locator("tr", has_text="tip to bone nearest")).to_contain_text("8.0")
     rows = [row.inner_text().split("\t") for row in hands.see("metrics").locator("tr").all()]
     values = {row[0].strip(): float(row[1].split()[0].rstrip("°")) for row in rows if "±" in row[1] and row[0].strip()}
     assert values["wire to shaft"] == pytest.approx(135.0, abs=0.06)  # as it is rounded
