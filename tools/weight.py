@@ -51,9 +51,13 @@ def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 def places(folder: Path) -> int:
     """Return the number of files and sub-folders of a folder, without `__init__.py`."""
     return sum(
-        each.name not in ("__init__.py", "__pycache__") and (each.is_dir() or each.suffix in (".py", ".js"))
+        each.name not in ("__init__.py", "__pycache__") and (each.suffix in (".py", ".js") or _holds_files(each))
         for each in folder.iterdir()
     )
+
+
+def _holds_files(folder: Path) -> bool:  # a room that was moved leaves its __pycache__ behind
+    return any(file.is_file() and "__pycache__" not in file.parts for file in folder.rglob("*"))
 
 
 def lines(*folders: str) -> int:
