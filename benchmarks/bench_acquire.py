@@ -24,7 +24,7 @@ from sightline.case.acquire.dicom import DicomReceiver, Peer
 from sightline.case.journal import Case
 from sightline.detection import detect
 from sightline.imaging import Radiograph, write_dicom
-from sightline.imaging.video import VideoSource
+from sightline.imaging.sources import VideoSource
 
 IMAGES, SIDE = 100, 1024
 XA = "1.2.840.10008.5.1.4.1.1.12.1"

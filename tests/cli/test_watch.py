@@ -8,8 +8,8 @@ import pytest
 from tests.detection.frame_images import SIZE, beads, image
 
 from sightline.case.watch.alarm import BLIND_TO
-from sightline.case.watch.sources import open_source
 from sightline.imaging import Radiograph, write_png
+from sightline.imaging.sources import open_source
 
 
 @pytest.fixture(scope="module")

@@ -4,11 +4,16 @@ import numpy as np
 import pytest
 
 from sightline.calibration import fit_map
-from sightline.common.fitting import kriging
-from sightline.common.fitting.kernels import squared_distances, squared_exponential
-from sightline.common.fitting.kriging import Kriging, PlanarKriging
-from sightline.common.fitting.robust import median, variance_ratio
-from sightline.common.fitting.triangular import cholesky
+from sightline.common import fitting as kriging
+from sightline.common.fitting import (
+    Kriging,
+    PlanarKriging,
+    cholesky,
+    median,
+    squared_distances,
+    squared_exponential,
+    variance_ratio,
+)
 from sightline.errors import CalibrationRefusedError
 
 N, SHARED = 30, 3

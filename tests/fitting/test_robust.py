@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.common.fitting.robust import median, quantiles
+from sightline.common.fitting import median, quantiles
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 10, 11, 100])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.common.fitting.triangular import cholesky, inverse_lower, minimum_norm
+from sightline.common.fitting import cholesky, inverse_lower, minimum_norm
 
 
 @pytest.mark.parametrize("count", [1, 2, 63, 64, 65, 131, 300])

@@ -11,8 +11,7 @@ from pydicom.uid import JPEG2000Lossless, JPEGLosslessSV1, JPEGLSLossless, RLELo
 
 from sightline.errors import ImageError
 from sightline.imaging import Radiograph, dicom, read_image, write_dicom
-from sightline.imaging.compressed import unpacks_to
-from sightline.imaging.decoder import Decoder, UndecodableError
+from sightline.imaging.decoder import Decoder, UndecodableError, unpacks_to
 
 SYNTAXES = {
     "native": None,

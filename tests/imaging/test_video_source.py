@@ -12,9 +12,8 @@ import pytest
 from sightline.errors import ImageError, MovedRefusedError, SourceError
 from sightline.imaging import Radiograph, write_dicom
 from sightline.imaging.average import average, movement
-from sightline.imaging.interlace import MOVED, comb, field_of
-from sightline.imaging.source import Run
-from sightline.imaging.video import VideoSource
+from sightline.imaging.defects import MOVED, comb, field_of
+from sightline.imaging.sources import Run, VideoSource
 from sightline.twin.xray.presets import preset
 from sightline.twin.xray.render import Exposure
 

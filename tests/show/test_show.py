@@ -105,7 +105,7 @@ def test_text_of_a_file_cannot_become_markup() -> None:
 
 
 def test_a_large_picture_is_made_smaller(monkeypatch: pytest.MonkeyPatch, worked: Worked) -> None:
-    monkeypatch.setattr("sightline.common.show.face._MAX_PICTURE_BYTES", 40_000)
+    monkeypatch.setattr("sightline.common.show._MAX_PICTURE_BYTES", 40_000)
     assert len(worked.beads._repr_html_()) < 60_000
 
 

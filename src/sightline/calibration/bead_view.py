@@ -19,8 +19,7 @@ from sightline.calibration.view_checks.lengths import CArm, FocalLength, steady_
 from sightline.calibration.view_checks.support import MIN_STRIP, Support
 from sightline.common.checks import Check
 from sightline.common.geometry.planes import Plane
-from sightline.common.show import Plotted, dataframe
-from sightline.common.show.words import checks_lines, counted, numbers
+from sightline.common.show import Plotted, checks_lines, counted, dataframe, numbers
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Fiducial, Frame
@@ -111,7 +110,7 @@ class BeadView(Plotted):
 
     def _draw(self, ax: Any) -> None:
         """Draw the residuals as arrows, carried into the image by the affine map that is nearest to the view's own."""
-        from sightline.common.show import draw
+        from sightline.common import draw
 
         left = self.residuals
         by_px = self._mm_per_px()

@@ -14,7 +14,7 @@ import numpy as np
 from sightline.calibration.bead_view import BeadView
 from sightline.calibration.plates.beads import match
 from sightline.calibration.plates.joint import JointFit
-from sightline.common.fitting.robust import variance_ratio
+from sightline.common.fitting import variance_ratio
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.frame import Frame

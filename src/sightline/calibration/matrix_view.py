@@ -8,8 +8,7 @@ from sightline.calibration.line_errors import LineErrors
 from sightline.calibration.view import LinesOfSight
 from sightline.common.checks import Check
 from sightline.common.geometry.planes import Plane
-from sightline.common.show import Shown
-from sightline.common.show.words import checks_lines, numbers
+from sightline.common.show import Shown, checks_lines, numbers
 from sightline.errors import OutsideRegionError, UnusableInputError
 
 # For a source at infinity the unit rows of the left 3x3 block span less volume than this [ours].

@@ -124,8 +124,7 @@ def video(
     """
     from sightline.case.acquire.frames import take_frames
     from sightline.imaging.formats import is_image
-    from sightline.imaging.source import Run
-    from sightline.imaging.video import VideoSource
+    from sightline.imaging.sources import Run, VideoSource
 
     part = _crop(crop)
     is_run = not place.isdigit() and is_image(Path(place))

@@ -75,8 +75,8 @@ def watch(
 
 def _opened(live: LiveOptions, frame: "Frame", out: Output) -> "tuple[Iterable[TimedImage], Trajectory | None]":
     """Return the images of the source, and the wire of a simulated one. Raises UnusableInputError."""
-    from sightline.case.watch.sources import open_source
     from sightline.errors import UnusableInputError
+    from sightline.imaging.sources import open_source
 
     if (live.source is None) == (live.rehearse is None):
         raise UnusableInputError("give one source, or --rehearse SEED for a simulated one")

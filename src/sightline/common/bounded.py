@@ -1,10 +1,14 @@
 """Safe reading of untrusted files: only regular files, and never more than a limit."""
 
-from collections.abc import Generator
+import io
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from errno import EISDIR
 from io import BufferedReader
+from math import prod
 from pathlib import Path
+
+import numpy as np
 
 from sightline.errors import UnusableInputError
 
@@ -40,3 +44,24 @@ def read_text(file: Path, max_bytes: int, refuse: type[UnusableInputError], hint
         return read_bounded(file, max_bytes, refuse, hint).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise refuse(f"{file.name} is not a text file in UTF-8; {hint}") from error
+
+
+CheckArray = Callable[[tuple[int, ...], np.dtype], None]
+
+
+def npy_array(data: bytes, check: CheckArray) -> np.ndarray:
+    """Return the array of a `.npy` file. `check` is called with its shape and type first, and may raise.
+
+    Raises the errors of `check`, and ValueError on a damaged file.
+    """
+    stream = io.BytesIO(data)
+    try:
+        first = np.lib.format.read_magic(stream) == (1, 0)
+        header = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+        shape, _, dtype = header(stream)
+    except Exception:  # the header is parsed as Python, which may raise any exception
+        raise ValueError("the header is damaged") from None
+    check(shape, dtype)
+    if dtype.hasobject or min(shape, default=0) < 0 or stream.tell() + prod(shape) * dtype.itemsize != len(data):
+        raise ValueError("the file does not hold what its header states")
+    return np.load(io.BytesIO(data), allow_pickle=False)

@@ -6,8 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sightline.common.fitting.kernels import distances
-from sightline.common.fitting.robust import median
+from sightline.common.fitting import distances, median
 from sightline.common.threads import at_once, one_blas_thread
 from sightline.detection.beads import refine
 from sightline.detection.beads.bead import SHADOW, BeadStatus, centre_covariances, centres

@@ -5,9 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sightline.common.show import Plotted, dataframe
-from sightline.common.show.table import covariance_columns
-from sightline.common.show.words import centre_sd, counted, image_size
+from sightline.common.show import Plotted, centre_sd, counted, covariance_columns, dataframe, image_size
 from sightline.errors import ObservationsError
 
 if TYPE_CHECKING:
@@ -92,7 +90,7 @@ class Detections(Plotted):
         return dataframe(place | rest)
 
     def _draw(self, ax: Any) -> None:
-        from sightline.common.show import draw
+        from sightline.common import draw
 
         draw.image(ax, self.pixels, self.image_shape, self.uv_px, f"{counted(len(self), 'bead')} detected")
         for kind, colour in (("ball", draw.ORANGE), ("washer", draw.BLUE), ("hole", draw.GREEN)):
@@ -161,7 +159,7 @@ class Observations(Plotted):
         return dataframe(columns | known)
 
     def _draw(self, ax: Any) -> None:
-        from sightline.common.show import draw
+        from sightline.common import draw
 
         title = f"view {self.view}: {counted(len(self), 'bead')} labelled"
         draw.image(ax, self.pixels, self.image_shape, self.uv_px, title)

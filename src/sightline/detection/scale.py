@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sightline.common.fitting.robust import quantiles
+from sightline.common.fitting import quantiles
 from sightline.detection.beads.bead import centres
 from sightline.detection.results import Detections, Observations, RejectedCandidate
 

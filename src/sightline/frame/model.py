@@ -83,7 +83,7 @@ class Frame(Plotted):
         return figure.add_subplot(projection="3d")
 
     def _draw(self, ax: Any) -> None:
-        from sightline.common.show import draw
+        from sightline.common import draw
 
         for name, view in self.views.items():
             for role, plate in (("XRII", view.xrii), ("source", view.source)):

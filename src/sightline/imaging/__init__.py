@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from sightline.imaging.defects import image_checks
 from sightline.imaging.files import as_radiograph, frames_in, read_image, taken_at, write_png
 from sightline.imaging.radiograph import GeometryTags, Radiograph
-from sightline.imaging.source import Source, SourceFrame
+from sightline.imaging.sources import Source, SourceFrame
 
 if TYPE_CHECKING:
     from sightline.imaging.dicom import write as write_dicom

@@ -36,8 +36,7 @@ from pydicom.uid import (
 from sightline.common.atomic import write_whole
 from sightline.common.bounded import regular_file
 from sightline.errors import ImageError
-from sightline.imaging.compressed import unpacks_to
-from sightline.imaging.decoder import Decoder
+from sightline.imaging.decoder import Decoder, unpacks_to
 from sightline.imaging.files import grey
 from sightline.imaging.formats import check_size, damaged, refuse_longer
 from sightline.imaging.radiograph import GeometryTags, Radiograph

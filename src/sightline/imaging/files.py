@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 
 from sightline.common.atomic import write_whole
-from sightline.common.bounded import read_bounded
-from sightline.common.npy import npy_array
+from sightline.common.bounded import npy_array, read_bounded
 from sightline.errors import ImageError, UnusableInputError
 from sightline.imaging.formats import (
     FORMAT_NAMES,

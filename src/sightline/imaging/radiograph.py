@@ -78,7 +78,7 @@ class Radiograph(Plotted):
         return "\n".join([*lines, "  inverted, white for black"] if self.is_inverted else lines)
 
     def _draw(self, ax: Any) -> None:
-        from sightline.common.show import draw
+        from sightline.common import draw
 
         draw.image(ax, self.pixels, self.shape, np.zeros((0, 2)), f"{self.shape[1]} x {self.shape[0]} px")
 

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import Check
-from sightline.common.show import Plotted, dataframe
-from sightline.common.show.words import checks_lines
+from sightline.common.show import Plotted, checks_lines, dataframe
 from sightline.common.threads import one_blas_thread
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning.bone.aids import Aids
@@ -105,7 +104,7 @@ class Plan(Plotted):
 
     def _draw(self, ax: Any) -> None:
         """Draw each view's picks and the wire as it sees it, in the second also the curves of the first's picks."""
-        from sightline.common.show import draw
+        from sightline.common import draw
 
         for k, (panel, view) in enumerate(zip(ax, self.views, strict=True)):
             picks = np.array([point[k].uv_px for point in self.picks])

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import Check
-from sightline.common.show import Shown
-from sightline.common.show.words import checks_lines
+from sightline.common.show import Shown, checks_lines
 from sightline.common.threads import one_blas_thread
 from sightline.errors import UnusableInputError
 from sightline.planning.bone.axis import Axis

@@ -93,7 +93,7 @@ class _Thinned:
 
 
 def _opened(source: str | None, patient: Patient | None) -> "Iterable[TimedImage]":
-    from sightline.case.watch.sources import open_source
+    from sightline.imaging.sources import open_source
     from sightline.rehearsal.stream import SimulatedFluoroscopy
 
     if source is not None:

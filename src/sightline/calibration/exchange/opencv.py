@@ -8,7 +8,7 @@ import numpy as np
 from sightline.calibration.exchange import reading
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.calibration.exchange.reading import json_bytes
-from sightline.common.npy import npy_array
+from sightline.common.bounded import npy_array
 from sightline.errors import UnusableInputError
 
 CONVENTION = (

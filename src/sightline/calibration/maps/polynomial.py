@@ -6,7 +6,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from sightline.calibration.maps.inverse import Inverse
-from sightline.common.fitting.triangular import minimum_norm
+from sightline.common.fitting import minimum_norm
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 
 DEGREES = range(1, 8)

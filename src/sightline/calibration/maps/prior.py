@@ -15,8 +15,13 @@ from heapq import heappop, heappush
 import numpy as np
 
 from sightline.calibration.maps.polynomial import monomials
-from sightline.common.fitting.kernels import squared_distances, squared_exponential
-from sightline.common.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
+from sightline.common.fitting import (
+    cholesky,
+    solve_lower,
+    solve_lower_transposed,
+    squared_distances,
+    squared_exponential,
+)
 
 # Grid and hyper-prior [ours]: chosen on real plates and the twin together, where results depend little on them
 # (docs/choosing-a-method.md). Amplitude: expected rms beyond a cubic, in radii of the region.

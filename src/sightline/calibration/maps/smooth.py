@@ -9,8 +9,7 @@ from sightline.calibration.maps.hull import well_conditioned
 from sightline.calibration.maps.inverse import Inverse
 from sightline.calibration.maps.polynomial import Affine, derivatives, monomial_gradients, monomials, terms
 from sightline.calibration.maps.prior import NOISE_SCALES_PX, QUINTIC, Kernel, PriorData, learn
-from sightline.common.fitting.kernels import squared_distances, squared_exponential
-from sightline.common.fitting.kriging import Kriging
+from sightline.common.fitting import Kriging, squared_distances, squared_exponential
 from sightline.errors import CalibrationRefusedError
 
 DEGREE = 3

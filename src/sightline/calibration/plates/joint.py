@@ -27,9 +27,16 @@ from sightline.calibration.maps.smooth import DEGREE, SmoothMap
 from sightline.calibration.plates.beads import Beads
 from sightline.calibration.projection import Pencil, refuse_misplaced
 from sightline.calibration.residuals import Residuals
-from sightline.common.fitting.kriging import Kriging, LeftOut, PlanarKriging
-from sightline.common.fitting.robust import variance_ratio
-from sightline.common.fitting.triangular import cholesky, least_squares, minimum_norm, solve_lower
+from sightline.common.fitting import (
+    Kriging,
+    LeftOut,
+    PlanarKriging,
+    cholesky,
+    least_squares,
+    minimum_norm,
+    solve_lower,
+    variance_ratio,
+)
 from sightline.common.threads import one_blas_thread
 from sightline.errors import CalibrationRefusedError
 

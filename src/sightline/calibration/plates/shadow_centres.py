@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from sightline.calibration.maps.polynomial import monomial_gradients, monomials, terms
-from sightline.common.fitting.triangular import minimum_norm
+from sightline.common.fitting import minimum_norm
 from sightline.common.geometry.outlines import centroids
 from sightline.detection.results import Observations
 from sightline.frame import Frame, Plate

@@ -24,7 +24,7 @@ from sightline.calibration.plates.joint import FALSE_ALARM, JointFit, diagonal, 
 from sightline.calibration.projection import Pencil
 from sightline.calibration.self_checks.plate_motion import Errors, InPlate, PlatePair, in_plate, plate_pairs
 from sightline.common.checks import Check
-from sightline.common.fitting.triangular import cholesky, solve_lower
+from sightline.common.fitting import cholesky, solve_lower
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame

@@ -13,7 +13,7 @@ import numpy as np
 
 from sightline.calibration.solids.images import SolidBalls, SolidImage, Traced
 from sightline.calibration.solids.panel_camera import CENTRE, FOCAL, PARAMETERS, PanelCamera
-from sightline.common.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
+from sightline.common.fitting import cholesky, solve_lower, solve_lower_transposed
 from sightline.common.geometry.planes import Plane
 from sightline.errors import CalibrationRefusedError
 

@@ -29,7 +29,7 @@ from sightline.calibration.view_checks.bead_checks import (
 )
 from sightline.calibration.view_checks.lengths import CArm
 from sightline.common.checks import Check
-from sightline.common.fitting.robust import variance_ratio
+from sightline.common.fitting import variance_ratio
 from sightline.common.geometry.planes import Plane
 from sightline.common.threads import one_blas_thread
 from sightline.detection.results import Observations

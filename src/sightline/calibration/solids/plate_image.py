@@ -23,8 +23,7 @@ from sightline.calibration.plates.joint import twice
 from sightline.calibration.solids.images import MIN_BALLS, BallShadows, SolidBalls, SolidImage, Traced
 from sightline.calibration.solids.panel_camera import CENTRE, FOCAL, PARAMETERS, PanelCamera
 from sightline.calibration.view import PlaneMap
-from sightline.common.fitting.kriging import Kriging
-from sightline.common.fitting.triangular import cholesky, inverse_lower
+from sightline.common.fitting import Kriging, cholesky, inverse_lower
 from sightline.common.geometry.planes import Plane
 
 MIN_PLATE_BALLS = 12  # in one image: two more than the cubic's ten unknowns of each coordinate

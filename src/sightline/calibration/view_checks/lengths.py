@@ -22,7 +22,7 @@ from sightline.calibration.maps.hull import Hull
 from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.view import PlaneMap
 from sightline.common.checks import Check
-from sightline.common.fitting.robust import MAD_TO_SD, median
+from sightline.common.fitting import MAD_TO_SD, median
 from sightline.common.geometry.covariance import TWO_SIDED_999, response
 from sightline.common.geometry.planes import Plane
 from sightline.errors import UnusableInputError

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sightline.common.fitting.kernels import distances
+from sightline.common.fitting import distances
 
 # Unlabelled detections beside missing beads, all by one shift along the rows: so many are a strip of shifted rows. Of
 # 28 detections and 20 missing beads at random places six agree in fewer than one of a million images [calc].

@@ -12,7 +12,7 @@ from sightline.common.atomic import scratch_folder
 from sightline.errors import MovedRefusedError
 from sightline.imaging import Radiograph, SourceFrame, write_png
 from sightline.imaging.average import average
-from sightline.imaging.interlace import MOVED, comb, field_of
+from sightline.imaging.defects import MOVED, comb, field_of
 
 FIELDS = ("first", "second")
 

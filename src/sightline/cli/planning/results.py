@@ -59,7 +59,7 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], 
 
     Where a gap contradicts the stated error, no error is shown beside the coordinates.
     """
-    from sightline.common.show.words import counted
+    from sightline.common.show import counted
 
     verdict, plans = planned.verdict, each_of(planned)
     output.say(SAID[verdict.state].format(counted(len(failed(verdict.checks)), "check")))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sightline.common.fitting.robust import median
+from sightline.common.fitting import median
 from sightline.common.kernels import kernel
 
 BLOCK = 16  # px; small enough that most blocks of anatomy are nearly planes [ours]

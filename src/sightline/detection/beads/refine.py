@@ -4,7 +4,7 @@ from copy import copy
 
 import numpy as np
 
-from sightline.common.fitting.robust import median
+from sightline.common.fitting import median
 from sightline.common.threads import in_parts
 from sightline.detection.beads.bead import BEAD
 from sightline.detection.beads.fit import PRIOR_SD, Filter, Optics, fit_part

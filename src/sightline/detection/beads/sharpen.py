@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.common.fitting.robust import quantiles
+from sightline.common.fitting import quantiles
 from sightline.common.kernels import kernel
 from sightline.common.threads import in_parts
 from sightline.detection.beads.noise import AREA, BLOCK, NoiseModel, flatten

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, map_coordinates, uniform_filter1d
 
-from sightline.common.fitting.robust import MAD_TO_SD
+from sightline.common.fitting import MAD_TO_SD
 from sightline.detection.log_image import field_inset
 from sightline.errors import UnusableInputError
 from sightline.imaging import Radiograph

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
-from sightline.common.fitting.robust import MAD_TO_SD
+from sightline.common.fitting import MAD_TO_SD
 from sightline.errors import UnusableInputError, WireRefusedError
 from sightline.imaging import Radiograph
 

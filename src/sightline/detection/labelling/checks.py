@@ -4,7 +4,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from sightline.common.fitting.kernels import exact_squares
+from sightline.common.fitting import exact_squares
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.joint import Joint, Model
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from sightline.common.fitting.robust import median
+from sightline.common.fitting import median
 from sightline.detection.labelling.cloud_kernels import (
     CELLS,
     SEEN,

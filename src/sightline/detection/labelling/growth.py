@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sightline.common.fitting.kernels import exact_squares
-from sightline.common.fitting.robust import median
-from sightline.common.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
+from sightline.common.fitting import cholesky, exact_squares, median, solve_lower, solve_lower_transposed
 from sightline.detection.labelling.map_prior import features
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, Similarity

@@ -11,9 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.common.fitting.kernels import exact_squares, squared_distances
-from sightline.common.fitting.robust import MEDIAN_M2, median
-from sightline.common.fitting.triangular import cholesky, inverse_lower
+from sightline.common.fitting import (
+    MEDIAN_M2,
+    cholesky,
+    exact_squares,
+    inverse_lower,
+    median,
+    squared_distances,
+)
 from sightline.common.geometry.lines import SPREAD_RAD
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.map_prior import CENTRE_PX, features, map_covariance

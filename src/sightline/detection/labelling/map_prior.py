@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sightline.common.fitting.kernels import squared_exponential
+from sightline.common.fitting import squared_exponential
 
 DEGREE = 5
 # Prior s.d. of what a map adds to a similarity, per degree, as a share of the field's radius: position, tilt and scale,

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.common.fitting.kernels import exact_squares
-from sightline.common.fitting.robust import median
+from sightline.common.fitting import exact_squares, median
 from sightline.common.kernels import kernel
 from sightline.detection.labelling.growth import Grown
 from sightline.detection.labelling.patterns import Pattern

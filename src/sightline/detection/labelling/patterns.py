@@ -5,7 +5,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from sightline.common.fitting.kernels import distances, exact_squares
+from sightline.common.fitting import distances, exact_squares
 from sightline.common.geometry.planes import Plane
 from sightline.frame import Frame, Plate
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sightline.common.fitting.robust import median
+from sightline.common.fitting import median
 from sightline.common.kernels import kernel
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections

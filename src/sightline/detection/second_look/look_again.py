@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.common.fitting.kernels import distances
-from sightline.common.fitting.kriging import PlanarKriging
-from sightline.common.fitting.robust import variance_ratio
+from sightline.common.fitting import PlanarKriging, distances, variance_ratio
 from sightline.common.threads import one_blas_thread
 from sightline.detection.beads import refine
 from sightline.detection.beads.bead import SHADOW, BeadStatus, centre_covariances, centres

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from sightline.common.fitting.kernels import distances
+from sightline.common.fitting import distances
 from sightline.detection.beads import refine, window
 from sightline.detection.beads.bead import centres
 

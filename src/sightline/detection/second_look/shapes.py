@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sightline.common.fitting.robust import MAD_TO_SD
+from sightline.common.fitting import MAD_TO_SD
 from sightline.detection.labelling.patterns import Pattern
 
 SHAPE = ["radius_px", "blur_px", "axial", "diagonal"]  # fields of a bead

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter
 
-from sightline.common.fitting.robust import MAD_TO_SD
+from sightline.common.fitting import MAD_TO_SD
 from sightline.detection.beads.noise import NoiseModel, estimate_noise
 from sightline.detection.log_image import field_inset, log_image
 from sightline.detection.wires.model import BEND, ImagePath, SteelWire, WireFit, fit_across, fit_tip

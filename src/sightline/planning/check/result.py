@@ -10,8 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import Check, CheckCode, Limits, failed
 from sightline.common.geometry.covariance import length_quantile
-from sightline.common.show import Shown
-from sightline.common.show.words import checks_lines, numbers
+from sightline.common.show import Shown, checks_lines, numbers
 
 MIN_LANDMARKS = 3  # fewer do not determine a rotation
 MAX_OUTLIER = 4.0  # standard deviations; eight good shots had 3.2 at most, one with a tip 1 mm off 4.8 [calc]

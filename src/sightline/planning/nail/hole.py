@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from sightline.calibration.view import SOURCES, CalibratedView
 from sightline.common.checks import Check, failed
-from sightline.common.fitting.robust import MAD_TO_SD
+from sightline.common.fitting import MAD_TO_SD
 from sightline.common.geometry.covariance import TWO_SIDED_999, ellipsoid_factor
 from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import ReconstructionRefusedError, UnusableInputError

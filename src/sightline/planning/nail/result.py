@@ -8,8 +8,7 @@ import numpy as np
 
 from sightline.common.checks import Check, failed
 from sightline.common.geometry.covariance import length_quantile, line_direction
-from sightline.common.show import Shown
-from sightline.common.show.words import checks_lines, numbers
+from sightline.common.show import Shown, checks_lines, numbers
 from sightline.errors import UnusableInputError
 from sightline.planning.bone.axis import Axis
 from sightline.planning.bone.directions import unit

@@ -9,8 +9,7 @@ import numpy as np
 from sightline.calibration.view_checks.bead_checks import handedness_check
 from sightline.common.checks import Check, failed
 from sightline.common.geometry.covariance import TWO_SIDED_999, ellipsoid_factor, length_quantile
-from sightline.common.show import Plotted, Shown, dataframe
-from sightline.common.show.words import checks_lines, counted, numbers
+from sightline.common.show import Plotted, Shown, checks_lines, counted, dataframe, numbers
 from sightline.errors import ErrorUnknownError
 from sightline.planning.points.gaps import Movement
 
@@ -132,7 +131,7 @@ class SpacePoints(Plotted):
 
     def draw_named(self, ax: Any, names: Sequence[str], title: str) -> None:
         """Draw the points on axes of three dimensions, each with its name and its error where all are stated."""
-        from sightline.common.show import draw
+        from sightline.common import draw
 
         known = bool(self.error_stated.all()) and len(self.xyz_mm) > 0
         bounds = ellipsoid_factor(0.95, 3) ** 2 * self.covariance_mm2 if known else None

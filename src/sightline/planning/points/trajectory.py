@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from sightline.common.geometry.covariance import length_quantile, line_direction
-from sightline.common.show import Plotted
-from sightline.common.show.words import numbers
+from sightline.common.show import Plotted, numbers
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning.points.results import SpacePoints, error_unknown
 

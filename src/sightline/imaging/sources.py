@@ -1,19 +1,65 @@
-"""Video sources (frame grabber, capture card, file, stream), read by OpenCV in a thread that may hang."""
+"""The interface of sources of images: a camera, a video, a run of frames, a network link."""
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, Full, Queue
 from threading import Event, Thread
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 
-from sightline.errors import ImageError, SourceError
+from sightline.errors import ImageError, SourceError, UnusableInputError
+from sightline.imaging.files import frames_in, read_image
+from sightline.imaging.formats import is_image
 from sightline.imaging.radiograph import Radiograph
-from sightline.imaging.source import SourceFrame
+
+
+@dataclass(frozen=True, eq=False)
+class SourceFrame:
+    """One image of a source. `number` counts arrivals from 1, independently of clocks.
+
+    `stamped_s`: time of arrival; `sender_s`: the sender's time stamp; both in seconds since 1970. `pixel_aspect`: width
+    over height of a pixel, as the source states it; nothing is resampled.
+    """
+
+    image: Radiograph
+    number: int
+    stamped_s: float
+    source: str
+    sender_s: float | None = None
+    pixel_aspect: float | None = None
+
+
+class Source(Protocol):
+    """A source: `for frame in source:` until it ends. Raises SourceError where it stops giving images; never hangs."""
+
+    def __iter__(self) -> Iterator[SourceFrame]:
+        """Yield frames as they arrive."""
+        ...
+
+    def close(self) -> None:
+        """Release the device or the link."""
+        ...
+
+
+class Run:
+    """The frames of an image file: one, or those of a multi-frame DICOM run. Raises ImageError."""
+
+    def __init__(self, file: Path) -> None:
+        self._file, self._frames = file, frames_in(file)
+
+    def __iter__(self) -> Iterator[SourceFrame]:
+        for index in range(self._frames):
+            image = read_image(self._file, index if self._frames > 1 else None)
+            yield SourceFrame(image, index + 1, time.time(), "run")
+
+    def close(self) -> None:
+        """Do nothing: no file is kept open."""
+
 
 DEADLINE_S = 2.0  # [ours] fifty frame times without an image: the device hangs or is gone
 RETRY_S = 20.0  # [ours] time to reconnect a cable
@@ -188,3 +234,80 @@ class _Reader:
 def _aspect(capture: Any) -> float | None:
     wide, high = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
     return wide / high if wide > 0 and high > 0 else None
+
+
+IMAGES_PER_S = 30.0  # playback rate of files: that of a C-arm's video
+
+
+def open_source(name: str, *, invert: bool = False) -> Source:
+    """Open the source called `name`; files are played at IMAGES_PER_S.
+
+    `invert`: each image is inverted, as by `read_image`. Raises UnusableInputError, ImageError, SourceError.
+    """
+    source = _source(name)
+    return Inverted(source) if invert else source
+
+
+def _source(name: str) -> Source:
+    if name.isdecimal() or "://" in name:
+        return VideoSource(int(name) if name.isdecimal() else name)
+    path = Path(name)
+    if path.is_dir():
+        return Paced(_Folder(path))
+    if not path.is_file():
+        raise UnusableInputError(
+            f"there is no file or folder {name}; name one, a device by its number, or a stream by its address"
+        )
+    return Paced(Run(path) if is_image(path) else VideoSource(name))
+
+
+class Paced:
+    """Stored images played at IMAGES_PER_S, each stamped with the time at which it is played."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+
+    def __iter__(self) -> Iterator[SourceFrame]:
+        start = time.monotonic()
+        for k, frame in enumerate(self._source):
+            time.sleep(max(0.0, start + k / IMAGES_PER_S - time.monotonic()))
+            yield replace(frame, stamped_s=time.time())
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
+
+
+class Inverted:
+    """A source whose images are inverted."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+
+    def __iter__(self) -> Iterator[SourceFrame]:
+        for frame in self._source:
+            yield replace(frame, image=frame.image.inverted())
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
+
+
+class _Folder:
+    """The images of a folder in the order of their names; hidden files and other files are skipped.
+
+    Raises UnusableInputError for a folder without an image.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._files = [path for path in sorted(folder.iterdir()) if path.name[0] != "." and is_image(path)]
+        if not self._files:
+            raise UnusableInputError("the folder holds no image; name the folder of the frames")
+
+    def __iter__(self) -> Iterator[SourceFrame]:
+        frames = (frame for path in self._files for frame in Run(path))
+        for number, frame in enumerate(frames, 1):
+            yield replace(frame, number=number)
+
+    def close(self) -> None:
+        """Do nothing: no file is kept open."""

@@ -1,11 +1,125 @@
-"""Linear models with a Gaussian process: z = X theta + g + noise, with unknown theta and Gaussian g and noise."""
+"""Fits: robust statistics, triangular systems, distances, and linear models with a Gaussian process (kriging).
 
+Cholesky factors, triangular systems and least squares are direct LAPACK calls: for a hundred rows, wrappers double the
+time. The model is z = X theta + g + noise, with unknown theta and Gaussian g and noise.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import get_blas_funcs, get_lapack_funcs
 
-from sightline.common.fitting.triangular import cholesky, inverse_lower, solve_lower, solve_lower_transposed
+MEDIAN_M2 = 1.386  # of chi-square with two degrees of freedom, 2 ln 2; more digits would change stored estimates
+MAD_TO_SD = 1.4826  # s.d. of a normal distribution over its median absolute deviation
+
+
+def median(values: np.ndarray) -> float:
+    """Return the median of (N,); np.median takes ten times as long on a hundred values."""
+    ordered, n = np.sort(values), len(values)
+    return float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2
+
+
+def quantiles(values: np.ndarray, shares: Sequence[float]) -> list[float]:
+    """Return the quantiles of (N,) at these shares, linear between values; np.quantile takes ten times as long."""
+    places = np.arange(len(values))
+    return np.interp(places[-1] * np.array(shares), places, np.sort(values)).tolist()
+
+
+def variance_ratio(m2: np.ndarray) -> float:
+    """Return the ratio of actual to stated variances of two-dimensional errors, from their squared Mahalanobis lengths
+    (N,)."""
+    return median(m2) / MEDIAN_M2
+
+
+_UNDIVIDED = 64  # largest block that is not divided
+_potrf, _trtri, _trtrs, _gelsy, _gelsy_lwork = get_lapack_funcs(
+    ("potrf", "trtri", "trtrs", "gelsy", "gelsy_lwork"), dtype=np.float64
+)
+(_trmm,) = get_blas_funcs(("trmm",), dtype=np.float64)
+
+
+def cholesky(matrix: np.ndarray) -> np.ndarray:
+    """Return the lower factor (n, n), zero above. Raises np.linalg.LinAlgError if `matrix` is not positive definite."""
+    if not len(matrix):
+        return matrix
+    factor, info = _potrf(matrix.T, lower=1)  # the transpose of a C array needs no reordering
+    if info:
+        raise np.linalg.LinAlgError("the matrix is not positive definite")
+    return factor
+
+
+def solve_lower(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return factor^-1 @ right for a lower triangular factor."""
+    return _trtrs(factor, right, lower=1)[0] if right.size else right
+
+
+def solve_lower_transposed(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return factor^-T @ right for a lower triangular factor."""
+    return _trtrs(factor, right, lower=1, trans=1)[0] if right.size else right
+
+
+def inverse_lower(factor: np.ndarray) -> np.ndarray:
+    """Return the inverse of a lower triangular factor, by halving: twice as fast as trtri for hundreds of rows."""
+    n = len(factor)
+    if n <= _UNDIVIDED:
+        return _trtri(factor, lower=1)[0]
+    h = n // 2
+    out = np.zeros((n, n), order="F")
+    first, second = inverse_lower(factor[:h, :h]), inverse_lower(factor[h:, h:])
+    out[:h, :h], out[h:, h:] = first, second
+    out[h:, :h] = _trmm(-1.0, second, _trmm(1.0, first, factor[h:, :h], side=1, lower=1), lower=1)
+    return out
+
+
+def least_squares(design: np.ndarray, data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return coefficients (m,) for data (n,), and the lower factor r (m, m) of design^T design = r r^T.
+
+    Raises np.linalg.LinAlgError.
+    """
+    r = cholesky(design.T @ design)
+    return solve_lower_transposed(r, solve_lower(r, design.T @ data)), r
+
+
+def minimum_norm(design: np.ndarray, data: np.ndarray) -> np.ndarray:
+    """Return the coefficients (m, c) of least norm for data (n, c), n >= m: as np.linalg.lstsq, in a third of the time.
+
+    A QR decomposition with pivots takes the place of singular values.
+    """
+    n, m = design.shape
+    rounding = np.finfo(np.float64).eps * n
+    space = int(_gelsy_lwork(n, m, data.shape[1], rounding)[0])
+    return _gelsy(design, data, np.zeros((m, 1), np.int32), rounding, space)[1][:m]
+
+
+def distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the distances (N, M) between points (N, 2) and (M, 2)."""
+    return np.hypot(a[:, 0, None] - b[:, 0], a[:, 1, None] - b[:, 1])
+
+
+def exact_squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the squared distances (N, M) between points (N, 2) and (M, 2), exact also for close ones."""
+    x, y = a[:, 0, None] - b[:, 0], a[:, 1, None] - b[:, 1]
+    x *= x
+    y *= y
+    x += y
+    return x
+
+
+def squared_distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the squared distances (N, M), by a matrix product: fast, but inexact for points close to each other."""
+    out = a @ (-2.0 * b.T)
+    out += np.einsum("ik,ik->i", a, a)[:, None]
+    out += np.einsum("ik,ik->i", b, b)
+    return out
+
+
+def squared_exponential(squares: np.ndarray, length: float) -> np.ndarray:
+    """Return exp(-d² / 2 length²) of squared distances d²: the covariance of a process of unit variance."""
+    out = squares * (-0.5 / length**2)
+    return np.exp(out, out=out)
+
 
 _AT_ONCE = 400  # numbers whose matrices fit into a core's cache; LAPACK takes more than these in blocks [calc]
 

@@ -1,1 +1,0 @@
-"""Estimation shared by detection and calibration: Gaussian processes and robust statistics."""
