@@ -1,5 +1,6 @@
 """Decode compressed frames in a separate process, because decoders can crash on damaged data.
 
+A frame is decoded only if its own header states the size that the file states.
 gdcm may call `terminate` on a damaged JPEG, which no `except` catches. Here, that ends only the helper process.
 """
 

@@ -1,4 +1,4 @@
-"""Defects visible in an image's pixels: tears, interlacing, clipped pixels, compression."""
+"""Defects visible in an image's pixels: tears, clipped pixels, compression, interlaced fields."""
 
 from dataclasses import dataclass, replace
 

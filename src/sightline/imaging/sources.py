@@ -1,4 +1,7 @@
-"""The interface of sources of images: a camera, a video, a run of frames, a network link."""
+"""Sources of images: video, runs of frames, folders, opened by name.
+
+OpenCV reads video (frame grabber, capture card, file, stream) in a thread that may hang.
+"""
 
 import time
 from collections.abc import Callable, Iterator
