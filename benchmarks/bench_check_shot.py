@@ -17,8 +17,8 @@ from sightline.detection.wires.wire import WireShadow, find_wire
 from sightline.errors import SetUpError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
-from sightline.planning.check.expected_wire import expected_wire
 from sightline.planning.check.shot import CheckShot, Landmarks, check_shot
+from sightline.planning.check.wires import expected_wire
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import HipScene, SetUp, draw_setup, shown_hip_scene
 from sightline.twin.objects.implants import guide_wire

@@ -22,12 +22,11 @@ from benchmarks.rows import Row, finished
 from sightline.calibration.view import CalibratedView
 from sightline.errors import SightlineError
 from sightline.frame import Frame
-from sightline.from_images.head import fit_head
+from sightline.from_images.head_and_shaft import fit_head, fit_shaft
 from sightline.from_images.neck import fit_neck
-from sightline.from_images.shaft import fit_shaft
 from sightline.planning.bone.aids import Aids, Circle, Line
 from sightline.planning.bone.anatomy import locate
-from sightline.planning.bone.axis import Axis
+from sightline.planning.bone.drawings import Axis
 from sightline.planning.bone.head import Sphere
 from sightline.twin import HipScene, SetUp, render
 from sightline.twin.anatomy.aids import drawn_aids

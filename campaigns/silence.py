@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 
 from campaigns.busy import busy_cores
 from sightline.errors import SightlineError
-from sightline.rehearsal.robots import calibrated_robot
+from sightline.rehearsal.operation import calibrated_robot
 from sightline.robot.control.states import State
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.conformance.examination import ConformanceVerdict, Examination

@@ -7,7 +7,7 @@ import pytest
 from benchmarks import results
 from benchmarks.rows import Row
 
-from sightline.planning.procedures.files import shipped
+from sightline.planning.procedures.procedure import shipped
 
 DOCS = Path(__file__).parents[1] / "docs"
 

@@ -14,7 +14,7 @@ import pytest
 
 from sightline import errors
 from sightline.common.checks import CheckCode, code_key
-from sightline.planning.procedures.files import shipped
+from sightline.planning.procedures.procedure import shipped
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]

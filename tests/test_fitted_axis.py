@@ -8,11 +8,11 @@ from tests.bone_images import rays, shown, with_cortex
 from tests.planning.bone import ON_SHAFT_MM, SHAFT, views
 
 from sightline.case.canonical import plain
-from sightline.from_images.shaft import fit_shaft
+from sightline.from_images.head_and_shaft import fit_shaft
 from sightline.imaging import Radiograph
 from sightline.planning import Aids, Line
 from sightline.planning.bone.anatomy import locate
-from sightline.planning.bone.axis import Axis
+from sightline.planning.bone.drawings import Axis
 
 RADIUS_MM = 14.8
 PART_MM = (-12.0, 26.0)  # of the shaft, that is drawn; all of it is in both images

@@ -9,7 +9,7 @@ from tests.planning.bone import CENTRE_MM, RADIUS_MM, rim, views
 
 from sightline.case.canonical import plain
 from sightline.errors import UnusableInputError
-from sightline.from_images.head import fit_head, refuse_tables
+from sightline.from_images.head_and_shaft import fit_head, refuse_tables
 from sightline.imaging import Radiograph
 from sightline.planning import Aids, Circle
 from sightline.planning.bone.anatomy import locate

@@ -14,7 +14,7 @@ from sightline.from_images.neck import fit_neck
 from sightline.imaging import Radiograph
 from sightline.planning import Aids, Circle, Line
 from sightline.planning.bone.anatomy import locate
-from sightline.planning.bone.axis import Axis
+from sightline.planning.bone.drawings import Axis
 
 WAIST_MM, NARROW_MM = 14.5, 27.0  # radius where it is narrowest, and how far that is from the head's centre
 BLEND_MM = 3.0

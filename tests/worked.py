@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 import sightline as sl
 from sightline.cli.demos.demo import SEED
 from sightline.imaging import write_dicom
-from sightline.rehearsal.check_images import CheckImages
+from sightline.rehearsal.patient import CheckImages
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.link.simulated import SimulatedWire
 

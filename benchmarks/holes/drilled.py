@@ -22,8 +22,7 @@ from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.errors import RefusedError
 from sightline.frame import Frame
 from sightline.planning import Hole, Nail, WirePicks, WirePlans, fit_hole, plan_wires, reconstruct
-from sightline.rehearsal.operation import registered
-from sightline.rehearsal.robots import SHOWN_FEED_MM, calibrated_robot, drawn_robot, shown_wire_mm
+from sightline.rehearsal.operation import SHOWN_FEED_MM, calibrated_robot, drawn_robot, registered, shown_wire_mm
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED, Manipulator, imaging_yaw
 from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, robot_target

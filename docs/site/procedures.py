@@ -7,7 +7,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from sightline.planning.procedures.document import ProcedureDocument
-from sightline.planning.procedures.files import shipped
+from sightline.planning.procedures.procedure import shipped
 
 
 def tables(document: ProcedureDocument) -> Iterable[tuple[str, Sequence[str], list[Sequence[str]]]]:

@@ -9,7 +9,7 @@ import numpy as np
 from sightline.app.plan.marks import GUIDE, SHOT_NAMES
 from sightline.app.session.session import Session
 from sightline.case.views import NAMES
-from sightline.rehearsal.check_images import CheckImages
+from sightline.rehearsal.patient import CheckImages
 from sightline.rehearsal.rehearsal import Rehearsal
 
 PATIENCE_S = 120.0  # of a busy machine

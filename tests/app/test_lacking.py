@@ -18,7 +18,7 @@ from sightline.app.session.session import Session
 from sightline.app.tab.placing import Placing, ProcedureStep
 from sightline.errors import RobotRefusedError
 from sightline.planning import PROCEDURES
-from sightline.planning.procedures.files import FOLDER
+from sightline.planning.procedures.procedure import FOLDER
 from sightline.rehearsal.patient import AT_HIP, CANNULATED, NAILED
 
 VIEWS: Any = tuple(views())

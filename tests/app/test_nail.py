@@ -22,7 +22,7 @@ from sightline.calibration import view_from_matrix
 from sightline.case.views import NAMES
 from sightline.imaging import Radiograph
 from sightline.planning import Hole, Nail, WirePicks, fit_hole, plan_wires
-from sightline.planning.procedures.files import document_of
+from sightline.planning.procedures.procedure import document_of
 
 KEYS = ("distal", "proximal")
 KINDS = tuple(f"distal-interlocking:{key}" for key in KEYS)

@@ -32,7 +32,7 @@ from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES
-from sightline.planning.procedures.files import shipped
+from sightline.planning.procedures.procedure import shipped
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.target import LIFETIME_S
 from sightline.robot.link.simulated import SimulatedWire

@@ -28,7 +28,7 @@ from sightline.common.checks import Check, failed
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_dicom
-from sightline.planning.check.drill_shot import ALIGNED, PAUSED
+from sightline.planning.check.shot import ALIGNED, PAUSED
 from sightline.planning.points.results import Verdict
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.control.states import State

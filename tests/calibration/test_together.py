@@ -16,7 +16,7 @@ from sightline.common.geometry.planes import Plane
 from sightline.detection import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame, Tolerances
-from sightline.planning.points.line_residuals import LineResiduals
+from sightline.planning.points.lines_of_sight import LineResiduals
 
 BLOCK = Frame.load("block60")
 TARGET_MM = np.array([[-61.3, 37.4, 33.7]])  # 80 mm from the middle of the block

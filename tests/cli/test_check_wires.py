@@ -10,7 +10,7 @@ from tests.cli.picked import VIEWS, picks_file, place, wire
 
 from sightline.case.journal import Case, Kind
 from sightline.imaging import write_dicom
-from sightline.planning.procedures.files import copy_text
+from sightline.planning.procedures.procedure import copy_text
 from sightline.twin import HipScene, hip_scene, render
 from sightline.twin.objects.implants import guide_wire
 

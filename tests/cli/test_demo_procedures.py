@@ -10,7 +10,7 @@ from sightline.app.plan.holes import nail_drawn
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.cli.demos.procedures import PLACED, WITH_ROBOT, frame_for
-from sightline.planning.procedures.files import document_of
+from sightline.planning.procedures.procedure import document_of
 from sightline.rehearsal.patient import AT_HIP, BONE_OF, CANNULATED, NAILED, frame_of
 
 # Words of a hip that no report of another bone may say. "The hip" of the frame's coordinates and of the robot may.

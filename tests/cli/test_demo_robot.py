@@ -13,8 +13,8 @@ from sightline.cli.demos.robot import BY_ENCODERS, BY_IMAGES, DemoPlan, RobotAhe
 from sightline.common.geometry.covariance import length_quantile
 from sightline.errors import RobotRefusedError
 from sightline.frame import Frame
+from sightline.rehearsal.operation import SHOWN_FEED_MM, drawn_robot, shown_wire_mm
 from sightline.rehearsal.rehearsal import Rehearsal
-from sightline.rehearsal.robots import SHOWN_FEED_MM, drawn_robot, shown_wire_mm
 from sightline.robot.kinematics.manipulator import imaging_yaw
 from sightline.robot.kinematics.target import Registration
 from sightline.studies.scenes import VIEWS, measure

@@ -24,7 +24,7 @@ from sightline.case.replay import ReplayOutcome, replay
 from sightline.cli.robots.drive import _target
 from sightline.frame import Frame
 from sightline.imaging import write_dicom
-from sightline.planning.check.drill_shot import ALIGNED, PAUSED
+from sightline.planning.check.shot import ALIGNED, PAUSED
 from sightline.rehearsal.operation import SimulatedTheatre, registered
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.kinematics.target import RobotTarget

@@ -15,7 +15,7 @@ from sightline.cli.output import Output
 from sightline.cli.watch import _planned
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.frame import Frame
-from sightline.planning.procedures.files import copy_text
+from sightline.planning.procedures.procedure import copy_text
 
 KEYS = ("inferior", "anterior", "posterior")
 # The inferior wire, one above it in front, one above it behind; a right hip.

@@ -13,7 +13,7 @@ from tests.cli.test_case_plan import WIRE_MM
 from sightline.case.journal import Case, Kind
 from sightline.case.replay.recompute import Recomputed
 from sightline.planning import PROCEDURES
-from sightline.planning.procedures.files import FOLDER, copy_text
+from sightline.planning.procedures.procedure import FOLDER, copy_text
 
 
 @pytest.fixture

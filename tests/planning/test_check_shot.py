@@ -11,8 +11,8 @@ from sightline.common.checks import Limits, failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
-from sightline.planning.check.expected_wire import expected_wire
 from sightline.planning.check.shot import CheckShot, Landmarks, check_shot
+from sightline.planning.check.wires import expected_wire
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.objects.things import draw_motion

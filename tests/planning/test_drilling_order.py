@@ -5,10 +5,10 @@ import json
 import numpy as np
 
 from sightline.frame import Frame
-from sightline.from_images.drilling_order import DATUM_BEADS, propose_order
+from sightline.from_images.pipeline import DATUM_BEADS, propose_order
 from sightline.planning import WireLines
 from sightline.planning.procedures.document import ProcedureDocument
-from sightline.planning.procedures.files import copy_text, document_from_json
+from sightline.planning.procedures.procedure import copy_text, document_from_json
 
 from .bone import views
 

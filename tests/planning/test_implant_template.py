@@ -7,9 +7,9 @@ import pytest
 
 from sightline.calibration import CalibratedView
 from sightline.planning import Procedure, Trajectory, kind, reconstruct
-from sightline.planning.points.corridor import corridor
+from sightline.planning.points.curve import corridor
 from sightline.planning.procedures.document import ProcedureDocument
-from sightline.planning.procedures.files import copy_text, document_from_json
+from sightline.planning.procedures.procedure import copy_text, document_from_json
 from sightline.planning.verdict.implant import Template, template
 
 from . import bone

@@ -5,7 +5,7 @@ import pytest
 
 from sightline.calibration.view import LinesOfSight
 from sightline.common.geometry.planes import Plane
-from sightline.planning.points.line_residuals import LineResiduals
+from sightline.planning.points.lines_of_sight import LineResiduals
 
 POINTS_MM = np.array([[3.7, -11.2, 18.3], [-24.1, 27.9, -46.6], [5.2, 8.9, 131.4]])
 FOCAL_MM = np.array([22.4, -15.9, -611.3])

@@ -8,7 +8,7 @@ import pytest
 from sightline.errors import UnusableInputError
 from sightline.planning import WirePicks, WirePlans, plan_wires
 from sightline.planning.check.result import CheckShot
-from sightline.planning.procedures.files import copy_text, document_from_json
+from sightline.planning.procedures.procedure import copy_text, document_from_json
 from sightline.planning.wires import judge_measured, measured_lines
 
 from .bone import END_MM, ENTRY_MM, curve_once, views

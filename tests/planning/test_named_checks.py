@@ -12,8 +12,8 @@ import pytest
 from sightline.common.checks import Check
 from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Aids, Line, Plan, Procedure, kind, locate, metrics, plan
-from sightline.planning.procedures.files import copy_text, document_from_json
-from sightline.planning.procedures.rules import CHECKS
+from sightline.planning.procedures.document import CHECKS
+from sightline.planning.procedures.procedure import copy_text, document_from_json
 from sightline.planning.verdict.bone_checks import MEASURES
 from sightline.planning.verdict.implant import fitting
 

@@ -11,8 +11,8 @@ from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Anatomy, Procedure, kind
 from sightline.planning.bone.metrics import metric
 from sightline.planning.points.results import Verdict
-from sightline.planning.procedures.files import copy_text, document_from_json
-from sightline.planning.procedures.rules import CHECKS
+from sightline.planning.procedures.document import CHECKS
+from sightline.planning.procedures.procedure import copy_text, document_from_json
 from sightline.planning.verdict.bone_checks import judge_in_bone, measures, metric_measures, noticed_beyond_mm
 from sightline.twin.anatomy.femur import to_cfcs
 from sightline.twin.anatomy.wrong_wires import wrong_wires

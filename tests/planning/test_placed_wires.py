@@ -11,8 +11,8 @@ from sightline.case.contents import PlanRequest
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError
 from sightline.planning import Axis, PlacedWire, WireLines, WirePicks, WirePlans, plan_wires
 from sightline.planning.bone.directions import unit
-from sightline.planning.check.placed_wires import placed_wires
-from sightline.planning.procedures.files import copy_text, document_from_json
+from sightline.planning.check.wires import placed_wires
+from sightline.planning.procedures.procedure import copy_text, document_from_json
 from sightline.planning.verdict.relations import spacing_mm
 
 from .bone import END_MM, ENTRY_MM, curve_once, views

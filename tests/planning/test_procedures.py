@@ -12,9 +12,8 @@ from sightline.common.checks import Limits
 from sightline.errors import UnusableInputError
 from sightline.planning import PROCEDURES, Aids, ProposalRule, kind, locate, procedures
 from sightline.planning.bone.metrics import metric
-from sightline.planning.procedures.document import LOCATED, ProcedureDocument, open_ends
-from sightline.planning.procedures.files import FOLDER, copy_text, document_from_json, keeping, kept, shipped
-from sightline.planning.procedures.rules import CHECKS
+from sightline.planning.procedures.document import CHECKS, LOCATED, ProcedureDocument, open_ends
+from sightline.planning.procedures.procedure import FOLDER, copy_text, document_from_json, keeping, kept, shipped
 from sightline.planning.verdict.bone_checks import MEASURES
 
 from .standin import stand_in

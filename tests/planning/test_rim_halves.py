@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.planning.nail.rim_halves import rims_disagree
+from sightline.planning.nail.hole import rims_disagree
 
 ENDS = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 11.0])
 POINTS = 40

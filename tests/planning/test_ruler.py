@@ -10,7 +10,7 @@ from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.detection import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-from sightline.planning.points.ruler import measured_in_plane, measured_in_space
+from sightline.planning.points.reconstruct import measured_in_plane, measured_in_space
 from sightline.twin import SetUp, bead_images, draw_setup
 
 AT = np.array([3.2, -7.1, 11.4])

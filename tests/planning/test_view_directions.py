@@ -11,9 +11,8 @@ from sightline.calibration.view import LinesOfSight
 from sightline.common.checks import Check
 from sightline.planning import Aids, Plan, Procedure, kind, plan
 from sightline.planning.bone.directions import anatomical
-from sightline.planning.procedures.files import copy_text, document_from_json
-from sightline.planning.verdict.patient_axes import frame_axes
-from sightline.planning.verdict.view_directions import Located, angles_of, assumed_axes
+from sightline.planning.procedures.procedure import copy_text, document_from_json
+from sightline.planning.verdict.view_directions import Located, angles_of, assumed_axes, frame_axes
 from sightline.twin.anatomy.aids import drawn_aids, key_of
 from sightline.twin.anatomy.femur import to_cfcs
 

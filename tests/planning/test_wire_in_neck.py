@@ -8,9 +8,9 @@ import pytest
 
 from sightline.errors import UnusableInputError
 from sightline.planning import Aids, Anatomy, Circle, Line, Metric, Pick, locate
+from sightline.planning.bone.drawings import _from_ellipse
 from sightline.planning.bone.metrics import metric
-from sightline.planning.bone.tube import _from_ellipse
-from sightline.planning.procedures.files import copy_text, document_from_json
+from sightline.planning.procedures.procedure import copy_text, document_from_json
 
 from . import bone
 from .standin import StandInView, stand_in

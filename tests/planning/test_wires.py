@@ -24,7 +24,7 @@ from sightline.planning import (
 from sightline.planning.bone.directions import ANTERIOR, across, caudal, unit
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures.document import ProcedureDocument
-from sightline.planning.procedures.files import copy_text, document_from_json
+from sightline.planning.procedures.procedure import copy_text, document_from_json
 from sightline.planning.verdict.relations import angle_rad, judge_relations, spacing_mm
 
 from . import bone

@@ -11,7 +11,7 @@ from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.errors import ReconstructionRefusedError
 from sightline.frame import Frame
 from sightline.planning import Aids, Procedure, Proposal, locate, plan, propose, propose_wires
-from sightline.planning.procedures.files import document_of
+from sightline.planning.procedures.procedure import document_of
 from sightline.rehearsal.patient import RehearsedPatient, draw_patient, frame_of
 from sightline.studies.scenes import calibrated_views, measure
 

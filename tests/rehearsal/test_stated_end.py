@@ -10,8 +10,7 @@ from tests.robot.test_target import IDENTITY
 from sightline.common.checks import Limits
 from sightline.errors import RobotRefusedError
 from sightline.frame import Frame
-from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup, registered
-from sightline.rehearsal.robots import calibrated_robot, drawn_robot
+from sightline.rehearsal.operation import SimulatedTheatre, calibrated_robot, confirmed_setup, drawn_robot, registered
 from sightline.robot.kinematics.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, CONTACT_SHIFT_SD_MM, DepthZero
 from sightline.robot.kinematics.manipulator import FEED, imaging_yaw
 from sightline.robot.kinematics.target import SKIVING_RAD, RobotTarget, robot_target

@@ -10,7 +10,7 @@ from unittest.mock import patch
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sightline.rehearsal.robots import calibrated_robot
+from sightline.rehearsal.operation import calibrated_robot
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.insertion import Setup
 from sightline.robot.control.requests import Panel

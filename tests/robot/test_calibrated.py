@@ -11,7 +11,7 @@ from sightline.common.geometry.covariance import length_quantile, line_direction
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import reconstruct
-from sightline.rehearsal.robots import calibrated_robot, true_manipulator
+from sightline.rehearsal.operation import calibrated_robot, true_manipulator
 from sightline.robot.kinematics.calibrated import MACHINED_SD, REMOUNT_SD, SOURCES, calibrate_axes
 from sightline.robot.kinematics.manipulator import Manipulator, nominal_manipulator
 from sightline.studies.scenes import VIEWS, measure

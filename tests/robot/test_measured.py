@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.rehearsal.robots import calibrated_robot, true_manipulator
+from sightline.rehearsal.operation import calibrated_robot, true_manipulator
 from sightline.robot.kinematics.manipulator import Manipulator
 from sightline.robot.kinematics.measured import Measurements, RobotFile
 

@@ -8,7 +8,7 @@ import pytest
 from sightline.common.checks import Check, Limits
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.planning.bone.directions import unit
-from sightline.rehearsal.robots import calibrated_robot
+from sightline.rehearsal.operation import calibrated_robot
 from sightline.robot.kinematics.target import (
     LIFETIME_S,
     PlanIdentity,

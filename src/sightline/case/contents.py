@@ -29,15 +29,15 @@ from sightline.planning import (
     plan,
     plan_wires,
 )
-from sightline.planning.check.placed_wires import PlacedWire
 from sightline.planning.check.result import CheckShot
 from sightline.planning.check.start import Beforehand, Landmarks, on_patient, picked_wire
+from sightline.planning.check.wires import PlacedWire
 from sightline.planning.points.picks import PickArrays
 from sightline.planning.points.solution import Method
-from sightline.planning.procedures.files import kept
+from sightline.planning.procedures.procedure import kept
 
 if TYPE_CHECKING:
-    from sightline.planning.check.drill_shot import DrillShot
+    from sightline.planning.check.shot import DrillShot
 
 Pair = tuple[CalibratedImage, CalibratedImage]
 Images = tuple[CalibratedImage, ...]  # of a plan: PA, lateral, and the third where there is one
@@ -271,8 +271,8 @@ class DrillShotRequest:
         `CheckRequest.shot`."""
         from sightline.detection.wires.wire import find_wire
         from sightline.from_images.pipeline import expected_wires
-        from sightline.planning.check.drill_shot import drill_shot
-        from sightline.planning.check.expected_wire import BEFORE_MM, GUIDED_MM, expected_wire, nail_px
+        from sightline.planning.check.shot import drill_shot
+        from sightline.planning.check.wires import BEFORE_MM, GUIDED_MM, expected_wire, nail_px
 
         trajectory, hole, limits, wires = made.trajectory, made.hole, made.kind.limits, []
         before, after = ([image.view for image in pair] for pair in (planned, taken))

@@ -19,18 +19,16 @@ from sightline.case.views import ALL_NAMES, NAMES
 from sightline.common.bounded import read_bounded
 from sightline.common.strict import read_strictly
 from sightline.errors import UnusableInputError
-from sightline.from_images.head import fit_head, refuse_tables
+from sightline.from_images.head_and_shaft import fit_head, fit_shaft, refuse_tables
 from sightline.from_images.interlocking import NailDrawn
 from sightline.from_images.neck import fit_neck
 from sightline.from_images.pipeline import find_placed_wires
-from sightline.from_images.shaft import fit_shaft
 from sightline.imaging import Radiograph
 from sightline.planning import Aids, Circle, Nail, Procedure, WirePicks, kind, propose_wires
-from sightline.planning.check.placed_wires import PlacedWire
+from sightline.planning.check.wires import PlacedWire
 from sightline.planning.nail.files import known_nails, nail_of
-from sightline.planning.procedures.document import ProcedureDocument
-from sightline.planning.procedures.files import ADVICE, document_of, keeping
-from sightline.planning.procedures.rules import Strict
+from sightline.planning.procedures.document import ProcedureDocument, Strict
+from sightline.planning.procedures.procedure import ADVICE, document_of, keeping
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]

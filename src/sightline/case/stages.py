@@ -17,8 +17,8 @@ from sightline.frame.designs import BUILTIN
 from sightline.imaging import Radiograph, read_image
 from sightline.imaging.formats import MAX_FILE_BYTES
 from sightline.planning import Plan, WirePlans
-from sightline.planning.check.drill_shot import DrillShot
 from sightline.planning.check.result import CheckShot
+from sightline.planning.check.shot import DrillShot
 
 TABLE = ".csv"  # suffix of a table of beads, found by other software or by hand
 

@@ -9,8 +9,7 @@ from sightline.cli.options import command, group
 from sightline.cli.output import Output
 
 if TYPE_CHECKING:
-    from sightline.planning.procedures.document import ProcedureDocument, Relation
-    from sightline.planning.procedures.rules import CheckRule
+    from sightline.planning.procedures.document import CheckRule, ProcedureDocument, Relation
 
 app = group("procedure", "List, show, check and make procedures.")
 
@@ -24,7 +23,7 @@ def list_all(out: Output) -> None:
     Your own files lie in the folder that the environment variable SIGHTLINE_PROCEDURES names, each called KEY.json.
     """
     from sightline.errors import UnusableInputError
-    from sightline.planning.procedures.files import own_file, own_files, shipped
+    from sightline.planning.procedures.procedure import own_file, own_files, shipped
 
     rows = [(document, "shipped") for document in shipped().values()]
     unusable: dict[str, str] = {}
@@ -47,8 +46,7 @@ def list_all(out: Output) -> None:
 @command(app, "show", "sightline procedure show hip-screw")
 def show(out: Output, procedure: ProcedureSource) -> None:
     """Show points, limits, checks and their sources."""
-    from sightline.planning.procedures.files import document_of
-    from sightline.planning.procedures.procedure import fingerprint
+    from sightline.planning.procedures.procedure import document_of, fingerprint
 
     document = document_of(procedure)
     _show(out, document)
@@ -62,8 +60,7 @@ def check(out: Output, file: Annotated[Path, typer.Argument(help="The procedure'
     Exit code 2 with a sentence for what is wrong in it; otherwise what it asks for, and what no check shows.
     """
     from sightline.planning.procedures.document import open_ends
-    from sightline.planning.procedures.files import read_document
-    from sightline.planning.procedures.procedure import fingerprint
+    from sightline.planning.procedures.procedure import fingerprint, read_document
 
     document = read_document(file)
     ends = open_ends(document)
@@ -86,7 +83,7 @@ def new(
     """Write a procedure's file like another one, to be edited."""
     from sightline.common.atomic import write_whole
     from sightline.errors import UnusableInputError
-    from sightline.planning.procedures.files import copy_text
+    from sightline.planning.procedures.procedure import copy_text
 
     if file.suffix != ".json":
         raise UnusableInputError(f"only files ending in .json are found as procedures: name it {file.name}.json")

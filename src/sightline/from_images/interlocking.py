@@ -29,7 +29,7 @@ from sightline.planning.nail.expected import (
 from sightline.planning.nail.hole import farthest_apart, nail_line, turned_to_rims
 from sightline.planning.nail.result import HolePose
 from sightline.planning.procedures.document import ProcedureDocument
-from sightline.planning.procedures.files import document_of
+from sightline.planning.procedures.procedure import document_of
 
 _HARDNESS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15)  # of beams of about 60 to 120 kV [ours]
 _FIRST_BLUR_PX = 1.0  # for a first look at the rims

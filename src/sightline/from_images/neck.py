@@ -26,7 +26,7 @@ from sightline.errors import OutsideRegionError
 from sightline.imaging import Radiograph
 from sightline.planning.bone.aids import Aids, Circle, Line
 from sightline.planning.bone.anatomy import Anatomy, locate
-from sightline.planning.bone.axis import Axis
+from sightline.planning.bone.drawings import Axis
 from sightline.planning.bone.head import Sphere
 
 _MIN_LENGTH_PX = 4 * REACH_PX  # of a drawn border: 8 mm where a millimetre has 6 px [ours]

@@ -3,28 +3,23 @@
 from sightline.common.checks import Limits
 from sightline.planning.bone.aids import Aids, Circle, Drawing, Line
 from sightline.planning.bone.anatomy import Anatomy, locate
-from sightline.planning.bone.axis import Axis
+from sightline.planning.bone.drawings import Axis
 from sightline.planning.bone.head import Sphere, outline
 from sightline.planning.bone.metrics import Metric, metrics
-from sightline.planning.check.placed_wires import PlacedWire
+from sightline.planning.check.wires import PlacedWire
 from sightline.planning.nail.hole import Edge, HoleSeen, fit_hole
-from sightline.planning.nail.perfect_circle import Turn, perfect_circle
-from sightline.planning.nail.result import Hole, HolePose, Nail
+from sightline.planning.nail.result import Hole, HolePose, Nail, Turn, perfect_circle
 from sightline.planning.plan import Plan, plan
-from sightline.planning.points.corridor import Corridor, corridor
-from sightline.planning.points.curve import MatchingCurve, matching_curve, snap
-from sightline.planning.points.error_shares import Share, error_shares, error_shares_of
+from sightline.planning.points.curve import Corridor, MatchingCurve, corridor, matching_curve, snap
 from sightline.planning.points.picks import Pick
 from sightline.planning.points.reconstruct import reconstruct
 from sightline.planning.points.results import SpacePoints, Verdict
-from sightline.planning.points.trajectory import Trajectory
+from sightline.planning.points.trajectory import Share, Trajectory, error_shares, error_shares_of
 from sightline.planning.procedures import PROCEDURES, PlanInput, Procedure, kind, procedures
-from sightline.planning.procedures.proposal import Proposal, propose
-from sightline.planning.procedures.proposal_rules import ProposalRule
+from sightline.planning.procedures.proposal import Proposal, ProposalRule, propose
 from sightline.planning.verdict.plan_checks import judge
 from sightline.planning.verdict.relations import WireLines
-from sightline.planning.wires import WirePicks, WirePlans, plan_wires
-from sightline.planning.wires_proposal import propose_others, propose_wires
+from sightline.planning.wires import WirePicks, WirePlans, plan_wires, propose_others, propose_wires
 
 __all__ = [
     "PROCEDURES",

@@ -18,10 +18,9 @@ from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning.bone.aids import Aids
 from sightline.planning.bone.anatomy import Anatomy, Drawings, located
 from sightline.planning.check.shot import PlannedWire
-from sightline.planning.nail.perfect_circle import perfect_circles
-from sightline.planning.nail.result import Hole
+from sightline.planning.nail.result import Hole, perfect_circles
 from sightline.planning.points.curve import MatchingCurve, matching_curve, snap
-from sightline.planning.points.line_residuals import refuse_repeated
+from sightline.planning.points.lines_of_sight import refuse_repeated
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, Pick, stack
 from sightline.planning.points.reconstruct import checked_picks, points_of
 from sightline.planning.points.results import SpacePoints, Verdict

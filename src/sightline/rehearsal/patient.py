@@ -4,7 +4,7 @@ Each part has its own generator, so it does not depend on the parts drawn before
 in the robot's separate process.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, TypeAlias
@@ -12,28 +12,36 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from sightline.calibration import BeadView
 from sightline.case.contents import PlanRequest
 from sightline.case.views import NAMES as VIEWS
 from sightline.common.threads import at_once
+from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.from_images.interlocking import NailDrawn
+from sightline.from_images.pipeline import check_shot
 from sightline.imaging import Radiograph
 from sightline.planning import Aids, Nail, Plan, Procedure, WirePicks
+from sightline.planning.check.shot import CheckShot, Landmarks
 from sightline.planning.points.picks import stack
 from sightline.planning.procedures.document import ProcedureDocument
-from sightline.planning.procedures.files import document_of
-from sightline.rehearsal.check_images import CheckImages
+from sightline.planning.procedures.procedure import document_of
 from sightline.robot.kinematics.calibrated import REMOUNT_SD
 from sightline.twin import BoneScene, HipScene, Scene, SetUp, Variation, draw_setup, render, truth_document
 from sightline.twin.anatomy.aids import drawn_aids, hip_aids, key_of
 from sightline.twin.anatomy.bone_model import Aid, BoneModel, LineAid, SphereAid
 from sightline.twin.anatomy.femur import Femur, draw_femur, to_cfcs
 from sightline.twin.anatomy.nailed_femur import SPACING_MM, NailedFemur
+from sightline.twin.objects.implants import guide_wire
+from sightline.twin.objects.things import moved
 from sightline.twin.scenes.bone_scene import BONES, bone_document, shown_bone_scene
 from sightline.twin.scenes.hip_scene import placed_hip, shown_setup
 from sightline.twin.scenes.specimens import tagged
 from sightline.twin.xray.distributions import beam_at
+from sightline.twin.xray.render import render_views
 
+ATTEMPTS = 200
+MARGIN_PX = 20.0  # minimum distance of wire and landmarks from the edge of the field
 # Each has its own generator; add new parts at the end.
 PARTS = (*VIEWS, "robot", "check", "picks", "ALIGNED", "PAUSED", "oblique")
 LANDMARK_MARGIN_PX = 30.0  # landmarks nearer to the edge of a field are not picked [ours]
@@ -51,6 +59,63 @@ NAILED = "distal-interlocking"
 NAIL_CLICK_PX = 2.0  # s.d. of a click on a nail's edge or in its hole, per axis [ours]
 BONE_OF = {"slipped-epiphysis-pin": "growing-femur", "iliosacral-screw": "pelvis", "pedicle-screw": "vertebra"}
 BONES_OF = {**BONE_OF, NAILED: "nailed-femur"}
+
+
+@dataclass(frozen=True, eq=False)
+class CheckImages:
+    """Both radiographs of a check shot, and the true set-up and landmarks (3,) that they show.
+
+    `picked_mm` (M, 3): where a person picks the wire in both, the tip last, CFCS of these images.
+    """
+
+    setup: SetUp
+    landmarks_mm: dict[str, np.ndarray]
+    images: dict[str, Radiograph]
+    picked_mm: np.ndarray | None = None
+
+    @staticmethod
+    def take(
+        planned: SetUp,
+        bone: HipScene | BoneScene,
+        wires: Sequence[tuple[np.ndarray, float]],
+        motion: RigidTransform,
+        drawn: tuple[np.random.Generator, Callable[[np.random.Generator], SetUp]],
+        *,
+        landmarks_mm: Mapping[str, np.ndarray],
+        shown_mm: np.ndarray,
+    ) -> "CheckImages":
+        """Render the check images of a bone that has moved against the frame by `motion`.
+
+        `wires`: all in the bone, each its axis to the tip (2, 3), planning CFCS, and its diameter. `drawn`: the
+        generator, and the function that draws another set-up of the C-arm. `landmarks_mm`: points of the bone,
+        `shown_mm` (N, 3) of the newest wire, before both moved. Raises SetUpError if no set-up shows these.
+        """
+        rng, draw = drawn
+        in_bone = sum((guide_wire(*one) for one in wires), bone.bone)
+        then = bone.still + moved(in_bone, motion)
+        landmarks = {name: motion.apply(at) for name, at in landmarks_mm.items()}
+        points = np.concatenate([motion.apply(shown_mm), np.stack(list(landmarks.values()))])
+        for _ in range(ATTEMPTS):
+            setup = replace(draw(rng), true_frame=planned.true_frame)
+            if all(view.in_field(view.project(points), MARGIN_PX).all() for view in setup.views.values()):
+                made = render_views(setup, VIEWS, then, rng)
+                images = {name: tagged(setup, name, image) for name, image in made.items()}
+                return CheckImages(setup, landmarks, images)
+        raise SetUpError(f"none of {ATTEMPTS} set-ups shows wire and landmarks in both check images")
+
+    def landmarks_px(self, names: Sequence[str], sd_px: float, rng: np.random.Generator) -> np.ndarray:
+        """Draw a person's picks (2, L, 2) of the named landmarks in both images."""
+        return self.pixels(np.stack([self.landmarks_mm[name] for name in names]), sd_px, rng)
+
+    def pixels(self, xyz: np.ndarray, sd_px: float, rng: np.random.Generator) -> np.ndarray:
+        """Draw a person's picks (2, N, 2) of points (N, 3), CFCS of these images, in both images."""
+        true = np.stack([self.setup.views[name].project(xyz) for name in VIEWS])
+        return true + sd_px * rng.standard_normal(true.shape)
+
+    def compare(self, plan: Plan, views: Sequence[BeadView], landmarks: Landmarks) -> CheckShot:
+        """Find the wire in both images and compare it with a plan made on `views`. Raises SightlineError."""
+        images = [self.images[name] for name in VIEWS]
+        return check_shot(plan, views, images, self.setup.frame, landmarks=landmarks)
 
 
 def frame_of(procedure: str) -> str:

@@ -13,18 +13,25 @@ from sightline.case.views import OBLIQUE
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
-from sightline.planning.check.drill_shot import ALIGNED
-from sightline.rehearsal.check_images import ATTEMPTS, CheckImages
-from sightline.rehearsal.operation import SimulatedTheatre, confirmed_setup
+from sightline.planning.check.shot import ALIGNED
+from sightline.rehearsal.operation import (
+    SHOWN_FEED_MM,
+    SimulatedTheatre,
+    calibrated_robot,
+    confirmed_setup,
+    drawn_robot,
+    shown_wire_mm,
+)
 from sightline.rehearsal.patient import (
+    ATTEMPTS,
     BONES_OF,
     LANDMARK_MARGIN_PX,
     NAILED,
     AidClicks,
+    CheckImages,
     RehearsedPatient,
     anatomical_wires,
 )
-from sightline.rehearsal.robots import SHOWN_FEED_MM, calibrated_robot, drawn_robot, shown_wire_mm
 from sightline.robot.kinematics.calibrated import REMOUNT_SD, CalibratedRobot
 from sightline.robot.kinematics.manipulator import Manipulator, imaging_yaw
 from sightline.robot.link.simulated import SimulatedWire

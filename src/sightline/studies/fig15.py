@@ -20,8 +20,7 @@ from sightline.detection import Observations
 from sightline.errors import OutsideRegionError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
-from sightline.rehearsal.operation import InsertionOutcome, SimulatedTheatre
-from sightline.rehearsal.robots import calibrated_robot
+from sightline.rehearsal.operation import InsertionOutcome, SimulatedTheatre, calibrated_robot
 from sightline.robot.control.insertion import Setup
 from sightline.studies.runs.study import Estimate, Summary, Table, Values, quantile, share
 from sightline.studies.scenes import PHANTOMS, SIDE, VIEWS, image_of, observed

@@ -19,7 +19,7 @@ from sightline.errors import SightlineError
 from sightline.planning import Line, MatchingCurve, Plan, reconstruct
 from sightline.planning.bone.head import outline
 from sightline.planning.check.result import CheckShot
-from sightline.planning.points.corridor import Corridor, corridor
+from sightline.planning.points.curve import Corridor, corridor
 from sightline.planning.procedures.document import AidAsked
 from sightline.planning.verdict.implant import template
 

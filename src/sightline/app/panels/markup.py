@@ -7,7 +7,7 @@ from markupsafe import Markup, escape
 
 from sightline.app import texts
 from sightline.common.checks import Check, CheckCode
-from sightline.planning.procedures.rules import ABOVE_ERROR
+from sightline.planning.procedures.document import ABOVE_ERROR
 
 _CHECK = (
     '<li class="{0}"><div class="check-head"><div class="mark" aria-hidden="true">{1}</div>'

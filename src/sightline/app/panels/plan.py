@@ -29,9 +29,9 @@ from sightline.app.texts import image_short, in_image
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import UnusableInputError
-from sightline.planning.bone.axis import Axis
+from sightline.planning.bone.drawings import Axis
 from sightline.planning.nail.files import known_nails
-from sightline.planning.nail.perfect_circle import perfect_circles
+from sightline.planning.nail.result import perfect_circles
 from sightline.planning.procedures import kind as kind_of
 
 

@@ -17,7 +17,7 @@ from sightline.case.views import NAMES
 from sightline.common.checks import CheckCode, failed
 from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import Procedure
-from sightline.planning.procedures.rules import CHECKS
+from sightline.planning.procedures.document import CHECKS
 from sightline.robot.control.states import State
 
 # Directions of the bone that a check takes from the procedure.

@@ -14,8 +14,8 @@ from sightline.app.tab.tab import Tab
 from sightline.common.checks import Check, CheckCode, failed
 from sightline.errors import SightlineError
 from sightline.planning import Plan
-from sightline.planning.points.error_shares import Share, error_shares, error_shares_of
 from sightline.planning.points.results import MAX_GAP_SIGMA
+from sightline.planning.points.trajectory import Share, error_shares, error_shares_of
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.robot.kinematics.target import RobotTarget

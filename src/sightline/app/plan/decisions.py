@@ -17,7 +17,7 @@ from sightline.case.views import NAMES
 from sightline.errors import CaseError, UnusableInputError
 from sightline.planning import Circle, Line, Nail
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.procedures.files import current_key
+from sightline.planning.procedures.procedure import current_key
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from sightline.planning.points.results import SpacePoints, Verdict
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.document import AidAsked, ProcedureDocument
-from sightline.planning.procedures.files import each_wire, keeping
+from sightline.planning.procedures.procedure import each_wire, keeping
 
 PICK_SD_PX = DEFAULT_PICK_SD_PX
 _PICK_PX2 = PICK_SD_PX**2 * np.eye(2)

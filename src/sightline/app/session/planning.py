@@ -37,13 +37,12 @@ from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, takes_oblique
 from sightline.errors import CalibrationRefusedError, SightlineError, UnusableInputError
-from sightline.from_images.drilling_order import DrillingOrder, propose_order
-from sightline.from_images.head import fit_head
+from sightline.from_images.head_and_shaft import fit_head, fit_shaft
 from sightline.from_images.neck import fit_neck
-from sightline.from_images.shaft import fit_shaft
+from sightline.from_images.pipeline import DrillingOrder, propose_order
 from sightline.imaging import Radiograph
 from sightline.planning import Circle, Line, Nail, WirePlans, kind
-from sightline.planning.procedures.files import document_of, each_wire
+from sightline.planning.procedures.procedure import document_of, each_wire
 
 _MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned to views [ours]
 _EDITS = ("edit", "undo", "redo")

@@ -16,7 +16,7 @@ from sightline.case import stages
 from sightline.case.journal import Actor, Case
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-from sightline.planning.procedures.files import document_of, each_wire
+from sightline.planning.procedures.procedure import document_of, each_wire
 
 
 class Session:

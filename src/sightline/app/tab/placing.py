@@ -10,7 +10,7 @@ from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, MarkSpec
 from sightline.app.session.planning import Planning
 from sightline.app.session.shots import Shots
 from sightline.case.views import NAMES, OBLIQUE
-from sightline.planning.check.drill_shot import ALIGNED
+from sightline.planning.check.shot import ALIGNED
 
 
 class ProcedureStep(StrEnum):

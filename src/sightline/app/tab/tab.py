@@ -22,7 +22,7 @@ from sightline.app.tab.placing import Goal, Placing, ProcedureStep
 from sightline.app.tab.views import Views
 from sightline.errors import SightlineError
 from sightline.planning import Nail
-from sightline.planning.points.ruler import Measured, measured_in_plane, measured_in_space
+from sightline.planning.points.reconstruct import Measured, measured_in_plane, measured_in_space
 
 if TYPE_CHECKING:
     from sightline.case.watch.analyser import Watched

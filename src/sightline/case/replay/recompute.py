@@ -21,8 +21,8 @@ from sightline.frame import Frame
 from sightline.from_images.pipeline import label_beads
 from sightline.imaging import Radiograph
 from sightline.planning import Plan, WirePlans
-from sightline.planning.check.drill_shot import DrillShot
 from sightline.planning.check.result import CheckShot
+from sightline.planning.check.shot import DrillShot
 
 _Made = TypeVar("_Made")
 

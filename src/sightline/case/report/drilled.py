@@ -8,8 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from sightline.case.report.drawing.force import WIDTH, force_trace
-from sightline.planning.check.drill_shot import PAUSED, DrillShot
-from sightline.planning.check.shot import CheckShot
+from sightline.planning.check.shot import PAUSED, CheckShot, DrillShot
 from sightline.robot.kinematics.target import RobotTarget
 from sightline.robot.link.record import DrillingRecord
 

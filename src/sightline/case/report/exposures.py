@@ -7,7 +7,7 @@ from sightline.case.journal import Case, Entry, Kind
 from sightline.case.journal.originals import short
 from sightline.case.stages import acquired_of
 from sightline.case.views import CalibratedImage, spoken
-from sightline.planning.check.drill_shot import ALIGNED, PAUSED
+from sightline.planning.check.shot import ALIGNED, PAUSED
 from sightline.planning.procedures import Procedure
 
 NOTE = (

@@ -7,7 +7,7 @@ from sightline.case.report.content import Report
 from sightline.case.report.drilled import Drilled
 from sightline.case.stages import frame_of
 from sightline.errors import CaseError
-from sightline.planning.check.drill_shot import ALIGNED, PAUSED
+from sightline.planning.check.shot import ALIGNED, PAUSED
 from sightline.robot.link.record import DrillingRecord
 
 

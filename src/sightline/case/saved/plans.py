@@ -15,7 +15,7 @@ from sightline.errors import UnusableInputError
 from sightline.planning import Plan, SpacePoints, Trajectory
 from sightline.planning.check.result import CheckShot
 from sightline.planning.points.gaps import Movement
-from sightline.planning.procedures.files import keeping
+from sightline.planning.procedures.procedure import keeping
 
 _SAME_MM = 0.01  # the views may come out otherwise by a tenth of it, and a wire's end lies beyond their plates [ours]
 

@@ -18,8 +18,8 @@ from sightline.errors import CalibrationRefusedError, OutsideRegionError, Refuse
 from sightline.frame import Frame
 from sightline.from_images.pipeline import find_beads, label_beads
 from sightline.imaging import Radiograph
-from sightline.planning.points.corridor import Corridor, corridor
-from sightline.planning.points.line_residuals import LineResiduals
+from sightline.planning.points.curve import Corridor, corridor
+from sightline.planning.points.lines_of_sight import LineResiduals
 from sightline.planning.points.trajectory import Trajectory
 
 STALE_S = 0.2  # an older image may no longer be true: nothing is drawn into it

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from sightline.planning import Plan, WirePlans
     from sightline.planning.check.result import CheckShot
     from sightline.planning.points.results import SpacePoints
-    from sightline.rehearsal.check_images import CheckImages
-    from sightline.rehearsal.patient import RehearsedPatient
+    from sightline.rehearsal.patient import CheckImages, RehearsedPatient
     from sightline.rehearsal.process import RobotProcess
     from sightline.rehearsal.rehearsal import Rehearsal
     from sightline.robot.kinematics.target import Registration, RobotTarget
@@ -57,7 +56,7 @@ class DemoPlan(Generic[Who_co]):
 
     def each(self) -> "list[DemoPlan[Who_co]]":
         """Return the plan of each wire, in the proposed order of drilling."""
-        from sightline.from_images.drilling_order import propose_order
+        from sightline.from_images.pipeline import propose_order
 
         wires = self.wires
         if wires is None:

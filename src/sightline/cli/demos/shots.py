@@ -10,10 +10,9 @@ if TYPE_CHECKING:
     from sightline.case.contents import DrillShotRequest, Pair
     from sightline.cli.demos.robot import DemoPlan
     from sightline.cli.output import Output
-    from sightline.planning.check.drill_shot import DrillShot
+    from sightline.planning.check.shot import DrillShot
     from sightline.planning.check.start import Landmarks
-    from sightline.rehearsal.check_images import CheckImages
-    from sightline.rehearsal.patient import RehearsedPatient
+    from sightline.rehearsal.patient import CheckImages, RehearsedPatient
     from sightline.rehearsal.rehearsal import Rehearsal
     from sightline.robot.control.states import State
     from sightline.robot.kinematics.target import RobotTarget
@@ -41,7 +40,7 @@ def confirming(
 
     A shot that says STOP raises RobotRefusedError. Plates cannot be measured, which is said.
     """
-    from sightline.planning.check.drill_shot import TURNED_AWAY
+    from sightline.planning.check.shot import TURNED_AWAY
 
     taken: dict[str, ShotTaken] = {}
 

@@ -78,7 +78,7 @@ class Wires:
         """
         from sightline.case.picks import Picks, refuse_unusable, wires_of
         from sightline.errors import UnusableInputError
-        from sightline.planning.procedures.files import current_key
+        from sightline.planning.procedures.procedure import current_key
 
         picks = Picks() if self.picks is None else Picks.read(self.picks)
         typed = {"--entry": self.entry, "--end": self.end}

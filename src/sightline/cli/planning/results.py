@@ -38,7 +38,7 @@ def plan_document(planned: "Plan", images: "Images") -> dict[str, Any]:
 def planned_document(planned: "Plan | WirePlans", images: "Images", frame: "Frame") -> dict[str, Any]:
     """Return the plan of a wire, or of several with their proposed order of drilling, as JSON types."""
     from sightline.case.interop.plan_file import of_wires
-    from sightline.from_images.drilling_order import propose_order
+    from sightline.from_images.pipeline import propose_order
     from sightline.planning import Plan
 
     documents = {key: plan_document(one, images) for key, one in each_of(planned).items()}

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sightline.case.picks import Picks
     from sightline.case.replay import Recomputed
     from sightline.frame import Frame
-    from sightline.planning.check.drill_shot import DrillShot
+    from sightline.planning.check.shot import DrillShot
     from sightline.robot.kinematics.measured import RobotFile
     from sightline.robot.kinematics.target import Registration, RobotTarget
     from sightline.robot.link.client import RobotClient
@@ -172,7 +172,7 @@ def _shot(out: Output, robot: "RobotClient", state: str, shots: "DriveShots | No
     Raises RobotRefusedError.
     """
     from sightline.errors import RobotRefusedError
-    from sightline.planning.check.drill_shot import TURNED_AWAY
+    from sightline.planning.check.shot import TURNED_AWAY
 
     if not measurable:
         out.note(f"{state}: {TURNED_AWAY}")
@@ -200,7 +200,7 @@ class _Step:
 def _steps(robot: "RobotClient", target: "RobotTarget", *, block: bool, put_back: bool) -> list[_Step]:
     """Return each motion. `block`: the robot held one at the images, which a person takes off first; `put_back`: and
     puts back for each shot."""
-    from sightline.planning.check.drill_shot import ALIGNED, PAUSED
+    from sightline.planning.check.shot import ALIGNED, PAUSED
     from sightline.robot import contract
 
     def again() -> None:
@@ -354,7 +354,7 @@ class DriveShots:
         A depth that says GO in PAUSED is sent to the robot. Raises RobotRefusedError for a shot that says STOP.
         """
         from sightline.errors import RobotRefusedError, SightlineError
-        from sightline.planning.check.drill_shot import PAUSED
+        from sightline.planning.check.shot import PAUSED
 
         with_it = "put the block on its mount" if self.on_patient is None else "leave the frame on the patient"
         while True:
@@ -438,7 +438,7 @@ class DriveShots:
         """
         from sightline.case.contents import CheckRequest, DrillShotRequest
         from sightline.errors import UnusableInputError
-        from sightline.planning.check.drill_shot import ALIGNED
+        from sightline.planning.check.shot import ALIGNED
         from sightline.robot.kinematics.manipulator import FEED
 
         stood, straight = self.target.registration, state == ALIGNED

@@ -13,9 +13,8 @@ from sightline.common.geometry.covariance import response
 from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, SightlineError, UnusableInputError
 from sightline.planning.bone.aids import Aids, Circle, Line
-from sightline.planning.bone.axis import Axis, find_axis
 from sightline.planning.bone.directions import caudal
-from sightline.planning.bone.drawings import find_drawing
+from sightline.planning.bone.drawings import Axis, find_axis, find_drawing
 from sightline.planning.bone.head import Sphere, find_head
 from sightline.planning.points.lines_of_sight import Drawn, Sights
 from sightline.planning.points.picks import Pick, PickArrays, stack

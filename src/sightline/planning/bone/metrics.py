@@ -13,7 +13,7 @@ from sightline.common.geometry.covariance import response
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.directions import ANTERIOR, MEDIAL, across, caudal, towards, unit
-from sightline.planning.bone.tube import entry_to_oval, tip_in_tube, wire_in_oval, wire_in_tube
+from sightline.planning.bone.drawings import entry_to_oval, tip_in_tube, wire_in_oval, wire_in_tube
 
 # Beyond this distance from the head's centre, as a share of its radius, a line only grazes the head [ours].
 _MAX_OFFSET = 0.95

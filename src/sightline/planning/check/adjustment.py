@@ -1,18 +1,22 @@
-"""The least-squares adjustment of a check shot, in the CFCS of the planning images, in which the bone is at rest."""
+"""The least-squares adjustment of a check shot, in the CFCS of the planning images, in which the bone is at rest.
+
+A row is one number observed in one view: two for each landmark; one for each point of the wire's centre line, across
+the line; one for its tip, along the line.
+"""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from sightline.calibration.projection import Pencil
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.common.checks import Limits
+from sightline.common.geometry.covariance import joined
 from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import ReconstructionRefusedError
-from sightline.planning.check.expected_wire import GUIDED_MM
 from sightline.planning.check.result import MAX_OUTLIER, MIN_LANDMARKS, CheckShot, checks
-from sightline.planning.check.rows import Rows, along_and_across, joint_covariance
 from sightline.planning.check.start import (
     CURVE,
     STILL,
@@ -25,7 +29,8 @@ from sightline.planning.check.start import (
     terms,
     within_region,
 )
-from sightline.planning.points.line_residuals import refuse_two_frames
+from sightline.planning.check.wires import GUIDED_MM
+from sightline.planning.points.lines_of_sight import LineResiduals, pick_covariance_mm2, refuse_two_frames
 from sightline.planning.points.picks import Pick, stack
 from sightline.planning.points.trajectory import Trajectory
 
@@ -34,6 +39,63 @@ STILL_MM, STILL_RAD = 1.0, float(np.deg2rad(0.5))
 _FREE_MM, _FREE_RAD = 100.0, 1.0
 MIN_REDUNDANCY = 1e-3  # redundancy number below which an observation cannot be tested by the others [ours]
 _OUTSIDE_MM = 15.0  # length of wire outside the entry point that is used: further out it may be bent [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """R rows of one view, mm on its reference plane, for N points.
+
+    `residual` (R,); `to_point` (R, N, 3): derivative of the projections by the points; `covariance` (R, R): without
+    the errors that `lines` share with other views; `shared`: for each source of those the response (R, K), as in
+    `LinesOfSight.shared`.
+    """
+
+    lines: LinesOfSight
+
+    residual: np.ndarray
+    to_point: np.ndarray
+    covariance: np.ndarray
+    shared: dict[str, np.ndarray]
+
+    @staticmethod
+    def of(lines: LinesOfSight, xyz_mm: np.ndarray, noise_px2: np.ndarray, select: np.ndarray) -> "Rows":
+        """Return the rows of points (N, 3), each seen on its line with the pixel covariance `noise_px2` (N, 2, 2).
+
+        `select` (R, 2N): takes the points' residuals to rows.
+        """
+        assert lines.covariance is not None  # noqa: S101 - called only where the errors are known
+        at, n = LineResiduals.at(lines, xyz_mm), len(xyz_mm)
+        picks = np.zeros((n, 2, n, 2))
+        picks[np.arange(n), :, np.arange(n), :] = pick_covariance_mm2(lines, noise_px2)
+        to_line = select @ at.to_line
+        common = {source: response @ response.T for source, response in lines.shared.items()}
+        known = np.sum([own - common.get(source, 0.0) for source, own in lines.covariance.items()], axis=0)
+        own = to_line @ known @ to_line.T + select @ picks.reshape(2 * n, 2 * n) @ select.T
+        to_point = np.einsum("rnc,nca->rna", select.reshape(len(select), n, 2), at.to_point)
+        shared = {source: to_line @ response for source, response in lines.shared.items()}
+        return Rows(lines, select @ at.xy_mm.ravel(), to_point, own, shared)
+
+
+def along_and_across(lines: LinesOfSight, xyz_mm: np.ndarray, tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return unit vectors (N, 2) along and across the image, on the plane, of a curve through points (N, 3) with
+    tangents (N, 3)."""
+    pencil = Pencil.through(lines.plane, lines.focal_point_mm)
+    along = np.einsum("nca,na->nc", pencil.by_point(xyz_mm), tangent)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return along, np.stack([-along[:, 1], along[:, 0]], axis=-1)
+
+
+def joint_covariance(rows: Sequence[Rows]) -> np.ndarray:
+    """Return the covariance (R, R) of the concatenated rows of several views."""
+
+    def between(i: int, j: int) -> np.ndarray:
+        a, b = rows[i], rows[j]
+        out = np.zeros((len(a.residual), len(b.residual)))
+        for source in a.lines.sources_shared_with(b.lines):
+            out += a.shared[source] @ b.shared[source].T
+        return out
+
+    return joined([one.covariance + between(i, i) for i, one in enumerate(rows)], between)
 
 
 class Adjustment:

@@ -13,8 +13,8 @@ from sightline.common.bounded import read_bounded
 from sightline.common.strict import read_strictly
 from sightline.errors import UnusableInputError
 from sightline.planning.nail.result import Nail
-from sightline.planning.procedures.files import ADVICE
-from sightline.planning.procedures.rules import Strict
+from sightline.planning.procedures.document import Strict
+from sightline.planning.procedures.procedure import ADVICE
 
 NAILS_FOLDER = "SIGHTLINE_NAILS"  # environment variable: the folder of the user's files
 _MAX_BYTES, _MAX_FILES = 2**14, 200  # [ours] forty times a shipped file

@@ -11,7 +11,7 @@ import numpy as np
 from sightline.calibration.view import SOURCES, LinesOfSight
 from sightline.common.geometry.lines import NearestApproach, cross, nearest_approach
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
-from sightline.planning.points.line_residuals import (
+from sightline.planning.points.lines_of_sight import (
     LineResiduals,
     covariance_of_residuals,
     joint_covariance,

@@ -1,6 +1,5 @@
 """Procedures as files: their schema, the shipped ones, and a user's own (docs/procedures.md)."""
 
-from sightline.planning.procedures.files import PROCEDURES, kind, procedures
-from sightline.planning.procedures.procedure import PlanInput, Procedure
+from sightline.planning.procedures.procedure import PROCEDURES, PlanInput, Procedure, kind, procedures
 
 __all__ = ["PROCEDURES", "PlanInput", "Procedure", "kind", "procedures"]

@@ -1,17 +1,42 @@
-"""A procedure: what its file says, for one of its wires."""
+"""A procedure: what its file says, for one of its wires. Files are shipped, in the user's folder, or at any path."""
 
 import json
+import os
+import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, lru_cache
 from hashlib import sha256
+from importlib.resources import files
+from importlib.resources.abc import Traversable
 from math import radians
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from pydantic import ValidationError
+
+from sightline.common.bounded import read_bounded
 from sightline.common.checks import Limits
+from sightline.common.strict import explain, read_strictly
 from sightline.errors import UnusableInputError
-from sightline.planning.procedures.document import AidAsked, ProcedureDocument, WireAsked
-from sightline.planning.procedures.proposal_rules import ProposalRule
-from sightline.planning.procedures.rules import CheckRule
+from sightline.planning.procedures.document import AidAsked, CheckRule, ProcedureDocument, WireAsked
+from sightline.planning.procedures.proposal import ProposalRule
+
+FOLDER = "SIGHTLINE_PROCEDURES"  # environment variable: the folder of the user's files
+MAX_BYTES = 2**18  # [ours] fifty times the largest shipped file
+MAX_FILES = 200  # [ours] of the user's folder
+_RENAMED = {"interlocking": "distal-interlocking"}  # keys of earlier versions
+# Files that had one wire in earlier versions: the wire that a plan by the file's key alone is of.
+_ONLY_WIRE = {"distal-interlocking": "distal-interlocking:distal"}
+ADVICE = {
+    "extra_forbidden": "is not a key of a procedure's file; correct its spelling or remove it",
+    "missing": "is missing; add it",
+    "finite_number": "is not a finite number; write a number",
+    "float_type": "is not a number; write it without quotes",
+    "string_type": "is not a text; write it in quotes",
+    "string_pattern_mismatch": "must be lower-case letters, digits and hyphens, at most 40, a letter first",
+}
 
 
 def fingerprint(document: ProcedureDocument) -> str:
@@ -159,3 +184,160 @@ class Procedure:
     def with_limits(self, limits: Limits | None) -> "Procedure":
         """Return the procedure judged by other limits, or unchanged for None."""
         return self if limits is None else replace(self, limits=limits)
+
+
+@cache
+def shipped() -> MappingProxyType[str, ProcedureDocument]:
+    """Return the shipped files by key, the hip screw first."""
+    texts = sorted((one.name, one.read_bytes()) for one in _shipped_folder().iterdir() if one.name.endswith(".json"))
+    made = {name.removesuffix(".json"): document_from_json(text) for name, text in texts}
+    return MappingProxyType({"hip-screw": made["hip-screw"], **made})
+
+
+def read_document(path: Path) -> ProcedureDocument:
+    """Return the content of a procedure's file. Raises UnusableInputError, also for another one's shipped key."""
+    try:
+        document = document_from_json(read_bounded(path, MAX_BYTES, UnusableInputError, "give a procedure's file"))
+    except UnusableInputError as error:
+        raise UnusableInputError(f"{path.name}: {error}") from None
+    if shipped().get(document.key, document) != document:
+        raise UnusableInputError(f"{path.name}: the key {document.key!r} is that of a shipped procedure; give another")
+    return document
+
+
+def document_from_json(text: bytes | str) -> ProcedureDocument:
+    """Return the content in the text of a procedure's file. Raises UnusableInputError."""
+    return read_strictly(text, ProcedureDocument, UnusableInputError, ADVICE)
+
+
+def own_files() -> dict[str, Path]:
+    """Return the files in the user's folder by key, without those whose key is shipped. Raises UnusableInputError."""
+    folder = _folder()
+    found = [] if folder is None else sorted(folder.glob("*.json"))
+    if len(found) > MAX_FILES:
+        raise UnusableInputError(f"{FOLDER} holds {len(found)} files; keep at most {MAX_FILES} there")
+    return {path.stem: path for path in found if path.stem not in shipped()}
+
+
+def own_file(key: str) -> ProcedureDocument:
+    """Return the content of a file in the user's folder. Raises UnusableInputError."""
+    path = own_files()[key]
+    document = read_document(path)
+    if document.key != key:
+        raise UnusableInputError(f"{path.name}: its key is {document.key!r}; name the file {document.key}.json")
+    return document
+
+
+def document_of(name: str) -> ProcedureDocument:
+    """Return the content of the file of a key or path, as `kind` takes them. Raises UnusableInputError."""
+    name = _RENAMED.get(name, name)
+    return shipped()[name] if name in shipped() else _own(name)
+
+
+def copy_text(name: str, key: str) -> bytes:
+    """Return the text of a procedure's file with another key, in its own layout. Raises UnusableInputError."""
+    old = document_of(name)
+    text = _shipped_folder() / f"{old.key}.json" if old.key in shipped() else own_files().get(name, Path(name))
+    out = re.sub(rb'("key"\s*:\s*)"%b"' % old.key.encode(), rb'\1"%b"' % key.encode(), text.read_bytes(), count=1)
+    if key in shipped() or document_from_json(out).key != key:
+        raise UnusableInputError(f"{key!r} is the key of a shipped procedure; name the file otherwise")
+    return out
+
+
+def _own(name: str) -> ProcedureDocument:
+    """Return the content of the file of a key in the user's folder, or of a path. Raises UnusableInputError."""
+    return own_file(name) if name in own_files() else read_document(_path(name))
+
+
+def _shipped_folder() -> Traversable:
+    return files("sightline.planning.procedures") / "shipped"
+
+
+def _folder() -> Path | None:
+    named = os.environ.get(FOLDER)
+    if not named:
+        return None
+    if not Path(named).is_dir():
+        raise UnusableInputError(f"{FOLDER} is {named!r}, which is not a folder; correct it, or unset it")
+    return Path(named)
+
+
+def _path(name: str) -> Path:
+    """Return the file of a key in the user's folder, or of a path. Raises UnusableInputError."""
+    own = own_files()
+    path = own.get(name, Path(name))
+    if not path.is_file():
+        known = ", ".join([*shipped(), *own])
+        raise UnusableInputError(f"unknown procedure {name!r}; choose one of {known}, or give a procedure's file")
+    return path
+
+
+def kind(name: str) -> Procedure:
+    """Return the procedure of this key or file: "hip-screw", "mine.json", or of several wires "KEY:WIRE".
+
+    A shipped key takes precedence over a file of that name, and a key in the user's folder over another path.
+    Raises UnusableInputError.
+
+    >>> sl.planning.kind("free-wire").name
+    'free wire'
+    """
+    name = current_key(name)
+    if name in PROCEDURES:
+        return PROCEDURES[name]
+    file, _, wire = name.rpartition(":") if ":" in name and not Path(name).is_file() else (name, "", "")
+    if file in shipped():
+        return Procedure.of(shipped()[file], wire)
+    path = _path(file)
+    at = path.stat()
+    return _read(file, path.resolve(), wire, at.st_mtime_ns, at.st_size)
+
+
+def current_key(name: str) -> str:
+    """Return the key of a procedure's wire that earlier versions named otherwise; any other name unchanged."""
+    name = _RENAMED.get(name, name)
+    return _ONLY_WIRE.get(name, name)
+
+
+@lru_cache(maxsize=MAX_FILES)
+def _read(name: str, _path: Path, wire: str, _changed_ns: int, _bytes: int) -> Procedure:
+    """Return the procedure of a file, read again whenever it changed."""
+    return Procedure.of(_own(name), wire)
+
+
+def kept(key: str, content: dict[str, Any] | None) -> Procedure:
+    """Return the procedure that a case or a saved plan keeps: its key, and the content of a file that is not shipped.
+
+    Raises UnusableInputError.
+    """
+    if content is None:
+        return kind(key)
+    try:
+        document = ProcedureDocument.model_validate_json(json.dumps(content))
+    except ValidationError as error:
+        raise UnusableInputError(f"the procedure {key} cannot be read: {explain(error, ADVICE)}") from None
+    return Procedure.of(document, ProcedureKey.of(key).wire)
+
+
+def keeping(procedure: Procedure) -> dict[str, Any] | None:
+    """Return what `kept` needs besides the key: the file's content, or None for a shipped one."""
+    return None if shipped().get(procedure.document.key) == procedure.document else procedure.written()
+
+
+def each_wire(document: ProcedureDocument) -> list[Procedure]:
+    """Return a procedure for each wire of a file."""
+    return [Procedure.of(document, wire.key) for wire in document.wires]
+
+
+def procedures() -> dict[str, Procedure]:
+    """Return all shipped procedures and the readable ones of the user's folder by key, one for each wire.
+
+    Raises UnusableInputError where the folder cannot be read.
+    """
+    own: list[ProcedureDocument] = []
+    for key in own_files():
+        with suppress(UnusableInputError):  # `sightline procedure list` says why
+            own.append(own_file(key))
+    return PROCEDURES | {one.key: one for document in own for one in each_wire(document)}
+
+
+PROCEDURES = {one.key: one for document in shipped().values() for one in each_wire(document)}

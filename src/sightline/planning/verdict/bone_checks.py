@@ -12,7 +12,7 @@ from sightline.planning.bone.anatomy import NOT_PLACED, Anatomy
 from sightline.planning.bone.directions import ANTERIOR, MEDIAL, caudal, lies
 from sightline.planning.bone.metrics import Metric, metric, metric_of_wires, tip_depth
 from sightline.planning.points.results import Verdict
-from sightline.planning.procedures.rules import CHECKS, HEAD_CENTRE, LESSER, CheckRule
+from sightline.planning.procedures.document import CHECKS, HEAD_CENTRE, LESSER, CheckRule
 
 _LATERAL = -MEDIAL
 # Range and step of the trial shifts of a point along a line of sight [ours].

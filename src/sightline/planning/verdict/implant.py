@@ -9,7 +9,7 @@ from sightline.common.kernels import kernel
 from sightline.errors import OutsideRegionError
 from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.metrics import metric
-from sightline.planning.points.corridor import Corridor
+from sightline.planning.points.curve import Corridor
 from sightline.planning.procedures.document import Catalogue, ProcedureDocument
 
 

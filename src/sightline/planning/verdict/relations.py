@@ -12,8 +12,8 @@ import numpy as np
 from sightline.common.checks import Check
 from sightline.common.geometry.covariance import joined, length_quantile, response
 from sightline.errors import RobotRefusedError
-from sightline.planning.bone.axis import Axis
 from sightline.planning.bone.directions import ANTERIOR, across, caudal, lies, unit
+from sightline.planning.bone.drawings import Axis
 from sightline.planning.points.results import SpacePoints, Verdict, error_unknown
 from sightline.planning.procedures.document import Relation
 

@@ -15,7 +15,7 @@ from sightline.errors import SetUpError
 from sightline.planning import Anatomy, Plan
 from sightline.planning.bone.directions import across, unit
 from sightline.planning.bone.metrics import metric
-from sightline.planning.procedures.rules import CHECKS, CheckRule
+from sightline.planning.procedures.document import CHECKS, CheckRule
 from sightline.planning.verdict.bone_checks import MEASURES, measures
 from sightline.planning.verdict.view_directions import Located
 from sightline.twin.anatomy.bone_model import BoneModel

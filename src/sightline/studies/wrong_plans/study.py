@@ -21,7 +21,7 @@ from sightline.frame import Frame
 from sightline.planning import Plan, Procedure, kind
 from sightline.planning.bone.directions import anatomical, unit
 from sightline.planning.procedures.procedure import ProcedureKey
-from sightline.planning.verdict.patient_axes import frame_axes
+from sightline.planning.verdict.view_directions import frame_axes
 from sightline.rehearsal.patient import RehearsedPatient, draw_patient
 from sightline.studies.plots import Span, spans
 from sightline.studies.runs.study import Estimate, Plot, Summary, Table, Values, share
