@@ -13,8 +13,9 @@ from sightline.common.checks import Limits, failed
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
+from sightline.planning.check.adjustment import on_patient
 from sightline.planning.check.shot import ALIGNED, PAUSED, DrillShot, Landmarks, drill_shot
-from sightline.planning.check.start import Beforehand, on_patient
+from sightline.planning.check.wires import Beforehand
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.objects.things import BoneMotion, draw_motion

@@ -15,7 +15,7 @@ from sightline.case.contents import CheckRequest
 from sightline.case.interop import robot_files
 from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.planning import Plan, kind, plan
-from sightline.planning.check.start import Landmarks
+from sightline.planning.check.wires import Landmarks
 from sightline.planning.procedures.procedure import copy_text
 from sightline.rehearsal.operation import target_of
 from sightline.robot import contract

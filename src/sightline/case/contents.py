@@ -29,9 +29,9 @@ from sightline.planning import (
     plan,
     plan_wires,
 )
+from sightline.planning.check.adjustment import on_patient
 from sightline.planning.check.result import CheckShot
-from sightline.planning.check.start import Beforehand, Landmarks, on_patient, picked_wire
-from sightline.planning.check.wires import PlacedWire
+from sightline.planning.check.wires import Beforehand, Landmarks, PlacedWire, picked_wire
 from sightline.planning.points.picks import PickArrays
 from sightline.planning.points.solution import Method
 from sightline.planning.procedures.procedure import kept

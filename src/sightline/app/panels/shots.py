@@ -18,8 +18,8 @@ from sightline.app.texts import image_label
 from sightline.case.watch.alarm import BLIND_TO
 from sightline.common.checks import failed
 from sightline.common.geometry.covariance import TWO_SIDED_95
+from sightline.planning.check.result import MIN_LANDMARKS
 from sightline.planning.check.shot import ALIGNED, PAUSED, TURNED_AWAY, DrillShot
-from sightline.planning.check.start import MIN_LANDMARKS
 
 if TYPE_CHECKING:
     from sightline.case.watch.analyser import Watched

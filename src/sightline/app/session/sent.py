@@ -16,7 +16,7 @@ from sightline.case.journal import Case, Entry, Kind
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.errors import UnusableInputError
 from sightline.planning import Plan
-from sightline.planning.check.start import Landmarks
+from sightline.planning.check.wires import Landmarks
 from sightline.planning.procedures import kind as kind_of
 from sightline.robot.link.record import DrillingRecord
 from sightline.robot.link.simulated import SimulatedWire

@@ -19,8 +19,9 @@ from sightline.case.views import ALL_NAMES
 from sightline.common.checks import failed
 from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import RefusedError, RobotRefusedError, SetUpError, SightlineError
+from sightline.planning.check.result import MIN_LANDMARKS
 from sightline.planning.check.shot import ALIGNED, PAUSED, DrillShot
-from sightline.planning.check.start import MIN_LANDMARKS, Landmarks
+from sightline.planning.check.wires import Landmarks
 from sightline.robot.kinematics.manipulator import FEED
 
 STOP = "STOP"

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from sightline.cli.demos.robot import DemoPlan
     from sightline.cli.output import Output
     from sightline.planning.check.shot import DrillShot
-    from sightline.planning.check.start import Landmarks
+    from sightline.planning.check.wires import Landmarks
     from sightline.rehearsal.patient import CheckImages, RehearsedPatient
     from sightline.rehearsal.rehearsal import Rehearsal
     from sightline.robot.control.states import State
@@ -57,7 +57,7 @@ def confirming(
 
 def found_again(planned: "DemoPlan[RehearsedPatient]", taken: "CheckImages", rng: "np.random.Generator") -> "Landmarks":
     """Return the plan's landmarks, picked by a person in two more images."""
-    from sightline.planning.check.start import Landmarks
+    from sightline.planning.check.wires import Landmarks
 
     before = planned.asked
     found = taken.landmarks_px(tuple(planned.rehearsal.landmarks), before.pick_sd_px, rng)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sightline.case.journal import Entry
     from sightline.case.picks import Picks
     from sightline.planning.check.result import CheckShot
-    from sightline.planning.check.start import Landmarks
+    from sightline.planning.check.wires import Landmarks
 
 
 @command(
@@ -126,7 +126,7 @@ def landmarks_of(picks: "Picks", names: list[str], planned: Any) -> "Landmarks":
     from sightline.case.picks import CHECK_NAMES
     from sightline.case.views import NAMES
     from sightline.errors import UnusableInputError
-    from sightline.planning.check.start import Landmarks
+    from sightline.planning.check.wires import Landmarks
 
     before = np.array([[], []] if planned is None else planned[:2], dtype=np.float64).reshape(2, -1, 2)
     known = {name: before[:, k] for k, name in enumerate(names) if name and np.isfinite(before[:, k]).all()}

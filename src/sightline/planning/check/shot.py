@@ -23,7 +23,7 @@ from sightline.common.threads import one_blas_thread
 from sightline.errors import UnusableInputError
 from sightline.planning.check.adjustment import Adjustment
 from sightline.planning.check.result import CheckShot, check_shot_error
-from sightline.planning.check.start import STILL, Beforehand, KnownWire, Landmarks, WireSeen
+from sightline.planning.check.wires import STILL, Beforehand, KnownWire, Landmarks, WireSeen
 from sightline.planning.points.picks import Pick
 from sightline.planning.points.results import Verdict
 from sightline.planning.points.trajectory import Trajectory

@@ -1,20 +1,20 @@
-"""Wires in images: the planned wire as a check image should show it, and wires in the bone already, in space."""
+"""Wires in images: planned ones as a check image should show them, those found, and those in the bone, in space."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import permutations
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.bead_view import bead_shadows_px
 from sightline.calibration.view import CalibratedView
-from sightline.errors import OutsideRegionError, ReconstructionRefusedError
+from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
 from sightline.planning.bone.directions import unit
 from sightline.planning.bone.drawings import Axis
-from sightline.planning.check.start import WireSeen
 from sightline.planning.nail.result import Hole
-from sightline.planning.points.picks import PickArrays
+from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, PickArrays
 from sightline.planning.points.reconstruct import reconstruct
 from sightline.planning.points.results import error_unknown
 
@@ -26,6 +26,98 @@ _NAIL_MM = 30.0  # of a nail to either side of its hole [ours]
 _BESIDE_NAIL_MM = 2.0  # the bone may move so far between plan and check [ours]
 _CURVE = 3  # degree of a wire's line in an image, as in the check shot
 _CHOSEN_PX = 0.01  # s.d. along the line of the entry, which is chosen in the first image and not measured
+
+
+class WireSeen(Protocol):
+    """A wire found in one image, px; a point of the centre line measures nothing along the tangent."""
+
+    @property
+    def uv_px(self) -> np.ndarray:
+        """(N, 2) points of the centre line."""
+        ...
+
+    @property
+    def variance_px2(self) -> np.ndarray:
+        """(N,) variance of each point across the line."""
+        ...
+
+    @property
+    def tip_uv_px(self) -> np.ndarray:
+        """(2,) the tip."""
+        ...
+
+    @property
+    def tip_variance_px2(self) -> float:
+        """Variance of the tip along the line."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Points of the bone picked in the planning images and found again in the check images, (2, N, 2) px each, N >= 0.
+
+    `sd_px`: standard deviation of a pick, per axis. Raises UnusableInputError.
+
+    >>> planned, found = np.zeros((2, 3, 2)), np.ones((2, 3, 2))  # three points, clicked in both pairs of images
+    >>> landmarks = sl.Landmarks(planned, found)
+    """
+
+    planned_uv_px: np.ndarray = field(default_factory=lambda: np.zeros((2, 0, 2)))
+    checked_uv_px: np.ndarray = field(default_factory=lambda: np.zeros((2, 0, 2)))
+    sd_px: float = DEFAULT_PICK_SD_PX
+
+    def __post_init__(self) -> None:
+        planned, checked = (np.asarray(uv, dtype=np.float64) for uv in (self.planned_uv_px, self.checked_uv_px))
+        if planned.shape != checked.shape or planned.ndim != 3 or planned.shape[::2] != (2, 2):
+            raise UnusableInputError(
+                f"landmarks have the shapes {planned.shape} and {checked.shape}; give (2, N, 2) for both: the same "
+                "points in both pairs of images"
+            )
+        if not (
+            np.isfinite(planned).all() and np.isfinite(checked).all() and np.isfinite(self.sd_px) and self.sd_px > 0
+        ):
+            raise UnusableInputError(
+                f"give landmarks as finite pixels, and a positive standard deviation; got {self.sd_px} px"
+            )
+
+    def __len__(self) -> int:
+        return np.shape(self.planned_uv_px)[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Beforehand:
+    """What is known of the wire's images before they are measured.
+
+    `movement`: of a bone at rest, from planning CFCS to that of the images; `covariance` (6, 6) of its rotation (rad,
+    about the middle of the plan) and shift (mm, there), axes of the latter CFCS. `straight`: the wire is in its guide,
+    outside the bone. `before_mm`: how far before the entry bone may begin, so that more of the wire outside it counts.
+    `by_landmarks`: the images' frame is fixed to the patient, so that landmarks alone tell `movement`; the plan's frame
+    may be another one.
+    """
+
+    movement: RigidTransform = field(default_factory=RigidTransform.identity)
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
+    straight: bool = False
+    before_mm: float = 0.0
+    by_landmarks: bool = False
+
+
+STILL = Beforehand()
+
+
+@dataclass(frozen=True, eq=False)
+class KnownWire:
+    """A `WireSeen` restricted to the region in which its view is calibrated."""
+
+    uv_px: np.ndarray
+    variance_px2: np.ndarray
+    tip_uv_px: np.ndarray
+    tip_variance_px2: float
+
+
+def picked_wire(uv_px: np.ndarray, sd_px: float) -> KnownWire:
+    """Return the wire through points (M, 2) picked on its centre line, the tip last, each with the error `sd_px`."""
+    return KnownWire(uv_px[:-1], np.full(len(uv_px) - 1, sd_px**2), uv_px[-1], sd_px**2)
 
 
 @dataclass(frozen=True, eq=False)
