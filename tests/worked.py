@@ -12,7 +12,7 @@ from sightline.cli.demos.demo import SEED
 from sightline.imaging import write_dicom
 from sightline.rehearsal.patient import CheckImages
 from sightline.rehearsal.rehearsal import Rehearsal
-from sightline.robot.link.simulated import SimulatedWire
+from sightline.robot.link.record import SimulatedWire
 
 VIEWS = ("pa", "lateral")
 

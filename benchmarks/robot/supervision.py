@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from sightline.robot.control.motion.supervision import EventKind, Supervision
+from sightline.robot.control.supervision import EventKind, Supervision
 from sightline.robot.plant import CYCLE_S
 from sightline.twin.anatomy.femur import draw_femur, voxelise
 from sightline.twin.robot.drilling import AXIAL_N_PER_MM, CORTICAL_G_CM3, Bone, Wire, sensed

@@ -22,7 +22,7 @@ from sightline.frame import Frame
 from sightline.rehearsal.patient import NAILED
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.control.states import State
-from sightline.robot.link.simulated import SimulatedWire
+from sightline.robot.link.record import SimulatedWire
 
 KEYS = ("distal", "proximal")
 ARROW_PX = 250.0  # ten times 5 mm at 5 pixels to the millimetre; a drill is planned 15 mm past its far hole

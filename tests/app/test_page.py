@@ -35,7 +35,7 @@ from sightline.case.views import NAMES
 from sightline.planning.procedures.procedure import shipped
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.target import LIFETIME_S
-from sightline.robot.link.simulated import SimulatedWire
+from sightline.robot.link.record import SimulatedWire
 from sightline.twin.anatomy.femur import to_cfcs
 
 SEEN_PX = 1.2  # a click is a whole pixel of the screen, the image drawn at 0.45: half of one over that

@@ -11,7 +11,7 @@ from sightline.from_images.pipeline import label_beads
 from sightline.planning import plan
 from sightline.planning.check.shot import Landmarks
 from sightline.rehearsal.rehearsal import VIEWS, Rehearsal
-from sightline.robot.link.simulated import SimulatedWire
+from sightline.robot.link.record import SimulatedWire
 
 SEED = 9  # in its lateral image the femur's outline crosses the wire and pulls a piece of it aside by half a pixel
 

@@ -8,7 +8,7 @@ from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.rehearsal.patient import PARTS, VIEWS
 from sightline.rehearsal.rehearsal import Rehearsal
-from sightline.robot.link.simulated import SimulatedWire
+from sightline.robot.link.record import SimulatedWire
 from sightline.twin import render
 
 SEED = 9

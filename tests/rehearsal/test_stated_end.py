@@ -11,9 +11,16 @@ from sightline.common.checks import Limits
 from sightline.errors import RobotRefusedError
 from sightline.frame import Frame
 from sightline.rehearsal.operation import SimulatedTheatre, calibrated_robot, confirmed_setup, drawn_robot, registered
-from sightline.robot.kinematics.depth import CONTACT_LEAD_MM, CONTACT_SD_MM, CONTACT_SHIFT_SD_MM, DepthZero
 from sightline.robot.kinematics.manipulator import FEED, imaging_yaw
-from sightline.robot.kinematics.target import SKIVING_RAD, RobotTarget, robot_target
+from sightline.robot.kinematics.target import (
+    CONTACT_LEAD_MM,
+    CONTACT_SD_MM,
+    CONTACT_SHIFT_SD_MM,
+    SKIVING_RAD,
+    DepthZero,
+    RobotTarget,
+    robot_target,
+)
 from sightline.twin import shown_hip_scene
 
 WIRE_MM = np.array([[34.7, 31.2, -4.3], [-25.4, -31.8, 6.9]])

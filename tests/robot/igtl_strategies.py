@@ -26,7 +26,7 @@ from sightline.robot.igtl import (
     Trajectories,
     Transform,
 )
-from sightline.robot.igtl.messages_query import QUERIED, STREAMED
+from sightline.robot.igtl.messages_text import QUERIED, STREAMED
 
 WORDS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=30)
 FLOATS = st.floats(width=32, allow_nan=True, allow_infinity=True)

@@ -17,8 +17,8 @@ from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.igtl import Message, String
 from sightline.robot.link.client import RobotClient
+from sightline.robot.link.exchange import AXIS_LIMIT_RAD, TIP_LIMIT_MM, WireDeviation, refuse_other_pose
 from sightline.robot.link.shared_connection import Mailbox
-from sightline.robot.link.wire_deviation import AXIS_LIMIT_RAD, TIP_LIMIT_MM, WireDeviation, refuse_other_pose
 
 T_MCS_CFCS = RigidTransform.from_components([400.0, 20.0, 290.0], Rotation.from_rotvec([0.0, 0.0, np.pi]))
 TARGET = T_MCS_CFCS.inv() * RigidTransform.from_matrix(HOME) * RigidTransform.from_translation([3.0, -2.0, 120.0])

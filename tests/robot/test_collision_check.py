@@ -9,7 +9,7 @@ from tests.robot.rig import CLIENT, T_MCS_CFCS, Rig, code, metadata, served, wir
 
 from sightline.errors import RobotRefusedError
 from sightline.robot.contract import Code
-from sightline.robot.control.collision_check import MAX_CHECK_S
+from sightline.robot.control.controller import MAX_CHECK_S
 from sightline.robot.control.insertion import Insertion
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Message, Status, String, Transform

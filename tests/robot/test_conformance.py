@@ -10,7 +10,7 @@ from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.conformance.examination import QUESTIONS, ConformanceVerdict, Examination
-from sightline.robot.link.conformance.motions import MOTIONS
+from sightline.robot.link.conformance.poses import MOTIONS
 from sightline.robot.transport import BlockingClient
 
 

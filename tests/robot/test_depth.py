@@ -10,7 +10,8 @@ from sightline.errors import RobotRefusedError
 from sightline.robot.contract import DEPTH, DEPTH_SD
 from sightline.robot.control.states import State
 from sightline.robot.igtl import MILLIMETRE, NEWTON, Capability, Message, Sensor, Status, String, Transform
-from sightline.robot.kinematics.depth import (
+from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.kinematics.target import (
     CONTACT_LEAD_MM,
     CONTACT_SD_MM,
     MAX_ZERO_SHIFT_MM,
@@ -18,7 +19,6 @@ from sightline.robot.kinematics.depth import (
     DepthZero,
     contact_range,
 )
-from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.link.record import Recorder
 from sightline.robot.link.server import VIRTUAL_TELEMETRY_S
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import UnusableInputError
-from sightline.robot.control.motion.course import Move
+from sightline.robot.control.course import Move
 
 SPEED, ACCELERATION = np.array([20.0, 20.0, 0.17, 0.17, 20.0]), np.array([400.0, 400.0, 3.5, 3.5, 400.0])
 

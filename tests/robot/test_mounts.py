@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.kinematics.mounts import hand_eye, measured_axis, measured_mount
+from sightline.robot.kinematics.calibrated import hand_eye, measured_axis, measured_mount
 
 TRUE = RigidTransform.from_exp_coords([0.4, -1.1, 0.7, 83.0, -41.5, 120.25])
 SD = 0.05

@@ -7,7 +7,7 @@ import pytest
 
 from sightline.robot.igtl import MAX_BODY_BYTES
 from sightline.robot.igtl.messages import READERS
-from sightline.robot.transport import server
+from sightline.robot.transport import connection as server
 
 PAGE = (Path(__file__).parents[2] / "docs" / "openigtlink.md").read_text()
 EXAMPLES = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)

@@ -5,7 +5,8 @@ import asyncio
 from tests.robot.test_transport import PATIENCE_S, Witness, echo, serve
 
 from sightline.robot.igtl import Event, Message, String
-from sightline.robot.transport import BlockingClient, server
+from sightline.robot.transport import BlockingClient
+from sightline.robot.transport import connection as server
 
 STOP, TALK = Message(String("STOP"), "CMD_1"), Message(String("HELLO"), "TALK")
 

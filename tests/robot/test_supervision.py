@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.control.motion.supervision import (
+from sightline.robot.control.supervision import (
     MAX_GAP_S,
     EventKind,
     ForceFilter,

@@ -12,7 +12,7 @@ import pytest
 
 from sightline.errors import LinkError, MessageError
 from sightline.robot.igtl import Event, Image, Message, Rejected, Status, String, Transform, encode
-from sightline.robot.transport import BlockingClient, Client, Connection, Server, connection, server
+from sightline.robot.transport import BlockingClient, Client, Connection, Server, connection
 from sightline.robot.transport import serve as serve_at
 from sightline.robot.transport.connection import Outbox
 
@@ -120,23 +120,25 @@ def test_clients_are_told_apart_and_one_too_many_is_turned_away() -> None:
     async def main() -> None:
         there = Witness(lambda peer, event: peer.send(Message(String(peer.peer), "YOU")))
         async with await serve(there) as listening:
-            clients = [await asyncio.to_thread(BlockingClient, port=listening.port) for _ in range(server.MAX_CLIENTS)]
-            await there.until("opened", server.MAX_CLIENTS)
+            clients = [
+                await asyncio.to_thread(BlockingClient, port=listening.port) for _ in range(connection.MAX_CLIENTS)
+            ]
+            await there.until("opened", connection.MAX_CLIENTS)
             answers = set()
             for client in clients:
                 client.send(Message(String("who am I?")))
                 event = await asyncio.to_thread(client.receive, PATIENCE_S)
                 assert isinstance(event, Message)
                 answers.add(event.body)
-            assert len(answers) == server.MAX_CLIENTS == len(listening.connections)
+            assert len(answers) == connection.MAX_CLIENTS == len(listening.connections)
             one_more = await asyncio.to_thread(BlockingClient, port=listening.port)
             with pytest.raises(LinkError, match="closed by the peer"):
                 await asyncio.to_thread(one_more.receive, PATIENCE_S)
             assert listening.refused == 1
-            assert len(there.all("opened")) == server.MAX_CLIENTS
+            assert len(there.all("opened")) == connection.MAX_CLIENTS
             clients[0].close()
             await there.until("lost")
-            assert len(listening.connections) == server.MAX_CLIENTS - 1
+            assert len(listening.connections) == connection.MAX_CLIENTS - 1
             for client in clients:
                 client.close()
 

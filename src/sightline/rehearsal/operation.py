@@ -31,9 +31,8 @@ from sightline.robot.kinematics.target import (
 )
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.outgoing import SIGHTLINE, Dialect
-from sightline.robot.link.record import DrillingRecord, Recorder
+from sightline.robot.link.record import DrillingRecord, Recorder, SimulatedWire
 from sightline.robot.link.server import RobotServer, Simulation
-from sightline.robot.link.simulated import SimulatedWire
 from sightline.robot.transport import LOOPBACK
 from sightline.twin import BoneScene, HipScene
 from sightline.twin.objects.implants import WIRE_DIAMETER_MM

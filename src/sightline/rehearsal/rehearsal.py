@@ -34,7 +34,7 @@ from sightline.rehearsal.patient import (
 )
 from sightline.robot.kinematics.calibrated import REMOUNT_SD, CalibratedRobot
 from sightline.robot.kinematics.manipulator import Manipulator, imaging_yaw
-from sightline.robot.link.simulated import SimulatedWire
+from sightline.robot.link.record import SimulatedWire
 from sightline.twin import HipScene, Scene, render, shown_hip_scene
 from sightline.twin.anatomy.femur import draw_femur
 from sightline.twin.objects.implants import WIRE_DIAMETER_MM, guide_wire

@@ -164,8 +164,8 @@ def _state(tab: Tab) -> None:
 def _depth(tab: Tab) -> Markup:
     """Return the depth as HTML: its value, and a bar with cortex, pause, planned tip and limit."""
     # Imported here so that the first page does not wait for it.
-    from sightline.robot.control.motion.supervision import EventKind
-    from sightline.robot.kinematics.depth import pause_depth
+    from sightline.robot.control.supervision import EventKind
+    from sightline.robot.kinematics.target import pause_depth
 
     session, now = tab.session.drilling.session, tab.session.drilling.now
     if session is None or now is None or session.target is None or session.depth_limit_mm is None:
@@ -271,7 +271,7 @@ def build_next(tab: Tab) -> None:
 
 def _left_mm(session: "RobotSession | None") -> float:
     """Return the length that is drilled after the pause, mm; 0 without a plan in the robot."""
-    from sightline.robot.kinematics.depth import pause_depth
+    from sightline.robot.kinematics.target import pause_depth
 
     target = None if session is None else session.target
     return 0.0 if target is None else target.depth_mm - pause_depth(target.depth_mm, target.limits)

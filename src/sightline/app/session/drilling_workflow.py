@@ -22,8 +22,8 @@ from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.planning.bone.metrics import Metric
 from sightline.planning.procedures import kind as kind_of
 from sightline.robot.control.insertion import DEPTH_SLACK_MM
-from sightline.robot.control.motion.supervision import depth_limit
 from sightline.robot.control.states import State
+from sightline.robot.control.supervision import depth_limit
 from sightline.robot.kinematics.target import PlanIdentity, RobotTarget
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from sightline.planning.procedures import kind as kind_of
 
 if TYPE_CHECKING:
     from sightline.rehearsal.rehearsal import Rehearsal
-    from sightline.robot.link.simulated import SimulatedWire
+    from sightline.robot.link.record import SimulatedWire
 
 
 HIP, NAIL = "hip", "nail"  # what a patient has who is of a procedure at the hip; what a procedure through holes needs
@@ -94,7 +94,7 @@ def _in_bone(
     patient: Patient, wires: Mapping[str, str]
 ) -> "tuple[Rehearsal, SimulatedWire, str, dict[str, np.ndarray]]":
     """Return the rehearsal of the procedure, the newest wire and its key, and the axes (2, 3) of the others by key."""
-    from sightline.robot.link.simulated import SimulatedWire
+    from sightline.robot.link.record import SimulatedWire
 
     *before, (kind, newest) = [(kind_of(kind), SimulatedWire.of(text)) for kind, text in wires.items()]
     rehearsal = replace(rehearsal_of(patient), procedure=kind.document.key)

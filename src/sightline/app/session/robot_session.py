@@ -25,8 +25,7 @@ from sightline.robot.igtl import Message, NDArray, Sensor
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.target import PlanIdentity, PoseAtImage, RobotTarget, register
 from sightline.robot.link.client import RobotClient
-from sightline.robot.link.record import DrillingRecord, Recorder
-from sightline.robot.link.simulated import SimulatedWire
+from sightline.robot.link.record import DrillingRecord, Recorder, SimulatedWire
 
 T = TypeVar("T")
 _STATUS_EVERY_S = 0.25  # [ours]

@@ -18,8 +18,7 @@ from sightline.errors import UnusableInputError
 from sightline.planning import Plan
 from sightline.planning.check.wires import Landmarks
 from sightline.planning.procedures import kind as kind_of
-from sightline.robot.link.record import DrillingRecord
-from sightline.robot.link.simulated import SimulatedWire
+from sightline.robot.link.record import DrillingRecord, SimulatedWire
 
 
 class ZeroSource(StrEnum):

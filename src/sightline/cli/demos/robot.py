@@ -322,7 +322,7 @@ def depth_limit_mm(planned: "DemoPlan[Rehearsal]", target: "RobotTarget", rng: "
 
     from sightline.common.geometry.covariance import TWO_SIDED_95
     from sightline.robot.control.insertion import DEPTH_SLACK_MM
-    from sightline.robot.control.motion.supervision import depth_limit
+    from sightline.robot.control.supervision import depth_limit
 
     if planned.asked.nail is not None:
         return target.depth_mm + DEPTH_SLACK_MM

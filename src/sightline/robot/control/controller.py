@@ -1,8 +1,12 @@
 """The robot's controller: it carries out clients' requests on the machine. No input, output or clock.
 
-One thread calls it: `submit` for each request, `cycle` every `CYCLE_S`.
+One thread calls it: `submit` for each request, `cycle` every `CYCLE_S`. The collision check before a motion takes a
+quarter of a second and runs on another thread; the control loop does not wait for it.
 """
 
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -10,10 +14,9 @@ import numpy as np
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import Code
-from sightline.robot.control.collision_check import MAX_CHECK_S, CheckExecutor, CollisionCheck, run_at_once
+from sightline.robot.control.course import STANDING_LIMIT
 from sightline.robot.control.insertion import Insertion, Setup, read_registration, read_target
 from sightline.robot.control.machine import Machine
-from sightline.robot.control.motion.course import STANDING_LIMIT
 from sightline.robot.control.requests import (
     Answer,
     CommandRequest,
@@ -34,6 +37,39 @@ from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.plant import Plant
 
 _MOTION = (Trigger.MOVE_TO_TARGET, Trigger.DRILL, Trigger.GUIDE, Trigger.RETRACT)
+
+
+CheckExecutor = Callable[[Callable[[], None]], "Future[None]"]  # submits the work, as Executor.submit does
+MAX_CHECK_S = 1.0  # a motion whose check took longer does not begin [ours]
+TARGET = "TARGET"  # name of the outcome for a target's check
+
+
+@dataclass(frozen=True, eq=False)
+class CollisionCheck:
+    """Collision check of an insertion for a `client`, starting at the joints `start` (5,). `trigger`: the motion that
+    waits for it; None for a target just sent. `result` raises RobotRefusedError with what is in the way."""
+
+    client: int
+    trigger: Trigger | None
+    insertion: Insertion
+    start: np.ndarray
+    begun_s: float
+    result: "Future[None]"
+
+    @property
+    def name(self) -> str:
+        """Name of the outcome: the command that waits, or TARGET."""
+        return TARGET if self.trigger is None else self.trigger.value
+
+
+def run_at_once(work: Callable[[], None]) -> "Future[None]":
+    """Synchronous executor for callers without a control loop."""
+    done: Future[None] = Future()
+    try:
+        done.set_result(work())
+    except Exception as error:
+        done.set_exception(error)
+    return done
 
 
 class Controller:

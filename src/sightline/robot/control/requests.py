@@ -7,7 +7,7 @@ import numpy as np
 from sightline.robot.contract import Code
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Message
-from sightline.robot.kinematics.depth import SHOT_SD_MM
+from sightline.robot.kinematics.target import SHOT_SD_MM
 from sightline.robot.plant import Reading
 
 

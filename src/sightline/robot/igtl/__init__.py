@@ -12,10 +12,32 @@ from sightline.robot.igtl.messages import (
     Stream,
     encode,
 )
-from sightline.robot.igtl.messages_arrays import MILLIMETRE, NEWTON, Image, NDArray, Sensor, unit
-from sightline.robot.igtl.messages_geometry import Path, Point, Points, Position, Trajectories, Transform
-from sightline.robot.igtl.messages_query import Get, Missing, Start, Started, Stop
-from sightline.robot.igtl.messages_text import Capability, Command, CommandReply, Status, String
+from sightline.robot.igtl.messages_arrays import (
+    MILLIMETRE,
+    NEWTON,
+    Image,
+    NDArray,
+    Path,
+    Point,
+    Points,
+    Position,
+    Sensor,
+    Trajectories,
+    Transform,
+    unit,
+)
+from sightline.robot.igtl.messages_text import (
+    Capability,
+    Command,
+    CommandReply,
+    Get,
+    Missing,
+    Start,
+    Started,
+    Status,
+    Stop,
+    String,
+)
 from sightline.robot.igtl.wire import Header, timestamp_of
 
 __all__ = [

@@ -10,10 +10,17 @@ from typing import Protocol
 from fastcrc.crc64 import ecma_182
 
 from sightline.errors import MessageError
-from sightline.robot.igtl.messages_arrays import Image, NDArray, Sensor
-from sightline.robot.igtl.messages_geometry import Points, Position, Trajectories, Transform
-from sightline.robot.igtl.messages_query import QUERIED, QUERIES, Missing
-from sightline.robot.igtl.messages_text import Capability, Command, CommandReply, Status, String
+from sightline.robot.igtl.messages_arrays import Image, NDArray, Points, Position, Sensor, Trajectories, Transform
+from sightline.robot.igtl.messages_text import (
+    QUERIED,
+    QUERIES,
+    Capability,
+    Command,
+    CommandReply,
+    Missing,
+    Status,
+    String,
+)
 from sightline.robot.igtl.wire import HEADER_BYTES, VERSIONS, Header, read_header, time_of, unwrap, wrap
 
 LONG_NAME = "IGTL_DEVICE_NAME"  # metadata key in which PLUS gives the full name cut to 20 bytes in the header

@@ -15,9 +15,15 @@ from sightline.common.atomic import write_whole
 from sightline.common.bounded import read_bounded
 from sightline.common.geometry.rigid import why_not_rigid
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.kinematics.calibrated import CalibratedAxes, CalibratedRobot, calibrate_axes
+from sightline.robot.kinematics.calibrated import (
+    CalibratedAxes,
+    CalibratedRobot,
+    Mount,
+    calibrate_axes,
+    measured_axis,
+    measured_mount,
+)
 from sightline.robot.kinematics.manipulator import nominal_manipulator
-from sightline.robot.kinematics.mounts import Mount, measured_axis, measured_mount
 from sightline.robot.kinematics.target import LIFETIME_S, PoseAtImage, Registration, register
 
 MAX_BYTES = 2**20  # [ours] 36 x 36 numbers take 30 kB; 200 poses of 20 targets 300 kB

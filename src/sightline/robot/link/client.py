@@ -22,12 +22,18 @@ from sightline.robot.igtl import (
     String,
     Transform,
 )
-from sightline.robot.kinematics.depth import MAX_ZERO_SHIFT_MM, SHOT_SD_MM
-from sightline.robot.kinematics.target import RobotTarget
-from sightline.robot.link.exchange import Exchange, RequestResult, StopChannel, matrix_of, pose_of
+from sightline.robot.kinematics.target import MAX_ZERO_SHIFT_MM, SHOT_SD_MM, RobotTarget
+from sightline.robot.link.exchange import (
+    Exchange,
+    RequestResult,
+    StopChannel,
+    WireDeviation,
+    matrix_of,
+    pose_of,
+    refuse_other_pose,
+)
+from sightline.robot.link.record import SimulatedWire
 from sightline.robot.link.shared_connection import LateError, SharedConnection
-from sightline.robot.link.simulated import SimulatedWire
-from sightline.robot.link.wire_deviation import WireDeviation, refuse_other_pose
 from sightline.robot.transport import LOOPBACK, PORT
 
 MOTION_S = 300.0  # time limit of the longest motion, 250 mm at 1 mm/s, with a margin [calc]

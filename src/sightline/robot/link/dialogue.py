@@ -10,9 +10,8 @@ import numpy as np
 
 from sightline.robot import contract
 from sightline.robot.contract import Code
-from sightline.robot.control.collision_check import TARGET
-from sightline.robot.control.controller import Controller
-from sightline.robot.control.motion.drilling import Drilling
+from sightline.robot.control.controller import TARGET, Controller
+from sightline.robot.control.drilling import Drilling
 from sightline.robot.control.requests import (
     Answer,
     CommandRequest,
@@ -39,15 +38,16 @@ from sightline.robot.igtl import (
 from sightline.robot.link.inbox import AnswerCache, stop_word
 from sightline.robot.link.outgoing import (
     SIGHTLINE,
+    Cycles,
     Dialect,
     NamedBody,
     Outgoing,
+    Telemetry,
     echo_of,
     fitting,
     message_of,
     with_mirror,
 )
-from sightline.robot.link.telemetry import Cycles, Telemetry
 from sightline.robot.plant import CYCLE_S
 
 UNDERSTOOD = (

@@ -50,7 +50,7 @@ class Simulation:
     """How a simulated plant is run. `advance(dt_s)` advances its time, which stands still while this program does not.
 
     With `virtual`, time runs as fast as possible while something moves and stands still otherwise: for trials, with
-    clients that send no heartbeats. `truth`: text for simulated imaging devices (robot/link/simulated.py).
+    clients that send no heartbeats. `truth`: text for simulated imaging devices (robot/link/record.py).
     """
 
     advance: Callable[[float], None]

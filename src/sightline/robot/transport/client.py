@@ -13,9 +13,8 @@ from typing import Self
 from sightline.common.closing import Closing
 from sightline.errors import LinkError
 from sightline.robot.igtl import Event, Message, Rejected, Stream, encode
-from sightline.robot.transport.connection import Connection, Handler, prepare
+from sightline.robot.transport.connection import LOOPBACK, PORT, Connection, Handler, prepare
 from sightline.robot.transport.heartbeat import Heartbeat, Pace
-from sightline.robot.transport.server import LOOPBACK, PORT
 
 CONNECT_S = 2.0  # [ours] a robot in the same room answers in milliseconds
 _FIRST_RETRY_S, _LAST_RETRY_S = 0.1, 2.0  # [ours] doubled from one to the other

@@ -7,18 +7,16 @@ from sightline.common.closing import Closing
 from sightline.errors import SightlineError
 from sightline.robot.igtl import Fault, Rejected
 from sightline.robot.link.client import RobotClient
-from sightline.robot.link.conformance import commands, poses, stops
-from sightline.robot.link.conformance.asking import Question, UnsupportedError
-from sightline.robot.link.conformance.conversation import NotAskedError
-from sightline.robot.link.conformance.motions import MOTIONS
+from sightline.robot.link.conformance import commands, poses
+from sightline.robot.link.conformance.conversation import NotAskedError, Question, UnsupportedError
 
 QUESTIONS: dict[str, Question] = {
     **commands.COMMANDS,
     **poses.QUESTIONS,
-    **stops.STOPS,
+    **commands.STOPS,
     **commands.MESSAGES,
-    **stops.CLIENTS,
-    **stops.EMERGENCIES,
+    **commands.CLIENTS,
+    **commands.EMERGENCIES,
 }
 
 
@@ -69,7 +67,7 @@ class Examination(Closing):
         It sends no DRILL. Warning: on robots of the 2013 convention MOVE_TO_TARGET may insert the wire. Call it only
         after a person has confirmed that the path is clear.
         """
-        return [self._ask(name, question) for name, question in MOTIONS.items()]
+        return [self._ask(name, question) for name, question in poses.MOTIONS.items()]
 
     def _ask(self, name: str, question: Question) -> Finding:
         try:
