@@ -18,9 +18,8 @@ from sightline.planning.verdict.relations import refuse_unrelated
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.insertion import Insertion, OwnFrames, Setup
 from sightline.robot.control.states import State
-from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot
+from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot, Mount
 from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, YAW, Manipulator, imaging_yaw, nominal_manipulator
-from sightline.robot.kinematics.mounts import Mount
 from sightline.robot.kinematics.target import (
     PlanIdentity,
     PoseAtImage,
