@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from sightline.app.session import planning
-from sightline.app.session.worker import warm_up
+from sightline.app.session.jobs import warm_up
 from sightline.cli import main
 
 

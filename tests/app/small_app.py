@@ -13,9 +13,8 @@ import numpy as np
 from nicegui import core, ui
 from starlette.routing import BaseRoute, Mount
 
-from sightline.app.web.drop import DropZone
 from sightline.app.web.serve import ServedApp, serve
-from sightline.app.web.transfers import Upload
+from sightline.app.web.transfers import DropZone, Upload
 from sightline.imaging import Radiograph, read_image
 
 PIXELS = np.arange(32 * 16, dtype=np.uint16).reshape(16, 32) * 100

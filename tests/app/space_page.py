@@ -7,7 +7,8 @@ import numpy as np
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.drawing.space.document import (
+from sightline.app.drawing.space import (
+    SpaceView,
     bone_objects,
     drilled_objects,
     frame_objects,
@@ -18,7 +19,6 @@ from sightline.app.drawing.space.document import (
     view_objects,
     wire_objects,
 )
-from sightline.app.drawing.space.view import SpaceView
 from sightline.app.web.serve import ServedApp, serve
 from sightline.calibration import calibrate
 from sightline.detection import Observations

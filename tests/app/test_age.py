@@ -14,10 +14,10 @@ from pydicom.datadict import dictionary_VR
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.session import readiness as module
+from sightline.app.session.jobs import WorkerProcess
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.sent import SentPlan
 from sightline.app.session.session import Session
-from sightline.app.session.worker import WorkerProcess
 from sightline.case.journal import Actor
 from sightline.case.views import NAMES
 from sightline.errors import UnusableInputError

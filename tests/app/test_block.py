@@ -12,9 +12,9 @@ from sightline.app.drawing import shapes
 from sightline.app.panels.steps import StepStatus, steps
 from sightline.app.plan.marks import END, ENTRY, marks_of
 from sightline.app.plan.planner import plan_input
+from sightline.app.session.jobs import WorkerProcess
 from sightline.app.session.seen import entry_of
 from sightline.app.session.session import Session
-from sightline.app.session.worker import WorkerProcess
 from sightline.app.tab.placing import Placing, ProcedureStep
 from sightline.case.journal import Actor, Case
 from sightline.case.replay import ReplayOutcome, replay

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from sightline.app.session.jobs import WorkerProcess
 from sightline.app.session.rehearsing import Patient, images
 from sightline.app.session.session import Session
-from sightline.app.session.worker import WorkerProcess
 from sightline.case.journal import Case
 from sightline.errors import UnusableInputError
 

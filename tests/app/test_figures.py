@@ -12,7 +12,8 @@ from tests.planning.bone import CENTRE_MM, ENTRY_MM, LESSER_MM, ON_SHAFT_MM, vie
 from tests.planning.test_wires import WIRES_MM
 
 from sightline.app import texts
-from sightline.app.panels import markup, verdict
+from sightline.app.panels import verdict
+from sightline.app.panels.section import checks_html
 from sightline.app.plan.planner import Planned, planned
 from sightline.common.checks import Check
 from sightline.planning import plan
@@ -88,7 +89,7 @@ def test_the_error_of_a_distance_does_not_read_like_a_clearance() -> None:
     check = Check("tip in head", True, 5.01, 0.22, "mm", "")
     said = _said(SimpleNamespace(plan=SimpleNamespace(verdict=SimpleNamespace(checks=(check,)), seen=None)), KIND)[3]
     assert "5.01 mm" in said and "± 0.22 mm (95 %)" in said and "at least" not in said
-    assert "5.01 mm, ± 0.22 mm (95 %)" in markup.checks([check], testid="")
+    assert "5.01 mm, ± 0.22 mm (95 %)" in checks_html([check], testid="")
 
 
 def test_the_robot_s_errors_are_unknown_before_it_has_the_plan() -> None:

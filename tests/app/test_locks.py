@@ -11,11 +11,11 @@ from tests.planning.standin import stand_in
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.planner import planned
-from sightline.app.session import live as live_module
 from sightline.app.session import robot_session
+from sightline.app.session import shots as live_module
 from sightline.app.session.jobs import Jobs
-from sightline.app.session.live import Live
 from sightline.app.session.robot_session import RobotNow, RobotSession
+from sightline.app.session.shots import Live
 from sightline.case.watch import live as watch
 from sightline.errors import LinkError, SightlineError
 from sightline.frame import Frame

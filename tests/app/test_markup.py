@@ -3,7 +3,7 @@
 import pytest
 
 from sightline.app import texts
-from sightline.app.panels import markup
+from sightline.app.panels.section import checks_html
 from sightline.common.checks import Check
 
 
@@ -21,7 +21,7 @@ from sightline.common.checks import Check
 )
 def test_a_check_says_on_which_side_of_its_limit_its_value_must_be(check: Check, said: str) -> None:
     """Fails where "112 / 24" is read as a share, and where a limit is an upper one by the value alone."""
-    assert f'<div class="check-figure">{said}</div>' in markup.checks([check], testid="checks")
+    assert f'<div class="check-figure">{said}</div>' in checks_html([check], testid="checks")
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_a_check_says_on_which_side_of_its_limit_its_value_must_be(check: Check,
 def test_the_names_of_views_are_those_of_the_page(sentence: str, said: str) -> None:
     """Fails where a check names a view as files do."""
     check = Check("bead count", True, None, None, "", sentence)
-    assert f">{said}</div>" in markup.checks([check], testid="checks") and texts.sentence(check) == said
+    assert f">{said}</div>" in checks_html([check], testid="checks") and texts.sentence(check) == said
 
 
 @pytest.mark.parametrize(("value", "said"), [(-0.04, "0.0"), (0.04, "0.0"), (-0.06, "-0.1"), (12.34, "12.3")])

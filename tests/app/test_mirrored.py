@@ -9,9 +9,9 @@ import pytest
 
 from sightline.app.panels.steps import StepStatus, steps
 from sightline.app.plan.decisions import Decisions, Display
+from sightline.app.session.jobs import WorkerProcess
 from sightline.app.session.seen import SeenImage, entry_of
 from sightline.app.session.session import Session
-from sightline.app.session.worker import WorkerProcess
 from sightline.case import stages
 from sightline.case.journal import Actor, Kind
 from sightline.case.replay import ReplayOutcome, replay

@@ -11,10 +11,9 @@ from tests.planning.test_two_holes import ERRORS, KNOWN, NAIL, SIGHTS, VIEWS, _m
 
 from sightline.app.drawing import shapes
 from sightline.app.plan.decisions import Decisions, Mark
-from sightline.app.plan.holes import NAIL as STROKES
-from sightline.app.plan.holes import HolesFound, nail_drawn, of_wire, with_nail
 from sightline.app.plan.marks import NAIL_EDGES, hole_mark
-from sightline.app.plan.planner import plan_input, planned
+from sightline.app.plan.planner import NAIL as STROKES
+from sightline.app.plan.planner import HolesFound, nail_drawn, of_wire, plan_input, planned, with_nail
 from sightline.app.session.jobs import Jobs
 from sightline.app.session.seen import NailInImages
 from sightline.app.tab.placing import _goals

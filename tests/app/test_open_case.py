@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from sightline.app.session.jobs import WorkerProcess
 from sightline.app.session.session import Session
-from sightline.app.session.worker import WorkerProcess
 from sightline.case.journal import Case
 from sightline.errors import CaseError, UnusableInputError
 

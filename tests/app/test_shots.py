@@ -13,13 +13,12 @@ from tests.app.hands import SEED
 
 from sightline.app.panels import shots as panel
 from sightline.app.plan.marks import SHOT_NAMES
-from sightline.app.session.jobs import Jobs
+from sightline.app.session.jobs import Jobs, WorkerProcess
 from sightline.app.session.planning import Planning
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.sent import ZeroSource
 from sightline.app.session.session import Session
 from sightline.app.session.shots import Shots
-from sightline.app.session.worker import WorkerProcess
 from sightline.app.tab.placing import ProcedureStep
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay

@@ -11,15 +11,16 @@ from scipy.stats import chi2
 from tests.app.browser import Server
 from tests.app.space_page import GROUPS, HOSTILE
 
-from sightline.app.drawing.space.document import (
+from sightline.app.drawing.space import (
+    CELL_MM,
     bone_objects,
     frame_objects,
+    outer_surface,
     robot_objects,
     side_objects,
     view_objects,
     wire_objects,
 )
-from sightline.app.drawing.space.surface import CELL_MM, outer_surface
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.robot.kinematics.manipulator import FEED, PITCH, YAW, nominal_manipulator

@@ -18,16 +18,16 @@ from tests.planning.standin import stand_in
 
 from sightline.app import texts
 from sightline.app.drawing import shapes
-from sightline.app.drawing.xray.view import Window, XrayPicture, XrayView
+from sightline.app.drawing.xray import Window, XrayPicture, XrayView
 from sightline.app.panels import plan, top
 from sightline.app.panels.section import Section, note
 from sightline.app.plan.decisions import Mark, Side
 from sightline.app.plan.marks import CHECK_NAMES
-from sightline.app.session.live import LATE_S
+from sightline.app.session.jobs import WorkerProcess
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
-from sightline.app.session.worker import WorkerProcess
+from sightline.app.session.shots import LATE_S
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.case.views import NAMES

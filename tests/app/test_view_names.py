@@ -9,7 +9,7 @@ import pytest
 from tests.planning.other_bones import PROCEDURES, drawn
 
 from sightline.app import texts
-from sightline.app.drawing.space.document import axis_objects, side_objects
+from sightline.app.drawing.space import axis_objects, side_objects
 from sightline.app.panels.steps import aid_labels, needed_aids
 from sightline.app.plan.decisions import Decisions
 from sightline.app.texts import image_label, image_name, image_short, in_image

@@ -13,7 +13,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 from tests.app.browser import PATIENCE_MS, Server, Tab
 from tests.app.xray_page import FIELD_PX, HOSTILE, POINTS, SIDE, SPOTS, TEXTS, lateral_column, picture
 
-from sightline.app.drawing.xray.view import TEXT_KEYS, Window, XrayContent, XrayEvent, XrayPicture, XrayView, checked
+from sightline.app.drawing.xray import TEXT_KEYS, Window, XrayContent, XrayEvent, XrayPicture, XrayView, checked
 
 PLACE_PX = 0.05  # image pixels: what a place on the screen may be off by
 MARKS = itertools.count(1)

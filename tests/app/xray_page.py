@@ -16,7 +16,7 @@ import numpy as np
 from fastapi import Response
 from nicegui import app, ui
 
-from sightline.app.drawing.xray.view import Window, XrayContent, XrayDisplay, XrayEvent, XrayPicture, XrayView
+from sightline.app.drawing.xray import Window, XrayContent, XrayDisplay, XrayEvent, XrayPicture, XrayView
 
 SIDE = 1024
 WINDOW = Window(32768.0, 65536.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.app.plan.decisions import Decisions
-from sightline.app.plan.holes import nail_drawn
+from sightline.app.plan.planner import nail_drawn
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.cli.demos.procedures import PLACED, WITH_ROBOT, frame_for

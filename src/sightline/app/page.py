@@ -1,24 +1,26 @@
 """The page: the instruction along the top, two X-ray views, and the column of the current step beside them."""
 
+from collections.abc import Callable
 from importlib.resources import files
-from typing import Any
 
 from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import calibrate, drill, images, plan, shots, top, verdict, verify, wires
+from sightline.app.panels import drill, images, plan, shots, top, verdict, verify
 from sightline.app.panels.drawer import Drawer, Menu, OpenCase
 from sightline.app.panels.section import HtmlSection, Section, action
 from sightline.app.panels.space import Space
-from sightline.app.panels.steps import steps
+from sightline.app.panels.steps import build_wires, steps
 from sightline.app.session.session import Session
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.web.serve import ServedApp
 
 _CSS, _SCRIPT = ((files("sightline.app") / name).read_text("utf-8") for name in ("page.css", "page.js"))
-_PANELS: dict[ProcedureStep, Any] = dict(zip(ProcedureStep, (images, calibrate, plan, drill, verify), strict=True))
+_PANELS: dict[ProcedureStep, Callable[[Tab], None]] = dict(
+    zip(ProcedureStep, (images.build, images.build_calibration, plan.build, drill.build, verify.build), strict=True)
+)
 
 
 def build(site: ServedApp, tab: Tab, open_case: OpenCase) -> None:
@@ -59,7 +61,7 @@ def build(site: ServedApp, tab: Tab, open_case: OpenCase) -> None:
 
 def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, space: Space) -> None:
     """Build the column: verdict and figures, the step's own part, and the button that leads on."""
-    wires.build(tab)
+    build_wires(tab)
     with ui.element("div").props("role=status"):
         HtmlSection(
             tab,
@@ -74,7 +76,7 @@ def _panel(tab: Tab, site: ServedApp, boxes: list[ui.element], drawer: Drawer, s
     )
     with ui.element("div").classes("step-box"):
         images.build_drop_zone(tab, site, boxes)
-        Section(tab, lambda t: t.step, lambda t: _PANELS[t.step].build(t), classes="step-panel")
+        Section(tab, lambda t: t.step, lambda t: _PANELS[t.step](t), classes="step-panel")
     with ui.element("div").classes("feet"):
         action(texts.DETAILS, drawer.toggle, testid="details", kind="plain small")
         action("3-D", space.toggle, testid="space-toggle", kind="plain small")

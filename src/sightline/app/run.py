@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sightline.app.session.jobs import WorkerProcess
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.session import Session
-from sightline.app.session.worker import WorkerProcess
 
 if TYPE_CHECKING:
     from sightline.app.web.serve import ServedApp

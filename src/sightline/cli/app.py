@@ -89,7 +89,7 @@ def app(
 
     if find_spec("nicegui") is None:
         raise UnusableInputError("the app needs NiceGUI: pip install 'sightline[app]'")
-    from sightline.app.session.worker import WorkerProcess, warm_up
+    from sightline.app.session.jobs import WorkerProcess, warm_up
 
     worker = WorkerProcess()
     worker.begin(warm_up)  # its imports take as long as those below: one core each

@@ -6,7 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sightline.app.drawing.xray.view import Window, XrayPicture
+from sightline.app.drawing.xray import Window, XrayPicture
 from sightline.app.plan.decisions import Side
 from sightline.app.session.seen import SeenImage
 from sightline.app.web.transfers import Images

@@ -8,9 +8,9 @@ from pathlib import Path
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import calibrate, drill, images, plan, verdict, verify
+from sightline.app.panels import drill, images, plan, verdict, verify
 from sightline.app.panels.section import Section, action, heading, table
-from sightline.app.session.reporting import CaseInFolder, cases_beside
+from sightline.app.session.session import CaseInFolder, cases_beside
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.case.journal import Kind
@@ -108,7 +108,13 @@ def _cell(tag: str, text: str) -> ui.element:
 _DETAILS: dict[ProcedureStep, Callable[[Tab], None]] = dict(
     zip(
         ProcedureStep,
-        (images.build_details, calibrate.build_details, plan.build_details, drill.build_details, verify.build_details),
+        (
+            images.build_details,
+            images.build_calibration_details,
+            plan.build_details,
+            drill.build_details,
+            verify.build_details,
+        ),
         strict=True,
     )
 )

@@ -8,9 +8,20 @@ from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import markup, shots, wires
-from sightline.app.panels.section import Section, action, checks, confirmed_action, heading, note, put, table
-from sightline.app.panels.steps import waits_for
+from sightline.app.panels import shots
+from sightline.app.panels.section import (
+    Section,
+    action,
+    checks,
+    confirmed_action,
+    filled,
+    heading,
+    joined,
+    note,
+    put,
+    table,
+)
+from sightline.app.panels.steps import build_next_wire, next_wire, waits_for
 from sightline.app.session.planning import Planning
 from sightline.app.session.readiness import NO_SERIAL
 from sightline.app.session.sent import ZeroSource
@@ -179,19 +190,19 @@ def _depth(tab: Tab) -> Markup:
     def percent(depth_mm: float) -> str:
         return f"{100 * min(max((depth_mm - low) / (high - low), 0.0), 1.0):.1f}"
 
-    ticks = (markup.filled('<b style="left:{}%">{}</b>', percent(mm), name[:1].upper()) for name, mm in at.items())
+    ticks = (filled('<b style="left:{}%">{}</b>', percent(mm), name[:1].upper()) for name, mm in at.items())
     rows = (
-        markup.filled("<div><b>{}</b> {} <span>{} mm</span></div>", name[:1].upper(), name, texts.tenths(mm))
+        filled("<div><b>{}</b> {} <span>{} mm</span></div>", name[:1].upper(), name, texts.tenths(mm))
         for name, mm in at.items()
     )
     depth = now.depth_mm
-    return markup.filled(
+    return filled(
         _DEPTH,
         "–" if depth is None else f"{abs(depth):.1f} mm",
         "" if depth is None else "before the entry" if depth < 0.0 else "beyond the entry",
         percent(low if depth is None else depth),
-        markup.joined(*ticks),
-        markup.joined(*rows),
+        joined(*ticks),
+        joined(*rows),
     )
 
 
@@ -251,8 +262,8 @@ def build_next(tab: Tab) -> None:
         drill = partial(drilling.drill, State.PAUSED)
         question = f"Continue drilling: the last {left:.0f} mm. Does the second shot show the wire on the plan?"
         confirmed_action(tab, texts.DRILL_ON, question, drill, "drill-on", enabled=ready)
-    elif planning.drilled is not None and wires.following(tab) is not None:
-        wires.build_following(tab)
+    elif planning.drilled is not None and next_wire(tab) is not None:
+        build_next_wire(tab)
     elif state in (State.TARGETING.value, State.STOP.value) and held:
         confirmed_action(
             tab,

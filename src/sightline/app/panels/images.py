@@ -1,18 +1,19 @@
-"""Step 1, Images: both images, the patient's side, the frame's serial."""
+"""Steps 1 and 2, Images and Calibrate: both images, the patient's side, the frame's serial; the quality of each view's
+calibration."""
 
 from collections.abc import Hashable, Sequence
 
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels.section import Section, action, heading, note, radio
+from sightline.app.panels.section import Section, action, checks, heading, note, radio, table
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_label, image_name
-from sightline.app.web.drop import DropZone
 from sightline.app.web.serve import ServedApp
-from sightline.app.web.transfers import Upload
+from sightline.app.web.transfers import DropZone, Upload
 from sightline.case.views import NAMES, OBLIQUE
+from sightline.common.checks import failed
 from sightline.errors import UnusableInputError
 from sightline.planning.procedures import Procedure, procedures
 from sightline.planning.procedures import kind as kind_of
@@ -321,3 +322,59 @@ def _kind(tab: Tab) -> None:
     ui.select(kinds, value=shown, on_change=choose).classes("kind").props(
         'dense options-dense data-testid=kind aria-label="Procedure"'
     )
+
+
+def build_calibration(tab: Tab) -> None:
+    """Build the panel."""
+    Section(tab, _seen_key, _calibrated_views)
+
+
+def build_calibration_details(tab: Tab) -> None:
+    """Build the details: what is shown, and the checks of each view."""
+
+    def show(event) -> None:
+        tab.views.show_rejected = bool(event.value)
+        tab.refresh()
+
+    ui.checkbox("Show rejected candidates, with the reason", value=tab.views.show_rejected, on_change=show).props(
+        "data-testid=show-rejected"
+    )
+    build_oblique(tab)
+    Section(tab, _seen_key, _calibration_checks)
+
+
+def _seen_key(tab: Tab) -> Hashable:
+    return (tab.planning.decisions.kind, *map(tab.planning.seen, tab.planning.slots))
+
+
+def _calibrated_views(tab: Tab) -> None:
+    for name in tab.planning.slots:
+        seen = tab.planning.seen(name)
+        if name == OBLIQUE and seen is None:
+            continue
+        heading(image_label(name, tab.planning.decisions.kind))
+        if seen is None:
+            note("Drop an image onto the page.", kind="quiet")
+        elif seen.refused:
+            note(seen.refused, kind="bad", testid=f"refused-{name}")
+        elif seen.view is None:
+            note(texts.in_progress(seen.doing), kind="quiet")
+        else:
+            left = seen.view.residuals
+            rows = [
+                ("beads used / left out", f"{int(left.used.sum())} / {len(left.left_out)}"),
+                ("residual, rms", f"{left.rms_mm:.3f} mm"),
+                ("focal point, mm", ", ".join(f"{x:.0f}" for x in seen.view.focal_point_mm)),
+            ]
+            table(("", ""), rows, testid=f"calibration-{name}")
+            wrong = failed(seen.view.checks)
+            said = f"All {len(seen.view.checks)} checks passed" if not wrong else texts.sentence(wrong[0])
+            note(said, kind="bad" if wrong else "good")
+
+
+def _calibration_checks(tab: Tab) -> None:
+    for name in tab.planning.slots:
+        seen = tab.planning.seen(name)
+        if seen is not None and seen.view is not None:
+            heading(image_label(name, tab.planning.decisions.kind))
+            checks(seen.view.checks, testid=f"checks-{name}")

@@ -8,9 +8,18 @@ from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import markup
 from sightline.app.panels.images import build_kind, build_oblique
-from sightline.app.panels.section import HtmlSection, Section, action, heading, note
+from sightline.app.panels.section import (
+    HtmlSection,
+    Section,
+    action,
+    heading,
+    heading_html,
+    joined,
+    note,
+    note_html,
+    table_html,
+)
 from sightline.app.panels.steps import aid_labels
 from sightline.app.plan.decisions import NECK, SHAFT, FittedAxis
 from sightline.app.plan.marks import MarkSpec
@@ -81,7 +90,7 @@ def _turns_html(tab: Tab) -> Markup:
         )
         for turn in perfect_circles(plan.hole, plan.views)
     ]
-    return markup.note("Perfect circle, turn the C-arm: " + "; ".join(turns) + ".", kind="quiet", testid="turns")
+    return note_html("Perfect circle, turn the C-arm: " + "; ".join(turns) + ".", kind="quiet", testid="turns")
 
 
 def _fitted_html(tab: Tab) -> Markup:
@@ -95,7 +104,7 @@ def _fitted_html(tab: Tab) -> Markup:
     radius = TWO_SIDED_95 * float(np.sqrt(head.covariance_mm2[3, 3]))
     said = [(f"Head fitted: radius {head.radius_mm:.1f} ± {radius:.1f} mm, centre ± {centre:.1f} mm (95 %).")]
     said += kept_as_drawn(fitted.kept)
-    return markup.note(" ".join(said), kind="quiet", testid="head-fitted")
+    return note_html(" ".join(said), kind="quiet", testid="head-fitted")
 
 
 def _fitted_axes_html(tab: Tab) -> Markup:
@@ -115,7 +124,7 @@ def _fitted_axis_html(key: str, fitted: FittedAxis | None, axis: Axis | None, te
         for covariance in (axis.direction_covariance_rad2, axis.offset_covariance_mm2)
     )
     said = [f"{text} ± {np.rad2deg(turned):.1f}°, ± {offset:.1f} mm (95 %).", *kept_as_drawn(fitted.kept)]
-    return markup.note(" ".join(said), kind="quiet", testid=f"{key}-fitted")
+    return note_html(" ".join(said), kind="quiet", testid=f"{key}-fitted")
 
 
 def _nail_key(tab: Tab) -> Hashable:
@@ -291,15 +300,13 @@ def metrics_html(tab: Tab) -> Markup:
                 ("direction, 95 % error", f"{np.rad2deg(path.direction_error_95_rad):.2f}°", ""),
             ]
         rows += _gaps(tab)
-    said = [markup.note(why, kind="bad", testid="metrics-refused") for why in _refused(known)]
+    said = [note_html(why, kind="bad", testid="metrics-refused") for why in _refused(known)]
     if known.plan is not None:
-        said += [markup.note(sentence, kind="quiet", testid="along") for sentence in known.plan.sentences()]
+        said += [note_html(sentence, kind="quiet", testid="along") for sentence in known.plan.sentences()]
     if tab.planning.decisions.side is None:
         said.insert(
             0,
-            markup.note(
-                "Confirm the patient's side on the step Images to see measurements of the implant.", kind="warn"
-            ),
+            note_html("Confirm the patient's side on the step Images to see measurements of the implant.", kind="warn"),
         )
     for metric in known.metrics:
         if metric.value is not None:
@@ -307,8 +314,8 @@ def metrics_html(tab: Tab) -> Markup:
             sd = "" if metric.sd is None else f" ± {TWO_SIDED_95 * metric.sd:.1f}"
             mark = {True: "✓", False: "!", None: ""}[metric.within]
             rows.append((metric.name, f"{metric.value:.1f}{sd}{space}{metric.unit}", mark))
-    table = markup.table(("", "± 95 %", ""), rows, testid="metrics")
-    return markup.joined(markup.heading("Measurements"), *said, table)
+    table = table_html(("", "± 95 %", ""), rows, testid="metrics")
+    return joined(heading_html("Measurements"), *said, table)
 
 
 def _refused(known: Planned) -> list[str]:

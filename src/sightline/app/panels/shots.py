@@ -8,8 +8,7 @@ from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import markup
-from sightline.app.panels.section import Section, action, confirmed_action, heading, note, table
+from sightline.app.panels.section import Section, action, card, confirmed_action, heading, note, table
 from sightline.app.plan.marks import SHOT_NAMES
 from sightline.app.session.sent import ZeroSource
 from sightline.app.tab.placing import ProcedureStep
@@ -44,7 +43,7 @@ def verdict_html(tab: Tab) -> Markup:
     decision, told = _decided(tab)
     now = tab.session.drilling.now
     of = "" if now is None else texts.SHOT_HEADINGS[now.state]
-    return markup.card(_STATES[decision], decision, told, of, testid="shot-verdict")
+    return card(_STATES[decision], decision, told, of, testid="shot-verdict")
 
 
 def _decided(tab: Tab) -> tuple[str, str]:

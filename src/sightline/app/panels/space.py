@@ -8,8 +8,8 @@ import numpy as np
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.drawing.space import document as space
-from sightline.app.drawing.space.view import SpaceView
+from sightline.app.drawing import space
+from sightline.app.drawing.space import SpaceView
 from sightline.app.plan.planner import landmarks_of
 from sightline.app.tab.tab import Tab
 from sightline.errors import SightlineError

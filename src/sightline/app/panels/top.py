@@ -8,8 +8,8 @@ from markupsafe import Markup
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels import drill, markup, plan, verify
-from sightline.app.panels.section import HtmlSection, PersistentSection, Section, action
+from sightline.app.panels import drill, plan, verify
+from sightline.app.panels.section import HtmlSection, PersistentSection, Section, action, filled
 from sightline.app.panels.steps import needed_aids, steps, waits_for
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.tab.placing import ProcedureStep
@@ -69,7 +69,7 @@ def _said(tab: Tab) -> Hashable:
 def _say(tab: Tab) -> Markup:
     """Return the message, or else the next instruction: to place a point, or what the step waits for."""
     if tab.message:
-        return markup.filled(
+        return filled(
             '<div class="message {} {}" role="alert" data-testid="message">{}</div>',
             "good" if tab.is_good else "",
             size_of(tab.message),
@@ -77,11 +77,11 @@ def _say(tab: Tab) -> Markup:
         )
     told = plan.instruction(tab)
     if told is None:
-        return markup.filled(
+        return filled(
             '<div class="instruction {}" data-testid="instruction">{}</div>', size_of(_reason(tab)), _reason(tab)
         )
     counter, image, what = told
-    return markup.filled(
+    return filled(
         '<div class="instruction {}" data-testid="instruction"><span class="counter">{}</span> · '
         '<span class="in-image">{}</span> · {}</div>',
         size_of(counter + image + what),

@@ -7,8 +7,17 @@ import numpy as np
 from markupsafe import Markup
 
 from sightline.app import texts
-from sightline.app.panels import markup
-from sightline.app.panels.section import HtmlSection
+from sightline.app.panels.section import (
+    HtmlSection,
+    apart,
+    card,
+    checks_html,
+    filled,
+    heading_html,
+    joined,
+    limit_said,
+    table_html,
+)
 from sightline.app.panels.steps import aid_labels, needed_aids, refusals
 from sightline.app.tab.tab import Tab
 from sightline.common.checks import Check, CheckCode, failed
@@ -47,9 +56,9 @@ class _Figure:
 def figures_html(tab: Tab) -> Markup:
     """Return the four figures as HTML; before there is a plan without values."""
     plan = None if tab.known is None else tab.known.plan
-    return markup.filled(
+    return filled(
         '<div class="figure-grid" data-testid="figures">{}</div>',
-        markup.joined(*map(_figure_html, _figures(kind_of(tab.planning.decisions.kind), plan))),
+        joined(*map(_figure_html, _figures(kind_of(tab.planning.decisions.kind), plan))),
     )
 
 
@@ -99,16 +108,16 @@ def _figure_html(figure: _Figure) -> Markup:
     sign = Markup()
     if figure.passed is not None:
         told = texts.FIGURE_PASSED if figure.passed else texts.FIGURE_FAILED
-        sign = markup.filled('<span class="figure-sign" role="img" aria-label="{}"></span>', told)
+        sign = filled('<span class="figure-sign" role="img" aria-label="{}"></span>', told)
     if value is None or limit is None:
-        bar = markup.filled(_BAR, 0, f"{100 / _ROOM:.0f}") if limit is not None else _NO_BAR
+        bar = filled(_BAR, 0, f"{100 / _ROOM:.0f}") if limit is not None else _NO_BAR
         said = "" if limit is None else texts.FIGURE_AT_MOST.format(limit=_number(limit, figure.unit, _DIGITS))
-        return markup.filled(_FIGURE, state, name, figure.said, sign, bar, said)
+        return filled(_FIGURE, state, name, figure.said, sign, bar, said)
     whole = _ROOM * max(abs(value), abs(limit), 1e-9)
     share, at = (f"{min(max(100 * x / whole, 0), 100):.0f}" for x in (value, limit))
-    shown, bound = markup.apart(value, limit, figure.unit, _number, _DIGITS, passed=bool(figure.passed))
-    said = markup.limit_said(figure.code, bound, most=(value <= limit) == figure.passed)
-    return markup.filled(_FIGURE, state, name, shown, sign, markup.filled(_BAR, share, at), said)
+    shown, bound = apart(value, limit, figure.unit, _number, _DIGITS, passed=bool(figure.passed))
+    said = limit_said(figure.code, bound, most=(value <= limit) == figure.passed)
+    return filled(_FIGURE, state, name, shown, sign, filled(_BAR, share, at), said)
 
 
 def _number(value: float, unit: str, digits: int) -> str:
@@ -171,7 +180,7 @@ def html(tab: Tab) -> Markup:
     what the patient does not have."""
     if lacking := tab.planning.lacking:
         state, (told, _) = "incomplete", texts.LACKS[lacking]
-        return markup.card(state, texts.VERDICTS[state], told, "", testid="verdict")
+        return card(state, texts.VERDICTS[state], told, "", testid="verdict")
     verdict, missing = tab.session.readiness.verdict_of(tab.known), left(tab)
     state = "incomplete" if verdict is None else verdict.state
     if verdict is None or state == "incomplete":
@@ -186,7 +195,7 @@ def html(tab: Tab) -> Markup:
         told = texts.sentence(wrong[0], kind) if wrong else "Every check passed. A person decides."
         more = len(wrong) - 1
     said = texts.MORE.format(count=more) if more > 0 else ""
-    return markup.card(state, texts.VERDICTS[state], told, said, testid="verdict")
+    return card(state, texts.VERDICTS[state], told, said, testid="verdict")
 
 
 def build_details(tab: Tab) -> None:
@@ -199,9 +208,9 @@ def _all_checks(tab: Tab) -> Markup:
     listed, kind = _listed(tab), tab.planning.decisions.kind
     if not listed:
         return Markup()
-    return markup.joined(
-        markup.heading(f"All {len(listed)} checks"),
-        markup.checks(listed, testid="verdict-checks", kind=kind),
+    return joined(
+        heading_html(f"All {len(listed)} checks"),
+        checks_html(listed, testid="verdict-checks", kind=kind),
     )
 
 
@@ -233,10 +242,10 @@ def _shares(tab: Tab) -> Markup:
         for source in SOURCES
     ]
     whole = ("together", *(_part(share, 100.0) for share in shares.values()))
-    return markup.joined(
-        markup.heading("Where the error comes from"),
-        markup.filled('<div aria-hidden="true">{}</div>', markup.joined(*map(_bar, together))),
-        markup.table(
+    return joined(
+        heading_html("Where the error comes from"),
+        filled('<div aria-hidden="true">{}</div>', joined(*map(_bar, together))),
+        table_html(
             ("source", *columns),
             [*rows, whole],
             testid="shares",
@@ -263,20 +272,20 @@ def _together(share: Share) -> dict[str, float]:
 
 def _bar(percent: dict[str, float]) -> Markup:
     pieces = (
-        markup.filled('<i style="width:{}%;background:{}"></i>', f"{of:.2f}", _colour(source))
+        filled('<i style="width:{}%;background:{}"></i>', f"{of:.2f}", _colour(source))
         for source, of in percent.items()
     )
-    return markup.filled('<div class="share">{}</div>', markup.joined(*pieces))
+    return filled('<div class="share">{}</div>', joined(*pieces))
 
 
 def _named(source: str) -> Markup:
-    return markup.filled('<i style="background:{}"></i>{}', _colour(source), source.replace("_", " "))
+    return filled('<i style="background:{}"></i>{}', _colour(source), source.replace("_", " "))
 
 
 def _part(share: Share, percent: float) -> Markup:
     """Return a source's contribution; squares of root mean squares add up."""
     own = share.rms * np.sqrt(percent / 100.0)
-    return markup.filled("{}<small>{} %</small>", f"{own:.2f}", f"{percent:.0f}")
+    return filled("{}<small>{} %</small>", f"{own:.2f}", f"{percent:.0f}")
 
 
 def _colour(source: str) -> str:

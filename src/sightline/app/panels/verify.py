@@ -6,9 +6,8 @@ from functools import partial
 import numpy as np
 
 from sightline.app import texts
-from sightline.app.panels import markup, wires
-from sightline.app.panels.section import Section, action, checks, heading, note, put, table
-from sightline.app.panels.steps import missing_again
+from sightline.app.panels.section import Section, action, card, checks, heading, note, put, table
+from sightline.app.panels.steps import build_next_wire, missing_again, next_wire
 from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_label
@@ -62,8 +61,8 @@ def build_next(tab: Tab) -> None:
     elif all(planning.seen(name) for name in CHECK_NAMES) and missing_again(tab.planning):
         place = partial(tab.place, planning.landmarks, CHECK_NAMES)
         action("Place landmarks", place, testid="place-check", kind="primary")
-    elif verifying.shot is not None and verifying.shot.passed and wires.following(tab) is not None:
-        wires.build_following(tab)
+    elif verifying.shot is not None and verifying.shot.passed and next_wire(tab) is not None:
+        build_next_wire(tab)
     else:
         save = tab.doing(tab.save_report)
         action(texts.REPORT, save, testid="save-report", kind="primary", enabled=verifying.shot is not None)
@@ -117,7 +116,7 @@ def _result(tab: Tab) -> None:
     wrong, missing = failed(shot.checks), missing_again(tab.planning)
     if wrong and missing:
         told = texts.LEFT.format(what=", ".join(missing))
-        put(markup.card("incomplete", texts.VERDICTS["incomplete"], told, testid="check-verdict"))
+        put(card("incomplete", texts.VERDICTS["incomplete"], told, testid="check-verdict"))
     else:
         word, sentence = texts.CHECK_VERDICT[shot.passed]
         told = texts.sentence(wrong[0]) if wrong else sentence
@@ -128,7 +127,7 @@ def _result(tab: Tab) -> None:
             if shot.at_holes
             else ""
         )
-        put(markup.card("go" if shot.passed else "no-go", word, told, more, testid="check-verdict"))
+        put(card("go" if shot.passed else "no-go", word, told, more, testid="check-verdict"))
     tip = "tip, not judged" if shot.at_holes else "tip"
     rows = [
         ("entry, perpendicular", f"{shot.entry_deviation_mm:.2f} mm", f"{shot.entry_error_95_mm:.2f} mm"),

@@ -12,25 +12,25 @@ import numpy as np
 
 from sightline.app import texts
 from sightline.app.plan.decisions import NECK, SHAFT, Decisions, Display, FittedAxis, FittedHead, History, Pixel, Side
-from sightline.app.plan.holes import HolesFound, nail_drawn
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import (
     ROBOT_WIRE,
+    HolesFound,
     Planned,
     drawn_axis,
     drawn_head,
     fitted_axis,
     fitted_head,
     moved,
+    nail_drawn,
     planned,
     request_of,
 )
 from sightline.app.session import rehearsing
-from sightline.app.session.jobs import Jobs
+from sightline.app.session.jobs import Jobs, WorkerProcess, warm_up
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.seen import DrawnOn, Lightbox, NailInImages, SeenImage, entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan, restored
-from sightline.app.session.worker import WorkerProcess, warm_up
 from sightline.calibration import BeadView, CalibratedView
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.case import stages

@@ -8,9 +8,8 @@ from datetime import datetime
 from functools import cached_property
 from typing import TypeAlias
 
-from sightline.app.plan.holes import NAIL, HolesFound
-from sightline.app.session.jobs import Jobs, report, sentence_of
-from sightline.app.session.worker import WorkerProcess
+from sightline.app.plan.planner import NAIL, HolesFound
+from sightline.app.session.jobs import Jobs, WorkerProcess, report, sentence_of
 from sightline.calibration import BeadView
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Entry

@@ -8,9 +8,17 @@ from enum import StrEnum
 import numpy as np
 
 from sightline.app.plan.decisions import Decisions
-from sightline.app.plan.holes import HolesFound, of_wire
 from sightline.app.plan.marks import MarkSpec, names_of
-from sightline.app.plan.planner import PICK_SD_PX, ROBOT_WIRE, Planned, has_borders, has_head, planned
+from sightline.app.plan.planner import (
+    PICK_SD_PX,
+    ROBOT_WIRE,
+    HolesFound,
+    Planned,
+    has_borders,
+    has_head,
+    of_wire,
+    planned,
+)
 from sightline.calibration import BeadView
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.views import ALL_NAMES, NAMES

@@ -1,20 +1,22 @@
-"""A session: one procedure from the first image to the check shot, assembled from its parts."""
+"""A session: one procedure from the first image to the check shot, assembled from its parts; its report, and the cases
+beside it."""
 
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.session.drilling_workflow import DrillingWorkflow
-from sightline.app.session.jobs import Jobs
-from sightline.app.session.live import Live
+from sightline.app.session.jobs import Jobs, WorkerProcess
 from sightline.app.session.planning import Planning
 from sightline.app.session.readiness import PlanAge, Readiness
 from sightline.app.session.rehearsing import Patient
-from sightline.app.session.shots import Shots
+from sightline.app.session.shots import Live, Shots
 from sightline.app.session.verifying import Verifying
-from sightline.app.session.worker import WorkerProcess
 from sightline.case import stages
-from sightline.case.journal import Actor, Case
-from sightline.errors import UnusableInputError
+from sightline.case.journal import Actor, Case, Kind
+from sightline.case.journal.case import JOURNAL
+from sightline.errors import SightlineError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning.procedures.procedure import document_of, each_wire
 
@@ -79,3 +81,45 @@ class Session:
         await self.drilling.close()
         await self.live.close()
         self.planning.case.close()
+
+
+MAX_LISTED = 50  # cases, the newest ones [ours]
+
+
+@dataclass(frozen=True)
+class CaseInFolder:
+    """A case: its folder, number, time of the newest entry, and whether a wire is planned, drilled and verified."""
+
+    folder: Path
+    number: str
+    at: datetime
+    reached: Kind
+
+
+def report_files(folder: Path) -> dict[str, bytes]:
+    """Return the report of a case's last plan as a page, by file name. Runs in the worker.
+
+    Raises CaseError if the case holds no plan; also raises the errors of the recomputed stages.
+    """
+    from sightline.case.report.from_case import report_of
+    from sightline.case.report.page import render
+
+    with Case.open(folder, read_only=True) as case:
+        made, name = report_of(case), f"report-{case.number}"
+    return {f"{name}.html": render(made).encode()}
+
+
+def cases_beside(folder: Path) -> list[CaseInFolder]:
+    """Return the cases in the folder around a case's own, the newest first; those that cannot be read are left out."""
+    found = []
+    for journal in folder.resolve().parent.glob(f"*/{JOURNAL}"):
+        try:
+            with Case.open(journal.parent, read_only=True) as case:
+                last = case.entries()[-1:]
+                reached = [kind for kind in (Kind.VERIFIED, Kind.DRILLED, Kind.PLANNED) if case.latest(kind)]
+                if last:
+                    here = reached[0] if reached else Kind.ACQUIRED
+                    found.append(CaseInFolder(journal.parent, case.number, last[0].at, here))
+        except SightlineError:
+            continue
+    return sorted(found, key=lambda one: one.at, reverse=True)[:MAX_LISTED]

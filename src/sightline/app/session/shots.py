@@ -1,7 +1,10 @@
 """Shots while drilling: two images of a block, or of a frame fixed to the patient, at ALIGNED and at PAUSED show where
-the wire goes, before it goes on."""
+the wire goes, before it goes on; and the
+live image, analysed as by `sightline watch`, with the plan drawn over it."""
 
 import asyncio
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,7 +12,7 @@ from sightline.app import texts
 from sightline.app.plan.marks import GUIDE, SHOT_NAMES
 from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.planning import Planning
-from sightline.app.session.rehearsing import shot_images
+from sightline.app.session.rehearsing import Patient, shot_images
 from sightline.app.session.seen import SeenImage, entry_of
 from sightline.app.session.sent import SentPlan, found_again
 from sightline.case.contents import CheckRequest, DrillShotRequest
@@ -18,7 +21,8 @@ from sightline.case.stages import record_changed, record_shot
 from sightline.case.views import ALL_NAMES
 from sightline.common.checks import failed
 from sightline.common.geometry.covariance import TWO_SIDED_95
-from sightline.errors import RefusedError, RobotRefusedError, SetUpError, SightlineError
+from sightline.errors import RefusedError, RobotRefusedError, SetUpError, SightlineError, UnusableInputError
+from sightline.frame import Frame
 from sightline.planning.check.result import MIN_LANDMARKS
 from sightline.planning.check.shot import ALIGNED, PAUSED, DrillShot
 from sightline.planning.check.wires import Landmarks
@@ -218,3 +222,97 @@ class Shots:
         except SightlineError as error:
             self.found, self.refused = None, str(error)
         planning.jobs.notify()
+
+
+if TYPE_CHECKING:
+    from sightline.case.watch.analyser import TimedImage, Watched
+    from sightline.case.watch.live import Watch
+
+# Freshness is reported every 0.1 s; allow one period and 0.1 s of latency. If the reports stop, an image can show as
+# current until it is STALE_S + LATE_S = 0.4 s old [ours].
+LATE_S = 0.2
+EVERY = 3  # of 30 images a second every third is processed, to leave processor time for the page [ours]
+
+
+class Live:
+    """The live image. `watch`: None while none is shown."""
+
+    def __init__(self, planning: Planning) -> None:
+        self._planning = planning
+        self.watch: Watch | None = None
+        self._starting = False
+
+    async def start(self, source: str | None) -> None:
+        """Watch a source by its name, or the rehearsed patient's C-arm if None. Raises SightlineError.
+
+        The overlay shows the plan that was sent, or the current plan if none was sent. Movement is measured against the
+        views of that plan.
+        """
+        from sightline.case.watch.live import Watch
+
+        self._planning.frame.refuse_solid("a live image is watched by the plates of a frame")
+        if self._starting:
+            raise UnusableInputError("wait: the live image is already being started")
+        self._starting = True
+        try:
+            await self.close()
+            planning = self._planning
+            images = await asyncio.to_thread(_opened, source, planning.patient)
+            known = planning.planned if planning.sent is None else planning.sent.planned
+            views = (planning.views() or ()) if known is None else known.views
+            plan = None if known is None or known.plan is None else known.plan.trajectory
+            self.watch = Watch(planning.frame, _Thinned(images), plan, views)
+            self.watch.start()
+        finally:
+            self._starting = False
+        self._planning.jobs.notify()
+
+    async def close(self) -> None:
+        """End the live image. A hanging source is awaited on another thread, so that the page and STOP keep working."""
+        watch, self.watch = self.watch, None
+        if watch is not None:
+            self._planning.jobs.notify()
+            await asyncio.to_thread(watch.close)
+
+    def latest(self) -> "Watched | None":
+        """Return the newest processed image."""
+        return None if self.watch is None else self.watch.latest()
+
+
+def fresh_s(watched: "Watched") -> float:
+    """Return for how long, s, a page may show an image as current without another report; 0 for a stale one.
+
+    Without further reports this ends when the image is STALE_S + LATE_S old.
+    """
+    from sightline.case.watch.analyser import STALE_S
+
+    return 0.0 if watched.stale else STALE_S - watched.age_s + LATE_S
+
+
+class _Thinned:
+    """Every EVERY-th image of a source."""
+
+    def __init__(self, source: "Iterable[TimedImage]") -> None:
+        self._source = source
+
+    def __iter__(self) -> "Iterator[TimedImage]":
+        for k, shown in enumerate(self._source):
+            if k % EVERY == 0:
+                yield shown
+
+    def close(self) -> None:
+        """Close the source."""
+        close = getattr(self._source, "close", None)
+        if close is not None:
+            close()
+
+
+def _opened(source: str | None, patient: Patient | None) -> "Iterable[TimedImage]":
+    from sightline.imaging.sources import open_source
+    from sightline.rehearsal.stream import SimulatedFluoroscopy
+
+    if source is not None:
+        return open_source(source)
+    if patient is None:
+        raise UnusableInputError("no live image is connected; start the app with --live SOURCE")
+    return SimulatedFluoroscopy(patient.seed, Frame.load(patient.frame))

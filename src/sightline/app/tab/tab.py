@@ -9,17 +9,15 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.drawing.pictures import Pictures, head_up
-from sightline.app.drawing.xray.view import XrayEvent, XrayView
+from sightline.app.drawing.xray import XrayEvent, XrayView
 from sightline.app.plan.decisions import Display, Pixel
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import Planned
 from sightline.app.session.jobs import failure_of, report
 from sightline.app.session.planning import Planning
-from sightline.app.session.reporting import report_files
-from sightline.app.session.session import Session
-from sightline.app.tab.dragging import Dragging
+from sightline.app.session.session import Session, report_files
 from sightline.app.tab.placing import Goal, Placing, ProcedureStep
-from sightline.app.tab.views import Views
+from sightline.app.tab.views import Dragging, Views
 from sightline.errors import SightlineError
 from sightline.planning import Nail
 from sightline.planning.points.reconstruct import Measured, measured_in_plane, measured_in_space

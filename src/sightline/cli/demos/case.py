@@ -97,8 +97,8 @@ def _record_images(case: "Case", images: "Pair | None", frame_ref: str) -> "list
 def _decisions(kept: Kept, acquired: dict[str, int]) -> dict[str, object]:
     """Return the picks as the app keeps them; side and serial are left for a person to confirm."""
     from sightline.app.plan.decisions import Decisions, Mark
-    from sightline.app.plan.holes import with_nail
     from sightline.app.plan.marks import END, ENTRY
+    from sightline.app.plan.planner import with_nail
     from sightline.case.views import NAMES
 
     def mark(places, *, free: bool) -> Mark:
