@@ -1,5 +1,5 @@
-"""The content of a page's two X-ray views, derived from procedure, step and drag at each refresh; and the preview of the
-plan during a drag. The browser draws the curves that guide the hand by itself."""
+"""The content of a page's two X-ray views, derived from procedure, step and drag at each refresh; and the preview of
+the plan during a drag. The browser draws the curves that guide the hand by itself."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
