@@ -20,8 +20,7 @@ import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from sightline.calibration.displacement import Rest
-from sightline.case.watch.alarm import HOUR, PROMISED_MM, Alarm
-from sightline.case.watch.analyser import REST_FRAMES, STALE_S, LiveAnalyser
+from sightline.case.watch.analyser import HOUR, PROMISED_MM, REST_FRAMES, STALE_S, Alarm, LiveAnalyser
 from sightline.case.watch.live import Watch
 from sightline.detection import Observations
 from sightline.rehearsal.stream import Shot, SimulatedFluoroscopy, shifted

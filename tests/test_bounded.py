@@ -9,7 +9,7 @@ from tests.systems import needs_posix
 
 import sightline as sl
 from sightline.case.deidentify import Deidentifier
-from sightline.case.interop.dicom_plan import ReferencedImage
+from sightline.case.interop.dicom import ReferencedImage
 from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal.originals import anonymous_name
 from sightline.common.bounded import read_bounded, regular_file

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sightline.case.acquire import Acquirer
-from sightline.case.acquire.frames import take_frames
+from sightline.case.acquire.acquirer import take_frames
 from sightline.case.acquire.igtl import ImageLink, radiograph_of
 from sightline.case.acquire.robot import PoseNow, RobotWatch
 from sightline.case.journal import Case

@@ -7,11 +7,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from sightline.case.documents import view_document
 from sightline.case.report.comparison import Refused
 from sightline.case.report.document import report_document
 from sightline.case.report.page import render
 from sightline.case.report.tables import tables
+from sightline.case.views import view_document
 from sightline.common.checks import Check
 from sightline.planning import Verdict
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.calibration import CArm
-from sightline.case.documents import view_document
 from sightline.case.report.comparison import Compared
-from sightline.case.views import calibrate_pair, see_pair, stated_view
+from sightline.case.views import calibrate_pair, see_pair, stated_view, view_document
 from sightline.common.atomic import write_folder
 from sightline.detection.csv_files import write_observations
 from sightline.errors import ObservationsError, UnusableInputError

@@ -11,8 +11,18 @@ from tests.detection.frame_images import FRAME, SIZE, beads, image
 
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.displacement import Displacement
-from sightline.case.watch.alarm import FOUND, HOUR, PROMISED_MM, Alarm, limit_mm, quantiles
-from sightline.case.watch.analyser import REST_FRAMES, LiveAnalyser, Watched, aged
+from sightline.case.watch.analyser import (
+    FOUND,
+    HOUR,
+    PROMISED_MM,
+    REST_FRAMES,
+    Alarm,
+    LiveAnalyser,
+    Watched,
+    aged,
+    limit_mm,
+    quantiles,
+)
 from sightline.case.watch.live import Watch
 from sightline.detection import Observations
 from sightline.errors import SourceError, UnusableInputError

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.detection.frame_images import SIZE, beads, image
 
-from sightline.case.watch.alarm import BLIND_TO
+from sightline.case.watch.analyser import BLIND_TO
 from sightline.imaging import Radiograph, write_png
 from sightline.imaging.sources import open_source
 

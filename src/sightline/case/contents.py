@@ -9,8 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.view import CalibratedView
 from sightline.case.canonical import digest, plain, with_null
-from sightline.case.documents import view_document
-from sightline.case.views import CalibratedImage
+from sightline.case.views import CalibratedImage, view_document
 from sightline.common.checks import Limits
 from sightline.detection import Detections, Observations
 from sightline.errors import CaseError, UnusableInputError

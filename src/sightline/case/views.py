@@ -4,6 +4,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from math import acos, cos, radians, sin
 from pathlib import Path
+from typing import Any
 
 from sightline.calibration import BeadView, CArm
 from sightline.calibration.maps.fit_map import Method
@@ -198,3 +199,27 @@ def calibrate_images(
         )
         for s in seen
     )
+
+
+def view_document(image: CalibratedImage) -> dict[str, Any]:
+    """Return a calibrated view as JSON types: geometry, the residual of each bead, checks."""
+    view, seen = image.view, image.seen
+    residuals = view.residuals
+    return {
+        "view": view.name,
+        "source": seen.source,
+        "method": view.method,
+        "mirrored": view.mirrored,
+        "coordinates": "CFCS",
+        "focal_point_mm": view.focal_point_mm.tolist(),
+        "residual_rms_mm": residuals.rms_mm,
+        "leave_one_out_rms_mm": residuals.leave_one_out_rms_mm,
+        "left_out": list(residuals.left_out),
+        "beads": [
+            {"id": i, "uv_px": uv.tolist(), "residual_mm": r.tolist(), "used": bool(used)}
+            for i, uv, r, used in zip(
+                residuals.ids, residuals.uv_px, residuals.residual_mm, residuals.used, strict=True
+            )
+        ],
+        "checks": [vars(check) for check in view.checks],
+    }

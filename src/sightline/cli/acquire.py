@@ -122,7 +122,7 @@ def video(
 
     With --average the mean of several frames, if nothing moved.
     """
-    from sightline.case.acquire.frames import take_frames
+    from sightline.case.acquire.acquirer import take_frames
     from sightline.imaging.formats import is_image
     from sightline.imaging.sources import Run, VideoSource
 
@@ -152,7 +152,7 @@ def igtl(
 
     The peer may be 3D Slicer or PLUS. With --average the mean of several frames, if nothing moved.
     """
-    from sightline.case.acquire.frames import take_frames
+    from sightline.case.acquire.acquirer import take_frames
     from sightline.case.acquire.igtl import ImageLink
     from sightline.cli.robots.robot import parse_address
 

@@ -39,8 +39,8 @@ def calibrate(
 
     Gives the focal point, the residual of each bead and the checks of the view. Exit code 3 if a check fails.
     """
-    from sightline.case.documents import view_document
     from sightline.case.views import calibrated as calibrated_image
+    from sightline.case.views import view_document
     from sightline.common.atomic import write_whole
     from sightline.detection.csv_files import write_observations
     from sightline.frame import Frame

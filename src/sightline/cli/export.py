@@ -93,7 +93,7 @@ def undistorted(
     """
     from sightline.calibration.exchange import opencv
     from sightline.calibration.exchange.reading import json_bytes
-    from sightline.case.interop.images import encode
+    from sightline.case.interop.dicom import encode
 
     calibrated = _calibrate(output, images, pixels=True)
     files: dict[str, bytes] = {}

@@ -57,7 +57,7 @@ def watch(
     Every frame is calibrated, the plan is drawn into it, and an alarm is given when frame or C-arm move. With --json
     every frame is one line, and the last line is the summary.
     """
-    from sightline.case.watch.alarm import BLIND_TO
+    from sightline.case.watch.analyser import BLIND_TO
     from sightline.case.watch.live import Watch
     from sightline.frame import Frame
 

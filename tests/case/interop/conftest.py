@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from tests.case.conftest import HOSTILE, LANDMARKS_MM, WIRE_MM
 
-from sightline.case.interop.bundle import bundle
-from sightline.case.interop.plan_file import PlanFile, sealed
+from sightline.case.interop.plan_file import PlanFile, bundle, sealed
 from sightline.case.views import NAMES, calibrate_pair
 from sightline.cli.output import as_json
 from sightline.cli.planning.results import plan_document

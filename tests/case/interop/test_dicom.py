@@ -11,7 +11,7 @@ from pydicom import Dataset, dcmread
 from tests.case.conftest import WIRE_MM
 from tests.case.interop.dicom_modules import faults
 
-from sightline.case.interop import dicom_plan
+from sightline.case.interop import dicom as dicom_plan
 from sightline.case.interop.dicom import ExportIdentity
 from sightline.case.interop.plan_file import PlanFile
 from sightline.errors import UnusableInputError

@@ -14,7 +14,7 @@ from sightline.app.session.sent import ZeroSource
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_label
-from sightline.case.watch.alarm import BLIND_TO
+from sightline.case.watch.analyser import BLIND_TO
 from sightline.common.checks import failed
 from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.planning.check.result import MIN_LANDMARKS

@@ -1,19 +1,30 @@
 """DICOM objects of an export: the modules they share, and an image as a secondary capture. The case number names the
 patient."""
 
+import io
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from io import BytesIO
+from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
-from pydicom import Dataset, dcmwrite
+from pydicom import Dataset, dcmread, dcmwrite
 from pydicom.dataset import FileMetaDataset
-from pydicom.uid import ExplicitVRLittleEndian, SecondaryCaptureImageStorage, generate_uid
+from pydicom.uid import (
+    ExplicitVRLittleEndian,
+    GrayscaleSoftcopyPresentationStateStorage,
+    SecondaryCaptureImageStorage,
+    generate_uid,
+)
 
 from sightline import __version__
 from sightline.calibration.exchange.pinhole import Pinhole
+from sightline.case.interop.plan_file import PlanFile
+from sightline.common.bounded import regular_file
 from sightline.errors import UnusableInputError
 
 _SERIES = {"OT": 1, "PR": 2}  # images, presentation states
@@ -106,3 +117,229 @@ def capture(
     out.PixelData = raw + b"\0" * (len(raw) % 2)
     out["PixelData"].VR = "OW" if bits == 16 else "OB"
     return out
+
+
+STRETCH = (0.5, 99.5)  # percentiles of the pixels that become black and white [ours]
+
+
+@dataclass(frozen=True, eq=False)
+class PlanOverlay:
+    """Entry and end point (2,), and the wire from entry to end (M, 2), IDCS of the image that is drawn on."""
+
+    entry_px: np.ndarray
+    end_px: np.ndarray
+    wire_px: np.ndarray
+
+
+def on_plate(plan: PlanFile, pinhole: Pinhole) -> PlanOverlay:
+    """Return the projected plan, not the picks, in a pinhole's image, where the wire is straight."""
+    entry, end = pinhole.view().project(plan.points_mm)
+    return PlanOverlay(entry, end, np.stack([entry, end]))
+
+
+def burn_in(pixels: np.ndarray, drawn: PlanOverlay, words: str) -> np.ndarray:
+    """Return the image (H, W) as uint8, contrast stretched, with `words` and the wire in white with a black rim."""
+    low, high = np.percentile(pixels, STRETCH)
+    shown = np.clip((pixels.astype(np.float32) - low) / max(float(high - low), 1e-6) * 255, 0, 255).astype(np.uint8)
+    fine = 16  # OpenCV draws to 1/16 px
+    path = np.rint(drawn.wire_px * fine).astype(np.int32).reshape(-1, 1, 2)
+    for colour, width in ((0, 5), (255, 1)):
+        cv2.polylines(shown, [path], False, colour, width, cv2.LINE_AA, 4)
+        for place in (drawn.entry_px, drawn.end_px):
+            u, v = (int(x) for x in np.rint(np.asarray(place) * fine))
+            cv2.circle(shown, (u, v), 6 * fine, colour, width, cv2.LINE_AA, 4)
+        cv2.putText(shown, words, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, width, cv2.LINE_AA)
+    return shown
+
+
+_LAYER = "PLAN"
+_READ = ["SOPClassUID", "SOPInstanceUID", "SeriesInstanceUID", "StudyInstanceUID", "Rows", "Columns"]
+_ALSO = ["PhotometricInterpretation", "NumberOfFrames", "WindowCenter", "WindowWidth"]
+
+
+@dataclass(frozen=True)
+class ReferencedImage:
+    """The UIDs that a reference to an image needs, its shape (H, W), and how it is displayed. Nothing else is read."""
+
+    sop_class: str
+    instance: str
+    series: str
+    study: str
+    shape: tuple[int, int]
+    inverse: bool = False
+    window: tuple[str, str] | None = None
+
+    @staticmethod
+    def of(image: Dataset) -> "ReferencedImage":
+        """Return the reference to an image. Raises UnusableInputError if `image` is not a single image."""
+        missing = [keyword for keyword in _READ if not image.get(keyword)]
+        if missing or int(image.get("NumberOfFrames") or 1) != 1:
+            raise UnusableInputError(
+                f"a presentation state refers to one image; missing: {', '.join(missing) or 'none'}"
+            )
+        centre, width = (_first(image.get(keyword)) for keyword in ("WindowCenter", "WindowWidth"))
+        return ReferencedImage(
+            str(image.SOPClassUID),
+            str(image.SOPInstanceUID),
+            str(image.SeriesInstanceUID),
+            str(image.StudyInstanceUID),
+            (int(image.Rows), int(image.Columns)),
+            image.get("PhotometricInterpretation") == "MONOCHROME1",
+            (centre, width) if centre is not None and width is not None else None,
+        )
+
+    @staticmethod
+    def read(file: Path) -> "ReferencedImage":
+        """Read the reference from a DICOM file's header. Raises UnusableInputError."""
+        try:
+            with regular_file(file) as stream:
+                header = dcmread(stream, stop_before_pixels=True, specific_tags=_READ + _ALSO)
+            return ReferencedImage.of(header)
+        except UnusableInputError as error:
+            raise UnusableInputError(f"{file.name}: {error}") from None
+        except Exception:  # broken bytes may make pydicom raise anything; its messages may quote the patient
+            raise UnusableInputError(f"{file.name} is not a DICOM image; give the original of the view") from None
+
+
+def _first(value: object) -> str | None:
+    """Return the first of one or several numbers as text; None if it is not a number."""
+    several = value if isinstance(value, (list, tuple)) or hasattr(value, "__getitem__") else [value]
+    text = "" if value is None else str(several[0] if not isinstance(value, str) else value)  # pyright: ignore[reportIndexIssue]
+    try:
+        return f"{float(text):.10g}"
+    except ValueError:
+        return None
+
+
+def state(image: ReferencedImage, drawn: PlanOverlay, statement: str, identity: ExportIdentity, number: int) -> Dataset:
+    """Return the presentation state that draws wire, entry and end point, and the plan's statement over an image."""
+    out = dataset(identity, GrayscaleSoftcopyPresentationStateStorage, "PR", f"state {number}", image.study)
+    out.InstanceNumber, out.ContentLabel = number, "PLAN"
+    out.ContentDescription, out.ContentCreatorName = statement[:64], None
+    out.PresentationCreationDate = f"{identity.created:%Y%m%d}"
+    out.PresentationCreationTime = f"{identity.created:%H%M%S}"
+    out.ReferencedSeriesSequence = [_series(image)]
+    out.DisplayedAreaSelectionSequence = [_area(image)]
+    out.GraphicAnnotationSequence = [_annotation(image, drawn, statement)]
+    layer = Dataset()
+    layer.GraphicLayer, layer.GraphicLayerOrder, layer.GraphicLayerRecommendedDisplayGrayscaleValue = _LAYER, 1, 65535
+    out.GraphicLayerSequence = [layer]
+    if image.window is not None:
+        window = Dataset()
+        window.WindowCenter, window.WindowWidth = image.window
+        out.SoftcopyVOILUTSequence = [window]
+    out.PresentationLUTShape = "INVERSE" if image.inverse else "IDENTITY"
+    return out
+
+
+def _reference(image: ReferencedImage) -> Dataset:
+    one = Dataset()
+    one.ReferencedSOPClassUID, one.ReferencedSOPInstanceUID = image.sop_class, image.instance
+    return one
+
+
+def _series(image: ReferencedImage) -> Dataset:
+    out = Dataset()
+    out.SeriesInstanceUID, out.ReferencedImageSequence = image.series, [_reference(image)]
+    return out
+
+
+def _area(image: ReferencedImage) -> Dataset:
+    out = Dataset()
+    out.ReferencedImageSequence = [_reference(image)]
+    out.DisplayedAreaTopLeftHandCorner, out.DisplayedAreaBottomRightHandCorner = [1, 1], list(image.shape[::-1])
+    out.PresentationSizeMode, out.PresentationPixelAspectRatio = "SCALE TO FIT", [1, 1]
+    return out
+
+
+def _annotation(image: ReferencedImage, drawn: PlanOverlay, statement: str) -> Dataset:
+    out = Dataset()
+    out.ReferencedImageSequence, out.GraphicLayer = [_reference(image)], _LAYER
+    places = [drawn.entry_px, drawn.end_px]
+    lines = [_graphic("POLYLINE", drawn.wire_px)] if len(drawn.wire_px) > 1 else []
+    out.GraphicObjectSequence = [*lines, *(_graphic("POINT", place[None]) for place in places)]
+    out.TextObjectSequence = [
+        _text("entry", drawn.entry_px),
+        _text("end", drawn.end_px),
+        _text(statement[:1024], np.array([4.0, 4.0])),
+    ]
+    return out
+
+
+def _from_corner(uv_px: np.ndarray) -> list[float]:
+    """Convert IDCS, whose origin is the centre of the first pixel, to DICOM's, whose origin is its corner."""
+    return [float(np.float32(x)) for x in (np.asarray(uv_px) + 0.5).ravel()]
+
+
+def _graphic(kind: str, uv_px: np.ndarray) -> Dataset:
+    out = Dataset()
+    out.GraphicAnnotationUnits, out.GraphicDimensions, out.NumberOfGraphicPoints = "PIXEL", 2, len(uv_px)
+    out.GraphicData, out.GraphicType = _from_corner(uv_px), kind
+    if kind == "POLYLINE":
+        out.GraphicFilled = "N"
+    return out
+
+
+def _text(words: str, uv_px: np.ndarray) -> Dataset:
+    out = Dataset()
+    out.UnformattedTextValue, out.AnchorPointAnnotationUnits = words, "PIXEL"
+    out.AnchorPoint, out.AnchorPointVisibility = _from_corner(uv_px), "N"
+    return out
+
+
+def write(plan: PlanFile, identity: ExportIdentity, originals: Mapping[str, Path]) -> dict[str, bytes]:
+    """Return three files per view, and for each of `originals` (a DICOM file by view) a presentation state over it.
+
+    Raises UnusableInputError if the plan was made without images, or an original is not the image of its view.
+    """
+    out: dict[str, bytes] = {}
+    for k, (view, pinhole) in enumerate(plan.plates.items()):
+        image = plan.pixels(view)
+        if image is None:
+            raise UnusableInputError(f"the plan has no image of view {view}: it was made from observations in CSV")
+        drawn = on_plate(plan, pinhole)
+        plain = capture(image, pinhole, identity, f"{view}, undistorted; {plan.statement}", 4 * k + 1)
+        shown = burn_in(image[0], drawn, plan.verdict)
+        out[f"{view}.dcm"] = file_bytes(plain)
+        out[f"{view}-plan.dcm"] = file_bytes(
+            capture((shown, 255.0), pinhole, identity, f"{view}, plan drawn; {plan.statement}", 4 * k + 2)
+        )
+        over_plain = state(ReferencedImage.of(plain), drawn, plan.statement, identity, 4 * k + 3)
+        out[f"{view}-state.dcm"] = file_bytes(over_plain)
+        if view in originals:
+            out[f"{view}-original-state.dcm"] = _over_original(plan, view, originals[view], identity, 4 * k + 4)
+    unknown = set(originals) - set(plan.plates)
+    if unknown:
+        raise UnusableInputError(f"the plan has no view {', '.join(sorted(unknown))}")
+    return out
+
+
+def _over_original(plan: PlanFile, view: str, original: Path, identity: ExportIdentity, number: int) -> bytes:
+    if plan.document.drawn is None or view not in plan.document.drawn:
+        raise UnusableInputError("the plan does not say where it lies in the raw images; plan again with --out")
+    given = plan.document.drawn[view]
+    entry, end, wire = (np.array(px, dtype=np.float64) for px in (given.entry_px, given.end_px, given.wire_px))
+    drawn = PlanOverlay(entry, end, wire.reshape(-1, 2))
+    image = ReferencedImage.read(original)
+    inside = all((px >= -0.5).all() and (px <= np.array(image.shape[::-1]) - 0.5).all() for px in drawn.wire_px)
+    if not inside:
+        raise UnusableInputError(f"{original.name} is not the image of view {view}: the wire lies outside it")
+    return file_bytes(state(image, drawn, plan.statement, identity, number))
+
+
+def encode(kind: str, name: str, pixels: np.ndarray, white: float, pinhole: Pinhole) -> dict[str, bytes]:
+    """Return an image (H, W) as one file, by its name. `kind`: png, npy or dicom. Raises UnusableInputError."""
+    if kind == "npy":
+        out = io.BytesIO()
+        np.save(out, pixels)
+        return {f"{name}.npy": out.getvalue()}
+    if kind not in ("png", "dicom"):
+        raise UnusableInputError(f"{kind!r} is not an image format; choose png, npy or dicom")
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise UnusableInputError(f"the image has {pixels.dtype} pixels, which {kind} cannot hold; choose npy")
+    if kind == "png":
+        return {f"{name}.png": cv2.imencode(".png", pixels)[1].tobytes()}
+    from sightline.case.interop.dicom import ExportIdentity, capture, file_bytes
+
+    identity = ExportIdentity("undistorted", datetime.now().replace(microsecond=0))
+    return {f"{name}.dcm": file_bytes(capture((pixels, white), pinhole, identity, f"{name}, undistorted", 1))}

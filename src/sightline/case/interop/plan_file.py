@@ -4,21 +4,25 @@ Its digest detects changes made by accident or by hand. It is not a signature: a
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from pydantic import ValidationError
 
 from sightline.calibration.exchange import opencv, reading
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.canonical import canonical, digest
+from sightline.case.interop.plate import plate_image
+from sightline.case.views import CalibratedImage
 from sightline.common.checks import CheckCode, Limits
 from sightline.common.geometry.covariance import length_quantile
-from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.errors import OutsideRegionError, RobotRefusedError, UnusableInputError
+from sightline.frame import Frame
 from sightline.imaging import read_image
-from sightline.planning import Trajectory
+from sightline.planning import Plan, Trajectory
 from sightline.planning.bone.directions import caudal
 from sightline.planning.document import SOLID, PlanFileDocument
 from sightline.planning.points.results import SpacePoints
@@ -311,3 +315,68 @@ def _checked(file: Path, given: Mapping[str, Any], wire: str | None) -> PlanFile
     except UnusableInputError as error:
         raise UnusableInputError(f"{file.name}: {error}") from None
     return plan
+
+
+POINTS = ("entry", "end")
+_WIRE_POINTS = 21  # [ours] about 5 mm apart, since distortion bends the drawn wire
+
+
+def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Return the keys to add to plan.json, and the undistorted images as files to write beside it."""
+    plates, files = {}, {}
+    for image in images:
+        seen = image.seen.image
+        plate = plate_image(image.view, None if seen is None else seen.pixels)
+        plates[image.name] = opencv.document(plate.pinhole) | {"file": None}
+        if plate.pixels is not None and seen is not None and plate.pixels.dtype in (np.uint8, np.uint16):
+            name = f"{image.name}-plate.png"
+            files[name] = cv2.imencode(".png", plate.pixels)[1].tobytes()
+            plates[image.name] |= {"file": name, "white": seen.white}
+    document = {
+        "frame": _frame(frame),
+        "plates": plates,
+        "lines_of_sight": [line for k, image in enumerate(images) for line in _lines(plan, k, image)],
+        "drawn": {image.name: _drawn(plan, k, image) for k, image in enumerate(images)},
+    }
+    return document, files
+
+
+def _frame(frame: Frame) -> dict[str, Any]:
+    bodies = frame.named_plates if frame.solid is None else (("all", SOLID, frame.solid),)  # the rest is not CFCS
+    beads = [
+        {"id": bead.id, "view": name, "plate": role, "xyz_mm": list(map(float, bead.xyz_mm))}
+        for name, role, body in bodies
+        for bead in body.fiducials
+    ]
+    return {"name": frame.name, "serial": frame.serial, "fingerprint": frame.fingerprint, "beads": beads}
+
+
+def _lines(plan: Plan, k: int, image: CalibratedImage) -> list[dict[str, Any]]:
+    uv = np.array([pick[k].uv_px for pick in plan.picks])
+    shown = np.isfinite(uv).all(axis=1)
+    sight = image.view.lines_of_sight(uv[shown])
+    return [
+        {
+            "point": point,
+            "view": image.name,
+            "focal_point_mm": sight.focal_point_mm.tolist(),
+            "plate_mm": sight.points_mm[i].tolist(),
+        }
+        for i, point in enumerate(np.array(POINTS)[shown].tolist())
+    ]
+
+
+def _drawn(plan: Plan, k: int, image: CalibratedImage) -> dict[str, Any]:
+    """Return the picks of an image, for a point that it was not picked in the point's projection, and its wire."""
+    picks = np.array([pick[k].uv_px for pick in plan.picks], dtype=np.float64)
+    missed = np.isnan(picks).any(axis=1)
+    if missed.any():
+        picks[missed] = image.view.project(plan.trajectory.points.xyz_mm[missed])
+    entry, end = picks.tolist()
+    path = plan.trajectory
+    along = path.entry_mm + np.linspace(0, 1, _WIRE_POINTS)[:, None] * (path.end_mm - path.entry_mm)
+    try:
+        wire = image.view.project(along).tolist()
+    except OutsideRegionError:
+        wire = []
+    return {"entry_px": entry, "end_px": end, "wire_px": wire}

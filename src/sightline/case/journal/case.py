@@ -12,9 +12,19 @@ from typing import Any, TypeVar
 from sightline.case.canonical import canonical, digest
 from sightline.case.journal import originals, schema
 from sightline.case.journal.database import connect, errors_explained, memory_copy, transaction, use_write_ahead_log
-from sightline.case.journal.entry import Actor, Entry, Kind, next_link, originals_in, versions
+from sightline.case.journal.entry import (
+    HEAD,
+    Actor,
+    Entry,
+    Kind,
+    entry_of_row,
+    first_link,
+    head_of_row,
+    next_link,
+    originals_in,
+    versions,
+)
 from sightline.case.journal.integrity import check_case
-from sightline.case.journal.rows import HEAD, entry_of_row, first_link, head_of_row
 from sightline.common.atomic import scratch_folder, sync_folder
 from sightline.common.checks import Check, failed
 from sightline.common.closing import Closing

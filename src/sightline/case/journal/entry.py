@@ -1,6 +1,8 @@
 """One entry of a case: what happened, when, who did it, with which software, and the entries it was made from."""
 
+import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
@@ -102,3 +104,37 @@ def versions() -> dict[str, str]:
         **{name: version(name) for name in names},
         "machine": f"{system()} {machine()} {get_host_cpu_name()}",
     }
+
+
+# Columns that the hash chain covers, in the order of the table; `content` and `chain` follow them.
+HEAD = ("number", "kind", "at", "by", "versions", "settings", "rests_on", "content_sha256")
+
+
+def first_link(case_number: str) -> str:
+    """Return the first hash of the chain."""
+    return digest(f"sightline case {case_number}")
+
+
+def head_of_row(row: Sequence[Any]) -> dict[str, Any]:
+    """Return the columns of HEAD by name, with their texts as the database stores them."""
+    return dict(zip(HEAD, row[: len(HEAD)], strict=True))
+
+
+def entry_of_row(row: Sequence[Any]) -> Entry:
+    """Return a row as an entry. Raises CaseError if the row is damaged."""
+    number, kind, at, by, versions, settings, rests_on, content_sha256, content, chain = row
+    try:
+        return Entry(
+            number=number,
+            kind=Kind(kind),
+            at=datetime.fromisoformat(at),
+            by=Actor(by),
+            versions=json.loads(versions),
+            settings=json.loads(settings),
+            content=json.loads(content),
+            rests_on=tuple(json.loads(rests_on)),
+            content_sha256=content_sha256,
+            chain=chain,
+        )
+    except (TypeError, ValueError):
+        raise CaseError(f"entry {number} of the case is damaged; run `sightline case check` for details") from None

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from sightline.case.canonical import digest
-from sightline.case.journal.entry import next_link, originals_in
+from sightline.case.journal.entry import HEAD, entry_of_row, first_link, head_of_row, next_link, originals_in
 from sightline.case.journal.originals import is_whole
-from sightline.case.journal.rows import HEAD, entry_of_row, first_link, head_of_row
 from sightline.common.checks import Check
 from sightline.errors import CaseError
 

@@ -3,7 +3,7 @@
 It may import `stages` and what lies below; it writes nothing into a case.
 """
 
-from sightline.case.replay.compare_json import largest
+from sightline.case.replay.compare import largest
 from sightline.case.replay.outcomes import Replayed, ReplayOutcome, judge, replay
 from sightline.case.replay.recompute import Recomputed
 

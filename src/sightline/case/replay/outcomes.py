@@ -7,9 +7,8 @@ from enum import StrEnum
 from sightline.case.canonical import canonical, digest, plain
 from sightline.case.journal import Case, Entry
 from sightline.case.journal.entry import versions
-from sightline.case.replay.compare_json import Difference, differences, largest
+from sightline.case.replay.compare import Difference, beyond_stated, differences, largest
 from sightline.case.replay.recompute import Recomputed
-from sightline.case.replay.stated_error import beyond_stated
 from sightline.common.checks import Check
 from sightline.common.estimator import ESTIMATOR, FIRST
 from sightline.errors import SightlineError

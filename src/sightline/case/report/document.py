@@ -9,10 +9,10 @@ from typing import Any, Literal
 from pydantic import ConfigDict, Field
 
 from sightline.case.canonical import canonical
-from sightline.case.documents import view_document
 from sightline.case.journal.entry import versions
 from sightline.case.report.content import Report
 from sightline.case.report.exposures import NOTE
+from sightline.case.views import view_document
 from sightline.planning import WirePlans
 from sightline.planning.document import CheckDocument, OpenDocument, PlanDocument, Point
 from sightline.planning.points.results import State

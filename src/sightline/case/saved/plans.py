@@ -9,7 +9,7 @@ from sightline.calibration import BeadView
 from sightline.calibration.exchange.reading import array
 from sightline.case.canonical import plain, with_null
 from sightline.case.contents import PlanRequest
-from sightline.case.interop.bundle import bundle
+from sightline.case.interop.plan_file import bundle
 from sightline.case.saved import views
 from sightline.errors import UnusableInputError
 from sightline.planning import Plan, SpacePoints, Trajectory

@@ -10,9 +10,8 @@ from sightline.calibration import BeadView, CalibrationInputs, CArm, MatrixView,
 from sightline.calibration.exchange import opencv
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.canonical import plain
-from sightline.case.documents import view_document
 from sightline.case.saved.beads import observations
-from sightline.case.views import CalibratedImage, ObservedView
+from sightline.case.views import CalibratedImage, ObservedView, view_document
 from sightline.common.checks import Check
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame

@@ -53,10 +53,9 @@ def check_shot(
         files = both_or_none(pa, lateral)
         from sightline.case.contents import CheckRequest
         from sightline.case.journal import Actor, Case, Kind
-        from sightline.case.pairs import record_images
         from sightline.case.picks import CHECK_NAMES, Picks
         from sightline.case.replay import Recomputed
-        from sightline.case.stages import frame_of, record_verified
+        from sightline.case.stages import frame_of, record_images, record_verified
         from sightline.case.views import NAMES, calibrate_pair
         from sightline.errors import CaseError, RefusedError
         from sightline.planning.wires import judge_measured

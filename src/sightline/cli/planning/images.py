@@ -14,8 +14,8 @@ from sightline.cli.output import Output
 if TYPE_CHECKING:
     from sightline.case.contents import Images
     from sightline.case.journal import Case, Entry
-    from sightline.case.pairs import SeenImages
     from sightline.case.picks import Picks
+    from sightline.case.stages import SeenImages
     from sightline.frame import Frame
 
 
@@ -93,7 +93,7 @@ class PlanningImages:
     def record(self, case: "Case", images: "Images") -> "tuple[tuple[Entry, ...], dict[str, int]]":
         """Record the calibrated images in a case; return their entries, and the numbers of those that acquired them."""
         from sightline.case.journal import Actor
-        from sightline.case.pairs import record_images
+        from sightline.case.stages import record_images
 
         entries = record_images(case, self.seen, images, self.frame, by=Actor.COMMAND)
         return entries, image_numbers(case, entries, self.names)
@@ -123,7 +123,7 @@ def images_of(
 
     Raises what `given_images` and `newest_images` raise.
     """
-    from sightline.case.pairs import given_images, newest_images
+    from sightline.case.stages import given_images, newest_images
 
     if files is not None:
         return given_images(files, frame, invert=invert)

@@ -30,7 +30,7 @@ def each_of(planned: "Plan | WirePlans") -> "Mapping[str, Plan]":
 
 def plan_document(planned: "Plan", images: "Images") -> dict[str, Any]:
     """Return the plan of a wire as JSON types."""
-    from sightline.case.documents import view_document
+    from sightline.case.views import view_document
 
     return {**planned.document(), "views": [view_document(image) for image in images]}
 
@@ -143,8 +143,7 @@ def write(
     picks: "Picks",
 ) -> list[Path]:
     """Write the reports, plan.json, picks.json and the undistorted images; return the files."""
-    from sightline.case.interop.bundle import bundle
-    from sightline.case.interop.plan_file import of_wires, sealed
+    from sightline.case.interop.plan_file import bundle, of_wires, sealed
     from sightline.case.report.page import render
     from sightline.cli.output import as_json
     from sightline.common.atomic import write_folder

@@ -390,10 +390,9 @@ class DriveShots:
     def _measure(self, state: str, files: list[str]) -> "DrillShot":
         """Read, calibrate and measure two images, and record them with the result. Raises SightlineError."""
         from sightline.case.journal import Actor, Case
-        from sightline.case.pairs import record_images
         from sightline.case.picks import Picks
         from sightline.case.replay import Recomputed
-        from sightline.case.stages import frame_of, record_shot
+        from sightline.case.stages import frame_of, record_images, record_shot
         from sightline.case.views import NAMES, calibrate_pair
         from sightline.errors import RefusedError, UnusableInputError
 

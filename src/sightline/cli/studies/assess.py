@@ -41,8 +41,7 @@ def assess(
 
     Exit code 3: the errors are larger than predicted.
     """
-    from sightline.case.documents import view_document
-    from sightline.case.views import calibrate_pair, see_pair
+    from sightline.case.views import calibrate_pair, see_pair, view_document
     from sightline.frame import Frame
     from sightline.studies.assess import assess as compare
     from sightline.studies.assess import read_points
