@@ -21,7 +21,7 @@ from benchmarks.rows import Row
 from sightline.calibration.exchange.formats import write_view
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.dicom import ExportIdentity, capture, file_bytes
-from sightline.case.interop.itk import T_cfcs_wire, T_lps_cfcs, transform_bytes
+from sightline.case.interop.formats import T_cfcs_wire, T_lps_cfcs, transform_bytes
 from sightline.case.interop.slicer import nrrd_bytes, plate_corner
 from sightline.imaging import Radiograph, write_dicom
 

@@ -14,7 +14,7 @@ from benchmarks.holes.nail_edges import Sight, seen
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from sightline.calibration.view import CalibratedView
-from sightline.case.report.comparison import Compared, Truth
+from sightline.case.report.content import Compared, Truth
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.planning import Hole, Plan, fit_hole, matching_curve

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 import sightline as sl
-from sightline.case.report.drawing import plan_marks, radiographs, svg
-from sightline.case.report.drawing.radiographs import MarkedBead
+from sightline.case.report import radiographs, svg
+from sightline.case.report.radiographs import MarkedBead
 from sightline.case.views import NAMES
 from sightline.detection.csv_files import read_observations
 from sightline.planning import Plan, kind, plan
@@ -48,8 +48,8 @@ def _panel(folder: Path, k: int, view: sl.CalibratedView, made: Plan) -> str:
     curves = [made.entry_curve, made.end_curve] if k else []
     overlays = [
         radiographs.beads(marks, float(np.quantile(sizes, 0.95))),
-        *(plan_marks.curve(curve, "PA pick") for curve in curves),
-        plan_marks.wire(view, made.trajectory),
+        *(radiographs.curve(curve, "PA pick") for curve in curves),
+        radiographs.wire(view, made.trajectory),
     ]
     parts = [_pixels(folder / f"demo_{view.name}.dcm"), *overlays]
     return svg.element("svg", *parts, class_="radiograph", x=k * (SIDE + GAP), width=SIDE, height=SIDE)

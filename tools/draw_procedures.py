@@ -14,9 +14,8 @@ from matplotlib.axes import Axes
 
 from sightline.app.plan.decisions import Decisions
 from sightline.case.journal import Case, Kind
-from sightline.case.report.content import Report
-from sightline.case.report.drawing.radiographs import grey
-from sightline.case.report.from_case import report_of
+from sightline.case.report.content import Report, report_of
+from sightline.case.report.radiographs import grey
 from sightline.case.views import CalibratedImage
 from sightline.errors import OutsideRegionError
 

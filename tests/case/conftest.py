@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.case.report.comparison import Compared, Truth
-from sightline.case.report.content import Report
-from sightline.case.report.exposures import PLANNING, of_images
+from sightline.case.report.content import PLANNING, Compared, Report, Truth, exposures_of_images
 from sightline.case.views import NAMES, ObservedView, calibrate_pair
 from sightline.detection import Detections, Observations, RejectedCandidate
 from sightline.imaging import Radiograph
@@ -52,7 +50,7 @@ def report(frame, setup, pair, truth) -> Report:
         frame=frame,
         images=images,
         plan=planned,
-        exposures=of_images(images, PLANNING, planned.kind),
+        exposures=exposures_of_images(images, PLANNING, planned.kind),
         provenance={"picks": "drawn"},
         localized=(localized[0].view, localized[1].view),
         truth=truth,

@@ -24,7 +24,7 @@ from sightline.case.acquire import Acquirer, News
 from sightline.case.acquire.dicom import DicomReceiver, Peer
 from sightline.case.acquire.guard import PeerLimits
 from sightline.case.journal import Actor, Case, Kind
-from sightline.case.report import exposures
+from sightline.case.report.content import exposures_of_case
 from sightline.errors import CaseError, LinkError, UnusableInputError
 from sightline.imaging import Radiograph, read_image, write_dicom
 
@@ -132,7 +132,7 @@ def test_an_archive_that_sends_again_under_another_header_loses_nothing_and_make
     assert said == [None, entries[0].number, None]
     assert "its pixels are those of entry 1, so it is not a new exposure" in scene.news[1].text
     plan = scene.case.record(Kind.PLANNED, {}, by=Actor.SURGEON)
-    assert len(exposures.of_case(scene.case, plan)) == 2
+    assert len(exposures_of_case(scene.case, plan)) == 2
 
 
 def test_what_could_not_be_decoded_is_not_negotiated(scene: Scene) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.replay import Recomputed
-from sightline.case.report import from_case as case_report
+from sightline.case.report import content as case_report
 
 
 def test_a_check_shot_of_an_earlier_version_is_left_out(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from sightline.case.journal import Actor, Case, Entry, Kind
-from sightline.case.report import exposures
+from sightline.case.report.content import UNUSED, exposures_of_case
 
 
 @pytest.fixture
@@ -37,12 +37,12 @@ def test_every_exposure_is_listed_with_what_it_was_used_for(case: Case) -> None:
     checks = [acquired(case, name) for name in "ef"]
     views = [calibrated(case, one, name).number for one, name in zip(checks, ("pa", "lateral"), strict=True)]
     case.record(Kind.VERIFIED, {}, by=Actor.APP, rests_on=[plan.number, *views])
-    found = exposures.of_case(case, plan)
+    found = exposures_of_case(case, plan)
     assert [(one.used, one.frames) for one in found] == [
-        (exposures.UNUSED, 1),
+        (UNUSED, 1),
         ("planning, PA view", 8),
         ("planning, lateral view", 1),
-        (exposures.UNUSED, 60),
+        (UNUSED, 60),
         ("check shot, PA view", 1),
         ("check shot, lateral view", 1),
     ]
@@ -55,7 +55,7 @@ def test_what_came_again_is_no_further_exposure(case: Case) -> None:
     """The same pixels under another header: an archive sent them again, and the plan was made on those."""
     first, lateral = acquired(case, "a"), acquired(case, "b")
     again = acquired(case, "a")
-    found = exposures.of_case(case, planned(case, again, lateral))
+    found = exposures_of_case(case, planned(case, again, lateral))
     assert [one.used for one in found] == ["planning, PA view", "planning, lateral view"]
     assert found[0].image.startswith(again.content["original"][:12])
     assert found[0].at == f"{first.at:%Y-%m-%d %H:%M:%S}"
@@ -65,8 +65,8 @@ def test_another_plans_exposures_are_not_called_this_ones(case: Case) -> None:
     old = [acquired(case, name) for name in "ab"]
     planned(case, old[0], old[1])
     new = [acquired(case, name) for name in "cd"]
-    found = exposures.of_case(case, planned(case, new[0], new[1]))
-    assert [one.used for one in found[:2]] == [exposures.UNUSED] * 2
+    found = exposures_of_case(case, planned(case, new[0], new[1]))
+    assert [one.used for one in found[:2]] == [UNUSED] * 2
     assert found[2].used == "planning, PA view"
 
 
@@ -75,5 +75,5 @@ def test_frames_taken_out_of_one_file_are_one_exposure(case: Case) -> None:
     for index in range(2):
         content = {"original": run, "pixels_sha256": f"frame {index}"}
         case.record(Kind.ACQUIRED, content, by=Actor.RECEIVER, settings={"acquisition": {"frames": 30}})
-    found = exposures.of_case(case, planned(case, acquired(case, "a"), acquired(case, "b")))
+    found = exposures_of_case(case, planned(case, acquired(case, "a"), acquired(case, "b")))
     assert [one.frames for one in found] == [30, 1, 1]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.case.report.drawing.force import MAX_POINTS, force_trace
+from sightline.case.report.charts import MAX_POINTS, force_trace
 from sightline.case.report.drilled import BEFORE_MM, force_figure
 
 

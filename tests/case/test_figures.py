@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from sightline.case.report.drawing import plan_marks, radiographs, scene, svg
-from sightline.case.report.drawing.budget import WIDTH, Bar, budget
+from sightline.case.report import radiographs, scene, svg
+from sightline.case.report.charts import WIDTH, Bar, budget
 from sightline.imaging import Radiograph
 
 SPACE = "{http://www.w3.org/2000/svg}"
@@ -82,7 +82,7 @@ def test_what_lies_in_front_is_drawn_inside_the_picture() -> None:
 
 
 def test_curve_and_wire_pass_the_points_that_they_are_of(report) -> None:
-    curve = ElementTree.fromstring(plan_marks.curve(report.plan.entry_curve, "entry"))  # noqa: S314
+    curve = ElementTree.fromstring(radiographs.curve(report.plan.entry_curve, "entry"))  # noqa: S314
     line = next(e for e in curve.iter("polyline"))
     xy = np.array([p.split(",") for p in line.get("points").split()], float)
     snapped = report.plan.picks[0][1].uv_px
@@ -90,7 +90,7 @@ def test_curve_and_wire_pass_the_points_that_they_are_of(report) -> None:
     labels = [int(e.text) for e in curve.iter("text")]
     assert labels
     assert all(label % 50 == 0 for label in labels)
-    wire = ElementTree.fromstring(plan_marks.wire(report.images[0].view, report.plan.trajectory))  # noqa: S314
+    wire = ElementTree.fromstring(radiographs.wire(report.images[0].view, report.plan.trajectory))  # noqa: S314
     ends = np.array([p.split(",") for p in next(wire.iter("polyline")).get("points").split()], float)[[0, -1]]
     picked = np.array([pair[0].uv_px for pair in report.plan.picks])
     np.testing.assert_allclose(ends, picked, atol=3.0)  # the lateral pick draws the point along the PA line, not across

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sightline.case.journal import Actor, Case, Kind, schema
+from sightline.case.journal import Actor, Case, Kind, database
 from sightline.errors import CaseError
 
 GOLDEN = Path(__file__).with_name("journal-schema-0.sql")
@@ -76,7 +76,7 @@ def test_a_migration_that_is_cut_off_leaves_the_old_case(old: Path, monkeypatch:
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(schema, "insert", cut_off)
+        patch.setattr(database, "insert", cut_off)
         with pytest.raises(CaseError, match="No space left"):
             Case.open(old)
     assert tables(old / "journal.sqlite") == before
@@ -88,7 +88,7 @@ def test_a_case_of_a_newer_version_is_refused_and_not_touched(tmp_path: Path) ->
     Case.create(tmp_path).close()
     file = tmp_path / "journal.sqlite"
     db = sqlite3.connect(file)
-    db.execute(f"PRAGMA user_version = {schema.VERSION + 1}")
+    db.execute(f"PRAGMA user_version = {database.VERSION + 1}")
     db.close()
     before = file.read_bytes()
     for read_only in (True, False):

@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from sightline.case.report.comparison import Refused
+from sightline.case.report.content import Refused
 from sightline.case.report.document import report_document
 from sightline.case.report.page import render
 from sightline.case.report.tables import tables

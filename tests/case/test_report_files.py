@@ -4,9 +4,8 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from sightline.case.report.content import Report
+from sightline.case.report.content import NOTE, KeptExposure, Report
 from sightline.case.report.document import ReportDocument, report_document, schema_text
-from sightline.case.report.exposures import NOTE, KeptExposure
 from sightline.case.report.page import render
 
 SCHEMA = Path(__file__).parents[2] / "docs" / "report.schema.json"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.calibration import CArm
-from sightline.case.report.comparison import Compared
+from sightline.case.report.content import Compared
 from sightline.case.views import calibrate_pair, see_pair, stated_view, view_document
 from sightline.common.atomic import write_folder
 from sightline.detection.csv_files import write_observations

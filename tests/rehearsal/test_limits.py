@@ -12,7 +12,7 @@ from tests.robot.test_target import POINTS, registered
 
 import sightline.from_images.pipeline
 from sightline.case.contents import CheckRequest
-from sightline.case.interop import robot_files
+from sightline.case.interop.formats import igtl_files
 from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.planning import Plan, kind, plan
 from sightline.planning.check.wires import Landmarks
@@ -68,7 +68,7 @@ def _seen(made: Plan, views: list[StandInView], folder: Path, patch: pytest.Monk
     target = target_of(made, identity, registered())
     robots = {check.name: check.limit for check in target.checks}
     said = plan_metadata(target, 40.0, 999.0)
-    sent = json.loads(robot_files.write(read, "case")["igtl.json"])["metadata"]
+    sent = json.loads(igtl_files(read, "case")["igtl.json"])["metadata"]
     shot = _shot(made, views, made.kind.limits.beyond_mm, patch)
     length = made.trajectory.length_mm
     return {

@@ -7,8 +7,8 @@ A module or sub-room may import those above it in this table; those in the last 
 | `canonical` | canonical JSON and its SHA-256 |
 | `journal` | the folder of a case: entries, hash chain, original files |
 | `views` | from two files to two calibrated views |
-| `documents`, `contents` | results as JSON, and the content of each kind of entry |
-| `stages` | records each stage of a procedure as an entry |
+| `contents` | the content of each kind of entry |
+| `stages` | records each stage of a procedure as an entry; the newest images of a case |
 | `replay` | recomputes a case and compares it with its entries |
 | `acquire`, `deidentify`, `interop`, `report`, `watch` | see their own docstrings |
 """

@@ -1,5 +1,8 @@
-"""The stages of a procedure as entries of a case. Each names the entries it was made from, so `replay` can recompute
-it."""
+"""The stages of a procedure as entries of a case, and the images that a plan or check shot is made on.
+
+Each entry names those it was made from, so that `replay` can recompute it. Images are given files, or the newest of a
+case: PA and lateral, for a plan also a third.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

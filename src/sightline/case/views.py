@@ -1,4 +1,4 @@
-"""From two files to two calibrated views: images from a C-arm, or observations in CSV."""
+"""From two files to two calibrated views: images from a C-arm, or observations in CSV; a view as JSON."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass

@@ -86,8 +86,8 @@ def report(
     The report names the case by its number alone.
     """
     from sightline.case.journal import Case
+    from sightline.case.report.content import report_of
     from sightline.case.report.document import report_document
-    from sightline.case.report.from_case import report_of
     from sightline.case.report.page import render
     from sightline.common.atomic import write_folder
 

@@ -89,7 +89,7 @@ def _write_csv(beads: "Detections", path: Path) -> None:
 def _write_picture(radiograph: "Radiograph", beads: "Detections", path: Path) -> None:
     import cv2
 
-    from sightline.case.report.drawing.radiographs import grey
+    from sightline.case.report.radiographs import grey
     from sightline.common.atomic import write_whole
 
     height, width = radiograph.shape

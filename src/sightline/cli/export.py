@@ -139,8 +139,9 @@ def plan(
     """
     from datetime import datetime
 
-    from sightline.case.interop import dicom_plan, itk, robot_files, slicer, tables
+    from sightline.case.interop import dicom, slicer
     from sightline.case.interop.dicom import ExportIdentity
+    from sightline.case.interop.formats import csv_files, igtl_files, itk_files
     from sightline.case.interop.plan_file import PlanFile
     from sightline.common.atomic import write_folder
     from sightline.errors import UnusableInputError
@@ -160,10 +161,10 @@ def plan(
     identity = ExportIdentity(case, datetime.now().replace(microsecond=0), side)
     writers: dict[str, Callable[[PlanFile], dict[str, bytes]]] = {
         "slicer": lambda wire: slicer.write(wire, side),
-        "itk": lambda wire: itk.write(wire, side),
-        "dicom": lambda wire: dicom_plan.write(wire, identity, originals),
-        "csv": lambda wire: tables.write(wire, side),
-        "igtl": lambda wire: robot_files.write(wire, case),
+        "itk": lambda wire: itk_files(wire, side),
+        "dicom": lambda wire: dicom.write(wire, identity, originals),
+        "csv": lambda wire: csv_files(wire, side),
+        "igtl": lambda wire: igtl_files(wire, case),
     }
     with output.step("making the files"):  # all of them before any is written
         documents = {

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import sightline as sl
-from sightline.case.report.drawing.budget import Bar, budget
+from sightline.case.report.charts import Bar, budget
 from sightline.detection import Observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances

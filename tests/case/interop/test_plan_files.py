@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 from tests.robot.rig import ROBOT, T_MCS_CFCS
 
 from sightline.calibration.exchange.rtk import parsed_xml
-from sightline.case.interop import itk, robot_files, slicer, tables
-from sightline.case.interop.itk import R_lps_cfcs
+from sightline.case.interop import slicer
+from sightline.case.interop.formats import R_lps_cfcs, csv_files, igtl_files, itk_files
 from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.case.interop.slicer import plate_corner
 from sightline.errors import RefusedError, RobotRefusedError, UnusableInputError
@@ -138,7 +138,7 @@ def read_tfm(data: bytes) -> np.ndarray:
 
 @pytest.mark.parametrize("side", SIDES)
 def test_itk_transforms_map_as_their_names_say_and_slicers_the_other_way(go_plan: PlanFile, scenes, side: str) -> None:
-    files, for_slicer = itk.write(go_plan, side), scenes[side]
+    files, for_slicer = itk_files(go_plan, side), scenes[side]
     wire, cfcs = read_tfm(files["lps_from_wire.tfm"]), read_tfm(files["lps_from_cfcs.tfm"])
     entry, end = go_plan.points_mm @ R_lps_cfcs(side).T
     assert np.abs(wire @ [0, 0, 0, 1] - [*end, 1]).max() < IN_FILE
@@ -150,7 +150,7 @@ def test_itk_transforms_map_as_their_names_say_and_slicers_the_other_way(go_plan
 
 
 def test_the_table_has_both_frames_and_their_covariances(go_plan: PlanFile) -> None:
-    rows = list(csv.DictReader(io.StringIO(tables.write(go_plan, "left")["trajectory.csv"].decode())))
+    rows = list(csv.DictReader(io.StringIO(csv_files(go_plan, "left")["trajectory.csv"].decode())))
     assert [row["point"] for row in rows[:4]] == ["entry", "end", "landmark 1", "landmark 2"]
     by = {(row["point"], row["coordinates"]): row for row in rows}
     for k, point in enumerate(("entry", "end")):
@@ -164,12 +164,12 @@ def test_the_table_has_both_frames_and_their_covariances(go_plan: PlanFile) -> N
         assert float(by[point, "LPS"]["error_95_mm"]) == go_plan.errors_95_mm[k]
     assert {row["plan"] for row in rows} == {"GO"}
     assert {
-        r["coordinates"] for r in csv.DictReader(io.StringIO(tables.write(go_plan, None)["trajectory.csv"].decode()))
+        r["coordinates"] for r in csv.DictReader(io.StringIO(csv_files(go_plan, None)["trajectory.csv"].decode()))
     } == {"CFCS"}
 
 
 def test_a_robots_messages_say_what_the_contract_asks_and_that_they_have_expired(go_plan: PlanFile, frame) -> None:
-    files = robot_files.write(go_plan, "case-7")
+    files = igtl_files(go_plan, "case-7")
     messages = {}
     for name in ("target.igtl", "trajectory.igtl"):
         (event,) = Stream().feed(files[name])
@@ -199,17 +199,17 @@ def test_a_robots_messages_say_what_the_contract_asks_and_that_they_have_expired
 
 def test_a_no_go_plan_says_so_everywhere_and_no_robot_gets_it(no_go_plan: PlanFile) -> None:
     scene = slicer.write(no_go_plan, "right")
-    for name, data in (scene | itk.write(no_go_plan, "right") | tables.write(no_go_plan, None)).items():
+    for name, data in (scene | itk_files(no_go_plan, "right") | csv_files(no_go_plan, None)).items():
         assert b"NO-GO" in data, name
     (line,) = json.loads(scene["wire.mrk.json"])["markups"]
     assert line["name"].startswith("NO-GO")
     with pytest.raises(RefusedError, match="NO-GO"):
-        robot_files.write(no_go_plan, "case-7")
+        igtl_files(no_go_plan, "case-7")
 
 
 def test_no_file_tells_the_images_names(go_plan: PlanFile, scenes) -> None:
-    files = scenes["left"] | itk.write(go_plan, "left") | tables.write(go_plan, "left")
-    for name, data in (files | robot_files.write(go_plan, "c")).items():
+    files = scenes["left"] | itk_files(go_plan, "left") | csv_files(go_plan, "left")
+    for name, data in (files | igtl_files(go_plan, "c")).items():
         assert b"alert" not in data and b".dcm" not in data, name
 
 
@@ -256,12 +256,12 @@ def test_an_old_plan_is_exported_as_far_as_it_goes(plan_folder: Path, tmp_path: 
         del document[key]
     (tmp_path / "plan.json").write_text(json.dumps(document))
     old = PlanFile.read(tmp_path)
-    assert tables.write(old, "left")
-    assert itk.write(old, "left")
+    assert csv_files(old, "left")
+    assert itk_files(old, "left")
     with pytest.raises(UnusableInputError, match="plan again with --out"):
         slicer.write(old, "left")
     with pytest.raises(RobotRefusedError, match="without a digest"):
-        robot_files.write(old, "case-7")
+        igtl_files(old, "case-7")
 
 
 def test_a_plan_that_was_edited_is_refused_and_one_that_was_only_written_anew_is_not(
@@ -280,9 +280,9 @@ def test_a_plan_that_was_edited_is_refused_and_one_that_was_only_written_anew_is
 def test_an_incomplete_plan_says_so_everywhere_and_no_robot_gets_it(plan_folder: Path, tmp_path: Path) -> None:
     changes = {"go": False, "verdict": "incomplete", "checks": [{"name": "head", "passed": False}]}
     incomplete = PlanFile.read(edited(plan_folder, tmp_path, **changes))
-    assert b"INCOMPLETE (missing: head)" in tables.write(incomplete, None)["trajectory.csv"]
+    assert b"INCOMPLETE (missing: head)" in csv_files(incomplete, None)["trajectory.csv"]
     with pytest.raises(RobotRefusedError, match="INCOMPLETE"):
-        robot_files.write(incomplete, "case-7")
+        igtl_files(incomplete, "case-7")
 
 
 @pytest.mark.parametrize("name", ["../plan.json", "/etc/hostname", 7])

@@ -1,4 +1,7 @@
-"""Acquire images into a case: each is read, kept and recorded once, and is on the disk before it is reported."""
+"""Acquire images into a case: each is read, kept and recorded once, and is on the disk before it is reported.
+
+Frames of a source, or their mean, become files that are acquired likewise, with a record of how they were made.
+"""
 
 import io
 from collections.abc import Callable, Mapping, Sequence

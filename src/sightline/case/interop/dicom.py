@@ -1,5 +1,7 @@
-"""DICOM objects of an export: the modules they share, and an image as a secondary capture. The case number names the
-patient."""
+"""A plan and images as DICOM: secondary captures, presentation states. The case number names the patient.
+
+A plan becomes the undistorted image of each view, a copy with the plan burnt in, and a presentation state.
+"""
 
 import io
 import re

@@ -1,6 +1,7 @@
-"""`plan.json` as `sightline plan --out` writes it, read back and checked.
+"""`plan.json` as `sightline plan --out` writes it, and read back and checked.
 
-Its digest detects changes made by accident or by hand. It is not a signature: anybody can compute a new digest.
+It holds geometry of the images, beads and lines of sight, so that it can be exported without the case. Its digest
+detects changes made by accident or by hand. It is not a signature: anybody can compute a new digest.
 """
 
 import json

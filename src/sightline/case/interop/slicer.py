@@ -12,7 +12,7 @@ import numpy as np
 
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.calibration.exchange.reading import json_bytes
-from sightline.case.interop.itk import T_cfcs_wire, T_lps_cfcs, transform_bytes
+from sightline.case.interop.formats import T_cfcs_wire, T_lps_cfcs, transform_bytes
 from sightline.case.interop.plan_file import PlanFile
 
 _RAS_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])

@@ -10,7 +10,7 @@ from threading import RLock
 from typing import Any, TypeVar
 
 from sightline.case.canonical import canonical, digest
-from sightline.case.journal import originals, schema
+from sightline.case.journal import database, originals
 from sightline.case.journal.database import connect, errors_explained, memory_copy, transaction, use_write_ahead_log
 from sightline.case.journal.entry import (
     HEAD,
@@ -61,7 +61,7 @@ class Case(Closing):
             (place / originals.FOLDER).mkdir(parents=True, exist_ok=True)
             db = connect(place / JOURNAL, "rwc")
             try:
-                if not schema.create(db):
+                if not database.create(db):
                     if not exist_ok:
                         raise CaseError("there is a case in this folder already; open it, or name another folder")
                     db.close()
@@ -83,7 +83,7 @@ class Case(Closing):
         with errors_explained(file):
             db = _readable(file)
             try:
-                return schema.has_tables(db)
+                return database.has_tables(db)
             finally:
                 db.close()
 
@@ -174,7 +174,7 @@ class Case(Closing):
             head = (last + 1, what.value, at, who.value, canonical(versions()), texts[1])
             head = (*head, canonical(list(rests_on)), digest(texts[0]))
             row = (*head, texts[0], next_link(before, head_of_row(head)))
-            schema.insert(self._db, row)
+            database.insert(self._db, row)
         return entry_of_row(row)
 
     def entry(self, number: int) -> Entry:
@@ -226,11 +226,11 @@ def _one_of(names: type[_Named], name: str) -> _Named:
 def _writable(file: Path) -> sqlite3.Connection:
     db = connect(file, "rw")
     try:
-        version = schema.check_version(db)
-        schema.refuse_unwritable(db)
-        if version < schema.VERSION:
-            schema.back_up(db, file.with_name(f"journal-schema-{version}.sqlite"))
-            schema.migrate(db)
+        version = database.check_version(db)
+        database.refuse_unwritable(db)
+        if version < database.VERSION:
+            database.back_up(db, file.with_name(f"journal-schema-{version}.sqlite"))
+            database.migrate(db)
         use_write_ahead_log(db)
     except BaseException:
         db.close()
@@ -243,11 +243,11 @@ def _read_only(file: Path) -> sqlite3.Connection:
     older version, a copy in memory is read."""
     db = _readable(file)
     try:
-        version = schema.check_version(db)
-        if version < schema.VERSION:
+        version = database.check_version(db)
+        if version < database.VERSION:
             old, db = db, memory_copy(db)
             old.close()
-            schema.migrate(db)
+            database.migrate(db)
         db.execute("PRAGMA query_only = 1")
     except BaseException:
         db.close()

@@ -1,4 +1,7 @@
-"""The SQLite file of a case: connections, transactions, and error messages that say what to do."""
+"""The SQLite file of a case: connections, transactions, tables, and the migration of older versions.
+
+Error messages say what to do.
+"""
 
 import os
 import secrets

@@ -1,4 +1,4 @@
-"""Compare two JSON documents: where they differ, and whether the differences are within tolerance."""
+"""Compare a recomputed result with its entry: where they differ, and whether within tolerance or stated error."""
 
 import json
 import re

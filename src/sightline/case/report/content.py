@@ -1,16 +1,164 @@
-"""The content of a report, before it is rendered."""
+"""The content of a report before it is rendered, and the report of a case's last plan."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 from sightline.calibration import BeadView
-from sightline.case.report.comparison import Compared, Refused, Truth
+from sightline.case.journal import Case, Entry, Kind
+from sightline.case.journal.originals import short
+from sightline.case.replay import Recomputed
 from sightline.case.report.drilled import Drilled
-from sightline.case.report.exposures import KeptExposure
+from sightline.case.stages import acquired_of, frame_of
 from sightline.case.views import CalibratedImage, spoken
+from sightline.errors import CaseError
 from sightline.frame import Frame
-from sightline.planning import Plan, WirePlans
+from sightline.planning import Plan, Trajectory, WirePlans
+from sightline.planning.check.drill_shot import ALIGNED, PAUSED
 from sightline.planning.check.result import CheckShot
+from sightline.planning.procedures import Procedure
+from sightline.robot.link.record import DrillingRecord
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The intended wire: entry and end point (2, 3), CFCS, and their pixels in each image (2, 2, 2)."""
+
+    xyz_mm: np.ndarray
+    uv_px: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One plan compared with the truth. `picks`: how its points were picked, in words."""
+
+    method: str
+    picks: str
+    trajectory: Trajectory
+    truth: Truth
+
+    @property
+    def errors_mm(self) -> tuple[float, float]:
+        """Errors of the entry and of the end point."""
+        entry, end = np.linalg.norm(self.trajectory.points.xyz_mm - self.truth.xyz_mm, axis=1)
+        return float(entry), float(end)
+
+    @property
+    def direction_error_rad(self) -> float:
+        """The angle between the planned and the true direction."""
+        true = self.truth.xyz_mm[1] - self.truth.xyz_mm[0]
+        true = true / np.linalg.norm(true)
+        across = np.linalg.norm(np.cross(true, self.trajectory.direction))
+        return float(np.arctan2(across, true @ self.trajectory.direction))
+
+    @property
+    def errors(self) -> tuple[float, float, float]:
+        """Errors of the entry point, mm, of the end point, mm, and of the direction, degrees."""
+        return *self.errors_mm, float(np.rad2deg(self.direction_error_rad))
+
+    @property
+    def bounds_95(self) -> tuple[float, float, float] | None:
+        """The 95 % bounds that the plan stated for the same errors; None if its error is unknown."""
+        if not self.trajectory.error_stated:
+            return None
+        path = self.trajectory
+        return path.entry_error_95_mm, path.end_error_95_mm, float(np.rad2deg(path.direction_error_95_rad))
+
+    @property
+    def within_bounds(self) -> int | None:
+        """How many of the three errors are within their bounds; None if the plan states no bounds."""
+        bounds = self.bounds_95
+        return None if bounds is None else sum(e <= b for e, b in zip(self.errors, bounds, strict=True))
+
+    def document(self) -> dict[str, Any]:
+        """Return the comparison as JSON types."""
+        names = ("entry_mm", "end_mm", "direction_deg")
+        bounds = self.bounds_95
+        return {
+            "method": self.method,
+            "picks": self.picks,
+            "error": dict(zip(names, self.errors, strict=True)),
+            "stated_95": None if bounds is None else dict(zip(names, bounds, strict=True)),
+            "within_bounds": self.within_bounds,
+        }
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A plan that a method refused to make, and the reason."""
+
+    method: str
+    picks: str
+    reason: str
+
+    def document(self) -> dict[str, Any]:
+        """Return the refusal as JSON types."""
+        return {"method": self.method, "picks": self.picks, "refused": self.reason}
+
+
+NOTE = (
+    "Exposures whose images were kept. Other exposures, such as live images and those to position patient and C-arm, "
+    "are not known here, and neither is the dose."
+)
+PLANNING, CHECK, UNUSED = "planning", "check shot", "not used for this plan"
+WHILE_DRILLING = {ALIGNED: "confirmation shot", PAUSED: "second shot"}
+
+
+@dataclass(frozen=True)
+class KeptExposure:
+    """An exposure whose image was kept. `image`: the first digits of its hash. `at`: UTC, when it was kept; None
+    outside a case. `frames`: the number of frames exposed for it, in a run or an average."""
+
+    image: str
+    used: str
+    at: str | None = None
+    frames: int = 1
+
+
+def exposures_of_images(images: Iterable[CalibratedImage], used: str, kind: Procedure) -> tuple[KeptExposure, ...]:
+    """Return the exposures of images outside a case."""
+    return tuple(KeptExposure(image.seen.source, f"{used}, {spoken(image.name, kind)} view") for image in images)
+
+
+def exposures_of_case(case: Case, plan: Entry, kind: Procedure | None = None) -> tuple[KeptExposure, ...]:
+    """Return all exposures of a case in order, and the use of each in a plan and its check shot. `kind`: of the plan,
+    whose names the views get.
+
+    Images with the same pixels, from the same file or under another header, count as one exposure.
+    """
+    uses = dict(_uses(case, plan, kind))
+    found: dict[str, KeptExposure] = {}
+    by_file: dict[str, str] = {}
+    for entry in case.entries(Kind.ACQUIRED):
+        acquisition = entry.settings.get("acquisition") or {}
+        frames = int(acquisition.get("frames") or acquisition.get("averaged") or 1)
+        pixels = str(entry.content.get("pixels_sha256", f"{entry.number}"))
+        known = by_file.setdefault(entry.content["original"], pixels)
+        used = uses.get(entry.number)
+        before = found.get(known)
+        if before is None or (used is not None and before.used == UNUSED):
+            at = before.at if before else f"{entry.at:%Y-%m-%d %H:%M:%S}"
+            found[known] = KeptExposure(short(entry.content["original"]), used or UNUSED, at, frames)
+    return tuple(found.values())
+
+
+def _uses(case: Case, plan: Entry, kind: Procedure | None) -> Iterator[tuple[int, str]]:
+    """Yield numbers of acquired entries, and what their images were used for."""
+    uses = [(PLANNING, plan.rests_on)]
+    uses += [(CHECK, one.rests_on[1:]) for one in _of_plan(case, Kind.VERIFIED, plan)]
+    for one in _of_plan(case, Kind.SHOT, plan):
+        state = ALIGNED if one.content["asked"]["straight"] else PAUSED
+        uses.append((WHILE_DRILLING[state], one.rests_on[1:]))
+    for what, views in reversed(uses):
+        for number in views:
+            view = case.entry(number)
+            yield acquired_of(case, view).number, f"{what}, {spoken(view.content['view'], kind)} view"
+
+
+def _of_plan(case: Case, kind: Kind, plan: Entry) -> list[Entry]:
+    return [one for one in case.entries(kind) if one.rests_on[:1] == (plan.number,)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,3 +188,52 @@ class Report:
     def spoken(self, view: str) -> str:
         """Return a view's name as the procedure has it."""
         return spoken(view, self.plan.kind)
+
+
+def report_of(case: Case) -> Report:
+    """Return the report of the last plan and its drilling, recomputed from the originals, which name the images.
+
+    Raises CaseError if the case holds no plan; also raises the errors of the recomputed stages.
+    """
+    entry = case.latest(Kind.PLANNED)
+    if entry is None:
+        raise CaseError("the case holds no plan yet; plan first, then report")
+    again = Recomputed(case)
+    made = again.plan(entry)
+    return Report(
+        title=f"Case {case.number}",
+        frame=frame_of(case, case.entry(entry.rests_on[0]).settings["frame"]),
+        images=again.images(entry),
+        plan=made,
+        wires=again.wires(entry),
+        measured=again.measured(entry),
+        exposures=exposures_of_case(case, entry, made.kind),
+        drilled=_drilled(case, entry, again),
+        provenance={
+            "case": f"{case.number}, entry {entry.number} of {case.last}",
+            "planned": f"{entry.at:%Y-%m-%d %H:%M} UTC, by {entry.by}",
+            "journal": f"the hash chain is {entry.chain[:16]} at entry {entry.number}",
+        },
+    )
+
+
+def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
+    """Return the last drilling record and the last check shot since the plan; None if there is neither."""
+    drilled = case.entries(Kind.DRILLED, plan.number)
+    own = [one for one in drilled if not one.rests_on or plan.number in one.rests_on]  # not of another wire
+    records = [one.content["record"] for one in own if "record" in one.content]
+    shots = [one for one in case.entries(Kind.VERIFIED, plan.number) if _is_measured(one, plan)]
+    drilling = {one.content["asked"]["straight"]: one for one in case.entries(Kind.SHOT, plan.number)}
+    if not records and not shots and not drilling:
+        return None
+    return Drilled(
+        target=None,
+        record=DrillingRecord.of(records[-1]) if records else None,
+        check=again.shot(shots[-1]) if shots else None,
+        shots={ALIGNED if straight else PAUSED: again.drill_shot(one) for straight, one in drilling.items()},
+    )
+
+
+def _is_measured(verified: Entry, plan: Entry) -> bool:
+    """Whether a check shot is of this plan, and its entry holds the request, which earlier versions did not record."""
+    return plan.number in verified.rests_on and "asked" in verified.content

@@ -10,8 +10,7 @@ from pydantic import ConfigDict, Field
 
 from sightline.case.canonical import canonical
 from sightline.case.journal.entry import versions
-from sightline.case.report.content import Report
-from sightline.case.report.exposures import NOTE
+from sightline.case.report.content import NOTE, Report
 from sightline.case.views import view_document
 from sightline.planning import WirePlans
 from sightline.planning.document import CheckDocument, OpenDocument, PlanDocument, Point

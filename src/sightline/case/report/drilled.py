@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
-from sightline.case.report.drawing.force import WIDTH, force_trace
+from sightline.case.report.charts import WIDTH, force_trace
 from sightline.planning.check.shot import PAUSED, CheckShot, DrillShot
 from sightline.robot.kinematics.target import RobotTarget
 from sightline.robot.link.record import DrillingRecord

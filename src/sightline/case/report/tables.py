@@ -5,10 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from sightline.case.report import drilled, exposures
-from sightline.case.report.comparison import Compared, Refused
-from sightline.case.report.content import Report
-from sightline.case.report.drawing.budget import Bar
+from sightline.case.report import drilled
+from sightline.case.report.charts import Bar
+from sightline.case.report.content import NOTE, Compared, Refused, Report
 from sightline.common.checks import Check, CheckCode, failed
 from sightline.planning.check.result import CheckShot
 from sightline.planning.points.results import Verdict
@@ -39,7 +38,7 @@ def tables(report: Report) -> dict[str, Any]:
         "comparison": _comparison(report),
         "drilled": drilled.section(report.drilled),
         "exposures": report.exposures,
-        "exposures_note": exposures.NOTE,
+        "exposures_note": NOTE,
         "checks": _checks(report),
     }
 

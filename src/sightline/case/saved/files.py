@@ -12,7 +12,7 @@ from sightline.calibration.exchange import reading
 from sightline.calibration.exchange.reading import json_bytes
 from sightline.case.canonical import plain
 from sightline.case.interop.plan_file import sealed
-from sightline.case.saved import beads, models, plans, views
+from sightline.case.saved import documents, models
 from sightline.common.atomic import write_whole
 from sightline.common.bounded import read_bounded
 from sightline.detection import Detections, Observations
@@ -37,14 +37,18 @@ class _Form:
 
 
 _FORMS = {
-    "sightline-detections/1": _Form(Detections, models.SavedDetections, plain, beads.detections),
-    "sightline-observations/1": _Form(Observations, models.SavedObservations, plain, beads.observations),
-    "sightline-view/1": _Form(BeadView, models.SavedView, views.written, views.view),
-    "sightline-matrix-view/1": _Form(MatrixView, models.SavedMatrixView, views.matrix_written, views.matrix_view),
-    "sightline-points/1": _Form(SpacePoints, models.SavedPoints, plans.points_written, plans.points),
-    "sightline-trajectory/1": _Form(Trajectory, models.SavedTrajectory, plans.trajectory_written, plans.trajectory),
-    "sightline-plan/1": _Form(Plan, models.SavedPlan, plans.plan_written, plans.plan),
-    "sightline-check-shot/1": _Form(CheckShot, models.SavedCheckShot, plans.shot_written, plans.shot),
+    "sightline-detections/1": _Form(Detections, models.SavedDetections, plain, documents.detections),
+    "sightline-observations/1": _Form(Observations, models.SavedObservations, plain, documents.observations),
+    "sightline-view/1": _Form(BeadView, models.SavedView, documents.view_written, documents.view),
+    "sightline-matrix-view/1": _Form(
+        MatrixView, models.SavedMatrixView, documents.matrix_written, documents.matrix_view
+    ),
+    "sightline-points/1": _Form(SpacePoints, models.SavedPoints, documents.points_written, documents.points),
+    "sightline-trajectory/1": _Form(
+        Trajectory, models.SavedTrajectory, documents.trajectory_written, documents.trajectory
+    ),
+    "sightline-plan/1": _Form(Plan, models.SavedPlan, documents.plan_written, documents.plan),
+    "sightline-check-shot/1": _Form(CheckShot, models.SavedCheckShot, documents.shot_written, documents.shot),
 }
 
 
@@ -64,7 +68,7 @@ def save(result: Any, path: str | Path) -> Path:
     that of docs/frame-file.md). The image that a result was found in is not saved.
     Raises UnusableInputError for other objects, and for a view that was not made by `calibrate` or `view_from_matrix`.
 
-    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> pa, lateral = sl.load("out/demo/documents.json")
     >>> sl.save(pa, "pa.json").name
     'pa.json'
     """
@@ -86,7 +90,7 @@ def load(path: str | Path, kind: type | None = None) -> Any:
     Raises UnusableInputError for a file that is damaged, was edited, is of another form or another version, or whose
     result this version does not reach again.
 
-    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> pa, lateral = sl.load("out/demo/documents.json")
     >>> sl.load("out/demo/trajectory.json", sl.Trajectory).length_mm > 50
     True
     """

@@ -14,8 +14,7 @@ from sightline.cli.output import Output
 if TYPE_CHECKING:
     from sightline.calibration.maps.fit_map import Method
     from sightline.case.contents import PlanRequest
-    from sightline.case.report.comparison import Compared, Refused, Truth
-    from sightline.case.report.content import Report
+    from sightline.case.report.content import Compared, Refused, Report, Truth
     from sightline.case.views import CalibratedImage
     from sightline.common.checks import Check
     from sightline.frame import Frame
@@ -89,9 +88,7 @@ def _run(
     procedure: str,
 ) -> dict[str, Any]:
     """Do all steps and return the result. The images are read back from their files, as a user's images are."""
-    from sightline.case.report import exposures
-    from sightline.case.report.comparison import Truth
-    from sightline.case.report.content import Report
+    from sightline.case.report.content import CHECK, PLANNING, WHILE_DRILLING, Report, Truth, exposures_of_images
     from sightline.case.report.page import render
     from sightline.case.views import NAMES, calibrate_pair, see_pair
     from sightline.cli.demos.procedures import (
@@ -131,11 +128,11 @@ def _run(
     whole = DemoPlan(rehearsal, frame_name, asked, planned, images[METHODS[0]], wires)
     inserted = carry_out(output, whole, ahead, rng)
     drilled = inserted[whole.key].drilled if whole.key in inserted else None
-    exposed = exposures.of_images(images[METHODS[0]], exposures.PLANNING, planned.kind)
+    exposed = exposures_of_images(images[METHODS[0]], PLANNING, planned.kind)
     for one in inserted.values():
         for state, shot in one.shots.items():
-            exposed += exposures.of_images(shot.images or (), exposures.WHILE_DRILLING[state], planned.kind)
-        exposed += exposures.of_images(one.checked.images or (), exposures.CHECK, planned.kind)
+            exposed += exposures_of_images(shot.images or (), WHILE_DRILLING[state], planned.kind)
+        exposed += exposures_of_images(one.checked.images or (), CHECK, planned.kind)
     with output.step("8/8 drawing the report"):
         report = Report(
             title=title(drilled),
@@ -185,7 +182,7 @@ def _compare(
     """Return every method's error, with a person's picks and with the true pixels."""
     import numpy as np
 
-    from sightline.case.report.comparison import Compared, Refused
+    from sightline.case.report.content import Compared, Refused
     from sightline.errors import RefusedError
     from sightline.planning import kind, plan
 
@@ -258,7 +255,7 @@ def _wires_document(
 
 
 def _row(one: "Compared | Refused") -> tuple[str, ...]:
-    from sightline.case.report.comparison import Refused
+    from sightline.case.report.content import Refused
 
     if isinstance(one, Refused):
         return one.method, "refused", "refused", "refused"

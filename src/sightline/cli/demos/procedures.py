@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
-    from sightline.case.report.comparison import Compared, Refused
+    from sightline.case.report.content import Compared, Refused
     from sightline.case.report.drilled import Drilled
     from sightline.cli.demos.robot import Inserted
     from sightline.cli.output import Output
@@ -70,7 +70,7 @@ def command(seed: int, procedure: str, frame: str) -> str:
 
 def others_compared(rehearsal: "RehearsedPatient", wires: "WirePlans | None", picks: str) -> "list[Compared | Refused]":
     """Return the errors of the wires after the first; `picks`: how they were picked."""
-    from sightline.case.report.comparison import Compared, Truth
+    from sightline.case.report.content import Compared, Truth
 
     if wires is None:
         return []

@@ -121,12 +121,11 @@ def reports(
     planned: "Plan | WirePlans", images: "Images", frame: "Frame", asked: "AskedPlan"
 ) -> "Mapping[str, Report]":
     """Return the report of each wire's plan, by wire; "" for that of a wire alone."""
-    from sightline.case.report import exposures
-    from sightline.case.report.content import Report
+    from sightline.case.report.content import PLANNING, Report, exposures_of_images
     from sightline.planning import Plan
 
     plans = each_of(planned)
-    exposed = exposures.of_images(images, exposures.PLANNING, next(iter(plans.values())).kind)
+    exposed = exposures_of_images(images, PLANNING, next(iter(plans.values())).kind)
     wires = None if isinstance(planned, Plan) else planned
     picks = {"picks": "; ".join([*asked.proposals, f"all in picks.json, with {asked.picks.pick_sd_px:g} px s.d."])}
     return {

@@ -6,7 +6,7 @@ from typing import Any
 
 import cv2
 
-from sightline.case.report.drawing.radiographs import JPEG_QUALITY, grey
+from sightline.case.report.radiographs import JPEG_QUALITY, grey
 from sightline.imaging import Radiograph
 from sightline.studies.comparison.compare import Pair, differences, findings, plots
 from sightline.studies.runs.page import page

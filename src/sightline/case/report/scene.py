@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from sightline.case.report.drawing import svg
+from sightline.case.report import svg
 from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.common.geometry.planes import Plane
 

@@ -1,12 +1,57 @@
-"""Plot of the force along a drilled wire over its depth."""
+"""Charts of a report: the bars of an error budget, and the force along a drilled wire."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.case.report.drawing import svg
+from sightline.case.report import svg
 
-WIDTH, HEIGHT, LEFT, RIGHT, TOP, FOOT = 760.0, 270.0, 56.0, 20.0, 44.0, 40.0
+WIDTH, BAR, GAP, LEFT, RIGHT = 760.0, 28.0, 12.0, 84.0, 118.0
+MIN_LABELLED_WIDTH = 40.0
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One bar: the rms error of each source, in `unit`; the total is their root sum of squares."""
+
+    name: str
+    unit: str
+    rms: dict[str, float]
+
+    @property
+    def gap(self) -> str:
+        """The space between a number and the unit; none before a degree sign."""
+        return "" if self.unit == "°" else " "
+
+    @property
+    def total(self) -> float:
+        """Root sum of squares of all sources."""
+        return sum(v**2 for v in self.rms.values()) ** 0.5
+
+
+def _bar(bar: Bar, y: float) -> list[str]:
+    middle = y + BAR / 2
+    parts = [svg.text(bar.name, LEFT - 10, middle, class_="row-name")]
+    x = LEFT
+    for source, rms in bar.rms.items():
+        share = (rms / bar.total) ** 2
+        width = (WIDTH - LEFT - RIGHT) * share
+        says = svg.hint(f"{source.replace('_', ' ')}: {rms:.3f}{bar.gap}{bar.unit} rms, {share:.0%} of the variance")
+        parts.append(svg.element("rect", says, x=x, y=y, width=width, height=BAR, class_=f"source-{source}"))
+        if width > MIN_LABELLED_WIDTH:
+            parts.append(svg.text(f"{share:.0%}", x + width / 2, middle, class_=f"share on-{source}"))
+        x += width
+    return [*parts, svg.text(f"{bar.total:.2f}{bar.gap}{bar.unit} rms", x + 10, middle, class_="total")]
+
+
+def budget(bars: Sequence[Bar], description: str) -> str:
+    """Draw one bar per error, divided into the share of each source in the variance."""
+    parts = [part for row, bar in enumerate(bars) for part in _bar(bar, 2.0 + row * (BAR + GAP))]
+    return svg.figure((0, 0, WIDTH, len(bars) * (BAR + GAP)), description, parts, class_="budget")
+
+
+HEIGHT, AXIS_LEFT, AXIS_RIGHT, TOP, FOOT = 270.0, 56.0, 20.0, 44.0, 40.0
 NAME_ROWS, NAME_PITCH = 3, 13.0  # event names alternate between rows, so that near ones do not overlap
 NAME_WIDTH = 110.0  # with less space on the right of an event, its name stands on the left
 MAX_POINTS = 700  # of the line, about one per pixel
@@ -25,7 +70,7 @@ def force_trace(
     top = float(max(force.max() * 1.05, 5.0))
 
     def x(value: float | np.ndarray) -> np.ndarray:
-        return LEFT + (np.asarray(value) - low) / (high - low) * (width - LEFT - RIGHT)
+        return AXIS_LEFT + (np.asarray(value) - low) / (high - low) * (width - AXIS_LEFT - AXIS_RIGHT)
 
     def y(value: float | np.ndarray) -> np.ndarray:
         return HEIGHT - FOOT - np.maximum(value, 0.0) / top * (HEIGHT - FOOT - TOP)
@@ -51,11 +96,13 @@ def _axes(x, y, depths: tuple[float, float], top: float, width: float) -> list[s
         parts.append(svg.text(f"{value:g}", float(x(value)), foot + 16, class_="tick middle"))
     for value in _ticks(0.0, top):
         parts.append(
-            svg.element("line", x1=left, x2=width - RIGHT, y1=float(y(value)), y2=float(y(value)), class_="grid")
+            svg.element("line", x1=left, x2=width - AXIS_RIGHT, y1=float(y(value)), y2=float(y(value)), class_="grid")
         )
         parts.append(svg.text(f"{value:g}", left - 8, float(y(value)) + 4, class_="tick end"))
     parts.append(
-        svg.text("depth beyond the entry point, mm", (LEFT + width - RIGHT) / 2, HEIGHT - 6, class_="tick middle")
+        svg.text(
+            "depth beyond the entry point, mm", (AXIS_LEFT + width - AXIS_RIGHT) / 2, HEIGHT - 6, class_="tick middle"
+        )
     )
     parts.append(svg.text("thrust, N", 4, TOP - 8, class_="tick"))
     return parts
