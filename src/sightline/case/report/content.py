@@ -16,8 +16,8 @@ from sightline.case.views import CalibratedImage, spoken
 from sightline.errors import CaseError
 from sightline.frame import Frame
 from sightline.planning import Plan, Trajectory, WirePlans
-from sightline.planning.check.drill_shot import ALIGNED, PAUSED
 from sightline.planning.check.result import CheckShot
+from sightline.planning.check.shot import ALIGNED, PAUSED
 from sightline.planning.procedures import Procedure
 from sightline.robot.link.record import DrillingRecord
 

@@ -22,7 +22,7 @@ from sightline.frame import Frame
 from sightline.planning import Plan, SpacePoints, Trajectory
 from sightline.planning.check.result import CheckShot
 from sightline.planning.points.gaps import Movement
-from sightline.planning.procedures.files import keeping
+from sightline.planning.procedures.procedure import keeping
 
 
 def detections(given: dict[str, Any]) -> Detections:
