@@ -101,7 +101,7 @@ def report_files(folder: Path) -> dict[str, bytes]:
 
     Raises CaseError if the case holds no plan; also raises the errors of the recomputed stages.
     """
-    from sightline.case.report.from_case import report_of
+    from sightline.case.report.content import report_of
     from sightline.case.report.page import render
 
     with Case.open(folder, read_only=True) as case:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 from sightline.app.drawing.calls import Calling
 from sightline.app.session.rehearsing import Patient, rehearsal_of
 from sightline.calibration.view import CalibratedView
-from sightline.case.report.drawing.scene import NEAR_MM, magnification
+from sightline.case.report.scene import NEAR_MM, magnification
 from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.frame import Frame
 from sightline.frame.plate import Plate, RigidBody
