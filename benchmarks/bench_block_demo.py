@@ -13,8 +13,15 @@ import numpy as np
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row, finished
 from sightline.case.views import NAMES, calibrate_pair, see_pair
-from sightline.cli.demos.demo import PICK_SD_PX
-from sightline.cli.demos.robot import BY_ENCODERS, BY_IMAGES, DemoPlan, depth_limit_mm, registrations, targets_by
+from sightline.cli.demo import (
+    BY_ENCODERS,
+    BY_IMAGES,
+    PICK_SD_PX,
+    DemoPlan,
+    depth_limit_mm,
+    registrations,
+    targets_by,
+)
 from sightline.common.atomic import scratch_folder
 from sightline.errors import SightlineError
 from sightline.frame import Frame
@@ -96,7 +103,7 @@ def _drilled(seed: int) -> dict[str, Any]:
     targets = targets_by(registrations(known, rehearsal.theatre().imaged, monotonic(), rng), known)
     for by, target in targets.items():
         theatre = rehearsal.theatre()  # the same true robot
-        theatre.drill(target, depth_limit_mm(known, target.end_error_95_mm, rng))
+        theatre.drill(target, depth_limit_mm(known, target, rng))
         assert theatre.plant.wire is not None
         found, alone = (InsertionOutcome.of(theatre.wire.axis_mm, line) for line in (ideal, wire_mm))
         out[by] = {

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 import sightline as sl
 from benchmarks.rows import Row
-from sightline.studies.comparison.lattice import walk
+from sightline.studies.measures import walk
 from sightline.studies.methods import Fit, Predict, local_weighted_mean, thin_plate_spline
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "arcadis"

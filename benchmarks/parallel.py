@@ -9,8 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from sightline.studies.runs.record import code_digest
-from sightline.studies.runs.run import local_workers
+from sightline.studies.run import code_digest, local_workers
 
 KEPT = Path("out/bench")  # results by benchmark and by the digest of the program's code
 

@@ -33,7 +33,7 @@ from sightline.detection.csv_files import write_observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_png
-from sightline.studies.runs.record import Record
+from sightline.studies.run import Record
 from sightline.studies.scenes import VIEWS
 
 Work = Callable[[], int]

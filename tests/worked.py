@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 import sightline as sl
-from sightline.cli.demos.demo import SEED
+from sightline.cli.demo import SEED
 from sightline.imaging import write_dicom
 from sightline.rehearsal.patient import CheckImages
 from sightline.rehearsal.rehearsal import Rehearsal

@@ -15,8 +15,8 @@ from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from sightline.frame import Frame
 from sightline.studies.coverage import PICKS, UNEVEN, outcome
-from sightline.studies.runs.study import Values
 from sightline.studies.scenes import FAR_MM, FRAMES, draw_scene
+from sightline.studies.study import Values
 
 SETUPS = 6000
 DOSES = {"beads 0.05 px": 0.05, "beads 0.1 px": 0.1, "beads 0.3 px": 0.3}

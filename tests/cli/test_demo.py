@@ -15,7 +15,7 @@ from sightline.case import stages
 from sightline.case.contents import CheckRequest
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
-from sightline.cli.demos import demo as demo_module
+from sightline.cli import demo as demo_module
 from sightline.detection.csv_files import read_observations
 from sightline.errors import CaseError
 
@@ -176,7 +176,7 @@ def test_the_wire_was_drilled_and_the_check_shot_agrees_with_the_physics(demo_fo
 
 
 def test_without_mujoco_the_rest_is_made_and_the_reason_said(monkeypatch, capsys) -> None:
-    from sightline.cli.demos import robot as demo_robot
+    from sightline.cli import demo as demo_robot
     from sightline.cli.output import Output
 
     monkeypatch.setattr(demo_robot, "find_spec", lambda name: None)

@@ -9,7 +9,7 @@ from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.planner import nail_drawn
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
-from sightline.cli.demos.procedures import PLACED, WITH_ROBOT, frame_for
+from sightline.cli.demo import PLACED, WITH_ROBOT, frame_for
 from sightline.planning.procedures.procedure import document_of
 from sightline.rehearsal.patient import AT_HIP, BONE_OF, CANNULATED, NAILED, frame_of
 

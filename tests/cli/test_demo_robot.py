@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sightline.calibration import calibrate
-from sightline.cli.demos import robot as demo_robot
-from sightline.cli.demos.robot import BY_ENCODERS, BY_IMAGES, DemoPlan, RobotAhead, registrations
+from sightline.cli import demo as demo_robot
+from sightline.cli.demo import BY_ENCODERS, BY_IMAGES, DemoPlan, RobotAhead, registrations
 from sightline.common.geometry.covariance import length_quantile
 from sightline.errors import RobotRefusedError
 from sightline.frame import Frame

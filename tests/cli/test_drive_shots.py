@@ -21,7 +21,7 @@ from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal import Case, Kind
 from sightline.case.picks import CHECK_NAMES
 from sightline.case.replay import ReplayOutcome, replay
-from sightline.cli.robots.drive import _target
+from sightline.cli.drive import _target
 from sightline.frame import Frame
 from sightline.imaging import write_dicom
 from sightline.planning.check.shot import ALIGNED, PAUSED

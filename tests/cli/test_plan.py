@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.cli.picked import VIEWS, picks_file, place, wire
 
-from sightline.cli.planning.plan import parse_point
+from sightline.cli.plan import parse_point
 from sightline.detection.csv_files import write_observations
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError

@@ -8,8 +8,7 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from sightline.frame import Frame
-from sightline.studies.frames.kinds import EQUAL, DesignResult, FrameKind, error_of_kind, places, which_to_build
-from sightline.studies.frames.study import (
+from sightline.studies.frame_design import (
     AS_MADE,
     AS_MEASURED,
     DEFAULT,
@@ -20,8 +19,9 @@ from sightline.studies.frames.study import (
     error_of,
     obstacle,
 )
-from sightline.studies.runs.study import Values
+from sightline.studies.frame_kinds import EQUAL, DesignResult, FrameKind, error_of_kind, places, which_to_build
 from sightline.studies.scenes import BEADS_20UM, EXACT, WHOLE, WIRE_ENDS_MM, draw_showing
+from sightline.studies.study import Values
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.xray.handling import Handling
 

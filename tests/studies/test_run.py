@@ -14,11 +14,10 @@ from tests.studies.small_study import SmallStudy
 from tests.systems import needs_posix
 
 from sightline.errors import RefusedError, UnusableInputError
-from sightline.studies.runs import record as record_module
-from sightline.studies.runs.page import render
-from sightline.studies.runs.record import TRIALS
-from sightline.studies.runs.run import Result, StudyRun
-from sightline.studies.runs.study import Study
+from sightline.studies import run as record_module
+from sightline.studies.page import render_study
+from sightline.studies.run import TRIALS, Result, StudyRun
+from sightline.studies.study import Study
 
 SEED, N = 5, 12
 EXPECTED = [float(np.random.default_rng([SEED, k]).standard_normal()) for k in range(N)]
@@ -136,7 +135,7 @@ def test_no_trials_are_refused(tmp_path):
 
 
 def test_the_page_needs_no_other_file_and_escapes_words(whole):
-    page = render("Numbers <from> nowhere", done(SmallStudy(), whole))
+    page = render_study("Numbers <from> nowhere", done(SmallStudy(), whole))
     assert "Numbers &lt;from&gt; nowhere" in page
     assert "&lt;mm&gt;" in page
     assert "--trials 12 --seed 5" in page
@@ -148,7 +147,7 @@ COMMAND = """
 if __name__ == "__main__":  # workers import this file too
     from sightline.cli import main
     from sightline.studies import catalogue
-    from sightline.studies.runs import record
+    from sightline.studies import run as record
     from tests.studies.small_study import SmallStudy
 
     catalogue.STUDIES["small"] = SmallStudy(seconds=0.05)

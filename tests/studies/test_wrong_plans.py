@@ -7,8 +7,8 @@ import pytest
 from tests.planning import bone
 
 from sightline.planning import Plan, kind, plan
-from sightline.studies.wrong_plans.kinds import KINDS, NEAR_TIMES, KnownBone, WrongKind, draw_times
-from sightline.studies.wrong_plans.study import UNSEEN, VIOLATED, WrongPlans, verdict_name
+from sightline.studies.wrong_plans import UNSEEN, VIOLATED, WrongPlans, verdict_name
+from sightline.studies.wrong_wires import KINDS, NEAR_TIMES, KnownBone, WrongKind, draw_times
 
 
 @pytest.mark.parametrize(

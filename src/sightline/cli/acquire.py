@@ -154,7 +154,7 @@ def igtl(
     """
     from sightline.case.acquire.acquirer import take_frames
     from sightline.case.acquire.igtl import ImageLink
-    from sightline.cli.robots.robot import parse_address
+    from sightline.cli.robot import parse_address
 
     host, port = parse_address(address)
     link = ImageLink(host, port, listen=listen, tell=out.note)
@@ -266,6 +266,6 @@ def _into(out: Output, into: Into) -> Generator[_Desk]:
 
 def _robot(address: str) -> "RobotWatch":
     from sightline.case.acquire.robot import RobotWatch
-    from sightline.cli.robots.robot import parse_address
+    from sightline.cli.robot import parse_address
 
     return RobotWatch(*parse_address(address))

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sightline.cli.demos.demo import SEED
-from sightline.cli.demos.procedures import DEFAULT, SEEDS, frame_for
+from sightline.cli.demo import DEFAULT, SEED, SEEDS, frame_for
 from sightline.cli.options import Rehearsed, command, commands
 from sightline.cli.output import Output
 

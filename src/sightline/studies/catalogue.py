@@ -5,11 +5,11 @@ from sightline.studies.budget import Budget
 from sightline.studies.coverage import Coverage
 from sightline.studies.fig13 import Figure13
 from sightline.studies.fig15 import Figure15
-from sightline.studies.frames.study import FrameDesignStudy
+from sightline.studies.frame_design import FrameDesignStudy
 from sightline.studies.porcine import Porcine
-from sightline.studies.runs.study import Study
+from sightline.studies.study import Study
 from sightline.studies.table1 import Table1
-from sightline.studies.wrong_plans.study import WrongPlans
+from sightline.studies.wrong_plans import WrongPlans
 
 _ALL: tuple[Study, ...] = (
     Table1(),

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sightline.cli.check_shot import landmarks_of
 from sightline.cli.options import WireKey, command, parse_address
 from sightline.cli.output import Output
-from sightline.cli.planning.check_shot import landmarks_of
-from sightline.cli.planning.images import images_of
-from sightline.cli.robots.robot import (
+from sightline.cli.plan import images_of
+from sightline.cli.robot import (
     SERIAL,
     Simulator,
     Yes,

@@ -23,7 +23,7 @@ from sightline.frame import Frame, Tolerances
 from sightline.frame.check import reach_mm
 from sightline.frame.designs import GAMMA_BEAMS, Balls, FrameDesign
 from sightline.frame.nominal import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM, in_field
-from sightline.studies.frames.kinds import (
+from sightline.studies.frame_kinds import (
     BEAD_PX,
     BLOCKS,
     EQUAL,
@@ -41,8 +41,8 @@ from sightline.studies.frames.kinds import (
     which_to_build,
 )
 from sightline.studies.plots import spans
-from sightline.studies.runs.study import Estimate, Plot, Summary, Table, Values
 from sightline.studies.scenes import BEADS_20UM, VIEWS, WHOLE, WIRE_ENDS_MM, draw_showing
+from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.twin import SetUp, bead_images
 from sightline.twin.objects.beam import attenuation_per_mm
 from sightline.twin.objects.things import PLATE_THICKNESS_MM

@@ -1,20 +1,53 @@
-"""The comparison of twin and real images as a single HTML page, which needs no other file."""
+"""Results of a study, or of a comparison with real images, as one HTML page in the report's style."""
 
 import base64
 from collections.abc import Sequence
+from importlib.resources import files
 from typing import Any
 
 import cv2
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
 
+from sightline import __version__
 from sightline.case.report.radiographs import JPEG_QUALITY, grey
 from sightline.imaging import Radiograph
-from sightline.studies.comparison.compare import Pair, differences, findings, plots
-from sightline.studies.runs.page import page
+from sightline.studies.compare import Pair, differences, findings, plots
+from sightline.studies.run import Result
 
 SHOWN_PX = 512  # side of an image on the page [ours]
 
 
-def render(pairs: Sequence[Pair], passed: Sequence[str], folder: str, seed: int) -> str:
+def page(template: str, *, plots: Any, **values: Any) -> str:
+    """Return the page of a template of this room with its values; `plots`: their drawings are put in as they are."""
+    here, report = files("sightline.studies") / "templates", files("sightline.case.report") / "templates"
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    css = (report / "report.css").read_text("utf-8") + (here / "study.css").read_text("utf-8")
+    return environment.from_string((here / template).read_text("utf-8")).render(
+        version=__version__,
+        css=Markup(css),  # noqa: S704 - files of this package
+        plots=[{**vars(plot), "svg": Markup(plot.svg)} for plot in plots],  # noqa: S704 - drawn by this package
+        **values,
+    )
+
+
+def render_study(about: str, result: Result) -> str:
+    """Return the page of a study."""
+    head, summary = result.head, result.summary
+    return page(
+        "study.html.j2",
+        plots=summary.plots,
+        name=head["study"],
+        about=about,
+        trials=result.trials,
+        seed=head["seed"],
+        findings=summary.findings,
+        tables=summary.tables,
+        provenance=[("code", f"Sightline {head['version']}, {head['code']}"), *head["configuration"].items()],
+    )
+
+
+def render_comparison(pairs: Sequence[Pair], passed: Sequence[str], folder: str, seed: int) -> str:
     """Return the page as HTML, with the images scaled to SHOWN_PX."""
     return page(
         "compare.html.j2",

@@ -16,7 +16,6 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.frame.nominal import SOURCE_TO_HIP_MM
 from sightline.studies.plots import Span, spans
-from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Table, Values, rms, share
 from sightline.studies.scenes import (
     BEADS_20UM,
     WHOLE,
@@ -26,6 +25,7 @@ from sightline.studies.scenes import (
     draw_showing,
     measure,
 )
+from sightline.studies.study import Estimate, EstimateGroup, Plot, Table, Values, rms, share
 from sightline.twin.objects.things import SoftTissue
 from sightline.twin.xray.distributions import NEAR_PLACE, SolidPlace
 from sightline.twin.xray.setup import Variation

@@ -8,7 +8,7 @@ import typer
 
 from sightline.cli.options import Distances, Invert, WireKey, command, commands
 from sightline.cli.output import Output
-from sightline.cli.planning.images import both_or_none, image_numbers, images_of
+from sightline.cli.plan import both_or_none, image_numbers, images_of
 from sightline.common.checks import failed
 
 if TYPE_CHECKING:

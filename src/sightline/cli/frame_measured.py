@@ -1,11 +1,13 @@
-"""`sightline frame self-check`: check a frame by several images of itself."""
+"""`sightline frame fit`: a frame file from measurements of the balls."""
 
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.frames.frame import app
+from sightline.cli.frame import app
 from sightline.cli.options import FrameName, Invert, command, refuse_existing
 from sightline.cli.output import Output
 
@@ -14,8 +16,167 @@ if TYPE_CHECKING:
     from sightline.calibration.self_checks.solid import KnownDistance, SolidSelfCheck
     from sightline.case.views import ObservedView
     from sightline.frame import Frame
+    from sightline.frame.measured.fit import FittedFrame
 
 _SHOWN = 8  # balls in the table; --json has them all
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Which frame was measured, when, and how it is used."""
+
+    serial: Annotated[str | None, typer.Option(help="Serial number of the frame.")] = None
+    measured_on: Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Date of the measurement.")] = None
+    temperature_c: Annotated[float | None, typer.Option(help="Temperature of the frame when it was measured, °C.")] = (
+        None
+    )
+    use_temperature_c: Annotated[
+        float | None, typer.Option(help="Temperature in use, °C; plates or block are scaled to it.")
+    ] = None
+    drift_mm: Annotated[
+        float,
+        typer.Option(
+            help="Movement of a plate until it is used, 1 s.d. per axis, mm: heat, moisture, drapes. None for a block."
+        ),
+    ] = 0.05
+
+
+@command(app, "fit", "sightline frame fit measured.csv --frame gamma --out gamma-07.json --serial 07")
+def fit(
+    output: Output,
+    *,
+    measurements: Annotated[Path, typer.Argument(help="CSV of measured balls (docs/own-frame.md).")],
+    frame: Annotated[str, typer.Option(help="The frame as designed: a frame file, or a built-in one.")],
+    out: Annotated[Path, typer.Option(help="Frame file to write.")],
+    covariance: Annotated[
+        Path | None, typer.Option(help="CSV with the full covariance of all coordinates, mm².")
+    ] = None,
+    conditions: Conditions,
+) -> None:
+    """Make a frame file from measured balls.
+
+    The frame is adjusted to the measurements. Where a check fails, nothing is written (exit code 3).
+    """
+    from sightline.frame import Frame
+    from sightline.frame.measured.fit import Circumstances, fit_frame
+    from sightline.frame.measured.measurements import read_measurements
+
+    refuse_existing(out)
+    day = conditions.measured_on.date().isoformat() if conditions.measured_on else None
+    told = Circumstances(
+        conditions.serial, day, conditions.temperature_c, conditions.use_temperature_c, conditions.drift_mm
+    )
+    nominal = Frame.load(frame)
+    series = read_measurements(measurements, covariance)
+    with output.step("adjusting the frame"):
+        fitted = fit_frame(nominal, series, told)
+    document = _document(fitted)
+    output.failures(fitted.checks)
+    _show(output, document)
+    if fitted.frame is not None:
+        fitted.frame.save(out)
+        if told.growth:
+            grown = f"from {conditions.temperature_c:g} to {conditions.use_temperature_c:g} °C"
+            output.say(f"grown by {1e6 * told.growth:.0f} ppm, {grown}")
+        output.say(f"written: {out}")
+    output.result({"file": out if fitted.frame else None, "growth": told.growth, **document}, fitted.checks)
+
+
+def _document(fitted: "FittedFrame") -> dict[str, Any]:
+    found = {
+        "series": [
+            {"name": one.series, "mirrored": one.mirrored, "renamed": one.renamed, "astray_mm": one.astray_mm}
+            for one in fitted.identified
+        ],
+        "missing": fitted.missing,
+    }
+    adjusted = fitted.adjusted
+    if adjusted is None or fitted.deviation_mm is None or fitted.sigma is None:
+        return found
+    import numpy as np
+
+    sd = np.sqrt(np.diag(adjusted.covariance_mm2).reshape(-1, 3))
+    return found | {
+        "fle_mm": {
+            "from_nominal_rms": float(np.sqrt((fitted.deviation_mm**2).sum(axis=1).mean())),
+            "from_nominal_rms_per_axis": np.sqrt((fitted.deviation_mm**2).mean(axis=0)),
+            "measured_rms": float(np.sqrt((sd**2).sum(axis=1).mean())),
+            "measured_rms_per_axis": np.sqrt((sd**2).mean(axis=0)),
+            "instrument_per_axis": adjusted.instrument_mm,
+            "manufacturing_per_axis": float(np.sqrt(np.mean([p.manufacturing_mm**2 for p in fitted.plates]))),
+        },
+        "plates": [
+            {
+                "view": p.view,
+                "plate": p.plate,
+                "measured": p.measured,
+                "shift_mm": p.shift_mm,
+                "turn_rad": p.turn_rad,
+                "growth_ppm": p.growth_ppm,
+                "in_plane_rms_mm": p.in_plane_rms_mm,
+                "across_rms_mm": p.across_rms_mm,
+                "manufacturing_mm": p.manufacturing_mm,
+            }
+            for p in fitted.plates
+        ],
+        "balls": [
+            {"id": ball, "xyz_mm": xyz, "deviation_mm": moved, "sd_mm": error, "sigma": float(sigma)}
+            for ball, xyz, moved, error, sigma in zip(
+                adjusted.ids, adjusted.xyz_mm, fitted.deviation_mm, sd, fitted.sigma, strict=True
+            )
+        ],
+        "left_out": [{"series": series, "id": ball} for series, ball in adjusted.left_out],
+    }
+
+
+def _show(output: Output, document: dict[str, Any]) -> None:
+    for series in document["series"]:
+        if series["renamed"]:
+            rows = list(series["renamed"].items())
+            output.table(f"Series {series['name']}: ids that fit other balls", ("measured as", "fits"), rows)
+    if "plates" not in document:
+        return
+    output.table(
+        f"{'Solid' if document['plates'][0]['across_rms_mm'] is None else 'Plates'}, measured minus frame file",
+        ("view", "plate", "balls", "shift mm", "rotation mrad", "growth ppm", "drilling mm", "across mm"),
+        [
+            (
+                p["view"],
+                p["plate"],
+                p["measured"],
+                " ".join(f"{x:+.3f}" for x in p["shift_mm"]),
+                " ".join(f"{1e3 * x:+.2f}" for x in p["turn_rad"]),
+                f"{p['growth_ppm']:+.0f}",
+                f"{p['manufacturing_mm']:.4f}",
+                None if p["across_rms_mm"] is None else f"{p['across_rms_mm']:.4f}",
+            )
+            for p in document["plates"]
+        ],
+    )
+    output.table(
+        f"Balls furthest from where the others put them (of {len(document['balls'])})",
+        ("ball", "measured minus file mm", "sd mm", "off by s.d."),
+        [
+            (
+                ball["id"],
+                " ".join(f"{x:+.3f}" for x in ball["deviation_mm"]),
+                " ".join(f"{x:.4f}" for x in ball["sd_mm"]),
+                f"{ball['sigma']:.1f}",
+            )
+            for ball in sorted(document["balls"], key=lambda ball: -ball["sigma"])[:_SHOWN]
+        ],
+    )
+    fle = document["fle_mm"]
+    output.say(
+        f"FLE: the balls are {fle['from_nominal_rms']:.3f} mm rms from the frame file and are now known to "
+        f"{fle['measured_rms']:.4f} mm rms; drilling {fle['manufacturing_per_axis']:.4f} mm per axis"
+    )
+    if (instrument := fle["instrument_per_axis"]) is not None:
+        output.say(f"the repeated measurements show an instrument error of {instrument:.4f} mm per axis")
+    if missing := document["missing"]:
+        output.say(f"not measured, positions computed from the other balls: {', '.join(missing)}")
+
+
 _UNSEEN = 0.9  # an error whose s.d. the images leave above this share of its prior is not determined by them [ours]
 
 
@@ -60,7 +221,11 @@ def self_check(
 
             found = self_check_solid(beads, known, measured, [known_arm(one.image) for one in seen])
     output.failures(found.checks)
-    document = _show_solid(output, found) if isinstance(found, SolidSelfCheck) else _show(output, _document(found))
+    document = (
+        _show_solid(output, found)
+        if isinstance(found, SolidSelfCheck)
+        else _show_plates(output, _self_check_document(found))
+    )
     written = out if out is not None and all(check.passed for check in found.checks) else None
     if written is not None:
         found.frame.save(written)
@@ -111,7 +276,7 @@ def _show_solid(output: Output, found: "SolidSelfCheck") -> dict[str, Any]:
     return {"balls": balls}
 
 
-def _document(found: "SelfCheck") -> dict[str, Any]:
+def _self_check_document(found: "SelfCheck") -> dict[str, Any]:
     from sightline.calibration.self_checks.plate_motion import MOTIONS
 
     in_plate = found.in_plate
@@ -151,7 +316,7 @@ def _document(found: "SelfCheck") -> dict[str, Any]:
     }
 
 
-def _show(output: Output, document: dict[str, Any]) -> dict[str, Any]:
+def _show_plates(output: Output, document: dict[str, Any]) -> dict[str, Any]:
     output.table(
         "Source plate against XRII plate of each view, 1 s.d.",
         ("view", "motion", "", "found", "before", "after", ""),

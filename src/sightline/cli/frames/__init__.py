@@ -1,1 +1,0 @@
-"""`sightline frame`: the commands of frames."""

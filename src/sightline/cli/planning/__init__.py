@@ -1,1 +1,0 @@
-"""`sightline plan` and `sightline check-shot`."""

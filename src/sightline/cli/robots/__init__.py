@@ -1,1 +1,0 @@
-"""`sightline robot`: the commands of a robot."""

@@ -1,1 +1,0 @@
-"""`sightline study`, `assess` and `compare`."""

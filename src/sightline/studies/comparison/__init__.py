@@ -1,1 +1,0 @@
-"""Real images beside the twin's, measured in the same way."""

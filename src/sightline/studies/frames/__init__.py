@@ -1,1 +1,0 @@
-"""The study of frames: kinds, designs and what handling does to them."""

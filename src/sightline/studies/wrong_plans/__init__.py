@@ -1,1 +1,0 @@
-"""The study of plans that are wrong by a known amount."""
