@@ -13,7 +13,7 @@ import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
 from sightline.calibration import BeadView
-from sightline.detection.wires.wire import WireShadow, find_wire
+from sightline.detection.wire import WireShadow, find_wire
 from sightline.errors import SetUpError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan

@@ -18,9 +18,8 @@ from tests.calibration.solid_scenes import C_ARM, built, turned_images
 import sightline as sl
 from benchmarks.parallel import in_parallel
 from benchmarks.rows import Row
-from sightline.calibration.self_checks.plate_motion import MOTIONS, Errors, in_plate, plate_pairs
-from sightline.calibration.self_checks.plates import self_check
-from sightline.calibration.self_checks.solid import KnownDistance, self_check_solid
+from sightline.calibration.plates.self_check import MOTIONS, Errors, in_plate, plate_pairs, self_check
+from sightline.calibration.solids.self_check import KnownDistance, self_check_solid
 from sightline.common.geometry.rigid import rigid_fit
 from sightline.detection import Observations
 from sightline.errors import SightlineError

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 from scipy.linalg import block_diag
 
-from sightline.calibration.solids.start import CENTRE_SD_MM, DISTANCE_SD_MM, PLATE_CENTRE_SD_MM
+from sightline.calibration.solids.adjustment import CENTRE_SD_MM, DISTANCE_SD_MM, PLATE_CENTRE_SD_MM
 from sightline.studies.bound import (
     BoundData,
     Linear,

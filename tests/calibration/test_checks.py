@@ -5,9 +5,9 @@ import pytest
 from calibration_scenes import EXACT, TARGETS_MM, Camera
 
 from sightline.calibration import calibrate
+from sightline.calibration.bead_checks import view_checks
 from sightline.calibration.plates.beads import match
-from sightline.calibration.residuals import Residuals
-from sightline.calibration.view_checks.bead_checks import view_checks
+from sightline.calibration.view import Residuals
 
 CAMERA = Camera.pa(bend=0.03)
 

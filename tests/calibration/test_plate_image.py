@@ -10,9 +10,9 @@ from tests.calibration.solid_scenes import camera
 
 import sightline as sl
 from sightline.calibration import CArm, calibrate
+from sightline.calibration.solids.adjustment import image_of, solid_of
 from sightline.calibration.solids.calibrate_together import adjustment_of, calibrate_together
-from sightline.calibration.solids.plate_image import MIN_PLATE_BALLS
-from sightline.calibration.solids.start import image_of, solid_of
+from sightline.calibration.solids.images import MIN_PLATE_BALLS
 from sightline.common.checks import failed
 from sightline.errors import CalibrationRefusedError
 from sightline.frame import Frame, Plate, Tolerances

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from calibration_scenes import GAMMA
 
-from sightline.calibration.maps import prior
+from sightline.calibration.maps import smooth as prior
 from sightline.calibration.plates.beads import match
 from sightline.calibration.plates.joint import fit_jointly
 from sightline.detection import Observations

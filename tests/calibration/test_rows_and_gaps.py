@@ -7,7 +7,7 @@ import pytest
 from calibration_scenes import GAMMA, Camera, choose
 
 from sightline.calibration import calibrate
-from sightline.calibration.view_checks.support import Support
+from sightline.calibration.bead_checks import Support
 from sightline.detection.results import Observations, RejectedCandidate
 from sightline.planning import plan
 from sightline.twin import bead_images

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.calibration import CArm, calibrate
-from sightline.calibration.view_checks.lengths import FocalLength
+from sightline.calibration.lengths import FocalLength
 from sightline.detection import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
@@ -14,7 +14,7 @@ from sightline.twin import SetUp, Variation, bead_images, draw_setup
 from sightline.twin.xray.setup import shadow_radius_px
 
 GAMMA = Frame.load("gamma")
-BIAS = 1.012  # by which detection sees balls too large in the twin (calibration/view_checks/lengths.py)
+BIAS = 1.012  # by which detection sees balls too large in the twin (calibration/lengths.py)
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import pytest
 from calibration_scenes import choose
 from scipy.stats import chi2
 
-from sightline.calibration.projection import Pencil
-from sightline.calibration.self_checks.plates import SelfCheck, self_check
+from sightline.calibration.plates.self_check import SelfCheck, self_check
+from sightline.calibration.view import Pencil
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame

@@ -7,7 +7,7 @@ import pytest
 from calibration_scenes import choose
 
 from sightline.calibration import calibrate
-from sightline.calibration.plates.shadow_centres import at_centres
+from sightline.calibration.plates.beads import at_centres
 from sightline.detection.results import Observations
 from sightline.frame import Frame
 from sightline.studies.scenes import EXACT

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 from tests.calibration.solid_scenes import C_ARM, built, turned_images
 
-from sightline.calibration.self_checks.solid import KnownDistance, self_check_solid
+from sightline.calibration.solids.self_check import KnownDistance, self_check_solid
 from sightline.common.geometry.rigid import rigid_fit
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.frame import Frame, Tolerances

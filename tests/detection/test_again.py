@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from bead_images import Bead, radiograph, transmission
 
-from sightline.detection import Observations, detect, label, look_again, scale
+from sightline.detection import Observations, detect, label, look_again, results, second_look
 from sightline.detection.beads import refine
 from sightline.detection.beads.bead import centres
 from sightline.detection.detector import bead_fitter
-from sightline.detection.second_look import look_again as second_look
-from sightline.detection.second_look.overlaps import without_overlaps
+from sightline.detection.second_look import without_overlaps
 from sightline.errors import ObservationsError
 from sightline.frame import Frame, FrameView, Plate
 from sightline.imaging import Radiograph
@@ -458,10 +457,10 @@ def test_the_shadows_of_a_finer_image_are_those_of_its_beads_in_both_scales() ->
     coarse = image(seen(44), np.random.default_rng(44))
     pixels = cv2.resize(coarse.pixels, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     beads = detect(replace(coarse, pixels=np.minimum(pixels, np.uint16(coarse.white))))
-    for one in (beads, scale.coarser(beads)):
+    for one in (beads, results.coarser(beads)):
         assert one.shadows is not None
         assert np.array_equal(centres(one.shadows), one.uv_px)
-    usual, binned = detect(coarse).shadows, scale.coarser(beads).shadows
+    usual, binned = detect(coarse).shadows, results.coarser(beads).shadows
     assert usual is not None
     assert binned is not None
     assert np.median(binned["blur_px"]) == pytest.approx(np.median(usual["blur_px"]), rel=0.1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sightline.detection.edges.bone import NoBoneEdgeError, find_bone_edge
+from sightline.detection.bone_edges import NoBoneEdgeError, find_bone_edge
 from sightline.imaging import Radiograph
 
 SIZE, FINE = 320, 3  # px; samples per pixel along each axis

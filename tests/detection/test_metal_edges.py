@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sightline.detection.edges.metal import MetalTube, find_outline, transmission
+from sightline.detection.metal_edges import MetalTube, find_outline, transmission
 from sightline.imaging import Radiograph
 
 LEFT_PX, DIAMETER_PX, BORE_PX, MM_PER_PX = 70.3, 58.0, 26.0, 0.19

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from bead_images import Bead, grid, transmission
 
-from sightline.detection.beads import sharpen
+from sightline.detection.beads import refine as sharpen
 from sightline.detection.beads.noise import BLOCK, LAGS, NoiseModel, estimate_noise
 
 SIZE = 512

@@ -5,7 +5,7 @@ import pytest
 
 from sightline.detection.beads.bead import BEAD
 from sightline.detection.labelling.patterns import Pattern, patterns
-from sightline.detection.second_look.shapes import SHAPE, expected_shapes
+from sightline.detection.second_look import SHAPE, expected_shapes
 from sightline.frame import Frame
 
 NOISE = np.array([0.006, 0.03, 0.005, 0.005])  # of log size, log blur, ellipticities: a low dose

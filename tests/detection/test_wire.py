@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tests.detection.wire_images import PX_PER_MM, SIZE, Drawn, Expected, expected, image_of
 
-from sightline.detection.wires.model import BEND, WireFit
-from sightline.detection.wires.wire import WireShadow, _left_out_residuals, _Piece, find_wire
+from sightline.detection.wire import WireShadow, _left_out_residuals, _Piece, find_wire
+from sightline.detection.wire_model import BEND, WireFit
 from sightline.errors import UnusableInputError, WireRefusedError
 from sightline.imaging import Radiograph
 

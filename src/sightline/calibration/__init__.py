@@ -2,13 +2,12 @@
 
 from sightline.calibration.bead_view import BeadView, CalibrationInputs
 from sightline.calibration.calibrate import calibrate
+from sightline.calibration.lengths import CArm
 from sightline.calibration.maps.fit_map import fit_map
 from sightline.calibration.matrix_view import MatrixView, view_from_matrix
 from sightline.calibration.plates.setup_aid import SetupAdvice, advise
-from sightline.calibration.residuals import Residuals
 from sightline.calibration.solids.calibrate_together import calibrate_together
-from sightline.calibration.view import CalibratedView, LinesOfSight, PlaneMap
-from sightline.calibration.view_checks.lengths import CArm
+from sightline.calibration.view import CalibratedView, LinesOfSight, PlaneMap, Residuals
 
 __all__ = [
     "BeadView",

@@ -7,16 +7,13 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from sightline.calibration.line_errors import Posterior
+from sightline.calibration.bead_checks import MIN_STRIP, Support, handedness_check, strip_check
+from sightline.calibration.lengths import CArm, FocalLength, steady_check
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.maps.polynomial import Affine
 from sightline.calibration.plates.classical import PlateName
 from sightline.calibration.plates.joint import JointFit
-from sightline.calibration.residuals import Residuals
-from sightline.calibration.view import CalibratedView, Deferred, LinesOfSight, PlaneMap
-from sightline.calibration.view_checks.bead_checks import handedness_check, strip_check
-from sightline.calibration.view_checks.lengths import CArm, FocalLength, steady_check
-from sightline.calibration.view_checks.support import MIN_STRIP, Support
+from sightline.calibration.view import CalibratedView, Deferred, LinesOfSight, PlaneMap, Posterior, Residuals
 from sightline.common.checks import Check
 from sightline.common.geometry.planes import Plane
 from sightline.common.show import Plotted, checks_lines, counted, dataframe, numbers

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.calibration.bead_checks import noise_checks, row_check, view_checks
 from sightline.calibration.bead_view import BeadView, CalibrationInputs
+from sightline.calibration.lengths import CArm, ball_size_check
 from sightline.calibration.maps.fit_map import Method, refuse_unknown_method
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.maps.localized import LocalizedMap
@@ -14,8 +16,6 @@ from sightline.calibration.plates.beads import Beads, match
 from sightline.calibration.plates.classical import Fitter, PlateName, classical_residuals, fit_plates
 from sightline.calibration.plates.joint import MIN_BEADS, JointFit, fit_robustly
 from sightline.calibration.solids.calibrate_together import calibrate_together
-from sightline.calibration.view_checks.bead_checks import noise_checks, row_check, view_checks
-from sightline.calibration.view_checks.lengths import CArm, ball_size_check
 from sightline.common.checks import Check
 from sightline.common.threads import one_blas_thread
 from sightline.detection.results import Observations

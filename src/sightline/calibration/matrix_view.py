@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.calibration.line_errors import LineErrors
-from sightline.calibration.view import LinesOfSight
+from sightline.calibration.view import LineErrors, LinesOfSight
 from sightline.common.checks import Check
 from sightline.common.geometry.planes import Plane
 from sightline.common.show import Shown, checks_lines, numbers

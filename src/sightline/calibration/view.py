@@ -7,9 +7,93 @@ from typing import Protocol
 
 import numpy as np
 
-from sightline.calibration.projection import Pencil
 from sightline.common.checks import Check
 from sightline.common.geometry.planes import Plane
+from sightline.errors import CalibrationRefusedError
+
+# Limits for the ratio of a bead's height above the reference plane to that of F [ours]; 0.16 on a Γ frame's source
+# plate.
+MIN_SOURCE_DISTANCE = 0.05  # of 1 - ratio
+MIN_PARALLAX = 0.01  # of |ratio|
+
+
+@dataclass(frozen=True, eq=False)
+class Pencil:
+    """The pencil of lines through F = plane.origin + (p / q) @ axes + normal / q, as `pq` = (p_x, p_y, q).
+
+    A point at x in the plane's axes and height h is projected to y = (x - h p) / (1 - h q): linear in p, nearly so in
+    q, and regular for a focal point at infinity (q = 0), where F itself is not.
+    """
+
+    plane: Plane
+    pq: np.ndarray
+
+    @staticmethod
+    def through(plane: Plane, focal_point_mm: np.ndarray) -> "Pencil":
+        """Return the pencil of a focal point (3,), CFCS."""
+        q = 1 / plane.height_mm(focal_point_mm)
+        return Pencil(plane, np.append(q * plane.to_plane(focal_point_mm), q))
+
+    @property
+    def focal_point_mm(self) -> np.ndarray:
+        """(3,) F, CFCS."""
+        p, q = self.pq[:2], self.pq[2]
+        return self.plane.origin_mm + (p / q) @ self.plane.axes + self.plane.normal / q
+
+    @property
+    def focal_point_by_pq(self) -> np.ndarray:
+        """(3, 3): derivative of F by pq."""
+        p, q = self.pq[:2], self.pq[2]
+        by_q = -(p @ self.plane.axes + self.plane.normal) / q**2
+        return np.column_stack([self.plane.axes.T / q, by_q])
+
+    def project(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Return the plane coordinates (N, 2), mm, of points (N, 3), CFCS."""
+        return self._placed(xyz_mm)[0]
+
+    def by_pq(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Return (N, 2, 3): the derivative of `project` by pq."""
+        y, h, depth = self._placed(xyz_mm)
+        derivative = np.zeros((len(y), 2, 3))
+        derivative[:, 0, 0] = derivative[:, 1, 1] = -h / depth
+        derivative[:, :, 2] = (h / depth)[:, None] * y
+        return derivative
+
+    def by_point(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Return (N, 2, 3): the derivative of `project` by the points."""
+        return self.projected(xyz_mm)[1]
+
+    def projected(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return `project`, `by_point`, and (N,) the depth of the points from F over that of the plane."""
+        y, _, depth = self._placed(xyz_mm)
+        lift = self.pq[2] * y - self.pq[:2]
+        return y, (self.plane.axes + lift[:, :, None] * self.plane.normal) / depth[:, None, None], depth
+
+    def _placed(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return `project`, and the points' heights (N,), mm, and depths (N,) from F, over that of the plane."""
+        h = self.plane.height_mm(xyz_mm)
+        depth = 1 - h * self.pq[2]
+        return (self.plane.to_plane(xyz_mm) - h[:, None] * self.pq[:2]) / depth[:, None], h, depth
+
+
+def refuse_misplaced(pencil: Pencil, xyz_mm: np.ndarray) -> None:
+    """Raise CalibrationRefusedError for a focal point between the planes of the beads (N, 3) or at infinity.
+
+    It may lie on either side of both planes.
+    """
+    ratio = pencil.plane.height_mm(xyz_mm) * pencil.pq[2]
+    largest, smallest = float(ratio.max()), float(ratio.min())
+    if not 1 - largest > MIN_SOURCE_DISTANCE:
+        raise CalibrationRefusedError(
+            "the beads put the X-ray source between the plates; check that the labels of the two plates are not "
+            "exchanged, and that frame and view are those in the image"
+        )
+    if not max(largest, -smallest) > MIN_PARALLAX:
+        raise CalibrationRefusedError(
+            "the beads put the X-ray source at infinity: the plates' images show no parallax; check that both plates "
+            "are in the image and that their distance in the frame file is correct"
+        )
+
 
 # The sources of a line of sight's error; their covariances add up to the total.
 SOURCES = ("beads", "map", "focal_point", "frame")
@@ -182,3 +266,106 @@ class CalibratedView(Protocol):
     def lines_of_sight(self, uv_px: np.ndarray) -> LinesOfSight:
         """Return the lines of sight of pixels (N, 2). Raises OutsideRegionError."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class LineErrors:
+    """Errors of (focal point, xy of line 1, ..., xy of line N), 3 + 2N numbers, mm.
+
+    `noise`, `misfit` (3 + 2N, 3 + 2N): covariances from the beads' measurement and from the map's own misfit.
+    `frame_factor` (3 + 2N, K): response to the unit-variance errors of `Frame.error_factor`.
+    """
+
+    noise: np.ndarray
+    misfit: np.ndarray
+    frame_factor: np.ndarray
+
+    def shared(self) -> dict[str, np.ndarray]:
+        """Return `LinesOfSight.shared`: views of one frame share its errors."""
+        return {"frame": self.frame_factor}
+
+    def by_source(self) -> dict[str, np.ndarray]:
+        """Return the covariance for each of `view.SOURCES`; they add up to the total, and none has negative variances.
+
+        "beads" and "map" are conditional on the focal point; "focal_point" is what its uncertainty adds.
+        """
+        own = self.noise + self.misfit
+        gain = own[:, :3] @ _pseudo_inverse(own[:3, :3])  # (3 + 2N, 3): regression on the focal point
+        rest = np.eye(len(own))
+        rest[:, :3] -= gain
+        return {
+            "beads": _symmetric(rest @ self.noise @ rest.T),
+            "map": _symmetric(rest @ self.misfit @ rest.T),
+            "focal_point": _symmetric(gain @ own[:3, :3] @ gain.T),
+            "frame": self.frame_factor @ self.frame_factor.T,
+        }
+
+
+def _pseudo_inverse(covariance: np.ndarray) -> np.ndarray:
+    """Return the pseudo-inverse of a covariance that may be singular or zero."""
+    values, vectors = np.linalg.eigh(covariance)
+    kept = values > 1e-15 * values[-1]
+    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+
+
+def _symmetric(matrix: np.ndarray) -> np.ndarray:
+    return 0.5 * (matrix + matrix.T)
+
+
+class StatedErrors(Protocol):
+    """Errors of (focal point, xy of line 1, ..., xy of line N), 3 + 2N numbers, mm."""
+
+    def by_source(self) -> dict[str, np.ndarray]:
+        """Return the covariance (3 + 2N, 3 + 2N) for each of `view.SOURCES`; they add up to the total."""
+        ...
+
+    def shared(self) -> dict[str, np.ndarray]:
+        """Return `LinesOfSight.shared`, (3 + 2N, K) for each source whose errors other views share."""
+        ...
+
+
+class Posterior(Protocol):
+    """A method's fit, which states the errors of its lines of sight."""
+
+    def line_errors(self, uv_px: np.ndarray) -> StatedErrors:
+        """Return the errors of focal point and lines of sight of pixels (N, 2)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals of N beads of a view, on the reference plane, mm.
+
+    `residual_mm` (N, 2): the bead's place by the map minus its place by the frame. `leave_one_out_mm` (N, 2): the same
+    without the bead in the calibration; `predicted` (N,) bool: False in rows that are not valid because the method
+    cannot predict the bead without itself. `sigma` (N,): length of the leave-one-out error over its own standard
+    deviation. `used` (N,) bool: False where the bead was left out as wrong.
+    """
+
+    ids: tuple[str, ...]
+    uv_px: np.ndarray
+    residual_mm: np.ndarray
+    leave_one_out_mm: np.ndarray
+    predicted: np.ndarray
+    sigma: np.ndarray
+    used: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("uv_px", "residual_mm", "leave_one_out_mm", "predicted", "sigma", "used"):
+            getattr(self, name).flags.writeable = False
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Ids of the beads left out as wrong."""
+        return tuple(i for i, used in zip(self.ids, self.used, strict=True) if not used)
+
+    @property
+    def rms_mm(self) -> float:
+        """Rms residual per axis over the beads used: 0.7 times the rms of the residuals' lengths."""
+        return float(np.sqrt(np.mean(self.residual_mm[self.used] ** 2)))
+
+    @property
+    def leave_one_out_rms_mm(self) -> float:
+        """Rms leave-one-out error per axis over the beads that were used and could be predicted."""
+        rows = self.used & self.predicted
+        return float(np.sqrt(np.mean(self.leave_one_out_mm[rows] ** 2)))

@@ -268,7 +268,7 @@ class DrillShotRequest:
     ) -> "DrillShot":
         """Find the wire in both images and compare it with the plan; `others_mm`, and what is raised, as of
         `CheckRequest.shot`."""
-        from sightline.detection.wires.wire import find_wire
+        from sightline.detection.wire import find_wire
         from sightline.from_images.pipeline import expected_wires
         from sightline.planning.check.shot import drill_shot
         from sightline.planning.check.wires import BEFORE_MM, GUIDED_MM, expected_wire, nail_px

@@ -9,14 +9,19 @@ import numpy as np
 from sightline.common.fitting import distances, median
 from sightline.common.threads import at_once, one_blas_thread
 from sightline.detection.beads import refine
-from sightline.detection.beads.bead import SHADOW, BeadStatus, centre_covariances, centres
+from sightline.detection.beads.bead import (
+    SHADOW,
+    BeadStatus,
+    allow_for_missing_foot,
+    centre_covariances,
+    centres,
+    clipped_shares,
+)
 from sightline.detection.beads.candidates import distinct, find_candidates
-from sightline.detection.beads.clipping import allow_for_missing_foot, clipped_shares
 from sightline.detection.beads.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
 from sightline.detection.causes import NO_RIM, cause_of
 from sightline.detection.log_image import field_and_logs
-from sightline.detection.results import Detections, RejectedCandidate
-from sightline.detection.scale import FACTOR, finer, is_fine
+from sightline.detection.results import FACTOR, Detections, RejectedCandidate, finer, is_fine
 from sightline.errors import DetectionRefusedError
 from sightline.imaging import Radiograph, as_radiograph
 from sightline.imaging.defects import interlaced

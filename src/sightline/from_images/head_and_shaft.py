@@ -11,7 +11,7 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView, LinesOfSight
 from sightline.common.geometry.lines import nearest_approach
-from sightline.detection.edges.bone import (
+from sightline.detection.bone_edges import (
     REACH_PX,
     UNEVEN,
     BoneEdge,

@@ -13,7 +13,7 @@ from sightline.calibration import CalibratedView
 from sightline.calibration.bead_view import bead_shadows_px
 from sightline.common.geometry.lines import nearest_approach
 from sightline.common.threads import one_blas_thread
-from sightline.detection.edges.metal import MetalEdge, MetalTube, agreement, find_outline, find_rims
+from sightline.detection.metal_edges import MetalEdge, MetalTube, agreement, find_outline, find_rims
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.imaging import Radiograph
 from sightline.planning import Hole, HoleSeen, Nail, WirePicks, WirePlans, fit_hole, plan_wires

@@ -14,7 +14,7 @@ from numpy.polynomial.legendre import legvander
 
 from sightline.calibration.bead_view import bead_shadows_px
 from sightline.calibration.view import CalibratedView
-from sightline.detection.edges.bone import (
+from sightline.detection.bone_edges import (
     REACH_PX,
     BoneEdge,
     NoBoneEdgeError,

@@ -18,7 +18,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.common.threads import one_blas_thread
 from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
 from sightline.detection.causes import cause_of
-from sightline.detection.wires.wire import WireShadow, find_wire
+from sightline.detection.wire import WireShadow, find_wire
 from sightline.errors import DetectionRefusedError, LabellingRefusedError, OutsideRegionError, WireRefusedError
 from sightline.frame import Frame
 from sightline.frame.plate import Fiducial

@@ -14,9 +14,9 @@ from scipy.spatial import Delaunay
 
 import sightline as sl
 from sightline.calibration import BeadView
+from sightline.calibration.lengths import CArm
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.calibration.view import CalibratedView
-from sightline.calibration.view_checks.lengths import CArm
 from sightline.detection import Observations
 from sightline.errors import SetUpError
 from sightline.frame import Frame, Tolerances

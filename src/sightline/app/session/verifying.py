@@ -23,7 +23,7 @@ from sightline.planning.procedures import kind as kind_of
 from sightline.planning.wires import judge_measured
 
 if TYPE_CHECKING:
-    from sightline.detection.wires.wire import WireShadow
+    from sightline.detection.wire import WireShadow
 
 
 class Verifying:
@@ -170,7 +170,7 @@ class Verifying:
 
     async def _found(self, request: "_CheckRequest", seen: SeenImage) -> "WireShadow":
         """Return the wire in one image, cached."""
-        from sightline.detection.wires.wire import find_wire
+        from sightline.detection.wire import find_wire
 
         key = (seen.acquired.number, request.sent)
         if key not in self._found_in:

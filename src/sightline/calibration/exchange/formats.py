@@ -6,23 +6,23 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.calibration.exchange import deepdrr, diffdrr, mayacam2, opencv, reading, rtk, xreg
+from sightline.calibration.exchange import drr, opencv, reading, rtk, xreg
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.common.bounded import regular_file
 from sightline.errors import UnusableInputError
 
 _WRITE: dict[str, Callable[[Pinhole], dict[str, bytes]]] = {
     "opencv": opencv.write,
-    "mayacam2": mayacam2.write,
-    "diffdrr": diffdrr.write,
-    "deepdrr": deepdrr.write,
+    "mayacam2": opencv.write_mayacam2,
+    "diffdrr": drr.write_diffdrr,
+    "deepdrr": drr.write_deepdrr,
 }
 _WRITE_WITH_IMAGE = {"rtk": rtk.write, "xreg": xreg.write}
 _READ: dict[str, Callable[[bytes, str], Pinhole]] = {  # RTK's reader needs its image's header too
     "opencv": opencv.read,
-    "mayacam2": mayacam2.read,
-    "diffdrr": diffdrr.read,
-    "deepdrr": deepdrr.read,
+    "mayacam2": opencv.read_mayacam2,
+    "diffdrr": drr.read_diffdrr,
+    "deepdrr": drr.read_deepdrr,
     "xreg": xreg.read,
 }
 _MAX_BYTES = {"xreg": xreg.MAX_BYTES}  # its file contains the images

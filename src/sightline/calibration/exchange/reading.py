@@ -121,6 +121,20 @@ def rotation(value: Any, what: str = "the rotation") -> np.ndarray:
     return left @ right
 
 
+def extrinsic(value: Any) -> np.ndarray:
+    """Return rotation and translation (3, 4) of a matrix (4, 4) from world to camera."""
+    matrix = array(value, (4, 4), "the extrinsic matrix")
+    return np.column_stack([rotation(matrix[:3, :3], "the extrinsic's rotation"), matrix[:3, 3]])
+
+
+def pixel_size(value: Any, what: str) -> tuple[float, float] | None:
+    """Return the size of a pixel along u and v, both above zero; None for None."""
+    if value is None:
+        return None
+    u, v = (positive(side, what) for side in array(value, (2,), what))
+    return u, v
+
+
 def json_bytes(document: dict[str, Any]) -> bytes:
     """Return a document of plain types as JSON. Raises ValueError for a number that is not finite, which is a bug."""
     return json.dumps(document, indent=1, allow_nan=False).encode()

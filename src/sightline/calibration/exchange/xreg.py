@@ -74,8 +74,7 @@ def read(data: bytes, name: str) -> Pinhole:
     shape = reading.image_shape(reading.entry(given, "num-rows"), reading.entry(given, "num-cols"))
     across, down = (reading.positive(reading.entry(given, key), key) for key in ("col-spacing", "row-spacing"))
     camera = reading.array(reading.entry(given, "intrinsic"), (3, 3), "the intrinsic matrix")
-    extrinsic = reading.array(reading.entry(given, "extrinsic"), (4, 4), "the extrinsic matrix")
-    placed = np.column_stack([reading.rotation(extrinsic[:3, :3], "the extrinsic's rotation"), extrinsic[:3, 3]])
+    placed = reading.extrinsic(reading.entry(given, "extrinsic"))
     if frame == "origin-on-det":  # z runs from the detector to the source, which is at z = focal length
         focal = 0.5 * (abs(camera[0, 0] * across) + abs(camera[1, 1] * down))
         placed = np.diag([1.0, 1.0, -1.0]) @ placed + np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, focal]])

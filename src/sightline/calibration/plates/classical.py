@@ -13,13 +13,10 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from sightline.calibration.line_errors import LineErrors
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.plates.beads import Beads
 from sightline.calibration.plates.joint import JointFit
-from sightline.calibration.projection import Pencil, refuse_misplaced
-from sightline.calibration.residuals import Residuals
-from sightline.calibration.view import PlaneMap
+from sightline.calibration.view import LineErrors, Pencil, PlaneMap, Residuals, refuse_misplaced
 from sightline.common.geometry.lines import meeting_point
 from sightline.common.geometry.planes import Plane
 from sightline.common.threads import one_blas_thread

@@ -19,24 +19,14 @@ from functools import cached_property
 
 import numpy as np
 
-from sightline.calibration.line_errors import LineErrors
 from sightline.calibration.maps.hull import well_conditioned
 from sightline.calibration.maps.polynomial import Affine, derivatives, monomials, terms
-from sightline.calibration.maps.prior import NOISE_SCALES_PX, Learned, PriorData, learn
-from sightline.calibration.maps.smooth import DEGREE, SmoothMap
+from sightline.calibration.maps.smooth import DEGREE, NOISE_SCALES_PX, Learned, PriorData, SmoothMap, learn
 from sightline.calibration.plates.beads import Beads
-from sightline.calibration.projection import Pencil, refuse_misplaced
-from sightline.calibration.residuals import Residuals
-from sightline.common.fitting import (
-    Kriging,
-    LeftOut,
-    PlanarKriging,
-    cholesky,
-    least_squares,
-    minimum_norm,
-    solve_lower,
-    variance_ratio,
-)
+from sightline.calibration.view import LineErrors, Pencil, Residuals, refuse_misplaced
+from sightline.common.fitting.kriging import Kriging, LeftOut, PlanarKriging
+from sightline.common.fitting.robust import variance_ratio
+from sightline.common.fitting.triangular import cholesky, least_squares, minimum_norm, solve_lower
 from sightline.common.threads import one_blas_thread
 from sightline.errors import CalibrationRefusedError
 

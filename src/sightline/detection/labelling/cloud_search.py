@@ -1,27 +1,268 @@
-"""Hypotheses for the labelling of a cloud of balls: which three detections to try, and what the kernels find."""
+"""Hypotheses for the pose of a cloud of balls: three detections taken for three balls; the other balls verify them.
+
+Three points under scaled orthography have one scale and two depth-reversed solutions. Each is corrected to a central
+projection, and its out-of-plane axis is tried in both directions: as the X-ray source sees the cloud, and mirrored.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from sightline.common.fitting import median
-from sightline.detection.labelling.cloud_kernels import (
-    CELLS,
-    SEEN,
-    SLACK,
-    Cloud,
-    Hypotheses,
-    Seen,
-    nearest_table,
-    search,
-)
-from sightline.detection.labelling.pinhole import Prior
+from sightline.common.fitting.robust import median
+from sightline.common.kernels import kernel
 from sightline.detection.results import Detections
+
+RADIUS_RATIO = 0.25  # largest share by which a radius differs from the expected one: noise, blur [ours]
+SCALE_RATIO = 0.12  # of the scale of three points to their mean magnification by radius: 3 % each, blur [ours]
+SLACK = 0.12  # share by which a distance may appear too long: magnification by radius has an error of 5 % [ours]
+CELLS = 256  # of the table of nearest detections, per side
+BEYOND = -2  # stands for a detection outside the table
+SEEN = 0.7  # probability that a ball of the right hypothesis has a detection in its gate [ours]
+GIVE_UP = -4.5  # log likelihood ratio at which a hypothesis is dropped: 1 % of right ones [calc]
+CORRECTIONS = 2  # of scaled orthography towards perspective; the third changes less than 0.1 px [calc]
+MIN_BREADTH = 0.05  # of three balls: doubled area over the square of their longest side [ours]
+
+
+class Seen(NamedTuple):
+    """N detections for kernels: `w` (N,) centres u + iv from the image's middle, px.
+
+    `magnification` (N, M): px/mm of each detection as each ball. `nearest` (CELLS, CELLS): the detection nearest to the
+    middle of each cell, or -1; `corner`: the first cell's corner, px; `cells` per pixel. `gate` around a predicted
+    centre, px. `hit`, `miss`: log likelihood ratios of a ball with and without a detection in its gate. `matrices`
+    (2, 3, 3): work space.
+    """
+
+    w: np.ndarray
+    magnification: np.ndarray
+    nearest: np.ndarray
+    corner: complex
+    cells: float
+    gate: float
+    hit: float
+    miss: float
+    matrices: np.ndarray
+
+
+class Cloud(NamedTuple):
+    """M balls for kernels: `xyz` (M, 3), mm; `apart` (M, M) distances, mm.
+
+    `order` (M,): the random order in which balls verify a hypothesis.
+    """
+
+    xyz: np.ndarray
+    apart: np.ndarray
+    order: np.ndarray
+
+
+class Hypotheses(NamedTuple):
+    """The best hypotheses so far. `hits` (K,): balls with a detection in their gate, 0 where there is none.
+
+    `rows` (K, 3): three detections, `balls` (K, 3) which they show. `matrix` (K, 3, 3): px per mm from the first ball,
+    the third row along the beam; left-handed where the image is mirrored. `focal` (K,), px.
+    """
+
+    hits: np.ndarray
+    rows: np.ndarray
+    balls: np.ndarray
+    matrix: np.ndarray
+    focal: np.ndarray
+
+
+@kernel()
+def nearest_table(w, corner, cells, gate):
+    """Return the detection nearest to the middle of each cell, or -1 where none is within the gate of the cell."""
+    table, nearest = np.full((CELLS, CELLS), -1), np.full((CELLS, CELLS), np.inf)
+    reach = int(gate * cells) + 2
+    for k in range(len(w)):
+        at = (w[k] - corner) * cells
+        ci, cj = int(at.imag), int(at.real)
+        for i in range(max(ci - reach, 0), min(ci + reach + 1, CELLS)):
+            for j in range(max(cj - reach, 0), min(cj + reach + 1, CELLS)):
+                d = (at.real - j - 0.5) ** 2 + (at.imag - i - 0.5) ** 2
+                if d < nearest[i, j]:
+                    table[i, j], nearest[i, j] = k, d
+    return table
+
+
+@kernel()
+def _square(z):
+    """Return the squared modulus of a complex number."""
+    return z.real**2 + z.imag**2
+
+
+@kernel()
+def _heights(d1, d2, g11, g22, g12):
+    """Return the squared scale and the depths (px) of two points over a first, under scaled orthography.
+
+    `d1`, `d2`: their images relative to the first, px; `g11`, `g22`, `g12`: products of the vectors to them, mm².
+    """
+    a, b, c = _square(d1), _square(d2), d1.real * d2.real + d1.imag * d2.imag
+    determinant = g11 * g22 - g12 * g12
+    half = 0.5 * (g11 * b + g22 * a - 2 * g12 * c)
+    q = (half + np.sqrt(max(half * half - determinant * (a * b - c * c), 0.0))) / determinant
+    h1, h2 = np.sqrt(max(q * g11 - a, 0.0)), np.sqrt(max(q * g22 - b, 0.0))
+    return q, h1, h2 if q * g12 >= c else -h2
+
+
+@kernel()
+def _cross(a, b):
+    """Return the cross product of two vectors, as a tuple."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel()
+def _from(origin, point):
+    """Return the vector from one point to another, as a tuple."""
+    return point[0] - origin[0], point[1] - origin[1], point[2] - origin[2]
+
+
+@kernel()
+def _dot(a, b):
+    """Return the product of two vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel()
+def _hits(seen, cloud, first, u0, matrix, focal, scale, least):  # noqa: PLR0917 - a kernel
+    """Return the number of balls with a detection of their size in the gate; 0 where the hypothesis is given up.
+
+    `u0`: the image of ball `first`; `matrix` (3, 3), px per mm; `scale` its scale; `least`: hits needed.
+    """
+    w, nearest, cells, corner = seen.w, seen.nearest, seen.cells, seen.corner
+    xyz, gate2 = cloud.xyz, seen.gate**2
+    hits, ratio, left, origin = 0, 0.0, len(xyz), xyz[first]
+    for n in range(first, first + left):  # each hypothesis begins elsewhere: the same hidden balls never decide all
+        p = cloud.order[n % len(xyz)]
+        at = _from(origin, xyz[p])
+        depth = 1 + _dot(matrix[2], at) / focal
+        u, v = (u0.real + _dot(matrix[0], at)) / depth, (u0.imag + _dot(matrix[1], at)) / depth
+        j, i = int((u - corner.real) * cells), int((v - corner.imag) * cells)
+        left -= 1
+        k = nearest[i, j] if 0 <= i < CELLS and 0 <= j < CELLS else BEYOND
+        if (
+            k >= 0
+            and (w[k].real - u) ** 2 + (w[k].imag - v) ** 2 < gate2
+            and abs(seen.magnification[k, p] * depth - scale) < RADIUS_RATIO * scale
+        ):
+            hits += 1
+            ratio = min(ratio + seen.hit, -GIVE_UP)
+        else:
+            ratio += seen.miss if k > BEYOND else seen.miss / 4  # perhaps outside the image
+        if ratio < GIVE_UP or hits + left < least:
+            return 0
+    return hits
+
+
+@kernel()
+def _pose(rows, balls, seen, cloud, near, focal, matrices):  # noqa: PLR0917 - a kernel
+    """Write the upright and the mirrored matrix (2, 3, 3) with three detections as three balls; return their scale.
+
+    `near`: 1 where the second ball lies behind the first, -1 where before. The result is 0 where no such pose exists.
+    """
+    w, xyz = seen.w, cloud.xyz
+    v1, v2 = _from(xyz[balls[0]], xyz[balls[1]]), _from(xyz[balls[0]], xyz[balls[2]])
+    g11, g22, g12 = _dot(v1, v1), _dot(v2, v2), _dot(v1, v2)
+    w0, w1, w2 = w[rows[0]], w[rows[1]], w[rows[2]]
+    d1, d2 = w1 - w0, w2 - w0
+    q, h1, h2 = _heights(d1, d2, g11, g22, g12)
+    for _ in range(CORRECTIONS):
+        f1, f2 = 1 + near * h1 / focal, 1 + near * h2 / focal
+        if not (0.5 < f1 < 2 and 0.5 < f2 < 2):
+            return 0.0
+        d1, d2 = w1 * f1 - w0, w2 * f2 - w0
+        q, h1, h2 = _heights(d1, d2, g11, g22, g12)
+    scale = np.sqrt(q)
+    p1, p2 = (d1.real, d1.imag, near * h1), (d2.real, d2.imag, near * h2)
+    across, normal = _cross(p1, p2), _cross(v1, v2)
+    area2 = _dot(normal, normal)
+    b1, b2 = _cross(v2, normal), _cross(normal, v1)
+    for r in range(3):
+        for c in range(3):
+            within, out = (p1[r] * b1[c] + p2[r] * b2[c]) / area2, across[r] * normal[c] / (scale * area2)
+            matrices[0, r, c], matrices[1, r, c] = within + out, within - out
+    return scale
+
+
+@kernel()
+def _keep(best, hits, rows, balls, matrix, focal):  # noqa: PLR0917 - a kernel
+    """Put a hypothesis in the place of the worst one."""
+    worst = best.hits.argmin()
+    best.hits[worst], best.matrix[worst], best.focal[worst] = hits, matrix, focal
+    for c in range(3):
+        best.rows[worst, c], best.balls[worst, c] = rows[c], balls[c]
+
+
+@kernel()
+def _verify(rows, balls, seen, cloud, focals, best, least):  # noqa: PLR0917 - a kernel
+    """Keep the best hypotheses that three detections show three balls; return the most hits."""
+    matrices, most = seen.matrices, 0
+    for focal in focals:
+        for near in (1, -1):
+            scale = _pose(rows, balls, seen, cloud, near, focal, matrices)
+            for side in range(2 if scale > 0 else 0):
+                wanted = max(best.hits.min() + 1, least)
+                hits = _hits(seen, cloud, balls[0], seen.w[rows[0]], matrices[side], focal, scale, wanted)
+                if hits >= wanted:
+                    _keep(best, hits, rows, balls, matrices[side], focal)
+                most = max(most, hits)
+    return most
+
+
+@kernel()
+def _search_one(rows, seen, cloud, focals, best, least, enough):  # noqa: PLR0917 - a kernel
+    """Take three detections for every three balls that are far enough apart; return whether one has `enough` hits."""
+    w, magnification, apart = seen.w, seen.magnification, cloud.apart
+    i, j, k = rows
+    d1, d2 = w[j] - w[i], w[k] - w[i]
+    ij, ik, jk, focal = abs(d1), abs(d2), abs(w[k] - w[j]), focals[0]
+    low, high = np.exp(-6 * SCALE_RATIO), np.exp(6 * SCALE_RATIO)
+    balls = len(apart)
+    for a in range(balls):
+        m_a = magnification[i, a]
+        for b in range(balls):
+            m_b, reach = magnification[j, b], (1 + SLACK) * apart[a, b]
+            mean = np.sqrt(m_a * m_b)
+            if b == a or reach * mean < ij or abs(m_a - m_b) > (SLACK + reach * mean / focal) * mean:
+                continue
+            for c in range(balls):
+                m_c, reach = magnification[k, c], (1 + SLACK) * mean * apart[a, c]
+                if (
+                    reach < ik
+                    or (1 + SLACK) * mean * apart[b, c] < jk
+                    or c in {a, b}
+                    or abs(m_a - m_c) > (SLACK + reach / focal) * mean
+                ):
+                    continue
+                g11, g22 = apart[a, b] ** 2, apart[a, c] ** 2
+                g12 = (g11 + g22 - apart[b, c] ** 2) / 2
+                if g11 * g22 - g12**2 < (MIN_BREADTH * max(g11, g22)) ** 2:
+                    continue
+                q, _, _ = _heights(d1, d2, g11, g22, g12)
+                if (
+                    low < q**3 / (m_a * m_b * m_c) ** 2 < high
+                    and _verify(rows, (a, b, c), seen, cloud, focals, best, least) >= enough
+                ):
+                    return True
+    return False
+
+
+@kernel()
+def search(triples, seen, cloud, focals, best, least, enough):  # noqa: PLR0917 - a kernel
+    """Fill `best` with hypotheses of at least `least` hits; return how many of the `triples` (T, 3) it took.
+
+    Stops once a hypothesis has `enough` hits. `focals` (F,): focal lengths tried, px.
+    """
+    for t in range(len(triples)):
+        if _search_one((triples[t, 0], triples[t, 1], triples[t, 2]), seen, cloud, focals, best, least, enough):
+            return t + 1
+    return len(triples)
+
 
 GATE_MM, MIN_GATE_PX = 0.8, 3.0  # of a hypothesis from three detections: errors of their centres, amplified [ours]
 GATE_SD = 5.0  # s.d. of the balls' own errors: those of the three, amplified, and of the others [ours]
@@ -34,6 +275,15 @@ ALIKE = 0.1  # log ratio of radii that the same size may have: noise, depth [our
 MIN_AREA = 0.15  # of three detections: doubled area over the square of their longest side [ours]
 OVERHEAD = 30  # cost of a triple of detections besides its triples of balls
 PRINCIPAL_SD = 0.1  # of the principal point about the image's middle, over the longer side: cropped images [ours]
+
+
+class Prior(NamedTuple):
+    """Priors of a camera: log focal length (px) with its s.d., principal point (2,), px, with its s.d. per axis."""
+
+    log_focal: float
+    log_focal_sd: float
+    principal_px: np.ndarray
+    principal_sd_px: float
 
 
 def prior_of(focal_px: tuple[float, float], image_shape: tuple[int, int]) -> Prior:

@@ -20,8 +20,7 @@ from sightline.common.fitting import (
     squared_distances,
 )
 from sightline.common.geometry.lines import SPREAD_RAD
-from sightline.detection.labelling.growth import Grown
-from sightline.detection.labelling.map_prior import CENTRE_PX, features, map_covariance
+from sightline.detection.labelling.growth import CENTRE_PX, Grown, features, map_covariance
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
 

@@ -6,12 +6,18 @@ from pathlib import Path
 import numpy as np
 
 from sightline.common.threads import one_blas_thread
-from sightline.detection.labelling.checks import AttemptError, Stage
 from sightline.detection.labelling.growth import Grown, grow
 from sightline.detection.labelling.naming import most_like
 from sightline.detection.labelling.patterns import Pattern, detector_pattern, patterns
 from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
-from sightline.detection.labelling.solve import MIN_BEADS, LabellingProblem, LabellingSolution, solve
+from sightline.detection.labelling.solve import (
+    MIN_BEADS,
+    AttemptError,
+    LabellingProblem,
+    LabellingSolution,
+    Stage,
+    solve,
+)
 from sightline.detection.results import Detections, Observations, RejectedCandidate
 from sightline.errors import LabellingRefusedError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
@@ -116,8 +122,7 @@ def _of_solid(detections: Detections, usable: np.ndarray, frame: Frame, view: st
             "a solid looks alike in every view, so its image does not tell which view it is; name the view, as 'pa'"
         )
     # Here: a frame with plates does not need what solids take, 6 MB of scipy.spatial above all.
-    from sightline.detection.labelling.cloud import label_cloud
-    from sightline.detection.labelling.detector_plate import label_plate
+    from sightline.detection.labelling.cloud import label_cloud, label_plate
 
     solid, bead_sd_mm = frame.solid, frame.effective_tolerances.bead_mm
     assert solid is not None  # noqa: S101 - the caller asks

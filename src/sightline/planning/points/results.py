@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from sightline.calibration.view_checks.bead_checks import handedness_check
+from sightline.calibration.bead_checks import handedness_check
 from sightline.common.checks import Check, failed
 from sightline.common.geometry.covariance import TWO_SIDED_999, ellipsoid_factor, length_quantile
 from sightline.common.show import Plotted, Shown, checks_lines, counted, dataframe, numbers

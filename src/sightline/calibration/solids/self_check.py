@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.calibration.self_checks.plates import MIN_IMAGES
+from sightline.calibration.lengths import CArm
+from sightline.calibration.plates.self_check import MIN_IMAGES
 from sightline.calibration.solids.adjustment import SolidAdjustment
 from sightline.calibration.solids.calibrate_together import adjustment_of, calibrate_together
-from sightline.calibration.view_checks.lengths import CArm
 from sightline.common.checks import Check
 from sightline.common.geometry.rigid import displacement
 from sightline.detection.results import Observations

@@ -4,29 +4,172 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from sightline.common.fitting import PlanarKriging, distances, variance_ratio
+from sightline.common.fitting.kernels import distances
+from sightline.common.fitting.kriging import PlanarKriging
+from sightline.common.fitting.robust import MAD_TO_SD, variance_ratio
 from sightline.common.threads import one_blas_thread
-from sightline.detection.beads import refine
-from sightline.detection.beads.bead import SHADOW, BeadStatus, centre_covariances, centres
-from sightline.detection.beads.clipping import WITHOUT_FOOT, allow_for_missing_foot, clipped_shares
+from sightline.detection.beads import refine, window
+from sightline.detection.beads.bead import (
+    SHADOW,
+    WITHOUT_FOOT,
+    BeadStatus,
+    allow_for_missing_foot,
+    centre_covariances,
+    centres,
+    clipped_shares,
+)
 from sightline.detection.beads.fit import PRIOR_SD
 from sightline.detection.beads.shadow import BEAD_RADIUS
 from sightline.detection.detector import bead_fitter, fine_reasons
-from sightline.detection.labelling.growth import Field
+from sightline.detection.labelling.growth import CENTRE_PX, REMAINDER_SD, Field, features, map_covariance
 from sightline.detection.labelling.joint import SAME_DISTANCE
-from sightline.detection.labelling.map_prior import CENTRE_PX, REMAINDER_SD, features, map_covariance
 from sightline.detection.labelling.patterns import Pattern, patterns
 from sightline.detection.labelling.seeds import best_similarity
 from sightline.detection.labelling.solve import MIN_BEADS
-from sightline.detection.results import Detections, Observations, RejectedCandidate
-from sightline.detection.scale import FACTOR, coarser, coarser_observations, finer_observations, is_fine
-from sightline.detection.second_look.overlaps import DEEPEST_OF_KNOWN_SHAPE, hidden_share, overlap_of, without_overlaps
-from sightline.detection.second_look.shapes import SHAPE, expected_shapes
+from sightline.detection.results import (
+    FACTOR,
+    Detections,
+    Observations,
+    RejectedCandidate,
+    coarser,
+    coarser_observations,
+    finer_observations,
+    is_fine,
+)
 from sightline.errors import ObservationsError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, as_radiograph
+
+SHAPE = ["radius_px", "blur_px", "axial", "diagonal"]  # fields of a bead
+_MEAN_ALONE = np.array([False, True, False, False])
+# Over a plate, log size and ellipticity follow a quadratic polynomial of the place to 0.002-0.007 [twin]: perspective,
+# distortion and oblique rays. The blur is the same everywhere.
+_TERMS = 6
+_ENOUGH = 15  # beads for a quadratic polynomial; fewer give a mean [ours]
+_FLOOR = np.array([0.003, 0.02, 0.003, 0.003])  # least s.d. of log size, log blur and ellipticities [twin]
+_RIDGE = 0.01  # of the polynomial's coefficients, so that they are determined [ours]
+_HUBER = 1.5  # s.d. beyond which a bead counts less [ours]
+_REWEIGHTED = 8  # of reweighting [ours]
+
+
+def expected_shapes(pattern: Pattern, seen: np.ndarray, beads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shapes (P, 4), fields SHAPE, of all beads of a plate, and their s.d. (P, 4).
+
+    The s.d. of radius and blur are shares of their values. `beads` (M,): fits of the plate's beads `seen` (M,), M >= 3.
+    A polynomial of the place is fitted robustly to each field.
+    """
+    x, y = (2 * (pattern.xy_mm - pattern.xy_mm.mean(axis=0)) / np.ptp(pattern.xy_mm)).T
+    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)[None].repeat(len(SHAPE), axis=0)
+    simple = _MEAN_ALONE | (len(seen) < _ENOUGH)
+    design[simple, :, 1:] = 0.0
+    values = np.stack([beads[name] for name in SHAPE])
+    values[0] /= pattern.diameter_mm[seen]
+    values[:2] = np.log(values[:2])
+    freedom = len(seen) - np.where(simple, 1, _TERMS)
+    known, ridge = design[:, seen], np.diag([0.0, *[_RIDGE] * (_TERMS - 1)])
+    normal, coefficients, spread = ridge, values, np.full(len(SHAPE), np.inf)
+    rest = np.zeros(values.shape)
+    for _ in range(_REWEIGHTED):
+        weight = 1.0 / np.maximum(1.0, rest / (_HUBER * spread[:, None]))
+        weighted = np.swapaxes(known * weight[:, :, None], 1, 2)
+        normal = weighted @ known + ridge
+        coefficients = np.linalg.solve(normal, weighted @ values[:, :, None])
+        rest = np.abs(values - (known @ coefficients)[:, :, 0])
+        spread = np.maximum(MAD_TO_SD * np.median(rest, axis=1) * np.sqrt(len(seen) / freedom), _FLOOR)
+    mean = (design @ coefficients)[:, :, 0].T
+    leverage = (design * np.swapaxes(np.linalg.solve(normal, np.swapaxes(design, 1, 2)), 1, 2)).sum(axis=2)
+    mean[:, :2] = np.exp(mean[:, :2])
+    mean[:, 0] *= pattern.diameter_mm
+    return mean, (spread[:, None] * np.sqrt(1.0 + leverage)).T
+
+
+# Deepest overlaps, in units of the smaller radius, at which two shadows can be separated: by their own rims, and where
+# other beads say what shape they have [twin].
+DEEPEST, DEEPEST_OF_KNOWN_SHAPE = 1.4, 1.9
+# Pixels within this margin of an overlap are left out: two balls stop less light than the product of single shadows
+# predicts. The margin lowers chi-square / 2 of overlapping beads from 6-10 to 0.8-1.2. In overlaps above 1.2 radii one
+# of 70 beads was wrong by 6 s.d. at 1.75 px, none at 2 px; 2.5 px leave fewer of them enough pixels [twin].
+_MARGIN_PX = 2.0
+_MIN_RIM_SHARE = 0.3  # of the rim, not covered by metal or other beads [ours]
+_MOST_HIDDEN = 0.5  # share of its rim up to which what covers a bead does not matter, however deep the overlap [twin]
+
+
+def without_overlaps(
+    fit: refine.BeadFitter, rows: np.ndarray, which: np.ndarray, deepest: float = DEEPEST
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the usable pixels (H, W) outside metal and overlaps of the beads `which` (M,) of `rows`.
+
+    And (M,) bool: whether enough of each bead is left. `deepest`: overlap beyond which it is not.
+    """
+    usable = fit.usable.copy()
+    enough = [_clear_covered(fit, rows, i, usable) < deepest for i in which]
+    return usable, np.array(enough, dtype=bool)
+
+
+def _clear_covered(fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.ndarray) -> float:
+    """Clear metal around bead `i` and its overlaps in `usable`; return its deepest overlap with a bead that hides more
+    than half of its rim.
+
+    Infinite where too little of the bead is left.
+    """
+    u, v, radius = (float(rows[i][name]) for name in ("u_px", "v_px", "radius_px"))
+    reach = radius + window.BEYOND
+    apart = distances(centres(rows[i : i + 1]), centres(rows))[0]
+    near = np.flatnonzero(apart < 1.5 * reach + 4.0 + rows["radius_px"])  # the window's corners too
+    near = near[np.argsort(apart[near])]  # itself first
+    half = int(reach) + 1
+    left, top = int(u + 0.5) - half, int(v + 0.5) - half
+    level = window.log_level(fit.log_image, fit.usable, u, v, radius, reach)
+    light = window.window_light(fit.log_image, left, top, half, level)
+    state = window.pixel_states(fit.log_image, fit.usable, rows, near, left, top, 2 * half + 1, np.inf)
+    outside = state == window.HIDDEN
+    window.hide_metal(state, rows, near, left, top, light)
+    state[_hull_of_metal((state == window.HIDDEN) & ~outside)] = window.HIDDEN
+    metal = (state == window.HIDDEN) & ~outside
+    hidden = cv2.dilate(metal.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    y, x = np.arange(len(state))[:, None] + top, np.arange(len(state)) + left
+    from_centre = np.hypot(x - u, y - v)
+    overlap = overlap_of(apart[near[1:]], radius, rows["radius_px"][near[1:]])
+    for j in near[1:][overlap > 0]:
+        from_other = np.hypot(x - rows[j]["u_px"], y - rows[j]["v_px"])
+        hidden |= (from_centre < radius + _MARGIN_PX) & (from_other < rows[j]["radius_px"] + _MARGIN_PX)
+    height, width = usable.shape
+    seen = slice(max(-top, 0), max(height - top, 0)), slice(max(-left, 0), max(width - left, 0))
+    there = slice(max(top, 0), top + len(state)), slice(max(left, 0), left + len(state))
+    usable[there] &= ~hidden[seen]
+    rim = window.visible_rim(state, rows, near, left, top)
+    share = hidden_share(apart[near[1:]], radius, rows["radius_px"][near[1:]])
+    if rim <= _MIN_RIM_SHARE or share.max(initial=0.0) == 1.0:  # of a rim that is hidden all round, the foot is left
+        return np.inf
+    return overlap[share > _MOST_HIDDEN].max(initial=0.0)
+
+
+def _hull_of_metal(metal: np.ndarray) -> np.ndarray:
+    """Return the convex hull (H, W) of what `hide_metal` found, without the margin that `metal` (H, W) has.
+
+    Metal under a bead is not visible: a wire seen on two sides of a bead continues between them.
+    """
+    side = 2 * window.METAL + 1
+    found = cv2.erode(metal.view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    points = cv2.findNonZero(found)
+    if points is not None:
+        cv2.fillConvexPoly(found, cv2.convexHull(points), 1)
+    return found > 0
+
+
+def hidden_share(apart: np.ndarray, radius: np.ndarray | float, other: np.ndarray) -> np.ndarray:
+    """Return the share of a disc's rim that other discs `apart` from it cover, with their margin."""
+    cosine = (radius**2 + apart**2 - (other + _MARGIN_PX) ** 2) / (2 * radius * np.maximum(apart, 1e-9))
+    return np.arccos(np.clip(cosine, -1.0, 1.0)) / np.pi
+
+
+def overlap_of(apart: np.ndarray, radius: np.ndarray | float, other: np.ndarray) -> np.ndarray:
+    """Return the overlap of discs in units of the smaller radius: 0 where they touch, 2 where one is in the other."""
+    return (radius + other - apart) / np.minimum(radius, other)
+
 
 _ROUNDS = 6  # of fitting, each further out [ours]
 # What a file of detections does not state of their fits.

@@ -11,8 +11,8 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 from sightline.common.fitting import MAD_TO_SD
 from sightline.detection.beads.noise import NoiseModel, estimate_noise
 from sightline.detection.log_image import field_inset, log_image
-from sightline.detection.wires.model import BEND, ImagePath, SteelWire, WireFit, fit_across, fit_tip
-from sightline.detection.wires.search import CORRIDOR_MM, search
+from sightline.detection.wire_model import BEND, ImagePath, SteelWire, WireFit, fit_across, fit_tip
+from sightline.detection.wire_search import CORRIDOR_MM, search
 from sightline.errors import UnusableInputError, WireRefusedError
 from sightline.imaging import Radiograph
 

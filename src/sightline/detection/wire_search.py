@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
-from sightline.detection.wires.model import BEND, ImagePath
+from sightline.detection.wire_model import BEND, ImagePath
 from sightline.errors import WireRefusedError
 
 CORRIDOR_MM = 8.0  # to either side of where the wire is expected [ours]

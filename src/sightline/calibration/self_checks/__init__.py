@@ -1,1 +1,0 @@
-"""Frames measured by their own images."""

@@ -1,1 +1,0 @@
-"""Edges of bones and of metal, to which picks are snapped."""

@@ -1,1 +1,0 @@
-"""The second look: beads that detection missed, fitted where the labelled ones predict them."""

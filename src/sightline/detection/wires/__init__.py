@@ -1,1 +1,0 @@
-"""The drilled wire in an image of the check shot."""
