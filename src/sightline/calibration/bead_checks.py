@@ -14,7 +14,7 @@ from sightline.calibration.plates.beads import Beads
 from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.view import Residuals
 from sightline.common.checks import Check
-from sightline.common.fitting.kernels import distances
+from sightline.common.fitting import distances
 from sightline.common.geometry.outlines import convex_hull, enclosed_area
 from sightline.common.geometry.planes import Plane
 from sightline.frame import Frame

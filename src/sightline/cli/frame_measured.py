@@ -12,8 +12,8 @@ from sightline.cli.options import FrameName, Invert, command, refuse_existing
 from sightline.cli.output import Output
 
 if TYPE_CHECKING:
-    from sightline.calibration.self_checks.plates import SelfCheck
-    from sightline.calibration.self_checks.solid import KnownDistance, SolidSelfCheck
+    from sightline.calibration.plates.self_check import SelfCheck
+    from sightline.calibration.solids.self_check import KnownDistance, SolidSelfCheck
     from sightline.case.views import ObservedView
     from sightline.frame import Frame
     from sightline.frame.measured.fit import FittedFrame
@@ -200,8 +200,8 @@ def self_check(
     Finds balls beyond their tolerance and rotated plates, and says which errors images cannot show. The balls of a
     block are measured, in images of a flat panel.
     """
-    from sightline.calibration.self_checks.plates import self_check as adjust
-    from sightline.calibration.self_checks.solid import SolidSelfCheck, self_check_solid
+    from sightline.calibration.plates.self_check import self_check as adjust
+    from sightline.calibration.solids.self_check import SolidSelfCheck, self_check_solid
     from sightline.frame import Frame
 
     refuse_existing(out)
@@ -235,7 +235,7 @@ def self_check(
 
 def _distance(text: str | None) -> "KnownDistance":
     """Return the distance that gives a block its size. Raises BadParameter."""
-    from sightline.calibration.self_checks.solid import KnownDistance
+    from sightline.calibration.solids.self_check import KnownDistance
 
     parts = (text or "").split(",")
     try:
@@ -277,7 +277,7 @@ def _show_solid(output: Output, found: "SolidSelfCheck") -> dict[str, Any]:
 
 
 def _self_check_document(found: "SelfCheck") -> dict[str, Any]:
-    from sightline.calibration.self_checks.plate_motion import MOTIONS
+    from sightline.calibration.plates.self_check import MOTIONS
 
     in_plate = found.in_plate
     return {

@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sightline.common.fitting.robust import quantiles
-from sightline.common.show import Plotted, dataframe
-from sightline.common.show.table import covariance_columns
-from sightline.common.show.words import centre_sd, counted, image_size
+from sightline.common.fitting import quantiles
+from sightline.common.show import Plotted, centre_sd, counted, covariance_columns, dataframe, image_size
 from sightline.detection.beads.bead import centres
 from sightline.errors import ObservationsError
 
@@ -95,7 +93,7 @@ class Detections(Plotted):
         return dataframe(place | rest)
 
     def _draw(self, ax: Any) -> None:
-        from sightline.common.show import draw
+        from sightline.common import draw
 
         draw.image(ax, self.pixels, self.image_shape, self.uv_px, f"{counted(len(self), 'bead')} detected")
         for kind, colour in (("ball", draw.ORANGE), ("washer", draw.BLUE), ("hole", draw.GREEN)):
@@ -164,7 +162,7 @@ class Observations(Plotted):
         return dataframe(columns | known)
 
     def _draw(self, ax: Any) -> None:
-        from sightline.common.show import draw
+        from sightline.common import draw
 
         title = f"view {self.view}: {counted(len(self), 'bead')} labelled"
         draw.image(ax, self.pixels, self.image_shape, self.uv_px, title)

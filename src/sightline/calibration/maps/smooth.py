@@ -9,9 +9,14 @@ import numpy as np
 
 from sightline.calibration.maps.hull import well_conditioned
 from sightline.calibration.maps.polynomial import Affine, Inverse, derivatives, monomial_gradients, monomials, terms
-from sightline.common.fitting.kernels import squared_distances, squared_exponential
-from sightline.common.fitting.kriging import Kriging
-from sightline.common.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
+from sightline.common.fitting import (
+    Kriging,
+    cholesky,
+    solve_lower,
+    solve_lower_transposed,
+    squared_distances,
+    squared_exponential,
+)
 from sightline.errors import CalibrationRefusedError
 
 # Grid and hyper-prior [ours]: chosen on real plates and the twin together, where results depend little on them

@@ -24,9 +24,16 @@ from sightline.calibration.maps.polynomial import Affine, derivatives, monomials
 from sightline.calibration.maps.smooth import DEGREE, NOISE_SCALES_PX, Learned, PriorData, SmoothMap, learn
 from sightline.calibration.plates.beads import Beads
 from sightline.calibration.view import LineErrors, Pencil, Residuals, refuse_misplaced
-from sightline.common.fitting.kriging import Kriging, LeftOut, PlanarKriging
-from sightline.common.fitting.robust import variance_ratio
-from sightline.common.fitting.triangular import cholesky, least_squares, minimum_norm, solve_lower
+from sightline.common.fitting import (
+    Kriging,
+    LeftOut,
+    PlanarKriging,
+    cholesky,
+    least_squares,
+    minimum_norm,
+    solve_lower,
+    variance_ratio,
+)
 from sightline.common.threads import one_blas_thread
 from sightline.errors import CalibrationRefusedError
 

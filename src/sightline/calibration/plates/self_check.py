@@ -23,7 +23,7 @@ from sightline.calibration.plates.beads import Beads, match
 from sightline.calibration.plates.joint import FALSE_ALARM, JointFit, diagonal, fit_robustly, pixel_noise_mm2, twice
 from sightline.calibration.view import Pencil
 from sightline.common.checks import Check
-from sightline.common.fitting.triangular import cholesky, solve_lower
+from sightline.common.fitting import cholesky, solve_lower
 from sightline.common.geometry.rigid import displacement
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError

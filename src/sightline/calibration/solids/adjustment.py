@@ -25,7 +25,7 @@ from sightline.calibration.solids.images import (
     Traced,
 )
 from sightline.calibration.solids.panel_camera import CENTRE, FOCAL, PARAMETERS, PanelCamera, PanelPrior
-from sightline.common.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
+from sightline.common.fitting import cholesky, solve_lower, solve_lower_transposed
 from sightline.common.geometry.planes import Plane
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError

@@ -36,7 +36,7 @@ from sightline.calibration.solids.images import MIN_BALLS, DetectorPlateImage, S
 from sightline.calibration.solids.panel_camera import CENTRE, FOCAL, PanelCamera
 from sightline.calibration.view import CalibratedView, Residuals
 from sightline.common.checks import Check
-from sightline.common.fitting.robust import variance_ratio
+from sightline.common.fitting import variance_ratio
 from sightline.common.geometry.covariance import TWO_SIDED_999
 from sightline.common.geometry.planes import Plane
 from sightline.common.threads import one_blas_thread

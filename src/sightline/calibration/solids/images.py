@@ -13,8 +13,7 @@ from sightline.calibration.matrix_view import HomographyMap
 from sightline.calibration.plates.joint import twice
 from sightline.calibration.solids.panel_camera import CENTRE, FOCAL, PARAMETERS, PanelCamera, PanelPrior
 from sightline.calibration.view import PlaneMap
-from sightline.common.fitting.kriging import Kriging
-from sightline.common.fitting.triangular import cholesky, inverse_lower
+from sightline.common.fitting import Kriging, cholesky, inverse_lower
 from sightline.common.geometry.planes import Plane
 
 MIN_BALLS = 6  # of the solid in one image: 9 unknowns of its camera, two equations for each ball [ours]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.common.fitting.robust import median, quantiles
+from sightline.common.fitting import median, quantiles
 from sightline.common.kernels import kernel
 from sightline.common.threads import in_parts
 from sightline.detection.beads.bead import BEAD

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from sightline.common.fitting.robust import median
+from sightline.common.fitting import median
 from sightline.common.kernels import kernel
 from sightline.detection.results import Detections
 

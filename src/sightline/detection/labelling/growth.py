@@ -5,9 +5,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sightline.common.fitting.kernels import exact_squares, squared_exponential
-from sightline.common.fitting.robust import median
-from sightline.common.fitting.triangular import cholesky, solve_lower, solve_lower_transposed
+from sightline.common.fitting import (
+    cholesky,
+    exact_squares,
+    median,
+    solve_lower,
+    solve_lower_transposed,
+    squared_exponential,
+)
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, Similarity
 from sightline.detection.results import Detections

@@ -5,8 +5,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from sightline.common.fitting.kernels import exact_squares
-from sightline.common.fitting.robust import MAD_TO_SD, median
+from sightline.common.fitting import MAD_TO_SD, exact_squares, median
 from sightline.detection.labelling.growth import LOG_RADIUS, Grown, grow
 from sightline.detection.labelling.joint import MIN_BEADS, NEAR_M2, Joint, Model, empty_near
 from sightline.detection.labelling.naming import Naming, name, name_alone

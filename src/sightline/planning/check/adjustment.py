@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from sightline.calibration.projection import Pencil
-from sightline.calibration.view import CalibratedView, LinesOfSight
+from sightline.calibration.view import CalibratedView, LinesOfSight, Pencil
 from sightline.common.checks import Limits
 from sightline.common.geometry.covariance import joined
 from sightline.common.geometry.lines import nearest_approach
