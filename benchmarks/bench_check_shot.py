@@ -21,8 +21,7 @@ from sightline.planning.check.shot import CheckShot, Landmarks, check_shot
 from sightline.planning.check.wires import expected_wire
 from sightline.studies.scenes import VIEWS, measure
 from sightline.twin import HipScene, SetUp, draw_setup, shown_hip_scene
-from sightline.twin.objects.implants import guide_wire
-from sightline.twin.objects.things import draw_motion
+from sightline.twin.objects.things import draw_motion, guide_wire
 from sightline.twin.xray.render import expose
 
 SETUPS = 60

@@ -29,8 +29,7 @@ from sightline.planning.bone.anatomy import locate
 from sightline.planning.bone.drawings import Axis
 from sightline.planning.bone.head import Sphere
 from sightline.twin import HipScene, SetUp, render
-from sightline.twin.anatomy.aids import drawn_aids
-from sightline.twin.anatomy.bone_model import SphereAid
+from sightline.twin.anatomy.bone_model import SphereAid, drawn_aids
 from sightline.twin.anatomy.femur import to_cfcs
 from sightline.twin.scenes.hip_scene import shown_hip_scene
 from sightline.twin.scenes.specimens import tagged

@@ -14,8 +14,7 @@ from sightline.calibration.exchange.formats import FORMATS, read_view, write_vie
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.detection.csv_files import read_detections, read_observations
 from sightline.frame import Frame
-from sightline.frame.measured.measurements import read_measurements
-from sightline.frame.table import frame_from_csv
+from sightline.frame.tables import frame_from_csv, read_measurements
 from sightline.imaging import Radiograph, read_image, write_dicom
 
 RNG = np.random.default_rng(3)

@@ -15,8 +15,7 @@ from sightline.case.journal.originals import anonymous_name
 from sightline.common.bounded import read_bounded, regular_file
 from sightline.detection.csv_files import read_detections, read_observations
 from sightline.errors import UnusableInputError
-from sightline.frame.measured.measurements import read_measurements
-from sightline.frame.table import frame_from_csv
+from sightline.frame.tables import frame_from_csv, read_measurements
 from sightline.imaging import frames_in
 from sightline.studies.assess import read_points
 from sightline.twin.objects.meshes import read_mesh

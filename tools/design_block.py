@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.frame.designs import LARGE_MM, SMALL_MM
 from sightline.frame.solid_shape import clear_of_each_other
-from sightline.frame.solids import LARGE_MM, SMALL_MM
 
 DEPTH_MM = 3.5  # of a ball's centre under its face: 1 mm of PMMA over the larger balls
 GAP_MM = 6.0  # minimum distance between the surfaces of two balls

@@ -11,7 +11,7 @@ from tests.cli.picked import VIEWS, picks_file, place, wire
 from sightline.case.journal import Case, Kind
 from sightline.imaging import write_dicom
 from sightline.twin import hip_scene, render
-from sightline.twin.objects.implants import guide_wire
+from sightline.twin.objects.things import guide_wire
 
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
 OFF_MM = 0.6  # how far beside its plan the wire is drilled in these images

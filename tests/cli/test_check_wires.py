@@ -12,7 +12,7 @@ from sightline.case.journal import Case, Kind
 from sightline.imaging import write_dicom
 from sightline.planning.procedures.procedure import copy_text
 from sightline.twin import HipScene, hip_scene, render
-from sightline.twin.objects.implants import guide_wire
+from sightline.twin.objects.things import guide_wire
 
 KEYS = ("inferior", "anterior", "posterior")
 ASIDE_MM = 8.0  # between neighbours, in each image

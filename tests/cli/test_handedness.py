@@ -13,7 +13,7 @@ from sightline.case import stages
 from sightline.case.journal import Actor, Case
 from sightline.errors import FrameError
 from sightline.frame import Frame, FrameView, Plate
-from sightline.frame.handed import is_mirror_image
+from sightline.frame.model import is_mirror_image
 from sightline.planning import plan
 
 WIRE_MM = np.array([[24.0, 20.0, -8.0], [-22.0, -18.0, 10.0]])

@@ -15,8 +15,7 @@ from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.rehearsal.patient import draw_patient
 from sightline.studies.scenes import measure
-from sightline.twin.anatomy.aids import drawn_aids
-from sightline.twin.anatomy.bone_model import SphereAid
+from sightline.twin.anatomy.bone_model import SphereAid, drawn_aids
 
 LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])

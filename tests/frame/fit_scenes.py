@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.frame import Fiducial, Frame, FrameView, Plate, Tolerances
-from sightline.frame.measured.measurements import Series
+from sightline.frame.tables import Series
 from sightline.twin.xray.setup import with_errors
 
 SD_MM = 0.005

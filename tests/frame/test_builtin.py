@@ -3,7 +3,7 @@ import pytest
 
 from sightline.common.checks import failed
 from sightline.errors import FrameError
-from sightline.frame import Frame, nominal
+from sightline.frame import Frame
 from sightline.frame.check import check_frame
 from sightline.frame.designs import BUILTIN, builtin_design, patterns_for
 
@@ -22,7 +22,7 @@ def test_the_gamma_frame_is_the_one_of_the_conventions():
         assert np.all(plates.xrii.xyz_mm[:, axis] == 300)
         assert np.all(plates.source.xyz_mm[:, axis] == 150)
         assert (len(plates.xrii.ids), len(plates.source.ids)) == (49, 64)
-        np.testing.assert_allclose(nominal.focal_point_mm(plates), -620 * np.eye(3)[axis], atol=1e-9)
+        np.testing.assert_allclose(plates.nominal_focal_point_mm, -620 * np.eye(3)[axis], atol=1e-9)
         for plate, pitch in ((plates.xrii, 22), (plates.source, 16)):
             xy = plate.plane.to_plane(plate.xyz_mm)
             assert np.abs(np.round(np.diff(np.unique(xy[:, 0].round(6)))) - pitch).max() == 0
@@ -34,19 +34,19 @@ def test_the_gamma_frame_is_the_one_of_the_conventions():
 def test_the_hip_lies_between_the_plates_of_the_biplane_frame():
     frame = Frame.load("biplane")
     for view in frame.views.values():
-        along = nominal.axis(view)
+        along = view.axis
         assert (view.source.xyz_mm @ along).max() < 0 < (view.xrii.xyz_mm @ along).min()
-        assert nominal.in_field(view, np.concatenate([view.source.xyz_mm, view.xrii.xyz_mm])).all()
+        assert view.in_field(np.concatenate([view.source.xyz_mm, view.xrii.xyz_mm])).all()
 
 
 def test_the_stereo_beams_converge_at_the_hip_through_parallel_plates():
     views = Frame.load("stereo").views
-    axes = {name: nominal.axis(view) for name, view in views.items()}
+    axes = {name: view.axis for name, view in views.items()}
     assert np.degrees(np.arccos(axes["left"] @ axes["right"])) == pytest.approx(32, abs=1e-6)
     for name, other in (("left", "right"), ("right", "left")):
         for plate in (views[name].xrii, views[name].source):
             np.testing.assert_allclose(plate.plane.normal, [0, 0, 1], atol=1e-9)
-            assert not nominal.in_field(views[other], plate.xyz_mm).any()
+            assert not views[other].in_field(plate.xyz_mm).any()
 
 
 @pytest.mark.parametrize("name", BUILTIN)
@@ -54,8 +54,8 @@ def test_wherever_the_source_stands_few_balls_of_a_view_hide_each_other(name):
     """The source 60 mm aside moves the source plate's image by a whole step against the XRII plate's."""
     for view in Frame.load(name).views.values():
         plates = (view.xrii, view.source)
-        plane, focal = view.xrii.plane, nominal.focal_point_mm(view)
-        scale = [abs(plane.height_mm(focal)) / nominal.depth_mm(view, p.xyz_mm) for p in plates]
+        plane, focal = view.xrii.plane, view.nominal_focal_point_mm
+        scale = [abs(plane.height_mm(focal)) / view.depth_mm(p.xyz_mm) for p in plates]
         radii = [s * np.array([f.diameter_mm for f in p.fiducials]) / 2 for s, p in zip(scale, plates, strict=True)]
         for x in np.linspace(-60, 60, 13):
             for y in np.linspace(-60, 60, 13):

@@ -11,9 +11,9 @@ from sightline.common.checks import failed
 from sightline.errors import FrameError
 from sightline.frame import Fiducial, Frame, RigidBody
 from sightline.frame.check import check_frame
-from sightline.frame.drawings.mesh import meshes_of
 from sightline.frame.drawings.part import parts_of
 from sightline.frame.drawings.picture import frame_png
+from sightline.frame.drawings.workshop import meshes_of
 from sightline.frame.solid_shape import FIELDS_MM, clear_beads, clear_of_each_other, offset_mm, radius_mm
 
 BLOCKS = ("block30", "block60", "cube120")

@@ -11,7 +11,7 @@ from sightline.common.geometry.rigid import rigid_fit
 from sightline.errors import FrameError
 from sightline.frame import Frame, RigidBody
 from sightline.frame.measured.fit import Circumstances, fit_frame
-from sightline.frame.measured.measurements import Series
+from sightline.frame.tables import Series
 
 BLOCK = Frame.load("block60")
 NOMINAL_MM = BLOCK.solid.xyz_mm

@@ -9,9 +9,8 @@ import pytest
 from sightline.common.checks import failed
 from sightline.frame import Frame, Tolerances
 from sightline.frame.check import check_frame
-from sightline.frame.designs import BUILTIN
+from sightline.frame.designs import BUILTIN, SOLIDS
 from sightline.frame.solid_shape import FIELDS_MM, clear_beads, offset_mm
-from sightline.frame.solids import SOLIDS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "frame-file.md").read_text(encoding="utf-8")
 

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 from sightline.common.geometry.rigid import rigid_fit
 from sightline.errors import FrameError
 from sightline.frame.measured.fit import Circumstances, FittedFrame, fit_frame
-from sightline.frame.measured.measurements import Series
+from sightline.frame.tables import Series
 
 STILL = Circumstances(drift_mm=0.0)
 

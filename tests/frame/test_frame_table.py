@@ -6,7 +6,7 @@ import pytest
 from sightline.errors import FrameError
 from sightline.frame import Frame, Tolerances
 from sightline.frame.plate import ROLES
-from sightline.frame.table import frame_from_csv
+from sightline.frame.tables import frame_from_csv
 
 GAMMA = Frame.load("gamma")
 COVARIANCE = {"xx_mm2": 4e-4, "xy_mm2": 1e-4, "xz_mm2": 0, "yy_mm2": 3e-4, "yz_mm2": -1e-4, "zz_mm2": 9e-4}

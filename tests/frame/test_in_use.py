@@ -7,8 +7,7 @@ from fit_scenes import FRAME, measured
 from sightline.errors import FrameError
 from sightline.frame import Frame, InUse, Tolerances
 from sightline.frame.measured.fit import Circumstances, fit_frame
-from sightline.twin.xray.handling import Handling, in_use
-from sightline.twin.xray.setup import with_errors
+from sightline.twin.xray.setup import Handling, in_use, with_errors
 
 EXACT = replace(Frame.load("gamma"), tolerances=Tolerances(0.0, 0.0, 0.0, 0.0, 0.0))
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import FrameError
-from sightline.frame.measured.measurements import read_measurements
+from sightline.frame.tables import read_measurements
 
 ROWS = ["px0,1.5,2.25,-3,0.01", "px1,4,5,6,0.02", "px2,7,8,9.125,0.01"]
 

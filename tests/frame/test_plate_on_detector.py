@@ -9,9 +9,8 @@ from sightline.common.checks import failed
 from sightline.errors import FrameError
 from sightline.frame import Frame, InUse, Plate, Tolerances
 from sightline.frame.check import check_frame
-from sightline.frame.drawings.bill import bill_rows, inspection_csv
 from sightline.frame.drawings.part import parts_of
-from sightline.frame.drawings.workshop import write_workshop
+from sightline.frame.drawings.workshop import bill_rows, inspection_csv, write_workshop
 
 FRAME = Frame.load("block40+detector-plate")
 

@@ -10,13 +10,21 @@ import trimesh
 
 from sightline.errors import FrameError
 from sightline.frame import Fiducial, Frame, FrameView, Plate, RigidBody
-from sightline.frame.drawings.bill import bill_csv, bill_page, drape_envelopes, inspection_csv
-from sightline.frame.drawings.mesh import FACETS, meshes_of, plate_mesh, solid_mesh
 from sightline.frame.drawings.part import CHAMFER_MM, SCREW_MM, parts_of
 from sightline.frame.drawings.sheet import plate_dxf, plate_svg
-from sightline.frame.drawings.workshop import write_workshop
+from sightline.frame.drawings.workshop import (
+    FACETS,
+    bill_csv,
+    bill_page,
+    drape_envelopes,
+    inspection_csv,
+    meshes_of,
+    plate_mesh,
+    solid_mesh,
+    write_workshop,
+)
 from sightline.frame.measured.fit import Circumstances, fit_frame
-from sightline.frame.measured.measurements import read_measurements
+from sightline.frame.tables import read_measurements
 
 FRAMES = ("gamma", "biplane", "stereo")
 BLOCKS = ("block30", "block60", "cube120")

@@ -5,7 +5,7 @@ import pytest
 
 from sightline.errors import FrameError
 from sightline.frame import Frame
-from sightline.frame.table import frame_from_csv
+from sightline.frame.tables import frame_from_csv
 
 MM = Frame.load("block60").solid.xyz_mm
 

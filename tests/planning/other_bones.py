@@ -6,8 +6,7 @@ from functools import cache
 import numpy as np
 
 from sightline.planning import Aids, Anatomy, Pick, kind, locate
-from sightline.twin.anatomy.aids import drawn_aids
-from sightline.twin.anatomy.bone_model import Aid, BoneModel
+from sightline.twin.anatomy.bone_model import Aid, BoneModel, drawn_aids
 from sightline.twin.anatomy.femur import to_cfcs
 from sightline.twin.scenes.bone_scene import BONES, INLET, OUTLET
 

@@ -11,8 +11,7 @@ from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import UnusableInputError
 from sightline.planning import Aids, Drawing, Pick, locate
 from sightline.planning.bone.metrics import metric
-from sightline.twin.anatomy.aids import clicked_mm
-from sightline.twin.anatomy.bone_model import PlaneAid, TubeAid
+from sightline.twin.anatomy.bone_model import PlaneAid, TubeAid, clicked_mm
 
 from .other_bones import PROCEDURES, drawn, views
 from .standin import StandInView

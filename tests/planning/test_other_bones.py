@@ -14,8 +14,8 @@ from sightline.planning.points.results import Verdict
 from sightline.planning.procedures.document import CHECKS
 from sightline.planning.procedures.procedure import copy_text, document_from_json
 from sightline.planning.verdict.bone_checks import judge_in_bone, measures, metric_measures, noticed_beyond_mm
+from sightline.twin.anatomy.bone_model import wrong_wires
 from sightline.twin.anatomy.femur import to_cfcs
-from sightline.twin.anatomy.wrong_wires import wrong_wires
 
 from .other_bones import PROCEDURES, Drawn, drawn, views
 from .test_drawings import METRICS

@@ -10,9 +10,8 @@ from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.planning import Aids, Plan, kind, plan
 from sightline.studies.scenes import measure
 from sightline.twin import drawn_aids
-from sightline.twin.anatomy.aids import key_of
+from sightline.twin.anatomy.bone_model import key_of, wrong_wires
 from sightline.twin.anatomy.femur import to_cfcs
-from sightline.twin.anatomy.wrong_wires import wrong_wires
 from sightline.twin.scenes.bone_scene import BoneScene, shown_bone_scene
 from sightline.twin.xray.setup import SetUp
 

@@ -13,7 +13,7 @@ from sightline.planning import Aids, Plan, Procedure, kind, plan
 from sightline.planning.bone.directions import anatomical
 from sightline.planning.procedures.procedure import copy_text, document_from_json
 from sightline.planning.verdict.view_directions import Located, angles_of, assumed_axes, frame_axes
-from sightline.twin.anatomy.aids import drawn_aids, key_of
+from sightline.twin.anatomy.bone_model import drawn_aids, key_of
 from sightline.twin.anatomy.femur import to_cfcs
 
 from . import bone, other_bones

@@ -23,7 +23,7 @@ from sightline.studies.frame_kinds import EQUAL, DesignResult, FrameKind, error_
 from sightline.studies.scenes import BEADS_20UM, EXACT, WHOLE, WIRE_ENDS_MM, draw_showing
 from sightline.studies.study import Values
 from sightline.twin import SetUp, draw_setup
-from sightline.twin.xray.handling import Handling
+from sightline.twin.xray.setup import Handling
 
 NEAR = Design(120, 300)
 SMALL = FrameDesignStudy(geometries=(DEFAULT, NEAR), tolerances=(), handlings=(), kinds=(), blocks=())

@@ -10,11 +10,9 @@ from scipy.ndimage import distance_transform_edt
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.frame import Frame
 from sightline.twin.anatomy.bone_model import BoneModel, PlaneAid, SphereAid
+from sightline.twin.anatomy.bones import DOME_MM, GrowingFemur, Pelvis, Vertebra
 from sightline.twin.anatomy.femur import to_cfcs
-from sightline.twin.anatomy.growing_femur import DOME_MM, GrowingFemur
-from sightline.twin.anatomy.pelvis import Pelvis
 from sightline.twin.anatomy.shapes import ball, box, cone, half_space, plate
-from sightline.twin.anatomy.vertebra import Vertebra
 from sightline.twin.scenes.bone_scene import BONES, bone_document, draw_origin, placed_bone, shown_bone_scene
 from sightline.twin.scenes.specimens import SetUpSpec, specimen
 from sightline.twin.xray.projector import Rays, volume_integral

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from sightline.errors import OutsideRegionError, SetUpError
 from sightline.twin import draw_setup
-from sightline.twin.xray.distortion import RandomField, disc_mm, monomials
 from sightline.twin.xray.distributions import Distortion
-from sightline.twin.xray.intensifier import Intensifier
+from sightline.twin.xray.intensifier import Intensifier, RandomField, disc_mm, monomials
 from sightline.twin.xray.presets import preset
 from sightline.twin.xray.tubes import draw_earth, draw_tube, share_beyond_degree5
 

@@ -9,22 +9,26 @@ from sightline.errors import SetUpError, UnusableInputError
 from sightline.frame import Tolerances
 from sightline.twin import Scene, draw_setup
 from sightline.twin.objects.beam import attenuation_per_mm
-from sightline.twin.objects.implants import (
+from sightline.twin.objects.things import (
     RAIL_MM,
     SHEET_MM,
     WIRE_DIAMETER_MM,
+    Ball,
+    Rod,
+    SoftTissue,
     angled_plate,
     drape,
     drill_guide,
     guide_wire,
     lag_screw,
+    pack,
+    rod_between,
     table_rail,
 )
-from sightline.twin.objects.things import Ball, Rod, SoftTissue, pack, rod_between
 from sightline.twin.scenes.specimens import perspex_object
-from sightline.twin.xray.handling import DRAPE_N, EXPANSION_PER_K, MOISTURE_EXPANSION, Handling, in_use
 from sightline.twin.xray.projector import chord
 from sightline.twin.xray.render import expose
+from sightline.twin.xray.setup import DRAPE_N, EXPANSION_PER_K, MOISTURE_EXPANSION, Handling, in_use
 
 WIRE = np.array([[41.3, 32.2, -8.1], [-22.4, -35.7, 6.6]])  # entry, end
 ALONG = (WIRE[1] - WIRE[0]) / np.linalg.norm(WIRE[1] - WIRE[0])

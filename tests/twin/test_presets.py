@@ -5,8 +5,8 @@ import pytest
 
 from sightline.twin import Scene, draw_setup, hard_scene
 from sightline.twin.objects.things import frame_solids
-from sightline.twin.xray.distortion import disc_mm
 from sightline.twin.xray.distributions import Distortion
+from sightline.twin.xray.intensifier import disc_mm
 from sightline.twin.xray.presets import PRESETS, preset
 from sightline.twin.xray.render import DOSES, expose
 from sightline.twin.xray.tubes import draw_earth, draw_tube

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import OutsideRegionError, SetUpError, UnusableInputError
-from sightline.frame import Frame, nominal
+from sightline.frame import Frame
 from sightline.twin import Variation, bead_images, draw_setup
 from sightline.twin.xray.distributions import Pose
 from sightline.twin.xray.setup import shadow_radius_px
@@ -34,7 +34,7 @@ def test_the_source_stands_where_it_should(frame):
     for _ in range(10):
         setup = draw_setup(rng, frame)
         for name, view in setup.views.items():
-            beam = nominal.axis(frame.view(name))
+            beam = frame.view(name).axis
             assert view.focal_point_mm @ beam == pytest.approx(-620.0, abs=25.0)
             assert view.detector.height_mm(view.focal_point_mm) == pytest.approx(-1000.0, abs=15.0)
             assert view.in_field(view.project(np.zeros(3)))

@@ -15,9 +15,8 @@ from sightline.twin.objects.things import Ball, frame_scene
 from sightline.twin.scenes.hip_scene import draw_head
 from sightline.twin.scenes.specimens import SetUpSpec, nominal_tags
 from sightline.twin.xray.distributions import HipPlace, SolidPlace, beam_at
-from sightline.twin.xray.handling import Handling, in_use
 from sightline.twin.xray.render import expose
-from sightline.twin.xray.setup import BEAMS, displaced
+from sightline.twin.xray.setup import BEAMS, Handling, displaced, in_use
 
 BLOCK = Frame.load("block60")
 IDS = tuple(f"b{n}" for n in range(1, 17))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import SetUpError
-from sightline.twin.anatomy.wrong_wires import CORTEX, FAR, wrong_wires
+from sightline.twin.anatomy.bone_model import CORTEX, FAR, wrong_wires
 from sightline.twin.scenes.bone_scene import BONES
 
 KINDS = {

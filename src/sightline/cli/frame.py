@@ -45,8 +45,7 @@ class DesignOptions:
         """Return a frame like a built-in one. Raises FrameError."""
         from sightline.errors import FrameError
         from sightline.frame import Frame
-        from sightline.frame.designs import builtin_design, patterns_for
-        from sightline.frame.solids import SOLIDS, WITH_PLATE
+        from sightline.frame.designs import SOLIDS, WITH_PLATE, builtin_design, patterns_for
 
         if like in SOLIDS or like in WITH_PLATE:
             if self.stated:
@@ -89,7 +88,7 @@ def new(
     """
     from sightline.errors import FrameError
     from sightline.frame.check import check_frame
-    from sightline.frame.table import frame_from_csv
+    from sightline.frame.tables import frame_from_csv
 
     refuse_existing(file)
     if csv is not None and design.stated:
@@ -177,9 +176,8 @@ def draw(
     SVG and DXF of each plate or face, STL, an assembly picture, a bill of material and an inspection sheet.
     """
     from sightline.frame import Frame
-    from sightline.frame.drawings.bill import bill_rows
     from sightline.frame.drawings.part import parts_of
-    from sightline.frame.drawings.workshop import write_workshop
+    from sightline.frame.drawings.workshop import bill_rows, write_workshop
 
     loaded = Frame.load(frame)
     with output.step("drawing the parts"):

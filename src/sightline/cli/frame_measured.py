@@ -59,7 +59,7 @@ def fit(
     """
     from sightline.frame import Frame
     from sightline.frame.measured.fit import Circumstances, fit_frame
-    from sightline.frame.measured.measurements import read_measurements
+    from sightline.frame.tables import read_measurements
 
     refuse_existing(out)
     day = conditions.measured_on.date().isoformat() if conditions.measured_on else None

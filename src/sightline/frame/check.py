@@ -9,17 +9,15 @@ from scipy.spatial.distance import pdist
 
 from sightline.common.checks import Check, failed
 from sightline.errors import FrameError
-from sightline.frame import nominal
-from sightline.frame.handed import MIN_COMMON, common_ids, fits_mirrored, misfits_mm
-from sightline.frame.model import Frame
+from sightline.frame.model import MIN_COMMON, Frame, common_ids, fits_mirrored, misfits_mm
 from sightline.frame.patterns import Triples, in_steps, nearest_likeness
-from sightline.frame.plate import FrameView, Plate, RigidBody
+from sightline.frame.plate import SOURCE_TO_HIP_MM, FrameView, Plate, RigidBody
 from sightline.frame.solid_shape import FIELDS_MM, clear_beads, in_words, offset_mm, symmetry_of
 
 MAX_CHANGE_MM = 1.0  # [ours] rms; a larger change means another frame, as in "plate-flat"
 WIRE_END_MM = 95 / np.sqrt(8)  # half a 95 mm wire at 45° (physics.md, Frame), along each axis of the view
 
-_NOMINAL = f"a C-arm with the hip {nominal.SOURCE_TO_HIP_MM:g} mm from its source"
+_NOMINAL = f"a C-arm with the hip {SOURCE_TO_HIP_MM:g} mm from its source"
 SYMMETRY_MM = 1.0  # [ours] five times the error of a printed ball: nearer to a symmetry, labels may be exchanged
 _RARE = 0.02  # [ours] share of the directions in which an image may be refused
 
@@ -189,13 +187,13 @@ def _spacing(frame: Frame) -> Values:
 
 def _tilt(frame: Frame) -> Values:
     for where, view, plate in _plates(frame):
-        yield where, float(np.degrees(np.arccos(min(1.0, abs(plate.plane.normal @ nominal.axis(view))))))
+        yield where, float(np.degrees(np.arccos(min(1.0, abs(plate.plane.normal @ view.axis)))))
 
 
 def _field(frame: Frame) -> Values:
     """Yield the share of each plate's beads that lie in the nominal C-arm's field."""
     for where, view, plate in _plates(frame):
-        yield where, float(nominal.in_field(view, plate.xyz_mm).mean())
+        yield where, float(view.in_field(plate.xyz_mm).mean())
 
 
 def reach_mm(view: FrameView, plate: Plate) -> float | None:
@@ -204,11 +202,11 @@ def reach_mm(view: FrameView, plate: Plate) -> float | None:
     Negative where the wire reaches beyond it. None where a bead lies behind the nominal source, and for a plate seen
     edge-on.
     """
-    if (nominal.depth_mm(view, plate.xyz_mm) <= 0).any():
+    if (view.depth_mm(plate.xyz_mm) <= 0).any():
         return None
     ends = WIRE_END_MM * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
     try:
-        hull = ConvexHull(nominal.at_distance_mm(view, plate.xyz_mm, nominal.SOURCE_TO_HIP_MM)).equations
+        hull = ConvexHull(view.at_distance_mm(plate.xyz_mm, SOURCE_TO_HIP_MM)).equations
     except QhullError:
         return None
     return float(-(ends @ hull[:, :2].T + hull[:, 2]).max())

@@ -12,12 +12,20 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from sightline.common.atomic import write_whole
+from sightline.common.geometry.rigid import rigid_fit
 from sightline.common.show import Plotted
 from sightline.errors import FrameError, UnusableInputError
-from sightline.frame.designs import BUILTIN, FrameDesign, builtin_design, views_of
-from sightline.frame.handed import is_mirror_image
+from sightline.frame.designs import (
+    BUILTIN,
+    DETECTOR_PLATE,
+    FRAME_NAMES,
+    SOLIDS,
+    WITH_PLATE,
+    FrameDesign,
+    builtin_design,
+    views_of,
+)
 from sightline.frame.plate import ROLES, Fiducial, FrameView, Plate, RigidBody
-from sightline.frame.solids import DETECTOR_PLATE, FRAME_NAMES, SOLIDS, WITH_PLATE
 from sightline.frame.tolerances import InUse, Tolerances, error_factor
 
 if TYPE_CHECKING:
@@ -224,7 +232,7 @@ class Frame(Plotted):
         elif isinstance(source, str) and source in WITH_PLATE:
             frame = Frame.load(WITH_PLATE[source]).with_plate()
         else:
-            from sightline.frame.files import read_document
+            from sightline.frame.document import read_document
 
             frame = Frame.from_document(read_document(Path(source)))
         frame.refuse_mirror_image(before)
@@ -247,7 +255,7 @@ class Frame(Plotted):
 
         Raises FrameError for a frame that could not be loaded again; then nothing is written.
         """
-        from sightline.frame.files import document_from_json
+        from sightline.frame.document import document_from_json
 
         text = self.to_json()
         document_from_json(text)
@@ -305,7 +313,7 @@ class Frame(Plotted):
     @staticmethod
     def from_json(text: bytes) -> "Frame":
         """Return the frame in the text of a frame file. Raises FrameError."""
-        from sightline.frame.files import document_from_json
+        from sightline.frame.document import document_from_json
 
         return Frame.from_document(document_from_json(text))
 
@@ -363,3 +371,36 @@ def _view_text(name: str, view: dict[str, list[Any]]) -> str:
 
 def _lines(entries: list[Any], indent: str) -> str:
     return "[\n" + ",\n".join(indent + json.dumps(entry) for entry in entries) + f"\n{indent[:-1]}]"
+
+
+MIN_COMMON = 4  # beads: three always lie in one plane
+MIRRORED_RATIO = 2.0  # [ours] of the misfits, upright to mirrored: beads in one plane are their own mirror image
+
+Places = Mapping[str, tuple[float, float, float]]  # of beads by id, mm
+
+
+def is_mirror_image(places: Places, before: Places) -> bool:
+    """Return whether only the mirror image fits the beads `before`; False with fewer than four common ids."""
+    return len(common_ids(places, before)) >= MIN_COMMON and fits_mirrored(*misfits_mm(places, before))
+
+
+def fits_mirrored(upright_mm: float, mirrored_mm: float) -> bool:
+    """Return whether the mirrored misfit is clearly smaller than the upright one."""
+    return MIRRORED_RATIO * mirrored_mm < upright_mm
+
+
+def common_ids(places: Places, before: Places) -> list[str]:
+    """Return the ids that both have, sorted."""
+    return sorted(places.keys() & before.keys())
+
+
+def misfits_mm(places: Places, before: Places) -> tuple[float, float]:
+    """Return the rms distances of the common beads after the best rigid motion: as they are, and mirrored."""
+    ids = common_ids(places, before)
+    now, then = (np.array([one[i] for i in ids], dtype=np.float64) for one in (places, before))
+    return _misfit_mm(now, then), _misfit_mm(-now, then)
+
+
+def _misfit_mm(from_mm: np.ndarray, to_mm: np.ndarray) -> float:
+    off = rigid_fit(from_mm, to_mm).apply(from_mm) - to_mm
+    return float(np.sqrt((off**2).sum(axis=1).mean()))

@@ -1,4 +1,7 @@
-"""The bodies of a calibration frame, plates or a solid, and their fiducials. All coordinates are CFCS, mm."""
+"""The bodies of a calibration frame, plates or a solid, and their fiducials. All coordinates are CFCS, mm.
+
+A view also knows the nominal C-arm, which frames are designed and checked for; no result is computed with it.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,6 +13,9 @@ from sightline.common.geometry.planes import Plane
 
 Shape = Literal["ball", "washer"]
 ROLES = ("xrii", "source")
+SOURCE_TO_HIP_MM = 620.0  # physics.md, C-arm and image chain [ours]
+SOURCE_TO_DETECTOR_MM = 1000.0  # ARCADIS Varic 968 [src manual]
+FIELD_DIAMETER_MM = 215.0  # [ours] useful field of a 9 inch (229 mm) intensifier, its rim left out
 
 
 @dataclass(frozen=True)
@@ -80,3 +86,31 @@ class FrameView:
     def by_id(self) -> dict[str, Fiducial]:
         """Fiducials by id."""
         return {f.id: f for f in self.fiducials}
+
+    @property
+    def axis(self) -> np.ndarray:
+        """The unit vector (3,) of the nominal beam from source to intensifier, through the plates' centroids."""
+        along = self.xrii.xyz_mm.mean(axis=0) - self.source.xyz_mm.mean(axis=0)
+        return along / np.linalg.norm(along)
+
+    @property
+    def nominal_focal_point_mm(self) -> np.ndarray:
+        """The expected focal point (3,), with the hip at the origin."""
+        return -SOURCE_TO_HIP_MM * self.axis
+
+    def depth_mm(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Return (N,): distances of points (N, 3) from the nominal source along the beam."""
+        return (xyz_mm - self.nominal_focal_point_mm) @ self.axis
+
+    def at_distance_mm(self, xyz_mm: np.ndarray, distance_mm: float) -> np.ndarray:
+        """Return (N, 2): points (N, 3) in front of the nominal source, projected to a plane across the beam."""
+        plane = Plane.across(self.axis, self.nominal_focal_point_mm)
+        return plane.to_plane(xyz_mm) * (distance_mm / self.depth_mm(xyz_mm))[:, None]
+
+    def in_field(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: whether points (N, 3) lie between nominal source and intensifier, inside its field."""
+        depth = self.depth_mm(xyz_mm)
+        inside = (depth > 0) & (depth < SOURCE_TO_DETECTOR_MM)
+        on_detector = self.at_distance_mm(xyz_mm[inside], SOURCE_TO_DETECTOR_MM)
+        inside[inside] = np.linalg.norm(on_detector, axis=1) <= FIELD_DIAMETER_MM / 2
+        return inside

@@ -9,8 +9,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from sightline.common.geometry.rigid import rigid_fit
-from sightline.frame import nominal
-from sightline.frame.plate import RigidBody
+from sightline.frame.plate import SOURCE_TO_HIP_MM, RigidBody
 
 # Fields at the hip by the detector: 9 inches and 300 mm, 1000 mm from the source, seen at 620 mm, rounded down [calc].
 FIELDS_MM = {"9-inch intensifier": 140.0, "30 cm panel": 185.0}
@@ -50,7 +49,7 @@ def offset_mm(solid: RigidBody, field_mm: float) -> float:
     large for the field.
     """
     half = field_mm / 2
-    return half - radius_mm(solid) * float(np.hypot(1.0, half / nominal.SOURCE_TO_HIP_MM))
+    return half - radius_mm(solid) * float(np.hypot(1.0, half / SOURCE_TO_HIP_MM))
 
 
 def radius_mm(solid: RigidBody) -> float:

@@ -34,7 +34,7 @@ from sightline.robot.link.record import DrillingRecord, Recorder, SimulatedWire
 from sightline.robot.link.server import RobotServer, Simulation
 from sightline.robot.transport import LOOPBACK
 from sightline.twin import BoneScene, HipScene
-from sightline.twin.objects.implants import WIRE_DIAMETER_MM
+from sightline.twin.objects.things import WIRE_DIAMETER_MM
 from sightline.twin.robot.drilling import Bone
 from sightline.twin.robot.plant import SimulatedPlant
 from sightline.twin.xray.setup import hip_of

@@ -28,12 +28,10 @@ from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.procedure import document_of
 from sightline.robot.kinematics.calibrated import REMOUNT_SD
 from sightline.twin import BoneScene, HipScene, Scene, SetUp, Variation, draw_setup, render, truth_document
-from sightline.twin.anatomy.aids import drawn_aids, hip_aids, key_of
-from sightline.twin.anatomy.bone_model import Aid, BoneModel, LineAid, SphereAid
+from sightline.twin.anatomy.bone_model import Aid, BoneModel, LineAid, SphereAid, drawn_aids, hip_aids, key_of
 from sightline.twin.anatomy.femur import Femur, draw_femur, to_cfcs
 from sightline.twin.anatomy.nailed_femur import SPACING_MM, NailedFemur
-from sightline.twin.objects.implants import guide_wire
-from sightline.twin.objects.things import moved
+from sightline.twin.objects.things import guide_wire, moved
 from sightline.twin.scenes.bone_scene import BONES, bone_document, shown_bone_scene
 from sightline.twin.scenes.hip_scene import placed_hip, shown_setup
 from sightline.twin.scenes.specimens import tagged

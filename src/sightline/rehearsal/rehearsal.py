@@ -37,7 +37,7 @@ from sightline.robot.kinematics.manipulator import Manipulator, imaging_yaw
 from sightline.robot.link.record import SimulatedWire
 from sightline.twin import HipScene, Scene, render, shown_hip_scene
 from sightline.twin.anatomy.femur import draw_femur
-from sightline.twin.objects.implants import WIRE_DIAMETER_MM, guide_wire
+from sightline.twin.objects.things import WIRE_DIAMETER_MM, guide_wire
 from sightline.twin.scenes.bone_scene import shown_bone_scene
 from sightline.twin.scenes.specimens import tagged
 from sightline.twin.xray.setup import BEAMS

@@ -22,7 +22,7 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.frame.check import reach_mm
 from sightline.frame.designs import GAMMA_BEAMS, Balls, FrameDesign
-from sightline.frame.nominal import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM, in_field
+from sightline.frame.plate import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM
 from sightline.studies.frame_kinds import (
     BEAD_PX,
     BLOCKS,
@@ -46,8 +46,7 @@ from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.twin import SetUp, bead_images
 from sightline.twin.objects.beam import attenuation_per_mm
 from sightline.twin.objects.things import PLATE_THICKNESS_MM
-from sightline.twin.xray.handling import Handling, in_use
-from sightline.twin.xray.setup import displaced
+from sightline.twin.xray.setup import Handling, displaced, in_use
 
 BEAD_MM = 3.0  # diameter of a ball that BEAD_PX holds for (physics.md, Centroid limit)
 MIDDLE_ENERGY = 1  # 60 keV of the beam's three
@@ -217,7 +216,7 @@ def obstacle(design: Design) -> str:
         return "in the intensifier"
     for view in design.frame(WHOLE).views.values():
         for plate in (view.xrii, view.source):
-            if in_field(view, plate.xyz_mm).mean() < MIN_IN_FIELD:
+            if view.in_field(plate.xyz_mm).mean() < MIN_IN_FIELD:
                 return "beyond the field"
             if (reach_mm(view, plate) or 0.0) < MIN_REACH_MM:
                 return "too small for the wire"

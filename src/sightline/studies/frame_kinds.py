@@ -14,7 +14,7 @@ import sightline as sl
 from sightline.calibration.view import CalibratedView
 from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
-from sightline.frame.nominal import SOURCE_TO_HIP_MM
+from sightline.frame.plate import SOURCE_TO_HIP_MM
 from sightline.studies.plots import Span, spans
 from sightline.studies.scenes import (
     BEADS_20UM,
@@ -183,7 +183,7 @@ FIELDS_MM = {
 BLOCKS = ("block30", "block40", "block60", "cube120")
 MARGIN_MM = 8.0  # aiming error per image, at the hip [ours]
 DRAPES_MM = 5.0  # [ours]
-COVER_MM = 3.5  # balls' centres under the solid's faces (frame/solids.py)
+COVER_MM = 3.5  # balls' centres under the solid's faces (frame/designs.py)
 CLEAR_MM = 5.0  # minimum distance between an end of the wire and a ball in an image, at the hip [ours]
 STEP_MM = 10.0
 REACH_MM = ((-40.0, 140.0), (-100.0, 100.0), (0.0, 180.0))  # of the search: lateral, caudal, anterior

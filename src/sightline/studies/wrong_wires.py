@@ -18,9 +18,8 @@ from sightline.planning.bone.metrics import metric
 from sightline.planning.procedures.document import CHECKS, CheckRule
 from sightline.planning.verdict.bone_checks import MEASURES, measures
 from sightline.planning.verdict.view_directions import Located
-from sightline.twin.anatomy.bone_model import BoneModel
+from sightline.twin.anatomy.bone_model import BoneModel, smallest_amount
 from sightline.twin.anatomy.femur import NARROWEST, Femur
-from sightline.twin.anatomy.wrong_wires import smallest_amount
 
 HIP_SCREW, CANNULATED = "hip-screw", "cannulated-hip-screws:inferior"
 PEDICLE, SACRAL, EPIPHYSIS = "pedicle-screw", "iliosacral-screw", "slipped-epiphysis-pin"

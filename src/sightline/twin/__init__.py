@@ -1,7 +1,6 @@
 """The digital twin: C-arm, intensifier, bones, X-ray projection. It never imports the software that it tests."""
 
-from sightline.twin.anatomy.aids import drawn_aids, hip_aids
-from sightline.twin.anatomy.bone_model import BoneModel
+from sightline.twin.anatomy.bone_model import BoneModel, drawn_aids, hip_aids
 from sightline.twin.objects.things import Scene
 from sightline.twin.scenes.bone_scene import BONES, BoneScene, shown_bone_scene
 from sightline.twin.scenes.hard import BeadTruth, hard_scene

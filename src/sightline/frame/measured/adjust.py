@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from sightline.common.geometry.rigid import displacement
 from sightline.errors import FrameError
-from sightline.frame.measured.measurements import Series
+from sightline.frame.tables import Series
 
 FALSE_ALARM = 1e-4  # [ours] per frame, as for beads in images (calibration/plates/joint.py)
 CONVERGED_MM = 1e-9

@@ -14,8 +14,8 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.common.geometry.rigid import rigid_fit, rigid_fits
 from sightline.errors import FrameError
-from sightline.frame.measured.measurements import Series
 from sightline.frame.model import Frame
+from sightline.frame.tables import Series
 
 TRIPLES = 400  # [calc] with half of the ids right, 50 triples have right ids only
 MAX_MISFIT = 1 / 3  # [ours] of the smallest distance between two balls: nearer to a ball's own place than to any other

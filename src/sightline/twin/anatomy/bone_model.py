@@ -1,4 +1,5 @@
-"""Bones built of shapes: their volume, and the exact distances that the truth of a procedure needs.
+"""Bones built of shapes: their volume, the exact distances that the truth of a procedure needs, what a person would draw
+of them on images, and wires that are wrong by a known amount.
 
 Anatomical coordinates: (lateral, caudal, anterior), mm, lateral towards the operated side; the bone states its origin.
 """
@@ -11,25 +12,18 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sightline.common.kernels import kernel
 from sightline.common.threads import in_parts
 from sightline.errors import SetUpError
-from sightline.twin.anatomy.femur import placed
-from sightline.twin.anatomy.shapes import ADD, CUT, NUMBERS, SolidShape, blend, shape_distance, step, texture
+from sightline.twin.anatomy.femur import NARROWEST, Femur, placed, to_cfcs
+from sightline.twin.anatomy.shapes import FIRST, NUMBERS, SolidShape, depths, fill, nearest, texture
 from sightline.twin.objects.meshes import Mesh
 from sightline.twin.objects.volumes import Volume
+from sightline.twin.xray.setup import ViewTruth
 
-BLOCK = 8  # voxels a side of a block that is skipped where no bone is near
 DIRECTIONS = 200  # of the search for the nearest point, before it is refined
-STARTS, APART, WIDER = 4, 0.9, 1.2  # it is refined from up to so many, cosine of their angle, ratio to the shortest
-AROUND = 8  # directions around the best that a step of the refinement tries
-COARSE_MM, FINE_MM = 0.02, 1e-6  # lengths of rays: first, refined
-REACH_MM = 300.0  # of this search
 BOUND = 0.85  # share of a depth that a distance is at least: barrels and ellipsoids are exact to first order only
 BORDER_MM = 15.0  # of the entry of a wire from the border that a person draws, along the wire, at most [ours]
-HARD, HARD_TEXTURE, SPONGY_TEXTURE = 0.92, 0.03, 0.7  # share of bone in cortex; its textures, as of the femur
 FIELDS = ("surface", "outline", "cancellous", "gap")
-PART, JOIN, BLEND, CORTEX, KIND, FIRST = range(6)  # columns of the table of shapes
 
 
 @dataclass(frozen=True)
@@ -154,7 +148,7 @@ class BoneModel:
             raise SetUpError(f"there is no surface {of!r}; there are: {', '.join((*FIELDS, *self.keep_out))}")
         flat = np.ascontiguousarray(points.reshape(-1, 3))
         out = np.empty(len(flat))
-        in_parts(_nearest, flat, *self._tables, self.mirrored, FIELDS.index(of), _directions(), out)
+        in_parts(nearest, flat, *self._tables, self.mirrored, FIELDS.index(of), _directions(), out)
         return out.reshape(points.shape[:-1])
 
     def depth_mm(self, xyz_mm: np.ndarray, of: str = "surface") -> np.ndarray:
@@ -165,7 +159,7 @@ class BoneModel:
         points = np.asarray(xyz_mm, dtype=np.float64)
         flat = np.ascontiguousarray(points.reshape(-1, 3))
         out = np.empty(len(flat))
-        in_parts(_depths, flat, *self._tables, self.mirrored, FIELDS.index(of), out)
+        in_parts(depths, flat, *self._tables, self.mirrored, FIELDS.index(of), out)
         return out.reshape(points.shape[:-1])
 
     def clearance_mm(self, wire_mm: np.ndarray, of: str = "outline", from_entry_mm: float = 12.0) -> float:
@@ -257,7 +251,7 @@ class BoneModel:
         nx, ny, nz = (int(n) for n in np.ceil((self.high_mm - self.low_mm) / self.voxel_mm))
         tile = np.zeros((1, 1, 1), dtype=np.float32) if rng is None else texture(rng)
         values = np.zeros((nx, ny, nz), dtype=np.float32)
-        in_parts(_fill, self.low_mm, self.voxel_mm, *_packed(self.parts + self.around), self.mirrored, tile, values)
+        in_parts(fill, self.low_mm, self.voxel_mm, *_packed(self.parts + self.around), self.mirrored, tile, values)
         return placed(values, self.low_mm, self.voxel_mm, side, origin_mm)
 
 
@@ -280,145 +274,141 @@ def _directions() -> np.ndarray:
     return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], -1)
 
 
-@kernel()
-def _parts(x, y, z, table, parts, mirrored, out):  # noqa: PLR0917
-    """Fill `out` (P, 3) for a point with the distance from each part without and with its gap, and with its cortex's
-    thickness."""
-    if mirrored:
-        x = abs(x)
-    out[:, 0], out[:, 2] = 1e9, 0.0
-    for m in range(len(table)):
-        k, join = int(table[m, PART]), int(table[m, JOIN])
-        distance = shape_distance(x, y, z, int(table[m, KIND]), table[m, FIRST:])
-        if join == ADD:
-            width = table[m, BLEND]
-            new = step(out[k, 0] - distance, max(width, 1e-9))
-            out[k, 2] += new * (table[m, CORTEX] - out[k, 2])
-            out[k, 0] = blend(out[k, 0], distance, width) if width > 0.0 else min(out[k, 0], distance)
-        else:
-            signed = -distance if join == CUT else distance
-            if signed > out[k, 0]:
-                out[k, 2] = table[m, CORTEX]
-            out[k, 0] = max(out[k, 0], signed)
-    before = 1e9
-    for k in range(len(parts)):
-        out[k, 1] = max(out[k, 0], parts[k, 0] - before) if parts[k, 0] > 0.0 else out[k, 0]
-        before = min(before, out[k, 0])
+MAX_LONGER_MM = 60.0  # a wire that ends farther beyond is another wire [ours]
+MAX_ASIDE_MM = 80.0  # of the end, to leave a corridor or to reach what must not be touched [ours]
+STEP_MM = 3.0  # a wire that is wrong for a smaller movement only, and not for a larger one, may be missed [ours]
+FAR, CORTEX = "through the far surface", "out of the cortex"
 
 
-@kernel()
-def _field(x, y, z, table, parts, mirrored, of, work):  # noqa: PLR0917
-    """Return the field number `of` in FIELDS at a point; `work` (P, 3) is overwritten."""
-    _parts(x, y, z, table, parts, mirrored, work)
-    surface, outline, cancellous = 1e9, 1e9, 1e9
-    for k in range(len(parts)):
-        outline = min(outline, work[k, 0])
-        surface = min(surface, work[k, 1])
-        cancellous = min(cancellous, work[k, 1] + work[k, 2])
-    if of == 0:
-        return surface
-    if of == 1:
-        return outline
-    if of == 2:
-        return cancellous
-    return max(outline, -surface)
+def wrong_wires(bone: BoneModel, beyond_mm: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Return wrong wires (2, 3) by kind, anatomical coordinates, with the entry of the first standard wire.
+
+    - FAR: the end lies `beyond_mm` outside the far surface (of a head: through its joint surface)
+    - CORTEX: the axis leaves the bone sideways by `beyond_mm`, towards a drawn direction
+    - "into the NAME": the axis passes `beyond_mm` inside something of `BoneModel.keep_out`
+
+    A kind that this bone does not allow is left out: no far surface within MAX_LONGER_MM, or no wire whose end has
+    moved by less than MAX_ASIDE_MM. Raises SetUpError if `beyond_mm` is not above zero.
+    """
+    if not beyond_mm > 0:
+        raise SetUpError("a wrong wire needs a distance above zero")
+    entry, end = bone.wires_mm[0]
+    along = (end - entry) / np.linalg.norm(end - entry)
+    wires = {}
+    far = bone.surface_near(end, along)
+    deeper = smallest_amount(lambda s: float(bone.distance_mm(far + s * along, "outline")), beyond_mm, MAX_ASIDE_MM)
+    if np.linalg.norm(far - end) < MAX_LONGER_MM and deeper is not None:
+        wires[FAR] = np.stack([entry, far + deeper * along])
+    aside = np.linalg.svd(along[None])[2][1:].T @ _unit_of(rng.standard_normal(2))
+    for kind, of, towards in [
+        (CORTEX, "outline", aside),
+        *((f"into the {name}", name, _towards(bone, name, along)) for name in bone.keep_out),
+    ]:
+        moved = smallest_amount(
+            lambda s, of=of, towards=towards: -bone.clearance_mm(np.stack([entry, end + s * towards]), of),
+            beyond_mm,
+            MAX_ASIDE_MM,
+        )
+        if moved is not None:
+            wires[kind] = np.stack([entry, end + moved * towards])
+    return wires
 
 
-@kernel(nogil=True)
-def _depths(part, parts_, points, table, parts, mirrored, of, out):  # noqa: PLR0917
-    work = np.empty((len(parts), 3))
-    for k in range(part, len(points), parts_):
-        out[k] = _field(points[k, 0], points[k, 1], points[k, 2], table, parts, mirrored, of, work)
+def _towards(bone: BoneModel, of: str, along: np.ndarray) -> np.ndarray:
+    """Return the unit vector (3,), across the wire, towards what is nearest of `of`."""
+    entry, end = bone.wires_mm[0]
+    at = entry + np.linspace(0, 1, 200)[:, None] * (end - entry)
+    nearest = at[bone.distance_mm(at, of).argmin()]
+    steps = 0.01 * np.eye(3)
+    slope = bone.distance_mm(nearest - steps, of) - bone.distance_mm(nearest + steps, of)
+    return _unit_of(slope - (slope @ along) * along)
 
 
-@kernel()
-def _ray(p, d, limit, fine, inside, table, parts, mirrored, of, work):  # noqa: PLR0917
-    """Return the length of a ray from p along d to the surface, to `fine`, or `limit` if it is longer."""
-    at, near, far = 0.0, 0.0, -1.0
-    while near < limit and not 0.0 <= far - near < fine:
-        value = _field(p[0] + at * d[0], p[1] + at * d[1], p[2] + at * d[2], table, parts, mirrored, of, work)
-        if (value < 0.0) == inside:
-            near = at
-        else:
-            far = at
-        at = near + max(0.8 * abs(value), 0.02) if far < 0.0 else (near + far) / 2
-    return min(far, limit) if far >= 0.0 else limit
+def smallest_amount(violation_mm: Callable[[float], float], wanted_mm: float, limit: float) -> float | None:
+    """Return the smallest amount at which a violation is as wanted, to 0.001 mm; None up to `limit`."""
+    high = next((s for s in np.arange(STEP_MM, limit, STEP_MM) if violation_mm(s) >= wanted_mm), None)
+    if high is None:
+        return None
+    low = high - STEP_MM
+    for _ in range(12):
+        middle = (low + high) / 2
+        low, high = (low, middle) if violation_mm(middle) >= wanted_mm else (middle, high)
+    return float(high)
 
 
-@kernel()
-def _refined(p, best_d, best, inside, table, parts, mirrored, of, work):  # noqa: PLR0917
-    """Return the length of the shortest ray found around the direction `best_d` (3,), at most `best`; `best_d` is
-    overwritten with its direction."""
-    d, first, second = np.empty(3), np.empty(3), np.empty(3)
-    angle = 0.2
-    while angle > 2e-4:
-        before, least = best, np.argmin(np.abs(best_d))
-        for a in range(3):
-            first[a] = (1.0 if a == least else 0.0) - best_d[least] * best_d[a]
-        first /= np.sqrt(first[0] * first[0] + first[1] * first[1] + first[2] * first[2])
-        for a in range(3):
-            second[a] = best_d[(a + 1) % 3] * first[(a + 2) % 3] - best_d[(a + 2) % 3] * first[(a + 1) % 3]
-        for k in range(AROUND):
-            turn = 2.0 * np.pi * k / AROUND
-            d[:] = best_d + angle * (np.cos(turn) * first + np.sin(turn) * second)
-            d /= np.sqrt(1.0 + angle * angle)
-            length = _ray(p, d, best, FINE_MM, inside, table, parts, mirrored, of, work)
-            if length < best:
-                best = length
-                best_d[:] = d
-                break
-        if best > before - 1e-7:
-            angle *= 0.5
-    return best
+def _unit_of(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)
 
 
-@kernel(nogil=True)
-def _nearest(part, parts_, points, table, parts, mirrored, of, directions, out):  # noqa: PLR0917
-    """Fill in the signed distance of every point: the shortest ray to the surface, refined around the best of the
-    directions and around the best of those that are far from it."""
-    work, d, lengths = np.empty((len(parts), 3)), np.empty(3), np.empty(len(directions))
-    for k in range(part, len(points), parts_):
-        p, best = points[k], REACH_MM
-        inside = _field(p[0], p[1], p[2], table, parts, mirrored, of, work) < 0.0
-        for n in range(len(directions)):
-            limit = min(WIDER * best + 0.5, REACH_MM)
-            lengths[n] = _ray(p, directions[n], limit, COARSE_MM, inside, table, parts, mirrored, of, work)
-            best = min(best, lengths[n])
-        for _ in range(STARTS):
-            n = np.argmin(lengths)
-            if lengths[n] >= min(WIDER * best + 0.5, REACH_MM):
-                break
-            d[:] = directions[n]
-            best = min(best, _refined(p, d, lengths[n] + COARSE_MM, inside, table, parts, mirrored, of, work))
-            for m in range(len(directions)):
-                if directions[m] @ directions[n] > APART:
-                    lengths[m] = REACH_MM
-        out[k] = -best if inside else best
+END_ON = np.cos(np.pi / 4)  # an oval tube nearer to the beam than this shows its section, others their borders [ours]
+_TOUCHES = 4  # iterations of a border's tangent point; each reduces its error a hundredfold
+RIM_ANGLES_RAD = np.radians([100.0, 190.0, 340.0])  # of the clicks on a sphere's rim
 
 
-@kernel(nogil=True)
-def _fill(part, parts_, low, voxel, table, parts, mirrored, tile, out):  # noqa: PLR0917
-    """Fill in the share of bone at every voxel; the outermost voxels stay empty. Blocks far from bone are skipped."""
-    tx, ty, tz = tile.shape
-    nx, ny, nz = out.shape
-    work = np.empty((len(parts), 3))
-    far = 1.3 * voxel * BLOCK  # half the diagonal of a block is 0.87 of its side
-    for i0 in range(1 + BLOCK * part, nx - 1, BLOCK * parts_):
-        for j0 in range(1, ny - 1, BLOCK):
-            for k0 in range(1, nz - 1, BLOCK):
-                half = voxel * (BLOCK - 1) / 2
-                x, y, z = low[0] + voxel * i0 + half, low[1] + voxel * j0 + half, low[2] + voxel * k0 + half
-                if _field(x, y, z, table, parts, mirrored, 0, work) > far:
-                    continue
-                for i in range(i0, min(i0 + BLOCK, nx - 1)):
-                    for j in range(j0, min(j0 + BLOCK, ny - 1)):
-                        for k in range(k0, min(k0 + BLOCK, nz - 1)):
-                            x, y, z = low[0] + voxel * i, low[1] + voxel * j, low[2] + voxel * k
-                            _parts(x, y, z, table, parts, mirrored, work)
-                            share, grain = 0.0, float(tile[i % tx, j % ty, k % tz])
-                            for m in range(len(parts)):
-                                within = step(-work[m, 1], voxel)
-                                hard = within - step(-work[m, 1] - work[m, 2], voxel)
-                                soft = max(parts[m, 1] * (1.0 + SPONGY_TEXTURE * grain), 0.0)
-                                share = max(share, soft * (within - hard) + (HARD + HARD_TEXTURE * grain) * hard)
-                            out[i, j, k] = share
+def drawn_aids(aids: Mapping[str, Aid], views: Mapping[str, ViewTruth]) -> dict[str, dict[str, np.ndarray]]:
+    """Return the true pixels of clicks, (M, 2) by aid and view, of aids in CFCS (`BoneScene.aids`, `hip_aids`).
+
+    The names of the aids are those of procedures' files, with "-" for a space: "growth plate" is "growth-plate".
+
+    - a sphere: three clicks on its rim
+    - a line: its ends
+    - a plane: the ends of its diameter perpendicular to the beam
+    - a tube: two clicks on one border and two on the other; of an oval one seen end-on the ends of the long axis of its
+      section, then those of the short one
+    """
+    return {
+        key_of(name): {view.name: view.project(clicked_mm(aid, view.focal_point_mm)) for view in views.values()}
+        for name, aid in aids.items()
+    }
+
+
+def key_of(name: str) -> str:
+    """Return the key in procedures' files of an aid or a landmark of the twin, by its name."""
+    return name.replace(" ", "-")
+
+
+def hip_aids(femur: Femur, side: str, head_mm: np.ndarray) -> dict[str, Aid]:
+    """Return head, neck, shaft and outline of the neck of a hip, CFCS, with its head's centre at (3,)."""
+    along = femur.towards_head
+    first, second = np.linalg.svd(along[None])[2][1:]
+    outline = femur.base_mm + np.outer([0.45, 0.65], femur.neck_length_mm * along)
+    aids: dict[str, Aid] = {
+        "head": SphereAid(np.zeros(3), femur.head_radius_mm),
+        "neck": LineAid(np.stack([femur.base_mm, np.zeros(3)])),
+        "shaft": LineAid(femur.base_mm + np.array([[0.0, 15.0, 0.0], [0.0, 50.0, 0.0]])),
+        "outline": TubeAid(outline, 1e-6 * np.stack([first, second]), NARROWEST * femur.neck_radius_mm),
+    }
+    return {name: aid.mapped(lambda at: to_cfcs(at, side, head_mm)) for name, aid in aids.items()}
+
+
+def clicked_mm(aid: Aid, focal_mm: np.ndarray) -> np.ndarray:
+    """Return the points (M, 3), CFCS, that are clicked in an image with its focal point at (3,)."""
+    if isinstance(aid, SphereAid):
+        ray = aid.centre_mm - focal_mm
+        sine = aid.radius_mm / np.linalg.norm(ray)  # tangent rays touch the sphere on a smaller circle, nearer to them
+        around = np.stack([np.cos(RIM_ANGLES_RAD), np.sin(RIM_ANGLES_RAD)], axis=1) @ np.linalg.svd(ray[None])[2][1:]
+        return aid.centre_mm - sine**2 * ray + aid.radius_mm * np.sqrt(1 - sine**2) * around
+    if isinstance(aid, LineAid):
+        return aid.ends_mm
+    if isinstance(aid, PlaneAid):
+        across = _unit(np.cross(aid.normal, aid.point_mm - focal_mm))
+        return aid.point_mm + np.outer([-aid.half_mm, aid.half_mm], across)
+    along, middle = _unit(aid.ends_mm[1] - aid.ends_mm[0]), aid.ends_mm.mean(axis=0)
+    if aid.oval and abs(along @ _unit(middle - focal_mm)) > END_ON:
+        half = np.linalg.norm(aid.across_mm, axis=1, keepdims=True)
+        axes = aid.across_mm * (1 + aid.round_mm / half)
+        return middle + np.concatenate([axes[:1], -axes[:1], axes[1:], -axes[1:]])
+    return np.array([_touched(aid, end, focal_mm, way) for way in (1.0, -1.0) for end in aid.ends_mm])
+
+
+def _touched(tube: TubeAid, at_mm: np.ndarray, focal_mm: np.ndarray, way: float) -> np.ndarray:
+    """Return the point (3,) of a tube's section at a point of its axis that a line of sight touches."""
+    along, on = tube.ends_mm[1] - tube.ends_mm[0], at_mm
+    for _ in range(_TOUCHES):
+        outward = way * _unit(np.cross(along, on - focal_mm))
+        on = at_mm + np.sign(tube.across_mm @ outward) @ tube.across_mm + tube.round_mm * outward
+    return on
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)

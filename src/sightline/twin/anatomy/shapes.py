@@ -1,7 +1,7 @@
 """Shapes that bones are built of, and their signed distances (negative inside). mm, anatomical coordinates.
 
-A shape is a row of numbers, so that one compiled kernel evaluates any bone (`bones.py`). Cones (with balls), boxes and
-plates have exact distances; ellipsoids and barrels have them to first order.
+A shape is a row of numbers, so that one compiled kernel evaluates any bone. Cones (with balls), boxes and plates have
+exact distances; ellipsoids and barrels have them to first order.
 """
 
 from dataclasses import dataclass, replace
@@ -18,6 +18,13 @@ POINTS = {CONE: 2, PLATE: 3}  # among the first numbers of a shape; of the other
 NUMBERS = 17  # of a shape: at most the centre, three axes, three half-lengths, two more
 TEXTURE_SD = 1.2  # voxels: about 1 mm, the scale of trabeculae [ours]
 TEXTURE_SHAPE = (80, 96, 72)  # voxels; the texture is periodic
+BLOCK = 8  # voxels a side of a block that is skipped where no bone is near
+STARTS, APART, WIDER = 4, 0.9, 1.2  # it is refined from up to so many, cosine of their angle, ratio to the shortest
+AROUND = 8  # directions around the best that a step of the refinement tries
+COARSE_MM, FINE_MM = 0.02, 1e-6  # lengths of rays: first, refined
+REACH_MM = 300.0  # of this search
+HARD, HARD_TEXTURE, SPONGY_TEXTURE = 0.92, 0.03, 0.7  # share of bone in cortex; its textures, as of the femur
+PART, JOIN, BLEND, CORTEX, KIND, FIRST = range(6)  # columns of the table of shapes
 
 
 @dataclass(frozen=True)
@@ -221,3 +228,148 @@ def _distances(points: np.ndarray, kind: int, row: np.ndarray) -> np.ndarray:
     for k in range(len(points)):
         out[k] = shape_distance(points[k, 0], points[k, 1], points[k, 2], kind, row)
     return out
+
+
+@kernel()
+def _parts(x, y, z, table, parts, mirrored, out):  # noqa: PLR0917
+    """Fill `out` (P, 3) for a point with the distance from each part without and with its gap, and with its cortex's
+    thickness."""
+    if mirrored:
+        x = abs(x)
+    out[:, 0], out[:, 2] = 1e9, 0.0
+    for m in range(len(table)):
+        k, join = int(table[m, PART]), int(table[m, JOIN])
+        distance = shape_distance(x, y, z, int(table[m, KIND]), table[m, FIRST:])
+        if join == ADD:
+            width = table[m, BLEND]
+            new = step(out[k, 0] - distance, max(width, 1e-9))
+            out[k, 2] += new * (table[m, CORTEX] - out[k, 2])
+            out[k, 0] = blend(out[k, 0], distance, width) if width > 0.0 else min(out[k, 0], distance)
+        else:
+            signed = -distance if join == CUT else distance
+            if signed > out[k, 0]:
+                out[k, 2] = table[m, CORTEX]
+            out[k, 0] = max(out[k, 0], signed)
+    before = 1e9
+    for k in range(len(parts)):
+        out[k, 1] = max(out[k, 0], parts[k, 0] - before) if parts[k, 0] > 0.0 else out[k, 0]
+        before = min(before, out[k, 0])
+
+
+@kernel()
+def _field(x, y, z, table, parts, mirrored, of, work):  # noqa: PLR0917
+    """Return the field number `of` in FIELDS at a point; `work` (P, 3) is overwritten."""
+    _parts(x, y, z, table, parts, mirrored, work)
+    surface, outline, cancellous = 1e9, 1e9, 1e9
+    for k in range(len(parts)):
+        outline = min(outline, work[k, 0])
+        surface = min(surface, work[k, 1])
+        cancellous = min(cancellous, work[k, 1] + work[k, 2])
+    if of == 0:
+        return surface
+    if of == 1:
+        return outline
+    if of == 2:
+        return cancellous
+    return max(outline, -surface)
+
+
+@kernel(nogil=True)
+def depths(part, parts_, points, table, parts, mirrored, of, out):  # noqa: PLR0917
+    """Fill in the value of the field number `of` at every point."""
+    work = np.empty((len(parts), 3))
+    for k in range(part, len(points), parts_):
+        out[k] = _field(points[k, 0], points[k, 1], points[k, 2], table, parts, mirrored, of, work)
+
+
+@kernel()
+def _ray(p, d, limit, fine, inside, table, parts, mirrored, of, work):  # noqa: PLR0917
+    """Return the length of a ray from p along d to the surface, to `fine`, or `limit` if it is longer."""
+    at, near, far = 0.0, 0.0, -1.0
+    while near < limit and not 0.0 <= far - near < fine:
+        value = _field(p[0] + at * d[0], p[1] + at * d[1], p[2] + at * d[2], table, parts, mirrored, of, work)
+        if (value < 0.0) == inside:
+            near = at
+        else:
+            far = at
+        at = near + max(0.8 * abs(value), 0.02) if far < 0.0 else (near + far) / 2
+    return min(far, limit) if far >= 0.0 else limit
+
+
+@kernel()
+def _refined(p, best_d, best, inside, table, parts, mirrored, of, work):  # noqa: PLR0917
+    """Return the length of the shortest ray found around the direction `best_d` (3,), at most `best`; `best_d` is
+    overwritten with its direction."""
+    d, first, second = np.empty(3), np.empty(3), np.empty(3)
+    angle = 0.2
+    while angle > 2e-4:
+        before, least = best, np.argmin(np.abs(best_d))
+        for a in range(3):
+            first[a] = (1.0 if a == least else 0.0) - best_d[least] * best_d[a]
+        first /= np.sqrt(first[0] * first[0] + first[1] * first[1] + first[2] * first[2])
+        for a in range(3):
+            second[a] = best_d[(a + 1) % 3] * first[(a + 2) % 3] - best_d[(a + 2) % 3] * first[(a + 1) % 3]
+        for k in range(AROUND):
+            turn = 2.0 * np.pi * k / AROUND
+            d[:] = best_d + angle * (np.cos(turn) * first + np.sin(turn) * second)
+            d /= np.sqrt(1.0 + angle * angle)
+            length = _ray(p, d, best, FINE_MM, inside, table, parts, mirrored, of, work)
+            if length < best:
+                best = length
+                best_d[:] = d
+                break
+        if best > before - 1e-7:
+            angle *= 0.5
+    return best
+
+
+@kernel(nogil=True)
+def nearest(part, parts_, points, table, parts, mirrored, of, directions, out):  # noqa: PLR0917
+    """Fill in the signed distance of every point: the shortest ray to the surface, refined around the best of the
+    directions and around the best of those that are far from it."""
+    work, d, lengths = np.empty((len(parts), 3)), np.empty(3), np.empty(len(directions))
+    for k in range(part, len(points), parts_):
+        p, best = points[k], REACH_MM
+        inside = _field(p[0], p[1], p[2], table, parts, mirrored, of, work) < 0.0
+        for n in range(len(directions)):
+            limit = min(WIDER * best + 0.5, REACH_MM)
+            lengths[n] = _ray(p, directions[n], limit, COARSE_MM, inside, table, parts, mirrored, of, work)
+            best = min(best, lengths[n])
+        for _ in range(STARTS):
+            n = np.argmin(lengths)
+            if lengths[n] >= min(WIDER * best + 0.5, REACH_MM):
+                break
+            d[:] = directions[n]
+            best = min(best, _refined(p, d, lengths[n] + COARSE_MM, inside, table, parts, mirrored, of, work))
+            for m in range(len(directions)):
+                if directions[m] @ directions[n] > APART:
+                    lengths[m] = REACH_MM
+        out[k] = -best if inside else best
+
+
+@kernel(nogil=True)
+def fill(part, parts_, low, voxel, table, parts, mirrored, tile, out):  # noqa: PLR0917
+    """Fill in the share of bone at every voxel; the outermost voxels stay empty. Blocks far from bone are skipped."""
+    tx, ty, tz = tile.shape
+    nx, ny, nz = out.shape
+    work = np.empty((len(parts), 3))
+    far = 1.3 * voxel * BLOCK  # half the diagonal of a block is 0.87 of its side
+    for i0 in range(1 + BLOCK * part, nx - 1, BLOCK * parts_):
+        for j0 in range(1, ny - 1, BLOCK):
+            for k0 in range(1, nz - 1, BLOCK):
+                half = voxel * (BLOCK - 1) / 2
+                x, y, z = low[0] + voxel * i0 + half, low[1] + voxel * j0 + half, low[2] + voxel * k0 + half
+                if _field(x, y, z, table, parts, mirrored, 0, work) > far:
+                    continue
+                for i in range(i0, min(i0 + BLOCK, nx - 1)):
+                    for j in range(j0, min(j0 + BLOCK, ny - 1)):
+                        for k in range(k0, min(k0 + BLOCK, nz - 1)):
+                            x, y, z = low[0] + voxel * i, low[1] + voxel * j, low[2] + voxel * k
+                            _parts(x, y, z, table, parts, mirrored, work)
+                            share, grain = 0.0, float(tile[i % tx, j % ty, k % tz])
+                            for m in range(len(parts)):
+                                within = step(-work[m, 1], voxel)
+                                hard = within - step(-work[m, 1] - work[m, 2], voxel)
+                                soft = max(parts[m, 1] * (1.0 + SPONGY_TEXTURE * grain), 0.0)
+                                share = max(share, soft * (within - hard) + (HARD + HARD_TEXTURE * grain) * hard)
+                            out[i, j, k] = share

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.common.kernels import kernel
 from sightline.errors import SetUpError
-from sightline.twin.objects.implants import WIRE_DIAMETER_MM
+from sightline.twin.objects.things import WIRE_DIAMETER_MM
 from sightline.twin.objects.volumes import Volume
 
 # Thrust (physics.md, Drilling [ours]): 35 N (d/2.5)(f_rev/0.06)^0.6 (density/1.9)².

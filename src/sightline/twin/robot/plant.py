@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.errors import SetUpError
 from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator
 from sightline.robot.plant import CYCLE_S, WATCHDOG_S, PlantFlag, Reading
-from sightline.twin.objects.implants import WIRE_DIAMETER_MM
+from sightline.twin.objects.things import WIRE_DIAMETER_MM
 from sightline.twin.robot.drilling import Bone, Wire, sensed
 from sightline.twin.robot.mjcf import STEP_S, Build, M, mjcf, unit
 

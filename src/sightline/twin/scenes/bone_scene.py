@@ -10,11 +10,9 @@ import numpy as np
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.twin.anatomy.bone_model import Aid, BoneModel
+from sightline.twin.anatomy.bones import draw_growing_femur, draw_pelvis, draw_vertebra
 from sightline.twin.anatomy.femur import to_cfcs
-from sightline.twin.anatomy.growing_femur import draw_growing_femur
 from sightline.twin.anatomy.nailed_femur import THIGH_MM, NailedFemur, draw_nailed_femur
-from sightline.twin.anatomy.pelvis import draw_pelvis
-from sightline.twin.anatomy.vertebra import draw_vertebra
 from sightline.twin.objects.things import Scene, SoftTissue, frame_scene
 from sightline.twin.scenes.hip_scene import points_document
 from sightline.twin.xray.distributions import HipPlace, SolidPlace

@@ -14,9 +14,21 @@ from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import GeometryTags, Radiograph
 from sightline.twin.anatomy.femur import BONE_PER_HU, Femur, draw_femur, to_cfcs, voxelise
-from sightline.twin.objects.implants import angled_plate, drape, drill_guide, guide_wire, lag_screw, table_rail
 from sightline.twin.objects.meshes import FILE_TYPES, read_mesh
-from sightline.twin.objects.things import Ball, Box, Scene, SoftTissue, frame_scene, moved
+from sightline.twin.objects.things import (
+    Ball,
+    Box,
+    Scene,
+    SoftTissue,
+    angled_plate,
+    drape,
+    drill_guide,
+    frame_scene,
+    guide_wire,
+    lag_screw,
+    moved,
+    table_rail,
+)
 from sightline.twin.objects.volumes import bored, ct_volumes, fractured, read_ct
 from sightline.twin.scenes.bone_scene import BONES, BoneKind, bone_document, draw_origin, placed_bone
 from sightline.twin.scenes.hip_scene import (

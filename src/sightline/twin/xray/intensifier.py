@@ -1,23 +1,228 @@
-"""The image intensifier: mapping of the input plane (detector coordinates, mm) to pixels and back, and its prior.
+"""The image intensifier: its distortion, the map of the input plane to pixels and back, and its prior.
+
+In detector coordinates xi (mm at the input plane, R the radius of the tube's own field, u = |xi| / R) the distortion is
+linear in all its parameters but two:
+
+    D(xi) = (1 + k1 |xi|²) Rot(turn(xi)) xi + shift(xi) + cubic(xi) + random(xi)
+    turn(xi)  = (1 - 0.79 u² + 0.23 u⁴) (t0 + t1 x/R + t2 y/R)       rotation by the axial magnetic field
+    shift(xi) = (1 - 1.41 u² + 0.88 u⁴) S (1, x/R, y/R)              shift by the transverse magnetic field
+
+The radial factors are constant beyond 1.1 R, so that points far outside do not fold back into the field. With R the
+radius of the useful field, which then fills the image for any pincushion:
 
     uv = centre + (m / pitch) D(xi),   m = 1 / (1 + k1 R²)
-
-so that the useful field of radius R fills the image for any pincushion.
 """
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from sightline.errors import OutsideRegionError, SetUpError
-from sightline.twin.xray.distortion import DistortionMap, disc_mm, monomials
+from sightline.twin.xray.distributions import Distortion
 from sightline.twin.xray.presets import ImageChain
 
+FADE_HOLD = 1.1
+TURN = Distortion.turn_fade
+SHIFT = Distortion.shift_fade
 NEWTON_STEPS = 30
 NEWTON_MM = 1e-10
 MIN_DETERMINANT = 0.2  # of D' anywhere in the field; a map with a smaller one counts as folded [ours]
 FIELD_MARGIN = 1.1  # the map must not fold within this multiple of the useful field's radius [ours]
+
+
+def _fade(u2: np.ndarray, coefficients: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return 1 + a u² + b u⁴, constant beyond FADE_HOLD, and its derivative with respect to u²."""
+    held = u2 > FADE_HOLD**2
+    v = np.minimum(u2, FADE_HOLD**2)
+    a, b = coefficients
+    return 1 + a * v + b * v * v, np.where(held, 0.0, a + 2 * b * v)
+
+
+@lru_cache(maxsize=8)
+def disc_mm(radius_mm: float, across: int = 41) -> np.ndarray:
+    """Return points (N, 2) of a square lattice within a disc, over which means over the field are taken."""
+    side = np.linspace(-radius_mm, radius_mm, across)
+    x, y = np.meshgrid(side, side)
+    inside = x * x + y * y <= radius_mm**2 * (1 + 1e-12)
+    out = np.stack([x[inside], y[inside]], axis=-1)
+    out.flags.writeable = False
+    return out
+
+
+def monomials(unit_xy: np.ndarray, degree: int) -> np.ndarray:
+    """Return the powers x^i y^j with i + j <= degree, by rising degree: (N, (degree + 1)(degree + 2) / 2)."""
+    x, y = unit_xy[..., 0], unit_xy[..., 1]
+    return np.stack([x ** (d - j) * y**j for d in range(degree + 1) for j in range(d + 1)], axis=-1)
+
+
+@lru_cache(maxsize=8)
+def _cubic_basis(radius_mm: float) -> np.ndarray:
+    """Return the coefficients (10, 7) of seven cubics in x/R, y/R with unit rms over the disc, orthogonal there to each
+    other and to linear functions."""
+    points = monomials(disc_mm(radius_mm) / radius_mm, 3)
+    r = np.linalg.qr(points)[1]
+    out = np.linalg.inv(r)[:, 3:] * np.sqrt(len(points))
+    out.flags.writeable = False
+    return out
+
+
+class Cubics:
+    """The seven cubic polynomials of the asymmetric part."""
+
+    @staticmethod
+    def values(xi_mm: np.ndarray, radius_mm: float) -> np.ndarray:
+        """Return the values (N, 7) at points (N, 2)."""
+        return monomials(xi_mm / radius_mm, 3) @ _cubic_basis(radius_mm)
+
+    @staticmethod
+    def gradients(xi_mm: np.ndarray, radius_mm: float) -> np.ndarray:
+        """Return the gradients (N, 7, 2) at points (N, 2), per mm."""
+        x, y = (xi_mm / radius_mm).T
+        zero, one = np.zeros_like(x), np.ones_like(x)
+        by_x = [zero, one, zero, 2 * x, y, zero, 3 * x * x, 2 * x * y, y * y, zero]
+        by_y = [zero, zero, one, zero, x, 2 * y, zero, x * x, 2 * x * y, 3 * y * y]
+        both = np.stack([np.stack(by_x, -1), np.stack(by_y, -1)], -1)
+        return np.swapaxes(np.swapaxes(both, 1, 2) @ _cubic_basis(radius_mm), 1, 2) / radius_mm
+
+
+@dataclass(frozen=True, eq=False)
+class RandomField:
+    """Gaussian bumps on a square lattice; independent weights make a Gaussian random field.
+
+    `side_mm` (n,): coordinates of the lattice in x and in y, `width_mm` apart; K = n² bumps of that width, x the slower
+    index. The covariance is exactly that of the finite basis. Inside the field it agrees with exp(-d² / 2 l²),
+    l = sqrt(2) width, to 2e-3, because the lattice is as fine as the bumps are wide.
+    """
+
+    side_mm: np.ndarray
+    width_mm: float
+
+    @staticmethod
+    def over(radius_mm: float, correlation_mm: float) -> "RandomField":
+        """Return the field of a correlation length over a disc, with bumps up to three widths beyond it."""
+        width = correlation_mm / np.sqrt(2)
+        n = int(np.ceil((radius_mm + 3 * width) / width))
+        return RandomField(np.arange(-n, n + 1) * width, width)
+
+    def __len__(self) -> int:
+        return len(self.side_mm) ** 2
+
+    def _bumps(self, x_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return one-dimensional bumps and their slopes (N, n), scaled so that unit weights give unit variance."""
+        gap = (x_mm[:, None] - self.side_mm) / self.width_mm
+        bumps = np.pi**-0.25 * np.exp(-0.5 * gap * gap)
+        return bumps, -bumps * gap / self.width_mm
+
+    def values(self, xi_mm: np.ndarray) -> np.ndarray:
+        """Return the values (N, K) of all bumps at points (N, 2)."""
+        bx, by = self._bumps(xi_mm[:, 0])[0], self._bumps(xi_mm[:, 1])[0]
+        return (bx[:, :, None] * by[:, None, :]).reshape(len(xi_mm), -1)
+
+    def sums(self, xi_mm: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return the sums (N, 2) of the bumps with weights (K, 2)."""
+        bx, by = self._bumps(xi_mm[:, 0])[0], self._bumps(xi_mm[:, 1])[0]
+        return self._sum(bx, by, weights)
+
+    def sum_gradients(self, xi_mm: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return the derivatives (N, 2, 2) of `sums` with respect to xi, per mm."""
+        (bx, dx), (by, dy) = self._bumps(xi_mm[:, 0]), self._bumps(xi_mm[:, 1])
+        return np.stack([self._sum(dx, by, weights), self._sum(bx, dy, weights)], axis=-1)
+
+    @staticmethod
+    def _sum(bx: np.ndarray, by: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        n = bx.shape[1]
+        rows = (bx @ weights.reshape(n, 2 * n)).reshape(-1, n, 2)
+        return np.einsum("nia,ni->na", rows, by)
+
+
+@dataclass(frozen=True, eq=False)
+class DistortionMap:
+    """One drawn distortion, D(xi) of the module's docstring, mm to mm.
+
+    `k1` per mm²; `turn` (3,) rad; `shift_mm` (2, 3); weights `cubic_mm` (7, 2) and `random_mm` (K, 2).
+    """
+
+    radius_mm: float
+    k1: float
+    turn: np.ndarray
+    shift_mm: np.ndarray
+    cubic_mm: np.ndarray
+    field: RandomField
+    random_mm: np.ndarray
+
+    @cached_property
+    def parameters(self) -> np.ndarray:
+        """All parameters (1 + 3 + 6 + 14 + 2K,): k1, turn, shift, cubic, random; the order of `derivatives`."""
+        parts = (self.turn, self.shift_mm.ravel(), self.cubic_mm.ravel(), self.random_mm.ravel())
+        return np.concatenate([[self.k1], *parts])
+
+    def _terms(self, xi_mm: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return (1, x/R, y/R) (N, 3), and rho², u² and 1 + k1 rho² (N,)."""
+        rho2 = (xi_mm**2).sum(-1)
+        linear = np.concatenate([np.ones((len(xi_mm), 1)), xi_mm / self.radius_mm], axis=-1)
+        return linear, rho2, rho2 / self.radius_mm**2, 1 + self.k1 * rho2
+
+    def apply(self, xi_mm: np.ndarray) -> np.ndarray:
+        """Return D (N, 2) at points (N, 2)."""
+        linear, _, u2, stretch = self._terms(xi_mm)
+        angle = _fade(u2, TURN)[0] * (linear @ self.turn)
+        turned = stretch[:, None] * _rotate(xi_mm, angle)
+        shift = _fade(u2, SHIFT)[0][:, None] * (linear @ self.shift_mm.T)
+        cubic = Cubics.values(xi_mm, self.radius_mm) @ self.cubic_mm
+        return turned + shift + cubic + self.field.sums(xi_mm, self.random_mm)
+
+    def jacobian(self, xi_mm: np.ndarray) -> np.ndarray:
+        """Return dD / dxi (N, 2, 2) at points (N, 2)."""
+        R = self.radius_mm
+        linear, _, u2, stretch = self._terms(xi_mm)
+        fade, slope = _fade(u2, TURN)
+        du2 = 2 * xi_mm / R**2
+        angle = fade * (linear @ self.turn)
+        angle_grad = (slope * (linear @ self.turn))[:, None] * du2 + fade[:, None] * self.turn[1:] / R
+        turned, normal = _rotate(xi_mm, angle), _rotate(xi_mm, angle + np.pi / 2)
+        out = turned[:, :, None] * (2 * self.k1 * xi_mm)[:, None, :]
+        out += stretch[:, None, None] * (_rotations(angle) + normal[:, :, None] * angle_grad[:, None, :])
+        fade, slope = _fade(u2, SHIFT)
+        out += (linear @ self.shift_mm.T)[:, :, None] * (slope[:, None] * du2)[:, None, :]
+        out += fade[:, None, None] * self.shift_mm[:, 1:] / R
+        out += np.swapaxes(np.swapaxes(Cubics.gradients(xi_mm, R), 1, 2) @ self.cubic_mm, 1, 2)
+        return out + self.field.sum_gradients(xi_mm, self.random_mm)
+
+    def derivatives(self, xi_mm: np.ndarray) -> np.ndarray:
+        """Return dD / dparameters (N, 2, P) at points (N, 2), in the order of `parameters`."""
+        linear, rho2, u2, stretch = self._terms(xi_mm)
+        fade = _fade(u2, TURN)[0]
+        angle = fade * (linear @ self.turn)
+        by_k1 = rho2[:, None] * _rotate(xi_mm, angle)
+        normal = stretch[:, None] * _rotate(xi_mm, angle + np.pi / 2)
+        by_turn = normal[:, :, None] * (fade[:, None] * linear)[:, None, :]
+        by_shift = _each_component(_fade(u2, SHIFT)[0][:, None] * linear, component_first=True)
+        by_cubic = _each_component(Cubics.values(xi_mm, self.radius_mm))
+        by_random = _each_component(self.field.values(xi_mm))
+        return np.concatenate([by_k1[:, :, None], by_turn, by_shift, by_cubic, by_random], axis=-1)
+
+
+def _rotate(xy: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]], axis=-1)
+
+
+def _rotations(angle: np.ndarray) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
+
+
+def _each_component(values: np.ndarray, component_first: bool = False) -> np.ndarray:
+    """Expand scalar basis values (N, K) to responses (N, 2, 2K) of weights (K, 2), or (2, K) with `component_first`."""
+    n, k = values.shape
+    out = np.zeros((n, 2, 2, k) if component_first else (n, 2, k, 2))
+    for c in range(2):
+        if component_first:
+            out[:, c, c, :] = values
+        else:
+            out[:, c, :, c] = values
+    return out.reshape(n, 2, 2 * k)
 
 
 @dataclass(frozen=True, eq=False)

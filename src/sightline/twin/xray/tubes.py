@@ -10,9 +10,8 @@ from functools import lru_cache
 import numpy as np
 
 from sightline.errors import SetUpError, UnusableInputError
-from sightline.twin.xray.distortion import DistortionMap, RandomField, disc_mm, monomials
 from sightline.twin.xray.distributions import Distortion
-from sightline.twin.xray.intensifier import DistortionPrior, Intensifier
+from sightline.twin.xray.intensifier import DistortionMap, DistortionPrior, Intensifier, RandomField, disc_mm, monomials
 from sightline.twin.xray.presets import ImageChain
 
 PINCUSHION_RADIUS_MM = 107.0  # the radius of Distortion.pincushion_at_107_mm
