@@ -1,5 +1,5 @@
-"""Bones built of shapes: their volume, the exact distances that the truth of a procedure needs, what a person would draw
-of them on images, and wires that are wrong by a known amount.
+"""Bones built of shapes: their volume, the exact distances that the truth of a procedure needs, what a person would
+draw of them on images, and wires that are wrong by a known amount.
 
 Anatomical coordinates: (lateral, caudal, anterior), mm, lateral towards the operated side; the bone states its origin.
 """
