@@ -110,6 +110,7 @@ def test_a_wire_seen_beside_the_frame_covers_as_stated():
     assert np.min(before) > 1.1 * tip_mm
 
 
+@pytest.mark.slow
 def test_images_of_a_block_on_the_guide_correct_the_mounts_as_stated():
     """The whole chain: balls of 0.05 px, both views calibrated, mouth and tip picked with 0.5 px, against the truth."""
     robot, q, block = calibrated_robot(), IMAGED + np.array([0.0, 0.0, 0.0, 0.0, 100.0]), Frame.load("block30")

@@ -8,7 +8,6 @@ import pytest
 from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, IMAGED, ROBOT, T_MCS_CFCS, Rig, code, metadata, wire
 
 from sightline.robot.contract import HEARTBEAT, Code
-from sightline.robot.control.requests import Reset
 from sightline.robot.control.states import COMMANDS, MOVING, TRANSITIONS, WAITING, State, Trigger, phase
 from sightline.robot.control.timing import LoopClock
 from sightline.robot.igtl import Capability, Command, CommandReply, Status, String, Transform
@@ -92,9 +91,9 @@ def test_an_insertion_from_beginning_to_end():
         return T_MCS_CFCS.inv().apply(manipulator.T_mcs_tool(rig.plant.read().encoders).translation)
 
     assert np.allclose(tip(), ENTRY_MM - 20 * along, atol=0.05)
-    rig.command("DRILL")
-    said = rig.run_until(State.PAUSED)
-    assert said[-1].body.text == "PAUSED"
+    said = rig.command("MOVE_TO_TARGET") + rig.run_until(State.PAUSED)
+    assert (said[-2].device_name, said[-2].body.text) == ("MOVE_TO_TARGET", "PAUSED")
+    assert said[-1].device_name == "CURRENT_POSITION"
     assert np.allclose(tip(), END_MM - 10 * along, atol=0.05)
     rig.command("DRILL")
     rig.run_until(State.DONE)
@@ -293,7 +292,7 @@ def test_a_reset_from_afar_names_the_fault():
     locked.reach(State.EMERGENCY)
     (reply,) = locked.send("r", Command(9, "RESET", "1"))
     assert "key" in reply.body.text
-    assert locked.controller.submit(CLIENT, Reset(1), locked.now_s).code is Code.DENIED
+    assert locked.controller.reset(1).code is Code.DENIED
 
 
 def test_the_second_shot_sets_the_depth_anew():

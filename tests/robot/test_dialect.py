@@ -8,10 +8,12 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from tests.robot.rig import CLIENT, IMAGED, ROBOT, SETUP, Rig
+from scipy.spatial.transform import RigidTransform
+from tests.robot.rig import CLIENT, IMAGED, ROBOT, SETUP, Rig, wire
 
 from sightline.rehearsal.operation import own_frames
 from sightline.robot.control.insertion import Setup
+from sightline.robot.control.states import State
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.link.outgoing import BRP2013
 from sightline.robot.plant import CYCLE_S
@@ -111,3 +113,17 @@ def test_others_hear_of_an_emergency_as_ever():
         if outgoing.message.device_name == "EMERGENCY"
     }
     assert told == {CLIENT: 1, 2: 3}
+
+
+def test_a_client_of_2013_hears_from_ours_too_only_what_it_knows():
+    rig = Rig()
+    rig.reach(State.CALIBRATION)
+    rig.go(("CLB", "TARGETING"))
+    end = wire() * RigidTransform.from_translation([0.0, 0.0, 50.0])  # a bare target is a wire of 95 mm
+    said = rig.send("TGT_1", Transform.of(end))
+    assert [message.device_name for message in said] == ["ACK_1", "TARGET", "TARGET", "REACHABLE_TARGET"]
+    assert said[1].body.code == 1
+    said += rig.command("MOVE_TO_TARGET") + rig.run_until(State.ALIGNED)
+    assert {message.version for message in said} == {1}
+    assert {message.type_name for message in said} == {"STRING", "STATUS", "TRANSFORM"}
+    assert said[-1].body.rigid().translation == pytest.approx(end.apply([0.0, 0.0, -115.0]), abs=0.05)

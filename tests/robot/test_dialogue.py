@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, T_MCS_CFCS, Rig, code, metadata, wire
 
-from sightline.robot.contract import Code
+from sightline.robot.contract import MAX_KEPT, Code
 from sightline.robot.control.requests import Answer
 from sightline.robot.control.states import State
 from sightline.robot.igtl import Capability, Message, Status, String, Transform
-from sightline.robot.link.inbox import MAX_ANSWERS, AnswerCache
+from sightline.robot.link.inbox import AnswerCache
 
 OTHER = 2
 LENGTH_MM = float(np.linalg.norm(END_MM - ENTRY_MM))
@@ -84,11 +84,11 @@ def test_a_stop_acts_whatever_its_identifier_and_its_spelling(word):
 
 def test_what_a_connection_asked_is_kept_within_bounds():
     asked = AnswerCache()
-    for number in range(10 * MAX_ANSWERS):
+    for number in range(10 * MAX_KEPT):
         asked.put(f"CMD_{number}", "X" * 10_000, Answer(Code.UNKNOWN))
-    assert len(asked._entries) == MAX_ANSWERS
+    assert len(asked._entries) == MAX_KEPT
     assert max(len(entry.text) for entry in asked._entries.values()) <= 100
-    assert asked.earlier(f"CMD_{10 * MAX_ANSWERS - 1}", "X" * 10_000).code is Code.UNKNOWN
+    assert asked.earlier(f"CMD_{10 * MAX_KEPT - 1}", "X" * 10_000).code is Code.UNKNOWN
     assert asked.earlier("CMD_0", "X") is None
 
 

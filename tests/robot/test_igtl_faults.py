@@ -30,7 +30,7 @@ def told(data: bytes) -> Rejected:
     return event
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(messages(st.one_of(*BODIES.values())), st.data())
 def test_a_body_with_a_right_crc_but_wrong_bytes_never_crashes(message: Message, data: st.DataObject) -> None:
     """A peer whose program is wrong: the CRC is that of the bytes, and the bytes are nonsense."""

@@ -30,6 +30,7 @@ from sightline.robot.igtl import (
     encode,
     timestamp_of,
 )
+from sightline.robot.igtl.wire import Reader
 
 quick = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
@@ -155,7 +156,7 @@ def test_an_image_may_be_a_part_and_of_either_byte_order() -> None:
     wire = bytearray(image.content())
     wire[4] = 1  # highest byte first
     wire[72:] = pixels.tobytes()
-    for read in (Image.read(bytes(wire)), Image.read(image.content())):
+    for read in (Image.read(Reader(bytes(wire))), Image.read(Reader(image.content()))):
         np.testing.assert_array_equal(read.pixels, pixels)
         assert (read.size, read.offset, read.coordinates) == ((10, 10, 10), (6, 7, 8), "LPS")
 

@@ -100,7 +100,7 @@ def sent(robot: RobotClient, kind: str, pose: RigidTransform | np.ndarray, name:
     """How a registration or a target ended that a client of ours would not send."""
     matrix = pose.as_matrix() if isinstance(pose, RigidTransform) else pose
     with robot.connection.mailbox() as mail:
-        return robot.exchange.transform(mail, kind, matrix, name, **header)[0]
+        return robot.send_pose(mail, kind, matrix, name, **header)[0]
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,14 @@ from enum import IntEnum
 
 ACK_S, STATUS_S = 1.0, 5.0  # time limits for acknowledgement and STATUS [what testers of other robots expect]
 SILENCE_S = 0.2  # silence of the lease holder after which motion stops [physics.md, Drilling]
-HEARTBEAT_S = 0.05  # between a client's heartbeats: three may be late [ours]
-IDLE_S = 1.0  # between heartbeats of a client with no pending call; counts as silence during motion [ours]
-ALIVE_S = 1.0  # a call of our client without progress for this long has hung: its heartbeats end [ours]
-MUTE_S = 10.0  # a client that has sent nothing by then is disconnected [ours]
+HEARTBEAT_S = SILENCE_S / 4  # between a client's heartbeats: three may be late
+IDLE_S = ACK_S  # between heartbeats of a client with no pending call; counts as silence during motion
+ALIVE_S = ACK_S  # a call of our client without progress for this long has hung: its heartbeats end
+MUTE_S = 2 * STATUS_S  # a client that has sent nothing by then is disconnected
 TELEMETRY_S = 0.02  # between two messages of a stream; displays refresh no faster [ours]
+# Requests that may wait, requests with their answers, and plans: so many are kept of each. A repeat comes within a few
+# messages of the first, and a robot sees a few plans in the ten minutes that one is valid [ours].
+MAX_KEPT = 256
 ARM = "arm"  # prefix of telemetry names
 
 # Device names. A command is named by its kind, "_" and an identifier; its acknowledgement repeats the identifier.

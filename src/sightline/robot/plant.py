@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 CYCLE_S = 0.005  # period of the control loop: 200 Hz [ours]
-WATCHDOG_S = 0.05  # the drives stop by themselves after this time without a command: ten cycles [ours]
+WATCHDOG_S = 10 * CYCLE_S  # the drives stop by themselves after this time without a command
 
 
 class PlantFlag(Flag):
@@ -42,8 +42,6 @@ class Plant(Protocol):
 
     def command(self, joint_velocity: np.ndarray, drill_on: bool) -> None:
         """Set joint velocities (5,), mm/s and rad/s; the plant limits them to its speeds and accelerations."""
-        ...
 
     def hold(self) -> None:
         """Stop the joints with the plant's accelerations, switch the drill off, and hold the position."""
-        ...

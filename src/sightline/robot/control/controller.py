@@ -1,13 +1,15 @@
 """The robot's controller: it carries out clients' requests on the machine. No input, output or clock.
 
-One thread calls it: `submit` for each request, `cycle` every `CYCLE_S`. The collision check before a motion takes a
-quarter of a second and runs on another thread; the control loop does not wait for it.
+One thread calls it: a method for each request, which returns its answer in every state, and `cycle` every `CYCLE_S`.
+The collision check before a motion takes a quarter of a second and runs on another thread; the control loop does not
+wait for it.
 """
 
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, wraps
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -17,30 +19,22 @@ from sightline.robot.contract import Code
 from sightline.robot.control.course import STANDING_LIMIT
 from sightline.robot.control.insertion import Insertion, Setup, read_registration, read_target
 from sightline.robot.control.machine import Machine
-from sightline.robot.control.requests import (
-    Answer,
-    CommandRequest,
-    Outcome,
-    Panel,
-    Register,
-    Request,
-    RequestRefusedError,
-    Reset,
-    SetTarget,
-    ShotDepth,
-)
+from sightline.robot.control.requests import Answer, Outcome, Panel, RequestRefusedError
 from sightline.robot.control.states import COMMANDS, TRANSITIONS, State, Trigger
 from sightline.robot.control.timing import Lifetimes
 from sightline.robot.igtl import Message
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED
+from sightline.robot.kinematics.target import SHOT_SD_MM
 from sightline.robot.plant import Plant
 
+P = ParamSpec("P")
+A = TypeVar("A")
 _MOTION = (Trigger.MOVE_TO_TARGET, Trigger.DRILL, Trigger.GUIDE, Trigger.RETRACT)
 
 
 CheckExecutor = Callable[[Callable[[], None]], "Future[None]"]  # submits the work, as Executor.submit does
-MAX_CHECK_S = 1.0  # a motion whose check took longer does not begin [ours]
+MAX_CHECK_S = contract.ACK_S  # a motion whose check took longer does not begin
 TARGET = "TARGET"  # name of the outcome for a target's check
 
 
@@ -72,6 +66,25 @@ def run_at_once(work: Callable[[], None]) -> "Future[None]":
     return done
 
 
+def _no(code: Code, text: str) -> RequestRefusedError:
+    return RequestRefusedError(code, text)
+
+
+def _answering(request: Callable[P, A]) -> Callable[P, A | Answer]:
+    """Return a request whose refusals become answers."""
+
+    @wraps(request)
+    def answer(*args: P.args, **options: P.kwargs) -> A | Answer:
+        try:
+            return request(*args, **options)
+        except RequestRefusedError as refused:
+            return refused.answer
+        except RobotRefusedError as error:
+            return Answer(Code.CONFIGURATION, str(error))
+
+    return answer
+
+
 class Controller:
     """Controller of one calibrated robot.
 
@@ -91,30 +104,10 @@ class Controller:
 
     # Calls on behalf of clients.
 
-    def submit(self, client: int, request: Request, now_s: float) -> Answer:
-        """Carry out or refuse a request. Returns an answer in every state."""
-        try:
-            match request:
-                case CommandRequest():
-                    return self._command(client, request, now_s)
-                case Register(message):
-                    return self._register(client, message, now_s)
-                case SetTarget(message):
-                    return self._set_target(client, message, now_s)
-                case Reset(fault):
-                    return self._reset_from_afar(fault)
-                case ShotDepth(depth_mm, sd_mm):
-                    return self._shot_depth(client, depth_mm, sd_mm)
-        except RequestRefusedError as refused:
-            return refused.answer
-
-    def heartbeat(self, client: int) -> None:
-        """Record a heartbeat, or its announcement: from now on this client is watched for silence."""
-        self.machine.lease.heartbeat(client, self.machine.clock_s)
-
-    def heard(self, client: int) -> None:
-        """Record any other message; it counts only for clients that announced heartbeats."""
-        self.machine.lease.heard(client, self.machine.clock_s)
+    def heard(self, client: int, *, heartbeat: bool = False) -> None:
+        """Record a message. `heartbeat`: it is one, or announces them; from now on this client is watched for
+        silence."""
+        self.machine.lease.heard(client, self.machine.clock_s, heartbeat)
 
     def lost(self, client: int, now_s: float) -> None:
         """Remove a client that is gone. If it held the lease, the robot stops and clears registration and target."""
@@ -148,8 +141,12 @@ class Controller:
 
     # Requests.
 
-    def _command(self, client: int, command: CommandRequest, now_s: float) -> Answer:
-        name = command.name
+    @_answering
+    def command(
+        self, client: int, name: str, now_s: float, *, overtaken: bool = False, by_name: bool = False
+    ) -> Answer:
+        """Carry out a command, known or not. `overtaken`: a stop that was sent later was handled before it. `by_name`:
+        its client drills by DRILL only, never by a further MOVE_TO_TARGET."""
         trigger = next((trigger for trigger in COMMANDS if trigger.value == name), None)
         if trigger is None:
             known = ", ".join(command.value for command in COMMANDS)
@@ -162,14 +159,10 @@ class Controller:
         self._hold_lease(client)
         if (self.machine.state, trigger) not in TRANSITIONS:
             raise self._illegal(trigger)
-        if (
-            command.by_name
-            and trigger is Trigger.MOVE_TO_TARGET
-            and TRANSITIONS[self.machine.state, trigger] is State.DRILL
-        ):
+        if by_name and trigger is Trigger.MOVE_TO_TARGET and TRANSITIONS[self.machine.state, trigger] is State.DRILL:
             text = f"this client announced {contract.HAS_DRILLING}: it drills by {Trigger.DRILL.value} alone"
             raise _no(Code.NOT_READY, text)
-        if command.overtaken and trigger in _MOTION:
+        if overtaken and trigger in _MOTION:
             raise _no(Code.NOT_READY, "a stop came after this command, which is void")
         self._guard(trigger, now_s)
         if self.machine.insertion is not None and self._needs_check(trigger):
@@ -212,31 +205,26 @@ class Controller:
     def _report_check(self, now_s: float) -> None:
         if self.machine.fault is not None:
             self._cancel_check(self.machine.fault.code, self.machine.fault.text)
-        look, answer = self._check, self._finish_check(now_s)
-        if look is not None and answer is not None and answer.done:
-            self.machine.outcomes.add(Outcome(look.client, look.name, answer.code, answer.text))
+        check, answer = self._check, self._finish_check(now_s)
+        if check is not None and answer is not None and answer.done:
+            self.machine.outcomes.add(Outcome(check.client, check.name, answer.code, answer.text))
 
+    @_answering
     def _finish_check(self, now_s: float) -> Answer | None:
         """Return how the check ended, after beginning the motion that waited for it; None while it is running."""
-        look = self._check
-        if look is None or not look.result.done():
+        check = self._check
+        if check is None or not check.result.done():
             return None
         self._check = None
-        try:
-            look.result.result()
-            self.machine.insertion, self._checked_from = look.insertion, look.start
-            return Answer(Code.OK) if look.trigger is None else self._begin_checked_motion(look, look.trigger, now_s)
-        except RobotRefusedError as error:
-            return Answer(Code.CONFIGURATION, str(error))
-        except RequestRefusedError as refused:
-            return refused.answer
-
-    def _begin_checked_motion(self, look: CollisionCheck, trigger: Trigger, now_s: float) -> Answer:
-        if now_s - look.begun_s > MAX_CHECK_S or self._needs_check(trigger):
-            text = f"looking for collisions took {now_s - look.begun_s:.1f} s, or the robot was moved meanwhile"
+        check.result.result()
+        self.machine.insertion, self._checked_from = check.insertion, check.start
+        if check.trigger is None:
+            return Answer(Code.OK)
+        if now_s - check.begun_s > MAX_CHECK_S or self._needs_check(check.trigger):
+            text = f"looking for collisions took {now_s - check.begun_s:.1f} s, or the robot was moved meanwhile"
             raise _no(Code.NOT_READY, f"{text}; command it again")
-        self._guard(trigger, now_s)
-        return self.machine.begin(look.client, trigger)
+        self._guard(check.trigger, now_s)
+        return self.machine.begin(check.client, check.trigger)
 
     def _cancel_check(self, code: Code, text: str) -> None:
         """Cancel the running check and ignore its result."""
@@ -245,41 +233,37 @@ class Controller:
             self.machine.outcomes.conclude(Outcome(self._check.client, self._check.name, code, text))
             self._check = None
 
-    def _register(self, client: int, message: Message, now_s: float) -> Answer:
+    @_answering
+    def register(self, client: int, message: Message, now_s: float) -> Answer:
+        """Take the registration in a message."""
         self._hold_lease(client)
         if self.machine.state is not State.CALIBRATION:
             where = self.machine.state.value
             raise _no(Code.NOT_READY, f"a registration is taken in CALIBRATION; the robot is in {where}")
         self.machine.forget()  # the old registration is void even if the new one is refused
-        try:
-            self.machine.registration = read_registration(message, self.machine.setup)
-        except RobotRefusedError as error:
-            raise _no(Code.CONFIGURATION, str(error)) from error
+        self.machine.registration = read_registration(message, self.machine.setup)
         self._lifetimes.registered(now_s)
         return Answer(Code.OK)
 
-    def _set_target(self, client: int, message: Message, now_s: float) -> Answer:
+    @_answering
+    def set_target(self, client: int, message: Message, now_s: float) -> Answer:
+        """Take the target in a message, once its path was checked for collisions."""
         self._hold_lease(client)
         if self.machine.registration is None:
             raise _no(Code.NOT_READY, "there is no registration; send CALIBRATION and CLB_ first")
         if self.machine.state is not State.TARGETING:
             raise _no(Code.NOT_READY, f"a target is taken in TARGETING; the robot is in {self.machine.state.value}")
         self.machine.insertion = self.machine.drilling = None  # the old target is void even if the new one is refused
-        try:
-            read = read_target(message, self.machine.registration, self.machine.robot, self.machine.setup, now_s)
-            insertion = self._lifetimes.limit(read, now_s)
-        except RobotRefusedError as error:
-            raise _no(Code.CONFIGURATION, str(error)) from error
-        return self._begin_check(client, insertion, None, now_s)
+        read = read_target(message, self.machine.registration, self.machine.robot, self.machine.setup, now_s)
+        return self._begin_check(client, self._lifetimes.limit(read, now_s), None, now_s)
 
-    def _shot_depth(self, client: int, depth_mm: float, sd_mm: float) -> Answer:
+    @_answering
+    def shot_depth(self, client: int, depth_mm: float, sd_mm: float = SHOT_SD_MM) -> Answer:
+        """Take the depth of the tip beyond the entry point in the check shot, and its standard deviation; mm."""
         self._hold_lease(client)
         if self.machine.state is not State.PAUSED or self.machine.drilling is None:
             raise _no(Code.NOT_READY, f"a shot's depth is taken in PAUSED; the robot is in {self.machine.state.value}")
-        try:
-            self.machine.drilling.correct_depth(float(self.machine.q[FEED]), depth_mm, sd_mm)
-        except RobotRefusedError as error:
-            raise _no(Code.CONFIGURATION, str(error)) from error
+        self.machine.drilling.correct_depth(float(self.machine.q[FEED]), depth_mm, sd_mm)
         return Answer(Code.OK)
 
     def _stop(self, client: int, now_s: float) -> Answer:
@@ -290,7 +274,9 @@ class Controller:
         self._cancel_check(Code.NOT_READY, "stopped by a client's STOP")
         return Answer(Code.OK, done=False)
 
-    def _reset_from_afar(self, fault: int) -> Answer:
+    @_answering
+    def reset(self, fault: int) -> Answer:
+        """Reset over the link: a person has read the fault of this number."""
         if self.machine.panel.key_switch:
             raise _no(Code.DENIED, "this robot is reset with the key at its panel")
         if self.machine.fault is None:
@@ -315,7 +301,3 @@ class Controller:
             return _no(Code.EMERGENCY, f"fault{number}; a person must reset the robot")
         legal = ", ".join(command.value for command in COMMANDS if (self.machine.state, command) in TRANSITIONS)
         return _no(Code.NOT_READY, f"not {trigger.value} in {self.machine.state.value}; possible are {legal}")
-
-
-def _no(code: Code, text: str) -> RequestRefusedError:
-    return RequestRefusedError(code, text)

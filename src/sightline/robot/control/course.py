@@ -171,6 +171,6 @@ def retract(manipulator: Manipulator, q: np.ndarray) -> Course:
 
 def limit_feed(speed: np.ndarray, feed_mm_s: float) -> np.ndarray:
     """Return the joints' speeds (5,) with the feed's limited to `feed_mm_s`."""
-    out = speed.copy()
-    out[FEED] = min(out[FEED], feed_mm_s)
-    return out
+    limited = speed.copy()
+    limited[FEED] = min(limited[FEED], feed_mm_s)
+    return limited

@@ -16,12 +16,11 @@ from sightline.robot.control.timing import Lease, LoopClock
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator, describe_excess
 from sightline.robot.kinematics.target import DepthZero
-from sightline.robot.plant import Plant, PlantFlag, Reading
+from sightline.robot.plant import WATCHDOG_S, Plant, PlantFlag, Reading
 
 STOP_S = 1.0  # time limit for a stop: ten times the longest one
 
 
-STALE_S = 0.05  # after ten cycles without a sample the plant counts as lost [ours]
 WINDOW = 6  # samples over which a joint at rest changes by at most one count: below 1 % of full speed
 STILL_COUNTS = 1.5
 
@@ -51,8 +50,8 @@ class Samples:
         """Return why there is no valid sample of the plant; None if there is one."""
         if not self._sound:
             return "an encoder or the force sensor gives no number"
-        if self._sampled_s is None or now_s - self._sampled_s > STALE_S:
-            return f"no sample from the drives for {STALE_S:g} s"
+        if self._sampled_s is None or now_s - self._sampled_s > WATCHDOG_S:
+            return f"no sample from the drives for {WATCHDOG_S:g} s"
         return None
 
     def wrong(self, manipulator: Manipulator, state: State, rest: np.ndarray) -> str | None:
@@ -159,14 +158,13 @@ class Machine:
         """Run one cycle: read the plant, supervise, command. `unread_s`: see `Controller.cycle`."""
         self._clock.tick(now_s)
         self._unread_s = unread_s
-        if self._acted_s is not None and now_s - self._acted_s > STALE_S:
+        if self._acted_s is not None and now_s - self._acted_s > WATCHDOG_S:
             self._halt_by_itself(f"the control loop was {now_s - self._acted_s:.2f} s late", now_s)
         if self._acted_s is None:
             self._begun_s = self._clock.now_s
         self._samples.take(self._clock.now_s)
         self._supervise(now_s)
-        if self._activity is not None:
-            self._act(now_s)
+        self._act(now_s)
         if self._activity is None:
             self._commanded = np.zeros(len(JOINTS))
             self._plant.hold()
@@ -237,7 +235,11 @@ class Machine:
         """End motion for reasons that hold in every activity."""
         if self.state is State.EMERGENCY:
             if self.panel.take_reset():
-                self._reset_at_panel()
+                try:
+                    self.reset()
+                except RequestRefusedError as refused:
+                    answer = refused.answer
+                    self.outcomes.add(Outcome(None, State.EMERGENCY.value, answer.code, answer.text))
             return
         self.panel.take_reset()  # discard a reset pressed before any fault
         missing = self._samples.missing(self._clock.now_s)
@@ -284,12 +286,6 @@ class Machine:
         self._halt(now_s)
         self._enter(Trigger.HALT)
         self._end_motion(Code.NOT_READY, reason)
-
-    def _reset_at_panel(self) -> None:
-        try:
-            self.reset()
-        except RequestRefusedError as refused:
-            self.outcomes.add(Outcome(None, State.EMERGENCY.value, refused.answer.code, refused.answer.text))
 
     def _report_stops(self, now_s: float) -> None:
         """Report stops once the joints stand still; fail if they do not within STOP_S."""

@@ -1,4 +1,4 @@
-"""Requests of clients and their outcomes, and the robot's own panel."""
+"""Answers to requests and their outcomes, and the robot's own panel."""
 
 from dataclasses import dataclass, replace
 
@@ -6,51 +6,7 @@ import numpy as np
 
 from sightline.robot.contract import Code
 from sightline.robot.control.states import State
-from sightline.robot.igtl import Message
-from sightline.robot.kinematics.target import SHOT_SD_MM
 from sightline.robot.plant import Reading
-
-
-@dataclass(frozen=True)
-class CommandRequest:
-    """A command by its name, known or not. `overtaken`: a stop that was sent later was handled before it.
-    `by_name`: its client drills by DRILL only, never by a further MOVE_TO_TARGET."""
-
-    name: str
-    overtaken: bool = False
-    by_name: bool = False
-
-
-@dataclass(frozen=True)
-class Register:
-    """A registration as received."""
-
-    message: Message
-
-
-@dataclass(frozen=True)
-class SetTarget:
-    """A target as received."""
-
-    message: Message
-
-
-@dataclass(frozen=True)
-class Reset:
-    """A person's confirmation, over the link, that the fault of this number was read and may be reset."""
-
-    fault: int
-
-
-@dataclass(frozen=True)
-class ShotDepth:
-    """Depth of the tip beyond the entry point in the check shot, and its standard deviation; mm."""
-
-    depth_mm: float
-    sd_mm: float = SHOT_SD_MM
-
-
-Request = CommandRequest | Register | SetTarget | Reset | ShotDepth
 
 
 @dataclass(frozen=True)

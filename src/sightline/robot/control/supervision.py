@@ -9,6 +9,7 @@ from enum import Enum
 from math import exp, isfinite, sqrt
 
 from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.robot.plant import WATCHDOG_S
 
 # Noise of a force sample, 1 s.d.: proportional to the force, with a floor in N [physics.md, Drilling].
 NOISE_SHARE, NOISE_FLOOR_N = 0.1, 0.3
@@ -24,7 +25,7 @@ CORTEX_N = 6.0  # above cancellous bone of any density, a sixth of a common cort
 FALLEN_SHARE, FALLING_SIGMA = 0.6, 2.0
 # Decay length of the stored peak force, so that the ramp of an oblique entry does not stay the peak for ever [ours].
 MEMORY_MM = 1.0
-MAX_GAP_S = 0.05  # between samples: ten at 200 Hz; a longer gap was not supervised
+MAX_GAP_S = WATCHDOG_S  # between samples; a longer gap was not supervised
 
 
 class EventKind(Enum):
@@ -131,33 +132,33 @@ class Supervision:
         fed = 0.0 if self._last is None else max(depth_mm - self._last[1], 0.0)
         self._filter.add(time_s, force_n)
         self._last = (time_s, depth_mm)
-        found = [*self._limits(depth_mm), *self._bone(fed)]
-        return tuple(SupervisionEvent(event, time_s, depth_mm, self.force_n) for event in found)
+        events = [*self._limits(depth_mm), *self._bone(fed)]
+        return tuple(SupervisionEvent(event, time_s, depth_mm, self.force_n) for event in events)
 
     def _limits(self, depth_mm: float) -> list[EventKind]:
-        out = []
+        events = []
         if self.force_n > FORCE_LIMIT_N:
-            out.append(EventKind.FORCE_LIMIT)
+            events.append(EventKind.FORCE_LIMIT)
         if depth_mm >= self._limit_mm:
-            out.append(EventKind.DEPTH_LIMIT)
+            events.append(EventKind.DEPTH_LIMIT)
         if depth_mm >= self._planned_mm and not self._arrived:
             self._arrived = True
-            out.append(EventKind.DEPTH)
-        return out
+            events.append(EventKind.DEPTH)
+        return events
 
     def _bone(self, fed_mm: float) -> list[EventKind]:
-        out = []
+        events = []
         if not self._touched and self.force_n > CONTACT_N:
             self._touched = True
-            out.append(EventKind.CONTACT)
+            events.append(EventKind.CONTACT)
         if self.force_n < CORTEX_N / 2:
             self._left = False
         elif self.force_n > CORTEX_N and self._cortex_n == 0.0 and not self._left:
             self._cortex_n = self.force_n
-            out.append(EventKind.CORTEX)
+            events.append(EventKind.CORTEX)
         if self._cortex_n > 0.0:
             self._cortex_n = max(self.force_n, self._cortex_n * exp(-fed_mm / MEMORY_MM))
             if self.force_n < FALLEN_SHARE * self._cortex_n and self._filter.rate_sigma < -FALLING_SIGMA:
                 self._cortex_n, self._left = 0.0, True
-                out.append(EventKind.BREAK_THROUGH)
-        return out
+                events.append(EventKind.BREAK_THROUGH)
+        return events

@@ -7,7 +7,7 @@ from collections import OrderedDict
 from dataclasses import replace
 
 from sightline.errors import RobotRefusedError
-from sightline.robot.contract import SILENCE_S
+from sightline.robot.contract import MAX_KEPT, SILENCE_S
 from sightline.robot.control.insertion import Insertion
 from sightline.robot.kinematics.target import LIFETIME_S
 from sightline.robot.plant import CYCLE_S
@@ -15,7 +15,6 @@ from sightline.robot.plant import CYCLE_S
 # At most this much of a pause counts, so that clients and drives keep most of their time to be heard after it [ours:
 # four cycles, of the ten after which drives count as lost].
 MAX_STEP_S = 4 * CYCLE_S
-MAX_PLANS = 256  # remembered; a robot sees a few in the ten minutes that one is valid [ours]
 
 
 class LoopClock:
@@ -41,13 +40,10 @@ class Lease:
         self.holder: int | None = None
         self._heard_s: dict[int, float] = {}
 
-    def heartbeat(self, client: int, now_s: float) -> None:
-        """Record a heartbeat, or the announcement of heartbeats."""
-        self._heard_s[client] = now_s
-
-    def heard(self, client: int, now_s: float) -> None:
-        """Record any other message; it counts only for clients that announced heartbeats."""
-        if client in self._heard_s:
+    def heard(self, client: int, now_s: float, heartbeat: bool) -> None:
+        """Record a message: a `heartbeat`, their announcement, or one that counts only for clients that announced
+        them."""
+        if heartbeat or client in self._heard_s:
             self._heard_s[client] = now_s
 
     def take(self, client: int) -> bool:
@@ -95,15 +91,11 @@ class Lifetimes:
             expires, what, new = self._registration_s, "the registration of this target", "register again"
         else:
             plan = insertion.identity.plan
-            expires = self._remembered(plan, insertion.expires_s)
+            expires = self._plans[plan] = min(self._plans.get(plan, insertion.expires_s), insertion.expires_s)
+            self._plans.move_to_end(plan)
+            if len(self._plans) > MAX_KEPT:
+                self._plans.popitem(last=False)
             what, new = f"the plan {plan[:40]!r}, sent before,", "plan again under an identifier of its own"
         if now_s > expires:
             raise RobotRefusedError(f"{what} has expired; take new images and {new}")
         return replace(insertion, expires_s=min(insertion.expires_s, expires))
-
-    def _remembered(self, plan: str, expires_s: float) -> float:
-        self._plans[plan] = min(self._plans.get(plan, expires_s), expires_s)
-        self._plans.move_to_end(plan)
-        if len(self._plans) > MAX_PLANS:
-            self._plans.popitem(last=False)
-        return self._plans[plan]

@@ -21,7 +21,7 @@ from sightline.robot.igtl.messages_text import (
     Status,
     String,
 )
-from sightline.robot.igtl.wire import HEADER_BYTES, VERSIONS, Header, read_header, time_of, unwrap, wrap
+from sightline.robot.igtl.wire import HEADER_BYTES, VERSIONS, Header, Reader, read_header, time_of, unwrap, wrap
 
 LONG_NAME = "IGTL_DEVICE_NAME"  # metadata key in which PLUS gives the full name cut to 20 bytes in the header
 MAX_BODY_BYTES = 16 << 20  # [ours] twice an image of 2048 x 2048 with 16 bits, the largest that C-arms make
@@ -41,7 +41,7 @@ class Body(Protocol):
         ...
 
 
-READERS: dict[str, Callable[[bytes], Body]] = {
+READERS: dict[str, Callable[[Reader], Body]] = {
     body.type_name: body.read
     for body in (
         Transform, Position, Points, Trajectories, Status, String, Command, CommandReply, Capability, Sensor, NDArray,
@@ -103,11 +103,6 @@ def encode(message: Message) -> bytes:
         raise MessageError(f"the {message.type_name} cannot be written: {error}") from error
 
 
-def is_known(type_name: str) -> bool:
-    """Return whether messages of a type are read here."""
-    return type_name in READERS or type_name in QUERIES
-
-
 def decode(header: Header, body: bytes) -> Message:
     """Return the message from its header and body, whose CRC was checked and whose type is known.
 
@@ -127,12 +122,16 @@ def decode(header: Header, body: bytes) -> Message:
 
 
 def _read_content(type_name: str, content: bytes) -> Body:
+    reader = Reader(content)
     if type_name in QUERIES:
         query, of = QUERIES[type_name]
-        return query.read(of, content)
-    if not content and type_name in QUERIED and type_name not in _LISTS:
-        return Missing(type_name)
-    return READERS[type_name](content)
+        body = query.read(of, reader)
+    elif not content and type_name in QUERIED and type_name not in _LISTS:
+        body = Missing(type_name)
+    else:
+        body = READERS[type_name](reader)
+    reader.finish()
+    return body
 
 
 def seeming_text(header: Header, body: bytes) -> str:
@@ -235,7 +234,7 @@ class Stream:
         if ecma_182(body) != header.crc:
             reason = f"the {header.type_name} was altered on its way"
             return [Rejected(Fault.WRONG_CRC, reason, header, seeming_text(header, body))]
-        if not is_known(header.type_name):
+        if header.type_name not in READERS and header.type_name not in QUERIES:
             return [Rejected(Fault.UNKNOWN_TYPE, f"{header.type_name} is not read here", header)]
         try:
             return [decode(header, body)]

@@ -44,13 +44,10 @@ class Sensor:
         object.__setattr__(self, "values", read_only(self.values, "a sensor's array", (None,)))
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read 10 bytes and the numbers."""
-        reader = Reader(content)
         count, status, unit_code = reader.unpack("BBQ")
-        values = reader.doubles(count)
-        reader.finish()
-        return cls(values, unit_code, status)
+        return cls(reader.doubles(count), unit_code, status)
 
     def content(self) -> bytes:
         """Return 10 bytes and the numbers."""
@@ -68,16 +65,12 @@ class NDArray:
         object.__setattr__(self, "values", _plain(self.values))
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read type, shape, numbers."""
-        reader = Reader(content)
         code, dimensions = reader.unpack("BB")
         if not 0 < dimensions <= _MAX_DIMENSIONS:
             raise MessageError(f"has {dimensions} dimensions; 1 to {_MAX_DIMENSIONS} are read")
-        shape = reader.unpack(f"{dimensions}H")
-        values = _numbers(reader, code, ">", shape)
-        reader.finish()
-        return cls(values)
+        return cls(_numbers(reader, code, ">", reader.unpack(f"{dimensions}H")))
 
     def content(self) -> bytes:
         """Return type, shape, numbers."""
@@ -116,9 +109,8 @@ class Image:
         object.__setattr__(self, "matrix", read_only(self.matrix, "an image's matrix", (4, 4)))
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read 72 bytes and the pixels, in the byte order stated."""
-        reader = Reader(content)
         version, components, code, order, coordinates = reader.unpack("HBBBB")
         size = reader.unpack("HHH")
         matrix = read_matrix(reader)
@@ -131,7 +123,6 @@ class Image:
             )
         shape = part[::-1] if components == 1 else (*part[::-1], components)
         pixels = _numbers(reader, code, _ORDERS[order], shape)
-        reader.finish()
         return cls(pixels, matrix, _COORDINATES[coordinates], size, offset)
 
     def content(self) -> bytes:
@@ -185,7 +176,10 @@ class Transform:
     matrix: np.ndarray
 
     def __post_init__(self):
-        object.__setattr__(self, "matrix", _matrix(self.matrix))
+        matrix = read_only(self.matrix, "a transform", (4, 4))
+        if matrix[3].tolist() != [0, 0, 0, 1]:
+            raise MessageError(f"the last row of a transform is {matrix[3]}, not 0 0 0 1")
+        object.__setattr__(self, "matrix", matrix)
 
     @classmethod
     def of(cls, pose: RigidTransform) -> Self:
@@ -204,12 +198,9 @@ class Transform:
         return RigidTransform.from_matrix(self.matrix)
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read 48 bytes."""
-        reader = Reader(content)
-        matrix = read_matrix(reader)
-        reader.finish()
-        return cls(matrix)
+        return cls(read_matrix(reader))
 
     def content(self) -> bytes:
         """Return 48 bytes: column by column."""
@@ -229,12 +220,9 @@ class Position:
         object.__setattr__(self, "quaternion", read_only(self.quaternion, "a quaternion", (4,)))
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read 28 bytes."""
-        reader = Reader(content)
-        position, quaternion = reader.floats(3), reader.floats(4)
-        reader.finish()
-        return cls(position, quaternion)
+        return cls(reader.floats(3), reader.floats(4))
 
     def content(self) -> bytes:
         """Return 28 bytes."""
@@ -264,9 +252,9 @@ class Points:
     points: tuple[Point, ...]
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read 136 bytes per point."""
-        reader, points = Reader(content), []
+        points = []
         while reader.left:
             name, group, rgba = reader.text(64), reader.text(32), reader.unpack("4B")
             position, (diameter,) = reader.floats(3), reader.floats(1)
@@ -311,9 +299,9 @@ class Trajectories:
     paths: tuple[Path, ...]
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read 150 bytes per path."""
-        reader, paths = Reader(content), []
+        paths = []
         while reader.left:
             name, group, (given, _reserved) = reader.text(64), reader.text(32), reader.unpack("BB")
             rgba, entry, target = reader.unpack("4B"), reader.floats(3), reader.floats(3)
@@ -331,13 +319,6 @@ class Trajectories:
             + field(path.owner, 20, "owner")
             for path in self.paths
         )
-
-
-def _matrix(values: np.ndarray) -> np.ndarray:
-    matrix = read_only(values, "a transform", (4, 4))
-    if matrix[3].tolist() != [0, 0, 0, 1]:
-        raise MessageError(f"the last row of a transform is {matrix[3]}, not 0 0 0 1")
-    return matrix
 
 
 def read_matrix(reader: Reader) -> np.ndarray:

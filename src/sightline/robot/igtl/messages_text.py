@@ -22,9 +22,8 @@ class Status:
     subcode: int = 0
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read 30 bytes and the text, which may end with zeros but contains none."""
-        reader = Reader(content)
         code, subcode = reader.unpack("Hq")
         error_name, text = reader.text(20), reader.take(reader.left).rstrip(b"\0")
         if b"\0" in text:
@@ -46,13 +45,10 @@ class String:
     text: str
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read encoding, length, bytes."""
-        reader = Reader(content)
         encoding, length = reader.unpack("HH")
-        text = reader.encoded_text(length, encoding)
-        reader.finish()
-        return cls(text)
+        return cls(reader.encoded_text(length, encoding))
 
     def content(self) -> bytes:
         """Return encoding, length, bytes."""
@@ -70,9 +66,9 @@ class Command:
     text: str
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read number, name, encoding, length, bytes."""
-        return cls(*_read_command(content))
+        return cls(*_read_command(reader))
 
     def content(self) -> bytes:
         """Return number, name, encoding, length, bytes."""
@@ -89,9 +85,9 @@ class CommandReply:
     text: str
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read the layout of a command."""
-        return cls(*_read_command(content))
+        return cls(*_read_command(reader))
 
     def content(self) -> bytes:
         """Return the layout of a command."""
@@ -106,9 +102,9 @@ class Capability:
     types: tuple[str, ...]
 
     @classmethod
-    def read(cls, content: bytes) -> Self:
+    def read(cls, reader: Reader) -> Self:
         """Read 12 bytes per type."""
-        reader, types = Reader(content), []
+        types = []
         while reader.left:
             types.append(reader.text(TYPE_BYTES))
         return cls(tuple(types))
@@ -118,12 +114,9 @@ class Capability:
         return b"".join(field(name, TYPE_BYTES, "type") for name in self.types)
 
 
-def _read_command(content: bytes) -> tuple[int, str, str]:
-    reader = Reader(content)
+def _read_command(reader: Reader) -> tuple[int, str, str]:
     (number,), name, (encoding, length) = reader.unpack("I"), reader.text(128), reader.unpack("HI")
-    text = reader.encoded_text(length, encoding)
-    reader.finish()
-    return number, name, text
+    return number, name, reader.encoded_text(length, encoding)
 
 
 def _command_bytes(number: int, name: str, text: str) -> bytes:
@@ -157,9 +150,8 @@ class Query:
         return cls.PREFIX + _CUT.get(of, of)
 
     @classmethod
-    def read(cls, of: str, content: bytes) -> Self:
+    def read(cls, of: str, reader: Reader) -> Self:
         """Read empty content."""
-        Reader(content).finish()
         return cls(of)
 
     def content(self) -> bytes:
@@ -184,12 +176,9 @@ class Start(Query):
     interval: int | None = None
 
     @classmethod
-    def read(cls, of: str, content: bytes) -> Self:
+    def read(cls, of: str, reader: Reader) -> Self:
         """Read empty content or the interval."""
-        reader = Reader(content)
-        interval = reader.unpack("Q")[0] if of == "SENSOR" and content else None
-        reader.finish()
-        return cls(of, interval)
+        return cls(of, reader.unpack("Q")[0] if of == "SENSOR" and reader.left else None)
 
     def content(self) -> bytes:
         """Return empty content or the interval."""
@@ -215,12 +204,9 @@ class Started(Query):
     code: int = 0
 
     @classmethod
-    def read(cls, of: str, content: bytes) -> Self:
+    def read(cls, of: str, reader: Reader) -> Self:
         """Read one byte."""
-        reader = Reader(content)
-        (code,) = reader.unpack("B")
-        reader.finish()
-        return cls(of, code)
+        return cls(of, *reader.unpack("B"))
 
     def content(self) -> bytes:
         """Return one byte."""

@@ -18,8 +18,7 @@ MACHINED_SD = np.array([1e-3] * 3 + [0.2] * 3)
 COMPLIANCE_SD = np.array([1e-4] * 3 + [0.03] * 3)
 # The robot's sources of error in a trajectory; their covariances add up.
 SOURCES = ("kinematics", "hand_eye", "drill_axis", "encoders", "compliance")
-# Repeatability of a block on its mount, s.d. of a twist about its own middle: half of what a check of the reach accepts
-# (`REMOUNT_LIMIT_MM`) [ours].
+# Repeatability of a block on its mount, s.d. of a twist about its own middle [ours].
 REMOUNT_SD = np.array([5e-4] * 3 + [0.05] * 3)
 MIN_SEEN_MM = 20.0  # length of wire between two points that gives its direction [ours]
 _AXES, _FRAME, _WIRE = slice(0, 24), slice(24, 30), slice(30, 36)
@@ -122,9 +121,9 @@ def hand_eye(T_mcs_flange: RigidTransform, T_world_mount: RigidTransform, covari
             "the hand-eye calibration does not converge; check that the poses of frame and flange belong together"
         )
     refuse_unlikely((error**2).sum(), 6 * n - 12, "the measured poses")
-    found = np.linalg.inv(design.T @ design)[:6, :6]
+    mount_covariance = np.linalg.inv(design.T @ design)[:6, :6]
     left = (world * T_mcs_flange * mount).inv() * T_world_mount
-    return Mount(mount, found, np.linalg.norm(left.translation, axis=1))
+    return Mount(mount, mount_covariance, np.linalg.norm(left.translation, axis=1))
 
 
 def _hand_eye_start(flange: RigidTransform, seen: RigidTransform) -> tuple[RigidTransform, RigidTransform]:
@@ -271,11 +270,13 @@ class CalibratedRobot:
             (move @ (wire @ follows - frame), self.covariance[_FRAME, _FRAME]),
             (move @ wire, own),
         )
-        out = {name: part @ covariance @ part.T for name, (part, covariance) in zip(SOURCES, shared, strict=False)}
-        out["encoders"] = self._of_joints(move, drilling, feed=True) + self._of_joints(move, imaged, feed=False)
+        covariances = {
+            name: part @ covariance @ part.T for name, (part, covariance) in zip(SOURCES, shared, strict=False)
+        }
+        covariances["encoders"] = self._of_joints(move, drilling, feed=True) + self._of_joints(move, imaged, feed=False)
         unseen = np.diag(self.compliance_sd**2)
-        out["compliance"] = move @ (wire @ unseen @ wire.T + frame @ unseen @ frame.T) @ move.T
-        return out
+        covariances["compliance"] = move @ (wire @ unseen @ wire.T + frame @ unseen @ frame.T) @ move.T
+        return covariances
 
     def frame_moved(
         self, imaged: np.ndarray, now: np.ndarray, about_mm: np.ndarray

@@ -21,9 +21,9 @@ JOINTS = ("lift", "traverse", "yaw", "pitch", "feed")
 LIFT, TRAVERSE, YAW, PITCH, FEED = range(5)
 ROTARY = np.array([False, False, True, True, False])
 ARM_JOINTS = 4  # joints that move the flange; the feed moves the wire on it
-WRIST_MM = (250.0, 0.0, 300.0)  # intersection of the yaw and pitch axes at q = 0, MCS [ours]
-TIP_MM = (0.0, -40.0, 250.0)  # the wire's tip at q = 0, flange coordinates: ahead of the wrist and below it [ours]
-HIP_MM = (0.0, -40.0, 400.0)  # the hip: on the wire's axis, 150 mm ahead of the retracted tip [ours]
+# The design [ours]: intersection of the yaw and pitch axes at q = 0, MCS; in flange coordinates the tip at q = 0,
+# ahead of the wrist and below it, and the hip, on the wire's axis and 150 mm ahead of the retracted tip.
+WRIST_MM, TIP_MM, HIP_MM = (250.0, 0.0, 300.0), (0.0, -40.0, 250.0), (0.0, -40.0, 400.0)
 WIRE_YAW_RAD = float(np.deg2rad(45.0))  # a wire of 135° to the shaft, seen from the robot beside the patient [paper]
 # Newton's stopping tolerance for the tip (mm) and the direction (rad): rounding at 1 m is 1e-13.
 _TOLERANCE, _MAX_ITERATIONS = 1e-11, 20
@@ -64,9 +64,7 @@ class Manipulator:
             np.where(ROTARY, pitch, rotation), 0.0, atol=1e-9
         ):
             raise UnusableInputError(f"the axes of {', '.join(JOINTS)} must be unit twists without pitch")
-        for array in (self.axes, self.lower, self.upper, self.speed, self.acceleration, self.resolution):
-            array.flags.writeable = False
-        for array in (self.backlash, self.stiffness):
+        for array in filter(lambda value: isinstance(value, np.ndarray), vars(self).values()):
             array.flags.writeable = False
 
     def T_mcs_flange(self, q: np.ndarray) -> RigidTransform:
@@ -87,9 +85,9 @@ class Manipulator:
 
     def flange_jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return the flange's spatial Jacobian (..., 6, 5), a twist per joint; the feed's column is zero."""
-        out = self.tool_jacobian(q)
-        out[..., FEED] = 0.0
-        return out
+        jacobian = self.tool_jacobian(q)
+        jacobian[..., FEED] = 0.0
+        return jacobian
 
     def tool_jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's spatial Jacobian (..., 6, 5), a twist per joint."""
@@ -108,11 +106,11 @@ class Manipulator:
         """
         stages = self.stages(q)
         carried = adjoint(RigidTransform.from_matrix(stages.reshape(-1, 4, 4))).reshape(*stages.shape[:-2], 6, 6)
-        out = np.zeros((*stages.shape[:-3], 6, len(JOINTS) + 1, 6))
+        jacobian = np.zeros((*stages.shape[:-3], 6, len(JOINTS) + 1, 6))
         for joint in range(ARM_JOINTS):
-            out[..., joint, :] = carried[..., joint, :, :] - carried[..., joint + 1, :, :]
-        out[..., -1, :] = carried[..., ARM_JOINTS, :, :]
-        return out.reshape(*out.shape[:-2], -1)
+            jacobian[..., joint, :] = carried[..., joint, :, :] - carried[..., joint + 1, :, :]
+        jacobian[..., -1, :] = carried[..., ARM_JOINTS, :, :]
+        return jacobian.reshape(*jacobian.shape[:-2], -1)
 
     def displaced(self, twists: np.ndarray) -> "Manipulator":
         """Return the manipulator with its five axes, and the flange with all that is on it, each displaced by a spatial
@@ -159,11 +157,11 @@ class Manipulator:
         if q.shape[-1:] != (len(JOINTS),):
             raise UnusableInputError(f"joint positions are (..., {len(JOINTS)}), not {q.shape}")
         each = self._exponentials(q)
-        out = np.empty((*q.shape[:-1], len(JOINTS) + 1, 4, 4))
-        out[..., 0, :, :] = np.eye(4)
+        displacements = np.empty((*q.shape[:-1], len(JOINTS) + 1, 4, 4))
+        displacements[..., 0, :, :] = np.eye(4)
         for joint in range(len(JOINTS)):
-            out[..., joint + 1, :, :] = out[..., joint, :, :] @ each[..., joint, :, :]
-        return out
+            displacements[..., joint + 1, :, :] = displacements[..., joint, :, :] @ each[..., joint, :, :]
+        return displacements
 
     @cached_property
     def _flange(self) -> np.ndarray:
@@ -191,12 +189,12 @@ class Manipulator:
         cross, square, velocity = self._screws
         at = q[..., None, None]
         sine, versine = np.sin(at), 1 - np.cos(at)
-        out = np.zeros((*q.shape, 4, 4))
-        out[..., :3, :3] = np.eye(3) + sine * cross + versine * square
+        motions = np.zeros((*q.shape, 4, 4))
+        motions[..., :3, :3] = np.eye(3) + sine * cross + versine * square
         along = at * np.eye(3) + versine * cross + (at - sine) * square
-        out[..., :3, 3] = np.einsum("...jab,jb->...ja", along, velocity)
-        out[..., 3, 3] = 1.0
-        return out
+        motions[..., :3, 3] = np.einsum("...jab,jb->...ja", along, velocity)
+        motions[..., 3, 3] = 1.0
+        return motions
 
     def _nominal_inverse(self, tip: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return q (5,) in closed form for vertical yaw, level pitch (positive lifts the tip), lift along Z and
@@ -262,10 +260,10 @@ def nominal_manipulator(
     wrist = np.array(WRIST_MM)
     # Flange axes at q = 0: z along the wire (MCS +X), y up, x along MCS +Y.
     home = RigidTransform.from_components(wrist, Rotation.from_matrix(np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])))
-    up, out, ahead = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    up, sideways, ahead = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
     axes = np.zeros((5, 6))
-    axes[LIFT, 3:], axes[TRAVERSE, 3:], axes[FEED, 3:] = up, out, ahead
-    for joint, axis in ((YAW, up), (PITCH, -out)):
+    axes[LIFT, 3:], axes[TRAVERSE, 3:], axes[FEED, 3:] = up, sideways, ahead
+    for joint, axis in ((YAW, up), (PITCH, -sideways)):
         axes[joint] = np.concatenate([axis, np.cross(wrist, axis)])
     yaw = imaging_yaw(side) if yaw_rad is None else yaw_rad
     upright = Rotation.from_rotvec([0.0, 0.0, np.pi])  # CFCS in MCS: +X lateral, +Z up

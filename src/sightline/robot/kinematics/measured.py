@@ -150,23 +150,17 @@ class RobotFile(_Part):
             np.array(measurements.wire.feed_mm), np.array(measurements.wire.tip_flange_mm), measurements.wire.sd_mm
         )
         robot = CalibratedRobot.of(axes, frame, wire)
-        manipulator = robot.manipulator
-        part = ManipulatorPart.model_validate(
-            {
-                "axes": manipulator.axes.tolist(),
-                **{
-                    name: getattr(manipulator, name).as_matrix().tolist()
-                    for name in ("T_mcs_flange_home", "T_flange_cfcs", "T_flange_tool")
-                },
-            }
-        )
+        poses = {
+            name: getattr(robot.manipulator, name).as_matrix().tolist()
+            for name in ("T_mcs_flange_home", "T_flange_cfcs", "T_flange_tool")
+        }
         file = RobotFile.model_validate(
             {
                 "robot_serial": measurements.robot_serial,
                 "frame_serial": measurements.frame_serial,
                 "side": measurements.side,
                 "measured_on": measurements.measured_on,
-                "manipulator": part,
+                "manipulator": {"axes": robot.manipulator.axes.tolist(), **poses},
                 "covariance": robot.covariance.tolist(),
                 "compliance_sd": robot.compliance_sd.tolist(),
                 "schema": "sightline-robot/1",
@@ -177,12 +171,12 @@ class RobotFile(_Part):
     @staticmethod
     def read(file: Path) -> "RobotFile":
         """Return the robot in a file. Raises UnusableInputError for a file that is not a valid robot."""
-        out = _read(file, RobotFile)
+        robot_file = _read(file, RobotFile)
         try:
-            out.robot()
+            robot_file.robot()
         except UnusableInputError as error:
             raise UnusableInputError(f"{file.name}: {error}; calibrate the robot again") from error
-        return out
+        return robot_file
 
     def write(self, file: Path) -> None:
         """Write the file atomically."""
@@ -217,7 +211,7 @@ class RobotFile(_Part):
     def refuse_old(self, now_s: float) -> None:
         """Raise RobotRefusedError if the calibration is too old, or dated in the future."""
         now = datetime.fromtimestamp(now_s, UTC)
-        age = now - _aware(self.measured_on)
+        age = now - self.measured_on.astimezone(UTC)  # without a zone it is local time
         if not timedelta(0) <= age <= timedelta(days=CALIBRATION_DAYS):
             raise RobotRefusedError(
                 f"the robot was calibrated on {self.measured_on:%Y-%m-%d}: {age.days} days ago (0 to "
@@ -237,14 +231,16 @@ class RobotFile(_Part):
         the other image."""
         if q.shape != (5,) or not np.isfinite(q).all():
             raise UnusableInputError("the robot's pose at an image needs five finite joint positions: docs/robot.md")
-        joints: Any = tuple(float(one) for one in q)
+        joints: Any = tuple(q.tolist())
         kept = {
-            name: one for name, one in self.images.items() if 0.0 <= now_s - one.read_s < LIFETIME_S and name != view
+            name: image
+            for name, image in self.images.items()
+            if 0.0 <= now_s - image.read_s < LIFETIME_S and name != view
         }
         image = ImagePart(q=joints, read_s=now_s, source=source)
-        out = self.model_copy(update={"images": {**kept, view: image}, "wire_seen": None})
-        out._registration()
-        return out
+        updated = self.model_copy(update={"images": {**kept, view: image}, "wire_seen": None})
+        updated._registration()
+        return updated
 
     def with_wire_seen(self, wire_mm: np.ndarray, covariance_mm2: np.ndarray) -> "RobotFile":
         """Return the file with the wire (2, 3) that both registered images show; see
@@ -252,9 +248,9 @@ class RobotFile(_Part):
 
         Raises UnusableInputError, RobotRefusedError."""
         seen = WireSeenPart.model_validate({"wire_mm": wire_mm.tolist(), "covariance_mm2": covariance_mm2.tolist()})
-        out = self.model_copy(update={"wire_seen": seen})
-        out.registration()
-        return out
+        updated = self.model_copy(update={"wire_seen": seen})
+        updated.registration()
+        return updated
 
     def registration(self) -> Registration:
         """Return the frame's registration at both images. Raises RobotRefusedError."""
@@ -267,7 +263,9 @@ class RobotFile(_Part):
 
     def _registration(self) -> Registration:
         """Return the registration from the images present."""
-        poses = {str(view): PoseAtImage(np.array(one.q), one.read_s, one.read_s) for view, one in self.images.items()}
+        poses = {
+            str(view): PoseAtImage(np.array(image.q), image.read_s, image.read_s) for view, image in self.images.items()
+        }
         stood, seen = register(self.robot(), poses), self.wire_seen
         if seen is None:
             return stood
@@ -332,10 +330,5 @@ def _rigid(name: str, rows: Iterable[Iterable[float]]) -> RigidTransform:
     return RigidTransform.from_matrix(matrix)
 
 
-def _aware(when: datetime) -> datetime:
-    """Return a date in UTC; without a zone it is taken as this computer's local time."""
-    return when.astimezone(UTC)
-
-
-def _rms(found: CalibratedAxes | Mount) -> float:
-    return float(np.sqrt(np.mean(found.residual_mm**2)))
+def _rms(calibration: CalibratedAxes | Mount) -> float:
+    return float(np.sqrt(np.mean(calibration.residual_mm**2)))

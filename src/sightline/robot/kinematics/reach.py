@@ -13,10 +13,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.common.checks import Check
 from sightline.errors import UnusableInputError
+from sightline.robot.kinematics.calibrated import REMOUNT_SD
 from sightline.robot.kinematics.manipulator import ARM_JOINTS, JOINTS, ROTARY, Manipulator, describe_excess
 
 CLEARANCE_MM = 5.0  # least clearance: allows for drapes and a registration error of a millimetre [ours]
-REMOUNT_LIMIT_MM = 0.1  # repeatability of a remounted frame: as good as its hand-eye calibration [ours]
+REMOUNT_LIMIT_MM = 2.0 * float(REMOUNT_SD[3])  # 0.1 mm: repeatability of a remounted frame
 STEP_MM = 2.0  # largest movement of any point of the robot between two checked positions
 _LEVER_MM = 700.0  # more than the distance from the wrist to the frame's furthest corner
 
@@ -63,17 +64,12 @@ MACHINE = (
 # Rims of the Γ frame's plates, CFCS: distance from the hip, half-edge; half their thickness (docs/frame-file.md).
 PLATES_MM = ((150.0, 64.0), (300.0, 74.0))
 PLATE_RADIUS_MM = 4.0
-# Corners of boxes about the hip's centre, CFCS (lateral, caudal or cranial, anterior): low and high.
-PATIENT_MM = (
-    (-300.0, -900.0, -115.0),
-    (70.0, 900.0, 100.0),
-)  # lateral of the incision's bottom, some 35 mm on the bone [ours]
-TABLE_MM = (
-    (-340.0, -1000.0, -175.0),
-    (160.0, 1000.0, -115.0),
-)  # 500 mm wide, the hip 90 mm beside its middle [ours, typical]
-# The detector's housing: its face 380 mm from the hip (1000 mm from a source at 620), edge 300, depth 350
-# [ours, typical].
+# Typical surroundings [ours]. Corners of boxes about the hip's centre, CFCS (lateral, caudal or cranial, anterior), low
+# and high: the patient, lateral of the incision's bottom some 35 mm on the bone; a table 500 mm wide, the hip 90 mm
+# beside its middle. The detector's housing: its face 380 mm from the hip (1000 mm from a source at 620), edge 300 mm,
+# depth 350 mm.
+PATIENT_MM = ((-300.0, -900.0, -115.0), (70.0, 900.0, 100.0))
+TABLE_MM = ((-340.0, -1000.0, -175.0), (160.0, 1000.0, -115.0))
 DETECTOR_FACE_MM, DETECTOR_HALF_MM = 380.0, (150.0, 150.0, 175.0)
 SWING_RAD = np.deg2rad(np.arange(0.0, 90.1, 7.5))  # from the PA to the lateral view
 
@@ -84,8 +80,8 @@ def hip_surroundings(
     """Return a supine patient on a table, hip at the frame's origin, and the C-arm as it swings between its views,
     unless it is drawn back (`c_arm` False)."""
     swings = [Rotation.from_euler("y", angle) for angle in SWING_RAD]  # +Z towards +X: anterior towards lateral
-    out = (DETECTOR_FACE_MM + DETECTOR_HALF_MM[2]) * np.array([0.0, 0.0, 1.0])
-    poses = [RigidTransform.from_components(swing.apply(out), swing) for swing in swings]
+    centre_mm = (DETECTOR_FACE_MM + DETECTOR_HALF_MM[2]) * np.array([0.0, 0.0, 1.0])
+    poses = [RigidTransform.from_components(swing.apply(centre_mm), swing) for swing in swings]
     return Surroundings(
         (
             _box("patient", T_mcs_cfcs, *PATIENT_MM),
@@ -142,11 +138,11 @@ def _axes(robot: Manipulator, path: np.ndarray, capsules: list[Capsule]) -> np.n
     """Return the capsules' axes (N, P, 2, 3), MCS, at every position."""
     stages = robot.stages(path)
     home = robot.T_mcs_flange_home
-    out = np.empty((len(path), len(capsules), 2, 3))
+    lines = np.empty((len(path), len(capsules), 2, 3))
     for index, capsule in enumerate(capsules):
         moved = stages[:, capsule.joints]
-        out[:, index] = home.apply(capsule.ends_mm) @ np.swapaxes(moved[:, :3, :3], 1, 2) + moved[:, None, :3, 3]
-    return out
+        lines[:, index] = home.apply(capsule.ends_mm) @ np.swapaxes(moved[:, :3, :3], 1, 2) + moved[:, None, :3, 3]
+    return lines
 
 
 def frame_capsules(robot: Manipulator) -> Iterable[Capsule]:
@@ -156,8 +152,8 @@ def frame_capsules(robot: Manipulator) -> Iterable[Capsule]:
         pa = np.column_stack([corners, np.full(4, distance)])
         for plate in (pa, pa[:, [2, 0, 1]]):  # across Z, across X
             on_flange = robot.T_flange_cfcs.apply(plate)
-            for one, other in ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)):
-                yield Capsule("frame", ARM_JOINTS, on_flange[[one, other]], PLATE_RADIUS_MM)
+            for first, second in ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)):
+                yield Capsule("frame", ARM_JOINTS, on_flange[[first, second]], PLATE_RADIUS_MM)
 
 
 def _limits(robot: Manipulator, path: np.ndarray) -> Check:

@@ -42,7 +42,7 @@ PLAN_SD_MM = 0.5
 # lines some millimetres aside [benchmarks/robot/supervision.py]. This includes the delay of the force filter; at 5 mm/s
 # it is 0.1 mm more. A sharper point touches up to 0.6 mm later.
 CONTACT_LEAD_MM, POINT_SD_MM = 0.6, 0.35
-SURFACE_SD_MM = 0.5  # of the bone surface as a person marks it in the images, along the wire [ours]
+SURFACE_SD_MM = PLAN_SD_MM  # of the bone surface along the wire: a person marks it in the images as the entry point
 CONTACT_SD_MM = hypot(POINT_SD_MM, SURFACE_SD_MM)
 # Share of a difference between plan and contact by which contact moves the zero, and with it the wire's end: the error
 # of contact alone moves both by 0.25 mm, 1 s.d.
@@ -338,9 +338,9 @@ def robot_target(
 def _skiving(entry_mm: np.ndarray, end_mm: np.ndarray) -> np.ndarray:
     """Return the covariance (6, 6) mm² of (entry, end) from skiving: the wire rotates about its entry point."""
     along = end_mm - entry_mm
-    out = np.zeros((6, 6))
-    out[3:, 3:] = SKIVING_RAD**2 * ((along @ along) * np.eye(3) - np.outer(along, along))
-    return out
+    covariance = np.zeros((6, 6))
+    covariance[3:, 3:] = SKIVING_RAD**2 * ((along @ along) * np.eye(3) - np.outer(along, along))
+    return covariance
 
 
 def _depth_zero(entry_mm: np.ndarray, end_mm: np.ndarray, others_mm2: np.ndarray) -> np.ndarray:

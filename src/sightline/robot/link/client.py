@@ -39,13 +39,13 @@ from sightline.robot.transport import LOOPBACK, PORT
 MOTION_S = 300.0  # time limit of the longest motion, 250 mm at 1 mm/s, with a margin [calc]
 
 
-class RobotClient(Closing):
+class RobotClient(Exchange, Closing):
     """Client of the robot at `host`:`port`: ours, or one of the 2013 convention, distinguished by its CAPABILITY.
 
     Every call raises LinkError if no answer comes in time or the connection is lost, and RobotRefusedError with the
     robot's reason if it refuses. While a call waits, a separate process sends heartbeats; if a call hangs for a second
     they end, and the robot stops. `latest` holds the newest message of each device name; `listeners` are called with
-    every message. `connection` is the connection, `exchange` the requests over it. Use one thread; only `stop` and
+    every message. Use one thread; only `stop` and
     `emergency` may be called from others. They have a connection of their own and fall back to the main one.
     """
 
@@ -55,12 +55,11 @@ class RobotClient(Closing):
         self._length_mm: float | None = None
         self._beyond_mm = 0.0
         self._doubts: dict[str, str] = {}  # "registration" or "target": why the robot may not move by it
-        self.connection = SharedConnection(host, port)
+        super().__init__(SharedConnection(host, port))
         self.latest, self.listeners = self.connection.latest, self.connection.listeners
-        self.exchange = Exchange(self.connection)
-        self._stopping = StopChannel(host, port, self.connection, self.exchange)
+        self._stopping = StopChannel(host, port, self)
         try:
-            self.exchange.introduce(heartbeat, streams)
+            self.introduce(heartbeat, streams)
         except LinkError:
             self.close()
             raise
@@ -73,11 +72,6 @@ class RobotClient(Closing):
         """Close all connections. A robot of ours whose lease this client holds stops and clears its registration and
         target."""
         self._stopping.close()
-
-    @property
-    def capabilities(self) -> frozenset[str]:
-        """The robot's announced capabilities; empty for a robot of the 2013 convention."""
-        return self.exchange.capabilities
 
     @property
     def simulated(self) -> bool:
@@ -100,14 +94,12 @@ class RobotClient(Closing):
         Raises RobotRefusedError also if the robot acknowledges another registration than was sent; motion commands are
         then refused here."""
         self.command(Trigger.CALIBRATION.value).refuse_unless_ok()
-        sent = T_mcs_cfcs.inv()
+        sent = T_mcs_cfcs.inv().as_matrix()
         with self.connection.mailbox() as mail:
-            answer, echo = self.exchange.transform(
-                mail, contract.CALIBRATION, sent.as_matrix(), "CALIBRATION", imaged_s=imaged_s
-            )
+            answer, echo = self.send_pose(mail, contract.CALIBRATION, sent, "CALIBRATION", imaged_s=imaged_s)
         answer.refuse_unless_ok()
         with self._verified("registration"):
-            refuse_other_pose(matrix_of(echo), sent.as_matrix(), "registration")
+            refuse_other_pose(matrix_of(echo), sent, "registration")
 
     def aim(
         self,
@@ -123,14 +115,14 @@ class RobotClient(Closing):
         self._target = None
         self.command(Trigger.TARGETING.value).refuse_unless_ok()
         with self.connection.mailbox() as mail:
-            answer, echo = self.exchange.transform(
+            answer, echo = self.send_pose(
                 mail, contract.TARGET, T_cfcs_wire.as_matrix(), "TARGET", metadata=metadata, imaged_s=imaged_s
             )
             answer.refuse_unless_ok()
             reachable = mail.until(
-                lambda m: m.device_name == "REACHABLE_TARGET", STATUS_S if self.exchange.knows_ours else ACK_S
+                lambda m: m.device_name == "REACHABLE_TARGET", STATUS_S if self.knows_ours else ACK_S
             )
-        if reachable is None and self.exchange.knows_ours:
+        if reachable is None and self.knows_ours:
             raise LateError(f"the robot sent no REACHABLE_TARGET within {STATUS_S:g} s; it does not keep the contract")
         with self._verified("target"):
             refuse_other_pose(matrix_of(echo), T_cfcs_wire.as_matrix(), "target")
@@ -190,14 +182,10 @@ class RobotClient(Closing):
 
     # Queries.
 
-    def status(self) -> Status:
-        """Return the robot's phase (`error_name`), with activity, fault and late cycles in the text."""
-        return self.exchange.status()
-
     def position(self) -> RigidTransform:
         """Return the wire's pose, CFCS. Raises RobotRefusedError if no registration was sent yet, or if the robot's
         answer is not a pose."""
-        answer = self.exchange.ask(
+        answer = self.ask(
             String(contract.CURRENT_POSITION),
             contract.CURRENT_POSITION,
             lambda m: m.device_name == contract.CURRENT_POSITION and isinstance(m.body, (Transform, Status)),
@@ -225,9 +213,7 @@ class RobotClient(Closing):
 
     def joints(self) -> np.ndarray:
         """Return (6, N): position, velocity, commanded position, commanded velocity, lower and upper limit; mm, rad."""
-        answer = self.exchange.ask(
-            Get("NDARRAY"), contract.MEASURED_JS, lambda m: m.device_name == contract.MEASURED_JS
-        )
+        answer = self.ask(Get("NDARRAY"), contract.MEASURED_JS, lambda m: m.device_name == contract.MEASURED_JS)
         body = answer.body
         if not (isinstance(body, NDArray) and body.values.ndim == 2 and len(body.values) == 6):
             raise LinkError(f"the robot's {contract.MEASURED_JS} is not an array (6, N)")
@@ -240,23 +226,17 @@ class RobotClient(Closing):
 
     def reset(self, fault: int) -> None:
         """Reset the robot after the fault of this number, which a person has read and dealt with."""
-        self.exchange.order(contract.RESET, str(fault))
+        self.order(contract.RESET, str(fault))
 
     def shot_depth(self, depth_mm: float, sd_mm: float = SHOT_SD_MM) -> None:
         """Send, in PAUSED, the depth of the tip beyond the entry point in the check shot, and its standard
         deviation."""
-        self.exchange.order(contract.SHOT_DEPTH, f"{float(depth_mm)!r} {float(sd_mm)!r}")
+        self.order(contract.SHOT_DEPTH, f"{float(depth_mm)!r} {float(sd_mm)!r}")
 
     def simulated_wire(self) -> SimulatedWire:
         """Return the true pose of a simulated robot's wire, for simulated images. Raises RobotRefusedError from a real
         robot."""
-        return SimulatedWire.of(self.exchange.order(contract.SIMULATED_WIRE, ""))
-
-    # Commands.
-
-    def command(self, name: str, timeout_s: float = STATUS_S) -> RequestResult:
-        """Send a phase or an activity by its name, wait for its acknowledgement, and return how it ended."""
-        return self.exchange.command(name, timeout_s)
+        return SimulatedWire.of(self.order(contract.SIMULATED_WIRE, ""))
 
     def _go_on(self, name: str) -> str:
         """Send the next step by its own name, or as MOVE_TO_TARGET of the 2013 convention. Returns the text at its

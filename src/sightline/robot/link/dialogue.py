@@ -4,7 +4,9 @@ It does no input or output: `receive` and `cycle` return the messages to be sent
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -12,16 +14,7 @@ from sightline.robot import contract
 from sightline.robot.contract import Code
 from sightline.robot.control.controller import TARGET, Controller
 from sightline.robot.control.drilling import Drilling
-from sightline.robot.control.requests import (
-    Answer,
-    CommandRequest,
-    Outcome,
-    Register,
-    Request,
-    Reset,
-    SetTarget,
-    ShotDepth,
-)
+from sightline.robot.control.requests import Answer, Outcome
 from sightline.robot.control.states import COMMANDS, MOVING, Trigger
 from sightline.robot.igtl import (
     Capability,
@@ -121,11 +114,11 @@ class Dialogue:
 
     def cycle(self, now_s: float, unread_s: float = 0.0) -> list[Outgoing]:
         """Run one cycle of the controller and return the messages to send. `unread_s`: see `Controller.cycle`."""
-        out = []
+        outgoing = []
         for outcome in self.controller.cycle(now_s, unread_s):
             for client in [outcome.client] if outcome.client is not None else list(self._peers):
-                out += self._all(client, self._of_outcome(client, outcome))
-        return out + self._new_events() + self._telemetry(now_s)
+                outgoing += self._all(client, self._of_outcome(client, outcome))
+        return outgoing + self._new_events() + self._telemetry(now_s)
 
     # Answers, as (device name, body) in order.
 
@@ -138,12 +131,11 @@ class Dialogue:
             case Transform():
                 bodies = self._of_transform(client, message, now_s)
             case Command(number, command, text):
-                bodies = [(name, self._of_command(client, number, command, text, now_s))]
+                bodies = [(name, self._of_command(client, number, command, text))]
             case Capability(types):
                 self._peers[client].telemetry = contract.HAS_TELEMETRY in types
                 self._peers[client].drills_by_name = contract.HAS_DRILLING in types
-                if contract.HAS_HEARTBEAT in types:
-                    self.controller.heartbeat(client)
+                self.controller.heard(client, heartbeat=contract.HAS_HEARTBEAT in types)
                 bodies = [self._capability()]
             case Get("CAPABILITY"):
                 bodies = [self._capability()]
@@ -166,7 +158,7 @@ class Dialogue:
         if name.startswith(contract.TARGET):
             return self._of_target(client, message, now_s)
         if name.startswith(contract.CALIBRATION):
-            answer = self.controller.submit(client, Register(message), now_s)
+            answer = self.controller.register(client, message, now_s)
             return [echo_of(name, message.body), (Trigger.CALIBRATION.value, self._status(answer))]
         text = f"a TRANSFORM is named {contract.CALIBRATION}... or {contract.TARGET}..., not {name!r}"
         return [(fitting(name), Status(Code.UNKNOWN, Code.UNKNOWN.name, text))]
@@ -175,7 +167,7 @@ class Dialogue:
         if name.startswith(contract.COMMAND):
             return self._of_phase(client, name, text, now_s, overtaken)
         if name == contract.HEARTBEAT:
-            self.controller.heartbeat(client)
+            self.controller.heard(client, heartbeat=True)
             return []
         if name == contract.MIRROR_STATUS:
             self._peers[client].mirrored = True
@@ -193,8 +185,9 @@ class Dialogue:
         answer = None if stop else peer.asked.earlier(name, text)
         if answer is None:
             peer.sent_emergency |= stop == Trigger.EMERGENCY.value
-            command = CommandRequest(stop or text, overtaken, peer.drills_by_name)
-            answer = self.controller.submit(client, command, now_s)
+            answer = self.controller.command(
+                client, stop or text, now_s, overtaken=overtaken, by_name=peer.drills_by_name
+            )
             peer.asked.put(name, text, answer)
         bodies: list[NamedBody] = [
             (contract.ACKNOWLEDGED + name.removeprefix(contract.COMMAND), String(text)),
@@ -210,7 +203,7 @@ class Dialogue:
         return replace(self._facts.current(), error_name=text) if commanded else self._facts.current()
 
     def _of_target(self, client: int, message: Message, now_s: float) -> list[NamedBody]:
-        answer = self.controller.submit(client, SetTarget(message), now_s)
+        answer = self.controller.set_target(client, message, now_s)
         return [echo_of(message.device_name, message.body), *(self._target_answer(answer) if answer.done else [])]
 
     def _target_answer(self, answer: Answer) -> list[NamedBody]:
@@ -222,18 +215,31 @@ class Dialogue:
                 bodies.append(("REACHABLE_TARGET", Transform.of(insertion.T_cfcs_wire)))
         return bodies
 
-    def _of_command(self, client: int, number: int, command: str, text: str, now_s: float) -> CommandReply:
+    def _of_command(self, client: int, number: int, command: str, text: str) -> CommandReply:
         if command == contract.SIMULATED_WIRE and self.truth is not None:
             return CommandReply(number, "", self.truth())
-        request = _request(command, text)
+        request = self._request(client, command, text)
         if isinstance(request, str):
             return CommandReply(number, "refused", request)
         asked, identifier = self._peers[client].asked, f"COMMAND {number}"
         answer = asked.earlier(identifier, f"{command} {text}")
         if answer is None:
-            answer = self.controller.submit(client, request, now_s)
+            answer = request()
             asked.put(identifier, f"{command} {text}", answer)
         return CommandReply(number, "" if answer.code is Code.OK else "refused", answer.text)
+
+    def _request(self, client: int, command: str, text: str) -> Callable[[], Answer] | str:
+        """Return the request in a COMMAND, or a text that says what is wrong with it."""
+        if command == contract.RESET:
+            digits = text.isascii() and text.isdigit() and len(text) < 10
+            return partial(self.controller.reset, int(text)) if digits else f"{command} carries the number of the fault"
+        if command == contract.SHOT_DEPTH:
+            numbers = text[:80].split()
+            with suppress(ValueError):
+                if 1 <= len(numbers) <= 2:
+                    return partial(self.controller.shot_depth, client, *map(float, numbers))
+            return f"{command} carries a depth in mm, and its standard deviation if known: '79.6 0.15'"
+        return f"there is no COMMAND {command[:40]!r}; there are {contract.RESET} and {contract.SHOT_DEPTH}"
 
     def _rejected(self, client: int, event: Rejected) -> list[Outgoing]:
         """Answer an unreadable message, which may have been a command; unknown types are not commands."""
@@ -282,31 +288,17 @@ class Dialogue:
         plain = [client for client in due if moving and client == self.controller.lease]
         if not full and not plain:
             return []
-        out: list[Outgoing] = []
+        outgoing: list[Outgoing] = []
         streams = self._facts.streams(self._machine.snapshot()) if full else []
         position = self._facts.position() if moving else None
         for client in {**dict.fromkeys(full), **dict.fromkeys(plain)}:
             self._peers[client].told_s = now_s
             bodies = [position] if position is not None and client in plain else []
-            out += self._all(client, bodies + (streams if client in full else []), telemetry=True)
-        return out
+            outgoing += self._all(client, bodies + (streams if client in full else []), telemetry=True)
+        return outgoing
 
     def _all(self, client: int, bodies: list[NamedBody], *, telemetry: bool = False) -> list[Outgoing]:
         peer = self._peers.get(client) or _Peer()
         if peer.mirrored:
             bodies = [each for name, body in bodies for each in with_mirror(name, body)]
         return [Outgoing(client, message_of(name, body, peer.version), telemetry) for name, body in bodies]
-
-
-def _request(command: str, text: str) -> Request | str:
-    """Return the request in a COMMAND, or a text that says what is wrong with it."""
-    if command == contract.RESET:
-        digits = text.isascii() and text.isdigit() and len(text) < 10
-        return Reset(int(text)) if digits else f"{contract.RESET} carries the number of the fault"
-    if command == contract.SHOT_DEPTH:
-        try:
-            depth, *sd = (float(part) for part in text[:80].split())
-            return ShotDepth(depth, *sd)
-        except (TypeError, ValueError):
-            return f"{contract.SHOT_DEPTH} carries a depth in mm, and its standard deviation if known: '79.6 0.15'"
-    return f"there is no COMMAND {command[:40]!r}; there are {contract.RESET} and {contract.SHOT_DEPTH}"

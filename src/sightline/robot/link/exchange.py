@@ -21,10 +21,10 @@ from sightline.robot.link.shared_connection import Mailbox, SharedConnection
 # Robots of 2013 send no STATUS for these phases; their CURRENT_STATUS says that the phase was entered.
 _ENTERED_IS_DONE = (Trigger.PLANNING.value, Trigger.CALIBRATION.value)
 _UNDERSTOOD = ("STRING", "STATUS", "TRANSFORM", "CAPABILITY", "RTS_COMMAND", "NDARRAY", "SENSOR")
-# A stop that is not acknowledged on its own connection by then is also sent over the main one [ours]: our robots
-# acknowledge in 10 ms.
-STOP_ACK_S = 0.2
-PROBE_S = 1.0  # period of probes whether the stop connection still answers [ours]
+# A stop that is not acknowledged on its own connection by then is also sent over the main one: our robots acknowledge
+# in 10 ms.
+STOP_ACK_S = contract.SILENCE_S
+PROBE_S = ACK_S  # period of probes whether the stop connection still answers
 
 
 # Half of the paper's limit for the tip, and a third of that for the direction [paper, Fig. 15; ours]. A robot's report
@@ -109,8 +109,8 @@ class Exchange:
     robot of the 2013 convention. Every call raises LinkError if no answer comes in time."""
 
     def __init__(self, connection: SharedConnection) -> None:
+        self.connection = connection
         self.capabilities: frozenset[str] = frozenset()
-        self._connection = connection
         self._numbers = count(1)
 
     @property
@@ -121,9 +121,9 @@ class Exchange:
     def introduce(self, heartbeat: bool, streams: bool) -> None:
         """Query the robot's capabilities and announce ours. A robot of the 2013 convention does not answer this; it
         answers the status query that follows."""
-        with self._connection.mailbox() as mail:
-            self._connection.send(Get("CAPABILITY"), "")
-            self._connection.send(String(contract.CURRENT_STATUS), contract.CURRENT_STATUS)
+        with self.connection.mailbox() as mail:
+            self.connection.send(Get("CAPABILITY"), "")
+            self.connection.send(String(contract.CURRENT_STATUS), contract.CURRENT_STATUS)
             answer = mail.until(lambda m: isinstance(m.body, (Capability, Status)), ACK_S)
             if answer is None or not isinstance(answer.body, Capability):
                 return
@@ -131,16 +131,16 @@ class Exchange:
             mine = {contract.HAS_TELEMETRY: streams, contract.HAS_HEARTBEAT: heartbeat}
             # A client that announces drilling drills by DRILL only: a stray MOVE_TO_TARGET at the bone is then refused.
             announced = (*_UNDERSTOOD, contract.HAS_DRILLING, *(name for name, wanted in mine.items() if wanted))
-            self._connection.send(Capability(announced), "", version=2)
+            self.connection.send(Capability(announced), "", version=2)
             mail.until(lambda m: isinstance(m.body, Capability), ACK_S)
 
     def next_number(self) -> str:
         """Return an identifier that was not used before."""
         return str(next(self._numbers))
 
-    def command(self, name: str, timeout_s: float) -> RequestResult:
+    def command(self, name: str, timeout_s: float = STATUS_S) -> RequestResult:
         """Send a phase or an activity by its name, wait for its acknowledgement, and return how it ended."""
-        return self.command_over(self._connection, name, ACK_S, timeout_s)
+        return self.command_over(self.connection, name, ACK_S, timeout_s)
 
     def command_over(self, connection: SharedConnection, name: str, ack_s: float, timeout_s: float) -> RequestResult:
         """As `command`, over another connection to this robot, acknowledged within `ack_s`."""
@@ -150,7 +150,7 @@ class Exchange:
             mail.need(lambda m: m.device_name == contract.ACKNOWLEDGED + number, ack_s, f"ACK of {name}")
             return self._outcome(mail, name, timeout_s)
 
-    def transform(
+    def send_pose(
         self,
         mail: Mailbox,
         prefix: str,
@@ -162,15 +162,15 @@ class Exchange:
     ) -> tuple[RequestResult, Message]:
         """Send a registration or a target (4, 4), wait for its echo and STATUS, and return (result, echo)."""
         number = self.next_number()
-        self._connection.send(Transform(matrix), prefix + number, metadata=metadata, imaged_s=imaged_s)
+        self.connection.send(Transform(matrix), prefix + number, metadata=metadata, imaged_s=imaged_s)
         echo = mail.need(lambda m: m.device_name == contract.ACKNOWLEDGED + number, ACK_S, f"ACK of {name}")
         return self._outcome(mail, name, STATUS_S), echo
 
     def order(self, name: str, text: str) -> str:
         """Send a COMMAND and return the text of its reply. Raises RobotRefusedError if it was refused."""
         number = next(self._numbers)
-        with self._connection.mailbox() as mail:
-            self._connection.send(Command(number, name, text), name, version=2)
+        with self.connection.mailbox() as mail:
+            self.connection.send(Command(number, name, text), name, version=2)
             answer = mail.need(lambda m: isinstance(m.body, CommandReply) and m.body.command_id == number, ACK_S, name)
         assert isinstance(answer.body, CommandReply)  # noqa: S101
         if answer.body.error:
@@ -179,10 +179,10 @@ class Exchange:
 
     def ask(self, body: Body, name: str, answers: Callable[[Message], bool]) -> Message:
         """Send a query and return its answer."""
-        return self._connection.ask(body, name, answers, name, marked=self.knows_ours)
+        return self.connection.ask(body, name, answers, name, marked=self.knows_ours)
 
     def status(self) -> Status:
-        """Query the robot's state and return its STATUS; its phase is `error_name`."""
+        """Query the robot's phase (`error_name`), with activity, fault and late cycles in the text."""
         body = self.ask(String(contract.CURRENT_STATUS), contract.CURRENT_STATUS, self.answers_status).body
         assert isinstance(body, Status)  # noqa: S101
         return body
@@ -228,10 +228,10 @@ def matrix_of(echo: Message) -> np.ndarray:
 
 
 class StopChannel:
-    """Stop channel to the robot at `host`:`port`. `main`, `exchange`: the client's main connection and its requests."""
+    """Stop channel to the robot at `host`:`port`. `exchange`: requests over the client's main connection."""
 
-    def __init__(self, host: str, port: int, main: SharedConnection, exchange: Exchange) -> None:
-        self._host, self._port, self._main, self._exchange = host, port, main, exchange
+    def __init__(self, host: str, port: int, exchange: Exchange) -> None:
+        self._host, self._port, self._exchange = host, port, exchange
         self._one_at_a_time, self._ended = Lock(), Event()
         self._own: SharedConnection | None = None
 
@@ -243,7 +243,7 @@ class StopChannel:
     def close(self) -> None:
         """Close both connections."""
         self._ended.set()
-        self._main.close()
+        self._exchange.connection.close()
         own = self._own
         if own is not None:
             own.close()
@@ -253,7 +253,7 @@ class StopChannel:
 
         Raises LinkError if no connection answers; both are then closed."""
         with self._one_at_a_time:
-            for connection, ack_s in ((self._own, STOP_ACK_S), (self._main, ACK_S)):
+            for connection, ack_s in ((self._own, STOP_ACK_S), (self._exchange.connection, ACK_S)):
                 with suppress(LinkError):
                     if connection is not None:
                         return self._exchange.command_over(connection, name, ack_s, STATUS_S)

@@ -12,7 +12,6 @@ from sightline.robot.control.states import Trigger
 from sightline.robot.igtl import Event, Message, Rejected, String
 
 STOPPING = (Trigger.STOP.value, Trigger.EMERGENCY.value)
-MAX_ANSWERS = 256  # identifiers kept per connection: a repeat comes within a few messages of the first [ours]
 _TEXT = 100  # characters of a request that are compared: no valid request is longer [ours]
 
 
@@ -151,7 +150,7 @@ class AnswerCache:
         """Store a request with its answer."""
         self._entries[identifier] = _Entry(text[:_TEXT], answer)
         self._entries.move_to_end(identifier)
-        if len(self._entries) > MAX_ANSWERS:
+        if len(self._entries) > contract.MAX_KEPT:
             self._entries.popitem(last=False)
 
     def ended(self, text: str, answer: Answer) -> None:

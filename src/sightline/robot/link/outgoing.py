@@ -10,9 +10,9 @@ from sightline.robot.control.machine import Machine
 from sightline.robot.control.requests import Snapshot
 from sightline.robot.control.states import phase
 from sightline.robot.igtl import MILLIMETRE, NEWTON, Body, Message, NDArray, Sensor, Status, String, Transform
+from sightline.robot.igtl.wire import NAME_BYTES
 
 NamedBody = tuple[str, Body]  # device name and body of a message
-_NAME_BYTES = 20
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def echo_of(name: str, body: Body) -> NamedBody:
 
 def fitting(name: str) -> str:
     """Return a valid device name made from a client's text: ASCII, cut to the field's length."""
-    readable = "".join(letter for letter in name if " " < letter < "\x7f")[:_NAME_BYTES]
+    readable = "".join(letter for letter in name if " " < letter < "\x7f")[:NAME_BYTES]
     return readable or "UNKNOWN"
 
 

@@ -22,6 +22,7 @@ from sightline.errors import LinkError, MessageError
 from sightline.robot import contract
 from sightline.robot.contract import Code
 from sightline.robot.control.controller import Controller
+from sightline.robot.control.drilling import DRILL_MM_S
 from sightline.robot.control.timing import LoopClock
 from sightline.robot.igtl import Event, timestamp_of
 from sightline.robot.link.dialogue import Dialogue
@@ -29,17 +30,17 @@ from sightline.robot.link.inbox import Change, Inbox, InboxItem, stop_of
 from sightline.robot.link.outgoing import SIGHTLINE, Dialect, Outgoing
 from sightline.robot.plant import CYCLE_S, Plant
 from sightline.robot.transport import LOOPBACK, PORT, Connection, serve
+from sightline.robot.transport.connection import TELEMETRY_MESSAGES
 
-LATE_S = 0.001  # a cycle that begins later than this counts as missed [ours]
-SWITCH_S = 0.0005  # Python's thread switch interval: a tenth of a cycle [ours]
+LATE_S = CYCLE_S / 5  # a cycle that begins later than this counts as missed
+SWITCH_S = CYCLE_S / 10  # Python's thread switch interval
 PRIORITY = 10  # real-time priority of the loop's thread, if the system allows it [ours]
 STALLED_S = 3 * CYCLE_S  # after this time without a cycle the link itself stops the drives
 READ_S = CYCLE_S  # longest time between rounds in which the link reads its sockets
 REQUESTS_PER_CYCLE = 32  # the others wait, so that a flood of requests makes no cycle late [ours]
-WAITING_REQUESTS = 256  # a client with more waiting requests is disconnected [ours]
-WAITING_BATCHES = 64  # of telemetry that the link has not sent; newer telemetry is dropped [ours]
-# Period of telemetry in virtual time: a tenth of a millimetre drilled; a shorter one takes half of all time [ours].
-VIRTUAL_TELEMETRY_S = 0.1
+WAITING_BATCHES = TELEMETRY_MESSAGES  # that the link has not sent; newer telemetry is dropped
+# Period of telemetry in virtual time: a tenth of a millimetre drilled; a shorter one takes half of all time.
+VIRTUAL_TELEMETRY_S = 0.1 / DRILL_MM_S
 START_S = 5.0
 MAX_BODY_BYTES = 1 << 20  # a hundred times the largest message of the contract
 _AFTER_REQUEST = 20  # cycles that virtual time runs on after a request
@@ -167,7 +168,7 @@ class RobotServer(Closing):
         directly."""
         client = self._numbers[connection]
         stops = _stops(event)
-        if self._inbox.waiting(client) >= WAITING_REQUESTS and not stops:
+        if self._inbox.waiting(client) >= contract.MAX_KEPT and not stops:
             connection.close("too many requests at once")
             return
         self._inbox.put(client, event)

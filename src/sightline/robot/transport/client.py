@@ -13,15 +13,14 @@ from typing import Self
 from sightline.common.closing import Closing
 from sightline.errors import LinkError
 from sightline.robot.igtl import Event, Message, Rejected, Stream, encode
-from sightline.robot.transport.connection import LOOPBACK, PORT, Connection, Handler, prepare
+from sightline.robot.transport.connection import LOOPBACK, MESSAGE_S, PORT, Connection, Handler, prepare
 from sightline.robot.transport.heartbeat import Heartbeat, Pace
 
 CONNECT_S = 2.0  # [ours] a robot in the same room answers in milliseconds
-_FIRST_RETRY_S, _LAST_RETRY_S = 0.1, 2.0  # [ours] doubled from one to the other
+_FIRST_RETRY_S, _LAST_RETRY_S = CONNECT_S / 20, CONNECT_S  # doubled from one to the other
 # Bytes read at once, some twenty messages: a call shows progress after each piece. A client with a backlog decodes
 # 64 KiB in 25 ms, or in 0.5 s when nine others compete for its processor [measured].
 _PIECE = 1 << 12
-_SEND_S = 5.0  # [ours] a peer that reads nothing for this long is given up
 
 
 class Client:
@@ -93,7 +92,7 @@ class BlockingClient(Closing):
             raise LinkError(f"cannot connect to {host}:{port}: {error.strerror or error}") from error
         prepare(self._socket)
         self._writer = self._socket.dup()  # has its own timeout, which receiving must not shorten
-        self._writer.settimeout(_SEND_S)
+        self._writer.settimeout(MESSAGE_S)
         self._writing = Lock()
 
     def send(self, message: Message) -> None:
@@ -113,7 +112,7 @@ class BlockingClient(Closing):
             with self._writing:
                 for piece in pieces:
                     # A writable socket accepts any message of the contract at once: no heartbeat comes within a piece.
-                    if not select.select([], [self._writer], [], _SEND_S)[1]:
+                    if not select.select([], [self._writer], [], MESSAGE_S)[1]:
                         raise TimeoutError("the peer does not read")
                     self._writer.sendall(piece)
         except (OSError, ValueError) as error:  # the latter: closed by another thread

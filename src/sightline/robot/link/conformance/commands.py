@@ -8,26 +8,22 @@ from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import Code
 from sightline.robot.igtl import Message, NDArray, String, encode
-from sightline.robot.link.client import RobotClient
 from sightline.robot.link.conformance.conversation import (
+    IDENTIFIERS,
+    SEVERAL,
     Conversation,
     NotAskedError,
     Question,
     UnsupportedError,
     expect,
     expect_code,
-    require,
-    require_identifiers,
-    require_several,
-    second_client,
 )
 from sightline.robot.link.exchange import pose_of
 
 _NOT_READY = (Code.NOT_READY,)
 
 
-def _acknowledges(robot: RobotClient) -> str:
-    talk = Conversation(robot)
+def _acknowledges(talk: Conversation) -> str:
     slowest = 0.0
     for name in ("START_UP", "PLANNING"):
         answer = talk.command(name, whole=True)
@@ -37,8 +33,8 @@ def _acknowledges(robot: RobotClient) -> str:
     return f"in {1e3 * slowest:.0f} ms"
 
 
-def _repeats_the_command(robot: RobotClient) -> str:
-    answer = Conversation(robot).command("START_UP", whole=True)
+def _repeats_the_command(talk: Conversation) -> str:
+    answer = talk.command("START_UP", whole=True)
     if answer.ack is None:
         raise NotAskedError("no ACK came")
     text = answer.ack.body.text if isinstance(answer.ack.body, String) else answer.ack.type_name
@@ -46,40 +42,36 @@ def _repeats_the_command(robot: RobotClient) -> str:
     return "ACK says what it acknowledges"
 
 
-def _in_order(robot: RobotClient) -> str:
-    answer = Conversation(robot).command("START_UP", whole=True)
+def _in_order(talk: Conversation) -> str:
+    answer = talk.command("START_UP", whole=True)
     wanted = ["ACK", contract.CURRENT_STATUS, "START_UP"]
     expect(answer.order == wanted, f"came: {', '.join(answer.order) or 'nothing'}; wanted: {', '.join(wanted)}")
     return "ACK, CURRENT_STATUS, STATUS"
 
 
-def _tells_its_phase(robot: RobotClient) -> str:
-    talk = Conversation(robot)
+def _tells_its_phase(talk: Conversation) -> str:
     talk.bring("START_UP")
-    status = robot.status()
+    status = talk.robot.status()
     expect(status.code == Code.OK, f"CURRENT_STATUS in START_UP has code {status.code}")
     phase = talk.phase()
     expect(phase == "START_UP", f"CURRENT_STATUS in START_UP is a STATUS named {phase!r}")
     return status.text or "STATUS named after the phase"
 
 
-def _plans_from_start_up(robot: RobotClient) -> str:
-    talk = Conversation(robot)
+def _plans_from_start_up(talk: Conversation) -> str:
     talk.bring("START_UP")
     return expect_code(talk.command("PLANNING"), Code.OK)
 
 
-def _unknown_command(robot: RobotClient) -> str:
-    answer = Conversation(robot).command("DANCE", whole=True)
+def _unknown_command(talk: Conversation) -> str:
+    answer = talk.command("DANCE", whole=True)
     expect(answer.ack is not None, "no ACK of DANCE within 1 s")
     return expect_code(answer, Code.UNKNOWN)
 
 
 def _refused_after(*before: str, command: str, codes: tuple[Code, ...]) -> Question:
-    def question(robot: RobotClient) -> str:
-        talk = Conversation(robot)
-        for phase in before:
-            talk.bring(phase)
+    def question(talk: Conversation) -> str:
+        talk.bring(*before)
         try:
             return expect_code(talk.command(command), *codes)
         finally:
@@ -88,28 +80,26 @@ def _refused_after(*before: str, command: str, codes: tuple[Code, ...]) -> Quest
     return question
 
 
-def _acts_once(robot: RobotClient) -> str:
-    require_identifiers(robot)
-    talk, number = Conversation(robot), robot.exchange.next_number()
+def _acts_once(talk: Conversation) -> str:
+    talk.require_ours(IDENTIFIERS)
+    number = talk.robot.next_number()
     first = talk.command("START_UP", number=number)
     talk.at("PLANNING")
     again = talk.command("START_UP", number=number, whole=True)
     expect(again.ack is not None, "the repeated command was not acknowledged")
     expect(again.code == first.code, f"the repeated command was answered by {again.code}, the first by {first.code}")
-    phase = talk.phase()
-    expect(phase == "PLANNING", f"the repeated START_UP acted again: the phase is {phase}")
+    talk.expect_phase("PLANNING", "the repeated START_UP acted again:")
     return "the first answer, and nothing else"
 
 
-def _refuses_a_used_identifier(robot: RobotClient) -> str:
-    require_identifiers(robot)
-    talk, number = Conversation(robot), robot.exchange.next_number()
+def _refuses_a_used_identifier(talk: Conversation) -> str:
+    talk.require_ours(IDENTIFIERS)
+    number = talk.robot.next_number()
     if talk.command("START_UP", number=number).code != Code.OK:
         raise NotAskedError("START_UP was not done")
     before = talk.phase()
     text = expect_code(talk.command("PLANNING", number=number), Code.CONFIGURATION)
-    phase = talk.phase()
-    expect(phase == before, f"it was obeyed: the phase went from {before} to {phase}")
+    talk.expect_phase(before, f"it was obeyed in {before}:")
     return text
 
 
@@ -130,11 +120,10 @@ COMMANDS: dict[str, Question] = {
 }
 
 
-def _obeys_no_wrong_crc(robot: RobotClient) -> str:
-    talk = Conversation(robot)
+def _obeys_no_wrong_crc(talk: Conversation) -> str:
     talk.at("START_UP")
     for name in ("PLANNING", "CALIBRATION", "MANUAL"):
-        robot.connection.send_bytes(_altered(encode(Message(String(name), f"{contract.COMMAND}X{name[:3]}"))))
+        talk.robot.connection.send_bytes(_altered(encode(Message(String(name), f"{contract.COMMAND}X{name[:3]}"))))
         try:
             phase = talk.phase()
         except LinkError as error:
@@ -144,10 +133,9 @@ def _obeys_no_wrong_crc(robot: RobotClient) -> str:
 
 
 def _survives(data: bytes) -> Question:
-    def question(robot: RobotClient) -> str:
-        talk = Conversation(robot)
+    def question(talk: Conversation) -> str:
         talk.bring("START_UP")
-        robot.connection.send_bytes(data)
+        talk.robot.connection.send_bytes(data)
         expect(talk.command("PLANNING").status_s is not None, "no answer afterwards")
         return "answers afterwards"
 
@@ -157,11 +145,10 @@ def _survives(data: bytes) -> Question:
 def _reads(message: bytes, piece: int = 1000) -> Question:
     """Return the question whether START_UP is read in another form, in pieces of `piece` bytes."""
 
-    def question(robot: RobotClient) -> str:
-        talk = Conversation(robot)
+    def question(talk: Conversation) -> str:
         talk.bring("START_UP", "PLANNING")
         pieces = [message[k : k + piece] for k in range(0, len(message), piece)]
-        answer = talk.exchange(lambda: robot.connection.send_bytes(*pieces), "77", "START_UP")
+        answer = talk.exchange(lambda: talk.robot.connection.send_bytes(*pieces), "77", "START_UP")
         return expect_code(answer, Code.OK)
 
     return question
@@ -171,11 +158,11 @@ def _reads_pieces(message: bytes) -> Question:
     """Return the same question byte by byte, over a connection without heartbeats between the bytes."""
     reads = _reads(message, piece=1)
 
-    def question(robot: RobotClient) -> str:
-        if contract.HAS_HEARTBEAT not in robot.capabilities:
-            return reads(robot)
-        robot.close()
-        with second_client(robot) as quiet:
+    def question(talk: Conversation) -> str:
+        if contract.HAS_HEARTBEAT not in talk.robot.capabilities:
+            return reads(talk)
+        talk.robot.close()
+        with talk.second() as quiet:
             return reads(quiet)
 
     return question
@@ -199,60 +186,51 @@ MESSAGES: dict[str, Question] = {
 }
 
 
-def _stands_on_stop(robot: RobotClient) -> str:
-    talk = Conversation(robot)
+def _stands_on_stop(talk: Conversation) -> str:
     slowest = 0.0
     for phase in ("START_UP", "PLANNING", "CALIBRATION"):
         talk.at("START_UP", phase)
         answer = talk.command("STOP")
         expect_code(answer, Code.OK)
-        now = talk.phase()
-        expect(now == "STOP", f"after STOP in {phase} the phase is {now}")
+        talk.expect_phase("STOP", f"after STOP in {phase}")
         slowest = max(slowest, answer.status_s or 0.0)
     return f"answered in {1e3 * slowest:.0f} ms"
 
 
-def _stops_from_elsewhere(robot: RobotClient) -> str:
-    require_several(robot)
-    talk = Conversation(robot)
+def _stops_from_elsewhere(talk: Conversation) -> str:
+    talk.require_ours(SEVERAL)
     talk.at("START_UP")
-    with second_client(robot) as other:
-        expect_code(Conversation(other).command("STOP"), Code.OK)
-    now = talk.phase()
-    expect(now == "STOP", f"after STOP on a second connection the phase is {now}")
+    with talk.second() as other:
+        expect_code(other.command("STOP"), Code.OK)
+    talk.expect_phase("STOP", "after STOP on a second connection")
     return "on a second connection"
 
 
-def _in_emergency(robot: RobotClient) -> tuple[Conversation, int]:
-    """Bring a simulator into EMERGENCY; return the conversation and the fault to reset."""
-    _require_simulator(robot)
-    talk = Conversation(robot)
+def _in_emergency(talk: Conversation) -> int:
+    """Bring a simulator into EMERGENCY; return the fault to reset."""
+    if contract.HAS_RESET not in talk.robot.capabilities or not talk.robot.simulated:
+        raise UnsupportedError("a person would have to reset the robot afterwards; asked of simulators only")
     talk.bring("START_UP")
     talk.command("EMERGENCY")
-    return talk, robot.status().subcode
+    return talk.robot.status().subcode
 
 
-def _waits_in_emergency(robot: RobotClient) -> str:
-    talk, fault = _in_emergency(robot)
+def _waits_in_emergency(talk: Conversation) -> str:
+    fault = _in_emergency(talk)
     obeyed = talk.command("START_UP").code == Code.OK
-    robot.reset(robot.status().subcode or fault)
+    talk.robot.reset(talk.robot.status().subcode or fault)
     expect(not obeyed, "START_UP is obeyed in EMERGENCY")
     return "START_UP is refused"
 
 
-def _reset_names_its_fault(robot: RobotClient) -> str:
-    _, fault = _in_emergency(robot)
+def _reset_names_its_fault(talk: Conversation) -> str:
+    fault = _in_emergency(talk)
     try:
-        robot.reset(fault + 1)
+        talk.robot.reset(fault + 1)
     except RobotRefusedError:
-        robot.reset(fault)
+        talk.robot.reset(fault)
         return f"fault {fault}, left by a reset that names it"
     raise RobotRefusedError("a reset of another fault was obeyed")
-
-
-def _require_simulator(robot: RobotClient) -> None:
-    if contract.HAS_RESET not in robot.capabilities or not robot.simulated:
-        raise UnsupportedError("a person would have to reset the robot afterwards; asked of simulators only")
 
 
 STOPS: dict[str, Question] = {
@@ -265,32 +243,32 @@ EMERGENCIES: dict[str, Question] = {
 }
 
 
-def _lease(robot: RobotClient) -> str:
-    require_several(robot)
-    Conversation(robot).bring("START_UP")
-    with second_client(robot) as other:
-        return expect_code(Conversation(other).command("START_UP"), Code.DENIED)
+def _lease(talk: Conversation) -> str:
+    talk.require_ours(SEVERAL)
+    talk.bring("START_UP")
+    with talk.second() as other:
+        return expect_code(other.command("START_UP"), Code.DENIED)
 
 
-def _forgets_a_lost_client(robot: RobotClient) -> str:
-    require_several(robot)
-    Conversation(robot).at("START_UP")
-    robot.close()
-    with second_client(robot) as other:
+def _forgets_a_lost_client(talk: Conversation) -> str:
+    talk.require_ours(SEVERAL)
+    talk.at("START_UP")
+    talk.robot.close()
+    with talk.second() as other:
         end = monotonic() + contract.STATUS_S
-        while (phase := Conversation(other).phase()) != "UNDEFINED":
+        while (phase := other.phase()) != "UNDEFINED":
             expect(monotonic() < end, f"the phase is still the lost client's, {phase}")
     return "returns to UNDEFINED"
 
 
-def _streams(robot: RobotClient) -> str:
-    require(robot, contract.HAS_TELEMETRY)
-    rows = robot.connection.fresh(contract.MEASURED_JS).body
+def _streams(talk: Conversation) -> str:
+    talk.require(contract.HAS_TELEMETRY)
+    rows = talk.robot.connection.fresh(contract.MEASURED_JS).body
     array = isinstance(rows, NDArray) and rows.values.ndim == 2 and len(rows.values) == 6
     expect(array, f"{contract.MEASURED_JS} is not an array (6, N)")
     assert isinstance(rows, NDArray)  # noqa: S101
     expect(bool(np.isfinite(rows.values).all()), f"{contract.MEASURED_JS} holds numbers that are not finite")
-    pose_of(robot.connection.fresh(contract.MEASURED_CP))
+    pose_of(talk.robot.connection.fresh(contract.MEASURED_CP))
     return f"{contract.MEASURED_CP}, {contract.MEASURED_JS} of {rows.values.shape[1]} joints"
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from time import monotonic, sleep
 
 import numpy as np
@@ -14,18 +15,30 @@ from sightline.robot.contract import HEARTBEAT_S, Code
 from sightline.robot.control.timing import LoopClock
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.link.client import RobotClient
-from sightline.robot.link.exchange import WireDeviation, pose_of, refuse_other_pose
+from sightline.robot.link.exchange import TIP_LIMIT_MM, WireDeviation, pose_of, refuse_other_pose
 from sightline.robot.link.shared_connection import Mailbox
 
-MOVED_MM = 0.5  # movement that shows that a motion has begun [ours]
 # Apparent movement of a robot at rest, from encoders and compliance [ours].
 STILL_MM, STILL_RAD = 0.1, float(np.deg2rad(0.1))
 STILL_S, STILL_POSES = 0.3, 10  # time and number of poses needed to see that it stands still [ours]
 _ENTERED_IS_DONE = ("PLANNING", "CALIBRATION")  # phases that robots of 2013 confirm by CURRENT_STATUS only
 
+# A registration for tests of refusals, where any will do: 500 mm from base to hip, as many robots stand.
+REGISTRATION = RigidTransform.from_translation([500.0, 0.0, 0.0])
+# Target in air: distances ahead of the wire, mm, of which the first reachable one is used, and the distance aside.
+AHEAD_MM, ASIDE_MM = (130.0, 100.0, 60.0, 30.0), 3.0
+HIP_AHEAD_MM = 150.0  # ahead of the wire in its sleeve, as our frame is held; CFCS upright, its +X towards the robot
+# Why questions are not for robots of the 2013 convention.
+SEVERAL = "a robot of the 2013 convention accepts one client"
+IDENTIFIERS = "the 2013 convention does not define repeated identifiers"
+
 
 class NotAskedError(Exception):
     """The precondition of a question could not be reached."""
+
+
+class UnsupportedError(Exception):
+    """The robot does not announce the capability that a question needs."""
 
 
 @dataclass
@@ -42,11 +55,27 @@ class Response:
 
 
 class Conversation:
-    """A conversation with the robot of a client."""
+    """A conversation with the robot over one client."""
 
     def __init__(self, robot: RobotClient) -> None:
-        self._robot = robot
+        self.robot = robot
         self._streams = contract.HAS_TELEMETRY in robot.capabilities
+
+    def require(self, capability: str, why: str = "") -> None:
+        """Raise UnsupportedError unless the robot announces a capability; `why`: the reason it is needed."""
+        if capability not in self.robot.capabilities:
+            raise UnsupportedError(f"announces no {capability}" + (f": {why}" if why else ""))
+
+    def require_ours(self, why: str) -> None:
+        """Raise UnsupportedError for a robot of the 2013 convention, with the reason."""
+        if not self.robot.capabilities:
+            raise UnsupportedError(why)
+
+    @contextmanager
+    def second(self) -> Generator["Conversation"]:
+        """Open a second connection to the robot, without heartbeats."""
+        with RobotClient(self.robot.host, self.robot.port, heartbeat=False) as other:
+            yield Conversation(other)
 
     def bring(self, *commands: str) -> None:
         """Send commands in sequence. Raises NotAskedError if one is not done."""
@@ -67,22 +96,15 @@ class Conversation:
     ) -> Response:
         """Send a command and return its response. `number`: its identifier, by default a new one. `whole`: wait for
         both ACK and STATUS, in any order; else for STATUS only."""
-        number = number or self._robot.exchange.next_number()
-
-        def send() -> None:
-            self._robot.connection.send(String(name), contract.COMMAND + number)
-
+        number = number or self.robot.next_number()
+        send = partial(self.robot.connection.send, String(name), contract.COMMAND + number)
         return self.exchange(send, number, name, whole=whole, within_s=within_s)
 
     def pose(self, prefix: str, matrix: np.ndarray, metadata: Mapping[str, str] | None = None) -> Response:
         """Send a registration or a target and return its response."""
-        number = self._robot.exchange.next_number()
-        status = "TARGET" if prefix == contract.TARGET else "CALIBRATION"
-
-        def send() -> None:
-            self._robot.connection.send(Transform(matrix), prefix + number, metadata=metadata)
-
-        return self.exchange(send, number, status, within_s=contract.STATUS_S)
+        number = self.robot.next_number()
+        send = partial(self.robot.connection.send, Transform(matrix), prefix + number, metadata=metadata)
+        return self.exchange(send, number, "TARGET" if prefix == contract.TARGET else "CALIBRATION")
 
     def exchange(
         self,
@@ -95,7 +117,7 @@ class Conversation:
     ) -> Response:
         """Send, and return what came until the STATUS of that name."""
         answer = Response()
-        entered = status in _ENTERED_IS_DONE and not self._robot.capabilities
+        entered = status in _ENTERED_IS_DONE and not self.robot.capabilities
 
         def ends(message: Message) -> bool:
             self._note(answer, message, number, status, mail.clock.now_s)
@@ -103,7 +125,7 @@ class Conversation:
                 answer.code, answer.status_s = int(Code.OK), mail.clock.now_s
             return answer.code is not None and (answer.ack is not None or not whole)
 
-        with self._robot.connection.mailbox() as mail:
+        with self.robot.connection.mailbox() as mail:
             send()
             mail.until(ends, within_s)
         return answer
@@ -123,36 +145,41 @@ class Conversation:
 
     def next(self, name: str, within_s: float) -> Message | None:
         """Return the next message of that name, or None if none came in time."""
-        with self._robot.connection.mailbox() as mail:
+        with self.robot.connection.mailbox() as mail:
             return mail.until(lambda m: m.device_name == name, within_s)
 
     def phase(self) -> str:
         """Query the state and return the name of the STATUS that answers. Raises LateError."""
-        answer = self._robot.connection.ask(
+        answer = self.robot.connection.ask(
             String(contract.CURRENT_STATUS),
             contract.CURRENT_STATUS,
             lambda m: isinstance(m.body, Status) and m.device_name != contract.CURRENT_STATUS,
             contract.CURRENT_STATUS,
-            marked=bool(self._robot.capabilities),
+            marked=bool(self.robot.capabilities),
         )
         return answer.device_name
+
+    def expect_phase(self, wanted: str, when: str) -> None:
+        """Raise RobotRefusedError unless the robot reports this phase; `when`: beginning of the message."""
+        phase = self.phase()
+        expect(phase == wanted, f"{when} the phase is {phase}")
 
     def tip(self) -> RigidTransform:
         """Return the wire's current pose, from the stream if there is one, else by a query."""
         if self._streams:
-            return pose_of(self._robot.connection.fresh(contract.MEASURED_CP))
-        return self._robot.position()
+            return pose_of(self.robot.connection.fresh(contract.MEASURED_CP))
+        return self.robot.position()
 
     @contextmanager
     def moving(self, number: str | None = None) -> Generator["Motion"]:
         """Start a motion to the robot's target and wait until it has begun. Raises NotAskedError if it does not
         begin."""
         before = self.tip()
-        number = number or self._robot.exchange.next_number()
-        with self._robot.connection.mailbox() as mail:
-            self._robot.connection.send(String("MOVE_TO_TARGET"), contract.COMMAND + number)
+        number = number or self.robot.next_number()
+        with self.robot.connection.mailbox() as mail:
+            self.robot.connection.send(String("MOVE_TO_TARGET"), contract.COMMAND + number)
             waited = LoopClock(HEARTBEAT_S)
-            while _apart(before, self.tip())[0] < MOVED_MM:
+            while _apart(before, self.tip())[0] < TIP_LIMIT_MM:
                 waited.tick(monotonic())
                 if waited.now_s > contract.STATUS_S:
                     raise NotAskedError("it acknowledged a motion but does not move")
@@ -227,54 +254,22 @@ def _apart(first: RigidTransform, second: RigidTransform) -> tuple[float, float]
     return float(np.linalg.norm(between.translation)), float(between.rotation.magnitude())
 
 
-# A registration for tests of refusals, where any will do: 500 mm from base to hip, as many robots stand.
-REGISTRATION = RigidTransform.from_translation([500.0, 0.0, 0.0])
-# Target in air: distances ahead of the wire, mm, of which the first reachable one is used, and the distance aside.
-AHEAD_MM, ASIDE_MM = (130.0, 100.0, 60.0, 30.0), 3.0
-HIP_AHEAD_MM = 150.0  # ahead of the wire in its sleeve, as our frame is held; CFCS upright, its +X towards the robot
-Question = Callable[[RobotClient], str]  # returns what was observed; raises if it breaks the contract
+Question = Callable[[Conversation], str]  # returns what was observed; raises if it breaks the contract
 
 
-class UnsupportedError(Exception):
-    """The robot does not announce the capability that a question needs."""
-
-
-def require(robot: RobotClient, capability: str, why: str = "") -> None:
-    """Raise UnsupportedError unless the robot announces a capability; `why`: the reason it is needed."""
-    if capability not in robot.capabilities:
-        raise UnsupportedError(f"announces no {capability}" + (f": {why}" if why else ""))
-
-
-def require_several(robot: RobotClient) -> None:
-    """Raise UnsupportedError unless the robot accepts several clients."""
-    if not robot.capabilities:
-        raise UnsupportedError("a robot of the 2013 convention accepts one client")
-
-
-def require_identifiers(robot: RobotClient) -> None:
-    """Raise UnsupportedError unless the robot's convention defines repeated identifiers."""
-    if not robot.capabilities:
-        raise UnsupportedError("the 2013 convention does not define repeated identifiers")
-
-
-def second_client(robot: RobotClient) -> RobotClient:
-    """Return a second connection to the robot, without heartbeats."""
-    return RobotClient(robot.host, robot.port, heartbeat=False)
-
-
-def target_in_air(robot: RobotClient, talk: Conversation) -> np.ndarray:
+def target_in_air(talk: Conversation) -> np.ndarray:
     """Send a target ahead of the wire that the robot accepts, and return it, (4, 4) CFCS. Raises NotAskedError."""
     talk.bring("START_UP")
     registration = REGISTRATION
-    if contract.HAS_TELEMETRY in robot.capabilities:
-        T_mcs_wire = pose_of(robot.connection.fresh(contract.MEASURED_CP))
+    if contract.HAS_TELEMETRY in talk.robot.capabilities:
+        T_mcs_wire = pose_of(talk.robot.connection.fresh(contract.MEASURED_CP))
         hip = T_mcs_wire.apply([0.0, 0.0, HIP_AHEAD_MM])
         registration = RigidTransform.from_components(hip, Rotation.from_rotvec([0.0, 0.0, np.pi]))
     talk.bring("CALIBRATION")
     answer = talk.pose(contract.CALIBRATION, registration.inv().as_matrix())
     if answer.code != Code.OK:
         raise NotAskedError(f"no registration was accepted: {answer.text or answer.code}")
-    now, why = robot.position(), ""
+    now, why = talk.robot.position(), ""
     talk.bring("TARGETING")
     for ahead in AHEAD_MM:
         target = (now * RigidTransform.from_translation([0.0, ASIDE_MM, ahead])).as_matrix()
@@ -285,9 +280,9 @@ def target_in_air(robot: RobotClient, talk: Conversation) -> np.ndarray:
     raise NotAskedError(f"no target ahead of the wire is reachable: {why or 'no reason given'}")
 
 
-def verified_target(robot: RobotClient, talk: Conversation) -> np.ndarray:
+def verified_target(talk: Conversation) -> np.ndarray:
     """Send a target that the robot accepts and will reach, and return it, (4, 4) CFCS. Raises NotAskedError."""
-    target = target_in_air(robot, talk)
+    target = target_in_air(talk)
     reachable = talk.next("REACHABLE_TARGET", contract.ACK_S)
     if reachable is not None:
         try:

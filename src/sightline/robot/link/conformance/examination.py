@@ -8,7 +8,7 @@ from sightline.errors import SightlineError
 from sightline.robot.igtl import Fault, Rejected
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.conformance import commands, poses
-from sightline.robot.link.conformance.conversation import NotAskedError, Question, UnsupportedError
+from sightline.robot.link.conformance.conversation import Conversation, NotAskedError, Question, UnsupportedError
 
 QUESTIONS: dict[str, Question] = {
     **commands.COMMANDS,
@@ -58,8 +58,8 @@ class Examination(Closing):
 
     def examine(self) -> list[Finding]:
         """Ask all questions that do not move the robot, and return the findings."""
-        found = [self._ask(name, question) for name, question in QUESTIONS.items()]
-        return [*found, self._read_all()]
+        findings = [self._ask(name, question) for name, question in QUESTIONS.items()]
+        return [*findings, self._read_all()]
 
     def dry_run(self) -> list[Finding]:
         """Run motions to a target in air ahead of the wire, most of them stopped, and return the findings.
@@ -72,7 +72,7 @@ class Examination(Closing):
     def _ask(self, name: str, question: Question) -> Finding:
         try:
             robot = self._connected()
-            finding = Finding(name, ConformanceVerdict.PASSED, question(robot))
+            finding = Finding(name, ConformanceVerdict.PASSED, question(Conversation(robot)))
         except UnsupportedError as why:
             return Finding(name, ConformanceVerdict.UNSUPPORTED, str(why))
         except NotAskedError as why:

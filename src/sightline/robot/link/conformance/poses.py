@@ -9,41 +9,36 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import Code
-from sightline.robot.link.client import RobotClient
+from sightline.robot.link.client import MOTION_S
 from sightline.robot.link.conformance.conversation import (
+    IDENTIFIERS,
     REGISTRATION,
+    SEVERAL,
     Conversation,
     NotAskedError,
     Question,
     UnsupportedError,
     expect_code,
     expect_echo,
-    require,
-    require_identifiers,
-    require_several,
-    second_client,
     target_in_air,
     verified_target,
 )
 from sightline.robot.link.exchange import WireDeviation, pose_of
 
 
-def _takes_a_registration(robot: RobotClient) -> str:
-    talk = Conversation(robot)
+def _takes_a_registration(talk: Conversation) -> str:
     talk.bring("START_UP", "CALIBRATION")
     return expect_code(talk.pose(contract.CALIBRATION, REGISTRATION.as_matrix()), Code.OK)
 
 
-def _echoes_a_registration(robot: RobotClient) -> str:
-    talk = Conversation(robot)
+def _echoes_a_registration(talk: Conversation) -> str:
     talk.bring("START_UP", "CALIBRATION")
     sent = RigidTransform.from_components([512.5, -0.3, 3.7], Rotation.from_rotvec([0.1, -0.2, 0.3])).as_matrix()
     return expect_echo(talk.pose(contract.CALIBRATION, sent), sent, "registration")
 
 
 def _no_registration(matrix: np.ndarray) -> Question:
-    def question(robot: RobotClient) -> str:
-        talk = Conversation(robot)
+    def question(talk: Conversation) -> str:
         talk.bring("START_UP", "CALIBRATION")
         return expect_code(talk.pose(contract.CALIBRATION, matrix), Code.CONFIGURATION)
 
@@ -53,9 +48,8 @@ def _no_registration(matrix: np.ndarray) -> Question:
 def _no_target(change: Callable[[np.ndarray], np.ndarray]) -> Question:
     """Return the question whether a target with one fault is refused; without the fault it was accepted."""
 
-    def question(robot: RobotClient) -> str:
-        talk = Conversation(robot)
-        good = target_in_air(robot, talk)
+    def question(talk: Conversation) -> str:
+        good = target_in_air(talk)
         talk.bring("TARGETING")
         return expect_code(talk.pose(contract.TARGET, change(good)), Code.CONFIGURATION)
 
@@ -65,38 +59,35 @@ def _no_target(change: Callable[[np.ndarray], np.ndarray]) -> Question:
 def _no_plan(**metadata: str) -> Question:
     """Return the question whether metadata are refused, for a pose that was accepted without them."""
 
-    def question(robot: RobotClient) -> str:
-        require(robot, contract.HAS_PLAN)
-        talk = Conversation(robot)
-        good = target_in_air(robot, talk)
+    def question(talk: Conversation) -> str:
+        talk.require(contract.HAS_PLAN)
+        good = target_in_air(talk)
         talk.bring("TARGETING")
         return expect_code(talk.pose(contract.TARGET, good, metadata), Code.CONFIGURATION)
 
     return question
 
 
-def _in_metres(robot: RobotClient) -> str:
+def _in_metres(talk: Conversation) -> str:
     """Ask whether a target in metres is refused; robots of the 2013 convention cannot detect it."""
-    require(robot, contract.HAS_PLAN)
-    return _no_target(lambda good: _moved(good, 1e-3 * good[:3, 3]))(robot)
+    talk.require(contract.HAS_PLAN)
+    return _no_target(lambda good: _moved(good, 1e-3 * good[:3, 3]))(talk)
 
 
-def _echoes_a_target(robot: RobotClient) -> str:
-    talk = Conversation(robot)
-    good = target_in_air(robot, talk)
+def _echoes_a_target(talk: Conversation) -> str:
+    good = target_in_air(talk)
     talk.bring("TARGETING")
     return expect_echo(talk.pose(contract.TARGET, good), good, "target")
 
 
-def _reaches_what_it_takes(robot: RobotClient) -> str:
-    talk = Conversation(robot)
-    good = target_in_air(robot, talk)
+def _reaches_what_it_takes(talk: Conversation) -> str:
+    good = target_in_air(talk)
     talk.bring("TARGETING")
     answer = talk.pose(contract.TARGET, good)
     if answer.code != Code.OK:
         raise NotAskedError(f"the target was refused: {answer.text}")
     reachable = talk.next("REACHABLE_TARGET", contract.ACK_S)
-    if reachable is None and not robot.capabilities:
+    if reachable is None and not talk.robot.capabilities:
         raise UnsupportedError("a robot of the 2013 convention does not report what it reaches")
     if reachable is None:
         raise RobotRefusedError("a target was accepted, but no REACHABLE_TARGET came")
@@ -106,15 +97,15 @@ def _reaches_what_it_takes(robot: RobotClient) -> str:
 
 
 def _moved(pose: np.ndarray, to_mm: np.ndarray) -> np.ndarray:
-    out = pose.copy()
-    out[:3, 3] = to_mm
-    return out
+    moved = pose.copy()
+    moved[:3, 3] = to_mm
+    return moved
 
 
 def _scaled(pose: np.ndarray) -> np.ndarray:
-    out = pose.copy()
-    out[:3, :3] *= 2.0
-    return out
+    scaled = pose.copy()
+    scaled[:3, :3] *= 2.0
+    return scaled
 
 
 _GENERAL = _moved(np.eye(4), np.array([500.0, 0.0, 0.0]))
@@ -145,32 +136,29 @@ QUESTIONS: dict[str, Question] = {
 }
 
 
-# Time after which the robot must stand still on silence. It exceeds the contract's 0.2 s because a busy test computer
-# observes it late; the observed time is reported [ours].
-SILENT_S = 1.5
-LOST_S = 0.5  # the same for a lost connection: short, so that the motion's own end is not mistaken for it [ours]
-ALIGN_S = 120.0  # time limit of the alignment, which a person watches [ours]
+# Time after which the robot must stand still on silence and for a lost connection [ours]. The first exceeds the
+# contract's 0.2 s because a busy test computer observes it late; the observed time is reported. The second is short, so
+# that the motion's own end is not mistaken for it.
+SILENT_S, LOST_S = 1.5, 0.5
 
 
-def _stops_while_moving(robot: RobotClient) -> str:
-    talk = Conversation(robot)
-    verified_target(robot, talk)
+def _stops_while_moving(talk: Conversation) -> str:
+    verified_target(talk)
     with talk.moving() as moving:
         return moving.must_stand_after(lambda: talk.command("STOP"))
 
 
-def _stops_while_moving_from_elsewhere(robot: RobotClient) -> str:
-    require_several(robot)
-    talk = Conversation(robot)
-    verified_target(robot, talk)
-    with second_client(robot) as other, talk.moving() as moving:
-        return moving.must_stand_after(lambda: Conversation(other).command("STOP"))
+def _stops_while_moving_from_elsewhere(talk: Conversation) -> str:
+    talk.require_ours(SEVERAL)
+    verified_target(talk)
+    with talk.second() as other, talk.moving() as moving:
+        return moving.must_stand_after(lambda: other.command("STOP"))
 
 
-def _moves_once(robot: RobotClient) -> str:
-    require_identifiers(robot)
-    talk, number = Conversation(robot), robot.exchange.next_number()
-    verified_target(robot, talk)
+def _moves_once(talk: Conversation) -> str:
+    talk.require_ours(IDENTIFIERS)
+    number = talk.robot.next_number()
+    verified_target(talk)
     with talk.moving(number) as moving:
         try:
             moving.must_stand_after(lambda: talk.command("STOP"))
@@ -182,39 +170,36 @@ def _moves_once(robot: RobotClient) -> str:
             talk.command("STOP")
 
 
-def _notices_silence(robot: RobotClient) -> str:
-    require(robot, contract.HAS_HEARTBEAT)
-    require(robot, contract.HAS_TELEMETRY, "it cannot be watched in silence")
-    talk = Conversation(robot)
-    verified_target(robot, talk)
+def _notices_silence(talk: Conversation) -> str:
+    talk.require(contract.HAS_HEARTBEAT)
+    talk.require(contract.HAS_TELEMETRY, "it cannot be watched in silence")
+    verified_target(talk)
     with talk.moving() as moving:
-        robot.connection.fall_silent()
+        talk.robot.connection.fall_silent()
         try:
             return moving.must_stand_by_itself(SILENT_S)
         finally:
             talk.command("STOP")
-            robot.close()  # the next question has its heartbeats again
+            talk.robot.close()  # the next question has its heartbeats again
 
 
-def _stops_for_a_lost_client(robot: RobotClient) -> str:
-    require_several(robot)
-    require(robot, contract.HAS_TELEMETRY, "it cannot be watched by another")
-    talk = Conversation(robot)
-    verified_target(robot, talk)
-    with second_client(robot) as other, talk.moving() as moving:
-        robot.close()
-        moving.watch = Conversation(other)
+def _stops_for_a_lost_client(talk: Conversation) -> str:
+    talk.require_ours(SEVERAL)
+    talk.require(contract.HAS_TELEMETRY, "it cannot be watched by another")
+    verified_target(talk)
+    with talk.second() as other, talk.moving() as moving:
+        talk.robot.close()
+        moving.watch = other
         try:
             return moving.must_stand_by_itself(LOST_S)
         finally:
-            Conversation(other).command("STOP")
+            other.command("STOP")
 
 
-def _aligns(robot: RobotClient) -> str:
-    talk = Conversation(robot)
-    target = verified_target(robot, talk)
-    expect_code(talk.command("MOVE_TO_TARGET", within_s=ALIGN_S), Code.OK)
-    off = WireDeviation.of(robot.position(), RigidTransform.from_matrix(target))
+def _aligns(talk: Conversation) -> str:
+    target = verified_target(talk)
+    expect_code(talk.command("MOVE_TO_TARGET", within_s=MOTION_S), Code.OK)
+    off = WireDeviation.of(talk.robot.position(), RigidTransform.from_matrix(target))
     talk.command("STOP")
     WireDeviation(off.aside_mm, 0.0, off.angle_rad).refuse_large("the aligned wire lies")
     return f"{off.aside_mm:.2f} mm beside its line, {-off.along_mm:.0f} mm before its end"
