@@ -1,6 +1,8 @@
 """The zero of depth: plan, contact and shot weighed by their errors; contact where no bone is planned stops."""
 
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -56,34 +58,60 @@ def test_bone_may_be_met_until_its_contact_could_no_longer_be_taken():
     assert contact_range() == (-MAX_ZERO_SHIFT_MM - CONTACT_LEAD_MM, MAX_ZERO_SHIFT_MM - CONTACT_LEAD_MM)
 
 
-class Bone(IdealPlant):
-    """Pushes back with 20 N from a depth on."""
+BEFORE = {"before_mm": "12"}  # bone begins up to 12 mm before the entry point, a nail's wall, and
+THROUGH = BEFORE | {"beyond_mm": "15"}  # the drill goes past the nail, to the far cortex
+SKIN_N, CORTEX_N, METAL_N = 2.0, 20.0, 90.0
 
-    def __init__(self, from_mm: float) -> None:
+
+class Layers(IdealPlant):
+    """Pushes back with the forces of layers, each from a depth on."""
+
+    def __init__(self, forces: dict[float, float]) -> None:
         super().__init__()
-        self.from_mm, self.zero_mm = from_mm, np.inf
+        self.forces, self.zero_mm = forces, np.inf
 
     def read(self):
-        inside = self.q[FEED] - self.zero_mm > self.from_mm
-        return replace(super().read(), force_n=20.0 if inside else 0.0)
+        depth = self.q[FEED] - self.zero_mm
+        felt = [force for at, force in self.forces.items() if depth > at]
+        return replace(super().read(), force_n=felt[-1] if felt else 0.0)
 
 
-def drilling(bone_mm: float) -> Rig:
-    """In DRILL, with bone so far beyond the planned entry point, which the robot knows it must meet."""
-    plant = Bone(bone_mm)
+def targeted(plant: IdealPlant, said: dict[str, str]) -> tuple[Rig, list[Message]]:
+    """In TARGETING, with the answers to a target into bone."""
     rig = Rig(moved=plant, setup=replace(SETUP, into_bone=True))
-    rig.reach(State.ALIGNED)
+    rig.reach(State.CALIBRATION)
+    rig.go(("CLB", "TARGETING"))
+    return rig, rig.send("TGT_1", Transform.of(wire()), version=2, metadata=metadata(**said))
+
+
+def through(forces: dict[float, float], said: dict[str, str] = THROUGH) -> Rig:
+    """In DRILL, before layers at depths beyond the planned entry point."""
+    plant = Layers(forces)
+    rig, answers = targeted(plant, said)
+    assert code(answers, "TARGET") == 1
+    rig.go(("MOVE_TO_TARGET", State.ALIGNED))
     plant.zero_mm = float(rig.controller.machine.insertion.q[FEED])
     rig.command("DRILL")
     return rig
 
 
+def drilling(bone_mm: float) -> Rig:
+    """In DRILL, with bone so far beyond the planned entry point, which the robot knows it must meet."""
+    return through({bone_mm: CORTEX_N}, {})
+
+
+@cache
+def _paused(bone_mm: float) -> Rig:
+    rig = drilling(bone_mm)
+    rig.run_until(State.PAUSED)
+    return rig
+
+
 @pytest.mark.parametrize("bone_mm", [1.1, -2.4])
 def test_contact_sets_the_zero_as_far_as_it_is_to_be_trusted(bone_mm):
-    rig = drilling(bone_mm)
-    planned = rig.controller.machine.drilling.zero
+    planned = drilling(bone_mm).controller.machine.drilling.zero
     assert planned.sd_mm == PLAN_SD_MM
-    rig.run_until(State.PAUSED)
+    rig = deepcopy(_paused(bone_mm))
     off = bone_mm + CONTACT_LEAD_MM
     zero = rig.controller.machine.drilling.zero
     assert zero.feed_mm - planned.feed_mm == pytest.approx(WEIGHT * off, abs=0.05)  # noticed 0.02 mm late
@@ -105,37 +133,6 @@ def test_bone_where_none_is_planned_stops_with_the_reason(bone_mm, why):
     assert rig.run(0.2) == []
     assert rig.speed() < 0.01
     assert rig.plant.q[FEED] - rig.plant.zero_mm < MAX_ZERO_SHIFT_MM
-
-
-BEFORE = {"before_mm": "12"}  # bone begins up to 12 mm before the entry point, a nail's wall, and
-THROUGH = BEFORE | {"beyond_mm": "15"}  # the drill goes past the nail, to the far cortex
-SKIN_N, CORTEX_N, METAL_N = 2.0, 20.0, 90.0
-
-
-class Layers(IdealPlant):
-    """Pushes back with the forces of layers, each from a depth on."""
-
-    def __init__(self, forces: dict[float, float]) -> None:
-        super().__init__()
-        self.forces, self.zero_mm = forces, np.inf
-
-    def read(self):
-        depth = self.q[FEED] - self.zero_mm
-        felt = [force for at, force in self.forces.items() if depth > at]
-        return replace(super().read(), force_n=felt[-1] if felt else 0.0)
-
-
-def through(forces: dict[float, float], said: dict[str, str] = THROUGH) -> Rig:
-    """In DRILL, before layers; the target says that its entry point lies in the bone."""
-    plant = Layers(forces)
-    rig = Rig(moved=plant, setup=replace(SETUP, into_bone=True))
-    rig.reach(State.CALIBRATION)
-    rig.go(("CLB", "TARGETING"))
-    assert code(rig.send("TGT_1", Transform.of(wire()), version=2, metadata=metadata(**said)), "TARGET") == 1
-    rig.go(("MOVE_TO_TARGET", State.ALIGNED))
-    plant.zero_mm = float(rig.controller.machine.insertion.q[FEED])
-    rig.command("DRILL")
-    return rig
 
 
 def test_a_hole_s_drill_waits_before_the_bone_pauses_before_the_nail_and_keeps_its_zero():
@@ -192,16 +189,11 @@ def test_a_drill_that_touches_the_nail_is_a_fault():
 
 @pytest.mark.parametrize("said", [{"before_mm": "41"}, {"before_mm": "2"}, {"before_mm": "nan"}, {"beyond_mm": "99"}])
 def test_a_target_that_says_what_cannot_be_is_refused(said):
-    rig = Rig(setup=replace(SETUP, into_bone=True))
-    rig.reach(State.CALIBRATION)
-    rig.go(("CLB", "TARGETING"))
-    assert code(rig.send("TGT_1", Transform.of(wire()), version=2, metadata=metadata(**said)), "TARGET") == 10
+    assert code(targeted(IdealPlant(), said)[1], "TARGET") == 10
 
 
 def test_a_hole_begun_anew_begins_with_the_plan_s_zero():
-    rig = drilling(1.1)
-    planned = rig.controller.machine.drilling.zero
-    rig.run_until(State.PAUSED)
+    planned, rig = drilling(1.1).controller.machine.drilling.zero, deepcopy(_paused(1.1))
     rig.command("STOP")
     rig.run(0.5)
     rig.command("MOVE_TO_TARGET")
@@ -240,8 +232,7 @@ def test_a_record_of_a_robot_that_states_no_error_says_so():
 
 
 def test_a_shot_that_leaves_too_little_feed_is_refused():
-    rig = drilling(-CONTACT_LEAD_MM)
-    rig.run_until(State.PAUSED)
+    rig = deepcopy(_paused(1.1))
     hole, manipulator = rig.controller.machine.drilling, rig.controller.machine.robot.manipulator
     hole._manipulator = replace(manipulator, upper=rig.plant.q + np.array([9, 9, 9, 9, 10.3]))
     with pytest.raises(RobotRefusedError, match="the feed would end"):

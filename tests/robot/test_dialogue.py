@@ -192,6 +192,7 @@ def test_a_depth_limit_is_near_the_planned_depth(slack, fits):
     rig = Rig.at(State.TARGETING)
     said = target(rig, depth_limit_mm=repr(LENGTH_MM + slack), plan=f"plan {slack}")
     assert (code(said, "TARGET") == 1) is fits
+    assert (rig.controller.machine.insertion is not None) is fits  # the earlier target is void
     if slack > 1:
         assert fits or "beyond the planned depth" in said[1].body.text
 

@@ -9,7 +9,7 @@ from tests.robot.igtl_faults import FAULTS
 from tests.robot.igtl_strategies import BODIES, messages
 
 from sightline.errors import MessageError
-from sightline.robot.igtl import Event, Fault, Header, Message, NDArray, Rejected, Stream, String, Transform, encode
+from sightline.robot.igtl import Event, Fault, Header, Message, NDArray, Rejected, Stream, String, encode
 
 SEEDS = 30
 
@@ -76,7 +76,6 @@ def test_the_reason_is_told(type_name: str, body: bytes, words: str) -> None:
     assert event.fault is Fault.BAD_BODY
     assert words in event.reason
     assert not event.fatal
-    assert event.header is not None
     assert event.header.device_name == "D"
 
 
@@ -102,7 +101,6 @@ def test_metadata_that_do_not_agree_are_refused(body: bytes, words: str) -> None
 def test_room_for_later_versions_in_the_extended_header_is_skipped() -> None:
     body = b"\0\x10\0\0\0\0\0\0\0\0\0\5later"[:14] + b"xx" + b"\0\3\0\1a"
     (event,) = Stream().feed(wire("STRING", body, version=2))
-    assert isinstance(event, Message)
     assert (event.body, event.message_id, dict(event.metadata)) == (String("a"), 5, {})
 
 
@@ -110,7 +108,6 @@ def test_a_name_that_is_not_ascii_costs_one_message_and_not_the_stream() -> None
     data = bytearray(encode(Message(String("a"), "Hxfte")))
     data[15] = 0xFC
     first, second = Stream().feed(bytes(data) + encode(Message(String("b"))))
-    assert isinstance(first, Rejected)
     assert "not ASCII" in first.reason
     assert not first.fatal
     assert isinstance(second, Message)
@@ -140,15 +137,11 @@ def test_a_message_inside_another_is_not_obeyed_when_a_size_is_wrong() -> None:
     assert isinstance(event, Message)
     shorter = outer[:42] + (3).to_bytes(8, "big") + outer[50:]
     crc, header = Stream().feed(shorter)
-    assert isinstance(crc, Rejected)
-    assert isinstance(header, Rejected)
     assert (crc.fault, header.fault) == (Fault.WRONG_CRC, Fault.NO_HEADER)
 
 
 def test_a_signalling_nan_is_a_nan() -> None:
     (event,) = Stream().feed(wire("TRANSFORM", b"\x7f\xa0\0\1" * 12))
-    assert isinstance(event, Message)
-    assert isinstance(event.body, Transform)
     assert event.body.fault == "it holds numbers that are not finite"
     assert Stream().feed(encode(event))
 
@@ -157,6 +150,5 @@ def test_the_limit_is_the_largest_body_that_is_read() -> None:
     message = Message(String("a" * 96))
     assert len(Stream(max_body_bytes=100).feed(encode(message))) == 1
     (event,) = Stream(max_body_bytes=99).feed(encode(message)[:58])
-    assert isinstance(event, Rejected)
     assert event.fault is Fault.TOO_LARGE
     assert "100 bytes announced; at most 99" in event.reason

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from tests.robot.rig import END_MM, ENTRY_MM, ROBOT, SETUP, T_MCS_CFCS, metadata, wire
 
 from sightline.errors import RobotRefusedError
+from sightline.robot import contract
 from sightline.robot.control import insertion
 from sightline.robot.control.insertion import Insertion, LinkRegistration, read_registration, read_target
 from sightline.robot.igtl import Message, Transform
@@ -48,6 +49,68 @@ def test_a_plan_s_limits(inside, beyond, why):
     assert read(said=inside).expires_s == NOW_S + float(inside["valid_s"])
     with pytest.raises(RobotRefusedError, match=why):
         read(said=beyond)
+
+
+def at(translation_mm, matrix=None) -> np.ndarray:
+    pose = (np.eye(4) if matrix is None else matrix).copy()
+    pose[:3, 3] = translation_mm
+    return pose
+
+
+def taken(pose: RigidTransform | np.ndarray, said: dict[str, str] | None = None, **times) -> Insertion:
+    matrix = pose.as_matrix() if isinstance(pose, RigidTransform) else pose
+    message = Message(
+        Transform(matrix), "TGT_1", times.get("sent", 0), 2, metadata=metadata() if said is None else said
+    )
+    return read_target(message, LinkRegistration(T_MCS_CFCS, times.get("registered", 0)), ROBOT, SETUP, NOW_S)
+
+
+@pytest.mark.parametrize(
+    ("pose", "said", "why"),
+    [
+        (wire(ENTRY_MM + 200, END_MM + 200), {}, "out of reach"),
+        (wire(END_MM, ENTRY_MM), {}, "out of reach"),
+        (wire(), {"coordinates": "MCS"}, "in the frame 'MCS'"),
+        (wire(), {"coordinates": ""}, "in the frame ''"),
+        (wire(), {"units": "m"}, "in 'm'"),
+        (wire(), {"length_mm": "0"}, "no direction"),
+        (wire(), {"length_mm": "nan"}, "no number"),
+        (wire(), {"length_mm": "eighty"}, "no number"),
+        (wire(), {"length_mm": "200", "depth_limit_mm": "201"}, "too near|out of reach|feed ends"),
+        (wire(), {"depth_limit_mm": "30"}, "of its limit of 30.0 mm"),
+        (wire(), {"go": "no"}, "checks of the plan failed"),
+        (wire(), {"go": "maybe"}, "'yes' or 'no'"),
+        (wire(), {"side": "left"}, "side is 'left'"),
+        (wire(), {"side": "middle"}, "side"),
+        (wire(), {"frame_serial": "SN-8"}, "frame serial is 'SN-8'"),
+        (wire(), {"frame": "block60/SN-7#2"}, "frame file is 'block60/SN-7#2'"),
+        (wire(), {"valid_s": "-3"}, "expired"),
+        (at(END_MM, np.diag([2.0, 2.0, 2.0, 1.0])), {}, "no rigid motion"),
+        (at(END_MM, np.diag([-1.0, 1.0, 1.0, 1.0])), {}, "left-handed"),
+        (at([np.nan, 0, 0]), {}, "not finite"),
+    ],
+)
+def test_targets_that_must_not_be_drilled_are_refused_with_the_reason(pose, said, why):
+    with pytest.raises(RobotRefusedError, match=why):
+        taken(pose, metadata(**said))
+
+
+def test_a_plan_states_everything_and_is_not_older_than_the_registration():
+    for missing in contract.PLAN_KEYS[1:]:
+        with pytest.raises(RobotRefusedError, match=f"does not state {missing}"):
+            taken(wire(), {key: value for key, value in metadata().items() if key != missing})
+    assert taken(wire(), sent=50, registered=50).identity is not None
+    with pytest.raises(RobotRefusedError, match="older than the registration"):
+        taken(wire(), sent=49, registered=50)
+
+
+@pytest.mark.parametrize(
+    ("pose", "why"),
+    [(at([300, 200, -260], np.diag([2.0, 2.0, 2.0, 1.0])), "no rigid motion"), (at([np.inf, 0, 0]), "not finite")],
+)
+def test_registrations_that_are_none_are_refused(pose, why):
+    with pytest.raises(RobotRefusedError, match=why):
+        read_registration(Message(Transform(pose), "CLB_1"), SETUP)
 
 
 def test_a_target_in_metres_lies_within_a_millimetre_of_the_origin():

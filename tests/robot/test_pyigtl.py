@@ -120,7 +120,6 @@ def check_what_it_heard(found: dict[str, Any]) -> None:
 
 def test_it_serves_us() -> None:
     with peer("server") as process:
-        assert process.stdout is not None
         events: list[Event] = []
         with BlockingClient(port=int(process.stdout.readline())) as client:
             while not (events and isinstance(events[-1], Message) and events[-1].device_name == "DONE"):

@@ -27,13 +27,11 @@ from tests.robot.rig import (
 )
 
 from sightline.errors import LinkError, RobotRefusedError
-from sightline.robot import contract
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.states import MOVING, State
 from sightline.robot.control.timing import LoopClock
 from sightline.robot.igtl import Message, String, Transform, encode
 from sightline.robot.link.client import RobotClient
-from sightline.robot.link.exchange import RequestResult
 from sightline.robot.link.server import RobotServer, Simulation
 from sightline.robot.transport import BlockingClient
 
@@ -78,76 +76,6 @@ def test_a_whole_insertion(virtual, robot):
         robot.align()
 
 
-def test_a_guide_is_held_and_then_drawn_back(robot):
-    ready(robot)
-    robot.align()
-    robot.guide()
-    assert robot.status().text.startswith("GUIDE")
-    robot.retract()
-
-
-SCALED = np.diag([2.0, 2.0, 2.0, 1.0])
-MIRRORED = np.diag([-1.0, 1.0, 1.0, 1.0])
-
-
-def at(translation_mm, matrix=None) -> np.ndarray:
-    out = (np.eye(4) if matrix is None else matrix).copy()
-    out[:3, 3] = translation_mm
-    return out
-
-
-def sent(robot: RobotClient, kind: str, pose: RigidTransform | np.ndarray, name: str, **header) -> RequestResult:
-    """How a registration or a target ended that a client of ours would not send."""
-    matrix = pose.as_matrix() if isinstance(pose, RigidTransform) else pose
-    with robot.connection.mailbox() as mail:
-        return robot.send_pose(mail, kind, matrix, name, **header)[0]
-
-
-@pytest.mark.parametrize(
-    ("target", "said", "why"),
-    [
-        (wire(ENTRY_MM + 200, END_MM + 200), {}, "out of reach"),
-        (wire(END_MM, ENTRY_MM), {}, "out of reach"),
-        (wire(), {"coordinates": "MCS"}, "in the frame 'MCS'"),
-        (wire(), {"coordinates": ""}, "in the frame ''"),
-        (wire(), {"units": "m"}, "in 'm'"),
-        (wire(ENTRY_MM / 1000, END_MM / 1000), {}, "looks like metres"),
-        (wire(), {"length_mm": "0"}, "no direction"),
-        (wire(), {"length_mm": "nan"}, "no number"),
-        (wire(), {"length_mm": "eighty"}, "no number"),
-        (wire(), {"length_mm": "200", "depth_limit_mm": "201"}, "too near|out of reach|feed ends"),
-        (wire(), {"depth_limit_mm": "30"}, "of its limit of 30.0 mm"),
-        (wire(), {"go": "no"}, "checks of the plan failed"),
-        (wire(), {"go": "maybe"}, "'yes' or 'no'"),
-        (wire(), {"side": "left"}, "side is 'left'"),
-        (wire(), {"side": "middle"}, "side"),
-        (wire(), {"frame_serial": "SN-8"}, "frame serial is 'SN-8'"),
-        (wire(), {"frame": "block60/SN-7#2"}, "frame file is 'block60/SN-7#2'"),
-        (wire(), {"valid_s": "-3"}, "expired"),
-        (wire(), {"valid_s": "86400"}, "claims to be valid"),
-        (at(END_MM, SCALED), {}, "no rigid motion"),
-        (at(END_MM, MIRRORED), {}, "left-handed"),
-        (at([np.nan, 0, 0]), {}, "not finite"),
-    ],
-)
-def test_targets_that_must_not_be_drilled_are_refused_with_the_reason(robot, target, said, why):
-    ready(robot)
-    robot.command("TARGETING").refuse_unless_ok()
-    with pytest.raises(RobotRefusedError, match=why):
-        sent(robot, contract.TARGET, target, "TARGET", metadata=metadata(**said), imaged_s=10.0).refuse_unless_ok()
-    with pytest.raises(RobotRefusedError, match="no target"):  # the earlier one is void
-        robot.align()
-
-
-def test_a_plan_that_leaves_something_unsaid_is_refused(robot):
-    ready(robot)
-    for missing in contract.PLAN_KEYS[1:]:
-        said = metadata()
-        del said[missing]
-        with pytest.raises(RobotRefusedError, match=f"does not state {missing}"):
-            robot.aim(wire(), said, 10.0)
-
-
 def test_a_target_through_the_table_is_refused(robot):
     ready(robot)
     steep = np.array([0.0, 45.0, 0.0])
@@ -157,45 +85,9 @@ def test_a_target_through_the_table_is_refused(robot):
         robot.aim(wire(ENTRY_MM + steep, END_MM + steep), metadata(), 20.0)
 
 
-def test_a_target_older_than_the_registration_is_refused(robot):
-    ready(robot)
-    robot.calibrate(T_MCS_CFCS, 50.0)
-    with pytest.raises(RobotRefusedError, match="older than the registration"):
-        robot.aim(wire(), metadata(), 49.0)
-    with pytest.raises(RobotRefusedError, match="no target"):
-        robot.align()
-
-
-def test_registrations_that_are_none_are_refused(robot):
-    robot.start_up()
-    for bad, why in (
-        (at([300, 200, -260], SCALED), "no rigid motion"),
-        (at([0.5, 0.3, -0.26]), "metres"),
-        (at([np.inf, 0, 0]), "not finite"),
-    ):
-        robot.command("CALIBRATION").refuse_unless_ok()
-        with pytest.raises(RobotRefusedError, match=why):
-            sent(robot, "CLB_", bad, "CALIBRATION").refuse_unless_ok()
-        with pytest.raises(RobotRefusedError, match="no registration"):
-            robot.aim(wire())
-    with pytest.raises(RobotRefusedError, match="no registration"):
-        robot.position()
-
-
 def test_a_robot_does_not_know_where_its_wire_truly_is(robot):
     with pytest.raises(RobotRefusedError, match="no COMMAND 'SIMULATED_WIRE'"):
         robot.simulated_wire()
-
-
-def test_two_clients_commanding(virtual, robot):
-    ready(robot)
-    with RobotClient(port=virtual.port, heartbeat=False, streams=False) as second:
-        for attempt in (second.start_up, second.align, lambda: second.calibrate(T_MCS_CFCS), second.retract):
-            with pytest.raises(RobotRefusedError, match="another client holds the command lease"):
-                attempt()
-        assert second.status().error_name == "TARGETING"
-    robot.align()
-    assert robot.status().text.startswith("ALIGNED")
 
 
 def test_streams_and_what_they_hold():

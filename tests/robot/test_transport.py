@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import LinkError, MessageError
-from sightline.robot.igtl import Event, Image, Message, Rejected, Status, String, Transform, encode
+from sightline.robot.igtl import Event, Image, Message, Status, String, Transform, encode
 from sightline.robot.transport import BlockingClient, Client, Connection, Server, connection
 from sightline.robot.transport import serve as serve_at
 from sightline.robot.transport.connection import Outbox
@@ -79,7 +79,6 @@ def numbered(number: int, device: str = "arm/measured_cp") -> Message:
 async def test_a_burst_of_one_device_arrives_whole_and_in_order() -> None:
     there, here = Witness(echo), Witness()
     async with await serve(there) as listening, Client(here, port=listening.port) as client:
-        assert client.connection is not None
         for number in range(1000):
             client.connection.send(numbered(number))
         events = await here.until("received", 1000)
@@ -114,7 +113,6 @@ async def test_a_thread_without_a_loop_talks_to_it() -> None:
                     client.send(numbered(number))
                 for number in range(1000):
                     event = client.receive(PATIENCE_S)
-                    assert isinstance(event, Message)
                     assert event.timestamp == number + 1
                 assert client.receive(0.0) is None
 
@@ -131,7 +129,6 @@ async def test_clients_are_told_apart_and_one_too_many_is_turned_away() -> None:
         for client in clients:
             client.send(Message(String("who am I?")))
             event = await asyncio.to_thread(client.receive, PATIENCE_S)
-            assert isinstance(event, Message)
             answers.add(event.body)
         assert len(answers) == connection.MAX_CLIENTS == len(listening.connections)
         one_more = await asyncio.to_thread(BlockingClient, port=listening.port)
@@ -217,9 +214,7 @@ async def test_bytes_that_lose_the_stream_end_the_connection_and_no_other(data: 
             (lost,) = await there.until("lost")
             assert reason in lost
             (event,) = there.all("received")
-            assert isinstance(event, Rejected)
             assert event.fatal
-        assert client.connection is not None
         client.connection.send(numbered(5))
         (event,) = await here.until("received")
         assert event.timestamp == 6
@@ -300,7 +295,6 @@ async def test_a_handler_that_fails_ends_its_connection_alone(caplog: pytest.Log
             assert await there.until("lost") == ["what was to handle it failed"]
             with pytest.raises(LinkError):
                 await asyncio.to_thread(other.receive, PATIENCE_S)
-        assert client.connection is not None
         client.connection.send(numbered(1))
         await here.until("received")
     assert "ZeroDivisionError" in caplog.text
@@ -323,7 +317,6 @@ async def test_nobody_there_is_said() -> None:
 async def test_a_message_that_cannot_be_written_sends_nothing() -> None:
     here = Witness()
     async with await serve(Witness(echo)) as listening, Client(here, port=listening.port) as client:
-        assert client.connection is not None
         with pytest.raises(MessageError, match="21 bytes"):
             client.connection.send(numbered(0, device="a" * 21))
         client.connection.send(numbered(1))
