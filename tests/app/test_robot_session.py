@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.robot.rig import ROBOT, SETUP, T_MCS_CFCS, metadata, wire
-from tests.robot.test_depth import Bone
+from tests.robot.test_depth import Layers
 
 from sightline.app import texts
 from sightline.app.panels import drill, steps
@@ -128,7 +128,7 @@ AT_CONTACT_MM = PLAN_SD_MM * CONTACT_SD_MM / float(np.hypot(PLAN_SD_MM, CONTACT_
 @pytest.fixture
 def paused() -> Iterator[RobotSession]:
     """At the pause, 10 mm short of the tip, after bone was met where it is planned."""
-    plant = Bone(-CONTACT_LEAD_MM)
+    plant = Layers({-CONTACT_LEAD_MM: 20.0})
     controller = Controller(ROBOT, plant, Setup(SETUP.side, SETUP.frame_serial))
 
     def ready(client: RobotClient) -> None:
