@@ -16,11 +16,9 @@ import numpy as np
 from scipy.stats import chi2
 
 import sightline as sl
-from benchmarks.drawn_necks import neck_clicks
-from benchmarks.parallel import in_parallel
-from benchmarks.rows import Row, finished
+from benchmarks.harness import Rows, finished, mahalanobis2, rms, trials
 from sightline.calibration.view import CalibratedView
-from sightline.errors import SightlineError
+from sightline.errors import SetUpError, SightlineError
 from sightline.frame import Frame
 from sightline.from_images.head_and_shaft import fit_head, fit_shaft
 from sightline.from_images.neck import fit_neck
@@ -30,7 +28,7 @@ from sightline.planning.bone.drawings import Axis
 from sightline.planning.bone.head import Sphere
 from sightline.twin import HipScene, SetUp, render
 from sightline.twin.anatomy.bone_model import SphereAid, drawn_aids
-from sightline.twin.anatomy.femur import to_cfcs
+from sightline.twin.anatomy.femur import Femur, to_cfcs
 from sightline.twin.scenes.hip_scene import shown_hip_scene
 from sightline.twin.scenes.specimens import tagged
 from sightline.twin.xray.setup import BEAMS, ViewTruth
@@ -38,8 +36,7 @@ from sightline.twin.xray.setup import BEAMS, ViewTruth
 HIPS, WITH_PLATES, ACROSS = 100, 30, 60  # with a block; with the Γ frame; with a block and a beam across the neck
 FIRST_ACROSS = 2000  # the error stated in lateral images was raised after a run of the first hips
 CLICK_PX = 2.0
-MOST_RATIO = 1.15  # error over stated s.d.: of 60 fits with 2 numbers each an honest one is 1 +- 0.065 [calc]
-GROUP = "fitted to edges"
+MAX_RATIO = 1.15  # error over stated s.d.: of 60 fits with 2 numbers each an honest one is 1 +- 0.065 [calc]
 # Begin of drawn borders, mm caudal of where neck and shaft meet: below the lesser trochanter, and beside it [ours].
 BELOW_MM, BESIDE_MM, LENGTH_MM = (48.0, 56.0), (36.0, 44.0), (20.0, 40.0)
 # Lateral beam across the neck: lateral, caudal of a right hip, anterior [ours].
@@ -47,19 +44,19 @@ ACROSS_NECK = np.array([0.64, -0.77, 0.0])
 NECK_AXIS = (0.25, 0.75)  # of the way from the head's centre, where the studies click on a neck's axis
 VISIBLE_MM = (5.0, 12.0)  # between plates the field ends at about 40 mm
 
+HEAD = (("centre", 3, "mm"), ("radius", 1, "mm"))  # names, numbers of components, and units
+SHAFT = (("offset", 2, "mm"), ("direction", 2, "°"))
+NECK = (("offset", 1, "mm"), ("direction", 1, "°"))  # in the image
 
-@dataclass(frozen=True)
-class _Number:
-    """What is fitted: its name, how many components it has, and their unit."""
+STATIONS = np.arange(0.25, 0.8, 0.006)  # along the neck, of its length from the head's centre
+DEPTHS_MM = np.arange(-14.0, 14.5, 2.0)  # along the beam, of the places where a line of sight may touch the bone
+BESIDE_HEAD = (1.05, 1.10)  # of the first click, radii from the head's centre: where the neck leaves the head [ours]
+PAST_MM = (3.5, 6.5)  # of the second click, along the border from the neck's narrowest place [ours]
+HIDDEN = (0.36, 0.56)  # stations of clicks in an image that does not show a neck
+MAX_COSINE = 0.5  # of neck and beam; an image whose beam is nearer to the neck shows head and trochanter
 
-    name: str
-    size: int
-    unit: str
-
-
-HEAD = _Number("centre", 3, "mm"), _Number("radius", 1, "mm")
-SHAFT = _Number("offset", 2, "mm"), _Number("direction", 2, "°")
-NECK = _Number("offset", 1, "mm"), _Number("direction", 1, "°")  # in the image
+Pair = tuple[float, float]
+NONE = (np.nan, np.nan)
 
 
 @dataclass(frozen=True)
@@ -69,89 +66,69 @@ class _Fit:
     the error of clicks on the true axis of a neck."""
 
     images: int
-    squares: tuple[float, float] = (np.nan, np.nan)
-    error: tuple[float, float] = (np.nan, np.nan)
-    drawn: tuple[float, float] = (np.nan, np.nan)
-    stated: tuple[float, float] = (np.nan, np.nan)
-    axis: tuple[float, float] = (np.nan, np.nan)
+    squares: Pair = NONE
+    error: Pair = NONE
+    drawn: Pair = NONE
+    stated: Pair = NONE
+    axis: Pair = NONE
 
 
-def run(quick: bool) -> list[Row]:
+def run(quick: bool) -> Rows:
     """Return the rows of this benchmark; `quick` takes a tenth of the hips."""
-    many, few, across = (n // 10 if quick else n for n in (HIPS, WITH_PLATES, ACROSS))
-    block, refused = finished(GROUP, in_parallel(_with_block, range(many), keep="fitted-block"))
-    plates, also = finished(GROUP, in_parallel(_with_plates, range(few), keep="fitted-plates"))
-    beside, too = finished(
-        GROUP, in_parallel(_across_neck, range(FIRST_ACROSS, FIRST_ACROSS + across), keep="fitted-necks")
-    )
-    return [
-        *refused,
-        *_rows("head", [hip[0] for hip in block], HEAD, MOST_RATIO),
-        *_rows("shaft below the lesser trochanter", [hip[1] for hip in block], SHAFT, MOST_RATIO),
-        *_rows("shaft beside the lesser trochanter", [hip[2] for hip in block], SHAFT),
-        *_rows("neck, PA image", [hip[3] for hip in block], NECK, MOST_RATIO, 1),
-        *_rows("neck, lateral image", [hip[4] for hip in block], NECK, MOST_RATIO, 1),
-        *also,
-        *_rows("head between plates", [hip[0] for hip in plates], HEAD),
-        *_rows("shaft between plates", [hip[1] for hip in plates], SHAFT),
-        *_rows("neck between plates, PA image", [hip[2] for hip in plates], NECK, None, 1),
-        *too,
-        *_rows("neck, lateral image across it", [hip[1] for hip in beside], NECK, MOST_RATIO, 1),
-    ]
-
-
-def _rows(
-    what: str, fits: list[_Fit], numbers: tuple[_Number, _Number], most: float | None = None, images: int = 2
-) -> list[Row]:
-    """Return the rows of one kind of fit; `most`: the largest ratio of error and stated s.d. asked for; `images`: those
-    that each is fitted in."""
-    counts = " / ".join(str(sum(fit.images == n for fit in fits)) for n in range(images, -1, -1))
-    label = "fitted in both images / one / none" if images == 2 else "fitted / kept"
-    rows = [Row(GROUP, f"{what}: {label}", f"{counts} of {len(fits)}")]
-    done = [fit for fit in fits if fit.images == images]
-    for k, one in enumerate(numbers if done else ()):
-        squares, error, stated, drawn, axis = (
-            np.array([getattr(fit, name)[k] for fit in done])
-            for name in ("squares", "error", "stated", "drawn", "axis")
-        )
-        ratio, inside = float(np.sqrt(squares.mean() / one.size)), float(np.mean(squares <= chi2.ppf(0.95, one.size)))
-        rms = [f"{np.sqrt(np.mean(values**2)):.2f} {one.unit}" for values in (error, stated, drawn, axis)]
-        rows.append(
-            Row(
-                GROUP,
-                f"{what}, {one.name}: error / stated s.d.; within 95 %; rms error, stated",
-                f"{ratio:.2f}; {100 * inside:.0f} %; {rms[0]}, {rms[1]}",
-                "" if most is None else f"<= {most:g}",
-                f"as drawn {rms[2]}" + ("" if np.isnan(axis).all() else f"; clicks on the true axis {rms[3]}"),
-                None if most is None else ratio <= most,
-            )
-        )
+    rows, (many, few, across) = Rows("fitted to edges"), (n // 10 if quick else n for n in (HIPS, WITH_PLATES, ACROSS))
+    block, refused = finished(trials(_with_block, range(many), keep="fitted-block"))
+    plates, also = finished(trials(_with_plates, range(few), keep="fitted-plates"))
+    seeds = range(FIRST_ACROSS, FIRST_ACROSS + across)
+    beside, too = finished(trials(_across_neck, seeds, keep="fitted-necks"))
+    rows.add("hips refused: block, Γ, across the neck", f"{refused}, {also}, {too}")
+    for name, numbers, most, fits in (
+        ("head", HEAD, MAX_RATIO, [hip[0] for hip in block]),
+        ("shaft below the lesser trochanter", SHAFT, MAX_RATIO, [hip[1] for hip in block]),
+        ("shaft beside the lesser trochanter", SHAFT, np.inf, [hip[2] for hip in block]),
+        ("neck in the PA image", NECK, MAX_RATIO, [hip[3] for hip in block]),
+        ("neck in the lateral image", NECK, MAX_RATIO, [hip[4] for hip in block]),
+        ("head with Γ", HEAD, np.inf, [hip[0] for hip in plates]),
+        ("shaft with Γ", SHAFT, np.inf, [hip[1] for hip in plates]),
+        ("neck with Γ, PA image", NECK, np.inf, [hip[2] for hip in plates]),
+        ("neck in a lateral image across it", NECK, MAX_RATIO, [hip[1] for hip in beside]),
+    ):
+        _add(rows, name, fits, numbers, most)
     return rows
 
 
-def _with_block(seed: int) -> tuple[_Fit, ...] | str:
+def _add(rows: Rows, name: str, fits: list[_Fit], numbers: Sequence[tuple[str, int, str]], most: float) -> None:
+    """Add one kind of fit; `most`: the largest ratio of error and stated s.d. asked for."""
+    images = 1 if numbers is NECK else 2
+    counts = " / ".join(str(sum(fit.images == n for fit in fits)) for n in range(images, -1, -1))
+    rows.add(f"{name}: fitted {'/ kept' if images == 1 else 'in both images / one / none'}", f"{counts} of {len(fits)}")
+    done = [fit for fit in fits if fit.images == images]
+    for k, (number, size, unit) in enumerate(numbers if done else ()):
+        squares, *lengths = (
+            np.array([getattr(fit, key)[k] for fit in done]) for key in ("squares", "error", "stated", "drawn", "axis")
+        )
+        ratio, inside = rms(np.sqrt(squares / size)), np.mean(squares <= chi2.ppf(0.95, size))
+        error, stated, drawn, axis = (f"{rms(values):.2f} {unit}" for values in lengths)
+        peer = f"as drawn {drawn}" + ("" if np.isnan(lengths[3]).all() else f"; clicks on the true axis {axis}")
+        asked, met = (f"<= {most:g}", ratio <= most) if most < np.inf else ("", None)
+        value = f"{ratio:.2f}; {100 * inside:.0f} %; {error}; {stated}"
+        rows.add(f"{name}, {number}: error / stated s.d., rms; within 95 %; rms error; stated", value, asked, met,
+                 peer=peer)  # fmt: skip
+
+
+def _with_block(seed: int) -> tuple[_Fit, ...]:
     """Return the fits of a head, of a shaft below the lesser trochanter, of one beside it, and of a neck by image."""
-    try:
-        hip = _Hip.drawn(seed, "block60")
-    except SightlineError as refused:
-        return f"seed {seed}: {refused}"
+    hip = _Hip.drawn(seed, "block60")
     return hip.head(), hip.shaft(BELOW_MM), hip.shaft(BESIDE_MM), *hip.neck()
 
 
-def _across_neck(seed: int) -> tuple[_Fit, ...] | str:
+def _across_neck(seed: int) -> tuple[_Fit, ...]:
     """Return the fits of a neck in a PA image, and in a lateral one whose beam crosses it."""
-    try:
-        return _Hip.drawn(seed, "block60", across_neck=True).neck()
-    except SightlineError as refused:
-        return f"seed {seed}: {refused}"
+    return _Hip.drawn(seed, "block60", across_neck=True).neck()
 
 
-def _with_plates(seed: int) -> tuple[_Fit, ...] | str:
+def _with_plates(seed: int) -> tuple[_Fit, ...]:
     """Return the fits of a head, of the visible part of a shaft, and of a neck in the PA image."""
-    try:
-        hip = _Hip.drawn(seed, "gamma")
-    except SightlineError as refused:
-        return f"seed {seed}: {refused}"
+    hip = _Hip.drawn(seed, "gamma")
     return hip.head(), hip.shaft(VISIBLE_MM), hip.neck()[0]
 
 
@@ -169,8 +146,7 @@ class _Hip:
     def drawn(seed: int, frame: str, *, across_neck: bool = False) -> "_Hip":
         """Raises SightlineError where its images cannot be calibrated."""
         warnings.simplefilter("ignore", RuntimeWarning)  # of bead truths outside the field
-        rng = np.random.default_rng([97, seed])
-        known = Frame.load(frame)
+        rng, known = np.random.default_rng([97, seed]), Frame.load(frame)
         side, beams = str(rng.choice(["right", "left"])), {}
         if across_neck:
             beams["views"] = {"pa": BEAMS["pa"], "lateral": to_cfcs(ACROSS_NECK, side, np.zeros(3))}
@@ -182,8 +158,7 @@ class _Hip:
     @cached_property
     def circles(self) -> tuple[tuple[Circle, Circle], tuple[Circle, Circle], dict[str, str]]:
         """Three clicks on the head's rim in each image, their fit, and what was kept."""
-        outline = SphereAid(self.scene.head_mm, self._radius_mm)
-        pixels = drawn_aids({"head": outline}, self.setup.views)["head"]
+        pixels = drawn_aids({"head": SphereAid(self.scene.head_mm, self._radius_mm)}, self.setup.views)["head"]
         first, second = (Circle.through(self._clicked(pixels[name]), CLICK_PX) for name in self.setup.views)
         return (first, second), *fit_head(self.views, self.images, (first, second))
 
@@ -193,11 +168,11 @@ class _Hip:
         before, after = (locate(self.views, Aids(head=each)).head for each in (drawn, fitted))
         if kept or before is None or after is None or after.covariance_mm2 is None:
             return _Fit(2 - len(kept))
-        off = self._off(after)
-        covariance = after.covariance_mm2
-        squares = float(off[:3] @ np.linalg.solve(covariance[:3, :3], off[:3])), float(off[3] ** 2 / covariance[3, 3])
+        off, covariance = self._off(after), after.covariance_mm2
+        squares = float(mahalanobis2(off[:3], covariance[:3, :3])), float(off[3] ** 2 / covariance[3, 3])
         stated = float(np.sqrt(np.trace(covariance[:3, :3]))), float(np.sqrt(covariance[3, 3]))
-        return _Fit(2, squares, _lengths(off), _lengths(self._off(before)), stated)
+        lengths = [(float(np.linalg.norm(each[:3])), float(abs(each[3]))) for each in (off, self._off(before))]
+        return _Fit(2, squares, lengths[0], lengths[1], stated)
 
     @property
     def _radius_mm(self) -> float:
@@ -208,7 +183,7 @@ class _Hip:
     def _off(self, head: Sphere) -> np.ndarray:
         return np.append(head.centre_mm - self.scene.head_mm, head.radius_mm - self._radius_mm)
 
-    def shaft(self, begin_mm: tuple[float, float]) -> _Fit:
+    def shaft(self, begin_mm: Pair) -> _Fit:
         """Return the fit of both borders in each image, begun so far caudal of where the axes meet."""
         first, second = (Line.between(self._borders(name, begin_mm), CLICK_PX) for name in self.setup.views)
         try:
@@ -218,8 +193,28 @@ class _Hip:
         before, after = (locate(self.views, Aids(shaft=each)).shaft for each in ((first, second), fitted))
         if kept or before is None or after is None:
             return _Fit(2 - len(kept))
-        made, drawn = self._axis(after), self._axis(before)
-        return _Fit(2, (made[0], made[1]), (made[2], made[3]), (drawn[2], drawn[3]), (made[4], made[5]))
+        squares, error, stated = self._axis(after)
+        return _Fit(2, squares, error, self._axis(before)[1], stated)
+
+    def _axis(self, axis: Axis) -> tuple[Pair, Pair, Pair]:
+        """Return of offset, mm, and direction, °, the squares, errors, and stated errors."""
+        base, knee = self._in_cfcs(self.scene.femur.base_mm + np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+        true, middle = knee - base, axis.ends_mm.mean(axis=0)
+        across = np.linalg.svd(axis.direction[None])[2][1:]
+        length = np.linalg.norm(axis.ends_mm[1] - axis.ends_mm[0])
+        wrong = (
+            across @ (base + (middle - base) @ true * true - middle),
+            across @ true * np.sign(true @ axis.direction),
+        )
+        by_ends = across @ np.hstack([np.eye(3), np.eye(3)]) / 2, across @ np.hstack([-np.eye(3), np.eye(3)]) / length
+        assert axis.covariance_mm2 is not None
+        stated = [by @ axis.covariance_mm2 @ by.T for by in by_ends]
+        squares = tuple(float(mahalanobis2(off, own)) for off, own in zip(wrong, stated, strict=True))
+        (offset, turned), (offset_sd, turned_sd) = (
+            map(np.linalg.norm, wrong),
+            (np.sqrt(np.trace(own)) for own in stated),
+        )
+        return squares, (offset, np.rad2deg(turned)), (offset_sd, np.rad2deg(turned_sd))
 
     def neck(self) -> tuple[_Fit, _Fit]:
         """Return the fit of both borders of the neck in each image, from the head past the narrowest place."""
@@ -230,11 +225,11 @@ class _Hip:
             on_axis = self._in_cfcs(np.outer(NECK_AXIS, self.scene.femur.base_mm))
             axes.append(Line(self._clicked(view.project(on_axis)), CLICK_PX))
         lines, kept = fit_neck(self.views, self.images, (drawn[0], drawn[1]), self.circles[1])
-        fits = [
+        first, second = (
             _Fit(0) if view.name in kept else self._neck(view, *three)
             for view, *three in zip(self.views, lines, drawn, axes, strict=True)
-        ]
-        return fits[0], fits[1]
+        )
+        return first, second
 
     def _neck(self, view: CalibratedView, fitted: Line, drawn: Line, axis: Line) -> _Fit:
         """Return the errors of lines along the neck in one image."""
@@ -243,7 +238,7 @@ class _Hip:
         others = [self._in_image(view, line)[0] for line in (drawn, axis)]
         return _Fit(1, squares, (offset, turned), others[0], (offset_sd, turned_sd), others[1])
 
-    def _in_image(self, view: CalibratedView, line: Line) -> tuple[tuple[float, float], tuple[float, float]]:
+    def _in_image(self, view: CalibratedView, line: Line) -> tuple[Pair, Pair]:
         """Return offset and rotation of a line against the neck's true axis on the view's plane, at the middle of the
         line, mm in the bone and °; and their stated s.d."""
         ends = self._in_cfcs(np.outer([0.0, 1.0], self.scene.femur.base_mm))
@@ -257,12 +252,12 @@ class _Hip:
         length = float(np.linalg.norm(way))
         offset = scale * across @ (seen.xy_mm.mean(axis=0) - true.xy_mm[0])
         turned = np.arcsin(across @ way / length)
-        spread = np.zeros((4, 4))
-        spread[:2, :2], spread[2:, 2:] = seen.jacobian
-        spread = spread @ line.spread_px2 @ spread.T
+        response = np.zeros((4, 4))
+        response[:2, :2], response[2:, 2:] = seen.jacobian
+        covariance = response @ line.spread_px2 @ response.T
         by_ends = scale * np.concatenate([across, across]) / 2, np.concatenate([-across, across]) / length
-        sds = [float(np.sqrt(one @ spread @ one)) for one in by_ends]
-        return (float(offset), float(np.rad2deg(turned))), (sds[0], float(np.rad2deg(sds[1])))
+        offset_sd, turned_sd = (float(np.sqrt(by @ covariance @ by)) for by in by_ends)
+        return (float(offset), float(np.rad2deg(turned))), (offset_sd, float(np.rad2deg(turned_sd)))
 
     def _in_cfcs(self, points_mm: np.ndarray) -> np.ndarray:
         return to_cfcs(points_mm, self.setup.side, self.scene.head_mm)
@@ -271,41 +266,58 @@ class _Hip:
         """Return the X-ray source (3,), anatomical."""
         return to_cfcs(view.focal_point_mm - self.scene.head_mm, self.setup.side, np.zeros(3))
 
-    def _borders(self, name: str, begin_mm: tuple[float, float]) -> np.ndarray:
+    def _borders(self, name: str, begin_mm: Pair) -> np.ndarray:
         """Return clicks (2, 2, 2) on both borders in an image."""
         view, femur = self.setup.views[name], self.scene.femur
         source = self._source(view)
-        first = self.rng.uniform(*begin_mm)
-        down = first + np.array([0.0, self.rng.uniform(*LENGTH_MM)])
-        out = []
+        down = self.rng.uniform(*begin_mm) + np.array([0.0, self.rng.uniform(*LENGTH_MM)])
+        borders = []
         for way in (1.0, -1.0):
             for mm in down + self.rng.uniform(-3.0, 3.0, 2):
                 on = femur.base_mm + np.array([0.0, mm, 0.0])
                 sideways = way * np.cross(on - source, [0.0, 1.0, 0.0])
-                out.append(femur.surface_mm(on, sideways / np.linalg.norm(sideways)))
-        return self._clicked(view.project(self._in_cfcs(np.array(out)))).reshape(2, 2, 2)
+                borders.append(femur.surface_mm(on, sideways / np.linalg.norm(sideways)))
+        return self._clicked(view.project(self._in_cfcs(np.array(borders)))).reshape(2, 2, 2)
 
     def _clicked(self, uv_px: np.ndarray) -> np.ndarray:
         return uv_px + CLICK_PX * self.rng.standard_normal(uv_px.shape)
 
-    def _axis(self, axis: Axis) -> tuple[float, float, float, float, float, float]:
-        """Return squares of offset and direction, their errors, and the stated ones; mm and °."""
-        base, knee = self._in_cfcs(self.scene.femur.base_mm + np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
-        true, middle = knee - base, axis.ends_mm.mean(axis=0)
-        across = np.linalg.svd(axis.direction[None])[2][1:]
-        length = np.linalg.norm(axis.ends_mm[1] - axis.ends_mm[0])
-        wrong = (
-            across @ (base + (middle - base) @ true * true - middle),
-            across @ true * np.sign(true @ axis.direction),
-        )
-        by_ends = across @ np.hstack([np.eye(3), np.eye(3)]) / 2, across @ np.hstack([-np.eye(3), np.eye(3)]) / length
-        assert axis.covariance_mm2 is not None
-        stated = [one @ axis.covariance_mm2 @ one.T for one in by_ends]
-        squares = [float(off @ np.linalg.solve(own, off)) for off, own in zip(wrong, stated, strict=True)]
-        sds = [float(np.sqrt(np.trace(own))) for own in stated]
-        (offset, turned) = (float(np.linalg.norm(off)) for off in wrong)
-        return squares[0], squares[1], offset, float(np.rad2deg(turned)), sds[0], float(np.rad2deg(sds[1]))
+
+def neck_clicks(femur: Femur, source_mm: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return points (2, 2, 3) on lines of sight of both borders, two on each, seen from the source (3,), where a person
+    who sees a neck's true outline clicks; anatomical coordinates. Raises SetUpError."""
+    beam = femur.base_mm / 2 - source_mm
+    beam = beam / np.linalg.norm(beam)
+    across = np.cross(beam, femur.towards_head)
+    across = across / np.linalg.norm(across)
+    if abs(beam @ femur.towards_head) > MAX_COSINE:
+        on = [station * femur.base_mm for station in HIDDEN]
+        return np.array([[femur.surface_mm(at, way * across) for at in on] for way in (1.0, -1.0)])
+    borders = [_border(femur, source_mm, beam, way * across) for way in (1.0, -1.0)]
+    apart = np.linalg.norm(borders[0][:, None] - borders[1], axis=-1)
+    clicks = []
+    for border, at in zip(borders, np.unravel_index(apart.argmin(), apart.shape), strict=True):
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(border, axis=0), axis=1))])
+        near = np.linalg.norm(border, axis=1) <= rng.uniform(*BESIDE_HEAD) * femur.head_radius_mm
+        first = along[np.flatnonzero(near)[-1]] if near.any() else 0.0
+        places = first, min(along[at] + rng.uniform(*PAST_MM), along[-1])
+        clicks.append([[np.interp(place, along, border[:, k]) for k in range(3)] for place in places])
+    return np.array(clicks)
 
 
-def _lengths(off: np.ndarray) -> tuple[float, float]:
-    return float(np.linalg.norm(off[:3])), float(abs(off[3]))
+def _border(femur: Femur, source_mm: np.ndarray, beam: np.ndarray, sideways: np.ndarray) -> np.ndarray:
+    """Return the outline (K, 3) on one side of the neck, up to where it leaps to the trochanter, as the source (3,)
+    sees it in the plane through the head's centre across the beam (3,)."""
+    seen = []
+    for station in STATIONS:
+        on, touched = station * femur.base_mm, []
+        for depth in DEPTHS_MM:
+            try:
+                ray = femur.surface_mm(on + depth * beam, sideways) - source_mm
+            except SetUpError:  # outside the bone
+                continue
+            touched.append(source_mm - ray * (source_mm @ beam) / (ray @ beam))
+        seen.append(max(touched, key=lambda at: float(at @ sideways)))
+        if len(seen) > len(STATIONS) / 4 and np.linalg.norm(seen[-1] - seen[-2]) > 1.0:
+            return np.array(seen[:-1])
+    return np.array(seen)

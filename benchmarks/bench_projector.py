@@ -12,13 +12,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import trimesh
 from scipy.ndimage import map_coordinates
 
-from benchmarks.rows import Row
+from benchmarks import gvxr
+from benchmarks.harness import Rows, rms
 from sightline.frame import Frame
 from sightline.twin import Scene, draw_setup
 from sightline.twin.objects.beam import WEIGHTS, attenuation_per_mm
@@ -27,13 +28,12 @@ from sightline.twin.objects.volumes import Volume
 from sightline.twin.xray.projector import MESH_SUB, Rays, mesh_lengths, volume_integral
 from sightline.twin.xray.render import pixel_rays, primary
 
-REQUIRED_S, REQUIRED_MB, REQUIRED_SHARE = 0.6, 1000.0, 0.01
-REQUIRED_SMALL_S = 0.2  # 256³ voxels to 512²
+MAX_S, MAX_MB, MAX_SHARE = 0.6, 1000.0, 0.01
+MAX_SMALL_S = 0.2  # 256³ voxels to 512²
 SOURCE_MM, DETECTOR_MM, FIELD_MM = 620.0, 1000.0, 215.0
 SIDE_VOXELS, VOXEL_MM, SIDE_PX, SMALL_PX, BALLS = 256, 0.75, 1024, 512, 200
 SOME_RAYS = 300
 RUNS = 20
-GROUP = "projector, 256³ voxels"
 
 # A separate process, so that its peak memory is that of the image, Python, libraries and compiled code.
 _PEAK = """
@@ -45,36 +45,28 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
 
 
-def run(quick: bool) -> list[Row]:
+def run(quick: bool) -> Rows:
     """Return the rows of this benchmark."""
-    runs = RUNS // 10 if quick else RUNS
+    rows, runs = Rows("projector"), RUNS // 10 if quick else RUNS
     view, scene, rays = scene_and_rays()
     (volume,) = scene.volumes
     image_s, busy_s, (with_balls, without) = _least(lambda: primary(view, scene, rays), runs)
+    assert (with_balls < without).any()
+    name = f"1024² view of 256³ voxels with 200 balls ({busy_s:.2f} s of processor)"
+    rows.number(name, image_s, ".2f", "s", most=MAX_S)
     peak = subprocess.run([sys.executable, "-c", _PEAK], check=True, capture_output=True, text=True)
+    rows.number("its peak memory", float(peak.stdout), ".0f", "MB", most=MAX_MB)
     every = volume_integral(rays, volume.values, volume.origin_mm, volume.voxel_mm)
     exact = sum(w * np.exp(-every * mu) for w, mu in zip(WEIGHTS, attenuation_per_mm("bone"), strict=True))
     between = _share(without[rays.inside], np.asarray(exact)[rays.inside])
-    megabytes = float(peak.stdout)
-    assert (with_balls < without).any()
-    return [
-        Row(
-            GROUP,
-            "image with 200 balls",
-            f"{image_s:.2f} s ({busy_s:.2f} s of processor)",
-            f"<= {REQUIRED_S} s",
-            "",
-            image_s <= REQUIRED_S,
-        ),
-        Row(GROUP, "peak memory", f"{megabytes:.0f} MB", f"< {REQUIRED_MB:.0f} MB", "", megabytes < REQUIRED_MB),
-        Row(GROUP, "its volume, cast for every second pixel, against every pixel: rms", f"{between:.3%}"),
-        _volume_row(volume, SIDE_PX, runs),
-        _volume_row(volume, SMALL_PX, runs, REQUIRED_SMALL_S),
-        *_mesh_rows(),
-    ]
+    rows.number("its volume, cast for every second pixel, against every pixel: rms", 100 * between, ".3f", "%")
+    for side_px, most_s in ((SIDE_PX, np.inf), (SMALL_PX, MAX_SMALL_S)):
+        _add_volume(rows, volume, side_px, runs, most_s)
+    _add_meshes(rows)
+    return rows
 
 
-def scene_and_rays():
+def scene_and_rays() -> tuple[Any, Scene, Rays]:
     """Return the arguments of `render.primary`: a view, a scene and the rays of the view's pixels."""
     rng = np.random.default_rng(7)
     view = draw_setup(rng, Frame.load("gamma")).views["pa"]
@@ -94,18 +86,15 @@ def _volume() -> Volume:
 
 def _flat_rays(side_px: int) -> Rays:
     """Return the rays to all pixels of a square detector below the volume, from a source above it."""
-    pixel = FIELD_MM / side_px
-    at = (np.arange(side_px) - (side_px - 1) / 2) * pixel
+    at = (np.arange(side_px) - (side_px - 1) / 2) * FIELD_MM / side_px
     x, y = np.meshgrid(at, at)
-    inside = np.ones((side_px, side_px), dtype=bool)
     points = np.stack([x, y, np.full_like(x, SOURCE_MM - DETECTOR_MM)], axis=-1)
-    return Rays(np.array([0.0, 0.0, SOURCE_MM]), points, inside)
+    return Rays(np.array([0.0, 0.0, SOURCE_MM]), points, np.ones((side_px, side_px), dtype=bool))
 
 
-def _least(program: Callable, runs: int) -> tuple[float, float, Any]:
+def _least(program: Callable[[], Any], runs: int) -> tuple[float, float, Any]:
     """Return the smallest wall and processor times of many runs, s, because other load only adds; and the result."""
-    result = program()  # warm
-    taken = []
+    result, taken = program(), []  # warm
     for _ in range(runs):
         wall, busy = time.perf_counter(), time.process_time()
         result = program()
@@ -116,27 +105,27 @@ def _least(program: Callable, runs: int) -> tuple[float, float, Any]:
 
 def _share(ours: np.ndarray, other: np.ndarray) -> float:
     """Return the rms difference over the rms."""
-    return float(np.sqrt(np.mean((ours - other) ** 2) / np.mean(np.square(other))))
+    return rms(ours - other) / rms(other)
 
 
-def _volume_row(volume: Volume, side_px: int, runs: int, required_s: float | None = None) -> Row:
-    """Return the row of a volume alone, cast for every pixel of a square, beside RTK where it is installed."""
+def _add_volume(rows: Rows, volume: Volume, side_px: int, runs: int, most_s: float) -> None:
+    """Add a volume alone, cast for every pixel of a square, beside RTK where it is installed."""
     rays = _flat_rays(side_px)
     own_s, busy_s, ours = _least(lambda: volume_integral(rays, volume.values, volume.origin_mm, volume.voxel_mm), runs)
     if importlib.util.find_spec("itk") is not None:
         rtk_s, rtk_busy_s, theirs = _least(_rtk(volume, side_px), runs)
         share, peer = _share(ours, theirs), f"RTK {rtk_s:.2f} s ({rtk_busy_s:.2f} s of processor)"
     else:
-        rows, columns = np.random.default_rng(8).integers(0, side_px, (2, SOME_RAYS))
-        share = _share(ours[rows, columns], _sampled(volume, rays.focal, rays.points[rows, columns]))
+        v, u = np.random.default_rng(8).integers(0, side_px, (2, SOME_RAYS))
+        share = _share(ours[v, u], _sampled(volume, rays.focal, rays.points[v, u]))
         peer = "RTK not installed; finely sampled rays"
-    required = f"<= {REQUIRED_SHARE:.0%} rms" + ("" if required_s is None else f", {required_s} s")
-    met = share <= REQUIRED_SHARE and (required_s is None or own_s <= required_s)
-    value = f"{own_s:.2f} s ({busy_s:.2f} s of processor); differs by {share:.1e} rms"
-    return Row(GROUP, f"volume alone, every pixel of {side_px}²", value, required, peer, met)
+    asked = f"<= {MAX_SHARE:.0%}" + ("" if most_s == np.inf else f", {most_s} s")
+    value = f"{own_s:.2f} s ({busy_s:.2f} s of processor); {share:.1e}"
+    name, met = f"volume alone, every pixel of {side_px}²; rms difference", share <= MAX_SHARE and own_s <= most_s
+    rows.add(name, value, asked, met, peer=peer)
 
 
-def _rtk(volume: Volume, side_px: int) -> Callable:
+def _rtk(volume: Volume, side_px: int) -> Callable[[], np.ndarray]:
     """Return a projection by RTK's Joseph method, on the CPU."""
     import itk
     from itk import RTK
@@ -167,84 +156,58 @@ def _rtk(volume: Volume, side_px: int) -> Callable:
 def _sampled(volume: Volume, focal: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return line integrals (N,), mm, from a focal point to points (N, 3), with samples a tenth of a voxel apart."""
     reach = 0.9 * SIDE_VOXELS * VOXEL_MM  # half the cube's diagonal, and more
-    s = np.arange(-reach, reach, VOXEL_MM / 10)
-    d = (points - focal) / np.linalg.norm(points - focal, axis=1, keepdims=True)
-    nearest = -(d @ focal)
-    out = np.empty(len(points))
-    for n, (way, middle) in enumerate(zip(d, nearest, strict=True)):
-        at = focal + (middle + s)[:, None] * way
-        out[n] = map_coordinates(volume.values, ((at - volume.origin_mm) / volume.voxel_mm).T, order=1).sum()
-    return out * VOXEL_MM / 10
+    s = np.arange(-reach, reach, VOXEL_MM / 10)[:, None]
+    integrals = np.empty(len(points))
+    for n, way in enumerate((points - focal) / np.linalg.norm(points - focal, axis=1, keepdims=True)):
+        at = focal + (s - way @ focal) * way
+        integrals[n] = map_coordinates(volume.values, ((at - volume.origin_mm) / volume.voxel_mm).T, order=1).sum()
+    return integrals * VOXEL_MM / 10
 
 
-def _mesh_rows() -> list[Row]:
-    import trimesh
-
+def _add_meshes(rows: Rows) -> None:
+    """Add a torus, cast for every pixel of both squares."""
     ring = trimesh.creation.torus(40.0, 15.0, major_sections=160, minor_sections=64)
     tilt = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     vertices, triangles = np.ascontiguousarray(ring.vertices @ (tilt * np.linalg.det(tilt)).T), np.array(ring.faces)
-    large, small = (_cast_mesh(vertices, triangles, side) for side in (SIDE_PX, SMALL_PX))
-    share = _differs(large, vertices[triangles])
-    name = f"mesh of {len(triangles):,} triangles, {MESH_SUB**2} rays a pixel, "
-    value, required = f"{large.taken_s:.2f} s; differs by {share:.1e} rms", f"<= {REQUIRED_SHARE:.0%} rms"
-    rows = [Row(GROUP, f"{name}{SIDE_PX}²", value, required, "brute force, numpy", share <= REQUIRED_SHARE)]
-    if importlib.util.find_spec("gvxrPython3") is None:
-        return [*rows, Row(GROUP, f"{name}{SMALL_PX}²", f"{small.taken_s:.2f} s", "", "gvxr not installed")]
-    their_s, their_busy_s, theirs = _least(_gvxr(vertices, triangles), 3)
-    share = _share(small.lengths_mm.mean(axis=0), theirs)
-    value = f"{small.taken_s:.2f} s ({small.busy_s:.2f} s of processor); differs by {share:.1e} rms"
-    peer = f"gvxr, one ray a pixel: {their_s:.2f} s ({their_busy_s:.2f} s of processor)"
-    return [*rows, Row(GROUP, f"{name}{SMALL_PX}²", value, required, peer, share <= REQUIRED_SHARE)]
+    for side_px in (SIDE_PX, SMALL_PX):
+        rays = _flat_rays(side_px)
+        xi, pixel = rays.points[..., :2].copy(), FIELD_MM / side_px
+        shadow = rays.focal + (vertices - rays.focal) * (DETECTOR_MM / (SOURCE_MM - vertices[:, 2:]))
+        corners, mesh = shadow[triangles][..., :2], (vertices, triangles.astype(np.int64))
+        bounds = np.concatenate([corners.min(axis=1) - pixel, corners.max(axis=1) + pixel], axis=1)
+        own_s, busy_s, lengths = _least(lambda: mesh_lengths(rays, xi, np.zeros((2, 3)), mesh, bounds), 3)  # noqa: B023
+        if side_px == SIDE_PX:
+            share, peer = _off_brute_force(rays, np.asarray(lengths), vertices[triangles]), "brute force in numpy"
+        elif gvxr.INSTALLED:
+            their_s, their_busy_s, theirs = _least(_by_gvxr(vertices, triangles), 3)
+            share = _share(np.asarray(lengths).mean(axis=0), theirs)
+            peer = f"gVirtualXray, one ray a pixel, {their_s:.2f} s ({their_busy_s:.2f} s of processor)"
+        else:
+            share, peer = 0.0, "gvxr not installed"
+        name = f"mesh of {len(triangles):,} triangles, {MESH_SUB**2} rays a pixel, {side_px}²; rms difference"
+        value = f"{own_s:.2f} s ({busy_s:.2f} s of processor); {share:.1e}"
+        rows.add(name, value, f"<= {MAX_SHARE:.0%}", share <= MAX_SHARE, peer=peer)
 
 
-@dataclass(frozen=True, eq=False)
-class _Cast:
-    """Path lengths (MESH_SUB², H, W), mm, of the rays `rays` in a mesh, and the times that casting took."""
-
-    rays: Rays
-    lengths_mm: np.ndarray
-    taken_s: float
-    busy_s: float
-
-
-def _cast_mesh(vertices: np.ndarray, triangles: np.ndarray, side_px: int) -> _Cast:
-    rays = _flat_rays(side_px)
-    xi = rays.points[..., :2].copy()
-    shadow = rays.focal + (vertices - rays.focal) * (DETECTOR_MM / (SOURCE_MM - vertices[:, 2:]))
-    corners, pixel = shadow[triangles][..., :2], FIELD_MM / side_px
-    bounds = np.concatenate([corners.min(axis=1) - pixel, corners.max(axis=1) + pixel], axis=1)
-    spot, mesh = np.zeros((2, 3)), (vertices, triangles.astype(np.int64))
-    taken_s, busy_s, lengths = _least(lambda: mesh_lengths(rays, xi, spot, mesh, bounds), 3)
-    return _Cast(rays, np.asarray(lengths), taken_s, busy_s)
-
-
-def _differs(cast: _Cast, corners: np.ndarray) -> float:
+def _off_brute_force(rays: Rays, lengths_mm: np.ndarray, corners: np.ndarray) -> float:
     """Return the rms difference of some rays from brute force over the rms; `corners` (T, 3, 3): of the triangles."""
-    rng, side_px = np.random.default_rng(4), cast.lengths_mm.shape[1]
-    rows, columns = rng.integers(150, side_px - 150, (2, SOME_RAYS))
+    rng, side_px = np.random.default_rng(4), lengths_mm.shape[1]
+    v, u = rng.integers(150, side_px - 150, (2, SOME_RAYS))
     sub = rng.integers(0, MESH_SUB**2, SOME_RAYS)
     offset = (np.stack([sub % MESH_SUB, sub // MESH_SUB], axis=1) + 0.5) / MESH_SUB - 0.5
-    towards = cast.rays.points[rows, columns] + FIELD_MM / side_px * np.pad(offset, ((0, 0), (0, 1)))
-    theirs = np.array([_brute_force(corners, cast.rays.focal, point) for point in towards])
-    return _share(cast.lengths_mm[sub, rows, columns], theirs)
+    towards = rays.points[v, u] + FIELD_MM / side_px * np.pad(offset, ((0, 0), (0, 1)))
+    theirs = np.array([_brute_force(corners, rays.focal, point) for point in towards])
+    return _share(lengths_mm[sub, v, u], theirs)
 
 
-def _gvxr(vertices: np.ndarray, triangles: np.ndarray) -> Callable:
+def _by_gvxr(vertices: np.ndarray, triangles: np.ndarray) -> Callable[[], np.ndarray]:
     """Return a projection of a mesh to the small square by gVirtualXray, without a display."""
-    from gvxrPython3 import gvxr
-
-    gvxr.createWindow(-1, 0, "EGL")
-    gvxr.usePointSource()
-    gvxr.setMonoChromatic(60.0, "keV", 1000)
-    gvxr.setSourcePosition(0.0, 0.0, SOURCE_MM, "mm")
-    gvxr.setDetectorPosition(0.0, 0.0, SOURCE_MM - DETECTOR_MM, "mm")
-    gvxr.setDetectorUpVector(0.0, 1.0, 0.0)
-    gvxr.setDetectorRightVector(1.0, 0.0, 0.0)
-    gvxr.setDetectorNumberOfPixels(SMALL_PX, SMALL_PX)
-    gvxr.setDetectorPixelSize(FIELD_MM / SMALL_PX, FIELD_MM / SMALL_PX, "mm")
-    gvxr.makeTriangularMesh("ring", vertices.ravel().tolist(), triangles.ravel().tolist(), "mm")
-    gvxr.addPolygonMeshAsInnerSurface("ring")
-    return lambda: 10.0 * np.array(gvxr.computeLBuffer("ring"), dtype=float)  # its first row is the lowest, as ours
+    window = gvxr.Window(np.zeros(2), (SMALL_PX, SMALL_PX), FIELD_MM / SMALL_PX)
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    below = np.array([0.0, 0.0, SOURCE_MM - DETECTOR_MM])
+    library = gvxr.aimed(np.array([0.0, 0.0, SOURCE_MM]), below, axes, window)
+    gvxr.add(library, "ring", vertices, triangles)
+    return lambda: 10.0 * np.array(library.computeLBuffer("ring"), dtype=float)  # its first row is the lowest, as ours
 
 
 def _brute_force(corners: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:

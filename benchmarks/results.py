@@ -11,17 +11,18 @@ import platform
 import re
 import subprocess
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from benchmarks.rows import Row
+from benchmarks.harness import Row
 
 HERE = Path(__file__).parent
 RESULTS, PAGE = HERE / "results.json", HERE.parent / "docs" / "benchmarks.md"
 BEGIN, END = "<!-- results: begin (made by `python -m benchmarks --page`) -->", "<!-- results: end -->"
 Entry = dict[str, Any]
-_UNIT = re.compile(r"^([-+\d.,/ ]*\d) ?(mm|px|°|%|ms|µs|s|MB|Hz|images/s|times)$")
 # Values of each group on the page, besides those that are not met: the others are in the file alone.
 SHOWN = 2
 _PROVENANCE = ("commit", "processor", "cores", "date", "seed")
@@ -45,10 +46,7 @@ def write(entries: Sequence[Entry]) -> None:
 
 def entry(benchmark: str, row: Row, provenance: Entry) -> Entry:
     """Return the entry of one row."""
-    split = _UNIT.match(row.value)
-    value, unit = split.groups() if split else (row.value, "")
-    measured = {"benchmark": benchmark, "group": row.group, "name": row.name, "value": value, "unit": unit}
-    return {**measured, "asked": row.required, "peer": row.peer, "met": row.met, **provenance}
+    return {"benchmark": benchmark, **asdict(row), **provenance}
 
 
 def update(benchmark: str, rows: Sequence[Row], seed: int | None) -> None:
@@ -63,14 +61,8 @@ def _provenance(seed: int | None) -> Entry:
     git = subprocess.run(command, cwd=HERE, capture_output=True, text=True, check=False)
     cpuinfo = Path("/proc/cpuinfo")
     model = re.search(r"model name\s*: (.*)", cpuinfo.read_text()) if cpuinfo.exists() else None
-    processor = model.group(1) if model else platform.processor()
-    return dict(
-        zip(
-            _PROVENANCE,
-            (git.stdout.strip() or None, processor, os.cpu_count(), datetime.now(UTC).date().isoformat(), seed),
-            strict=True,
-        )
-    )
+    processor, date = model.group(1) if model else platform.processor(), datetime.now(UTC).date().isoformat()
+    return dict(zip(_PROVENANCE, (git.stdout.strip() or None, processor, os.cpu_count(), date, seed), strict=True))
 
 
 def table(entries: Sequence[Entry]) -> str:
@@ -78,36 +70,24 @@ def table(entries: Sequence[Entry]) -> str:
     parts = []
     for name in names():
         own = [each for each in entries if each["benchmark"] == name]
-        compared = [each for each in own if each["asked"] or each["peer"]]
-        rank = {id(each): k for group in _groups(compared or own) for k, each in enumerate(group)}
-        shown = [each for each in compared or own if rank[id(each)] < SHOWN or each["met"] is False]
+        own = [each for each in own if each["asked"] or each["peer"]] or own
+        groups = [list(group) for _, group in groupby(own, key=lambda each: each["group"])]
+        shown = [each for group in groups for k, each in enumerate(group) if k < SHOWN or each["met"] is False]
         if shown:
             about = ast.get_docstring(ast.parse((HERE / f"bench_{name}.py").read_text())) or ""
             head = "| value | measured | asked | peer |\n|---|---|---|---|"
-            rows = [f"| {_name(each, shown)} | {_value(each)} | {_asked(each)} | {each['peer']} |" for each in shown]
+            rows = [_line(each, several=len(groups) > 1) for each in shown]
             source = _source(shown)
             about = " ".join(about.split("\n\n")[0].split()) + (f" {source}" if source else "")
             parts.append("\n".join([f"### {name}", about, "", head, *rows]))
     return "\n\n".join(parts)
 
 
-def _groups(entries: Sequence[Entry]) -> list[list[Entry]]:
-    return [
-        [each for each in entries if each["group"] == group] for group in dict.fromkeys(e["group"] for e in entries)
-    ]
-
-
-def _name(each: Entry, shown: Sequence[Entry]) -> str:
-    several = len({other["group"] for other in shown}) > 1
-    return f"{each['group']}: {each['name']}" if several and each["group"] not in each["name"] else each["name"]
-
-
-def _value(each: Entry) -> str:
-    return f"{each['value']}{'' if each['unit'] == '°' else ' '}{each['unit']}".strip()
-
-
-def _asked(each: Entry) -> str:
-    return each["asked"] if each["met"] is not False else f"{each['asked']}: **not met**"
+def _line(each: Entry, *, several: bool) -> str:
+    name = f"{each['group']}: {each['name']}" if several and each["group"] not in each["name"] else each["name"]
+    value = f"{each['value']}{'' if each['unit'] == '°' else ' '}{each['unit']}".strip()
+    asked = each["asked"] if each["met"] is not False else f"{each['asked']}: **not met**"
+    return f"| {name} | {value} | {asked} | {each['peer']} |"
 
 
 def _source(shown: Sequence[Entry]) -> str:

@@ -22,16 +22,12 @@ TRIES = 200  # of each campaign: minutes on two cores
 def main() -> int:
     """Print a table for each campaign; return 1 if a try ended in a defect."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}; default: all")
+    parser.add_argument("names", nargs="*", metavar="NAME", choices=[[], *NAMES], help=f"of {', '.join(NAMES)}")
     parser.add_argument("--tries", type=int, default=TRIES, help="of each; more can be added later")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/campaign"), help="folder of finished tries")
     options = parser.parse_args()
-    unknown = [name for name in options.names if name not in NAMES]
-    if unknown:
-        parser.error(f"there is no campaign {', '.join(unknown)}; there are: {', '.join(NAMES)}")
-    console = Console(width=180)
-    wrong = False
+    console, wrong = Console(width=180), False
     for name in options.names or NAMES:
         try:
             run = StudyRun.open(called(name), options.tries, options.seed, options.out / f"{name}-{options.seed}")
@@ -41,13 +37,12 @@ def main() -> int:
             bar = progress.add_task(name, total=len(run.missing))
             run.do(advance=lambda bar=bar, progress=progress: progress.advance(bar))
         summary = run.result().summary
-        for told in summary.tables:
-            table = Table(*told.columns, title=f"{name}: {told.title}")
-            for row in told.rows:
+        for each in summary.tables:
+            table = Table(*each.columns, title=f"{name}: {each.title}")
+            for row in each.rows:
                 table.add_row(*row)
             console.print(table)
-        for finding in summary.findings:
-            console.print(f"- {finding}")
+        console.print(*(f"- {finding}" for finding in summary.findings), sep="\n")
         wrong |= summary.findings != ("No defect.",)
     return int(wrong)
 

@@ -1,7 +1,8 @@
-"""Campaigns: classes of damage, single tries, and the table of how tries ended."""
+"""What all campaigns share: classes of damage, single tries, the table of how tries ended, and a record of runs."""
 
 import hashlib
 import importlib
+import json
 import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -25,12 +26,13 @@ GOES = ("right", "unseen", "weak", "wrong")
 
 @dataclass(frozen=True)
 class Ended:
-    """How one try ended, why, and for a plan the larger error of its end points over its 95 % bound."""
+    """How one try ended, why, for a plan the larger error of its end points over its 95 % bound, and the full message
+    of a refusal."""
 
     how: str
     why: str = ""
     ratio: float | None = None
-    said: str = ""  # the full message of a refusal
+    said: str = ""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,18 @@ class Damage:
 
     make: Callable[[np.random.Generator], Ended]
     cause: tuple[str, ...] = ()
+
+
+def attempt(make: Callable[[np.random.Generator], Ended], rng: np.random.Generator) -> Ended:
+    """Return how one try ended; an exception is a refusal if it is a SightlineError, else a crash."""
+    try:
+        return make(rng)
+    except SightlineError as refusal:
+        return Ended("refused", type(refusal).__name__, said=str(refusal))
+    except Exception as fault:
+        last = traceback.extract_tb(fault.__traceback__)[-1]
+        why = f"{type(fault).__name__} in {Path(last.filename).name}:{last.lineno}"
+        return Ended("crash", why, said=str(fault)[:200])
 
 
 @dataclass(frozen=True)
@@ -63,39 +77,43 @@ class Campaign:
         return called, (self.name,)
 
     def trial(self, rng: np.random.Generator) -> Values:
-        """Return the result of one try of a random class."""
+        """Return the result of one try of a random class; "named": whether a refusal names the cause, None without a
+        refusal or an expected cause."""
         name = str(rng.choice(list(self.classes)))
-        ended = attempt(self.classes[name].make, rng)
-        return {"class": name, **vars(ended), "named": _names_cause(self.classes[name], ended)}
+        ended, cause = attempt(self.classes[name].make, rng), self.classes[name].cause
+        named = None
+        if cause and ended.how in ("refused", "NO-GO"):
+            named = any(word in f"{ended.why} {ended.said}".lower() for word in cause)
+        return {"class": name, **vars(ended), "named": named}
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Return the table by class, and the defects."""
-        rows = [self._row(name, [one for one in trials if one["class"] == name]) for name in self.classes]
-        total = self._row("all", list(trials))
-        defects = [one for one in trials if one["how"] in DEFECTS]
-        shares = [share(f"{self.name}: {how}", np.array([one["how"] == how for one in trials])) for how in ENDINGS]
-        told = Counter((one["class"], one["how"], one["why"]) for one in defects)
-        findings = [f"{name}: {how} {count} times: {why}" for (name, how, why), count in told.most_common()]
+        rows = [_row(name, [each for each in trials if each["class"] == name]) for name in self.classes]
+        defects = Counter((t["class"], t["how"], t["why"]) for t in trials if t["how"] in DEFECTS)
+        findings = [f"{name}: {how} {count} times: {why}" for (name, how, why), count in defects.most_common()]
         columns = ("class", "tries", *ENDINGS, "largest error of a GO / bound", "cause named", "mostly for")
         return Summary(
             findings=tuple(findings) or ("No defect.",),
-            estimates=tuple(shares),
-            tables=(Table(self.about, columns, (*rows, total)),),
+            estimates=tuple(
+                share(f"{self.name}: {how}", np.array([t["how"] == how for t in trials])) for how in ENDINGS
+            ),
+            tables=(Table(self.about, columns, (*rows, _row("all", trials))),),
         )
 
-    def _row(self, name: str, tries: list[Values]) -> tuple[str, ...]:
-        ends = Counter(one["how"] for one in tries)
-        ratios = [one["ratio"] for one in tries if one["how"] in GOES and one["ratio"] is not None]
-        named = [one["named"] for one in tries if one["named"] is not None]
-        why = Counter(one["why"] for one in tries if one["how"] in ("refused", "NO-GO", "incomplete"))
-        return (
-            name,
-            str(len(tries)),
-            *(str(ends[how] or "") for how in ENDINGS),
-            f"{max(ratios):.2f}" if ratios else "",
-            f"{sum(named) / len(named):.0%}" if named else "",
-            why.most_common(1)[0][0] if why else "",
-        )
+
+def _row(name: str, tries: Sequence[Values]) -> tuple[str, ...]:
+    ends = Counter(each["how"] for each in tries)
+    ratios = [each["ratio"] for each in tries if each["how"] in GOES and each["ratio"] is not None]
+    named = [each["named"] for each in tries if each["named"] is not None]
+    why = Counter(each["why"] for each in tries if each["how"] in ("refused", "NO-GO", "incomplete"))
+    return (
+        name,
+        str(len(tries)),
+        *(str(ends[how] or "") for how in ENDINGS),
+        f"{max(ratios):.2f}" if ratios else "",
+        f"{sum(named) / len(named):.0%}" if named else "",
+        why.most_common(1)[0][0] if why else "",
+    )
 
 
 def called(name: str) -> Campaign:
@@ -103,21 +121,17 @@ def called(name: str) -> Campaign:
     return importlib.import_module(f"campaigns.{name}").CAMPAIGN
 
 
-def attempt(make: Callable[[np.random.Generator], Ended], rng: np.random.Generator) -> Ended:
-    """Return how one try ended; an exception is a refusal if it is a SightlineError, else a crash."""
-    try:
-        return make(rng)
-    except SightlineError as refusal:
-        return Ended("refused", type(refusal).__name__, said=str(refusal))
-    except Exception as fault:
-        last = traceback.extract_tb(fault.__traceback__)[-1]
-        return Ended(
-            "crash", f"{type(fault).__name__} in {Path(last.filename).name}:{last.lineno}", said=str(fault)[:200]
-        )
+class Finished(dict[str, dict[str, Any]]):
+    """Finished runs by their names, a line of JSON each, so that a stopped series goes on."""
 
+    def __init__(self, file: Path, key: str = "run") -> None:
+        self._file, self._key = file, key
+        file.parent.mkdir(parents=True, exist_ok=True)
+        lines = map(json.loads, file.read_text().splitlines() if file.exists() else [])
+        super().__init__({line[key]: line for line in lines})
 
-def _names_cause(damage: Damage, ended: Ended) -> bool | None:
-    """Return whether a refusal names the cause; None without a refusal or an expected cause."""
-    if not damage.cause or ended.how not in ("refused", "NO-GO"):
-        return None
-    return any(word in f"{ended.why} {ended.said}".lower() for word in damage.cause)
+    def add(self, name: str, **values: Any) -> None:
+        """Record a run."""
+        self[name] = {self._key: name, **values}
+        with self._file.open("a") as file:
+            file.write(json.dumps(self[name]) + "\n")

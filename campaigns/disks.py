@@ -5,7 +5,6 @@ From a random moment on the disk is full, read-only, or gone. Then it works agai
 
 import os
 import resource
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta, tzinfo
@@ -17,8 +16,7 @@ from unittest.mock import patch
 import numpy as np
 
 from campaigns.campaign import Campaign, Damage, Ended
-from campaigns.kills import moment
-from campaigns.programs import PROGRAMS, Steps, Told, in_a_child, not_finished, place_for
+from campaigns.programs import PROGRAMS, Steps, in_a_child, moment, not_finished, place_for
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.journal import case as journal
 
@@ -33,15 +31,10 @@ class Disk:
     errno: int = 0
     gone: bool = False
 
-    def fill(self) -> None:
-        """Make creating and growing files fail."""
-        self.errno = ENOSPC
-        _let_no_file_grow()
-
-    def vanish(self) -> None:
-        """Make every operation fail."""
-        self.errno, self.gone = EIO, True
-        _let_no_file_grow()
+    def fail(self, errno: int, gone: bool) -> None:
+        """Begin to fail; no file can grow any more."""
+        self.errno, self.gone = errno, gone
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
 
     def refuse(self, event: str, flags: int) -> None:
         """Raise OSError, as the system would."""
@@ -50,24 +43,25 @@ class Disk:
             raise OSError(self.errno, os.strerror(self.errno))
 
 
-def _let_no_file_grow() -> None:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
-
-
-def all_of(place: Path) -> list[Path]:
-    """Return a folder and its content, the folder last."""
-    return [*place.rglob("*"), place]
-
-
 def may_be_written(place: Path, *, written: bool) -> None:
-    """Set whether a folder may be written."""
-    for path in all_of(place):
+    """Set whether a folder and its content may be written."""
+    for path in (*place.rglob("*"), place):
         with suppress(FileNotFoundError):
             path.chmod((0o755 if written else 0o555) if path.is_dir() else (0o644 if written else 0o444))
 
 
+def become_nobody(place: Path) -> None:
+    """Give a folder to NOBODY, and become it."""
+    for path in (*place.rglob("*"), place):
+        os.chown(path, NOBODY, NOBODY)
+    os.setegid(NOBODY)
+    os.seteuid(NOBODY)
+
+
 def refusing(name: str, how: str) -> Damage:
-    """Return the class of a program on a disk that becomes "full", "read-only" or "gone"."""
+    """Return the class of a program on a disk that becomes "full", "read-only" or "gone".
+
+    A refusal is one sentence with exit code 2 or 3, and leaves complete data."""
     program = PROGRAMS[name]
 
     def make(rng: np.random.Generator) -> Ended:
@@ -77,35 +71,26 @@ def refusing(name: str, how: str) -> Damage:
             def work() -> int:
                 disk = Disk()
                 acts = {
-                    "full": disk.fill,
-                    "gone": disk.vanish,
+                    "full": lambda: disk.fail(ENOSPC, False),
+                    "gone": lambda: disk.fail(EIO, True),
                     "read-only": lambda: may_be_written(place, written=False),
                 }
                 if how == "read-only" and os.geteuid() == 0:
-                    for path in all_of(place):
-                        os.chown(path, NOBODY, NOBODY)
-                    os.setegid(NOBODY)
-                    os.seteuid(NOBODY)
+                    become_nobody(place)
                 Steps(kind, at, acts[how], disk.refuse).watch()
                 return program.run(place)
 
-            told = in_a_child(work)
+            child = in_a_child(work)
             may_be_written(place, written=True)
-            return judged(told, lambda: program.damage(place, told.out) or not_finished(program, place), f"{kind} {at}")
+            last = (child.err.strip().splitlines() or [""])[-1]
+            refused = child.code in (2, 3) and last.startswith("sightline: ")
+            if (child.code != 0 and not refused) or "a bug in Sightline" in child.err:
+                return Ended("crash", f"exit code {child.code} at {kind} {at}: {last[-200:]}")
+            if wrong := program.damage(place, child.out) or not_finished(program, place):
+                return Ended("lost", f"{wrong} ({kind} {at})")
+        return Ended("refused", last.removeprefix("sightline: ")[:60], said=last) if refused else Ended("right")
 
     return Damage(make)
-
-
-def judged(told: Told, look: Callable[[], str], when: str) -> Ended:
-    """Return how a run ended: a refusal is one sentence with exit code 2 or 3, and leaves complete data."""
-    last = (told.err.strip().splitlines() or [""])[-1]
-    refused = told.code in (2, 3) and last.startswith("sightline: ")
-    if (told.code != 0 and not refused) or "a bug in Sightline" in told.err:
-        return Ended("crash", f"exit code {told.code} at {when}: {last[-200:]}")
-    wrong = look()
-    if wrong:
-        return Ended("lost", f"{wrong} ({when})")
-    return Ended("refused", last.removeprefix("sightline: ")[:60], said=last) if refused else Ended("right")
 
 
 class Leaping(datetime):
@@ -130,7 +115,7 @@ def leaping(rng: np.random.Generator) -> Ended:
             with Case.create(Path(folder) / "case", exist_ok=True) as case:
                 made += [case.record(Kind.CHANGED, {"to": k}, by=Actor.APP).chain for k in range(4)]
         with Case.open(Path(folder) / "case") as case:
-            held = [one.chain for one in case.entries()]
+            held = [entry.chain for entry in case.entries()]
             if case.problems or held != made:
                 return Ended("lost", "the case has a problem" if case.problems else "entries are lost or out of order")
     return Ended("right")

@@ -32,17 +32,19 @@ def encoded(pixels: np.ndarray, kind: str, *options: int) -> bytes:
 
 
 def npy(pixels: np.ndarray, version: tuple[int, int]) -> bytes:
-    out = io.BytesIO()
-    np.lib.format.write_array(out, pixels, version=version)
-    return out.getvalue()
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, pixels, version=version)
+    return stream.getvalue()
+
+
+def dicom() -> bytes:
+    """Return a DICOM image as the twin's C-arm stores it."""
+    with tempfile.TemporaryDirectory() as folder:
+        return write_dicom(Radiograph(GREY16, 65535.0), Path(folder) / "image.dcm").read_bytes()
 
 
 def rows(header: str, row: Callable[[int], str], count: int = 8) -> bytes:
     return "\n".join([header, *(row(k) for k in range(count))]).encode()
-
-
-def gamma() -> bytes:
-    return Frame.load("gamma").to_json()
 
 
 def table_of(path: Path) -> Frame:
@@ -58,7 +60,8 @@ FILES: dict[str, tuple[Callable[[], bytes], Callable[[Path], object]]] = {
     "float.tif": (lambda: encoded(GREY8.astype(np.float32), ".tiff"), read_image),
     "1.npy": (lambda: npy(GREY16, (1, 0)), read_image),
     "2.npy": (lambda: npy(GREY8.astype(np.float64), (2, 0)), read_image),
-    "frame.json": (gamma, Frame.load),
+    "frame.json": (lambda: Frame.load("gamma").to_json(), Frame.load),
+    "image.dcm": (dicom, read_image),
     "balls.csv": (
         lambda: rows(
             "view,plate,id,x_mm,y_mm,z_mm,diameter_mm,datum,shape,sd_mm",
@@ -84,29 +87,22 @@ FILES: dict[str, tuple[Callable[[], bytes], Callable[[Path], object]]] = {
 
 def mutated(data: bytes, rng: np.random.Generator) -> bytes:
     """Return bytes with changes in the head or anywhere, a missing end, or a replaced or doubled piece."""
-    out, how = bytearray(data), rng.integers(6)
-    head = min(len(out), 200)
+    changed, how = bytearray(data), rng.integers(6)
+    head = min(len(changed), 200)
     if how < 2:
-        for at in rng.integers((len(out), head)[how], size=rng.integers(1, 5)):
-            out[at] = rng.integers(256)
+        for at in rng.integers((len(changed), head)[how], size=rng.integers(1, 5)):
+            changed[at] = rng.integers(256)
     elif how == 2:
-        del out[rng.integers(len(out)) :]
+        del changed[rng.integers(len(changed)) :]
     elif how < 5:
-        at = int(rng.integers((len(out), head)[how - 3]))
-        out[at : at + int(rng.integers(16))] = NASTY[rng.integers(len(NASTY))]
+        at = int(rng.integers((len(changed), head)[how - 3]))
+        changed[at : at + int(rng.integers(16))] = NASTY[rng.integers(len(NASTY))]
     else:
-        at = int(rng.integers(len(out)))
-        out[at:at] = out[at : at + int(rng.integers(1, 40))]
-    return bytes(out)
+        at = int(rng.integers(len(changed)))
+        changed[at:at] = changed[at : at + int(rng.integers(1, 40))]
+    return bytes(changed)
 
 
-def dicom() -> bytes:
-    """Return a DICOM image as the twin's C-arm stores it."""
-    with tempfile.TemporaryDirectory() as folder:
-        return write_dicom(Radiograph(GREY16, 65535.0), Path(folder) / "image.dcm").read_bytes()
-
-
-FILES["image.dcm"] = (dicom, read_image)
 CAMERA = np.array([[5000.0, 0, 500, 310000], [0, 5000, 480, 290000], [0, 0, 1, 620]])
 
 

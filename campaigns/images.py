@@ -5,7 +5,7 @@ damaged image shows a point, because the user clicks on what is visible.
 """
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import cv2
 import numpy as np
@@ -15,6 +15,7 @@ import sightline as sl
 from campaigns.campaign import Campaign, Damage, Ended
 from campaigns.person import Clicks, Shown, judged
 from sightline.frame import Frame
+from sightline.from_images.pipeline import label_beads
 from sightline.imaging import Radiograph
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.studies.scenes import VIEWS
@@ -22,11 +23,6 @@ from sightline.studies.scenes import VIEWS
 BASES = 12  # rendered patients; the same for every seed
 Picture = tuple[np.ndarray, Shown]  # pixels, 0 to 1, and the map from original to shown pixel coordinates
 Spoil = Callable[[np.ndarray, np.random.Generator], Picture]
-
-
-def same(uv: np.ndarray) -> np.ndarray:
-    """Return the coordinates unchanged."""
-    return uv
 
 
 @lru_cache(maxsize=BASES)
@@ -41,15 +37,13 @@ def read(pixels: np.ndarray, white: int = 65535) -> Radiograph:
     return Radiograph(np.clip(np.rint(pixels * white), 0, white).astype(kind), float(white))
 
 
-def whole_way(images: dict[str, Radiograph], frame: Frame, clicks: Clicks, wire_mm: np.ndarray) -> Ended:
+def planned(images: dict[str, Radiograph], rehearsal: Rehearsal, clicks: Clicks) -> Ended:
     """Return the verdict on two images, as from `sightline plan`."""
-    from sightline.from_images.pipeline import label_beads
-
-    views = []
+    frame, views = rehearsal.setup.frame, []
     for name in VIEWS:
         beads = sl.detect(images[name])
         views.append(sl.calibrate(label_beads(images[name], beads, frame, name), frame, view=name))
-    return judged(clicks.plan(views), wire_mm)
+    return judged(clicks.plan(views), rehearsal.hip.wire_mm)
 
 
 def damage(spoil: Spoil, *cause: str, both: bool = False, white: int = 65535) -> Damage:
@@ -58,15 +52,45 @@ def damage(spoil: Spoil, *cause: str, both: bool = False, white: int = 65535) ->
     def make(rng: np.random.Generator) -> Ended:
         rehearsal = base(int(rng.integers(BASES)))
         clicks = Clicks.on(rehearsal.setup, rehearsal.hip, rng)
-        chosen = VIEWS if both else (str(rng.choice(VIEWS)),)
         images, shown = dict(rehearsal.images), {}
-        for name in chosen:
-            before = images[name]
-            pixels, shown[name] = spoil(before.pixels / before.white, rng)
+        for name in VIEWS if both else (str(rng.choice(VIEWS)),):
+            pixels, shown[name] = spoil(images[name].pixels / images[name].white, rng)
             images[name] = read(pixels, white)
-        return whole_way(images, rehearsal.setup.frame, clicks.as_shown(shown), rehearsal.hip.wire_mm)
+        return planned(images, rehearsal, clicks.as_shown(shown))
 
     return Damage(make, cause)
+
+
+def plain(change: Callable[[np.ndarray, np.random.Generator], np.ndarray], *cause: str, **options: int) -> Damage:
+    """Return the class of a damage that changes brightness only."""
+    return damage(lambda pixels, rng: (change(pixels, rng), lambda uv: uv), *cause, **options)
+
+
+def unlike(
+    make: Callable[[dict[str, Radiograph], int, np.random.Generator], dict[str, Radiograph]], *cause: str
+) -> Damage:
+    """Return a class in which the pair itself is wrong; `make` gets the images and the number of their base."""
+
+    def go(rng: np.random.Generator) -> Ended:
+        number = int(rng.integers(BASES))
+        rehearsal = base(number)
+        clicks = Clicks.on(rehearsal.setup, rehearsal.hip, rng)
+        return planned(make(dict(rehearsal.images), number, rng), rehearsal, clicks)
+
+    return Damage(go, cause)
+
+
+def of_another(images: dict[str, Radiograph], number: int, rng: np.random.Generator) -> dict[str, Radiograph]:
+    """Replace one of the images by another patient's."""
+    other = base((number + int(rng.integers(1, BASES))) % BASES)
+    name = str(rng.choice(VIEWS))
+    return {**images, name: other.images[name]}
+
+
+def shifted(pixels: np.ndarray, by_px: np.ndarray) -> np.ndarray:
+    """Return an image shifted by (u, v), its border continued."""
+    matrix = np.array([[1, 0, by_px[0]], [0, 1, by_px[1]]])
+    return cv2.warpAffine(pixels, matrix, pixels.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
 
 
 def rows_shifted(rows: Callable[[int, np.random.Generator], np.ndarray], least: float, most: float) -> Spoil:
@@ -75,15 +99,12 @@ def rows_shifted(rows: Callable[[int, np.random.Generator], np.ndarray], least: 
     def spoil(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
         shift = float(rng.choice([-1, 1])) * float(np.exp(rng.uniform(np.log(least), np.log(most))))
         moved = rows(len(pixels), rng)
-        whole = cv2.warpAffine(
-            pixels, np.array([[1, 0, shift], [0, 1, 0]]), pixels.shape[::-1], borderMode=cv2.BORDER_REPLICATE
-        )
 
         def shown(uv: np.ndarray) -> np.ndarray:
             at = np.clip(np.rint(uv[:, 1]).astype(int), 0, len(pixels) - 1)
             return uv + np.stack([shift * moved[at], np.zeros(len(uv))], axis=1)
 
-        return np.where(moved[:, None], whole, pixels), shown
+        return np.where(moved[:, None], shifted(pixels, np.array([shift, 0.0])), pixels), shown
 
     return spoil
 
@@ -104,11 +125,6 @@ def odd(height: int, _: np.random.Generator) -> np.ndarray:
     return np.arange(height) % 2 == 1
 
 
-def plain(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Spoil:
-    """Return a damage that changes brightness only."""
-    return lambda pixels, rng: (change(pixels, rng), same)
-
-
 def turned(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
     """Rotate by 90°, 180° or 270°, as a display may."""
     times, size = int(rng.integers(1, 4)), len(pixels) - 1
@@ -127,18 +143,20 @@ def mirrored(pixels: np.ndarray, _: np.random.Generator) -> Picture:
     return np.ascontiguousarray(pixels[:, ::-1]), lambda uv: np.stack([width - uv[:, 0], uv[:, 1]], axis=1)
 
 
+def scaled(pixels: np.ndarray, across: float, down: float, how: int) -> Picture:
+    resized = cv2.resize(pixels, None, fx=across, fy=down, interpolation=how)
+    return resized, lambda uv: (uv + 0.5) * np.array([across, down]) - 0.5
+
+
 def resized(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
     """Resize, as an export may."""
     factor = float(rng.choice([0.5, 0.75, 1.5]))
-    out = cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-    return out, lambda uv: (uv + 0.5) * factor - 0.5
+    return scaled(pixels, factor, factor, cv2.INTER_AREA)
 
 
 def stretched(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
     """Make pixels that are not square."""
-    factor = float(rng.uniform(0.85, 1.18))
-    out = cv2.resize(pixels, None, fx=factor, fy=1.0, interpolation=cv2.INTER_LINEAR)
-    return out, lambda uv: np.stack([(uv[:, 0] + 0.5) * factor - 0.5, uv[:, 1]], axis=1)
+    return scaled(pixels, float(rng.uniform(0.85, 1.18)), 1.0, cv2.INTER_LINEAR)
 
 
 def bulged(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
@@ -150,107 +168,79 @@ def bulged(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
     def by(uv: np.ndarray) -> np.ndarray:
         return np.exp(-((uv - middle) ** 2).sum(axis=-1, keepdims=True) / (2 * reach**2)) * push
 
-    grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float64)
-    source = (grid - by(grid)).astype(np.float32)
-    out = cv2.remap(
-        pixels.astype(np.float32), source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-
     def shown(uv: np.ndarray) -> np.ndarray:
         at = uv.copy()
         for _ in range(20):
             at = uv + by(at)
         return at
 
-    return out, shown
+    grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float64)
+    u, v = np.moveaxis((grid - by(grid)).astype(np.float32), -1, 0)
+    warped = cv2.remap(pixels.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return warped, shown
 
 
 def ghosted(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
     """Average two exposures between which the C-arm moved."""
     shift = rng.uniform(-6, 6, 2)
-    other = cv2.warpAffine(
-        pixels, np.array([[1, 0, shift[0]], [0, 1, shift[1]]]), pixels.shape[::-1], borderMode=cv2.BORDER_REPLICATE
-    )
-    return (pixels + other) / 2, lambda uv: uv + shift / 2
+    return (pixels + shifted(pixels, shift)) / 2, lambda uv: uv + shift / 2
 
 
 def smeared(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Blur by motion during the exposure."""
-    steps, way = (
-        np.linspace(-0.5, 0.5, 9),
-        rng.uniform(2, 12) * np.array([np.cos(a := rng.uniform(0, np.pi)), np.sin(a)]),
-    )
-    shifted = [
-        cv2.warpAffine(
-            pixels,
-            np.array([[1, 0, s * way[0]], [0, 1, s * way[1]]]),
-            pixels.shape[::-1],
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        for s in steps
-    ]
-    return np.mean(shifted, axis=0)
+    way = rng.uniform(2, 12) * np.array([np.cos(a := rng.uniform(0, np.pi)), np.sin(a)])
+    return np.mean([shifted(pixels, step * way) for step in np.linspace(-0.5, 0.5, 9)], axis=0)
 
 
 def jpeg(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Compress as JPEG of quality 15 to 95."""
     byte = np.clip(np.rint(pixels * 255), 0, 255).astype(np.uint8)
     packed = cv2.imencode(".jpg", byte, (cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(15, 96))))[1]
-    return cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE) / 255
+    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)) / 255
 
 
 def windowed(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Clip dark and bright, as a screen shot does."""
     low, high = np.quantile(pixels, [rng.uniform(0.0, 0.15), rng.uniform(0.7, 1.0)])
-    return np.clip((pixels - low) / max(high - low, 1e-6), 0, 1)
-
-
-def saturated(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Overexpose."""
-    return np.clip(pixels * rng.uniform(1.3, 6.0), 0, 1)
+    return (pixels - low) / max(high - low, 1e-6)
 
 
 def flat(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Fill a rectangle with one value: a mark, a shutter, lost packets."""
-    out = pixels.copy()
+    filled = pixels.copy()
     height, width = (rng.uniform(0.05, 0.5, 2) * pixels.shape).astype(int)
     top, left = (rng.uniform(0, 0.8, 2) * pixels.shape).astype(int)
-    out[top : top + height, left : left + width] = rng.choice([0.0, 1.0, float(np.median(pixels))])
-    return out
+    filled[top : top + height, left : left + width] = rng.choice([0.0, 1.0, float(np.median(pixels))])
+    return filled
 
 
 def forged(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Add 1 to 12 dark discs like balls."""
-    out = pixels.copy()
     yy, xx = np.mgrid[: pixels.shape[0], : pixels.shape[1]]
     for _ in range(int(rng.integers(1, 13))):
         u, v, radius = *(rng.uniform(0.15, 0.85, 2) * pixels.shape[::-1]), rng.uniform(4, 18)
-        edge = expit((radius - np.hypot(xx - u, yy - v)) / 0.8)
-        out *= 1 - rng.uniform(0.2, 0.8) * edge
-    return out
+        pixels = pixels * (1 - rng.uniform(0.2, 0.8) * expit((radius - np.hypot(xx - u, yy - v)) / 0.8))
+    return pixels
 
 
 def moved_balls(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Copy squares of the image some pixels aside."""
-    out = pixels.copy()
+    moved = pixels.copy()
     for _ in range(int(rng.integers(1, 9))):
         v, u = (rng.uniform(0.2, 0.8, 2) * pixels.shape).astype(int)
         dv, du = rng.integers(-5, 6, 2)
-        out[v + dv : v + dv + 28, u + du : u + du + 28] = pixels[v : v + 28, u : u + 28]
-    return out
+        moved[v + dv : v + dv + 28, u + du : u + du + 28] = pixels[v : v + 28, u : u + 28]
+    return moved
 
 
 def wiped(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Inpaint a strip of 4 to 15 % of the image, which removes its content without a trace."""
     mask = np.zeros(pixels.shape, np.uint8)
     start, size = rng.uniform(0.2, 0.7), rng.uniform(0.04, 0.15)
-    a, b = int(start * len(pixels)), int((start + size) * len(pixels))
-    if rng.random() < 0.5:
-        mask[a:b] = 1
-    else:
-        mask[:, a:b] = 1
-    small = cv2.inpaint(np.clip(pixels * 255, 0, 255).astype(np.uint8), mask, 3, cv2.INPAINT_TELEA) / 255
-    return np.where(mask, small, pixels)
+    strip = mask if rng.random() < 0.5 else mask.T
+    strip[int(start * len(pixels)) : int((start + size) * len(pixels))] = 1
+    painted = cv2.inpaint(np.clip(pixels * 255, 0, 255).astype(np.uint8), mask, 3, cv2.INPAINT_TELEA) / 255
+    return np.where(mask, painted, pixels)
 
 
 def noisy(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -266,26 +256,11 @@ def striped(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def dead(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Set pixels and lines to black or white."""
-    out = pixels.copy()
+    broken = pixels.copy()
     hit = rng.random(pixels.shape) < rng.uniform(1e-4, 1e-2)
-    out[hit] = rng.choice([0.0, 1.0], hit.sum())
-    out[rng.integers(0, len(out), int(rng.integers(0, 4)))] = rng.choice([0.0, 1.0])
-    return out
-
-
-def blurred(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Defocus by 1 to 6 px."""
-    return cv2.GaussianBlur(pixels, (0, 0), rng.uniform(1.0, 6.0))
-
-
-def inverted(pixels: np.ndarray, _: np.random.Generator) -> np.ndarray:
-    """Invert, so that balls are bright."""
-    return pixels.max() - pixels
-
-
-def gamma(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Apply another tone curve."""
-    return np.clip(pixels, 0, 1) ** rng.uniform(0.35, 2.5)
+    broken[hit] = rng.choice([0.0, 1.0], hit.sum())
+    broken[rng.integers(0, len(broken), int(rng.integers(0, 4)))] = rng.choice([0.0, 1.0])
+    return broken
 
 
 def coarse(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -296,65 +271,43 @@ def coarse(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def sharpened(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Sharpen, like a vendor's edge enhancement."""
-    return np.clip(
-        pixels + rng.uniform(0.5, 4.0) * (pixels - cv2.GaussianBlur(pixels, (0, 0), rng.uniform(1, 4))), 0, 1
-    )
+    return pixels + rng.uniform(0.5, 4.0) * (pixels - cv2.GaussianBlur(pixels, (0, 0), rng.uniform(1, 4)))
 
 
 def bent(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Multiply by a brightness slope across the image."""
     vv, uu = np.mgrid[-1 : 1 : pixels.shape[0] * 1j, -1 : 1 : pixels.shape[1] * 1j]
     slope = rng.uniform(-0.6, 0.6, 2)
-    return np.clip(pixels * np.exp(slope[0] * uu + slope[1] * vv) * 0.6, 0, 1)
+    return pixels * np.exp(slope[0] * uu + slope[1] * vv) * 0.6
 
 
-def unlike(
-    make: Callable[[dict[str, Radiograph], int, np.random.Generator], dict[str, Radiograph]], *cause: str
-) -> Damage:
-    """Return a class in which the pair itself is wrong; `make` gets the images and the number of their base."""
-
-    def go(rng: np.random.Generator) -> Ended:
-        number = int(rng.integers(BASES))
-        rehearsal = base(number)
-        clicks = Clicks.on(rehearsal.setup, rehearsal.hip, rng)
-        images = make(dict(rehearsal.images), number, rng)
-        return whole_way(images, rehearsal.setup.frame, clicks, rehearsal.hip.wire_mm)
-
-    return Damage(go, cause)
-
-
-def of_another(images: dict[str, Radiograph], number: int, rng: np.random.Generator) -> dict[str, Radiograph]:
-    """Replace one of the images by another patient's."""
-    other = base((number + int(rng.integers(1, BASES))) % BASES)
-    name = str(rng.choice(VIEWS))
-    return {**images, name: other.images[name]}
-
-
+inverted = partial(plain, lambda pixels, _: pixels.max() - pixels, "invert")
+CLIPPED = ("satur", "clip", "white")
 CLASSES: dict[str, Damage] = {
-    "untouched": damage(plain(lambda pixels, _: pixels)),
+    "untouched": plain(lambda pixels, _: pixels),
     "lower part shifted": damage(rows_shifted(lower_part, 1, 60), "torn", "rows", "shift"),
     "band shifted": damage(rows_shifted(band, 1, 60), "torn", "rows", "shift"),
     "fields shifted": damage(rows_shifted(odd, 0.5, 10), "interlace", "fields", "rows"),
     "local warp": damage(bulged),
     "two exposures averaged": damage(ghosted, "blur", "mov", "double"),
-    "smeared by motion": damage(plain(smeared), "blur", "mov"),
-    "out of focus": damage(plain(blurred), "blur"),
-    "inverted": damage(plain(inverted), "invert"),
-    "both inverted": damage(plain(inverted), "invert", both=True),
-    "saturated": damage(plain(saturated), "satur", "clip", "white"),
-    "windowed to 8 bits": damage(plain(windowed), "satur", "clip", "white", white=255),
-    "JPEG": damage(plain(jpeg), white=255),
-    "few grey levels": damage(plain(coarse)),
-    "another tone curve": damage(plain(gamma)),
-    "sharpened": damage(plain(sharpened)),
-    "sloping brightness": damage(plain(bent)),
-    "noisy": damage(plain(noisy)),
-    "stripes": damage(plain(striped)),
-    "dead pixels and lines": damage(plain(dead)),
-    "flat rectangle": damage(plain(flat)),
-    "strip wiped": damage(plain(wiped)),
-    "forged balls": damage(plain(forged)),
-    "moved squares": damage(plain(moved_balls)),
+    "smeared by motion": plain(smeared, "blur", "mov"),
+    "out of focus": plain(lambda pixels, rng: cv2.GaussianBlur(pixels, (0, 0), rng.uniform(1.0, 6.0)), "blur"),
+    "inverted": inverted(),
+    "both inverted": inverted(both=True),
+    "saturated": plain(lambda pixels, rng: pixels * rng.uniform(1.3, 6.0), *CLIPPED),
+    "windowed to 8 bits": plain(windowed, *CLIPPED, white=255),
+    "JPEG": plain(jpeg, white=255),
+    "few grey levels": plain(coarse),
+    "another tone curve": plain(lambda pixels, rng: np.clip(pixels, 0, 1) ** rng.uniform(0.35, 2.5)),
+    "sharpened": plain(sharpened),
+    "sloping brightness": plain(bent),
+    "noisy": plain(noisy),
+    "stripes": plain(striped),
+    "dead pixels and lines": plain(dead),
+    "flat rectangle": plain(flat),
+    "strip wiped": plain(wiped),
+    "forged balls": plain(forged),
+    "moved squares": plain(moved_balls),
     "turned": damage(turned),
     "both mirrored": damage(mirrored, both=True),
     "one mirrored": damage(mirrored),

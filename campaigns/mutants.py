@@ -1,15 +1,14 @@
 """Mutation testing: random one-token changes, each with the tests run against it.
 
-`python -m campaigns.mutants [--changes N] [--seed S]`. A change that no test detects is printed with its line: it must
-be shown to be equivalent, or get a test. Finished changes are kept; the same command resumes a stopped run. Every
-change is made in a copy of the checkout, which is deleted at the end.
+`python -m campaigns.mutants [--changes N] [--seed S] [--rooms ROOM ...]`. A change that no test detects is printed with
+its line: it must be shown to be equivalent, or get a test. Finished changes are kept; the same command resumes a
+stopped run. Every change is made in a copy of the checkout, which is deleted at the end.
 
-The tests of the change's own room run first, for all changes; the other tests only for undetected ones.
+Tests are those of the change's own room, and all files that name the changed module; files that name it run first.
 """
 
 import argparse
 import ast
-import json
 import os
 import shutil
 import subprocess
@@ -25,17 +24,20 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from campaigns.campaign import Finished
+
 ROOT = Path(__file__).parents[1]
 ROOMS = ("planning", "calibration", "frame", "robot", "case", "detection")  # those whose tests are the quickest first
-SWAPPED = {
-    ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.Lt: ">", ast.LtE: ">", ast.Gt: "<", ast.GtE: "<",
-    ast.Eq: "!=", ast.NotEq: "==", ast.And: "or", ast.Or: "and",
-}  # fmt: skip
 TOKENS = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=",
     ast.Eq: "==", ast.NotEq: "!=", ast.And: "and", ast.Or: "or",
 }  # fmt: skip
+SWAPPED = {
+    "+": "-", "-": "+", "*": "/", "/": "*", "<": ">", "<=": ">", ">": "<", ">=": "<", "==": "!=", "!=": "==",
+    "and": "or", "or": "and",
+}  # fmt: skip
 LIMIT_S = 900  # a change that makes the tests run this long is detected: something waits forever
+PROCESSES = 2
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,6 @@ class Change:
     file: str
     line: int
     start: int
-    end: int
     token: str
     instead: str
 
@@ -54,10 +55,16 @@ class Change:
         """Its name in the record."""
         return f"{self.file}:{self.line}: {self.token} -> {self.instead} @{self.start}"
 
+    @property
+    def room(self) -> str:
+        """The room whose source is changed."""
+        return Path(self.file).parts[2]
+
     def applied(self, text: bytes) -> bytes:
         """Return the file's text with the change."""
-        assert text[self.start : self.end] == self.token.encode()
-        return text[: self.start] + self.instead.encode() + text[self.end :]
+        end = self.start + len(self.token.encode())
+        assert text[self.start : end] == self.token.encode()
+        return text[: self.start] + self.instead.encode() + text[end:]
 
 
 def changes_of(file: Path) -> Iterator[Change]:
@@ -70,21 +77,21 @@ def changes_of(file: Path) -> Iterator[Change]:
     starts = np.cumsum([0, *(len(line) for line in text.splitlines(keepends=True))])
     name = str(file.relative_to(ROOT))
 
-    def at(node: ast.expr, end: bool = False) -> int:
-        line, column = (node.end_lineno, node.end_col_offset) if end else (node.lineno, node.col_offset)
-        return int(starts[line - 1]) + column
+    def span(node: ast.expr) -> tuple[int, int]:
+        begin, end = (node.lineno, node.col_offset), (node.end_lineno or 0, node.end_col_offset or 0)
+        return int(starts[begin[0] - 1]) + begin[1], int(starts[end[0] - 1]) + end[1]
 
     def between(left: ast.expr, right: ast.expr, operator: ast.AST) -> Iterator[Change]:
-        token, instead = TOKENS.get(type(operator)), SWAPPED.get(type(operator))
-        place = text.find(token.encode(), at(left, end=True), at(right)) if token else -1
-        if token and instead and place >= 0:
-            yield Change(name, left.end_lineno, place, place + len(token), token, instead)
+        token = TOKENS.get(type(operator))
+        place = text.find(token.encode(), span(left)[1], span(right)[0]) if token else -1
+        if token and place >= 0:
+            yield Change(name, left.end_lineno or 0, place, token, SWAPPED[token])
 
     guards = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "strict"}
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and type(node.value) in (int, float, bool) and id(node) not in guards:
-            token = text[at(node) : at(node, end=True)].decode()
-            yield Change(name, node.lineno, at(node), at(node, end=True), token, _other(node.value))
+            begin, end = span(node)
+            yield Change(name, node.lineno, begin, text[begin:end].decode(), _other(node.value))
         elif isinstance(node, ast.BinOp):
             yield from between(node.left, node.right, node.op)
         elif isinstance(node, ast.BoolOp):
@@ -101,17 +108,15 @@ def _other(value: float | bool) -> str:
     return repr(value + 1 if isinstance(value, int) else 1.5 * value if value else 0.5)
 
 
-def drawn(number: int, seed: int) -> list[Change]:
+def drawn(number: int, seed: int, rooms: list[str]) -> list[Change]:
     """Return the first of a random permutation of all changes, so that more can be added later."""
-    files = sorted(f for room in ROOMS for f in (ROOT / "src/sightline" / room).rglob("*.py"))
+    files = sorted(file for room in rooms for file in (ROOT / "src/sightline" / room).rglob("*.py"))
     every = [change for file in files for change in changes_of(file)]
-    order = np.random.default_rng(seed).permutation(len(every))
-    return [every[k] for k in order[:number]]
+    return [every[k] for k in np.random.default_rng(seed).permutation(len(every))[:number]]
 
 
-def copy_of_checkout(folder: Path) -> Path:
-    """Copy the files that git tracks and the compiled kernels, with their time stamps; return the folder."""
-    tree = folder / "tree"
+def copy_of_checkout(tree: Path) -> Path:
+    """Copy the files that git tracks and the compiled kernels, with their time stamps, to a folder; return it."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True).stdout  # noqa: S607
     for name in filter(None, listed.decode().split("\0")):
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
@@ -121,53 +126,45 @@ def copy_of_checkout(folder: Path) -> Path:
     return tree
 
 
-def room_of(change: Change) -> str:
-    """Return the room whose source is changed."""
-    return Path(change.file).parts[2]
+def tests_of(change: Change) -> list[str]:
+    """Return the test files that name the changed module, then the others of its room."""
+    *package, name = Path(change.file).with_suffix("").parts[1:]
+    dotted, room = ".".join(package), ROOT / "tests" / change.room
+    names = f"{dotted}.{name}", f"from {dotted} import {name}"
+    files = sorted((ROOT / "tests").rglob("test_*.py"))
+    named = [file for file in files if any(each in file.read_text() for each in names)]
+    return [str(f.relative_to(ROOT)) for f in [*named, *(f for f in files if room in f.parents and f not in named)]]
 
 
-def own_tests(change: Change) -> list[str]:
-    """Return the test files of the change's room, those that import the changed module first."""
-    module = ".".join(Path(change.file).with_suffix("").parts[1:])
-    files = sorted((ROOT / "tests" / room_of(change)).rglob("test_*.py"))
-    return [str(file.relative_to(ROOT)) for file in sorted(files, key=lambda file: module not in file.read_text())]
-
-
-def noticed(change: Change, tests: list[str], tree: Path) -> str:
+def noticed(change: Change, tree: Path) -> str:
     """Return the first test that fails with the change, or ""."""
     file = tree / change.file
     before, stamp = file.read_bytes(), file.stat()
+    kept = tree.parent / f"{tree.name}-kernels"
     # Compiled kernels contain functions and constants of other files.
-    kept = _set_aside(tree) if room_of(change) == "detection" or b"njit" in before else None
+    aside = change.room == "detection" or b"njit" in before
+    if aside:
+        _move_caches(tree / "src", kept)
     try:
         file.write_bytes(change.applied(before))
-        return _fails(tests, tree)
+        return _failed(tests_of(change), tree)
     finally:
         file.write_bytes(before)
         os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
-        if kept is not None:
-            _put_back(tree, kept)
+        if aside:
+            for cache in list((tree / "src").rglob("__pycache__")):
+                shutil.rmtree(cache)
+            _move_caches(kept, tree / "src")
 
 
-def _set_aside(tree: Path) -> Path:
-    """Move all compiled kernels away, because they contain copies of functions in changed files; return the folder."""
-    kept = tree.parent / "kept"
-    shutil.rmtree(kept, ignore_errors=True)
-    for cache in list((tree / "src").rglob("__pycache__")):
-        (kept / cache.relative_to(tree)).parent.mkdir(parents=True, exist_ok=True)
-        cache.rename(kept / cache.relative_to(tree))
-    return kept
+def _move_caches(source: Path, target: Path) -> None:
+    for cache in list(source.rglob("__pycache__")):
+        (target / cache.relative_to(source)).parent.mkdir(parents=True, exist_ok=True)
+        cache.rename(target / cache.relative_to(source))
 
 
-def _put_back(tree: Path, kept: Path) -> None:
-    for cache in list((tree / "src").rglob("__pycache__")):
-        shutil.rmtree(cache)
-    for cache in list(kept.rglob("__pycache__")):
-        cache.rename(tree / cache.relative_to(kept))
-
-
-def _fails(where: list[str], tree: Path) -> str:
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", *where]
+def _failed(tests: list[str], tree: Path) -> str:
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", *tests]
     environment = {**os.environ, "PYTHONPATH": str(tree / "src"), "OPENBLAS_NUM_THREADS": "1"}
     try:
         run = subprocess.run(
@@ -183,65 +180,38 @@ def _fails(where: list[str], tree: Path) -> str:
     return lines[0].split(" - ")[0] if lines else f"exit code {run.returncode}"
 
 
-class Record:
-    """Finished changes, a line of JSON each: the change, the tests run, and the one that detected it."""
-
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        lines = file.read_text().splitlines() if file.exists() else []
-        self._by = {(line["change"], line["tests"]): str(line["noticed"]) for line in map(json.loads, lines)}
-
-    def holds(self, change: Change, tests: str) -> bool:
-        """Return whether these tests were run against a change."""
-        return (change.key, tests) in self._by
-
-    def noticed(self, change: Change) -> str:
-        """Return the test that detected a change, or ""."""
-        return next((by for (key, _), by in self._by.items() if key == change.key and by), "")
-
-    def add(self, change: Change, tests: str, by: str) -> None:
-        """Record a result."""
-        self._by[change.key, tests] = by
-        with self._file.open("a") as out:
-            out.write(json.dumps({"change": change.key, "tests": tests, "noticed": by}) + "\n")
-
-
 def main() -> int:
-    """Print the changes that no test detected; return 1 if there are any."""
+    """Print the share of changes that a test detected, and the others; return 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--changes", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rooms", nargs="+", default=list(ROOMS), metavar="ROOM", help=f"default: {' '.join(ROOMS)}")
     parser.add_argument("--out", type=Path, default=Path("out/mutants"))
     options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    record = Record(options.out / f"{options.seed}.jsonl")
-    wanted = drawn(options.changes, options.seed)
+    record = Finished(options.out / f"{options.seed}.jsonl", "change")
+    wanted = drawn(options.changes, options.seed, options.rooms)
     console, trees = Console(), SimpleQueue[Path]()
-    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(os.cpu_count()) as pool:
-        for k in range(os.cpu_count() or 1):
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(PROCESSES) as pool:
+        for k in range(PROCESSES):
             trees.put(copy_of_checkout(Path(scratch) / str(k)))
 
-        def one(change: Change, tests: list[str]) -> str:
+        def put_to_test(change: Change) -> None:
             tree = trees.get()
             try:
-                return noticed(change, tests, tree)
+                record.add(change.key, noticed=noticed(change, tree))
             finally:
                 trees.put(tree)
+            console.print(f"{change.key}: {record[change.key]['noticed'] or 'NOT NOTICED'}", soft_wrap=True)
 
-        for name in ("its room's", "the others"):
-            left = [c for c in wanted if not record.noticed(c) and not record.holds(c, name)]
-            left.sort(key=lambda change: ROOMS.index(room_of(change)))
-            own = name == "its room's"
-            put_to = [own_tests(c) if own else ["tests", f"--ignore=tests/{room_of(c)}"] for c in left]
-            for k, (change, by) in enumerate(zip(left, pool.map(one, left, put_to), strict=True)):
-                record.add(change, name, by)
-                console.print(
-                    f"{k + 1} of {len(left)} to {name} tests: {change.key}: {by or 'NOT NOTICED'}", soft_wrap=True
-                )
-    survivors = [change.key for change in wanted if not record.noticed(change)]
-    console.print(f"{len(wanted) - len(survivors)} of {len(wanted)} changes were noticed; not noticed:")
-    for key in survivors:
-        console.print(f"- {key}", soft_wrap=True)
+        list(pool.map(put_to_test, [change for change in wanted if change.key not in record]))
+    survivors = [change for change in wanted if not record[change.key]["noticed"]]
+    for room in options.rooms:
+        of_room, missed = (sum(change.room == room for change in some) for some in (wanted, survivors))
+        console.print(f"{room}: {of_room - missed} of {of_room} noticed")
+    share = 1 - len(survivors) / max(len(wanted), 1)
+    console.print(f"{len(wanted) - len(survivors)} of {len(wanted)} changes were noticed, {share:.0%}; not noticed:")
+    for change in survivors:
+        console.print(f"- {change.key}", soft_wrap=True)
     return int(bool(survivors))
 
 

@@ -21,10 +21,9 @@ from unittest.mock import patch
 
 import numpy as np
 
-from campaigns.person import Clicks
 from campaigns.points import World
 from sightline.case.acquire import folder as acquire_folder
-from sightline.case.journal import Actor, Case, Entry, Kind
+from sightline.case.journal import Actor, Case, Kind
 from sightline.case.journal.case import JOURNAL
 from sightline.cli import commands
 from sightline.cli.output import Output
@@ -46,7 +45,7 @@ IMAGES, ENTRIES = 3, 6
 
 
 @dataclass(frozen=True)
-class Told:
+class Child:
     """Exit code of a process, negative for a signal, and its output."""
 
     code: int
@@ -54,7 +53,7 @@ class Told:
     err: str
 
 
-def in_a_child(work: Work) -> Told:
+def in_a_child(work: Work) -> Child:
     """Run `work` in a forked process; return when it and its children have ended."""
     sys.stdout.flush()
     sys.stderr.flush()
@@ -77,13 +76,8 @@ def in_a_child(work: Work) -> Told:
     for _, writing in pipes:
         os.close(writing)
     with ThreadPoolExecutor(2) as pool:
-        out, err = pool.map(_all_of, [reading for reading, _ in pipes])
-    return Told(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), out, err)
-
-
-def _all_of(pipe: int) -> str:
-    with open(pipe, "rb") as stream:
-        return stream.read().decode(errors="replace")
+        written = pool.map(lambda ends: os.fdopen(ends[0], "rb").read().decode(errors="replace"), pipes)
+    return Child(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), *written)
 
 
 @dataclass
@@ -138,23 +132,16 @@ class Steps:
 
 
 class Program(Protocol):
-    """A program that writes into an otherwise empty folder `place`."""
+    """A program that writes into an otherwise empty folder `place`.
 
-    def prepare(self, place: Path) -> None:
-        """Create the state before the run."""
-        ...
+    `prepare` makes the state before, `run` returns the exit code. `damage` returns what is lost or incomplete after the
+    program has printed `said`, `missing` what an uninterrupted run has not done; "" if nothing.
+    """
 
-    def run(self, place: Path) -> int:
-        """Run the program; return its exit code."""
-        ...
-
-    def damage(self, place: Path, said: str) -> str:
-        """Return what is lost or incomplete after the program printed `said`; "" if nothing."""
-        ...
-
-    def missing(self, place: Path) -> str:
-        """Return what an uninterrupted run has not done; "" if nothing."""
-        ...
+    def prepare(self, place: Path) -> None: ...
+    def run(self, place: Path) -> int: ...
+    def damage(self, place: Path, said: str) -> str: ...
+    def missing(self, place: Path) -> str: ...
 
 
 def command(*words: object) -> int:
@@ -206,36 +193,29 @@ class Results:
     before: str = "old"
 
     def prepare(self, place: Path) -> None:
-        """Write old results."""
         if self.before == "old":
             atomic.write_folder(place / "out", self._old)
 
     def run(self, place: Path) -> int:
-        """Write new results."""
         return self.writer()(place / "out")
 
     def damage(self, place: Path, said: str) -> str:
         """Check for old or new results, in out.old between two renames, and for reported files."""
-        out = place / "out"
-        held = contents(out if out.exists() else place / "out.old")
-        if "written: " in said and held != self._new:
+        folder = place / "out" if (place / "out").exists() else place / "out.old"
+        held, new = contents(folder), _results_of(self.writer)
+        if "written: " in said and held != new:
             return "what it said to be written is not there"
-        return "" if held in (self._old, self._new) else "the folder is neither old nor new"
+        return "" if held in (self._old, new) else "the folder is neither old nor new"
 
     def missing(self, place: Path) -> str:
-        """Check that all results are new."""
-        found = contents(place / "out")
-        return "" if all(found.get(name) == data for name, data in self._new.items()) else "the new results"
-
-    @property
-    def _new(self) -> Files:
-        return _results_of(self.writer)
+        held = contents(place / "out")
+        same = all(held.get(name) == data for name, data in _results_of(self.writer).items())
+        return "" if same else "the new results"
 
     @property
     def _old(self) -> Files:
-        if self.before == "nothing":
-            return {}
-        return {name: b"old " + name.encode() for name in self._new}
+        names = _results_of(self.writer) if self.before == "old" else ()
+        return {name: b"old " + name.encode() for name in names}
 
 
 @cache
@@ -243,8 +223,8 @@ def _results_of(writer: Callable[[], Write]) -> Files:
     """Return the results of an uninterrupted run."""
     write = writer()
     with TemporaryDirectory() as folder:
-        told = in_a_child(lambda: write(Path(folder) / "out"))
-        assert told.code == 0, told
+        child = in_a_child(lambda: write(Path(folder) / "out"))
+        assert child.code == 0, child
         return contents(Path(folder) / "out")
 
 
@@ -257,35 +237,28 @@ def plan() -> Write:
         documents.update(given)
         return []
 
-    with TemporaryDirectory() as folder, patch.object(atomic, "write_folder", keep):
-        world = World.draw(np.random.default_rng(3))
-        beads = write_observations(list(world.observations.values()), Path(folder) / "beads.csv")
-        assert command("plan", beads, beads, *_told(world.clicks, Path(folder)), "--out", folder, "--quiet") == 0
+    def both(uv: np.ndarray) -> dict[str, list[float]]:
+        return {name: row.round(2).tolist() for name, row in zip(VIEWS, uv, strict=True)}
 
-    def write(out: Path) -> int:
+    with TemporaryDirectory() as name, patch.object(atomic, "write_folder", keep):
+        folder, world = Path(name), World.draw(np.random.default_rng(3))
+        clicks, picks = world.clicks, folder / "picks.json"
+        marks = [{"name": name, **both(clicks.landmarks[:, k])} for k, name in enumerate(clicks.names)]
+        wires = {"guide-wire": {"entry": both(clicks.wire[:, 0]), "end": both(clicks.wire[:, 1])}}
+        content = {"schema": "sightline-picks/1", "wires": wires, "head": both(clicks.head), "landmarks": marks}
+        picks.write_text(json.dumps(content))
+        beads = write_observations(list(world.observations.values()), folder / "beads.csv")
+        options = ("--picks", picks, "--side", clicks.side, "--out", folder, "--quiet")
+        assert command("plan", beads, beads, *options) == 0
+
+    def write(folder: Path) -> int:
         def work() -> None:
-            for file in atomic.write_folder(out, documents):
+            for file in atomic.write_folder(folder, documents):
                 print(f"written: {file}", flush=True)
 
         return as_command(work)
 
     return write
-
-
-def _told(clicks: Clicks, folder: Path) -> tuple[str, ...]:
-    """Return the arguments of `sightline plan`, and write the file of picks that they name."""
-
-    def both(uv: np.ndarray) -> dict[str, list[float]]:
-        return {name: row.round(2).tolist() for name, row in zip(VIEWS, uv, strict=True)}
-
-    content = {
-        "wires": {"guide-wire": {"entry": both(clicks.wire[:, 0]), "end": both(clicks.wire[:, 1])}},
-        "head": both(clicks.head),
-        "landmarks": [{"name": name, **both(clicks.landmarks[:, k])} for k, name in enumerate(clicks.names)],
-    }
-    picks = folder / "picks.json"
-    picks.write_text(json.dumps({"schema": "sightline-picks/1", **content}))
-    return "--picks", str(picks), "--side", clicks.side
 
 
 @cache
@@ -299,9 +272,9 @@ def frame_file() -> Write:
     """Return the writer of a single file."""
     frame = Frame.load("gamma")
 
-    def write(out: Path) -> int:
-        out.mkdir(exist_ok=True)
-        return as_command(lambda: frame.save(out / "frame.json"))
+    def write(folder: Path) -> int:
+        folder.mkdir(exist_ok=True)
+        return as_command(lambda: frame.save(folder / "frame.json"))
 
     return write
 
@@ -329,7 +302,6 @@ class Journal:
                 db.executescript(SCHEMA_0.read_text("utf-8"))
 
     def run(self, place: Path) -> int:
-        """Append to the case."""
         return self.write(place)
 
     def damage(self, place: Path, said: str) -> str:
@@ -342,7 +314,7 @@ class Journal:
             with Case.open(place / "case") as case:
                 if case.problems:
                     return f"the case has a problem: {case.problems[0].sentence}"
-                held = {one.number: _shortly(one) for one in case.entries()}
+                held = {e.number: str(e.content.get("original", e.chain))[:12] for e in case.entries()}
         except SightlineError as error:
             return f"the case cannot be opened: {error}"
         lost = [number for number, name in acknowledged.items() if held.get(number) != name]
@@ -351,17 +323,12 @@ class Journal:
         return ""
 
     def missing(self, place: Path) -> str:
-        """Check that each image is there, once."""
         with Case.open(place / "case") as case:
-            held = [one.content["original"] for one in case.entries(Kind.ACQUIRED) if "pixels_sha256" in one.content]
+            held = [e.content["original"] for e in case.entries(Kind.ACQUIRED) if "pixels_sha256" in e.content]
             edits = len(case.entries(Kind.CHANGED))
         if self.write is append:
             return "" if edits >= 2 * ENTRIES else "entries that were to be appended"
         return "" if len(held) == len(set(held)) >= IMAGES else f"{len(held)} entries of {IMAGES} images"
-
-
-def _shortly(one: Entry) -> str:
-    return str(one.content.get("original", one.chain))[:12]
 
 
 def acquire(place: Path) -> int:
@@ -411,7 +378,7 @@ class Trials:
     """A study that records finished trials."""
 
     def prepare(self, place: Path) -> None:
-        """Nothing is there before."""
+        pass
 
     def run(self, place: Path) -> int:
         """Record the missing trials one by one."""
@@ -426,16 +393,14 @@ class Trials:
         return as_command(work)
 
     def damage(self, place: Path, said: str) -> str:
-        """Check that acknowledged trials are there."""
         try:
-            found = Record.open(place / "study", {"study": "one"}).finished
+            held = Record.open(place / "study", {"study": "one"}).finished
         except SightlineError as error:
             return f"the record cannot be opened: {error}"
-        lost = [n for n in re.findall(r"^trial (\d+)$", said, re.MULTILINE) if int(n) not in found]
+        lost = [n for n in re.findall(r"^trial (\d+)$", said, re.MULTILINE) if int(n) not in held]
         return f"trials {', '.join(lost)} are lost" if lost else ""
 
     def missing(self, place: Path) -> str:
-        """Check that all trials are there."""
         return "" if len(Record.open(place / "study", {"study": "one"}).finished) == ENTRIES else "trials"
 
 
@@ -478,16 +443,25 @@ def extent(name: str) -> dict[str, int]:
             os.write(1, f"\nsteps {steps.file} {steps.journal}\n".encode())
             return code
 
-        told = in_a_child(counted)
-        assert told.code == 0 and not program.missing(place), (name, told)
-        file, journal = map(int, re.findall(r"^steps (\d+) (\d+)$", told.out, re.MULTILINE)[0])
+        child = in_a_child(counted)
+        assert child.code == 0 and not program.missing(place), (name, child)
+        file, journal = map(int, re.findall(r"^steps (\d+) (\d+)$", child.out, re.MULTILINE)[0])
         largest = max((path.stat().st_size for path in place.rglob("*") if path.is_file()), default=1)
     return {"file": file, "journal": journal, "byte": largest}
 
 
 def not_finished(program: Program, place: Path) -> str:
     """Run the program again without interruption; return what is wrong, or ""."""
-    told = in_a_child(lambda: program.run(place))
-    if told.code != 0:
-        return f"the next run fails: {(told.err or told.out).strip().splitlines()[-1:]}"
-    return program.damage(place, told.out) or program.missing(place)
+    child = in_a_child(lambda: program.run(place))
+    if child.code != 0:
+        return f"the next run fails: {(child.err or child.out).strip().splitlines()[-1:]}"
+    return program.damage(place, child.out) or program.missing(place)
+
+
+def moment(name: str, rng: np.random.Generator, kinds: tuple[str, ...]) -> tuple[str, int]:
+    """Return a random kind of step of a program, and its number."""
+    last = {kind: number for kind, number in extent(name).items() if number and kind in kinds}
+    kind = str(rng.choice(list(last)))
+    if kind == "byte":
+        return kind, int(np.exp(rng.uniform(0.0, np.log(last[kind]))))
+    return kind, int(rng.integers(1, last[kind] + 1))

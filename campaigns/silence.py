@@ -18,13 +18,13 @@ from rich.console import Console
 from scipy.spatial.transform import RigidTransform
 
 from campaigns.busy import busy_cores
+from campaigns.campaign import Finished
 from sightline.errors import SightlineError
 from sightline.rehearsal.operation import calibrated_robot
 from sightline.robot.control.states import State
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.conformance.examination import ConformanceVerdict, Examination
 
-DRY_RUNS, DRILLINGS = 500, 100
 AHEAD_MM = 125.0  # to the end of a bare target, whose wire is 95 mm: its entry is 30 mm ahead
 
 
@@ -41,16 +41,15 @@ def robot_in_air() -> Iterator[int]:
 def dry_run(port: int) -> str:
     """Return what went wrong, or ''."""
     with Examination("127.0.0.1", port) as robot:
-        bad = [f"{one.name}: {one.seen}" for one in robot.dry_run() if one.verdict is not ConformanceVerdict.PASSED]
-    return "; ".join(bad)
+        bad = [step for step in robot.dry_run() if step.verdict is not ConformanceVerdict.PASSED]
+    return "; ".join(f"{step.name}: {step.seen}" for step in bad)
 
 
 def drilling(port: int) -> str:
     """Return what went wrong, or ''."""
     with RobotClient(port=port) as robot:
         robot.start_up()
-        q = robot.joints()[0]
-        manipulator = calibrated_robot().manipulator
+        q, manipulator = robot.joints()[0], calibrated_robot().manipulator
         registration = manipulator.T_mcs_cfcs(q)
         robot.calibrate(registration)
         wire = registration.inv() * manipulator.T_mcs_tool(q)
@@ -62,10 +61,14 @@ def drilling(port: int) -> str:
     return ""
 
 
-def ended(what: str, port: int) -> str:
+RUNS = {"dry run": (dry_run, 500), "drilling": (drilling, 100)}
+
+
+def ended(what: str) -> str:
     """Return how a run ended: "done", "silence", or the reason."""
     try:
-        wrong = dry_run(port) if what == "dry run" else drilling(port)
+        with robot_in_air() as port:  # a new one, because each run leaves the arm elsewhere
+            wrong = RUNS[what][0](port)
     except SightlineError as error:
         wrong = str(error)
     return "silence" if "silent for" in wrong else wrong or "done"
@@ -74,26 +77,19 @@ def ended(what: str, port: int) -> str:
 def main() -> int:
     """Run what is not finished; return 1 if a run ended by a false silence."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--dry-runs", type=int, default=DRY_RUNS)
-    parser.add_argument("--drillings", type=int, default=DRILLINGS)
+    parser.add_argument("--dry-runs", type=int, default=RUNS["dry run"][1])
+    parser.add_argument("--drillings", type=int, default=RUNS["drilling"][1])
     parser.add_argument("--out", type=Path, default=Path("out/silence.jsonl"), help="finished runs")
     options = parser.parse_args()
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    lines = options.out.read_text().splitlines() if options.out.exists() else []
-    told = [json.loads(line) for line in lines]
-    asked = {"dry run": options.dry_runs, "drilling": options.drillings}
+    finished, console = Finished(options.out), Console()
     with busy_cores():
-        for what, number in asked.items():
-            for _ in range(number - sum(one["what"] == what for one in told)):
-                with robot_in_air() as port:  # a new one, because each run leaves the arm elsewhere
-                    told.append({"what": what, "ended": ended(what, port)})
-                with options.out.open("a") as out:
-                    out.write(json.dumps(told[-1]) + "\n")
-    console = Console()
-    for what in asked:
-        for how, count in Counter(one["ended"] for one in told if one["what"] == what).most_common():
-            console.print(f"{what}: {how}: {count}", soft_wrap=True)
-    return int(any(one["ended"] == "silence" for one in told))
+        for what, number in (("dry run", options.dry_runs), ("drilling", options.drillings)):
+            for name in (f"{what} {k + 1}" for k in range(number)):
+                if name not in finished:
+                    finished.add(name, what=what, ended=ended(what))
+    for (what, how), count in Counter((each["what"], each["ended"]) for each in finished.values()).most_common():
+        console.print(f"{what}: {how}: {count}", soft_wrap=True)
+    return int(any(each["ended"] == "silence" for each in finished.values()))
 
 
 if __name__ == "__main__":

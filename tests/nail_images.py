@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from benchmarks.holes.nail_edges import Sight, ends_of_outlines
+from benchmarks.scenes.nails import Sight, ends_of_outlines
 
 from sightline.calibration import CalibratedView, view_from_matrix
 from sightline.common.geometry.planes import Plane

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from benchmarks import results
-from benchmarks.rows import Row
+from benchmarks.harness import Row
 
 from sightline.planning.procedures.procedure import shipped
 
@@ -20,8 +20,8 @@ def test_a_run_replaces_its_own_entries_only(tmp_path: Path, monkeypatch: pytest
     file = tmp_path / "results.json"
     monkeypatch.setattr(results, "RESULTS", file)
     old = {"commit": None, "processor": None, "cores": None, "date": None, "seed": None}
-    results.write([results.entry(name, Row("g", "n", "1.5 mm"), old) for name in ("accuracy", "plates")])
-    results.update("plates", [Row("g", "new", "0.2 / 0.3 mm", "<= 1 mm", "peer 2 mm", met=True)], 7)
+    results.write([results.entry(name, Row("g", "n", "1.5", "mm"), old) for name in ("accuracy", "plates")])
+    results.update("plates", [Row("g", "new", "0.2 / 0.3", "mm", "<= 1 mm", "peer 2 mm", met=True)], 7)
     kept, made = results.read()
     assert (kept["benchmark"], kept["value"], kept["unit"]) == ("accuracy", "1.5", "mm")
     assert (made["name"], made["value"], made["unit"], made["met"]) == ("new", "0.2 / 0.3", "mm", True)

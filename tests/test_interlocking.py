@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.holes.scores import scored
+from benchmarks.scenes.nails import scored
 from tests.nail_images import NailImages, nail_images
 
 from sightline.errors import ReconstructionRefusedError, SightlineError, UnusableInputError, WireRefusedError

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.holes.nail_edges import seen
+from benchmarks.scenes.nails import seen
 from tests.planning.test_two_holes import ERRORS, KNOWN, NAIL, SIGHTS, VIEWS, _matrix
 
 from sightline.app.drawing import shapes

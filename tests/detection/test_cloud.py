@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from benchmarks.labelling.solid_scenes import BALL_SD_MM, CloudScene, draw_cloud, draw_cloud_scene
+from benchmarks.scenes.balls import BALL_SD_MM, CloudScene, draw_cloud, draw_cloud_scene
 
 from sightline.detection import Detections, label
 from sightline.detection.labelling.cloud import CloudMatch, label_cloud
@@ -186,7 +186,7 @@ def test_centres_that_err_more_than_stated_are_not_labelled_wrongly() -> None:
 
 
 def test_balls_known_roughly_are_labelled_correctly_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("benchmarks.labelling.solid_scenes.BALL_SD_MM", 0.5)
+    monkeypatch.setattr("benchmarks.scenes.balls.BALL_SD_MM", 0.5)
     right = 0
     for seed in range(20):
         rng = np.random.default_rng([14, seed])

@@ -5,7 +5,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from benchmarks.labelling.plate_scenes import Hiding, Scene, clean_views, draw_scene
+from benchmarks.scenes.plates import Hiding, Scene, clean_views, draw_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -105,7 +105,7 @@ def test_a_hundred_scenes_are_right_or_refused() -> None:
         assert_right(found, one)
         solved += one.solvable
     assert solvable > 70
-    # 98 % of 10,000 scenes (benchmarks/labelling/plates.py), less two standard deviations of the share of 80.
+    # 98 % of 10,000 scenes (benchmarks/bench_labelling.py), less two standard deviations of the share of 80.
     assert solved >= 0.95 * solvable
 
 

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.holes.nail_edges import Sight, seen
-from benchmarks.holes.scores import scored
+from benchmarks.scenes.nails import Sight, scored, seen
 from scipy.spatial.transform import Rotation
 
 from sightline.calibration import view_from_matrix

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.holes.nail_edges import Sight, seen
+from benchmarks.scenes.nails import Sight, seen
 
 from sightline.calibration import view_from_matrix
 from sightline.common.checks import failed

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.solid.bound import solid_bound
+from benchmarks.scenes.blocks import solid_bound
 from scipy.spatial.transform import Rotation
 
 from sightline.calibration import CArm, calibrate_together

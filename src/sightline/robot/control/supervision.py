@@ -21,7 +21,7 @@ RATE_WALK = 25.0
 CONTACT_N = 1.0
 CORTEX_N = 6.0  # above cancellous bone of any density, a sixth of a common cortex [ours]
 # Break-through: the force has fallen to this share of its peak in the cortex, and its rate is this many standard
-# deviations below zero [ours; benchmarks/robot/supervision.py has delay and false alarms over 1,000 holes].
+# deviations below zero [ours; benchmarks/supervision.py has delay and false alarms over 1,000 holes].
 FALLEN_SHARE, FALLING_SIGMA = 0.6, 2.0
 # Decay length of the stored peak force, so that the ramp of an oblique entry does not stay the peak for ever [ours].
 MEMORY_MM = 1.0

@@ -39,7 +39,7 @@ SIDES = ("right", "left")
 PLAN_SD_MM = 0.5
 # The point of a wire touches an oblique cortex beside its axis, so contact is detected this far before the axis meets
 # bone. In healthy to osteoporotic femurs, fed at 1 mm/s: 0.55 mm, s.d. 0.12, along 60 ideal wires; 0.70 and 0.14 along
-# lines some millimetres aside [benchmarks/robot/supervision.py]. This includes the delay of the force filter; at 5 mm/s
+# lines some millimetres aside [benchmarks/supervision.py]. This includes the delay of the force filter; at 5 mm/s
 # it is 0.1 mm more. A sharper point touches up to 0.6 mm later.
 CONTACT_LEAD_MM, POINT_SD_MM = 0.6, 0.35
 SURFACE_SD_MM = PLAN_SD_MM  # of the bone surface along the wire: a person marks it in the images as the entry point

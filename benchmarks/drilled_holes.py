@@ -1,11 +1,12 @@
 """Both distal holes of a nail drilled by the robot: 300 holes with `block30` on the drill guide.
 
-Edges as points (studies/nail_edges.py), both holes in one plan, the robot registered by its own wire in the same
-images; the second hole is planned on the same images again. Targets and refusals are the robot's own functions. The
-arm's play and deflection are drawn from what its calibration states, the drill is the twin's `Wire` in a bone's shaft:
-no link, no real time. A drill passes if it touches neither wall of the nail: 4 mm in holes of 5 mm leave 0.5 mm.
+Edges as points (scenes/nails.py), both holes in one plan, the robot registered by its own wire in the same images; the
+second hole is planned on the same images again. Targets and refusals are the robot's own functions. The arm's play and
+deflection are drawn from what its calibration states, the drill is the twin's `Wire` in a bone's shaft: no link, no
+real time. A drill passes if it touches neither wall of the nail: 4 mm in holes of 5 mm leave 0.5 mm.
 """
 
+from collections import Counter
 from dataclasses import dataclass
 from itertools import product
 
@@ -13,26 +14,25 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import sightline as sl
-from benchmarks.holes.measured import HALF_ANGLE_DEG, known_nail
-from benchmarks.holes.nail_edges import Sight, seen
-from benchmarks.parallel import in_parallel
-from benchmarks.rows import Row
-from benchmarks.solid.scenes import BEAD_PX, c_arms
-from sightline.calibration.solids.calibrate_together import calibrate_together
+from benchmarks.harness import Refusal, Rows, spread, trials
+from benchmarks.scenes.blocks import BEAD_PX
+from benchmarks.scenes.nails import Sight, seen
+from sightline.calibration import CalibratedView
 from sightline.errors import RefusedError
 from sightline.frame import Frame
-from sightline.planning import Hole, Nail, WirePicks, WirePlans, fit_hole, plan_wires, reconstruct
+from sightline.planning import Nail, WirePicks, WirePlans, fit_hole, plan_wires
 from sightline.rehearsal.operation import SHOWN_FEED_MM, calibrated_robot, drawn_robot, registered, shown_wire_mm
 from sightline.robot.kinematics.calibrated import CalibratedRobot
 from sightline.robot.kinematics.manipulator import FEED, Manipulator, imaging_yaw
 from sightline.robot.kinematics.target import PlanIdentity, RobotTarget, robot_target
-from sightline.studies.scenes import measure
+from sightline.studies.scenes import calibrated_views, measure
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.anatomy.nailed_femur import CORTEX_MM, SPACING_MM, DistalNail
 from sightline.twin.objects.volumes import Volume
 from sightline.twin.robot.drilling import Bone, Wire
 
 NAILS = 150  # of two holes each
+HALF_ANGLE_DEG = 16.0  # of the views of a block, to either side of the hole: both see through it
 SIDE, PICK_PX, DRILL_MM = "right", 0.5, 4.0
 MIN_PASSED = 0.97
 # The leg lies across the drill at the images: the drill points from lateral and cranial at 45° in the frame's axes.
@@ -40,72 +40,46 @@ DRILL = np.array([-1.0, -1.0, 0.0]) / np.sqrt(2.0)
 NAIL_ALONG = np.array([-1.0, 1.0, 0.0]) / np.sqrt(2.0)  # caudal
 SHOWN_BEHIND_MM = (40.0, 0.0)  # points of the robot's own wire that are picked, behind its tip
 SLEEVE_MM, VOXEL_MM, STEP_MM, STEP_S = 5.0, 0.75, 0.1, 0.1  # the sleeve's distance from the bone; 1 mm/s
-ROWS = (("block30", "images"), ("block30", "encoders"), ("gamma", "encoders"))
+CASES = (("block30", "images"), ("block30", "encoders"), ("gamma", "encoders"))
 
 
-@dataclass(frozen=True)
-class Drilled:
-    """What is left between a drill and the walls of its hole, mm; negative where it touches. `off_mm`: of both axes at
-    the nail's surfaces, the larger one."""
-
-    left_mm: float
-    off_mm: float
-
-
-def run(quick: bool) -> list[Row]:
-    """Return the rows of this benchmark."""
-    number = NAILS // 10 if quick else NAILS
-    trials = in_parallel(_trial, product(ROWS, range(number)))
-    rows: list[Row] = []
-    for k, one in enumerate(ROWS):
-        rows += _rows(one, [hole for both in trials[k * number : (k + 1) * number] for hole in both])
+def drilled(quick: bool) -> Rows:
+    """Return the rows; the first case is judged."""
+    rows, number = Rows("drilled holes"), NAILS // 10 if quick else NAILS
+    results = trials(_trial, product(CASES, range(number)))
+    for k, (frame, by) in enumerate(CASES):
+        of_case = results[k * number : (k + 1) * number]
+        holes = [hole for pair in of_case for hole in ([pair] * 2 if isinstance(pair, Refusal) else pair)]
+        done = np.array([hole for hole in holes if not isinstance(hole, Refusal)]).reshape(-1, 2)
+        reasons = Counter(str(hole).split(":")[0] for hole in holes if isinstance(hole, Refusal)).most_common()
+        name = f"{len(holes)} holes, {frame}, registered by {by}"
+        why = ", ".join(f"{count} {reason}" for reason, count in reasons)
+        rows.add(f"{name}: refused", f"{len(holes) - len(done)} of {len(holes)}: {why}")
+        if len(done):
+            passed = int((done[:, 0] > 0).sum())
+            asked, met = (f">= {MIN_PASSED:.0%}", passed >= MIN_PASSED * len(done)) if k == 0 else ("", None)
+            what = "drills of 4 mm that touch neither wall of holes of 5 mm, of the accepted"
+            rows.add(f"{name}: {what}", f"{passed} of {len(done)}", asked, met)
+            rows.add(f"{name}: drill off the hole's axis, median / 95 %", spread(done[:, 1], "mm"))
     return rows
 
 
-def _rows(what: tuple[str, str], holes: list[Drilled | str]) -> list[Row]:
-    group = f"interlocking, drilled, {what[0]}, registered by {what[1]}"
-    done = [one for one in holes if isinstance(one, Drilled)]
-    reasons: dict[str, int] = {}
-    for one in holes:
-        if isinstance(one, str):
-            reasons[one] = reasons.get(one, 0) + 1
-    why = ", ".join(f"{count} {reason}" for reason, count in sorted(reasons.items(), key=lambda item: -item[1]))
-    refused = Row(group, "refused", f"{len(holes) - len(done)} of {len(holes)}{f': {why}' if why else ''}")
-    if not done:
-        return [refused]
-    passed = sum(one.left_mm > 0 for one in done)
-    judged = what == ROWS[0]
-    return [
-        Row(
-            group,
-            "drills that touch neither wall, of the accepted",
-            f"{passed} of {len(done)}, {passed / len(done):.1%}",
-            f">= {MIN_PASSED:.0%}" if judged else "",
-            "",
-            passed >= MIN_PASSED * len(done) if judged else None,
-        ),
-        Row(
-            group,
-            "drill's axis off the hole's at the nail's surface, median / 95 %",
-            " / ".join(f"{np.quantile([one.off_mm for one in done], q):.3f}" for q in (0.5, 0.95)) + " mm",
-        ),
-        refused,
-    ]
+def known_nail(nail: DistalNail) -> Nail:
+    """Return what the software is told of a nail: its nominal sizes."""
+    return Nail(round(nail.diameter_mm), round(nail.hole_diameter_mm), nail.bore_mm, nail.material)
 
 
-def _trial(case: tuple[tuple[str, str], int]) -> list[Drilled | str]:
-    """Return for both holes of a nail how the drill passed, or why it was refused."""
+def _trial(case: tuple[tuple[str, str], int]) -> list[tuple[float, float] | Refusal]:
+    """Return for both holes of a nail what is left between the drill and the walls, mm, and how far it is off the axis
+    at the nail's surfaces; or why it was refused."""
     (frame, by), seed = case
     rng = np.random.default_rng([seed, 23, len(frame)])
     setup, views = _views(rng, Frame.load(frame))
     nail = _nail(rng, setup)
-    try:
-        plans = _planned(rng, setup, views, nail)
-        arm = _Arm.draw(rng, setup)
-        known = arm.corrected(rng, setup, views) if by == "images" else arm.known
-    except RefusedError as refused:
-        return [type(refused).__name__] * 2
-    out: list[Drilled | str] = []
+    plans = _planned(rng, setup, views, nail)
+    arm = _Arm.draw(rng, setup)
+    known = arm.corrected(rng, setup, views) if by == "images" else arm.known
+    holes: list[tuple[float, float] | Refusal] = []
     for number, key in ((1, "distal"), (0, "proximal")):
         plan = plans.plans[key]
         identity = PlanIdentity(f"bench:{key}", SIDE, "1", plan.verdict.go, plan.kind.key)
@@ -114,11 +88,11 @@ def _trial(case: tuple[tuple[str, str], int]) -> list[Drilled | str]:
             target = robot_target(identity, points.xyz_mm, points.budget_mm2, registration, plan.kind.limits)
             target.refuse_unfit(0.0)
         except RefusedError as refused:
-            error = "error" in str(refused)
-            out.append("NO-GO" if not plan.verdict.go else "error beyond 0.5 mm" if error else "out of reach")
+            error = "error beyond 0.5 mm" if "error" in str(refused) else "out of reach"
+            holes.append(Refusal(error if plan.verdict.go else "NO-GO"))
         else:
-            out.append(_against(arm.drilled_mm(rng, target, nail), nail, number))
-    return out
+            holes.append(_against(arm.drilled_mm(rng, target, nail), nail, number))
+    return holes
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,13 +114,13 @@ class _Arm:
         pose = true.T_mcs_flange(joints) * _bent(rng, known) * true.T_flange_cfcs
         return _Arm(known, true, imaged, pose, shown_wire_mm(true, joints, SHOWN_BEHIND_MM))
 
-    def corrected(self, rng: np.random.Generator, setup: SetUp, views: list[sl.CalibratedView]) -> CalibratedRobot:
+    def corrected(self, rng: np.random.Generator, setup: SetUp, views: list[CalibratedView]) -> CalibratedRobot:
         """Return the robot corrected by picks of its own wire in the images."""
         uv = np.stack([view.project(self.wire_mm) for view in setup.views.values()])
-        spread = np.broadcast_to(PICK_PX**2 * np.eye(2), (*uv.shape, 2))
-        found = reconstruct(views, uv + PICK_PX * rng.standard_normal(uv.shape), spread)
-        assert found.joint_covariance_mm2 is not None
-        return self.known.with_wire_seen(self.imaged, found.xyz_mm, found.joint_covariance_mm2)
+        covariance = np.broadcast_to(PICK_PX**2 * np.eye(2), (*uv.shape, 2))
+        points = sl.reconstruct(views, uv + PICK_PX * rng.standard_normal(uv.shape), covariance)
+        assert points.joint_covariance_mm2 is not None
+        return self.known.with_wire_seen(self.imaged, points.xyz_mm, points.joint_covariance_mm2)
 
     def drilled_mm(self, rng: np.random.Generator, target: RobotTarget, nail: DistalNail) -> np.ndarray:
         """Return two points (2, 3), CFCS, of the drill once its tip is beyond the nail."""
@@ -171,17 +145,13 @@ def _bent(rng: np.random.Generator, robot: CalibratedRobot) -> RigidTransform:
     return RigidTransform.from_exp_coords(robot.compliance_sd * rng.standard_normal(6))
 
 
-def _views(rng: np.random.Generator, frame: Frame) -> tuple[SetUp, list[sl.CalibratedView]]:
+def _views(rng: np.random.Generator, frame: Frame) -> tuple[SetUp, list[CalibratedView]]:
     """Draw a set-up and its calibrated views; those of a block look along the drill, from 16° to either side of it."""
-    if frame.solid is None:
-        setup = draw_setup(rng, frame)
-        return setup, [sl.calibrate(one, frame) for one in measure(rng, setup, BEAD_PX).values()]
-    half = np.radians(HALF_ANGLE_DEG)
-    beams = {
-        name: Rotation.from_rotvec(turn * NAIL_ALONG).apply(DRILL) for name, turn in (("pa", -half), ("lateral", half))
-    }
+    turns, beams = {"pa": -np.radians(HALF_ANGLE_DEG), "lateral": np.radians(HALF_ANGLE_DEG)}, None
+    if frame.solid is not None:
+        beams = {name: Rotation.from_rotvec(turn * NAIL_ALONG).apply(DRILL) for name, turn in turns.items()}
     setup = draw_setup(rng, frame, views=beams)
-    return setup, list(calibrate_together(list(measure(rng, setup, BEAD_PX).values()), frame, c_arms(setup)))
+    return setup, calibrated_views(setup, measure(rng, setup, BEAD_PX))
 
 
 def _nail(rng: np.random.Generator, setup: SetUp) -> DistalNail:
@@ -201,11 +171,11 @@ def _nail(rng: np.random.Generator, setup: SetUp) -> DistalNail:
     )
 
 
-def _planned(rng: np.random.Generator, setup: SetUp, views: list[sl.CalibratedView], nail: DistalNail) -> WirePlans:
+def _planned(rng: np.random.Generator, setup: SetUp, views: list[CalibratedView], nail: DistalNail) -> WirePlans:
     """Return the plan of both holes; the nail's tip and a point beside it are picked as landmarks."""
     sights = {name: Sight(view.focal_point_mm, view.project) for name, view in setup.views.items()}
     lens = setup.frame.solid is not None
-    holes: dict[str, Hole] = {
+    holes = {
         key: fit_hole(views, seen(rng, nail, sights, number, lens=lens), known_nail(nail))
         for number, key in ((1, "distal"), (0, "proximal"))
     }
@@ -222,23 +192,20 @@ def _planned(rng: np.random.Generator, setup: SetUp, views: list[sl.CalibratedVi
 
 def _shaft(nail: DistalNail) -> Bone:
     """Return the femur's shaft around both holes, a tube, in CFCS."""
-    across = np.linalg.svd(nail.along[None])[2][1:]
-    axes = np.vstack([across, nail.along])
-    outer, inner = CORTEX_MM
+    axes, (outer, inner) = np.vstack([np.linalg.svd(nail.along[None])[2][1:], nail.along]), CORTEX_MM
     side = np.arange(-outer - 3.0, outer + 3.0, VOXEL_MM)
     radius = np.hypot(*np.meshgrid(side, side, indexing="ij"))
     share = np.clip((outer - radius) / VOXEL_MM + 0.5, 0, 1) * np.clip((radius - inner) / VOXEL_MM + 0.5, 0, 1)
-    length = SPACING_MM + 20.0
-    values = np.repeat(share[:, :, None], round(length / VOXEL_MM), axis=2)
+    values = np.repeat(share[:, :, None], round((SPACING_MM + 20.0) / VOXEL_MM), axis=2)
     origin = nail.hole_mm + side[0] * axes[0] + side[0] * axes[1] - 10.0 * axes[2]
     return Bone((Volume(values, origin, np.full(3, VOXEL_MM), axes),), RigidTransform.identity())
 
 
-def _against(line_mm: np.ndarray, nail: DistalNail, number: int) -> Drilled:
+def _against(line_mm: np.ndarray, nail: DistalNail, number: int) -> tuple[float, float]:
     point, axis = nail.holes[number]
     along = line_mm[1] - line_mm[0]
     along /= np.linalg.norm(along)
     ends = point + nail.diameter_mm / 2 * np.array([[-1.0], [1.0]]) * axis
-    off = np.linalg.norm(np.cross(ends - line_mm[0], along), axis=1).max()
+    off = float(np.linalg.norm(np.cross(ends - line_mm[0], along), axis=1).max())
     drill = DRILL_MM / 2 / abs(float(along @ axis))  # an oblique drill's section is an ellipse
-    return Drilled(float(nail.hole_diameter_mm / 2 - drill - off), float(off))
+    return float(nail.hole_diameter_mm / 2 - drill - off), off

@@ -5,17 +5,17 @@ that is a GO with an entry or end farther off than 1.5 times its stated 95 % bou
 block carries CFCS: where it has moved, the true wire is where it lies from the block at the last image.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import sightline as sl
-from benchmarks.parallel import in_parallel
-from benchmarks.rows import Row
-from benchmarks.solid.scenes import BEAD_PX, PICK_PX, block, c_arms
+from benchmarks.harness import Rows, trials
+from benchmarks.scenes.blocks import BEAD_PX, PICK_PX, block, c_arms
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.detection import Observations
 from sightline.errors import SightlineError
@@ -42,66 +42,47 @@ Given = tuple[list[Observations], Frame, RigidTransform]  # the transform takes 
 Fault = Callable[[np.random.Generator, TargetScene], Given]
 
 
-def run(quick: bool) -> list[Row]:
-    """Return the rows of this benchmark."""
-    number = SETUPS // 10 if quick else SETUPS
-    ended = in_parallel(_ended, [(name, seed) for name in CASES for seed in range(number)])
-    return [_row(name, ended[k * number : (k + 1) * number]) for k, name in enumerate(CASES)]
+def run(quick: bool) -> Rows:
+    """Return the rows."""
+    rows, number = Rows("solid, bad input"), SETUPS // 10 if quick else SETUPS
+    ended = trials(_ended, [(name, seed) for name in CASES for seed in range(number)])
+    for k, name in enumerate(CASES):
+        own = ended[k * number : (k + 1) * number]
+        count, reasons = Counter(end for end, _ in own), Counter(reason for _, reason in own if reason)
+        value = ", ".join(f"{count[end]} {end}" for end in ENDS if count[end])
+        peer = f"mostly {reasons.most_common(1)[0][0]}" if reasons else ""
+        rows.add(name, value, "no wrong GO", not count["GO, wrong"], peer=peer)
+    return rows
 
 
-@dataclass(frozen=True)
-class _End:
-    """How a plan ended: one of ENDS; a check that failed, the type of a refusal, or ""."""
-
-    end: str
-    reason: str
-
-
-def _ended(case: tuple[str, int]) -> _End:
-    """Return how the plan of one set-up with a fault ended."""
+def _ended(case: tuple[str, int]) -> tuple[str, str]:
+    """Return how the plan of one set-up with a fault ended, of ENDS; a check that failed, the type of a refusal, or
+    nothing."""
     name, seed = case
     rng = np.random.default_rng([13, seed])  # the same set-ups for each case
-    views = {view: beam_at(np.radians(angle)) for view, angle in _angles_deg(name).items()}
+    angles_deg = {"pa": 0.0, "lateral": 5.0 if name == VIEWS_5_DEG else 90.0}
+    angles_deg |= {"oblique": OBLIQUE_DEG} if THIRD in name else {}
+    views = {view: beam_at(np.radians(angle)) for view, angle in angles_deg.items()}
     drawn = draw_scene(rng, block(BALL_MM), BEAD_PX, targets=1, reach_mm=0.0, views=views)
     scene = TargetScene.of(drawn.setup, drawn.observations, drawn.setup.hip_mm + POINTS_MM)
     seen, frame, T_last_cfcs = CASES[name](rng, scene)
-    uv = scene.target_px + PICK_PX * rng.standard_normal(scene.target_px.shape)
+    uv = (scene.target_px + PICK_PX * rng.standard_normal(scene.target_px.shape))[: len(seen)]
     try:
         calibrated = calibrate_together(seen, frame, c_arms(scene.setup)[: len(seen)])
-        made = sl.plan(
-            calibrated,
-            uv[: len(seen), 0],
-            uv[: len(seen), 1],
-            pick_sd_px=PICK_PX,
-            landmarks_uv_px=uv[: len(seen), 2:],
-            kind=kind("free-wire"),
-        )
+        made = sl.plan(calibrated, uv[:, 0], uv[:, 1], pick_sd_px=PICK_PX, landmarks_uv_px=uv[:, 2:],
+                       kind=kind("free-wire"))  # fmt: skip
     except SightlineError as refusal:
-        return _End("refused", type(refusal).__name__)
+        return "refused", type(refusal).__name__
     if not made.verdict.go:
-        return _End("NO-GO", next(check.name for check in made.verdict.checks if not check.passed))
+        return "NO-GO", next(check.name for check in made.verdict.checks if not check.passed)
     wire = made.trajectory
     off = np.linalg.norm(np.array([wire.entry_mm, wire.end_mm]) - T_last_cfcs.apply(scene.target_mm[:2]), axis=1)
     right = (off <= WRONG * np.array([wire.entry_error_95_mm, wire.end_error_95_mm])).all()
-    return _End("GO, right" if right else "GO, wrong", "")
-
-
-def _row(name: str, ended: Sequence[_End]) -> Row:
-    count = {end: sum(one.end == end for one in ended) for end in ENDS}
-    reasons = [one.reason for one in ended if one.reason]
-    most = max(sorted(set(reasons)), key=reasons.count) if reasons else ""
-    value = ", ".join(f"{number} {end}" for end, number in count.items() if number)
-    return Row("solid, bad input", name, value, "0 GO, wrong", f"mostly {most}" if most else "", not count["GO, wrong"])
+    return "GO, right" if right else "GO, wrong", ""
 
 
 def _seen(setup: SetUp, rng: np.random.Generator) -> list[Observations]:
     return list(measure(rng, setup, BEAD_PX).values())
-
-
-def _angles_deg(name: str) -> dict[str, float]:
-    """Return the beams of the images of a case."""
-    two = {"pa": 0.0, "lateral": 5.0 if name == VIEWS_5_DEG else 90.0}
-    return {**two, "oblique": OBLIQUE_DEG} if THIRD in name else two
 
 
 def _good(_rng: np.random.Generator, scene: TargetScene) -> Given:
@@ -113,16 +94,12 @@ def _in_one_view(_rng: np.random.Generator, scene: TargetScene) -> Given:
 
 
 def _moved(
-    rng: np.random.Generator,
-    scene: TargetScene,
-    before: int,
-    shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
-    rotation: Sequence[float] = (0.0, 0.0, 0.0),
+    rng: np.random.Generator, scene: TargetScene, before: int, shift_mm: np.ndarray, rotation: np.ndarray
 ) -> Given:
     """Return what is seen if the block moves before an image, in a direction or against it."""
     true, sign = scene.setup.true_frame, rng.choice([-1.0, 1.0])
     assert true.solid is not None
-    moved = RigidTransform.from_components(sign * np.array(shift_mm), Rotation.from_rotvec(sign * np.array(rotation)))
+    moved = RigidTransform.from_components(sign * shift_mm, Rotation.from_rotvec(sign * rotation))
     later = replace(scene.setup, true_frame=displaced(true, moved.apply(true.solid.xyz_mm) - true.solid.xyz_mm))
     seen = [*scene.observations.values()][:before] + _seen(later, rng)[before:]
     return seen, scene.frame, moved.inv()
@@ -155,13 +132,17 @@ def _two_exchanged(rng: np.random.Generator, scene: TargetScene) -> Given:
 
 def _moves() -> dict[str, Fault]:
     """Return the cases of a block that moves between two images, or before the second or third of three."""
-    out: dict[str, Fault] = {}
+    cases: dict[str, Fault] = {}
     for before, where in ((1, ""), (1, f", then {THIRD}"), (2, f" before {THIRD}")):
         for name, axis in AXES.items():
-            shift, turn = MOVED_MM * np.eye(3)[axis], MOVED_RAD * np.eye(3)[axis]
-            out[f"moved by {MOVED_MM} mm {name}{where}"] = partial(_moved, before=before, shift_mm=shift)
-            out[f"turned by 0.2° about an axis {name}{where}"] = partial(_moved, before=before, rotation=turn)
-    return out
+            along, still = np.eye(3)[axis], np.zeros(3)
+            cases[f"moved by {MOVED_MM} mm {name}{where}"] = partial(
+                _moved, before=before, shift_mm=MOVED_MM * along, rotation=still
+            )
+            cases[f"turned by 0.2° about an axis {name}{where}"] = partial(
+                _moved, before=before, shift_mm=still, rotation=MOVED_RAD * along
+            )
+    return cases
 
 
 VIEWS_5_DEG = "views 5° apart"

@@ -4,13 +4,13 @@ Nothing here is shared with the estimator: outlines are found on the bent surfac
 generators, and what a lens shows by polygons in the image.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from sightline.planning import Edge, HoleSeen
+from sightline.planning import Edge, Hole, HoleSeen
 from sightline.twin.anatomy.nailed_femur import DistalNail
 
 OUTLINE_PX, RIM_PX = 0.15, 0.3  # s.d. of a point across its edge, and
@@ -18,15 +18,13 @@ OUTLINE_COMMON_PX, RIM_COMMON_PX = 0.05, 0.15  # of an error that the points of 
 OUTLINE_MM = np.arange(-22.0, 23.0, 2.0)  # from the hole, along the nail
 AROUND = 240  # points of a rim before every few are used
 
-Project = Callable[[np.ndarray], np.ndarray]
-
 
 @dataclass(frozen=True, eq=False)
 class Sight:
     """One image: where the X-ray source is (3,), and the true pixels (N, 2) of points (N, 3)."""
 
     focal_mm: np.ndarray
-    project: Project
+    project: Callable[[np.ndarray], np.ndarray]
 
 
 def outline(nail: DistalNail, sight: Sight, side: int, s_mm: np.ndarray = OUTLINE_MM) -> np.ndarray:
@@ -76,45 +74,35 @@ def seen(
     otherwise whole rims. The entry is nearer to the first source.
     """
     point, axis = nail.holes[hole]
-    first = next(iter(sights.values()))
-    entry = 0 if axis @ (point - first.focal_mm) > 0 else 1
+    entry = 0 if axis @ (point - next(iter(sights.values())).focal_mm) > 0 else 1
     rims = [rim(nail, hole, end) for end in (entry, 1 - entry)]
-    return [_seen(rng, nail, sight, rims, hidden, lens, every, noise) for sight in sights.values()]
 
-
-def _seen(  # noqa: PLR0917
-    rng: np.random.Generator,
-    nail: DistalNail,
-    sight: Sight,
-    rims: Sequence[np.ndarray],
-    hidden: float,
-    lens: bool,
-    every: int,
-    noise: float,
-) -> HoleSeen:
-    def edge(uv: np.ndarray, sd: float, common: float, outwards: float, sides: np.ndarray) -> Edge:
+    def edge(uv: np.ndarray, sd: float, common: float, outwards: float, middle: np.ndarray) -> Edge:
         normal = np.gradient(uv, axis=0)[:, ::-1] * [1.0, -1.0]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        normal *= np.sign(((uv - sides) * normal).sum(axis=1))[:, None]
+        normal *= np.sign(((uv - middle) * normal).sum(axis=1))[:, None]
         off = noise * (sd * rng.standard_normal(len(uv)) + common * outwards)
         return Edge(uv + off[:, None] * normal, np.full(len(uv), sd**2), common)
 
-    grazing = [sight.project(outline(nail, sight, side)) for side in (0, 1)]
-    middle = np.mean([one.mean(axis=0) for one in grazing], axis=0)
-    outlines = [edge(uv, OUTLINE_PX, OUTLINE_COMMON_PX, rng.standard_normal(), middle) for uv in grazing]
-    polygons = [sight.project(points) for points in rims]
-    shared, covered = rng.standard_normal(), rng.uniform(0, 2 * np.pi)
-    edges = []
-    for own, other in (polygons, polygons[::-1]):
-        angle = np.arctan2(*(own - own.mean(axis=0)).T)
-        kept = (angle - covered) % (2 * np.pi) >= 2 * np.pi * hidden
-        if lens:
-            contour = other.astype(np.float32)[:, None]
-            kept &= np.array([cv2.pointPolygonTest(contour, (float(u), float(v)), True) > 0.3 for u, v in own])
-        kept[np.arange(len(own)) % every != 0] = False
-        whole = edge(own, RIM_PX, RIM_COMMON_PX, shared, own.mean(axis=0))
-        edges.append(Edge(whole.uv_px[kept], whole.variance_px2[kept], whole.common_px))
-    return HoleSeen((outlines[0], outlines[1]), edges[0], edges[1])
+    def in_image(sight: Sight) -> HoleSeen:
+        grazing = [sight.project(outline(nail, sight, side)) for side in (0, 1)]
+        middle = np.mean([uv.mean(axis=0) for uv in grazing], axis=0)
+        outlines = [edge(uv, OUTLINE_PX, OUTLINE_COMMON_PX, rng.standard_normal(), middle) for uv in grazing]
+        polygons = [sight.project(points) for points in rims]
+        shared, covered = rng.standard_normal(), rng.uniform(0, 2 * np.pi)
+        edges = []
+        for own, other in (polygons, polygons[::-1]):
+            angle = np.arctan2(*(own - own.mean(axis=0)).T)
+            kept = (angle - covered) % (2 * np.pi) >= 2 * np.pi * hidden
+            if lens:
+                contour = other.astype(np.float32)[:, None]
+                kept &= np.array([cv2.pointPolygonTest(contour, (float(u), float(v)), True) > 0.3 for u, v in own])
+            kept[np.arange(len(own)) % every != 0] = False
+            whole = edge(own, RIM_PX, RIM_COMMON_PX, shared, own.mean(axis=0))
+            edges.append(Edge(whole.uv_px[kept], whole.variance_px2[kept], whole.common_px))
+        return HoleSeen((outlines[0], outlines[1]), edges[0], edges[1])
+
+    return [in_image(sight) for sight in sights.values()]
 
 
 def _surface(nail: DistalNail, s: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -142,3 +130,26 @@ def ends_of_outlines(nail: DistalNail, sight: Sight, reach_mm: float) -> np.ndar
     """Return the pixels (2, 2, 2) of both outlines, `reach_mm` to either side of the first hole."""
     at = np.array([-reach_mm, reach_mm])
     return np.stack([sight.project(outline(nail, sight, side, at)) for side in (0, 1)])
+
+
+@dataclass(frozen=True)
+class HoleError:
+    """Errors of one hole at its middle, mm, and of its direction, °; squared Mahalanobis lengths of both together (4
+    degrees of freedom)."""
+
+    off_mm: float
+    off_deg: float
+    square: float
+
+
+def scored(hole: Hole, nail: DistalNail) -> HoleError:
+    """Return how a measured hole differs from the first hole of a nail."""
+    point, axis = nail.holes[0]
+    axis = axis * np.sign(axis @ hole.direction)
+    measured = np.stack([hole.entry_mm, hole.exit_mm])
+    true = point + axis * ((measured - point) @ axis)[:, None]
+    to_axis = np.kron(np.eye(2), np.linalg.svd(hole.direction[None])[2][1:])
+    error = to_axis @ (measured - true).ravel()
+    square = float(error @ np.linalg.solve(to_axis @ hole.covariance_mm2 @ to_axis.T, error))
+    off = float(np.linalg.norm(np.cross(hole.middle_mm - point, axis)))
+    return HoleError(off, float(np.rad2deg(np.arcsin(np.linalg.norm(np.cross(axis, hole.direction))))), square)

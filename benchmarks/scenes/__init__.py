@@ -1,0 +1,1 @@
+"""Scenes of points that benchmarks and tests share."""
