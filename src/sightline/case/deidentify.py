@@ -5,18 +5,16 @@ the pixels and five numbers of geometry, so that elements missing from the list 
 """
 
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from pydicom import Dataset, dcmread, dcmwrite
-from pydicom.sequence import Sequence
+from pydicom import Dataset, dcmread
 from pydicom.uid import generate_uid
 
 from sightline import __version__
 from sightline.common.atomic import scratch_folder
 from sightline.imaging import read_image, write_dicom
-from sightline.imaging.dicom import quiet
+from sightline.imaging.dicom import file_bytes, fill, quiet
 from sightline.imaging.formats import ReadBy, damaged, format_of_file
 
 NOBODY = "REMOVED"
@@ -52,20 +50,23 @@ class Deidentifier:
         image = read_image(file, frame_index)
         source = _source(file)
         with scratch_folder() as place:
-            out = dcmread(write_dicom(image, place / "image.dcm"))
-        for keyword in _UIDS:
-            setattr(out, keyword, self._uid(source[keyword]))
-        out.PatientName = out.PatientID = NOBODY
-        out.StudyID = None
-        out.DeidentificationMethod = f"PS3.15 basic profile, Sightline {__version__}"
-        out.DeidentificationMethodCodeSequence = Sequence([_code(*_METHOD)])
-        out.LongitudinalTemporalInformationModified = "REMOVED"
+            dataset = dcmread(write_dicom(image, place / "image.dcm"))
         stated, found = source["BurnedInAnnotation"], image.burnt_in is not None
+        value, scheme, meaning = _METHOD
+        method = fill(Dataset(), CodeValue=value, CodingSchemeDesignator=scheme, CodeMeaning=meaning)
+        fill(
+            dataset,
+            **{keyword: self._uid(source[keyword]) for keyword in _UIDS},
+            PatientName=NOBODY,
+            PatientID=NOBODY,
+            StudyID=None,
+            DeidentificationMethod=f"PS3.15 basic profile, Sightline {__version__}",
+            DeidentificationMethodCodeSequence=[method],
+            LongitudinalTemporalInformationModified="REMOVED",
+        )
         if found or stated is not None:
-            out.BurnedInAnnotation = "YES" if found or stated else "NO"
-        buffer = BytesIO()
-        dcmwrite(buffer, out, enforce_file_format=True)
-        return Deidentified(buffer.getvalue(), stated, found)
+            dataset.BurnedInAnnotation = "YES" if found or stated else "NO"
+        return Deidentified(file_bytes(dataset), stated, found)
 
     def _uid(self, old: str | None) -> str:
         """Return a random UID, which cannot be traced to the original; an image without a UID gets one of its own."""
@@ -86,9 +87,3 @@ def _source(file: Path) -> dict[str, Any]:
     except Exception:  # as in `imaging.dicom`: pydicom's messages may quote the patient
         raise damaged(file.name) from None
     return {**texts, "BurnedInAnnotation": {"YES": True, "NO": False}.get(texts["BurnedInAnnotation"] or "")}
-
-
-def _code(value: str, scheme: str, meaning: str) -> Dataset:
-    out = Dataset()
-    out.CodeValue, out.CodingSchemeDesignator, out.CodeMeaning = value, scheme, meaning
-    return out

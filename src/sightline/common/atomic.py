@@ -27,19 +27,27 @@ def write_whole(path: str | Path, data: bytes) -> Path:
     and folders are not replaced.
     """
     target = Path(path)
-    scratch = target.with_name(f".{target.name}.{os.getpid()}.{get_ident()}.part")
     with _refusing_os_errors(f"write {target.name}"):
-        try:
-            _refuse_special(target)
-            with scratch.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            scratch.replace(target)
-        finally:
-            with suppress(OSError):
-                scratch.unlink(missing_ok=True)
+        if target.exists() and not target.is_file():
+            raise OSError(EISDIR, "there is a folder, a device or a pipe of this name")
+        replace_file(target, data)
     return target
+
+
+def replace_file(target: Path, data: bytes, mode: int | None = None) -> None:
+    """Write a file next to `target` to the disk and rename it in one step; `mode`: its permissions. Raises OSError."""
+    scratch = target.with_name(f".{target.name}.{os.getpid()}.{get_ident()}.part")
+    try:
+        with scratch.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        if mode is not None:
+            scratch.chmod(mode)
+        scratch.replace(target)
+    finally:
+        with suppress(OSError):
+            scratch.unlink(missing_ok=True)
 
 
 def write_files(folder: Path, documents: Mapping[str, bytes]) -> None:
@@ -136,12 +144,6 @@ def _refusing_os_errors(what: str) -> Generator[None]:
         yield
     except OSError as error:
         raise UnusableInputError(f"cannot {what}: {error.strerror}; {advice(error)}") from error
-
-
-def _refuse_special(place: Path) -> None:
-    """Raise OSError where `place` exists and is not a regular file."""
-    if place.exists() and not place.is_file():
-        raise OSError(EISDIR, "there is a folder, a device or a pipe of this name")
 
 
 def _old(target: Path) -> Path:

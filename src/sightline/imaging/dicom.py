@@ -82,7 +82,6 @@ _EMPTY = [
     "XRayTubeCurrent",
     "ExposureTime",
     "PositionerMotion",
-    "Laterality",
 ]
 
 
@@ -148,38 +147,72 @@ def write(radiograph: Radiograph, path: str | Path, side: str | None = None) -> 
     pixels, bits = radiograph.pixels, int(radiograph.white + 1).bit_length() - 1 if isfinite(radiograph.white) else 0
     if pixels.dtype not in (np.uint8, np.uint16) or radiograph.white != 2**bits - 1 or pixels.max() > radiograph.white:
         raise ImageError("DICOM holds whole numbers from 0 to a white of 2^bits - 1; convert the pixels first")
-    height, width = radiograph.shape
     origin = sha256(pixels.tobytes()).hexdigest()
-    out = Dataset()
-    out.SOPClassUID = XRayAngiographicImageStorage
-    out.SOPInstanceUID, out.StudyInstanceUID, out.SeriesInstanceUID = (
-        generate_uid(entropy_srcs=[origin, level]) for level in ("image", "study", "series")
-    )
-    for keyword in _EMPTY:
-        setattr(out, keyword, None)
-    out.StudyID, out.SeriesNumber, out.InstanceNumber = "1", 1, 1
-    if side is not None:
-        out.Laterality = side[0].upper()
-    out.Modality, out.Manufacturer, out.ImageType = "XA", "", ["ORIGINAL", "PRIMARY", "SINGLE PLANE"]
-    out.PatientName, out.PatientID, out.PatientIdentityRemoved = "PHANTOM", "PHANTOM", "YES"
-    out.DeidentificationMethod = "No patient was imaged"
-    out.RadiationSetting, out.PixelIntensityRelationship, out.LossyImageCompression = "GR", "LIN", "00"
+    image, study, series = (generate_uid(entropy_srcs=[origin, level]) for level in ("image", "study", "series"))
     tags = radiograph.tags
-    out.DistanceSourceToDetector = tags.source_detector_mm
-    out.ImagerPixelSpacing = None if tags.imager_pixel_spacing_mm is None else list(tags.imager_pixel_spacing_mm)
-    out.IntensifierSize = tags.intensifier_size_mm
-    out.PositionerPrimaryAngle, out.PositionerSecondaryAngle = tags.primary_angle_deg, tags.secondary_angle_deg
-    out.SamplesPerPixel, out.PhotometricInterpretation, out.PixelRepresentation = 1, "MONOCHROME2", 0
-    out.Rows, out.Columns = height, width
-    out.BitsAllocated, out.BitsStored, out.HighBit = 8 * pixels.itemsize, bits, bits - 1
+    dataset = fill(
+        Dataset(),
+        **dict.fromkeys(_EMPTY),
+        SOPClassUID=XRayAngiographicImageStorage,
+        SOPInstanceUID=image,
+        StudyInstanceUID=study,
+        SeriesInstanceUID=series,
+        StudyID="1",
+        SeriesNumber=1,
+        InstanceNumber=1,
+        Laterality=None if side is None else side[0].upper(),
+        Modality="XA",
+        Manufacturer="",
+        ImageType=["ORIGINAL", "PRIMARY", "SINGLE PLANE"],
+        PatientName="PHANTOM",
+        PatientID="PHANTOM",
+        PatientIdentityRemoved="YES",
+        DeidentificationMethod="No patient was imaged",
+        RadiationSetting="GR",
+        PixelIntensityRelationship="LIN",
+        LossyImageCompression="00",
+        DistanceSourceToDetector=tags.source_detector_mm,
+        ImagerPixelSpacing=None if tags.imager_pixel_spacing_mm is None else list(tags.imager_pixel_spacing_mm),
+        IntensifierSize=tags.intensifier_size_mm,
+        PositionerPrimaryAngle=tags.primary_angle_deg,
+        PositionerSecondaryAngle=tags.secondary_angle_deg,
+    )
+    return write_whole(path, file_bytes(with_pixels(dataset, pixels, bits)))
+
+
+def fill(dataset: Dataset, **elements: Any) -> Dataset:
+    """Set elements by their keywords; return the data set."""
+    for keyword, value in elements.items():
+        setattr(dataset, keyword, value)
+    return dataset
+
+
+def with_pixels(dataset: Dataset, pixels: np.ndarray, bits: int) -> Dataset:
+    """Set a grey image (H, W), uint8 or uint16, of which `bits` are used; return the data set."""
     raw = pixels.astype(pixels.dtype.newbyteorder("<"), copy=False).tobytes()
-    out.PixelData = raw + b"\0" * (len(raw) % 2)
-    out["PixelData"].VR = "OW" if pixels.itemsize == 2 else "OB"
-    out.file_meta = FileMetaDataset()
-    out.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    fill(
+        dataset,
+        SamplesPerPixel=1,
+        PhotometricInterpretation="MONOCHROME2",
+        PixelRepresentation=0,
+        Rows=pixels.shape[0],
+        Columns=pixels.shape[1],
+        BitsAllocated=8 * pixels.itemsize,
+        BitsStored=bits,
+        HighBit=bits - 1,
+        PixelData=raw + b"\0" * (len(raw) % 2),
+    )
+    dataset["PixelData"].VR = "OW" if pixels.itemsize == 2 else "OB"
+    return dataset
+
+
+def file_bytes(dataset: Dataset) -> bytes:
+    """Return a DICOM file's bytes, explicit VR little endian."""
+    dataset.file_meta = FileMetaDataset()
+    dataset.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
     buffer = BytesIO()
-    dcmwrite(buffer, out, enforce_file_format=True)
-    return write_whole(path, buffer.getvalue())
+    dcmwrite(buffer, dataset, enforce_file_format=True)
+    return buffer.getvalue()
 
 
 _decoder = Decoder()

@@ -11,6 +11,8 @@ from sightline.errors import ImageError
 from sightline.imaging.burnt_in import burnt_in
 from sightline.imaging.collimation import field_mask
 
+_STRETCH = (0.5, 99.5)  # percentiles of the values that become black and white [ours]
+
 
 @dataclass(frozen=True)
 class GeometryTags:
@@ -109,3 +111,9 @@ class Radiograph(Plotted):
     def burnt_in(self) -> np.ndarray | None:
         """(H, W) bool, True on burnt-in annotations; None where there are none."""
         return burnt_in(self.pixels, self.white, self.field_mask)
+
+
+def stretched(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return float values (H, W) as uint8 for display, stretched over the percentiles of the `known` ones (N,)."""
+    low, high = np.percentile(known, _STRETCH)
+    return np.clip((values - low) / max(float(high - low), 1e-6) * 255, 0, 255).astype(np.uint8)

@@ -50,15 +50,15 @@ class Source(Protocol):
 
 
 class Run:
-    """The frames of an image file: one, or those of a multi-frame DICOM run. Raises ImageError."""
+    """The frames of image files: one of each, or those of a multi-frame DICOM run. Raises ImageError."""
 
-    def __init__(self, file: Path) -> None:
-        self._file, self._frames = file, frames_in(file)
+    def __init__(self, *files: Path) -> None:
+        self._files = [(file, frames_in(file)) for file in files]
 
     def __iter__(self) -> Iterator[SourceFrame]:
-        for index in range(self._frames):
-            image = read_image(self._file, index if self._frames > 1 else None)
-            yield SourceFrame(image, index + 1, time.time(), "run")
+        frames = ((file, index if count > 1 else None) for file, count in self._files for index in range(count))
+        for number, (file, index) in enumerate(frames, 1):
+            yield SourceFrame(read_image(file, index), number, time.time(), "run")
 
     def close(self) -> None:
         """Do nothing: no file is kept open."""
@@ -243,74 +243,54 @@ IMAGES_PER_S = 30.0  # playback rate of files: that of a C-arm's video
 
 
 def open_source(name: str, *, invert: bool = False) -> Source:
-    """Open the source called `name`; files are played at IMAGES_PER_S.
+    """Open the source called `name`: a device number, a stream's address, a video, an image file or a folder of images.
 
-    `invert`: each image is inverted, as by `read_image`. Raises UnusableInputError, ImageError, SourceError.
+    Files are played at IMAGES_PER_S. Of a folder the images are played in the order of their names; hidden files and
+    other files are skipped. `invert`: each image is inverted, as by `read_image`.
+    Raises UnusableInputError, ImageError, SourceError.
     """
     source = _source(name)
-    return Inverted(source) if invert else source
+    return _Played(source, _inverted(source)) if invert else source
 
 
 def _source(name: str) -> Source:
     if name.isdecimal() or "://" in name:
         return VideoSource(int(name) if name.isdecimal() else name)
     path = Path(name)
-    if path.is_dir():
-        return Paced(_Folder(path))
-    if not path.is_file():
+    if not path.is_dir() and not path.is_file():
         raise UnusableInputError(
             f"there is no file or folder {name}; name one, a device by its number, or a stream by its address"
         )
-    return Paced(Run(path) if is_image(path) else VideoSource(name))
+    files = [file for file in sorted(path.iterdir()) if file.name[0] != "."] if path.is_dir() else [path]
+    images = [file for file in files if is_image(file)]
+    if path.is_dir() and not images:
+        raise UnusableInputError("the folder holds no image; name the folder of the frames")
+    stored = Run(*images) if images else VideoSource(name)
+    return _Played(stored, _paced(stored))
 
 
-class Paced:
-    """Stored images played at IMAGES_PER_S, each stamped with the time at which it is played."""
+@dataclass(frozen=True)
+class _Played:
+    """The frames of a source as a generator makes them."""
 
-    def __init__(self, source: Source) -> None:
-        self._source = source
-
-    def __iter__(self) -> Iterator[SourceFrame]:
-        start = time.monotonic()
-        for k, frame in enumerate(self._source):
-            time.sleep(max(0.0, start + k / IMAGES_PER_S - time.monotonic()))
-            yield replace(frame, stamped_s=time.time())
-
-    def close(self) -> None:
-        """Close the source."""
-        self._source.close()
-
-
-class Inverted:
-    """A source whose images are inverted."""
-
-    def __init__(self, source: Source) -> None:
-        self._source = source
+    source: Source
+    frames: Iterator[SourceFrame]
 
     def __iter__(self) -> Iterator[SourceFrame]:
-        for frame in self._source:
-            yield replace(frame, image=frame.image.inverted())
+        return self.frames
 
     def close(self) -> None:
-        """Close the source."""
-        self._source.close()
+        self.source.close()
 
 
-class _Folder:
-    """The images of a folder in the order of their names; hidden files and other files are skipped.
+def _paced(source: Source) -> Iterator[SourceFrame]:
+    """Yield frames at IMAGES_PER_S, each stamped with the time at which it is played."""
+    start = time.monotonic()
+    for k, frame in enumerate(source):
+        time.sleep(max(0.0, start + k / IMAGES_PER_S - time.monotonic()))
+        yield replace(frame, stamped_s=time.time())
 
-    Raises UnusableInputError for a folder without an image.
-    """
 
-    def __init__(self, folder: Path) -> None:
-        self._files = [path for path in sorted(folder.iterdir()) if path.name[0] != "." and is_image(path)]
-        if not self._files:
-            raise UnusableInputError("the folder holds no image; name the folder of the frames")
-
-    def __iter__(self) -> Iterator[SourceFrame]:
-        frames = (frame for path in self._files for frame in Run(path))
-        for number, frame in enumerate(frames, 1):
-            yield replace(frame, number=number)
-
-    def close(self) -> None:
-        """Do nothing: no file is kept open."""
+def _inverted(source: Source) -> Iterator[SourceFrame]:
+    for frame in source:
+        yield replace(frame, image=frame.image.inverted())

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sightline.case import contents
-from sightline.case.acquire.robot import PoseNow
 from sightline.case.journal import Actor, Case, Entry, Kind, originals
 from sightline.common.atomic import scratch_folder
 from sightline.errors import CaseError, ImageError, MovedRefusedError, OvertakenError
@@ -152,7 +151,7 @@ def take_frames(
     *,
     field: str | None = None,
     interlaced: bool = False,
-    pose: PoseNow | None = None,
+    pose: "PoseNow | None" = None,
     how: Mapping[str, Any] | None = None,
 ) -> Taken:
     """Acquire the mean of one or more frames as PNG (as NumPy file if they are floats), with what is known of them.

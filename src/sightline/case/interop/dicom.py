@@ -8,26 +8,21 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from io import BytesIO
 from pathlib import Path
 from typing import Literal
 
 import cv2
 import numpy as np
-from pydicom import Dataset, dcmread, dcmwrite
-from pydicom.dataset import FileMetaDataset
-from pydicom.uid import (
-    ExplicitVRLittleEndian,
-    GrayscaleSoftcopyPresentationStateStorage,
-    SecondaryCaptureImageStorage,
-    generate_uid,
-)
+from pydicom import Dataset, dcmread
+from pydicom.uid import GrayscaleSoftcopyPresentationStateStorage, SecondaryCaptureImageStorage, generate_uid
 
 from sightline import __version__
 from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.interop.plan_file import PlanFile
 from sightline.common.bounded import regular_file
 from sightline.errors import UnusableInputError
+from sightline.imaging.dicom import file_bytes, fill, with_pixels
+from sightline.imaging.radiograph import stretched
 
 _SERIES = {"OT": 1, "PR": 2}  # images, presentation states
 
@@ -59,33 +54,30 @@ def dataset(
 
     Without `study_uid` the object belongs to a study of the export's own.
     """
-    out = Dataset()
-    out.SOPClassUID, out.SOPInstanceUID = sop_class, identity.uid("instance", part)
-    out.StudyInstanceUID = study_uid or identity.uid("study")
-    out.SeriesInstanceUID = identity.uid("series", modality, out.StudyInstanceUID)
-    out.SpecificCharacterSet = "ISO_IR 192"
-    out.PatientName = out.PatientID = identity.case
-    for empty in ("PatientBirthDate", "PatientSex", "ReferringPhysicianName", "AccessionNumber"):
-        setattr(out, empty, None)
-    if study_uid in (None, identity.uid("study")):
-        out.StudyDate, out.StudyTime = f"{identity.created:%Y%m%d}", f"{identity.created:%H%M%S}"
-        out.StudyID = identity.case
-    else:  # the study of the original image, of which only the UIDs were read
-        out.StudyDate = out.StudyTime = out.StudyID = None
-    out.PatientIdentityRemoved, out.DeidentificationMethod = "YES", "Only the case number is written"
-    out.Modality, out.SeriesNumber, out.Manufacturer = modality, _SERIES[modality], "Sightline"
-    out.Laterality = None if identity.side is None else identity.side[0].upper()
-    out.SoftwareVersions = __version__
-    return out
-
-
-def file_bytes(out: Dataset) -> bytes:
-    """Return a DICOM file's bytes, explicit VR little endian."""
-    out.file_meta = FileMetaDataset()
-    out.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    buffer = BytesIO()
-    dcmwrite(buffer, out, enforce_file_format=True)
-    return buffer.getvalue()
+    study = identity.uid("study")
+    # Of the study of the original image only the UIDs were read.
+    is_own = study_uid in (None, study)
+    return fill(
+        Dataset(),
+        SOPClassUID=sop_class,
+        SOPInstanceUID=identity.uid("instance", part),
+        StudyInstanceUID=study_uid or study,
+        SeriesInstanceUID=identity.uid("series", modality, study_uid or study),
+        SpecificCharacterSet="ISO_IR 192",
+        PatientName=identity.case,
+        PatientID=identity.case,
+        **dict.fromkeys(("PatientBirthDate", "PatientSex", "ReferringPhysicianName", "AccessionNumber")),
+        StudyDate=f"{identity.created:%Y%m%d}" if is_own else None,
+        StudyTime=f"{identity.created:%H%M%S}" if is_own else None,
+        StudyID=identity.case if is_own else None,
+        PatientIdentityRemoved="YES",
+        DeidentificationMethod="Only the case number is written",
+        Modality=modality,
+        SeriesNumber=_SERIES[modality],
+        Manufacturer="Sightline",
+        Laterality=None if identity.side is None else identity.side[0].upper(),
+        SoftwareVersions=__version__,
+    )
 
 
 def capture(
@@ -99,29 +91,25 @@ def capture(
     if pixels.dtype not in (np.uint8, np.uint16) or pixels.shape != pinhole.shape:
         raise UnusableInputError("DICOM holds whole numbers of 8 or 16 bits; give images with such pixels")
     bits = 8 * pixels.itemsize
-    _, across, down = pinhole.detector_mm()
-    out = dataset(identity, SecondaryCaptureImageStorage, "OT", f"{pinhole.name} {number}")
-    out.ConversionType, out.InstanceNumber, out.PatientOrientation = "WSD", number, None
-    out.ImageType, out.BurnedInAnnotation = ["DERIVED", "SECONDARY"], "NO"
-    out.SeriesDescription = "Sightline"
-    out.ImageComments = comment[:10240]
-    out.DerivationDescription = "Resampled to the plane of the XRII plate: distortion removed"
-    out.SamplesPerPixel, out.PhotometricInterpretation, out.PixelRepresentation = 1, "MONOCHROME2", 0
-    out.Rows, out.Columns = pixels.shape
-    out.BitsAllocated = out.BitsStored = bits
-    out.HighBit = bits - 1
     top = min(float(white), 2.0**bits - 1)
-    out.WindowCenter, out.WindowWidth = [f"{0.5 * (top + 1):.10g}"], [f"{top + 1:.10g}"]
-    out.PixelSpacing = [f"{down:.10g}", f"{across:.10g}"]
-    out.PixelSpacingCalibrationType = "FIDUCIAL"
-    out.PixelSpacingCalibrationDescription = "mm in the plane of the XRII plate"
-    raw = pixels.astype(pixels.dtype.newbyteorder("<"), copy=False).tobytes()
-    out.PixelData = raw + b"\0" * (len(raw) % 2)
-    out["PixelData"].VR = "OW" if bits == 16 else "OB"
-    return out
-
-
-STRETCH = (0.5, 99.5)  # percentiles of the pixels that become black and white [ours]
+    _, across, down = pinhole.detector_mm()
+    secondary = fill(
+        dataset(identity, SecondaryCaptureImageStorage, "OT", f"{pinhole.name} {number}"),
+        ConversionType="WSD",
+        InstanceNumber=number,
+        PatientOrientation=None,
+        ImageType=["DERIVED", "SECONDARY"],
+        BurnedInAnnotation="NO",
+        SeriesDescription="Sightline",
+        ImageComments=comment[:10240],
+        DerivationDescription="Resampled to the plane of the XRII plate: distortion removed",
+        WindowCenter=[f"{0.5 * (top + 1):.10g}"],
+        WindowWidth=[f"{top + 1:.10g}"],
+        PixelSpacing=[f"{down:.10g}", f"{across:.10g}"],
+        PixelSpacingCalibrationType="FIDUCIAL",
+        PixelSpacingCalibrationDescription="mm in the plane of the XRII plate",
+    )
+    return with_pixels(secondary, pixels, bits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +129,7 @@ def on_plate(plan: PlanFile, pinhole: Pinhole) -> PlanOverlay:
 
 def burn_in(pixels: np.ndarray, drawn: PlanOverlay, words: str) -> np.ndarray:
     """Return the image (H, W) as uint8, contrast stretched, with `words` and the wire in white with a black rim."""
-    low, high = np.percentile(pixels, STRETCH)
-    shown = np.clip((pixels.astype(np.float32) - low) / max(float(high - low), 1e-6) * 255, 0, 255).astype(np.uint8)
+    shown = stretched(pixels.astype(np.float32), pixels)
     fine = 16  # OpenCV draws to 1/16 px
     path = np.rint(drawn.wire_px * fine).astype(np.int32).reshape(-1, 1, 2)
     for colour, width in ((0, 5), (255, 1)):
@@ -215,57 +202,45 @@ def _first(value: object) -> str | None:
 
 def state(image: ReferencedImage, drawn: PlanOverlay, statement: str, identity: ExportIdentity, number: int) -> Dataset:
     """Return the presentation state that draws wire, entry and end point, and the plan's statement over an image."""
-    out = dataset(identity, GrayscaleSoftcopyPresentationStateStorage, "PR", f"state {number}", image.study)
-    out.InstanceNumber, out.ContentLabel = number, "PLAN"
-    out.ContentDescription, out.ContentCreatorName = statement[:64], None
-    out.PresentationCreationDate = f"{identity.created:%Y%m%d}"
-    out.PresentationCreationTime = f"{identity.created:%H%M%S}"
-    out.ReferencedSeriesSequence = [_series(image)]
-    out.DisplayedAreaSelectionSequence = [_area(image)]
-    out.GraphicAnnotationSequence = [_annotation(image, drawn, statement)]
-    layer = Dataset()
-    layer.GraphicLayer, layer.GraphicLayerOrder, layer.GraphicLayerRecommendedDisplayGrayscaleValue = _LAYER, 1, 65535
-    out.GraphicLayerSequence = [layer]
-    if image.window is not None:
-        window = Dataset()
-        window.WindowCenter, window.WindowWidth = image.window
-        out.SoftcopyVOILUTSequence = [window]
-    out.PresentationLUTShape = "INVERSE" if image.inverse else "IDENTITY"
-    return out
-
-
-def _reference(image: ReferencedImage) -> Dataset:
-    one = Dataset()
-    one.ReferencedSOPClassUID, one.ReferencedSOPInstanceUID = image.sop_class, image.instance
-    return one
-
-
-def _series(image: ReferencedImage) -> Dataset:
-    out = Dataset()
-    out.SeriesInstanceUID, out.ReferencedImageSequence = image.series, [_reference(image)]
-    return out
-
-
-def _area(image: ReferencedImage) -> Dataset:
-    out = Dataset()
-    out.ReferencedImageSequence = [_reference(image)]
-    out.DisplayedAreaTopLeftHandCorner, out.DisplayedAreaBottomRightHandCorner = [1, 1], list(image.shape[::-1])
-    out.PresentationSizeMode, out.PresentationPixelAspectRatio = "SCALE TO FIT", [1, 1]
-    return out
-
-
-def _annotation(image: ReferencedImage, drawn: PlanOverlay, statement: str) -> Dataset:
-    out = Dataset()
-    out.ReferencedImageSequence, out.GraphicLayer = [_reference(image)], _LAYER
-    places = [drawn.entry_px, drawn.end_px]
-    lines = [_graphic("POLYLINE", drawn.wire_px)] if len(drawn.wire_px) > 1 else []
-    out.GraphicObjectSequence = [*lines, *(_graphic("POINT", place[None]) for place in places)]
-    out.TextObjectSequence = [
-        _text("entry", drawn.entry_px),
-        _text("end", drawn.end_px),
-        _text(statement[:1024], np.array([4.0, 4.0])),
-    ]
-    return out
+    window = {} if image.window is None else dict(zip(("WindowCenter", "WindowWidth"), image.window, strict=True))
+    reference = fill(Dataset(), ReferencedSOPClassUID=image.sop_class, ReferencedSOPInstanceUID=image.instance)
+    series = fill(Dataset(), SeriesInstanceUID=image.series, ReferencedImageSequence=[reference])
+    area = fill(
+        Dataset(),
+        ReferencedImageSequence=[reference],
+        DisplayedAreaTopLeftHandCorner=[1, 1],
+        DisplayedAreaBottomRightHandCorner=list(image.shape[::-1]),
+        PresentationSizeMode="SCALE TO FIT",
+        PresentationPixelAspectRatio=[1, 1],
+    )
+    lines = [_graphic("POLYLINE", drawn.wire_px, GraphicFilled="N")] if len(drawn.wire_px) > 1 else []
+    marks = [_graphic("POINT", place[None]) for place in (drawn.entry_px, drawn.end_px)]
+    texts = (("entry", drawn.entry_px), ("end", drawn.end_px), (statement[:1024], np.array([4.0, 4.0])))
+    annotation = fill(
+        Dataset(),
+        ReferencedImageSequence=[reference],
+        GraphicLayer=_LAYER,
+        GraphicObjectSequence=[*lines, *marks],
+        TextObjectSequence=[_text(words, uv_px) for words, uv_px in texts],
+    )
+    layer = fill(
+        Dataset(), GraphicLayer=_LAYER, GraphicLayerOrder=1, GraphicLayerRecommendedDisplayGrayscaleValue=65535
+    )
+    return fill(
+        dataset(identity, GrayscaleSoftcopyPresentationStateStorage, "PR", f"state {number}", image.study),
+        InstanceNumber=number,
+        ContentLabel="PLAN",
+        ContentDescription=statement[:64],
+        ContentCreatorName=None,
+        PresentationCreationDate=f"{identity.created:%Y%m%d}",
+        PresentationCreationTime=f"{identity.created:%H%M%S}",
+        ReferencedSeriesSequence=[series],
+        DisplayedAreaSelectionSequence=[area],
+        GraphicAnnotationSequence=[annotation],
+        GraphicLayerSequence=[layer],
+        **({"SoftcopyVOILUTSequence": [fill(Dataset(), **window)]} if window else {}),
+        PresentationLUTShape="INVERSE" if image.inverse else "IDENTITY",
+    )
 
 
 def _from_corner(uv_px: np.ndarray) -> list[float]:
@@ -273,20 +248,26 @@ def _from_corner(uv_px: np.ndarray) -> list[float]:
     return [float(np.float32(x)) for x in (np.asarray(uv_px) + 0.5).ravel()]
 
 
-def _graphic(kind: str, uv_px: np.ndarray) -> Dataset:
-    out = Dataset()
-    out.GraphicAnnotationUnits, out.GraphicDimensions, out.NumberOfGraphicPoints = "PIXEL", 2, len(uv_px)
-    out.GraphicData, out.GraphicType = _from_corner(uv_px), kind
-    if kind == "POLYLINE":
-        out.GraphicFilled = "N"
-    return out
+def _graphic(kind: str, uv_px: np.ndarray, **more: str) -> Dataset:
+    return fill(
+        Dataset(),
+        GraphicAnnotationUnits="PIXEL",
+        GraphicDimensions=2,
+        NumberOfGraphicPoints=len(uv_px),
+        GraphicData=_from_corner(uv_px),
+        GraphicType=kind,
+        **more,
+    )
 
 
 def _text(words: str, uv_px: np.ndarray) -> Dataset:
-    out = Dataset()
-    out.UnformattedTextValue, out.AnchorPointAnnotationUnits = words, "PIXEL"
-    out.AnchorPoint, out.AnchorPointVisibility = _from_corner(uv_px), "N"
-    return out
+    return fill(
+        Dataset(),
+        UnformattedTextValue=words,
+        AnchorPointAnnotationUnits="PIXEL",
+        AnchorPoint=_from_corner(uv_px),
+        AnchorPointVisibility="N",
+    )
 
 
 def write(plan: PlanFile, identity: ExportIdentity, originals: Mapping[str, Path]) -> dict[str, bytes]:
@@ -341,7 +322,5 @@ def encode(kind: str, name: str, pixels: np.ndarray, white: float, pinhole: Pinh
         raise UnusableInputError(f"the image has {pixels.dtype} pixels, which {kind} cannot hold; choose npy")
     if kind == "png":
         return {f"{name}.png": cv2.imencode(".png", pixels)[1].tobytes()}
-    from sightline.case.interop.dicom import ExportIdentity, capture, file_bytes
-
     identity = ExportIdentity("undistorted", datetime.now().replace(microsecond=0))
     return {f"{name}.dcm": file_bytes(capture((pixels, white), pinhole, identity, f"{name}, undistorted", 1))}

@@ -2,7 +2,7 @@
 
 import sqlite3
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -11,7 +11,14 @@ from typing import Any, TypeVar
 
 from sightline.case.canonical import canonical, digest
 from sightline.case.journal import database, originals
-from sightline.case.journal.database import connect, errors_explained, memory_copy, transaction, use_write_ahead_log
+from sightline.case.journal.database import (
+    closed_on_error,
+    connect,
+    errors_explained,
+    memory_copy,
+    transaction,
+    use_write_ahead_log,
+)
 from sightline.case.journal.entry import (
     HEAD,
     Actor,
@@ -60,7 +67,7 @@ class Case(Closing):
         with errors_explained(place / JOURNAL):
             (place / originals.FOLDER).mkdir(parents=True, exist_ok=True)
             db = connect(place / JOURNAL, "rwc")
-            try:
+            with closed_on_error(db):
                 if not database.create(db):
                     if not exist_ok:
                         raise CaseError("there is a case in this folder already; open it, or name another folder")
@@ -70,9 +77,6 @@ class Case(Closing):
                 sync_folder(place)
                 sync_folder(place.absolute().parent)
                 return Case(place, db)
-            except BaseException:
-                db.close()
-                raise
 
     @staticmethod
     def exists(folder: str | Path) -> bool:
@@ -80,12 +84,8 @@ class Case(Closing):
         file = Path(folder) / JOURNAL
         if not file.is_file():
             return False
-        with errors_explained(file):
-            db = _readable(file)
-            try:
-                return database.has_tables(db)
-            finally:
-                db.close()
+        with errors_explained(file), closing(_readable(file)) as db:
+            return database.has_tables(db)
 
     @staticmethod
     def open(folder: str | Path, read_only: bool = False) -> "Case":
@@ -99,11 +99,8 @@ class Case(Closing):
             raise CaseError(f"there is no case in {Path(folder).name!r}; name the folder that holds its {JOURNAL}")
         with errors_explained(file):
             db = _read_only(file) if read_only else _writable(file)
-            try:
+            with closed_on_error(db):
                 return Case(Path(folder), db)
-            except BaseException:
-                db.close()
-                raise
 
     def close(self) -> None:
         """Close the database. Without it nothing is lost: every entry is on the disk when `record` returns."""
@@ -225,16 +222,13 @@ def _one_of(names: type[_Named], name: str) -> _Named:
 
 def _writable(file: Path) -> sqlite3.Connection:
     db = connect(file, "rw")
-    try:
+    with closed_on_error(db):
         version = database.check_version(db)
         database.refuse_unwritable(db)
         if version < database.VERSION:
             database.back_up(db, file.with_name(f"journal-schema-{version}.sqlite"))
             database.migrate(db)
         use_write_ahead_log(db)
-    except BaseException:
-        db.close()
-        raise
     return db
 
 
@@ -242,17 +236,16 @@ def _read_only(file: Path) -> sqlite3.Connection:
     """Open a journal for reading. SQLite writes beside the file even to read it: from a read-only folder, and for an
     older version, a copy in memory is read."""
     db = _readable(file)
-    try:
-        version = database.check_version(db)
-        if version < database.VERSION:
-            old, db = db, memory_copy(db)
-            old.close()
-            database.migrate(db)
-        db.execute("PRAGMA query_only = 1")
-    except BaseException:
-        db.close()
-        raise
-    return db
+    with closed_on_error(db):
+        if database.check_version(db) == database.VERSION:
+            db.execute("PRAGMA query_only = 1")
+            return db
+    with closing(db):
+        copy = memory_copy(db)
+    with closed_on_error(copy):
+        database.migrate(copy)
+        copy.execute("PRAGMA query_only = 1")
+    return copy
 
 
 def _readable(file: Path) -> sqlite3.Connection:
@@ -269,8 +262,5 @@ def _copy(file: Path) -> sqlite3.Connection:
             beside = file.with_name(file.name + suffix)
             if beside.is_file():
                 (place / beside.name).write_bytes(beside.read_bytes())
-        db = connect(place / file.name, "rw")
-        try:
+        with closing(connect(place / file.name, "rw")) as db:
             return memory_copy(db)
-        finally:
-            db.close()

@@ -7,7 +7,7 @@ import os
 import secrets
 import sqlite3
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
@@ -39,13 +39,20 @@ def connect(file: Path, mode: str) -> sqlite3.Connection:
         isolation_level=None,
         check_same_thread=False,
     )
-    try:
+    with closed_on_error(db):
         db.execute("PRAGMA synchronous = EXTRA")  # sync every commit, and the folder after a journal file is removed
         db.execute("PRAGMA fullfsync = 1")  # macOS: flush the disk's own cache too
+    return db
+
+
+@contextmanager
+def closed_on_error(db: sqlite3.Connection) -> Generator[None]:
+    """Context that closes the connection if an exception leaves it."""
+    try:
+        yield
     except BaseException:
         db.close()
         raise
-    return db
 
 
 def use_write_ahead_log(db: sqlite3.Connection) -> None:
@@ -111,18 +118,18 @@ VERSION = 1
 _LETTERS = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 _NUMBER_LENGTH = 12  # 60 bits: among a million cases the probability of a collision is 4e-7
 
-_TABLES = f"""
-CREATE TABLE about (number TEXT NOT NULL);
-CREATE TABLE entries (
+_TABLES = (
+    "CREATE TABLE about (number TEXT NOT NULL)",
+    f"""CREATE TABLE entries (
     number INTEGER PRIMARY KEY,
     {", ".join(f"{column} TEXT NOT NULL" for column in HEAD[1:])},
     content TEXT NOT NULL,
     chain TEXT NOT NULL
-);
-CREATE INDEX of_kind ON entries (kind, number);
-CREATE TRIGGER never_changed BEFORE UPDATE ON entries BEGIN SELECT RAISE(ABORT, 'entries are never changed'); END;
-CREATE TRIGGER never_removed BEFORE DELETE ON entries BEGIN SELECT RAISE(ABORT, 'entries are never removed'); END;
-"""
+)""",
+    "CREATE INDEX of_kind ON entries (kind, number)",
+    "CREATE TRIGGER never_changed BEFORE UPDATE ON entries BEGIN SELECT RAISE(ABORT, 'entries are never changed'); END",
+    "CREATE TRIGGER never_removed BEFORE DELETE ON entries BEGIN SELECT RAISE(ABORT, 'entries are never removed'); END",
+)
 
 
 def create(db: sqlite3.Connection) -> bool:
@@ -134,7 +141,8 @@ def create(db: sqlite3.Connection) -> bool:
     with transaction(db):
         new = not has_tables(db)
         if new:
-            _build(db, "-".join(["C", *_groups(_NUMBER_LENGTH)]))
+            letters = "".join(secrets.choice(_LETTERS) for _ in range(_NUMBER_LENGTH))
+            _build(db, "-".join(["C", *(letters[k : k + 4] for k in range(0, _NUMBER_LENGTH, 4))]))
     return new
 
 
@@ -172,11 +180,8 @@ def migrate(db: sqlite3.Connection) -> None:
 
 def back_up(db: sqlite3.Connection, file: Path) -> None:
     """Copy the journal to `file`; the copy is on the disk when this returns."""
-    copy = connect(file, "rwc")
-    try:
+    with closing(connect(file, "rwc")) as copy:
         db.backup(copy)
-    finally:
-        copy.close()
     sync_folder(file.parent)
 
 
@@ -201,29 +206,13 @@ def insert(db: sqlite3.Connection, row: tuple[object, ...]) -> None:
 
 
 def _build(db: sqlite3.Connection, number: str) -> None:
-    for statement in _statements():
+    for statement in _TABLES:  # `executescript` would commit the transaction first
         db.execute(statement)
     db.execute("INSERT INTO about VALUES (?)", (number,))
     db.execute(f"PRAGMA application_id = {APPLICATION}")
     db.execute(f"PRAGMA user_version = {VERSION}")
 
 
-def _statements() -> list[str]:
-    """Split `_TABLES` into statements, because `executescript` would commit the transaction first."""
-    out, text = [], ""
-    for line in _TABLES.strip().splitlines():
-        text += line + "\n"
-        if sqlite3.complete_statement(text):
-            out.append(text)
-            text = ""
-    return out
-
-
 def has_tables(db: sqlite3.Connection) -> bool:
     """Whether anything was written: a program killed while it creates a case leaves an empty file."""
     return db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] > 0
-
-
-def _groups(length: int) -> list[str]:
-    text = "".join(secrets.choice(_LETTERS) for _ in range(length))
-    return [text[k : k + 4] for k in range(0, length, 4)]

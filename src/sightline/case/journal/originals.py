@@ -1,15 +1,12 @@
 """The original files of a case: named after the hash of their content, written once and never changed."""
 
-import os
-from contextlib import suppress
 from hashlib import file_digest
 from pathlib import Path
 from stat import S_IRGRP, S_IROTH, S_IRUSR
-from threading import get_ident
 
 from sightline.case.canonical import digest
 from sightline.case.journal.entry import ORIGINAL, SUFFIXES
-from sightline.common.atomic import sync_folder
+from sightline.common.atomic import replace_file, sync_folder
 from sightline.common.bounded import regular_file
 from sightline.errors import CaseError
 from sightline.imaging.formats import format_of_file
@@ -39,21 +36,9 @@ def anonymous_name(path: Path) -> str:
 
 def keep(folder: Path, name: str, data: bytes) -> None:
     """Write an original atomically; it is on the disk when this returns. Raises OSError; then no file has its name."""
-    target = folder / name
-    if is_whole(target):
-        return
-    scratch = folder / f".{name}.{os.getpid()}.{get_ident()}.part"
-    try:
-        with scratch.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        scratch.chmod(S_IRUSR | S_IRGRP | S_IROTH)
-        scratch.replace(target)
+    if not is_whole(folder / name):
+        replace_file(folder / name, data, mode=S_IRUSR | S_IRGRP | S_IROTH)
         sync_folder(folder)
-    finally:
-        with suppress(OSError):
-            scratch.unlink(missing_ok=True)
 
 
 def is_whole(path: Path) -> bool:

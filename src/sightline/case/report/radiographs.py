@@ -12,20 +12,19 @@ from sightline.case.report import svg
 from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.detection import RejectedCandidate
 from sightline.imaging import Radiograph
+from sightline.imaging.radiograph import stretched
 from sightline.planning import Hole, MatchingCurve, Pick, Plan, Trajectory
 from sightline.planning.nail.expected import rim
 
 JPEG_QUALITY = 82  # [ours] 1024² in about 150 kB; overlays are drawn over it, not burnt in
 CLOSEUP_PX = 24.0  # half the side of a close-up: about 3 mm at the hip [ours]
-STRETCH = (0.5, 99.5)  # percentiles of the pixels inside the field that become black and white [ours]
 
 
 def grey(image: Radiograph) -> np.ndarray:
     """Return the image (H, W) as uint8 for display: log intensity, stretched over the field's unsaturated pixels."""
     log = np.log1p(np.clip(image.pixels.astype(np.float32), 0.0, None))
     shown = log[image.field_mask & (image.pixels < image.white)]
-    low, high = np.percentile(shown if shown.size else log, STRETCH)
-    return np.clip((log - low) / max(high - low, 1e-6) * 255.0, 0.0, 255.0).astype(np.uint8)
+    return stretched(log, shown if shown.size else log)
 
 
 def _data_uri(image: Radiograph) -> str:
