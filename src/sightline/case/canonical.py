@@ -43,7 +43,7 @@ def with_null(value: Any) -> Any:
     """Return `plain(value)` with None for NaN, as of a pick in an image that does not show the point."""
     value = plain(value)
     if isinstance(value, dict):
-        return {name: with_null(one) for name, one in value.items()}
+        return {name: with_null(item) for name, item in value.items()}
     if isinstance(value, list):
-        return [with_null(one) for one in value]
+        return [with_null(item) for item in value]
     return None if isinstance(value, float) and isnan(value) else value

@@ -80,9 +80,9 @@ class PlanRequest:
         """
         limits = document["limits"]
         fields: dict[str, Any] = {**document, "limits": None if limits is None else Limits(**limits)}
-        for name, read in (("others", lambda one: WirePicks(**one)), ("placed", _placed)):
+        for name, read in (("others", lambda written: WirePicks(**written)), ("placed", _placed)):
             if fields.get(name) is not None:
-                fields[name] = {key: read(one) for key, one in fields[name].items()}
+                fields[name] = {key: read(written) for key, written in fields[name].items()}
         if fields.get("nail") is not None:
             fields["nail"] = NailDrawn.of(fields["nail"])
         request = PlanRequest(**fields)
@@ -168,7 +168,7 @@ class PlanRequest:
 
     @property
     def _picks(self) -> WirePicks:
-        entry, end = (np.array(one, dtype=np.float64) for one in (self.entry_uv_px, self.end_uv_px))
+        entry, end = (np.array(uv_px, dtype=np.float64) for uv_px in (self.entry_uv_px, self.end_uv_px))
         return WirePicks(entry, end, self.snapped)
 
     def _shared(self, views: int, curve: Callable[..., MatchingCurve]) -> dict[str, Any]:
@@ -225,7 +225,7 @@ class CheckRequest:
         from sightline.from_images.pipeline import find_planned_wire
         from sightline.planning.check.shot import check_shot
 
-        wires = [find_planned_wire(made, *_with_wire(one), one.view, self.wire_mm, others_mm) for one in checked]
+        wires = [find_planned_wire(made, *_with_wire(shown), shown.view, self.wire_mm, others_mm) for shown in checked]
         before, after = ([image.view for image in pair] for pair in (planned, checked))
         return check_shot(made.to_check(before), after, wires, landmarks=self.landmarks)
 
@@ -281,14 +281,14 @@ class DrillShotRequest:
             known = Beforehand(RigidTransform.from_matrix(self.movement), self.covariance, self.straight)
         beyond_mm = self.tip_mm - trajectory.length_mm
         before_mm = (GUIDED_MM if self.straight or hole is not None else BEFORE_MM) + limits.before_mm
-        for one, picked in zip(taken, (None, None) if self.wire_uv_px is None else self.wire_uv_px, strict=True):
+        for shown, picked in zip(taken, (None, None) if self.wire_uv_px is None else self.wire_uv_px, strict=True):
             if picked is not None:
                 wires.append(picked_wire(picked, self.check.landmarks.sd_px))
                 continue
-            image, beads = _with_wire(one)
-            path = expected_wire(one.view, known.movement.apply(trajectory.points.xyz_mm), beyond_mm, before_mm)
-            others = expected_wires([known.movement.apply(line) for line in others_mm], one.view)
-            covered = () if hole is None else [nail_px(one.view, hole, known.movement)]
+            image, beads = _with_wire(shown)
+            path = expected_wire(shown.view, known.movement.apply(trajectory.points.xyz_mm), beyond_mm, before_mm)
+            others = expected_wires([known.movement.apply(line) for line in others_mm], shown.view)
+            covered = () if hole is None else [nail_px(shown.view, hole, known.movement)]
             at = (beads.uv_px, beads.radius_px)
             wires.append(find_wire(image, path, self.check.wire_mm, *at, others=others, covered_px=covered))
         known_marks = self.check.landmarks
@@ -348,11 +348,11 @@ def planned(asked: PlanRequest, made: Plan) -> dict[str, Any]:
     }
 
 
-def shot(asked: DrillShotRequest, found: "DrillShot | str") -> dict[str, Any]:
-    """Return the content of an entry of a shot while drilling; `found` is the shot, or why it was refused."""
-    return {"asked": asked.document(), **({"refused": found} if isinstance(found, str) else found.document())}
+def shot(asked: DrillShotRequest, result: "DrillShot | str") -> dict[str, Any]:
+    """Return the content of an entry of a shot while drilling; `result` is the shot, or why it was refused."""
+    return {"asked": asked.document(), **({"refused": result} if isinstance(result, str) else result.document())}
 
 
-def verified(asked: CheckRequest, found: CheckShot | str) -> dict[str, Any]:
-    """Return the content of a verified entry; `found` is the check shot, or why it was refused."""
-    return {"asked": asked, **({"refused": found} if isinstance(found, str) else found.document())}
+def verified(asked: CheckRequest, result: CheckShot | str) -> dict[str, Any]:
+    """Return the content of a verified entry; `result` is the check shot, or why it was refused."""
+    return {"asked": asked, **({"refused": result} if isinstance(result, str) else result.document())}

@@ -51,7 +51,7 @@ class Deidentifier:
         source = _source(file)
         with scratch_folder() as place:
             dataset = dcmread(write_dicom(image, place / "image.dcm"))
-        stated, found = source["BurnedInAnnotation"], image.burnt_in is not None
+        stated, is_found = source["BurnedInAnnotation"], image.burnt_in is not None
         value, scheme, meaning = _METHOD
         method = fill(Dataset(), CodeValue=value, CodingSchemeDesignator=scheme, CodeMeaning=meaning)
         fill(
@@ -64,9 +64,9 @@ class Deidentifier:
             DeidentificationMethodCodeSequence=[method],
             LongitudinalTemporalInformationModified="REMOVED",
         )
-        if found or stated is not None:
-            dataset.BurnedInAnnotation = "YES" if found or stated else "NO"
-        return Deidentified(file_bytes(dataset), stated, found)
+        if is_found or stated is not None:
+            dataset.BurnedInAnnotation = "YES" if is_found or stated else "NO"
+        return Deidentified(file_bytes(dataset), stated, is_found)
 
     def _uid(self, old: str | None) -> str:
         """Return a random UID, which cannot be traced to the original; an image without a UID gets one of its own."""

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from sightline.calibration.view import CalibratedView
 from sightline.case.contents import Images, PlanRequest
 from sightline.case.views import ALL_NAMES, NAMES
-from sightline.common.bounded import read_bounded
+from sightline.common.bounded import MAX_JSON_BYTES, read_bounded
 from sightline.common.strict import read_strictly
 from sightline.errors import UnusableInputError
 from sightline.from_images.head_and_shaft import fit_head, fit_shaft, refuse_tables
@@ -40,7 +40,6 @@ ENDS: tuple[End, End] = ("entry", "end")
 Text = Annotated[str, Field(max_length=200)]
 CHECK_NAMES = ("check-pa", "check-lateral")
 MIN_WIRE_POINTS = 5  # four on the centre line, and the tip
-_MAX_BYTES = 2**20  # [ours] a hundred times the largest of our own
 _ADVICE = {**ADVICE, "extra_forbidden": "is not a key of a file of picks; correct its spelling or remove it"}
 
 
@@ -193,7 +192,7 @@ class Picks(Strict):
     def read(file: Path) -> "Picks":
         """Read a file of picks. Raises UnusableInputError."""
         try:
-            text = read_bounded(file, _MAX_BYTES, UnusableInputError, "give a file of picks (docs/planning.md)")
+            text = read_bounded(file, MAX_JSON_BYTES, UnusableInputError, "give a file of picks (docs/planning.md)")
             return read_strictly(text, Picks, UnusableInputError, _ADVICE)
         except UnusableInputError as error:
             raise UnusableInputError(f"{file.name}: {error}") from None
@@ -291,8 +290,8 @@ def ask_plan(picks: Picks, images: Images, procedure: str, side: str | None, *, 
         nail=nail,
     )
     wires = picks.wires | {key: PickedWire.of(picked[key]) for key in missing}
-    said = tuple(f"{'' if alone else key} {proposals[key].sentence}".strip() for key in missing)
-    return AskedPlan(request, picks.model_copy(update={"wires": wires}), said, unfitted)
+    sentences = tuple(f"{'' if alone else key} {proposals[key].sentence}".strip() for key in missing)
+    return AskedPlan(request, picks.model_copy(update={"wires": wires}), sentences, unfitted)
 
 
 def _missing(picks: Picks, order: Sequence[str], procedure: str, *, propose: bool) -> tuple[str, ...]:

@@ -164,24 +164,24 @@ def record_plans(
     if isinstance(made, Plan):
         return {"entry": record_planned(case, views, asked, made, by=by).number}
     each = made.plans.items()
-    return {"entries": {key: record_planned(case, views, asked.of_wire(key), one, by=by).number for key, one in each}}
+    return {"entries": {key: record_planned(case, views, asked.of_wire(key), plan, by=by).number for key, plan in each}}
 
 
 def record_verified(
-    case: Case, plan: Entry, views: Sequence[Entry], asked: CheckRequest, found: CheckShot | str, *, by: Actor
+    case: Case, plan: Entry, views: Sequence[Entry], asked: CheckRequest, result: CheckShot | str, *, by: Actor
 ) -> Entry:
     """Record the check shot that `asked.shot` measured in two more calibrated views, PA first, or why it was refused.
 
     Raises CaseError.
     """
-    return _record_measured(case, Kind.VERIFIED, (plan, *views), contents.verified(asked, found), by)
+    return _record_measured(case, Kind.VERIFIED, (plan, *views), contents.verified(asked, result), by)
 
 
 def record_shot(
-    case: Case, plan: Entry, views: Sequence[Entry], asked: DrillShotRequest, found: DrillShot | str, *, by: Actor
+    case: Case, plan: Entry, views: Sequence[Entry], asked: DrillShotRequest, result: DrillShot | str, *, by: Actor
 ) -> Entry:
     """Record a shot while drilling that `asked.shot` measured in two more calibrated views, or why it was refused."""
-    return _record_measured(case, Kind.SHOT, (plan, *views), contents.shot(asked, found), by)
+    return _record_measured(case, Kind.SHOT, (plan, *views), contents.shot(asked, result), by)
 
 
 def _record_measured(case: Case, kind: Kind, rests_on: Sequence[Entry], content: dict[str, Any], by: Actor) -> Entry:
@@ -248,25 +248,25 @@ def newest_images(
     An image whose beads cannot be found or labelled is skipped, and one of a solid whose view is not known. `invert`:
     the balls are bright. Raises CaseError if a view has no image.
     """
-    found: dict[str, tuple[Entry, ObservedView]] = {}
+    newest: dict[str, tuple[Entry, ObservedView]] = {}
     skipped: list[str] = []
     for entry in reversed(case.entries(Kind.ACQUIRED, after)):
-        if entry.content["original"].endswith(TABLE) or found.keys() >= set(names):
+        if entry.content["original"].endswith(TABLE) or newest.keys() >= set(names):
             continue
         try:
             seen = _seen(case, entry, frame, invert=invert)
         except RefusedError as refusal:
             skipped.append(f"image of entry {entry.number} skipped: {refusal}")
         else:
-            found.setdefault(seen.observations.view, (entry, seen))
-    if missing := [name for name in names if name not in found]:
+            newest.setdefault(seen.observations.view, (entry, seen))
+    if missing := [name for name in names if name not in newest]:
         since = f" after entry {after}" if after else ""
         why = f" ({'; '.join(skipped)})" if skipped else ""
         raise CaseError(
             f"the case holds no usable {' and no '.join(map(spoken, missing))} image{since}{why}; acquire it, or give "
             f"the files of {'both' if len(names) == len(NAMES) else 'all'} images"
         )
-    source, seen = zip(*(found[name] for name in names), strict=True)
+    source, seen = zip(*(newest[name] for name in names), strict=True)
     return SeenImages(seen, source, tuple(skipped))
 
 
@@ -276,7 +276,7 @@ def record_images(case: Case, taken: SeenImages, images: Images, frame: Frame, *
     A file is acquired once. Raises UnusableInputError for beads without labels, which a case cannot replay; CaseError.
     """
     frame_ref = keep_frame(case, frame)
-    sources = [_acquired(case, one) if isinstance(one, Path) else one for one in taken.source]
+    sources = [_acquired(case, origin) if isinstance(origin, Path) else origin for origin in taken.source]
     return tuple(
         _recorded(case, source, image, frame_ref) or record_seen(case, source, image, frame_ref=frame_ref, by=by)
         for source, image in zip(sources, images, strict=True)

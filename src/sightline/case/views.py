@@ -115,17 +115,17 @@ def see_pair(pa: Path, lateral: Path, frame: Frame, *, invert: bool = False) -> 
         else see(path, frame, None if frame.solid is None else name, invert=invert)
         for path, name in zip((pa, lateral), NAMES, strict=True)
     )
-    found = tuple(seen.observations.view for seen in pair)
-    if found == NAMES:
+    names = tuple(seen.observations.view for seen in pair)
+    if names == NAMES:
         return pair[0], pair[1]
-    if found == NAMES[::-1]:
+    if names == NAMES[::-1]:
         raise UnusableInputError(
             f"PA and lateral are swapped: {pa.name} shows the lateral plates and {lateral.name} the PA plates; "
             "give the files in the other order, and check that each pick is written beside its own view"
         )
-    wrong, path = (0, pa) if found[0] != NAMES[0] else (1, lateral)
+    wrong, path = (0, pa) if names[0] != NAMES[0] else (1, lateral)
     raise UnusableInputError(
-        f"{path.name} was given as the {NAMES[wrong]} view, but shows the plates of view {found[wrong]!r}; "
+        f"{path.name} was given as the {NAMES[wrong]} view, but shows the plates of view {names[wrong]!r}; "
         "give one PA and one lateral image of the same set-up"
     )
 
@@ -186,7 +186,7 @@ def calibrate_images(
     `mirrored`: the views whose display a person saw to be mirrored. `source_detector_mm`, `pixel_mm`: of the C-arm; see
     `known_arm`. Raises UnusableInputError, and what `calibrate` raises.
     """
-    names = [one.observations.view for one in seen]
+    names = [observed.observations.view for observed in seen]
     if unknown := sorted(set(mirrored) - set(names)):
         raise UnusableInputError(f"{unknown[0]!r} is not a view; name {' or '.join(names)} as mirrored")
     return tuple(

@@ -215,16 +215,16 @@ def _is_result(folder: Path) -> bool:
 
 def _items(folder: Path, units: Collection[str]) -> set[str]:
     """Return the relative paths of all files, links and empty folders outside the `units`, with / between folders."""
-    found: set[str] = set()
+    items: set[str] = set()
     for here, folders, files in os.walk(folder):
         place = Path(here).relative_to(folder)
         if place == Path():
             folders[:] = [name for name in folders if name not in units]
         links = [name for name in folders if (folder / place / name).is_symlink()]
-        found |= {(place / name).as_posix() for name in (*files, *links)}
+        items |= {(place / name).as_posix() for name in (*files, *links)}
         if not folders and not files and place != Path():
-            found.add(place.as_posix())
-    return found
+            items.add(place.as_posix())
+    return items
 
 
 def _sync(folder: Path) -> None:

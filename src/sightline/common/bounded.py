@@ -12,6 +12,8 @@ import numpy as np
 
 from sightline.errors import UnusableInputError
 
+MAX_JSON_BYTES = 2**26  # [ours] of results and plans: six times a view of a frame with a full covariance
+
 
 @contextmanager
 def regular_file(file: Path) -> Generator[BufferedReader]:

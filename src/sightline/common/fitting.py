@@ -66,11 +66,11 @@ def inverse_lower(factor: np.ndarray) -> np.ndarray:
     if n <= _UNDIVIDED:
         return _trtri(factor, lower=1)[0]
     h = n // 2
-    out = np.zeros((n, n), order="F")
+    inverse = np.zeros((n, n), order="F")
     first, second = inverse_lower(factor[:h, :h]), inverse_lower(factor[h:, h:])
-    out[:h, :h], out[h:, h:] = first, second
-    out[h:, :h] = _trmm(-1.0, second, _trmm(1.0, first, factor[h:, :h], side=1, lower=1), lower=1)
-    return out
+    inverse[:h, :h], inverse[h:, h:] = first, second
+    inverse[h:, :h] = _trmm(-1.0, second, _trmm(1.0, first, factor[h:, :h], side=1, lower=1), lower=1)
+    return inverse
 
 
 def least_squares(design: np.ndarray, data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -109,16 +109,16 @@ def exact_squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def squared_distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the squared distances (N, M), by a matrix product: fast, but inexact for points close to each other."""
-    out = a @ (-2.0 * b.T)
-    out += np.einsum("ik,ik->i", a, a)[:, None]
-    out += np.einsum("ik,ik->i", b, b)
-    return out
+    squares = a @ (-2.0 * b.T)
+    squares += np.einsum("ik,ik->i", a, a)[:, None]
+    squares += np.einsum("ik,ik->i", b, b)
+    return squares
 
 
 def squared_exponential(squares: np.ndarray, length: float) -> np.ndarray:
     """Return exp(-d² / 2 length²) of squared distances d²: the covariance of a process of unit variance."""
-    out = squares * (-0.5 / length**2)
-    return np.exp(out, out=out)
+    exponents = squares * (-0.5 / length**2)
+    return np.exp(exponents, out=exponents)
 
 
 _AT_ONCE = 400  # numbers whose matrices fit into a core's cache; LAPACK takes more than these in blocks [calc]

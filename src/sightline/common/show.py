@@ -134,10 +134,10 @@ def centre_sd(covariance_px2: np.ndarray | None) -> str:
 def checks_lines(checks: Sequence[Check], most: int) -> list[str]:
     """Return how many checks passed, then the sentence of each that failed, `most` of them."""
     bad = failed(checks)
-    said = f"  checks: {len(checks) - len(bad)} of {len(checks)} passed"
+    counts = f"  checks: {len(checks) - len(bad)} of {len(checks)} passed"
     lines = [_cut(f"  failed: {check.name}: {check.sentence}") for check in bad[:most]]
     more = [f"  ... and {counted(len(bad) - most, 'failed check')} more"] if len(bad) > most else []
-    return [said, *lines, *more]
+    return [counts, *lines, *more]
 
 
 def _cut(line: str) -> str:

@@ -40,13 +40,13 @@ def read_strictly(
 
 def explain(error: ValidationError, advice: Mapping[str, str]) -> str:
     """Return pydantic's errors as sentences that say where each is and what to do."""
-    found = error.errors(include_url=False, include_context=True)
-    shown = [_explain_one(entry["type"], entry["loc"], entry["msg"], advice) for entry in found[:_ERRORS_SHOWN]]
-    more = len(found) - len(shown)
+    errors = error.errors(include_url=False, include_context=True)
+    shown = [_explain_one(entry["type"], entry["loc"], entry["msg"], advice) for entry in errors[:_ERRORS_SHOWN]]
+    more = len(errors) - len(shown)
     return "; ".join(shown) + (f"; and {more} more" if more else "")
 
 
 def _explain_one(kind: str, where: tuple[int | str, ...], message: str, advice: Mapping[str, str]) -> str:
     place = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in where).lstrip(".")
-    said = advice.get(kind, message.removeprefix("Value error, "))
-    return f"{place} {said}" if place else said
+    reason = advice.get(kind, message.removeprefix("Value error, "))
+    return f"{place} {reason}" if place else reason

@@ -44,14 +44,14 @@ def in_parts(kernel: Callable[..., object], *arguments: object) -> None:
 
 def at_once(*jobs: Callable[[], Any]) -> list[Any]:
     """Return the results of `jobs`, which several threads run; jobs that hold the GIL wait for each other."""
-    out: list[Any] = [None] * len(jobs)
+    results: list[Any] = [None] * len(jobs)
 
     def work(part: int, parts: int) -> None:
         for k in range(part, len(jobs), parts):
-            out[k] = jobs[k]()
+            results[k] = jobs[k]()
 
     in_parts(work)
-    return out
+    return results
 
 
 @cache

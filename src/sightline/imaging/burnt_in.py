@@ -106,15 +106,15 @@ def _marks_of(
 
     # Most images have no mark. So only the components with a seed are filled at first: all of them take ten times as
     # long.
-    filled, found = alike.copy(), False
+    filled, seeded = alike.copy(), False
     for v, u in seeds[alike[seeds[:, 0], seeds[:, 1]] > 0].tolist():
         if filled[v, u] == 1:
             size, _, _, box = cv2.floodFill(filled, None, (u, v), _FILLED, flags=8)
-            found = is_mark(filled, _FILLED, box, size)
-            if found:
+            seeded = is_mark(filled, _FILLED, box, size)
+            if seeded:
                 break
             cv2.floodFill(filled, None, (u, v), 0, flags=8)
-    if not found:
+    if not seeded:
         return np.zeros(pixels.shape, bool)
     count, part, stats, _ = cv2.connectedComponentsWithStats(alike, connectivity=8)
     keep = np.zeros(count, bool)

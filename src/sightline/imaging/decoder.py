@@ -105,17 +105,17 @@ def main() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     gdcm.Trace.WarningOff()
     gdcm.Trace.ErrorOff()
-    out = sys.stdout.buffer
+    stdout = sys.stdout.buffer
     for line in sys.stdin.buffer:
         file, index = json.loads(line)
         try:
             values = np.ascontiguousarray(pixel_array(file, index=index))
         except Exception:  # pydicom raises any exception on damaged data
-            out.write(b"null\n")
+            stdout.write(b"null\n")
         else:
-            out.write(json.dumps({"shape": values.shape, "dtype": values.dtype.str}).encode() + b"\n")
-            out.write(values.tobytes())
-        out.flush()
+            stdout.write(json.dumps({"shape": values.shape, "dtype": values.dtype.str}).encode() + b"\n")
+            stdout.write(values.tobytes())
+        stdout.flush()
 
 
 if __name__ == "__main__":

@@ -75,14 +75,14 @@ def _torn(pixels: np.ndarray, inside: np.ndarray, *, rows: bool) -> Tear | None:
         return None
     usual = median_filter(square[enough], 2 * _AROUND + 1)
     ratio = square[enough] / np.maximum(usual, 1e-12)
-    found = []
+    tears = []
     for k in np.argsort(-ratio)[:_LINES]:
         at = enough[k]
         if ratio[k] > _STEP and 1 <= at < len(pixels) - 2:
             shift, explained = _shift(pixels[at - 1 : at + 1], pixels[at + 1 : at + 3], both[at])
             if abs(shift) >= _MIN_SHIFT_PX and explained > _EXPLAINED:
-                found.append((explained, Tear(int(at) + 1, shift, rows)))
-    return max(found, key=lambda one: one[0])[1] if found else None
+                tears.append((explained, Tear(int(at) + 1, shift, rows)))
+    return max(tears, key=lambda tear: tear[0])[1] if tears else None
 
 
 def _shift(above: np.ndarray, below: np.ndarray, inside: np.ndarray) -> tuple[int, float]:

@@ -116,14 +116,14 @@ def taken_at(file: Path) -> datetime | None:
     """
     with quiet():
         try:
-            said = dcmread(file, stop_before_pixels=True, specific_tags=[*chain(*_TIMES), _ZONE])
+            times = dcmread(file, stop_before_pixels=True, specific_tags=[*chain(*_TIMES), _ZONE])
         except Exception:  # as in `_header`
             raise damaged(file.name) from None
         for keywords in _TIMES:
-            match = _STAMP.fullmatch("".join(str(said.get(keyword) or "") for keyword in keywords).strip())
+            match = _STAMP.fullmatch("".join(str(times.get(keyword) or "") for keyword in keywords).strip())
             if match is None:
                 continue
-            zone = match[2] or str(said.get(_ZONE) or "").strip()
+            zone = match[2] or str(times.get(_ZONE) or "").strip()
             with suppress(ValueError):  # no such day or hour
                 if zone:
                     return datetime.strptime(match[1] + zone, "%Y%m%d%H%M%S%z").astimezone(UTC)
@@ -301,11 +301,11 @@ def _syntax(file: Path) -> UID:
 
 def _refuse_longer(file: Path, shape: tuple[int, int]) -> None:
     """Raise ImageError where there are more uncompressed pixels than the header states."""
-    found: list[int] = []
+    lengths: list[int] = []
 
     def at_pixels(tag: BaseTag, _: str | None, length: int) -> bool:
         if tag == _PIXEL_DATA:
-            found.append(length)
+            lengths.append(length)
         return tag >= _PIXEL_DATA
 
     with regular_file(file) as stream:
@@ -316,7 +316,7 @@ def _refuse_longer(file: Path, shape: tuple[int, int]) -> None:
         return
     frames, samples = int(elements.get("NumberOfFrames") or 1), int(elements.get("SamplesPerPixel") or 1)
     row_bytes = shape[1] * samples * (int(elements.BitsAllocated) // 8)
-    refuse_longer(frames * shape[0] * row_bytes, max(found, default=0), shape[0], row_bytes, file.name)
+    refuse_longer(frames * shape[0] * row_bytes, max(lengths, default=0), shape[0], row_bytes, file.name)
 
 
 def _coded(file: Path, index: int) -> bytes:

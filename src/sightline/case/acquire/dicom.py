@@ -43,8 +43,8 @@ AET = "SIGHTLINE"
 PORT = 11112  # registered for DICOM; port 104 needs a privileged program
 LOOPBACK = "127.0.0.1"
 ASSOCIATIONS = 4  # [ours] a C-arm, an archive, a workstation, one that hangs
-CONNECTIONS = 32  # [ours] including those without an association yet, which hold no image
-IDLE_S = 60.0  # [ours] a silent peer is disconnected after this time; a minute may pass between two images
+CONNECTIONS = 8 * ASSOCIATIONS  # including those without an association yet, which hold no image
+IDLE_S = 60.0  # a silent peer is disconnected after this time [default of pynetdicom]
 ASSOCIATE_S = 5.0  # [ours] from the connection to the request for an association
 
 _ECHO = "1.2.840.10008.1.1"  # verification (PS3.4, A.4)
@@ -90,10 +90,10 @@ class Peer:
         if not _is_title(aet) or not host:
             raise UnusableInputError("a peer is AET@HOST: its AE title of 1 to 16 characters, and its name or address")
         try:
-            found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+            resolved = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
         except OSError:
             raise UnusableInputError("the host of a peer cannot be resolved; give its address") from None
-        return Peer(aet.strip(), frozenset(str(address[4][0]) for address in found))
+        return Peer(aet.strip(), frozenset(str(address[4][0]) for address in resolved))
 
 
 class DicomReceiver:
@@ -180,7 +180,7 @@ class DicomReceiver:
         address = requestor.address
         if not any(peer.aet == title and address in peer.addresses for peer in self._peers):
             self._reject(event, _UNKNOWN, "its AE title is not that of a known peer")
-        elif sum(one.is_established for one in self._ae.active_associations) >= ASSOCIATIONS:
+        elif sum(association.is_established for association in self._ae.active_associations) >= ASSOCIATIONS:
             self._reject(event, _BUSY, f"{ASSOCIATIONS} are open already")
 
     def _reject(self, event: evt.Event, answer: tuple[int, int, int], why: str) -> None:

@@ -12,7 +12,7 @@ from sightline.errors import CaseError, ImageError, UnusableInputError
 from sightline.imaging.formats import FORMAT_NAMES, MAX_FILE_BYTES, format_of
 
 SETTLED_S = 1.0  # [ours] a file is read once unchanged for this time: network folders write in bursts
-GIVE_UP_S = 30.0  # [ours] an incomplete file is refused once unchanged for this time
+GIVE_UP_S = 30 * SETTLED_S  # an incomplete file is refused once unchanged for this time
 SCAN_S = 0.5  # between two scans
 
 

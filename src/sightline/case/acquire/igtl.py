@@ -75,9 +75,9 @@ class ImageLink:
     def close(self) -> None:
         """Close the link."""
         self._closed = True
-        for one in (self._peer, self._server):
-            if one is not None:
-                one.close()
+        for link in (self._peer, self._server):
+            if link is not None:
+                link.close()
 
     def _connected(self) -> socket.socket:
         """Return a connected peer. Raises SourceError after `silence_s` without one."""

@@ -29,8 +29,10 @@ class PoseNow:
         if self.age_s is None:
             return Check("pose age", False, None, FRESH_S, "s", "pose stale: the robot has not sent its joints yet.")
         fresh = self.age_s <= FRESH_S
-        said = f"the robot's joints came {self.age_s:.2f} s before the image."
-        return Check("pose age", fresh, self.age_s, FRESH_S, "s", said.capitalize() if fresh else f"pose stale: {said}")
+        sentence = f"the robot's joints came {self.age_s:.2f} s before the image."
+        return Check(
+            "pose age", fresh, self.age_s, FRESH_S, "s", sentence.capitalize() if fresh else f"pose stale: {sentence}"
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the pose for an entry, without the joints if they are stale."""

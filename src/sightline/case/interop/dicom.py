@@ -275,7 +275,7 @@ def write(plan: PlanFile, identity: ExportIdentity, originals: Mapping[str, Path
 
     Raises UnusableInputError if the plan was made without images, or an original is not the image of its view.
     """
-    out: dict[str, bytes] = {}
+    documents: dict[str, bytes] = {}
     for k, (view, pinhole) in enumerate(plan.plates.items()):
         image = plan.pixels(view)
         if image is None:
@@ -283,18 +283,18 @@ def write(plan: PlanFile, identity: ExportIdentity, originals: Mapping[str, Path
         drawn = on_plate(plan, pinhole)
         plain = capture(image, pinhole, identity, f"{view}, undistorted; {plan.statement}", 4 * k + 1)
         shown = burn_in(image[0], drawn, plan.verdict)
-        out[f"{view}.dcm"] = file_bytes(plain)
-        out[f"{view}-plan.dcm"] = file_bytes(
+        documents[f"{view}.dcm"] = file_bytes(plain)
+        documents[f"{view}-plan.dcm"] = file_bytes(
             capture((shown, 255.0), pinhole, identity, f"{view}, plan drawn; {plan.statement}", 4 * k + 2)
         )
         over_plain = state(ReferencedImage.of(plain), drawn, plan.statement, identity, 4 * k + 3)
-        out[f"{view}-state.dcm"] = file_bytes(over_plain)
+        documents[f"{view}-state.dcm"] = file_bytes(over_plain)
         if view in originals:
-            out[f"{view}-original-state.dcm"] = _over_original(plan, view, originals[view], identity, 4 * k + 4)
+            documents[f"{view}-original-state.dcm"] = _over_original(plan, view, originals[view], identity, 4 * k + 4)
     unknown = set(originals) - set(plan.plates)
     if unknown:
         raise UnusableInputError(f"the plan has no view {', '.join(sorted(unknown))}")
-    return out
+    return documents
 
 
 def _over_original(plan: PlanFile, view: str, original: Path, identity: ExportIdentity, number: int) -> bytes:
@@ -313,9 +313,9 @@ def _over_original(plan: PlanFile, view: str, original: Path, identity: ExportId
 def encode(kind: str, name: str, pixels: np.ndarray, white: float, pinhole: Pinhole) -> dict[str, bytes]:
     """Return an image (H, W) as one file, by its name. `kind`: png, npy or dicom. Raises UnusableInputError."""
     if kind == "npy":
-        out = io.BytesIO()
-        np.save(out, pixels)
-        return {f"{name}.npy": out.getvalue()}
+        buffer = io.BytesIO()
+        np.save(buffer, pixels)
+        return {f"{name}.npy": buffer.getvalue()}
     if kind not in ("png", "dicom"):
         raise UnusableInputError(f"{kind!r} is not an image format; choose png, npy or dicom")
     if pixels.dtype not in (np.uint8, np.uint16):

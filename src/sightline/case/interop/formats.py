@@ -35,9 +35,9 @@ def transform_bytes(matrix: np.ndarray, comment: str) -> bytes:
 
 def T_lps_cfcs(side: str | None) -> np.ndarray:
     """Return the transform (4, 4) from CFCS to patient LPS, mm. Raises UnusableInputError without a side."""
-    out = np.eye(4)
-    out[:3, :3] = R_lps_cfcs(side)
-    return out
+    transform = np.eye(4)
+    transform[:3, :3] = R_lps_cfcs(side)
+    return transform
 
 
 def T_cfcs_wire(points_mm: np.ndarray) -> np.ndarray:
@@ -49,19 +49,21 @@ def T_cfcs_wire(points_mm: np.ndarray) -> np.ndarray:
     helper = np.eye(3)[np.argmin(np.abs(along))]
     across = np.cross(helper, along)
     across /= np.linalg.norm(across)
-    out = np.eye(4)
-    out[:3] = np.column_stack([across, np.cross(along, across), along, points_mm[1]])
-    return out
+    pose = np.eye(4)
+    pose[:3] = np.column_stack([across, np.cross(along, across), along, points_mm[1]])
+    return pose
 
 
 def itk_files(plan: PlanFile, side: str | None) -> dict[str, bytes]:
     """Return the transforms of CFCS and of the wire to LPS, as ITK applies them to points, mm."""
     to_lps = T_lps_cfcs(side)
     wire = to_lps @ T_cfcs_wire(plan.points_mm)
-    said = f"mm; {side} hip; {plan.statement}"
+    comment = f"mm; {side} hip; {plan.statement}"
     return {
-        "lps_from_cfcs.tfm": transform_bytes(to_lps, f"calibration frame (CFCS) to patient LPS, {said}"),
-        "lps_from_wire.tfm": transform_bytes(wire, f"wire (origin at the tip, +z towards it) to patient LPS, {said}"),
+        "lps_from_cfcs.tfm": transform_bytes(to_lps, f"calibration frame (CFCS) to patient LPS, {comment}"),
+        "lps_from_wire.tfm": transform_bytes(
+            wire, f"wire (origin at the tip, +z towards it) to patient LPS, {comment}"
+        ),
     }
 
 
@@ -98,13 +100,13 @@ _UPPER = np.triu_indices(3)
 
 def csv_files(plan: PlanFile, side: str | None) -> dict[str, bytes]:
     """Return `trajectory.csv`: in CFCS, and in patient LPS too if the side is given. Unknown errors are empty cells."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     writer.writerows(_rows(plan, "CFCS", np.eye(3)))
     if side is not None:
         writer.writerows(_rows(plan, "LPS", R_lps_cfcs(side)))
-    return {"trajectory.csv": out.getvalue().encode()}
+    return {"trajectory.csv": text.getvalue().encode()}
 
 
 def _rows(plan: PlanFile, frame: str, rotation: np.ndarray) -> Iterator[list[str]]:
@@ -161,7 +163,7 @@ def igtl_files(plan: PlanFile, case: str) -> dict[str, bytes]:
         "target.igtl": Message(Transform(pose), f"{contract.TARGET}plan", version=2, metadata=metadata),
         "trajectory.igtl": Message(Trajectories((path,)), "plan", version=2, metadata=metadata),
     }
-    said = {
+    description = {
         "statement": plan.statement,
         "coordinates": "CFCS",
         "units": "mm",
@@ -172,4 +174,4 @@ def igtl_files(plan: PlanFile, case: str) -> dict[str, bytes]:
         "metadata": metadata,
         "messages": {name: {"type": m.type_name, "device": m.device_name} for name, m in named.items()},
     }
-    return {name: encode(message) for name, message in named.items()} | {"igtl.json": json_bytes(said)}
+    return {name: encode(message) for name, message in named.items()} | {"igtl.json": json_bytes(description)}

@@ -18,6 +18,7 @@ from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.case.canonical import canonical, digest
 from sightline.case.interop.plate import plate_image
 from sightline.case.views import CalibratedImage
+from sightline.common.bounded import MAX_JSON_BYTES
 from sightline.common.checks import CheckCode, Limits
 from sightline.common.geometry.covariance import length_quantile
 from sightline.errors import OutsideRegionError, RobotRefusedError, UnusableInputError
@@ -50,7 +51,6 @@ _OWN = (
     "drawn",
 )
 _MIN_RISE_MM = 10.0  # [ours] cranial rise from entry to end that decides the side; a hip screw at 135° rises 60 mm
-_MAX_BYTES = 2**24  # [ours] a hundred times the size of a plan with its beads
 
 
 def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -63,14 +63,18 @@ def of_wires(whole: Mapping[str, Any], plans: Mapping[str, Mapping[str, Any]]) -
     """Return the document of several wires: `whole`, what their plans' documents share, and "wires" with the rest."""
     first = next(iter(plans.values()))
     shared = {key: value for key, value in first.items() if key not in _OWN}
-    own = {wire: {key: one[key] for key in _OWN if key in one} for wire, one in plans.items()}
+    own = {wire: {key: document[key] for key in _OWN if key in document} for wire, document in plans.items()}
     return {**shared, **whole, _WIRES: own}
 
 
 def _wires(given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Return what each wire of a file of several has of its own, by key; nothing in a file of one wire."""
     wires = given.get(_WIRES)
-    return {key: one for key, one in wires.items() if isinstance(one, dict)} if isinstance(wires, dict) else {}
+    return (
+        {key: document for key, document in wires.items() if isinstance(document, dict)}
+        if isinstance(wires, dict)
+        else {}
+    )
 
 
 def _of_wire(given: Mapping[str, Any], wire: str | None) -> dict[str, Any]:
@@ -82,8 +86,8 @@ def _of_wire(given: Mapping[str, Any], wire: str | None) -> dict[str, Any]:
         known = ", ".join(wires) or "none: it is the plan of one wire"
         raise UnusableInputError(f"name one of its wires with --wire; they are {known}")
     shared = {key: value for key, value in given.items() if key not in (_WIRES, _DIGEST, *_OWN)}
-    one = {**shared, **wires[wire], "all_wires": given.get("verdict")}
-    return sealed(one) if _DIGEST in given else one
+    document = {**shared, **wires[wire], "all_wires": given.get("verdict")}
+    return sealed(document) if _DIGEST in given else document
 
 
 class PlanFile:
@@ -191,7 +195,7 @@ class PlanFile:
     @property
     def images(self) -> dict[str, str]:
         """The image of each view that the plan was made on, by the name that a case gives its file."""
-        return {one.view: one.source for one in self.document.views}
+        return {view.view: view.source for view in self.document.views}
 
     @property
     def frame(self) -> str:
@@ -262,10 +266,14 @@ class PlanFile:
     def statement(self) -> str:
         """The statement that every exported file carries, as far as its format allows."""
         errors = self.errors_95_mm
-        said = "errors unknown" if errors is None else f"95 % errors: entry {errors[0]:.2f} mm, end {errors[1]:.2f} mm"
+        stated = (
+            "errors unknown" if errors is None else f"95 % errors: entry {errors[0]:.2f} mm, end {errors[1]:.2f} mm"
+        )
         state = self.document.all_wires
         of_all = "" if state in (None, "go") else f"; the plan of all wires is {state.upper()}"
-        return f"{self.verdict}{of_all}; {said}; wire {self.length_mm:.1f} mm; research software, not a medical device"
+        return (
+            f"{self.verdict}{of_all}; {stated}; wire {self.length_mm:.1f} mm; research software, not a medical device"
+        )
 
     @property
     def plates(self) -> Mapping[str, Pinhole]:
@@ -294,7 +302,7 @@ class PlanFile:
 def _given(path: str | Path) -> tuple[Path, dict[str, Any]]:
     """Return the file of plan.json, or of the one in a folder, and its content. Raises UnusableInputError."""
     file = Path(path) / "plan.json" if Path(path).is_dir() else Path(path)
-    data = reading.read_bytes(file, _MAX_BYTES)
+    data = reading.read_bytes(file, MAX_JSON_BYTES)
     try:
         given = reading.json_object(data, depth=12)
         if _DIGEST in given and given[_DIGEST] != sealed(given)[_DIGEST]:

@@ -91,13 +91,13 @@ def _response(matrix: np.ndarray, uv_px: np.ndarray, sight: LinesOfSight) -> np.
 
     From P (F, 1) = 0, and (row 0 - u row 2) (X, 1) = 0 = (row 1 - v row 2) (X, 1) for X in the plane.
     """
-    out = np.empty((3 + 2 * len(uv_px), 12))
-    out[:3] = -np.linalg.solve(matrix[:, :3], np.kron(np.eye(3), np.append(sight.focal_point_mm, 1.0)))
+    jacobian = np.empty((3 + 2 * len(uv_px), 12))
+    jacobian[:3] = -np.linalg.solve(matrix[:, :3], np.kron(np.eye(3), np.append(sight.focal_point_mm, 1.0)))
     for i, (uv, point) in enumerate(zip(uv_px, sight.points_mm, strict=True)):
         pick = np.column_stack([np.eye(2), -uv])
         along = (pick @ matrix)[:, :3] @ sight.plane.axes.T
-        out[3 + 2 * i : 5 + 2 * i] = -np.linalg.solve(along, np.kron(pick, np.append(point, 1.0)))
-    return out
+        jacobian[3 + 2 * i : 5 + 2 * i] = -np.linalg.solve(along, np.kron(pick, np.append(point, 1.0)))
+    return jacobian
 
 
 def raw_pinhole(view: BeadView, shape: tuple[int, int]) -> tuple[Pinhole, float]:

@@ -22,61 +22,63 @@ _SLICES = ("Red", "Yellow", "Green")
 def write(plan: PlanFile, side: str | None) -> dict[str, bytes]:
     """Return the files by name. Raises UnusableInputError without a side, or if the plan has no geometry of images."""
     to_lps = T_lps_cfcs(side)
-    said = f"{plan.statement}; {side} hip; LPS mm, origin of the calibration frame (CFCS)"
-    files = _markups(plan, to_lps[:3, :3], said)
+    description = f"{plan.statement}; {side} hip; LPS mm, origin of the calibration frame (CFCS)"
+    files = _markups(plan, to_lps[:3, :3], description)
     images = {}
     for view, pinhole in plan.plates.items():
         pixels = plan.pixels(view)
         if pixels is not None:
             images[view] = pinhole
-            files[f"{view}-plate.nrrd"] = nrrd_bytes(pixels[0], pinhole, to_lps, said)
+            files[f"{view}-plate.nrrd"] = nrrd_bytes(pixels[0], pinhole, to_lps, description)
     # Slicer places objects by the inverse of the mapping in a file, so these files map to the wire and to CFCS.
     wire = to_lps @ T_cfcs_wire(plan.points_mm)
     files["wire.tfm"] = transform_bytes(
-        np.linalg.inv(wire), f"3D Slicer: places a wire (tip at its origin, +z); {said}"
+        np.linalg.inv(wire), f"3D Slicer: places a wire (tip at its origin, +z); {description}"
     )
-    files["cfcs.tfm"] = transform_bytes(np.linalg.inv(to_lps), f"3D Slicer: places what is in CFCS; {said}")
-    return files | {"scene.mrml": _scene(sorted(files), images, to_lps, said)}
+    files["cfcs.tfm"] = transform_bytes(np.linalg.inv(to_lps), f"3D Slicer: places what is in CFCS; {description}")
+    return files | {"scene.mrml": _scene(sorted(files), images, to_lps, description)}
 
 
-def _markups(plan: PlanFile, rotation: np.ndarray, said: str) -> dict[str, bytes]:
+def _markups(plan: PlanFile, rotation: np.ndarray, description: str) -> dict[str, bytes]:
     colour = GREEN if plan.go else RED
     name = "planned wire" if plan.go else "NO-GO planned wire"
     points = plan.points_mm @ rotation.T
-    out = {"wire.mrk.json": markup_bytes("Line", name, points, ("entry", "tip"), colour=colour, description=said)}
+    files = {
+        "wire.mrk.json": markup_bytes("Line", name, points, ("entry", "tip"), colour=colour, description=description)
+    }
     for line in plan.document.lines_of_sight:
         ends = np.array([line.focal_point_mm, line.plate_mm]) @ rotation.T
         what = f"{line.view} line of sight of {line.point}"
-        out[f"sight-{line.view}-{line.point}.mrk.json"] = markup_bytes(
-            "Line", what, ends, ("X-ray source", "on the plate"), colour=YELLOW, description=said, labelled=False
+        files[f"sight-{line.view}-{line.point}.mrk.json"] = markup_bytes(
+            "Line", what, ends, ("X-ray source", "on the plate"), colour=YELLOW, description=description, labelled=False
         )
     if plan.document.frame is not None:
         beads = plan.document.frame.beads
-        out["beads.mrk.json"] = markup_bytes(
+        files["beads.mrk.json"] = markup_bytes(
             "Fiducial",
             f"beads of {plan.document.frame.name}",
             np.array([bead.xyz_mm for bead in beads]).reshape(-1, 3) @ rotation.T,
             [bead.id for bead in beads],
             colour=BLUE,
-            description=said,
+            description=description,
             labelled=False,
         )
-    return out
+    return files
 
 
-def _scene(names: list[str], images: dict[str, Pinhole], to_lps: np.ndarray, said: str) -> bytes:
+def _scene(names: list[str], images: dict[str, Pinhole], to_lps: np.ndarray, description: str) -> bytes:
     """Return the MRML scene: a node and a storage node per file, and a slice viewer in the plane of each image."""
     root = Element("MRML", version="Slicer4.4.0", userTags="")
     for k, name in enumerate(names, 1):
         if name.endswith(".mrk.json"):
-            _markup(root, name, k, said)
+            _markup(root, name, k, description)
         elif name.endswith(".tfm"):
             storage = f"vtkMRMLTransformStorageNode{k}"
             _node(root, "TransformStorage", storage, name, fileName=name)
-            _node(root, "LinearTransform", f"vtkMRMLLinearTransformNode{k}", name[:-4], said, storage=storage)
+            _node(root, "LinearTransform", f"vtkMRMLLinearTransformNode{k}", name[:-4], description, storage=storage)
         else:
             view = name.removesuffix("-plate.nrrd")
-            _volume(root, name, k, said)
+            _volume(root, name, k, description)
             _slice(root, _SLICES[list(images).index(view)], f"vtkMRMLScalarVolumeNode{k}", images[view], to_lps)
     indent(root, " ")
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root)
@@ -89,21 +91,21 @@ def _node(root: Element, tag: str, identity: str, name: str, description: str = 
     return SubElement(root, tag, attributes | ({"references": references} if references else {}))
 
 
-def _markup(root: Element, name: str, k: int, said: str) -> None:
+def _markup(root: Element, name: str, k: int, description: str) -> None:
     kind = "Fiducial" if name.startswith("beads") else "Line"
     display, storage = f"vtkMRMLMarkupsDisplayNode{k}", f"vtkMRMLMarkupsJsonStorageNode{k}"
     _node(root, "MarkupsDisplay", display, f"{name} display", visibility="true")
     _node(root, "MarkupsJsonStorage", storage, name, fileName=name, coordinateSystem="LPS")
     label = name.removesuffix(".mrk.json")
-    _node(root, f"Markups{kind}", f"vtkMRMLMarkups{kind}Node{k}", label, said, display=display, storage=storage)
+    _node(root, f"Markups{kind}", f"vtkMRMLMarkups{kind}Node{k}", label, description, display=display, storage=storage)
 
 
-def _volume(root: Element, name: str, k: int, said: str) -> None:
+def _volume(root: Element, name: str, k: int, description: str) -> None:
     display, storage = f"vtkMRMLScalarVolumeDisplayNode{k}", f"vtkMRMLVolumeArchetypeStorageNode{k}"
     grey = {"colorNodeID": "vtkMRMLColorTableNodeGrey", "autoWindowLevel": "1", "interpolate": "1"}
     _node(root, "VolumeDisplay", display, f"{name} display", **grey)
     _node(root, "VolumeArchetypeStorage", storage, name, fileName=name, centerImage="0", UseOrientationFromFile="1")
-    _node(root, "Volume", f"vtkMRMLScalarVolumeNode{k}", name[:-5], said, display=display, storage=storage)
+    _node(root, "Volume", f"vtkMRMLScalarVolumeNode{k}", name[:-5], description, display=display, storage=storage)
 
 
 def _slice(root: Element, layout: str, volume: str, pinhole: Pinhole, to_lps: np.ndarray) -> None:

@@ -51,8 +51,8 @@ class Case(Closing):
     def __init__(self, folder: Path, db: sqlite3.Connection) -> None:
         self.folder, self._db, self._lock = folder, db, RLock()
         with self._reading():
-            found = db.execute("SELECT number FROM about").fetchone()
-        self.number: str = str(found[0]) if found else "unknown"
+            row = db.execute("SELECT number FROM about").fetchone()
+        self.number: str = str(row[0]) if row else "unknown"
         self.checks: tuple[Check, ...] = self.check()
 
     @staticmethod
@@ -165,7 +165,7 @@ class Case(Closing):
                     f"entry {last} was recorded meanwhile, but the last one expected is {expect}; look at the new one "
                     "first"
                 )
-            if not all(isinstance(one, int) and 1 <= one <= last for one in rests_on):
+            if not all(isinstance(number, int) and 1 <= number <= last for number in rests_on):
                 raise CaseError(f"an entry must rest on earlier entries, 1 to {last}, not on {list(rests_on)}")
             at = datetime.now(UTC).isoformat(timespec="microseconds")
             head = (last + 1, what.value, at, who.value, canonical(versions()), texts[1])
@@ -176,10 +176,10 @@ class Case(Closing):
 
     def entry(self, number: int) -> Entry:
         """Return the entry of this number. Raises CaseError if there is none."""
-        found = self._select("WHERE number = ?", (number,))
-        if not found:
+        entries = self._select("WHERE number = ?", (number,))
+        if not entries:
             raise CaseError(f"the case has no entry {number}; it has 1 to {self.last}")
-        return found[0]
+        return entries[0]
 
     def entries(self, kind: Kind | None = None, after: int = 0) -> list[Entry]:
         """Return the entries in order: those of `kind`, or of all kinds, with a number larger than `after`."""
@@ -190,13 +190,13 @@ class Case(Closing):
     def latest(self, kind: Kind, where: Mapping[str, Any] | None = None) -> Entry | None:
         """Return the last entry of a kind whose content has the items of `where`; None if there is none."""
         wanted = (where or {}).items()
-        found = self.entries(kind)
-        return next((one for one in reversed(found) if all(one.content.get(k) == v for k, v in wanted)), None)
+        entries = self.entries(kind)
+        return next((entry for entry in reversed(entries) if all(entry.content.get(k) == v for k, v in wanted)), None)
 
     def _tail(self) -> tuple[int, str]:
         """Return the number and chain hash of the last entry."""
-        found = self._db.execute("SELECT number, chain FROM entries ORDER BY number DESC LIMIT 1").fetchone()
-        return found or (0, first_link(self.number))
+        row = self._db.execute("SELECT number, chain FROM entries ORDER BY number DESC LIMIT 1").fetchone()
+        return row or (0, first_link(self.number))
 
     def _select(self, condition: str, values: tuple[Any, ...]) -> list[Entry]:
         columns = ", ".join((*HEAD, "content", "chain"))

@@ -16,7 +16,6 @@ from sightline.case.journal.entry import HEAD, first_link, head_of_row, next_lin
 from sightline.common.atomic import sync_folder
 from sightline.errors import CaseError
 
-_WAIT_S = 10.0  # for another program's transaction: a thousand times the time of one entry [ours]
 _MESSAGES = {
     "SQLITE_FULL": "the disk is full; free some space and try again: entries already recorded are safe",
     "SQLITE_READONLY": "it cannot be written: the disk or folder is read-only; copy the case to a writable disk",
@@ -35,7 +34,6 @@ def connect(file: Path, mode: str) -> sqlite3.Connection:
     db = sqlite3.connect(
         f"file:{quote(str(file.absolute()))}?mode={mode}",
         uri=True,
-        timeout=_WAIT_S,
         isolation_level=None,
         check_same_thread=False,
     )

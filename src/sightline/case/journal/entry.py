@@ -85,10 +85,10 @@ def originals_in(text: str) -> set[str]:
 
     Raises CaseError on a string that ends like any other file name: such names often hold a patient's name.
     """
-    found = set(_FILE.findall(text)) if _END.search(text) else set()
-    if not all(ORIGINAL.fullmatch(name) for name in found):
+    names = set(_FILE.findall(text)) if _END.search(text) else set()
+    if not all(ORIGINAL.fullmatch(name) for name in names):
         raise CaseError("a case never holds the name of a file; keep the file and record the name of its original")
-    return found
+    return names
 
 
 @cache

@@ -27,11 +27,11 @@ def check_case(db: sqlite3.Connection, originals: Path) -> tuple[Check, ...]:
 
 def _database(db: sqlite3.Connection) -> Check:
     try:
-        said = [row[0] for row in db.execute(f"PRAGMA integrity_check({_SHOWN})")]
+        answers = [row[0] for row in db.execute(f"PRAGMA integrity_check({_SHOWN})")]
     except sqlite3.Error as error:
-        said = [str(error)]
-    whole = said == ["ok"]
-    sentence = "SQLite finds the file whole." if whole else f"SQLite finds the file damaged: {'; '.join(said)}."
+        answers = [str(error)]
+    whole = answers == ["ok"]
+    sentence = "SQLite finds the file whole." if whole else f"SQLite finds the file damaged: {'; '.join(answers)}."
     return Check("case database", whole, None, None, "", sentence)
 
 

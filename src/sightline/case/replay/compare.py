@@ -9,6 +9,8 @@ from typing import Any, TypeGuard
 import numpy as np
 from scipy.special import chdtri
 
+from sightline.calibration.plates.joint import FALSE_ALARM
+
 # Tolerances for other versions and machines, by the end of a number's key. They are those of the tests' golden data,
 # but twice as large for mm, since here a view is computed from its image [ours].
 TOLERANCES = {"uv_px": 2e-3, "radius_px": 5e-3, "_mm": 2e-3}
@@ -30,16 +32,16 @@ class Difference:
     close: bool
 
 
-def largest(found: Iterable[Difference], unit: str) -> Difference | None:
+def largest(changes: Iterable[Difference], unit: str) -> Difference | None:
     """Return the largest change of a number whose key ends in `unit`, `px` or `mm`; None if there is none."""
-    ours = [one for one in found if one.by is not None and re.search(rf"_{unit}(\[\d+\])*$", one.where)]
-    return max(ours, key=lambda one: one.by or 0.0, default=None)
+    ours = [change for change in changes if change.by is not None and re.search(rf"_{unit}(\[\d+\])*$", change.where)]
+    return max(ours, key=lambda change: change.by or 0.0, default=None)
 
 
 def differences(then: Any, now_text: str) -> tuple[Difference, ...]:
     """Return the differences of a document from a JSON text: those beyond tolerance first, then by size."""
-    found = list(_walk("", "", then, json.loads(now_text)))
-    return tuple(sorted(found, key=lambda one: (one.close, -(one.by or 0.0))))
+    every = list(_walk("", "", then, json.loads(now_text)))
+    return tuple(sorted(every, key=lambda difference: (difference.close, -(difference.by or 0.0))))
 
 
 def _walk(where: str, key: str, then: Any, now: Any) -> Iterator[Difference]:
@@ -48,8 +50,8 @@ def _walk(where: str, key: str, then: Any, now: Any) -> Iterator[Difference]:
         for name in then:
             yield from _walk(f"{where}.{name}".lstrip("."), name, then[name], now[name])
     elif isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
-        for k, (one, other) in enumerate(zip(then, now, strict=True)):
-            yield from _walk(f"{where}[{k}]", key, one, other)
+        for k, (item, other) in enumerate(zip(then, now, strict=True)):
+            yield from _walk(f"{where}[{k}]", key, item, other)
     elif _is_number(then) and _is_number(now):
         by = abs(float(now) - float(then))
         if by > 0.0:
@@ -73,10 +75,6 @@ def _short(value: Any) -> Any:
     if isinstance(value, dict | list):
         return f"{len(value)} entries"
     return value
-
-
-# Probability that any bead of an image changes by more than its true error allows [ours].
-FALSE_ALARM = 1e-4
 
 
 def beyond_stated(then: Any, now: Any) -> str:
@@ -107,8 +105,8 @@ def _points(then: dict[str, Any], now: dict[str, Any]) -> str:
         if key.endswith("_mm")
     }
     if "direction" in then:
-        one, other = then["direction"], now["direction"]
-        angle = np.arctan2(np.linalg.norm(np.cross(one, other)), np.dot(one, other))
+        before, other = then["direction"], now["direction"]
+        angle = np.arctan2(np.linalg.norm(np.cross(before, other)), np.dot(before, other))
         changes["direction"] = float(np.rad2deg(angle)), stated["direction_deg"], "°"
     name = max(changes, key=lambda key: changes[key][0] / changes[key][1])
     change, bound, unit = changes[name]
@@ -131,5 +129,5 @@ def _beads(then: dict[str, Any], now: dict[str, Any]) -> str:
     return f"bead {then['ids'][kept[worst]]} by {by:.2g} px, s.d. stated {sd:.2g} px"
 
 
-def _length(one: Any, other: Any) -> float:
-    return float(np.linalg.norm(np.subtract(one, other)))
+def _length(start: Any, other: Any) -> float:
+    return float(np.linalg.norm(np.subtract(start, other)))

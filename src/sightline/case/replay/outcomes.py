@@ -58,13 +58,13 @@ def replay(case: Case) -> Iterator[Replayed]:
 
 def judge(replayed: Sequence[Replayed]) -> Check:
     """Return the check "case replay" of docs/refusals.md."""
-    bad = [one for one in replayed if not one.passed]
-    computed = [one for one in replayed if one.outcome is not ReplayOutcome.RECORDED]
-    same = sum(one.outcome is ReplayOutcome.SAME for one in computed)
+    bad = [entry for entry in replayed if not entry.passed]
+    computed = [entry for entry in replayed if entry.outcome is not ReplayOutcome.RECORDED]
+    same = sum(entry.outcome is ReplayOutcome.SAME for entry in computed)
     sentence = f"Of {len(computed)} computed entries {same} are the same to the bit"
-    if close := sum(one.outcome is ReplayOutcome.CLOSE for one in computed):
+    if close := sum(entry.outcome is ReplayOutcome.CLOSE for entry in computed):
         sentence += f", {close} within the tolerances, by other versions"
-    if moved := [one for one in computed if one.outcome is ReplayOutcome.ESTIMATES]:
+    if moved := [entry for entry in computed if entry.outcome is ReplayOutcome.ESTIMATES]:
         sentence += f"; of {len(moved)} the {moved[0].said}, {_by_at_most(moved)}"
     if bad:
         sentence += f"; entry {bad[0].entry.number} ({bad[0].entry.kind}) {bad[0].said}"
@@ -84,17 +84,17 @@ def _replayed(entry: Entry, again: Recomputed) -> Replayed:
     changed = _changed(entry)
     if digest(text) == entry.content_sha256:
         return Replayed(entry, ReplayOutcome.SAME, changed)
-    found = differences(entry.content, text)
+    changes = differences(entry.content, text)
     reason = ""
-    if not found or (changed and all(one.close for one in found)):
+    if not changes or (changed and all(change.close for change in changes)):
         outcome = ReplayOutcome.CLOSE
     # A new estimator may change every result but the pixels, which are read and not estimated.
-    elif _estimator(entry) != ESTIMATOR and all(one.where != "pixels_sha256" for one in found):
+    elif _estimator(entry) != ESTIMATOR and all(change.where != "pixels_sha256" for change in changes):
         reason = beyond_stated(entry.content, plain(now))
         outcome = ReplayOutcome.BEYOND if reason else ReplayOutcome.ESTIMATES
     else:
         outcome = ReplayOutcome.DIFFERENT
-    return Replayed(entry, outcome, changed, found, reason)
+    return Replayed(entry, outcome, changed, changes, reason)
 
 
 def _estimator(entry: Entry) -> int:
@@ -110,14 +110,16 @@ def _since(entry: Entry) -> str:
 
 def _by_at_most(replayed: Sequence[Replayed]) -> str:
     """Return the largest changes of pixels and lengths with their places, and the changed verdicts, in words."""
-    said = []
+    largest_changes = []
     for unit in ("px", "mm"):
-        tops = [(top, one) for one in replayed if (top := largest(one.differences, unit)) is not None]
+        tops = [(top, entry) for entry in replayed if (top := largest(entry.differences, unit)) is not None]
         if tops:
-            top, one = max(tops, key=lambda pair: pair[0].by or 0.0)
-            said.append(f"{top.by:.2g} {unit} (entry {one.entry.number}, {top.where})")
-    words = f"by at most {' and '.join(said)}" if said else "without a change of pixels or lengths"
-    other = [one.entry.number for one in replayed if any(d.where in ("go", "verdict") for d in one.differences)]
+            top, entry = max(tops, key=lambda pair: pair[0].by or 0.0)
+            largest_changes.append(f"{top.by:.2g} {unit} (entry {entry.entry.number}, {top.where})")
+    words = (
+        f"by at most {' and '.join(largest_changes)}" if largest_changes else "without a change of pixels or lengths"
+    )
+    other = [entry.entry.number for entry in replayed if any(d.where in ("go", "verdict") for d in entry.differences)]
     return f"{words}; another verdict in entry {', '.join(map(str, other))}" if other else words
 
 

@@ -80,29 +80,29 @@ class Recomputed:
 
     def of_all_wires(self, entry: Entry) -> dict[str, Entry]:
         """Return the planned entries of the wires that a planned entry's wire was planned with, its own too, by key."""
-        asked, out = PlanRequest.of(entry.content["asked"]), {}
+        asked, entries = PlanRequest.of(entry.content["asked"]), {}
         own = asked.known_kind.wire.key
-        for one in [] if asked.others is None else self._case.entries(Kind.PLANNED):
-            known = PlanRequest.of(one.content["asked"])
+        for planned in [] if asked.others is None else self._case.entries(Kind.PLANNED):
+            known = PlanRequest.of(planned.content["asked"])
             key = known.known_kind.wire.key
-            if one.rests_on == entry.rests_on and known.others is not None and own in {key, *known.others}:
+            if planned.rests_on == entry.rests_on and known.others is not None and own in {key, *known.others}:
                 same = canonical(with_null(known.of_wire(own))) == canonical(with_null(asked))
-                out |= {key: one} if same else {}
-        return out
+                entries |= {key: planned} if same else {}
+        return entries
 
     def measured(self, entry: Entry) -> dict[str, CheckShot]:
         """Return the last check shot of each wire that a planned entry's wire was planned with, its own too, by key.
 
         Refused ones are left out.
         """
-        out = {}
+        shots = {}
         for key, planned in self.of_all_wires(entry).items():
             verified = [
-                one for one in self._case.entries(Kind.VERIFIED, planned.number) if planned.number in one.rests_on
+                check for check in self._case.entries(Kind.VERIFIED, planned.number) if planned.number in check.rests_on
             ]
             shot = self.shot(verified[-1]) if verified and "asked" in verified[-1].content else None
-            out |= {key: shot} if isinstance(shot, CheckShot) else {}
-        return out
+            shots |= {key: shot} if isinstance(shot, CheckShot) else {}
+        return shots
 
     def images(self, entry: Entry) -> Images:
         """Return the calibrated images of a planned entry, PA first."""

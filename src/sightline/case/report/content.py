@@ -129,7 +129,7 @@ def exposures_of_case(case: Case, plan: Entry, kind: Procedure | None = None) ->
     Images with the same pixels, from the same file or under another header, count as one exposure.
     """
     uses = dict(_uses(case, plan, kind))
-    found: dict[str, KeptExposure] = {}
+    exposures: dict[str, KeptExposure] = {}
     by_file: dict[str, str] = {}
     for entry in case.entries(Kind.ACQUIRED):
         acquisition = entry.settings.get("acquisition") or {}
@@ -137,20 +137,20 @@ def exposures_of_case(case: Case, plan: Entry, kind: Procedure | None = None) ->
         pixels = str(entry.content.get("pixels_sha256", f"{entry.number}"))
         known = by_file.setdefault(entry.content["original"], pixels)
         used = uses.get(entry.number)
-        before = found.get(known)
+        before = exposures.get(known)
         if before is None or (used is not None and before.used == UNUSED):
             at = before.at if before else f"{entry.at:%Y-%m-%d %H:%M:%S}"
-            found[known] = KeptExposure(short(entry.content["original"]), used or UNUSED, at, frames)
-    return tuple(found.values())
+            exposures[known] = KeptExposure(short(entry.content["original"]), used or UNUSED, at, frames)
+    return tuple(exposures.values())
 
 
 def _uses(case: Case, plan: Entry, kind: Procedure | None) -> Iterator[tuple[int, str]]:
     """Yield numbers of acquired entries, and what their images were used for."""
     uses = [(PLANNING, plan.rests_on)]
-    uses += [(CHECK, one.rests_on[1:]) for one in _of_plan(case, Kind.VERIFIED, plan)]
-    for one in _of_plan(case, Kind.SHOT, plan):
-        state = ALIGNED if one.content["asked"]["straight"] else PAUSED
-        uses.append((WHILE_DRILLING[state], one.rests_on[1:]))
+    uses += [(CHECK, entry.rests_on[1:]) for entry in _of_plan(case, Kind.VERIFIED, plan)]
+    for entry in _of_plan(case, Kind.SHOT, plan):
+        state = ALIGNED if entry.content["asked"]["straight"] else PAUSED
+        uses.append((WHILE_DRILLING[state], entry.rests_on[1:]))
     for what, views in reversed(uses):
         for number in views:
             view = case.entry(number)
@@ -158,7 +158,7 @@ def _uses(case: Case, plan: Entry, kind: Procedure | None) -> Iterator[tuple[int
 
 
 def _of_plan(case: Case, kind: Kind, plan: Entry) -> list[Entry]:
-    return [one for one in case.entries(kind) if one.rests_on[:1] == (plan.number,)]
+    return [entry for entry in case.entries(kind) if entry.rests_on[:1] == (plan.number,)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,17 +220,17 @@ def report_of(case: Case) -> Report:
 def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
     """Return the last drilling record and the last check shot since the plan; None if there is neither."""
     drilled = case.entries(Kind.DRILLED, plan.number)
-    own = [one for one in drilled if not one.rests_on or plan.number in one.rests_on]  # not of another wire
-    records = [one.content["record"] for one in own if "record" in one.content]
-    shots = [one for one in case.entries(Kind.VERIFIED, plan.number) if _is_measured(one, plan)]
-    drilling = {one.content["asked"]["straight"]: one for one in case.entries(Kind.SHOT, plan.number)}
+    own = [entry for entry in drilled if not entry.rests_on or plan.number in entry.rests_on]  # not of another wire
+    records = [entry.content["record"] for entry in own if "record" in entry.content]
+    shots = [entry for entry in case.entries(Kind.VERIFIED, plan.number) if _is_measured(entry, plan)]
+    drilling = {entry.content["asked"]["straight"]: entry for entry in case.entries(Kind.SHOT, plan.number)}
     if not records and not shots and not drilling:
         return None
     return Drilled(
         target=None,
         record=DrillingRecord.of(records[-1]) if records else None,
         check=again.shot(shots[-1]) if shots else None,
-        shots={ALIGNED if straight else PAUSED: again.drill_shot(one) for straight, one in drilling.items()},
+        shots={ALIGNED if straight else PAUSED: again.drill_shot(entry) for straight, entry in drilling.items()},
     )
 
 

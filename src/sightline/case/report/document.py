@@ -110,7 +110,7 @@ def _wires(made: WirePlans | None) -> dict[str, Any] | None:
     if made is None:
         return None
     return {
-        "each": {key: one.verdict.state for key, one in made.plans.items()},
+        "each": {key: plan.verdict.state for key, plan in made.plans.items()},
         "verdict": made.verdict.state,
         "missing": made.verdict.missing,
         "relations": [vars(check) for check in made.relations],

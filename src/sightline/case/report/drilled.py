@@ -122,7 +122,9 @@ def section(drilled: Drilled | None) -> dict[str, Any] | None:
         shown = check.document()
         rows.append(("check shot: the wire against the plan", *_figures(shown["deviation"])))
         rows.append(("check shot: its own error (95 %)", *_figures(shown["error_95"])))
-    rows += [(f"physics: the wire against {one.against}", *_figures(vars(one))) for one in drilled.physics]
+    rows += [
+        (f"physics: the wire against {deviation.against}", *_figures(vars(deviation))) for deviation in drilled.physics
+    ]
     return {
         "force": Markup("" if record is None else force_figure(record)),  # noqa: S704 - made by svg.py, which escapes
         "events": "" if record is None else _noticed(record),
@@ -171,9 +173,9 @@ def _figures(of: dict[str, Any]) -> tuple[str, str, str]:
 
 def _sources(target: RobotTarget) -> list[tuple[str, str, str, str]]:
     """Rms error of each of the robot's own sources at entry and tip, and what it is."""
-    out = []
+    rows = []
     for source, meaning in ROBOT_SOURCES.items():
         square = target.budget_mm2[source]
         rms = (np.sqrt(np.trace(square[:3, :3])), np.sqrt(np.trace(square[3:, 3:])))
-        out.append((source.replace("_", " "), *(f"{value:.3f}" for value in rms), meaning))
-    return out
+        rows.append((source.replace("_", " "), *(f"{value:.3f}" for value in rms), meaning))
+    return rows

@@ -72,7 +72,7 @@ def _figure(drawing: str, caption: str) -> dict[str, Any]:
 
 def _plan_figures(report: Report) -> list[dict[str, Any]]:
     """Draw the wire in all images, and the image-matching curves in the lateral one."""
-    out = []
+    drawn = []
     for k, image in enumerate(report.images):
         if image.seen.image is None:
             continue
@@ -83,8 +83,8 @@ def _plan_figures(report: Report) -> list[dict[str, Any]]:
             words += ", and the image-matching curves of entry and tip with their uncertainty bands"
         words += ", and the landmarks, each with a line to its projection" if k == 2 else ""
         drawing = radiographs.radiograph(image.seen.image, image.name, _plan_marks(report, k), words)
-        out.append(_figure(drawing, _capital(words) + "."))
-    return out
+        drawn.append(_figure(drawing, _capital(words) + "."))
+    return drawn
 
 
 def _plans(report: Report) -> list[Plan]:
@@ -95,7 +95,7 @@ def _plans(report: Report) -> list[Plan]:
 def _plan_marks(report: Report, k: int) -> list[str]:
     """Return the marks of the plan in image `k`."""
     curves = (report.plan.entry_curve, report.plan.end_curve)
-    holes = [hole for one in _plans(report) if (hole := one.hole) is not None]
+    holes = [hole for plan in _plans(report) if (hole := plan.hole) is not None]
     marks = [radiographs.nail_hole(report.images[k].view, hole) for hole in holes]
     if k == 1 and report.plan.hole is None:
         marks += [radiographs.curve(curve, name) for curve, name in zip(curves, POINTS, strict=True)]
@@ -115,15 +115,15 @@ def _picked(report: Report, k: int) -> list[tuple[tuple[Pick, ...], str]]:
 
 def _near_figures(report: Report) -> list[dict[str, Any]]:
     """Draw close-ups of entry and tip in each image."""
-    out = []
+    drawn = []
     for k, image in enumerate(report.images):
         if image.seen.image is None:
             continue
         for pair, name in _picked(report, k):
             words = f"{report.spoken(image.name)} image around the {name}"
             drawing = radiographs.closeup(image.name, pair[k].uv_px, _plan_marks(report, k), words)
-            out.append(_figure(drawing, _capital(words) + "."))
-    return out
+            drawn.append(_figure(drawing, _capital(words) + "."))
+    return drawn
 
 
 def _budget(report: Report) -> dict[str, Any] | None:
@@ -140,10 +140,10 @@ def _budget(report: Report) -> dict[str, Any] | None:
 
 def _marked(image: CalibratedImage) -> list[radiographs.MarkedBead]:
     """Return the view's beads with their residuals."""
-    found = image.view.residuals
-    sizes = np.linalg.norm(found.residual_mm, axis=1)
-    radii = _radii(image, found.uv_px)
-    rows = zip(found.ids, found.uv_px, radii, sizes, found.used, strict=True)
+    residuals = image.view.residuals
+    sizes = np.linalg.norm(residuals.residual_mm, axis=1)
+    radii = _radii(image, residuals.uv_px)
+    rows = zip(residuals.ids, residuals.uv_px, radii, sizes, residuals.used, strict=True)
     return [radiographs.MarkedBead(i, (float(u), float(v)), float(r), float(s), bool(k)) for i, (u, v), r, s, k in rows]
 
 
@@ -210,7 +210,7 @@ def _space(report: Report) -> dict[str, Any]:
             scene.ellipsoid(p, c, times, "95 % ellipsoid")
             for p, c in zip(points.xyz_mm, points.covariance_mm2, strict=True)
         ]
-        near += [shape for one in ellipsoids for shape in one]
+        near += [shape for shapes in ellipsoids for shape in shapes]
         note = f"In the close-up the 95 % ellipsoids are magnified {times:g} times."
     words = "The calibration plates, both focal points with the lines of sight of entry and tip, and the wire, in space"
     return {
@@ -271,17 +271,17 @@ def _triangles(report: Report) -> list[dict[str, Any]]:
     """Draw the triangles of the localized method; those around the picks are filled."""
     if report.localized is None:
         return []
-    out = []
+    drawn = []
     for k, (image, view) in enumerate(zip(report.images, report.localized, strict=True)):
         net = view.plane_map
         if image.seen.image is None or not isinstance(net, LocalizedMap):
             continue
         uv = np.array([pair[k].uv_px for pair in report.plan.picks])
-        found = net.containing_triangle(uv)
-        bounding = net.controls_px[net.triangulation.simplices[found[found >= 0]]]
+        around = net.containing_triangle(uv)
+        bounding = net.controls_px[net.triangulation.simplices[around[around >= 0]]]
         marks = [radiographs.triangles(net.triangles_px, bounding)]
         marks += [radiographs.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
         name = report.spoken(image.name)
         words = f"{name} image: the triangles of the XRII plate; those that bound entry and tip are filled"
-        out.append(_figure(radiographs.radiograph(image.seen.image, image.name, marks, words), _capital(words) + "."))
-    return out
+        drawn.append(_figure(radiographs.radiograph(image.seen.image, image.name, marks, words), _capital(words) + "."))
+    return drawn

@@ -166,8 +166,8 @@ def landmarks(plan: Plan, k: int) -> str:
     parts = []
     for n, ((u, v), (du, dv), name) in enumerate(named, 1):
         if np.isfinite([u, du]).all():
-            said = svg.hint(f"{name or f'landmark {n}'}: {np.hypot(du, dv):.2f} px from its projection")
-            parts.append(svg.element("circle", said, cx=u, cy=v, r=6.0))
+            hint = svg.hint(f"{name or f'landmark {n}'}: {np.hypot(du, dv):.2f} px from its projection")
+            parts.append(svg.element("circle", hint, cx=u, cy=v, r=6.0))
             parts.append(svg.element("line", x1=u, y1=v, x2=u - du, y2=v - dv))
     return svg.group(parts, class_="landmarks")
 

@@ -127,12 +127,12 @@ def _points(report: Report) -> list[dict[str, Any]]:
     """Return the rows of entry, tip and landmarks."""
     space, residual_px = report.plan.seen, np.linalg.norm(report.plan.residuals_px[-1], axis=1)
     names = [*POINTS, *(f"landmark {k + 1}" for k in range(len(space.xyz_mm) - len(POINTS)))]
-    out = []
+    rows = []
     for i, name in enumerate(names):
         sds = np.sqrt(np.diag(space.covariance_mm2[i])) if space.error_stated[i] else (None,) * 3
         tested = space.gap_tested[i]
         sigma = f" ({space.gap_sigma[i]:.1f} σ)" if tested and space.gap_sigma is not None else ""
-        out.append(
+        rows.append(
             {
                 "name": name,
                 "xyz": list(zip(space.xyz_mm[i], sds, strict=True)),
@@ -141,7 +141,7 @@ def _points(report: Report) -> list[dict[str, Any]]:
                 "residual": "not picked" if np.isnan(residual_px[i]) else f"{residual_px[i]:.2f}",
             }
         )
-    return out
+    return rows
 
 
 def _wires(report: Report) -> dict[str, Any] | None:
@@ -150,14 +150,14 @@ def _wires(report: Report) -> dict[str, Any] | None:
     if made is None:
         return None
     rows = []
-    for key, one in made.plans.items():
-        path = one.trajectory
+    for key, plan in made.plans.items():
+        path = plan.trajectory
         errors = (path.entry_error_95_mm, path.end_error_95_mm) if path.error_stated else (None, None)
         rows.append(
             {
-                "name": one.kind.wire.name,
+                "name": plan.kind.wire.name,
                 "this": key == report.plan.kind.wire.key,
-                "verdict": one.verdict.state.upper(),
+                "verdict": plan.verdict.state.upper(),
                 "points": list(zip(path.points.xyz_mm, errors, strict=True)),
                 "length": path.length_mm,
                 "measured": _measured(report.measured.get(key)),
@@ -213,11 +213,14 @@ def budget_rows(report: Report) -> list[dict[str, Any]]:
 def _comparison(report: Report) -> dict[str, Any] | None:
     if not report.compared:
         return None
-    groups = list(dict.fromkeys(one.picks for one in report.compared))
+    groups = list(dict.fromkeys(compared.picks for compared in report.compared))
     return {
         "sentence": "The images are the twin's, so the true wire is known.",
         "tables": [
-            {"title": picks.capitalize(), "rows": [_row(one, report) for one in report.compared if one.picks == picks]}
+            {
+                "title": picks.capitalize(),
+                "rows": [_row(compared, report) for compared in report.compared if compared.picks == picks],
+            }
             for picks in groups
         ],
         "footnote": "An error lies within its 95 % bound 95 times in a hundred, not always. Every row contains the "
@@ -225,18 +228,18 @@ def _comparison(report: Report) -> dict[str, Any] | None:
     }
 
 
-def _row(one: Compared | Refused, report: Report) -> dict[str, Any]:
-    if isinstance(one, Refused):
-        return {"method": one.method, "chosen": False, "refused": one.reason}
-    bounds, within = one.bounds_95, one.within_bounds
-    values = [f"{v:.3f}" for v in one.errors] + (["-"] * 3 if bounds is None else [f"{v:.3f}" for v in bounds])
+def _row(compared: Compared | Refused, report: Report) -> dict[str, Any]:
+    if isinstance(compared, Refused):
+        return {"method": compared.method, "chosen": False, "refused": compared.reason}
+    bounds, within = compared.bounds_95, compared.within_bounds
+    values = [f"{v:.3f}" for v in compared.errors] + (["-"] * 3 if bounds is None else [f"{v:.3f}" for v in bounds])
     return {
-        "method": one.method,
-        "chosen": one.trajectory is report.plan.trajectory,
+        "method": compared.method,
+        "chosen": compared.trajectory is report.plan.trajectory,
         "refused": None,
         "cells": values,
-        "inside": None if within is None else within == len(one.errors),
-        "inside_word": "not stated" if within is None else f"{within} of {len(one.errors)}",
+        "inside": None if within is None else within == len(compared.errors),
+        "inside_word": "not stated" if within is None else f"{within} of {len(compared.errors)}",
     }
 
 

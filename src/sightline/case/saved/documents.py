@@ -67,12 +67,14 @@ def _shape(given: list[int]) -> tuple[int, int]:
 
 def _rejected(given: list[dict[str, Any]]) -> tuple[RejectedCandidate, ...]:
     return tuple(
-        RejectedCandidate((one["uv_px"][0], one["uv_px"][1]), one["radius_px"], one["reason"]) for one in given
+        RejectedCandidate((document["uv_px"][0], document["uv_px"][1]), document["radius_px"], document["reason"])
+        for document in given
     )
 
 
 # Machines and versions of libraries differ by less; an estimator that has changed, by more [ours].
 _SAME_VIEW_MM = 1e-3
+_SAME_PLAN_MM = 10 * _SAME_VIEW_MM  # a wire's end lies beyond the plates of its views
 
 
 def as_image(view: BeadView) -> CalibratedImage:
@@ -110,7 +112,7 @@ def view(given: dict[str, Any]) -> BeadView:
     """
     made_from = given["made_from"]
     c_arm = made_from["c_arm"]
-    out = calibrate(
+    made = calibrate(
         observations(made_from["observations"]),
         Frame.from_json(json.dumps(made_from["frame"]).encode()),
         method=given["method"],
@@ -119,18 +121,18 @@ def view(given: dict[str, Any]) -> BeadView:
         mirrored_display=made_from["mirrored_display"],
         c_arm=None if c_arm is None else CArm(**c_arm),
     )
-    off_mm = float(np.linalg.norm(out.focal_point_mm - np.array(given["focal_point_mm"])))
-    if not off_mm <= _SAME_VIEW_MM or out.name != given["view"]:
+    off_mm = float(np.linalg.norm(made.focal_point_mm - np.array(given["focal_point_mm"])))
+    if not off_mm <= _SAME_VIEW_MM or made.name != given["view"]:
         raise UnusableInputError(
-            f"this version puts the focal point of view {out.name} {off_mm:.3f} mm from where the file has it; "
+            f"this version puts the focal point of view {made.name} {off_mm:.3f} mm from where the file has it; "
             "calibrate the image again"
         )
-    return replace(out, checks=checks(given["checks"]))
+    return replace(made, checks=checks(given["checks"]))
 
 
 def checks(given: list[dict[str, Any]]) -> tuple[Check, ...]:
     """Return the checks of a document."""
-    return tuple(Check.of(one) for one in given)
+    return tuple(Check.of(document) for document in given)
 
 
 def matrix_written(view: MatrixView) -> dict[str, Any]:
@@ -141,11 +143,6 @@ def matrix_written(view: MatrixView) -> dict[str, Any]:
 def matrix_view(given: dict[str, Any]) -> MatrixView:
     """Return the view of a document. Raises UnusableInputError."""
     return opencv.of_document(given, given["view"]).view()
-
-
-_SAME_PLAN_MM = (
-    0.01  # the views may come out otherwise by a tenth of it, and a wire's end lies beyond their plates [ours]
-)
 
 
 def points_written(points: SpacePoints) -> dict[str, Any]:
@@ -167,7 +164,9 @@ def points(given: dict[str, Any]) -> SpacePoints:
         gap_tested=tested,
         gap_sigma=None if sigma is None else _masked(sigma),
         joint_covariance_mm2=None if joint is None else array(joint, square, "the covariance"),
-        budget_mm2=None if budget is None else {name: array(one, square, name) for name, one in budget.items()},
+        budget_mm2=None
+        if budget is None
+        else {name: array(covariance, square, name) for name, covariance in budget.items()},
         inside_hull=np.array(given["inside_hull"], dtype=bool),
         beads_near=None if near is None else {name: array(n, (count, 3), name).astype(int) for name, n in near.items()},
         movement=None if given.get("movement") is None else _movement(given["movement"]),
@@ -182,7 +181,7 @@ def _movement(given: dict[str, Any]) -> Movement:
 
 def _masked(given: list[float | None]) -> np.ma.MaskedArray:
     """Numbers, masked where they are not known."""
-    return np.ma.array([np.nan if one is None else one for one in given], mask=[one is None for one in given])
+    return np.ma.array([np.nan if value is None else value for value in given], mask=[value is None for value in given])
 
 
 def trajectory_written(trajectory: Trajectory) -> dict[str, Any]:
@@ -200,13 +199,13 @@ def plan_written(plan: Plan) -> dict[str, Any]:
 
     Raises UnusableInputError where a view of it cannot be saved."""
     views_of, limits = plan.views, plan.kind.limits
-    seen = [as_image(one) for one in views_of if isinstance(one, BeadView)]
+    seen = [as_image(view) for view in views_of if isinstance(view, BeadView)]
     geometry: dict[str, Any] = {}
     if len(seen) == len(views_of):
         geometry, _ = bundle(plan, seen, inputs_of(seen[0].view).frame)
     return {
         **plan.document(),
-        "views": [_view_written(one) for one in views_of],
+        "views": [_view_written(view) for view in views_of],
         "asked": {
             **with_null(dict(plan.arguments)),
             "kind": plan.kind.key,
@@ -229,18 +228,21 @@ def plan(given: dict[str, Any]) -> Plan:
 
     Raises UnusableInputError where it comes out otherwise than the document states, and what `plan` raises.
     """
-    on = [view(one) if one["schema"] == "sightline-view/1" else matrix_view(one) for one in given["views"]]
-    out = PlanRequest.of(given["asked"]).plan_on(on)
+    on = [
+        view(document) if document["schema"] == "sightline-view/1" else matrix_view(document)
+        for document in given["views"]
+    ]
+    made = PlanRequest.of(given["asked"]).plan_on(on)
     if "relations" in given:  # to wires that the file does not hold
-        out = out.related(checks(given["relations"]))
+        made = made.related(checks(given["relations"]))
     ends = np.array([given["trajectory"][name] for name in ("entry_mm", "end_mm")])
-    off_mm = float(np.linalg.norm(out.trajectory.points.xyz_mm - ends, axis=1).max())
-    if not off_mm <= _SAME_PLAN_MM or out.verdict.state != given["verdict"]:
+    off_mm = float(np.linalg.norm(made.trajectory.points.xyz_mm - ends, axis=1).max())
+    if not off_mm <= _SAME_PLAN_MM or made.verdict.state != given["verdict"]:
         raise UnusableInputError(
-            f"this version plans otherwise: {off_mm:.3f} mm from the file's points, and says {out.verdict.state} where "
-            f"the file says {given['verdict']}; plan again"
+            f"this version plans otherwise: {off_mm:.3f} mm from the file's points, and says {made.verdict.state} "
+            f"where the file says {given['verdict']}; plan again"
         )
-    return out
+    return made
 
 
 def shot_written(shot: CheckShot) -> dict[str, Any]:

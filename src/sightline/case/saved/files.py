@@ -14,14 +14,13 @@ from sightline.case.canonical import plain
 from sightline.case.interop.plan_file import sealed
 from sightline.case.saved import documents, models
 from sightline.common.atomic import write_whole
-from sightline.common.bounded import read_bounded
+from sightline.common.bounded import MAX_JSON_BYTES, read_bounded
 from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, SpacePoints, Trajectory
 from sightline.planning.check.result import CheckShot
 
-_MAX_BYTES = 2**26  # [ours] six times a view of a frame with a full covariance
 _MAX_DEPTH = 12
 _Result = TypeVar("_Result")
 
@@ -95,19 +94,19 @@ def load(path: str | Path, kind: type | None = None) -> Any:
     True
     """
     file = Path(path)
-    data = read_bounded(file, _MAX_BYTES, UnusableInputError, "give a file that `save` wrote")
+    data = read_bounded(file, MAX_JSON_BYTES, UnusableInputError, "give a file that `save` wrote")
     try:
         given = reading.json_value(data, _MAX_DEPTH)
-        out = [_read(one) for one in given] if isinstance(given, list) else _read(given)
+        result = [_read(document) for document in given] if isinstance(given, list) else _read(given)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
         raise UnusableInputError(f"{file.name}: {where}: {first['msg']}; save the result again") from None
     except (UnusableInputError, RefusedError) as error:
         raise UnusableInputError(f"{file.name}: {error}") from None
-    if kind is not None and not isinstance(out, kind):
-        raise UnusableInputError(f"{file.name} holds a {type(out).__name__}, not a {kind.__name__}")
-    return out
+    if kind is not None and not isinstance(result, kind):
+        raise UnusableInputError(f"{file.name} holds a {type(result).__name__}, not a {kind.__name__}")
+    return result
 
 
 def _read(given: Any) -> Any:
