@@ -8,12 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from sightline.calibration.view import CalibratedView
 from sightline.case.contents import Images, PlanRequest
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.common.bounded import MAX_JSON_BYTES, read_bounded
@@ -23,7 +22,6 @@ from sightline.from_images.head_and_shaft import fit_head, fit_shaft, refuse_tab
 from sightline.from_images.interlocking import NailDrawn
 from sightline.from_images.neck import fit_neck
 from sightline.from_images.pipeline import find_placed_wires
-from sightline.imaging import Radiograph
 from sightline.planning import Aids, Circle, Nail, Procedure, WirePicks, kind, propose_wires
 from sightline.planning.check.wires import PlacedWire
 from sightline.planning.nail.files import known_nails, nail_of
@@ -346,9 +344,13 @@ def _drawn(picks: Picks, known: Procedure) -> Aids | None:
 
 _BORDERS = "two clicks on each border in each image"
 _NEEDS = {
-    "head": (("head",), "draw the head"),
-    "shaft": (("shaft",), f"draw the shaft: {_BORDERS}"),
-    "neck": (("neck", "head"), f"draw the head, and the neck from the head past the narrowest place: {_BORDERS}"),
+    "head": (fit_head, ("head",), "draw the head"),
+    "shaft": (fit_shaft, ("shaft",), f"draw the shaft: {_BORDERS}"),
+    "neck": (
+        fit_neck,
+        ("neck", "head"),
+        f"draw the head, and the neck from the head past the narrowest place: {_BORDERS}",
+    ),
 }
 
 
@@ -359,18 +361,12 @@ def _fitted(picks: Picks, aids: Aids | None, images: Images) -> tuple[Aids | Non
     """
     views, unfitted = [image.view for image in images], {}
     for key in sorted(picks.fit, key=list(_NEEDS).index):  # the neck begins at the fitted head
-        needed, advice = _NEEDS[key]
+        fit, needed, advice = _NEEDS[key]
         drawn = [getattr(aids, name) for name in needed] if aids is not None else [None]
         if aids is None or None in drawn:
             raise UnusableInputError(f"fit names the {key}, which is not drawn; {advice}")
         shown = refuse_tables([image.seen.image for image in images])
-        lines, kept = _fit(key, views, shown, drawn)
+        lines, kept = fit(views, shown, *drawn)
         aids = replace(aids, **{key: lines})
         unfitted[f"{key}_not_fitted"] = [f"{view} image: {key} kept as drawn; {why}" for view, why in kept.items()]
     return aids, unfitted
-
-
-def _fit(
-    key: str, views: Sequence[CalibratedView], images: Sequence[Radiograph], drawn: Sequence[Any]
-) -> tuple[Any, dict[str, str]]:
-    return {"head": fit_head, "shaft": fit_shaft, "neck": fit_neck}[key](views, images, *drawn)

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 
 from sightline.common.checks import Check
-from sightline.common.kernels import kernel
 from sightline.imaging.radiograph import Radiograph
 
 _RIM_PX = 12  # left out at the field's edge, where lines always differ [ours]
@@ -151,37 +150,14 @@ def comb(image: Radiograph) -> float:
 
     Lines repeated by an enlargement are left out: structure makes the same steps between them.
     """
-    pixels, field = image.pixels[:, ::8].astype(np.float32), np.ascontiguousarray(image.field_mask[:, ::8])
-    near, far, count = _squares(pixels, field)
-    return float(np.sqrt(near / count) / max(np.sqrt(far / count), 1e-6)) if count else 0.0
-
-
-@kernel(nogil=True, fastmath=True)
-def _squares(pixels, field):
-    """Return the sums of squares of both differences of `comb`, and the number of pixels that count."""
-    near = far = 0.0
-    count, half, zero = 0, np.float32(0.5), np.float32(0.0)
-    for i in range(2, len(pixels) - 2):
-        a, b, c, d, e = pixels[i - 2], pixels[i - 1], pixels[i], pixels[i + 1], pixels[i + 2]
-        above, below = field[i - 2], field[i + 2]
-        differs_above = differs_below = False
-        for j in range(len(c)):
-            differs_above |= b[j] != c[j]
-            differs_below |= c[j] != d[j]
-        if not (differs_above and differs_below):
-            continue
-        of_near = of_far = zero
-        of_row = np.int32(0)
-        for j in range(len(c)):  # without branches, so that it is vectorised
-            inside = above[j] & below[j]
-            x, y = c[j] - half * (b[j] + d[j]), c[j] - half * (a[j] + e[j])
-            of_near += x * x if inside else zero
-            of_far += y * y if inside else zero
-            of_row += np.int32(inside)
-        near += of_near
-        far += of_far
-        count += of_row
-    return near, far, count
+    pixels, field = image.pixels[:, ::8].astype(np.float32), image.field_mask[:, ::8]
+    a, b, c, d, e = (pixels[k : len(pixels) - 4 + k] for k in range(5))
+    own = (b != c).any(axis=1) & (c != d).any(axis=1)
+    inside = field[:-4] & field[4:] & own[:, None]
+    if not inside.any():
+        return 0.0
+    near, far = (np.sqrt(np.square(c - 0.5 * (x + y))[inside].mean(dtype=np.float64)) for x, y in ((b, d), (a, e)))
+    return float(near / max(far, 1e-6))
 
 
 def field_of(image: Radiograph, which: int) -> Radiograph:

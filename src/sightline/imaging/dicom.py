@@ -37,8 +37,7 @@ from sightline.common.atomic import write_whole
 from sightline.common.bounded import regular_file
 from sightline.errors import ImageError
 from sightline.imaging.decoder import Decoder, unpacks_to
-from sightline.imaging.files import grey
-from sightline.imaging.formats import check_size, damaged, refuse_longer
+from sightline.imaging.formats import check_size, damaged, grey, refuse_longer
 from sightline.imaging.radiograph import GeometryTags, Radiograph
 
 _LOSSY = {JPEGBaseline8Bit, JPEGExtended12Bit, JPEGLSNearLossless, JPEG2000}  # JPEG 2000 may be lossless

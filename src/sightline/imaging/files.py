@@ -2,9 +2,7 @@
 
 from dataclasses import replace
 from datetime import datetime
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 import cv2
 import numpy as np
@@ -19,6 +17,7 @@ from sightline.imaging.formats import (
     ReadBy,
     check_size,
     format_of_file,
+    grey,
 )
 from sightline.imaging.radiograph import Radiograph
 
@@ -71,24 +70,26 @@ def _read(file: Path, frame_index: int | None) -> Radiograph:
     if known is None:
         raise ImageError(f"{file.name} is not an image that can be read; give {FORMAT_NAMES}")
     if known.reader is ReadBy.DICOM:
-        return _dicom().read(file, frame_index)
+        from sightline.imaging import dicom  # on first use: arrays need not wait 0.1 s for pydicom
+
+        return dicom.read(file, frame_index)
     if frame_index not in (None, 0):
         raise ImageError(f"{file.name} holds one image, so there is no frame {frame_index}; leave the frame out")
     data = read_bounded(file, MAX_FILE_BYTES, ImageError, "export single images")
     if known.reader is ReadBy.NUMPY:
         return _radiograph(_numpy(data, file.name), file.name)
-    raster = import_module("sightline.imaging.raster")  # on first use, as `_dicom`
-    return replace(_radiograph(raster.read_raster(data, known.name, file.name), file.name), lossy=known.lossy)
+    from sightline.imaging.raster import read_raster  # with Pillow, on first use
 
-
-def _dicom() -> ModuleType:
-    """Return the module that reads DICOM, imported on first use: arrays need not wait 0.1 s for pydicom."""
-    return import_module("sightline.imaging.dicom")
+    return replace(_radiograph(read_raster(data, known.name, file.name), file.name), lossy=known.lossy)
 
 
 def frames_in(path: str | Path) -> int:
     """Return the number of frames of a file; 1 for all but DICOM runs. Raises ImageError."""
-    return _dicom().frames_in(Path(path)) if _is_dicom(Path(path)) else 1
+    if not _is_dicom(Path(path)):
+        return 1
+    from sightline.imaging import dicom
+
+    return dicom.frames_in(Path(path))
 
 
 def taken_at(path: str | Path) -> datetime | None:
@@ -96,7 +97,11 @@ def taken_at(path: str | Path) -> datetime | None:
 
     Only DICOM states it. Raises ImageError.
     """
-    return _dicom().taken_at(Path(path)) if _is_dicom(Path(path)) else None
+    if not _is_dicom(Path(path)):
+        return None
+    from sightline.imaging import dicom
+
+    return dicom.taken_at(Path(path))
 
 
 def _is_dicom(file: Path) -> bool:
@@ -136,16 +141,6 @@ def _numpy(data: bytes, name: str) -> np.ndarray:
         return npy_array(data, look)
     except ValueError as error:
         raise ImageError(f"{name} is not a complete NumPy file; save the array again") from error
-
-
-def grey(pixels: np.ndarray, name: str) -> np.ndarray:
-    """Return (H, W) of an array (H, W) or (H, W, channels) with equal colours. Raises ImageError on true colour."""
-    if pixels.ndim == 2:
-        return pixels
-    colours = pixels[..., : 3 if pixels.shape[-1] >= 3 else 1]
-    if pixels.ndim != 3 or pixels.shape[-1] > 4 or (colours != colours[..., :1]).any():
-        raise ImageError(f"{name} is a colour image; export the X-ray image itself in grey, without drawings on it")
-    return np.ascontiguousarray(colours[..., 0])
 
 
 def _radiograph(pixels: np.ndarray, name: str) -> Radiograph:

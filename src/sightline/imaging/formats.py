@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from pathlib import Path
 
+import numpy as np
+
 from sightline.common.bounded import regular_file
 from sightline.errors import ImageError
 
@@ -98,3 +100,13 @@ def refuse_longer(stated: int, held: int, rows: int, row_bytes: int, name: str) 
 def damaged(name: str) -> ImageError:
     """Return the error for a truncated or inconsistent file."""
     return ImageError(f"{name} is truncated or damaged; copy or export it again")
+
+
+def grey(pixels: np.ndarray, name: str) -> np.ndarray:
+    """Return (H, W) of an array (H, W) or (H, W, channels) with equal colours. Raises ImageError on true colour."""
+    if pixels.ndim == 2:
+        return pixels
+    colours = pixels[..., : 3 if pixels.shape[-1] >= 3 else 1]
+    if pixels.ndim != 3 or pixels.shape[-1] > 4 or (colours != colours[..., :1]).any():
+        raise ImageError(f"{name} is a colour image; export the X-ray image itself in grey, without drawings on it")
+    return np.ascontiguousarray(colours[..., 0])

@@ -9,8 +9,7 @@ import numpy as np
 
 from sightline.errors import ImageError, LinkError, SourceError
 from sightline.imaging import Radiograph, SourceFrame
-from sightline.imaging.files import grey
-from sightline.imaging.formats import check_size
+from sightline.imaging.formats import check_size, grey
 from sightline.robot.igtl import Image, Message, Rejected, Stream
 from sightline.robot.transport import LOOPBACK
 from sightline.robot.transport.connection import prepare

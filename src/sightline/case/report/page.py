@@ -1,6 +1,6 @@
 """The report of one plan as a single HTML page with its figures, which needs no other file and no network."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib.metadata import version
 from importlib.resources import files
 from platform import python_version
@@ -17,7 +17,7 @@ from sightline.case.report.charts import budget
 from sightline.case.report.content import Report
 from sightline.case.report.tables import POINTS, bars, budget_rows
 from sightline.case.views import CalibratedImage
-from sightline.detection import RejectedCandidate
+from sightline.imaging import Radiograph
 from sightline.planning import Pick, Plan
 
 
@@ -66,24 +66,26 @@ def figures(report: Report) -> dict[str, Any]:
     }
 
 
-def _figure(drawing: str, caption: str) -> dict[str, Any]:
-    return {"svg": _markup(drawing), "caption": caption}
+def _figure(drawing: str, words: str) -> dict[str, Any]:
+    return {"svg": _markup(drawing), "caption": f"{words[0].upper()}{words[1:]}."}
+
+
+def _shown(report: Report) -> Iterator[tuple[int, CalibratedImage, Radiograph]]:
+    """Yield the images that have pixels, with their places in the report."""
+    yield from ((k, image, pixels) for k, image in enumerate(report.images) if (pixels := image.seen.image) is not None)
 
 
 def _plan_figures(report: Report) -> list[dict[str, Any]]:
     """Draw the wire in all images, and the image-matching curves in the lateral one."""
     drawn = []
-    for k, image in enumerate(report.images):
-        if image.seen.image is None:
-            continue
+    for k, image, pixels in _shown(report):
         words = f"{report.spoken(image.name)} image with the planned wire and its picks"
         if report.plan.hole is not None:
             words += ", and the nail with both rims and the axis of each hole as measured"
         elif k == 1:
             words += ", and the image-matching curves of entry and tip with their uncertainty bands"
         words += ", and the landmarks, each with a line to its projection" if k == 2 else ""
-        drawing = radiographs.radiograph(image.seen.image, image.name, _plan_marks(report, k), words)
-        drawn.append(_figure(drawing, _capital(words) + "."))
+        drawn.append(_figure(radiographs.radiograph(pixels, image.name, _plan_marks(report, k), words), words))
     return drawn
 
 
@@ -116,13 +118,11 @@ def _picked(report: Report, k: int) -> list[tuple[tuple[Pick, ...], str]]:
 def _near_figures(report: Report) -> list[dict[str, Any]]:
     """Draw close-ups of entry and tip in each image."""
     drawn = []
-    for k, image in enumerate(report.images):
-        if image.seen.image is None:
-            continue
+    for k, image, _ in _shown(report):
         for pair, name in _picked(report, k):
             words = f"{report.spoken(image.name)} image around the {name}"
-            drawing = radiographs.closeup(image.name, pair[k].uv_px, _plan_marks(report, k), words)
-            drawn.append(_figure(drawing, _capital(words) + "."))
+            closeup = radiographs.closeup(image.name, pair[k].uv_px, _plan_marks(report, k), words)
+            drawn.append(_figure(closeup, words))
     return drawn
 
 
@@ -158,7 +158,7 @@ def _radii(image: CalibratedImage, uv_px: np.ndarray) -> np.ndarray:
 
 def _bead_figures(report: Report) -> dict[str, Any]:
     """Draw the beads coloured by residual, and the triangles of the localized method."""
-    shown = [image for image in report.images if image.seen.image is not None]
+    shown = [image for _, image, _ in _shown(report)]
     if not shown:
         return {"bead_figures": [], "triangle_figures": [], "ramp": [], "top_mm": 0.0}
     marked = {image.name: _marked(image) for image in shown}
@@ -175,8 +175,10 @@ def _bead_figures(report: Report) -> dict[str, Any]:
 def _beads_of(
     report: Report, image: CalibratedImage, marked: list[radiographs.MarkedBead], top_mm: float
 ) -> dict[str, Any]:
-    assert image.seen.image is not None and image.seen.beads is not None  # noqa: S101 - only images are shown
-    refused = _rejected(image)
+    beads = image.seen.beads
+    assert image.seen.image is not None and beads is not None  # noqa: S101 - only images are shown
+    # Without candidates at a bead that was found with another size
+    refused = [c for c in beads.rejected if (np.linalg.norm(beads.uv_px - c.uv_px, axis=1) > beads.radius_px).all()]
     left_out = sum(not bead.used for bead in marked)
     size = image.view.residuals.rms_mm
     words = (
@@ -184,18 +186,7 @@ def _beads_of(
         f"{left_out} left out of the fit, {len(refused)} other candidates rejected"
     )
     marks = [radiographs.rejected(refused), radiographs.beads(marked, top_mm)]
-    return _figure(radiographs.radiograph(image.seen.image, image.name, marks, words), _capital(words) + ".")
-
-
-def _rejected(image: CalibratedImage) -> list[RejectedCandidate]:
-    """Return the rejected candidates, without those at a bead that was found with another size."""
-    assert image.seen.beads is not None  # noqa: S101 - only images are shown
-    beads = image.seen.beads
-    return [c for c in beads.rejected if (np.linalg.norm(beads.uv_px - c.uv_px, axis=1) > beads.radius_px).all()]
-
-
-def _capital(words: str) -> str:
-    return words[0].upper() + words[1:]
+    return _figure(radiographs.radiograph(image.seen.image, image.name, marks, words), words)
 
 
 def _space(report: Report) -> dict[str, Any]:
@@ -283,5 +274,5 @@ def _triangles(report: Report) -> list[dict[str, Any]]:
         marks += [radiographs.pick(pair[k], name) for pair, name in zip(report.plan.picks, POINTS, strict=True)]
         name = report.spoken(image.name)
         words = f"{name} image: the triangles of the XRII plate; those that bound entry and tip are filled"
-        drawn.append(_figure(radiographs.radiograph(image.seen.image, image.name, marks, words), _capital(words) + "."))
+        drawn.append(_figure(radiographs.radiograph(image.seen.image, image.name, marks, words), words))
     return drawn
