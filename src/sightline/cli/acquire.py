@@ -42,7 +42,7 @@ class Into:
 
 @command(app, "folder", "sightline acquire folder images --case out/case")
 def folder(
-    out: Output,
+    output: Output,
     *,
     source: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with images.")],
     into: Into,
@@ -62,20 +62,20 @@ def folder(
     from sightline.case.acquire.folder import SCAN_S, Folder, check_folder
 
     check_folder(source)
-    with _into(out, into) as desk:
+    with _into(output, into) as desk:
         files = Folder(source, desk.acquirer, desk.tell)
         if watch:
-            out.note("watching the folder; stop with Ctrl-C")
+            output.note("watching the folder; stop with Ctrl-C")
             desk.until_interrupted(lambda: files.scan(time.monotonic()), SCAN_S)
         else:
             files.take_all()
-        out.result({**desk.document(), "waiting": files.waiting})
+        output.result({**desk.document(), "waiting": files.waiting})
         desk.end()
 
 
 @command(app, "dicom", "sightline acquire dicom --peer CARM@192.168.1.20 --case out/case")
 def dicom(
-    out: Output,
+    output: Output,
     *,
     peer: Annotated[
         list[str], typer.Option("--peer", metavar="AET@HOST", help="A sender that is allowed; repeat it for several.")
@@ -95,17 +95,17 @@ def dicom(
     # The port first: without it no case is created.
     with (
         DicomReceiver(peers, aet=aet, host=host, port=port) as receiver,
-        _into(out, into) as desk,
+        _into(output, into) as desk,
     ):
         with receiver.receiving(desk.acquirer, desk.tell):
-            out.note(f"listening at port {receiver.port} as {aet}; stop with Ctrl-C")
+            output.note(f"listening at port {receiver.port} as {aet}; stop with Ctrl-C")
             desk.until_interrupted(lambda: None, 0.5)
-        out.result({"port": receiver.port, **desk.document()})
+        output.result({"port": receiver.port, **desk.document()})
 
 
 @command(app, "video", "sightline acquire video 0 --average 8 --case out/case")
 def video(
-    out: Output,
+    output: Output,
     *,
     place: Annotated[str, typer.Argument(help="Device number, video file, stream address or multi-frame DICOM file.")],
     into: Into,
@@ -131,15 +131,15 @@ def video(
     if is_run and part is not None:
         raise typer.BadParameter("a multi-frame file cannot be cropped; leave it out", param_hint="--crop")
     at = int(place) if place.isdigit() else place
-    source = Run(Path(place)) if is_run else VideoSource(at, crop=part, tell=out.note)
+    source = Run(Path(place)) if is_run else VideoSource(at, crop=part, tell=output.note)
     told = {"crop": part} if part else {}
     keep = partial(take_frames, field=field, interlaced=not is_run, how=told)
-    _take(out, into, source, (skip + 1, average), keep)
+    _take(output, into, source, (skip + 1, average), keep)
 
 
 @command(app, "igtl", "sightline acquire igtl 127.0.0.1:18944 --case out/case")
 def igtl(
-    out: Output,
+    output: Output,
     *,
     address: Annotated[
         str, typer.Argument(metavar="HOST:PORT", help="Address of the peer; with --listen, the address to listen at.")
@@ -157,13 +157,13 @@ def igtl(
     from sightline.cli.robot import parse_address
 
     host, port = parse_address(address)
-    link = ImageLink(host, port, listen=listen, tell=out.note)
+    link = ImageLink(host, port, listen=listen, tell=output.note)
     if listen:
-        out.note(f"waiting at port {link.port}")
-    _take(out, into, link, (1, average), lambda *given, **pose: take_frames(*given, **pose, how=link.stated()))
+        output.note(f"waiting at port {link.port}")
+    _take(output, into, link, (1, average), lambda *given, **pose: take_frames(*given, **pose, how=link.stated()))
 
 
-def _take(out: Output, into: Into, source: "Source", asked: tuple[int, int], keep: "Callable[..., Taken]") -> None:
+def _take(output: Output, into: Into, source: "Source", asked: tuple[int, int], keep: "Callable[..., Taken]") -> None:
     """Acquire frames of a source as one image by `keep`, with the robot's pose at the last of them.
 
     `asked`: the number of the first frame, from 1, and how many are averaged. Raises SourceError for too few.
@@ -185,9 +185,9 @@ def _take(out: Output, into: Into, source: "Source", asked: tuple[int, int], kee
         if len(frames) < average:
             raise SourceError(f"the source ended after {len(frames)} of {average} images; ask for fewer")
         # Only now, so that a failure creates no case.
-        desk = stack.enter_context(_into(out, replace(into, robot=None)))
+        desk = stack.enter_context(_into(output, replace(into, robot=None)))
         desk.tell(news_of(keep(desk.acquirer, frames, pose=pose)))
-        out.result(desk.document(), checks=[pose.check] if pose else [])
+        output.result(desk.document(), checks=[pose.check] if pose else [])
 
 
 def _crop(text: str | None) -> tuple[int, int, int, int] | None:
@@ -203,9 +203,9 @@ def _crop(text: str | None) -> tuple[int, int, int, int] | None:
 class _Desk:
     """Counts the images that a command acquires and reports each on a line."""
 
-    def __init__(self, case: "Case", acquirer: "Acquirer", out: Output) -> None:
+    def __init__(self, case: "Case", acquirer: "Acquirer", output: Output) -> None:
         self.acquirer = acquirer
-        self._case, self._out = case, out
+        self._case, self._output = case, output
         self._entries: list[dict[str, Any]] = []
         self._already = 0
         self._refused: deque[str] = deque(maxlen=_REMEMBERED)
@@ -216,14 +216,14 @@ class _Desk:
             content, settings = news.entry.content, news.entry.settings
             self._entries.append({"number": news.entry.number, "original": content["original"], "settings": settings})
             if not settings["acquisition"].get("robot", {}).get("fresh", True):
-                self._out.note(
+                self._output.note(
                     f"entry {news.entry.number}: the robot's pose is stale and was not recorded; check the robot's link"
                 )
         elif news.kind == "already":
             self._already += 1
         elif news.kind == "refused":
             self._refused.append(news.text)
-        (self._out.say if news.kind in ("kept", "already") else self._out.note)(news.text)
+        (self._output.say if news.kind in ("kept", "already") else self._output.note)(news.text)
 
     def until_interrupted(self, step: Any, pause_s: float) -> None:
         """Repeat a step until Ctrl-C."""
@@ -232,7 +232,7 @@ class _Desk:
                 step()
                 time.sleep(pause_s)
         except KeyboardInterrupt:
-            self._out.note("stopping")
+            self._output.note("stopping")
 
     def document(self) -> dict[str, Any]:
         """Return the result: the case, its new entries, and the refusals with their reasons."""
@@ -250,7 +250,7 @@ class _Desk:
 
 
 @contextmanager
-def _into(out: Output, into: Into) -> Generator[_Desk]:
+def _into(output: Output, into: Into) -> Generator[_Desk]:
     """Open or create a case; the pose of a robot is recorded when an image arrives."""
     from sightline.case.acquire import Acquirer
     from sightline.case.journal import Case
@@ -259,9 +259,9 @@ def _into(out: Output, into: Into) -> Generator[_Desk]:
         pose = stack.enter_context(_robot(into.robot)).now if into.robot else None
         case = stack.enter_context(Case.create(into.case, exist_ok=True))
         for problem in case.problems:
-            out.note(f"the case has a problem: {problem.sentence}")
-        out.note(f"case {case.number}")
-        yield _Desk(case, Acquirer(case, arrival_pose=pose, invert=into.invert), out)
+            output.note(f"the case has a problem: {problem.sentence}")
+        output.note(f"case {case.number}")
+        yield _Desk(case, Acquirer(case, arrival_pose=pose, invert=into.invert), output)
 
 
 def _robot(address: str) -> "RobotWatch":

@@ -22,7 +22,7 @@ _SHOWN = 10  # beads in the table; --json has them all
 
 @command(commands, "calibrate", "sightline calibrate out/demo/demo_pa.dcm --picture out/residuals.png")
 def calibrate(
-    out: Output,
+    output: Output,
     *,
     image: Annotated[Path, typer.Argument(help="An image, or its beads as CSV, labelled (observations) or not.")],
     labelling: LabellingOptions,
@@ -49,15 +49,15 @@ def calibrate(
     from sightline.from_images.pipeline import known_arm
 
     frame = Frame.load(labelling.frame)
-    with out.step("finding and labelling the beads"):
+    with output.step("finding and labelling the beads"):
         seen = see(image, frame, labelling)
     if csv is not None:
         write_observations([seen.observations], csv)
     # Before the calibration: where that is refused for want of beads, this says how to get them.
     advice = None if frame.solid else _advise(seen, frame)
     for sentence in advice["sentences"] if advice else ():
-        out.say(sentence)
-    with out.step(f"calibrating ({method})"):
+        output.say(sentence)
+    with output.step(f"calibrating ({method})"):
         arm = known_arm(seen.image, distances.sid, distances.pixel)
         calibrated = calibrated_image(seen, frame, method, arm, mirrored_display=mirrored)
     document: dict[str, Any] = {**view_document(calibrated), "set_up": advice}
@@ -66,9 +66,9 @@ def calibrate(
         bead["leave_one_out_mm"] = error.tolist() if known else None
     if picture is not None:
         write_whole(picture, calibrated.view.png())
-    out.failures(calibrated.view.checks)
-    _show(out, document)
-    out.result(document, calibrated.view.checks)
+    output.failures(calibrated.view.checks)
+    _show(output, document)
+    output.result(document, calibrated.view.checks)
 
 
 @command(commands, "undistort", "sightline undistort out/demo/demo_pa.dcm --out out/undistorted")
@@ -177,14 +177,14 @@ def _datums(texts: list[str] | None) -> dict[str, tuple[float, float]] | None:
     return datums or None
 
 
-def _show(out: Output, document: dict[str, Any]) -> None:
+def _show(output: Output, document: dict[str, Any]) -> None:
     focal = ", ".join(f"{x:.1f}" for x in document["focal_point_mm"])
     mirrored = ", a mirror image" if document["mirrored"] else ""
-    out.say(f"view {document['view']}{mirrored}; focal point ({focal}) mm in CFCS")
+    output.say(f"view {document['view']}{mirrored}; focal point ({focal}) mm in CFCS")
     left, predicted = document["residual_rms_mm"], document["leave_one_out_rms_mm"]
-    out.say(f"{len(document['beads'])} beads; residual {left:.3f} mm rms per axis, leave-one-out {predicted:.3f} mm")
+    output.say(f"{len(document['beads'])} beads; residual {left:.3f} mm rms per axis, leave-one-out {predicted:.3f} mm")
     worst = sorted(document["beads"], key=lambda bead: -_length(bead["leave_one_out_mm"] or (0.0, 0.0)))
-    out.table(
+    output.table(
         f"Beads with the largest leave-one-out errors (of {len(worst)}), mm on the reference plane",
         ("bead", "residual", "leave-one-out", "used"),
         [
@@ -230,7 +230,7 @@ _SCALE = 2  # of the picture, so that rings do not hide small beads
 
 @command(commands, "detect", "sightline detect out/demo/demo_pa.dcm --picture out/beads.png")
 def detect(
-    out: Output,
+    output: Output,
     *,
     image: Annotated[Path, typer.Argument(help="Image file.")],
     frame_index: FrameIndex = None,
@@ -248,14 +248,14 @@ def detect(
     from sightline.imaging import image_checks, read_image
 
     radiograph = read_image(image, frame_index, invert=invert)
-    with out.step("finding beads"):
+    with output.step("finding beads"):
         beads = find(radiograph)
     if csv is not None:
         _write_csv(beads, csv)
     if picture is not None:
         _write_picture(radiograph, beads, picture)
-    _show_beads(out, beads)
-    out.result(_document(beads), image_checks(radiograph))
+    _show_beads(output, beads)
+    output.result(_document(beads), image_checks(radiograph))
 
 
 def _document(beads: "Detections") -> dict[str, Any]:
@@ -271,8 +271,8 @@ def _document(beads: "Detections") -> dict[str, Any]:
     }
 
 
-def _show_beads(out: Output, beads: "Detections") -> None:
-    out.table(
+def _show_beads(output: Output, beads: "Detections") -> None:
+    output.table(
         f"{len(beads)} beads",
         ("u px", "v px", "radius px", "sd px", "kind"),
         [
@@ -283,7 +283,7 @@ def _show_beads(out: Output, beads: "Detections") -> None:
     reasons = [candidate.reason for candidate in beads.rejected]
     counts = sorted(((reasons.count(reason), reason) for reason in set(reasons)), reverse=True)
     if counts:
-        out.table(f"{len(reasons)} candidates rejected", ("count", "reason"), counts)
+        output.table(f"{len(reasons)} candidates rejected", ("count", "reason"), counts)
 
 
 def _write_csv(beads: "Detections", path: Path) -> None:

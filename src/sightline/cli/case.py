@@ -42,16 +42,16 @@ def replay(output: Output, folder: Folder) -> None:
     from sightline.case.replay import replay as computed_again
 
     with Case.open(folder, read_only=True) as case:
-        found, problems, number = [], case.problems, case.number
+        replayed, problems, number = [], case.problems, case.number
         with output.progress("computing again", case.last) as advance:
-            for one in computed_again(case):
-                found.append(one)
+            for entry in computed_again(case):
+                replayed.append(entry)
                 advance()
-    output.table(f"Case {number}, computed again", ("entry", "", "outcome"), [_row(one) for one in found])
-    for change in sorted({change for one in found for change in one.changed}):
+    output.table(f"Case {number}, computed again", ("entry", "", "outcome"), [_row(entry) for entry in replayed])
+    for change in sorted({change for entry in replayed for change in entry.changed}):
         output.say(f"computed with other versions: {change}")
-    document = {"case": number, "entries": [_document(one) for one in found]}
-    output.result(document, (*problems, judge(found)))
+    document = {"case": number, "entries": [_document(entry) for entry in replayed]}
+    output.result(document, (*problems, judge(replayed)))
 
 
 @command(app, "show", "sightline case show out/demo/case")
@@ -65,11 +65,11 @@ def show(output: Output, folder: Folder) -> None:
     with Case.open(folder, read_only=True) as case:
         entries, number, problems = case.entries(), case.number, case.problems
     rows = [
-        (one.number, f"{one.at:%Y-%m-%d %H:%M:%S}", one.kind, one.by, _listed(one.rests_on), _gist(one))
-        for one in entries
+        (entry.number, f"{entry.at:%Y-%m-%d %H:%M:%S}", entry.kind, entry.by, _listed(entry.rests_on), _gist(entry))
+        for entry in entries
     ]
     output.table(f"Case {number}", ("entry", "UTC", "kind", "by", "rests on", ""), rows)
-    document = [{**vars(one), "at": one.at.isoformat()} for one in entries]
+    document = [{**vars(entry), "at": entry.at.isoformat()} for entry in entries]
     output.result({"case": number, "entries": document}, problems)
 
 
@@ -124,25 +124,25 @@ def _checked(folder: Path) -> tuple[dict[str, Any], tuple[Check, ...]]:
         return {}, (Check("case database", False, None, None, "", f"{error}."),)
 
 
-def _row(one: "Replayed") -> tuple[str, str, str]:
-    said = [f"{one.said}{f': {one.reason}' if one.reason else ''}"]
-    said += [f"{d.where}: {d.then} -> {d.now}" for d in one.differences[:_SHOWN]]
-    if len(one.differences) > _SHOWN:
-        said.append(f"and {len(one.differences) - _SHOWN} more")
-    return str(one.entry.number), one.entry.kind, "\n".join(said)
+def _row(replayed: "Replayed") -> tuple[str, str, str]:
+    lines = [f"{replayed.said}{f': {replayed.reason}' if replayed.reason else ''}"]
+    lines += [f"{d.where}: {d.then} -> {d.now}" for d in replayed.differences[:_SHOWN]]
+    if len(replayed.differences) > _SHOWN:
+        lines.append(f"and {len(replayed.differences) - _SHOWN} more")
+    return str(replayed.entry.number), replayed.entry.kind, "\n".join(lines)
 
 
-def _document(one: "Replayed") -> dict[str, Any]:
+def _document(replayed: "Replayed") -> dict[str, Any]:
     from sightline.case.replay import largest
 
     return {
-        "entry": one.entry.number,
-        "kind": one.entry.kind,
-        "outcome": one.said,
-        "reason": one.reason or None,
-        "versions": one.changed,
-        "largest_change": {unit: largest(one.differences, unit) for unit in ("px", "mm")},
-        "differences": one.differences,
+        "entry": replayed.entry.number,
+        "kind": replayed.entry.kind,
+        "outcome": replayed.said,
+        "reason": replayed.reason or None,
+        "versions": replayed.changed,
+        "largest_change": {unit: largest(replayed.differences, unit) for unit in ("px", "mm")},
+        "differences": replayed.differences,
     }
 
 

@@ -91,7 +91,7 @@ def check_shot(
         if plans is not None:
             with output.step("comparing the wires that were measured"):
                 measured = judge_measured(plans, again.measured(entry), made.side)
-            relations = tuple(one for one in measured.checks if not one.missing)
+            relations = tuple(relation for relation in measured.checks if not relation.missing)
             for check_of in measured.checks:
                 output.say(f"{check_of.name}, as measured: {check_of.sentence}")
         output.say(
@@ -137,8 +137,8 @@ def landmarks_of(picks: "Picks", names: list[str], planned: Any) -> "Landmarks":
                 "the point lies in the planning images: pa and lateral"
             )
     given = [known[mark.name] if mark.pa is None else mark.uv_px(NAMES) for mark in again]
-    found = [mark.uv_px(CHECK_NAMES) for mark in again]
-    planned_px, checked_px = (np.reshape(uv_px, (-1, 2, 2)).swapaxes(0, 1) for uv_px in (given, found))
+    again_px = [mark.uv_px(CHECK_NAMES) for mark in again]
+    planned_px, checked_px = (np.reshape(uv_px, (-1, 2, 2)).swapaxes(0, 1) for uv_px in (given, again_px))
     return Landmarks(planned_px, checked_px, picks.pick_sd_px)
 
 

@@ -76,7 +76,7 @@ class MeasuredShots:
 
 @command(app, "drive", "sightline robot drive out/plan/plan.json --rehearse 9")
 def drive(
-    out: Output,
+    output: Output,
     *,
     plan: Annotated[Path, typer.Argument(help="plan.json of `sightline plan --out`, or its folder.")],
     address: Annotated[
@@ -108,44 +108,44 @@ def drive(
     stood = None if registration is None else RobotFile.read(registration)
     _refuse_contradictions(address, stood, simulator)
     with ExitStack() as stack:
-        robot, held = _connected(out, stack, address, simulator, known)
+        robot, held = _connected(output, stack, address, simulator, known)
         refuse_yes(robot.simulated, yes)
-        with out.step("sending the plan"):
+        with output.step("sending the plan"):
             name = known.identifier(plan.stem)
             if stood is None:
                 target = _send(robot, known, name, held)
             else:
                 target = _send_registered(robot, known, name, stood)
-        _show(out, target, robot)
-        shots = None if case is None or yes else DriveShots(out, case, planned, robot, target, on_patient)
+        _show(output, target, robot)
+        shots = None if case is None or yes else DriveShots(output, case, planned, robot, target, on_patient)
         for step in _steps(robot, target, block=known.of_solid, put_back=block):
             if step.state_before:
-                _shot(out, robot, step.state_before, shots, measurable=measurable)
+                _shot(output, robot, step.state_before, shots, measurable=measurable)
             if not agreed(robot.simulated, yes, step.question):
                 robot.stop()
-                out.note(f"stopped before: {step.name}")
+                output.note(f"stopped before: {step.name}")
                 break
-            with out.step(step.name):
+            with output.step(step.name):
                 step.start()
         state, tip_mm = robot.status().text.split(";")[0], robot.position().translation
-        out.say(f"state of the robot: {state}")
+        output.say(f"state of the robot: {state}")
         document = {"state": state, "tip_mm": tip_mm, "end_mm": known.points_mm[1]}
         if shots is not None:
             document["shots"] = shots.document()
         if simulator.rehearse is not None:
             document["true_wire_mm"] = robot.simulated_wire().axis_mm
-        out.result(document)
+        output.result(document)
 
 
 def _connected(
-    out: Output, stack: ExitStack, address: str | None, simulator: Simulator, plan: "PlanFile"
+    output: Output, stack: ExitStack, address: str | None, simulator: Simulator, plan: "PlanFile"
 ) -> "tuple[RobotClient, Simulator]":
     """Return the robot at an address, or one that is simulated until the stack ends, and what it holds."""
     from sightline.robot.link.client import RobotClient
 
     if address is not None:
         return stack.enter_context(RobotClient(*parse_address(address))), simulator
-    with out.step("starting a simulator"):
+    with output.step("starting a simulator"):
         theatre = simulator.theatre(plan.side or "", plan.procedure)
     server = stack.enter_context(theatre.server(virtual=True))
     robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False))
@@ -166,7 +166,7 @@ def _refuse_contradictions(address: str | None, stood: "RobotFile | None", simul
         raise UnusableInputError("the robot file states the frame's serial; leave out --frame-serial")
 
 
-def _shot(out: Output, robot: "RobotClient", state: str, shots: "DriveShots | None", *, measurable: bool) -> None:
+def _shot(output: Output, robot: "RobotClient", state: str, shots: "DriveShots | None", *, measurable: bool) -> None:
     """Measure the shot before a step, or say why it is not measured. Stops the robot where the shot says STOP.
 
     Raises RobotRefusedError.
@@ -175,9 +175,9 @@ def _shot(out: Output, robot: "RobotClient", state: str, shots: "DriveShots | No
     from sightline.planning.check.shot import TURNED_AWAY
 
     if not measurable:
-        out.note(f"{state}: {TURNED_AWAY}")
+        output.note(f"{state}: {TURNED_AWAY}")
     elif shots is None:
-        out.note(f"{state}: the shot is not measured: give --case, the case with this plan. The decision is yours.")
+        output.note(f"{state}: the shot is not measured: give --case, the case with this plan. The decision is yours.")
     else:
         try:
             shots.ask(state)
@@ -305,12 +305,12 @@ def _tell(robot: "RobotClient", target: "RobotTarget", now_s: float) -> None:
     robot.aim_plan(target, now_s, target.depth_mm + DEPTH_SLACK_MM)
 
 
-def _show(out: Output, target: "RobotTarget", robot: "RobotClient") -> None:
+def _show(output: Output, target: "RobotTarget", robot: "RobotClient") -> None:
     entry, end = target.entry_mm, target.end_mm
     rows = [(name, *(f"{v:.1f}" for v in xyz)) for name, xyz in (("entry", entry), ("end", end))]
     kind = "simulated robot" if robot.simulated else "REAL ROBOT"
-    out.table(f"Wire of {target.length_mm:.1f} mm for a {kind}, MCS, mm", ("point", "x", "y", "z"), rows)
-    out.say(
+    output.table(f"Wire of {target.length_mm:.1f} mm for a {kind}, MCS, mm", ("point", "x", "y", "z"), rows)
+    output.say(
         f"95 % errors: entry {target.entry_error_95_mm:.2f} mm, tip {target.end_error_95_mm:.2f} mm; side "
         f"{target.identity.side}, frame {target.identity.frame_serial}"
     )
@@ -369,23 +369,23 @@ class DriveShots:
                 _answer(f"{state}: no shot was given; the decision is yours")
                 return
             try:
-                found = self._measure(state, shlex.split(given))
+                shot = self._measure(state, shlex.split(given))
             except SightlineError as refused:
                 _answer(f"{state}: not measured: {refused}")
                 continue
-            self.taken[state] = found
-            _say(self.output, found)
-            if found.decision == "STOP":
-                raise RobotRefusedError(f"the shot at {state} says STOP: {_reasons(found)}")
-            if found.decision == "GO":
+            self.taken[state] = shot
+            _say(self.output, shot)
+            if shot.decision == "STOP":
+                raise RobotRefusedError(f"the shot at {state} says STOP: {_reasons(shot)}")
+            if shot.decision == "GO":
                 if state == PAUSED:
-                    self.robot.shot_depth(found.depth_mm, found.depth_sd_mm)
+                    self.robot.shot_depth(shot.depth_mm, shot.depth_sd_mm)
                     _answer("the depth was sent to the robot")
                 return
 
     def document(self) -> dict[str, Any]:
         """Return the shots as JSON types, by state."""
-        return {state: found.document() for state, found in self.taken.items()}
+        return {state: shot.document() for state, shot in self.taken.items()}
 
     def _measure(self, state: str, files: list[str]) -> "DrillShot":
         """Read, calibrate and measure two images, and record them with the result. Raises SightlineError."""
@@ -411,18 +411,18 @@ class DriveShots:
             before = again.images(plan)[:2]
             arm = before[0].view.c_arm
             known = {} if arm is None else {"source_detector_mm": arm.source_detector_mm, "pixel_mm": arm.pixel_mm}
-            mirrored = [one.name for one in before if one.view.mirrored_display]
+            mirrored = [image.name for image in before if image.view.mirrored_display]
             with self.output.step("calibrating both views"):
                 images = calibrate_pair(seen.seen, frame, "smooth", mirrored, **known)
             views = record_images(case, seen, images, frame, by=Actor.COMMAND)
             try:
                 with self.output.step("measuring the wire"):
-                    found = asked.shot(again.plan(plan), again.images(plan), images, again.others_mm(plan))
+                    shot = asked.shot(again.plan(plan), again.images(plan), images, again.others_mm(plan))
             except RefusedError as refused:
                 record_shot(case, plan, views, asked, str(refused), by=Actor.COMMAND)
                 raise
-            record_shot(case, plan, views, asked, found, by=Actor.COMMAND)
-        return found
+            record_shot(case, plan, views, asked, shot, by=Actor.COMMAND)
+        return shot
 
     def _newest(self, case: "Case") -> int:
         """Return the number of the last entry that is older than the images of this moment."""
@@ -463,15 +463,15 @@ def _answer(text: str) -> None:
     typer.echo(text, err=True)
 
 
-def _reasons(found: "DrillShot") -> str:
-    return " ".join(one.sentence for one in failed(found.verdict.checks))
+def _reasons(shot: "DrillShot") -> str:
+    return " ".join(check.sentence for check in failed(shot.verdict.checks))
 
 
-def _say(output: "Output", found: "DrillShot") -> None:
+def _say(output: "Output", shot: "DrillShot") -> None:
     """Print a shot for people: its decision, what failed, and what was measured."""
-    shown = found.document()
+    shown = shot.document()
     off, error = shown["deviation"], shown["error_95"]
-    _answer(f"{found.state}: {found.decision}{'' if found.decision == 'GO' else f': {_reasons(found)}'}")
+    _answer(f"{shot.state}: {shot.decision}{'' if shot.decision == 'GO' else f': {_reasons(shot)}'}")
     rows = [
         ("axis at the entry", f"{off['entry_mm']:.2f} mm", f"{error['entry_mm']:.2f} mm"),
         (
@@ -482,4 +482,4 @@ def _say(output: "Output", found: "DrillShot") -> None:
         ("direction", f"{off['direction_deg']:.2f}°", f"{error['direction_deg']:.2f}°"),
     ]
     output.table("Wire against the plan", ("of", "deviation", "95 % error"), rows)
-    output.say(f"the tip is {found.depth_mm:.2f} mm beyond the planned entry (s.d. {found.depth_sd_mm:.2f} mm)")
+    output.say(f"the tip is {shot.depth_mm:.2f} mm beyond the planned entry (s.d. {shot.depth_sd_mm:.2f} mm)")

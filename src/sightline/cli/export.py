@@ -204,8 +204,8 @@ def deidentify(
     files = write_folder(out, {name: image.data for name, image in named.items()})
     output.written(files)
     burnt = [name for name, image in named.items() if image.burnt_in_stated or image.burnt_in_found]
-    found = f"; annotation found in {', '.join(burnt)}" if burnt else ""
-    output.note(f"look at every image before you pass it on: burnt-in annotation is not removed{found}")
+    annotated = f"; annotation found in {', '.join(burnt)}" if burnt else ""
+    output.note(f"look at every image before you pass it on: burnt-in annotation is not removed{annotated}")
     documents = [
         {"file": file, "burnt_in_stated": image.burnt_in_stated, "burnt_in_found": image.burnt_in_found}
         for file, image in zip(files, cleaned, strict=True)

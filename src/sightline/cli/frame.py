@@ -60,7 +60,7 @@ class DesignOptions:
 
 @command(app, "new", "sightline frame new mine.json --like gamma --rows 7 --pitch-mm 22")
 def new(
-    out: Output,
+    output: Output,
     *,
     file: Annotated[Path, typer.Argument(help="The frame file to write.")],
     like: Annotated[
@@ -95,7 +95,7 @@ def new(
         raise FrameError("--csv states the whole frame; leave out the other values")
     if csv is None and (diameter_mm is not None or units is not None):
         raise FrameError("--diameter-mm and --units hold for --csv alone; leave them out")
-    with out.step("making the frame"):
+    with output.step("making the frame"):
         if csv is None:
             frame = design.frame(file.stem, like)
         else:
@@ -104,13 +104,13 @@ def new(
     sound = not failed(checks)
     if sound:
         frame.save(file)
-    out.say(f"written: {file}" if sound else f"{file} was not written: a check failed")
-    out.result({"file": file if sound else None, **_document(frame)}, checks)
+    output.say(f"written: {file}" if sound else f"{file} was not written: a check failed")
+    output.result({"file": file if sound else None, **_document(frame)}, checks)
 
 
 @command(app, "show", "sightline frame show gamma --picture out/plates.png")
 def show(
-    out: Output,
+    output: Output,
     *,
     frame: FrameSource,
     picture: Annotated[
@@ -125,18 +125,18 @@ def show(
 
     loaded = Frame.load(frame)
     document = _document(loaded)
-    _show(out, loaded, document)
+    _show(output, loaded, document)
     if picture is not None:
         from sightline.frame.drawings.picture import draw_frame
 
         draw_frame(loaded, picture)
-        out.say(f"written: {picture}")
-    out.result(document)
+        output.say(f"written: {picture}")
+    output.result(document)
 
 
 @command(app, "check", "sightline frame check gamma")
 def check(
-    out: Output,
+    output: Output,
     *,
     frame: FrameSource,
     before: Annotated[
@@ -156,8 +156,8 @@ def check(
         checks += (before_check(loaded, Frame.load(before)),)
     solid = None if loaded.solid is None else _solid_document(loaded.solid)
     if solid is not None:
-        _show_solid(out, solid)
-    out.result({"frame": loaded.key, "solid": solid}, checks)
+        _show_solid(output, solid)
+    output.result({"frame": loaded.key, "solid": solid}, checks)
 
 
 @command(app, "draw", "sightline frame draw gamma --out out/drawings")
@@ -275,46 +275,46 @@ def _solid_document(solid: "RigidBody") -> dict[str, Any]:
     }
 
 
-def _show_solid(out: Output, solid: dict[str, Any]) -> None:
+def _show_solid(output: Output, solid: dict[str, Any]) -> None:
     sizes = ", ".join(f"{number} of {diameter:g} mm" for diameter, number in solid["diameters_mm"].items())
-    out.say(f"a solid of {solid['beads']} beads: {sizes}")
-    out.say(
+    output.say(f"a solid of {solid['beads']} beads: {sizes}")
+    output.say(
         f"their centres span {' x '.join(f'{mm:g}' for mm in solid['size_mm'])} mm; radius {solid['radius_mm']:.1f} mm"
     )
-    out.say(
+    output.say(
         f"clear of each other: {solid['clear_mean']:.1f} beads on average over all directions, "
         f"{solid['clear_worst']} from the worst"
     )
-    out.table(
+    output.table(
         "Where it may stand at the hip, however it is turned, with all beads in the image",
         ("detector", "field mm", "middle within, mm of the beam's axis", "field left beside it, mm"),
         [
             (
-                one["detector"],
-                f"{one['field_mm']:g}",
-                "does not fit" if one["offset_mm"] < 0 else f"{one['offset_mm']:.0f}",
-                None if one["offset_mm"] < 0 else f"{2 * one['offset_mm']:.0f}",
+                place["detector"],
+                f"{place['field_mm']:g}",
+                "does not fit" if place["offset_mm"] < 0 else f"{place['offset_mm']:.0f}",
+                None if place["offset_mm"] < 0 else f"{2 * place['offset_mm']:.0f}",
             )
-            for one in solid["stands"]
+            for place in solid["stands"]
         ],
     )
 
 
-def _show(out: Output, frame: "Frame", document: dict[str, Any]) -> None:
+def _show(output: Output, frame: "Frame", document: dict[str, Any]) -> None:
     title = f"Frame {frame.name}" + (f", serial {frame.serial}" if frame.serial else "")
     if document["solid"] is not None:
-        out.say(title)
-        _show_solid(out, document["solid"])
+        output.say(title)
+        _show_solid(output, document["solid"])
         if (plate := document["detector"]) is not None:
-            out.say(
+            output.say(
                 f"a plate of {plate['beads']} beads, {plate['stand_off_mm']:g} mm in front of the detector; datums "
                 + " ".join(plate["datums"])
             )
     else:
-        _show_plates(out, title, document)
-    out.say(f"tolerances (1 s.d.): from {document['tolerances_from']}")
+        _show_plates(output, title, document)
+    output.say(f"tolerances (1 s.d.): from {document['tolerances_from']}")
     if (use := frame.in_use) is not None:
-        out.say(
+        output.say(
             f"handling adds (1 s.d.): {use.warmer_k:g} K of heat, {100 * use.water_share:g} % of water, "
             f"{use.drape_n:g} N of drapes"
         )
@@ -324,11 +324,11 @@ def _show(out: Output, frame: "Frame", document: dict[str, Any]) -> None:
             ("plate", sd.plate_mm, 1e3 * sd.plate_rad),
             ("arm", sd.arm_mm, 1e3 * sd.arm_rad),
         ]
-        out.table("Tolerances", ("of", "shift mm", "rotation mrad"), rows if frame.solid is None else rows[:1])
+        output.table("Tolerances", ("of", "shift mm", "rotation mrad"), rows if frame.solid is None else rows[:1])
 
 
-def _show_plates(out: Output, title: str, document: dict[str, Any]) -> None:
-    out.table(
+def _show_plates(output: Output, title: str, document: dict[str, Any]) -> None:
+    output.table(
         title,
         ("view", "plate", "beads", "datums", "middle, CFCS mm", "reach mm"),
         [
@@ -343,4 +343,4 @@ def _show_plates(out: Output, title: str, document: dict[str, Any]) -> None:
             for plate in document["plates"]
         ],
     )
-    out.say("reach: how far the ends of a 95 mm wire at 45° may move at the hip inside the beads' convex hull")
+    output.say("reach: how far the ends of a 95 mm wire at 45° may move at the hip inside the beads' convex hull")

@@ -83,20 +83,25 @@ def fit(
 
 
 def _document(fitted: "FittedFrame") -> dict[str, Any]:
-    found = {
+    document = {
         "series": [
-            {"name": one.series, "mirrored": one.mirrored, "renamed": one.renamed, "astray_mm": one.astray_mm}
-            for one in fitted.identified
+            {
+                "name": series.series,
+                "mirrored": series.mirrored,
+                "renamed": series.renamed,
+                "astray_mm": series.astray_mm,
+            }
+            for series in fitted.identified
         ],
         "missing": fitted.missing,
     }
     adjusted = fitted.adjusted
     if adjusted is None or fitted.deviation_mm is None or fitted.sigma is None:
-        return found
+        return document
     import numpy as np
 
     sd = np.sqrt(np.diag(adjusted.covariance_mm2).reshape(-1, 3))
-    return found | {
+    return document | {
         "fle_mm": {
             "from_nominal_rms": float(np.sqrt((fitted.deviation_mm**2).sum(axis=1).mean())),
             "from_nominal_rms_per_axis": np.sqrt((fitted.deviation_mm**2).mean(axis=0)),
@@ -213,24 +218,24 @@ def self_check(
             seen += _see(path, known, None if measured is None else f"image-{len(seen) + 1}", invert=invert)
             advance()
     with output.step("adjusting all images together"):
-        beads = [one.observations for one in seen]
+        beads = [view.observations for view in seen]
         if measured is None:
-            found = adjust(beads, known)
+            checked = adjust(beads, known)
         else:
             from sightline.from_images.pipeline import known_arm
 
-            found = self_check_solid(beads, known, measured, [known_arm(one.image) for one in seen])
-    output.failures(found.checks)
+            checked = self_check_solid(beads, known, measured, [known_arm(view.image) for view in seen])
+    output.failures(checked.checks)
     document = (
-        _show_solid(output, found)
-        if isinstance(found, SolidSelfCheck)
-        else _show_plates(output, _self_check_document(found))
+        _show_solid(output, checked)
+        if isinstance(checked, SolidSelfCheck)
+        else _show_plates(output, _self_check_document(checked))
     )
-    written = out if out is not None and all(check.passed for check in found.checks) else None
+    written = out if out is not None and all(check.passed for check in checked.checks) else None
     if written is not None:
-        found.frame.save(written)
+        checked.frame.save(written)
         output.say(f"written: {written}")
-    output.result({"file": written, "images": len(seen), **document}, found.checks)
+    output.result({"file": written, "images": len(seen), **document}, checked.checks)
 
 
 def _distance(text: str | None) -> "KnownDistance":
@@ -256,13 +261,13 @@ def _see(path: Path, frame: "Frame", view: str | None, *, invert: bool) -> "list
     if path.suffix.lower() == ".csv":
         from sightline.detection.csv_files import read_observations
 
-        return [ObservedView(path.name, one) for one in read_observations(path).values()]
+        return [ObservedView(path.name, observed) for observed in read_observations(path).values()]
     return [see(path, frame, view, invert=invert)]
 
 
-def _show_solid(output: Output, found: "SolidSelfCheck") -> dict[str, Any]:
+def _show_solid(output: Output, checked: "SolidSelfCheck") -> dict[str, Any]:
     """Show the balls of a block and return them as a document."""
-    columns = zip(found.frame.fiducials, found.images, found.moved_mm, found.sd_mm, strict=True)
+    columns = zip(checked.frame.fiducials, checked.images, checked.moved_mm, checked.sd_mm, strict=True)
     rows = [(f.id, int(count), moved, sd) for f, count, moved, sd in columns]
     output.table(
         "Balls against the file, after the rigid motion that fits best",
@@ -276,13 +281,13 @@ def _show_solid(output: Output, found: "SolidSelfCheck") -> dict[str, Any]:
     return {"balls": balls}
 
 
-def _self_check_document(found: "SelfCheck") -> dict[str, Any]:
+def _self_check_document(checked: "SelfCheck") -> dict[str, Any]:
     from sightline.calibration.plates.self_check import MOTIONS
 
-    in_plate = found.in_plate
+    in_plate = checked.in_plate
     return {
-        "misplaced": found.misplaced,
-        "focal_points_mm": found.focal_points_mm,
+        "misplaced": checked.misplaced,
+        "focal_points_mm": checked.focal_points_mm,
         "plates": [
             {
                 "view": pair.view,
@@ -293,7 +298,7 @@ def _self_check_document(found: "SelfCheck") -> dict[str, Any]:
                 "sd": sd * unit,
                 "seen": bool(sd < _UNSEEN * prior),
             }
-            for pair in found.pairs
+            for pair in checked.pairs
             for k, (motion, moved, prior, sd) in enumerate(
                 zip(MOTIONS, pair.moved.tolist(), pair.prior_sd.tolist(), pair.sd.tolist(), strict=True)
             )
@@ -303,13 +308,13 @@ def _self_check_document(found: "SelfCheck") -> dict[str, Any]:
             {"id": f.id, "images": int(n), "moved_mm": all_, "in_plate_mm": moved, "prior_sd_mm": prior, "sd_mm": sd}
             | {"sigma": float(sigma)}
             for f, n, all_, moved, prior, sd, sigma in zip(
-                found.frame.fiducials,
-                found.images,
-                found.moved_mm,
+                checked.frame.fiducials,
+                checked.images,
+                checked.moved_mm,
                 in_plate.moved_mm,
                 in_plate.prior_sd_mm,
                 in_plate.sd_mm,
-                found.sigma,
+                checked.sigma,
                 strict=True,
             )
         ],

@@ -189,7 +189,7 @@ def planned_document(planned: "Plan | WirePlans", images: "Images", frame: "Fram
     from sightline.from_images.pipeline import propose_order
     from sightline.planning import Plan
 
-    documents = {key: plan_document(one, images) for key, one in each_of(planned).items()}
+    documents = {key: plan_document(plan, images) for key, plan in each_of(planned).items()}
     if isinstance(planned, Plan):
         return documents[""]
     views = [image.view for image in images]
@@ -212,15 +212,16 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], 
     verdict, plans = planned.verdict, each_of(planned)
     output.say(SAID[verdict.state].format(counted(len(failed(verdict.checks)), "check")))
     output.failures(verdict.checks)
-    for check in (one for one in planned.relations if one.passed):
+    for check in (relation for relation in planned.relations if relation.passed):
         output.say(f"{check.name}: {check.sentence}")
     for sentence in remarks:
         output.say(sentence)
-    rows = [row for one in plans.values() for row in _rows(one, alone="" in plans)]
+    rows = [row for plan in plans.values() for row in _rows(plan, alone="" in plans)]
     output.table("Trajectory in CFCS, mm (no robot is known)", ("point", "x", "y", "z", "95 % error"), rows)
-    said = {key: _sentences(one) for key, one in plans.items()}
-    common = [one for one in next(iter(said.values())) if all(one in others for others in said.values())]
-    for key, sentences in said.items():
+    sentences_of = {key: _sentences(plan) for key, plan in plans.items()}
+    first, *rest = sentences_of.values()
+    common = [sentence for sentence in first if all(sentence in others for others in rest)]
+    for key, sentences in sentences_of.items():
         for sentence in sentences:
             if sentence not in common:
                 output.say(f"{plans[key].kind.wire.name}: {sentence}")
@@ -253,11 +254,11 @@ def _sentences(planned: "Plan") -> list[str]:
     path = planned.trajectory
     errors = path.document()["error_95"] or {}
     direction = f"{errors['direction_deg']:.2f}°" if errors else "not stated"
-    out = [f"wire from entry to end {path.length_mm:.1f} mm, 95 % error of its direction {direction}"]
+    sentences = [f"wire from entry to end {path.length_mm:.1f} mm, 95 % error of its direction {direction}"]
     if not errors:
         contradicted = "the gap of a point contradicts it" if path.points.gap_failed.any() else "a view's is unknown"
-        out.append(f"No error is stated: {contradicted}.")
-    return [*out, *planned.sentences()]
+        sentences.append(f"No error is stated: {contradicted}.")
+    return [*sentences, *planned.sentences()]
 
 
 def _called(key: str, name: str) -> str:

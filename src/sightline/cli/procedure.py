@@ -17,7 +17,7 @@ ProcedureSource = Annotated[str, typer.Argument(metavar="PROCEDURE", help="A key
 
 
 @command(app, "list", "sightline procedure list")
-def list_all(out: Output) -> None:
+def list_all(output: Output) -> None:
     """List the shipped procedures and your own.
 
     Your own files lie in the folder that the environment variable SIGHTLINE_PROCEDURES names, each called KEY.json.
@@ -32,29 +32,32 @@ def list_all(out: Output) -> None:
             rows.append((own_file(key), str(path)))
         except UnusableInputError as error:
             unusable[key] = str(error)
-    out.table(
+    output.table(
         "Procedures",
         ("key", "name", "wires", "file"),
-        [(one.key, one.name, len(one.wires), where) for one, where in rows],
+        [(listed_one.key, listed_one.name, len(listed_one.wires), where) for listed_one, where in rows],
     )
     for why in unusable.values():
-        out.note(f"left out: {why}")
-    listed = [{"key": one.key, "name": one.name, "wires": len(one.wires), "file": where} for one, where in rows]
-    out.result({"procedures": listed, "unusable": unusable})
+        output.note(f"left out: {why}")
+    listed = [
+        {"key": listed_one.key, "name": listed_one.name, "wires": len(listed_one.wires), "file": where}
+        for listed_one, where in rows
+    ]
+    output.result({"procedures": listed, "unusable": unusable})
 
 
 @command(app, "show", "sightline procedure show hip-screw")
-def show(out: Output, procedure: ProcedureSource) -> None:
+def show(output: Output, procedure: ProcedureSource) -> None:
     """Show points, limits, checks and their sources."""
     from sightline.planning.procedures.procedure import document_of, fingerprint
 
     document = document_of(procedure)
-    _show(out, document)
-    out.result({"fingerprint": fingerprint(document), **document.model_dump(mode="json", by_alias=True)})
+    _show(output, document)
+    output.result({"fingerprint": fingerprint(document), **document.model_dump(mode="json", by_alias=True)})
 
 
 @command(app, "check", "sightline procedure check mine.json")
-def check(out: Output, file: Annotated[Path, typer.Argument(help="The procedure's file.")]) -> None:
+def check(output: Output, file: Annotated[Path, typer.Argument(help="The procedure's file.")]) -> None:
     """Check a procedure's file.
 
     Exit code 2 with a sentence for what is wrong in it; otherwise what it asks for, and what no check shows.
@@ -65,17 +68,17 @@ def check(out: Output, file: Annotated[Path, typer.Argument(help="The procedure'
     document = read_document(file)
     ends = open_ends(document)
     idle = [f"corridor: no check shows whether the {end} leaves the bone" for end in ends]
-    if not document.directions and any(one.check == "view directions" for one in document.checks):
+    if not document.directions and any(reason.check == "view directions" for reason in document.checks):
         idle.append("view directions with a block: state 'directions' of the bone, which tell how the patient lies")
-    out.say(f"{file.name} is a procedure: {document.name}, {len(document.checks)} checks of the bone")
-    for one in idle:
-        out.say(f"not evaluated: {one}")
-    out.result({"file": file, "key": document.key, "fingerprint": fingerprint(document), "not_evaluated": idle})
+    output.say(f"{file.name} is a procedure: {document.name}, {len(document.checks)} checks of the bone")
+    for reason in idle:
+        output.say(f"not evaluated: {reason}")
+    output.result({"file": file, "key": document.key, "fingerprint": fingerprint(document), "not_evaluated": idle})
 
 
 @command(app, "new", "sightline procedure new mine.json --like hip-screw")
 def new(
-    out: Output,
+    output: Output,
     *,
     file: Annotated[Path, typer.Argument(help="The file to write; its name without .json becomes the key.")],
     like: Annotated[str, typer.Option(help="The procedure to copy: a key of the list, or a file.")],
@@ -90,14 +93,14 @@ def new(
     if file.exists():
         raise UnusableInputError(f"{file.name} exists; remove it, or name another file")
     write_whole(file, copy_text(like, file.stem))
-    out.say(f"written: {file}")
-    out.say(f"edit it, then: sightline procedure check {file}")
-    out.result({"file": file, "key": file.stem})
+    output.say(f"written: {file}")
+    output.say(f"edit it, then: sightline procedure check {file}")
+    output.result({"file": file, "key": file.stem})
 
 
-def _show(out: Output, document: "ProcedureDocument") -> None:
-    out.say(f"{document.name} ({document.key}): {document.purpose}")
-    out.table(
+def _show(output: Output, document: "ProcedureDocument") -> None:
+    output.say(f"{document.name} ({document.key}): {document.purpose}")
+    output.table(
         "Views, in the order of the images",
         ("view", "orbit °", "tilt °", "within °", "purpose"),
         [(v.name, f"{v.orbit_deg:g}", f"{v.tilt_deg:g}", f"{v.within_deg:g}", v.purpose) for v in document.views],
@@ -107,41 +110,46 @@ def _show(out: Output, document: "ProcedureDocument") -> None:
         for wire in document.wires
         for name, point in (("entry", wire.entry), ("end", wire.end))
     ]
-    points += [(f"landmark {one.key}", one.name, one.sentence) for one in document.landmarks]
-    points += [(f"{one.type} {one.key}", one.name, one.sentence) for one in document.aids]
-    out.table("What a person picks and draws", ("key", "name", "where"), points)
-    wires = [(f"wire {one.key}", "diameter", f"{one.diameter_mm:g} mm", "") for one in document.wires]
+    points += [(f"landmark {item.key}", item.name, item.sentence) for item in document.landmarks]
+    points += [(f"{item.type} {item.key}", item.name, item.sentence) for item in document.aids]
+    output.table("What a person picks and draws", ("key", "name", "where"), points)
+    wires = [(f"wire {item.key}", "diameter", f"{item.diameter_mm:g} mm", "") for item in document.wires]
     limits = [
-        (f"limit {name}", "", f"{one.limit:.4g}", one.source)
-        for name, one in ((name, getattr(document.limits, name)) for name in type(document.limits).model_fields)
-        if one is not None
+        (f"limit {name}", "", f"{item.limit:.4g}", item.source)
+        for name, item in ((name, getattr(document.limits, name)) for name in type(document.limits).model_fields)
+        if item is not None
     ]
     relations = [
-        (f"relation {one.relation}", ", ".join(one.wires), _range(one), one.source) for one in document.relations
+        (f"relation {item.relation}", ", ".join(item.wires), _range(item), item.source) for item in document.relations
     ]
     directions = [
-        (f"direction {one.label}", one.along or "", f"orbit {one.orbit_deg:g}°, tilt {one.tilt_deg:g}°", one.source)
-        for one in document.directions
+        (
+            f"direction {item.label}",
+            item.along or "",
+            f"orbit {item.orbit_deg:g}°, tilt {item.tilt_deg:g}°",
+            item.source,
+        )
+        for item in document.directions
     ]
     checks = [
-        (f"check {one.check}", "required" if one.required else "if drawn", _range(one), one.source)
-        for one in document.checks
+        (f"check {item.check}", "required" if item.required else "if drawn", _range(item), item.source)
+        for item in document.checks
     ]
-    out.table(
+    output.table(
         "Wires, limits, relations and checks",
         ("what", "of", "accepted", "source"),
         [*wires, *limits, *relations, *directions, *checks],
     )
     if (catalogue := document.catalogue) is not None:
         lengths = catalogue.lengths_mm
-        out.say(
+        output.say(
             f"{catalogue.implants}: {len(lengths)} lengths of {lengths[0]:g} to {lengths[-1]:g} mm, diameter "
             f"{', '.join(f'{mm:g}' for mm in catalogue.diameters_mm)} mm ({catalogue.source})"
         )
 
 
-def _range(one: "CheckRule | Relation") -> str:
+def _range(limited: "CheckRule | Relation") -> str:
     """Return the accepted values in words."""
-    if one.low is None:
-        return "" if one.high is None else f"to {one.high:g}"
-    return f"from {one.low:g}" if one.high is None else f"{one.low:g} to {one.high:g}"
+    if limited.low is None:
+        return "" if limited.high is None else f"to {limited.high:g}"
+    return f"from {limited.low:g}" if limited.high is None else f"{limited.low:g} to {limited.high:g}"

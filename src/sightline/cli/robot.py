@@ -66,7 +66,7 @@ class Simulator:
 
 @command(app, "serve", "sightline robot serve --rehearse 9 --side right")
 def serve(
-    out: Output,
+    output: Output,
     *,
     port: Annotated[int, typer.Option(help="Port to listen at; 0 takes a free one.")] = 18936,
     host: Annotated[
@@ -102,21 +102,21 @@ def serve(
     theatre = simulator.theatre(side, procedure)
     tune_process()
     with theatre.server(host=host, port=port, virtual=virtual, dialect=DIALECTS[dialect]) as server:
-        out.say(f"the simulated robot listens at {host}:{server.port}; stop with Ctrl-C")
+        output.say(f"the simulated robot listens at {host}:{server.port}; stop with Ctrl-C")
         if attached:
             typer.echo(as_json({"port": server.port}))
             Thread(target=_close_with_stdin, args=(server,), name="stdin", daemon=True).start()
         try:
             server.wait()
         except KeyboardInterrupt:
-            out.note("stopping")
+            output.note("stopping")
         cycles = server.dialogue.cycles
-    out.result({"port": server.port, "cycles": cycles.count, "late": cycles.missed, "worst_s": cycles.worst_s})
+    output.result({"port": server.port, "cycles": cycles.count, "late": cycles.missed, "worst_s": cycles.worst_s})
 
 
 @command(app, "check", "sightline robot check 127.0.0.1:18936")
 def check(
-    out: Output,
+    output: Output,
     *,
     address: Address,
     dry_run: Annotated[bool, typer.Option(help="Also align in air, without drilling; a person confirms first.")] = True,
@@ -131,25 +131,25 @@ def check(
 
     tune_process()
     with Examination(*parse_address(address)) as robot:
-        with out.step("asking the robot"):
+        with output.step("asking the robot"):
             findings = robot.examine()
         if dry_run and agreed(robot.simulated, yes, "The robot will move: it aligns in air. Is it clear?"):
-            with out.step("dry run"):
+            with output.step("dry run"):
                 findings += robot.dry_run()
     rows = [(finding.name, finding.verdict.value, finding.seen) for finding in findings]
-    out.table(f"Robot at {address}", ("question", "", "seen"), rows)
+    output.table(f"Robot at {address}", ("question", "", "seen"), rows)
     wrong = [finding.name for finding in findings if finding.verdict is ConformanceVerdict.FAILED]
     if wrong:
-        out.note(f"the robot does not follow docs/robot-link.md: {'; '.join(wrong)}")
+        output.note(f"the robot does not follow docs/robot-link.md: {'; '.join(wrong)}")
     named = ("name", "verdict", "seen")
-    out.result({"conforms": not wrong, "findings": [dict(zip(named, row, strict=True)) for row in rows]})
+    output.result({"conforms": not wrong, "findings": [dict(zip(named, row, strict=True)) for row in rows]})
     if wrong:
         raise typer.Exit(3)
 
 
 @command(app, "calibrate", "sightline robot calibrate measured.json --frame frame.json --out robot.json")
 def calibrate(
-    out: Output,
+    output: Output,
     *,
     measurements: Annotated[Path, typer.Argument(help="JSON of measurements on the robot (docs/real-robot.md).")],
     frame: Annotated[
@@ -165,16 +165,16 @@ def calibrate(
     from sightline.frame import Frame
     from sightline.robot.kinematics.measured import Measurements, RobotFile
 
-    said, known = Measurements.read(measurements), None if frame is None else Frame.load(frame)
-    robot, rms = RobotFile.calibrated(said)
+    measured, known = Measurements.read(measurements), None if frame is None else Frame.load(frame)
+    robot, rms = RobotFile.calibrated(measured)
     if known is not None:
         robot = robot.of_frame(known.serial, known.fingerprint)
     robot.write(out_file)
-    sd = {"axes": said.axes.sd_mm, "frame": said.frame.sd_mm, "wire": said.wire.sd_mm}
+    sd = {"axes": measured.axes.sd_mm, "frame": measured.frame.sd_mm, "wire": measured.wire.sd_mm}
     rows = [(name, f"{rms[name]:.3f}", f"{sd[name]:.3f}") for name in rms]
-    out.table("Residuals, mm", ("measured", "rms", "stated, per axis"), rows)
-    out.say(f"robot {robot.robot_serial} with frame {robot.frame_serial}: {out_file}")
-    out.result({"file": str(out_file), "residual_rms_mm": rms, "robot_serial": robot.robot_serial})
+    output.table("Residuals, mm", ("measured", "rms", "stated, per axis"), rows)
+    output.say(f"robot {robot.robot_serial} with frame {robot.frame_serial}: {out_file}")
+    output.result({"file": str(out_file), "residual_rms_mm": rms, "robot_serial": robot.robot_serial})
 
 
 @command(
@@ -184,7 +184,7 @@ def calibrate(
     "sightline robot register robot.json --from-images out/wire/plan.json",
 )
 def register_image(
-    out: Output,
+    output: Output,
     *,
     robot_file: Annotated[Path, typer.Argument(help="Robot file of `sightline robot calibrate`.")],
     address: Annotated[str | None, typer.Argument(metavar="HOST:PORT", help="Address of the robot.")] = None,
@@ -207,7 +207,7 @@ def register_image(
     if from_images is not None:
         if (address, view, image) != (None, None, None):
             raise typer.BadParameter("--from-images takes the robot file alone: both images are registered before it")
-        _register_from_images(out, robot_file, from_images)
+        _register_from_images(output, robot_file, from_images)
         return
     if address is None or view is None or image is None:
         raise typer.BadParameter("give HOST:PORT, --view and --image, or --from-images")
@@ -234,11 +234,11 @@ def register_image(
     read_image(image, 0)  # raises if it is not an image
     source = anonymous_name(image)
     known.at_image(view, q, now, source).write(robot_file)
-    out.say(f"joints at the {view} image: {', '.join(f'{one:.3f}' for one in q)} (mm, rad)")
-    out.result({"file": str(robot_file), "view": view, "joints": q, "read_s": now, "source": source})
+    output.say(f"joints at the {view} image: {', '.join(f'{joint:.3f}' for joint in q)} (mm, rad)")
+    output.result({"file": str(robot_file), "view": view, "joints": q, "read_s": now, "source": source})
 
 
-def _register_from_images(out: Output, robot_file: Path, wire: Path) -> None:
+def _register_from_images(output: Output, robot_file: Path, wire: Path) -> None:
     from sightline.robot.kinematics.measured import RobotFile
 
     known, seen = RobotFile.read(robot_file), read_plan(wire)
@@ -251,9 +251,9 @@ def _register_from_images(out: Output, robot_file: Path, wire: Path) -> None:
     }
     corrected.write(robot_file)
     rows = [(name, f"{tip:.2f} mm", f"{angle:.2f}°") for name, (tip, angle) in errors.items()]
-    out.table("Wire in CFCS at the images, 95 % error", ("by", "tip", "direction"), rows)
-    out.say(f"images and encoders agree; the corrected mounts hold for plans on these images: {robot_file}")
-    out.result({"file": str(robot_file), "error_95": errors})
+    output.table("Wire in CFCS at the images, 95 % error", ("by", "tip", "direction"), rows)
+    output.say(f"images and encoders agree; the corrected mounts hold for plans on these images: {robot_file}")
+    output.result({"file": str(robot_file), "error_95": errors})
 
 
 def _pose_errors(stood: "Registration") -> tuple[float, float]:
@@ -271,7 +271,7 @@ def _pose_errors(stood: "Registration") -> tuple[float, float]:
 
 
 @command(app, "reset", "sightline robot reset 127.0.0.1:18936")
-def reset(out: Output, address: Address) -> None:
+def reset(output: Output, address: Address) -> None:
     """Reset a robot after a fault.
 
     Shows the fault and asks a person to confirm before it is reset.
@@ -286,8 +286,8 @@ def reset(out: Output, address: Address) -> None:
         typer.echo(f"{status.text}", err=True)
         typer.confirm("Have you removed the cause at the robot?", abort=True, err=True)
         robot.reset(status.subcode)
-        out.say(f"fault {status.subcode} is reset; state of the robot: {robot.status().error_name}")
-    out.result({"fault": status.subcode, "text": status.text})
+        output.say(f"fault {status.subcode} is reset; state of the robot: {robot.status().error_name}")
+    output.result({"fault": status.subcode, "text": status.text})
 
 
 def read_plan(file: Path, wire: str | None = None) -> "PlanFile":

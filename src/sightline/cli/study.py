@@ -131,15 +131,15 @@ def _pixels(points: "MeasuredPoints", images: "tuple[CalibratedImage, Calibrated
     if points.uv_px is not None:
         covariance = Pick.free((0.0, 0.0), pick_sd).covariance_px2
         return points.uv_px, np.broadcast_to(covariance, (*points.uv_px.shape, 2))
-    found = []
+    found_balls = []
     for image in images:
         if image.seen.beads is None:
             raise UnusableInputError(
                 f"the CSV file of the {image.name} view holds the frame's beads, not the test points; "
                 "give the test points' pixels in --truth, or give the images themselves"
             )
-        found.append(find_balls(image.view, image.seen.beads, image.seen.observations, points))
-    uv_px, covariance_px2 = zip(*found, strict=True)
+        found_balls.append(find_balls(image.view, image.seen.beads, image.seen.observations, points))
+    uv_px, covariance_px2 = zip(*found_balls, strict=True)
     return np.array(uv_px), np.array(covariance_px2)
 
 

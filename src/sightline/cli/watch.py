@@ -38,7 +38,7 @@ class LiveOptions:
 
 @command(commands, "watch", "sightline watch 0 --plan out/plan", "sightline watch --rehearse 1 --seconds 10")
 def watch(
-    out: Output,
+    output: Output,
     *,
     live: LiveOptions,
     plan: Annotated[Path | None, typer.Option(help="Plan to draw: plan.json of `sightline plan --out`.")] = None,
@@ -63,17 +63,17 @@ def watch(
 
     frame = Frame.load(live.frame)
     frame.refuse_solid("a live image is watched by the plates of a frame")
-    images, drawn = _opened(live, frame, out)
-    drawn = drawn if plan is None else _planned(plan, wire, frame, out)
-    with out.step("planning images"):
+    images, drawn = _opened(live, frame, output)
+    drawn = drawn if plan is None else _planned(plan, wire, frame, output)
+    with output.step("planning images"):
         references = [_reference(path, frame, invert=live.invert) for path in planned or ()]
-    out.note(BLIND_TO)
+    output.note(BLIND_TO)
     with Watch(frame, images, drawn, references) as watching:
-        tally = _follow(watching, out, seconds)
-    out.result(_summary(tally, watching) | {"blind_to": BLIND_TO})
+        tally = _follow(watching, output, seconds)
+    output.result(_summary(tally, watching) | {"blind_to": BLIND_TO})
 
 
-def _opened(live: LiveOptions, frame: "Frame", out: Output) -> "tuple[Iterable[TimedImage], Trajectory | None]":
+def _opened(live: LiveOptions, frame: "Frame", output: Output) -> "tuple[Iterable[TimedImage], Trajectory | None]":
     """Return the images of the source, and the wire of a simulated one. Raises UnusableInputError."""
     from sightline.errors import UnusableInputError
     from sightline.imaging.sources import open_source
@@ -84,12 +84,12 @@ def _opened(live: LiveOptions, frame: "Frame", out: Output) -> "tuple[Iterable[T
         return open_source(live.source, invert=live.invert), None
     from sightline.rehearsal.stream import SimulatedFluoroscopy
 
-    with out.step("taking the C-arm's images"):
+    with output.step("taking the C-arm's images"):
         stream = SimulatedFluoroscopy(int(live.rehearse or 0), frame)
     return stream, stream.wire
 
 
-def _planned(path: Path, wire: str | None, frame: "Frame", out: Output) -> "Trajectory":
+def _planned(path: Path, wire: str | None, frame: "Frame", output: Output) -> "Trajectory":
     """Raises UnusableInputError."""
     from sightline.case.interop.plan_file import PlanFile
     from sightline.errors import UnusableInputError
@@ -101,7 +101,7 @@ def _planned(path: Path, wire: str | None, frame: "Frame", out: Output) -> "Traj
             f"the plan was made with frame {made_with.name!r}, not {frame.name!r}; give that frame with --frame"
         )
     if not plan.go:
-        out.note(f"the plan drawn is {plan.verdict}")
+        output.note(f"the plan drawn is {plan.verdict}")
     return plan.trajectory
 
 
@@ -112,13 +112,13 @@ def _reference(path: Path, frame: "Frame", *, invert: bool) -> "BeadView":
     return calibrate(see(path, frame, invert=invert).observations, frame)
 
 
-def _follow(watching: "Watch", out: Output, seconds: float | None) -> "list[Watched]":
+def _follow(watching: "Watch", output: Output, seconds: float | None) -> "list[Watched]":
     """Return the result of each processed frame, without its image."""
     from time import monotonic
 
     end = None if seconds is None else monotonic() + seconds
-    said: list[Watched] = []
-    with out.live("Watching; stop with Ctrl-C", ("", "")) as show:
+    history: list[Watched] = []
+    with output.live("Watching; stop with Ctrl-C", ("", "")) as show:
         number = 0
         while end is None or monotonic() < end:
             watched = watching.next(number, _WAIT_S)
@@ -127,22 +127,22 @@ def _follow(watching: "Watch", out: Output, seconds: float | None) -> "list[Watc
                     break
                 continue
             number = watched.number
-            out.line(_document(watched))
-            said.append(replace(watched, view=None, corridor=None))
-            show(_rows(watched, said))
+            output.line(_document(watched))
+            history.append(replace(watched, view=None, corridor=None))
+            show(_rows(watched, history))
     error = watching.error
     if error is not None:
         raise error
-    return said
+    return history
 
 
-def _rows(watched: "Watched", said: "list[Watched]") -> list[tuple[str, str]]:
+def _rows(watched: "Watched", history: "list[Watched]") -> list[tuple[str, str]]:
     """Return the rows that a person sees of a frame."""
     movement = watched.movement
     view = watched.view
     error = "unknown" if watched.error_95_mm is None else f"{watched.error_95_mm:.2f} mm"
     return [
-        ("frame", f"{watched.number}, {watched.dropped} dropped, {_rate(said):.0f} a second"),
+        ("frame", f"{watched.number}, {watched.dropped} dropped, {_rate(history):.0f} a second"),
         ("latency", f"{1e3 * watched.latency_s:.0f} ms" + (" STALE" if watched.stale else "")),
         ("view", f"none: {watched.reason}" if view is None else f"{view.name}, {len(view.residuals.ids)} beads"),
         ("residual", "-" if view is None else f"{view.residuals.leave_one_out_rms_mm:.3f} mm, leave-one-out"),
@@ -152,9 +152,9 @@ def _rows(watched: "Watched", said: "list[Watched]") -> list[tuple[str, str]]:
     ]
 
 
-def _rate(said: "list[Watched]") -> float:
+def _rate(history: "list[Watched]") -> float:
     """Return the frames per second of the last half second."""
-    last = said[-16:]
+    last = history[-16:]
     gone = last[-1].stamped_s - last[0].stamped_s
     return (len(last) - 1) / gone if gone > 0 else 0.0
 
@@ -185,21 +185,21 @@ def _document(watched: "Watched") -> dict[str, Any]:
     }
 
 
-def _summary(said: "list[Watched]", watching: "Watch") -> dict[str, Any]:
+def _summary(history: "list[Watched]", watching: "Watch") -> dict[str, Any]:
     """Return the summary. Raises CalibrationRefusedError where no frame gave a view."""
     from statistics import median
 
     from sightline.errors import CalibrationRefusedError
 
-    without_view = [watched.reason for watched in said if watched.reason]
-    if len(without_view) == len(said):
-        why = f": {said[-1].reason}" if said else ""
-        raise CalibrationRefusedError(f"none of {len(said)} frames gave a calibrated view{why}")
+    without_view = [watched.reason for watched in history if watched.reason]
+    if len(without_view) == len(history):
+        why = f": {history[-1].reason}" if history else ""
+        raise CalibrationRefusedError(f"none of {len(history)} frames gave a calibrated view{why}")
     return {
-        "frames": said[-1].number,
-        "worked_on": said[-1].number - said[-1].dropped,
-        "dropped": said[-1].dropped,
+        "frames": history[-1].number,
+        "worked_on": history[-1].number - history[-1].dropped,
+        "dropped": history[-1].dropped,
         "without_view": len(without_view),
-        "latency_s": {"median": median(w.latency_s for w in said), "largest": max(w.latency_s for w in said)},
-        "moved": any(watched.moved for watched in said),
+        "latency_s": {"median": median(w.latency_s for w in history), "largest": max(w.latency_s for w in history)},
+        "moved": any(watched.moved for watched in history),
     }

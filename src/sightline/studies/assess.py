@@ -94,7 +94,7 @@ def find_balls(
     free = np.array([i for i, uv in enumerate(detections.uv_px) if tuple(uv) not in beads], dtype=int)
     expected = view.project(points.xyz_mm)
     distance = np.linalg.norm(expected[:, None] - detections.uv_px[free][None], axis=-1)
-    found = []
+    balls = []
     for name, row in zip(points.names, distance, strict=True):
         near = free[row < NEAR_PX]
         if len(near) != 1:
@@ -102,8 +102,8 @@ def find_balls(
                 f"view {view.name!r}: {len(near)} balls are seen within {NEAR_PX:.0f} px of where the test point "
                 f"{name!r} should be; give its pixels in the table, and check its coordinates"
             )
-        found.append(near[0])
-    return detections.uv_px[found], detections.covariance_px2[found]
+        balls.append(near[0])
+    return detections.uv_px[balls], detections.covariance_px2[balls]
 
 
 # Errors with a smaller probability show that the stated covariance is wrong [ours].

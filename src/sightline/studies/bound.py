@@ -40,7 +40,7 @@ def bound(setup: SetUp, seen: dict[str, BoundData], target_mm: np.ndarray, *, kn
 
     `known_map`: take both maps as known exactly.
     """
-    return target_bound([_linearised(setup, name, one, target_mm, known_map) for name, one in seen.items()])
+    return target_bound([_linearised(setup, name, data, target_mm, known_map) for name, data in seen.items()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,13 +87,13 @@ def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray,
     if not known_map:
         noise_px = noise_px + truth.beyond_cubic_covariance(uv)
     to_mm = np.asarray(block_diag(*jacobian))
-    out = Linear(
+    linear = Linear(
         nuisance=np.hstack([cubic, -by_focal.reshape(2 * n, 3)]),
         target=np.vstack([np.zeros((2 * n - 2, 3)), by_point[-1]]),
         response=response.reshape(2 * n, -1),
         covariance=to_mm @ noise_px @ to_mm.T,
     )
-    return snapped(out, jacobian[-1], seen.across_px)
+    return snapped(linear, jacobian[-1], seen.across_px)
 
 
 def snapped(view: Linear, jacobian: np.ndarray, across_px: np.ndarray) -> Linear:

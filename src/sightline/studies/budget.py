@@ -82,36 +82,36 @@ class Budget:
         if not kept:
             return Summary(("Every set-up was refused.",), (refused,), ())
         names = (*MEANINGS, TOGETHER, *(f"{source}, stated" for source in STATED))
-        found = {
+        rms_of = {
             (sd, name): rms(f"picks {sd:g} px: {name}", [np.array(trial[f"{sd:g}"][name]) for trial in kept], "mm")
             for sd in self.picks_px
             for name in names
         }
         title = "Shares of the variance of a target, by picks"
-        bars = [Bar(f"{sd:g} px", "mm", {name: _size(found[sd, name]) for name in MEANINGS}) for sd in self.picks_px]
+        bars = [Bar(f"{sd:g} px", "mm", {name: _size(rms_of[sd, name]) for name in MEANINGS}) for sd in self.picks_px]
         caption = f"From left to right: {', '.join(MEANINGS)}. Their squares add up."
         return Summary(
-            findings=tuple(_finding(sd, found) for sd in self.picks_px),
-            estimates=(refused, *found.values()),
-            tables=(self._alone_table(found), self._stated_table(found)),
+            findings=tuple(_finding(sd, rms_of) for sd in self.picks_px),
+            estimates=(refused, *rms_of.values()),
+            tables=(self._alone_table(rms_of), self._stated_table(rms_of)),
             plots=(Plot(title, budget(bars, title), caption),),
         )
 
-    def _alone_table(self, found: dict[tuple[float, str], Estimate]) -> Table:
+    def _alone_table(self, rms_of: dict[tuple[float, str], Estimate]) -> Table:
         columns = ("source", *(f"picks {sd:g} px" for sd in self.picks_px), "meaning")
-        rows = [(name, *(_three(_size(found[sd, name])) for sd in self.picks_px), MEANINGS[name]) for name in MEANINGS]
-        roots = (_three(_root(found, sd, MEANINGS)) for sd in self.picks_px)
+        rows = [(name, *(_three(_size(rms_of[sd, name])) for sd in self.picks_px), MEANINGS[name]) for name in MEANINGS]
+        roots = (_three(_root(rms_of, sd, MEANINGS)) for sd in self.picks_px)
         rows.append(("sum", *roots, "root of the sum of their squares"))
-        rows.append((TOGETHER, *(_three(_size(found[sd, TOGETHER])) for sd in self.picks_px), "all of them at once"))
+        rows.append((TOGETHER, *(_three(_size(rms_of[sd, TOGETHER])) for sd in self.picks_px), "all of them at once"))
         note = "Three-dimensional error of the four test points, mm rms; default tolerances of the frame."
         return Table("Each source alone", columns, tuple(rows), note)
 
-    def _stated_table(self, found: dict[tuple[float, str], Estimate]) -> Table:
+    def _stated_table(self, rms_of: dict[tuple[float, str], Estimate]) -> Table:
         rows = [
             (
                 source.replace("_", " "),
                 *(
-                    f"{_root(found, sd, parts):.3f} / {_size(found[sd, f'{source}, stated']):.3f}"
+                    f"{_root(rms_of, sd, parts):.3f} / {_size(rms_of[sd, f'{source}, stated']):.3f}"
                     for sd in self.picks_px
                 ),
             )
@@ -153,23 +153,23 @@ def _sources(
 ) -> Values:
     """Return the error (4,) of each source at the test points, mm, and its stated value."""
     exact = none.points(pick_px).xyz_mm
-    moved = {name: one.points(pick_px).xyz_mm - exact for name, one in alone.items()}
+    moved = {name: varied.points(pick_px).xyz_mm - exact for name, varied in alone.items()}
     moved["map"] = exact - TEST_BALLS_MM
     moved["picks"] = none.points(pick_px, pick_px * noise).xyz_mm - exact
     whole = everything.points(pick_px, pick_px * noise)
     moved[TOGETHER] = whole.xyz_mm - TEST_BALLS_MM
     assert whole.budget_mm2 is not None  # noqa: S101 - a view calibrated from beads states its error
-    out: Values = {name: np.linalg.norm(by, axis=1).tolist() for name, by in moved.items()}
+    errors: Values = {name: np.linalg.norm(by, axis=1).tolist() for name, by in moved.items()}
     for source in STATED:
         variances = sum(np.diag(whole.budget_mm2[part]) for part in source.split(", "))
-        out[f"{source}, stated"] = np.sqrt(np.reshape(variances, (-1, 3)).sum(axis=1)).tolist()
-    return out
+        errors[f"{source}, stated"] = np.sqrt(np.reshape(variances, (-1, 3)).sum(axis=1)).tolist()
+    return errors
 
 
-def _finding(pick_px: float, found: dict[tuple[float, str], Estimate]) -> str:
-    squares = {name: _size(found[pick_px, name]) ** 2 for name in MEANINGS}
+def _finding(pick_px: float, rms_of: dict[tuple[float, str], Estimate]) -> str:
+    squares = {name: _size(rms_of[pick_px, name]) ** 2 for name in MEANINGS}
     first, second = sorted(squares, key=lambda name: -squares[name])[:2]
-    total, together = sum(squares.values()), found[pick_px, TOGETHER]
+    total, together = sum(squares.values()), rms_of[pick_px, TOGETHER]
     return (
         f"Picks {pick_px:g} px: {together} mm rms; of the sum of squares {squares[first] / total:.0%} is {first}, "
         f"{squares[second] / total:.0%} {second}. The root of that sum is {total**0.5 / _size(together):.2f} of their "
@@ -177,8 +177,8 @@ def _finding(pick_px: float, found: dict[tuple[float, str], Estimate]) -> str:
     )
 
 
-def _root(found: dict[tuple[float, str], Estimate], pick_px: float, names: Sequence[str] | dict[str, str]) -> float:
-    return sum(_size(found[pick_px, name]) ** 2 for name in names) ** 0.5
+def _root(rms_of: dict[tuple[float, str], Estimate], pick_px: float, names: Sequence[str] | dict[str, str]) -> float:
+    return sum(_size(rms_of[pick_px, name]) ** 2 for name in names) ** 0.5
 
 
 def _size(estimate: Estimate) -> float:

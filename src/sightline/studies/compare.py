@@ -136,19 +136,19 @@ def _distortion(image: Radiograph, beads: Detections | None, curves: dict[str, C
     names = [("pincushion", "%"), ("turn", "mrad"), *((f"residual of degree {d}", "px") for d in measure.DEGREES)]
     try:
         lattice = measure.lattice_of(beads)
-        found = measure.distortion(lattice, *measure.field_circle(image))
+        measured = measure.distortion(lattice, *measure.field_circle(image))
     except NotMeasurableError as error:
         return [Measurement(name, unit, None, str(error)) for name, unit in names]
-    curves["residual"] = [(float(d), r) for d, r in found.residual_px.items()]
-    return _of_distortion(found)
+    curves["residual"] = [(float(d), r) for d, r in measured.residual_px.items()]
+    return _of_distortion(measured)
 
 
-def _of_distortion(found: measure.DistortionMeasured) -> list[Measurement]:
-    few = f"{found.points} points are too few for its coefficients"
+def _of_distortion(measured: measure.DistortionMeasured) -> list[Measurement]:
+    few = f"{measured.points} points are too few for its coefficients"
     return [
-        Measurement("pincushion", "%", 100 * found.pincushion),
-        Measurement("turn", "mrad", 1000 * abs(found.turn_rad)),
-        *(Measurement(f"residual of degree {d}", "px", found.residual_px.get(d), few) for d in measure.DEGREES),
+        Measurement("pincushion", "%", 100 * measured.pincushion),
+        Measurement("turn", "mrad", 1000 * abs(measured.turn_rad)),
+        *(Measurement(f"residual of degree {d}", "px", measured.residual_px.get(d), few) for d in measure.DEGREES),
     ]
 
 
@@ -180,9 +180,9 @@ def _contrast(beads: Detections | None) -> list[Measurement]:
 
 def _vignetting(image: Radiograph, beads: Detections | None, curves: dict[str, Curve]) -> list[Measurement]:
     def values() -> list[float]:
-        found = measure.vignetting(image, beads)
-        curves["vignetting"] = list(zip(found.radius.tolist(), found.brightness.tolist(), strict=True))
-        return [100 * found.brightness[measure.MIN_RINGS - 1], 100 * found.brightness.max()]
+        measured = measure.vignetting(image, beads)
+        curves["vignetting"] = list(zip(measured.radius.tolist(), measured.brightness.tolist(), strict=True))
+        return [100 * measured.brightness[measure.MIN_RINGS - 1], 100 * measured.brightness.max()]
 
     at = (measure.MIN_RINGS - 0.5) / measure.RINGS
     return _or_why([(f"brightness at {at:.2f} radius", "%"), ("brightest ring", "%")], values)
@@ -237,7 +237,7 @@ def plots(pairs: Sequence[Pair]) -> list[Plot]:
         ("correlation", "Correlation of the noise", "px apart", "correlation", False),
         ("vignetting", "Brightness over radius", "radius over the field's radius", "over the middle's", False),
     )
-    out = []
+    drawings = []
     for name, title, across, up, log in drawn:
         least = 1e-3 if log else 0.0
         shown = [p for p in pairs if name in p.real.curves][:MAX_LEGEND]
@@ -249,8 +249,8 @@ def plots(pairs: Sequence[Pair]) -> list[Plot]:
         ]
         if series:
             svg = xy(series, PlotAxis(across, log=name == "noise"), PlotAxis(up, log=log), title)
-            out.append(Plot(title, svg, "Real images, and the twin's image of the same kind (dashed)."))
-    return out
+            drawings.append(Plot(title, svg, "Real images, and the twin's image of the same kind (dashed)."))
+    return drawings
 
 
 def document(pairs: Sequence[Pair], passed: Sequence[str], seed: int) -> dict[str, Any]:
@@ -289,18 +289,18 @@ def findings(pairs: Sequence[Pair]) -> list[str]:
     for pair in pairs:
         for name, real, twin, _ in differences(pair):
             known.setdefault(name, []).append((real, twin))
-    out = ["only one image: differences may be due to this image, not to the machine"] if len(pairs) == 1 else []
+    sentences = ["only one image: differences may be due to this image, not to the machine"] if len(pairs) == 1 else []
     for name, both in known.items():
         shown = [(r, t) for r, t in both if r.value is not None and t.value is not None]
         if not shown:
-            out.append(f"{name}: not measurable in any image and its twin")
+            sentences.append(f"{name}: not measurable in any image and its twin")
             continue
         real, twin = (np.median([f.value for f in side]) for side in zip(*shown, strict=True))
         unit = f" {shown[0][0].unit}".rstrip()
         ratio = f", {twin / real:.2f} times" if abs(real) > 1e-9 else ""
         many = "image" if len(shown) == 1 else "images"
-        out.append(f"{name}: real {real:.3g}{unit}, twin {twin:.3g}{unit}{ratio} (median of {len(shown)} {many})")
-    return out
+        sentences.append(f"{name}: real {real:.3g}{unit}, twin {twin:.3g}{unit}{ratio} (median of {len(shown)} {many})")
+    return sentences
 
 
 VIEW = "pa"

@@ -83,7 +83,7 @@ class Coverage:
         ]
         return Summary(
             findings=tuple(_findings(self.methods, groups, held, refused)),
-            estimates=(*refused, *(estimate for one in held.values() for estimate in one.estimates)),
+            estimates=(*refused, *(estimate for coverage in held.values() for estimate in coverage.estimates)),
             tables=tuple(tables),
             plots=tuple(_plots(self.methods, trials)),
         )
@@ -136,10 +136,10 @@ class GroupCoverage(EstimateGroup):
     @staticmethod
     def of(name: str, outcomes: Sequence[Values]) -> "GroupCoverage":
         """Return the coverage over the targets of a group."""
-        squares = np.array([one["square"] for one in outcomes])
+        squares = np.array([outcome["square"] for outcome in outcomes])
         shares = (share(f"{name}: {p:.0%} ellipsoid holds the target", squares <= chi2.ppf(p, 3)) for p in LEVELS)
         normalised = rms(f"{name}: normalised error per axis", [np.array([s / 3]) ** 0.5 for s in squares])
-        volumes = np.array([one["volume"] for one in outcomes])
+        volumes = np.array([outcome["volume"] for outcome in outcomes])
         return GroupCoverage(tuple(shares), normalised, quantile(f"{name}: volume over the bound's", volumes, 0.5, ""))
 
     @property
@@ -186,7 +186,9 @@ def _findings(
 def _plots(methods: Sequence[str], trials: Sequence[Values]) -> Iterable[Plot]:
     series = []
     for method in methods:
-        outcomes = sorted((t[method] for t in trials if t[method] is not None), key=lambda one: one["stated_mm"])
+        outcomes = sorted(
+            (t[method] for t in trials if t[method] is not None), key=lambda outcome: outcome["stated_mm"]
+        )
         if len(outcomes) < 2 * BINS:
             continue
         points = []

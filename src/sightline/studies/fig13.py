@@ -71,26 +71,26 @@ class Figure13:
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Return the displacements of the holes, and a plot of one displacement field."""
-        found = {
+        quantiles = {
             name: [quantile(f"{name}, {at:.0%}", np.array([t[name] for t in trials]), at) for at in QUANTILES]
             for name in MEASURES
         }
         low, high = PAPER_MM
         centre = np.array([trial["centre"] for trial in trials])
         inside = share("set-ups whose centre hole moves by 2 to 3 mm", (centre >= low) & (centre <= high))
-        rows = [(words, *(f"{estimate.value:.2f}" for estimate in found[name])) for name, words in MEASURES.items()]
+        rows = [(words, *(f"{estimate.value:.2f}" for estimate in quantiles[name])) for name, words in MEASURES.items()]
         optics = preset(self.chain)
         typical = trials[int(np.argmin(np.abs(centre - np.median(centre))))]
         title = "PA (hollow) and lateral (filled) positions of the holes"
         drawing = field(np.array(typical["pa"]), np.array(typical["lateral"]), optics.field_mm / 2, title)
-        five, median, ninety_five = (estimate.value for estimate in found["centre"])
+        five, median, ninety_five = (estimate.value for estimate in quantiles["centre"])
         return Summary(
             findings=(
                 f"The centre hole moves by {median:.1f} mm (median; central 90 %: {five:.1f} to {ninety_five:.1f} mm), "
                 f"{(median or 0.0) / optics.pitch_mm:.0f} px; the paper saw 2 to 3 mm, 8 px.",
                 f"In {inside.value:.0%} of set-ups it moves by 2 to 3 mm.",
             ),
-            estimates=(inside, *(estimate for estimates in found.values() for estimate in estimates)),
+            estimates=(inside, *(estimate for estimates in quantiles.values() for estimate in estimates)),
             tables=(Table("Displacement, mm at the input plane", ("", "5 %", "median", "95 %"), tuple(rows)),),
             plots=(Plot(title, drawing, "The set-up whose centre hole (pink) moves by the median; to scale."),),
         )

@@ -80,16 +80,17 @@ class Figure15:
         estimates, rows, findings = [], [], []
         for method in self.methods:
             all_of = [trial.get(method, trial) for trial in trials]
-            kept = [one for one in all_of if "refused" not in one]
+            kept = [insertion for insertion in all_of if "refused" not in insertion]
             within = share(
-                f"{method}: within {LIMIT_MM:g} mm and {LIMIT_DEG}°", np.array([_within(one) for one in all_of])
+                f"{method}: within {LIMIT_MM:g} mm and {LIMIT_DEG}°",
+                np.array(list(map(_within, all_of))),
             )
             mine = [within, *(f for of in _MEASURED for f in _quantiles(method, of, kept))]
-            plans = [one for one in all_of if "plan_entry" in one]
+            plans = [insertion for insertion in all_of if "plan_entry" in insertion]
             estimates += [*mine, *(f for of in ("plan_entry", "plan_angle") for f in _quantiles(method, of, plans))]
             rows.append((method, f"{len(kept)} of {len(trials)}", *(str(estimate) for estimate in mine)))
             findings.append(
-                f"{method}: {sum(_within(one) for one in all_of)} of {len(trials)} insertions within {LIMIT_MM:g} mm "
+                f"{method}: {sum(map(_within, all_of))} of {len(trials)} insertions within {LIMIT_MM:g} mm "
                 f"of the entry point and {LIMIT_DEG}° of the bore's axis; {len(trials) - len(kept)} refused."
             )
         columns = ("method", "drilled", "within", *(f"{of}, {what}" for of in _MEASURED for what in ("median", "95 %")))
@@ -100,8 +101,14 @@ class Figure15:
         rows = []
         for number, trial in enumerate(trials[:SIX], start=1):
             for method in self.methods:
-                one = trial.get(method, trial)
-                rows.append((str(number), method, *(f"{one[of]:.2f}" if of in one else "refused" for of in _MEASURED)))
+                insertion = trial.get(method, trial)
+                rows.append(
+                    (
+                        str(number),
+                        method,
+                        *(f"{insertion[of]:.2f}" if of in insertion else "refused" for of in _MEASURED),
+                    )
+                )
         columns = ("trial", "method", "entry mm", "end mm", "angle °")
         return Table(
             "Six trials, as the paper's figure shows", columns, tuple(rows), "The paper: all within 1 mm, 0.6°."
@@ -131,36 +138,36 @@ def _planned(rng: np.random.Generator) -> PlannedInsertion:
 
 def _inserted(planned: PlannedInsertion, method: Method, rng: np.random.Generator) -> Values:
     """Return the result of one method's plan; only the errors of the plan if the robot does not carry it out."""
-    out: Values = {}
+    plan_errors: Values = {}
     try:
         made = planned.plan(method)
         by_plan = InsertionOutcome.of(made.trajectory.points.xyz_mm, planned.hip.wire_mm)
-        out = {"plan_entry": by_plan.entry_mm, "plan_angle": float(np.rad2deg(by_plan.angle_rad))}
+        plan_errors = {"plan_entry": by_plan.entry_mm, "plan_angle": float(np.rad2deg(by_plan.angle_rad))}
         # The wire enters the bore without touching bone, so there is no contact to wait for.
         confirmed = Setup(SIDE, planned.setup.frame.serial or "twin", into_bone=False)
         theatre = SimulatedTheatre.draw(calibrated_robot(SIDE), planned.hip, rng, confirmed)
         target = theatre.target(made, "fig15")
         theatre.drill(target, target.length_mm + BEYOND_MM)
     except SightlineError as error:
-        return {**out, "refused": f"{type(error).__name__}: {error}"}
-    found: InsertionOutcome = theatre.outcome(planned.hip.wire_mm)
+        return {**plan_errors, "refused": f"{type(error).__name__}: {error}"}
+    outcome: InsertionOutcome = theatre.outcome(planned.hip.wire_mm)
     return {
-        **out,
-        "entry": found.entry_mm,
-        "end": found.end_mm,
-        "angle": float(np.rad2deg(found.angle_rad)),
+        **plan_errors,
+        "entry": outcome.entry_mm,
+        "end": outcome.end_mm,
+        "angle": float(np.rad2deg(outcome.angle_rad)),
         "stated_entry": target.entry_error_95_mm,
         "stated_end": target.end_error_95_mm,
     }
 
 
-def _within(one: Values) -> bool:
-    return "refused" not in one and one["entry"] <= LIMIT_MM and one["angle"] <= LIMIT_DEG
+def _within(trial: Values) -> bool:
+    return "refused" not in trial and trial["entry"] <= LIMIT_MM and trial["angle"] <= LIMIT_DEG
 
 
 def _quantiles(method: str, of: str, kept: Sequence[Values]) -> list[Estimate]:
     unit = "°" if of.endswith("angle") else "mm"
-    values = np.array([one[of] for one in kept])
+    values = np.array([trial[of] for trial in kept])
     return [
         quantile(f"{method}: {of.replace('_', ', ')}, {what}", values, at, unit)
         for what, at in (("median", 0.5), ("95 %", 0.95))

@@ -155,48 +155,50 @@ class FrameDesignStudy:
         """Return for each design, tolerance and handling the wire ends' errors (2) and their stated values, mm."""
         setup = draw_showing(rng, Frame.load("gamma"), WIRE_ENDS_MM, frame_errors=False)
         seed = int(rng.integers(2**32))
-        out: Values = {}
+        errors: Values = {}
         for design in self.geometries:
             for made, sd in MADE.items():
-                out[f"{design.name}, {made}"] = error_of(setup, design, sd, AS_MEASURED, seed)
+                errors[f"{design.name}, {made}"] = error_of(setup, design, sd, AS_MEASURED, seed)
         for name in self.tolerances:
-            out[name] = error_of(setup, DEFAULT, TOLERANCES[name], AS_MEASURED, seed)
+            errors[name] = error_of(setup, DEFAULT, TOLERANCES[name], AS_MEASURED, seed)
         for name in self.handlings:
             for made, sd in MADE.items():
-                out[f"{name}, {made}"] = error_of(setup, DEFAULT, sd, HANDLINGS[name], seed)
+                errors[f"{name}, {made}"] = error_of(setup, DEFAULT, sd, HANDLINGS[name], seed)
         for kind in self.kinds:
             for made in kind.tolerances:
-                out[kind.key(made)] = error_of_kind(kind, EQUAL[made], seed)
-        return out
+                errors[kind.key(made)] = error_of_kind(kind, EQUAL[made], seed)
+        return errors
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Return errors by design, tolerance and handling, and the best design of those that fit."""
-        found = {key: DesignResult.of(key, trials) for key in trials[0]}
+        results = {key: DesignResult.of(key, trials) for key in trials[0]}
         gains = {design: _gain(design, trials) for design in self.geometries if design != DEFAULT}
-        handled = [f"{one}, {made}" for made in MADE for one in self.handlings]
+        handled = [f"{handling}, {made}" for made in MADE for handling in self.handlings]
         title, kinds = "Error at the ends of the wire", {kind.key(made) for kind in self.kinds for made in EQUAL}
-        drawn = [one.span(key) for key, one in found.items() if one.error.value is not None and key not in kinds]
+        drawn = [
+            result.span(key) for key, result in results.items() if result.error.value is not None and key not in kinds
+        ]
         return Summary(
-            findings=(*which_to_build(self.kinds, found), *_findings(found, gains)),
-            estimates=(*(estimate for one in found.values() for estimate in one.estimates), *gains.values()),
+            findings=(*which_to_build(self.kinds, results), *_findings(results, gains)),
+            estimates=(*(estimate for result in results.values() for estimate in result.estimates), *gains.values()),
             tables=(
-                error_table("Kinds of frames at equal tolerances", [key for key in found if key in kinds], found),
+                error_table("Kinds of frames at equal tolerances", [key for key in results if key in kinds], results),
                 place_table(self.blocks, WIRE_ENDS_MM),
-                self._geometry_table(found, gains),
-                error_table("Tolerances of the default frame", [AS_MADE, *self.tolerances], found),
-                error_table("Handling of the default frame", handled, found),
+                self._geometry_table(results, gains),
+                error_table("Tolerances of the default frame", [AS_MADE, *self.tolerances], results),
+                error_table("Handling of the default frame", handled, results),
             ),
             plots=(
-                *kinds_plot(self.kinds, found),
+                *kinds_plot(self.kinds, results),
                 Plot(title, spans(drawn, "mm", title), f"{INTERVAL}."),
             ),
         )
 
-    def _geometry_table(self, found: dict[str, DesignResult], gains: dict[Design, Estimate]) -> Table:
+    def _geometry_table(self, results: dict[str, DesignResult], gains: dict[Design, Estimate]) -> Table:
         rows = []
         for design in self.geometries:
             gain = str(gains[design]) if design in gains else "the default"
-            each = (found[f"{design.name}, {made}"].cell for made in MADE)
+            each = (results[f"{design.name}, {made}"].cell for made in MADE)
             covered = f"{100 * covered_share(design):.1f} %"
             rows.append((design.name, *each, gain, covered, obstacle(design) or "fits"))
         columns = ("plates, rows x pitch, balls, mm", *MADE, "rms over the default's", "of the field covered", "fits")
@@ -279,24 +281,24 @@ def _gain(design: Design, trials: Sequence[Values]) -> Estimate:
     return Estimate(name, float(ratio**0.5), float(max(low, 0.0) ** 0.5), float(high**0.5), "", len(pairs))
 
 
-def _findings(found: dict[str, DesignResult], gains: dict[Design, Estimate]) -> Sequence[str]:
-    out = [f"The default frame: {found[AS_MADE].error} mm rms at the ends of the wire."]
-    handled = [key for key in HANDLINGS if f"{key}, as made" in found]
+def _findings(results: dict[str, DesignResult], gains: dict[Design, Estimate]) -> Sequence[str]:
+    sentences = [f"The default frame: {results[AS_MADE].error} mm rms at the ends of the wire."]
+    handled = [key for key in HANDLINGS if f"{key}, as made" in results]
     if handled:
-        worst = max(handled, key=lambda key: found[f"{key}, as made"].error.value or 0.0)
-        measured = found[f"{worst}, plates and arms measured"].error
-        out.append(
-            f"Handling costs it most by {worst}: {found[f'{worst}, as made'].error} mm rms, "
+        worst = max(handled, key=lambda key: results[f"{key}, as made"].error.value or 0.0)
+        measured = results[f"{worst}, plates and arms measured"].error
+        sentences.append(
+            f"Handling costs it most by {worst}: {results[f'{worst}, as made'].error} mm rms, "
             f"{measured} with plates and arms measured."
         )
     fitting = [(gain.value, design, gain) for design, gain in gains.items() if gain.value and not obstacle(design)]
     if not fitting:
-        return out
-    _, best, gain = min(fitting, key=lambda one: one[0])
+        return sentences
+    _, best, gain = min(fitting, key=lambda fit: fit[0])
     if gain.high is not None and gain.high < 1 - MIN_GAIN:
-        return [*out, f"Recommended of those that fit: {best.name}, {gain} of the default's error."]
+        return [*sentences, f"Recommended of those that fit: {best.name}, {gain} of the default's error."]
     return [
-        *out,
+        *sentences,
         f"Recommended: the default frame. The best of the others that fit is {best.name}, at {gain} of its error; "
         f"a change is recommended only if it reduces the error by at least {MIN_GAIN:.0%}.",
     ]

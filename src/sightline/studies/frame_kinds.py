@@ -58,8 +58,8 @@ class DesignResult(EstimateGroup):
         """Return the result over all trials."""
         kept = [trial[key] for trial in trials if trial[key] is not None]
         return DesignResult(
-            rms(f"{key}: error", [np.array(one["error"]) for one in kept], "mm"),
-            rms(f"{key}: stated", [np.array(one["stated"]) for one in kept], "mm"),
+            rms(f"{key}: error", [np.array(errors["error"]) for errors in kept], "mm"),
+            rms(f"{key}: stated", [np.array(errors["stated"]) for errors in kept], "mm"),
             share(f"{key}: refused", np.array([trial[key] is None for trial in trials])),
         )
 
@@ -77,9 +77,9 @@ class DesignResult(EstimateGroup):
         return f"{self.error.value:.3f} / {self.stated.value:.3f}{refused}"
 
 
-def error_table(title: str, keys: Sequence[str], found: dict[str, DesignResult]) -> Table:
+def error_table(title: str, keys: Sequence[str], results: dict[str, DesignResult]) -> Table:
     """Return the table of some results by name."""
-    rows = tuple((key, found[key].cell, str(found[key].error)) for key in keys)
+    rows = tuple((key, results[key].cell, str(results[key].error)) for key in keys)
     return Table(title, ("", "error / stated, mm rms", "95 % interval of the error"), rows)
 
 
@@ -143,22 +143,24 @@ KINDS = (
 )
 
 
-def which_to_build(kinds: Sequence[FrameKind], found: dict[str, DesignResult]) -> list[str]:
+def which_to_build(kinds: Sequence[FrameKind], results: dict[str, DesignResult]) -> list[str]:
     """Return for each detector the sentence that orders the frames by their error at equal tolerances."""
-    out = []
+    sentences = []
     for chain, detector in DETECTORS.items():
-        errors = [(found[one.key(MADE)].error, one) for one in kinds if one.chain == chain]
-        ranked = sorted(((e, one) for e, one in errors if e.value is not None), key=lambda pair: pair[0].value or 0.0)
+        errors = [(results[kind.key(MADE)].error, kind) for kind in kinds if kind.chain == chain]
+        ranked = sorted(((e, kind) for e, kind in errors if e.value is not None), key=lambda pair: pair[0].value or 0.0)
         if ranked:
-            best, *others = [f"{one.stands}: {error}" for error, one in ranked]
-            out.append(f"Before the {detector} build {best} mm rms at equal tolerances. Others: {'; '.join(others)}.")
-    return out
+            best, *others = [f"{kind.stands}: {error}" for error, kind in ranked]
+            sentences.append(
+                f"Before the {detector} build {best} mm rms at equal tolerances. Others: {'; '.join(others)}."
+            )
+    return sentences
 
 
-def kinds_plot(kinds: Sequence[FrameKind], found: dict[str, DesignResult]) -> list[Plot]:
+def kinds_plot(kinds: Sequence[FrameKind], results: dict[str, DesignResult]) -> list[Plot]:
     """Return the picture that compares the kinds, none without kinds."""
-    rows = [(one.key(made), COLOURS[made]) for one in kinds for made in one.tolerances]
-    drawn = [found[key].span(key, colour) for key, colour in rows if found[key].error.value is not None]
+    rows = [(kind.key(made), COLOURS[made]) for kind in kinds for made in kind.tolerances]
+    drawn = [results[key].span(key, colour) for key, colour in rows if results[key].error.value is not None]
     title, caption = "Which frame to build", f"Ends of the wire: {INTERVAL}; diamond: stated error."
     return [Plot(title, spans(drawn, "mm", title, "stated"), caption)] if drawn else []
 
@@ -209,22 +211,22 @@ def places(frame: Frame, field_mm: float, wire_mm: np.ndarray) -> list[Place]:
     assert frame.solid is not None  # noqa: S101 - chosen by the study
     balls = frame.solid.xyz_mm - (frame.solid.xyz_mm.min(axis=0) + frame.solid.xyz_mm.max(axis=0)) / 2
     half = np.abs(balls).max(axis=0) + COVER_MM
-    found = []
+    possible = []
     for at in product(*(np.arange(low, high + STEP_MM, STEP_MM) for low, high in REACH_MM)):
         margin = min(_margin_mm(balls + at, wire_mm, field_mm, axis) for axis in BEAM_AXES)
         if margin >= MARGIN_MM:
-            found.append(Place((float(at[0]), float(at[1]), float(at[2])), margin, _outside(np.array(at), half)))
-    return found
+            possible.append(Place((float(at[0]), float(at[1]), float(at[2])), margin, _outside(np.array(at), half)))
+    return possible
 
 
 def place_table(blocks: Sequence[str], wire_mm: np.ndarray) -> Table:
     """Return the table of where each solid may stand for each field."""
     rows = []
     for name, (what, field_mm) in product(blocks, FIELDS_MM.items()):
-        every = sorted(places(Frame.load(name), field_mm, wire_mm), key=lambda one: one.distance_mm)
-        free = [one for one in every if one.outside]
+        every = sorted(places(Frame.load(name), field_mm, wire_mm), key=lambda place: place.distance_mm)
+        free = [place for place in every if place.outside]
         nearest = f"{' / '.join(f'{mm:g}' for mm in free[0].at_mm)}: {free[0].distance_mm:.0f} mm" if free else "none"
-        margin = f"{max(one.margin_mm for one in free):.0f} mm" if free else ""
+        margin = f"{max(place.margin_mm for place in free):.0f} mm" if free else ""
         farthest = f"{every[-1].distance_mm:.0f} mm" if every else "none"
         rows.append((name, f"{what}, {field_mm:g} mm", nearest, margin, farthest))
     columns = ("solid", "field at the hip", "nearest outside the skin", "its largest margin", "farthest in the images")

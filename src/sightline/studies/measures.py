@@ -72,7 +72,9 @@ def grow(uv_px: np.ndarray) -> Lattice | None:
         return None
     tree = KDTree(uv_px)
     starts = np.atleast_1d(tree.query(np.median(uv_px, axis=0), k=STARTS)[1])
-    grown = [one for start in starts if start < len(uv_px) and (one := _from(uv_px, tree, int(start))) is not None]
+    grown = [
+        lattice for start in starts if start < len(uv_px) and (lattice := _from(uv_px, tree, int(start))) is not None
+    ]
     return max(grown, key=len, default=None)
 
 
@@ -108,10 +110,10 @@ def walk(uv_px: np.ndarray, tree: KDTree, start: int, axes: np.ndarray) -> dict[
             if site in place:
                 continue
             step = here - uv_px[behind] if behind is not None else np.array([di, dj]) @ axes
-            distance, found = tree.query(here + step)
-            if distance < REACH * pitch and found not in taken:
-                place[site] = int(found)
-                taken.add(int(found))
+            distance, nearest = tree.query(here + step)
+            if distance < REACH * pitch and nearest not in taken:
+                place[site] = int(nearest)
+                taken.add(int(nearest))
                 todo.append(site)
     return place
 
@@ -165,14 +167,15 @@ def lattice_of(beads: Detections | None) -> Lattice:
     """The lattice that an image's beads stand on. Raises NotMeasurableError."""
     if beads is None:
         raise NotMeasurableError("no beads or holes")
-    found = grow(beads.uv_px)
+    lattice = grow(beads.uv_px)
     least = PER_COEFFICIENT * 10  # a cubic's coefficients
-    if found is None or len(found) < max(least, ON_LATTICE * len(beads)):
+    if lattice is None or len(lattice) < max(least, ON_LATTICE * len(beads)):
+        number = 0 if lattice is None else len(lattice)
         raise NotMeasurableError(
-            f"{0 if found is None else len(found)} of {len(beads)} beads stand on one lattice; at least {least} and "
+            f"{number} of {len(beads)} beads stand on one lattice; at least {least} and "
             f"{ON_LATTICE:.0%} of them are needed"
         )
-    return found
+    return lattice
 
 
 def distortion(lattice: Lattice, centre_px: np.ndarray, radius_px: float) -> DistortionMeasured:
@@ -379,8 +382,8 @@ def vignetting(image: Radiograph, beads: Detections | None) -> VignettingMeasure
             f"brightness is even to {UNEVEN:.0%} around the inner {len(brightness)} of {RINGS} rings only, "
             f"{MIN_RINGS} are needed: something in the beam shades the image"
         )
-    out = np.array(brightness)
-    return VignettingMeasured((np.arange(len(out)) + 0.5) / RINGS, out / out[0])
+    levels = np.array(brightness)
+    return VignettingMeasured((np.arange(len(levels)) + 0.5) / RINGS, levels / levels[0])
 
 
 def _blurred(pixels: np.ndarray, mask: np.ndarray, blur_px: float) -> np.ndarray:

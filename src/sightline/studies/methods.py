@@ -44,14 +44,14 @@ def local_weighted_mean(uv: np.ndarray, xy: np.ndarray) -> Predict:
     ]
 
     def predict(at: np.ndarray) -> np.ndarray:
-        total, out = np.zeros((len(at), 1)), np.zeros_like(at)
+        total, points = np.zeros((len(at), 1)), np.zeros_like(at)
         for centre, r, c in zip(uv, reach, coefficients, strict=True):
             d = (at - centre) / r
             t = np.minimum(np.linalg.norm(d, axis=1), 1.0)[:, None]
             weight = 1 - 3 * t**2 + 2 * t**3
             total += weight
-            out += weight * (quadratic(d) @ c)
-        return out / np.maximum(total, 1e-12)
+            points += weight * (quadratic(d) @ c)
+        return points / np.maximum(total, 1e-12)
 
     return predict
 

@@ -63,13 +63,13 @@ def render_comparison(pairs: Sequence[Pair], passed: Sequence[str], folder: str,
 def _shown(pair: Pair) -> dict[str, Any]:
     rows, reasons = [], dict[str, list[str]]()
     for name, real, twin, ratio in differences(pair):
-        for one, whose in ((real, "real"), (twin, "twin")):
-            if one.value is None:
-                reasons.setdefault(one.why_not, []).append(f"{name} ({whose})")
+        for measured, whose in ((real, "real"), (twin, "twin")):
+            if measured.value is None:
+                reasons.setdefault(measured.why_not, []).append(f"{name} ({whose})")
         if real.value is not None or twin.value is not None:
             span = pair.ranges.get(name)
             between = "" if span is None else f"{span[0]:.3g} to {span[1]:.3g}"
-            cells = ["not measurable" if one.value is None else str(one) for one in (real, twin)]
+            cells = ["not measurable" if measured.value is None else str(measured) for measured in (real, twin)]
             rows.append((name, *cells, "" if ratio is None else f"{ratio:.2f}", between))
     return {
         "name": pair.name,

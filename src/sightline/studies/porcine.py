@@ -58,10 +58,10 @@ class Porcine:
             "mm rms over stated",
         )
         note = "Errors: median / 95 %. Within: entry and direction, as in the paper's six trials, of plans that are GO."
-        table = Table("Plans on images", columns, tuple(one.row for one in ended.values()), note)
+        table = Table("Plans on images", columns, tuple(result.row for result in ended.values()), note)
         return Summary(
-            findings=tuple(one.words for one in ended.values()),
-            estimates=tuple(estimate for one in ended.values() for estimate in one.estimates),
+            findings=tuple(result.words for result in ended.values()),
+            estimates=tuple(estimate for result in ended.values() for estimate in result.estimates),
             tables=(table,),
         )
 
@@ -104,25 +104,25 @@ class PhantomResult(EstimateGroup):
     @staticmethod
     def of(name: str, outcomes: Sequence[Values]) -> "PhantomResult":
         """Return the result over all trials."""
-        answered = [one for one in outcomes if one["ended"] != "refused"]
-        go = [one for one in answered if one["ended"] == "GO"]
-        kept = [one["error_mm"][0] <= PAPER_MM and one["direction_deg"] <= PAPER_DEG for one in go]
+        answered = [outcome for outcome in outcomes if outcome["ended"] != "refused"]
+        go = [outcome for outcome in answered if outcome["ended"] == "GO"]
+        kept = [outcome["error_mm"][0] <= PAPER_MM and outcome["direction_deg"] <= PAPER_DEG for outcome in go]
         sizes = {
-            "entry": ([one["error_mm"][0] for one in answered], "mm"),
-            "end": ([one["error_mm"][1] for one in answered], "mm"),
-            "direction": ([one["direction_deg"] for one in answered], "°"),
+            "entry": ([outcome["error_mm"][0] for outcome in answered], "mm"),
+            "end": ([outcome["error_mm"][1] for outcome in answered], "mm"),
+            "direction": ([outcome["direction_deg"] for outcome in answered], "°"),
         }
         errors = [
             quantile(f"{name}: {what}, {at:.0%}", np.array(values), at, unit)
             for what, (values, unit) in sizes.items()
             for at in (0.5, 0.95)
         ]
-        counts = np.array([count for one in answered for count in one["beads"]])
-        over = [np.array(one["error_mm"]) / np.array(one["stated_mm"]) for one in answered]
+        counts = np.array([count for outcome in answered for count in outcome["beads"]])
+        over = [np.array(outcome["error_mm"]) / np.array(outcome["stated_mm"]) for outcome in answered]
         return PhantomResult(
             name,
-            share(f"{name}: refused", np.array([one["ended"] == "refused" for one in outcomes])),
-            share(f"{name}: NO-GO", np.array([one["ended"] == "NO-GO" for one in outcomes])),
+            share(f"{name}: refused", np.array([outcome["ended"] == "refused" for outcome in outcomes])),
+            share(f"{name}: NO-GO", np.array([outcome["ended"] == "NO-GO" for outcome in outcomes])),
             quantile(f"{name}: beads a view, median", counts, 0.5, ""),
             tuple(errors),
             share(f"{name}: GO within {PAPER_MM:g} mm and {PAPER_DEG:g}°", np.array(kept, dtype=bool)),

@@ -99,7 +99,7 @@ def _refuse_other_code(client, address: str) -> int:
             f"workers of {address} have no Sightline or another version ({', '.join(other)}): their trials must not be "
             "mixed with these; install the same version there"
         )
-    threaded = [worker for worker, one in client.run(one_threaded).items() if not one]
+    threaded = [worker for worker, single in client.run(one_threaded).items() if not single]
     if threaded:
         raise UnusableInputError(
             f"workers of {address} may do linear algebra on several threads ({', '.join(threaded)}), which changes the "
@@ -205,13 +205,13 @@ class Record:
             record._append([expected])
             return record
         try:
-            found, *lines = [json.loads(line) for line in whole.splitlines()]
+            recorded, *lines = [json.loads(line) for line in whole.splitlines()]
             record.finished.update({line["trial"]: line["values"] for line in lines})
         except (ValueError, KeyError, TypeError):
             raise UnusableInputError(
                 f"{file} is not a record of trials; delete it, or name another folder with --out"
             ) from None
-        _refuse_other(found, json.loads(json.dumps(expected)), file)
+        _refuse_other(recorded, json.loads(json.dumps(expected)), file)
         return record
 
     def add(self, values: dict[int, Values]) -> None:
@@ -222,10 +222,10 @@ class Record:
     def _append(self, lines: list[dict[str, Any]]) -> None:
         text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in lines)
         try:
-            with self.file.open("ab") as out:
-                out.write(text.encode())
-                out.flush()
-                os.fsync(out.fileno())
+            with self.file.open("ab") as file:
+                file.write(text.encode())
+                file.flush()
+                os.fsync(file.fileno())
         except OSError as error:
             raise _unusable(self.file, error) from error
 
@@ -237,16 +237,16 @@ def _unusable(file: Path, error: OSError) -> UnusableInputError:
     )
 
 
-def _refuse_other(found: Any, expected: dict[str, Any], file: Path) -> None:
+def _refuse_other(recorded: Any, expected: dict[str, Any], file: Path) -> None:
     """Refuse a record of another study, seed, configuration or code: their trials must not be mixed."""
-    if found == expected:
+    if recorded == expected:
         return
-    found = found if isinstance(found, dict) else {}
-    names = [name for name in expected if found.get(name) != expected[name]]
+    recorded = recorded if isinstance(recorded, dict) else {}
+    names = [name for name in expected if recorded.get(name) != expected[name]]
     details = "; ".join(
-        f"{name} {found.get(name)!r} there, {expected[name]!r} now"
+        f"{name} {recorded.get(name)!r} there, {expected[name]!r} now"
         if name != "configuration"
-        else _difference(found.get(name), expected[name])
+        else _difference(recorded.get(name), expected[name])
         for name in names
     )
     raise UnusableInputError(

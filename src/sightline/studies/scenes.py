@@ -65,12 +65,12 @@ class TargetScene:
     def seen(self, pick_px2: np.ndarray, across_px: np.ndarray | None = None) -> dict[str, BoundData]:
         """Return the data of the bound, for picks of one target with covariances (V, 2, 2)."""
         across = np.zeros((len(self.setup.views), 2)) if across_px is None else across_px
-        out = {}
+        data = {}
         for k, name in enumerate(self.setup.views):
             seen = self.observations[name]
             assert seen.covariance_px2 is not None  # noqa: S101 - `measure` states it
-            out[name] = BoundData(seen.ids, seen.covariance_px2, pick_px2[k], across[k])
-        return out
+            data[name] = BoundData(seen.ids, seen.covariance_px2, pick_px2[k], across[k])
+        return data
 
 
 def draw_scene(
@@ -114,7 +114,7 @@ def draw_showing(
 def measure(rng: np.random.Generator, setup: SetUp, bead_px: float, uneven: float = 0.0) -> dict[str, Observations]:
     """Draw measurements of the beads of all views, each with the covariance of its noise; of a plate on the detector
     the radii as well, since `bead_images` has the centroids of its shadows."""
-    out = {}
+    observations = {}
     for name in setup.views:
         ids, exact = bead_images(setup, name, rng, sd_px=0.0)
         sd = bead_px * np.exp(uneven * rng.standard_normal(len(ids)))
@@ -122,13 +122,13 @@ def measure(rng: np.random.Generator, setup: SetUp, bead_px: float, uneven: floa
         shape = None if setup.frame.solid is None else setup.views[name].chain.shape  # its calibration needs it
         radius = None if setup.frame.detector is None else _radii_px(setup, name, ids)
         covariance = sd[:, None, None] ** 2 * np.eye(2)
-        out[name] = Observations(name, ids, measured, covariance, image_shape=shape, radius_px=radius)
-    return out
+        observations[name] = Observations(name, ids, measured, covariance, image_shape=shape, radius_px=radius)
+    return observations
 
 
 def _radii_px(setup: SetUp, name: str, ids: tuple[str, ...]) -> np.ndarray:
     """Return the radii (N,) of the shadows of a view's balls."""
-    known = {one.id: one for one in setup.frame_in(name).fiducials_of(name)}
+    known = {fiducial.id: fiducial for fiducial in setup.frame_in(name).fiducials_of(name)}
     xyz, diameter = (np.array([getattr(known[i], what) for i in ids]) for what in ("xyz_mm", "diameter_mm"))
     return shadow_radius_px(setup.views[name], xyz, diameter / 2)
 
@@ -138,7 +138,7 @@ def calibrated_views(setup: SetUp, seen: Mapping[str, Observations], told: Frame
     nominal one. Raises what `calibrate` raises."""
     told = told or setup.frame
     if told.solid is None:
-        return [sl.calibrate(one, told) for one in seen.values()]
+        return [sl.calibrate(observed, told) for observed in seen.values()]
     arms = [CArm(view.chain.sdd_mm, view.chain.pitch_mm) for view in setup.views.values()]
     return list(calibrate_together(list(seen.values()), told, arms))
 

@@ -40,7 +40,7 @@ class EstimateGroup:
     @property
     def estimates(self: Any) -> tuple[Estimate, ...]:
         """All estimates among the fields, in order."""
-        values = [getattr(self, one.name) for one in fields(self)]
+        values = [getattr(self, item.name) for item in fields(self)]
         every = [each for value in values for each in (value if isinstance(value, tuple) else (value,))]
         return tuple(each for each in every if isinstance(each, Estimate))
 

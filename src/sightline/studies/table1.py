@@ -68,7 +68,7 @@ class Table1:
 
     def trial(self, rng: np.random.Generator) -> Values:
         """Return the four errors, mm, or None, for each "plates, method, pick", from one set-up of each frame."""
-        out: Values = {}
+        values: Values = {}
         for plates in self.plates:
             setup = draw_setup(rng, frame_with(plates))
             scene = TargetScene.of(setup, measure(rng, setup, self.bead_px), TEST_BALLS_MM)
@@ -76,8 +76,8 @@ class Table1:
             picks = [(scene.target_px + sd * noise, sd) for sd in self.picks_px]
             for method in self.methods:
                 for sd, error in zip(self.picks_px, errors(scene, method, picks), strict=True):
-                    out[key(plates, method, sd)] = None if error is None else error.round(5).tolist()
-        return out
+                    values[key(plates, method, sd)] = None if error is None else error.round(5).tolist()
+        return values
 
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Return distributions of the largest of four errors, compared with the paper's values."""
@@ -88,7 +88,11 @@ class Table1:
             for sd in self.picks_px
         }
         held = [PaperComparison(*place, spread) for place, spread in spreads.items()]
-        against = [one for one in held if one.paper is not None and one.spread.middle.value is not None]
+        against = [
+            comparison
+            for comparison in held
+            if comparison.paper is not None and comparison.spread.middle.value is not None
+        ]
         return Summary(
             findings=tuple(_findings(against)),
             estimates=tuple(estimate for spread in spreads.values() for estimate in spread.estimates),
@@ -216,7 +220,7 @@ def _may_be(end: Estimate, value: float) -> bool:
 
 def _paper_table(held: Sequence[PaperComparison], picks_px: Sequence[float]) -> Table:
     rows = [
-        (plates, method, f"{some[0].paper:.2f}", *(one.cell for one in some))
+        (plates, method, f"{some[0].paper:.2f}", *(comparison.cell for comparison in some))
         for (plates, method), some in _by_place(held).items()
     ]
     columns = ("plates mm", "compensation", "paper", *(f"picks {sd:g} px" for sd in picks_px))
@@ -228,10 +232,10 @@ def _paper_table(held: Sequence[PaperComparison], picks_px: Sequence[float]) -> 
 
 
 def _by_place(held: Sequence[PaperComparison]) -> dict[tuple[str, str], list[PaperComparison]]:
-    out: dict[tuple[str, str], list[PaperComparison]] = {}
-    for one in held:
-        out.setdefault((one.plates, one.method), []).append(one)
-    return out
+    by_place: dict[tuple[str, str], list[PaperComparison]] = {}
+    for comparison in held:
+        by_place.setdefault((comparison.plates, comparison.method), []).append(comparison)
+    return by_place
 
 
 def _findings(held: Sequence[PaperComparison]) -> Iterable[str]:

@@ -50,7 +50,7 @@ VIOLATED = 3.0  # times its 95 % error, by which a wrong plan violates a limit a
 # Wrong plans that no image shows. Their sizes are in 95 % errors of the entry point.
 MOVED, ALONG_CURVE = "bone moved along the second beam", "one click along its curve"
 UNSEEN = (MOVED, ALONG_CURVE)
-_KINDS = {one.name: one for one in KINDS}
+_KINDS = {kind.name: kind for kind in KINDS}
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class WrongPlans:
     name = "wrong-plans"
     about = "Wrong plans by kind and size: is one of them GO? And how many right ones are?"
 
-    kinds: tuple[str, ...] = tuple(one.name for one in KINDS)
+    kinds: tuple[str, ...] = tuple(_KINDS)
     frames: tuple[str, ...] = tuple(ARMS)
     without: tuple[str, ...] = ()
 
@@ -99,9 +99,9 @@ class WrongPlans:
     def summary(self, trials: Sequence[Values]) -> Summary:
         """Return how right and wrong plans end, by kind and by frame."""
         groups = {"all": list(trials)}
-        groups |= {name: [one for one in trials if one["kind"] == name] for name in self.kinds}
-        groups |= {ARMS[frame]: [one for one in trials if one["frame"] == frame] for frame in self.frames}
-        found = {name: PlanShares.of(name, group) for name, group in groups.items()}
+        groups |= {name: [trial for trial in trials if trial["kind"] == name] for name in self.kinds}
+        groups |= {ARMS[frame]: [trial for trial in trials if trial["frame"] == frame] for frame in self.frames}
+        shares = {name: PlanShares.of(name, group) for name, group in groups.items()}
         columns = (
             "kind",
             "n",
@@ -116,12 +116,12 @@ class WrongPlans:
             "fail several checks. Right plans lie inside the limits of all checks by their 95 % errors."
         )
         hidden = [row for name in UNSEEN for row in _hidden_rows(name, [t for t in trials if t["hidden"] == name])]
-        estimates = [estimate for one in found.values() for estimate in one.estimates]
+        estimates = [estimate for trial in shares.values() for estimate in trial.estimates]
         return Summary(
-            findings=tuple(_findings(found["all"])),
+            findings=tuple(_findings(shares["all"])),
             estimates=(*estimates, *(estimate for estimate, _ in hidden)),
             tables=(
-                Table("How plans end", columns, tuple(one.row(name) for name, one in found.items()), note),
+                Table("How plans end", columns, tuple(trial.row(name) for name, trial in shares.items()), note),
                 Table("What no image shows", ("kind", "n", "GO", "checks that failed"), tuple(r for _, r in hidden)),
             ),
             plots=tuple(_plots({name: groups[name] for name in self.kinds})),
@@ -142,15 +142,17 @@ class PlanShares:
     @staticmethod
     def of(name: str, trials: Sequence[Values]) -> "PlanShares":
         """Return the shares over the trials of a group."""
-        own = {one.name: verdict_name(one.check) for one in KINDS}
-        wrong, right = [one["wrong"] for one in trials], [one["right"] for one in trials]
-        sized = [one["times"] for one in trials]
-        others = Counter(why for one in trials for why in one["wrong"]["why"] if why != own[one["kind"]])
-        refused = Counter(why for one in right for why in one["why"])
+        own = {trial.name: verdict_name(trial.check) for trial in KINDS}
+        wrong, right = [trial["wrong"] for trial in trials], [trial["right"] for trial in trials]
+        sized = [trial["times"] for trial in trials]
+        others = Counter(why for trial in trials for why in trial["wrong"]["why"] if why != own[trial["kind"]])
+        refused = Counter(why for trial in right for why in trial["why"])
         return PlanShares(
-            share(f"{name}: wrong and GO", np.array([one["ended"] == "GO" for one in wrong])),
-            share(f"{name}: by its own check", np.array([own[one["kind"]] in one["wrong"]["why"] for one in trials])),
-            share(f"{name}: right and GO", np.array([one["ended"] == "GO" for one in right])),
+            share(f"{name}: wrong and GO", np.array([trial["ended"] == "GO" for trial in wrong])),
+            share(
+                f"{name}: by its own check", np.array([own[trial["kind"]] in trial["wrong"]["why"] for trial in trials])
+            ),
+            share(f"{name}: right and GO", np.array([trial["ended"] == "GO" for trial in right])),
             share(f"{name}: within {NEAR_TIMES:g} times", np.array([times <= NEAR_TIMES for times in sized])),
             _counted(others),
             _counted(refused),
@@ -170,7 +172,7 @@ class PlanShares:
         """Return the row of the table."""
         n = self.wrong_go.number
         wrong = f"{self.count_go} of {n}"
-        caught, right = (f"{one.value:.1%}" if n else "none" for one in (self.caught, self.right_go))
+        caught, right = (f"{estimate.value:.1%}" if n else "none" for estimate in (self.caught, self.right_go))
         return name, str(n), wrong, caught, self.others, right, self.refused
 
 
@@ -274,16 +276,16 @@ def _unseen(
 ) -> dict[str, np.ndarray]:
     """Return the pixels of a right plan after one of UNSEEN. Raises SetUpError where an image does not show them."""
     first, second = patient.setup.views.values()
-    entry, out = patient.in_cfcs(wire_mm[0]), {name: uv.copy() for name, uv in right_px.items()}
+    entry, unseen_px = patient.in_cfcs(wire_mm[0]), {name: uv.copy() for name, uv in right_px.items()}
     if unseen == ALONG_CURVE:
-        out["wire"][1, 0] = second.project((entry + by_mm * unit(entry - first.focal_point_mm))[None])[0]
-        return out
+        unseen_px["wire"][1, 0] = second.project((entry + by_mm * unit(entry - first.focal_point_mm))[None])[0]
+        return unseen_px
     moved = clicks(patient.moved(by_mm * unit(entry - second.focal_point_mm)), wire_mm)
-    if moved.keys() != out.keys():
+    if moved.keys() != unseen_px.keys():
         raise SetUpError("one of the two images does not show a drawing")
-    for name, uv in out.items():
+    for name, uv in unseen_px.items():
         uv[1] = moved[name][1]
-    return out
+    return unseen_px
 
 
 def _exact(setup: SetUp) -> Sequence[CalibratedView]:
@@ -310,22 +312,22 @@ def _ended(
 
 def _hidden_rows(name: str, trials: Sequence[Values]) -> Iterable[tuple[Estimate, tuple[str, ...]]]:
     """Return share and row of all plans of one of UNSEEN, then those of each procedure among them."""
-    yield _hidden(name, [one["unseen"] for one in trials])
+    yield _hidden(name, [trial["unseen"] for trial in trials])
     by_procedure: dict[str, list[Values]] = {}
-    for one in trials:
-        by_procedure.setdefault(_KINDS[one["kind"]].procedure.split(":")[0], []).append(one["unseen"])
+    for trial in trials:
+        by_procedure.setdefault(_KINDS[trial["kind"]].procedure.split(":")[0], []).append(trial["unseen"])
     for procedure in sorted(by_procedure):
         yield _hidden(f"{name}, {procedure}", by_procedure[procedure])
 
 
 def _hidden(name: str, ended: Sequence[Values]) -> tuple[Estimate, tuple[str, ...]]:
     """Return the share of GO among the plans of one of UNSEEN, and the row of the table."""
-    go = share(f"{name}: GO", np.array([one["ended"] == "GO" for one in ended]))
-    return go, (name, str(go.number), str(go), _counted(Counter(why for one in ended for why in one["why"])))
+    go = share(f"{name}: GO", np.array([plan["ended"] == "GO" for plan in ended]))
+    return go, (name, str(go.number), str(go), _counted(Counter(why for plan in ended for why in plan["why"])))
 
 
 def _plots(by_kind: dict[str, Sequence[Values]]) -> Iterable[Plot]:
-    times = {name: np.array([one["times"] for one in trials]) for name, trials in by_kind.items() if trials}
+    times = {name: np.array([plan["times"] for plan in trials]) for name, trials in by_kind.items() if trials}
     rows = [Span(name, *np.quantile(each, (0.05, 0.5, 0.95)).tolist()[:3]) for name, each in times.items()]
     if rows:
         title = "How far wrong plans violate their limits"
@@ -337,10 +339,10 @@ def _counted(reasons: Counter[str]) -> str:
     return ", ".join(f"{name} {count}" for name, count in reasons.most_common(4))
 
 
-def _findings(found: PlanShares) -> Iterable[str]:
-    n, near = found.wrong_go.number, found.near.value or 0.0
-    yield f"{found.count_go} of {n} wrong plans are GO; {near:.0%} of them violate by {NEAR_TIMES:g} times or less."
-    yield f"{found.right_go.value or 0.0:.1%} of {n} right plans are GO."
+def _findings(shares: PlanShares) -> Iterable[str]:
+    n, near = shares.wrong_go.number, shares.near.value or 0.0
+    yield f"{shares.count_go} of {n} wrong plans are GO; {near:.0%} of them violate by {NEAR_TIMES:g} times or less."
+    yield f"{shares.right_go.value or 0.0:.1%} of {n} right plans are GO."
 
 
 PICK_PX = 0.5  # a careful click (physics.md, Picks)

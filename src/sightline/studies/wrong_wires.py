@@ -74,11 +74,11 @@ def wire_through(femur: Femur, through_mm: np.ndarray, along: np.ndarray, short_
 class KnownBone:
     """What a plan knows of the bone and the wire.
 
-    `marks_mm` (3L,): named landmarks, in the order of `names`; `covariance` (n + 3L, n + 3L), mm², of `found.values`
+    `marks_mm` (3L,): named landmarks, in the order of `names`; `covariance` (n + 3L, n + 3L), mm², of `anatomy.values`
     and these. The errors of a landmark and of an aid are taken as independent.
     """
 
-    found: Anatomy
+    anatomy: Anatomy
     side: str
     names: tuple[str, ...]
     marks_mm: np.ndarray
@@ -88,19 +88,19 @@ class KnownBone:
     @staticmethod
     def of(made: Plan) -> "KnownBone":
         """Return what a plan with a side, drawn aids and stated errors knows."""
-        found, joint = made.anatomy, made.seen.joint_covariance_mm2
-        assert found is not None and found.covariance is not None and joint is not None and made.side is not None  # noqa: S101
-        n, marks = len(found.values), made.seen.xyz_mm[2:].ravel()
+        anatomy, joint = made.anatomy, made.seen.joint_covariance_mm2
+        assert anatomy is not None and anatomy.covariance is not None and joint is not None and made.side is not None  # noqa: S101
+        n, marks = len(anatomy.values), made.seen.xyz_mm[2:].ravel()
         covariance = np.zeros((n + len(marks),) * 2)
-        covariance[:n, :n], covariance[n:, n:] = found.covariance, joint[6:, 6:]
-        covariance[found.at["wire"], n:] = joint[:6, 6:]
-        covariance[n:, found.at["wire"]] = joint[6:, :6]
-        lying = Located(made.kind, made.views, found, made.landmark_names, made.side)
-        return KnownBone(found, made.side, made.landmark_names, marks, covariance, lying)
+        covariance[:n, :n], covariance[n:, n:] = anatomy.covariance, joint[6:, 6:]
+        covariance[anatomy.at["wire"], n:] = joint[:6, 6:]
+        covariance[n:, anatomy.at["wire"]] = joint[6:, :6]
+        lying = Located(made.kind, made.views, anatomy, made.landmark_names, made.side)
+        return KnownBone(anatomy, made.side, made.landmark_names, marks, covariance, lying)
 
     def _by_bone(self, rule: CheckRule) -> tuple[float, float] | None:
         """Return how far the value of a check that `Located` makes lies beyond its limit, and its 95 % error."""
-        lying = replace(self.lying, anatomy=self.found)
+        lying = replace(self.lying, anatomy=self.anatomy)
         if rule.check == "view directions":
             if lying.unknown_directions:
                 return -np.inf, np.nan
@@ -113,38 +113,40 @@ class KnownBone:
 
     def with_wire(self, wire_mm: np.ndarray) -> "KnownBone":
         """Return the same bone with another wire (2, 3), CFCS."""
-        values = self.found.values.copy()
-        values[self.found.at["wire"]] = wire_mm.ravel()
-        return replace(self, found=replace(self.found, values=values))
+        values = self.anatomy.values.copy()
+        values[self.anatomy.at["wire"]] = wire_mm.ravel()
+        return replace(self, anatomy=replace(self.anatomy, values=values))
 
     def beyond(self, rule: CheckRule) -> float:
         """Return how far the value of a check lies beyond its limits: negative inside, -inf where it is not made."""
         if (by_bone := self._by_bone(rule)) is not None:
             return by_bone[0]
         if rule.check not in MEASURES:
-            value = metric(self.found, rule.check, self.side).value
+            value = metric(self.anatomy, rule.check, self.side).value
             return -np.inf if value is None else _beyond(value, rule)
         marks = dict(zip(self.names, self.marks_mm.reshape(-1, 3), strict=True))
-        entry, end = self.found.part("wire").reshape(2, 1, 3)
-        made = measures(self.found, (rule,), self.side, marks)
-        return max((_beyond(float(one.value(entry, end)[0]), rule) for one in made), default=-np.inf)
+        entry, end = self.anatomy.part("wire").reshape(2, 1, 3)
+        made = measures(self.anatomy, (rule,), self.side, marks)
+        return max((_beyond(float(measure.value(entry, end)[0]), rule) for measure in made), default=-np.inf)
 
     def error_95(self, rule: CheckRule) -> float:
         """Return the 95 % error of the value of a check."""
         if (by_bone := self._by_bone(rule)) is not None:
             return by_bone[1]
         if rule.check not in MEASURES:
-            sd = metric(self.found, rule.check, self.side).sd
+            sd = metric(self.anatomy, rule.check, self.side).sd
             return np.nan if sd is None else TWO_SIDED_95 * sd
-        n = len(self.found.values)
-        at = np.concatenate([self.found.values, self.marks_mm])
-        unused = {k for part in ("neck", "outline") if part in self.found.at for k in range(n)[self.found.at[part]]}
+        n = len(self.anatomy.values)
+        at = np.concatenate([self.anatomy.values, self.marks_mm])
+        unused = {k for part in ("neck", "outline") if part in self.anatomy.at for k in range(n)[self.anatomy.at[part]]}
         used = [k for k in range(len(at)) if k not in unused]
 
         def of(rows: np.ndarray) -> np.ndarray:
             whole = np.tile(at, (len(rows), 1))
             whole[:, used] = rows
-            bones = [replace(self, found=replace(self.found, values=one[:n]), marks_mm=one[n:]) for one in whole]
+            bones = [
+                replace(self, anatomy=replace(self.anatomy, values=values[:n]), marks_mm=values[n:]) for values in whole
+            ]
             return np.array([[bone.beyond(rule)] for bone in bones])
 
         _, own = response(of, at[used])
