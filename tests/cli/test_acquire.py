@@ -72,23 +72,6 @@ def test_images_with_bright_balls_are_kept_as_they_came_and_read_inverted(run, t
     assert run("case", "replay", tmp_path / "case", "--json").document["entries"][0]["outcome"] == "same to the bit"
 
 
-def test_what_cannot_be_used_is_said(run, tmp_path: Path) -> None:
-    """No case is made for a source that cannot be had."""
-    into = ("--case", tmp_path / "case")
-    assert run("acquire", "folder", tmp_path / "absent", *into).code == 2
-    assert run("acquire", "dicom", "--peer", "nobody", *into).code == 2
-    assert run("acquire", "dicom", *into).code == 2
-    assert run("acquire", "folder", tmp_path, *into, "--robot", "127.0.0.1:9").code == 2
-    assert run("acquire", "folder", tmp_path, *into, "--watch", "--robot", "127.0.0.1:9").code == 2
-    assert run("acquire", "video", tmp_path / "absent.avi", *into).code == 2
-    (tmp_path / "bad.dcm").write_bytes(b"\0" * 128 + b"DICM")
-    assert run("acquire", "video", tmp_path / "bad.dcm", *into).code == 2
-    assert not (tmp_path / "case").exists()
-    (tmp_path / "in").mkdir()
-    (tmp_path / "in" / "bad").write_bytes(b"x")
-    assert run("acquire", "folder", tmp_path / "in", *into).code == 2
-
-
 def test_no_case_is_made_where_the_port_is_taken(run, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

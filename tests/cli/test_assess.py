@@ -59,19 +59,3 @@ def test_a_point_whose_gap_failed_gets_no_predicted_error(run, beads_csv: Path, 
     gaps = [check for check in ran.document["checks"] if check["name"] == "gap"]
     assert [check["passed"] for check in gaps] == [True, True, False, True]
     assert "ball2" in gaps[2]["sentence"]
-
-
-def test_without_pixels_the_images_are_needed(run, beads_csv: Path, tmp_path: Path) -> None:
-    truth = tmp_path / "points.csv"
-    truth.write_text("name,x_mm,y_mm,z_mm\nball0,1,2,3\n")
-    ran = run("assess", beads_csv, beads_csv, "--truth", truth)
-    assert ran.code == 2
-    assert "give the test points' pixels in --truth, or give the images themselves" in ran.err
-
-
-def test_a_table_that_cannot_be_read_is_named_with_its_line(run, beads_csv: Path, tmp_path: Path) -> None:
-    truth = tmp_path / "points.csv"
-    truth.write_text("name,x_mm,y_mm,z_mm\nball0,1,2,three\n")
-    ran = run("assess", beads_csv, beads_csv, "--truth", truth)
-    assert ran.code == 2
-    assert "points.csv, line 2" in ran.err

@@ -57,9 +57,3 @@ def test_the_demo_on_an_intensifier_plans_with_a_block_and_does_not_drill(run, t
     assert max(exact["error"]["entry_mm"], exact["error"]["end_mm"]) < 0.2
     again = run("case", "replay", tmp_path / "demo/case", "--json")
     assert again.code == 0, again.err
-
-
-@pytest.mark.parametrize("command", ["watch x", "undistort x.png --out x"])
-def test_what_needs_plates_says_so(run, command: str) -> None:
-    ran = run(*command.split(), "--frame", "block60")
-    assert ran.code != 0 and "is a solid" in ran.err

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sightline.detection.csv_files import read_observations, write_observations
+from sightline.detection.csv_files import write_observations
 from sightline.detection.results import Observations
 from sightline.imaging import Radiograph, read_image, write_png
 
@@ -86,34 +86,6 @@ def test_datum_markers_given_by_hand_tell_the_beads_apart(run, pair, setup, fram
     assert ran.document["view"] == "pa", ran.out
 
 
-def test_observations_of_two_views_need_the_view(run, beads_csv: Path) -> None:
-    ran = run("calibrate", beads_csv)
-    assert ran.code == 2
-    assert "--view" in ran.err
-    assert set(read_observations(beads_csv)) == {"pa", "lateral"}
-
-
-@pytest.mark.parametrize(
-    ("datums", "says"),
-    [
-        (["x=1"], "not ID=U,V"),
-        (["x=1,2,3"], "not ID=U,V"),
-        (["1,2"], "not ID=U,V"),
-        (["x=nan,2"], "not finite"),
-        (["x=1,2", "x=3,4"], "given twice"),
-    ],
-)
-def test_a_malformed_datum_is_refused(run, pair, datums: list[str], says: str) -> None:
-    ran = run("calibrate", pair["pa"], *(f"--datum={datum}" for datum in datums))
-    assert ran.code == 2
-    assert says in ran.err
-
-
-def test_options_of_images_are_refused_for_observations(run, beads_csv: Path) -> None:
-    for option in ("--datum=x=1,2", "--frame-index=0"):
-        assert run("calibrate", beads_csv, "--view", "pa", option).code == 2
-
-
 def test_detections_without_names_calibrate_like_their_image(run, pair, tmp_path: Path) -> None:
     beads = tmp_path / "beads.csv"
     assert run("detect", pair["pa"], "--csv", beads).code == 0
@@ -139,3 +111,12 @@ def test_the_c_arms_distance_is_held_against_the_view(run, beads_csv: Path, opti
     assert [check["name"] for check in ran.document["checks"] if not check["passed"]] == failing
     made = {check["name"] for check in ran.document["checks"]}
     assert ("focal length" in made) == ("--pixel" in options)
+
+
+def test_a_mirror_image_is_found_and_said(run, pair, tmp_path: Path) -> None:
+    """Its geometry is as good as any other; the person must know before picking a side."""
+    image = read_image(pair["pa"])
+    path = write_png(Radiograph(image.pixels[:, ::-1].copy(), image.white), tmp_path / "mirrored.png")
+    ran = run("calibrate", path, "--json")
+    assert ran.code in (0, 3)
+    assert "mirror" in ran.document["error"]["message"] if "error" in ran.document else ran.document["mirrored"] is True

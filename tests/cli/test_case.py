@@ -110,14 +110,6 @@ def test_the_report_names_the_case_by_its_number_alone(run, recorded: Path, tmp_
         assert document["trajectory"] == case.entry(9).content["trajectory"]
 
 
-def test_a_case_without_a_plan_has_no_report(run, tmp_path: Path) -> None:
-    Case.create(tmp_path / "case").close()
-    ran = run("case", "report", tmp_path / "case", "--out", tmp_path / "report")
-    assert ran.code == 2
-    assert "holds no plan yet" in ran.err
-    assert not (tmp_path / "report").exists()
-
-
 def test_results_are_made_again_from_their_entries(recorded: Path, setup) -> None:
     with Case.open(recorded, read_only=True) as case:
         entry = case.latest(Kind.PLANNED)
@@ -297,13 +289,6 @@ def test_a_plan_rests_on_two_calibrated_views(copied: Path) -> None:
         pair = case.entry(4), case.entry(3)
         with pytest.raises(CaseError, match="two calibrated views or more, not on calibrated and labelled"):
             stages.record_planned(case, pair, PlanRequest.of(entry.content["asked"]), again.plan(entry), by=Actor.APP)
-
-
-@pytest.mark.parametrize("command", ["check", "replay", "show"])
-def test_a_folder_without_a_case_is_unusable(run, tmp_path: Path, command: str) -> None:
-    ran = run("case", command, tmp_path)
-    assert ran.code == 2
-    assert "no case in" in ran.err
 
 
 def test_a_file_that_is_no_database_is_a_case_that_is_not_whole(run, copied: Path) -> None:

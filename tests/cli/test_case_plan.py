@@ -35,28 +35,6 @@ def test_a_plan_is_recorded_in_a_case_and_comes_out_the_same(run, beads_csv: Pat
     assert {one["outcome"] for one in outcomes} == {"same to the bit"}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((), "give the PA and the lateral image, or --case"),
-        (("CSV",), "the lateral image is missing"),
-        (("--case", "nowhere"), "no case"),
-        (("--case", "EMPTY"), "no usable PA and no lateral image"),
-        (("none.csv", "none.csv", "--case", "NEW"), "none.csv"),
-    ],
-)
-def test_what_gives_no_plan_is_said_and_makes_no_case(
-    run, beads_csv: Path, tmp_path: Path, arguments: tuple[str, ...], words: str
-) -> None:
-    Case.create(tmp_path / "empty").close()
-    given = {"CSV": beads_csv, "EMPTY": tmp_path / "empty", "NEW": tmp_path / "new"}
-    point = "pa:512,512 lateral:512,512"
-    ran = run("plan", *(given.get(word, word) for word in arguments), "--entry", point, "--end", point)
-    assert ran.code == 2
-    assert words in " ".join(ran.err.split())
-    assert not (tmp_path / "new").exists()
-
-
 @pytest.fixture(scope="module")
 def planned(run: Callable[..., Any], pair, setup, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A case of two acquired images and a third without beads, planned on its newest pair."""
@@ -143,10 +121,3 @@ def test_landmarks_that_cannot_be_read_are_refused(run, planned: Path, mark: dic
     ran = run("check-shot", "--case", planned, "--picks", picks_file(tmp_path, landmarks=[mark]))
     assert ran.code == 2
     assert "landmarks[0] needs its pixels in" in ran.err
-
-
-def test_a_case_without_a_plan_has_no_check_shot(run, tmp_path: Path) -> None:
-    Case.create(tmp_path).close()
-    ran = run("check-shot", "--case", tmp_path)
-    assert ran.code == 2
-    assert "plan --case" in ran.err

@@ -46,15 +46,3 @@ def test_an_image_of_nothing_says_why_each_figure_is_missing(run, tmp_path: Path
     assert figures["edge spread"]["real_not_measurable"] == "no beads or holes"
     assert figures["noise at the median level"]["real"] is not None
     assert ran.document["images"][0]["twin_shows"] == "open beam"
-
-
-def test_folders_without_images_are_refused_by_name(run, tmp_path: Path) -> None:
-    empty, unreadable = tmp_path / "empty", tmp_path / "unreadable"
-    for folder in (empty, unreadable):
-        folder.mkdir()
-    (unreadable / "broken.dcm").write_bytes(b"\0" * 128 + b"DICM" + b"\0" * 40)
-    for folder, words in ((tmp_path / "none", "not a folder"), (empty, "no image"), (unreadable, "broken.dcm")):
-        ran = run("compare", folder, "--out", tmp_path / "out")
-        assert ran.code == 2
-        assert words in ran.err.replace("\n", " ")
-    assert not (tmp_path / "out").exists()

@@ -66,30 +66,6 @@ def test_new_takes_measured_balls(tmp_path):
     assert "the covariance in the frame file" in run("show", str(tmp_path / "m.json"))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--csv", "no.csv"), "cannot read no.csv"),
-        (("--csv", "no.csv", "--rows", "9"), "leave out the other values"),
-        (("--like", "delta"), "no built-in frame 'delta'"),
-        (("--like", "block60", "--rows", "9"), "without plates; leave out"),
-        (("--like", "block60", "--units", "mm"), "--csv alone"),
-        (("--rows", "2"), "4 to 20 rows"),
-        (("--pitch-mm", "-1"), "pitch above zero"),
-        (("--datums", "2"), "ask for 6"),
-    ],
-)
-def test_unusable_arguments_write_nothing(tmp_path, arguments, words):
-    assert words in run("new", str(tmp_path / "f.json"), *arguments, code=2).replace("\n", " ")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_new_does_not_replace_a_measured_frame(tmp_path):
-    (tmp_path / "f.json").write_text("measured")
-    assert "exists" in run("new", str(tmp_path / "f.json"), code=2)
-    assert (tmp_path / "f.json").read_text() == "measured"
-
-
 def test_show_says_where_tolerances_come_from():
     assert "the defaults: the frame file states none" in run("show", "gamma")
     document = json.loads(run("show", "stereo", "--json"))

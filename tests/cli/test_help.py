@@ -39,6 +39,7 @@ def parsed(line: str) -> tuple[str, ...]:
 
 @pytest.mark.parametrize(("path", "command"), LEAVES, **NAMES)
 def test_every_help_has_an_example_that_parses(run, path: tuple[str, ...], command: Any) -> None:
+    """Brackets are not markup: `[seed, k]` stays."""
     told = run(*path[1:], "--help")
     assert told.code == 0
     _, found, examples = told.out.partition("  Example:\n")
@@ -47,6 +48,9 @@ def test_every_help_has_an_example_that_parses(run, path: tuple[str, ...], comma
         called = parsed(line)
         assert called == path
     assert max(len(line) for line in told.out.splitlines()) <= 80
+    shown = "".join(told.out.split())
+    for parameter in command.params:
+        assert "".join((parameter.help or "").split()) in shown, parameter.name
 
 
 @pytest.mark.parametrize(("path", "command"), GROUPS, **NAMES)
@@ -57,14 +61,6 @@ def test_every_group_lists_its_commands_in_whole_sentences(run, path: tuple[str,
         sentence = below.get_short_help_str(200)
         assert f"{name} " in told
         assert sentence and f" {sentence}\n" in told, name
-
-
-@pytest.mark.parametrize(("path", "command"), LEAVES, **NAMES)
-def test_help_shows_what_was_written(run, path: tuple[str, ...], command: Any) -> None:
-    """Brackets are not markup: `[seed, k]` stays."""
-    told = "".join(run(*path[1:], "--help").out.split())
-    for parameter in command.params:
-        assert "".join((parameter.help or "").split()) in told, parameter.name
 
 
 READ_IMAGES = (

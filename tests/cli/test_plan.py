@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from tests.cli.picked import VIEWS, picks_file, place, wire
 
-from sightline.cli.plan import parse_point
 from sightline.detection.csv_files import write_observations
 from sightline.detection.results import Observations
-from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.rehearsal.patient import draw_patient
 from sightline.studies.scenes import measure
@@ -197,11 +195,6 @@ def test_an_aid_is_drawn_by_its_clicks(hip, setup) -> None:
     assert (in_one.code, in_one.document["verdict"]) == (3, "incomplete")
 
 
-def test_a_table_of_beads_has_no_edges_to_fit_to(hip) -> None:
-    assert "table of beads" in hip(fit=["head"]).document["error"]["message"]
-    assert "the neck, which is not drawn" in hip(fit=["neck"]).document["error"]["message"]
-
-
 def test_a_hip_screw_that_is_wrong_in_its_bone_is_no_go(hip, wire_px, of_a_hip) -> None:
     entry, end = typed(wire_px)[1::2]
     exchanged = hip(ends=["--entry", end, "--end", entry])
@@ -216,34 +209,6 @@ def test_a_hip_screw_that_is_wrong_in_its_bone_is_no_go(hip, wire_px, of_a_hip) 
     assert 0.1 < check["limit"] < 1.5
 
 
-BOTH = {"pa": [500, 500], "lateral": [500, 500]}
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ({"head": {"pa": [1, 2, 3]}}, "head needs a circle in pa and lateral"),
-        ({"head": {"pa": [500, 500, -9], "lateral": [500, 500, 90]}}, "head.pa[2] Input should be greater than 0"),
-        ({"landmarks": [{"name": "patella", **BOTH}]}, "lesser-trochanter"),
-        ({"landmarks": [{"pa": [500, 500]}]}, "landmarks[0] needs its pixels in two images"),
-        ({"landmarks": [{**BOTH, "depth": 300}]}, "is not a key of a file of picks"),
-        ({"aids": {"shaft": {"pa": [[1, 2]], "lateral": [[3, 4]]}}}, "a line needs two finite pixels"),
-        ({"aids": {"skull": {"pa": [[1, 2]]}}}, "has no aid 'skull'; choose one of head, shaft"),
-        ({"wires": {"guide-wire": {"entry": {"pa": [1, 2]}, "end": BOTH}}}, "needs entry and end, each with its pixel"),
-        ({"wires": {"tibia": {"entry": BOTH, "end": BOTH}}}, "has no wire 'tibia'; its wires are guide-wire"),
-        ({"in_bone": ["guide-wire"]}, "give entry and end of each"),
-        ({}, "no wire is picked"),
-        ({"landmarks": [{**BOTH, "oblique": [1, 2]}]}, "points are picked in an oblique image"),
-        ({"schema": "sightline-picks/9"}, "schema"),
-    ],
-)
-def test_picks_that_cannot_be_used_are_refused(run, beads_csv, wire_px, tmp_path, content, words: str) -> None:
-    wanted = typed(wire_px) if {"head", "landmarks", "aids"} & content.keys() else []
-    ran = run("plan", beads_csv, beads_csv, *wanted, "--picks", picks_file(tmp_path, **content))
-    assert ran.code == 2
-    assert words in " ".join(ran.err.split())
-
-
 def test_half_the_beads_in_the_wrong_place_is_refused_or_a_no_go(run, observations, wire_px, tmp_path: Path) -> None:
     pa = observations["pa"]
     rolled = Observations("pa", pa.ids, np.roll(pa.uv_px, 1, axis=0), pa.covariance_px2)
@@ -251,35 +216,6 @@ def test_half_the_beads_in_the_wrong_place_is_refused_or_a_no_go(run, observatio
     ran = run("plan", path, path, *typed(wire_px), *FREE, "--json")
     assert ran.code == 3
     assert "error" in ran.document or ran.document["go"] is False
-
-
-@pytest.mark.parametrize(
-    "text", ["", "pa:1,2", "pa:1,2 lateral:3", "pa:1,2 pa:3,4", "pa:1,x lateral:1,2", "pa=1,2", "pa:1,2 side:3,4"]
-)
-def test_a_point_that_cannot_be_read_is_refused_with_an_example(text: str) -> None:
-    with pytest.raises(UnusableInputError, match=r"--entry .* is not a point; write 'pa:U,V lateral:U,V'"):
-        parse_point(text, "--entry")
-
-
-POINT = "pa:512,512 lateral:512,512"
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (("--entry", "pa:512,512 lateral:nan,512", "--end", POINT), "is not a point"),
-        (("--entry", "pa:512,512 depth:9000", "--end", "pa:400,400 depth:300"), "9000 mm is outside the lateral view"),
-        (("--entry", "pa:5,5 lateral:512,512", "--end", POINT), "hull"),
-        (("--entry", POINT), "give --entry and --end together"),
-        (("--entry", POINT, "--end", POINT, "--procedure", "cannulated-hip-screws"), "has several wires"),
-        (("--kind", "tunnel"), "unknown procedure 'tunnel'"),
-    ],
-)
-def test_what_gives_no_plan_is_said(run, beads_csv: Path, given: tuple[str, ...], words: str) -> None:
-    ran = run("plan", beads_csv, beads_csv, *given)
-    assert ran.code in (2, 3)
-    assert words in " ".join(ran.err.split())
-    assert "Traceback" not in ran.err
 
 
 def test_a_wire_is_proposed_from_what_is_drawn(run, tmp_path: Path) -> None:

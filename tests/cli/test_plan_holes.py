@@ -162,24 +162,3 @@ def test_what_shows_no_two_holes_of_this_nail_is_refused(asked, files, patient, 
         with pytest.raises(RefusedError) as refused:
             request.plan_wires(images)
         assert words in str(refused.value)
-
-
-def test_a_nail_is_given_whole(run, tmp_path: Path) -> None:
-    files = [tmp_path / "pa.dcm", tmp_path / "lateral.dcm"]
-    point = {"pa": [1, 2], "lateral": [3, 4]}
-    edge = [[1, 2], [3, 4], [5, 6], [7, 8]]
-    sizes = {"diameter_mm": 11, "hole_mm": 5, "bore_mm": 5, "material": "titanium"}
-    whole = {"nail": sizes, "edges": {"pa": edge, "lateral": edge}, "holes": {"distal": point}}
-    for content, words in (
-        ({}, "no wire is picked"),
-        ({"nail": {**whole, "holes": {}}}, "nail needs its edges in pa and lateral, and a hole"),
-        ({"nail": {**whole, "edges": {"pa": edge}}}, "nail needs its edges in pa and lateral, and a hole"),
-        ({"nail": {**whole, "holes": {"distal": {"pa": [1, 2]}}}}, "needs each hole's pixel in pa and lateral"),
-        ({"nail": {**whole, "nail": {**sizes, "hole_mm": 12}}}, "a nail of 11.0 mm cannot have holes"),
-        ({"nail": {**whole, "nail": {**sizes, "material": "brass"}}}, "titanium"),
-        ({"nail": {**whole, "nail": "brass-11"}}, "is not a nail's file; give one, or one of steel-10"),
-        ({"nail": whole, "in_bone": ["distal"]}, "leave one to plan"),
-        ({"nail": whole, "wires": {"distal": {"entry": point, "end": point}}}, "leave wires out"),
-    ):
-        ran = run("plan", *files, "--procedure", NAILED, "--picks", picks_file(tmp_path, **content))
-        assert ran.code == 2 and words in " ".join(ran.err.split()), (words, ran.err)

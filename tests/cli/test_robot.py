@@ -123,20 +123,6 @@ def test_a_plan_made_with_a_block_is_not_drilled_by_the_robot_that_holds_a_gamma
     assert done.exit_code == 3
 
 
-@pytest.mark.parametrize(
-    "args",
-    [
-        ("serve", "--rehearse", "9", "--frame-serial", "SN-1"),
-        ("drive", "PLAN", "127.0.0.1:1", "--rehearse", "9"),
-        ("drive", "PLAN", "--rehearse", "9", "--frame-serial", "SN-1"),
-        ("serve", "--rehearse", "-1"),
-        ("serve", "--rehearse", "9", "--frame", "unobtainium"),
-    ],
-)
-def test_rehearsals_that_contradict_themselves(plan, args):
-    assert run(*(plan if arg == "PLAN" else arg for arg in args)).exit_code == 2
-
-
 def test_drive_asks_before_each_motion(plan):
     done = run("drive", plan, say="y\nn\n")
     assert done.exit_code == 0
@@ -166,6 +152,11 @@ def test_a_robot_set_up_for_the_other_side_refuses_with_both_named(plan):
 def test_nor_does_its_check_take_a_yes():
     with old_robot() as port:
         assert run("check", f"127.0.0.1:{port}", "--yes", "--quiet").exit_code == 3
+
+
+def test_a_rehearsal_at_an_address_or_of_another_serial_is_refused(plan):
+    for given in (("127.0.0.1:1", "--rehearse", "9"), ("--rehearse", "9", "--frame-serial", "SN-1")):
+        assert run("drive", plan, *given).exit_code == 2
 
 
 @pytest.mark.parametrize(
@@ -201,30 +192,13 @@ def test_the_plans_own_limits_and_depth_are_those_of_the_robot(tmp_path):
     assert np.allclose(json.loads(done.stdout)["tip_mm"], tip, atol=0.05)
 
 
-@pytest.mark.parametrize("change", ["entry", "bound", "checks", "go", "limits", "no digest"])
-def test_an_edited_plan_is_refused(tmp_path, change):
-    """Even where what is left says GO in itself."""
-    stopped = {"go": False, "verdict": "no-go"} if change == "go" else {}
-    file = written(tmp_path / "plan.json", **stopped)
+def test_a_plan_without_its_digest_is_refused(tmp_path):
+    file = written(tmp_path / "plan.json")
     document = json.loads(file.read_text())
-    if change == "entry":
-        document["trajectory"]["entry_mm"][0] += 1.0
-    elif change == "bound":
-        document["trajectory"]["covariance_mm2"] = (1e-5 * np.eye(6)).tolist()
-    elif change == "checks":
-        document["checks"] = [{"name": "entry error", "passed": True}]
-    elif change == "go":
-        document |= {"go": True, "verdict": "go"}
-    elif change == "limits":
-        document["limits"]["position_mm"] = 9.0
-    else:
-        del document["digest"]
-    file.write_text(json.dumps(document, indent=2))
+    del document["digest"]
+    file.write_text(json.dumps(document))
     done = run("drive", file, "--yes")
-    assert done.exit_code == (3 if change == "no digest" else 2)
-    assert ("without a digest" if change == "no digest" else "changed after it was made") in " ".join(
-        done.stderr.split()
-    )
+    assert done.exit_code == 3 and "without a digest" in " ".join(done.stderr.split())
 
 
 def test_a_plan_that_errs_too_much_is_refused(tmp_path):
@@ -258,18 +232,6 @@ def test_a_bad_robot_s_findings_are_printed_for_people_and_for_machines():
             said = json.loads(done.stdout)
             assert said["conforms"] is False
             assert next(f["name"] for f in said["findings"] if f["verdict"] == "FAIL").startswith(name)
-
-
-@pytest.mark.parametrize("address", ["nowhere", "127.0.0.1:", ":1", "127.0.0.1:99999", "127.0.0.1:x"])
-def test_addresses_that_are_none(address):
-    assert run("check", address).exit_code == 2
-    assert run("reset", address).exit_code == 2
-
-
-def test_nobody_there():
-    done = run("check", "127.0.0.1:1")
-    assert done.exit_code == 2
-    assert "cannot connect" in done.stderr
 
 
 def test_reset_after_a_fault():

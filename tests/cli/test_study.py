@@ -34,14 +34,6 @@ def test_a_study_leaves_figures_a_page_and_its_trials(run, small, tmp_path: Path
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
 
 
-def test_a_wrong_name_prints_the_studies(run, tmp_path: Path) -> None:
-    ran = run("study", "tabel1", "--out", tmp_path / "x")
-    assert ran.code == 2
-    for name in catalogue.STUDIES:
-        assert name in ran.err
-    assert not (tmp_path / "x").exists()
-
-
 @pytest.mark.slow
 def test_trials_of_another_seed_are_not_mixed_in(run, small, tmp_path: Path) -> None:
     assert run("study", "small", "--trials", "2", "--out", tmp_path, "--quiet").code == 0
@@ -50,12 +42,3 @@ def test_trials_of_another_seed_are_not_mixed_in(run, small, tmp_path: Path) -> 
     assert ran.code == 2
     assert "seed 1 there, 9 now" in ran.err.replace("\n", " ")
     assert (tmp_path / "trials.jsonl").read_bytes() == before
-
-
-def test_no_trials_and_a_folder_that_is_a_file_are_refused(run, small, tmp_path: Path) -> None:
-    assert run("study", "small", "--trials", "0", "--out", tmp_path).code == 2
-    file = tmp_path / "file"
-    file.write_text("")
-    ran = run("study", "small", "--trials", "1", "--out", file)
-    assert ran.code == 2
-    assert "cannot write" in ran.err

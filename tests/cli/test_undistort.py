@@ -24,16 +24,3 @@ def test_on_the_plate_the_xrii_beads_stand_where_the_frame_has_them(run, pair, f
     with np.load(tmp_path / "plate" / "map.npz") as arrays:
         assert list(arrays["uv_px"].shape[:2]) == document["shape"]
         assert arrays["inside_hull"].shape == arrays["uv_px"].shape[:2]
-
-
-def test_observations_have_no_pixels(run, beads_csv: Path, tmp_path: Path) -> None:
-    ran = run("undistort", beads_csv, "--out", tmp_path / "plate")
-    assert ran.code == 2
-    assert "give the image" in ran.err
-    assert not (tmp_path / "plate").exists()
-
-
-def test_a_spacing_that_gives_no_image_is_refused_and_nothing_is_written(run, pair, tmp_path: Path) -> None:
-    ran = run("undistort", pair["pa"], "--out", tmp_path / "plate", "--spacing", "0")
-    assert ran.code in (2, 3)
-    assert not (tmp_path / "plate").exists()

@@ -52,23 +52,3 @@ def test_images_without_beads_are_refused(run, tmp_path: Path) -> None:
     ran = run("watch", tmp_path)
     assert ran.code == 3
     assert "none of 1 frames" in ran.err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ((), "give one source"),
-        (("somewhere", "--rehearse", "1"), "give one source"),
-        (("nowhere.mp4",), "no file or folder"),
-    ],
-)
-def test_what_is_no_source_is_unusable(run, arguments: tuple[str, ...], says: str) -> None:
-    ran = run("watch", *arguments)
-    assert ran.code == 2
-    assert says in ran.err
-
-
-def test_an_empty_folder_is_unusable(run, tmp_path: Path) -> None:
-    ran = run("watch", tmp_path, "--json")
-    assert ran.code == 2
-    assert "no image" in ran.document["error"]["message"]

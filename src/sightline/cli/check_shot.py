@@ -1,6 +1,7 @@
 """`sightline check-shot`: two more images, with the wire in the bone, against the plan of a case."""
 
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,8 +13,12 @@ from sightline.cli.plan import both_or_none, image_numbers, images_of
 from sightline.common.checks import failed
 
 if TYPE_CHECKING:
-    from sightline.case.journal import Entry
+    from sightline.case.contents import CheckRequest, DrillShotRequest
+    from sightline.case.journal import Case, Entry
     from sightline.case.picks import Picks
+    from sightline.case.replay import Recomputed
+    from sightline.common.checks import Check
+    from sightline.frame import Frame
     from sightline.planning.check.result import CheckShot
     from sightline.planning.check.wires import Landmarks
 
@@ -49,51 +54,30 @@ def check_shot(
     The wire is found in two more images of the same views and compared with the last plan of the case, in which the
     result is recorded. Exit code 3 if a check fails or the wire is not found.
     """
-    with ExitStack() as stack:
-        files = both_or_none(pa, lateral)
-        from sightline.case.contents import CheckRequest
-        from sightline.case.journal import Actor, Case, Kind
-        from sightline.case.picks import CHECK_NAMES, Picks
-        from sightline.case.replay import Recomputed
-        from sightline.case.stages import frame_of, record_images, record_verified
-        from sightline.case.views import NAMES, calibrate_pair
-        from sightline.errors import CaseError, RefusedError
-        from sightline.planning.wires import judge_measured
+    files = both_or_none(pa, lateral)
+    from sightline.case.contents import CheckRequest
+    from sightline.case.journal import Case, Kind
+    from sightline.case.picks import CHECK_NAMES, Picks
+    from sightline.case.replay import Recomputed
+    from sightline.case.stages import frame_of, record_verified
+    from sightline.errors import CaseError
 
-        opened = stack.enter_context(Case.open(case))
-        again = Recomputed(opened)
-        entry = opened.latest(Kind.PLANNED)
+    with Case.open(case) as opened:
+        again, entry = Recomputed(opened), opened.latest(Kind.PLANNED)
         if entry is None:
             raise CaseError("the case holds no plan; make one with `sightline plan --case`")
         entry = _of_wire(entry, again.of_all_wires(entry), wire)
-        asked = entry.content["asked"]
         given = Picks() if picks is None else Picks.read(picks)
-        landmarks = landmarks_of(given, asked["landmark_names"], asked["landmarks_uv_px"])
+        landmarks = landmarks_of(given, entry)
         frame = frame_of(opened, opened.entry(entry.rests_on[0]).settings["frame"])
         with output.step("computing the plan again"):
-            made, planned = again.plan(entry), again.images(entry)
-        with output.step("finding and labelling the beads"):
-            taken = images_of(output, opened, files, frame, NAMES, invert=invert, after=entry.number)
-        with output.step("calibrating both views (smooth)"):
-            known = {"source_detector_mm": distances.sid, "pixel_mm": distances.pixel}
-            images = calibrate_pair(taken.seen, frame, "smooth", given.mirrored, **known)
-        views = record_images(opened, taken, images, frame, by=Actor.COMMAND)
-        check = CheckRequest(made.kind.wire_mm, landmarks)
-        try:
-            with output.step("finding the wire"):
-                shot = check.shot(made, planned, images, again.others_mm(entry))
-        except RefusedError as refusal:
-            record_verified(opened, entry, views, check, str(refusal), by=Actor.COMMAND)
-            raise
-        kept = record_verified(opened, entry, views, check, shot, by=Actor.COMMAND)
+            made = again.plan(entry)
+        known = {"source_detector_mm": distances.sid, "pixel_mm": distances.pixel}
+        taken = NewImages(files, frame, given.mirrored, known, entry.number, invert)
+        request = CheckRequest(made.kind.wire_mm, landmarks)
+        shot, views, kept = measure_shot(output, (opened, again, entry), request, taken, record_verified)
         _show(output, shot)
-        plans, relations = again.wires(entry), ()
-        if plans is not None:
-            with output.step("comparing the wires that were measured"):
-                measured = judge_measured(plans, again.measured(entry), made.side)
-            relations = tuple(relation for relation in measured.checks if not relation.missing)
-            for check_of in measured.checks:
-                output.say(f"{check_of.name}, as measured: {check_of.sentence}")
+        relations = _relations(output, again, entry)
         output.say(
             f"case {opened.number}: the check shot is entry {kept.number}, against the plan of entry {entry.number}"
         )
@@ -101,6 +85,68 @@ def check_shot(
         numbers |= {"images": image_numbers(opened, views, CHECK_NAMES)}
         document = {key: value for key, value in shot.document().items() if key != "checks"}
         output.result({**document, "case": numbers}, (*shot.checks, *relations))
+
+
+@dataclass(frozen=True, eq=False)
+class NewImages:
+    """Two more images of a plan's views: their `files`, or None for the newest of the case after entry `after`.
+
+    `mirrored`: names of the views that are displayed mirrored; `known`: what is known of the C-arm, as arguments of
+    `calibrate_pair`.
+    """
+
+    files: tuple[Path, ...] | None
+    frame: "Frame"
+    mirrored: Sequence[str]
+    known: Mapping[str, float | None]
+    after: int
+    invert: bool = False
+
+
+def measure_shot(
+    output: Output,
+    of: "tuple[Case, Recomputed, Entry]",
+    request: "CheckRequest | DrillShotRequest",
+    new: NewImages,
+    record: "Callable[..., Entry]",
+) -> "tuple[Any, tuple[Entry, ...], Entry]":
+    """Calibrate two more images and measure the wire in them. `of`: the case, its results, and the entry of the plan.
+
+    Return the shot, the entries of both views, and its own. `record`: of `case.stages`; a refusal is recorded, too.
+    Raises what reading, labelling, calibrating and measuring raise.
+    """
+    from sightline.case.journal import Actor
+    from sightline.case.stages import record_images
+    from sightline.case.views import NAMES, calibrate_pair
+    from sightline.errors import RefusedError
+
+    case, again, plan = of
+    with output.step("finding and labelling the beads"):
+        seen = images_of(output, case, new.files, new.frame, NAMES, invert=new.invert, after=new.after)
+    with output.step("calibrating both views (smooth)"):
+        images = calibrate_pair(seen.seen, new.frame, "smooth", new.mirrored, **new.known)
+    views = record_images(case, seen, images, new.frame, by=Actor.COMMAND)
+    try:
+        with output.step("finding the wire"):
+            shot = request.shot(again.plan(plan), again.images(plan), images, again.others_mm(plan))
+    except RefusedError as refusal:
+        record(case, plan, views, request, str(refusal), by=Actor.COMMAND)
+        raise
+    return shot, views, record(case, plan, views, request, shot, by=Actor.COMMAND)
+
+
+def _relations(output: Output, again: "Recomputed", plan: "Entry") -> "tuple[Check, ...]":
+    """Return the relations between the wires that were measured, and print all of them; none of a wire alone."""
+    from sightline.planning.wires import judge_measured
+
+    plans = again.wires(plan)
+    if plans is None:
+        return ()
+    with output.step("comparing the wires that were measured"):
+        measured = judge_measured(plans, again.measured(plan), again.plan(plan).side)
+    for check in measured.checks:
+        output.say(f"{check.name}, as measured: {check.sentence}")
+    return tuple(relation for relation in measured.checks if not relation.missing)
 
 
 def _of_wire(last: "Entry", of_all: "dict[str, Entry]", wire: str | None) -> "Entry":
@@ -115,11 +161,8 @@ def _of_wire(last: "Entry", of_all: "dict[str, Entry]", wire: str | None) -> "En
     return of_all[wire]
 
 
-def landmarks_of(picks: "Picks", names: list[str], planned: Any) -> "Landmarks":
-    """Return landmarks found again; `names`, `planned` (V, L, 2): of the plan, of which the first two views count.
-
-    Raises UnusableInputError.
-    """
+def landmarks_of(picks: "Picks", plan: "Entry") -> "Landmarks":
+    """Return landmarks found again, of the first two views of the plan of an entry. Raises UnusableInputError."""
     import numpy as np
 
     from sightline.case.picks import CHECK_NAMES
@@ -127,6 +170,7 @@ def landmarks_of(picks: "Picks", names: list[str], planned: Any) -> "Landmarks":
     from sightline.errors import UnusableInputError
     from sightline.planning.check.wires import Landmarks
 
+    names, planned = (plan.content["asked"][key] for key in ("landmark_names", "landmarks_uv_px"))
     before = np.array([[], []] if planned is None else planned[:2], dtype=np.float64).reshape(2, -1, 2)
     known = {name: before[:, k] for k, name in enumerate(names) if name and np.isfinite(before[:, k]).all()}
     again = [mark for mark in picks.landmarks if mark.check_pa is not None]

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.check_shot import landmarks_of
+from sightline.cli.check_shot import NewImages, landmarks_of, measure_shot
 from sightline.cli.options import WireKey, command, parse_address
 from sightline.cli.output import Output
-from sightline.cli.plan import images_of
 from sightline.cli.robot import (
     SERIAL,
     Simulator,
@@ -389,12 +388,11 @@ class DriveShots:
 
     def _measure(self, state: str, files: list[str]) -> "DrillShot":
         """Read, calibrate and measure two images, and record them with the result. Raises SightlineError."""
-        from sightline.case.journal import Actor, Case
+        from sightline.case.journal import Case
         from sightline.case.picks import Picks
         from sightline.case.replay import Recomputed
-        from sightline.case.stages import frame_of, record_images, record_shot
-        from sightline.case.views import NAMES, calibrate_pair
-        from sightline.errors import RefusedError, UnusableInputError
+        from sightline.case.stages import frame_of, record_shot
+        from sightline.errors import UnusableInputError
 
         images, rest = ([], files[1:]) if files[0] == FROM_CASE else (files[:2], files[2:])
         if len(images) == 1 or len(rest) > 1:
@@ -405,24 +403,13 @@ class DriveShots:
         with Case.open(self.folder) as case:
             plan, again = case.entry(self.planned), Recomputed(case)
             frame = self.on_patient or frame_of(case, case.entry(plan.rests_on[0]).settings["frame"])
-            asked = self._asked(state, again, plan, picks)
-            with self.output.step("finding and labelling the beads"):
-                seen = images_of(self.output, case, paths, frame, NAMES, after=self._newest(case))
+            request = self._request(state, again, plan, picks)
             before = again.images(plan)[:2]
             arm = before[0].view.c_arm
             known = {} if arm is None else {"source_detector_mm": arm.source_detector_mm, "pixel_mm": arm.pixel_mm}
             mirrored = [image.name for image in before if image.view.mirrored_display]
-            with self.output.step("calibrating both views"):
-                images = calibrate_pair(seen.seen, frame, "smooth", mirrored, **known)
-            views = record_images(case, seen, images, frame, by=Actor.COMMAND)
-            try:
-                with self.output.step("measuring the wire"):
-                    shot = asked.shot(again.plan(plan), again.images(plan), images, again.others_mm(plan))
-            except RefusedError as refused:
-                record_shot(case, plan, views, asked, str(refused), by=Actor.COMMAND)
-                raise
-            record_shot(case, plan, views, asked, shot, by=Actor.COMMAND)
-        return shot
+            new = NewImages(paths, frame, mirrored, known, self._newest(case))
+            return measure_shot(self.output, (case, again, plan), request, new, record_shot)[0]
 
     def _newest(self, case: "Case") -> int:
         """Return the number of the last entry that is older than the images of this moment."""
@@ -430,7 +417,7 @@ class DriveShots:
 
         return max([self.planned, *(entry.number for entry in case.entries(Kind.SHOT, self.planned))])
 
-    def _asked(self, state: str, again: "Recomputed", plan: "Entry", picks: "Picks") -> "DrillShotRequest":
+    def _request(self, state: str, again: "Recomputed", plan: "Entry", picks: "Picks") -> "DrillShotRequest":
         """Return the request with what a person picked, and with what the robot's encoders say.
 
         Raises UnusableInputError.
@@ -446,9 +433,8 @@ class DriveShots:
                 "in its guide the wire is not found by itself: give points on it in both images, wire_points of the "
                 "file of picks"
             )
-        asked = plan.content["asked"]
-        landmarks = landmarks_of(picks, asked["landmark_names"], asked["landmarks_uv_px"])
-        check, picked = CheckRequest(again.plan(plan).kind.wire_mm, landmarks), picks.wire_uv_px
+        check = CheckRequest(again.plan(plan).kind.wire_mm, landmarks_of(picks, plan))
+        picked = picks.wire_uv_px
         q = self.robot.joints()[0]
         tip_mm = float(q[FEED] - self.target.q[FEED])
         if self.on_patient is not None:

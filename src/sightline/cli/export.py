@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from sightline.calibration import BeadView
     from sightline.calibration.exchange.pinhole import Pinhole
+    from sightline.case.interop.plan_file import PlanFile
     from sightline.case.views import ObservedView
 
 app = group("export", "Write files for other programs.")
@@ -137,11 +138,6 @@ def plan(
 
     A plan that is not GO says so in every file, and is not exported as a robot's message.
     """
-    from datetime import datetime
-
-    from sightline.case.interop import dicom, slicer
-    from sightline.case.interop.dicom import ExportIdentity
-    from sightline.case.interop.formats import csv_files, igtl_files, itk_files
     from sightline.case.interop.plan_file import PlanFile
     from sightline.common.atomic import write_folder
     from sightline.errors import UnusableInputError
@@ -158,21 +154,8 @@ def plan(
     side = side or stated
     for wire in wires.values() if side else ():
         wire.refuse_other_side(side or "")
-    identity = ExportIdentity(case, datetime.now().replace(microsecond=0), side)
-    writers: dict[str, Callable[[PlanFile], dict[str, bytes]]] = {
-        "slicer": lambda wire: slicer.write(wire, side),
-        "itk": lambda wire: itk_files(wire, side),
-        "dicom": lambda wire: dicom.write(wire, identity, originals),
-        "csv": lambda wire: csv_files(wire, side),
-        "igtl": lambda wire: igtl_files(wire, case),
-    }
     with output.step("making the files"):  # all of them before any is written
-        documents = {
-            f"{name}/{f'{key}/' if key else ''}{file}": data
-            for name in formats
-            for key, wire in wires.items()
-            for file, data in writers[name](wire).items()
-        }
+        documents = _plan_files(wires, formats, side, case, originals)
     files = write_folder(out, documents)
     statements = {key: wire.statement for key, wire in wires.items()}
     for key, statement in statements.items():
@@ -181,6 +164,32 @@ def plan(
     stated_of = {"statement": statements[""]} if "" in statements else {"statements": statements}
     go = all(wire.go and wire.document.all_wires in (None, "go") for wire in wires.values())
     output.result({"go": go, **stated_of, "side": side, "files": files})
+
+
+def _plan_files(
+    wires: "dict[str, PlanFile]", formats: list[str], side: Side | None, case: str, originals: dict[str, Path]
+) -> dict[str, bytes]:
+    """Return the files of each wire in each format, by FORMAT/NAME or, of several wires, FORMAT/WIRE/NAME."""
+    from datetime import datetime
+
+    from sightline.case.interop import dicom, slicer
+    from sightline.case.interop.dicom import ExportIdentity
+    from sightline.case.interop.formats import csv_files, igtl_files, itk_files
+
+    identity = ExportIdentity(case, datetime.now().replace(microsecond=0), side)
+    writers: dict[str, Callable[[PlanFile], dict[str, bytes]]] = {
+        "slicer": lambda wire: slicer.write(wire, side),
+        "itk": lambda wire: itk_files(wire, side),
+        "dicom": lambda wire: dicom.write(wire, identity, originals),
+        "csv": lambda wire: csv_files(wire, side),
+        "igtl": lambda wire: igtl_files(wire, case),
+    }
+    return {
+        f"{name}/{f'{key}/' if key else ''}{file}": data
+        for name in formats
+        for key, wire in wires.items()
+        for file, data in writers[name](wire).items()
+    }
 
 
 @command(app, "deidentify", "sightline export deidentify pa.dcm lateral.dcm --out out/anonymous")

@@ -10,6 +10,7 @@ import numpy as np
 from sightline.detection import Detections, detect
 from sightline.errors import DetectionRefusedError, SightlineError, UnusableInputError
 from sightline.frame import Frame
+from sightline.frame.plate import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM
 from sightline.imaging import Radiograph, read_image
 from sightline.imaging.formats import FORMAT_NAMES
 from sightline.studies import measures as measure
@@ -21,18 +22,18 @@ from sightline.studies.measures import (
     open_beam,
     usual_balls,
 )
-from sightline.studies.plots import PlotAxis, PlotPoint, PlotSeries, xy
+from sightline.studies.plots import COLOURS, PlotAxis, PlotPoint, PlotSeries, xy
 from sightline.studies.study import Plot
 from sightline.twin import Scene, ViewTruth, draw_setup, hip_scene, render
 from sightline.twin.objects.things import Ball, Box, Rod, SoftTissue, Solid
 from sightline.twin.xray.setup import SetUp, shadow_radius_px
 
-DRAWS = 40  # exposures of the twin from which the range of its distortion is estimated [ours]
 LAGS_PX = (1, 2)  # at larger lags blocks of 16 px reduce the correlation by 0.05 or more [calc]
-RANGE = (5, 95)  # percentiles of those draws
+RANGE = (5, 95)  # percentiles of the twin's distortion over other tubes and poses
+DRAWS = 2 * 100 // RANGE[0]  # of them: two lie beyond each end of the range
 MAX_IMAGES = 40  # per folder: each takes up to half a minute [ours]
 
-MAX_LEGEND = 4  # images per plot: eight curves can still be distinguished [ours]
+MAX_LEGEND = len(COLOURS)  # images per plot: one colour for each
 
 
 Curve = list[tuple[float, float]]
@@ -306,7 +307,7 @@ def findings(pairs: Sequence[Pair]) -> list[str]:
 VIEW = "pa"
 PLATE_THICKNESS_MM = 1.0  # thickness of the twin's perforated plate [ours]
 PLATE_HEIGHT_MM = 5.0  # distance of its centre from the input plane [ours]
-BALL_DEPTH = 0.62  # of the distance from the source to the input plane: that of the hip [ours]
+BALL_DEPTH = SOURCE_TO_HIP_MM / SOURCE_TO_DETECTOR_MM  # of the distance from the source to the input plane
 
 
 @dataclass(frozen=True, eq=False)

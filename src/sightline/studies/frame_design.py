@@ -26,6 +26,7 @@ from sightline.frame.plate import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM
 from sightline.studies.frame_kinds import (
     BEAD_PX,
     BLOCKS,
+    DRAPES_MM,
     EQUAL,
     FIELDS_MM,
     INTERVAL,
@@ -45,13 +46,13 @@ from sightline.studies.scenes import BEADS_20UM, VIEWS, WHOLE, WIRE_ENDS_MM, dra
 from sightline.studies.study import Estimate, Plot, Summary, Table, Values
 from sightline.twin import SetUp, bead_images
 from sightline.twin.objects.beam import attenuation_per_mm
-from sightline.twin.objects.things import PLATE_THICKNESS_MM
+from sightline.twin.objects.things import PLATE_THICKNESS_MM, SoftTissue
 from sightline.twin.xray.setup import Handling, displaced, in_use
 
 BEAD_MM = 3.0  # diameter of a ball that BEAD_PX holds for (physics.md, Centroid limit)
 MIDDLE_ENERGY = 1  # 60 keV of the beam's three
-# The thigh's skin lies up to 105 mm from the hip (twin, SoftTissue); 5 mm for drapes [ours].
-NEAREST_MM = 105.0 + 5.0 + PLATE_THICKNESS_MM / 2
+# The skin of the thigh, drapes, and half of the plate.
+NEAREST_MM = SoftTissue().half_mm[1] + DRAPES_MM + PLATE_THICKNESS_MM / 2
 # Room for the intensifier's housing before its input plane: 30 mm [ours], so that no plate touches it.
 FARTHEST_MM = SOURCE_TO_DETECTOR_MM - SOURCE_TO_HIP_MM - 30.0 - PLATE_THICKNESS_MM / 2
 MIN_REACH_MM, MIN_IN_FIELD = 10.0, 0.6  # of `check_frame`

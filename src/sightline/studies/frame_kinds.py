@@ -181,10 +181,10 @@ def error_of_kind(kind: FrameKind, sd: Tolerances, seed: int) -> Values | None:
 FIELDS_MM = {
     "9-inch intensifier": 140.0,
     "30 cm panel": 185.0,
-}  # at the hip [ours]: 9 inches and 298 mm on the detector times 620 / 1000, to 5 mm
+}  # at the hip: 9 inches and 298 mm on the detector times 620 / 1000, to 5 mm [calc]
 BLOCKS = ("block30", "block40", "block60", "cube120")
 MARGIN_MM = 8.0  # aiming error per image, at the hip [ours]
-DRAPES_MM = 5.0  # [ours]
+DRAPES_MM = 5.0  # thickness of folded drapes on the skin [ours]
 COVER_MM = 3.5  # balls' centres under the solid's faces (frame/designs.py)
 CLEAR_MM = 5.0  # minimum distance between an end of the wire and a ball in an image, at the hip [ours]
 STEP_MM = 10.0

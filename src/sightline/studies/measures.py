@@ -26,7 +26,7 @@ STEP_PX = 0.2  # grid of the template of a rim
 BIN_PX = 0.25  # of a rim's profile
 BESIDE_PX = 5.0  # of a bead's surroundings that its rim is fitted with: four blurs and more [ours]
 EDGE_BEADS = 60  # rims that are fitted, of many beads evenly chosen [ours]
-MIN_RADIUS_PX = 2.5  # of a bead whose rim has a profile [ours]
+MIN_RADIUS_PX = 10 * BIN_PX  # of a bead whose rim has a profile: ten of its bins
 MIN_BALLS, ALIKE = 8, 0.15  # as many as detection compares with each other; spread of their radii [ours]
 OPEN, INNER = 0.8, 0.8  # log ratio of bright to dark, in so much of the radius: phantoms 0.5, a spine 1.3 [ARCADIS]
 RINGS, MIN_RINGS, SECTORS, MIN_PIXELS = 10, 6, 12, 100  # of the field; of the rings; of each; of a sector [ours]
@@ -34,7 +34,7 @@ PLATE_BLUR = 0.7  # pitches: leaves 3e-6 of a hexagonal lattice's own pattern [c
 UNEVEN = 0.05  # spread (s.d.) of brightness around a ring beyond which something shades it: vignetting is round [ours]
 # Of a lattice:
 REACH = 0.25  # of the pitch: maximum distance of a point from the position predicted by its neighbours [ours]
-STARTS = 5  # number of points near the middle that are tried as the first one [ours]
+STARTS = 5  # points tried as the first one: on a square lattice the middle one and its four neighbours
 MIN_SINE = 0.75  # between both axes: 60, 90 and 120 degrees and distortion [ours]
 HEXAGONAL_COSINE = 0.25  # between both axes: above 75.5 degrees a lattice counts as square
 

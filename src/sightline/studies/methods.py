@@ -1,6 +1,7 @@
 """Methods from the same beads to points in space: ours, the paper's, and common alternatives."""
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import cv2
 import numpy as np
@@ -173,15 +174,10 @@ METHODS: dict[str, Method] = {
 
 def errors(scene: TargetScene, method: str, picks: list[tuple[np.ndarray, float]]) -> list[np.ndarray | None]:
     """Return the errors (T,), mm, of the targets for each of `picks` (pixels (2, T, 2), their s.d.); None: refused."""
-    try:
+    of_picks: list[np.ndarray | None] = [None] * len(picks)
+    with suppress(*REFUSALS):
         locate = METHODS[method](scene)
-    except REFUSALS:
-        return [None] * len(picks)
-    return [_error(scene, locate, uv, sd) for uv, sd in picks]
-
-
-def _error(scene: TargetScene, locate: Locate, uv_px: np.ndarray, pick_px: float) -> np.ndarray | None:
-    try:
-        return np.linalg.norm(locate(uv_px, pick_px) - scene.target_mm, axis=1)
-    except REFUSALS:
-        return None
+        for k, (uv_px, pick_px) in enumerate(picks):
+            with suppress(*REFUSALS):
+                of_picks[k] = np.linalg.norm(locate(uv_px, pick_px) - scene.target_mm, axis=1)
+    return of_picks

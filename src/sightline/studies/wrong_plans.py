@@ -27,7 +27,7 @@ from sightline.planning.verdict.view_directions import frame_axes
 from sightline.rehearsal.patient import RehearsedPatient, draw_patient
 from sightline.studies.plots import Span, spans
 from sightline.studies.scenes import ATTEMPTS, MARGIN_PX, VIEWS, calibrated_views, measure
-from sightline.studies.study import Estimate, Plot, Summary, Table, Values, share
+from sightline.studies.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, share
 from sightline.studies.wrong_wires import (
     KINDS,
     MAX_AMOUNT,
@@ -129,7 +129,7 @@ class WrongPlans:
 
 
 @dataclass(frozen=True)
-class PlanShares:
+class PlanShares(EstimateGroup):
     """How the plans of a group end."""
 
     wrong_go: Estimate
@@ -157,11 +157,6 @@ class PlanShares:
             _counted(others),
             _counted(refused),
         )
-
-    @property
-    def estimates(self) -> tuple[Estimate, ...]:
-        """All estimates."""
-        return self.wrong_go, self.caught, self.right_go, self.near
 
     @property
     def count_go(self) -> int:

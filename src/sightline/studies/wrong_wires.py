@@ -214,29 +214,14 @@ def draw_times(rng: np.random.Generator) -> float:
     return float(rng.uniform(MIN_TIMES, NEAR_TIMES) if near else rng.uniform(NEAR_TIMES, MAX_TIMES))
 
 
-def deeper_end(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
-    """Return the wire with its end deeper by an amount, mm."""
-    return np.stack([wire_mm[0], wire_mm[1] + amount * _along(wire_mm)])
+def along_itself(entry: float, end: float) -> Change:
+    """Return the change that moves entry and end along the wire by these multiples of an amount, mm."""
+    return lambda bone, wire_mm, amount: wire_mm + amount * np.outer([entry, end], _along(wire_mm))
 
 
-def shorter_end(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
-    """Return the wire with its end less deep by an amount, mm."""
-    return deeper_end(bone, wire_mm, -amount)
-
-
-def deeper_entry(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
-    """Return the wire with its entry deeper in the bone by an amount, mm."""
-    return np.stack([wire_mm[0] + amount * _along(wire_mm), wire_mm[1]])
-
-
-def entry_in_air(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
-    """Return the wire with its entry farther back, in air, by an amount, mm."""
-    return deeper_entry(bone, wire_mm, -amount)
-
-
-def entry_behind(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
-    """Return the wire with its entry farther behind by an amount, mm."""
-    return np.stack([wire_mm[0] - amount * ANTERIOR, wire_mm[1]])
+def shifted(entry: float, end: float, towards: np.ndarray) -> Change:
+    """Return the change that moves entry and end in a direction (3,) by these multiples of an amount, mm."""
+    return lambda bone, wire_mm, amount: wire_mm + amount * np.outer([entry, end], towards)
 
 
 def flatter(femur: Femur, wire_mm: np.ndarray, amount: float) -> np.ndarray:
@@ -259,11 +244,6 @@ def aside(towards: np.ndarray) -> Change:
     return lambda bone, wire_mm, amount: wire_mm + amount * unit(across(towards, _along(wire_mm)))
 
 
-def end_aside(towards: np.ndarray) -> Change:
-    """Return the change that moves the end of a wire, in a direction (3,), by an amount, mm."""
-    return lambda bone, wire_mm, amount: wire_mm + np.outer([0.0, amount], towards)
-
-
 def tilted(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
     """Return the wire with its entry moved towards the head's side so that it turns about its end by an amount, °."""
     entry, end = wire_mm
@@ -271,6 +251,8 @@ def tilted(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
     return np.stack([entry + by, end])
 
 
+deeper_end, shorter_end = along_itself(0.0, 1.0), along_itself(0.0, -1.0)
+deeper_entry, entry_in_air = along_itself(1.0, 0.0), along_itself(-1.0, 0.0)
 KINDS = (
     WrongKind("entry and end exchanged", HIP_SCREW, "entry and end", exchanged=True),
     WrongKind("the other side", HIP_SCREW, "side", also=("view directions",), other_side=True),
@@ -299,7 +281,7 @@ KINDS = (
         "entry behind the bone",
         HIP_SCREW,
         "anterior of lesser trochanter",
-        entry_behind,
+        shifted(1.0, 0.0, -ANTERIOR),
         also=("entry outside cortex",),
     ),
     WrongKind("flatter than any plate", HIP_SCREW, "wire to shaft", flatter, also=("entry outside cortex",)),
@@ -309,7 +291,7 @@ KINDS = (
     WrongKind("entry inside the pedicle", PEDICLE, "entry to pedicle", deeper_entry),
     WrongKind("entry off the vertebra", PEDICLE, "entry to pedicle", entry_in_air),
     WrongKind("tip in front of the vertebra", PEDICLE, "tip behind front", deeper_end),
-    WrongKind("tip in the disc", PEDICLE, "tip to endplates", end_aside(-CAUDAL), also=("wire in pedicle",)),
+    WrongKind("tip in the disc", PEDICLE, "tip to endplates", shifted(0.0, 1.0, -CAUDAL), also=("wire in pedicle",)),
     WrongKind("screw leaves the sacrum in front", SACRAL, "wire in sacral corridor", aside(ANTERIOR)),
     WrongKind("screw in the sacral foramen", SACRAL, "wire in sacral corridor", aside(CAUDAL)),
     WrongKind("tip beyond the drawn sacrum", SACRAL, "tip in sacral corridor", deeper_end),
