@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from scipy.stats import chi2
 
 from sightline.errors import SightlineError
-from sightline.studies.run import code_digest, local_workers
+from sightline.studies.runs.run import code_digest, local_workers
 
 KEPT = Path("out/bench")  # results by benchmark and by the digest of the program's code
 WARM_UP = 2  # runs that are not timed

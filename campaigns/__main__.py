@@ -13,7 +13,7 @@ from rich.table import Table
 
 from campaigns.campaign import called
 from sightline.errors import UnusableInputError
-from sightline.studies.run import StudyRun
+from sightline.studies.runs.run import StudyRun
 
 NAMES = ("points", "images", "files", "robots", "kills", "disks", "pages")
 TRIES = 200  # of each campaign: minutes on two cores

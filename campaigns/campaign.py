@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sightline.errors import SightlineError
-from sightline.studies.study import Summary, Table, Values, share
+from sightline.studies.runs.study import Summary, Table, Values, share
 
 # How a try may end. "wrong": GO, with an error above 1.5 times the stated 95 % bound, although all observations
 # together differ by 5 standard deviations or more from those of the undamaged case; "weak": by 2 to 5; "unseen": less.

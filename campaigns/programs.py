@@ -26,13 +26,13 @@ from sightline.case.acquire import folder as acquire_folder
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.journal.case import JOURNAL
 from sightline.cli import commands
-from sightline.cli.output import Output
+from sightline.cli.base import Output
 from sightline.common import atomic
 from sightline.detection.csv_files import write_observations
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_png
-from sightline.studies.run import Record
+from sightline.studies.runs.run import Record
 from sightline.studies.scenes import VIEWS
 
 Work = Callable[[], int]

@@ -15,8 +15,7 @@ import typer
 from typer.testing import CliRunner
 
 import sightline
-from sightline.cli.options import command
-from sightline.cli.output import Output, Terminated, as_json
+from sightline.cli.base import Output, Terminated, as_json, command
 from sightline.common.checks import Check
 from sightline.errors import ImageError, LabellingRefusedError
 

@@ -159,7 +159,7 @@ def test_the_wire_was_drilled_and_the_check_shot_agrees_with_the_physics(demo_fo
 
 def test_without_mujoco_the_rest_is_made_and_the_reason_said(monkeypatch, capsys) -> None:
     from sightline.cli import demo as demo_robot
-    from sightline.cli.output import Output
+    from sightline.cli.base import Output
 
     monkeypatch.setattr(demo_robot, "find_spec", lambda name: None)
     assert demo_robot.drill(Output(json=False, quiet=False), None, None, None) is None

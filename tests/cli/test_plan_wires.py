@@ -11,7 +11,7 @@ from tests.cli.picked import picks_file, place, wire
 
 from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.case.journal import Case, Kind
-from sightline.cli.output import Output
+from sightline.cli.base import Output
 from sightline.cli.watch import _planned
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.frame import Frame

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import sightline as sl
-from sightline.cli.output import as_json
+from sightline.cli.base import as_json
 from sightline.detection.csv_files import read_observations, write_observations
 from sightline.imaging import write_png
 from sightline.planning import kind, plan

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.studies.study import Summary, Table, Values, quantile
+from sightline.studies.runs.study import Summary, Table, Values, quantile
 
 
 @dataclass(frozen=True)

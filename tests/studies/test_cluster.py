@@ -9,8 +9,8 @@ import pytest
 from tests.studies.small_study import SmallStudy
 
 from sightline.errors import UnusableInputError
-from sightline.studies import run as run_module
-from sightline.studies.run import StudyRun
+from sightline.studies.runs import run as run_module
+from sightline.studies.runs.run import StudyRun
 
 SEED, N = 5, 12
 # What Dask itself warns of while it closes is none of ours.

@@ -4,7 +4,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from sightline.studies.plots import PlotAxis, PlotPoint, PlotSeries, Span, field, spans, xy
+from sightline.studies.runs.plots import PlotAxis, PlotPoint, PlotSeries, Span, field, spans, xy
 
 
 def test_drawings_name_their_rows_and_lines_and_repeat() -> None:

@@ -12,16 +12,21 @@ from sightline.studies.frame_design import (
     AS_MADE,
     AS_MEASURED,
     DEFAULT,
+    EQUAL,
     Design,
+    DesignResult,
     FrameDesignStudy,
+    FrameKind,
     bead_sd_px,
     covered_share,
     error_of,
+    error_of_kind,
     obstacle,
+    places,
+    which_to_build,
 )
-from sightline.studies.frame_kinds import EQUAL, DesignResult, FrameKind, error_of_kind, places, which_to_build
+from sightline.studies.runs.study import Values
 from sightline.studies.scenes import BEADS_20UM, EXACT, WHOLE, WIRE_ENDS_MM, draw_showing
-from sightline.studies.study import Values
 from sightline.twin import SetUp, draw_setup
 from sightline.twin.xray.setup import Handling
 

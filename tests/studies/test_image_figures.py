@@ -6,8 +6,8 @@ import pytest
 
 from sightline.detection import Detections
 from sightline.imaging import Radiograph
-from sightline.studies import measures as measure
-from sightline.studies.measures import Lattice, NotMeasurableError, grow
+from sightline.studies.comparison import measures as measure
+from sightline.studies.comparison.measures import Lattice, NotMeasurableError, grow
 
 OFF = np.array([0.31, -0.27])  # off the grid
 MIDDLE, RADIUS = np.array([511.5, 511.5]), 500.0

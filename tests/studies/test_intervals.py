@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from sightline.studies.study import quantile, rms, share
+from sightline.studies.runs.study import quantile, rms, share
 
 
 def test_a_quantile_lies_between_its_order_statistics():

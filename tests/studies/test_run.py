@@ -14,10 +14,10 @@ from tests.studies.small_study import SmallStudy
 from tests.systems import needs_posix
 
 from sightline.errors import RefusedError, UnusableInputError
-from sightline.studies import run as record_module
-from sightline.studies.page import render_study
-from sightline.studies.run import TRIALS, Result, StudyRun
-from sightline.studies.study import Study
+from sightline.studies.runs import run as record_module
+from sightline.studies.runs.page import render_study
+from sightline.studies.runs.run import TRIALS, Result, StudyRun
+from sightline.studies.runs.study import Study
 
 SEED, N = 5, 12
 EXPECTED = [float(np.random.default_rng([SEED, k]).standard_normal()) for k in range(N)]
@@ -147,7 +147,7 @@ COMMAND = """
 if __name__ == "__main__":  # workers import this file too
     from sightline.cli import main
     from sightline.studies import catalogue
-    from sightline.studies import run as record
+    from sightline.studies.runs import run as record
     from tests.studies.small_study import SmallStudy
 
     catalogue.STUDIES["small"] = SmallStudy(seconds=0.05)

@@ -11,8 +11,8 @@ A command lives in a file that `_FILES` below names, and is a function with this
         output.table("Points", ("point", "x mm"), rows)
         output.result({"points": points, ...}, checks=verdict.checks)   # exit code 3 where a check failed
 
-`Output` (cli/output.py) prints, encodes and turns errors into exit codes; every command takes its --json and --quiet.
-A parameter whose type is a dataclass (`PlanOptions`) stands for its fields (cli/options.py).
+`Output` (cli/base.py) prints, encodes and turns errors into exit codes; every command takes its --json and --quiet.
+A parameter whose type is a dataclass (`PlanOptions`) stands for its fields (cli/base.py).
 
 At its top a command file imports the standard library, typer and `sightline.cli`, and nothing that is slow. Help is
 plain text: Rich would take `[...]` for markup.
@@ -26,8 +26,7 @@ from typing import Annotated
 import typer
 
 from sightline import __version__
-from sightline.cli.options import commands
-from sightline.cli.output import Terminated
+from sightline.cli.base import Terminated, commands
 
 _FILES = (  # in the order in which `sightline --help` lists their commands
     "demo",
@@ -37,7 +36,6 @@ _FILES = (  # in the order in which `sightline --help` lists their commands
     "simulate",
     "study",
     "frame",
-    "frame_measured",
     "procedure",
     "robot",
     "drive",

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from sightline.cli.options import Invert, command, group
-from sightline.cli.output import Output
+from sightline.cli.base import Invert, Output, command, group
 
 if TYPE_CHECKING:
     from sightline.case.acquire import Acquirer, News

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sightline.cli.base import Output, Rehearsed, command, commands
 from sightline.cli.demo import DEFAULT, SEED, SEEDS, frame_for
-from sightline.cli.options import Rehearsed, command, commands
-from sightline.cli.output import Output
 
 if TYPE_CHECKING:
     from sightline.app.session.rehearsing import Patient

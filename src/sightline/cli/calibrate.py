@@ -7,8 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import Distances, FrameIndex, Invert, LabellingOptions, Method, Spacing, command, commands
-from sightline.cli.output import Output, as_json
+from sightline.cli.base import (
+    Distances,
+    FrameIndex,
+    Invert,
+    LabellingOptions,
+    Method,
+    Output,
+    Spacing,
+    as_json,
+    command,
+    commands,
+)
 
 if TYPE_CHECKING:
     from sightline.calibration.maps.undistort import PlaneImage

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import command, group
-from sightline.cli.output import Output
+from sightline.cli.base import Output, command, group
 from sightline.common.checks import Check
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import Distances, Invert, WireKey, command, commands
-from sightline.cli.output import Output
+from sightline.cli.base import Distances, Invert, Output, WireKey, command, commands
 from sightline.cli.plan import both_or_none, image_numbers, images_of
 from sightline.common.checks import failed
 

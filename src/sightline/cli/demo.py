@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from sightline.cli.options import command, commands
-from sightline.cli.output import Output
+from sightline.cli.base import Output, command, commands
 from sightline.common.closing import Closing
 
 if TYPE_CHECKING:
@@ -629,7 +628,7 @@ def _decisions(planned: DemoPlan, drawn_px: "AidClicks", acquired: dict[str, int
 
 def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, Any]) -> None:
     from sightline.case.saved import document
-    from sightline.cli.output import as_json
+    from sightline.cli.base import as_json
     from sightline.common.atomic import write_files
     from sightline.detection.csv_files import write_observations
 

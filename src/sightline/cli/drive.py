@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sightline.cli.base import Output, WireKey, command, parse_address
 from sightline.cli.check_shot import NewImages, landmarks_of, measure_shot
-from sightline.cli.options import WireKey, command, parse_address
-from sightline.cli.output import Output
 from sightline.cli.robot import (
     SERIAL,
     Simulator,

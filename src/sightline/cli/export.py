@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.calibrate import see
-from sightline.cli.options import (
+from sightline.cli.base import (
     FrameIndex,
     FrameName,
     Invert,
     LabellingOptions,
     OutFolder,
+    Output,
     Side,
     Spacing,
     command,
     group,
 )
-from sightline.cli.output import Output
+from sightline.cli.calibrate import see
 
 if TYPE_CHECKING:
     import numpy as np

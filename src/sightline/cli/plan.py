@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import Distances, Invert, Method, Side, command, commands
-from sightline.cli.output import Output
+from sightline.cli.base import Distances, Invert, Method, Output, Side, command, commands
 from sightline.common.checks import failed
 
 if TYPE_CHECKING:
@@ -293,7 +292,7 @@ def write(
     """Write the reports, plan.json, picks.json and the undistorted images; return the files."""
     from sightline.case.interop.plan_file import bundle, of_wires, sealed
     from sightline.case.report.page import render
-    from sightline.cli.output import as_json
+    from sightline.cli.base import as_json
     from sightline.common.atomic import write_folder
 
     plans, files = {}, {}

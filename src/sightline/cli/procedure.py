@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sightline.cli.options import command, group
-from sightline.cli.output import Output
+from sightline.cli.base import Output, command, group
 
 if TYPE_CHECKING:
     from sightline.planning.procedures.document import CheckRule, ProcedureDocument, Relation

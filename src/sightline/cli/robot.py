@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from sightline.cli.options import FrameName, Rehearsed, Side, command, group, parse_address
-from sightline.cli.output import Output, as_json
+from sightline.cli.base import FrameName, Output, Rehearsed, Side, as_json, command, group, parse_address
 
 if TYPE_CHECKING:
     from sightline.case.interop.plan_file import PlanFile

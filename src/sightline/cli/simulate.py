@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from sightline.cli.options import FrameName, Side, command, commands
-from sightline.cli.output import Output, as_json
+from sightline.cli.base import FrameName, Output, Side, as_json, command, commands
 
 if TYPE_CHECKING:
     import numpy as np

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import FrameName, Invert, Method, Mirrored, command, commands
-from sightline.cli.output import Output, as_json
+from sightline.cli.base import FrameName, Invert, Method, Mirrored, Output, as_json, command, commands
 
 if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage
     from sightline.studies.assess import Assessment, MeasuredPoints
-    from sightline.studies.run import Result, StudyRun
-    from sightline.studies.study import Study
+    from sightline.studies.runs.run import Result, StudyRun
+    from sightline.studies.runs.study import Study
 
 PRINTED = 2  # tables on the terminal; the page has all of them
 
@@ -35,7 +34,7 @@ def study(
     An interrupted run continues where it stopped.
     """
     from sightline.studies.catalogue import study_called
-    from sightline.studies.run import StudyRun
+    from sightline.studies.runs.run import StudyRun
 
     chosen = study_called(name)
     folder = out or Path("out/study") / name
@@ -64,7 +63,7 @@ def _do(output: Output, run: "StudyRun", scheduler: str | None) -> "Result":
 
 def _write(folder: Path, chosen: "Study", result: "Result") -> list[Path]:
     from sightline.common.atomic import write_folder
-    from sightline.studies.page import render_study
+    from sightline.studies.runs.page import render_study
 
     page = render_study(chosen.about, result)
     documents = {"report.html": page.encode(), "result.json": as_json(result.document()).encode()}
@@ -178,9 +177,8 @@ def compare(
     import numpy as np
 
     from sightline.common.atomic import write_folder
-    from sightline.studies.compare import compare as compare_pair
-    from sightline.studies.compare import document, findings, plots, read_folder
-    from sightline.studies.page import render_comparison
+    from sightline.studies.comparison.compare import compare as compare_pair
+    from sightline.studies.comparison.compare import document, findings, plots, read_folder, render_comparison
 
     images, passed = read_folder(folder, invert=invert)
     for reason in passed:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import FrameName, Invert, WireKey, command, commands
-from sightline.cli.output import Output
+from sightline.cli.base import FrameName, Invert, Output, WireKey, command, commands
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView

@@ -20,8 +20,8 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.planning import SpacePoints
 from sightline.studies.methods import calibrated
+from sightline.studies.runs.study import Estimate, Plot, Summary, Table, Values, rms, share
 from sightline.studies.scenes import EXACT, VIEWS, WHOLE, TargetScene
-from sightline.studies.study import Estimate, Plot, Summary, Table, Values, rms, share
 from sightline.twin import bead_images, draw_setup
 from sightline.twin.scenes.hip_scene import TEST_BALLS_MM
 

@@ -7,7 +7,7 @@ from sightline.studies.fig13 import Figure13
 from sightline.studies.fig15 import Figure15
 from sightline.studies.frame_design import FrameDesignStudy
 from sightline.studies.porcine import Porcine
-from sightline.studies.study import Study
+from sightline.studies.runs.study import Study
 from sightline.studies.table1 import Table1
 from sightline.studies.wrong_plans import WrongPlans
 

@@ -19,9 +19,9 @@ from sightline.planning import Pick, matching_curve, snap
 from sightline.planning.points.picks import stack
 from sightline.studies.bound import bound
 from sightline.studies.methods import calibrated
-from sightline.studies.plots import PlotAxis, PlotPoint, PlotSeries, xy
+from sightline.studies.runs.plots import PlotAxis, PlotPoint, PlotSeries, xy
+from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, quantile, rms, share
 from sightline.studies.scenes import FAR_MM, FRAMES, TargetScene, draw_scene
-from sightline.studies.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, quantile, rms, share
 
 PICKS = {"picks free, 0.1 px": 0.1, "picks free, 0.5 px": 0.5, "picks snapped, 0.5 px": 0.5}
 LEVELS = (0.50, 0.95, 0.99)

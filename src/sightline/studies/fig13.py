@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from sightline.studies.plots import field
-from sightline.studies.study import Plot, Summary, Table, Values, quantile, share
+from sightline.studies.runs.plots import field
+from sightline.studies.runs.study import Plot, Summary, Table, Values, quantile, share
 from sightline.twin.xray.distributions import Distortion
 from sightline.twin.xray.presets import preset
 from sightline.twin.xray.tubes import draw_earth, draw_tube

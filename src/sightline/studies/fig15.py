@@ -22,8 +22,8 @@ from sightline.frame import Frame
 from sightline.planning import Plan, kind, plan
 from sightline.rehearsal.operation import InsertionOutcome, SimulatedTheatre, calibrated_robot
 from sightline.robot.control.insertion import Setup
+from sightline.studies.runs.study import Estimate, Summary, Table, Values, quantile, share
 from sightline.studies.scenes import PHANTOMS, SIDE, VIEWS, image_of, observed
-from sightline.studies.study import Estimate, Summary, Table, Values, quantile, share
 from sightline.twin import HipScene, SetUp
 
 PHANTOM = "plastic, bored"

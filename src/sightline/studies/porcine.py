@@ -16,8 +16,8 @@ from sightline.common.checks import failed
 from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.planning import kind, plan
+from sightline.studies.runs.study import Estimate, EstimateGroup, Summary, Table, Values, quantile, rms, share
 from sightline.studies.scenes import PHANTOMS, VIEWS, calibrated_images
-from sightline.studies.study import Estimate, EstimateGroup, Summary, Table, Values, quantile, rms, share
 
 PICKS_PX = {"plastic, bored": 0.5, "porcine": 1.0}  # careful, ordinary (physics.md, Picks)
 PAPER_MM, PAPER_DEG = 1.0, 0.6  # the paper's six trials were within these

@@ -14,9 +14,9 @@ import numpy as np
 from sightline.frame import Frame
 from sightline.frame.designs import builtin_design
 from sightline.studies.methods import errors
-from sightline.studies.plots import Span, spans
+from sightline.studies.runs.plots import Span, spans
+from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, quantile, share
 from sightline.studies.scenes import WHOLE, TargetScene, measure
-from sightline.studies.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, quantile, share
 from sightline.twin import draw_setup
 from sightline.twin.scenes.hip_scene import TEST_BALLS_MM
 

@@ -25,9 +25,9 @@ from sightline.planning.procedures.document import WantedView
 from sightline.planning.procedures.procedure import ProcedureKey
 from sightline.planning.verdict.view_directions import frame_axes
 from sightline.rehearsal.patient import RehearsedPatient, draw_patient
-from sightline.studies.plots import Span, spans
+from sightline.studies.runs.plots import Span, spans
+from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, share
 from sightline.studies.scenes import ATTEMPTS, MARGIN_PX, VIEWS, calibrated_views, measure
-from sightline.studies.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, share
 from sightline.studies.wrong_wires import (
     KINDS,
     MAX_AMOUNT,

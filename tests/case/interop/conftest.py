@@ -10,7 +10,7 @@ from tests.case.conftest import HOSTILE, LANDMARKS_MM, WIRE_MM
 
 from sightline.case.interop.plan_file import PlanFile, bundle, sealed
 from sightline.case.views import NAMES, calibrate_pair
-from sightline.cli.output import as_json
+from sightline.cli.base import as_json
 from sightline.cli.plan import plan_document
 from sightline.planning import kind, plan
 

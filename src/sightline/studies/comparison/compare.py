@@ -1,20 +1,23 @@
 """Comparison of the twin with real images: both are measured in the same way."""
 
+import base64
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
+from sightline.case.report.radiographs import JPEG_QUALITY, grey
 from sightline.detection import Detections, detect
 from sightline.errors import DetectionRefusedError, SightlineError, UnusableInputError
 from sightline.frame import Frame
 from sightline.frame.plate import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM
 from sightline.imaging import Radiograph, read_image
 from sightline.imaging.formats import FORMAT_NAMES
-from sightline.studies import measures as measure
-from sightline.studies.measures import (
+from sightline.studies.comparison import measures as measure
+from sightline.studies.comparison.measures import (
     Lattice,
     NotMeasurableError,
     field_circle,
@@ -22,8 +25,9 @@ from sightline.studies.measures import (
     open_beam,
     usual_balls,
 )
-from sightline.studies.plots import COLOURS, PlotAxis, PlotPoint, PlotSeries, xy
-from sightline.studies.study import Plot
+from sightline.studies.runs.page import page
+from sightline.studies.runs.plots import COLOURS, PlotAxis, PlotPoint, PlotSeries, xy
+from sightline.studies.runs.study import Plot
 from sightline.twin import Scene, ViewTruth, draw_setup, hip_scene, render
 from sightline.twin.objects.things import Ball, Box, Rod, SoftTissue, Solid
 from sightline.twin.xray.setup import SetUp, shadow_radius_px
@@ -33,6 +37,7 @@ RANGE = (5, 95)  # percentiles of the twin's distortion over other tubes and pos
 DRAWS = 2 * 100 // RANGE[0]  # of them: two lie beyond each end of the range
 MAX_IMAGES = 40  # per folder: each takes up to half a minute [ours]
 
+SHOWN_PX = 512  # side of an image on the page [ours]
 MAX_LEGEND = len(COLOURS)  # images per plot: one colour for each
 
 
@@ -393,3 +398,45 @@ def _balls(view: ViewTruth, image: Radiograph, beads: Detections) -> tuple[Solid
     per_mm = shadow_radius_px(view, places, np.ones(len(places)))
     radius = scale * beads.radius_px[dark][seen] / per_mm
     return tuple(Ball((x, y, z), r, within=None) for (x, y, z), r in zip(places.tolist(), radius.tolist(), strict=True))
+
+
+def render_comparison(pairs: Sequence[Pair], passed: Sequence[str], folder: str, seed: int) -> str:
+    """Return the page as HTML, with the images scaled to SHOWN_PX."""
+    return page(
+        "compare.html.j2",
+        plots=plots(pairs),
+        folder=folder,
+        seed=seed,
+        passed=passed,
+        findings=findings(pairs),
+        images=[_shown(pair) for pair in pairs],
+    )
+
+
+def _shown(pair: Pair) -> dict[str, Any]:
+    rows, reasons = [], dict[str, list[str]]()
+    for name, real, twin, ratio in differences(pair):
+        for measured, whose in ((real, "real"), (twin, "twin")):
+            if measured.value is None:
+                reasons.setdefault(measured.why_not, []).append(f"{name} ({whose})")
+        if real.value is not None or twin.value is not None:
+            span = pair.ranges.get(name)
+            between = "" if span is None else f"{span[0]:.3g} to {span[1]:.3g}"
+            cells = ["not measurable" if measured.value is None else str(measured) for measured in (real, twin)]
+            rows.append((name, *cells, "" if ratio is None else f"{ratio:.2f}", between))
+    return {
+        "name": pair.name,
+        "real": _data_uri(pair.real.image),
+        "twin": _data_uri(pair.twin.image),
+        "like": pair.like,
+        "rows": rows,
+        "not_measurable": list(reasons.items()),
+    }
+
+
+def _data_uri(image: Radiograph) -> str:
+    shown = grey(image)
+    scale = min(1.0, SHOWN_PX / max(shown.shape))
+    small = cv2.resize(shown, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode()

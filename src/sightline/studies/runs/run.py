@@ -21,7 +21,7 @@ import numpy as np
 
 import sightline
 from sightline.errors import RefusedError, UnusableInputError
-from sightline.studies.study import Study, Summary, Values
+from sightline.studies.runs.study import Study, Summary, Values
 
 # Matrices are small, so threads of the linear algebra cost more than they save.
 _LINEAR_ALGEBRA = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")

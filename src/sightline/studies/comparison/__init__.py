@@ -1,0 +1,1 @@
+"""Real images beside the twin's, measured in the same way."""
