@@ -163,7 +163,7 @@ def _axis(view: CalibratedView, image: Radiograph, drawn: Line) -> Line:
     half_px = float(np.linalg.norm(first.mean(axis=0) - second.mean(axis=0))) / 2
     borders = _Border.found(image, first, second), _Border.found(image, second, first)
     begin = common_begin(borders[0].edge, borders[1].edge)
-    lines = [view.lines_of_sight(one.uv_px + (begin - one.edge.begin_px) * one.inward) for one in borders]
+    lines = [view.lines_of_sight(b.uv_px + (begin - b.edge.begin_px) * b.inward) for b in borders]
     along = _direction(lines)
     across = np.array([-along[1], along[0]])
     low, high = _common_part(lines, along)
@@ -196,8 +196,8 @@ def _direction(lines: Sequence[LinesOfSight]) -> np.ndarray:
 def _common_part(lines: Sequence[LinesOfSight], along: np.ndarray) -> tuple[float, float]:
     """Return the ends of the part along which both borders are shown. Raises NoBoneEdgeError."""
     places = [seen.xy_mm @ along for seen in lines]
-    low, high = max(one.min() for one in places), min(one.max() for one in places)
-    if high - low < max(np.ptp(one) for one in places) / 2:
+    low, high = max(along_border.min() for along_border in places), min(along_border.max() for along_border in places)
+    if high - low < max(np.ptp(along_border) for along_border in places) / 2:
         raise NoBoneEdgeError("its borders do not lie beside each other; draw both along the same part, or keep them")
     return float(low), float(high)
 
@@ -215,10 +215,10 @@ def _refuse_taper(fits: Sequence[np.ndarray], length_mm: float) -> None:
 
 def _no_shaft(views: Sequence[CalibratedView], lines: tuple[Line, Line]) -> str:
     """Return why the edges in two images are not those of one shaft; "" where they are."""
-    found = locate(views[:2], Aids(shaft=lines))
-    if found.shaft is None:
-        return found.why_absent("shaft")
-    first, second = (_half_width_mm(view, line, found.shaft) for view, line in zip(views[:2], lines, strict=True))
+    anatomy = locate(views[:2], Aids(shaft=lines))
+    if anatomy.shaft is None:
+        return anatomy.why_absent("shaft")
+    first, second = (_half_width_mm(view, line, anatomy.shaft) for view, line in zip(views[:2], lines, strict=True))
     if abs(first - second) <= _MAX_UNEQUAL * (first + second) / 2:
         return ""
     return f"the edges are {2 * first:.1f} and {2 * second:.1f} mm apart in the two images, which is not one shaft"

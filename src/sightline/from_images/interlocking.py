@@ -77,14 +77,14 @@ def find_nail(
             f"{len(views)} views, {len(images)} images and {strokes.shape}"
         )
     lines = [view.lines_of_sight(own.mean(axis=(0, 1))[None]) for view, own in zip(views, strokes, strict=True)]
-    farthest_apart(np.concatenate([one.directions for one in lines]))
+    farthest_apart(np.concatenate([seen.directions for seen in lines]))
     middle = nearest_approach(
         lines[0].focal_point_mm, lines[0].directions[0], lines[1].focal_point_mm, lines[1].directions[0]
     ).middle_mm
     cameras = tuple(LocalCamera.of(view, middle) for view in views)
     scales = [_px_per_mm(camera, middle) for camera in cameras]
     tried = {
-        hardness: tuple(_outlines(*one, nail, hardness) for one in zip(images, strokes, scales, strict=True))
+        hardness: tuple(_outlines(*seen, nail, hardness) for seen in zip(images, strokes, scales, strict=True))
         for hardness in _HARDNESS
     }
     hardness = _best_fitting(tried)
@@ -96,7 +96,7 @@ def find_nail(
 
 
 @one_blas_thread
-def find_hole(found: FoundNail, clicks_px: ArrayLike) -> Hole:
+def find_hole(nail_seen: FoundNail, clicks_px: ArrayLike) -> Hole:
     """Return the hole of a nail near a click (u, v) in each view, (2, 2), a few pixels off.
 
     Raises UnusableInputError, ReconstructionRefusedError, OutsideRegionError, ErrorUnknownError.
@@ -104,9 +104,9 @@ def find_hole(found: FoundNail, clicks_px: ArrayLike) -> Hole:
     clicks = np.asarray(clicks_px, dtype=np.float64)
     if clicks.shape != (2, 2) or not np.isfinite(clicks).all():
         raise UnusableInputError(f"give one finite click (u, v) in each of two views; got the shape {clicks.shape}")
-    pose = _best(found, hole_candidates(found.cameras, found.point_mm, found.along, list(clicks)))
-    near = turned_to_rims(found.cameras, _seen(found, pose, _FIRST_BLUR_PX), found.nail, pose)
-    hole = fit_hole(found.views, _seen(found, near), found.nail, near)  # rims expected where they are
+    pose = _best(nail_seen, hole_candidates(nail_seen.cameras, nail_seen.point_mm, nail_seen.along, list(clicks)))
+    near = turned_to_rims(nail_seen.cameras, _seen(nail_seen, pose, _FIRST_BLUR_PX), nail_seen.nail, pose)
+    hole = fit_hole(nail_seen.views, _seen(nail_seen, near), nail_seen.nail, near)  # rims expected where they are
     if (fewest := hole.kept[:, 2:].min()) < _MIN_ARC_POINTS:
         raise ReconstructionRefusedError(
             f"a view shows only {fewest} points of a rim (at least {_MIN_ARC_POINTS} are needed): the lens is narrow, "
@@ -117,19 +117,19 @@ def find_hole(found: FoundNail, clicks_px: ArrayLike) -> Hole:
 
 
 @one_blas_thread
-def hole_edges(found: FoundNail, hole: Hole) -> list[HoleSeen]:
+def hole_edges(nail_seen: FoundNail, hole: Hole) -> list[HoleSeen]:
     """Return the edges of the nail and of both rims that each of the two images shows where `hole` has them."""
-    return _seen(found, hole.pose)
+    return _seen(nail_seen, hole.pose)
 
 
-def find_holes(found: FoundNail, distal_px: ArrayLike, proximal_px: ArrayLike, side: str) -> dict[str, Hole]:
+def find_holes(nail_seen: FoundNail, distal_px: ArrayLike, proximal_px: ArrayLike, side: str) -> dict[str, Hole]:
     """Return both distal holes of a nail, "distal" and "proximal", each near a click in each view, (2, 2).
 
     `side`: of the patient, "right" or "left"; it tells which of the two is the distal one. Raises what `find_hole`
     raises, and ReconstructionRefusedError for one hole clicked twice, exchanged holes, and holes of another nail.
     """
-    holes = {"distal": find_hole(found, distal_px), "proximal": find_hole(found, proximal_px)}
-    refuse_confused(holes["distal"], holes["proximal"], found.nail, side)
+    holes = {"distal": find_hole(nail_seen, distal_px), "proximal": find_hole(nail_seen, proximal_px)}
+    refuse_confused(holes["distal"], holes["proximal"], nail_seen.nail, side)
     return holes
 
 
@@ -198,8 +198,8 @@ def plan_holes(
             f"{', '.join(wire.key for wire in document.wires)}"
         )
     _refuse_without_side(keys, side)
-    found = find_nail(views[:2], images[:2], drawn.strokes_px, drawn.nail)
-    holes = {key: find_hole(found, drawn.clicks_px[key]) for key in keys}
+    nail_seen = find_nail(views[:2], images[:2], drawn.strokes_px, drawn.nail)
+    holes = {key: find_hole(nail_seen, drawn.clicks_px[key]) for key in keys}
     return plan_found_holes(views, holes, procedure=document, drilled=drawn.drilled, side=side, **shared)
 
 
@@ -222,7 +222,7 @@ def plan_found_holes(
         refuse_confused(distal, proximal, distal.nail, side or "")
     picks = {key: WirePicks.of_hole(hole, views) for key, hole in holes.items()}
     axes = {key: hole.axis for key in drilled if (hole := picks[key].hole) is not None}
-    wanted = {key: one for key, one in picks.items() if key not in axes}
+    wanted = {key: wire for key, wire in picks.items() if key not in axes}
     return plan_wires(views, wanted, procedure=procedure, placed=axes, side=side, **shared)
 
 
@@ -254,14 +254,14 @@ def _best_fitting(tried: Mapping[float, tuple[tuple[MetalEdge, MetalEdge], ...]]
     return list(tried)[int((misfits / misfits.min(axis=0)).sum(axis=1).argmin())]
 
 
-def _best(found: FoundNail, candidates: list[HolePose]) -> HolePose:
+def _best(nail_seen: FoundNail, candidates: list[HolePose]) -> HolePose:
     """Return the candidate that looks most like the images. Raises ReconstructionRefusedError."""
     middle = candidates[len(candidates) // 2].hole_mm
     total = np.zeros(len(candidates))
-    for camera, image in zip(found.cameras, found.images, strict=True):
-        uv = patch_px(camera, middle, found.nail)
-        metal = metals_mm(camera.focal_mm, camera.rays(uv), candidates, found.nail)
-        total += agreement(image, uv, metal, found.nail.material, found.hardness) / len(found.images)
+    for camera, image in zip(nail_seen.cameras, nail_seen.images, strict=True):
+        uv = patch_px(camera, middle, nail_seen.nail)
+        metal = metals_mm(camera.focal_mm, camera.rays(uv), candidates, nail_seen.nail)
+        total += agreement(image, uv, metal, nail_seen.nail.material, nail_seen.hardness) / len(nail_seen.images)
     if total.max() < _MIN_AGREEMENT:
         raise ReconstructionRefusedError(
             f"the images do not look like a hole near the clicks (correlation {total.max():.2f}, at least "
@@ -271,16 +271,16 @@ def _best(found: FoundNail, candidates: list[HolePose]) -> HolePose:
     return candidates[int(total.argmax())]
 
 
-def _seen(found: FoundNail, pose: HolePose, blur_px: float | None = None) -> list[HoleSeen]:
+def _seen(nail_seen: FoundNail, pose: HolePose, blur_px: float | None = None) -> list[HoleSeen]:
     """Return the edges that each image shows where a pose expects them; `blur_px` as in `find_rims`."""
-    out = []
-    seen = zip(found.views, found.images, found.outlines, found.cameras, strict=True)
+    edges = []
+    seen = zip(nail_seen.views, nail_seen.images, nail_seen.outlines, nail_seen.cameras, strict=True)
     for view, image, outlines, camera in seen:
-        expected = expected_rims(camera, pose, found.nail)
-        rims = find_rims(image, expected, GRID_PX, found.nail.material, found.hardness, blur_px)
+        expected = expected_rims(camera, pose, nail_seen.nail)
+        rims = find_rims(image, expected, GRID_PX, nail_seen.nail.material, nail_seen.hardness, blur_px)
         clear = ~_beside_bead(view, expected.uv_px)
-        out.append(HoleSeen(outlines, rims.edge(clear & ~expected.is_exit), rims.edge(clear & expected.is_exit)))
-    return out
+        edges.append(HoleSeen(outlines, rims.edge(clear & ~expected.is_exit), rims.edge(clear & expected.is_exit)))
+    return edges
 
 
 def _beside_bead(view: CalibratedView, uv_px: np.ndarray) -> np.ndarray:

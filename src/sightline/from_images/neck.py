@@ -72,27 +72,27 @@ def fit_neck(
     or drawn axis are not located, or the head's outlines do not agree. The reason stands at the view's name. `views`,
     `images`: PA and lateral first.
     """
-    found = locate(views[:2], Aids(head=head, neck=drawn))
-    if missing := _missing(found):
+    anatomy = locate(views[:2], Aids(head=head, neck=drawn))
+    if missing := _missing(anatomy):
         return drawn, dict.fromkeys([view.name for view in views[:2]], missing)
-    assert found.head is not None and found.neck is not None  # noqa: S101 - nothing is missing
+    assert anatomy.head is not None and anatomy.neck is not None  # noqa: S101 - nothing is missing
     fitted, kept = [], {}
     for view, image, line, uneven in zip(views[:2], images[:2], drawn, _UNEVEN, strict=True):
         try:
-            _refuse_covered(view, found.neck)
-            fitted.append(_axis(view, image, line, found.head, uneven))
+            _refuse_covered(view, anatomy.neck)
+            fitted.append(_axis(view, image, line, anatomy.head, uneven))
         except (NoBoneEdgeError, OutsideRegionError) as why:
             kept[view.name] = str(why)
             fitted.append(line)
     return (fitted[0], fitted[1]), kept
 
 
-def _missing(found: Anatomy) -> str:
+def _missing(anatomy: Anatomy) -> str:
     """Return why the head or the drawn axis cannot be used; "" where both can."""
     for name in ("head", "neck"):
-        if name not in found.at:
-            return found.why_absent(name)
-    agreement = found.head_agreement
+        if name not in anatomy.at:
+            return anatomy.why_absent(name)
+    agreement = anatomy.head_agreement
     return "" if agreement is None or agreement.passed else agreement.sentence
 
 

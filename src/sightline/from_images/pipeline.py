@@ -154,8 +154,8 @@ def find_placed_wires(
     views = [view for _, _, view in both]
     clicked = np.concatenate([np.asarray(clicked_uv_px[key], dtype=np.float64) for key in keys], axis=1)
     ends = dict(zip(keys, reconstruct(views, clicked).xyz_mm.reshape(-1, 2, 3), strict=True))
-    wires = {key: [_placed(key, ends, one, wire_mm[key]) for one in both] for key in keys}
-    return placed_wires(views, wires, {key: one[0] for key, one in ends.items()})
+    wires = {key: [_placed(key, ends, shown, wire_mm[key]) for shown in both] for key in keys}
+    return placed_wires(views, wires, {key: shown[0] for key, shown in ends.items()})
 
 
 def _placed(
@@ -166,28 +166,28 @@ def _placed(
     expected = expected_wire(view, ends_mm[key])
     others = expected_wires([ends for name, ends in ends_mm.items() if name != key], view)
     try:
-        found = find_wire(
+        shadow = find_wire(
             image, expected, wire_mm, beads.uv_px, beads.radius_px, others=others, corridor_mm=_PLACED_CORRIDOR_MM
         )
     except WireRefusedError as refused:
         raise WireRefusedError(f"placed wire {key!r}, view {view.name!r}: {refused}") from None
-    off_px = np.linalg.norm(found.uv_px[:, None] - expected.uv_px, axis=-1).min(axis=1)
+    off_px = np.linalg.norm(shadow.uv_px[:, None] - expected.uv_px, axis=-1).min(axis=1)
     off_mm = float(np.median(off_px) / np.median(expected.px_per_mm))
     if off_mm > _CLICKED_MM:
         raise WireRefusedError(
             f"placed wire {key!r}, view {view.name!r}: the line found lies {off_mm:.1f} mm beside the clicks (at most "
             f"{_CLICKED_MM:.0f} mm); click entry and tip of the wire, and check that both images show it"
         )
-    return found
+    return shadow
 
 
 def expected_wires(lines_mm: Sequence[np.ndarray], view: CalibratedView) -> list[ExpectedWire]:
     """Return wires from entry to end (2, 3) as a view shows them, without those outside its field."""
-    out = []
+    expected = []
     for ends in lines_mm:
         with suppress(OutsideRegionError):
-            out.append(expected_wire(view, ends))
-    return out
+            expected.append(expected_wire(view, ends))
+    return expected
 
 
 def find_beads(image: Radiograph) -> tuple[Radiograph, Detections]:
@@ -199,9 +199,9 @@ def find_beads(image: Radiograph) -> tuple[Radiograph, Detections]:
     if is_inverted(beads):
         with suppress(DetectionRefusedError):
             other = image.inverted()
-            found = detect(other)
-            if not is_inverted(found):
-                return other, found
+            dark = detect(other)
+            if not is_inverted(dark):
+                return other, dark
     return image, beads
 
 
@@ -303,7 +303,7 @@ def propose_order(
             before = before | hides[key]
         return tuple(counts)
 
-    chains = [one.wires for one in procedure.relations if one.relation == "order"]
+    chains = [relation.wires for relation in procedure.relations if relation.relation == "order"]
     free = [key for key in procedure.drilling_order if key in wires.keys and key not in placed]
     orders = [order for order in permutations(free) if all(_kept(chain, order) for chain in chains)]
     best = min(orders or [tuple(free)], key=lambda order: sum(hidden(order)))

@@ -88,7 +88,7 @@ class Plan(Plotted):
         side = "" if self.side is None else f", {self.side} side"
         first = f"Plan of a {self.kind.name}{side}: {self.verdict.state.upper()}"
         path, checks = self.trajectory.summary().splitlines()[1:], checks_lines(self.verdict.checks, 3)
-        return "\n".join([first, *path, *checks, *(f"  {said}" for said in self._alone())])
+        return "\n".join([first, *path, *checks, *(f"  {sentence}" for sentence in self._alone())])
 
     def to_dataframe(self) -> "DataFrame":
         """Return a row for each check of the verdict: name, passed, figure, limit, unit, sentence. Needs pandas."""
@@ -146,10 +146,10 @@ class Plan(Plotted):
         axes = [assumed_axes(self.kind, self.views)]
         if self.anatomy is not None:
             axes.append(Located(self.kind, self.views, self.anatomy, self.landmark_names, self.side).unknown_directions)
-        said = [*self.along_sentences(), *pair, *self._alone(), *([] if fits is None else [fits.sentence])]
+        sentences = [*self.along_sentences(), *pair, *self._alone(), *([] if fits is None else [fits.sentence])]
         if self.hole is not None:
-            said += [self.hole.sentence, *(turn.sentence for turn in perfect_circles(self.hole, self.views))]
-        return [*said, *(sentence for sentence in axes if sentence)]
+            sentences += [self.hole.sentence, *(turn.sentence for turn in perfect_circles(self.hole, self.views))]
+        return [*sentences, *(sentence for sentence in axes if sentence)]
 
     def to_check(self, views: Sequence[CalibratedView] | None = None) -> PlannedWire:
         """Return what a check shot compares its wire with; `views`: those of the plan as they were calibrated again."""
@@ -159,8 +159,8 @@ class Plan(Plotted):
     @property
     def unchecked_relations(self) -> tuple[str, ...]:
         """Names of the procedure's relations between this wire and others that were not checked."""
-        asked = [one for one in self.kind.document.relations if one.relation != "order"]
-        own = [one.relation for one in asked if self.kind.wire.key in one.wires]
+        asked = [relation for relation in self.kind.document.relations if relation.relation != "order"]
+        own = [relation.relation for relation in asked if self.kind.wire.key in relation.wires]
         checked = [check.name for check in self.relations]
         return tuple(name for name in dict.fromkeys(own) if checked.count(name) < own.count(name))
 
@@ -188,13 +188,13 @@ class Plan(Plotted):
 
         NaN where a view does not show a point."""
         ends, landmarks = [[p.uv_px for p in point] for point in self.picks], self.arguments["landmarks_uv_px"]
-        out = np.array(ends).swapaxes(0, 1)
-        out = out if landmarks is None else np.concatenate([out, landmarks], axis=1)
+        residuals = np.array(ends).swapaxes(0, 1)
+        residuals = residuals if landmarks is None else np.concatenate([residuals, landmarks], axis=1)
         for k, view in enumerate(adjusted_together(self.views)):
             uv, shown = view.project_seen(self.seen.xyz_mm)
-            out[k, shown] -= uv
-            out[k, ~shown] = np.nan
-        return out
+            residuals[k, shown] -= uv
+            residuals[k, ~shown] = np.nan
+        return residuals
 
     def document(self) -> dict[str, Any]:
         """Return the plan as the JSON types of `PlanDocument`."""
@@ -386,7 +386,9 @@ def _landmarks_mm(names: tuple[str, ...], seen: SpacePoints) -> dict[str, np.nda
 
 def _by_view(views: Sequence[CalibratedView], residual_px: np.ndarray) -> dict[str, Any]:
     named = zip(views, residual_px, strict=True)
-    return {"residual_px": {view.name: None if np.isnan(one).any() else one.tolist() for view, one in named}}
+    return {
+        "residual_px": {view.name: None if np.isnan(residual).any() else residual.tolist() for view, residual in named}
+    }
 
 
 def _names(kind: Procedure, landmark_names: Sequence[str], count: int) -> tuple[str, ...]:

@@ -102,15 +102,15 @@ class WirePlans(Shown):
             "missing": list(self.verdict.missing),
             "procedure": {"name": self.procedure.name, "fingerprint": fingerprint(self.procedure)},
             "relations": [vars(check) for check in self.relations],
-            "wires": {key: one.document() for key, one in self.plans.items()},
+            "wires": {key: plan.document() for key, plan in self.plans.items()},
         }
 
     def summary(self) -> str:
         """Return the verdict, entry and end of each wire, and the checks that failed."""
         paths = [
-            f"  {one.kind.wire.name}: {line.strip()}"
-            for one in self.plans.values()
-            for line in one.trajectory.summary().splitlines()[1:]
+            f"  {plan.kind.wire.name}: {line.strip()}"
+            for plan in self.plans.values()
+            for line in plan.trajectory.summary().splitlines()[1:]
         ]
         first = f"Plan of {len(self.plans)} of {len(self.procedure.wires)} wires, {self.procedure.name}"
         return "\n".join([f"{first}: {self.verdict.state.upper()}", *paths, *checks_lines(self.verdict.checks, 3)])
@@ -160,14 +160,14 @@ def plan_wires(
         for key in document.drilling_order
         if key in wires
     }
-    holes = {key: one.axis for key, picks in wires.items() if (one := picks.hole) is not None}
-    lines = _lines(views, {key: one for key, one in alone.items() if key not in holes}, {**holes, **placed})
+    holes = {key: picks.hole.axis for key, picks in wires.items() if picks.hole is not None}
+    lines = _lines(views, {key: own for key, own in alone.items() if key not in holes}, {**holes, **placed})
     names = {wire.key: wire.name for wire in document.wires}
     judged = judge_relations(document.relations, lines, names, side)
     planned = _all_planned([names[key] for key in names if key not in lines.keys], len(names))
     return WirePlans(
         procedure=document,
-        plans={key: one.related(_judged_of(key, document, judged)) for key, one in alone.items()},
+        plans={key: own.related(_judged_of(key, document, judged)) for key, own in alone.items()},
         placed=placed,
         lines=lines,
         relations=judged.checks,
@@ -188,14 +188,14 @@ def _lines(views: Sequence[CalibratedView], plans: Mapping[str, Plan], placed: M
     """Return all wires; those of which picks on these views are known are reconstructed together."""
     if not plans:
         return WireLines.of((), None, placed)
-    found = {key: one for key, one in placed.items() if isinstance(one, PlacedWire)}
-    planned = stack([point for one in plans.values() for point in one.picks])
-    each = [planned, *(one.picks.in_views(len(views)) for one in found.values())]
+    seen_here = {key: wire for key, wire in placed.items() if isinstance(wire, PlacedWire)}
+    planned = stack([point for wire in plans.values() for point in wire.picks])
+    each = [planned, *(wire.picks.in_views(len(views)) for wire in seen_here.values())]
     picks = PickArrays(*(np.concatenate(parts, axis=1) for parts in zip(*each, strict=True)))
-    methods = {one.arguments["method"] for one in plans.values()}
+    methods = {wire.arguments["method"] for wire in plans.values()}
     points = reconstruct(views, picks.uv_px, picks.covariance_px2, methods.pop(), picks.across_px)
-    others = {key: one for key, one in placed.items() if key not in found}
-    return WireLines.of([*plans, *found], points, others)
+    others = {key: wire for key, wire in placed.items() if key not in seen_here}
+    return WireLines.of([*plans, *seen_here], points, others)
 
 
 def _judged_of(key: str, document: ProcedureDocument, judged: Verdict) -> tuple[Check, ...]:
@@ -207,15 +207,15 @@ def _judged_of(key: str, document: ProcedureDocument, judged: Verdict) -> tuple[
 
 def _of_all(plans: Mapping[str, Plan]) -> Verdict:
     """Return the checks of all plans: those that are the same for all once, the others with the wire's name."""
-    verdicts = {one.kind.wire.name: one.verdict for one in plans.values()}
+    verdicts = {verdict.kind.wire.name: verdict.verdict for verdict in plans.values()}
     first = next(iter(verdicts.values()))
-    common = [check for check in first.checks if all(check in one.checks for one in verdicts.values())]
+    common = [check for check in first.checks if all(check in verdict.checks for verdict in verdicts.values())]
 
     def named(checks: Sequence[Check], name: str) -> list[Check]:
         own = [check for check in checks if check not in common]
         return [replace(check, sentence=f"{name}: {check.sentence}") for check in own]
 
-    checks = [*common, *(check for name, one in verdicts.items() for check in named(one.checks, name))]
+    checks = [*common, *(check for name, verdict in verdicts.items() for check in named(verdict.checks, name))]
     return Verdict(tuple(checks))
 
 
@@ -288,15 +288,15 @@ def propose_wires(
     missing = [wire.key for wire in document.wires if wire.key not in given]
     if document.proposal is not None:
         at_rest = adjusted_together(views)
-        found = locate(at_rest, aids)
-        return {key: propose(at_rest, found, side, Procedure.of(document, key).proposal) for key in missing}
-    lowest = next((one.wires[0] for one in document.relations if one.relation == "inverted triangle"), "")
+        anatomy = locate(at_rest, aids)
+        return {key: propose(at_rest, anatomy, side, Procedure.of(document, key).proposal) for key in missing}
+    lowest = next((r.wires[0] for r in document.relations if r.relation == "inverted triangle"), "")
     if lowest not in given:
         first = f"give entry and end of the {lowest} wire first" if lowest else "pick entry and end"
         raise ReconstructionRefusedError(f"the procedure {document.key} states no rule for a proposal: {first}")
     picks, kind = given[lowest], Procedure.of(document, lowest)
     planned = plan(views, picks.entry_uv_px, picks.end_uv_px, snapped=picks.snapped, kind=kind, side=side, aids=aids)
-    return {key: one for key, one in propose_others(planned).items() if key in missing}
+    return {key: wire for key, wire in propose_others(planned).items() if key in missing}
 
 
 def propose_others(lowest: Plan) -> Mapping[str, Proposal]:
@@ -309,19 +309,19 @@ def propose_others(lowest: Plan) -> Mapping[str, Proposal]:
     Raises ReconstructionRefusedError where the file has no such triangle with a spacing, the side is not known, or the
     neck has no space for the wires, and OutsideRegionError where they lie outside a view's calibrated region.
     """
-    document, key, side, found = lowest.kind.document, lowest.kind.wire.key, lowest.side, lowest.anatomy
+    document, key, side, anatomy = lowest.kind.document, lowest.kind.wire.key, lowest.side, lowest.anatomy
     triangle, low, high = _asked(document, key)
     if side is None:
         raise ReconstructionRefusedError("no wires can be proposed: the side is not given; give it")
     wire = lowest.trajectory.points.xyz_mm
     above, front = (axis[0] for axis in across_axes(lowest.trajectory.direction[None], -caudal(side)))
     spacings = np.arange(low + MARGIN_MM, high - MARGIN_MM + 1e-9, _STEP_MM)
-    for spacing in spacings[::-1] if found is not None and "outline" in found.at else spacings[:1]:
+    for spacing in spacings[::-1] if anatomy is not None and "outline" in anatomy.at else spacings[:1]:
         off = [np.sqrt(0.75) * spacing * above + way * spacing / 2 * front for way in (1.0, -1.0)]
-        wires = [wire + one if found is None else _on_bone(wire, one, found) for one in off]
-        made = {key: one for key, one in zip(triangle.wires[1:], wires, strict=True) if one is not None}
-        if len(made) == len(wires) and all(_fits(found, one, document, side) for one in made.values()):
-            return {key: _proposal(lowest, one, spacing) for key, one in made.items()}
+        wires = [wire + shift if anatomy is None else _on_bone(wire, shift, anatomy) for shift in off]
+        made = {key: shift for key, shift in zip(triangle.wires[1:], wires, strict=True) if shift is not None}
+        if len(made) == len(wires) and all(_fits(anatomy, shift, document, side) for shift in made.values()):
+            return {key: _proposal(lowest, shift, spacing) for key, shift in made.items()}
     raise ReconstructionRefusedError(
         f"neck and head have no space for wires {low + MARGIN_MM:g} mm apart above the {lowest.kind.wire.name}; move "
         "that wire to the lower border of the neck, or draw the neck's borders again"
@@ -330,25 +330,29 @@ def propose_others(lowest: Plan) -> Mapping[str, Proposal]:
 
 def _asked(document: ProcedureDocument, key: str) -> tuple[Relation, float, float]:
     """Return the triangle above a wire, and the limits of its spacing. Raises ReconstructionRefusedError."""
-    triangles = [one for one in document.relations if one.relation == "inverted triangle" and one.wires[0] == key]
-    spacings = [one for one in document.relations if one.relation == "spacing" and triangles]
-    for one in spacings:
-        if set(triangles[0].wires) <= set(one.wires) and one.low is not None and one.high is not None:
-            return triangles[0], one.low, one.high
+    triangles = [
+        relation
+        for relation in document.relations
+        if relation.relation == "inverted triangle" and relation.wires[0] == key
+    ]
+    spacings = [relation for relation in document.relations if relation.relation == "spacing" and triangles]
+    for relation in spacings:
+        if set(triangles[0].wires) <= set(relation.wires) and relation.low is not None and relation.high is not None:
+            return triangles[0], relation.low, relation.high
     raise ReconstructionRefusedError(
         f"no wires can be proposed beside {key!r}: the procedure {document.key} states no inverted triangle with a "
         "spacing whose lowest wire it is; plan that wire first, or pick the others"
     )
 
 
-def _on_bone(wire: np.ndarray, off: np.ndarray, found: Anatomy) -> np.ndarray | None:
+def _on_bone(wire: np.ndarray, off: np.ndarray, anatomy: Anatomy) -> np.ndarray | None:
     """Return the wire (2, 3) shifted by `off`, its ends moved along it: the entry is as far from the shaft's axis as
     that of `wire`, and the tip as far from the head's centre. None where it passes beside the shaft or the head.
     """
     along = unit(wire[1] - wire[0])
     entry, end = wire + off
-    if found.shaft is not None:
-        (on, _), axis = found.shaft.ends_mm, found.shaft.direction
+    if anatomy.shaft is not None:
+        (on, _), axis = anatomy.shaft.ends_mm, anatomy.shaft.direction
         slope = across(along, axis)
         radius, before = (np.linalg.norm(across(point - on, axis)) for point in (wire[0], entry))
         there = -(across(entry - on, axis) @ slope) / (slope @ slope)
@@ -356,8 +360,8 @@ def _on_bone(wire: np.ndarray, off: np.ndarray, found: Anatomy) -> np.ndarray | 
         if rest <= 0.0:
             return None
         entry = entry + (there - np.sqrt(rest)) * along
-    if found.head is not None:
-        centre = found.head.centre_mm
+    if anatomy.head is not None:
+        centre = anatomy.head.centre_mm
         beside = across(end - centre, along)
         rest = ((wire[1] - centre) ** 2).sum() - beside @ beside
         if rest <= 0.0:
@@ -366,15 +370,15 @@ def _on_bone(wire: np.ndarray, off: np.ndarray, found: Anatomy) -> np.ndarray | 
     return np.array([entry, end])
 
 
-def _fits(found: Anatomy | None, wire: np.ndarray, document: ProcedureDocument, side: str) -> bool:
+def _fits(anatomy: Anatomy | None, wire: np.ndarray, document: ProcedureDocument, side: str) -> bool:
     """Return True for a wire that keeps the file's distance from the neck's surface and MARGIN_MM more, or where no
     neck is drawn."""
-    if found is None or "outline" not in found.at:
+    if anatomy is None or "outline" not in anatomy.at:
         return True
-    values = found.values.copy()
-    values[found.at["wire"]] = wire.ravel()
+    values = anatomy.values.copy()
+    values[anatomy.at["wire"]] = wire.ravel()
     least = max((rule.range[0] for rule in document.checks if rule.check == "wire in neck"), default=0.0)
-    value = metric(replace(found, values=values), "wire in neck", side).value
+    value = metric(replace(anatomy, values=values), "wire in neck", side).value
     return value is not None and value >= least + MARGIN_MM
 
 

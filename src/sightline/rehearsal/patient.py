@@ -89,7 +89,7 @@ class CheckImages:
         `shown_mm` (N, 3) of the newest wire, before both moved. Raises SetUpError if no set-up shows these.
         """
         rng, draw = drawn
-        in_bone = sum((guide_wire(*one) for one in wires), bone.bone)
+        in_bone = sum((guide_wire(*wire) for wire in wires), bone.bone)
         then = bone.still + moved(in_bone, motion)
         landmarks = {name: motion.apply(at) for name, at in landmarks_mm.items()}
         points = np.concatenate([motion.apply(shown_mm), np.stack(list(landmarks.values()))])
@@ -227,7 +227,7 @@ class RehearsedPatient:
         """Pixels (2, 2) in both images of each landmark that is picked, by its name in the twin: those that the
         procedure names, or of a procedure for any bone the first ones, as far as they lie well inside both fields."""
         known = self.bone.landmarks_mm
-        asked = [one.key for one in self.document.landmarks]
+        asked = [landmark.key for landmark in self.document.landmarks]
         named = [name for name in known if key_of(name) in asked]
         uv = self.pixels(np.stack(list(known.values())))
         shown = [self.setup.views[name].in_field(uv[k], LANDMARK_MARGIN_PX) for k, name in enumerate(VIEWS)]
@@ -238,7 +238,7 @@ class RehearsedPatient:
     @property
     def landmark_keys(self) -> tuple[str, ...]:
         """The keys of `landmarks` in the procedure's file."""
-        asked = [one.key for one in self.document.landmarks]
+        asked = [landmark.key for landmark in self.document.landmarks]
         keys = tuple(key_of(name) for name in self.landmarks)
         return keys if set(keys) <= set(asked) else tuple(asked[: len(keys)])
 
@@ -249,13 +249,13 @@ class RehearsedPatient:
         views = [view.name for view in self.document.views]
         asked = {aid.key: [view in aid.views for view in views] for aid in self.document.aids}
         known = {name: aid for name, aid in self._aids.items() if key_of(name) in asked}
-        out = {key: [uv[view] for view in VIEWS] for key, uv in drawn_aids(known, self.setup.views).items()}
+        clicks = {key: [uv[view] for view in VIEWS] for key, uv in drawn_aids(known, self.setup.views).items()}
         for name, aid in known.items():
             if isinstance(aid, SphereAid) and "growth plate" in known:  # which cuts the sphere off
-                out[name] = list(self.rim_px(aid.centre_mm, aid.radius_mm, np.diff(self.wires_mm[0], axis=0)[0]))
+                clicks[name] = list(self.rim_px(aid.centre_mm, aid.radius_mm, np.diff(self.wires_mm[0], axis=0)[0]))
         return {
             key: [uv if drawn else None for uv, drawn in zip(each, asked[key], strict=False)]
-            for key, each in out.items()
+            for key, each in clicks.items()
             if all(self.setup.views[view].in_field(uv).all() for view, uv in zip(VIEWS, each, strict=True))
         }
 
@@ -329,7 +329,7 @@ class RehearsedPatient:
     def rim_px(self, centre_mm: np.ndarray, radius_mm: float, top: np.ndarray | None = None) -> np.ndarray:
         """Return the pixels (2, 3, 2) in both images of three points around the outline of a sphere: at RIM_ANGLES_RAD,
         or on its cap in the direction `top` (3,) at CAP_ANGLES_RAD."""
-        out = np.zeros((2, len(RIM_ANGLES_RAD), 2))
+        pixels = np.zeros((2, len(RIM_ANGLES_RAD), 2))
         for k, name in enumerate(VIEWS):
             view = self.setup.views[name]
             ray = centre_mm - view.focal_point_mm
@@ -341,8 +341,8 @@ class RehearsedPatient:
             nearer = centre_mm - ray * (radius_mm / distance) ** 2
             touching = radius_mm * np.sqrt(1.0 - (radius_mm / distance) ** 2)
             around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-            out[k] = view.project(nearer + touching * around @ across)
-        return out
+            pixels[k] = view.project(nearer + touching * around @ across)
+        return pixels
 
     def shown_again(self, wires_mm: Mapping[str, np.ndarray]) -> CheckImages:
         """Render two more images with wires (2, 3) in the bone, by key, the newest last; CFCS of the planning images.

@@ -44,7 +44,7 @@ class SimulatedFluoroscopy:
         bumped = shifted(truth, BUMP_MM * np.array([np.cos(angle), np.sin(angle)]) @ truth.detector.axes)
         self.still, self.moved = (
             tuple(exposure.read_out(rng) for _ in range(_NOISES))
-            for exposure in (expose(one, hip.scene, DOSES["low"]) for one in (truth, bumped))
+            for exposure in (expose(state, hip.scene, DOSES["low"]) for state in (truth, bumped))
         )
         none = np.zeros(2)
         self.wire = Trajectory(SpacePoints(hip.wire_mm.copy(), none, none > 0, None, None, None, none == 0, "nearest"))

@@ -187,14 +187,14 @@ class Aids:
         for name, kind in (("head", Circle), ("neck", Line), ("shaft", Line), ("calcar", Pick), ("cortex", Pick)):
             drawn = document[name]
             if isinstance(drawn, list):
-                made[name] = tuple(_read(kind, one) for one in drawn)
+                made[name] = tuple(_read(kind, drawing) for drawing in drawn)
             elif drawn is not None:
                 made[name] = _read(kind, drawn)
         if document.get("outline") is not None:  # cases of earlier versions have none
             made["outline"] = tuple(tuple(_read(Line, line) for line in view) for view in document["outline"])
         others = {
-            key: Drawing(one["type"], tuple(one["uv_px"]), one["sd_px"])
-            for key, one in document.get("others", {}).items()
+            key: Drawing(drawing["type"], tuple(drawing["uv_px"]), drawing["sd_px"])
+            for key, drawing in document.get("others", {}).items()
         }
         return Aids(**made, others=others)
 

@@ -125,21 +125,21 @@ def located(drawings: "Drawings", solution: Callable[[], Solution] | None, landm
     names = [view.name for view in views[:2]]
     if {"pa", "lateral"} & set(names) and names != ["pa", "lateral"]:
         raise UnusableInputError("give the views 'pa' and 'lateral' first, in this order, to locate the anatomy")
-    found = _Finder(sights, dict(drawings.absent))
+    finder = _Finder(sights, dict(drawings.absent))
     if solution is not None:
-        found.add("wire", lambda: _picked(sights, solution(), "wire"))
+        finder.add("wire", lambda: _picked(sights, solution(), "wire"))
     if solution is not None and landmarks:
-        found.add("landmarks", lambda: _picked(sights, solution(), "landmarks"))
+        finder.add("landmarks", lambda: _picked(sights, solution(), "landmarks"))
     for name in ("neck", "shaft"):
-        found.add(name, lambda name=name: find_axis(sights, name))
+        finder.add(name, lambda name=name: find_axis(sights, name))
     if aids.head is not None:
-        found.add_head(views[:2], aids.head)
+        finder.add_head(views[:2], aids.head)
     types = {"outline": "outline tube"} | {name: drawing.type for name, drawing in aids.others.items()}
     for name, kind in types.items():
-        found.add(name, lambda name=name, kind=kind: find_drawing(sights, name, kind))
-    found.add("calcar", lambda: _level(sights, "calcar", found.part("head")[:3]))
-    found.add("cortex", lambda: _level(sights, "cortex", _nearest_to_axis(sights, "cortex", found.part("shaft"))))
-    return found.anatomy()
+        finder.add(name, lambda name=name, kind=kind: find_drawing(sights, name, kind))
+    finder.add("calcar", lambda: _level(sights, "calcar", finder.part("head")[:3]))
+    finder.add("cortex", lambda: _level(sights, "cortex", _nearest_to_axis(sights, "cortex", finder.part("shaft"))))
+    return finder.anatomy()
 
 
 class _Finder:
@@ -201,12 +201,12 @@ def _drawn(
     views: Sequence[CalibratedView], aids: Aids, picks: Sequence[Sequence[Pick]] | None
 ) -> list[dict[str, Drawn]]:
     """Return the drawings of each view by name, the picks first."""
-    out: list[dict[str, Drawn]] = [{} for _ in views]
-    for k, drawn in enumerate(out if picks is not None else ()):
+    by_view: list[dict[str, Drawn]] = [{} for _ in views]
+    for k, drawn in enumerate(by_view if picks is not None else ()):
         for name, points in (("wire", (picks or ())[:2]), ("landmarks", (picks or ())[2:])):
             own = [pick[k] for pick in points if not np.isnan(pick[k].uv_px).any()]
             drawn[name] = np.array([p.uv_px for p in own]).reshape(-1, 2), _blocks([p.covariance_px2 for p in own])
-    for k, drawn in enumerate(out[:2]):
+    for k, drawn in enumerate(by_view[:2]):
         if aids.head is not None:
             drawn["head"] = aids.head[k].uv_px, aids.head[k].covariance_px2
         for name in ("neck", "shaft"):
@@ -219,12 +219,12 @@ def _drawn(
     for name, drawing in aids.others.items():
         for k, uv in enumerate(drawing.uv_px):
             if uv is not None and k < len(views):
-                out[k][name] = uv, drawing.sd_px**2 * np.eye(2 * len(uv))
+                by_view[k][name] = uv, drawing.sd_px**2 * np.eye(2 * len(uv))
     for name in ("calcar", "cortex"):
         pick = getattr(aids, name)
         if pick is not None:
-            out[0][name] = pick.uv_px[None], pick.covariance_px2
-    return out
+            by_view[0][name] = pick.uv_px[None], pick.covariance_px2
+    return by_view
 
 
 def _axis_in(view: CalibratedView, line: Line) -> np.ndarray:
@@ -240,10 +240,10 @@ def _axis_in(view: CalibratedView, line: Line) -> np.ndarray:
 
 
 def _blocks(covariances: list[np.ndarray]) -> np.ndarray:
-    out = np.zeros((2 * len(covariances),) * 2)
+    joint = np.zeros((2 * len(covariances),) * 2)
     for k, own in enumerate(covariances):
-        out[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = own
-    return out
+        joint[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = own
+    return joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,7 +268,7 @@ class Drawings:
             if name in self.absent:
                 raise OutsideRegionError(self.absent[name])
         counts = picks.seen.sum(axis=1)
-        lines = [one.first(int(count)) for one, count in zip(self.sights.lines, counts, strict=True)]
+        lines = [sight.first(int(count)) for sight, count in zip(self.sights.lines, counts, strict=True)]
         return solve(lines, picks, method)
 
 

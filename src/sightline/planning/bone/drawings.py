@@ -184,19 +184,19 @@ class _Seen:
         """`through` (K, 3): the axis's point lies beside it. Raises ReconstructionRefusedError."""
         drawn = [(tube[:, k, 0], _one_way(tube[:, k, 1:].reshape(-1, 2, 2, 3))) for k in (0, 1)]
         first, second = (_inward(focal, lines) for focal, lines in drawn)
-        one, other = (unit(normals[:, 0] - normals[:, 1]) for normals in (first, second))
-        sine = np.linalg.norm(np.cross(one, other), axis=-1)[:, None]
+        first_across, other = (unit(normals[:, 0] - normals[:, 1]) for normals in (first, second))
+        sine = np.linalg.norm(np.cross(first_across, other), axis=-1)[:, None]
         if sine[0, 0] < _MIN_SINE:
             raise ReconstructionRefusedError(
                 f"both images show the {name} from nearly the same side; draw both borders along it, or rotate the "
                 "C-arm for one image"
             )
-        axes = np.stack([one, other, np.cross(one, other) / sine], axis=1)
+        axes = np.stack([first_across, other, np.cross(first_across, other) / sine], axis=1)
         on = np.stack([drawn[0][0], drawn[1][0], through], axis=1)
         middle = np.linalg.solve(axes, (axes * on).sum(axis=-1)[..., None])[..., 0]
         way = axes[:, 2]
         ends = tuple(_ends(focal, lines, middle, way) for focal, lines in drawn)
-        return _Seen((one, other), middle, way, tube[:, :, 0], (first, second), (ends[0], ends[1]))
+        return _Seen((first_across, other), middle, way, tube[:, :, 0], (first, second), (ends[0], ends[1]))
 
     def places(self, *points: np.ndarray) -> np.ndarray:
         """Return the places (K, N), mm along the axis, of N points (K, 3)."""
@@ -214,18 +214,18 @@ def _seen(tube: Tube, name: str) -> _Seen:
     """Return tubes, with points of their axes beside the middle of what is drawn.
 
     Raises ReconstructionRefusedError."""
-    (one, a), (other, b) = ((tube[:, k, 0], tube[:, k, 1:].mean(axis=1) - tube[:, k, 0]) for k in (0, 1))
-    return _Seen.of(tube, nearest_approach(one, a, other, b).middle_mm, name)
+    (source, a), (other, b) = ((tube[:, k, 0], tube[:, k, 1:].mean(axis=1) - tube[:, k, 0]) for k in (0, 1))
+    return _Seen.of(tube, nearest_approach(source, a, other, b).middle_mm, name)
 
 
 def _middle_of_oval(tube: Tube, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the middle (K, 3) of the tube's drawn part, and the ray (K, 3) of the first image through it."""
-    one, other = (tube[:, k, 1:].mean(axis=1) - tube[:, k, 0] for k in (0, 1))
-    if np.linalg.norm(np.cross(unit(one), unit(other)), axis=-1)[0] < _MIN_SINE:
+    ray, other = (tube[:, k, 1:].mean(axis=1) - tube[:, k, 0] for k in (0, 1))
+    if np.linalg.norm(np.cross(unit(ray), unit(other)), axis=-1)[0] < _MIN_SINE:
         raise ReconstructionRefusedError(
             f"both images show the {name} from nearly the same side; rotate the C-arm for one"
         )
-    return nearest_approach(tube[:, 0, 0], one, tube[:, 1, 0], other).middle_mm, unit(one)
+    return nearest_approach(tube[:, 0, 0], ray, tube[:, 1, 0], other).middle_mm, unit(ray)
 
 
 def _refuse_across(entry: np.ndarray, tip: np.ndarray, way: np.ndarray, name: str) -> np.ndarray:
@@ -265,8 +265,8 @@ def _ends(focal: np.ndarray, lines: np.ndarray, middle: np.ndarray, way: np.ndar
 
 def _common(sections: list[np.ndarray], name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return first and last place (K, 1) of the common part of sections (K, 2) of an axis."""
-    first = np.max([one.min(axis=1) for one in sections], axis=0)[:, None]
-    last = np.min([one.max(axis=1) for one in sections], axis=0)[:, None]
+    first = np.max([section.min(axis=1) for section in sections], axis=0)[:, None]
+    last = np.min([section.max(axis=1) for section in sections], axis=0)[:, None]
     if first[0, 0] >= last[0, 0]:
         raise ReconstructionRefusedError(
             f"the borders of the {name} in both images and the wire have no common part; draw them at the same place"
@@ -452,8 +452,8 @@ def _middle(rays: Rays, name: str) -> np.ndarray:
 
 def _nearest(rays: Rays) -> NearestApproach:
     """Return the closest approach of the lines of sight through the middles of the clicks in the first two images."""
-    (one, a), (other, b) = ((focal[:, 0], points.mean(axis=1) - focal[:, 0]) for focal, points in rays[:2])
-    return nearest_approach(one, a, other, b)
+    (source, a), (other, b) = ((focal[:, 0], points.mean(axis=1) - focal[:, 0]) for focal, points in rays[:2])
+    return nearest_approach(source, a, other, b)
 
 
 def _refuse_one(rays: Rays, name: str) -> None:

@@ -53,7 +53,7 @@ def find_head(
     It does not depend on anything else that is drawn, and is kept for the next call. Raises
     ReconstructionRefusedError.
     """
-    drawn = [(one.uv_px.tobytes(), one.covariance_px2.tobytes(), one.summary.tobytes()) for one in circles]
+    drawn = [(circle.uv_px.tobytes(), circle.covariance_px2.tobytes(), circle.summary.tobytes()) for circle in circles]
     return _found(tuple(views), tuple(drawn))
 
 
@@ -61,11 +61,11 @@ def find_head(
 def _found(
     views: tuple[CalibratedView, ...], drawn: tuple[tuple[bytes, bytes, bytes], ...]
 ) -> tuple[np.ndarray, np.ndarray, Check | None]:
-    arrays = [[np.frombuffer(part) for part in one] for one in drawn]
+    arrays = [[np.frombuffer(part) for part in circle] for circle in drawn]
     sights = Sights.of(views, [{"head": (uv.reshape(-1, 2), own.reshape(len(uv), -1))} for uv, own, _ in arrays])
     covariance, at = sights.covariance, sights.values
     rays = sights.rays("head", at[None])
-    summary = np.asarray(block_diag(*(one.reshape(-1, len(uv) // 2) for uv, _, one in arrays)))
+    summary = np.asarray(block_diag(*(numbers.reshape(-1, len(uv) // 2) for uv, _, numbers in arrays)))
     weights, sphere = np.eye(len(summary)), _fitted(rays, summary, np.eye(len(summary)), _start(rays))
     for _ in range(0 if covariance is None else _REWEIGHTINGS):
         by_z = summary @ _by_z(sights, at, sphere)
@@ -126,7 +126,7 @@ def _start(rays: Rays) -> np.ndarray:
 
 def _distances(rays: Rays, sphere: np.ndarray) -> np.ndarray:
     """Return (K, M), mm: the distance of each line of sight from the surface of the sphere (4,), positive outside."""
-    return np.concatenate([np.linalg.norm(_to_centre(*one, sphere), axis=-1) for one in rays], axis=1) - sphere[3]
+    return np.concatenate([np.linalg.norm(_to_centre(*view, sphere), axis=-1) for view in rays], axis=1) - sphere[3]
 
 
 def _by_z(sights: Sights, at: np.ndarray, sphere: np.ndarray) -> np.ndarray:
@@ -136,7 +136,7 @@ def _by_z(sights: Sights, at: np.ndarray, sphere: np.ndarray) -> np.ndarray:
 
 def _by_sphere(rays: Rays, sphere: np.ndarray) -> np.ndarray:
     """Return (M, 4): the derivative of `_distances` by centre and radius, for one set of rays."""
-    outward = unit(np.concatenate([_to_centre(*one, sphere)[0] for one in rays]))
+    outward = unit(np.concatenate([_to_centre(*view, sphere)[0] for view in rays]))
     return np.column_stack([outward, -np.ones(len(outward))])
 
 

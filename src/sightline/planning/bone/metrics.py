@@ -68,50 +68,50 @@ class _Definition:
     asked: bool = False
 
 
-def metrics(found: Anatomy, side: str) -> tuple[Metric, ...]:
+def metrics(anatomy: Anatomy, side: str) -> tuple[Metric, ...]:
     """Return all metrics of an implant in a fixed order; `side` of the hip: "right" or "left".
 
     A metric that cannot be computed has no value and says why. Raises UnusableInputError for another side.
     """
     caudal(side)
-    asked = [one for one in _DEFINITIONS if not one.asked or set(one.needs) <= found.at.keys()]
-    made = [_metric(found, definition, side) for definition in asked]
-    return (*made, *(_position(found, name, side) for name in ("AP", "lateral")))
+    asked = [known for known in _DEFINITIONS if not known.asked or set(known.needs) <= anatomy.at.keys()]
+    made = [_metric(anatomy, definition, side) for definition in asked]
+    return (*made, *(_position(anatomy, name, side) for name in ("AP", "lateral")))
 
 
-def metric(found: Anatomy, name: str, side: str | None) -> Metric:
+def metric(anatomy: Anatomy, name: str, side: str | None) -> Metric:
     """Return one metric of an implant by its name. Raises UnusableInputError for an unknown side.
 
     `side`: may be None for those of `CHECKS` that need no side.
     """
     if side is not None:
         caudal(side)
-    return _metric(found, _definition(name), side)
+    return _metric(anatomy, _definition(name), side)
 
 
-def metric_of_wires(found: Anatomy, name: str, side: str | None, wires_mm: np.ndarray) -> np.ndarray:
+def metric_of_wires(anatomy: Anatomy, name: str, side: str | None, wires_mm: np.ndarray) -> np.ndarray:
     """Return a metric (K,) of other wires (K, 2, 3) in the same bone; NaN where a wire has none.
 
     The wire in `found` must have a value: its refusals and signs hold for all.
     """
-    values = np.tile(found.values, (len(wires_mm) + 1, 1))
-    values[1:, found.at["wire"]] = wires_mm.reshape(-1, 6)
+    values = np.tile(anatomy.values, (len(wires_mm) + 1, 1))
+    values[1:, anatomy.at["wire"]] = wires_mm.reshape(-1, 6)
     with np.errstate(invalid="ignore", divide="ignore"):
-        made = _definition(name).value(_Parts(found, values, side))[1:]
+        made = _definition(name).value(_Parts(anatomy, values, side))[1:]
     return made if made.ndim == 1 else np.linalg.norm(made, axis=-1)
 
 
 def _definition(name: str) -> _Definition:
-    return next(one for one in _DEFINITIONS if one.name == name)
+    return next(definition for definition in _DEFINITIONS if definition.name == name)
 
 
-def _metric(found: Anatomy, definition: _Definition, side: str | None) -> Metric:
+def _metric(anatomy: Anatomy, definition: _Definition, side: str | None) -> Metric:
     unit, end = definition.unit, (definition.source, definition.low, definition.high)
-    missing = next((part for part in definition.needs if part not in found.at), None)
+    missing = next((part for part in definition.needs if part not in anatomy.at), None)
     if missing is not None:
-        return Metric(definition.name, None, None, unit, f"Not known: {found.why_absent(missing)}.", *end)
+        return Metric(definition.name, None, None, unit, f"Not known: {anatomy.why_absent(missing)}.", *end)
     try:
-        value, sd = _evaluated(found, definition.value, side)
+        value, sd = _evaluated(anatomy, definition.value, side)
     except ReconstructionRefusedError as refusal:
         return Metric(definition.name, None, None, unit, f"Not known: {refusal}.", *end)
     spread = "" if sd is None else f" ± {sd:.1f}"
@@ -119,35 +119,37 @@ def _metric(found: Anatomy, definition: _Definition, side: str | None) -> Metric
 
 
 def _evaluated(
-    found: Anatomy, function: Callable[["_Parts"], np.ndarray], side: str | None
+    anatomy: Anatomy, function: Callable[["_Parts"], np.ndarray], side: str | None
 ) -> tuple[float, float | None]:
     """Return a metric's value and its standard deviation; of a vector (K, 3) its length, and the largest one of its
     components, since a length does not change to first order where it is zero."""
 
     def numbers(values: np.ndarray) -> np.ndarray:
-        return function(_Parts(found, values, side)).reshape(len(values), -1)
+        return function(_Parts(anatomy, values, side)).reshape(len(values), -1)
 
-    value, own = response(numbers, found.values)
+    value, own = response(numbers, anatomy.values)
     if len(value) == 1:
-        sd = None if found.covariance is None else float(np.sqrt(own[0] @ found.covariance @ own[0]))
+        sd = None if anatomy.covariance is None else float(np.sqrt(own[0] @ anatomy.covariance @ own[0]))
         return float(value[0]), sd
-    sd = None if found.covariance is None else float(np.sqrt(np.linalg.eigvalsh(own @ found.covariance @ own.T)[-1]))
+    sd = (
+        None if anatomy.covariance is None else float(np.sqrt(np.linalg.eigvalsh(own @ anatomy.covariance @ own.T)[-1]))
+    )
     return float(np.linalg.norm(value)), sd
 
 
-def tip_depth(found: Anatomy) -> tuple[float, float | None]:
+def tip_depth(anatomy: Anatomy) -> tuple[float, float | None]:
     """Return the tip's depth below the head's nearest surface, mm, and its standard deviation; needs wire and head."""
-    return _evaluated(found, _nearest_bone, "right")  # the same for both sides
+    return _evaluated(anatomy, _nearest_bone, "right")  # the same for both sides
 
 
 class _Parts:
     """Parts of the bone for K sets of `Anatomy.values`, (K, n); directions are unit vectors (K, 3)."""
 
-    def __init__(self, found: Anatomy, values: np.ndarray, side: str | None) -> None:
-        self._found, self._values, self.side = found, values, side or ""
+    def __init__(self, anatomy: Anatomy, values: np.ndarray, side: str | None) -> None:
+        self._anatomy, self._values, self.side = anatomy, values, side or ""
 
     def _of(self, name: str, first: int = 0, count: int = 3) -> np.ndarray:
-        start = self._found.at[name].start + first
+        start = self._anatomy.at[name].start + first
         return self._values[:, start : start + count]
 
     @property
@@ -182,7 +184,7 @@ class _Parts:
     @property
     def shaft(self) -> np.ndarray:
         """Towards the knee."""
-        self._found.refuse_side(self.side)
+        self._anatomy.refuse_side(self.side)
         return self._axis("shaft", caudal(self.side))
 
     def beam(self, view: int) -> np.ndarray:
@@ -408,27 +410,27 @@ _DEFINITIONS = (
 )
 
 
-def _position(found: Anatomy, view: str, side: str) -> Metric:
+def _position(anatomy: Anatomy, view: str, side: str) -> Metric:
     """Return how far from the head's centre the wire passes in one view, and in which third of the head."""
     name, source = f"position {view}", _CLEVELAND
-    missing = next((part for part in ("wire", "head") if part not in found.at), None)
+    missing = next((part for part in ("wire", "head") if part not in anatomy.at), None)
     if missing is not None:
-        return Metric(name, None, None, "mm", f"Not known: {found.why_absent(missing)}.", source)
+        return Metric(name, None, None, "mm", f"Not known: {anatomy.why_absent(missing)}.", source)
     number, goal, words = (
         (0, -caudal(side), ("superior", "inferior")) if view == "AP" else (1, ANTERIOR, ("anterior", "posterior"))
     )
 
     def offset(parts: _Parts) -> np.ndarray:
-        found.refuse_side(side)
+        anatomy.refuse_side(side)
         upward = unit(np.cross(parts.beam(number), parts.wire))
         upward = upward * np.sign(upward[0] @ towards(upward[0], goal, f"the wire's normal in the {view} view"))
         return (parts.offset() * upward).sum(axis=-1)
 
     try:
-        value, sd = _evaluated(found, offset, side)
+        value, sd = _evaluated(anatomy, offset, side)
     except ReconstructionRefusedError as refusal:
         return Metric(name, None, None, "mm", f"Not known: {refusal}.", source)
-    third = float(found.part("head")[3]) / 3
+    third = float(anatomy.part("head")[3]) / 3
     zone = "centre" if abs(value) <= third else words[0] if value > 0 else words[1]
     spread = "" if sd is None else f" ± {sd:.1f}"
     sentence = f"The wire passes {abs(value):.1f}{spread} mm {words[0] if value > 0 else words[1]} of the head's centre"

@@ -82,12 +82,12 @@ def joint_covariance(rows: Sequence[Rows]) -> np.ndarray:
 
     def between(i: int, j: int) -> np.ndarray:
         a, b = rows[i], rows[j]
-        out = np.zeros((len(a.residual), len(b.residual)))
+        covariance = np.zeros((len(a.residual), len(b.residual)))
         for source in a.lines.sources_shared_with(b.lines):
-            out += a.shared[source] @ b.shared[source].T
-        return out
+            covariance += a.shared[source] @ b.shared[source].T
+        return covariance
 
-    return joined([one.covariance + between(i, i) for i, one in enumerate(rows)], between)
+    return joined([view_rows.covariance + between(i, i) for i, view_rows in enumerate(rows)], between)
 
 
 class Adjustment:
@@ -236,20 +236,20 @@ class Adjustment:
         rows, designs = [], []
         for lines, plan_px2, shown in zip(self._before, self._pick_px2, self._shown, strict=True):
             noise, count = np.concatenate([marks_px2, plan_px2])[shown], int(shown.sum())
-            one = Rows.of(lines, self._points_mm[shown], noise, np.eye(2 * count))
+            seen = Rows.of(lines, self._points_mm[shown], noise, np.eye(2 * count))
             by_points = np.zeros((2 * count, len(shown), 3))
-            by_points[:, shown] = one.to_point
+            by_points[:, shown] = seen.to_point
             design = np.zeros((2 * count, 3 * len(shown) + 7 + self._curve.size))
             design[:, : 3 * len(shown)] = by_points.reshape(2 * count, 3 * len(shown))
-            rows.append(one)
+            rows.append(seen)
             designs.append(design)
         for lines, wire_px2 in zip(self._after, self._wire_px2, strict=True):
-            one, design = self._after_rows(lines, wire_px2, marks_px2)
-            rows.append(one)
+            seen, design = self._after_rows(lines, wire_px2, marks_px2)
+            rows.append(seen)
             designs.append(design)
         prior = np.zeros((6, designs[0].shape[1]))
         prior[:, self._points_mm.size : self._points_mm.size + 6] = np.eye(6)
-        residual = np.concatenate([*(one.residual for one in rows), self._prior_residual()])
+        residual = np.concatenate([*(of_view.residual for of_view in rows), self._prior_residual()])
         design = np.concatenate([*designs, prior])
         covariance = np.zeros((len(residual), len(residual)))
         covariance[:-6, :-6] = joint_covariance(rows)
@@ -259,14 +259,14 @@ class Adjustment:
 
     def _plan_picks_mm2(self, size: int) -> np.ndarray:
         """Return the part (R, R) of the rows' covariance that comes from the plan's picks."""
-        out = np.zeros((size, size))
+        covariance = np.zeros((size, size))
         for view, lines in enumerate(self._before):
             for k in np.flatnonzero(self._shown[view, self._n :]):
                 at = int(self._shown[view, : self._n + k].sum())
                 first = 2 * (int(self._shown[:view].sum()) + at)
                 jacobian = lines.jacobian[at]
-                out[first : first + 2, first : first + 2] = jacobian @ self._pick_px2[view, k] @ jacobian.T
-        return out
+                covariance[first : first + 2, first : first + 2] = jacobian @ self._pick_px2[view, k] @ jacobian.T
+        return covariance
 
     def _after_rows(self, lines: LinesOfSight, wire_px2: np.ndarray, marks_px2: np.ndarray) -> tuple[Rows, np.ndarray]:
         """Return the rows of a check image and their derivatives by all unknowns."""
@@ -304,16 +304,19 @@ class Adjustment:
     def _to_deviation(self, beyond_mm: float) -> np.ndarray:
         """Return the derivative (5, unknowns) of the deviation; the planned tip is `beyond_mm` past the end point."""
         first = self._points_mm.size + 6
-        out = np.zeros((5, first + self._curve.size + 1))
+        derivative = np.zeros((5, first + self._curve.size + 1))
         ends = self._terms(np.array([0.0, self._tip_mm]))
         for row, k in ((0, 0), (2, 1)):
-            out[row : row + 2, first:-1] = np.kron(ends[k], np.eye(2))
-        out[2:4, -1] = self._tangent(np.array([self._tip_mm]))[0] @ self._axes[:2].T
-        out[4, -1] = 1.0
+            derivative[row : row + 2, first:-1] = np.kron(ends[k], np.eye(2))
+        derivative[2:4, -1] = self._tangent(np.array([self._tip_mm]))[0] @ self._axes[:2].T
+        derivative[4, -1] = 1.0
         past = beyond_mm / self._trajectory.length_mm
-        out[:2, first - 12 : first - 9] = -self._axes[:2]
-        out[2:, first - 12 : first - 9], out[2:, first - 9 : first - 6] = past * self._axes, -(1 + past) * self._axes
-        return out
+        derivative[:2, first - 12 : first - 9] = -self._axes[:2]
+        derivative[2:, first - 12 : first - 9], derivative[2:, first - 9 : first - 6] = (
+            past * self._axes,
+            -(1 + past) * self._axes,
+        )
+        return derivative
 
     def _near_the_bone(self, view: CalibratedView, wire: KnownWire) -> KnownWire:
         """Return the wire without its points far outside the entry."""

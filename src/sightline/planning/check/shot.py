@@ -183,9 +183,11 @@ def drill_shot(
     end, spread = to_end @ wire.deviation_mm, to_end @ wire.covariance_mm2 @ to_end.T
     state = ALIGNED if known.straight else PAUSED
     shot = DrillShot(state, wire, end, spread, Verdict(()))
-    checks = [check for one in wire.checks for check in _checks(one, shot, limits)]
-    vague = any(one.code is CheckCode.CHECK_SHOT_ERROR for one in failed(checks))
-    judged = tuple(replace(one, missing=not one.passed and _lacks_input(one, shot, vague=vague)) for one in checks)
+    checks = [check for of_wire in wire.checks for check in _checks(of_wire, shot, limits)]
+    vague = any(check.code is CheckCode.CHECK_SHOT_ERROR for check in failed(checks))
+    judged = tuple(
+        replace(check, missing=not check.passed and _lacks_input(check, shot, vague=vague)) for check in checks
+    )
     return replace(shot, verdict=Verdict(judged))
 
 

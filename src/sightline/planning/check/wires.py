@@ -233,7 +233,8 @@ def placed_wires(
             )
     ends = [point for pair in zip(points, tips, strict=True) for point in pair]
     uv, spread = (
-        np.array([[getattr(one, n) for one in end] for end in ends]).swapaxes(0, 1) for n in ("uv_px", "covariance_px2")
+        np.array([[getattr(point, n) for point in end] for end in ends]).swapaxes(0, 1)
+        for n in ("uv_px", "covariance_px2")
     )
     across = np.zeros_like(uv)
     for k, (chosen, other) in enumerate(points):
@@ -247,7 +248,7 @@ def placed_wires(
     rows = [slice(2 * k, 2 * k + 2) for k in range(len(keys))]
     return {
         key: PlacedWire(
-            seen.xyz_mm[at], joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], PickArrays(*(one[:, at] for one in picks))
+            seen.xyz_mm[at], joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], PickArrays(*(part[:, at] for part in picks))
         )
         for k, (key, at) in enumerate(zip(keys, rows, strict=True))
     }

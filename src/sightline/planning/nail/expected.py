@@ -56,8 +56,8 @@ class LocalCamera:
 
     def project(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return the pixels (..., 2) of points (..., 3)."""
-        out = xyz_mm @ self.matrix[:, :3].T + self.matrix[:, 3]
-        return out[..., :2] / out[..., 2:]
+        homogeneous = xyz_mm @ self.matrix[:, :3].T + self.matrix[:, 3]
+        return homogeneous[..., :2] / homogeneous[..., 2:]
 
     def rays(self, uv_px: np.ndarray) -> np.ndarray:
         """Return the unit vectors (..., 3) of the rays of pixels (..., 2), away from the source."""
@@ -184,7 +184,7 @@ class _Beside:
     def of(origin_mm: np.ndarray, rays: np.ndarray, points_mm: np.ndarray, along: np.ndarray) -> "_Beside":
         """Return it for unit rays (M, 3) from one origin (3,), and lines through points (K, 3) along unit (K, 3)."""
         start = origin_mm - points_mm
-        cosine, ahead, moment = (one @ rays.T for one in (along, start, np.cross(along, start)))
+        cosine, ahead, moment = (vectors @ rays.T for vectors in (along, start, np.cross(along, start)))
         sine2 = 1 - cosine**2
         return _Beside(((start * along).sum(axis=1)[:, None] * cosine - ahead) / sine2, moment**2 / sine2, sine2)
 

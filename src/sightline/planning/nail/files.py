@@ -43,7 +43,7 @@ class NailFile(Strict):
 def shipped_nails() -> dict[str, NailFile]:
     """Return the shipped files by key."""
     folder = files("sightline.planning.nail") / "shipped"
-    texts = sorted((one.name.removesuffix(".json"), one.read_bytes()) for one in folder.iterdir())
+    texts = sorted((file.name.removesuffix(".json"), file.read_bytes()) for file in folder.iterdir())
     return {key: read_strictly(text, NailFile, UnusableInputError, _ADVICE) for key, text in texts}
 
 

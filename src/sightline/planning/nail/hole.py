@@ -166,14 +166,14 @@ class _Points:
     def of(views: Sequence[CalibratedView], seen: Sequence[HoleSeen]) -> "_Points":
         if len(views) < 2 or len(views) != len(seen):
             raise UnusableInputError(f"{len(views)} views and the edges of {len(seen)}; give two views or more")
-        edges = [edge for one in seen for edge in one.edges]
+        edges = [edge for view in seen for edge in view.edges]
         sizes = [len(edge.uv_px) for edge in edges]
         if min(n for k, n in enumerate(sizes) if k % 4 < 2) < MIN_OUTLINE_POINTS:
             raise ReconstructionRefusedError(
                 f"an outline of the nail has fewer than {MIN_OUTLINE_POINTS} points; draw its stroke longer, along an "
                 "edge that nothing hides"
             )
-        pixels = [np.concatenate([edge.uv_px for edge in one.edges]) for one in seen]
+        pixels = [np.concatenate([edge.uv_px for edge in view.edges]) for view in seen]
         sights = Sights.of(views, [{"edges": (uv, np.zeros((2 * len(uv), 2 * len(uv))))} for uv in pixels])
         covariance = sights.covariance
         if covariance is None:
@@ -182,10 +182,10 @@ class _Points:
         view = np.repeat(np.arange(len(views)), each)
         start = np.cumsum([0, *(3 + 2 * each)])[view][:, None]
         row = np.concatenate([np.arange(n) for n in each])[:, None]
-        planes = [one.plane for one in sights.lines]
+        planes = [sight.plane for sight in sights.lines]
         return _Points(
             sights,
-            tuple(one.view for one in sights.lines),
+            tuple(sight.view for sight in sights.lines),
             np.repeat(np.tile(np.arange(4), len(views)), sizes),
             view,
             np.concatenate([edge.variance_px2 for edge in edges]),
@@ -195,7 +195,7 @@ class _Points:
             start + np.hstack([np.broadcast_to(np.arange(3), (len(view), 3)), 3 + 2 * row, 4 + 2 * row]),
             np.array([plane.origin_mm for plane in planes])[view],
             np.array([plane.axes for plane in planes])[view],
-            np.concatenate([one.jacobian for one in sights.lines]),
+            np.concatenate([sight.jacobian for sight in sights.lines]),
         )
 
     @cached_property
@@ -205,9 +205,9 @@ class _Points:
 
     def counts(self, kept: np.ndarray) -> np.ndarray:
         """Return (V, 4) int: how many points of each view and kind are kept."""
-        out = np.zeros((len(self.names), 4), dtype=int)
-        np.add.at(out, (self.view[kept], self.kind[kept]), 1)
-        return out
+        counts = np.zeros((len(self.names), 4), dtype=int)
+        np.add.at(counts, (self.view[kept], self.kind[kept]), 1)
+        return counts
 
     def rims(self, kept: np.ndarray) -> list[np.ndarray]:
         """Return the places of each rim's points of each view among the kept ones, in their order along the rim."""
@@ -287,12 +287,12 @@ def _bend(states: np.ndarray) -> np.ndarray:
 
 def _tangents(state: np.ndarray) -> np.ndarray:
     """Return (17, 13): the changes of the state by its parameters: nail 4, hole 4, curvature 2, sizes 3."""
-    out = np.zeros((17, 13))
+    tangents = np.zeros((17, 13))
     nail, hole = (np.linalg.svd(unit(state[at])[None])[2][1:].T for at in (_ALONG, _AXIS))
     for column, (at, basis) in enumerate(((_NAIL, nail), (_ALONG, nail), (_HOLE, hole), (_AXIS, hole))):
-        out[at, 2 * column : 2 * column + 2] = basis
-    out[12:, 8:] = np.eye(5)
-    return out
+        tangents[at, 2 * column : 2 * column + 2] = basis
+    tangents[12:, 8:] = np.eye(5)
+    return tangents
 
 
 def _design(points: _Points, state: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -369,7 +369,9 @@ def _solved(points: _Points, nail: Nail, at: tuple[np.ndarray, np.ndarray], infl
     standard = np.zeros(len(kept))
     standard[kept] = left[kept] / np.sqrt(np.maximum(np.diag(redundant), 1e-12))
     after = off + step
-    sizes = [(off + one @ (right - weak * off))[k] for k, (one, weak) in enumerate(zip(freed, free, strict=True), 10)]
+    sizes = [
+        (off + inverse @ (right - weak * off))[k] for k, (inverse, weak) in enumerate(zip(freed, free, strict=True), 10)
+    ]
     return _Solved(
         _anchored(state + tangents @ step),
         points.measured - to_lines @ left,
@@ -418,11 +420,11 @@ def _without_outliers(points: _Points, start: _Solved, nail: Nail) -> tuple[np.n
 
 def _anchored(state: np.ndarray) -> np.ndarray:
     """Return the state with unit directions, and the points of nail and hole where both axes are closest."""
-    out = state.copy()
-    out[_ALONG], out[_AXIS] = unit(state[_ALONG]), unit(state[_AXIS])
-    meeting = nearest_approach(out[_NAIL], out[_ALONG], out[_HOLE], out[_AXIS])
-    out[_NAIL], out[_HOLE] = meeting.first_mm, meeting.second_mm
-    return out
+    anchored = state.copy()
+    anchored[_ALONG], anchored[_AXIS] = unit(state[_ALONG]), unit(state[_AXIS])
+    meeting = nearest_approach(anchored[_NAIL], anchored[_ALONG], anchored[_HOLE], anchored[_AXIS])
+    anchored[_NAIL], anchored[_HOLE] = meeting.first_mm, meeting.second_mm
+    return anchored
 
 
 def _start(points: _Points, nail: Nail, pose: HolePose | None) -> np.ndarray:
@@ -503,8 +505,8 @@ def turned_to_rims(cameras: Sequence[LocalCamera], seen: Sequence[HoleSeen], nai
     Without errors of the views: for a first look at where the rims are. Up to half of the points may be wrong.
     """
     focal, points, kind = [], [], []
-    for camera, one in zip(cameras, seen, strict=True):
-        for which, edge in ((_ENTRY, one.entry), (_EXIT, one.exit)):
+    for camera, rims in zip(cameras, seen, strict=True):
+        for which, edge in ((_ENTRY, rims.entry), (_EXIT, rims.exit)):
             focal.append(np.broadcast_to(camera.focal_mm, (len(edge.uv_px), 3)))
             points.append(camera.focal_mm + camera.rays(edge.uv_px))
             kind.append(np.full(len(edge.uv_px), which))
@@ -552,13 +554,13 @@ def _budget(
     to_ends = by_parameters @ solved.gain
     response = np.zeros((6, len(points.measured)))
     np.add.at(response.T, columns.ravel(), (to_ends.T[:, None, :] * by[:, :, None]).reshape(-1, 6))
-    lines, out = points.sights.lines, {}
+    lines, budget = points.sights.lines, {}
     for source in SOURCES:
         known = joint_covariance(lines, ((source,),))
         assert known is not None  # noqa: S101 - `_Points.of` refuses views of unknown error
-        out[source] = response @ known[0] @ response.T
-    out["picks"] = whole - np.sum(list(out.values()), axis=0)
-    return out
+        budget[source] = response @ known[0] @ response.T
+    budget["picks"] = whole - np.sum(list(budget.values()), axis=0)
+    return budget
 
 
 def _undetermined() -> ReconstructionRefusedError:

@@ -123,9 +123,9 @@ class Hole(Shown):
         n = 3 * len(seen.xyz_mm)
 
         def beside(others: np.ndarray, own: np.ndarray) -> np.ndarray:
-            out = np.zeros((n, n))
-            out[6:, 6:], out[:6, :6] = others[6:, 6:], own
-            return out
+            joined = np.zeros((n, n))
+            joined[6:, 6:], joined[:6, :6] = others[6:, 6:], own
+            return joined
 
         joint, budget = seen.joint_covariance_mm2, seen.budget_mm2
         if joint is None or budget is None:

@@ -69,8 +69,8 @@ class Gaps:
         """Return the redundant residuals; None where a view's error is unknown."""
         if solution.covariances is None:
             return None
-        found = [*_of_pairs(solution), *_of_more(solution)]
-        point, values, rows = (np.concatenate(part) for part in zip(*found, strict=True))
+        parts = [*_of_pairs(solution), *_of_more(solution)]
+        point, values, rows = (np.concatenate(part) for part in zip(*parts, strict=True))
         order = np.argsort(point, kind="stable")
         point, values, rows = point[order], values[order], rows[order]
         total = np.sum(list(solution.covariances.values()), axis=0)
@@ -80,18 +80,18 @@ class Gaps:
     def sigma(self, gap_mm: np.ndarray) -> np.ndarray:
         """Return (N,): for one residual `gap_mm` over its s.d.; for more the number of s.d. of a normal distribution
         that is exceeded as rarely as their chi-square. NaN without a residual."""
-        out = np.full(len(gap_mm), np.nan)
+        sigma = np.full(len(gap_mm), np.nan)
         count = np.bincount(self.point, minlength=len(gap_mm))
         single = count[self.point] == 1
         at = self.point[single]
-        out[at] = gap_mm[at] / np.sqrt(np.diag(self.covariance_mm2)[single])
+        sigma[at] = gap_mm[at] / np.sqrt(np.diag(self.covariance_mm2)[single])
         for i in np.flatnonzero(count > 1):
             rows = self.point == i
             square = self.values[rows] @ inverse(self.covariance_mm2[np.ix_(rows, rows)]) @ self.values[rows]
             tail = gammaincc(count[i] / 2.0, square / 2.0)
             # Where the probability underflows, the root of the chi-square is a little too large: far beyond any limit.
-            out[i] = abs(ndtri(tail / 2.0)) if tail > 0.0 else np.sqrt(square)
-        return out
+            sigma[i] = abs(ndtri(tail / 2.0)) if tail > 0.0 else np.sqrt(square)
+        return sigma
 
     def mean(self) -> tuple[float, float, float]:
         """Return the weighted mean of the values, mm, its standard deviation, and the chi-square of all values.
@@ -132,15 +132,15 @@ def gap_mm(solution: Solution) -> np.ndarray:
 
     Pairs nearly parallel do not count: they approach each other far from the point.
     """
-    out = np.zeros(len(solution.xyz_mm))
-    for own, found in solution.given.approaches:
-        out[own] = np.maximum(out[own], found.gap_mm)
-    return out
+    largest = np.zeros(len(solution.xyz_mm))
+    for own, approach in solution.given.approaches:
+        largest[own] = np.maximum(largest[own], approach.gap_mm)
+    return largest
 
 
 def _of_pairs(solution: Solution) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return point, value and row of the points that just two views show, with free picks, for each pair of views."""
-    picks, out = solution.picks, []
+    picks, parts = solution.picks, []
     reach = solution.by_point([np.repeat(r.reach[:, None], 2, axis=1) for r in solution.residuals])
     for i, j, directions, sine in solution.given.pairs:
         own = (sine >= 0.0) & (picks.seen.sum(axis=0) == 2)
@@ -151,19 +151,19 @@ def _of_pairs(solution: Solution) -> list[tuple[np.ndarray, np.ndarray, np.ndarr
             rows[:, 2 * k : 2 * k + 2] = sign * reach[own, 2 * k, None] * (common @ solution.lines[k].plane.axes.T)
         free = ~np.any(picks.snapped[:, own], axis=0)
         between = solution.lines[j].focal_point_mm - solution.lines[i].focal_point_mm
-        out.append((np.flatnonzero(own)[free], common[free] @ between, rows[free]))
-    return out
+        parts.append((np.flatnonzero(own)[free], common[free] @ between, rows[free]))
+    return parts
 
 
 def _of_more(solution: Solution) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return points, values and rows of each point that more than two views show."""
     residual = solution.by_point([r.xy_mm for r in solution.residuals])
-    snapped, out = solution.given.snapped, []
+    snapped, parts = solution.given.snapped, []
     for i in np.flatnonzero(solution.picks.seen.sum(axis=0) > 2):
         shown = np.repeat(solution.picks.seen[:, i], 2)
         free = snapped[solution.picks.snapped[:, i], i].T  # (2V, snapped picks)
         explained = np.hstack([solution.to_point[i], free])[shown]
         rows = np.zeros((len(explained) - explained.shape[1], len(shown)))
         rows[:, shown] = np.linalg.svd(explained)[0][:, explained.shape[1] :].T
-        out.append((np.full(len(rows), i), rows @ residual[i], rows))
-    return out
+        parts.append((np.full(len(rows), i), rows @ residual[i], rows))
+    return parts

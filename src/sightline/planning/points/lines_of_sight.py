@@ -59,29 +59,29 @@ def joint_covariance(lines: Sequence[LinesOfSight], groups: Sequence[Sequence[st
     The views are correlated through the errors that they share.
     """
     at = _places(lines)
-    out = np.zeros((len(groups), at[-1].stop, at[-1].stop))
-    for i, one in enumerate(lines):
-        if one.covariance is None:
+    covariances = np.zeros((len(groups), at[-1].stop, at[-1].stop))
+    for i, view in enumerate(lines):
+        if view.covariance is None:
             return None
-        for covariance, group in zip(out, groups, strict=True):
+        for covariance, group in zip(covariances, groups, strict=True):
             for source in group:
-                covariance[at[i], at[i]] += one.covariance[source]
+                covariance[at[i], at[i]] += view.covariance[source]
         for j in range(i):
-            for source in one.sources_shared_with(lines[j]):
-                between = one.shared[source] @ lines[j].shared[source].T
-                for covariance in (each for each, group in zip(out, groups, strict=True) if source in group):
+            for source in view.sources_shared_with(lines[j]):
+                between = view.shared[source] @ lines[j].shared[source].T
+                for covariance in (each for each, group in zip(covariances, groups, strict=True) if source in group):
                     covariance[at[i], at[j]] += between
                     covariance[at[j], at[i]] += between.T
-    return out
+    return covariances
 
 
 def covariance_of_residuals(views: Sequence[LineResiduals], errors: np.ndarray) -> np.ndarray:
     """Return the covariance (..., R, R) of the residuals of all views (view, point, axis), from that of their lines'
     numbers, `errors` (..., Z, Z) as of `joint_covariance`."""
-    at = _places([one.lines for one in views])
-    half = [_residuals(errors[..., own, :], one.to_focal) for one, own in zip(views, at, strict=True)]
+    at = _places([view.lines for view in views])
+    half = [_residuals(errors[..., own, :], view.to_focal) for view, own in zip(views, at, strict=True)]
     half = np.swapaxes(np.concatenate(half, axis=-2), -1, -2)
-    whole = [_residuals(half[..., own, :], one.to_focal) for one, own in zip(views, at, strict=True)]
+    whole = [_residuals(half[..., own, :], view.to_focal) for view, own in zip(views, at, strict=True)]
     return np.concatenate(whole, axis=-2)
 
 
@@ -92,7 +92,7 @@ def _residuals(numbers: np.ndarray, to_focal: np.ndarray) -> np.ndarray:
 
 def _places(lines: Sequence[LinesOfSight]) -> list[slice]:
     """Return the place of each view's numbers in z."""
-    ends = np.cumsum([0, *(3 + 2 * len(one.xy_mm) for one in lines)])
+    ends = np.cumsum([0, *(3 + 2 * len(view.xy_mm) for view in lines)])
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
 
@@ -107,7 +107,7 @@ def refuse_two_frames(lines: Sequence[LinesOfSight]) -> None:
 
     A view from a matrix has no frame and is accepted with any.
     """
-    known = [(one.view, one.frame_key) for one in lines if one.frame_key is not None]
+    known = [(view.view, view.frame_key) for view in lines if view.frame_key is not None]
     for (first, frame), (second, other) in pairwise(known):
         if frame == other:
             continue
@@ -172,42 +172,42 @@ class Sights:
     @cached_property
     def values(self) -> np.ndarray:
         """The vector z."""
-        return np.concatenate([part for one in self.lines for part in (one.focal_point_mm, one.xy_mm.ravel())])
+        return np.concatenate([part for sight in self.lines for part in (sight.focal_point_mm, sight.xy_mm.ravel())])
 
     @property
     def covariance(self) -> np.ndarray | None:
         """The covariance of z; None where a view's error is unknown."""
-        found, start = joint_covariance(self.lines, (SOURCES,)), 0
-        if found is None:
+        known, start = joint_covariance(self.lines, (SOURCES,)), 0
+        if known is None:
             return None
-        (out,) = found
-        for one, picks_px2 in zip(self.lines, self.picks_px2, strict=True):
-            count = len(one.xy_mm)
+        (covariance,) = known
+        for sight, picks_px2 in zip(self.lines, self.picks_px2, strict=True):
+            count = len(sight.xy_mm)
             on_plane = np.zeros((count, 2, count, 2))
-            on_plane[range(count), :, range(count), :] = one.jacobian
+            on_plane[range(count), :, range(count), :] = sight.jacobian
             on_plane = on_plane.reshape(2 * count, 2 * count)
             own = slice(start + 3, start + 3 + 2 * count)
-            out[own, own] += on_plane @ picks_px2 @ on_plane.T
+            covariance[own, own] += on_plane @ picks_px2 @ on_plane.T
             start = own.stop
-        return out
+        return covariance
 
     def index(self, name: str) -> np.ndarray:
         """Return the indices in z of a drawing's numbers: for each view that has it the focal point, then its xy."""
-        out, start = [], 0
-        for one, rows in zip(self.lines, self.rows, strict=True):
+        parts, start = [], 0
+        for sight, rows in zip(self.lines, self.rows, strict=True):
             if name in rows:
-                numbers = np.arange(3 + 2 * len(one.xy_mm)) + start
-                out += [numbers[:3], numbers[3 + 2 * rows[name].start : 3 + 2 * rows[name].stop]]
-            start += 3 + 2 * len(one.xy_mm)
-        return np.concatenate(out)
+                numbers = np.arange(3 + 2 * len(sight.xy_mm)) + start
+                parts += [numbers[:3], numbers[3 + 2 * rows[name].start : 3 + 2 * rows[name].stop]]
+            start += 3 + 2 * len(sight.xy_mm)
+        return np.concatenate(parts)
 
     def rays(self, name: str, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return, for each view with the drawing, focal point (K, 1, 3) and points (K, M, 3) of its numbers (K, n)."""
-        out, start = [], 0
-        for one, rows in zip(self.lines, self.rows, strict=True):
+        rays, start = [], 0
+        for sight, rows in zip(self.lines, self.rows, strict=True):
             if name in rows:
                 count = rows[name].stop - rows[name].start
                 xy = z[:, start + 3 : start + 3 + 2 * count].reshape(len(z), count, 2)
-                out.append((z[:, None, start : start + 3], one.plane.to_space(xy)))
+                rays.append((z[:, None, start : start + 3], sight.plane.to_space(xy)))
                 start += 3 + 2 * count
-        return out
+        return rays

@@ -62,7 +62,7 @@ def points_of(solution: Solution) -> SpacePoints:
     tested = 2 * seen.sum(axis=0) - picks.snapped.sum(axis=0) > 3
     shift, shift_sd, chi2 = (None, None, None) if gaps is None or not tested.any() else gaps.mean()
     inside = np.ones_like(seen)
-    inside[seen] = np.concatenate([one.inside_hull for one in lines])
+    inside[seen] = np.concatenate([sight.inside_hull for sight in lines])
     return SpacePoints(
         xyz_mm=solution.xyz_mm,
         gap_mm=gap,
@@ -82,18 +82,18 @@ def points_of(solution: Solution) -> SpacePoints:
 
 
 def _upright(lines: Sequence[LinesOfSight]) -> bool | None:
-    known = [one.upright for one in lines if one.upright is not None]
+    known = [sight.upright for sight in lines if sight.upright is not None]
     return any(known) if known else None
 
 
 def _beads_near(lines: Sequence[LinesOfSight], seen: np.ndarray) -> dict[str, np.ndarray] | None:
     """Return for each view of the frame the beads near its points, (N, 3); -1 where it does not show a point."""
-    out = {}
-    for one, shown in zip(lines, seen, strict=True):
-        if one.beads_near is not None:
-            out[one.view] = np.full((len(shown), 3), -1)
-            out[one.view][shown] = one.beads_near
-    return out or None
+    by_view = {}
+    for sight, shown in zip(lines, seen, strict=True):
+        if sight.beads_near is not None:
+            by_view[sight.view] = np.full((len(shown), 3), -1)
+            by_view[sight.view][shown] = sight.beads_near
+    return by_view or None
 
 
 def _by_view(views: Sequence[CalibratedView], given: np.ndarray | Mapping[str, np.ndarray], what: str) -> np.ndarray:
@@ -191,15 +191,15 @@ def measured_in_plane(
         points = focal + ray * (((at_mm - focal) @ normal) / (ray @ normal))[..., None]
         return _size(points)
 
-    (found,), by = response(value, np.concatenate([lines.focal_point_mm, lines.xy_mm.ravel()]))
+    (size,), by = response(value, np.concatenate([lines.focal_point_mm, lines.xy_mm.ravel()]))
     per_mm = float(1.0 / abs((lines.focal_point_mm - at_mm) @ normal)) if len(uv) == 2 else 0.0
     if lines.covariance is None:
-        return Measured(float(found), None, per_mm)
+        return Measured(float(size), None, per_mm)
     covariance = np.array(sum(lines.covariance.values()))
     for k, jacobian in enumerate(lines.jacobian):
         covariance[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] += pick_sd_px**2 * jacobian @ jacobian.T
     sd = float(np.sqrt((by @ covariance @ by.T)[0, 0]))
-    return Measured(float(found), TWO_SIDED_95 * sd, per_mm)
+    return Measured(float(size), TWO_SIDED_95 * sd, per_mm)
 
 
 def measured_in_space(
@@ -212,27 +212,27 @@ def measured_in_space(
     lines of sight contradict each other: the clicks are not on the same points.
     """
     uv = np.asarray(uv_px, dtype=np.float64)
-    for one in uv:
-        _refuse_one_place(one)
+    for pixels in uv:
+        _refuse_one_place(pixels)
     points = reconstruct(views, uv, np.broadcast_to(pick_sd_px**2 * np.eye(2), (*uv.shape, 2)))
     if points.gap_failed.any():
         raise UnusableInputError(
             f"lines of sight of the clicks pass each other at {np.max(points.gap_mm):.1f} mm; click the same places in "
             "both images, in the same order"
         )
-    (found,), by = response(lambda of: _size(of.reshape(len(of), -1, 3)), points.xyz_mm.ravel())
+    (size,), by = response(lambda of: _size(of.reshape(len(of), -1, 3)), points.xyz_mm.ravel())
     joint = points.joint_covariance_mm2
     error = None if joint is None else TWO_SIDED_95 * float(np.sqrt((by @ joint @ by.T)[0, 0]))
-    return Measured(float(found), error, 0.0)
+    return Measured(float(size), error, 0.0)
 
 
 def _size(points: np.ndarray) -> np.ndarray:
     """Return the lengths between two points (K, 2, 3), or the angles at the second of three (K, 3, 3), as (K, 1)."""
     if points.shape[1] == 2:
         return np.linalg.norm(points[:, 1] - points[:, 0], axis=1, keepdims=True)
-    one, other = points[:, 0] - points[:, 1], points[:, 2] - points[:, 1]
-    across = np.linalg.norm(np.cross(one, other), axis=1, keepdims=True)
-    return np.arctan2(across, (one * other).sum(axis=1, keepdims=True))
+    first, other = points[:, 0] - points[:, 1], points[:, 2] - points[:, 1]
+    across = np.linalg.norm(np.cross(first, other), axis=1, keepdims=True)
+    return np.arctan2(across, (first * other).sum(axis=1, keepdims=True))
 
 
 def _refuse_one_place(uv_px: np.ndarray) -> None:

@@ -90,24 +90,24 @@ class SpacePoints(Plotted):
 
     def summary(self) -> str:
         """Return place, error bound and gap of each point, of the first six where there are more."""
-        said = [f"{counted(len(self.xyz_mm), 'point')} in CFCS, method {self.method}"]
+        lines = [f"{counted(len(self.xyz_mm), 'point')} in CFCS, method {self.method}"]
         errors, sigma = self.error_95_mm, self.gap_sigma
         for k, (point, gap_mm) in enumerate(zip(self.xyz_mm[:_MAX_POINTS], self.gap_mm, strict=False)):
             error = f"95 % error {errors[k]:.2f} mm" if np.isfinite(errors[k]) else "error unknown"
             apart = f", gap {gap_mm:.2f} mm" if self.gap_tested[k] else ", gap not tested"
             apart += f" ({np.ma.getdata(sigma)[k]:.1f} s.d.)" if sigma is not None and self.gap_tested[k] else ""
-            said.append(f"  {k + 1}: {numbers(point, 2)} mm, {error}{apart}")
-        said += [f"  ... and {len(self.xyz_mm) - _MAX_POINTS} more"] if len(self.xyz_mm) > _MAX_POINTS else []
+            lines.append(f"  {k + 1}: {numbers(point, 2)} mm, {error}{apart}")
+        lines += [f"  ... and {len(self.xyz_mm) - _MAX_POINTS} more"] if len(self.xyz_mm) > _MAX_POINTS else []
         passed = not failed(self.checks)
-        return "\n".join([*said, f"  checks: {'all passed' if passed else 'some failed, see .checks'}"])
+        return "\n".join([*lines, f"  checks: {'all passed' if passed else 'some failed, see .checks'}"])
 
     @property
     def error_95_mm(self) -> np.ndarray:
         """(N,) with a probability of 95 % the point's error is smaller; NaN where `error_stated` is False."""
-        out = np.full(len(self.xyz_mm), np.nan)
+        bounds = np.full(len(self.xyz_mm), np.nan)
         if self.error_stated.any():
-            out[self.error_stated] = length_quantile(self.covariance_mm2[self.error_stated])
-        return out
+            bounds[self.error_stated] = length_quantile(self.covariance_mm2[self.error_stated])
+        return bounds
 
     def to_dataframe(self) -> "DataFrame":
         """Return a row for each point: x_mm, y_mm, z_mm, error_95_mm, gap_mm, gap_sigma and inside_hull, with NaN where

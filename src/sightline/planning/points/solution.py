@@ -40,7 +40,7 @@ def solve(lines: Sequence[LinesOfSight], picks: PickArrays, method: Method) -> "
     given = Given(lines, picks)
     xyz = _start(given)
     _refuse_behind(lines, picks.seen, xyz)
-    used: Method = "nearest" if any(one.covariance is None for one in lines) else method
+    used: Method = "nearest" if any(sight.covariance is None for sight in lines) else method
     if used == "weighted":
         return Solution(given, weighted_points(given, xyz), used)
     solution = Solution(given, xyz, used)
@@ -82,24 +82,24 @@ class Given:
         their angle; NaN and -1 where not both show the point."""
         seen = self.picks.seen
         directions = np.full((*seen.shape, 3), np.nan)
-        for k, one in enumerate(self.lines):
-            directions[k, seen[k]] = one.directions
-        out = []
+        for k, sight in enumerate(self.lines):
+            directions[k, seen[k]] = sight.directions
+        pairs = []
         for i, j in combinations(range(len(self.lines)), 2):
             sine = np.linalg.norm(cross(directions[i], directions[j]), axis=1)
-            out.append((i, j, directions[[i, j]], np.where(seen[i] & seen[j], sine, -1.0)))
-        return out
+            pairs.append((i, j, directions[[i, j]], np.where(seen[i] & seen[j], sine, -1.0)))
+        return pairs
 
     @cached_property
     def approaches(self) -> list[tuple[np.ndarray, NearestApproach]]:
         """For each of `pairs` which points (N,) bool both views show along lines that are not nearly parallel, and the
         closest approach of these lines."""
-        out = []
+        approaches = []
         for i, j, directions, sine in self.pairs:
             own = sine >= np.sin(MIN_ANGLE_RAD)
             from_mm, to_mm = self.lines[i].focal_point_mm, self.lines[j].focal_point_mm
-            out.append((own, nearest_approach(from_mm, directions[0, own], to_mm, directions[1, own])))
-        return out
+            approaches.append((own, nearest_approach(from_mm, directions[0, own], to_mm, directions[1, own])))
+        return approaches
 
     @cached_property
     def at(self) -> np.ndarray:
@@ -111,20 +111,22 @@ class Given:
     @cached_property
     def picks_mm2(self) -> np.ndarray:
         """(N, 2V, 2V): the picks' own covariances."""
-        out = np.zeros((*self.size, self.size[1]))
-        for k, (one, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
+        covariances = np.zeros((*self.size, self.size[1]))
+        for k, (sight, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
             own = slice(2 * k, 2 * k + 2)
-            out[seen, own, own] = pick_covariance_mm2(one, self.picks.covariance_px2[k, seen])
-        return out
+            covariances[seen, own, own] = pick_covariance_mm2(sight, self.picks.covariance_px2[k, seen])
+        return covariances
 
     @cached_property
     def snapped(self) -> np.ndarray:
         """(V, N, 2V): for each view's picks the direction of the residuals in which a pick measures nothing, zero for
         a free pick."""
-        out = np.zeros((len(self.lines), *self.size))
-        for k, (one, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
-            out[k, seen, 2 * k : 2 * k + 2] = np.einsum("ijk,ik->ij", one.jacobian, self.picks.across_px[k, seen])
-        return out
+        unmeasured = np.zeros((len(self.lines), *self.size))
+        for k, (sight, seen) in enumerate(zip(self.lines, self.picks.seen, strict=True)):
+            unmeasured[k, seen, 2 * k : 2 * k + 2] = np.einsum(
+                "ijk,ik->ij", sight.jacobian, self.picks.across_px[k, seen]
+            )
+        return unmeasured
 
 
 class Solution:
@@ -133,7 +135,7 @@ class Solution:
     def __init__(self, given: Given, xyz_mm: np.ndarray, method: Method) -> None:
         lines, picks = self.lines, self.picks = given.lines, given.picks
         self.given, self.xyz_mm, self.method = given, xyz_mm, method
-        self.residuals = tuple(LineResiduals.at(one, xyz_mm[s]) for one, s in zip(lines, picks.seen, strict=True))
+        self.residuals = tuple(LineResiduals.at(sight, xyz_mm[s]) for sight, s in zip(lines, picks.seen, strict=True))
         total = given.total if method == "weighted" else None
         information = self._distance_form() if total is None else self._information(total)
         information = self._without_direction(information)
@@ -144,9 +146,9 @@ class Solution:
     def by_point(self, of_views: Sequence[np.ndarray]) -> np.ndarray:
         """Return (N, 2V, ...) of values (n, 2, ...) for the n points that each view shows; zero for the others."""
         size = self.given.size
-        out = np.zeros((size[0] * size[1], *of_views[0].shape[2:]))
-        out[self.given.at] = np.concatenate(of_views).reshape(-1, *out.shape[1:])
-        return out.reshape(*size, *out.shape[1:])
+        by_point = np.zeros((size[0] * size[1], *of_views[0].shape[2:]))
+        by_point[self.given.at] = np.concatenate(of_views).reshape(-1, *by_point.shape[1:])
+        return by_point.reshape(*size, *by_point.shape[1:])
 
     def step_mm(self) -> np.ndarray:
         """Return the Gauss-Newton step (N, 3)."""
@@ -155,7 +157,7 @@ class Solution:
     @cached_property
     def response(self) -> list[np.ndarray]:
         """For each view (3N, 3 + 2n): derivative of the points by its focal point and the xy of its n lines."""
-        out = []
+        by_view = []
         for k, (r, seen) in enumerate(zip(self.residuals, self.picks.seen, strict=True)):
             own = np.zeros((len(seen), 3, r.to_line.shape[1]))
             own[seen] = np.einsum(
@@ -163,8 +165,8 @@ class Solution:
                 self.weights[seen, :, 2 * k : 2 * k + 2],
                 r.to_line.reshape(len(r.reach), 2, r.to_line.shape[1]),
             )
-            out.append(own.reshape(3 * len(seen), -1))
-        return out
+            by_view.append(own.reshape(3 * len(seen), -1))
+        return by_view
 
     def budget_mm2(self) -> dict[str, np.ndarray] | None:
         """Return the covariance (3N, 3N) of the points for each source of BUDGET; None where an error is unknown."""
@@ -202,12 +204,12 @@ class Solution:
     def _distance_form(self) -> np.ndarray:
         """Return (N, 2V, 2V): the form of the residuals that equals X's summed squared distance from its lines."""
         n, size = self.given.size
-        out = np.zeros((n, size, size))
+        form = np.zeros((n, size, size))
         for k, (r, seen) in enumerate(zip(self.residuals, self.picks.seen, strict=True)):
             axes, along = r.lines.plane.axes, r.lines.directions @ r.lines.plane.axes.T
             across = axes @ axes.T - along[:, :, None] * along[:, None, :]
-            out[seen, 2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = r.reach[:, None, None] ** 2 * across
-        return out
+            form[seen, 2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = r.reach[:, None, None] ** 2 * across
+        return form
 
     def _without_direction(self, information: np.ndarray) -> np.ndarray:
         """Return the information (N, 2V, 2V) in the limit of infinite variance in the directions `snapped`."""
@@ -243,9 +245,9 @@ def _start(given: Given) -> np.ndarray:
             f"{np.rad2deg(MIN_ANGLE_RAD):.0f}° is needed); acquire an image from another direction"
         )
     xyz = np.empty((given.size[0], 3))
-    for k, (own, found) in enumerate(given.approaches):
+    for k, (own, approach) in enumerate(given.approaches):
         taken = best == k
-        xyz[taken] = found.middle_mm[taken[own]]
+        xyz[taken] = approach.middle_mm[taken[own]]
     return xyz
 
 
@@ -257,16 +259,16 @@ def weighted_points(given: Given, xyz_mm: np.ndarray) -> np.ndarray:
     views, count = seen.shape
     xy, first = np.zeros((views, count, 2)), np.zeros((views, count), dtype=np.int64)
     focal, start = np.empty(views, dtype=np.int64), 0
-    for k, one in enumerate(given.lines):
+    for k, sight in enumerate(given.lines):
         own = np.flatnonzero(seen[k])
-        xy[k, own], first[k, own], focal[k] = one.xy_mm, start + 3 + 2 * np.arange(len(own)), start
+        xy[k, own], first[k, own], focal[k] = sight.xy_mm, start + 3 + 2 * np.arange(len(own)), start
         start += 3 + 2 * len(own)
-    planes = np.array([np.vstack([one.plane.origin_mm, one.plane.basis, one.pencil.pq]) for one in given.lines])
-    out = np.array(xyz_mm)
+    planes = np.array([np.vstack([sight.plane.origin_mm, sight.plane.basis, sight.pencil.pq]) for sight in given.lines])
+    points = np.array(xyz_mm)
     for _ in range(_ITERATIONS):
-        if not weighted_step(out, planes, xy, seen, focal, first, given.total, given.picks_mm2, given.snapped):
+        if not weighted_step(points, planes, xy, seen, focal, first, given.total, given.picks_mm2, given.snapped):
             return _by_solutions(given, xyz_mm)
-    return out
+    return points
 
 
 def _by_solutions(given: Given, xyz_mm: np.ndarray) -> np.ndarray:
@@ -280,10 +282,10 @@ def _by_solutions(given: Given, xyz_mm: np.ndarray) -> np.ndarray:
 
 def _refuse_behind(lines: Sequence[LinesOfSight], seen: np.ndarray, xyz_mm: np.ndarray) -> None:
     """Raise ReconstructionRefusedError for points behind an X-ray source, which no ray reaches."""
-    for one, shown in zip(lines, seen, strict=True):
-        along = np.einsum("ia,ia->i", xyz_mm[shown] - one.focal_point_mm, one.directions)
+    for sight, shown in zip(lines, seen, strict=True):
+        along = np.einsum("ia,ia->i", xyz_mm[shown] - sight.focal_point_mm, sight.directions)
         if (along <= 0.0).any():
             raise ReconstructionRefusedError(
-                f"the lines of sight intersect behind the X-ray source of view {one.view!r}; check that the picks of "
+                f"the lines of sight intersect behind the X-ray source of view {sight.view!r}; check that the picks of "
                 "all images show the same points, and that the images belong to these views"
             )

@@ -85,9 +85,9 @@ class Trajectory(Plotted):
     @cached_property
     def direction(self) -> np.ndarray:
         """(3,) unit vector from entry to end."""
-        out = (self.end_mm - self.entry_mm) / self.length_mm
-        out.flags.writeable = False
-        return out
+        direction = (self.end_mm - self.entry_mm) / self.length_mm
+        direction.flags.writeable = False
+        return direction
 
     @property
     def error_stated(self) -> bool:
@@ -234,11 +234,11 @@ def error_shares_of(ends_mm: np.ndarray, budget_mm2: Mapping[str, np.ndarray]) -
         "end": ("mm", np.eye(6)[3:]),
         "direction": ("°", to_direction),
     }
-    out = {}
+    shares = {}
     for name, (unit, rows) in parts.items():
         squares = {source: float(np.trace(rows @ c @ rows.T)) for source, c in budget_mm2.items()}
         total = sum(squares.values())
-        out[name] = Share(
+        shares[name] = Share(
             float(np.sqrt(total)), unit, {source: 100.0 * square / total for source, square in squares.items()}
         )
-    return out
+    return shares

@@ -70,7 +70,7 @@ def _residual(point, view, line, slope, by_focal, residual):  # noqa: PLR0917 - 
 def _covariance(total, picks, by_focal, place, base, own):  # noqa: PLR0917 - a kernel
     """Return the covariance (n, n) of a point's residuals: of its lines, of the focal points, and of its picks."""
     rows = len(own)
-    out = np.empty((rows, rows))
+    covariance = np.empty((rows, rows))
     for p in range(rows):
         for q in range(rows):
             value = total[place[p], place[q]] + picks[own[p], own[q]]
@@ -78,8 +78,8 @@ def _covariance(total, picks, by_focal, place, base, own):  # noqa: PLR0917 - a 
                 value += by_focal[p, c] * total[base[p] + c, place[q]] + by_focal[q, c] * total[place[p], base[q] + c]
                 for d in range(3):
                     value += by_focal[p, c] * total[base[p] + c, base[q] + d] * by_focal[q, d]
-            out[p, q] = value
-    return out
+            covariance[p, q] = value
+    return covariance
 
 
 @kernel(nogil=True)

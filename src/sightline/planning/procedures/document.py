@@ -59,7 +59,7 @@ class KnownCheck:
 
 
 def _known(limits: str, unit: str, *needs: str, side: bool = True) -> KnownCheck:
-    return KnownCheck(tuple(limits.split()), unit, tuple(frozenset(one.split()) for one in needs), side)
+    return KnownCheck(tuple(limits.split()), unit, tuple(frozenset(keys.split()) for keys in needs), side)
 
 
 CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
@@ -378,12 +378,12 @@ class ProcedureDocument(Strict):
     @property
     def given(self) -> tuple[str, ...]:
         """Keys of the landmarks, then of the aids."""
-        return tuple(one.key for one in (*self.landmarks, *self.aids))
+        return tuple(asked.key for asked in (*self.landmarks, *self.aids))
 
     @property
     def drilling_order(self) -> tuple[str, ...]:
         """Keys of all wires: those of the relation "order" first, then the others as the file lists them."""
-        first = [key for one in self.relations if one.relation == "order" for key in one.wires]
+        first = [key for relation in self.relations if relation.relation == "order" for key in relation.wires]
         return tuple(dict.fromkeys([*first, *(wire.key for wire in self.wires)]))
 
     @property
@@ -393,7 +393,7 @@ class ProcedureDocument(Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        views, wires = ([one.name for one in self.views], [one.key for one in self.wires])
+        views, wires = ([view.name for view in self.views], [wire.key for wire in self.wires])
         for what, keys in (
             ("views", views),
             ("wires", wires),
@@ -417,8 +417,8 @@ class ProcedureDocument(Strict):
         for rule in self.checks:
             needs = CHECKS[rule.check].needs
             by_bone = rule.check == "side" and len(self.directions) == 3
-            if rule.required and needs and not by_bone and not any(one <= set(self.given) for one in needs):
-                wanted = ", or ".join(" and ".join(sorted(one)) for one in needs)
+            if rule.required and needs and not by_bone and not any(keys <= set(self.given) for keys in needs):
+                wanted = ", or ".join(" and ".join(sorted(keys)) for keys in needs)
                 raise ValueError(
                     f"requires the check {rule.check!r}, which needs {wanted}: add it to aids or landmarks"
                 )
@@ -434,20 +434,20 @@ class ProcedureDocument(Strict):
     @model_validator(mode="after")
     def _directed(self) -> Self:
         """Refuse directions of unknown parts, and those that do not determine how the bone lies."""
-        points = {"entry", "end", *(one.key for one in self.landmarks)}
-        drawn = [one for one in self.aids if len(one.views) > 1 or one.key in LOCATED]
-        aids = {one.key: one.type for one in drawn if one.type != "oval tube"}
-        for one in self.directions:
-            if unknown := [key for key in (*one.from_, *one.to) if key not in points | aids.keys()]:
+        points = {"entry", "end", *(landmark.key for landmark in self.landmarks)}
+        drawn = [aid for aid in self.aids if len(aid.views) > 1 or aid.key in LOCATED]
+        aids = {aid.key: aid.type for aid in drawn if aid.type != "oval tube"}
+        for direction in self.directions:
+            if unknown := [key for key in (*direction.from_, *direction.to) if key not in points | aids.keys()]:
                 raise ValueError(
                     f"a direction names {unknown[0]!r}; name 'entry', 'end', a landmark, or an aid drawn in two "
                     "images that is not an oval tube"
                 )
-            if one.along is not None and aids.get(one.along, "point") in ("point", "sphere"):
+            if direction.along is not None and aids.get(direction.along, "point") in ("point", "sphere"):
                 raise ValueError(
-                    f"a direction runs along {one.along!r}; name a line, plane, cylinder, tube or rim pair"
+                    f"a direction runs along {direction.along!r}; name a line, plane, cylinder, tube or rim pair"
                 )
-        nominal = np.array([one.nominal for one in self.directions])
+        nominal = np.array([direction.nominal for direction in self.directions])
         if len(nominal) == 1 or (len(nominal) and np.linalg.svd(nominal)[1][-1] < _MIN_SINGULAR):
             raise ValueError(
                 "the directions must be two or three, at large angles to each other: the first two tell how the bone "
@@ -466,7 +466,7 @@ class ProcedureDocument(Strict):
 
 def open_ends(document: ProcedureDocument) -> list[str]:
     """Return "entry", "end" where the corridor says that it lies in the bone, but no check of the file shows it."""
-    asked, corridor = {one.check for one in document.checks}, document.corridor
+    asked, corridor = {rule.check for rule in document.checks}, document.corridor
     inside = (
         {} if corridor is None else {e: shown for e, shown in END_CHECKS.items() if e not in corridor.may_leave_bone}
     )

@@ -91,7 +91,7 @@ class Procedure:
 
         `wire` may be "" where there is one wire only.
         """
-        wires = {one.key: one for one in document.wires}
+        wires = {asked.key: asked for asked in document.wires}
         if wire not in wires and (wire or len(wires) > 1):
             names = ", ".join(f"{document.key}:{key}" for key in wires)
             raise UnusableInputError(
@@ -139,7 +139,7 @@ class Procedure:
     @property
     def landmarks(self) -> tuple[PlanInput, ...]:
         """Points of the bone that are picked freely in all views."""
-        return tuple(PlanInput(one.key, one.name, one.sentence) for one in self.document.landmarks)
+        return tuple(PlanInput(landmark.key, landmark.name, landmark.sentence) for landmark in self.document.landmarks)
 
     @property
     def aids(self) -> tuple[AidAsked, ...]:
@@ -173,9 +173,9 @@ class Procedure:
         """Return what a reader of a plan must know: of several wires, that the others are not in it."""
         if not self.several:
             return []
-        relations = ", ".join(dict.fromkeys(one.relation for one in self.document.relations))
-        said = f"This is the plan of one wire of {len(self.document.wires)}."
-        return [f"{said} The relations between them ({relations or 'none'}) are not checked: plan all wires together."]
+        relations = ", ".join(dict.fromkeys(relation.relation for relation in self.document.relations))
+        alone = f"This is the plan of one wire of {len(self.document.wires)}."
+        return [f"{alone} The relations between them ({relations or 'none'}) are not checked: plan all wires together."]
 
     def written(self) -> dict[str, Any]:
         """Return the file's content as JSON types."""
@@ -189,7 +189,9 @@ class Procedure:
 @cache
 def shipped() -> MappingProxyType[str, ProcedureDocument]:
     """Return the shipped files by key, the hip screw first."""
-    texts = sorted((one.name, one.read_bytes()) for one in _shipped_folder().iterdir() if one.name.endswith(".json"))
+    texts = sorted(
+        (file.name, file.read_bytes()) for file in _shipped_folder().iterdir() if file.name.endswith(".json")
+    )
     made = {name.removesuffix(".json"): document_from_json(text) for name, text in texts}
     return MappingProxyType({"hip-screw": made["hip-screw"], **made})
 
@@ -213,10 +215,10 @@ def document_from_json(text: bytes | str) -> ProcedureDocument:
 def own_files() -> dict[str, Path]:
     """Return the files in the user's folder by key, without those whose key is shipped. Raises UnusableInputError."""
     folder = _folder()
-    found = [] if folder is None else sorted(folder.glob("*.json"))
-    if len(found) > MAX_FILES:
-        raise UnusableInputError(f"{FOLDER} holds {len(found)} files; keep at most {MAX_FILES} there")
-    return {path.stem: path for path in found if path.stem not in shipped()}
+    paths = [] if folder is None else sorted(folder.glob("*.json"))
+    if len(paths) > MAX_FILES:
+        raise UnusableInputError(f"{FOLDER} holds {len(paths)} files; keep at most {MAX_FILES} there")
+    return {path.stem: path for path in paths if path.stem not in shipped()}
 
 
 def own_file(key: str) -> ProcedureDocument:
@@ -238,10 +240,10 @@ def copy_text(name: str, key: str) -> bytes:
     """Return the text of a procedure's file with another key, in its own layout. Raises UnusableInputError."""
     old = document_of(name)
     text = _shipped_folder() / f"{old.key}.json" if old.key in shipped() else own_files().get(name, Path(name))
-    out = re.sub(rb'("key"\s*:\s*)"%b"' % old.key.encode(), rb'\1"%b"' % key.encode(), text.read_bytes(), count=1)
-    if key in shipped() or document_from_json(out).key != key:
+    copied = re.sub(rb'("key"\s*:\s*)"%b"' % old.key.encode(), rb'\1"%b"' % key.encode(), text.read_bytes(), count=1)
+    if key in shipped() or document_from_json(copied).key != key:
         raise UnusableInputError(f"{key!r} is the key of a shipped procedure; name the file otherwise")
-    return out
+    return copied
 
 
 def _own(name: str) -> ProcedureDocument:
@@ -337,7 +339,7 @@ def procedures() -> dict[str, Procedure]:
     for key in own_files():
         with suppress(UnusableInputError):  # `sightline procedure list` says why
             own.append(own_file(key))
-    return PROCEDURES | {one.key: one for document in own for one in each_wire(document)}
+    return PROCEDURES | {procedure.key: procedure for document in own for procedure in each_wire(document)}
 
 
-PROCEDURES = {one.key: one for document in shipped().values() for one in each_wire(document)}
+PROCEDURES = {procedure.key: procedure for document in shipped().values() for procedure in each_wire(document)}

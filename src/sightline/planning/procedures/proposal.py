@@ -45,10 +45,10 @@ class ProposalRule:
         """The aids that the rule needs, by their keys."""
         return RULES[self.name].of_wire(self.wire)
 
-    def lacking(self, found: Anatomy) -> list[str]:
+    def lacking(self, anatomy: Anatomy) -> list[str]:
         """Return the aids that the rule needs and that are not located; of the surface at the entry one is enough."""
-        entry = {ENTRY} if ENTRY_LATERAL in found.at else set()
-        return [name for name in self.needs if name not in found.at and name not in entry]
+        entry = {ENTRY} if ENTRY_LATERAL in anatomy.at else set()
+        return [name for name in self.needs if name not in anatomy.at and name not in entry]
 
     @property
     def side(self) -> bool:
@@ -79,15 +79,15 @@ class KnownRule:
         return tuple(key.format(wire=wire) for key in self.needs)
 
 
-def _through_head(found: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
+def _through_head(anatomy: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
     """Return the wire through the head's centre at the rule's angle to the shaft, in the plane of both.
 
     Where the neck's axis is drawn, the wire is rotated about the shaft to lie along it. It enters at the lateral
     cortex, modelled as a cylinder about the shaft's axis through the click.
     """
-    head, shaft = found.head, found.shaft
+    head, shaft = anatomy.head, anatomy.shaft
     assert head is not None and shaft is not None  # noqa: S101 - among the needs of the rule
-    found.refuse_side(side)
+    anatomy.refuse_side(side)
     along = towards(shaft.direction, caudal(side), "the shaft axis")
     to_head = across(head.centre_mm - shaft.ends_mm[0], along)
     if np.linalg.norm(to_head) < MIN_OFFSET_MM:
@@ -95,29 +95,29 @@ def _through_head(found: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
             f"the head's centre lies {np.linalg.norm(to_head):.0f} mm from the shaft's axis (at least "
             f"{MIN_OFFSET_MM:.0f} mm expected); draw head and shaft again"
         )
-    inward = _inward(found, to_head, along)
+    inward = _inward(anatomy, to_head, along)
     wire = np.cos(rule.angle_rad) * along + np.sin(rule.angle_rad) * inward
     end = head.centre_mm + _beyond_centre(head.radius_mm, rule) * wire
-    cortex = across(found.part("cortex") - shaft.ends_mm[0], along)
+    cortex = across(anatomy.part("cortex") - shaft.ends_mm[0], along)
     entry = head.centre_mm + _to_cortex(cortex, to_head, inward, np.sin(rule.angle_rad)) * wire
     return np.stack([entry, end])
 
 
-def _through_corridor(found: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
+def _through_corridor(anatomy: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
     """Return the wire along the axis of the drawn corridor, to so far before the end of its borders."""
-    tube = found.part("s1-corridor").reshape(1, 2, 5, 3)
+    tube = anatomy.part("s1-corridor").reshape(1, 2, 5, 3)
     on, along, ends = axis_of_tube(tube, "corridor")
-    entry, wire = _entered(found, on, along)
+    entry, wire = _entered(anatomy, on, along)
     # In each image the farther border counts, of both images the nearer end, as in "tip in sacral corridor".
-    reach = min(float((one * (along @ wire)).max()) for one in ends) + (on - entry) @ wire
+    reach = min(float((places * (along @ wire)).max()) for places in ends) + (on - entry) @ wire
     return np.stack([entry, entry + max(reach - rule.under_surface_mm, 0.0) * wire])
 
 
-def _through_pedicle(found: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
+def _through_pedicle(anatomy: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
     """Return the wire through the middle of the pedicle, between its borders in the second image, rotated from the beam
     of the first towards the middle of the body."""
-    middle, beam, upwards = axis_of_oval(found.part("pedicle").reshape(1, 2, 5, 3), "pedicle")
-    plates = [found.part(name)[:3] for name in ("upper-endplate", "lower-endplate")]
+    middle, beam, upwards = axis_of_oval(anatomy.part("pedicle").reshape(1, 2, 5, 3), "pedicle")
+    plates = [anatomy.part(name)[:3] for name in ("upper-endplate", "lower-endplate")]
     to_body = np.mean(plates, axis=0) - middle
     forward = unit(across(beam, upwards))
     forward = forward * np.sign(forward @ to_body)
@@ -130,8 +130,8 @@ def _through_pedicle(found: Anatomy, side: str, rule: ProposalRule) -> np.ndarra
             "again"
         )
     medial = medial * np.sign(beside)
-    entry, wire = _entered(found, middle, np.cos(rule.angle_rad) * forward + np.sin(rule.angle_rad) * medial)
-    point, normal = found.part("front")[:3], found.part("front")[3:]
+    entry, wire = _entered(anatomy, middle, np.cos(rule.angle_rad) * forward + np.sin(rule.angle_rad) * medial)
+    point, normal = anatomy.part("front")[:3], anatomy.part("front")[3:]
     normal = normal * np.sign(normal @ wire)
     reach = ((point - entry) @ normal - rule.under_surface_mm) / _steep(
         float(normal @ wire), "front of the vertebral body"
@@ -139,17 +139,17 @@ def _through_pedicle(found: Anatomy, side: str, rule: ProposalRule) -> np.ndarra
     return np.stack([entry, entry + max(reach, 0.0) * wire])
 
 
-def _across_growth_plate(found: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
+def _across_growth_plate(anatomy: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
     """Return the wire through the centre of the epiphysis, perpendicular to the growth plate."""
-    head = found.head
+    head = anatomy.head
     assert head is not None  # noqa: S101 - among the needs of the rule
-    entry, wire = _entered(found, head.centre_mm, found.part("growth-plate")[3:])
+    entry, wire = _entered(anatomy, head.centre_mm, anatomy.part("growth-plate")[3:])
     return np.stack([entry, head.centre_mm + _beyond_centre(head.radius_mm, rule) * wire])
 
 
-def _through_rims(found: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
+def _through_rims(anatomy: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
     """Return the wire from the middle of the rim that was drawn first to that of the other."""
-    return found.part(rule.needs[0]).reshape(2, 3)
+    return anatomy.part(rule.needs[0]).reshape(2, 3)
 
 
 # Accepted lengths: hip screws have 70 to 120 mm, pedicle screws 40 to 50 mm [ours].
@@ -196,7 +196,7 @@ RULES: Mapping[str, KnownRule] = MappingProxyType(
 )
 
 
-def _entered(found: Anatomy, on_mm: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _entered(anatomy: Anatomy, on_mm: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return where a line through a point (3,) along a unit vector (3,) crosses the bone's drawn surface, and its
     direction from there to the point.
 
@@ -204,8 +204,8 @@ def _entered(found: Anatomy, on_mm: np.ndarray, along: np.ndarray) -> tuple[np.n
     """
     crossings = []
     for name in (ENTRY, ENTRY_LATERAL):
-        if name in found.at:
-            point, normal = found.part(name)[:3], found.part(name)[3:]
+        if name in anatomy.at:
+            point, normal = anatomy.part(name)[:3], anatomy.part(name)[3:]
             crossings.append(float((point - on_mm) @ normal) / _steep(float(normal @ along), "surface at the entry"))
     to_entry = min(crossings, key=abs)
     return on_mm + to_entry * along, -np.sign(to_entry) * along
@@ -221,11 +221,11 @@ def _steep(cosine: float, what: str) -> float:
     return float(cosine)
 
 
-def _inward(found: Anatomy, to_head: np.ndarray, along: np.ndarray) -> np.ndarray:
+def _inward(anatomy: Anatomy, to_head: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Return the unit vector perpendicular to the shaft in the wire's plane: to the head's centre or along the neck."""
-    if found.neck is None:
+    if anatomy.neck is None:
         return unit(to_head)
-    inward = unit(across(towards(found.neck.direction, MEDIAL, "the neck axis"), along))
+    inward = unit(across(towards(anatomy.neck.direction, MEDIAL, "the neck axis"), along))
     angle = np.arccos(np.clip(inward @ unit(to_head), -1.0, 1.0))
     if angle > _MAX_ROTATION_RAD:
         raise ReconstructionRefusedError(
@@ -285,7 +285,7 @@ class Proposal:
 
 
 def propose(
-    views: Sequence[CalibratedView], found: Anatomy, side: str | None, rule: ProposalRule | None = None
+    views: Sequence[CalibratedView], anatomy: Anatomy, side: str | None, rule: ProposalRule | None = None
 ) -> Proposal:
     """Return the wire that the rule of a procedure puts into the located parts of a bone.
 
@@ -295,16 +295,16 @@ def propose(
     outside a view's calibrated region, UnusableInputError for an unknown side.
     """
     rule = rule or ProposalRule()
-    if lacking := rule.lacking(found):
-        raise ReconstructionRefusedError(f"no wire can be proposed: {found.why_absent(lacking[0])}")
+    if lacking := rule.lacking(anatomy):
+        raise ReconstructionRefusedError(f"no wire can be proposed: {anatomy.why_absent(lacking[0])}")
     if rule.side and side is None:
         raise ReconstructionRefusedError("no wire can be proposed: the side is not given; look at the images, give it")
     known = RULES[rule.name]
 
     def of(values: np.ndarray) -> np.ndarray:
-        return np.stack([known.ends(replace(found, values=one), side or "", rule).ravel() for one in values])
+        return np.stack([known.ends(replace(anatomy, values=numbers), side or "", rule).ravel() for numbers in values])
 
-    wire, own = response(of, found.values)
+    wire, own = response(of, anatomy.values)
     entry, end = wire.reshape(2, 3)
     length, (low, high) = float(np.linalg.norm(end - entry)), known.lengths_mm
     if not low <= length <= high:
@@ -312,7 +312,7 @@ def propose(
         raise ReconstructionRefusedError(
             f"the wire would be {length:.0f} mm long ({low:.0f} to {high:.0f} mm expected); check {drawn}"
         )
-    covariance = None if found.covariance is None else own @ found.covariance @ own.T
+    covariance = None if anatomy.covariance is None else own @ anatomy.covariance @ own.T
     pixels = np.array([view.project(np.stack([entry, end])) for view in views])
     words = known.words.format(angle=np.rad2deg(rule.angle_rad), depth=rule.under_surface_mm)
     sentence = f"Proposed: {words}, {length:.0f} mm long.{_errors(covariance)} Adjust it to the images."

@@ -56,58 +56,58 @@ class Measure:
 class _Bone:
     """What is known of the bone: the located parts, the side, and the landmarks (3,) by their keys."""
 
-    found: Anatomy
+    anatomy: Anatomy
     side: str | None
     landmarks_mm: Mapping[str, np.ndarray]
 
     @property
     def centre_mm(self) -> np.ndarray | None:
         """The head's centre: of its outline, or else the landmark."""
-        return self.landmarks_mm.get(HEAD_CENTRE) if self.found.head is None else self.found.head.centre_mm
+        return self.landmarks_mm.get(HEAD_CENTRE) if self.anatomy.head is None else self.anatomy.head.centre_mm
 
     @cached_property
     def exchanged(self) -> bool:
         """True where the wire's ends are exchanged; then no measure of an end is meaningful."""
-        entry, end = self.found.part("wire").reshape(2, 3)
+        entry, end = self.anatomy.part("wire").reshape(2, 3)
         return self.centre_mm is not None and not bool(_order(self.centre_mm).passes(entry[None], end[None])[0])
 
 
 def judge_in_bone(
-    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+    anatomy: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
 ) -> Verdict:
     """Return the checks of the wire in `found` against the bone that `rules` ask for.
 
     `landmarks_mm`: (3,) by their keys in the procedure. Raises UnusableInputError for an unknown side.
     """
-    checks = _missing(found, rules, side, landmarks_mm)
-    if found.head_agreement is not None:
-        checks.append(found.head_agreement)
-    if "wire" in found.at:
-        entry, end = found.part("wire").reshape(2, 3)
-        checks += [measure.check(entry, end) for measure in measures(found, rules, side, landmarks_mm)]
-        checks += _of_metrics(_Bone(found, side, landmarks_mm), rules)
-    if "head" not in found.at and found.absent["head"] != NOT_PLACED["head"]:
-        checks.append(Check("head", False, None, None, "", f"The head is not known: {found.absent['head']}."))
+    checks = _missing(anatomy, rules, side, landmarks_mm)
+    if anatomy.head_agreement is not None:
+        checks.append(anatomy.head_agreement)
+    if "wire" in anatomy.at:
+        entry, end = anatomy.part("wire").reshape(2, 3)
+        checks += [measure.check(entry, end) for measure in measures(anatomy, rules, side, landmarks_mm)]
+        checks += _of_metrics(_Bone(anatomy, side, landmarks_mm), rules)
+    if "head" not in anatomy.at and anatomy.absent["head"] != NOT_PLACED["head"]:
+        checks.append(Check("head", False, None, None, "", f"The head is not known: {anatomy.absent['head']}."))
     return Verdict(tuple(checks))
 
 
 def measures(
-    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+    anatomy: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
 ) -> tuple[Measure, ...]:
     """Return all measures of the wire that the rules ask for and for which the bone is known well enough."""
-    bone = _Bone(found, side, landmarks_mm)
+    bone = _Bone(anatomy, side, landmarks_mm)
     asked = [rule for rule in rules if not bone.exchanged or rule.check in ("entry and end", "side")]
     return tuple(measure for rule in asked if rule.check in MEASURES for measure in MEASURES[rule.check](bone, rule))
 
 
 def _of_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
     """Return the checks of metrics of the implant: the 95 % interval must lie within the limits."""
-    out = []
+    checks = []
     for rule, known in _known_metrics(bone, rules):
         name, unit, (low, high) = rule.check, CHECKS[rule.check].unit, rule.range
         if known.value is None or known.sd is None:
             why = known.sentence if known.value is None else "Not known: the error of a view is not stated."
-            out.append(Check(name, False, None, rule.high, unit, f"The {name} cannot be judged. {why}"))
+            checks.append(Check(name, False, None, rule.high, unit, f"The {name} cannot be judged. {why}"))
             continue
         error = TWO_SIDED_95 * known.sd
         passed = low <= known.value - error and known.value + error <= high
@@ -116,34 +116,34 @@ def _of_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
         move = _MOVE.get(name, "move the end point, or draw the aids more accurately")
         advice = f"with its error it must lie {_within(low, high, unit)}: {move}"
         sentence += "." if passed else f"; {advice}."
-        out.append(Check(name, passed, known.value, float(limit), unit, sentence))
-    return out
+        checks.append(Check(name, passed, known.value, float(limit), unit, sentence))
+    return checks
 
 
 def _known_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[tuple[CheckRule, Metric]]:
     """Return the rules of metrics whose aids are drawn, and whose side is known where they need it."""
     return [
-        (rule, metric(bone.found, rule.check, bone.side))
+        (rule, metric(bone.anatomy, rule.check, bone.side))
         for rule in rules
-        if rule.check not in MEASURES and not bone.exchanged and not _undrawn(bone.found, rule)
+        if rule.check not in MEASURES and not bone.exchanged and not _undrawn(bone.anatomy, rule)
         if bone.side is not None or not CHECKS[rule.check].side
     ]
 
 
 def metric_measures(
-    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+    anatomy: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
 ) -> tuple[Measure, ...]:
     """Return the checks of metrics that can be made, as measures whose limits keep the 95 % error of this wire."""
-    bone, out = _Bone(found, side, landmarks_mm), []
+    bone, made = _Bone(anatomy, side, landmarks_mm), []
     for rule, known in _known_metrics(bone, rules):
         if known.value is not None and known.sd is not None:
             name, (low, high), error = rule.check, rule.range, TWO_SIDED_95 * known.sd
 
             def value(entry: np.ndarray, end: np.ndarray, name: str = name) -> np.ndarray:
-                return metric_of_wires(found, name, side, np.stack([entry, end], axis=1))
+                return metric_of_wires(anatomy, name, side, np.stack([entry, end], axis=1))
 
-            out.append(Measure(name, value, low + error, high - error, known.unit, "", ""))
-    return tuple(out)
+            made.append(Measure(name, value, low + error, high - error, known.unit, "", ""))
+    return tuple(made)
 
 
 # What to do where a metric fails that depends on more than the end point.
@@ -170,20 +170,20 @@ def _within(low: float, high: float, unit: str) -> str:
     return f"above {low:g} {unit}" if not np.isfinite(high) else f"between {low:g} and {high:g} {unit}"
 
 
-def _undrawn(found: Anatomy, rule: CheckRule) -> list[str]:
+def _undrawn(anatomy: Anatomy, rule: CheckRule) -> list[str]:
     """Return the aids that a check needs and that are not drawn, of the first of its alternatives."""
     (needs, *_) = (*CHECKS[rule.check].needs, frozenset())
-    return sorted(part for part in needs if part not in (HEAD_CENTRE, LESSER) and found.undrawn(part))
+    return sorted(part for part in needs if part not in (HEAD_CENTRE, LESSER) and anatomy.undrawn(part))
 
 
-def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float | None, float | None]:
+def noticed_beyond_mm(checked: Sequence[Measure], anatomy: Anatomy) -> tuple[float | None, float | None]:
     """Return how far entry and end can be wrong along a line of sight before a measure fails; None where none does
     within MAX_SHIFT_MM.
 
     A pick that is wrong along its image-matching curve moves its point along the other view's line of sight, which no
     gap shows.
     """
-    wire, focal = found.part("wire").reshape(2, 3), found.part("focal").reshape(2, 3)
+    wire, focal = anatomy.part("wire").reshape(2, 3), anatomy.part("focal").reshape(2, 3)
     steps = np.arange(_STEP_MM, MAX_SHIFT_MM + _STEP_MM, _STEP_MM)
     passed = [measure for measure in checked if measure.passes(*wire[:, None])[0]]
     if not passed:
@@ -194,32 +194,32 @@ def noticed_beyond_mm(checked: Sequence[Measure], found: Anatomy) -> tuple[float
         ends[point, point] += steps[:, None] * np.concatenate([away, -away])[:, None]
     fails = ~np.all([measure.passes(*ends.reshape(2, -1, 3)) for measure in passed], axis=0).reshape(ends.shape[1:4])
     reach = np.where(fails.any(axis=2), steps[fails.argmax(axis=2)], np.inf).max(axis=1)
-    entry, end = (float(one) if np.isfinite(one) else None for one in reach)
+    entry, end = (float(shift) if np.isfinite(shift) else None for shift in reach)
     return entry, end
 
 
 def _missing(
-    found: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
+    anatomy: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
 ) -> list[Check]:
     """Return the required checks that lack an input, with what they need."""
     required = {rule.check for rule in rules if rule.required}
     wanted = {}
     if "side" in required and side is None:
         wanted["side"] = "The side is not given: look at both images and state whether it is the right or the left one."
-    if required & {"entry and end", "tip in head"} and found.absent.get("head") == NOT_PLACED["head"]:
+    if required & {"entry and end", "tip in head"} and anatomy.absent.get("head") == NOT_PLACED["head"]:
         wanted["head"] = (
             "The head is not drawn: draw its outline in both images. Without it neither the order of the wire's ends "
             "nor the tip's depth in the bone can be checked."
         )
     by_entry = required & {"lateral of lesser trochanter", "entry below cortex"}
-    if by_entry and LESSER not in landmarks_mm and not {"shaft", "cortex"} <= found.at.keys():
+    if by_entry and LESSER not in landmarks_mm and not {"shaft", "cortex"} <= anatomy.at.keys():
         wanted["entry at cortex"] = (
             "The entry cannot be checked: it may lie at the lateral cortex or inside the neck. Pick the tip of the "
             "lesser trochanter in both images, or draw the shaft axis and click on the lateral cortex."
         )
     for rule in rules:
         if rule.required and (rule.check == "wire to shaft" or rule.check not in MEASURES):
-            lacking = [found.why_absent(part) for part in _undrawn(found, rule)]
+            lacking = [anatomy.why_absent(part) for part in _undrawn(anatomy, rule)]
             without_side = side is None and rule.check not in MEASURES and CHECKS[rule.check].side
             lacking += ["the side is not given"] if without_side else []
             if lacking:
@@ -244,7 +244,7 @@ def _order(centre: np.ndarray) -> Measure:
 
 
 def _sides(
-    found: Anatomy, side: str | None, landmarks_mm: Mapping[str, np.ndarray], centre: np.ndarray, *, by_wire: bool
+    anatomy: Anatomy, side: str | None, landmarks_mm: Mapping[str, np.ndarray], centre: np.ndarray, *, by_wire: bool
 ) -> list[Measure]:
     """Return the measures of what must lie below the head of a hip of this side."""
     if side is None:
@@ -253,15 +253,15 @@ def _sides(
     still = {}
     if LESSER in landmarks_mm:
         still["lesser trochanter"] = landmarks_mm[LESSER]
-    if found.shaft is not None:
-        still["shaft"] = found.shaft.ends_mm.mean(axis=0)
+    if anatomy.shaft is not None:
+        still["shaft"] = anatomy.shaft.ends_mm.mean(axis=0)
     otherwise = (
         f"it is not a {side} hip, or two points are exchanged: look at both images, then give the other side or pick "
         "again"
     )
     sentence = f"For a {side} hip {{}} must lie below the centre of the head: it lies {{}} it"
     ways = ("below", "above")
-    out = [
+    made = [
         Measure(
             "side",
             lambda entry, end, at=at: np.full(len(entry), float((at - centre) @ down)),
@@ -276,18 +276,18 @@ def _sides(
     ]
     if by_wire:
         below = sentence.format("the entry", "{}")
-        out.append(
+        made.append(
             Measure("side", lambda entry, end: (entry - centre) @ down, 0.0, np.inf, "mm", below, otherwise, ways)
         )
-    return out
+    return made
 
 
-def _tip(found: Anatomy) -> Measure:
+def _tip(anatomy: Anatomy) -> Measure:
     """Return the measure of the tip's depth below the head's surface, which must exceed its own error."""
-    assert found.head is not None  # noqa: S101 - checked by the caller
-    depth_sd = tip_depth(found)[1]
+    assert anatomy.head is not None  # noqa: S101 - checked by the caller
+    depth_sd = tip_depth(anatomy)[1]
     error = 0.0 if depth_sd is None else TWO_SIDED_95 * depth_sd
-    head = found.head
+    head = anatomy.head
     return Measure(
         "tip in head",
         lambda entry, end: head.radius_mm - _distance(end, head.centre_mm),
@@ -330,9 +330,9 @@ def _from_lesser(lesser: np.ndarray, rule: CheckRule) -> Measure:
     )
 
 
-def _from_cortex(found: Anatomy, centre: np.ndarray, rule: CheckRule) -> Measure:
-    assert found.shaft is not None  # noqa: S101 - checked by the caller
-    on, along = found.shaft.ends_mm[0], found.shaft.direction
+def _from_cortex(anatomy: Anatomy, centre: np.ndarray, rule: CheckRule) -> Measure:
+    assert anatomy.shaft is not None  # noqa: S101 - checked by the caller
+    on, along = anatomy.shaft.ends_mm[0], anatomy.shaft.direction
     outside = rule.check == "entry outside cortex"
     where, there, way = ("outside", "in air", -1.0) if outside else ("inside", "in the bone", 1.0)
     high = rule.range[1]
@@ -343,7 +343,7 @@ def _from_cortex(found: Anatomy, centre: np.ndarray, rule: CheckRule) -> Measure
 
     outward = -across(centre)
     outward = outward / np.linalg.norm(outward)
-    cortex = float(np.linalg.norm(across(found.part("cortex"))))
+    cortex = float(np.linalg.norm(across(anatomy.part("cortex"))))
     return Measure(
         "entry at cortex",
         lambda entry, end: way * (cortex - across(entry) @ outward),
@@ -388,12 +388,12 @@ def _length(rule: CheckRule) -> Measure:
     )
 
 
-def _between_views(found: Anatomy, low: float) -> Measure:
+def _between_views(anatomy: Anatomy, low: float) -> Measure:
     """Return the measure of the angle between the beams of the first two views at the wire's middle, at most 90°."""
-    focal = found.part("focal").reshape(2, 3)
+    focal = anatomy.part("focal").reshape(2, 3)
 
     def value(entry: np.ndarray, end: np.ndarray) -> np.ndarray:
-        first, second = ((entry + end) / 2 - one for one in focal)
+        first, second = ((entry + end) / 2 - source for source in focal)
         cosine = np.abs((first * second).sum(axis=-1)) / (
             np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
         )
@@ -428,25 +428,27 @@ def _lesser(bone: _Bone, rule: CheckRule) -> list[Measure]:
 
 
 def _cortex(bone: _Bone, centre: np.ndarray, rule: CheckRule) -> list[Measure]:
-    return [_from_cortex(bone.found, centre, rule)] if {"shaft", "cortex"} <= bone.found.at.keys() else []
+    return [_from_cortex(bone.anatomy, centre, rule)] if {"shaft", "cortex"} <= bone.anatomy.at.keys() else []
 
 
 # The measures of each check that a procedure's file may name (`CheckRule`).
 MEASURES: dict[str, _Make] = {
     "entry and end": _of_bone(lambda bone, centre, rule: [_order(centre)]),
     "side": _of_bone(
-        lambda bone, centre, rule: _sides(bone.found, bone.side, bone.landmarks_mm, centre, by_wire=not bone.exchanged)
+        lambda bone, centre, rule: _sides(
+            bone.anatomy, bone.side, bone.landmarks_mm, centre, by_wire=not bone.exchanged
+        )
     ),
     "head to entry": _of_bone(lambda bone, centre, rule: [_from_head(centre, rule.range[0])]),
-    "tip in head": lambda bone, rule: [] if bone.found.head is None else [_tip(bone.found)],
+    "tip in head": lambda bone, rule: [] if bone.anatomy.head is None else [_tip(bone.anatomy)],
     "lateral of lesser trochanter": _lesser,
     "anterior of lesser trochanter": _lesser,
     "wire to shaft": lambda bone, rule: (
-        [] if bone.found.shaft is None else [_to_shaft(bone.found.shaft.direction, *rule.range)]
+        [] if bone.anatomy.shaft is None else [_to_shaft(bone.anatomy.shaft.direction, *rule.range)]
     ),
     "entry below cortex": _of_bone(_cortex),
     "entry outside cortex": _of_bone(_cortex),
     "wire length": lambda bone, rule: [_length(rule)],
-    "angle between views": lambda bone, rule: [_between_views(bone.found, rule.range[0])],
+    "angle between views": lambda bone, rule: [_between_views(bone.anatomy, rule.range[0])],
     "view directions": lambda bone, rule: [],  # `judge_directions` has the views
 }

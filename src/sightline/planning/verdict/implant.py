@@ -25,7 +25,7 @@ class Implant:
     sentence: str
 
 
-def fitting(catalogue: Catalogue, length_mm: float, found: Anatomy | None, side: str | None) -> Implant | None:
+def fitting(catalogue: Catalogue, length_mm: float, anatomy: Anatomy | None, side: str | None) -> Implant | None:
     """Return the longest implant that is not longer than the wire in the bone, and the plate whose angle is nearest to
     the neck-shaft angle, if neck and shaft are drawn. None where the lengths do not follow from the wire.
 
@@ -36,22 +36,22 @@ def fitting(catalogue: Catalogue, length_mm: float, found: Anatomy | None, side:
     lengths, angles, of = catalogue.lengths_mm, catalogue.plate_angles_deg, catalogue.implants
     length = _fitting_mm(lengths, length_mm)
     if length is None:
-        said = (
+        sentence = (
             f"None of the {of} fits: the wire runs {length_mm:.1f} mm, they have {lengths[0]:g} to {lengths[-1]:g} mm."
         )
     else:
-        said = f"Of the {of} the one of {length:g} mm fits: the wire runs {length_mm:.1f} mm."
-    if not angles or found is None or side is None:
-        return Implant(length, None, said)
-    known = metric(found, "neck-shaft angle", side)
+        sentence = f"Of the {of} the one of {length:g} mm fits: the wire runs {length_mm:.1f} mm."
+    if not angles or anatomy is None or side is None:
+        return Implant(length, None, sentence)
+    known = metric(anatomy, "neck-shaft angle", side)
     if known.value is None or known.sd is None:
-        return Implant(length, None, said)
+        return Implant(length, None, sentence)
     angle, error = known.value, TWO_SIDED_95 * known.sd
-    first, last = (min(angles, key=lambda one: abs(one - at)) for at in (angle - error, angle + error))
-    near = [one for one in angles if first <= one <= last]
-    plates = " or ".join(f"{one:g}°" for one in near)
-    said += f" Neck and shaft enclose {angle:.1f}° ± {error:.1f}° (95 %): plate of {plates}."
-    return Implant(length, near[0] if len(near) == 1 else None, said)
+    first, last = (min(angles, key=lambda plate_deg: abs(plate_deg - at)) for at in (angle - error, angle + error))
+    near = [plate_deg for plate_deg in angles if first <= plate_deg <= last]
+    plates = " or ".join(f"{plate_deg:g}°" for plate_deg in near)
+    sentence += f" Neck and shaft enclose {angle:.1f}° ± {error:.1f}° (95 %): plate of {plates}."
+    return Implant(length, near[0] if len(near) == 1 else None, sentence)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,18 +98,18 @@ def template(seen: Corridor, wire_mm: float, document: ProcedureDocument) -> Tem
 def _cubic(x: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return the values (A, n) at places (A,), from those (S, n) at increasing places `x` (S,), S > 1: for each place
     by the polynomial through the four stations nearest to it, or through all of fewer."""
-    out = np.empty((len(at), values.shape[1]))
-    _fill_cubic(x, values, at, np.searchsorted(x, at), out)
-    return out
+    interpolated = np.empty((len(at), values.shape[1]))
+    _fill_cubic(x, values, at, np.searchsorted(x, at), interpolated)
+    return interpolated
 
 
 @kernel(nogil=True)
-def _fill_cubic(x, values, at, after, out):
+def _fill_cubic(x, values, at, after, filled):
     """Fill `out` with the values of `_cubic`; `after` (A,): the first station not before each place."""
     count = min(4, len(x))
     for a in range(len(at)):
         first = min(max(after[a] - count // 2, 0), len(x) - count)
-        out[a] = 0.0
+        filled[a] = 0.0
         for k in range(first, first + count):
             off, apart = 1.0, 1.0
             for j in range(first, first + count):
@@ -117,7 +117,7 @@ def _fill_cubic(x, values, at, after, out):
                     off *= at[a] - x[j]
                     apart *= x[k] - x[j]
             for n in range(values.shape[1]):
-                out[a, n] += off / apart * values[k, n]
+                filled[a, n] += off / apart * values[k, n]
 
 
 def _diameter_mm(document: ProcedureDocument) -> float | None:

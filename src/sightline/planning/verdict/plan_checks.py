@@ -123,19 +123,19 @@ def _movement(points: SpacePoints, views: Sequence[str]) -> Check:
     return Check("movement", bool(passed), shift / sd, MAX_GAP_SIGMA, "σ", sentence)
 
 
-def _movement_between(found: Movement, free: int, views: Sequence[str]) -> Check:
+def _movement_between(movement: Movement, free: int, views: Sequence[str]) -> Check:
     """Return the check that the bone did not move between three or more images, from the chi-square of its shifts."""
     images = len(views)
     limit = ellipsoid_factor(CONFIDENCE, 2 * images - 3) ** 2
-    if found.shown.min() < MIN_FREE_POINTS or found.freedom < 2 * images - 3:
+    if movement.shown.min() < MIN_FREE_POINTS or movement.freedom < 2 * images - 3:
         sentence = (
             f"A movement of the patient between the {images} images is not tested completely: pick {MIN_FREE_POINTS} "
             "landmarks freely in all of them."
         )
         return Check("movement", False, None, limit, "χ²", sentence, missing=True)
-    passed = found.chi2 <= limit
+    passed = movement.chi2 <= limit
     if passed:
-        first, last = found.noticed_mm[[0, -1], 1]
+        first, last = movement.noticed_mm[[0, -1], 1]
         sentence = (
             f"The lines of sight of {free} free points show no movement between the {images} images. After the first "
             f"image ({views[0]}) one of {first:.1f} mm across its beam would be detected, before the last image "
@@ -147,7 +147,7 @@ def _movement_between(found: Movement, free: int, views: Sequence[str]) -> Check
             f"The bone seems to have moved between the {images} images: the lines of sight of {free} free points "
             "disagree as after a shift. Acquire the images again, with the patient fixed to the frame, or pick again."
         )
-    return Check("movement", passed, found.chi2, limit, "χ²", sentence)
+    return Check("movement", passed, movement.chi2, limit, "χ²", sentence)
 
 
 def _inside_hull(trajectory: Trajectory, views: Sequence[CalibratedView]) -> Check:

@@ -42,7 +42,7 @@ class WireLines:
         planned = [] if points is None else [points.xyz_mm]
         covariances = [] if points is None else [points.joint_covariance_mm2]
         covariances += [wire.covariance_mm2 for wire in placed.values()]
-        known = [one for one in covariances if one is not None]
+        known = [covariance for covariance in covariances if covariance is not None]
         all_known = len(known) == len(covariances)
         return WireLines(
             (*keys, *placed),
@@ -142,16 +142,16 @@ def _mean_direction(ends_mm: np.ndarray) -> np.ndarray:
 
 def _parallel(relation: Relation, wires: WireLines, names: Mapping[str, str], side: str | None) -> Check | None:
     """Return the check of the pair of wires with the largest bound of its angle; None for fewer than two wires."""
-    pairs, high, found = list(combinations(wires.places(relation.wires), 2)), relation.high or 0.0, {}
+    pairs, high, angles = list(combinations(wires.places(relation.wires), 2)), relation.high or 0.0, {}
     for a, b in pairs:
         # The difference of two directions; its length is the angle, where that is small.
         _, covariance = wires.linear(lambda ends, a=a, b=b: _directions(ends[:, b]) - _directions(ends[:, a]))
         value, error = angle_rad(wires.ends_mm[None], a, b)[0], length_quantile(covariance, 1 - _RISK / len(pairs))
-        found[a, b] = float(np.rad2deg(value + error)), float(np.rad2deg(value))
-    if not found:
+        angles[a, b] = float(np.rad2deg(value + error)), float(np.rad2deg(value))
+    if not angles:
         return None
-    worst = max(found, key=lambda pair: found[pair])
-    bound, value = found[worst]
+    worst = max(angles, key=lambda pair: angles[pair])
+    bound, value = angles[worst]
     passed = bound <= high
     sentence = (
         f"Between {_both(wires, worst, names)} the angle is {value:.2f}°, with 95 % probability below {bound:.2f}°"
@@ -162,16 +162,16 @@ def _parallel(relation: Relation, wires: WireLines, names: Mapping[str, str], si
 
 def _spacing(relation: Relation, wires: WireLines, names: Mapping[str, str], side: str | None) -> Check | None:
     """Return the check of the pair of wires with the smallest margin; None for fewer than two wires."""
-    pairs, found = list(combinations(wires.places(relation.wires), 2)), []
+    pairs, margins = list(combinations(wires.places(relation.wires), 2)), []
     low, high = relation.low or 0.0, relation.high or 0.0
     for a, b in pairs:
         (value,), variance = wires.linear(lambda ends, a=a, b=b: spacing_mm(ends, a, b)[:, None])
         error = length_quantile(variance, 1 - _RISK / len(pairs))
         least, most = max(float(value - error), 0.0), float(value + error)
-        found += [(least - low, least, low, value, error, (a, b)), (high - most, most, high, value, error, (a, b))]
-    if not found:
+        margins += [(least - low, least, low, value, error, (a, b)), (high - most, most, high, value, error, (a, b))]
+    if not margins:
         return None
-    margin, figure, limit, value, error, worst = min(found)
+    margin, figure, limit, value, error, worst = min(margins)
     sentence = (
         f"Between {_both(wires, worst, names)} the distance at the entries is {value:.1f} mm, with 95 % probability "
         f"within {error:.1f} mm"

@@ -65,34 +65,34 @@ class BoneAxes:
     `landmarks`: the keys of the picked landmarks, in the order of the part "landmarks".
     """
 
-    found: Anatomy
+    anatomy: Anatomy
     document: ProcedureDocument
     landmarks: Sequence[str]
     side: str
 
     def lacking(self, directions: Sequence[BoneDirection]) -> list[str]:
         """Return what is missing of some directions, each as a clause that says what to do."""
-        names = {one.key: one.name for one in self.document.landmarks}
-        out = []
-        for key in dict.fromkeys(key for one in directions for key in (*one.from_, *one.to, one.along) if key):
+        names = {landmark.key: landmark.name for landmark in self.document.landmarks}
+        clauses = []
+        for key in dict.fromkeys(key for way in directions for key in (*way.from_, *way.to, way.along) if key):
             if key in names and key not in self.landmarks:
-                out.append(f"the landmark '{names[key]}' is not picked: pick it in both images and name it")
-            elif key not in (*names, "entry", "end") and key not in self.found.at:
-                out.append(self.found.why_absent(key))
-        return out
+                clauses.append(f"the landmark '{names[key]}' is not picked: pick it in both images and name it")
+            elif key not in (*names, "entry", "end") and key not in self.anatomy.at:
+                clauses.append(self.anatomy.why_absent(key))
+        return clauses
 
     def axes(self, values: np.ndarray) -> np.ndarray:
         """Return lateral, caudal and anterior (K, 3, 3) as rows, CFCS, of K sets of `Anatomy.values`."""
-        measured = self._triad(*(self._vector(one, values) for one in self.document.directions[:2]))
-        nominal = self._triad(*(one.nominal[None] for one in self.document.directions[:2]))
+        measured = self._triad(*(self._vector(direction, values) for direction in self.document.directions[:2]))
+        nominal = self._triad(*(direction.nominal[None] for direction in self.document.directions[:2]))
         # A left bone is mirrored: the third axis of its nominal triad points the other way.
         nominal = nominal * [[1.0], [1.0], [1.0 if self.side == "right" else -1.0]]
         return np.swapaxes(nominal, 1, 2) @ measured
 
     def scatter_rad2(self) -> np.ndarray:
         """Return the covariance (3, 3) of a small rotation of the axes: by how much bones differ from the nominal."""
-        first, second = (one.nominal for one in self.document.directions[:2])
-        a, b = np.deg2rad([one.sd_deg for one in self.document.directions[:2]])
+        first, second = (direction.nominal for direction in self.document.directions[:2])
+        a, b = np.deg2rad([direction.sd_deg for direction in self.document.directions[:2]])
         about = np.outer(first, first)
         return a**2 * (np.eye(3) - about) + b**2 / float(np.sum(across(second, first) ** 2)) * about
 
@@ -103,13 +103,13 @@ class BoneAxes:
         way = np.sign(np.cross(first.nominal, second.nominal) @ third.nominal) * (1 if self.side == "right" else -1)
 
         def value(values: np.ndarray) -> np.ndarray:
-            a, b, c = (self._vector(one, values) for one in (first, second, third))
+            a, b, c = (self._vector(direction, values) for direction in (first, second, third))
             return way * (unit(np.cross(a, b)) * c).sum(axis=-1, keepdims=True)
 
-        (at,), (own,) = response(value, self.found.values)
-        length = float(np.linalg.norm(self._vector(third, self.found.values[None])))
+        (at,), (own,) = response(value, self.anatomy.values)
+        length = float(np.linalg.norm(self._vector(third, self.anatomy.values[None])))
         scatter = length**2 * float(np.linalg.eigvalsh(self.scatter_rad2())[-1])
-        return float(at), float(np.sqrt(own @ self.found.covariance @ own + scatter))
+        return float(at), float(np.sqrt(own @ self.anatomy.covariance @ own + scatter))
 
     @staticmethod
     def _triad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -117,24 +117,24 @@ class BoneAxes:
         beside = unit(across(second, along))
         return np.stack([along, beside, np.cross(along, beside)], axis=1)
 
-    def _vector(self, one: BoneDirection, values: np.ndarray) -> np.ndarray:
+    def _vector(self, asked: BoneDirection, values: np.ndarray) -> np.ndarray:
         """Return a direction (K, 3), mm."""
-        start, stop = (np.mean([self._point(key, values) for key in keys], axis=0) for keys in (one.from_, one.to))
-        if one.along is None:
+        start, stop = (np.mean([self._point(key, values) for key in keys], axis=0) for keys in (asked.from_, asked.to))
+        if asked.along is None:
             return stop - start
-        axis = _AXES[self._type(one.along)](values[:, self.found.at[one.along]], one.along)
+        axis = _AXES[self._type(asked.along)](values[:, self.anatomy.at[asked.along]], asked.along)
         return axis * np.sign(axis[0] @ (stop - start)[0])
 
     def _point(self, key: str, values: np.ndarray) -> np.ndarray:
         if key in ("entry", "end"):
-            return values[:, self.found.at["wire"]][:, slice(0, 3) if key == "entry" else slice(3, 6)]
+            return values[:, self.anatomy.at["wire"]][:, slice(0, 3) if key == "entry" else slice(3, 6)]
         if key in self.landmarks:
-            first = self.found.at["landmarks"].start + 3 * list(self.landmarks).index(key)
+            first = self.anatomy.at["landmarks"].start + 3 * list(self.landmarks).index(key)
             return values[:, first : first + 3]
-        return _MIDDLES[self._type(key)](values[:, self.found.at[key]], key)
+        return _MIDDLES[self._type(key)](values[:, self.anatomy.at[key]], key)
 
     def _type(self, key: str) -> AidType:
-        return next(one.type for one in self.document.aids if one.key == key)
+        return next(aid.type for aid in self.document.aids if aid.key == key)
 
 
 def frame_axes(side: str | None) -> np.ndarray:
@@ -163,9 +163,9 @@ class Located:
     @property
     def unknown_directions(self) -> str:
         """Why the procedure's check of directions cannot be made, or ""."""
-        if all(one.check != _NAME for one in self.procedure.checks):
+        if all(rule.check != _NAME for rule in self.procedure.checks):
             return ""
-        if self.side is None and any(one.tilt_deg for one in self.procedure.document.views):
+        if self.side is None and any(view.tilt_deg for view in self.procedure.document.views):
             return "The directions of the images are not checked: the side is not given, which tells head from feet."
         if _axes_of_frame(self.views):
             return ""
@@ -202,7 +202,7 @@ class Located:
         return "; ".join(lacking)
 
     def _directions(self) -> Verdict:
-        rule = next((one for one in self.procedure.checks if one.check == _NAME), None)
+        rule = next((asked for asked in self.procedure.checks if asked.check == _NAME), None)
         if rule is None:
             return Verdict(())
         if why := self.unknown_directions:
@@ -217,41 +217,42 @@ class Located:
         """Return the view that is farthest beyond its tolerance, with its error. Raises ReconstructionRefusedError."""
         wanted = self.procedure.document.views
         names = [view.name for view in self.views[2:]]
-        asked = [one for k, one in enumerate(wanted) if k < 2 or one.name in names]
-        beams, errors = self.beams([0, 1, *(2 + names.index(one.name) for one in asked[2:])])
+        asked = [view for k, view in enumerate(wanted) if k < 2 or view.name in names]
+        beams, errors = self.beams([0, 1, *(2 + names.index(view.name) for view in asked[2:])])
         judged = [JudgedView.of(*each) for each in zip(asked, beams, errors, strict=False)]
-        return max(judged, key=lambda one: one.over_deg)
+        return max(judged, key=lambda view: view.over_deg)
 
     def beams(self, of: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the beams (V, 3) at the wire's middle of some views, anatomical, and their 95 % errors (V,), rad.
 
         An error is that of the direction in which it is largest.
         """
-        found, at = self.anatomy, self.anatomy.at
+        anatomy, at = self.anatomy, self.anatomy.at
         further = [self.views[k].focal_point_mm for k in of[2:]]
 
         def beams(values: np.ndarray) -> np.ndarray:
             middle = values[:, at["wire"]].reshape(-1, 2, 3).mean(axis=1)
             focal = [values[:, at["focal"]][:, :3], values[:, at["focal"]][:, 3:], *further]
-            return unit(np.stack([middle - one for one in focal], axis=1))
+            return unit(np.stack([middle - source for source in focal], axis=1))
 
         if _axes_of_frame(self.views):
-            return beams(found.values[None])[0] @ frame_axes(self.side).T, np.zeros(len(of))
+            return beams(anatomy.values[None])[0] @ frame_axes(self.side).T, np.zeros(len(of))
         bone = self._bone
-        assert found.covariance is not None  # noqa: S101 - else `unknown_directions`
+        assert anatomy.covariance is not None  # noqa: S101 - else `unknown_directions`
         flat, own = response(
-            lambda values: (beams(values) @ np.swapaxes(bone.axes(values), 1, 2)).reshape(len(values), -1), found.values
+            lambda values: (beams(values) @ np.swapaxes(bone.axes(values), 1, 2)).reshape(len(values), -1),
+            anatomy.values,
         )
-        out, by_values = flat.reshape(-1, 3), own.reshape(len(of), 3, -1)
-        turned = np.cross(out[:, None], np.eye(3))  # of a beam, by a small rotation about each axis
+        judged, by_values = flat.reshape(-1, 3), own.reshape(len(of), 3, -1)
+        turned = np.cross(judged[:, None], np.eye(3))  # of a beam, by a small rotation about each axis
         scatter = np.swapaxes(turned, 1, 2) @ bone.scatter_rad2() @ turned
-        measured = by_values @ found.covariance @ np.swapaxes(by_values, 1, 2)
-        return out, TWO_SIDED_95 * np.sqrt(np.linalg.eigvalsh(measured + scatter)[:, -1])
+        measured = by_values @ anatomy.covariance @ np.swapaxes(by_values, 1, 2)
+        return judged, TWO_SIDED_95 * np.sqrt(np.linalg.eigvalsh(measured + scatter)[:, -1])
 
     def _side(self) -> Verdict:
         """Return the check that the bone is one of the stated side, where its directions show that."""
         document, none = self.procedure.document, Verdict(())
-        rule = next((one for one in self.procedure.checks if one.check == "side"), None)
+        rule = next((rule for rule in self.procedure.checks if rule.check == "side"), None)
         stated_before = self.side is None and rule in rules_of_bone(self.procedure, self.views)
         if rule is None or len(document.directions) < 3 or stated_before:
             return none
@@ -304,38 +305,38 @@ class JudgedView:
 
     def check(self) -> Check:
         """Return the check that the whole 95 % interval lies within the tolerance."""
-        one = self.wanted
+        wanted = self.wanted
         known = f", with 95 % probability within {self.error_deg:.0f}°" if self.error_deg else ""
         sentence = (
-            f"The view {one.name} is {self.away_deg:.0f}° from its wanted direction{known} (at most "
-            f"{one.within_deg:.0f}°{', with its error' if known else ''})"
+            f"The view {wanted.name} is {self.away_deg:.0f}° from its wanted direction{known} (at most "
+            f"{wanted.within_deg:.0f}°{', with its error' if known else ''})"
         )
         if self.over_deg > 0.0:
             orbit, tilt = angles_of(self.beam)
             sentence += (
-                f"; its beam is at orbit {orbit:.0f}°, tilt {tilt:.0f}°: acquire it at orbit {one.orbit_deg:.0f}°, "
-                f"tilt {one.tilt_deg:.0f}°, or check the side and the order of the images"
+                f"; its beam is at orbit {orbit:.0f}°, tilt {tilt:.0f}°: acquire it at orbit {wanted.orbit_deg:.0f}°, "
+                f"tilt {wanted.tilt_deg:.0f}°, or check the side and the order of the images"
             )
             sentence += ", or draw the aids more accurately" if known else ""
-        return Check("view directions", self.over_deg <= 0.0, self.away_deg, one.within_deg, "°", f"{sentence}.")
+        return Check("view directions", self.over_deg <= 0.0, self.away_deg, wanted.within_deg, "°", f"{sentence}.")
 
 
 def _axes_of_frame(views: Sequence[CalibratedView]) -> bool:
     """Return True where the axes of the views' frame are those of the patient: of plates (docs/conventions.md)."""
-    return all(one.frame_key is not None and one.adjustment is None for one in map(no_lines, views))
+    return all(sight.frame_key is not None and sight.adjustment is None for sight in map(no_lines, views))
 
 
 def rules_of_bone(procedure: Procedure, views: Sequence[CalibratedView]) -> tuple[CheckRule, ...]:
     """Return the procedure's rules without that of the side, where only directions of the bone show it."""
     by_bone = len(procedure.document.directions) == 3 and not _axes_of_frame(views)
-    return tuple(one for one in procedure.checks if one.check != "side" or not by_bone)
+    return tuple(rule for rule in procedure.checks if rule.check != "side" or not by_bone)
 
 
 def assumed_axes(procedure: Procedure, views: Sequence[CalibratedView]) -> str:
     """Return what the procedure's checks along a block's axes take for granted, or "" for plates or without such."""
-    if all(one.check not in _ALONG_AXES for one in rules_of_bone(procedure, views)):
+    if all(rule.check not in _ALONG_AXES for rule in rules_of_bone(procedure, views)):
         return ""
-    return _ASSUMED if any(one.adjustment is not None for one in map(no_lines, views)) else ""
+    return _ASSUMED if any(lines.adjustment is not None for lines in map(no_lines, views)) else ""
 
 
 def angles_of(beam: np.ndarray) -> tuple[float, float]:
