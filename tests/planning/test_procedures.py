@@ -82,7 +82,7 @@ CAUDAL = {"from": ["head"], "to": ["shaft"], "orbit_deg": 0, "tilt_deg": -90, "s
         (("wires", 0, "diameter_mm"), -1, "greater than 0"),
         (("checks", 8, "check"), "wire colour", "names the check 'wire colour', which is not known; choose from"),
         (("checks", 8, "low"), None, "'wire length', which takes low and high; give 'low'"),
-        (("checks", 0, "low"), 3, "'entry and end', which takes no limits; remove 'low'"),
+        (("checks", 0, "low"), 3, "'entry and end', which takes no numbers; remove 'low'"),
         (("checks", 8, "low"), 200, "give a lower limit below the upper one"),
         (("checks", 1, "check"), "entry and end", "'entry and end' occurs twice in the checks"),
         (("landmarks", 1, "key"), "head-centre", "'head-centre' occurs twice in the landmarks and aids"),

@@ -199,6 +199,13 @@ def failed(checks: Iterable[Check]) -> tuple[Check, ...]:
     return tuple(check for check in checks if not check.passed)
 
 
+def at_most(name: str, value: float, limit: float, unit: str, states: str, *, otherwise: str) -> Check:
+    """Return the check that a value is at most its limit. Its sentence `states` the value; where the check fails it
+    goes on with `otherwise`, which says what to do."""
+    passed = bool(value <= limit)
+    return Check(name, passed, value, limit, unit, states + ("." if passed else otherwise))
+
+
 def error_check(name: str, what: str, error_95: float, limit: float, unit: str, *, advice: str) -> Check:
     """Return the check of a 95 % error against its limit; a failure's sentence ends with `advice`."""
     passed = error_95 <= limit

@@ -4,8 +4,9 @@ The shaft's axis lies midway between its edges. Both begin equally far outside o
 this distance cancels in the axis.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,13 +25,13 @@ from sightline.errors import OutsideRegionError, ReconstructionRefusedError, Unu
 from sightline.imaging import Radiograph
 from sightline.planning.bone.aids import Aids, Circle, Line
 from sightline.planning.bone.anatomy import locate
-from sightline.planning.bone.drawings import Axis
+from sightline.planning.bone.drawings import MAX_UNEQUAL, Axis
 from sightline.planning.bone.head import find_head
 
 _MIN_RADIUS_PX = 4 * REACH_PX  # so that a circle is far from its other side
 _MIN_LENGTH_PX = 8 * REACH_PX  # so that most of a border lies beside its edge, however it is tilted
 _MAX_TAPER_DEG = 2.0  # of both borders; 0.75° are of the projection [calc], the rest is the bone's [ours]
-_MAX_UNEQUAL = 0.2  # difference of the widths in both images over their mean: a shaft is nearly round [ours]
+_Drawn = TypeVar("_Drawn", Circle, Line)
 
 
 def fit_head(
@@ -41,17 +42,27 @@ def fit_head(
     Its covariances are those of the fits. A circle is kept where its image shows no clear edge, or two, and both where
     they are not of one sphere: the reason stands at the view's name. `views`, `images`: PA and lateral first.
     """
-    fitted, kept = [], {}
-    for view, image, circle in zip(views[:2], images[:2], drawn, strict=True):
-        try:
-            fitted.append(_circle(image, circle))
-        except NoBoneEdgeError as why:
-            kept[view.name] = str(why)
-            fitted.append(circle)
-    head = fitted[0], fitted[1]
+    head, kept = fitted_or_kept(views, images, drawn, lambda view, image, circle: _circle(image, circle))
     if len(kept) < 2 and (why := _no_sphere(views, head)):
         return drawn, dict.fromkeys([view.name for view in views[:2]], why)
     return head, kept
+
+
+def fitted_or_kept(
+    views: Sequence[CalibratedView],
+    images: Sequence[Radiograph],
+    drawn: tuple[_Drawn, _Drawn],
+    fit: Callable[[CalibratedView, Radiograph, _Drawn], _Drawn],
+) -> tuple[tuple[_Drawn, _Drawn], dict[str, str]]:
+    """Return what `fit` makes of the drawings in both images. A drawing is kept where `fit` raises NoBoneEdgeError or
+    OutsideRegionError: the reason stands at the view's name."""
+    fitted, kept = list(drawn), {}
+    for k, (view, image) in enumerate(zip(views[:2], images[:2], strict=True)):
+        try:
+            fitted[k] = fit(view, image, drawn[k])
+        except (NoBoneEdgeError, OutsideRegionError) as why:
+            kept[view.name] = str(why)
+    return (fitted[0], fitted[1]), kept
 
 
 def _no_sphere(views: Sequence[CalibratedView], head: tuple[Circle, Circle]) -> str:
@@ -111,14 +122,7 @@ def fit_shaft(
     parallel; both where they are not of one shaft. The reason stands at the view's name. `views`, `images`: PA and
     lateral first.
     """
-    fitted, kept = [], {}
-    for view, image, line in zip(views[:2], images[:2], drawn, strict=True):
-        try:
-            fitted.append(_axis(view, image, line))
-        except (NoBoneEdgeError, OutsideRegionError) as why:
-            kept[view.name] = str(why)
-            fitted.append(line)
-    lines = fitted[0], fitted[1]
+    lines, kept = fitted_or_kept(views, images, drawn, _axis)
     if not kept and (why := _no_shaft(views, lines)):
         return drawn, dict.fromkeys([view.name for view in views[:2]], why)
     return lines, kept
@@ -219,7 +223,7 @@ def _no_shaft(views: Sequence[CalibratedView], lines: tuple[Line, Line]) -> str:
     if anatomy.shaft is None:
         return anatomy.why_absent("shaft")
     first, second = (_half_width_mm(view, line, anatomy.shaft) for view, line in zip(views[:2], lines, strict=True))
-    if abs(first - second) <= _MAX_UNEQUAL * (first + second) / 2:
+    if abs(first - second) <= MAX_UNEQUAL * (first + second) / 2:
         return ""
     return f"the edges are {2 * first:.1f} and {2 * second:.1f} mm apart in the two images, which is not one shaft"
 

@@ -22,7 +22,7 @@ from sightline.detection.bone_edges import (
     find_bone_edge,
     points_of_border,
 )
-from sightline.errors import OutsideRegionError
+from sightline.from_images.head_and_shaft import fitted_or_kept
 from sightline.imaging import Radiograph
 from sightline.planning.bone.aids import Aids, Circle, Line
 from sightline.planning.bone.anatomy import Anatomy, locate
@@ -76,15 +76,14 @@ def fit_neck(
     if missing := _missing(anatomy):
         return drawn, dict.fromkeys([view.name for view in views[:2]], missing)
     assert anatomy.head is not None and anatomy.neck is not None  # noqa: S101 - nothing is missing
-    fitted, kept = [], {}
-    for view, image, line, uneven in zip(views[:2], images[:2], drawn, _UNEVEN, strict=True):
-        try:
-            _refuse_covered(view, anatomy.neck)
-            fitted.append(_axis(view, image, line, anatomy.head, uneven))
-        except (NoBoneEdgeError, OutsideRegionError) as why:
-            kept[view.name] = str(why)
-            fitted.append(line)
-    return (fitted[0], fitted[1]), kept
+    head_mm, neck_mm = anatomy.head, anatomy.neck
+    uneven = dict(zip([view.name for view in views[:2]], _UNEVEN, strict=True))
+
+    def fit(view: CalibratedView, image: Radiograph, line: Line) -> Line:
+        _refuse_covered(view, neck_mm)
+        return _axis(view, image, line, head_mm, uneven[view.name])
+
+    return fitted_or_kept(views, images, drawn, fit)
 
 
 def _missing(anatomy: Anatomy) -> str:

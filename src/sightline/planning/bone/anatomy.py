@@ -3,7 +3,8 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from sightline.common.checks import Check
 from sightline.common.geometry.covariance import response
 from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, SightlineError, UnusableInputError
-from sightline.planning.bone.aids import Aids, Circle, Line
+from sightline.planning.bone.aids import Aids, Line
 from sightline.planning.bone.directions import caudal
 from sightline.planning.bone.drawings import Axis, find_axis, find_drawing
 from sightline.planning.bone.head import Sphere, find_head
@@ -121,75 +122,58 @@ def located(drawings: "Drawings", solution: Callable[[], Solution] | None, landm
 
     Raises UnusableInputError.
     """
-    views, aids, sights = drawings.views, drawings.aids, drawings.sights
-    names = [view.name for view in views[:2]]
+    sights, names = drawings.sights, [view.name for view in drawings.views[:2]]
     if {"pa", "lateral"} & set(names) and names != ["pa", "lateral"]:
         raise UnusableInputError("give the views 'pa' and 'lateral' first, in this order, to locate the anatomy")
-    finder = _Finder(sights, dict(drawings.absent))
-    if solution is not None:
-        finder.add("wire", lambda: _picked(sights, solution(), "wire"))
-    if solution is not None and landmarks:
-        finder.add("landmarks", lambda: _picked(sights, solution(), "landmarks"))
-    for name in ("neck", "shaft"):
-        finder.add(name, lambda name=name: find_axis(sights, name))
-    if aids.head is not None:
-        finder.add_head(views[:2], aids.head)
-    types = {"outline": "outline tube"} | {name: drawing.type for name, drawing in aids.others.items()}
-    for name, kind in types.items():
-        finder.add(name, lambda name=name, kind=kind: find_drawing(sights, name, kind))
-    finder.add("calcar", lambda: _level(sights, "calcar", finder.part("head")[:3]))
-    finder.add("cortex", lambda: _level(sights, "cortex", _nearest_to_axis(sights, "cortex", finder.part("shaft"))))
-    return finder.anatomy()
+    size, second = len(sights.values), 3 + 2 * len(sights.lines[0].xy_mm)
+    focal = np.r_[0:3, second : second + 3]
+    parts = {"focal": (sights.values[focal], np.eye(size)[focal])}
+    absent, agreement = dict(drawings.absent), None
 
+    def part(name: str) -> np.ndarray:
+        if name not in parts:
+            raise ReconstructionRefusedError(absent.get(name, _not_placed(name)))
+        return parts[name][0]
 
-class _Finder:
-    """Collects the located parts: their numbers, and the derivatives of these by z (`Sights`)."""
-
-    def __init__(self, sights: Sights, absent: dict[str, str]) -> None:
-        self.sights, self.absent = sights, absent
-        self.covariance = sights.covariance
-        self.agreement: Check | None = None
-        size, first = len(sights.values), 3 + 2 * len(sights.lines[0].xy_mm)
-        focal = np.r_[0:3, first : first + 3]
-        self.parts = {"focal": (sights.values[focal], np.eye(size)[focal])}
-
-    def add(self, name: str, find: Callable[[], tuple[np.ndarray, np.ndarray]]) -> None:
-        """Add a part: `find` returns values (m,) and their derivatives by the drawing's numbers (m, n)."""
-        if not any(name in rows for rows in self.sights.rows):
-            self.absent.setdefault(name, _not_placed(name))
-            return
+    for name, find in _finders(drawings, solution, landmarks, part).items():
+        if not any(name in rows for rows in sights.rows):
+            absent.setdefault(name, _not_placed(name))
+            continue
         try:
-            values, own = find()
+            values, own, *check = find()
         except SightlineError as refusal:
-            self.absent[name] = str(refusal)
-            return
-        whole = np.zeros((len(values), len(self.sights.values)))
-        whole[:, self.sights.index(name)] = own
-        self.parts[name] = values, whole
+            absent[name] = str(refusal)
+            continue
+        agreement = check[0] if check else agreement
+        parts[name] = values, np.zeros((len(values), size))
+        parts[name][1][:, sights.index(name)] = own
+    counts = np.cumsum([0, *(len(values) for values, _ in parts.values())])
+    at = {name: slice(int(a), int(b)) for name, a, b in zip(parts, counts, counts[1:], strict=False)}
+    by_z, covariance = np.concatenate([own for _, own in parts.values()]), sights.covariance
+    absent = {name: why for name, why in NOT_PLACED.items() if name not in at} | absent
+    joint = None if covariance is None else by_z @ covariance @ by_z.T
+    return Anatomy(np.concatenate([values for values, _ in parts.values()]), joint, at, absent, agreement)
 
-    def add_head(self, views: Sequence[CalibratedView], circles: tuple[Circle, Circle]) -> None:
-        """Add the head, and the check that its two outlines agree."""
 
-        def find() -> tuple[np.ndarray, np.ndarray]:
-            values, own, self.agreement = find_head(views, circles)
-            return values, own
-
-        self.add("head", find)
-
-    def part(self, name: str) -> np.ndarray:
-        """Return the numbers of a part. Raises ReconstructionRefusedError with the reason where it is absent."""
-        if name not in self.parts:
-            raise ReconstructionRefusedError(self.absent.get(name, _not_placed(name)))
-        return self.parts[name][0]
-
-    def anatomy(self) -> Anatomy:
-        """Return all located parts with their joint covariance."""
-        counts = np.cumsum([0, *(len(values) for values, _ in self.parts.values())])
-        at = {name: slice(int(a), int(b)) for name, a, b in zip(self.parts, counts, counts[1:], strict=False)}
-        by_z = np.concatenate([own for _, own in self.parts.values()])
-        covariance = None if self.covariance is None else by_z @ self.covariance @ by_z.T
-        absent = {name: why for name, why in NOT_PLACED.items() if name not in at} | self.absent
-        return Anatomy(np.concatenate([v for v, _ in self.parts.values()]), covariance, at, absent, self.agreement)
+def _finders(
+    drawings: "Drawings", solution: Callable[[], Solution] | None, landmarks: bool, part: Callable[[str], np.ndarray]
+) -> dict[str, Callable[[], tuple[Any, ...]]]:
+    """Return what locates each part, by name: it returns the part's numbers (m,), their derivatives (m, n) by the
+    drawing's numbers, and of the head the check that its outlines agree. `part`: returns one that is located already.
+    """
+    aids, sights = drawings.aids, drawings.sights
+    finders: dict[str, Callable[[], tuple[Any, ...]]] = {}
+    if solution is not None:
+        for name in ("wire", "landmarks") if landmarks else ("wire",):
+            finders[name] = lambda name=name: _picked(sights, solution(), name)
+    finders |= {name: partial(find_axis, sights, name) for name in ("neck", "shaft")}
+    if aids.head is not None:
+        finders["head"] = partial(find_head, drawings.views[:2], aids.head)
+    types = {"outline": "outline tube"} | {name: drawing.type for name, drawing in aids.others.items()}
+    finders |= {name: partial(find_drawing, sights, name, kind) for name, kind in types.items()}
+    finders["calcar"] = lambda: _level(sights, "calcar", part("head")[:3])
+    finders["cortex"] = lambda: _level(sights, "cortex", _nearest_to_axis(sights, "cortex", part("shaft")))
+    return finders
 
 
 def _not_placed(name: str) -> str:

@@ -20,7 +20,7 @@ Tube = np.ndarray
 _MIN_SINE = 0.5  # of the angle between the two views of the tube, seen along it [ours]
 _MIN_ALONG = 0.7  # cosine of the largest angle between wire and tube; a larger one shows wrong borders [ours]
 _STATIONS = 5  # along the drawn part of the tube, whose borders are straight [ours]
-_MAX_UNEQUAL = 0.2  # of a cylinder's widths in both images, as a share of their mean [ours]
+MAX_UNEQUAL = 0.2  # difference of a cylinder's or a shaft's widths in both images over their mean [ours]
 # At a smaller angle between the planes the axis's error is more than six times theirs [ours].
 MIN_ANGLE_RAD = np.deg2rad(10.0)
 # Drawings of one thing in two images show its middle on lines of sight that pass each other by less than this [ours].
@@ -135,7 +135,7 @@ def cylinder(tube: Tube, on: np.ndarray, name: str) -> np.ndarray:
     seen = _Seen.of(tube, on, name)
     first, second = (half[:, 0] for half in seen.half(seen.middle[:, None]))
     radius = (first + second) / 2
-    if abs(first[0] - second[0]) > _MAX_UNEQUAL * radius[0]:
+    if abs(first[0] - second[0]) > MAX_UNEQUAL * radius[0]:
         raise ReconstructionRefusedError(
             f"the {name} is {2 * first[0]:.1f} and {2 * second[0]:.1f} mm wide in the two images, which is not one "
             "cylinder; draw its borders again"

@@ -209,28 +209,12 @@ class _Parts:
         return along * np.sign(along[0] @ towards(along[0], goal, f"the {name} axis"))
 
 
-def _length(parts: _Parts) -> np.ndarray:
-    return np.linalg.norm(parts.tip - parts.entry, axis=-1)
-
-
-def _to_shaft(parts: _Parts) -> np.ndarray:
-    return _angle_deg(parts.wire, parts.shaft)
-
-
-def _neck_shaft(parts: _Parts) -> np.ndarray:
-    return _angle_deg(parts.neck, parts.shaft)
-
-
 def _version(parts: _Parts) -> np.ndarray:
     """Return the angle of the neck to the frame's frontal plane (X and the shaft), seen along the shaft."""
     forward = unit(across(ANTERIOR, parts.shaft))
     inward = np.cross(parts.shaft, forward)
     inward *= np.sign(inward[:, :1] * MEDIAL[0])
     return np.rad2deg(np.arctan2((parts.neck * forward).sum(axis=-1), (parts.neck * inward).sum(axis=-1)))
-
-
-def _tip_apex(parts: _Parts) -> np.ndarray:
-    return _seen(parts.tip - _apex(parts), parts.beam(0)) + _seen(parts.tip - _apex(parts), parts.beam(1))
 
 
 def _calcar_tip_apex(parts: _Parts) -> np.ndarray:
@@ -261,16 +245,30 @@ def _bone_ahead(parts: _Parts) -> np.ndarray:
 
 
 _DEFINITIONS = (
-    _Definition("wire length", ("wire",), _length, "mm", "From entry to end the wire runs {}.", _BY_DEFINITION),
+    _Definition(
+        "wire length",
+        ("wire",),
+        lambda parts: np.linalg.norm(parts.tip - parts.entry, axis=-1),
+        "mm",
+        "From entry to end the wire runs {}.",
+        _BY_DEFINITION,
+    ),
     _Definition(
         "wire to shaft",
         ("wire", "shaft"),
-        _to_shaft,
+        lambda parts: _angle_deg(parts.wire, parts.shaft),
         "°",
         "The wire makes an angle of {} with the shaft (measured like the neck-shaft angle).",
         _BY_DEFINITION,
     ),
-    _Definition("neck-shaft angle", ("neck", "shaft"), _neck_shaft, "°", "Neck and shaft enclose {}.", _BY_DEFINITION),
+    _Definition(
+        "neck-shaft angle",
+        ("neck", "shaft"),
+        lambda parts: _angle_deg(parts.neck, parts.shaft),
+        "°",
+        "Neck and shaft enclose {}.",
+        _BY_DEFINITION,
+    ),
     _Definition(
         "neck version",
         ("neck", "shaft"),
@@ -282,7 +280,7 @@ _DEFINITIONS = (
     _Definition(
         "tip-apex distance",
         ("wire", "head", "neck"),
-        _tip_apex,
+        lambda parts: _seen(parts.tip - _apex(parts), parts.beam(0)) + _seen(parts.tip - _apex(parts), parts.beam(1)),
         "mm",
         "The tip-apex distance, the sum of both views, is {}; cut-out is rare below 25 mm.",
         _BAUMGAERTNER,

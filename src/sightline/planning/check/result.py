@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.calibration.view import CalibratedView
-from sightline.common.checks import Check, CheckCode, Limits, failed
+from sightline.common.checks import Check, CheckCode, Limits, at_most, failed
 from sightline.common.geometry.covariance import length_quantile
 from sightline.common.show import Shown, checks_lines, numbers
 
@@ -215,38 +215,30 @@ def check_shot_error(position_95_mm: float, shot: CheckShot, limits: Limits) -> 
 
 def _landmarks(shot: CheckShot) -> Check:
     n = shot.landmarks
-    sentence = f"{n} landmarks of the bone were found again: "
-    if n == 0:
-        sentence += (
-            "a movement of the bone cannot be seen, and it is assumed to be nearly still; find three or more in all "
-            "images."
-        )
-    elif n < MIN_LANDMARKS:
-        sentence += "they show a shift of the bone but no rotation; find three or more in all four images."
-    else:
-        sentence += "its movement against the frame is known."
-    passed = n >= MIN_LANDMARKS
-    return Check("bone landmarks", passed, float(n), float(MIN_LANDMARKS), "landmarks", sentence)
+    shows = (
+        "its movement against the frame is known."
+        if n >= MIN_LANDMARKS
+        else "they show a shift of the bone but no rotation; find three or more in all four images."
+        if n
+        else "a movement of the bone cannot be seen, and it is assumed to be nearly still; find three or more in all "
+        "images."
+    )
+    sentence = f"{n} landmarks of the bone were found again: {shows}"
+    return Check("bone landmarks", n >= MIN_LANDMARKS, float(n), float(MIN_LANDMARKS), "landmarks", sentence)
 
 
 def _residuals(shot: CheckShot) -> Check:
-    value, limit = shot.residual_rms, MAX_RESIDUAL
-    sentence = f"The residuals of wire and landmarks in the four images are {value:.1f} times what is stated"
-    sentence += (
-        "." if value <= limit else ": look for a wrong landmark, another wire, or an image that is not of this plan."
-    )
-    return Check("check shot residuals", value <= limit, value, limit, "σ", sentence)
+    states = f"The residuals of wire and landmarks in the four images are {shot.residual_rms:.1f} times what is stated"
+    otherwise = ": look for a wrong landmark, another wire, or an image that is not of this plan."
+    return at_most("check shot residuals", shot.residual_rms, MAX_RESIDUAL, "σ", states, otherwise=otherwise)
 
 
 def _outlier(shot: CheckShot) -> Check:
-    value, limit = shot.outlier_sigma, MAX_OUTLIER
-    sentence = f"The largest single residual is {value:.1f} standard deviations"
-    sentence += (
-        "."
-        if value <= limit
-        else ": a tip, a piece of the wire or a landmark is wrong in one image; look at both, and take the shot again."
+    states = f"The largest single residual is {shot.outlier_sigma:.1f} standard deviations"
+    otherwise = (
+        ": a tip, a piece of the wire or a landmark is wrong in one image; look at both, and take the shot again."
     )
-    return Check("check shot outlier", value <= limit, value, limit, "σ", sentence)
+    return at_most("check shot outlier", shot.outlier_sigma, MAX_OUTLIER, "σ", states, otherwise=otherwise)
 
 
 def _bow(shot: CheckShot) -> Check:

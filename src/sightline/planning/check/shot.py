@@ -17,7 +17,7 @@ import numpy as np
 
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.calibration.view import CalibratedView
-from sightline.common.checks import Check, CheckCode, Limits, failed
+from sightline.common.checks import Check, CheckCode, Limits, at_most, failed
 from sightline.common.geometry.covariance import length_quantile
 from sightline.common.threads import one_blas_thread
 from sightline.errors import UnusableInputError
@@ -219,9 +219,8 @@ def _checks(of_wire: Check, shot: DrillShot, limits: Limits) -> list[Check]:
         f"The tip lies {shot.depth_mm:.2f} mm beyond the planned entry (s.d. {shot.depth_sd_mm:.2f} mm), {off:+.2f} mm "
         "from where the robot states it"
     )
-    passed = abs(off) <= MAX_DEPTH_MM
-    depth += "." if passed else ": these images are of another moment, or something has moved; take the shot again."
+    again = ": these images are of another moment, or something has moved; take the shot again."
     return [
         Check("wire ahead", end <= limits.position_mm, end, limits.position_mm, "mm", ahead),
-        Check("wire depth", passed, abs(off), MAX_DEPTH_MM, "mm", depth),
+        at_most("wire depth", abs(off), MAX_DEPTH_MM, "mm", depth, otherwise=again),
     ]

@@ -1,7 +1,6 @@
 """Files of nails, as their makers state them: those that are shipped, those in a folder of the user's, and others by
 their path."""
 
-import os
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -14,10 +13,10 @@ from sightline.common.strict import read_strictly
 from sightline.errors import UnusableInputError
 from sightline.planning.nail.result import Nail
 from sightline.planning.procedures.document import Strict
-from sightline.planning.procedures.procedure import ADVICE
+from sightline.planning.procedures.procedure import ADVICE, user_files
 
 NAILS_FOLDER = "SIGHTLINE_NAILS"  # environment variable: the folder of the user's files
-_MAX_BYTES, _MAX_FILES = 2**14, 200  # [ours] forty times a shipped file
+_MAX_BYTES = 2**14  # forty times a shipped file [ours]
 _ADVICE = {**ADVICE, "extra_forbidden": "is not a key of a nail's file; correct its spelling or remove it"}
 
 
@@ -52,13 +51,8 @@ def known_nails() -> dict[str, NailFile]:
 
     Raises UnusableInputError.
     """
-    named = os.environ.get(NAILS_FOLDER)
-    if named and not Path(named).is_dir():
-        raise UnusableInputError(f"{NAILS_FOLDER} is {named!r}, which is not a folder; correct it, or unset it")
-    own = sorted(Path(named).glob("*.json")) if named else []
-    if len(own) > _MAX_FILES:
-        raise UnusableInputError(f"{NAILS_FOLDER} holds {len(own)} files; keep at most {_MAX_FILES} there")
-    return {**{path.stem: _read(path) for path in own}, **shipped_nails()}
+    own = {key: _read(path) for key, path in user_files(NAILS_FOLDER).items()}
+    return {**own, **shipped_nails()}
 
 
 def nail_of(name: str) -> Nail | None:

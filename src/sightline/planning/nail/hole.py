@@ -7,7 +7,7 @@ a nail of 11 mm with holes of 5 mm they are 0.6 mm deep. All points of all views
 joint covariance of their lines of sight and of the edges.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -115,7 +115,7 @@ def fit_hole(
     kept, solved = _without_outliers(points, _fitted(points, _start(points, nail, start), nail), nail)
     _refuse_one_rim(points, kept)
     _refuse_another(solved, nail)
-    ends, by_parameters = _ends(solved.state)
+    ends, by_parameters = _by_parameters(_crossings, solved.state)
     covariance = by_parameters @ solved.covariance @ by_parameters.T
     disagreement = rims_disagree(
         ends, covariance, by_parameters @ solved.gain, solved.left, solved.redundant, points.rims(kept)
@@ -295,19 +295,23 @@ def _tangents(state: np.ndarray) -> np.ndarray:
     return tangents
 
 
-def _design(points: _Points, state: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals (N,), their derivatives (N, 13) by the parameters, and the tangents (17, 13)."""
-    tangents = _tangents(state)
-    moves = (tangents * _STEPS).T
-    values = _residuals(np.concatenate([state[None], state + moves, state - moves]), *points.rays(numbers), points.kind)
-    return values[0], ((values[1:14] - values[14:]) / (2 * _STEPS[:, None])).T, tangents
+def _design(points: _Points, state: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return residuals (N,) and their derivatives (N, 13) by the parameters."""
+    rays = points.rays(numbers)
+    return _by_parameters(lambda states: _residuals(states, *rays, points.kind), state)
+
+
+def _by_parameters(function: Callable[[np.ndarray], np.ndarray], state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return value (m,) and derivative (m, 13) by the parameters of a function that maps states (K, 17) to (K, m)."""
+    moves = (_tangents(state) * _STEPS).T
+    values = function(np.concatenate([state[None], state + moves, state - moves]))
+    return values[0], ((values[1:14] - values[14:]) / (2 * _STEPS[:, None])).T
 
 
 def _prior(state: np.ndarray, nail: Nail) -> tuple[np.ndarray, np.ndarray]:
     """Return the parameters' distance (13,) from their prior, and the prior's precision (13,)."""
-    sizes = np.array([nail.hole_mm, nail.diameter_mm, nail.diameter_mm]) / 2
     precision = np.concatenate([np.zeros(8), np.full(2, BEND_PER_MM**-2), np.full(3, nail.sd_mm**-2)])
-    return np.concatenate([np.zeros(8), state[_BEND], state[_SIZES] - sizes]), precision
+    return np.concatenate([np.zeros(8), state[_BEND], state[_SIZES] - nail.radii_mm]), precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,7 +349,7 @@ def _solved(points: _Points, nail: Nail, at: tuple[np.ndarray, np.ndarray], infl
     state, numbers = at
     kept = np.isfinite(inflation)
     by = points.by_numbers(state, numbers)
-    residual, design, tangents = _design(points, state, numbers)
+    residual, design = _design(points, state, numbers)
     residual = residual + (by * (points.measured - numbers)[points.columns]).sum(axis=1)
     to_lines = np.einsum("znc,nc->zn", points.with_columns, by)
     variance, common = points.noise(by)
@@ -373,7 +377,7 @@ def _solved(points: _Points, nail: Nail, at: tuple[np.ndarray, np.ndarray], infl
         (off + inverse @ (right - weak * off))[k] for k, (inverse, weak) in enumerate(zip(freed, free, strict=True), 10)
     ]
     return _Solved(
-        _anchored(state + tangents @ step),
+        _anchored(state + _tangents(state) @ step),
         points.measured - to_lines @ left,
         own,
         own @ by_design.T,
@@ -442,9 +446,10 @@ def _start(points: _Points, nail: Nail, pose: HolePose | None) -> np.ndarray:
                 "needed): the beam crosses the hole too obliquely, or metal hides it; turn the C-arm towards the hole"
             )
     _refuse_one_rim(points, everything)
-    sizes = np.array([nail.hole_mm, nail.diameter_mm, nail.diameter_mm]) / 2
     if pose is not None:
-        return _anchored(np.concatenate([pose.nail_mm, pose.along, pose.hole_mm, pose.axis, np.zeros(2), sizes]))
+        return _anchored(
+            np.concatenate([pose.nail_mm, pose.along, pose.hole_mm, pose.axis, np.zeros(2), nail.radii_mm])
+        )
     focal = focal_mm[[np.flatnonzero(points.view == v)[0] for v in (i, j)]]
     middles = [unit(rays[rims & (points.view == v)].mean(axis=0)) for v in (i, j)]
     middle = nearest_approach(focal[0], middles[0], focal[1], middles[1]).middle_mm
@@ -455,7 +460,7 @@ def _start(points: _Points, nail: Nail, pose: HolePose | None) -> np.ndarray:
     axes = np.cos(angle) * first + np.sin(angle) * np.cross(along, first)
     states = np.zeros((len(axes), 17))
     states[:, _NAIL] = states[:, _HOLE] = on_nail
-    states[:, _ALONG], states[:, _AXIS], states[:, _SIZES] = along, axes, sizes
+    states[:, _ALONG], states[:, _AXIS], states[:, _SIZES] = along, axes, nail.radii_mm
     return states[
         int(np.median(np.abs(_residuals(states, focal_mm, on_plane_mm, points.kind)[:, rims]), axis=1).argmin())
     ]
@@ -512,12 +517,11 @@ def turned_to_rims(cameras: Sequence[LocalCamera], seen: Sequence[HoleSeen], nai
             kind.append(np.full(len(edge.uv_px), which))
     focal_mm, points_mm, kinds = (np.concatenate(parts) for parts in (focal, points, kind))
     aside = np.cross(start.along, start.axis)
-    sizes = np.array([nail.hole_mm, nail.diameter_mm, nail.diameter_mm]) / 2
 
     def states(moves: np.ndarray) -> np.ndarray:
         at, roll = moves[:, :1], moves[:, 1:]
         holes, axes = start.nail_mm + at * start.along, np.cos(roll) * start.axis + np.sin(roll) * aside
-        rest = np.concatenate([np.zeros(2), sizes])
+        rest = np.concatenate([np.zeros(2), nail.radii_mm])
         fixed = [np.broadcast_to(part, (len(moves), len(part))) for part in (start.nail_mm, start.along, rest)]
         return np.hstack([fixed[0], fixed[1], holes, axes, fixed[2]])
 
@@ -532,14 +536,8 @@ def turned_to_rims(cameras: Sequence[LocalCamera], seen: Sequence[HoleSeen], nai
     return HolePose(start.nail_mm, start.along, state[_HOLE], state[_AXIS])
 
 
-def _ends(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return entry and exit (6,), where the hole's axis crosses the nail's surface, and derivatives (6, 13)."""
-    moves = (_tangents(state) * _STEPS).T
-    values = _crossings(np.concatenate([state[None], state + moves, state - moves]))
-    return values[0], ((values[1:14] - values[14:]) / (2 * _STEPS[:, None])).T
-
-
 def _crossings(states: np.ndarray) -> np.ndarray:
+    """Return entry and exit (K, 6), where the hole's axis crosses the nail's surface."""
     hole, axis, line = states[:, _HOLE], unit(states[:, _AXIS]), (states[:, _NAIL], unit(states[:, _ALONG]))
     near, far = through_surface(hole, axis, line, states[:, _WALL])[..., None]
     return np.hstack([hole + near * axis, hole + far * axis])

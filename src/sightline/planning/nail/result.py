@@ -8,7 +8,7 @@ import numpy as np
 
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import Check, failed
-from sightline.common.geometry.covariance import length_quantile, line_direction
+from sightline.common.geometry.covariance import length_quantile
 from sightline.common.show import Shown, checks_lines, numbers
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.planning.bone.directions import across, unit
@@ -33,6 +33,11 @@ class Nail:
     material: str = "titanium"
     sd_mm: float = 0.02  # [ours] a machining tolerance of 0.05 mm
     spacing_mm: float | None = None
+
+    @property
+    def radii_mm(self) -> np.ndarray:
+        """(3,) radii of the hole, of the outline, and of the wall that the rims lie on."""
+        return np.array([self.hole_mm, self.diameter_mm, self.diameter_mm]) / 2
 
     def __post_init__(self) -> None:
         if not (0 < self.hole_mm < self.diameter_mm < np.inf and 0 <= self.bore_mm < self.diameter_mm):
@@ -145,15 +150,12 @@ class Hole(Shown):
     @property
     def axis_covariance_mm2(self) -> np.ndarray:
         """(2, 2) covariance of the axis at its middle, along two axes perpendicular to it."""
-        across = np.linalg.svd(self.direction[None])[2][1:]
-        to_middle = np.hstack([across, across]) / 2
-        return to_middle @ self.covariance_mm2 @ to_middle.T
+        return np.asarray(self.axis.offset_covariance_mm2)
 
     @property
     def direction_covariance_rad2(self) -> np.ndarray:
         """(2, 2) covariance of the direction along two axes perpendicular to it."""
-        to_direction = line_direction(self.entry_mm, self.exit_mm)
-        return to_direction @ self.covariance_mm2 @ to_direction.T
+        return np.asarray(self.axis.direction_covariance_rad2)
 
     @property
     def axis_error_95_mm(self) -> float:

@@ -61,6 +61,7 @@ def points_of(solution: Solution) -> SpacePoints:
     budget, gap, gaps = solution.budget_mm2(), gap_mm(solution), Gaps.of(solution)
     tested = 2 * seen.sum(axis=0) - picks.snapped.sum(axis=0) > 3
     shift, shift_sd, chi2 = (None, None, None) if gaps is None or not tested.any() else gaps.mean()
+    upright = [sight.upright for sight in lines if sight.upright is not None]
     inside = np.ones_like(seen)
     inside[seen] = np.concatenate([sight.inside_hull for sight in lines])
     return SpacePoints(
@@ -75,15 +76,10 @@ def points_of(solution: Solution) -> SpacePoints:
         shift_mm=shift if two else None,
         shift_sd_mm=shift_sd if two else None,
         gap_chi2=chi2,
-        upright=_upright(lines),
+        upright=any(upright) if upright else None,
         beads_near=_beads_near(lines, seen),
         movement=None if chi2 is None or gaps is None or two else gaps.movement(solution),
     )
-
-
-def _upright(lines: Sequence[LinesOfSight]) -> bool | None:
-    known = [sight.upright for sight in lines if sight.upright is not None]
-    return any(known) if known else None
 
 
 def _beads_near(lines: Sequence[LinesOfSight], seen: np.ndarray) -> dict[str, np.ndarray] | None:

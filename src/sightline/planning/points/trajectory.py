@@ -184,21 +184,20 @@ class Trajectory(Plotted):
             }
             if known
             else None,
-            "budget_rms": self._budget_document() if known else None,
+            "budget_rms": {
+                source: {
+                    "entry_mm": rms["entry_mm"],
+                    "end_mm": rms["end_mm"],
+                    "direction_deg": float(np.rad2deg(rms["direction_rad"])),
+                }
+                for source, rms in self.budget_rms().items()
+            }
+            if known
+            else None,
             "gap_mm": self.points.gap_mm.tolist(),
             "gap_tested": self.points.gap_tested.tolist(),
             "gap_sigma": None if self.points.gap_sigma is None else self.points.gap_sigma.tolist(),
             "inside_hull": self.points.inside_hull.tolist(),
-        }
-
-    def _budget_document(self) -> dict[str, dict[str, float]]:
-        return {
-            source: {
-                "entry_mm": rms["entry_mm"],
-                "end_mm": rms["end_mm"],
-                "direction_deg": float(np.rad2deg(rms["direction_rad"])),
-            }
-            for source, rms in self.budget_rms().items()
         }
 
 

@@ -1,6 +1,6 @@
 """The schema of a procedure's file (docs/procedures.md), and the checks that it may name."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from types import MappingProxyType
@@ -103,6 +103,16 @@ END_CHECKS = {
 IN_CORRIDOR = ("wire in neck", "wire in sacral corridor", "wire in pedicle")
 
 
+def _refuse_others(part: Strict, what: str, names: Sequence[str], takes: Sequence[str]) -> None:
+    """Raise ValueError where a part of a file lacks a number that it takes, or has another of these names."""
+    for name in names:
+        if (getattr(part, name) is None) == (name in takes):
+            raise ValueError(
+                f"is the {what}, which takes {' and '.join(takes) or 'no numbers'}; "
+                f"{'give' if name in takes else 'remove'} {name!r}"
+            )
+
+
 class CheckRule(Strict):
     """One check of the wire against the bone: its name in CHECKS, its limits, and their source.
 
@@ -123,13 +133,7 @@ class CheckRule(Strict):
     def _known(self) -> Self:
         if self.check not in CHECKS:
             raise ValueError(f"names the check {self.check!r}, which is not known; choose from {', '.join(CHECKS)}")
-        takes = CHECKS[self.check].limits
-        for name in ("low", "high"):
-            if (getattr(self, name) is None) == (name in takes):
-                raise ValueError(
-                    f"is the check {self.check!r}, which takes {' and '.join(takes) or 'no limits'}; "
-                    f"{'give' if name in takes else 'remove'} {name!r}"
-                )
+        _refuse_others(self, f"check {self.check!r}", ("low", "high"), CHECKS[self.check].limits)
         if not self.range[0] < self.range[1]:
             raise ValueError(f"has the limits {self.low:g} to {self.high:g}; give a lower limit below the upper one")
         return self
@@ -221,11 +225,8 @@ class Relation(Strict):
 
     @model_validator(mode="after")
     def _limits(self) -> Self:
-        wanted = {"parallel": {"high"}, "spacing": {"low", "high"}}.get(self.relation, set())
-        given = {name for name in ("low", "high") if getattr(self, name) is not None}
-        if given != wanted:
-            takes = " and ".join(sorted(wanted, reverse=True)) or "no limits"
-            raise ValueError(f"is the relation {self.relation!r}, which takes {takes}; correct it")
+        takes = {"parallel": ("high",), "spacing": ("low", "high")}.get(self.relation, ())
+        _refuse_others(self, f"relation {self.relation!r}", ("low", "high"), takes)
         if self.relation == "inverted triangle" and len(self.wires) != 3:
             raise ValueError("is an inverted triangle; name three wires: the lowest, the anterior, the posterior one")
         return self
@@ -303,13 +304,7 @@ class ProposalAsked(Strict):
 
     @model_validator(mode="after")
     def _numbers(self) -> Self:
-        takes = RULES[self.rule].takes
-        for name in ("angle_deg", "under_surface_mm"):
-            if (getattr(self, name) is None) == (name in takes):
-                raise ValueError(
-                    f"is the proposal {self.rule!r}, which takes {' and '.join(takes) or 'no numbers'}; "
-                    f"{'give' if name in takes else 'remove'} {name!r}"
-                )
+        _refuse_others(self, f"proposal {self.rule!r}", ("angle_deg", "under_surface_mm"), RULES[self.rule].takes)
         low, high = (90.0, 170.0) if self.rule == "through-head" else (0.0, 45.0)
         if self.angle_deg is not None and not low <= self.angle_deg <= high:
             raise ValueError(f"is the proposal {self.rule!r} at {self.angle_deg:g}°; give {low:g}° to {high:g}°")

@@ -212,13 +212,20 @@ def document_from_json(text: bytes | str) -> ProcedureDocument:
     return read_strictly(text, ProcedureDocument, UnusableInputError, ADVICE)
 
 
+def user_files(variable: str) -> dict[str, Path]:
+    """Return the files in the folder that an environment variable names, by key. Raises UnusableInputError."""
+    named = os.environ.get(variable)
+    if named and not Path(named).is_dir():
+        raise UnusableInputError(f"{variable} is {named!r}, which is not a folder; correct it, or unset it")
+    paths = sorted(Path(named).glob("*.json")) if named else []
+    if len(paths) > MAX_FILES:
+        raise UnusableInputError(f"{variable} holds {len(paths)} files; keep at most {MAX_FILES} there")
+    return {path.stem: path for path in paths}
+
+
 def own_files() -> dict[str, Path]:
     """Return the files in the user's folder by key, without those whose key is shipped. Raises UnusableInputError."""
-    folder = _folder()
-    paths = [] if folder is None else sorted(folder.glob("*.json"))
-    if len(paths) > MAX_FILES:
-        raise UnusableInputError(f"{FOLDER} holds {len(paths)} files; keep at most {MAX_FILES} there")
-    return {path.stem: path for path in paths if path.stem not in shipped()}
+    return {key: path for key, path in user_files(FOLDER).items() if key not in shipped()}
 
 
 def own_file(key: str) -> ProcedureDocument:
@@ -253,15 +260,6 @@ def _own(name: str) -> ProcedureDocument:
 
 def _shipped_folder() -> Traversable:
     return files("sightline.planning.procedures") / "shipped"
-
-
-def _folder() -> Path | None:
-    named = os.environ.get(FOLDER)
-    if not named:
-        return None
-    if not Path(named).is_dir():
-        raise UnusableInputError(f"{FOLDER} is {named!r}, which is not a folder; correct it, or unset it")
-    return Path(named)
 
 
 def _path(name: str) -> Path:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.common.geometry.covariance import TWO_SIDED_95
-from sightline.common.kernels import kernel
 from sightline.errors import OutsideRegionError
 from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.metrics import metric
@@ -98,26 +97,13 @@ def template(seen: Corridor, wire_mm: float, document: ProcedureDocument) -> Tem
 def _cubic(x: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return the values (A, n) at places (A,), from those (S, n) at increasing places `x` (S,), S > 1: for each place
     by the polynomial through the four stations nearest to it, or through all of fewer."""
-    interpolated = np.empty((len(at), values.shape[1]))
-    _fill_cubic(x, values, at, np.searchsorted(x, at), interpolated)
-    return interpolated
-
-
-@kernel(nogil=True)
-def _fill_cubic(x, values, at, after, filled):
-    """Fill `out` with the values of `_cubic`; `after` (A,): the first station not before each place."""
     count = min(4, len(x))
-    for a in range(len(at)):
-        first = min(max(after[a] - count // 2, 0), len(x) - count)
-        filled[a] = 0.0
-        for k in range(first, first + count):
-            off, apart = 1.0, 1.0
-            for j in range(first, first + count):
-                if j != k:
-                    off *= at[a] - x[j]
-                    apart *= x[k] - x[j]
-            for n in range(values.shape[1]):
-                filled[a, n] += off / apart * values[k, n]
+    first = np.clip(np.searchsorted(x, at) - count // 2, 0, len(x) - count)
+    stations = first[:, None] + np.arange(count)
+    off = np.tile((at[:, None] - x[stations])[:, None], (1, count, 1))
+    apart = x[stations][:, :, None] - x[stations][:, None]
+    off[:, range(count), range(count)] = apart[:, range(count), range(count)] = 1.0
+    return np.einsum("ak,akn->an", off.prod(axis=2) / apart.prod(axis=2), values[stations])
 
 
 def _diameter_mm(document: ProcedureDocument) -> float | None:
@@ -130,11 +116,5 @@ def _diameter_mm(document: ProcedureDocument) -> float | None:
 
 def _fitting_mm(lengths: tuple[float, ...], wire_mm: float) -> float | None:
     """Return the longest of the lengths that is not longer than the wire; None where none fits."""
-    if wire_mm > lengths[-1] + _step_mm(lengths):
-        return None
-    return max((mm for mm in lengths if mm <= wire_mm), default=None)
-
-
-def _step_mm(lengths: tuple[float, ...]) -> float:
-    """Return the last step between lengths; a wire longer by more than one has no implant."""
-    return lengths[-1] - lengths[-2] if len(lengths) > 1 else 0.0
+    step = lengths[-1] - lengths[-2] if len(lengths) > 1 else 0.0  # a wire longer by more has no implant
+    return None if wire_mm > lengths[-1] + step else max((mm for mm in lengths if mm <= wire_mm), default=None)

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from sightline.calibration.view import CalibratedView
-from sightline.common.checks import Check, Limits, error_check
+from sightline.common.checks import Check, Limits, at_most, error_check
 from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.planning.points.gaps import CONFIDENCE, Movement
 from sightline.planning.points.results import MAX_GAP_SIGMA, SpacePoints, Verdict, error_known
@@ -84,16 +84,13 @@ def _spread(points: SpacePoints) -> list[Check]:
         return []
     freedom = count if points.movement is None else points.movement.redundancy
     limit = ellipsoid_factor(CONFIDENCE, freedom) ** 2
-    passed = points.gap_chi2 <= limit
     times = float(np.sqrt(points.gap_chi2 / freedom))
-    sentence = f"The gaps of {count} free points together are {times:.1f} times what picks and views explain"
-    sentence += (
-        "."
-        if passed
-        else "; the picks are less accurate than stated, or the patient moved: pick all points again, or state a "
+    states = f"The gaps of {count} free points together are {times:.1f} times what picks and views explain"
+    otherwise = (
+        "; the picks are less accurate than stated, or the patient moved: pick all points again, or state a "
         "larger error of the picks, which increases the plan's own error."
     )
-    return [Check("pick spread", passed, points.gap_chi2, limit, "χ²", sentence)]
+    return [at_most("pick spread", points.gap_chi2, limit, "χ²", states, otherwise=otherwise)]
 
 
 def _movement(points: SpacePoints, views: Sequence[str]) -> Check:

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from sightline.common.checks import Check
+from sightline.common.checks import Check, at_most
 from sightline.common.geometry.covariance import joined, length_quantile, response
 from sightline.errors import RobotRefusedError
 from sightline.planning.bone.directions import ANTERIOR, across, caudal, lies, unit
@@ -152,12 +152,9 @@ def _parallel(relation: Relation, wires: WireLines, names: Mapping[str, str], si
         return None
     worst = max(angles, key=lambda pair: angles[pair])
     bound, value = angles[worst]
-    passed = bound <= high
-    sentence = (
-        f"Between {_both(wires, worst, names)} the angle is {value:.2f}°, with 95 % probability below {bound:.2f}°"
-    )
-    sentence += "." if passed else f"; it must be below {high:g}°: move the end point of one of them."
-    return Check("parallel", passed, bound, high, "°", sentence)
+    states = f"Between {_both(wires, worst, names)} the angle is {value:.2f}°, with 95 % probability below {bound:.2f}°"
+    otherwise = f"; it must be below {high:g}°: move the end point of one of them."
+    return at_most("parallel", bound, high, "°", states, otherwise=otherwise)
 
 
 def _spacing(relation: Relation, wires: WireLines, names: Mapping[str, str], side: str | None) -> Check | None:
