@@ -28,7 +28,7 @@ from sightline.planning.bone.anatomy import locate
 from sightline.planning.bone.drawings import MAX_UNEQUAL, Axis
 from sightline.planning.bone.head import find_head
 
-_MIN_RADIUS_PX = 4 * REACH_PX  # so that a circle is far from its other side
+MIN_RADIUS_PX = 4 * REACH_PX  # of a circle, far from its other side; and length of a neck's border
 _MIN_LENGTH_PX = 8 * REACH_PX  # so that most of a border lies beside its edge, however it is tilted
 _MAX_TAPER_DEG = 2.0  # of both borders; 0.75° are of the projection [calc], the rest is the bone's [ours]
 _Drawn = TypeVar("_Drawn", Circle, Line)
@@ -79,8 +79,8 @@ def _circle(image: Radiograph, drawn: Circle) -> Circle:
     by_circle = np.column_stack([2 * drawn.uv_px, np.ones(len(drawn.uv_px))])
     u, v, rest = np.linalg.lstsq(by_circle, (drawn.uv_px**2).sum(axis=1), rcond=None)[0]
     radius = float(np.sqrt(rest + u * u + v * v))
-    if radius < _MIN_RADIUS_PX:
-        raise NoBoneEdgeError(f"its radius is {radius:.0f} px (at least {_MIN_RADIUS_PX:.0f} px are needed)")
+    if radius < MIN_RADIUS_PX:
+        raise NoBoneEdgeError(f"its radius is {radius:.0f} px (at least {MIN_RADIUS_PX:.0f} px are needed)")
     turns = 2 * np.pi * np.arange(int(2 * np.pi * radius)) / int(2 * np.pi * radius)
     outward = np.column_stack([np.cos(turns), np.sin(turns)])
     oval = np.column_stack([np.cos(2 * turns), np.sin(2 * turns)])  # as the image of a sphere may be

@@ -15,21 +15,19 @@ from numpy.polynomial.legendre import legvander
 from sightline.calibration.bead_view import bead_shadows_px
 from sightline.calibration.view import CalibratedView
 from sightline.detection.bone_edges import (
-    REACH_PX,
     BoneEdge,
     NoBoneEdgeError,
     common_begin,
     find_bone_edge,
     points_of_border,
 )
-from sightline.from_images.head_and_shaft import fitted_or_kept
+from sightline.from_images.head_and_shaft import MIN_RADIUS_PX, fitted_or_kept
 from sightline.imaging import Radiograph
 from sightline.planning.bone.aids import Aids, Circle, Line
 from sightline.planning.bone.anatomy import Anatomy, locate
 from sightline.planning.bone.drawings import Axis
 from sightline.planning.bone.head import Sphere
 
-_MIN_LENGTH_PX = 4 * REACH_PX  # of a drawn border: 8 mm where a millimetre has 6 px [ours]
 _CURVE = 0.12  # depth of a border's curve over its length, at which the search begins: half of the deepest [twin]
 # Nearer to the beam head and trochanter cover the neck: at 68° the outline's narrowest place is 0.4 mm beside the
 # neck's, at 63° 0.9 mm [twin].
@@ -135,7 +133,7 @@ class _Border:
         The first search begins at a curve between both ends, the second at the edge of the first, across it. Raises
         NoBoneEdgeError.
         """
-        uv, inward, along = points_of_border(ends, other, _MIN_LENGTH_PX)
+        uv, inward, along = points_of_border(ends, other, MIN_RADIUS_PX)
         forms, depth_px = legvander(along, _DEGREE), _CURVE * np.linalg.norm(ends[1] - ends[0])
         uv = uv + (depth_px * (1.0 - along**2))[:, None] * inward
         first = find_bone_edge(image, uv, np.broadcast_to(inward, uv.shape), forms[:, :3], forms[:, 3:])

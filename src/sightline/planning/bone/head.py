@@ -18,12 +18,11 @@ from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning.bone.aids import Circle
 from sightline.planning.bone.directions import across, unit
-from sightline.planning.points.lines_of_sight import Sights
+from sightline.planning.points.gaps import CONFIDENCE
+from sightline.planning.points.lines_of_sight import CACHED, Sights
 
 # Accepted radii of a femoral head; adults have 20 to 26 mm (physics.md, Femur) [ours].
 RADII_MM = (14.0, 35.0)
-# The outlines of a sphere exceed the agreement limit once in a thousand heads [ours].
-_CONFIDENCE = 0.999
 _ITERATIONS, _CONVERGED_MM = 30, 1e-8
 _REWEIGHTINGS = 2  # enough: the weights hardly depend on the sphere
 
@@ -57,7 +56,7 @@ def find_head(
     return _found(tuple(views), tuple(drawn))
 
 
-@lru_cache(maxsize=8)  # of two pages, before and after a change [ours]
+@lru_cache(maxsize=CACHED)
 def _found(
     views: tuple[CalibratedView, ...], drawn: tuple[tuple[bytes, bytes, bytes], ...]
 ) -> tuple[np.ndarray, np.ndarray, Check | None]:
@@ -146,7 +145,7 @@ def _to_centre(focal: np.ndarray, points: np.ndarray, sphere: np.ndarray) -> np.
 
 
 def _agreement(chi_square: float, freedom: int) -> Check:
-    limit = ellipsoid_factor(_CONFIDENCE, freedom) ** 2
+    limit = ellipsoid_factor(CONFIDENCE, freedom) ** 2
     passed = chi_square <= limit
     sentence = (
         "The outlines of the head in both images fit one sphere."

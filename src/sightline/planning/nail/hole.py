@@ -24,6 +24,7 @@ from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.planning.bone.directions import across, unit
 from sightline.planning.nail.expected import LocalCamera, through_surface
 from sightline.planning.nail.result import Hole, HolePose, Nail
+from sightline.planning.points.gaps import CONFIDENCE
 from sightline.planning.points.lines_of_sight import Sights, joint_covariance
 from sightline.planning.points.results import error_unknown
 
@@ -41,7 +42,6 @@ _OUTLIER = 4.0  # s.d.
 _MIN_USED = 0.6  # share of the rims' points in a view that fit [ours]
 _ITERATIONS = 40
 _CONVERGED = 1e-3  # mm; of directions over 5 mm
-_CONFIDENCE = 0.999
 
 # The state of the fit: nail (point, direction), hole (point, direction), curvature, radii of hole, outline and walls.
 _NAIL, _ALONG, _HOLE, _AXIS, _BEND = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 14)
@@ -615,7 +615,7 @@ def _rims_used(points: _Points, kept: np.ndarray) -> Check:
 
 
 def _checks(solved: _Solved) -> tuple[Check, ...]:
-    limit = ellipsoid_factor(_CONFIDENCE, solved.freedom) ** 2
+    limit = ellipsoid_factor(CONFIDENCE, solved.freedom) ** 2
     agrees = solved.chi_square <= limit
     sentence = (
         "The edges in all images fit one hole of this nail."

@@ -12,10 +12,8 @@ from sightline.common.geometry.covariance import length_quantile
 from sightline.common.show import Shown, checks_lines, numbers
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.planning.bone.directions import across, unit
-from sightline.planning.bone.drawings import Axis
+from sightline.planning.bone.drawings import MIN_ANGLE_RAD, Axis
 from sightline.planning.points.results import SpacePoints, error_unknown
-
-_MIN_SINE = np.sin(np.deg2rad(10.0))  # between the beams that give the orbit's axis [ours]
 
 
 @dataclass(frozen=True)
@@ -242,7 +240,7 @@ def perfect_circle(hole: Hole, views: Sequence[CalibratedView], of: int = 0) -> 
     """
     beams = [unit(hole.middle_mm - view.focal_point_mm) for view in views]
     axis = np.cross(beams[0], beams[1])
-    if np.linalg.norm(axis) < _MIN_SINE:
+    if np.linalg.norm(axis) < np.sin(MIN_ANGLE_RAD):
         raise ReconstructionRefusedError(
             "the first two views are less than 10° apart and do not show about which axis the C-arm orbits; turn it "
             "further for one of them"

@@ -24,7 +24,7 @@ from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, Pick
 from sightline.planning.points.trajectory import Trajectory
 
 STEP_MM = 2.0  # about 10 px: the chord of a distorted line then deviates from it by less than 0.01 px [ours]
-TICK_MM = 10.0  # [ours]
+TICK_MM = 10.0  # a centimetre, as on a ruler
 _BAND_EVERY = 5  # samples: the band varies as slowly as the map's covariance, over the beads' pitch
 # A click farther than this from the curve was not meant for it: about 8 mm at the hip [ours].
 MAX_SNAP_PX = 25.0

@@ -14,7 +14,7 @@ from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.common.geometry.lines import cross
 from sightline.planning.points.solution import Solution, inverse
 
-# Correct plans exceed the limits of all gaps and of a movement together once in a thousand [ours].
+# Correct plans exceed a limit by chi-square once in a thousand [ours].
 CONFIDENCE = 0.999
 _POWER = 0.95  # probability with which the stated movement is detected [ours]
 # A shift known worse than this is not counted as shown [ours]; perspective shows one along a beam to 4 mm [calc].

@@ -18,6 +18,7 @@ from sightline.errors import ReconstructionRefusedError, UnusableInputError
 
 # Two X-ray sources nearer than this belong to one exposure given twice [ours].
 MIN_BASELINE_MM = 1.0
+CACHED = 8  # values kept by view: of a few cases, before and after a change [ours]
 # One drawing in one view: pixels (M, 2) and their covariance (2M, 2M).
 Drawn = tuple[np.ndarray, np.ndarray]
 
@@ -96,7 +97,7 @@ def _places(lines: Sequence[LinesOfSight]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
 
-@lru_cache(maxsize=8)  # the views of a few cases [ours]
+@lru_cache(maxsize=CACHED)
 def no_lines(view: CalibratedView) -> LinesOfSight:
     """Return no lines of sight of a view: they tell its frame."""
     return view.lines_of_sight(np.zeros((0, 2)))

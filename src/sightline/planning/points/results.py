@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 State = Literal["go", "no-go", "incomplete"]
 # The sources of a point's error; their covariances add up to the total.
 BUDGET = ("beads", "map", "focal_point", "frame", "picks")
-# Correct pairs of picks exceed this many standard deviations once in a thousand [ours].
+# Correct pairs of picks exceed this many standard deviations as rarely as any limit (`gaps.CONFIDENCE`).
 MAX_GAP_SIGMA = TWO_SIDED_999
 # Minimum share of used beads among the eight nearest to a point: 0.88 or more in 20 undisturbed images of the twin,
 # 0.62 or less in the middle of a strip of 16 dropped beads [twin]. A hidden bead counts half, since it neither confirms

@@ -24,8 +24,7 @@ from sightline.planning.procedures.document import AidAsked, CheckRule, Procedur
 from sightline.planning.procedures.proposal import ProposalRule
 
 FOLDER = "SIGHTLINE_PROCEDURES"  # environment variable: the folder of the user's files
-MAX_BYTES = 2**18  # [ours] fifty times the largest shipped file
-MAX_FILES = 200  # [ours] of the user's folder
+MAX_BYTES, MAX_FILES = 2**18, 200  # of a file, fifty times the largest shipped one; of the user's folder [ours]
 _RENAMED = {"interlocking": "distal-interlocking"}  # keys of earlier versions
 # Files that had one wire in earlier versions: the wire that a plan by the file's key alone is of.
 _ONLY_WIRE = {"distal-interlocking": "distal-interlocking:distal"}

@@ -9,6 +9,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.common.checks import Check, Limits, at_most, error_check
 from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.planning.points.gaps import CONFIDENCE, Movement
+from sightline.planning.points.lines_of_sight import CACHED
 from sightline.planning.points.results import MAX_GAP_SIGMA, SpacePoints, Verdict, error_known
 from sightline.planning.points.trajectory import Trajectory
 
@@ -43,7 +44,7 @@ def judge(
     return Verdict(tuple(checks))
 
 
-@lru_cache(maxsize=8)  # the views of a few cases [ours]
+@lru_cache(maxsize=CACHED)
 def _named(view: CalibratedView) -> tuple[Check, ...]:
     """Return a view's checks, with its name."""
     return tuple(check.of_view(view.name) for check in view.checks)

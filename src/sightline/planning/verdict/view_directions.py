@@ -205,13 +205,7 @@ class Located:
         rule = next((asked for asked in self.procedure.checks if asked.check == _NAME), None)
         if rule is None:
             return Verdict(())
-        if why := self.unknown_directions:
-            missing = Check("view directions", False, None, None, "°", why, missing=True)
-            return Verdict((missing,) if rule.required else ())
-        try:
-            return Verdict((self.worst_view().check(),))
-        except ReconstructionRefusedError as refusal:
-            return Verdict((Check("view directions", False, None, None, "°", f"Not known: {refusal}."),))
+        return _known(_NAME, "°", self.unknown_directions, lambda: self.worst_view().check(), required=rule.required)
 
     def worst_view(self) -> "JudgedView":
         """Return the view that is farthest beyond its tolerance, with its error. Raises ReconstructionRefusedError."""
@@ -251,21 +245,18 @@ class Located:
 
     def _side(self) -> Verdict:
         """Return the check that the bone is one of the stated side, where its directions show that."""
-        document, none = self.procedure.document, Verdict(())
+        document = self.procedure.document
         rule = next((rule for rule in self.procedure.checks if rule.check == "side"), None)
         stated_before = self.side is None and rule in rules_of_bone(self.procedure, self.views)
         if rule is None or len(document.directions) < 3 or stated_before:
-            return none
-        if sentence := self.unknown_side:
-            by_frame = _axes_of_frame(self.views) and not {"head", HEAD_CENTRE}.isdisjoint(document.given)
-            asked = rule.required and not by_frame
-            missing = Check("side", False, None, None, "mm", sentence, missing=True)
-            return Verdict((missing,)) if asked else none
-        try:
-            value, error = self.beside()
-        except ReconstructionRefusedError as refusal:
-            return Verdict((Check("side", False, None, None, "mm", f"Not known: {refusal}."),))
-        third = document.directions[2]
+            return Verdict(())
+        by_frame = _axes_of_frame(self.views) and not {"head", HEAD_CENTRE}.isdisjoint(document.given)
+        return _known("side", "mm", self.unknown_side, self._side_check, required=rule.required and not by_frame)
+
+    def _side_check(self) -> Check:
+        """Return the check that the third direction of the bone points as on the stated side."""
+        value, error = self.beside()
+        third = self.procedure.document.directions[2]
         to, start = (" and ".join(keys).replace("-", " ") for keys in (third.to, third.from_))
         axis = int(np.argmax(np.abs(third.nominal)))
         positive, negative = _WAYS[axis]
@@ -279,7 +270,18 @@ class Located:
                 f"; this is not a {self.side} side, an image is mirrored, or points are exchanged: look at both "
                 "images, then give the other side or pick again"
             )
-        return Verdict((Check("side", value > error, value, error, "mm", f"{sentence}."),))
+        return Check("side", value > error, value, error, "mm", f"{sentence}.")
+
+
+def _known(name: str, unit: str, unknown: str, make: Callable[[], Check], *, required: bool) -> Verdict:
+    """Return the check that `make` makes. Where it is `unknown` for a reason, it is missing if it is required; where
+    `make` raises ReconstructionRefusedError, it fails."""
+    if unknown:
+        return Verdict((Check(name, False, None, None, unit, unknown, missing=True),) if required else ())
+    try:
+        return Verdict((make(),))
+    except ReconstructionRefusedError as refusal:
+        return Verdict((Check(name, False, None, None, unit, f"Not known: {refusal}."),))
 
 
 @dataclass(frozen=True, eq=False)
