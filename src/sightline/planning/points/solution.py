@@ -19,7 +19,6 @@ from sightline.planning.points.lines_of_sight import (
     refuse_two_frames,
 )
 from sightline.planning.points.picks import PickArrays
-from sightline.planning.points.weighted_step import weighted_step
 
 Method = Literal["weighted", "nearest"]
 
@@ -41,13 +40,10 @@ def solve(lines: Sequence[LinesOfSight], picks: PickArrays, method: Method) -> "
     xyz = _start(given)
     _refuse_behind(lines, picks.seen, xyz)
     used: Method = "nearest" if any(sight.covariance is None for sight in lines) else method
-    if used == "weighted":
-        return Solution(given, weighted_points(given, xyz), used)
     solution = Solution(given, xyz, used)
     # Of two lines the start is already the nearest point.
-    for _ in range(_ITERATIONS if (picks.seen.sum(axis=0) > 2).any() else 0):
-        xyz = xyz + solution.step_mm()
-        solution = Solution(given, xyz, used)
+    for _ in range(_ITERATIONS if used == "weighted" or (picks.seen.sum(axis=0) > 2).any() else 0):
+        solution = Solution(given, solution.xyz_mm + solution.step_mm(), used)
     return solution
 
 
@@ -249,35 +245,6 @@ def _start(given: Given) -> np.ndarray:
         taken = best == k
         xyz[taken] = approach.middle_mm[taken[own]]
     return xyz
-
-
-def weighted_points(given: Given, xyz_mm: np.ndarray) -> np.ndarray:
-    """Return the points (N, 3) after `_ITERATIONS` weighted steps from a start. Raises OutsideRegionError,
-    ReconstructionRefusedError."""
-    assert given.total is not None  # noqa: S101 - the caller has made sure
-    seen = given.picks.seen
-    views, count = seen.shape
-    xy, first = np.zeros((views, count, 2)), np.zeros((views, count), dtype=np.int64)
-    focal, start = np.empty(views, dtype=np.int64), 0
-    for k, sight in enumerate(given.lines):
-        own = np.flatnonzero(seen[k])
-        xy[k, own], first[k, own], focal[k] = sight.xy_mm, start + 3 + 2 * np.arange(len(own)), start
-        start += 3 + 2 * len(own)
-    planes = np.array([np.vstack([sight.plane.origin_mm, sight.plane.basis, sight.pencil.pq]) for sight in given.lines])
-    points = np.array(xyz_mm)
-    for _ in range(_ITERATIONS):
-        if not weighted_step(points, planes, xy, seen, focal, first, given.total, given.picks_mm2, given.snapped):
-            return _by_solutions(given, xyz_mm)
-    return points
-
-
-def _by_solutions(given: Given, xyz_mm: np.ndarray) -> np.ndarray:
-    """Return `weighted_points` by linearised solutions, which say what is wrong with the picks.
-
-    Raises OutsideRegionError, ReconstructionRefusedError."""
-    for _ in range(_ITERATIONS):
-        xyz_mm = xyz_mm + Solution(given, xyz_mm, "weighted").step_mm()
-    return xyz_mm
 
 
 def _refuse_behind(lines: Sequence[LinesOfSight], seen: np.ndarray, xyz_mm: np.ndarray) -> None:
