@@ -16,18 +16,25 @@ LIMIT_PX = 500.0
 HULL_PX = 300.0
 
 
+OF_U, OF_V = np.array([(a, b) for a in range(4) for b in range(4 - a)]).T  # powers of the cubic monomials
+
+
+def _powers(uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The powers 0 to 3 of scaled u and v, (N, 4) each."""
+    u, v = ((np.asarray(uv_px) - CENTRE_PX) / SCALE_PX).T[..., None] ** np.arange(4)
+    return u, v
+
+
 def _basis(uv_px: np.ndarray) -> np.ndarray:
     """(N, 10) cubic monomials of scaled pixels, and their derivatives (N, 2, 10) per pixel."""
-    u, v = ((np.asarray(uv_px) - CENTRE_PX) / SCALE_PX).T
-    return np.stack([u**a * v**b for a in range(4) for b in range(4 - a)], axis=-1)
+    u, v = _powers(uv_px)
+    return u[:, OF_U] * v[:, OF_V]
 
 
 def _slope(uv_px: np.ndarray) -> np.ndarray:
-    u, v = ((np.asarray(uv_px) - CENTRE_PX) / SCALE_PX).T
-    powers = [(a, b) for a in range(4) for b in range(4 - a)]
-    du = np.stack([a * u ** max(a - 1, 0) * v**b for a, b in powers], axis=-1)
-    dv = np.stack([b * u**a * v ** max(b - 1, 0) for a, b in powers], axis=-1)
-    return np.stack([du, dv], axis=1) / SCALE_PX
+    u, v = _powers(uv_px)
+    by_u, by_v = OF_U * u[:, np.maximum(OF_U - 1, 0)] * v[:, OF_V], OF_V * u[:, OF_U] * v[:, np.maximum(OF_V - 1, 0)]
+    return np.stack([by_u, by_v], axis=1) / SCALE_PX
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,9 +130,8 @@ def stand_in(name: str, turn_rad: float = 0.0, scale: float = 1.0, seed: int = 5
     axes = np.eye(3)[others]
     origin = 300.0 * np.eye(3)[normal]
     turn = np.array([[np.cos(turn_rad), -np.sin(turn_rad)], [np.sin(turn_rad), np.cos(turn_rad)]])
-    powers = [(a, b) for a in range(4) for b in range(4 - a)]
     coefficients = np.zeros((2, 10))
-    for k, (a, b) in enumerate(powers):
+    for k, (a, b) in enumerate(zip(OF_U, OF_V, strict=True)):
         if a + b == 1:
             coefficients[:, k] = 110.0 * turn[:, b]
         if a + b == 3:  # pincushion: -6 % of (u, v) (u² + v²), and something without symmetry

@@ -35,7 +35,7 @@ def test_perfect_drawings_give_the_bone():
 def test_all_covariances_by_sampling():
     """With views, frame errors and clicks drawn anew, all parts and metrics have the stated errors, jointly too."""
     views, rng = _views(), np.random.default_rng(12)
-    uv, sd, draws = bone.pixels(views), 0.5, 100
+    uv, sd, draws = bone.pixels(views), 0.5, 60
     stated = locate(views, bone.aids(uv, sd), bone.picks(uv, sd))
     truth = metrics(stated, "right")
     parts, errors, agreements = ("wire", "neck", "shaft", "head"), [], []
@@ -111,15 +111,6 @@ def test_the_centre_of_the_outline_is_not_the_image_of_the_centre():
     np.testing.assert_allclose(np.linalg.norm(passed, axis=1) / np.linalg.norm(ray, axis=1), bone.RADIUS_MM, atol=1e-5)
     off = np.linalg.norm(drawn.mean(axis=0) - view.project(bone.CENTRE_MM[None])[0])
     assert off > 0.05
-
-
-def test_outlines_of_two_different_heads_disagree():
-    views = _views(0.1)
-    uv = bone.pixels(views)
-    uv["head"][1] = uv["head"][1].mean(axis=0) + 1.08 * (uv["head"][1] - uv["head"][1].mean(axis=0))
-    head = locate(views, bone.aids(uv)).head
-    assert not head.agreement.passed
-    assert "Draw them again" in head.agreement.sentence
 
 
 def test_an_axis_in_the_plane_of_both_beams_is_refused_and_nothing_else_is():

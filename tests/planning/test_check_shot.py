@@ -233,10 +233,13 @@ def test_pieces_that_something_pulls_aside_are_left_out(one):
     assert shot.deviation_mm == pytest.approx(right.deviation_mm, abs=0.02)
 
 
-def test_a_line_that_is_wrong_over_its_length_is_not_mended(one):
+def test_a_line_that_is_wrong_over_its_length_and_another_landmark_show(one):
     pulled = one.wires[0].uv_px + np.where(np.arange(len(one.wires[0].uv_px)) % 2, 1.0, -1.0)[:, None] * [0.5, -0.5]
-    shot = one.result(wires=[replace(one.wires[0], uv_px=pulled), one.wires[1]])
-    assert "check shot residuals" in {check.name for check in failed(shot.checks)}
+    wrong = one.landmarks.checked_uv_px.copy()
+    wrong[0, 1] += [6.0, -5.0]
+    other_landmark = Landmarks(one.landmarks.planned_uv_px, wrong, MARK_PX)
+    for spoiled in ({"wires": [replace(one.wires[0], uv_px=pulled), one.wires[1]]}, {"landmarks": other_landmark}):
+        assert "check shot residuals" in {check.name for check in failed(one.result(**spoiled).checks)}
 
 
 def test_a_tip_that_is_wrong_in_one_image_shows(one):
@@ -244,13 +247,6 @@ def test_a_tip_that_is_wrong_in_one_image_shows(one):
     way = (wire.uv_px[-1] - wire.uv_px[-2]) / np.linalg.norm(wire.uv_px[-1] - wire.uv_px[-2])
     shot = one.result(wires=[replace(wire, tip_uv_px=wire.tip_uv_px + 6.0 * way), one.wires[1]])
     assert "check shot outlier" in {check.name for check in failed(shot.checks)}
-
-
-def test_a_landmark_that_is_another_shows(one):
-    wrong = one.landmarks.checked_uv_px.copy()
-    wrong[0, 1] += [6.0, -5.0]
-    shot = one.result(landmarks=Landmarks(one.landmarks.planned_uv_px, wrong, MARK_PX))
-    assert "check shot residuals" in {check.name for check in failed(shot.checks)}
 
 
 def test_wires_of_exchanged_images_are_refused_or_fail(one):
@@ -261,21 +257,15 @@ def test_wires_of_exchanged_images_are_refused_or_fail(one):
     assert "check shot residuals" in {check.name for check in failed(shot.checks)}
 
 
-def test_one_image_twice_is_refused(one):
+def test_inputs_that_do_not_belong_together_are_refused(one):
     with pytest.raises(ReconstructionRefusedError):
         one.result(after=[one.after[0]] * 2, wires=[one.wires[0]] * 2)
-
-
-def test_landmarks_of_unlike_number_are_unusable(one):
+    with pytest.raises(UnusableInputError, match="two views"):
+        one.result(after=one.after[:1])
     with pytest.raises(UnusableInputError, match="same points"):
         Landmarks(one.landmarks.planned_uv_px, one.landmarks.checked_uv_px[:, 1:])
     with pytest.raises(UnusableInputError, match="finite"):
         Landmarks(one.landmarks.planned_uv_px, one.landmarks.checked_uv_px * np.nan)
-
-
-def test_a_view_too_few_is_unusable(one):
-    with pytest.raises(UnusableInputError, match="two views"):
-        one.result(after=one.after[:1])
 
 
 def test_the_planned_wire_is_expected_where_it_projects(one):

@@ -107,7 +107,7 @@ def test_the_covariance_of_each_type_is_that_of_its_errors(kind: str):
 def test_the_errors_of_the_checks_cover_the_truth(name: str):
     """Of the draws of views and clicks 95 % lie within each check's 95 % error, within 3.6 s.d. of that share; the wire
     is off the middle."""
-    rng, sd, draws, seen, bone = np.random.default_rng(9), 0.5, 100, views(name, 0.3), drawn(name)
+    rng, sd, draws, seen, bone = np.random.default_rng(9), 0.5, 60, views(name, 0.3), drawn(name)
     wire = bone.wire_mm + np.array([[1.1, -0.7, 0.9], [-0.8, 1.9, 0.6]])
     truth = {one: metric(bone.found(wire, bone.uv_px, sd), one, None).value for one in METRICS[name]}
     within = dict.fromkeys(truth, 0)

@@ -94,13 +94,6 @@ def test_the_limit_is_where_a_gap_begins_to_fail():
         assert len(untested.checks) == 2
 
 
-def test_an_unknown_error_fails_the_points_too():
-    views = [_views()[0], replace(_views()[1], factors=None)]
-    points = reconstruct(views, _pixels(_views()))
-    assert [check.name for check in failed(points.checks)] == ["error known"]
-    assert not points.error_stated.any()
-
-
 def test_pixels_by_name_cannot_be_exchanged():
     views = _views()
     uv = _pixels(views)

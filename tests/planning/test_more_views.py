@@ -42,7 +42,7 @@ def _estimates(views: list[StandInView], rng: np.random.Generator) -> list[Stand
 
 @pytest.mark.parametrize("method", ["weighted", "nearest"])
 def test_the_covariance_of_three_views_by_sampling(method):
-    views, draws = _views(), 300
+    views, draws = _views(), 200
     covariance = np.broadcast_to(PICK_PX2, (3, 4, 2, 2))
     truth, half = _picks(views, TARGETS_MM, SEEN), np.linalg.cholesky(PICK_PX2)
     predicted = reconstruct(views, truth, covariance, method)
@@ -78,6 +78,7 @@ def test_perfect_picks_give_the_points_though_views_miss_some(method):
     assert not failed(points.checks)
     assert tuple(points.budget_mm2) == BUDGET
     np.testing.assert_allclose(sum(points.budget_mm2.values()), points.joint_covariance_mm2, rtol=1e-12, atol=1e-15)
+    assert all(np.linalg.eigvalsh(share).min() > -1e-12 for share in points.budget_mm2.values())
 
 
 def test_a_point_that_two_views_show_is_the_point_of_these_two():
@@ -104,15 +105,6 @@ def test_the_nearest_point_of_three_lines():
     expected = meeting_point([one.focal_point_mm for one in lines], np.concatenate([one.directions for one in lines]))
     # Gauss-Newton with the distances' weights held: off by the residuals, 0.5 mm, times their share of the distance.
     np.testing.assert_allclose(reconstruct(views, uv, method="nearest").xyz_mm[0], expected.point_mm, atol=2e-3)
-
-
-def test_picks_by_the_views_names():
-    views = _views()
-    uv = _picks(views, TARGETS_MM, SEEN)
-    named = {view.name: one for view, one in zip(views, uv, strict=True)}
-    again = reconstruct(views[::-1], dict(reversed(named.items())))
-    np.testing.assert_allclose(again.xyz_mm, TARGETS_MM, atol=1e-7)
-    np.testing.assert_allclose(again.joint_covariance_mm2, reconstruct(views, uv).joint_covariance_mm2, atol=1e-9)
 
 
 def test_views_of_one_direction_need_a_third_from_another():
@@ -166,13 +158,6 @@ def test_a_snapped_pick_of_three_is_one_number():
     assert exact.gap_chi2 == pytest.approx(huge.gap_chi2, rel=1e-3)
 
 
-def test_unknown_error_of_one_view_leaves_the_nearest_points():
-    views = [*_views()[:2], replace(_views()[2], factors=None)]
-    points = reconstruct(views, _picks(views, TARGETS_MM, SEEN))
-    np.testing.assert_allclose(points.xyz_mm, TARGETS_MM, atol=1e-7)
-    assert (points.method, points.joint_covariance_mm2, points.movement) == ("nearest", None, None)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -188,6 +173,9 @@ def test_unknown_error_of_one_view_leaves_the_nearest_points():
         ),
         ({"uv_covariance_px2": np.ones((2, 4, 2, 2))}, "covariances"),
         ({"across_px": np.ones((3, 4, 2))}, "snapped in two"),
+        ({"uv_px": np.zeros((3, 0, 2))}, "shape"),
+        ({"uv_covariance_px2": np.broadcast_to(-np.eye(2), (3, 4, 2, 2))}, "symmetric and positive"),
+        ({"method": "midpoint"}, "weighted"),
     ],
 )
 def test_bad_arguments_are_refused(change, message):
@@ -203,8 +191,9 @@ def test_one_view_is_not_enough_and_none_counts_twice():
     uv = _picks(views, TARGETS_MM, np.ones((3, 4), dtype=bool))
     with pytest.raises(UnusableInputError, match="two or more"):
         reconstruct(views[:1], uv[:1])
-    with pytest.raises(ReconstructionRefusedError, match="twice"):
-        reconstruct([*views[:2], views[0]], uv[[0, 1, 0]])
+    for again in (views[0], replace(views[0]), replace(views[0], name="copy")):
+        with pytest.raises(ReconstructionRefusedError, match="twice"):
+            reconstruct([*views[:2], again], uv[[0, 1, 0]])
 
 
 def _planned(views: list[StandInView], uv: np.ndarray, **given: object) -> SpacePoints:
@@ -248,12 +237,6 @@ def test_a_plan_on_three_views_is_saved_with_the_picks_that_it_lacks(tmp_path):
     np.testing.assert_array_equal(kept.noticed_mm, made.seen.movement.noticed_mm)
 
 
-def test_a_plan_on_one_view_is_refused():
-    views = _views()
-    with pytest.raises(UnusableInputError, match="two or more"):
-        _planned(views[:1], np.full((1, 4, 2), 512.0))
-
-
 # The bone shifts once, by 2 mm. Errors of the views about those of a block: 0.1 mm rms at the target.
 ENDS_MM = np.array([[31.0, 24.0, -9.0], [-22.0, -26.0, 11.0]])
 MARKS_MM = np.array([[-20.0, -12.0, 9.0], [14.0, 22.0, -11.0], [8.0, -19.0, 16.0]])
@@ -288,7 +271,7 @@ def _any_direction(count: int) -> np.ndarray:
 @pytest.mark.parametrize("snapped", [False, True])
 def test_a_third_image_shows_a_shift_after_the_first(snapped):
     """`test_third_image` counts wrong GO from the beads on; two images miss more than one in twenty."""
-    shifts = _any_direction(60)
+    shifts = _any_direction(40)
     assert not _wrong_go(_views(0.15, 45.0), shifts, 1, snapped).any()
     assert snapped or _wrong_go(_views(0.15)[:2], shifts, 1).mean() > 0.05
 

@@ -89,9 +89,6 @@ def test_the_wrong_side_is_refused():
     """Else a wire would be proposed that runs from above into the head, as long and as steep as a good one."""
     with pytest.raises(ReconstructionRefusedError, match="above the head of a left hip"):
         _proposed(side="left")
-
-
-def test_a_head_too_small_for_the_tip_is_refused():
     with pytest.raises(ReconstructionRefusedError, match="too small for a tip"):
         _proposed(rule=ProposalRule(under_surface_mm=25.0))
 

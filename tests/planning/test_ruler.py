@@ -18,12 +18,19 @@ CORNERS = np.array([[-18.3, 4.1], [12.9, -6.6], [21.7, 30.2]])  # in the plane, 
 
 
 @pytest.fixture(scope="module")
-def view() -> BeadView:
+def pair() -> tuple[list[BeadView], SetUp]:
     frame = Frame.load("gamma")
-    setup = draw_setup(np.random.default_rng(21), frame)
-    ids, uv = bead_images(setup, "pa", np.random.default_rng(3), 0.1)
-    noise = np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0)
-    return calibrate(Observations("pa", ids, uv, noise, image_shape=(1024, 1024)), frame, view="pa")
+    setup, rng, made = draw_setup(np.random.default_rng(21), frame), np.random.default_rng(3), []
+    for name in ("pa", "lateral"):
+        ids, uv = bead_images(setup, name, rng, 0.1)
+        noise = np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0)
+        made.append(calibrate(Observations(name, ids, uv, noise, image_shape=(1024, 1024)), frame, view=name))
+    return made, setup
+
+
+@pytest.fixture(scope="module")
+def view(pair) -> BeadView:
+    return pair[0][0]
 
 
 def _pixels(view: BeadView, off_mm: float = 0.0) -> np.ndarray:
@@ -69,20 +76,8 @@ def test_two_clicks_in_one_place_are_refused(view: BeadView) -> None:
 ENDS = AT + np.array([[-20.0, 6.0, -11.0], [4.0, -3.0, 2.0], [9.0, 17.0, 13.0]])  # in no plane of a plate
 
 
-@pytest.fixture(scope="module")
-def pair() -> tuple[list[BeadView], SetUp]:
-    frame = Frame.load("gamma")
-    setup, rng, made = draw_setup(np.random.default_rng(21), frame), np.random.default_rng(3), []
-    for name in ("pa", "lateral"):
-        ids, uv = bead_images(setup, name, rng, 0.1)
-        noise = np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0)
-        made.append(calibrate(Observations(name, ids, uv, noise, image_shape=(1024, 1024)), frame, view=name))
-    return made, setup
-
-
 def test_two_images_measure_in_space_as_well_as_they_say(pair) -> None:
-    """Clicks on the truth in one set-up; calibration adds a constant error. One point in a hundred is refused: its gap
-    could be that of clicks on different points."""
+    """Clicks on the truth in one set-up; calibration adds a constant error."""
     views, setup = pair
     true_px = np.array([setup.views[view.name].project(ENDS) for view in views])
     length = np.linalg.norm(ENDS[1] - ENDS[0])

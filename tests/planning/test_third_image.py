@@ -69,10 +69,7 @@ def test_a_plan_is_saved_with_the_pick_that_the_third_image_lacks(tmp_path):
 
 @pytest.mark.slow
 def test_wrong_go_after_a_shift_is_rare_and_the_error_is_as_stated():
-    """40 set-ups with a shift of 2 mm in any direction after the first image: none is GO and off by over 1 mm.
-
-    Of bones at rest nearly all are GO, and the entry's chi-square is that of 3 numbers.
-    """
+    """40 set-ups with a shift of 2 mm in any direction after the first image: none is GO and off by over 1 mm."""
     rng, go, wrong, squares = np.random.default_rng(32), 0, 0, []
     for _ in range(40):
         setup, views, xyz = _scene(rng)
