@@ -10,15 +10,11 @@ from importlib import import_module
 from pathlib import Path
 from types import FunctionType, ModuleType
 
-import numpy as np
 import pytest
 from numba.core.registry import CPUDispatcher
 
 import sightline
-from sightline.case.views import NAMES
 from sightline.common.kernels import version
-from sightline.imaging.files import write_png
-from sightline.twin import hip_scene, render
 
 # Functions that numba compiles to instructions of the caller. Others are kernels of numba's own, with the options of
 # whatever was compiled first.
@@ -188,24 +184,22 @@ def test_two_processes_that_compile_for_different_types_leave_code_for_both(pack
 _FIND = """
 import hashlib, sys
 import sightline as sl
-frame, whole = sl.Frame.load("gamma"), hashlib.sha256()
-for path in sys.argv[1:]:
-    found = sl.detect(sl.read_image(path))
-    labelled = sl.label(found, frame)
-    for values in (found.uv_px, found.covariance_px2, labelled.uv_px, sl.calibrate(labelled, frame).focal_point_mm):
-        whole.update(values.tobytes())
+from sightline.detection.csv_files import read_observations
+image, table = sys.argv[1:]
+found, view = sl.detect(sl.read_image(image)), sl.calibrate(read_observations(table)["pa"], "gamma")
+whole = hashlib.sha256()
+for values in (found.uv_px, found.covariance_px2, view.focal_point_mm):
+    whole.update(values.tobytes())
 print(whole.hexdigest())
 """
 
 
 @pytest.mark.slow
-def test_beads_are_the_same_whether_their_kernels_were_compiled_now_or_before(tmp_path: Path, setup) -> None:
-    rng = np.random.default_rng(8)
-    scene = hip_scene(setup, rng).scene
-    images = [write_png(render(setup, view, scene, rng), tmp_path / f"{view}.png") for view in NAMES]
+def test_beads_are_the_same_whether_their_kernels_were_compiled_now_or_before(tmp_path: Path) -> None:
+    golden = Path(__file__).parent / "golden"
 
     def found(**cache: str) -> str:
-        command = [sys.executable, "-c", _FIND, *map(str, images)]
+        command = [sys.executable, "-c", _FIND, str(golden / "crop.png"), str(golden / "observations.csv")]
         environment = os.environ | cache
         ran = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)  # noqa: S603 - ours
         return ran.stdout

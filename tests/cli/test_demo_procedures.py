@@ -17,6 +17,11 @@ from sightline.rehearsal.patient import AT_HIP, BONE_OF, CANNULATED, NAILED, fra
 HIP_WORDS = ("femoral head", "lesser trochanter", "neck", "right hip", "hip screw")
 
 
+# Of these the case is computed again too; replays of a hip's and of three wires' cases are in test_demo and
+# test_check_wires.
+REPLAYED = ("pedicle-screw", NAILED)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("procedure", [*BONE_OF, CANNULATED, NAILED, "free-wire"])
 def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure: str) -> None:
@@ -24,37 +29,20 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
     assert ran.code == 0, ran.err
     told = ran.document
     assert (told["verdict"], told["kind"].partition(":")[0], told["missing"]) == ("go", procedure, [])
-    if procedure == CANNULATED:
-        assert told["all_wires"]["verdict"] == "go"
-        assert [one["error"]["entry_mm"] < 1.0 for one in told["comparison"] if "wire, " in one["picks"]] == [
-            True,
-            True,
-        ]
-        assert list(told["all_drilled"]) == ["inferior", "anterior", "posterior"]  # the file's order
-        assert [one["passed"] for one in told["all_drilled"].values()] == [True] * 3
-        tips = np.array([one["tip_mm"] for one in told["all_drilled"].values()])
-        assert np.linalg.norm(tips[1] - tips[2]) > 10.0  # not one wire measured twice
-        assert [(one["name"], one["passed"]) for one in told["relations_measured"]] == [
-            ("inverted triangle", True),
-            ("parallel", True),
-            ("spacing", True),
-        ]
-    if procedure == NAILED:
-        assert told["all_wires"]["verdict"] == "go"
-        assert {key: one["passed"] for key, one in told["all_drilled"].items()} == {"distal": True, "proximal": True}
-        tips = np.array([one["tip_mm"] for one in told["all_drilled"].values()])
-        assert 20.0 < np.linalg.norm(tips[0] - tips[1]) < 35.0  # not one drill measured twice
-        drilling = json.loads((tmp_path / "demo" / "drilling.json").read_text())
-        off = drilling["physics"][0]  # against the plan
-        assert max(off["entry_mm"], off["tip_mm"]) < 0.5  # a drill of 4 mm in a hole of 5 mm
-        events = [event["name"] for event in drilling["record"]["events"]]
-        assert events[:5] == ["contact", "cortex", "break-through", "cortex", "break-through"]
-        assert events[5:] in ([], ["planned depth"])  # where the far cortex ends less than 3 mm before it
-        assert drilling["record"]["events"][0]["depth_mm"] < -5.0  # before the nail
     of_plan = told["comparison"][0]  # with the picks of a person; the seed is fixed
     for name in ("entry_mm", "end_mm", "direction_deg"):
         assert of_plan["error"][name] < 1.5 * of_plan["stated_95"][name]
     assert told["drilled"]["passed"] is True
+    if procedure in (CANNULATED, NAILED):
+        assert told["all_wires"]["verdict"] == "go"
+        assert {one["passed"] for one in told["all_drilled"].values()} == {True}
+        tips = np.array([one["tip_mm"] for one in told["all_drilled"].values()])
+        assert np.linalg.norm(tips[-1] - tips[-2]) > 10.0  # not one wire measured twice
+    if procedure == CANNULATED:
+        assert [one["error"]["entry_mm"] < 1.0 for one in told["comparison"] if "wire, " in one["picks"]] == [True] * 2
+        assert list(told["all_drilled"]) == ["inferior", "anterior", "posterior"]  # the file's order
+        relations = {one["name"]: one["passed"] for one in told["relations_measured"]}
+        assert relations == {"inverted triangle": True, "parallel": True, "spacing": True}
     page = (tmp_path / "demo" / "report.html").read_text()
     assert (PLACED in page.replace("&#39;", "'")) is (procedure in BONE_OF)
     for view in document_of(procedure).views[:2]:
@@ -62,18 +50,69 @@ def test_a_right_plan_is_go_near_the_truth_and_checked(run, tmp_path, procedure:
     if procedure in ("iliosacral-screw", "pedicle-screw"):
         assert not [word for word in HIP_WORDS if word in page]
     with Case.open(tmp_path / "demo" / "case", read_only=True) as case:
-        made = list(replay(case))
+        assert case.latest(Kind.VERIFIED) is not None
+        made = list(replay(case)) if procedure in REPLAYED else []
         plans = [entry.content["asked"].get("nail") for entry in case.entries(Kind.PLANNED)]
         edit = case.latest(Kind.CHANGED, where={"what": "edit"})
-    if procedure == NAILED:  # the second hole again, beside the first one
-        assert [one["drilled"] for one in plans] == [[], [], ["distal"]]
+    assert {one.outcome for one in made} <= {ReplayOutcome.SAME, ReplayOutcome.RECORDED}
+    if procedure == NAILED:
+        assert list(told["all_drilled"]) == ["distal", "proximal"]
+        drilling = json.loads((tmp_path / "demo" / "drilling.json").read_text())
+        off = drilling["physics"][0]  # against the plan
+        assert max(off["entry_mm"], off["tip_mm"]) < 0.5  # a drill of 4 mm in a hole of 5 mm
+        events = [event["name"] for event in drilling["record"]["events"]]
+        assert events[:5] == ["contact", "cortex", "break-through", "cortex", "break-through"]
+        assert events[5:] in ([], ["planned depth"])  # where the far cortex ends less than 3 mm before it
+        assert drilling["record"]["events"][0]["depth_mm"] < -5.0  # before the nail
+        assert [one["drilled"] for one in plans] == [[], [], ["distal"]]  # the second hole again, beside the first one
         shown = None if edit is None else nail_drawn(Decisions.of(edit.content["to"]))  # in the app
         assert shown is not None and shown.strokes_px.tolist() == plans[0]["strokes_px"]
-    assert {one.outcome for one in made} == {ReplayOutcome.SAME, ReplayOutcome.RECORDED}
-    assert Kind.VERIFIED in {one.entry.kind for one in made if one.outcome is ReplayOutcome.SAME}
 
 
-def test_the_frame_is_gamma_unless_the_views_need_a_block(run, tmp_path) -> None:
+@pytest.mark.slow
+def test_the_demo_with_a_block_is_ten_times_as_accurate_as_the_paper(run, tmp_path) -> None:
+    """One patient: with exact picks both ends within 0.1 mm; each end within 1.5 times its stated 95 % error. The wire
+    is drilled near the plan; images of the robot's wire would tell it better where it stands."""
+    ran = run("demo", "--frame", "block60", "--out", tmp_path / "demo", "--json")
+    assert ran.code == 0, ran.err
+    told, trajectory = ran.document, ran.document["trajectory"]
+    assert told["go"] is True
+    truth, drilled = (json.loads((tmp_path / f"demo/{name}.json").read_text()) for name in ("truth", "drilling"))
+    for name in ("entry", "end"):
+        off = np.linalg.norm(np.subtract(trajectory[f"{name}_mm"], truth[f"{name}_mm"]))
+        assert off < 1.5 * trajectory["error_95"][f"{name}_mm"] < 0.6
+    exact = next(one for one in told["comparison"] if "exactly" in one["picks"])
+    assert max(exact["error"]["entry_mm"], exact["error"]["end_mm"]) < 0.1
+    check, (against_plan, _, against_picks) = drilled["check_shot"], drilled["physics"]
+    assert check["passed"] is True
+    for point in ("entry_mm", "tip_mm"):
+        assert against_plan[point] < 1.5 * drilled["error_95"][point] < 1.5
+        assert drilled["by_images"]["error_95"][point] < 0.9 * drilled["error_95"][point]
+        assert abs(against_picks[point] - check["deviation"][point]) < 1.5 * check["error_95"][point]
+    shots, record = drilled["shots"], drilled["record"]
+    assert {state: one["decision"] for state, one in shots.items()} == {"ALIGNED": "GO", "PAUSED": "GO"}
+    assert -20.5 < shots["ALIGNED"]["depth_mm"] < -19.5
+    # The shot's depth was sent: what the robot knows of its depth is then mainly that of the shot.
+    assert max(record["depth_sd_mm"]) > 0.3 and record["depth_sd_mm"][-1] < shots["PAUSED"]["depth_sd_mm"] < 0.15
+    assert abs(against_plan["entry_mm"] - shots["PAUSED"]["deviation"]["entry_mm"]) < 0.3
+    report = (tmp_path / "demo/report.html").read_text()
+    assert all(words in report for words in ("registered by images", "The shot at PAUSED says GO", "second shot, PA"))
+    plan = run("calibrate", tmp_path / "demo/demo_pa.dcm", "--frame", "block60", "--json")
+    assert plan.code != 0 and "name the view" in plan.out
+
+
+@pytest.mark.slow
+def test_the_demo_on_an_intensifier_plans_with_a_block_and_does_not_drill(run, tmp_path) -> None:
+    """Of one patient with exact picks both ends are within 0.2 mm, where a Γ has 0.3 mm rms."""
+    told = run("demo", "--frame", "block40+detector-plate", "--out", tmp_path / "demo", "--json").document
+    assert told["go"] is True and told["drilled"] is None
+    exact = next(one for one in told["comparison"] if "exactly" in one["picks"])
+    assert max(exact["error"]["entry_mm"], exact["error"]["end_mm"]) < 0.2
+    again = run("case", "replay", tmp_path / "demo/case", "--json")
+    assert again.code == 0, again.err
+
+
+def test_the_frame_is_gamma_unless_the_views_need_a_block() -> None:
     assert {procedure: frame_for(procedure, None) for procedure in (*AT_HIP, *BONE_OF)} == {
         "hip-screw": "gamma",
         "cannulated-hip-screws": "block60",
@@ -86,7 +125,3 @@ def test_the_frame_is_gamma_unless_the_views_need_a_block(run, tmp_path) -> None
     assert frame_for("pedicle-screw", "gamma") == "gamma"
     assert WITH_ROBOT.keys() == {*AT_HIP, NAILED}  # a table of its own, read before what it must agree with is imported
     assert {key: frame_of(key) for key in WITH_ROBOT} == {**WITH_ROBOT, CANNULATED: "gamma"}
-    ran = run("demo", "--procedure", "hip", "--out", tmp_path / "demo")
-    assert ran.code == 2
-    assert "hip-screw" in ran.err
-    assert not (tmp_path / "demo").exists()

@@ -119,11 +119,6 @@ def test_bad_tables_are_refused(tmp_path, text, message):
         read_points(file)
 
 
-def test_a_missing_table_is_refused(tmp_path):
-    with pytest.raises(UnusableInputError, match="cannot read"):
-        read_points(tmp_path / "none.csv")
-
-
 def test_points_without_pixels_are_refused(views):
     with pytest.raises(UnusableInputError, match="states no pixels"):
         assess(views, POINTS)

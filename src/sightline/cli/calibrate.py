@@ -1,7 +1,7 @@
 """`sightline calibrate` and `undistort`: one view from its own beads, and its image without distortion."""
 
 from io import BytesIO
-from math import isfinite
+from math import hypot, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -193,24 +193,20 @@ def _show(output: Output, document: dict[str, Any]) -> None:
     output.say(f"view {document['view']}{mirrored}; focal point ({focal}) mm in CFCS")
     left, predicted = document["residual_rms_mm"], document["leave_one_out_rms_mm"]
     output.say(f"{len(document['beads'])} beads; residual {left:.3f} mm rms per axis, leave-one-out {predicted:.3f} mm")
-    worst = sorted(document["beads"], key=lambda bead: -_length(bead["leave_one_out_mm"] or (0.0, 0.0)))
+    worst = sorted(document["beads"], key=lambda bead: -hypot(*(bead["leave_one_out_mm"] or (0.0, 0.0))))
     output.table(
         f"Beads with the largest leave-one-out errors (of {len(worst)}), mm on the reference plane",
         ("bead", "residual", "leave-one-out", "used"),
         [
             (
                 bead["id"],
-                f"{_length(bead['residual_mm']):.3f}",
-                None if bead["leave_one_out_mm"] is None else f"{_length(bead['leave_one_out_mm']):.3f}",
+                f"{hypot(*bead['residual_mm']):.3f}",
+                None if bead["leave_one_out_mm"] is None else f"{hypot(*bead['leave_one_out_mm']):.3f}",
                 "yes" if bead["used"] else "no",
             )
             for bead in worst[:_SHOWN]
         ],
     )
-
-
-def _length(xy: Any) -> float:
-    return float(xy[0] ** 2 + xy[1] ** 2) ** 0.5
 
 
 def _write(folder: Path, image: "PlaneImage", document: dict[str, Any]) -> list[Path]:

@@ -64,7 +64,14 @@ def show(output: Output, folder: Folder) -> None:
     with Case.open(folder, read_only=True) as case:
         entries, number, problems = case.entries(), case.number, case.problems
     rows = [
-        (entry.number, f"{entry.at:%Y-%m-%d %H:%M:%S}", entry.kind, entry.by, _listed(entry.rests_on), _gist(entry))
+        (
+            entry.number,
+            f"{entry.at:%Y-%m-%d %H:%M:%S}",
+            entry.kind,
+            entry.by,
+            ", ".join(map(str, entry.rests_on)),
+            _gist(entry),
+        )
         for entry in entries
     ]
     output.table(f"Case {number}", ("entry", "UTC", "kind", "by", "rests on", ""), rows)
@@ -143,10 +150,6 @@ def _document(replayed: "Replayed") -> dict[str, Any]:
         "largest_change": {unit: largest(replayed.differences, unit) for unit in ("px", "mm")},
         "differences": replayed.differences,
     }
-
-
-def _listed(numbers: tuple[int, ...]) -> str:
-    return ", ".join(str(number) for number in numbers)
 
 
 def _gist(entry: "Entry") -> str:

@@ -187,15 +187,14 @@ class TakenShot:
 
 @dataclass(frozen=True, eq=False)
 class Inserted:
-    """A wire in the bone, its axis `wire_mm` (2, 3), CFCS of the planning images: how it was drilled, its check shot,
-    and the shots while drilling by the robot's state. `again`: the inputs, where it was planned again before."""
+    """A wire in the bone, its axis `wire_mm` (2, 3), CFCS of the planning images: its plan, how it was drilled, its
+    check shot, and the shots while drilling by the robot's state."""
 
-    plan: "Plan"
+    planned: DemoPlan
     wire_mm: "np.ndarray"
     drilled: "Drilled"
     checked: TakenShot
     shots: dict[str, TakenShot] = field(default_factory=dict)
-    again: "PlanRequest | None" = None
 
 
 class RobotAhead(Closing):
@@ -261,9 +260,10 @@ def place(output: Output, planned: DemoPlan, rng: "np.random.Generator") -> Inse
     from sightline.case.report.drilled import Drilled
 
     wire_mm = planned.plan.trajectory.points.xyz_mm
-    images = planned.rehearsal.shown_again({**planned.before_mm, planned.key: wire_mm})
-    checked = _check(output, planned, images, rng)
-    return Inserted(planned.plan, wire_mm, Drilled(None, None, checked.result, _physics(planned, wire_mm)[1:]), checked)
+    wires_mm = {**planned.before_mm, planned.key: wire_mm}
+    checked = _check(output, planned, lambda: planned.rehearsal.shown_again(wires_mm), rng)
+    drilled = Drilled(None, None, checked.result, _physics(planned, wire_mm)[1:])
+    return Inserted(planned, wire_mm, drilled, checked)
 
 
 def drill(output: Output, planned: DemoPlan, ahead: RobotAhead, rng: "np.random.Generator") -> Inserted | None:
@@ -316,8 +316,7 @@ def _drill(output: Output, planned: DemoPlan, ahead: RobotAhead, rng: "np.random
     checked = _check(output, planned, again, rng)
     physics, results = _physics(planned, wire.axis_mm), {state: shot.result for state, shot in shots.items()}
     drilled = Drilled(target, record, checked.result, physics, targets.get(BY_IMAGES), results)
-    asked_again = planned.asked if planned.asked.nail is not None and planned.before_mm else None
-    return Inserted(planned.plan, wire.axis_mm, drilled, checked, shots, asked_again)
+    return Inserted(planned, wire.axis_mm, drilled, checked, shots)
 
 
 def _check(
@@ -563,8 +562,8 @@ def record(
         made = stages.record_plans(case, (first, second), planned.asked, planned.wires or planned.plan, by=by)
         for key, wire in inserted.items():
             plan = case.entry(made["entries"][key] if planned.wires else made["entry"])
-            if wire.again is not None:
-                plan = stages.record_planned(case, (first, second), wire.again, wire.plan, by=by)
+            if wire.planned.asked.nail is not None and wire.planned.before_mm:  # planned again
+                plan = stages.record_planned(case, (first, second), wire.planned.asked, wire.planned.plan, by=by)
             for shot in wire.shots.values():
                 if entries := _record_images(case, shot, frame_ref):
                     stages.record_shot(case, plan, entries, shot.request, shot.result, by=by)
@@ -666,7 +665,7 @@ def _show(
         ]
         output.table(f"Error against the truth, {how}", ("method", "entry mm", "tip mm", "direction °"), rows)
     for wire in inserted.values():
-        told, name = section(wire.drilled) or {}, wire.plan.kind.wire.name if len(inserted) > 1 else "wire"
+        told, name = section(wire.drilled) or {}, wire.planned.plan.kind.wire.name if len(inserted) > 1 else "wire"
         output.table(f"The drilled {name}", ("", "entry mm", "tip mm", "direction °"), told["rows"])
         events = f"The robot detected: {told['events']}. " if told["events"] else ""
         output.say(f"{events}{told['check']}")

@@ -68,7 +68,7 @@ def views(
     files: dict[str, bytes] = {}
     documents = []
     for view, seen in calibrated:
-        pinhole, pixels, document = _raw(view, seen) if raw else _plate(view, seen, None)
+        pinhole, pixels, document = _exported(view, seen, raw=raw)
         documents.append(document)
         if pixels is not None and not raw:
             files[f"{view.name}.png"] = cv2.imencode(".png", pixels)[1].tobytes()
@@ -100,7 +100,7 @@ def undistorted(
     files: dict[str, bytes] = {}
     documents = []
     for view, seen in calibrated:
-        pinhole, pixels, document = _plate(view, seen, spacing)
+        pinhole, pixels, document = _exported(view, seen, spacing)
         assert seen.image is not None and pixels is not None  # noqa: S101 - `_calibrate` refused
         documents.append(document)
         files[f"{view.name}.opencv.json"] = json_bytes(opencv.document(pinhole))
@@ -245,31 +245,25 @@ def _calibrate(output: Output, images: ImageOptions, *, pixels: bool) -> "list[t
 _Exported = tuple["Pinhole", "np.ndarray | None", dict[str, Any]]
 
 
-def _plate(view: "BeadView", seen: "ObservedView", spacing: float | None) -> _Exported:
-    """Return the pinhole and the pixels, or None, of the undistorted image, and their document."""
-    from sightline.case.interop.plate import plate_image
+def _exported(view: "BeadView", seen: "ObservedView", spacing: float | None = None, *, raw: bool = False) -> _Exported:
+    """Return the pinhole and the pixels, or None, of the undistorted image, or of the raw one, and their document.
 
-    plate = plate_image(view, None if seen.image is None else seen.image.pixels, spacing)
-    return _documented(view, seen, plate.pinhole, plate.pixels, {"image": "undistorted", "residual_px": 0.0})
-
-
-def _raw(view: "BeadView", seen: "ObservedView") -> _Exported:
-    """Return the same as `_plate`, of the raw image."""
-    from sightline.case.interop.plate import raw_pinhole
-
-    assert seen.image is not None  # noqa: S101 - `_calibrate` refused
-    pinhole, residual = raw_pinhole(view, seen.image.shape)
-    return _documented(view, seen, pinhole, seen.image.pixels, {"image": "raw", "residual_px": residual})
-
-
-def _documented(
-    view: "BeadView", seen: "ObservedView", pinhole: "Pinhole", pixels: "np.ndarray | None", image: dict[str, Any]
-) -> _Exported:
-    """Return a pinhole with the failed checks in its note, which is written into the file, and its document."""
+    Failed checks are in the pinhole's note, which is written into the file.
+    """
+    from sightline.case.interop.plate import plate_image, raw_pinhole
     from sightline.common.checks import failed
 
+    given = None if seen.image is None else seen.image.pixels
+    if raw:
+        assert seen.image is not None  # noqa: S101 - `_calibrate` refused
+        pixels = given
+        pinhole, residual = raw_pinhole(view, seen.image.shape)
+    else:
+        plate, residual = plate_image(view, given, spacing), 0.0
+        pinhole, pixels = plate.pinhole, plate.pixels
     if bad := ", ".join(check.name for check in failed(view.checks)):
         pinhole = replace(pinhole, note=f"{pinhole.note}; NOT TO BE TRUSTED, checks failed: {bad}")
+    image = {"image": "raw" if raw else "undistorted", "residual_px": residual}
     geometry = {name: getattr(pinhole, name) for name in ("matrix", "shape", "pixel_mm", "note")}
     return pinhole, pixels, {"view": view.name, "source": seen.source, **image, **geometry}
 

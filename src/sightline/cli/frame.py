@@ -206,13 +206,14 @@ def draw(
 def _frame_document(frame: "Frame") -> dict[str, Any]:
     from sightline.frame.plate import ROLES
 
+    source = "the frame file" if frame.tolerances else "the defaults: the frame file states none"
     return {
         "name": frame.name,
         "serial": frame.serial,
         "measured_on": frame.measured_on,
         "temperature_c": frame.temperature_c,
         "tolerances": None if frame.covariance_mm2 is not None else frame.effective_tolerances,
-        "tolerances_from": _tolerances_from(frame),
+        "tolerances_from": source if frame.covariance_mm2 is None else "the covariance in the frame file",
         "in_use": frame.in_use,
         "plates": [
             _plate_document(name, role, view, getattr(view, role))
@@ -220,22 +221,14 @@ def _frame_document(frame: "Frame") -> dict[str, Any]:
             for role in ROLES
         ],
         "solid": None if frame.solid is None else _solid_document(frame.solid),
-        "detector": None if frame.detector is None else _detector_document(frame.detector),
+        "detector": None
+        if frame.detector is None
+        else {
+            "beads": len(frame.detector.ids),
+            "datums": [f.id for f in frame.detector.fiducials if f.datum],
+            "stand_off_mm": float(frame.detector.xyz_mm[:, 2].mean()),
+        },
     }
-
-
-def _detector_document(plate: "Plate") -> dict[str, Any]:
-    return {
-        "beads": len(plate.ids),
-        "datums": [f.id for f in plate.fiducials if f.datum],
-        "stand_off_mm": float(plate.xyz_mm[:, 2].mean()),
-    }
-
-
-def _tolerances_from(frame: "Frame") -> str:
-    if frame.covariance_mm2 is not None:
-        return "the covariance in the frame file"
-    return "the frame file" if frame.tolerances else "the defaults: the frame file states none"
 
 
 def _plate_document(name: str, role: str, view: "FrameView", plate: "Plate") -> dict[str, Any]:

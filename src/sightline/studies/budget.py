@@ -99,10 +99,12 @@ class Budget:
 
     def _alone_table(self, rms_of: dict[tuple[float, str], Estimate]) -> Table:
         columns = ("source", *(f"picks {sd:g} px" for sd in self.picks_px), "meaning")
-        rows = [(name, *(_three(_size(rms_of[sd, name])) for sd in self.picks_px), MEANINGS[name]) for name in MEANINGS]
-        roots = (_three(_root(rms_of, sd, MEANINGS)) for sd in self.picks_px)
+        rows = [
+            (name, *(f"{_size(rms_of[sd, name]):.3f}" for sd in self.picks_px), MEANINGS[name]) for name in MEANINGS
+        ]
+        roots = (f"{_root(rms_of, sd, MEANINGS):.3f}" for sd in self.picks_px)
         rows.append(("sum", *roots, "root of the sum of their squares"))
-        rows.append((TOGETHER, *(_three(_size(rms_of[sd, TOGETHER])) for sd in self.picks_px), "all of them at once"))
+        rows.append((TOGETHER, *(f"{_size(rms_of[sd, TOGETHER]):.3f}" for sd in self.picks_px), "all of them at once"))
         note = "Three-dimensional error of the four test points, mm rms; default tolerances of the frame."
         return Table("Each source alone", columns, tuple(rows), note)
 
@@ -183,7 +185,3 @@ def _root(rms_of: dict[tuple[float, str], Estimate], pick_px: float, names: Sequ
 
 def _size(estimate: Estimate) -> float:
     return estimate.value or 0.0
-
-
-def _three(value: float) -> str:
-    return f"{value:.3f}"

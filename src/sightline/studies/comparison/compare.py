@@ -30,7 +30,7 @@ from sightline.studies.runs.plots import COLOURS, PlotAxis, PlotPoint, PlotSerie
 from sightline.studies.runs.study import Plot
 from sightline.twin import Scene, ViewTruth, draw_setup, hip_scene, render
 from sightline.twin.objects.things import Ball, Box, Rod, SoftTissue, Solid
-from sightline.twin.xray.setup import SetUp, shadow_radius_px
+from sightline.twin.xray.setup import shadow_radius_px
 
 LAGS_PX = (1, 2)  # at larger lags blocks of 16 px reduce the correlation by 0.05 or more [calc]
 RANGE = (5, 95)  # percentiles of the twin's distortion over other tubes and poses
@@ -105,8 +105,8 @@ def read_folder(folder: Path, *, invert: bool = False) -> tuple[list[tuple[str, 
 def compare(name: str, image: Radiograph, rng: np.random.Generator) -> Pair:
     """Measure an image, make the twin's image of the same kind, and measure that in the same way."""
     real = measured(image)
-    twin = twin_of(image, real.beads, rng)
-    return Pair(name, real, measured(twin.image), twin.words, _ranges(real, rng))
+    words, twin = twin_of(image, real.beads, rng)
+    return Pair(name, real, measured(twin), words, _ranges(real, rng))
 
 
 def measured(image: Radiograph) -> ImageMeasurements:
@@ -315,17 +315,8 @@ PLATE_HEIGHT_MM = 5.0  # distance of its centre from the input plane [ours]
 BALL_DEPTH = SOURCE_TO_HIP_MM / SOURCE_TO_DETECTOR_MM  # of the distance from the source to the input plane
 
 
-@dataclass(frozen=True, eq=False)
-class Twin:
-    """An image of the twin, its description (`words`), and its set-up."""
-
-    words: str
-    image: Radiograph
-    setup: SetUp
-
-
-def twin_of(image: Radiograph, beads: Detections | None, rng: np.random.Generator) -> Twin:
-    """Render objects of the kind that the image seems to show, with the twin's default C-arm and dose."""
+def twin_of(image: Radiograph, beads: Detections | None, rng: np.random.Generator) -> tuple[str, Radiograph]:
+    """Describe and render objects of the kind that the image seems to show, with the twin's default C-arm and dose."""
     setup = draw_setup(rng, Frame.load("gamma"))
     view = setup.views[VIEW]
     lattice = _lattice(beads)
@@ -340,7 +331,7 @@ def twin_of(image: Radiograph, beads: Detections | None, rng: np.random.Generato
     if lattice is None and not open_beam(image, beads):
         scene += Scene(tissue=SoftTissue()) + hip_scene(setup, rng).bone
         words.append("a hip")
-    return Twin(" before ".join(words) or "open beam", render(setup, VIEW, scene, rng), setup)
+    return " before ".join(words) or "open beam", render(setup, VIEW, scene, rng)
 
 
 def lattice_mm(view: ViewTruth, lattice: Lattice, pitch_px: float) -> np.ndarray:
