@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Rows, spread, trials
-from sightline.studies.fig15 import LIMIT_DEG, LIMIT_MM, Figure15
+from sightline.studies.fig15 import Figure15
+from sightline.studies.scenes import PAPER_DEG, PAPER_MM
 
 TRIALS = 300
 MAX_MEDIAN_MM, MAX_MEDIAN_DEG = 0.3, 0.2
@@ -21,10 +22,10 @@ def run(quick: bool) -> Rows:
     number, of = len(results), ("entry", "angle")
     planned = [[r[m] for r in results if "plan_entry" in r.get(m, {})] for m in ("smooth", "localized")]
     ours, theirs = ([each for each in method if "refused" not in each] for method in planned)
-    good, beside = (sum(w["entry"] <= LIMIT_MM and w["angle"] <= LIMIT_DEG for w in some) for some in (ours, theirs))
+    good, beside = (sum(w["entry"] <= PAPER_MM and w["angle"] <= PAPER_DEG for w in some) for some in (ours, theirs))
     peer = f"localized {beside} of {number}, {number - len(theirs)} not drilled"
     worst = " and ".join(f"{max(w[key] for w in ours):.2f} {unit}" for key, unit in zip(of, ("mm", "°"), strict=True))
-    name = f"within {LIMIT_MM:g} mm of the entry and {LIMIT_DEG}° of the bore (study fig15); largest error"
+    name = f"within {PAPER_MM:g} mm of the entry and {PAPER_DEG}° of the bore (study fig15); largest error"
     value = f"{good} of {number}, {worst}; {number - len(ours)} not drilled"
     rows.add(name, value, "all", good == number, peer=peer)
     middle = [np.median([wire[key] for wire in ours]) for key in of]

@@ -21,7 +21,7 @@ from sightline.frame import Frame, Tolerances
 from sightline.planning import SpacePoints
 from sightline.studies.methods import calibrated
 from sightline.studies.runs.study import Estimate, Plot, Summary, Table, Values, rms, share
-from sightline.studies.scenes import EXACT, VIEWS, WHOLE, TargetScene
+from sightline.studies.scenes import BEAD_PX, CAREFUL_PX, CENTRED_PX, EXACT, ORDINARY_PX, VIEWS, WHOLE, TargetScene
 from sightline.twin import bead_images, draw_setup
 from sightline.twin.scenes.hip_scene import TEST_BALLS_MM
 
@@ -55,8 +55,8 @@ class Budget:
     name = "budget"
     about = "The error of a target, source by source: measured, and as the reconstruction states it"
 
-    picks_px: tuple[float, ...] = (0.1, 0.5, 1.0)  # centred, careful, ordinary (physics.md, Picks)
-    bead_px: float = 0.1  # physics.md, Centroid limit
+    picks_px: tuple[float, ...] = (CENTRED_PX, CAREFUL_PX, ORDINARY_PX)
+    bead_px: float = BEAD_PX
 
     @property
     def configuration(self) -> dict[str, Any]:

@@ -23,13 +23,11 @@ from sightline.planning import Plan, kind, plan
 from sightline.rehearsal.operation import InsertionOutcome, SimulatedTheatre, calibrated_robot
 from sightline.robot.control.insertion import Setup
 from sightline.studies.runs.study import Estimate, Summary, Table, Values, quantile, share
-from sightline.studies.scenes import PHANTOMS, SIDE, VIEWS, image_of, observed
+from sightline.studies.scenes import CAREFUL_PX, PAPER_DEG, PAPER_MM, PHANTOMS, SIDE, VIEWS, image_of, observed
 from sightline.twin import HipScene, SetUp
 
 PHANTOM = "plastic, bored"
 METHODS: tuple[Method, ...] = ("smooth", "localized")
-PICK_PX = 0.5  # a careful click (physics.md, Picks)
-LIMIT_MM, LIMIT_DEG = 1.0, 0.6  # the paper's six trials were within these [paper, Fig. 15]
 BEYOND_MM = 3.0  # the depth limit lies this far beyond the end point: the bore ends 8 mm under the bone's surface
 SIX = 6  # number of trials in the paper
 
@@ -49,7 +47,7 @@ class PlannedInsertion:
         entry, end, *marks = np.moveaxis(self.picks, 1, 0)
         known = [mark for mark in marks if _sees(views, mark)]
         landmarks = np.stack(known, axis=1) if known else None
-        return plan(views, entry, end, pick_sd_px=PICK_PX, landmarks_uv_px=landmarks, kind=kind("free-wire"))
+        return plan(views, entry, end, pick_sd_px=CAREFUL_PX, landmarks_uv_px=landmarks, kind=kind("free-wire"))
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ class Figure15:
     @property
     def configuration(self) -> dict[str, Any]:
         """The fields and the constants that they depend on."""
-        return {**asdict(self), "pick_px": PICK_PX, "wire_mm": PHANTOMS[PHANTOM].wire_mm.tolist()}
+        return {**asdict(self), "pick_px": CAREFUL_PX, "wire_mm": PHANTOMS[PHANTOM].wire_mm.tolist()}
 
     def trial(self, rng: np.random.Generator) -> Values:
         """Return for each method the errors at entry and end, mm, and of the direction, °; or why it was refused."""
@@ -82,7 +80,7 @@ class Figure15:
             all_of = [trial.get(method, trial) for trial in trials]
             kept = [insertion for insertion in all_of if "refused" not in insertion]
             within = share(
-                f"{method}: within {LIMIT_MM:g} mm and {LIMIT_DEG}°",
+                f"{method}: within {PAPER_MM:g} mm and {PAPER_DEG}°",
                 np.array(list(map(_within, all_of))),
             )
             mine = [within, *(f for of in _MEASURED for f in _quantiles(method, of, kept))]
@@ -90,8 +88,8 @@ class Figure15:
             estimates += [*mine, *(f for of in ("plan_entry", "plan_angle") for f in _quantiles(method, of, plans))]
             rows.append((method, f"{len(kept)} of {len(trials)}", *(str(estimate) for estimate in mine)))
             findings.append(
-                f"{method}: {sum(map(_within, all_of))} of {len(trials)} insertions within {LIMIT_MM:g} mm "
-                f"of the entry point and {LIMIT_DEG}° of the bore's axis; {len(trials) - len(kept)} refused."
+                f"{method}: {sum(map(_within, all_of))} of {len(trials)} insertions within {PAPER_MM:g} mm "
+                f"of the entry point and {PAPER_DEG}° of the bore's axis; {len(trials) - len(kept)} refused."
             )
         columns = ("method", "drilled", "within", *(f"{of}, {what}" for of in _MEASURED for what in ("median", "95 %")))
         table = Table("Insertions", columns, tuple(rows), "In brackets: 95 % intervals. Entry and end mm, angle °.")
@@ -133,7 +131,7 @@ def _planned(rng: np.random.Generator) -> PlannedInsertion:
     seen = {name: observed(image_of(rng, setup, hip, name), setup.frame, name) for name in VIEWS}
     points = np.concatenate([hip.wire_mm, np.stack(list(hip.landmarks_mm.values()))])
     true = np.stack([setup.views[name].project(points) for name in VIEWS])
-    return PlannedInsertion(setup, hip, seen, true + PICK_PX * rng.standard_normal(true.shape))
+    return PlannedInsertion(setup, hip, seen, true + CAREFUL_PX * rng.standard_normal(true.shape))
 
 
 def _inserted(planned: PlannedInsertion, method: Method, rng: np.random.Generator) -> Values:
@@ -162,7 +160,7 @@ def _inserted(planned: PlannedInsertion, method: Method, rng: np.random.Generato
 
 
 def _within(trial: Values) -> bool:
-    return "refused" not in trial and trial["entry"] <= LIMIT_MM and trial["angle"] <= LIMIT_DEG
+    return "refused" not in trial and trial["entry"] <= PAPER_MM and trial["angle"] <= PAPER_DEG
 
 
 def _quantiles(method: str, of: str, kept: Sequence[Values]) -> list[Estimate]:

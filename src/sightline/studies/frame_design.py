@@ -29,7 +29,9 @@ from sightline.frame.plate import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM
 from sightline.studies.runs.plots import Span, spans
 from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, rms, share
 from sightline.studies.scenes import (
+    BEAD_PX,
     BEADS_20UM,
+    CENTRED_PX,
     VIEWS,
     WHOLE,
     WIRE_ENDS_MM,
@@ -44,8 +46,6 @@ from sightline.twin.objects.things import PLATE_THICKNESS_MM, SoftTissue
 from sightline.twin.xray.distributions import NEAR_PLACE, SolidPlace
 from sightline.twin.xray.setup import Handling, Variation, displaced, in_use
 
-PICK_PX = 0.1  # a located target (physics.md, Picks)
-BEAD_PX = 0.1  # physics.md, Centroid limit
 INTERVAL = "rms (tick) with its 95 % interval (bar)"
 
 
@@ -54,7 +54,7 @@ def located(views: Sequence[CalibratedView], uv_px: np.ndarray, true_mm: np.ndar
 
     Raises SightlineError.
     """
-    points = sl.reconstruct(views, uv_px, np.broadcast_to(PICK_PX**2 * np.eye(2), (*uv_px.shape, 2)))
+    points = sl.reconstruct(views, uv_px, np.broadcast_to(CENTRED_PX**2 * np.eye(2), (*uv_px.shape, 2)))
     stated = np.sqrt(np.trace(points.covariance_mm2, axis1=1, axis2=2))
     return {"error": np.linalg.norm(points.xyz_mm - true_mm, axis=1).round(6).tolist(), "stated": stated.tolist()}
 
@@ -184,7 +184,7 @@ def error_of_kind(kind: FrameKind, sd: Tolerances, seed: int) -> Values | None:
     frame = replace(Frame.load(kind.frame), tolerances=sd)
     setup = draw_showing(rng, frame, WIRE_ENDS_MM, chain=kind.chain, variation=Variation(place=kind.place))
     scene = TargetScene.of(setup, measure(rng, setup, BEAD_PX), setup.hip_mm + WIRE_ENDS_MM)
-    picks = scene.target_px + PICK_PX * rng.standard_normal(scene.target_px.shape)
+    picks = scene.target_px + CENTRED_PX * rng.standard_normal(scene.target_px.shape)
     try:
         return located(calibrated_views(scene.setup, scene.observations), picks, scene.target_mm)
     except SightlineError:
@@ -370,7 +370,7 @@ class FrameDesignStudy:
             "handled": {name: asdict(HANDLINGS[name]) for name in self.handlings},
             "wire_mm": WIRE_ENDS_MM.tolist(),
             "fields_mm": FIELDS_MM,
-            "noise_px": {"bead": BEAD_PX, "pick": PICK_PX},
+            "noise_px": {"bead": BEAD_PX, "pick": CENTRED_PX},
         }
 
     def trial(self, rng: np.random.Generator) -> Values:
@@ -469,7 +469,7 @@ def error_of(setup: SetUp, design: Design, sd: Tolerances, handling: Handling, s
     """Return the errors (2) of the wire's ends and the roots of the stated variances, mm; None: refused."""
     rng = np.random.default_rng(seed)
     frame = design.frame(sd)
-    shared, picks = rng.standard_normal(36), PICK_PX * rng.standard_normal((2, 2, 2))
+    shared, picks = rng.standard_normal(36), CENTRED_PX * rng.standard_normal((2, 2, 2))
     factor = frame.error_factor
     draws = np.concatenate([rng.standard_normal(factor.shape[1] - len(shared)), shared])
     made = replace(

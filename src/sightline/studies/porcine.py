@@ -17,10 +17,9 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame
 from sightline.planning import kind, plan
 from sightline.studies.runs.study import Estimate, EstimateGroup, Summary, Table, Values, quantile, rms, share
-from sightline.studies.scenes import PHANTOMS, VIEWS, calibrated_images
+from sightline.studies.scenes import CAREFUL_PX, ORDINARY_PX, PAPER_DEG, PAPER_MM, PHANTOMS, VIEWS, calibrated_images
 
-PICKS_PX = {"plastic, bored": 0.5, "porcine": 1.0}  # careful, ordinary (physics.md, Picks)
-PAPER_MM, PAPER_DEG = 1.0, 0.6  # the paper's six trials were within these
+PICKS_PX = {"plastic, bored": CAREFUL_PX, "porcine": ORDINARY_PX}
 
 
 @dataclass(frozen=True)

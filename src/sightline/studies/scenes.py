@@ -36,6 +36,9 @@ EXACT = Tolerances(0.0, 0.0, 0.0, 0.0, 0.0)
 BEADS_20UM = Tolerances(0.02, 0.0, 0.0, 0.0, 0.0)
 WHOLE = Tolerances()  # bead, plate and arm (physics.md, Frame)
 FRAMES = {"frame exact": EXACT, "frame beads 0.02 mm": BEADS_20UM, "frame whole": WHOLE}
+BEAD_PX = 0.1  # error of a bead's centre (physics.md, Centroid limit: 124 quanta per pixel)
+CENTRED_PX, CAREFUL_PX, ORDINARY_PX = 0.1, 0.5, 1.0  # picks (physics.md, Picks)
+PAPER_MM, PAPER_DEG = 1.0, 0.6  # the paper's six trials were within these [paper, Fig. 15]
 ATTEMPTS = 100
 MARGIN_PX = 15.0  # minimum distance of a visible target from the edge of the field
 
@@ -111,14 +114,16 @@ def draw_showing(
     raise SetUpError(f"none of {ATTEMPTS} set-ups shows the whole wire in both views")
 
 
-def measure(rng: np.random.Generator, setup: SetUp, bead_px: float, uneven: float = 0.0) -> dict[str, Observations]:
+def measure(
+    rng: np.random.Generator, setup: SetUp, bead_px: float, uneven: float = 0.0, *, noisy: bool = True
+) -> dict[str, Observations]:
     """Draw measurements of the beads of all views, each with the covariance of its noise; of a plate on the detector
-    the radii as well, since `bead_images` has the centroids of its shadows."""
+    the radii as well, since `bead_images` has the centroids of its shadows. `noisy`: False states the noise alone."""
     observations = {}
     for name in setup.views:
         ids, exact = bead_images(setup, name, rng, sd_px=0.0)
         sd = bead_px * np.exp(uneven * rng.standard_normal(len(ids)))
-        measured = exact + sd[:, None] * rng.standard_normal(exact.shape)
+        measured = exact + sd[:, None] * rng.standard_normal(exact.shape) if noisy else exact
         shape = None if setup.frame.solid is None else setup.views[name].chain.shape  # its calibration needs it
         radius = None if setup.frame.detector is None else _radii_px(setup, name, ids)
         covariance = sd[:, None, None] ** 2 * np.eye(2)

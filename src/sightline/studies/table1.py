@@ -16,7 +16,7 @@ from sightline.frame.designs import builtin_design
 from sightline.studies.methods import errors
 from sightline.studies.runs.plots import Span, spans
 from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, quantile, share
-from sightline.studies.scenes import WHOLE, TargetScene, measure
+from sightline.studies.scenes import BEAD_PX, CAREFUL_PX, CENTRED_PX, ORDINARY_PX, WHOLE, TargetScene, measure
 from sightline.twin import draw_setup
 from sightline.twin.scenes.hip_scene import TEST_BALLS_MM
 
@@ -58,8 +58,8 @@ class Table1:
 
     plates: tuple[str, ...] = tuple(PLATES)
     methods: tuple[str, ...] = METHODS
-    picks_px: tuple[float, ...] = (0.1, 0.5, 1.0)  # centred, careful, ordinary (physics.md, Picks)
-    bead_px: float = 0.1  # physics.md, Centroid limit: 124 quanta per pixel
+    picks_px: tuple[float, ...] = (CENTRED_PX, CAREFUL_PX, ORDINARY_PX)
+    bead_px: float = BEAD_PX
 
     @property
     def configuration(self) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import failed
-from sightline.detection import Observations
 from sightline.errors import SetUpError, SightlineError
 from sightline.frame import Frame
 from sightline.planning import Aids, MatchingCurve, Plan, Procedure, kind, plan
@@ -27,7 +26,7 @@ from sightline.planning.verdict.view_directions import frame_axes
 from sightline.rehearsal.patient import RehearsedPatient, draw_patient
 from sightline.studies.runs.plots import Span, spans
 from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, share
-from sightline.studies.scenes import ATTEMPTS, MARGIN_PX, VIEWS, calibrated_views, measure
+from sightline.studies.scenes import ATTEMPTS, BEAD_PX, CAREFUL_PX, MARGIN_PX, VIEWS, calibrated_views, measure
 from sightline.studies.wrong_wires import (
     KINDS,
     MAX_AMOUNT,
@@ -41,9 +40,8 @@ from sightline.studies.wrong_wires import (
     draw_times,
     right_wire,
 )
-from sightline.twin import SetUp, bead_images
+from sightline.twin import SetUp
 
-BEAD_PX = 0.1  # physics.md, Centroid limit
 SOLID = "block60"
 ARMS = {"gamma": "Γ on the intensifier", SOLID: "block60 on the flat panel"}
 VIOLATED = 3.0  # times its 95 % error, by which a wrong plan violates a limit at least
@@ -68,7 +66,7 @@ class WrongPlans:
     def configuration(self) -> dict[str, Any]:
         """The fields and the constants that they depend on."""
         times = {"times": [MIN_TIMES, NEAR_TIMES, MAX_TIMES], "near_share": NEAR_SHARE}
-        return {**asdict(self), **times, "pick_px": PICK_PX, "bead_px": BEAD_PX}
+        return {**asdict(self), **times, "pick_px": CAREFUL_PX, "bead_px": BEAD_PX}
 
     def trial(self, rng: np.random.Generator) -> Values:
         """Return frame and kind, the wrong plan's `times` beyond its limit, and how the "right" and the "wrong" plan
@@ -285,12 +283,8 @@ def _unseen(
 
 def _exact(setup: SetUp) -> Sequence[CalibratedView]:
     """Return the views of exact beads, and of the frame as it is, with the errors that are stated for noisy ones."""
-    exact = {}
-    for name, view in setup.views.items():
-        ids, uv = bead_images(setup, name, np.random.default_rng(0), sd_px=0.0)
-        shape = None if setup.frame.solid is None else view.chain.shape
-        exact[name] = Observations(name, ids, uv, np.tile(BEAD_PX**2 * np.eye(2), (len(ids), 1, 1)), image_shape=shape)
-    return calibrated_views(setup, exact, setup.true_frame)
+    beads = measure(np.random.default_rng(0), setup, BEAD_PX, noisy=False)
+    return calibrated_views(setup, beads, setup.true_frame)
 
 
 def _ended(
@@ -340,7 +334,6 @@ def _findings(shares: PlanShares) -> Iterable[str]:
     yield f"{shares.right_go.value or 0.0:.1%} of {n} right plans are GO."
 
 
-PICK_PX = 0.5  # a careful click (physics.md, Picks)
 Pixels = Mapping[str, np.ndarray]
 
 
@@ -386,7 +379,7 @@ def turned_beams(wanted: Sequence[WantedView], which: int, by_deg: float, about:
 
 def jittered(pixels: Pixels, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Return the pixels with a careful click's noise."""
-    return {name: uv + PICK_PX * rng.standard_normal(uv.shape) for name, uv in pixels.items()}
+    return {name: uv + CAREFUL_PX * rng.standard_normal(uv.shape) for name, uv in pixels.items()}
 
 
 def plan_of(
