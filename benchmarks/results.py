@@ -24,7 +24,7 @@ RESULTS, PAGE = HERE / "results.json", HERE.parent / "docs" / "benchmarks.md"
 BEGIN, END = "<!-- results: begin (made by `python -m benchmarks --page`) -->", "<!-- results: end -->"
 Entry = dict[str, Any]
 # Values of each group on the page, besides those that are not met: the others are in the file alone.
-SHOWN = 2
+SHOWN = 1
 _PROVENANCE = ("commit", "processor", "cores", "date", "seed")
 
 
