@@ -27,10 +27,11 @@ def run(quick: bool) -> Rows:
     each = [columns(trials(partial(_block, count), seeds)) for count in BLOCK_IMAGES]
     images, limit = " / ".join(map(str, BLOCK_IMAGES)), 3 * np.sqrt(2 / (42 * number))  # three s.d. of such a mean
     name = f"balls 0.2 mm off, after {images} images and one distance of 0.02 mm, rms of {number} blocks"
-    rows.number(name, [rms(one["error"]) for one in each], ".4f", "mm", most=MAX_BALL_MM)
-    squares = [one["square"].mean() for one in each]
+    rows.number(name, [rms(blocks["error"]) for blocks in each], ".4f", "mm", most=MAX_BALL_MM)
+    squares = [blocks["square"].mean() for blocks in each]
     rows.number("mean chi-square over its degrees of freedom", squares, ".2f", least=1 - limit, most=1 + limit)
-    rows.add("blocks with a failed check", f"{' / '.join(str(one['failed'].sum()) for one in each)} of {number}")
+    failed = " / ".join(str(blocks["failed"].sum()) for blocks in each)
+    rows.add("blocks with a failed check", f"{failed} of {number}")
     return rows
 
 

@@ -76,17 +76,20 @@ def run(quick: bool) -> list[Row]:
 def _errors(number: int) -> Rows:
     rows = Rows("solid")
     each = [columns(trials(partial(_error, "block60", ball), range(number))) for ball in BALLS_MM]
-    ratios, own, bounds = ([rms(fit(one)) for one in each] for fit in (
-        lambda one: one["block"] / one["bound"], lambda one: one["block"], lambda one: one["bound"]))  # fmt: skip
-    gains = [rms(one["Γ"]) / mine for one, mine in zip(each, own, strict=True)]
+    own, bounds, gamma = ([rms(errors[name]) for errors in each] for name in ("block", "bound", "Γ"))
+    ratios = [rms(errors["block"] / errors["bound"]) for errors in each]
+    gains = np.divide(gamma, own)
     name = f"block60, target 80 mm away, balls 0.02 / 0.05 / 0.1 mm, {number} set-ups each: rms (error / bound)"
     rows.number(name, ratios, most=MAX_RATIO)
     rows.add("block60: error, rms", f"{_texts(own)} mm", f"<= {MAX_RMS_MM} mm at 0.02 mm", own[0] <= MAX_RMS_MM,
              peer=f"bound {_texts(bounds)} mm")  # fmt: skip
     name = "more accurate than Γ of default tolerances in the same beams, rms, points"
-    value, peer = " / ".join(f"{gain:.1f}" for gain in gains), f"Γ {_texts([rms(one['Γ']) for one in each])} mm"
+    value, peer = " / ".join(f"{gain:.1f}" for gain in gains), f"Γ {_texts(gamma)} mm"
     rows.add(name, f"{value} times", f">= {MIN_GAIN:g} at 0.02 mm", gains[0] >= MIN_GAIN, peer=peer)
-    median = {name: [np.median(one[name][np.isfinite(one[name])]) for one in each] for name in ("block", DLT, *OPENCV)}
+    median = {
+        name: [np.median(errors[name][np.isfinite(errors[name])]) for errors in each]
+        for name in ("block", DLT, *OPENCV)
+    }
     mine = median.pop("block")
     peer = ", ".join(f"{name} {_texts(values)}" for name, values in median.items())
     met = all(np.less(mine, theirs).all() for theirs in median.values())

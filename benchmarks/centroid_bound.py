@@ -112,7 +112,7 @@ def _bound(truth: BeadTruth, ratio: np.ndarray, clear: np.ndarray, profiles: lis
     open_quanta, quanta = exposure.open_quanta[rows, columns], exposure.quanta[rows, columns]
     derivatives = []
     for k, slope in enumerate(slopes):
-        others = np.prod([one for m, one in enumerate(light) if m != k], axis=0) if len(light) > 1 else 1.0
+        others = np.prod([other for m, other in enumerate(light) if m != k], axis=0) if len(light) > 1 else 1.0
         derivatives += [contrast * others * d for d in slope]
     a, b = x / reach + 0 * y, y / reach + 0 * x
     ground = [ratio[rows, columns] * term for term in (np.ones_like(a), a, b, a * a, a * b, b * b)]

@@ -66,13 +66,13 @@ class App:
 
     def raw(self, data: bytes) -> bytes:
         """Return the response to raw bytes, until the connection closes or is silent for 0.2 s."""
-        said = b""
+        answer = b""
         with socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S) as link, suppress(OSError):
             link.sendall(data)
             link.settimeout(0.2)
             while piece := link.recv(65536):
-                said += piece
-        return said
+                answer += piece
+        return answer
 
     def state(self) -> tuple[int, int]:
         """Return the numbers of the case's entries, and of files in its folder and next to it."""
@@ -90,8 +90,8 @@ class App:
             time.sleep(0.1)
         if status != 200:
             return f"its own page is answered with {status}"
-        said = (self.folder / "log.txt").read_text()
-        bugs = re.findall(r'File "[^"]*/(sightline/[^"]*)", line (\d+)[^\n]*\n[^\n]*\n(?! +File)', said)
+        log = (self.folder / "log.txt").read_text()
+        bugs = re.findall(r'File "[^"]*/(sightline/[^"]*)", line (\d+)[^\n]*\n[^\n]*\n(?! +File)', log)
         return f"an error in {bugs[-1][0]}:{bugs[-1][1]}" if bugs else ""
 
 
@@ -138,7 +138,7 @@ def page() -> str:
 
 def _stay(handshake: str, opened: threading.Event) -> None:
     """Answer the server's pings, so that the page counts as open."""
-    with suppress(WebSocketException), guest(app()) as link:
+    with suppress(WebSocketException), opened(app(), app().cookie) as link:
         link.send("40")
         link.send("42" + handshake)
         opened.set()
@@ -148,9 +148,9 @@ def _stay(handshake: str, opened: threading.Event) -> None:
 
 
 def _client_in(text: str) -> str:
-    found = re.search(r"client_id\W+([\w-]{36})", text)
-    assert found is not None, text[:500]
-    return found[1]
+    match = re.search(r"client_id\W+([\w-]{36})", text)
+    assert match is not None, text[:500]
+    return match[1]
 
 
 def upload_address() -> str:
@@ -161,16 +161,15 @@ def upload_address() -> str:
 Attack = Callable[[App, np.random.Generator], str]
 
 
-def attack(one: Attack, *, stranger: bool) -> Damage:
+def attack(play: Attack, *, stranger: bool) -> Damage:
     """Return the class of one attack, which returns what was disclosed; a stranger must change nothing."""
 
     def make(rng: np.random.Generator) -> Ended:
         served = app()
         page()  # so that what it writes when first opened is written before
         before = served.state()
-        given = one(served, rng)
-        if given:
-            return Ended("unsafe", given)
+        if disclosed := play(served, rng):
+            return Ended("unsafe", disclosed)
         if fault := served.fault():
             return Ended("crash", fault)
         if stranger and served.state() != before:
@@ -202,11 +201,8 @@ def foreign(served: App, rng: np.random.Generator) -> str:
              f"127.0.0.1:{port}:1", f"127.0.0.1:{port}@evil.example", f"[::1]:{port + 1}", ""]  # fmt: skip
     origins = ["http://evil.example", "null", "", f"http://127.0.0.1:{port + 1}", f"https://127.0.0.1:{port}",
                f"http://127.0.0.1:{port}.evil.example", f"http://127.0.0.1:{port}/", "file://"]  # fmt: skip
-    headers = dict(served.headers)
-    if rng.random() < 0.5:
-        headers["host"] = str(rng.choice(hosts))
-    else:
-        headers["origin"] = str(rng.choice(origins))
+    forged = {"host": str(rng.choice(hosts))} if rng.random() < 0.5 else {"origin": str(rng.choice(origins))}
+    headers = {**served.headers, **forged}
     answer = served.ask(route(served, rng), str(rng.choice(["GET", "POST"])), headers=headers, content=b"")
     return "" if answer.status_code in (400, 403, 421) else f"an answer {answer.status_code} to a foreign page"
 
@@ -214,35 +210,24 @@ def foreign(served: App, rng: np.random.Generator) -> str:
 def unknown(served: App, rng: np.random.Generator) -> str:
     """Send no token, a wrong one, or an invented cookie."""
     name = served.cookie.partition("=")[0]
-    cookies = [
-        "",
-        f"{name}=",
-        f"{name}={TOKEN}",
-        f"{name}={rng.bytes(32).hex()}",
-        served.cookie[:-1],
-        f"x{served.cookie}",
-    ]
-    headers = {**served.headers, "cookie": str(rng.choice(cookies))}
+    values = ["", f"{name}=", f"{name}={TOKEN}", f"{name}={rng.bytes(32).hex()}", served.cookie[:-1]]
+    headers = {**served.headers, "cookie": str(rng.choice([*values, f"x{served.cookie}"]))}
     path = route(served, rng)
     if rng.random() < 0.3:
-        path += (
-            ("&" if "?" in path else "?") + "token=" + quote(str(rng.choice(["", TOKEN[:-1], TOKEN + "x", "\u00fc"])))
-        )
+        token = quote(str(rng.choice(["", TOKEN[:-1], TOKEN + "x", "\u00fc"])))
+        path += f"{'&' if '?' in path else '?'}token={token}"
     if rng.random() < 0.3:
-        return socket_opened(served, headers)
+        with suppress(WebSocketException), opened(served, headers["cookie"]):
+            return "a socket is opened to a stranger"
+        return ""
     answer = served.ask(path, str(rng.choice(["GET", "POST", "HEAD"])), headers=headers)
     return "" if answer.status_code == 401 else f"an answer {answer.status_code} to a stranger"
 
 
-def socket_opened(served: App, headers: dict[str, str]) -> str:
-    """Return what is wrong if a socket is opened for these headers; ""  if it is refused."""
-    extra = {"cookie": headers["cookie"]}
-    try:
-        with connect(f"ws://127.0.0.1:{served.port}{ENGINE}websocket", origin=headers["origin"],  # type: ignore[arg-type]
-                     additional_headers=extra, open_timeout=PATIENCE_S):  # fmt: skip
-            return "a socket is opened to a stranger"
-    except WebSocketException:
-        return ""
+def opened(served: App, cookie: str) -> ClientConnection:
+    """Open a socket with a cookie."""
+    address = f"ws://127.0.0.1:{served.port}{ENGINE}websocket"
+    return connect(address, origin=served.base, additional_headers={"cookie": cookie}, open_timeout=PATIENCE_S)  # type: ignore[arg-type]
 
 
 def malformed(served: App, rng: np.random.Generator) -> str:
@@ -259,9 +244,8 @@ def malformed(served: App, rng: np.random.Generator) -> str:
 
 def climbing(served: App, rng: np.random.Generator) -> str:
     """Request paths outside the served folders, in many encodings."""
-    start = str(
-        rng.choice(["/", "/_nicegui/", "/_nicegui/3.0/static/", "/_nicegui/auto/static/", "/image/", "/upload/"])
-    )
+    starts = ["/", "/_nicegui/", "/_nicegui/3.0/static/", "/_nicegui/auto/static/", "/image/", "/upload/"]
+    start = str(rng.choice(starts))
     goal = str(rng.choice(["etc/passwd", "secret.txt", "case/journal.sqlite", str(served.folder / "secret.txt")]))
     path = start + "".join(rng.choice(CLIMBS, int(rng.integers(1, 12)))) + goal
     head = "\r\n".join(f"{name}: {value}" for name, value in served.headers.items())
@@ -273,26 +257,14 @@ def uploads(served: App, rng: np.random.Generator) -> str:
     name = str(rng.choice(list(FILES)))
     data = FILES[name][0]()
     data = mutated(data, rng) if rng.random() < 0.6 else rng.bytes(int(rng.integers(0, 5000))) + data
-    shown = str(
-        rng.choice(["a.png", "../../evil.png", "/etc/passwd", "%2e%2e%2fx", "<b>", "\u202egnp.exe", "x" * 3000, ""])
-    )
-    headers = {**served.headers, "x-file-name": quote(shown)}
+    names = ["a.png", "../../evil.png", "/etc/passwd", "%2e%2e%2fx", "<b>", "\u202egnp.exe", "x" * 3000, ""]
+    headers = {**served.headers, "x-file-name": quote(str(rng.choice(names)))}
     if rng.random() < 0.2:  # the upload breaks off
         head = "\r\n".join(f"{key}: {value}" for key, value in headers.items())
         sent = f"POST {upload_address()} HTTP/1.1\r\n{head}\r\nContent-Length: {len(data) + 9}\r\n\r\n".encode() + data
         return told(served.raw(sent))
     address = upload_address() if rng.random() < 0.8 else "/upload/guessed"
     return told(served.ask(address, "POST", headers=headers, content=data))
-
-
-def guest(served: App) -> ClientConnection:
-    """Open a socket with the token."""
-    return connect(
-        f"ws://127.0.0.1:{served.port}{ENGINE}websocket",
-        origin=served.base,  # type: ignore[arg-type]
-        additional_headers={"cookie": served.cookie},
-        open_timeout=PATIENCE_S,
-    )
 
 
 def odd(rng: np.random.Generator) -> object:
@@ -303,7 +275,7 @@ def odd(rng: np.random.Generator) -> object:
 def events(served: App, rng: np.random.Generator) -> str:
     """Send events of no page or another's, with invalid values, in any order."""
     listeners = re.findall(r"listener_id\W+([\w-]{36})", page())
-    with guest(served) as link, suppress(WebSocketException, TimeoutError):
+    with opened(served, served.cookie) as link, suppress(WebSocketException, TimeoutError):
         link.send("40" + str(rng.choice(["", "", "", "/evil,", ",", "{}"])))
         for _ in range(int(rng.integers(1, 15))):
             name = str(rng.choice(EVENTS))

@@ -88,9 +88,8 @@ class Clicks:
 
 def judged(made: Plan, wire_mm: np.ndarray) -> Ended:
     """Return how a plan compares with the true entry and end point (2, 3), CFCS."""
-    why = ", ".join(sorted({check.name for check in failed(made.verdict.checks)}))
-    said = " ".join(check.sentence for check in failed(made.verdict.checks))
-    path = made.trajectory
+    bad, path = failed(made.verdict.checks), made.trajectory
+    why, said = ", ".join(sorted({check.name for check in bad})), " ".join(check.sentence for check in bad)
     if not path.error_stated:
         return Ended("NO-GO", why, said=said)
     errors = np.linalg.norm(path.points.xyz_mm - wire_mm, axis=1)
@@ -99,9 +98,9 @@ def judged(made: Plan, wire_mm: np.ndarray) -> Ended:
         return Ended("incomplete", "; ".join(made.verdict.missing), ratio, said)
     if not made.verdict.go:
         return Ended("NO-GO", why, ratio, said)
-    return Ended(
-        "wrong" if ratio > WRONG else "right", f"GO, off by {ratio:.1f} times its bound" if ratio > WRONG else "", ratio
-    )
+    if ratio > WRONG:
+        return Ended("wrong", f"GO, off by {ratio:.1f} times its bound", ratio)
+    return Ended("right", "", ratio)
 
 
 def _outline(view, hip: HipScene) -> np.ndarray:

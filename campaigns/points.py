@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -69,29 +71,26 @@ class World:
         uv = np.concatenate([self.clicks.wire, self.clicks.landmarks, self.clicks.head[:, None, :2]], axis=1)
         points = sl.reconstruct(views, uv, np.broadcast_to(self.pick_sd_px**2 * np.eye(2), (*uv.shape, 2)))
         assert points.gap_chi2 is not None
-        said: dict[str, np.ndarray] = {}
+        residuals: dict[str, np.ndarray] = {}
         for view in views:
             left = view.residuals
             size = np.linalg.norm(left.leave_one_out_mm, axis=1)
             scaled = left.leave_one_out_mm * (left.sigma / np.maximum(size, 1e-12))[:, None]
-            said |= dict(zip(left.ids, scaled, strict=True))
+            residuals |= dict(zip(left.ids, scaled, strict=True))
         away = [np.linalg.norm(points.xyz_mm[-1] - view.focal_point_mm) for view in views]
-        said["radius"] = np.diff(self.clicks.head[:, 2] * away) / (self.pick_sd_px * np.hypot(*away))
-        return said, points.gap_chi2
+        residuals["radius"] = np.diff(self.clicks.head[:, 2] * away) / (self.pick_sd_px * np.hypot(*away))
+        return residuals, points.gap_chi2
 
-    def change_beads(self, name: str, uv_px: np.ndarray | None = None, ids: tuple[str, ...] | None = None) -> None:
+    def change_beads(self, name: str, **fields: Any) -> None:
         """Replace pixels or names of one view's beads."""
-        seen = self.observations[name]
-        self.observations[name] = Observations(
-            name, ids or seen.ids, seen.uv_px if uv_px is None else uv_px, seen.covariance_px2
-        )
+        self.observations[name] = replace(self.observations[name], **fields)
 
     def keep_beads(self, name: str, kept: np.ndarray) -> None:
         """Keep only some beads (N,) bool."""
         seen = self.observations[name]
         assert seen.covariance_px2 is not None
-        ids = tuple(i for i, keep in zip(seen.ids, kept, strict=True) if keep)
-        self.observations[name] = Observations(name, ids, seen.uv_px[kept], seen.covariance_px2[kept])
+        ids = tuple(np.array(seen.ids)[kept].tolist())
+        self.change_beads(name, ids=ids, uv_px=seen.uv_px[kept], covariance_px2=seen.covariance_px2[kept])
 
     def move_wire(self, view: int, point: int, by_px: np.ndarray) -> None:
         """Move one click. `point`: 0 entry, 1 end."""
@@ -158,10 +157,9 @@ def exchanged_ids(world: World, rng: np.random.Generator) -> None:
     seen = world.observations[name]
     ids = list(seen.ids)
     for _ in range(int(rng.integers(1, 5))):
-        one = int(rng.integers(len(ids)))
-        order = np.argsort(np.linalg.norm(seen.uv_px - seen.uv_px[one], axis=1))
-        other = int(order[int(rng.integers(1, 4))])
-        ids[one], ids[other] = ids[other], ids[one]
+        k = int(rng.integers(len(ids)))
+        other = int(np.argsort(np.linalg.norm(seen.uv_px - seen.uv_px[k], axis=1))[int(rng.integers(1, 4))])
+        ids[k], ids[other] = ids[other], ids[k]
     world.change_beads(name, ids=tuple(ids))
 
 
@@ -171,7 +169,7 @@ def displaced_beads(world: World, rng: np.random.Generator) -> None:
     uv = world.observations[name].uv_px.copy()
     hit = rng.choice(len(uv), int(rng.integers(1, 11)), replace=False)
     uv[hit] += np.exp(rng.uniform(np.log(0.3), np.log(20.0))) * rng.standard_normal((len(hit), 2))
-    world.change_beads(name, uv)
+    world.change_beads(name, uv_px=uv)
 
 
 def understated_noise(world: World, rng: np.random.Generator) -> None:
@@ -179,7 +177,7 @@ def understated_noise(world: World, rng: np.random.Generator) -> None:
     factor = rng.uniform(2.0, 8.0) * BEAD_PX
     for name in VIEWS:
         uv = world.observations[name].uv_px
-        world.change_beads(name, uv + factor * rng.standard_normal(uv.shape))
+        world.change_beads(name, uv_px=uv + factor * rng.standard_normal(uv.shape))
 
 
 def missing_beads(world: World, rng: np.random.Generator) -> None:
@@ -190,33 +188,18 @@ def missing_beads(world: World, rng: np.random.Generator) -> None:
     world.keep_beads(name, order >= np.quantile(order, rng.uniform(0.1, 0.75)))
 
 
-def _lower(uv: np.ndarray, row: float) -> np.ndarray:
-    return uv[..., 1] > row
-
-
-def torn(world: World, rng: np.random.Generator) -> None:
-    """Shift all beads and clicks below a row through the wire by 1 to 40 px."""
-    _torn(world, rng, keep=True)
-
-
-def torn_and_dropped(world: World, rng: np.random.Generator) -> None:
-    """Shift like `torn`, and remove the beads below."""
-    _torn(world, rng, keep=False)
-
-
-def _torn(world: World, rng: np.random.Generator, *, keep: bool) -> None:
+def torn(world: World, rng: np.random.Generator, *, keep: bool = True) -> None:
+    """Shift all beads and clicks below a row through the wire by 1 to 40 px; remove the beads there unless `keep`."""
     view = _view(rng)
     name, by = VIEWS[view], np.array([rng.choice([-1, 1]) * np.exp(rng.uniform(0, np.log(40))), 0.0])
-    ends = np.sort(world.clicks.wire[view, :, 1])
-    row = rng.uniform(*ends)
-    uv = world.observations[name].uv_px
-    world.change_beads(name, uv + _lower(uv, row)[:, None] * by)
+    row = rng.uniform(*np.sort(world.clicks.wire[view, :, 1]))
+
+    def shown(uv: np.ndarray) -> np.ndarray:
+        return uv + (uv[..., 1] > row)[..., None] * by
+
+    world.change_beads(name, uv_px=shown(world.observations[name].uv_px))
     if not keep:
-        world.keep_beads(name, ~_lower(uv, row))
-
-    def shown(points: np.ndarray) -> np.ndarray:
-        return points + _lower(points, row)[:, None] * by
-
+        world.keep_beads(name, world.observations[name].uv_px[:, 1] <= row)
     world.clicks = world.clicks.as_shown({name: shown})
 
 
@@ -228,7 +211,7 @@ def warped(world: World, rng: np.random.Generator) -> None:
     def shown(points: np.ndarray) -> np.ndarray:
         return points @ matrix.T
 
-    world.change_beads(name, shown(world.observations[name].uv_px))
+    world.change_beads(name, uv_px=shown(world.observations[name].uv_px))
     world.clicks = world.clicks.as_shown({name: shown})
 
 
@@ -262,17 +245,15 @@ def _along_curve(world: World, view: int, point: int) -> np.ndarray:
     this, other = (world.setup.views[VIEWS[k]] for k in (view, 1 - view))
     at = world.hip.wire_mm[point]
     ray = (at - other.focal_point_mm) / np.linalg.norm(at - other.focal_point_mm)
-    step = this.project(np.stack([at - ray, at + ray]))
-    return (step[1] - step[0]) / np.linalg.norm(step[1] - step[0])
+    step = np.diff(this.project(np.stack([at - ray, at + ray])), axis=0)[0]
+    return step / np.linalg.norm(step)
 
 
 def one_pick_off(world: World, rng: np.random.Generator) -> None:
     """Move one click 5 to 20 px across its matching curve, and at most as much along it."""
     view, point = _view(rng), _view(rng)
-    along = _along_curve(world, view, point)
-    across = np.array([-along[1], along[0]])
-    by = rng.choice([-1, 1]) * rng.uniform(5, 20)
-    world.move_wire(view, point, by * (across + rng.uniform(-1, 1) * along))
+    along, by = _along_curve(world, view, point), rng.choice([-1, 1]) * rng.uniform(5, 20)
+    world.move_wire(view, point, by * (np.array([-along[1], along[0]]) + rng.uniform(-1, 1) * along))
 
 
 def one_pick_along(world: World, rng: np.random.Generator) -> None:
@@ -388,7 +369,7 @@ CLASSES: dict[str, Damage] = {
     "noise of beads understated": damage(understated_noise),
     "beads missing": damage(missing_beads),
     "torn": damage(torn, "torn", "rows", "shift"),
-    "torn, lower beads dropped": damage(torn_and_dropped, "torn", "rows", "shift", "bead"),
+    "torn, lower beads dropped": damage(partial(torn, keep=False), "torn", "rows", "shift", "bead"),
     "sheared, stretched, turned": damage(warped),
     "entry and end exchanged": damage(entry_for_end, "exchang", "entry"),
     "clicks of the views exchanged": damage(views_exchanged),

@@ -88,14 +88,14 @@ class Witness:
 
     def send(self, name: str, body, client: int = CLIENT, **header) -> list[Message]:
         """Send a message and return the answers; a command must be answered."""
-        said = self.rig.send(name, body, client, **header)
-        if name.startswith("CMD_") and not any(one.device_name.startswith("ACK_") for one in said):
+        answers = self.rig.send(name, body, client, **header)
+        if name.startswith("CMD_") and not any(answer.device_name.startswith("ACK_") for answer in answers):
             self.say("a command without an answer")
         if isinstance(body, String) and body.text in ("STOP", "EMERGENCY"):
             self.stopped_s = self.rig.now_s
-        elif code(said) == 1:
+        elif code(answers) == 1:
             self.stopped_s = None
-        return said
+        return answers
 
     @property
     def ended(self) -> Ended:
@@ -106,12 +106,12 @@ class Witness:
 Play = Callable[[Witness, np.random.Generator], None]
 
 
-def play(one: Play) -> Damage:
+def play(scenario: Play) -> Damage:
     """Return the class of one scenario, played from any state of the robot."""
 
     def make(rng: np.random.Generator) -> Ended:
         witness = Witness(Rig.at(STATES[int(rng.integers(len(STATES)))]))
-        one(witness, rng)
+        scenario(witness, rng)
         witness.run(0.5)
         return witness.ended
 

@@ -103,7 +103,7 @@ def solid_bound(
     across = usual if principal_point_mm is None else principal_point_mm
     prior = np.array([across, across, focal_length_mm])
     linearised = _linearised if setup.frame.detector is None else _on_plate
-    return target_bound([linearised(setup, name, one, target_mm, prior) for name, one in seen.items()])
+    return target_bound([linearised(setup, name, data, target_mm, prior) for name, data in seen.items()])
 
 
 def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray, prior_mm: np.ndarray) -> Linear:

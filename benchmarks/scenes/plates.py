@@ -283,7 +283,7 @@ def clean_views(rng: np.random.Generator, frame: Frame, chain: str, *, cropped: 
     for name, truth in setup.views.items():
         ids, uv = bead_images(setup, name, rng, sd_px=CLEAN_NOISE_PX)
         by_id = setup.true_frame.view(name).by_id
-        beads = [by_id[one] for one in ids]
+        beads = [by_id[name] for name in ids]
         half = np.array([bead.diameter_mm / 2 for bead in beads])
         radius = shadow_radius_px(truth, np.array([bead.xyz_mm for bead in beads]), half)
         size = np.array(truth.chain.shape[::-1])
