@@ -36,7 +36,7 @@ SWAPPED = {
     "+": "-", "-": "+", "*": "/", "/": "*", "<": ">", "<=": ">", ">": "<", ">=": "<", "==": "!=", "!=": "==",
     "and": "or", "or": "and",
 }  # fmt: skip
-LIMIT_S = 900  # a change that makes the tests run this long is detected: something waits forever
+LIMIT_S = 1800  # a change that makes the tests run this long is detected: something waits forever
 PROCESSES = 2
 
 
