@@ -70,10 +70,10 @@ def _real() -> Rows:
 def _against_bound(images: int) -> Rows:
     rows, all_of = Rows("detection"), trials(_scored, product(DOSES, range(images)))
     by_dose = [all_of[k * images : (k + 1) * images] for k in range(len(DOSES))]
-    counts = [{key: sum(image[key] for image in dose) for key in all_of[0]["counts"]} for dose in
-              [[image["counts"] for image in dose] for dose in by_dose]]  # fmt: skip
-    squares = [{key: np.concatenate([image[key] for image in dose]) for key in ("bound", "stated", "labelled")}
-               for dose in by_dose]  # fmt: skip
+    keys = all_of[0]["counts"]
+    counts = [{key: sum(image["counts"][key] for image in dose) for key in keys} for dose in by_dose]
+    keys = ("bound", "stated", "labelled")
+    squares = [{key: np.concatenate([image[key] for image in dose]) for key in keys} for dose in by_dose]
 
     def recall(name: str) -> list[float]:
         return [count[name] / count["findable"] for count in counts]

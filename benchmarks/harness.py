@@ -51,8 +51,9 @@ class Rows(list[Row]):
     ) -> None:  # fmt: skip
         """Add one or several numbers, all of which must be at most `most` and at least `least`."""
         numbers = np.atleast_1d(values)
-        asked = f"{least:g}-{most:g}" if np.isfinite([least, most]).all() else f"<= {most:g}" if most < np.inf else ""
-        asked = asked or (f">= {least:g}" if least > -np.inf else "")
+        low, high = (f"{round(limit, 4):g}" for limit in (least, most))
+        asked = f"{low}-{high}" if np.isfinite([least, most]).all() else f"<= {high}" if most < np.inf else ""
+        asked = asked or (f">= {low}" if least > -np.inf else "")
         met = bool(((numbers >= least) & (numbers <= most)).all()) if asked else None
         asked += f" {unit}" if asked and unit else ""
         text = " / ".join(format(value, form) for value in numbers)
@@ -140,8 +141,9 @@ def finished(results: Sequence[Any]) -> tuple[list[Any], str]:
     return done, f"{len(results) - len(done)} of {len(results)}"
 
 
-def columns(records: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """Return the values of records of the same keys, as one array for each key."""
+def columns(results: Sequence[Any]) -> dict[str, np.ndarray]:
+    """Return the values of records of the same keys that are not refused, as one array for each key."""
+    records = [record for record in results if not isinstance(record, Refusal)]
     return {key: np.array([record[key] for record in records]) for key in (records[0] if records else ())}
 
 
