@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from copy import deepcopy
+from dataclasses import replace
 from functools import cache
 from unittest.mock import patch
 
@@ -65,7 +66,8 @@ class IdealPlant:
 
     def command(self, joint_velocity: np.ndarray, drill_on: bool) -> None:
         assert np.isfinite(joint_velocity).all()
-        self.goal = np.clip(joint_velocity, -ROBOT.manipulator.speed, ROBOT.manipulator.speed)
+        speed = ROBOT.manipulator.speed
+        self.goal = np.minimum(np.maximum(joint_velocity, -speed), speed)
 
     def hold(self) -> None:
         self.goal = np.zeros(5)
@@ -74,7 +76,7 @@ class IdealPlant:
         step = ROBOT.manipulator.acceleration * dt_s
         goal = self.goal if self.run_held and not self.stop_pressed else np.zeros(5)
         before = self.velocity
-        self.velocity = before + np.clip(goal - before, -step, step)
+        self.velocity = before + np.minimum(np.maximum(goal - before, -step), step)
         self.q = self.q + dt_s * (before + self.velocity) / 2
         self.time_s += dt_s
 
@@ -159,6 +161,16 @@ class Rig:
             else:
                 self.command(step)
                 self.run(0.2 if step in ("STOP", "EMERGENCY") else 0.0)
+
+    def reads(self, **changed) -> None:
+        """From now on samples have these values, or what a function makes of the plant's own reading."""
+        real = type(self.plant).read
+
+        def read() -> Reading:
+            reading = real(self.plant)
+            return replace(reading, **{k: value(reading) if callable(value) else value for k, value in changed.items()})
+
+        self.plant.read = read
 
     def speed(self) -> float:
         """Largest joint speed as a share of the joint's full speed, over the last cycles."""

@@ -1,8 +1,5 @@
 """The controller without a link: an answer to everything in every state, and motion that is watched."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, IMAGED, ROBOT, T_MCS_CFCS, Rig, code, metadata, wire
@@ -190,14 +187,14 @@ def test_a_controller_that_slept_does_not_blame_the_drives(state):
     """Their samples paused as it did, and come again some cycles after it woke."""
     rig = Rig.at(state)
     rig.now_s += PAUSE_S
-    real, frozen = rig.plant.read, rig.plant.read()
-    rig.plant.read = lambda: frozen
+    frozen = vars(rig.plant.read())
+    rig.reads(**frozen)
     rig.run(0.03)
     assert rig.state is state
-    rig.plant.read = real
+    rig.reads()
     rig.run(0.1)
     assert rig.state is state
-    rig.plant.read = lambda: frozen  # but drives that are gone are noticed, and in time
+    rig.reads(**frozen)  # but drives that are gone are noticed, and in time
     rig.run(0.06)
     assert rig.state is State.EMERGENCY
     assert "no sample from the drives" in rig.controller.machine.fault.text
@@ -352,13 +349,10 @@ def test_a_plan_expires_before_and_during_motion():
 @pytest.mark.parametrize("state", WAITING, ids=lambda state: state.value)
 def test_a_robot_pushed_while_it_waits_is_a_fault(state):
     rig = Rig.at(state)
-    real = rig.plant.read
-
-    def pushed():
-        reading = real()
-        return type(reading)(reading.time_s, reading.encoders + np.array([0, 0.3, 0, 0, 0]), 0.0, reading.flags)
-
-    rig.plant.read = pushed
+    rig.reads(flags=PlantFlag.RUN_HELD | PlantFlag.OVERLOAD)
+    rig.run(0.1)
+    assert rig.state is state  # an overloaded drive stops no robot that stands
+    rig.reads(encoders=lambda reading: reading.encoders + np.array([0, 0.3, 0, 0, 0]))
     rig.run(0.05)
     assert rig.state is State.EMERGENCY
     assert "traverse was moved" in rig.controller.machine.fault.text
@@ -368,15 +362,8 @@ def test_a_robot_pushed_while_it_waits_is_a_fault(state):
 def test_a_joint_that_does_not_follow_is_a_fault(joint):
     rig = Rig.at(State.TARGETING)
     rig.command("MOVE_TO_TARGET")
-    real, stuck = rig.plant.read, rig.plant.read().encoders[joint]
-
-    def read():
-        reading = real()
-        encoders = reading.encoders.copy()
-        encoders[joint] = stuck
-        return type(reading)(reading.time_s, encoders, 0.0, reading.flags)
-
-    rig.plant.read = read
+    stuck = rig.plant.read().encoders[joint]
+    rig.reads(encoders=lambda reading: np.where(np.arange(5) == joint, stuck, reading.encoders))
     rig.run_until(State.EMERGENCY, 10.0)
     assert "from where it should be" in rig.controller.machine.fault.text
 
@@ -397,63 +384,33 @@ def test_a_joint_that_does_not_follow_is_a_fault(joint):
 def test_what_the_plant_says_wrong_while_drilling_is_a_fault(change, why):
     rig = Rig.at(State.DRILL)
     rig.run(0.5)
-    real, frozen = rig.plant.read, rig.plant.read()
-
-    def read():
-        if change == "frozen":
-            return frozen
-        reading = real()
-        said = {name: getattr(reading, name) for name in ("time_s", "encoders", "force_n", "flags")}
-        return SimpleNamespace(**(said | change))
-
-    rig.plant.read = read
+    rig.reads(**(vars(rig.plant.read()) if change == "frozen" else change))
     rig.run_until(State.EMERGENCY, 0.3)
     assert why in rig.controller.machine.fault.text
-    rig.plant.read = real
+    rig.reads()
     rig.run(0.1)
     assert rig.speed() < 0.01
 
 
 def test_a_wire_that_runs_past_its_depth_limit_is_a_fault():
     """The chuck slips, or a drive runs away: the loop sees the wire beyond the limit, where no command sent it."""
-    rig = Rig.at(State.DRILL)
+    rig = Rig.at(State.PAUSED)
     insertion = rig.controller.machine.insertion
-    rig.run_until(State.PAUSED)
     rig.command("DRILL")
     rig.run_until_depth(insertion.length_mm - 0.1)
     assert insertion.depth_limit_mm == pytest.approx(insertion.length_mm + 1.0)
-    before = rig.plant.read
-    rig.plant.read = lambda: replace(before(), encoders=rig.plant.q + np.array([0, 0, 0, 0, 1.2]))
+    rig.reads(encoders=lambda _: rig.plant.q + np.array([0, 0, 0, 0, 1.2]))
     said = rig.run_until(State.EMERGENCY, 0.1)
     assert "depth limit" in rig.controller.machine.fault.text
     assert code(said, "DRILL") == Code.HARDWARE
-    rig.plant.read = before
-    rig.run(0.1)
-    assert rig.speed() < 0.01
-
-
-def test_an_overloaded_drive_stops_no_robot_that_stands():
-    rig = Rig.at(State.PAUSED)
-    before = rig.plant.read
-    rig.plant.read = lambda: replace(before(), flags=PlantFlag.RUN_HELD | PlantFlag.OVERLOAD)
-    rig.run(0.1)
-    assert rig.state is State.PAUSED
 
 
 def test_a_far_break_through_stops_and_a_near_one_does_not():
+    rig = Rig.at(State.DRILL)
     for share, ends in ((0.3, State.DRILL), (0.7, State.STOP)):
-        rig = Rig.at(State.DRILL)
-        length = rig.controller.machine.insertion.length_mm
-        while rig.controller.machine.snapshot().depth_mm < share * length:
-            rig.run(0.1)
-        real, fell = rig.plant.read, rig.now_s + 1.0
-
-        def read(real=real, fell=fell, rig=rig):
-            reading = real()
-            force = 25.0 if rig.now_s < fell else 0.5
-            return type(reading)(reading.time_s, reading.encoders, force, reading.flags)
-
-        rig.plant.read = read
+        rig.run_until_depth(share * rig.controller.machine.insertion.length_mm)
+        fell = rig.now_s + 1.0
+        rig.reads(force_n=lambda _, fell=fell: 25.0 if rig.now_s < fell else 0.5)
         said = rig.run(2.0)
         assert rig.state is ends
         assert any("broke through" in m.body.text for m in said) is (ends is State.STOP)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import RobotRefusedError, UnusableInputError
-from sightline.robot.kinematics.calibrated import hand_eye, measured_axis, measured_mount
+from sightline.robot.kinematics.calibrated import measured_axis, measured_mount
 
 TRUE = RigidTransform.from_exp_coords([0.4, -1.1, 0.7, 83.0, -41.5, 120.25])
 SD = 0.05
@@ -88,36 +88,3 @@ def test_an_axis_that_is_none_is_refused():
         measured_axis(feeds, 1.01 * tips, SD)  # fed further than the encoder says
     with pytest.raises(UnusableInputError, match="further apart"):
         measured_axis(feeds / 100, tips / 100, SD)
-
-
-def poses(rng: np.random.Generator, n: int, spread_rad: float = 0.5) -> RigidTransform:
-    turns = Rotation.from_rotvec(rng.uniform(-spread_rad, spread_rad, (n, 3)))
-    return RigidTransform.from_components(rng.uniform(-80, 80, (n, 3)), turns)
-
-
-def test_hand_eye_errs_as_it_says():
-    rng = np.random.default_rng(6)
-    world = RigidTransform.from_exp_coords([2.0, 0.3, -0.4, 900.0, 310.0, -50.0])
-    sd = np.array([3e-4] * 3 + [0.1] * 3)
-    errors, covariances = [], []
-    for _ in range(40):
-        flange = poses(rng, 9)
-        noise = RigidTransform.from_exp_coords(sd * rng.standard_normal((9, 6)))
-        mount = hand_eye(flange, world * flange * TRUE * noise, np.diag(sd**2))
-        errors.append(twist(mount.pose, TRUE))
-        covariances.append(mount.covariance)
-    assert abs(chi2_per_axis(np.array(errors), np.array(covariances)) - 1) < 3 * np.sqrt(2 / (6 * 40))
-
-
-def test_hand_eye_without_enough_turns_or_with_a_wrong_pose_is_refused():
-    rng = np.random.default_rng(7)
-    world, covariance = RigidTransform.identity(), np.diag([1e-6] * 3 + [0.01] * 3)
-    still = poses(rng, 5, spread_rad=0.01)
-    with pytest.raises(RobotRefusedError, match="rotate the wrist"):
-        hand_eye(still, still * TRUE, covariance)
-    flange = poses(rng, 6)
-    seen = flange[[1, 0, 2, 3, 4, 5]] * TRUE
-    with pytest.raises(RobotRefusedError, match=r"measured poses|converge"):
-        hand_eye(flange, world * seen, covariance)
-    with pytest.raises(UnusableInputError, match="three poses"):
-        hand_eye(flange[:2], flange[:2], covariance)

@@ -61,7 +61,7 @@ def test_distance_of_a_line_from_a_box_is_the_least_of_its_points(seed):
 def test_the_nearest_line_is_found_among_all():
     """What is left out as too far away changes nothing: every line looked at gives the same."""
     robot, path, theatre = approach()
-    for pose in np.random.default_rng(3).uniform(-1, 1, (2, 5)):
+    for pose in np.random.default_rng(3).uniform(-1, 1, (1, 5)):
         way = np.stack([path[0], path[0] + pose * [40.0, 40.0, 0.2, 0.2, 0.0]])
         whole = []
         for obstacle in theatre.obstacles:

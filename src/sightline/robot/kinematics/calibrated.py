@@ -22,13 +22,11 @@ SOURCES = ("kinematics", "hand_eye", "drill_axis", "encoders", "compliance")
 REMOUNT_SD = np.array([5e-4] * 3 + [0.05] * 3)
 MIN_SEEN_MM = 20.0  # length of wire between two points that gives its direction [ours]
 _AXES, _FRAME, _WIRE = slice(0, 24), slice(24, 30), slice(30, 36)
-_MAX_ITERATIONS, _TOLERANCE = 50, 1e-9
+_MAX_ITERATIONS, _TOLERANCE = 30, 1e-9
 
 
 # A fit less probable than this means swapped points or a wrong stated accuracy [ours].
 MIN_PROBABILITY = 1e-4
-# Least rotation between the poses of a hand-eye calibration: less leaves the lever arm undetermined [ours].
-MIN_ROTATION_RAD = float(np.deg2rad(10.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,71 +88,6 @@ def measured_axis(feed_mm: np.ndarray, tip_flange_mm: np.ndarray, sd_mm: float) 
     to_twist[3:, :3] = np.eye(3)
     to_twist[3:, 3:] = -displacement(origin)[:, :3] @ to_rotation  # the twist rotates about the flange's origin
     return Mount(pose, to_twist @ joint @ to_twist.T, np.linalg.norm(residual, axis=1))
-
-
-def hand_eye(T_mcs_flange: RigidTransform, T_world_mount: RigidTransform, covariance: np.ndarray) -> Mount:
-    """Return a mount from N >= 3 poses of flange and mount; the latter in the coordinates of a tracker fixed in the
-    theatre.
-
-    `covariance` (6, 6): of each measured pose of the mount, as a twist in the mount's own coordinates. The tracker's
-    pose is estimated too. Raises UnusableInputError, and RobotRefusedError for too little rotation between the poses or
-    for poses that contradict each other.
-    """
-    n = len(T_mcs_flange)
-    _need(len(T_world_mount) == n and n >= 3, "a hand-eye calibration needs three poses or more, of both")
-    _refuse_small_rotations(T_mcs_flange.rotation)
-    mount, world = _hand_eye_start(T_mcs_flange, T_world_mount)
-    root = np.linalg.inv(np.linalg.cholesky(covariance))
-    for _ in range(_MAX_ITERATIONS):
-        expected = world * T_mcs_flange * mount
-        error = (expected.inv() * T_world_mount).as_exp_coords() @ root.T
-        back = adjoint((T_mcs_flange * mount).inv())
-        to_mount = np.broadcast_to(adjoint(mount.inv()), (n, 6, 6))
-        design = np.einsum("ab,nbc->nac", root, np.concatenate([to_mount, back], axis=-1)).reshape(-1, 12)
-        step, *_ = np.linalg.lstsq(design, error.ravel(), rcond=None)
-        mount = RigidTransform.from_exp_coords(step[:6]) * mount
-        world = world * RigidTransform.from_exp_coords(step[6:])
-        if np.abs(step).max() < _TOLERANCE:
-            break
-    else:
-        raise RobotRefusedError(
-            "the hand-eye calibration does not converge; check that the poses of frame and flange belong together"
-        )
-    refuse_unlikely((error**2).sum(), 6 * n - 12, "the measured poses")
-    mount_covariance = np.linalg.inv(design.T @ design)[:6, :6]
-    left = (world * T_mcs_flange * mount).inv() * T_world_mount
-    return Mount(mount, mount_covariance, np.linalg.norm(left.translation, axis=1))
-
-
-def _hand_eye_start(flange: RigidTransform, seen: RigidTransform) -> tuple[RigidTransform, RigidTransform]:
-    """Return (mount, world) by least squares in closed form: rotations from relative rotations, then translations."""
-    pairs = [(i, j) for i in range(len(flange)) for j in range(i)]
-    i, j = np.array(pairs).T
-    moved = (flange[j].inv() * flange[i]).rotation.as_rotvec()
-    shown = (seen[j].inv() * seen[i]).rotation.as_rotvec()
-    # The mount's rotation maps one set of relative rotation vectors to the other.
-    rotation, *_ = Rotation.align_vectors(moved, shown)
-    to_world = (seen.rotation * rotation.inv() * flange.rotation.inv()).mean()
-    # seen = to_world (R_flange m + t_flange) + w, linear in m and w
-    lever = (to_world * flange.rotation).as_matrix()
-    design = np.concatenate([lever, np.broadcast_to(np.eye(3), lever.shape)], axis=-1).reshape(-1, 6)
-    rest = seen.translation - to_world.apply(flange.translation)
-    (*solution,) = np.linalg.lstsq(design, rest.ravel(), rcond=None)[0]
-    return (
-        RigidTransform.from_components(np.array(solution[:3]), rotation),
-        RigidTransform.from_components(np.array(solution[3:]), to_world),
-    )
-
-
-def _refuse_small_rotations(rotation: Rotation) -> None:
-    """Raise RobotRefusedError unless the poses rotate about two axes: one axis leaves the position along it open."""
-    rotations = (rotation[0].inv() * rotation).as_rotvec()
-    second = np.linalg.svd(rotations, compute_uv=False)[1]
-    if second < MIN_ROTATION_RAD:
-        raise RobotRefusedError(
-            f"the poses rotate by {np.rad2deg(second):.1f}° about a second axis, at least "
-            f"{np.rad2deg(MIN_ROTATION_RAD):.0f}° are needed; rotate the wrist about both of its axes"
-        )
 
 
 def refuse_unlikely(squares: float, freedom: int, what: str) -> None:

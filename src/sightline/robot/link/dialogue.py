@@ -280,21 +280,18 @@ class Dialogue:
         return [outgoing for client in listening for outgoing in self._all(client, bodies)]
 
     def _telemetry(self, now_s: float) -> list[Outgoing]:
-        due = [client for client, peer in self._peers.items() if now_s - peer.told_s > self.telemetry_s - CYCLE_S / 2]
-        if not due:
-            return []
-        moving = self._machine.state in MOVING
-        full = [client for client in due if self._peers[client].telemetry]
-        plain = [client for client in due if moving and client == self.controller.lease]
-        if not full and not plain:
-            return []
+        """Return the streams that are due, and the position to the leaseholder while the robot moves."""
         outgoing: list[Outgoing] = []
-        streams = self._facts.streams(self._machine.snapshot()) if full else []
-        position = self._facts.position() if moving else None
-        for client in {**dict.fromkeys(full), **dict.fromkeys(plain)}:
-            self._peers[client].told_s = now_s
-            bodies = [position] if position is not None and client in plain else []
-            outgoing += self._all(client, bodies + (streams if client in full else []), telemetry=True)
+        streams: list[NamedBody] = []
+        moves_for = self.controller.lease if self._machine.state in MOVING else None
+        for client, peer in self._peers.items():
+            if now_s - peer.told_s <= self.telemetry_s - CYCLE_S / 2 or not (peer.telemetry or client == moves_for):
+                continue
+            peer.told_s = now_s
+            if peer.telemetry and not streams:
+                streams = self._facts.streams(self._machine.snapshot())
+            position = [self._facts.position()] if client == moves_for else []
+            outgoing += self._all(client, position + (streams if peer.telemetry else []), telemetry=True)
         return outgoing
 
     def _all(self, client: int, bodies: list[NamedBody], *, telemetry: bool = False) -> list[Outgoing]:

@@ -3,9 +3,9 @@
 import asyncio
 import socket
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import AbstractAsyncContextManager, contextmanager
 from types import TracebackType
-from typing import Concatenate, ParamSpec, Protocol, Self, cast
+from typing import Concatenate, ParamSpec, Protocol, cast
 
 from sightline.errors import LinkError
 from sightline.robot.igtl import MAX_BODY_BYTES, Event, Message, Rejected, Stream, encode
@@ -283,7 +283,7 @@ MAX_CLIENTS = 8  # [ours] navigation, its stop connection, displays; more is a f
 Urgent = Callable[[Event], bool]  # whether an event must be handled however many clients there are
 
 
-class Server:
+class Server(AbstractAsyncContextManager["Server"]):
     """A server on one port, made by `serve`; `async with` closes it."""
 
     def __init__(
@@ -334,9 +334,6 @@ class Server:
         for connection in connections:
             await connection.wait_closed()
         await self._server.wait_closed()
-
-    async def __aenter__(self) -> Self:
-        return self
 
     async def __aexit__(
         self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
