@@ -23,7 +23,7 @@ SETTLED_COUNTS, SETTLE_S = 2.0, 1.0  # at the end of a leg: position error in en
 
 class Move:
     """Motion from `start` to `end` (5,), mm and rad, beginning at `begun_s`, with a trapezoidal velocity profile. No
-    joint exceeds `speed` or `acceleration` (5,); the slowest joint sets the duration, `duration_s` from rest to rest."""
+    joint exceeds `speed` or `acceleration` (5,); the slowest joint sets `duration_s`, from rest to rest."""
 
     def __init__(
         self, start: np.ndarray, end: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, begun_s: float
