@@ -63,14 +63,21 @@ class Simulator:
         return Rehearsal.draw(self.rehearse, Frame.load(self.frame), side, known).theatre()
 
 
+@dataclass(frozen=True)
+class Listening:
+    """Where a simulated robot listens."""
+
+    port: Annotated[int, typer.Option(help="Port to listen at; 0 takes a free one.")] = 18936
+    host: Annotated[str, typer.Option(help="Address to listen at. Anyone who can reach it can move the robot.")] = (
+        "127.0.0.1"
+    )
+
+
 @command(app, "serve", "sightline robot serve --rehearse 9 --side right")
 def serve(
     output: Output,
     *,
-    port: Annotated[int, typer.Option(help="Port to listen at; 0 takes a free one.")] = 18936,
-    host: Annotated[
-        str, typer.Option(help="Address to listen at. Anyone who can reach it can move the robot.")
-    ] = "127.0.0.1",
+    listening: Listening,
     simulator: Simulator,
     side: Annotated[Side, typer.Option(help="The patient's side.")] = "right",
     procedure: Annotated[
@@ -100,8 +107,8 @@ def serve(
 
     theatre = simulator.theatre(side, procedure)
     tune_process()
-    with theatre.server(host=host, port=port, virtual=virtual, dialect=DIALECTS[dialect]) as server:
-        output.say(f"the simulated robot listens at {host}:{server.port}; stop with Ctrl-C")
+    with theatre.server(host=listening.host, port=listening.port, virtual=virtual, dialect=DIALECTS[dialect]) as server:
+        output.say(f"the simulated robot listens at {listening.host}:{server.port}; stop with Ctrl-C")
         if attached:
             typer.echo(as_json({"port": server.port}))
             Thread(target=_close_with_stdin, args=(server,), name="stdin", daemon=True).start()
