@@ -4,12 +4,12 @@ their queries, and a stop gets through."""
 import subprocess
 import sys
 import threading
-import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
+from tests.robot.rig import wait_for
 from tests.robot.scripted_robot import HOME, ScriptedRobot, serving
 from tests.systems import needs_posix
 
@@ -28,13 +28,6 @@ def told(robot: RobotClient) -> None:
     robot.start_up()
     robot.calibrate(T_MCS_CFCS)
     robot.aim(TARGET)
-
-
-def wait_for(condition, within_s: float = 30.0) -> None:
-    end = time.monotonic() + within_s
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 def test_the_deviation_is_that_of_axis_and_tip():
@@ -253,7 +246,7 @@ def test_a_program_that_hangs_is_silent(monkeypatch):
         moving = threading.Thread(target=align)
         moving.start()
         wait_for(lambda: peer.moving is not None)
-        wait_for(lambda: peer.moving is None, 20.0)
+        wait_for(lambda: peer.moving is None)
         assert peer.phase == "STOP"
         hangs.set()
         moving.join()

@@ -87,7 +87,7 @@ def test_what_a_connection_asked_is_kept_within_bounds():
     for number in range(10 * MAX_KEPT):
         asked.put(f"CMD_{number}", "X" * 10_000, Answer(Code.UNKNOWN))
     assert len(asked._entries) == MAX_KEPT
-    assert max(len(entry.text) for entry in asked._entries.values()) <= 100
+    assert max(len(text) for text, _ in asked._entries.values()) <= 100
     assert asked.earlier(f"CMD_{10 * MAX_KEPT - 1}", "X" * 10_000).code is Code.UNKNOWN
     assert asked.earlier("CMD_0", "X") is None
 

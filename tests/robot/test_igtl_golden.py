@@ -6,17 +6,7 @@ import numpy as np
 import pytest
 from tests.golden import make_openigtlink
 
-from sightline.robot.igtl import (
-    Capability,
-    Command,
-    Message,
-    Status,
-    Stream,
-    String,
-    Trajectories,
-    encode,
-    unit,
-)
+from sightline.robot.igtl import Capability, Command, Message, Status, Stream, String, Trajectories, encode, unit
 
 GOLDEN = json.loads(make_openigtlink.FILE.read_text(encoding="utf-8"))
 ROUNDED = {"rtol": 1e-6, "atol": 1e-7}  # 32 bits

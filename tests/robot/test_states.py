@@ -3,16 +3,7 @@
 import re
 from pathlib import Path
 
-from sightline.robot.control.states import (
-    ACTIVITIES,
-    COMMANDS,
-    MOVING,
-    READY,
-    TRANSITIONS,
-    WAITING,
-    State,
-    Trigger,
-)
+from sightline.robot.control.states import ACTIVITIES, COMMANDS, MOVING, READY, TRANSITIONS, WAITING, State, Trigger
 
 PAGE = Path(__file__).parents[2] / "docs" / "robot-link.md"
 

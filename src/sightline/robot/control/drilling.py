@@ -8,13 +8,7 @@ from sightline.robot.control.insertion import Insertion
 from sightline.robot.control.states import Trigger
 from sightline.robot.control.supervision import EventKind, Supervision, SupervisionEvent
 from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator
-from sightline.robot.kinematics.target import (
-    CONTACT_LEAD_MM,
-    CONTACT_SD_MM,
-    DepthZero,
-    contact_range,
-    pause_depth,
-)
+from sightline.robot.kinematics.target import CONTACT_LEAD_MM, CONTACT_SD_MM, DepthZero, contact_range, pause_depth
 from sightline.robot.plant import Reading
 
 # Feed towards the entry point, and the distance before it at which drilling feed begins: twice its 95 % error [ours].

@@ -12,7 +12,7 @@ from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot import contract
 from sightline.robot.igtl import Message, Transform
 from sightline.robot.kinematics.calibrated import CalibratedRobot
-from sightline.robot.kinematics.manipulator import FEED, Manipulator
+from sightline.robot.kinematics.manipulator import FEED, Manipulator, fed
 from sightline.robot.kinematics.reach import check_reach, hip_surroundings
 from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity
 
@@ -100,9 +100,7 @@ class Insertion:
 
     def at_depth(self, depth_mm: float) -> np.ndarray:
         """Return the joints (5,) with the tip at this depth beyond the entry point."""
-        q = self.q.copy()
-        q[FEED] += depth_mm
-        return q
+        return fed(self.q, depth_mm)
 
     def waypoints(self, manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
         """Return the joints (4, 5) from `q` (5,) to the stand-off: wire back, arm to its line, wire forward."""
@@ -169,8 +167,7 @@ def read_target(
     entry = end - length * along
     q = robot.manipulator.inverse(entry, end)
     refuse_feed(robot.manipulator, q, length, limits.before_mm)
-    q_end = q + np.array([0.0, 0.0, 0.0, 0.0, length])
-    laid = registration.T_mcs_cfcs.inv() * robot.manipulator.T_mcs_tool(q_end)
+    laid = registration.T_mcs_cfcs.inv() * robot.manipulator.T_mcs_tool(fed(q, length))
     return Insertion(identity, registration.T_mcs_cfcs, entry, end, q, sent, laid, limit, expires, limits)
 
 

@@ -202,7 +202,8 @@ class Manipulator:
         q = np.zeros(len(JOINTS))
         q[PITCH] = self._pitch(direction)
         wire, feed = _lifted(self._tool[:3, 2], q[PITCH]), _lifted(self.axes[FEED, 3:], q[PITCH])
-        q[YAW] = _wrapped(np.arctan2(direction[1], direction[0]) - np.arctan2(wire[1], wire[0]))
+        yaw = np.arctan2(direction[1], direction[0]) - np.arctan2(wire[1], wire[0])
+        q[YAW] = (yaw + np.pi) % (2 * np.pi) - np.pi
         yawed = Rotation.from_rotvec([0.0, 0.0, q[YAW]]).as_matrix()
         reach, along = yawed @ _lifted(self._tool[:3, 3] - self._wrist, q[PITCH]), yawed @ feed
         if np.hypot(*direction[:2]) < _MIN_COMPONENT or abs(along[0]) < _MIN_COMPONENT:
@@ -305,9 +306,9 @@ def _lifted(vector: np.ndarray, pitch: float) -> np.ndarray:
     return np.array([np.cos(pitch) * x - np.sin(pitch) * z, y, np.sin(pitch) * x + np.cos(pitch) * z])
 
 
-def _wrapped(angle: float) -> float:
-    """Return an angle, rad, wrapped to ±π."""
-    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+def fed(q: np.ndarray, by_mm: float) -> np.ndarray:
+    """Return the joints (5,) with the wire fed further."""
+    return q + by_mm * np.eye(len(JOINTS))[FEED]
 
 
 def describe_excess(joint: int, q: float, beyond: float, verb: str = "would go to") -> str:

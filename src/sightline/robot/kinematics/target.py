@@ -16,7 +16,7 @@ from sightline.common.checks import CLEAR_MM, Check, Limits, error_check
 from sightline.common.geometry.covariance import both_within, length_quantile, line_direction
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot.kinematics.calibrated import CalibratedRobot
-from sightline.robot.kinematics.manipulator import FEED, JOINTS, describe_excess
+from sightline.robot.kinematics.manipulator import FEED, JOINTS, describe_excess, fed
 
 # The frame must not move between the images. A larger difference in its origin or direction than this is a movement,
 # not the encoders' resolution [ours].
@@ -138,7 +138,14 @@ def register(robot: CalibratedRobot, poses: Mapping[str, PoseAtImage]) -> Regist
     q = np.mean([pose.q for pose in poses.values()], axis=0)
     middle = manipulator.T_mcs_cfcs(q)
     for view, pose in of_view.items():
-        _refuse_moved(view, (middle.inv() * pose))
+        moved = middle.inv() * pose
+        shift, rotation = np.linalg.norm(moved.translation), moved.rotation.magnitude()
+        if shift > STILL_MM or rotation > STILL_RAD:
+            raise RobotRefusedError(
+                "hold the robot still and acquire both images again: it moved between the images. At the "
+                f"{view} image the frame was {shift:.2f} mm and {np.rad2deg(rotation):.3f}° from its mean pose (at "
+                f"most {STILL_MM:g} mm and {np.rad2deg(STILL_RAD):.2f}°)"
+            )
     return Registration(robot, q, middle, of_view, max(pose.imaged_s for pose in poses.values()))
 
 
@@ -162,16 +169,6 @@ def _refuse_unusable(robot: CalibratedRobot, view: str, pose: PoseAtImage) -> No
         raise RobotRefusedError(
             "load this robot's calibration, or home the robot; then acquire both images again: at the "
             f"{view} image {'; '.join(joints)}"
-        )
-
-
-def _refuse_moved(view: str, moved: RigidTransform) -> None:
-    shift, rotation = np.linalg.norm(moved.translation), moved.rotation.magnitude()
-    if shift > STILL_MM or rotation > STILL_RAD:
-        raise RobotRefusedError(
-            "hold the robot still and acquire both images again: it moved between the images. At the "
-            f"{view} image the frame was {shift:.2f} mm and {np.rad2deg(rotation):.3f}° from its mean pose (at most "
-            f"{STILL_MM:g} mm and {np.rad2deg(STILL_RAD):.2f}°)"
         )
 
 
@@ -222,8 +219,7 @@ class RobotTarget:
     def T_cfcs_wire(self) -> RigidTransform:
         """Pose of the wire when it is drilled, CFCS, +z towards the tip; its rotation about +z is the robot's own."""
         manipulator = self.registration.robot.manipulator
-        q = self.q + np.array([0.0, 0.0, 0.0, 0.0, self.depth_mm])
-        return self.registration.T_mcs_cfcs.inv() * manipulator.T_mcs_tool(q)
+        return self.registration.T_mcs_cfcs.inv() * manipulator.T_mcs_tool(fed(self.q, self.depth_mm))
 
     @cached_property
     def entry_error_95_mm(self) -> float:
@@ -314,9 +310,8 @@ def robot_target(
     entry, end = registration.T_mcs_cfcs.apply(points)
     robot = registration.robot
     q = robot.manipulator.inverse(entry, end)
-    fed = q + np.array([0.0, 0.0, 0.0, 0.0, np.linalg.norm(end - entry) + limits.beyond_mm])
-    short = robot.manipulator.beyond_limits(fed)[FEED]
-    if short:
+    q_end = fed(q, float(np.linalg.norm(end - entry)) + limits.beyond_mm)
+    if short := robot.manipulator.beyond_limits(q_end)[FEED]:
         raise RobotRefusedError(
             f"the feed ends {short:.1f} mm before the planned depth; bring the robot's base nearer, or plan a shorter "
             "wire"

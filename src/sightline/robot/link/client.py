@@ -13,15 +13,7 @@ from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import ACK_S, STATUS_S
 from sightline.robot.control.states import State, Trigger
-from sightline.robot.igtl import (
-    Get,
-    Message,
-    NDArray,
-    Sensor,
-    Status,
-    String,
-    Transform,
-)
+from sightline.robot.igtl import Get, Message, NDArray, Sensor, Status, String, Transform
 from sightline.robot.kinematics.target import MAX_ZERO_SHIFT_MM, SHOT_SD_MM, RobotTarget
 from sightline.robot.link.exchange import (
     Exchange,

@@ -123,39 +123,33 @@ def stop_word(text: str) -> str | None:
     return word if word in STOPPING else None
 
 
-@dataclass
-class _Entry:
-    text: str
-    answer: Answer
-
-
 class AnswerCache:
     """The newest requests of one connection with their answers, by identifier."""
 
     def __init__(self) -> None:
-        self._entries: OrderedDict[str, _Entry] = OrderedDict()
+        self._entries: OrderedDict[str, tuple[str, Answer]] = OrderedDict()
 
     def earlier(self, identifier: str, text: str) -> Answer | None:
         """Return the answer to a repeated request, a refusal if the identifier belongs to another request, or None if
         it is new."""
-        entry = self._entries.get(identifier)
-        if entry is None:
+        if identifier not in self._entries:
             return None
-        if entry.text == text[:_TEXT]:
-            return entry.answer
-        reason = f"{identifier[:20]} was {entry.text[:20]!r} before; give every request an identifier of its own"
+        first, answer = self._entries[identifier]
+        if first == text[:_TEXT]:
+            return answer
+        reason = f"{identifier[:20]} was {first[:20]!r} before; give every request an identifier of its own"
         return Answer(Code.CONFIGURATION, reason)
 
     def put(self, identifier: str, text: str, answer: Answer) -> None:
         """Store a request with its answer."""
-        self._entries[identifier] = _Entry(text[:_TEXT], answer)
+        self._entries[identifier] = (text[:_TEXT], answer)
         self._entries.move_to_end(identifier)
         if len(self._entries) > contract.MAX_KEPT:
             self._entries.popitem(last=False)
 
     def ended(self, text: str, answer: Answer) -> None:
         """Replace the answer of the newest unfinished request of this text."""
-        for entry in reversed(self._entries.values()):
-            if entry.text == text and not entry.answer.done:
-                entry.answer = answer
+        for identifier, (first, earlier) in reversed(self._entries.items()):
+            if first == text and not earlier.done:
+                self._entries[identifier] = (first, answer)
                 return

@@ -155,7 +155,8 @@ class SharedConnection:
                 self.send(body, name)
                 if not marked:
                     return mail.need(answers, STATUS_S, what)
-                self._mark()
+                self._marks_sent += 1
+                self.send(Get("CAPABILITY"), "")
                 return self._before_mark(mail, due + 1, answers, what)
 
     def fresh(self, name: str) -> Message:
@@ -185,10 +186,6 @@ class SharedConnection:
         heartbeat = self._heartbeat
         if heartbeat is not None:
             heartbeat.waits()
-
-    def _mark(self) -> None:
-        self._marks_sent += 1
-        self.send(Get("CAPABILITY"), "")
 
     def _drain(self) -> None:
         """Read all messages that have come: streams continue between calls."""

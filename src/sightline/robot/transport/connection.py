@@ -270,10 +270,9 @@ class Connection(asyncio.Protocol):
             self._completion.cancel()
             self._completion = None
         if self._completion is None and self._stream.partial:
-            self._completion = self._loop.call_later(MESSAGE_S, self._give_up)
-
-    def _give_up(self) -> None:
-        self._abort(f"a message was not complete after {MESSAGE_S:.0f} s")
+            self._completion = self._loop.call_later(
+                MESSAGE_S, self._abort, f"a message was not complete after {MESSAGE_S:.0f} s"
+            )
 
 
 LOOPBACK = "127.0.0.1"

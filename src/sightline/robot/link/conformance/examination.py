@@ -71,8 +71,9 @@ class Examination(Closing):
 
     def _ask(self, name: str, question: Question) -> Finding:
         try:
-            robot = self._connected()
-            finding = Finding(name, ConformanceVerdict.PASSED, question(Conversation(robot)))
+            if self._robot is None:
+                self._robot = RobotClient(self._host, self._port)
+            finding = Finding(name, ConformanceVerdict.PASSED, question(Conversation(self._robot)))
         except UnsupportedError as why:
             return Finding(name, ConformanceVerdict.UNSUPPORTED, str(why))
         except NotAskedError as why:
@@ -85,11 +86,6 @@ class Examination(Closing):
             if self._robot.connection.closed:
                 self.close()
         return finding
-
-    def _connected(self) -> RobotClient:
-        if self._robot is None:
-            self._robot = RobotClient(self._host, self._port)
-        return self._robot
 
     def _read_all(self) -> Finding:
         name = "every message can be read"
