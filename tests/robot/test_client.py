@@ -288,7 +288,8 @@ def test_what_holds_the_interpreter_delays_no_heartbeat():
     peer = ScriptedRobot(steps=40)
     with serving(peer) as port:
         says = (
-            f"import time\nimport sightline.robot.link.shared_connection\nsightline.robot.link.shared_connection.ALIVE_S = 30.0\n"
+            "import time\nimport sightline.robot.link.shared_connection\n"
+            "sightline.robot.link.shared_connection.ALIVE_S = 30.0\n"
             f"from tests.robot.test_client import *\nrobot = RobotClient(port={port})\ntold(robot)\n"
             "big = np.random.default_rng(1).random(1_000_000).tolist()\n"
             "began = time.monotonic()\nsorted(big[:100_000])\n"
