@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from sightline.case.contents import Images, PlanRequest
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.common.bounded import MAX_JSON_BYTES, read_bounded
-from sightline.common.strict import read_strictly
+from sightline.common.strict import naming, read_strictly
 from sightline.errors import UnusableInputError
 from sightline.from_images.head_and_shaft import fit_head, fit_shaft, refuse_tables
 from sightline.from_images.interlocking import NailDrawn
@@ -189,11 +189,9 @@ class Picks(Strict):
     @staticmethod
     def read(file: Path) -> "Picks":
         """Read a file of picks. Raises UnusableInputError."""
-        try:
+        with naming(file):
             text = read_bounded(file, MAX_JSON_BYTES, UnusableInputError, "give a file of picks (docs/planning.md)")
             return read_strictly(text, Picks, UnusableInputError, _ADVICE)
-        except UnusableInputError as error:
-            raise UnusableInputError(f"{file.name}: {error}") from None
 
     @property
     def text(self) -> str:

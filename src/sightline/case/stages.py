@@ -203,19 +203,22 @@ def named_view(case: Case, frame_ref: str, observations: Observations) -> str | 
     return None if frame_of(case, frame_ref).solid is None else observations.view
 
 
+def _made_from(case: Case, acquired: int, kind: Kind) -> Iterator[Entry]:
+    """Yield the entries of a kind that were made from the acquired entry of this number, the newest first."""
+    entries = reversed(case.entries(kind, acquired))
+    return (entry for entry in entries if acquired_of(case, entry).number == acquired)
+
+
 def view_of_acquired(case: Case, acquired: Entry, image: Radiograph) -> str | None:
     """Return the view that an acquired image was labelled as last, else what its file states (`stated_view`)."""
-    for entry in reversed(case.entries(Kind.LABELLED, acquired.number)):
-        if acquired_of(case, entry).number == acquired.number:
-            return str(entry.content["view"])
-    return stated_view(image)
+    labelled = next(_made_from(case, acquired.number, Kind.LABELLED), None)
+    return stated_view(image) if labelled is None else str(labelled.content["view"])
 
 
 def calibrated_of(case: Case, acquired: int) -> Entry:
     """Return the last calibrated entry made from the acquired entry of this number. Raises CaseError."""
-    for entry in reversed(case.entries(Kind.CALIBRATED)):
-        if acquired_of(case, entry).number == acquired:
-            return entry
+    for entry in _made_from(case, acquired, Kind.CALIBRATED):
+        return entry
     raise CaseError(f"the image of entry {acquired} was not calibrated in this case")
 
 
@@ -301,9 +304,6 @@ def _seen(case: Case, acquired: Entry, frame: Frame, *, invert: bool) -> Observe
 
 def _recorded(case: Case, acquired: Entry, image: CalibratedImage, frame_ref: str) -> Entry | None:
     """Return the entry of the same view, calibrated from this image; None if there is none."""
-    sha256 = digest(canonical(contents.calibrated(image)))
-    for entry in reversed(case.entries(Kind.CALIBRATED, acquired.number)):
-        same = entry.content_sha256 == sha256 and entry.settings["frame"] == frame_ref
-        if same and acquired_of(case, entry).number == acquired.number:
-            return entry
-    return None
+    wanted = digest(canonical(contents.calibrated(image))), frame_ref
+    calibrated = _made_from(case, acquired.number, Kind.CALIBRATED)
+    return next((entry for entry in calibrated if (entry.content_sha256, entry.settings["frame"]) == wanted), None)

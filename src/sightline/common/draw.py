@@ -80,16 +80,16 @@ def arrows(ax: Any, uv_px: np.ndarray, arrows_px: np.ndarray, mm_px: float, colo
     lengths = np.linalg.norm(arrows_px, axis=1)
     width = abs(ax.get_xlim()[1] - ax.get_xlim()[0])
     longest = max(float(np.quantile(lengths, 0.95)) if len(lengths) else 0.0, 1e-9)
-    times = max(_round(_ARROW_PX * width / longest), 1.0)
+    times = max(round_down(_ARROW_PX * width / longest), 1.0)
     scaled = {"angles": "xy", "scale_units": "xy", "scale": 1.0 / times}
     arrow = ax.quiver(*uv_px.T, *arrows_px.T, color=colour, width=0.004, **scaled)
-    key_mm = _round(2.0 * longest * mm_px)
+    key_mm = round_down(2.0 * longest * mm_px)
     ax.quiverkey(arrow, 0.84, 1.03, key_mm / mm_px, f"{key_mm:g} mm", labelpos="E", color="black", angle=0)
     return times
 
 
-def _round(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not above a value."""
+def round_down(value: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above a value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * _STEPS[_STEPS * power <= value * (1 + 1e-9)][-1])
 
@@ -105,7 +105,7 @@ def space(ax: Any, xyz_mm: np.ndarray, bounds_mm2: np.ndarray | None, names: Seq
     low, high = _around(xyz_mm)
     if bounds_mm2 is not None and len(xyz_mm):
         size = float(np.sqrt(np.linalg.eigvalsh(bounds_mm2).max()))
-        times = max(_round(_ELLIPSOID * float((high - low).max()) / max(size, 1e-9)), 1.0)
+        times = max(round_down(_ELLIPSOID * float((high - low).max()) / max(size, 1e-9)), 1.0)
         for point, bound in zip(xyz_mm, bounds_mm2, strict=True):
             ax.plot_wireframe(*_ellipsoid(point, times**2 * bound), color="#d55e00", alpha=0.5, linewidth=0.6)
         title += f"\n95 % error ellipsoids, {times:g} times as large"

@@ -1,12 +1,14 @@
 """Strict reading of files that people write as JSON: unknown and repeated keys are refused, with sentences."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from sightline.errors import UnusableInputError
+from sightline.errors import RefusedError, UnusableInputError
 
 _ERRORS_SHOWN = 3
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -36,6 +38,19 @@ def read_strictly(
         raise refuse(explain(error, advice)) from None
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise refuse(f"the file is not JSON: {error}") from None
+
+
+@contextmanager
+def naming(file: Path, advice: str = "") -> Generator[None]:
+    """Context in which refusals, and pydantic's errors with `advice`, become UnusableInputErrors that name the file."""
+    try:
+        yield
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise UnusableInputError(f"{file.name}: {where}: {first['msg']}; {advice}") from None
+    except (UnusableInputError, RefusedError) as error:
+        raise UnusableInputError(f"{file.name}: {error}") from None
 
 
 def explain(error: ValidationError, advice: Mapping[str, str]) -> str:

@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from pydantic import ValidationError
 
 from sightline.calibration.exchange import opencv, reading
 from sightline.calibration.exchange.pinhole import Pinhole
@@ -21,6 +20,7 @@ from sightline.case.views import CalibratedImage
 from sightline.common.bounded import MAX_JSON_BYTES
 from sightline.common.checks import CheckCode, Limits
 from sightline.common.geometry.covariance import length_quantile
+from sightline.common.strict import naming
 from sightline.errors import OutsideRegionError, RobotRefusedError, UnusableInputError
 from sightline.frame import Frame
 from sightline.imaging import read_image
@@ -303,26 +303,18 @@ def _given(path: str | Path) -> tuple[Path, dict[str, Any]]:
     """Return the file of plan.json, or of the one in a folder, and its content. Raises UnusableInputError."""
     file = Path(path) / "plan.json" if Path(path).is_dir() else Path(path)
     data = reading.read_bytes(file, MAX_JSON_BYTES)
-    try:
+    with naming(file):
         given = reading.json_object(data, depth=12)
         if _DIGEST in given and given[_DIGEST] != sealed(given)[_DIGEST]:
             raise UnusableInputError("it was changed after it was made: its digest does not match; plan again")
-    except UnusableInputError as error:
-        raise UnusableInputError(f"{file.name}: {error}") from None
     return file, given
 
 
 def _checked(file: Path, given: Mapping[str, Any], wire: str | None) -> PlanFile:
     """Return the plan of a file's content, of one of its wires where it has several. Raises UnusableInputError."""
-    try:
+    with naming(file, "plan again with --out"):
         plan = PlanFile(PlanFileDocument.model_validate_json(json.dumps(_of_wire(given, wire))), file.parent)
         plan.refuse_contradictions()
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise UnusableInputError(f"{file.name}: {where}: {first['msg']}; plan again with --out") from None
-    except UnusableInputError as error:
-        raise UnusableInputError(f"{file.name}: {error}") from None
     return plan
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from sightline.case.report import svg
+from sightline.common.draw import round_down
 from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.common.geometry.planes import Plane
 
@@ -59,9 +60,7 @@ def beads(xyz_mm: np.ndarray, style: str) -> list[Shape]:
 def magnification(covariances_mm2: np.ndarray, drawn_mm: float) -> float:
     """Return the magnification, 1, 2 or 5 times 10^k, at which the largest ellipsoid (N, 3, 3) is within `drawn_mm`."""
     largest = np.sqrt(np.linalg.eigvalsh(covariances_mm2).max()) * ellipsoid_factor(0.95, 3)
-    exact = drawn_mm / max(largest, 1e-6)
-    power = 10.0 ** np.floor(np.log10(exact))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= exact * (1 + 1e-9)))
+    return round_down(drawn_mm / max(largest, 1e-6))
 
 
 def ellipsoid(centre_mm: np.ndarray, covariance_mm2: np.ndarray, times: float, words: str) -> list[Shape]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from sightline.calibration import BeadView, MatrixView
 from sightline.calibration.exchange import reading
@@ -15,8 +15,9 @@ from sightline.case.interop.plan_file import sealed
 from sightline.case.saved import documents, models
 from sightline.common.atomic import write_whole
 from sightline.common.bounded import MAX_JSON_BYTES, read_bounded
+from sightline.common.strict import naming
 from sightline.detection import Detections, Observations
-from sightline.errors import RefusedError, UnusableInputError
+from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.planning import Plan, SpacePoints, Trajectory
 from sightline.planning.check.result import CheckShot
@@ -67,7 +68,7 @@ def save(result: Any, path: str | Path) -> Path:
     that of docs/frame-file.md). The image that a result was found in is not saved.
     Raises UnusableInputError for other objects, and for a view that was not made by `calibrate` or `view_from_matrix`.
 
-    >>> pa, lateral = sl.load("out/demo/documents.json")
+    >>> pa, lateral = sl.load("out/demo/views.json")
     >>> sl.save(pa, "pa.json").name
     'pa.json'
     """
@@ -89,21 +90,15 @@ def load(path: str | Path, kind: type | None = None) -> Any:
     Raises UnusableInputError for a file that is damaged, was edited, is of another form or another version, or whose
     result this version does not reach again.
 
-    >>> pa, lateral = sl.load("out/demo/documents.json")
+    >>> pa, lateral = sl.load("out/demo/views.json")
     >>> sl.load("out/demo/trajectory.json", sl.Trajectory).length_mm > 50
     True
     """
     file = Path(path)
     data = read_bounded(file, MAX_JSON_BYTES, UnusableInputError, "give a file that `save` wrote")
-    try:
+    with naming(file, "save the result again"):
         given = reading.json_value(data, _MAX_DEPTH)
         result = [_read(document) for document in given] if isinstance(given, list) else _read(given)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise UnusableInputError(f"{file.name}: {where}: {first['msg']}; save the result again") from None
-    except (UnusableInputError, RefusedError) as error:
-        raise UnusableInputError(f"{file.name}: {error}") from None
     if kind is not None and not isinstance(result, kind):
         raise UnusableInputError(f"{file.name} holds a {type(result).__name__}, not a {kind.__name__}")
     return result
