@@ -1,6 +1,5 @@
 """Images into a case: once each, on the disk first, and nothing of what is no image."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -99,32 +98,6 @@ def test_what_is_no_image_is_refused_without_its_name_and_leaves_nothing(case: C
         acquirer.take(b"MZ", ".exe")
     assert case.entries() == []
     assert list((case.folder / "originals").iterdir()) == []
-
-
-def test_images_keep_their_order_whatever_the_clock_says(
-    case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from datetime import UTC, datetime
-
-    from sightline.case.journal import case as journal
-
-    class Clock(datetime):
-        hour_now = 12
-
-        @classmethod
-        def now(cls, tz=None):
-            cls.hour_now -= 1  # back an hour at every look
-            return datetime(2026, 1, 1, cls.hour_now, tzinfo=UTC)
-
-    monkeypatch.setattr(journal, "datetime", Clock)
-    acquirer = Acquirer(case)
-    for seed in range(4):
-        acquirer.take(write_png(image(seed), tmp_path / "a.png").read_bytes(), ".png")
-    entries = case.entries()
-    assert [entry.number for entry in entries] == [1, 2, 3, 4]
-    assert entries[0].at > entries[3].at
-    assert case.check() and all(check.passed for check in case.check())
-    assert json.dumps([entry.content for entry in entries])
 
 
 def test_the_robots_pose_of_an_arrival_is_stamped_as_such_and_a_stale_one_is_not(case: Case, tmp_path: Path) -> None:

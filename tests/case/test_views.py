@@ -8,7 +8,6 @@ import pytest
 from sightline.calibration import CArm
 from sightline.case.report.content import Compared
 from sightline.case.views import calibrate_pair, see_pair, stated_view, view_document
-from sightline.common.atomic import write_folder
 from sightline.detection.csv_files import write_observations
 from sightline.errors import ObservationsError, UnusableInputError
 from sightline.from_images.pipeline import known_arm
@@ -76,12 +75,6 @@ def test_both_views_are_held_against_the_c_arm(pair, frame) -> None:
         for image in calibrate_pair(pair, frame, "smooth", source_detector_mm=distance):
             assert image.view.c_arm == CArm(distance)
             assert [c.passed for c in image.view.checks if c.name == "source distance"] == [passes]
-
-
-def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("in the way")
-    with pytest.raises(UnusableInputError, match="name another place"):
-        write_folder(tmp_path / "file" / "folder", {"a.json": b"{}"})
 
 
 def test_errors_against_the_truth(report, truth) -> None:

@@ -3,11 +3,13 @@
 import struct
 from pathlib import Path
 
+import gdcm
 import numpy as np
 import pytest
 from pydicom import dcmread
 from pydicom.encaps import encapsulate, get_frame
 from pydicom.uid import JPEG2000Lossless, JPEGLosslessSV1, JPEGLSLossless, RLELossless
+from tests.imaging.transcoding import transcoded
 
 from sightline.errors import ImageError
 from sightline.imaging import Radiograph, dicom, read_image, write_dicom
@@ -25,28 +27,13 @@ SYNTAXES = {
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Return the same image in each transfer syntax."""
-    import gdcm
-
     folder = tmp_path_factory.mktemp("syntaxes")
     pixels = np.random.default_rng(1).integers(0, 4096, (64, 64), dtype=np.uint16)
-    found = {"native": write_dicom(Radiograph(pixels, 4095.0), folder / "native.dcm")}
-    for name, uid in SYNTAXES.items():
-        if uid is None:
-            continue
-        reader = gdcm.ImageReader()
-        reader.SetFileName(str(found["native"]))
-        assert reader.Read()
-        change = gdcm.ImageChangeTransferSyntax()
-        change.SetTransferSyntax(gdcm.TransferSyntax(gdcm.TransferSyntax.GetTSType(str(uid))))
-        change.SetInput(reader.GetImage())
-        assert change.Change()
-        writer = gdcm.ImageWriter()
-        found[name] = folder / f"{name}.dcm"
-        writer.SetFileName(str(found[name]))
-        writer.SetFile(reader.GetFile())
-        writer.SetImage(change.GetOutput())
-        assert writer.Write()
-    return found
+    native = write_dicom(Radiograph(pixels, 4095.0), folder / "native.dcm")
+    coded = {name: gdcm.TransferSyntax.GetTSType(str(uid)) for name, uid in SYNTAXES.items() if uid is not None}
+    return {"native": native} | {
+        name: transcoded(native, syntax, folder / f"{name}.dcm") for name, syntax in coded.items()
+    }
 
 
 def mutated(data: bytes, rng: np.random.Generator) -> bytes:

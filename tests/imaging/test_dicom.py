@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydicom.encaps import encapsulate
 from pydicom.uid import RLELossless
+from tests.imaging.transcoding import transcoded
 
 from sightline.errors import ImageError
 from sightline.imaging import GeometryTags, Radiograph, read_image, write_dicom
@@ -38,23 +39,6 @@ def dataset(pixels: np.ndarray, bits: int, tmp_path: Path) -> pydicom.Dataset:
 def saved(out: pydicom.Dataset, tmp_path: Path, name: str = "image.dcm") -> Path:
     out.save_as(tmp_path / name)
     return tmp_path / name
-
-
-def transcoded(source: Path, syntax: int, target: Path) -> Path:
-    """Write the file with pixels encoded by gdcm; return its path."""
-    reader = gdcm.ImageReader()
-    reader.SetFileName(str(source))
-    assert reader.Read()
-    change = gdcm.ImageChangeTransferSyntax()
-    change.SetTransferSyntax(gdcm.TransferSyntax(syntax))
-    change.SetInput(reader.GetImage())
-    assert change.Change()
-    writer = gdcm.ImageWriter()
-    writer.SetFileName(str(target))
-    writer.SetFile(reader.GetFile())
-    writer.SetImage(change.GetOutput())
-    assert writer.Write()
-    return target
 
 
 LOSSLESS = {

@@ -17,8 +17,10 @@ from typing import IO
 
 import numpy as np
 
+from sightline.imaging.formats import MAX_FILE_BYTES
+
 DEADLINE_S = 30.0  # [ours] a frame of 2^25 pixels takes 2 s; includes the helper's start
-MEMORY_BYTES = 4 << 30  # [ours] address space: the largest file, its largest frame twice, libraries
+MEMORY_BYTES = 4 * MAX_FILE_BYTES  # address space: the largest file, its largest frame twice, libraries
 
 
 class UndecodableError(Exception):

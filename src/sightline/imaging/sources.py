@@ -65,7 +65,7 @@ class Run:
 
 
 DEADLINE_S = 2.0  # [ours] fifty frame times without an image: the device hangs or is gone
-RETRY_S = 20.0  # [ours] time to reconnect a cable
+RETRY_S = 10 * DEADLINE_S  # time to reconnect a cable
 _AGAIN_S = 0.5  # between attempts
 _WAITING = 2  # frames in the queue: a live source drops the oldest, a file waits
 _COLOUR = 24  # of 255: largest difference between the channels of a grey image after a colour encoder [ours]

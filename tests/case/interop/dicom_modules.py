@@ -5,62 +5,35 @@ Type 1 must have a value; type 2 must be there, and may be empty.
 
 from pydicom import Dataset
 
-_PATIENT = {2: ["PatientName", "PatientID", "PatientBirthDate", "PatientSex"]}
-_DEIDENTIFIED = {1: ["PatientIdentityRemoved", "DeidentificationMethod"]}  # 1C of the method: identity was removed
-_STUDY = {
-    1: ["StudyInstanceUID"],
-    2: ["StudyDate", "StudyTime", "ReferringPhysicianName", "StudyID", "AccessionNumber"],
-}
-_SERIES = {1: ["Modality", "SeriesInstanceUID"], 2: ["SeriesNumber", "Laterality"]}  # 2C of the latter: a paired part
-_SOP = {1: ["SOPClassUID", "SOPInstanceUID", "SpecificCharacterSet"]}
+_PATIENT = {2: "PatientName PatientID PatientBirthDate PatientSex"}
+_DEIDENTIFIED = {1: "PatientIdentityRemoved DeidentificationMethod"}  # 1C of the method: identity was removed
+_STUDY = {1: "StudyInstanceUID", 2: "StudyDate StudyTime ReferringPhysicianName StudyID AccessionNumber"}
+_SERIES = {1: "Modality SeriesInstanceUID", 2: "SeriesNumber Laterality"}  # 2C of the latter: a paired part
+_SOP = {1: "SOPClassUID SOPInstanceUID SpecificCharacterSet"}
 _COMMON = [_PATIENT, _DEIDENTIFIED, _STUDY, _SERIES, _SOP]
-_PIXELS = [
-    "SamplesPerPixel",
-    "PhotometricInterpretation",
-    "Rows",
-    "Columns",
-    "BitsAllocated",
-    "BitsStored",
-    "HighBit",
-    "PixelRepresentation",
-    "PixelData",
+_PIXELS = "SamplesPerPixel PhotometricInterpretation Rows Columns BitsAllocated BitsStored HighBit"
+_SPACING = "PixelSpacing PixelSpacingCalibrationType PixelSpacingCalibrationDescription"
+_CAPTURE = [
+    *_COMMON,
+    {1: f"ConversionType {_PIXELS} PixelRepresentation PixelData {_SPACING}", 2: "InstanceNumber PatientOrientation"},
 ]
-_CAPTURE = [*_COMMON, {1: ["ConversionType"]}, {2: ["InstanceNumber", "PatientOrientation"]}, {1: _PIXELS}]
-_CAPTURE += [{1: ["PixelSpacing", "PixelSpacingCalibrationType", "PixelSpacingCalibrationDescription"]}]
 _STATE = [
     *_COMMON,
-    {2: ["Manufacturer"]},
-    {
-        1: ["InstanceNumber", "ContentLabel", "PresentationCreationDate", "PresentationCreationTime"],
-        2: ["ContentDescription", "ContentCreatorName"],
-    },
-    {1: ["ReferencedSeriesSequence", "DisplayedAreaSelectionSequence", "GraphicAnnotationSequence"]},
-    {1: ["GraphicLayerSequence", "PresentationLUTShape"]},
+    {1: "InstanceNumber ContentLabel PresentationCreationDate PresentationCreationTime PresentationLUTShape"},
+    {2: "Manufacturer ContentDescription ContentCreatorName"},
+    {1: "ReferencedSeriesSequence DisplayedAreaSelectionSequence GraphicAnnotationSequence GraphicLayerSequence"},
 ]
-_REFERENCE = {1: ["ReferencedSOPClassUID", "ReferencedSOPInstanceUID"]}
-# Of every item of a sequence, wherever it stands.
-_ITEMS: dict[str, list[dict[int, list[str]]]] = {
-    "ReferencedSeriesSequence": [{1: ["SeriesInstanceUID", "ReferencedImageSequence"]}],
-    "ReferencedImageSequence": [_REFERENCE],
-    "DisplayedAreaSelectionSequence": [
-        {
-            1: [
-                "DisplayedAreaTopLeftHandCorner",
-                "DisplayedAreaBottomRightHandCorner",
-                "PresentationSizeMode",
-                "PresentationPixelAspectRatio",
-            ]
-        }
-    ],
-    "GraphicAnnotationSequence": [{1: ["GraphicLayer"]}],
-    "GraphicObjectSequence": [
-        {1: ["GraphicAnnotationUnits", "GraphicDimensions", "NumberOfGraphicPoints", "GraphicData", "GraphicType"]}
-    ],
-    "TextObjectSequence": [
-        {1: ["UnformattedTextValue", "AnchorPointAnnotationUnits", "AnchorPoint", "AnchorPointVisibility"]}
-    ],
-    "GraphicLayerSequence": [{1: ["GraphicLayer", "GraphicLayerOrder"]}],
-    "SoftcopyVOILUTSequence": [{1: ["WindowCenter", "WindowWidth"]}],
+# Of every item of a sequence, wherever it stands; all of type 1.
+_ITEMS = {
+    "ReferencedSeriesSequence": "SeriesInstanceUID ReferencedImageSequence",
+    "ReferencedImageSequence": "ReferencedSOPClassUID ReferencedSOPInstanceUID",
+    "DisplayedAreaSelectionSequence": "DisplayedAreaTopLeftHandCorner DisplayedAreaBottomRightHandCorner "
+    "PresentationSizeMode PresentationPixelAspectRatio",
+    "GraphicAnnotationSequence": "GraphicLayer",
+    "GraphicObjectSequence": "GraphicAnnotationUnits GraphicDimensions NumberOfGraphicPoints GraphicData GraphicType",
+    "TextObjectSequence": "UnformattedTextValue AnchorPointAnnotationUnits AnchorPoint AnchorPointVisibility",
+    "GraphicLayerSequence": "GraphicLayer GraphicLayerOrder",
+    "SoftcopyVOILUTSequence": "WindowCenter WindowWidth",
 }
 _ENUMERATED = {
     "GraphicAnnotationUnits": {"PIXEL", "DISPLAY"},
@@ -81,15 +54,15 @@ def faults(dataset: Dataset, kind: str) -> list[str]:
         if element.keyword in _ENUMERATED and element.value not in _ENUMERATED[element.keyword]:
             out.append(f"{element.keyword} is {element.value}")
         for item in element.value if element.VR == "SQ" else ():
-            out += _missing(item, _ITEMS.get(element.keyword, []), element.keyword)
+            out += _missing(item, [{1: _ITEMS.get(element.keyword, "")}], element.keyword)
     return out
 
 
-def _missing(dataset: Dataset, modules: list[dict[int, list[str]]], where: str) -> list[str]:
+def _missing(dataset: Dataset, modules: list[dict[int, str]], where: str) -> list[str]:
     return [
         f"{where}: {keyword} (type {kind})"
         for module in modules
         for kind, keywords in module.items()
-        for keyword in keywords
+        for keyword in keywords.split()
         if keyword not in dataset or (kind == 1 and dataset[keyword].is_empty)
     ]
