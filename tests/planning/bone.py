@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 
 from sightline.planning import Aids, Circle, Line, MatchingCurve, Pick, matching_curve
 
-from .standin import StandInView, stand_in
+from .standin import StandInView, pair
 
 CENTRE_MM, RADIUS_MM = np.array([-11.3, -17.6, 6.2]), 23.7
 SHAFT = np.array([0.08, 0.99, -0.06]) / np.linalg.norm([0.08, 0.99, -0.06])  # caudal: +Y of a right hip
@@ -27,7 +27,7 @@ ON_NECK_MM = CENTRE_MM - 38.0 * NECK + np.array([0.4, -0.3, 0.5])  # its axis ne
 @cache
 def views() -> list[StandInView]:
     """PA and lateral stand-in view."""
-    return [stand_in("pa", 0.4, 0.05), stand_in("lateral", -0.2, 0.05)]
+    return pair(0.05)
 
 
 @cache

@@ -151,6 +151,11 @@ def stand_in(name: str, turn_rad: float = 0.0, scale: float = 1.0, seed: int = 5
     return StandInView(name, Plane(origin, axes), focal, coefficients, factors)
 
 
+def pair(scale: float = 0.3) -> list[StandInView]:
+    """PA and lateral view."""
+    return [stand_in("pa", 0.4, scale), stand_in("lateral", -0.2, scale)]
+
+
 def turned(view: StandInView, axis: str, degrees: float, name: str) -> StandInView:
     """The same view with source and detector rotated about an axis of CFCS through the origin."""
     rotation = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()

@@ -10,15 +10,11 @@ from sightline.planning import Aids, Circle, Line, Pick, locate, matching_curve,
 from sightline.planning.points.picks import stack
 
 from . import bone
-from .standin import StandInView, stand_in
-
-
-def _views(scale: float = 0.3) -> list[StandInView]:
-    return [stand_in("pa", 0.4, scale), stand_in("lateral", -0.2, scale)]
+from .standin import pair
 
 
 def test_perfect_drawings_give_the_bone():
-    views = _views()
+    views = pair()
     uv = bone.pixels(views)
     found = locate(views, bone.aids(uv), bone.picks(uv))
     assert set(found.absent) == {"outline"}  # few procedures ask for it
@@ -34,7 +30,7 @@ def test_perfect_drawings_give_the_bone():
 
 def test_all_covariances_by_sampling():
     """With views, frame errors and clicks drawn anew, all parts and metrics have the stated errors, jointly too."""
-    views, rng = _views(), np.random.default_rng(12)
+    views, rng = pair(), np.random.default_rng(12)
     uv, sd, draws = bone.pixels(views), 0.5, 60
     stated = locate(views, bone.aids(uv, sd), bone.picks(uv, sd))
     truth = metrics(stated, "right")
@@ -68,7 +64,7 @@ def test_all_covariances_by_sampling():
 
 @pytest.mark.parametrize("snapped", [False, True])
 def test_the_wire_is_the_trajectory_of_the_plan(snapped):
-    views = _views()
+    views = pair()
     uv = bone.pixels(views)
     picks = bone.picks(uv)
     if snapped:
@@ -84,7 +80,7 @@ def test_the_wire_is_the_trajectory_of_the_plan(snapped):
 
 def test_a_drawn_circle_is_three_numbers_and_finds_the_sphere():
     """A circle cannot follow a distorted outline: 0.15 mm are left to it."""
-    views = _views()
+    views = pair()
     turns = np.deg2rad(np.arange(0.0, 360.0, 10.0))
     circles = []
     for view in views:
@@ -102,8 +98,8 @@ def test_a_drawn_circle_is_three_numbers_and_finds_the_sphere():
 
 def test_the_centre_of_the_outline_is_not_the_image_of_the_centre():
     """What a circle fitted in the image would get wrong, and lines of sight do not: about 0.1 px here."""
-    view = _views()[0]
-    sphere = locate(_views(), bone.aids(bone.pixels(_views()))).head
+    view = pair()[0]
+    sphere = locate(pair(), bone.aids(bone.pixels(pair()))).head
     drawn = outline(view, sphere, 360)
     assert len(drawn) == 360
     ray = view.plane.to_space(view.to_plane(drawn)) - view.focal_point_mm
@@ -114,7 +110,7 @@ def test_the_centre_of_the_outline_is_not_the_image_of_the_centre():
 
 
 def test_an_axis_in_the_plane_of_both_beams_is_refused_and_nothing_else_is():
-    views = _views()
+    views = pair()
     uv = bone.pixels(views)
     level = np.array([-0.8, 0.0, 0.6])  # beams run along Z and X
     uv["neck"] = [bone.drawn_line(view, bone.ON_NECK_MM, level, (0.0, 25.0)) for view in views]
@@ -134,7 +130,7 @@ def test_an_axis_in_the_plane_of_both_beams_is_refused_and_nothing_else_is():
     ],
 )
 def test_bad_drawings_are_absent_with_the_reason(change, name, why):
-    views = _views()
+    views = pair()
     uv = bone.pixels(views) | change
     found = locate(views, bone.aids(uv), bone.picks(uv))
     assert why in found.absent[name]
@@ -142,14 +138,14 @@ def test_bad_drawings_are_absent_with_the_reason(change, name, why):
 
 
 def test_what_is_not_drawn_is_absent():
-    found = locate(_views(), Aids())
+    found = locate(pair(), Aids())
     assert set(found.absent) == {"head", "neck", "shaft", "outline", "calcar", "cortex", "wire"}
     assert (found.head, found.neck, found.shaft) == (None, None, None)
     assert set(found.at) == {"focal"}
 
 
 def test_unknown_errors_stay_unknown():
-    views = _views()
+    views = pair()
     uv = bone.pixels(views)
     found = locate([views[0], replace(views[1], factors=None)], bone.aids(uv), bone.picks(uv))
     assert found.covariance is None
@@ -162,7 +158,7 @@ def test_unknown_errors_stay_unknown():
 
 def test_bad_arguments_are_refused():
     with pytest.raises(UnusableInputError, match="'pa' and 'lateral'"):
-        locate(_views()[::-1], Aids())
+        locate(pair()[::-1], Aids())
     for bad in (np.zeros((2, 2)), np.full((3, 2), np.nan), np.zeros(4)):
         with pytest.raises(UnusableInputError, match="rim"):
             Circle.through(bad)

@@ -9,13 +9,9 @@ from sightline.errors import ErrorUnknownError, OutsideRegionError
 from sightline.planning import Trajectory, corridor, error_shares, error_shares_of, reconstruct
 from sightline.planning.points.results import BUDGET
 
-from .standin import StandInView, stand_in
+from .standin import StandInView, pair
 
 ENTRY_MM, END_MM = np.array([31.0, 24.0, -9.0]), np.array([-22.0, -26.0, 11.0])
-
-
-def _views() -> list[StandInView]:
-    return [stand_in("pa", 0.4, 0.5), stand_in("lateral", -0.2, 0.5)]
 
 
 def _trajectory(views: list[StandInView]) -> Trajectory:
@@ -24,7 +20,7 @@ def _trajectory(views: list[StandInView]) -> Trajectory:
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_the_middle_is_the_wires_image_and_its_width_is_the_wires(which):
-    views = _views()
+    views = pair(0.5)
     trajectory = _trajectory(views)
     made = corridor(views[which], trajectory, wire_mm=2.5, beyond_mm=4.0)
     assert made.along_mm[0] == 0.0
@@ -40,7 +36,7 @@ def test_the_middle_is_the_wires_image_and_its_width_is_the_wires(which):
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_the_wire_runs_within_the_corridor_95_times_in_a_hundred(which):
-    views, rng, draws = _views(), np.random.default_rng(31), 400
+    views, rng, draws = pair(0.5), np.random.default_rng(31), 400
     trajectory = _trajectory(views)
     robot = np.kron(np.array([[1.0, 0.5], [0.5, 1.0]]), 0.04 * np.eye(3))
     made = corridor(views[which], trajectory, beyond_mm=10.0, robot_mm2=robot)
@@ -56,7 +52,7 @@ def test_the_wire_runs_within_the_corridor_95_times_in_a_hundred(which):
 
 
 def test_only_what_the_view_sees_is_drawn():
-    views = _views()
+    views = pair(0.5)
     trajectory = _trajectory(views)
     made = corridor(views[0], trajectory, beyond_mm=60.0)
     step = made.along_mm[1]
@@ -70,7 +66,7 @@ def test_only_what_the_view_sees_is_drawn():
 
 
 def test_an_unknown_error_has_no_corridor_and_no_shares():
-    views = _views()
+    views = pair(0.5)
     trajectory = _trajectory([views[0], replace(views[1], factors=None)])
     assert corridor(views[0], trajectory).half_95_px is None
     with pytest.raises(ErrorUnknownError):
@@ -78,7 +74,7 @@ def test_an_unknown_error_has_no_corridor_and_no_shares():
 
 
 def test_shares_add_up_and_are_those_of_the_budget():
-    trajectory = _trajectory(_views())
+    trajectory = _trajectory(pair(0.5))
     shares = error_shares(trajectory)
     assert tuple(shares) == ("entry", "end", "direction")
     for name, key, scale in (
@@ -96,7 +92,7 @@ def test_shares_add_up_and_are_those_of_the_budget():
 
 
 def test_a_robot_takes_its_share():
-    trajectory = _trajectory(_views())
+    trajectory = _trajectory(pair(0.5))
     plain = error_shares(trajectory)["end"]
     robot = plain.rms**2 / 3 * np.eye(6)
     shared = error_shares(trajectory, robot)["end"]

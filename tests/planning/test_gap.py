@@ -11,13 +11,9 @@ from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning import Trajectory, corridor, error_shares, plan, reconstruct
 from sightline.planning.points.results import MAX_GAP_SIGMA
 
-from .standin import StandInView, stand_in
+from .standin import StandInView, pair
 
 ENTRY_MM, END_MM = np.array([31.0, 24.0, -9.0]), np.array([-22.0, -26.0, 11.0])
-
-
-def _views() -> list[StandInView]:
-    return [stand_in("pa", 0.4, 0.05), stand_in("lateral", -0.2, 0.05)]
 
 
 def _pixels(views: list[StandInView]) -> np.ndarray:
@@ -33,7 +29,7 @@ WRONG = {
 
 @pytest.mark.parametrize("how", WRONG)
 def test_arrays_in_another_order_fail_their_gap_and_get_no_error(how):
-    views = _views()
+    views = pair(0.05)
     right, wrong = (reconstruct(views, uv) for uv in (_pixels(views), WRONG[how](_pixels(views))))
     assert not failed(right.checks)
     assert [check.name for check in right.checks] == ["error known", "gap", "gap"]
@@ -70,7 +66,7 @@ def test_points_on_one_level_across_the_beams_hide_the_order(how):
 
 
 def test_one_failed_gap_rules_out_both_points_of_a_plan_and_their_error_checks():
-    views = _views()
+    views = pair(0.05)
     uv = _pixels(views)
     uv[1, 1] += 12.0
     made = plan(views, uv[:, 0], uv[:, 1])
@@ -84,7 +80,7 @@ def test_one_failed_gap_rules_out_both_points_of_a_plan_and_their_error_checks()
 
 
 def test_the_limit_is_where_a_gap_begins_to_fail():
-    points = reconstruct(_views(), _pixels(_views()))
+    points = reconstruct(pair(0.05), _pixels(pair(0.05)))
     for sigma, fails in ((MAX_GAP_SIGMA, False), (np.nextafter(MAX_GAP_SIGMA, 4.0), True), (np.nan, True)):
         at = replace(points, gap_sigma=np.ma.masked_array([0.1, sigma]))
         assert at.gap_failed.tolist() == [False, fails]
@@ -95,7 +91,7 @@ def test_the_limit_is_where_a_gap_begins_to_fail():
 
 
 def test_pixels_by_name_cannot_be_exchanged():
-    views = _views()
+    views = pair(0.05)
     uv = _pixels(views)
     covariance = 0.04 * np.broadcast_to(np.eye(2), (2, 2, 2, 2)) * np.array([1.0, 4.0])[:, None, None, None]
     stated = reconstruct(views, uv, covariance)

@@ -1,7 +1,6 @@
 """How residuals follow point, focal point and line: the stated derivatives against differences of the function."""
 
 import numpy as np
-import pytest
 
 from sightline.calibration.view import LinesOfSight
 from sightline.common.geometry.planes import Plane
@@ -28,27 +27,14 @@ def at(focal_mm: np.ndarray = FOCAL_MM, xy_mm: np.ndarray = XY_MM, xyz_mm: np.nd
     return LineResiduals.at(lines(focal_mm, xy_mm), xyz_mm)
 
 
-def test_a_line_through_its_point_leaves_nothing():
-    exact = at(xy_mm=PLANE.central_projection(FOCAL_MM, POINTS_MM))
-    np.testing.assert_allclose(exact.xy_mm, 0.0, atol=1e-9)
-
-
-@pytest.mark.parametrize("axis", range(3))
-def test_the_derivative_by_the_point(axis):
-    step = STEP_MM * np.eye(3)[axis]
-    difference = at(xyz_mm=POINTS_MM + step).xy_mm - at(xyz_mm=POINTS_MM - step).xy_mm
-    np.testing.assert_allclose(-at().to_point[:, :, axis], difference / (2 * STEP_MM), atol=1e-6)
-
-
-@pytest.mark.parametrize("axis", range(3))
-def test_the_derivative_by_the_focal_point(axis):
-    step = STEP_MM * np.eye(3)[axis]
-    difference = at(focal_mm=FOCAL_MM + step).xy_mm - at(focal_mm=FOCAL_MM - step).xy_mm
-    np.testing.assert_allclose(at().to_line[:, axis], difference.ravel() / (2 * STEP_MM), atol=1e-6)
-
-
-def test_the_derivative_by_the_line_on_the_plane():
+def test_residuals_and_their_derivatives_by_point_focal_point_and_line():
+    np.testing.assert_allclose(at(xy_mm=PLANE.central_projection(FOCAL_MM, POINTS_MM)).xy_mm, 0.0, atol=1e-9)
     np.testing.assert_array_equal(at().to_line[:, 3:], np.eye(2 * len(POINTS_MM)))
+    for axis, step in enumerate(STEP_MM * np.eye(3)):
+        by_point = (at(xyz_mm=POINTS_MM + step).xy_mm - at(xyz_mm=POINTS_MM - step).xy_mm) / (2 * STEP_MM)
+        np.testing.assert_allclose(-at().to_point[:, :, axis], by_point, atol=1e-6)
+        by_focal = (at(focal_mm=FOCAL_MM + step).xy_mm - at(focal_mm=FOCAL_MM - step).xy_mm) / (2 * STEP_MM)
+        np.testing.assert_allclose(at().to_line[:, axis], by_focal.ravel(), atol=1e-6)
 
 
 def test_a_line_displaced_on_the_plane_is_displaced_by_its_reach_at_the_point():

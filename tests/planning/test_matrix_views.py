@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import sightline as sl
-from sightline.common.checks import failed
 from sightline.errors import ReconstructionRefusedError
 from sightline.planning import kind, matching_curve, plan
 
@@ -22,23 +21,6 @@ def _pixels(matrix: np.ndarray) -> np.ndarray:
 
 
 UV_PX = np.array([_pixels(PA), _pixels(LATERAL)])
-
-
-def test_points_from_two_bare_matrices_and_no_go():
-    views = [sl.view_from_matrix(PA), sl.view_from_matrix(LATERAL)]
-    np.testing.assert_allclose(sl.reconstruct(views, UV_PX).xyz_mm, TARGETS_MM, atol=1e-6)
-    made = plan(views, UV_PX[:, 0], UV_PX[:, 1], kind=kind("free-wire"))
-    assert not made.verdict.go
-    assert "error known" in {check.name for check in failed(made.verdict.checks)}
-    assert made.entry_curve.half_width_px is None
-
-
-def test_a_matrix_with_covariance_is_weighed():
-    views = [sl.view_from_matrix(PA, COVARIANCE), sl.view_from_matrix(LATERAL, COVARIANCE)]
-    points = sl.reconstruct(views, UV_PX)
-    assert points.method == "weighted"
-    np.testing.assert_allclose(points.xyz_mm, TARGETS_MM, atol=1e-6)
-    assert (np.linalg.eigvalsh(points.joint_covariance_mm2) > 0.0).all()
 
 
 def test_an_error_of_zero_is_refused():

@@ -9,7 +9,7 @@ from sightline.errors import UnusableInputError
 from sightline.planning import Aids, locate, metrics
 
 from . import bone
-from .standin import StandInView, stand_in
+from .standin import StandInView, pair
 
 NAMES = (
     "wire length",
@@ -23,10 +23,6 @@ NAMES = (
     "position AP",
     "position lateral",
 )
-
-
-def _views() -> list[StandInView]:
-    return [stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3)]
 
 
 def _metrics(views: list[StandInView], side: str = "right", **change: np.ndarray):
@@ -43,7 +39,7 @@ def _flat(way: np.ndarray, view: StandInView) -> float:
 
 
 def test_metrics_follow_their_definitions():
-    views = _views()
+    views = pair()
     found = _metrics(views)
     assert tuple(found) == NAMES
     wire = bone.END_MM - bone.ENTRY_MM
@@ -66,7 +62,7 @@ def test_metrics_follow_their_definitions():
 
 def test_the_calcar_line_leaves_the_head_where_it_should():
     """A point on the head's rim in the PA view, from the calcar along the neck: its distance to the tip."""
-    views = _views()
+    views = pair()
     beam = bone.CENTRE_MM - views[0].focal_point_mm
     beam /= np.linalg.norm(beam)
     flat = np.eye(3) - np.outer(beam, beam)
@@ -93,7 +89,7 @@ def test_the_calcar_line_leaves_the_head_where_it_should():
     ],
 )
 def test_thirds_of_the_head(moved_mm, ap, lateral):
-    found = _metrics(_views(), wire_mm=np.stack([bone.ENTRY_MM, bone.END_MM]) + np.array(moved_mm))
+    found = _metrics(pair(), wire_mm=np.stack([bone.ENTRY_MM, bone.END_MM]) + np.array(moved_mm))
     assert (found["position AP"].zone, found["position lateral"].zone) == (ap, lateral)
     assert found["position AP"].within == (ap == "centre")
     assert ap in found["position AP"].sentence
@@ -102,7 +98,7 @@ def test_thirds_of_the_head(moved_mm, ap, lateral):
 def test_a_left_hip_mirrors_a_right_one():
     """Mirrored at Y = 0: every metric is unchanged, given the side."""
     mirror = np.diag([1.0, -1.0, 1.0])
-    views = _views()
+    views = pair()
     mirrored = [
         replace(
             view,
@@ -127,7 +123,7 @@ def test_a_left_hip_mirrors_a_right_one():
 
 
 def test_a_wire_outside_the_head_has_no_bone_ahead():
-    found = _metrics(_views(), wire_mm=np.stack([bone.ENTRY_MM, bone.END_MM]) + np.array([0.0, 0.0, 24.5]))
+    found = _metrics(pair(), wire_mm=np.stack([bone.ENTRY_MM, bone.END_MM]) + np.array([0.0, 0.0, 24.5]))
     ahead = found["tip to bone along wire"]
     assert ahead.value is None
     assert ahead.within is None
@@ -136,7 +132,7 @@ def test_a_wire_outside_the_head_has_no_bone_ahead():
 
 
 def test_what_is_not_drawn_is_absent_and_never_zero():
-    views = _views()
+    views = pair()
     uv = bone.pixels(views)
     drawn = bone.aids(uv)
     found = {f.name: f for f in metrics(locate(views, replace(drawn, neck=None), bone.picks(uv)), "right")}
@@ -149,7 +145,7 @@ def test_what_is_not_drawn_is_absent_and_never_zero():
 
 
 def test_recommended_ranges():
-    found = _metrics(_views())
+    found = _metrics(pair())
     assert (found["tip-apex distance"].low, found["tip-apex distance"].high) == (10.0, 25.0)
     assert found["tip-apex distance"].within
     assert found["tip to bone nearest"].within is False  # 10.3 mm

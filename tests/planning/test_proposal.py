@@ -10,15 +10,11 @@ from sightline.planning import Circle, Line, Pick, ProposalRule, kind, locate, p
 from sightline.planning.bone.aids import Aids
 
 from . import bone
-from .standin import StandInView, stand_in
-
-
-def _views() -> list[StandInView]:
-    return [stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3)]
+from .standin import StandInView, pair
 
 
 def _proposed(aids: Aids | None = None, side: str = "right", rule: ProposalRule | None = None):
-    views = _views()
+    views = pair()
     aids = bone.aids(bone.pixels(views)) if aids is None else aids
     return views, propose(views, locate(views, aids), side, rule)
 
@@ -26,7 +22,7 @@ def _proposed(aids: Aids | None = None, side: str = "right", rule: ProposalRule 
 @pytest.mark.parametrize("with_neck", [False, True])
 @pytest.mark.parametrize("rule", [ProposalRule(), ProposalRule(np.deg2rad(130.0), 6.0)])
 def test_the_proposal_is_what_the_rule_says(with_neck, rule):
-    drawn = bone.aids(bone.pixels(_views()))
+    drawn = bone.aids(bone.pixels(pair()))
     views, made = _proposed(drawn if with_neck else replace(drawn, neck=None), rule=rule)
     wire = made.end_mm - made.entry_mm
     length = np.linalg.norm(wire)
@@ -49,7 +45,7 @@ def test_the_proposal_is_what_the_rule_says(with_neck, rule):
 
 
 def _pixel(xyz_mm: np.ndarray) -> Pick:
-    return Pick.free(_views()[0].project(xyz_mm[None])[0])
+    return Pick.free(pair()[0].project(xyz_mm[None])[0])
 
 
 @pytest.mark.parametrize(
@@ -65,7 +61,7 @@ def _pixel(xyz_mm: np.ndarray) -> Pick:
     ],
 )
 def test_impossible_proposals_are_refused_with_the_reason(change, why):
-    views = _views()
+    views = pair()
     drawn = bone.aids(bone.pixels(views))
     ((name, what),) = change.items()
     lateral, medial = (bone.ON_SHAFT_MM + 5.0 * bone.SHAFT + np.array([x, 0.0, 0.0]) for x in (3.0, -12.0))
@@ -94,7 +90,7 @@ def test_the_wrong_side_is_refused():
 
 
 def test_a_kinds_limits_judge_its_plan():
-    views = _views()
+    views = pair()
     near, far = np.array([10.0, 20.0, 3.0]), np.array([-1.0, 20.5, 2.0])  # two holes of a nail
     uv = np.array([view.project(np.stack([near, far])) for view in views])
     strict, loose = (
@@ -108,7 +104,7 @@ def test_a_kinds_limits_judge_its_plan():
 
 
 def test_a_circle_may_stand_for_the_rim():
-    views = _views()
+    views = pair()
     drawn = bone.aids(bone.pixels(views))
     rims = [bone.rim(view, np.deg2rad(np.arange(0.0, 360.0, 15.0))) for view in views]
     circles = [

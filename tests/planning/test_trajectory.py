@@ -8,18 +8,14 @@ import pytest
 
 from sightline.common.checks import Check, failed
 from sightline.errors import ErrorUnknownError, UnusableInputError
-from sightline.planning import Limits, SpacePoints, Trajectory, judge, kind, plan, reconstruct
+from sightline.planning import Limits, Trajectory, judge, kind, plan, reconstruct
 from sightline.planning.points.picks import Pick, stack
 from sightline.planning.points.results import BUDGET
 from sightline.planning.verdict.plan_checks import MAX_GAP_SIGMA
 
-from .standin import StandInView, stand_in
+from .standin import StandInView, pair
 
 ENTRY_MM, END_MM = np.array([31.0, 24.0, -9.0]), np.array([-22.0, -26.0, 11.0])
-
-
-def _views(scale: float = 0.3) -> list[StandInView]:
-    return [stand_in("pa", 0.4, scale), stand_in("lateral", -0.2, scale)]
 
 
 def _pixels(views: list[StandInView]) -> np.ndarray:
@@ -31,7 +27,7 @@ def _trajectory(views: list[StandInView]) -> Trajectory:
 
 
 def test_direction_error_by_sampling():
-    trajectory = _trajectory(_views(1.0))
+    trajectory = _trajectory(pair(1.0))
     rng = np.random.default_rng(6)
     ends = rng.multivariate_normal(np.r_[ENTRY_MM, END_MM], trajectory.covariance_mm2, 20_000)
     drawn = ends[:, 3:] - ends[:, :3]
@@ -40,16 +36,8 @@ def test_direction_error_by_sampling():
     assert np.mean(angle < trajectory.direction_error_95_rad) == pytest.approx(0.95, abs=4 * 0.0016)
 
 
-def test_trajectory_is_what_was_seen():
-    trajectory = _trajectory(_views())
-    np.testing.assert_allclose(trajectory.entry_mm, ENTRY_MM, atol=1e-8)
-    np.testing.assert_allclose(trajectory.end_mm, END_MM, atol=1e-8)
-    assert trajectory.length_mm == pytest.approx(np.linalg.norm(END_MM - ENTRY_MM))
-    np.testing.assert_allclose(trajectory.entry_mm + trajectory.length_mm * trajectory.direction, END_MM, atol=1e-8)
-
-
 def test_budget_squares_add_up():
-    trajectory = _trajectory(_views())
+    trajectory = _trajectory(pair())
     budget = trajectory.budget_rms()
     assert tuple(budget) == BUDGET
     for key, total in (
@@ -60,22 +48,20 @@ def test_budget_squares_add_up():
         assert sum(share[key] ** 2 for share in budget.values()) == pytest.approx(total, rel=1e-10)
 
 
-def test_document_is_json_and_says_where_it_stands():
-    document = json.loads(json.dumps(_trajectory(_views()).document()))
-    assert document["coordinates"] == "CFCS"
-    assert "none known" in document["robot"]
-    assert document["error_95"]["direction_deg"] == pytest.approx(
-        np.rad2deg(_trajectory(_views()).direction_error_95_rad)
-    )
+def test_trajectory_and_its_document_are_what_was_seen():
+    trajectory = _trajectory(pair())
+    np.testing.assert_allclose(trajectory.points.xyz_mm, [ENTRY_MM, END_MM], atol=1e-8)
+    np.testing.assert_allclose(trajectory.entry_mm + trajectory.length_mm * trajectory.direction, END_MM, atol=1e-8)
+    document = json.loads(json.dumps(trajectory.document()))
+    assert document["coordinates"] == "CFCS" and "none known" in document["robot"]
+    assert document["error_95"]["direction_deg"] == pytest.approx(np.rad2deg(trajectory.direction_error_95_rad))
 
 
 def test_unknown_error_is_null_not_a_number():
-    views = [_views()[0], replace(_views()[1], factors=None)]
+    views = [pair()[0], replace(pair()[1], factors=None)]
     trajectory = _trajectory(views)
     document = trajectory.document()
-    assert document["error_95"] is None
-    assert document["covariance_mm2"] is None
-    assert document["budget_rms"] is None
+    assert document["error_95"] is document["covariance_mm2"] is document["budget_rms"] is None
     for what in ("covariance_mm2", "end_error_95_mm", "direction_error_95_rad"):
         with pytest.raises(ErrorUnknownError):
             getattr(trajectory, what)
@@ -84,7 +70,7 @@ def test_unknown_error_is_null_not_a_number():
 
 
 def test_points_that_give_no_direction_are_refused():
-    views = _views()
+    views = pair()
     for uv in (_pixels(views)[:, :1], _pixels(views)[:, [0, 0]], np.concatenate([_pixels(views)] * 2, axis=1)):
         with pytest.raises(UnusableInputError):
             Trajectory(reconstruct(views, uv))
@@ -95,25 +81,15 @@ def _names(checks: tuple[Check, ...]) -> set[str]:
 
 
 def _changed(trajectory: Trajectory, **changes: object) -> Trajectory:
-    points = trajectory.points
-    same = {name: getattr(points, name) for name in SpacePoints.__dataclass_fields__}
-    return Trajectory(SpacePoints(**(same | changes)))
+    return Trajectory(replace(trajectory.points, **changes))
 
 
 def test_a_good_plan_is_go():
-    views = _views(0.05)
+    views = pair(0.05)
     verdict = judge(_trajectory(views), views)
     assert verdict.go
-    assert {c.name for c in verdict.checks} == {
-        "error known",
-        "entry error",
-        "end error",
-        "direction error",
-        "gap",
-        "pick spread",
-        "movement",
-        "plan inside hull",
-    }
+    names = "error known, entry error, end error, direction error, gap, pick spread, movement, plan inside hull"
+    assert {c.name for c in verdict.checks} == set(names.split(", "))
 
 
 @pytest.mark.parametrize(
@@ -121,11 +97,10 @@ def test_a_good_plan_is_go():
     [
         (Limits(position_mm=0.1), {"entry error", "end error"}),
         (Limits(direction_rad=1e-4), {"direction error"}),
-        (Limits(position_mm=0.1, direction_rad=1e-4), {"entry error", "end error", "direction error"}),
     ],
 )
 def test_limits_decide(limits, names):
-    views = _views(0.05)
+    views = pair(0.05)
     verdict = judge(_trajectory(views), views, limits)
     assert not verdict.go
     assert _names(verdict.checks) == names
@@ -133,7 +108,7 @@ def test_limits_decide(limits, names):
 
 
 def test_a_significant_gap_is_no_go_and_a_snapped_point_has_none():
-    views = _views(0.05)
+    views = pair(0.05)
     trajectory = _trajectory(views)
     wide = _changed(trajectory, gap_sigma=np.array([0.3, 3.4]))
     assert _names(judge(wide, views).checks) == {"gap"}
@@ -144,7 +119,7 @@ def test_a_significant_gap_is_no_go_and_a_snapped_point_has_none():
 
 def test_a_failed_gap_names_its_landmark_and_tells_it_against_its_limit():
     """Fails for sentences of "landmark 1" where the procedure names it, and for "1.0 times the limit" of a failure."""
-    views = _views(0.05)
+    views = pair(0.05)
     trajectory = _trajectory(views)
     seen = _changed(trajectory, gap_sigma=np.array([0.3, 1.004 * MAX_GAP_SIGMA])).points
     last = replace(
@@ -168,7 +143,7 @@ def test_a_failed_gap_names_its_landmark_and_tells_it_against_its_limit():
 
 @pytest.mark.parametrize(("method", "go"), [("smooth", True), ("polynomial", False), ("localized", False)])
 def test_outside_the_convex_hull_only_smooth_states_a_sufficient_error(method, go):
-    views = [replace(view, method=method) for view in _views(0.05)]
+    views = [replace(view, method=method) for view in pair(0.05)]
     outside = _changed(_trajectory(views), inside_hull=np.array([True, False]))
     verdict = judge(outside, views)
     assert verdict.go == go
@@ -176,7 +151,7 @@ def test_outside_the_convex_hull_only_smooth_states_a_sufficient_error(method, g
 
 
 def test_a_views_failed_check_and_an_unknown_error_are_no_go():
-    views = _views(0.05)
+    views = pair(0.05)
     wrong = Check("bead count", False, 9.0, 24.0, "beads", "Too few beads.")
     assert _names(judge(_trajectory(views), [replace(views[0], checks=(wrong,)), views[1]]).checks) == {"bead count"}
     blind = [views[0], replace(views[1], factors=None)]
@@ -185,7 +160,7 @@ def test_a_views_failed_check_and_an_unknown_error_are_no_go():
 
 @pytest.mark.parametrize("snapped", [False, True])
 def test_plan_from_pixels(snapped):
-    views = _views(0.05)
+    views = pair(0.05)
     entry, end = np.swapaxes(_pixels(views), 0, 1)
     made = plan(views, entry, end, kind=kind("free-wire"), snapped=snapped)
     np.testing.assert_allclose(made.trajectory.entry_mm, ENTRY_MM, atol=0.02)
@@ -211,7 +186,7 @@ def _planned(views: list[StandInView], moved_mm: np.ndarray, landmarks: int = 2,
 
 
 def test_landmarks_that_agree_make_a_snapped_plan_go_and_change_nothing_else():
-    views = _views(0.05)
+    views = pair(0.05)
     still, bare = _planned(views, np.zeros(3)), _planned(views, np.zeros(3), landmarks=0)
     assert still.verdict.go
     assert (
@@ -229,7 +204,7 @@ def test_landmarks_that_agree_make_a_snapped_plan_go_and_change_nothing_else():
 
 def test_movement_along_the_common_normal_is_no_go_and_in_the_plane_of_the_beams_it_is_not_seen():
     """The beams run along Z and X: the common normal is Y. The value is the movement over its stated error."""
-    views = _views(0.05)
+    views = pair(0.05)
     for moved_mm in (2.0, -2.0):
         made = _planned(views, np.array([0.0, moved_mm, 0.0]))
         assert "movement" in _names(made.verdict.checks)
@@ -242,7 +217,7 @@ def test_movement_along_the_common_normal_is_no_go_and_in_the_plane_of_the_beams
 
 def test_the_mean_of_many_points_sees_less_movement_than_a_gap():
     """Twelve landmarks with gaps below the limit each, all to one side."""
-    views, rng = _views(0.05), np.random.default_rng(4)
+    views, rng = pair(0.05), np.random.default_rng(4)
     xyz = rng.uniform(-30.0, 30.0, (12, 3))
     moved = np.array([0.0, 0.27, 0.0])
     marks = np.array([views[0].project(xyz), views[1].project(xyz + moved)])
@@ -252,7 +227,7 @@ def test_the_mean_of_many_points_sees_less_movement_than_a_gap():
 
 
 def test_landmarks_need_finite_pixels_in_both_views_and_a_known_error():
-    views = _views(0.05)
+    views = pair(0.05)
     entry, end = np.swapaxes(_pixels(views), 0, 1)
     for bad in (np.zeros((2, 2)), np.zeros((1, 2, 2)), np.full((2, 2, 2), np.nan)):
         with pytest.raises(UnusableInputError, match="landmarks"):
@@ -268,7 +243,7 @@ def test_landmarks_need_finite_pixels_in_both_views_and_a_known_error():
 
 @pytest.mark.parametrize("bad", [np.zeros((2, 3)), np.full((2, 2), np.nan), np.zeros(2)])
 def test_plan_refuses_bad_pixels(bad):
-    views = _views()
+    views = pair()
     entry, end = np.swapaxes(_pixels(views), 0, 1)
     for arguments in ((bad, end), (entry, bad)):
         with pytest.raises(UnusableInputError, match="each of the 2 images"):
@@ -278,14 +253,14 @@ def test_plan_refuses_bad_pixels(bad):
 
 
 def test_one_point_may_be_snapped_and_the_other_free():
-    views = _views(0.05)
+    views = pair(0.05)
     entry, end = np.swapaxes(_pixels(views), 0, 1)
     made = plan(views, entry, end, kind=kind("free-wire"), snapped=(True, False))
     assert made.trajectory.points.gap_tested.tolist() == [False, True]
 
 
 def _spread_of(rng: np.random.Generator, sd_px: float, snapped: bool) -> Check:
-    views = _views(0.05)
+    views = pair(0.05)
     uv = _pixels(views) + rng.normal(0.0, sd_px, (2, 2, 2))
     marks = np.array([view.project(np.vstack([LANDMARKS_MM, [[-4.0, 22.0, 9.0]]])) for view in views])
     marks = marks + rng.normal(0.0, sd_px, marks.shape)

@@ -13,10 +13,10 @@ from sightline.planning.bone.metrics import metric
 from sightline.planning.procedures.procedure import copy_text, document_from_json
 
 from . import bone
-from .standin import StandInView, stand_in
+from .standin import StandInView
 
 RADIUS_MM, PLACES_MM = 15.6, (-9.0, 8.0)
-VIEWS = [stand_in("pa", 0.4, 0.05), stand_in("lateral", -0.2, 0.05)]
+VIEWS = bone.views()
 ACROSS = np.linalg.svd(bone.NECK[None])[2][1:]
 
 

@@ -198,23 +198,20 @@ class Plan(Plotted):
 
     def document(self) -> dict[str, Any]:
         """Return the plan as the JSON types of `PlanDocument`."""
+        hole = {}
+        if self.hole is not None:
+            turns = [turn.document() for turn in perfect_circles(self.hole, self.views)]
+            hole = {"hole": {**self.hole.document(), "perfect_circle": turns}}
         alone = {"unchecked_relations": list(self.unchecked_relations)} if self.kind.several else {}
         return {
             **self.verdict_document(),
             "trajectory": self.trajectory.document(),
             "landmarks": self.landmarks_document(),
             "implant": None if self.implant is None else vars(self.implant),
-            **self._hole_document(),
+            **hole,
             **alone,
             "checks": [vars(check) for check in self.verdict.checks],
         }
-
-    def _hole_document(self) -> dict[str, Any]:
-        """Return the measured hole and how to turn the C-arm for a perfect circle; nothing for picked points."""
-        if self.hole is None:
-            return {}
-        turns = [turn.document() for turn in perfect_circles(self.hole, self.views)]
-        return {"hole": {**self.hole.document(), "perfect_circle": turns}}
 
     def verdict_document(self) -> dict[str, Any]:
         """Return the verdict and its limits as JSON types, without the checks."""

@@ -17,7 +17,7 @@ from sightline.planning.bone.aids import Aids, Line
 from sightline.planning.bone.directions import caudal
 from sightline.planning.bone.drawings import Axis, find_axis, find_drawing
 from sightline.planning.bone.head import Sphere, find_head
-from sightline.planning.points.lines_of_sight import Drawn, Sights
+from sightline.planning.points.lines_of_sight import Drawn, Sights, block_diagonal
 from sightline.planning.points.picks import Pick, PickArrays, stack
 from sightline.planning.points.solution import Method, Solution, solve
 
@@ -189,7 +189,10 @@ def _drawn(
     for k, drawn in enumerate(by_view if picks is not None else ()):
         for name, points in (("wire", (picks or ())[:2]), ("landmarks", (picks or ())[2:])):
             own = [pick[k] for pick in points if not np.isnan(pick[k].uv_px).any()]
-            drawn[name] = np.array([p.uv_px for p in own]).reshape(-1, 2), _blocks([p.covariance_px2 for p in own])
+            drawn[name] = (
+                np.array([p.uv_px for p in own]).reshape(-1, 2),
+                block_diagonal(np.array([p.covariance_px2 for p in own]).reshape(-1, 2, 2)),
+            )
     for k, drawn in enumerate(by_view[:2]):
         if aids.head is not None:
             drawn["head"] = aids.head[k].uv_px, aids.head[k].covariance_px2
@@ -221,13 +224,6 @@ def _axis_in(view: CalibratedView, line: Line) -> np.ndarray:
             lines = view.lines_of_sight(line.borders_px.reshape(4, 2))
             return view.project(lines.points_mm.reshape(2, 2, 3).mean(axis=0))
     return line.uv_px
-
-
-def _blocks(covariances: list[np.ndarray]) -> np.ndarray:
-    joint = np.zeros((2 * len(covariances),) * 2)
-    for k, own in enumerate(covariances):
-        joint[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = own
-    return joint
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ Each metric is a function of one vector (`Anatomy.values`), differentiated numer
 bone's parts and the wire are propagated correctly.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,11 +107,8 @@ def _definition(name: str) -> _Definition:
 
 def _metric(anatomy: Anatomy, definition: _Definition, side: str | None) -> Metric:
     unit, end = definition.unit, (definition.source, definition.low, definition.high)
-    missing = next((part for part in definition.needs if part not in anatomy.at), None)
-    if missing is not None:
-        return Metric(definition.name, None, None, unit, f"Not known: {anatomy.why_absent(missing)}.", *end)
     try:
-        value, sd = _evaluated(anatomy, definition.value, side)
+        value, sd = _evaluated(anatomy, definition.needs, definition.value, side)
     except ReconstructionRefusedError as refusal:
         return Metric(definition.name, None, None, unit, f"Not known: {refusal}.", *end)
     spread = "" if sd is None else f" ± {sd:.1f}"
@@ -119,10 +116,15 @@ def _metric(anatomy: Anatomy, definition: _Definition, side: str | None) -> Metr
 
 
 def _evaluated(
-    anatomy: Anatomy, function: Callable[["_Parts"], np.ndarray], side: str | None
+    anatomy: Anatomy, needs: Sequence[str], function: Callable[["_Parts"], np.ndarray], side: str | None
 ) -> tuple[float, float | None]:
     """Return a metric's value and its standard deviation; of a vector (K, 3) its length, and the largest one of its
-    components, since a length does not change to first order where it is zero."""
+    components, since a length does not change to first order where it is zero.
+
+    Raises ReconstructionRefusedError, also where a part that it `needs` is absent.
+    """
+    if missing := [part for part in needs if part not in anatomy.at]:
+        raise ReconstructionRefusedError(anatomy.why_absent(missing[0]))
 
     def numbers(values: np.ndarray) -> np.ndarray:
         return function(_Parts(anatomy, values, side)).reshape(len(values), -1)
@@ -139,7 +141,7 @@ def _evaluated(
 
 def tip_depth(anatomy: Anatomy) -> tuple[float, float | None]:
     """Return the tip's depth below the head's nearest surface, mm, and its standard deviation; needs wire and head."""
-    return _evaluated(anatomy, _nearest_bone, "right")  # the same for both sides
+    return _evaluated(anatomy, ("wire", "head"), _nearest_bone, "right")  # the same for both sides
 
 
 class _Parts:
@@ -411,9 +413,6 @@ _DEFINITIONS = (
 def _position(anatomy: Anatomy, view: str, side: str) -> Metric:
     """Return how far from the head's centre the wire passes in one view, and in which third of the head."""
     name, source = f"position {view}", _CLEVELAND
-    missing = next((part for part in ("wire", "head") if part not in anatomy.at), None)
-    if missing is not None:
-        return Metric(name, None, None, "mm", f"Not known: {anatomy.why_absent(missing)}.", source)
     number, goal, words = (
         (0, -caudal(side), ("superior", "inferior")) if view == "AP" else (1, ANTERIOR, ("anterior", "posterior"))
     )
@@ -425,7 +424,7 @@ def _position(anatomy: Anatomy, view: str, side: str) -> Metric:
         return (parts.offset() * upward).sum(axis=-1)
 
     try:
-        value, sd = _evaluated(anatomy, offset, side)
+        value, sd = _evaluated(anatomy, ("wire", "head"), offset, side)
     except ReconstructionRefusedError as refusal:
         return Metric(name, None, None, "mm", f"Not known: {refusal}.", source)
     third = float(anatomy.part("head")[3]) / 3

@@ -17,7 +17,12 @@ from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, UnusableInputError
 from sightline.planning.check.result import MAX_OUTLIER, MIN_LANDMARKS, CheckShot, checks
 from sightline.planning.check.wires import GUIDED_MM, STILL, Beforehand, KnownWire, Landmarks, WireSeen
-from sightline.planning.points.lines_of_sight import LineResiduals, pick_covariance_mm2, refuse_two_frames
+from sightline.planning.points.lines_of_sight import (
+    LineResiduals,
+    block_diagonal,
+    pick_covariance_mm2,
+    refuse_two_frames,
+)
 from sightline.planning.points.picks import Pick, stack
 from sightline.planning.points.reconstruct import reconstruct
 from sightline.planning.points.solution import MIN_ANGLE_RAD
@@ -57,12 +62,11 @@ class Rows:
         """
         assert lines.covariance is not None  # noqa: S101 - called only where the errors are known
         at, n = LineResiduals.at(lines, xyz_mm), len(xyz_mm)
-        picks = np.zeros((n, 2, n, 2))
-        picks[np.arange(n), :, np.arange(n), :] = pick_covariance_mm2(lines, noise_px2)
         to_line = select @ at.to_line
         common = {source: response @ response.T for source, response in lines.shared.items()}
         known = np.sum([own - common.get(source, 0.0) for source, own in lines.covariance.items()], axis=0)
-        own = to_line @ known @ to_line.T + select @ picks.reshape(2 * n, 2 * n) @ select.T
+        picks = block_diagonal(pick_covariance_mm2(lines, noise_px2))
+        own = to_line @ known @ to_line.T + select @ picks @ select.T
         to_point = np.einsum("rnc,nca->rna", select.reshape(len(select), n, 2), at.to_point)
         shared = {source: to_line @ response for source, response in lines.shared.items()}
         return Rows(lines, select @ at.xy_mm.ravel(), to_point, own, shared)

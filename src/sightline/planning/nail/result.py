@@ -146,24 +146,14 @@ class Hole(Shown):
         return not failed(self.checks)
 
     @property
-    def axis_covariance_mm2(self) -> np.ndarray:
-        """(2, 2) covariance of the axis at its middle, along two axes perpendicular to it."""
-        return np.asarray(self.axis.offset_covariance_mm2)
-
-    @property
-    def direction_covariance_rad2(self) -> np.ndarray:
-        """(2, 2) covariance of the direction along two axes perpendicular to it."""
-        return np.asarray(self.axis.direction_covariance_rad2)
-
-    @property
     def axis_error_95_mm(self) -> float:
         """With a probability of 95 % the axis is nearer to the true one at its middle."""
-        return float(length_quantile(self.axis_covariance_mm2))
+        return float(length_quantile(np.asarray(self.axis.offset_covariance_mm2)))
 
     @property
     def direction_error_95_rad(self) -> float:
         """With a probability of 95 % the direction's error is smaller."""
-        return float(length_quantile(self.direction_covariance_rad2))
+        return float(length_quantile(np.asarray(self.axis.direction_covariance_rad2)))
 
     @property
     def sentence(self) -> str:

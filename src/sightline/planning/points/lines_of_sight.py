@@ -135,6 +135,14 @@ def refuse_repeated(views: Sequence[CalibratedView]) -> None:
             )
 
 
+def block_diagonal(blocks: np.ndarray) -> np.ndarray:
+    """Return the matrix (2N, 2N) with blocks (N, 2, 2) on its diagonal."""
+    n = len(blocks)
+    matrix = np.zeros((n, 2, n, 2))
+    matrix[range(n), :, range(n), :] = blocks
+    return matrix.reshape(2 * n, 2 * n)
+
+
 def pick_covariance_mm2(lines: LinesOfSight, covariance_px2: np.ndarray) -> np.ndarray:
     """Return the picks' covariances (N, 2, 2), px², propagated to the plane, mm²."""
     return lines.jacobian @ covariance_px2 @ np.swapaxes(lines.jacobian, -1, -2)
@@ -178,28 +186,21 @@ class Sights:
     @property
     def covariance(self) -> np.ndarray | None:
         """The covariance of z; None where a view's error is unknown."""
-        known, start = joint_covariance(self.lines, (SOURCES,)), 0
+        known = joint_covariance(self.lines, (SOURCES,))
         if known is None:
             return None
-        (covariance,) = known
-        for sight, picks_px2 in zip(self.lines, self.picks_px2, strict=True):
-            count = len(sight.xy_mm)
-            on_plane = np.zeros((count, 2, count, 2))
-            on_plane[range(count), :, range(count), :] = sight.jacobian
-            on_plane = on_plane.reshape(2 * count, 2 * count)
-            own = slice(start + 3, start + 3 + 2 * count)
-            covariance[own, own] += on_plane @ picks_px2 @ on_plane.T
-            start = own.stop
-        return covariance
+        for place, sight, picks_px2 in zip(_places(self.lines), self.lines, self.picks_px2, strict=True):
+            on_plane, xy = block_diagonal(sight.jacobian), slice(place.start + 3, place.stop)
+            known[0, xy, xy] += on_plane @ picks_px2 @ on_plane.T
+        return known[0]
 
     def index(self, name: str) -> np.ndarray:
         """Return the indices in z of a drawing's numbers: for each view that has it the focal point, then its xy."""
-        parts, start = [], 0
-        for sight, rows in zip(self.lines, self.rows, strict=True):
+        parts = []
+        for place, rows in zip(_places(self.lines), self.rows, strict=True):
             if name in rows:
-                numbers = np.arange(3 + 2 * len(sight.xy_mm)) + start
+                numbers = np.arange(place.start, place.stop)
                 parts += [numbers[:3], numbers[3 + 2 * rows[name].start : 3 + 2 * rows[name].stop]]
-            start += 3 + 2 * len(sight.xy_mm)
         return np.concatenate(parts)
 
     def rays(self, name: str, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -229,8 +229,7 @@ def own_files() -> dict[str, Path]:
 
 def own_file(key: str) -> ProcedureDocument:
     """Return the content of a file in the user's folder. Raises UnusableInputError."""
-    path = own_files()[key]
-    document = read_document(path)
+    document = read_document(path := own_files()[key])
     if document.key != key:
         raise UnusableInputError(f"{path.name}: its key is {document.key!r}; name the file {document.key}.json")
     return document
