@@ -145,15 +145,12 @@ def test_errors_are_those_stated(state, marked, frame):
     assert 0.55 < np.sqrt((depths**2).mean()) < 1.45
 
 
-def test_another_frame_on_the_patient_goes_and_stops():
-    good, bad = (taken(5, PAUSED, off, frame=Frame.load("block40")) for off in (0.3, 2.5))
-    assert good.shot().decision == "GO", [check.sentence for check in failed(good.shot().verdict.checks)]
-    assert np.linalg.norm(good.error(good.shot())[5:]) < 1.5 * good.shot().end_error_95_mm
-    assert bad.shot().decision == "STOP"
-
-
-def test_a_frame_on_the_patient_needs_landmarks_and_a_person_who_says_so():
-    one = taken(5, PAUSED, frame=Frame.load("block40"))
+def test_another_frame_on_the_patient_goes_and_stops_and_needs_landmarks_and_a_person_who_says_so():
+    one, off = (taken(5, PAUSED, off, frame=Frame.load("block40")) for off in (0.3, 2.5))
+    shot = one.shot()
+    assert shot.decision == "GO", [check.sentence for check in failed(shot.verdict.checks)]
+    assert np.linalg.norm(one.error(shot)[5:]) < 1.5 * shot.end_error_95_mm
+    assert off.shot().decision == "STOP"
     two = Landmarks(one.landmarks.planned_uv_px[:, :2], one.landmarks.checked_uv_px[:, :2], MARK_PX)
     with pytest.raises(UnusableInputError, match="find 3 landmarks of the bone or more in all four images, not 2"):
         on_patient((one.before, one.after), two, straight=False)
