@@ -28,6 +28,186 @@ MAX_GAP_MM = 5.0
 Rays = list[tuple[np.ndarray, np.ndarray]]
 
 
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """A straight axis, CFCS.
+
+    `ends_mm` (2, 3): its points at the first view's two clicks; `covariance_mm2` (6, 6) of both, None where a view's
+    error is unknown.
+    """
+
+    ends_mm: np.ndarray
+    covariance_mm2: np.ndarray | None
+
+    @property
+    def direction(self) -> np.ndarray:
+        """(3,) unit vector from the first end to the second."""
+        along = self.ends_mm[1] - self.ends_mm[0]
+        return along / np.linalg.norm(along)
+
+    @property
+    def direction_covariance_rad2(self) -> np.ndarray | None:
+        """(2, 2) covariance of the direction along two axes perpendicular to it."""
+        if self.covariance_mm2 is None:
+            return None
+        to_direction = line_direction(*self.ends_mm)
+        return to_direction @ self.covariance_mm2 @ to_direction.T
+
+    @property
+    def offset_covariance_mm2(self) -> np.ndarray | None:
+        """(2, 2) covariance of the middle of both ends along two axes perpendicular to it."""
+        if self.covariance_mm2 is None:
+            return None
+        across = np.linalg.svd(self.direction[None])[2][1:]
+        to_offset = np.hstack([across, across]) / 2
+        return to_offset @ self.covariance_mm2 @ to_offset.T
+
+    def distance_mm(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Return the distances (...) of points (..., 3) from the axis."""
+        return np.linalg.norm(np.cross(xyz_mm - self.ends_mm[0], self.direction), axis=-1)
+
+
+def find_axis(sights: Sights, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return both ends (6,) of the axis drawn as `name`, and their derivatives (6, n) by its numbers in z.
+
+    Raises ReconstructionRefusedError where the planes do not determine it.
+    """
+    at = sights.values[sights.index(name)]
+    rays = sights.rays(name, at[None])
+    if min(np.linalg.norm(points[0, 1] - points[0, 0]) for _, points in rays) < MIN_LENGTH_MM:
+        raise ReconstructionRefusedError(
+            f"the two clicks of the {name} axis are too close together; draw the line longer in both images"
+        )
+    first, second = (np.cross(points[0, 0] - focal[0, 0], points[0, 1] - focal[0, 0]) for focal, points in rays)
+    sine = np.linalg.norm(np.cross(first, second)) / (np.linalg.norm(first) * np.linalg.norm(second))
+    if sine < np.sin(MIN_ANGLE_RAD):
+        raise ReconstructionRefusedError(
+            f"the planes of the {name} axis in the two images meet at {np.rad2deg(np.arcsin(sine)):.0f}° (at least "
+            f"{np.rad2deg(MIN_ANGLE_RAD):.0f}° is needed): the axis lies in the plane of both beams, where these two "
+            "images do not determine it; rotate the C-arm for one of them"
+        )
+    ends, own = response(lambda z: _axis_ends(sights.rays(name, z)), at)
+    length = np.linalg.norm(ends[3:] - ends[:3])
+    if length < MIN_LENGTH_MM:
+        raise ReconstructionRefusedError(
+            f"the {name} axis is drawn {length:.1f} mm long (at least {MIN_LENGTH_MM:.0f} mm is needed); draw it longer"
+        )
+    return ends, own
+
+
+def _axis_ends(both: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return (K, 6): where the first view's two rays intersect the plane of the second view's rays."""
+    (focal_a, a), (focal_b, b) = both
+    normal = np.cross(b[:, 0] - focal_b[:, 0], b[:, 1] - focal_b[:, 0])[:, None]
+    rays = a - focal_a
+    reach = (normal * (focal_b - focal_a)).sum(axis=-1) / (normal * rays).sum(axis=-1)
+    return (focal_a + reach[..., None] * rays).reshape(len(a), 6)
+
+
+def find_drawing(sights: Sights, name: str, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers (m,) of what is drawn as `name`, and their derivatives (m, n) by its numbers in z.
+
+    `kind`, a type of `Drawing`:
+
+    - "plane": a point, and the unit normal (6)
+    - "cylinder": a point of its axis, the axis's direction, its radius (7)
+    - "outline tube", "oval tube": for each image the focal point, and the four clicks on its plate (30)
+    - "rim pair": the middles of both rims (6)
+
+    Raises ReconstructionRefusedError where the drawing does not determine it.
+    """
+    at = sights.values[sights.index(name)]
+    find = _FINDERS[kind]
+    return response(lambda z: find(sights.rays(name, z), name), at)
+
+
+def _plane(rays: Rays, name: str) -> np.ndarray:
+    """Return point and normal (K, 6).
+
+    A round plane, seen obliquely, is an ellipse, whose long axis is drawn: that diameter is perpendicular to the beam.
+    So each image shows a direction in the plane, and two of them its normal; one image alone shows the plane edge-on.
+    """
+    middles = [(points.mean(axis=1), focal[:, 0]) for focal, points in rays]
+    beams = [unit(middle - focal) for middle, focal in middles]
+    drawn = [unit(across(points[:, 1] - points[:, 0], beam)) for (_, points), beam in zip(rays, beams, strict=True)]
+    if len(rays) == 1:
+        return np.concatenate([middles[0][0], unit(np.cross(drawn[0], beams[0]))], axis=1)
+    normal = np.cross(drawn[0], drawn[1])
+    if np.linalg.norm(normal[0]) < np.sin(MIN_ANGLE_RAD):
+        raise ReconstructionRefusedError(
+            f"the normal of the {name} lies in the plane of both beams, where these two images do not determine it; "
+            "rotate the C-arm for one of them"
+        )
+    return np.concatenate([_middle(rays, name), unit(normal)], axis=1)
+
+
+def _cylinder(rays: Rays, name: str) -> np.ndarray:
+    tube = _tube_of(rays, name)
+    return cylinder(tube, _nearest(rays).middle_mm, name)
+
+
+def _tube(rays: Rays, name: str) -> np.ndarray:
+    return _tube_of(rays, name).reshape(len(rays[0][0]), -1)
+
+
+def _tube_of(rays: Rays, name: str) -> Tube:
+    tube = _clicks(rays, name)
+    for view in tube[0]:
+        refuse_borders(view, name)
+    return tube
+
+
+def _oval_tube(rays: Rays, name: str) -> np.ndarray:
+    tube = _clicks(rays, name)
+    refuse_oval(tube[0, 0], name)
+    refuse_borders(tube[0, 1], name)
+    _middle(rays, name)
+    return tube.reshape(len(tube), -1)
+
+
+def _rim_pair(rays: Rays, name: str) -> np.ndarray:
+    rims = [[(focal, points[:, rim]) for focal, points in rays] for rim in (slice(0, 4), slice(4, 8))]
+    return np.concatenate([_middle(rim, name) for rim in rims], axis=1)
+
+
+def _clicks(rays: Rays, name: str) -> Tube:
+    """Return for the first two images the focal point and the clicks (K, 2, 5, 3)."""
+    _refuse_one(rays, name)
+    return np.stack([np.concatenate([focal, points], axis=1) for focal, points in rays[:2]], axis=1)
+
+
+def _middle(rays: Rays, name: str) -> np.ndarray:
+    """Return the point (K, 3) that the middles of the clicks in the first two images show."""
+    _refuse_one(rays, name)
+    near = _nearest(rays)
+    if near.gap_mm[0] > MAX_GAP_MM:
+        raise ReconstructionRefusedError(
+            f"the {name} is not the same in both images: the middles of its clicks pass each other at "
+            f"{near.gap_mm[0]:.1f} mm (at most {MAX_GAP_MM:.0f} mm); draw it again, each image in its own place"
+        )
+    return near.middle_mm
+
+
+def _nearest(rays: Rays) -> NearestApproach:
+    """Return the closest approach of the lines of sight through the middles of the clicks in the first two images."""
+    (source, a), (other, b) = ((focal[:, 0], points.mean(axis=1) - focal[:, 0]) for focal, points in rays[:2])
+    return nearest_approach(source, a, other, b)
+
+
+def _refuse_one(rays: Rays, name: str) -> None:
+    if len(rays) < 2:
+        raise ReconstructionRefusedError(f"the {name} is drawn in one image only; draw it in both images")
+
+
+_FINDERS: dict[str, Callable[[Rays, str], np.ndarray]] = {
+    "plane": _plane,
+    "cylinder": _cylinder,
+    "outline tube": _tube,
+    "oval tube": _oval_tube,
+    "rim pair": _rim_pair,
+}
+
+
 def wire_in_tube(entry: np.ndarray, tip: np.ndarray, tube: Tube, name: str) -> np.ndarray:
     """Return the least distances (K,), mm, of wires from the surface of the tube, between the ends of its borders.
 
@@ -288,183 +468,3 @@ def _from_ellipse(
     y, cross = (other - x * cosine) / sine, -part * cosine / sine
     share2 = ((mean - part) * x**2 - 2 * cross * x * y + (mean + part) * y**2) / (mean**2 - (part / sine) ** 2)
     return (np.sqrt(shortest2) * (1.0 - np.sqrt(share2))).min(axis=1)
-
-
-@dataclass(frozen=True, eq=False)
-class Axis:
-    """A straight axis, CFCS.
-
-    `ends_mm` (2, 3): its points at the first view's two clicks; `covariance_mm2` (6, 6) of both, None where a view's
-    error is unknown.
-    """
-
-    ends_mm: np.ndarray
-    covariance_mm2: np.ndarray | None
-
-    @property
-    def direction(self) -> np.ndarray:
-        """(3,) unit vector from the first end to the second."""
-        along = self.ends_mm[1] - self.ends_mm[0]
-        return along / np.linalg.norm(along)
-
-    @property
-    def direction_covariance_rad2(self) -> np.ndarray | None:
-        """(2, 2) covariance of the direction along two axes perpendicular to it."""
-        if self.covariance_mm2 is None:
-            return None
-        to_direction = line_direction(*self.ends_mm)
-        return to_direction @ self.covariance_mm2 @ to_direction.T
-
-    @property
-    def offset_covariance_mm2(self) -> np.ndarray | None:
-        """(2, 2) covariance of the middle of both ends along two axes perpendicular to it."""
-        if self.covariance_mm2 is None:
-            return None
-        across = np.linalg.svd(self.direction[None])[2][1:]
-        to_offset = np.hstack([across, across]) / 2
-        return to_offset @ self.covariance_mm2 @ to_offset.T
-
-    def distance_mm(self, xyz_mm: np.ndarray) -> np.ndarray:
-        """Return the distances (...) of points (..., 3) from the axis."""
-        return np.linalg.norm(np.cross(xyz_mm - self.ends_mm[0], self.direction), axis=-1)
-
-
-def find_axis(sights: Sights, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return both ends (6,) of the axis drawn as `name`, and their derivatives (6, n) by its numbers in z.
-
-    Raises ReconstructionRefusedError where the planes do not determine it.
-    """
-    at = sights.values[sights.index(name)]
-    rays = sights.rays(name, at[None])
-    if min(np.linalg.norm(points[0, 1] - points[0, 0]) for _, points in rays) < MIN_LENGTH_MM:
-        raise ReconstructionRefusedError(
-            f"the two clicks of the {name} axis are too close together; draw the line longer in both images"
-        )
-    first, second = (np.cross(points[0, 0] - focal[0, 0], points[0, 1] - focal[0, 0]) for focal, points in rays)
-    sine = np.linalg.norm(np.cross(first, second)) / (np.linalg.norm(first) * np.linalg.norm(second))
-    if sine < np.sin(MIN_ANGLE_RAD):
-        raise ReconstructionRefusedError(
-            f"the planes of the {name} axis in the two images meet at {np.rad2deg(np.arcsin(sine)):.0f}° (at least "
-            f"{np.rad2deg(MIN_ANGLE_RAD):.0f}° is needed): the axis lies in the plane of both beams, where these two "
-            "images do not determine it; rotate the C-arm for one of them"
-        )
-    ends, own = response(lambda z: _axis_ends(sights.rays(name, z)), at)
-    length = np.linalg.norm(ends[3:] - ends[:3])
-    if length < MIN_LENGTH_MM:
-        raise ReconstructionRefusedError(
-            f"the {name} axis is drawn {length:.1f} mm long (at least {MIN_LENGTH_MM:.0f} mm is needed); draw it longer"
-        )
-    return ends, own
-
-
-def _axis_ends(both: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Return (K, 6): where the first view's two rays intersect the plane of the second view's rays."""
-    (focal_a, a), (focal_b, b) = both
-    normal = np.cross(b[:, 0] - focal_b[:, 0], b[:, 1] - focal_b[:, 0])[:, None]
-    rays = a - focal_a
-    reach = (normal * (focal_b - focal_a)).sum(axis=-1) / (normal * rays).sum(axis=-1)
-    return (focal_a + reach[..., None] * rays).reshape(len(a), 6)
-
-
-def find_drawing(sights: Sights, name: str, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers (m,) of what is drawn as `name`, and their derivatives (m, n) by its numbers in z.
-
-    `kind`, a type of `Drawing`:
-
-    - "plane": a point, and the unit normal (6)
-    - "cylinder": a point of its axis, the axis's direction, its radius (7)
-    - "outline tube", "oval tube": for each image the focal point, and the four clicks on its plate (30)
-    - "rim pair": the middles of both rims (6)
-
-    Raises ReconstructionRefusedError where the drawing does not determine it.
-    """
-    at = sights.values[sights.index(name)]
-    find = _FINDERS[kind]
-    return response(lambda z: find(sights.rays(name, z), name), at)
-
-
-def _plane(rays: Rays, name: str) -> np.ndarray:
-    """Return point and normal (K, 6).
-
-    A round plane, seen obliquely, is an ellipse, whose long axis is drawn: that diameter is perpendicular to the beam.
-    So each image shows a direction in the plane, and two of them its normal; one image alone shows the plane edge-on.
-    """
-    middles = [(points.mean(axis=1), focal[:, 0]) for focal, points in rays]
-    beams = [unit(middle - focal) for middle, focal in middles]
-    drawn = [unit(across(points[:, 1] - points[:, 0], beam)) for (_, points), beam in zip(rays, beams, strict=True)]
-    if len(rays) == 1:
-        return np.concatenate([middles[0][0], unit(np.cross(drawn[0], beams[0]))], axis=1)
-    normal = np.cross(drawn[0], drawn[1])
-    if np.linalg.norm(normal[0]) < np.sin(MIN_ANGLE_RAD):
-        raise ReconstructionRefusedError(
-            f"the normal of the {name} lies in the plane of both beams, where these two images do not determine it; "
-            "rotate the C-arm for one of them"
-        )
-    return np.concatenate([_middle(rays, name), unit(normal)], axis=1)
-
-
-def _cylinder(rays: Rays, name: str) -> np.ndarray:
-    tube = _tube_of(rays, name)
-    return cylinder(tube, _nearest(rays).middle_mm, name)
-
-
-def _tube(rays: Rays, name: str) -> np.ndarray:
-    return _tube_of(rays, name).reshape(len(rays[0][0]), -1)
-
-
-def _tube_of(rays: Rays, name: str) -> Tube:
-    tube = _clicks(rays, name)
-    for view in tube[0]:
-        refuse_borders(view, name)
-    return tube
-
-
-def _oval_tube(rays: Rays, name: str) -> np.ndarray:
-    tube = _clicks(rays, name)
-    refuse_oval(tube[0, 0], name)
-    refuse_borders(tube[0, 1], name)
-    _middle(rays, name)
-    return tube.reshape(len(tube), -1)
-
-
-def _rim_pair(rays: Rays, name: str) -> np.ndarray:
-    rims = [[(focal, points[:, rim]) for focal, points in rays] for rim in (slice(0, 4), slice(4, 8))]
-    return np.concatenate([_middle(rim, name) for rim in rims], axis=1)
-
-
-def _clicks(rays: Rays, name: str) -> Tube:
-    """Return for the first two images the focal point and the clicks (K, 2, 5, 3)."""
-    _refuse_one(rays, name)
-    return np.stack([np.concatenate([focal, points], axis=1) for focal, points in rays[:2]], axis=1)
-
-
-def _middle(rays: Rays, name: str) -> np.ndarray:
-    """Return the point (K, 3) that the middles of the clicks in the first two images show."""
-    _refuse_one(rays, name)
-    near = _nearest(rays)
-    if near.gap_mm[0] > MAX_GAP_MM:
-        raise ReconstructionRefusedError(
-            f"the {name} is not the same in both images: the middles of its clicks pass each other at "
-            f"{near.gap_mm[0]:.1f} mm (at most {MAX_GAP_MM:.0f} mm); draw it again, each image in its own place"
-        )
-    return near.middle_mm
-
-
-def _nearest(rays: Rays) -> NearestApproach:
-    """Return the closest approach of the lines of sight through the middles of the clicks in the first two images."""
-    (source, a), (other, b) = ((focal[:, 0], points.mean(axis=1) - focal[:, 0]) for focal, points in rays[:2])
-    return nearest_approach(source, a, other, b)
-
-
-def _refuse_one(rays: Rays, name: str) -> None:
-    if len(rays) < 2:
-        raise ReconstructionRefusedError(f"the {name} is drawn in one image only; draw it in both images")
-
-
-_FINDERS: dict[str, Callable[[Rays, str], np.ndarray]] = {
-    "plane": _plane,
-    "cylinder": _cylinder,
-    "outline tube": _tube,
-    "oval tube": _oval_tube,
-    "rim pair": _rim_pair,
-}
