@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 import sightline as sl
 from sightline.common.checks import failed
 from sightline.frame import Frame
-from sightline.from_images.pipeline import label_beads
+from sightline.from_images.pipeline import check_shot, label_beads
 from sightline.planning import plan
 from sightline.planning.check.shot import Landmarks
 from sightline.rehearsal.rehearsal import VIEWS, Rehearsal
@@ -36,7 +36,8 @@ def test_a_wire_where_it_was_planned_passes_at_any_depth(rehearsal: Rehearsal, s
     along = (wire[1] - wire[0]) / np.linalg.norm(wire[1] - wire[0])
     drilled = np.stack([wire[0], wire.mean(axis=0), wire[1] - short_mm * along])
     taken = rehearsal.check_images(SimulatedWire(drilled, RigidTransform.identity(), np.zeros(5)))
-    found = taken.compare(made, views, Landmarks(marks, taken.landmarks_px(names, 0.0, np.random.default_rng(0)), 0.5))
+    landmarks = Landmarks(marks, taken.landmarks_px(names, 0.0, np.random.default_rng(0)), 0.5)
+    found = check_shot(made, views, [taken.images[name] for name in VIEWS], frame, landmarks=landmarks)
     assert not failed(found.checks), [check.sentence for check in failed(found.checks)]
     assert found.deviation_mm[4] == pytest.approx(-short_mm, abs=3 * np.sqrt(found.covariance_mm2[4, 4]))
 

@@ -12,17 +12,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from sightline.calibration import BeadView
 from sightline.case.contents import PlanRequest
 from sightline.case.views import NAMES as VIEWS
 from sightline.common.threads import at_once
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.from_images.interlocking import NailDrawn
-from sightline.from_images.pipeline import check_shot
 from sightline.imaging import Radiograph
 from sightline.planning import Aids, Nail, Plan, Procedure, WirePicks
-from sightline.planning.check.shot import CheckShot, Landmarks
 from sightline.planning.points.picks import stack
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.procedures.procedure import document_of
@@ -109,11 +106,6 @@ class CheckImages:
         """Draw a person's picks (2, N, 2) of points (N, 3), CFCS of these images, in both images."""
         true = np.stack([self.setup.views[name].project(xyz) for name in VIEWS])
         return true + sd_px * rng.standard_normal(true.shape)
-
-    def compare(self, plan: Plan, views: Sequence[BeadView], landmarks: Landmarks) -> CheckShot:
-        """Find the wire in both images and compare it with a plan made on `views`. Raises SightlineError."""
-        images = [self.images[name] for name in VIEWS]
-        return check_shot(plan, views, images, self.setup.frame, landmarks=landmarks)
 
 
 def frame_of(procedure: str) -> str:
