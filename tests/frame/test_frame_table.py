@@ -93,8 +93,8 @@ def test_bad_rows_are_refused(table, change, words):
     [
         ({"sd_mm": 0.01}, {"sd_mm": ""}, "some balls state an error and some do not"),
         ({"sd_mm": 0.01}, {"sd_mm": -0.01}, "line 2: sd_mm is -0.01"),
-        ({"sd_mm": 0.01} | COVARIANCE, {}, "line 2: state sd_mm or the covariance"),
-        (COVARIANCE, {"zz_mm2": ""}, "line 2: give all of"),
+        ({"sd_mm": 0.01} | COVARIANCE, {}, "line 2: state a ball's error in one way"),
+        (COVARIANCE, {"zz_mm2": ""}, "line 2: state a ball's error in one way, with all of its columns"),
         (COVARIANCE, {"zz_mm2": -1}, "not positive semi-definite"),
         (COVARIANCE, {"zz_mm2": "inf"}, "not finite"),
         ({"weight": 1}, {}, "unknown column 'weight'"),

@@ -181,8 +181,8 @@ def patterns_for(
         raise FrameError(f"give 4 to {MAX_ROWS} rows; no datum pattern can be found for {rows}")
     places = [grid_places(rows), grid_places(rows + 1)] * len(beams)
     rng = np.random.default_rng(list(name.encode()))
-    chosen = search([np.array(one, dtype=float) for one in places], datums, rng)
-    patterns = [tuple(one[index] for index in indices) for one, indices in zip(places, chosen, strict=True)]
+    chosen = search([np.array(grid, dtype=float) for grid in places], datums, rng)
+    patterns = [tuple(grid[index] for index in indices) for grid, indices in zip(places, chosen, strict=True)]
     return dict(zip(beams, zip(patterns[::2], patterns[1::2], strict=True), strict=True))
 
 

@@ -119,7 +119,7 @@ class Frame(Plotted):
         """The rigid bodies, in the order of `error_factor`: plates of the views in file order, XRII plate first; or the
         solid and the plate on the detector."""
         plates = tuple(plate for _, _, plate in self.named_plates)
-        return plates if self.solid is None else tuple(one for one in (self.solid, self.detector) if one is not None)
+        return plates if self.solid is None else tuple(body for body in (self.solid, self.detector) if body is not None)
 
     @property
     def named_plates(self) -> tuple[tuple[str, str, Plate], ...]:
@@ -185,10 +185,10 @@ class Frame(Plotted):
         if self.solid is not None:
             return slice(0, 3 * len(self.fiducials))
         start = 0
-        for name, one in self.views.items():
+        for name, each in self.views.items():
             if name == view:
-                return slice(start, start + 3 * len(one.fiducials))
-            start += 3 * len(one.fiducials)
+                return slice(start, start + 3 * len(each.fiducials))
+            start += 3 * len(each.fiducials)
         raise FrameError(f"frame {self.name!r} has no view {view!r}; it has: {', '.join(self.views)}")
 
     @cached_property
@@ -319,38 +319,38 @@ class Frame(Plotted):
 
     def to_json(self) -> bytes:
         """Return the text of the frame file, unchecked."""
-        out: dict[str, Any] = {"name": self.name, "units": "mm"}
+        document: dict[str, Any] = {"name": self.name, "units": "mm"}
         for key in ("serial", "measured_on", "temperature_c"):
             if (value := getattr(self, key)) is not None:
-                out[key] = value
+                document[key] = value
         if (sd := self.tolerances) is not None:
-            out["sd_mm"] = {"bead": sd.bead_mm}
+            document["sd_mm"] = {"bead": sd.bead_mm}
             if self.solid is None:
-                out["sd_mm"] |= {"plate": sd.plate_mm, "arm": sd.arm_mm}
-                out["sd_rad"] = {"plate": sd.plate_rad, "arm": sd.arm_rad}
+                document["sd_mm"] |= {"plate": sd.plate_mm, "arm": sd.arm_mm}
+                document["sd_rad"] = {"plate": sd.plate_rad, "arm": sd.arm_rad}
         if self.in_use is not None:
-            out["in_use"] = asdict(self.in_use)
+            document["in_use"] = asdict(self.in_use)
         if self.solid is not None:
-            out["solid"] = _fiducials_document(self.solid)
+            document["solid"] = _fiducials_document(self.solid)
             if self.detector is not None:
-                out["detector"] = _fiducials_document(self.detector)
+                document["detector"] = _fiducials_document(self.detector)
         else:
-            out["views"] = {
+            document["views"] = {
                 name: {"xrii": _fiducials_document(view.xrii), "source": _fiducials_document(view.source)}
                 for name, view in self.views.items()
             }
         if self.covariance_mm2 is not None:
-            out["covariance_mm2"] = self.covariance_mm2.tolist()
-        return _text(out)
+            document["covariance_mm2"] = self.covariance_mm2.tolist()
+        return _text(document)
 
 
 def _fiducials_document(body: RigidBody) -> list[dict[str, Any]]:
     """Return the fiducials of a plate or a solid as plain values."""
-    out: list[dict[str, Any]] = []
+    fiducials: list[dict[str, Any]] = []
     for f in body.fiducials:
-        one: dict[str, Any] = {"id": f.id, "xyz": list(f.xyz_mm), "diameter": f.diameter_mm, "datum": f.datum}
-        out.append(one if f.shape == "ball" else {**one, "shape": f.shape})
-    return out
+        entry: dict[str, Any] = {"id": f.id, "xyz": list(f.xyz_mm), "diameter": f.diameter_mm, "datum": f.datum}
+        fiducials.append(entry if f.shape == "ball" else {**entry, "shape": f.shape})
+    return fiducials
 
 
 def _text(document: Mapping[str, Any]) -> bytes:
@@ -397,7 +397,7 @@ def common_ids(places: Places, before: Places) -> list[str]:
 def misfits_mm(places: Places, before: Places) -> tuple[float, float]:
     """Return the rms distances of the common beads after the best rigid motion: as they are, and mirrored."""
     ids = common_ids(places, before)
-    now, then = (np.array([one[i] for i in ids], dtype=np.float64) for one in (places, before))
+    now, then = (np.array([by_id[i] for i in ids], dtype=np.float64) for by_id in (places, before))
     return _misfit_mm(now, then), _misfit_mm(-now, then)
 
 

@@ -111,7 +111,7 @@ def search(grids: Sequence[np.ndarray], count: int, rng: np.random.Generator, mo
         moved = _moved(chosen[plate], len(grids[plate]), rng)
         if not _lasts(grids[plate][moved], left[plate][:, moved]):
             continue
-        others = [one for other, one in enumerate(triples) if other != plate]
+        others = [plate_triples for other, plate_triples in enumerate(triples) if other != plate]
         tried = Triples.of(grids[plate][moved])
         change = _energy(tried, others) - _energy(triples[plate], others)
         if change > 0 and rng.random() >= np.exp(-change / heat):
@@ -133,9 +133,9 @@ def _start(points: np.ndarray, left: np.ndarray, count: int, rng: np.random.Gene
 
 def _moved(chosen: np.ndarray, places: int, rng: np.random.Generator) -> np.ndarray:
     free = np.setdiff1d(np.arange(places), chosen)
-    out = chosen.copy()
-    out[rng.integers(len(out))] = rng.choice(free)
-    return out
+    moved = chosen.copy()
+    moved[rng.integers(len(moved))] = rng.choice(free)
+    return moved
 
 
 def _lasts(points: np.ndarray, left: np.ndarray) -> bool:

@@ -70,12 +70,14 @@ def symmetry_of(xyz_mm: np.ndarray, diameter_mm: np.ndarray, tolerance_mm: float
     """
     centred = xyz_mm - xyz_mm.mean(axis=0)
     classes = _classes(diameter_mm)
-    found: list[np.ndarray] = []
+    symmetries: list[np.ndarray] = []
     for matrix in _candidates(centred, classes, tolerance_mm):
         better = _improved(matrix, centred, classes, tolerance_mm)
-        if better is not None and not any((better * one).sum() > 1 + 2 * SAME_TURN for one in [np.eye(3), *found]):
-            found.append(better)
-    return tuple(found)
+        if better is not None and not any(
+            (better * known).sum() > 1 + 2 * SAME_TURN for known in [np.eye(3), *symmetries]
+        ):
+            symmetries.append(better)
+    return tuple(symmetries)
 
 
 def _classes(diameter_mm: np.ndarray) -> np.ndarray:

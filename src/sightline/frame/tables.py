@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import StringIO
 from math import isfinite
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
+from scipy.linalg import block_diag
 
 from sightline.common.bounded import read_text
 from sightline.common.strict import explain
@@ -20,13 +21,91 @@ from sightline.frame.model import Frame
 from sightline.frame.plate import ROLES
 from sightline.frame.tolerances import Tolerances
 
-_PLATE = ("view", "plate")  # both are left out for a solid
-_NEEDED = ("id", "x_mm", "y_mm", "z_mm", "diameter_mm")
+_XYZ = ("x_mm", "y_mm", "z_mm")
+_SD = ("sd_mm",)
+_SD_PER_AXIS = ("sd_x_mm", "sd_y_mm", "sd_z_mm")
 _COVARIANCE = ("xx_mm2", "xy_mm2", "xz_mm2", "yy_mm2", "yz_mm2", "zz_mm2")
-_OPTIONAL = ("datum", "shape", "sd_mm", *_COVARIANCE)
+# Of a frame: view and plate are both left out for a solid.
+_PLATE, _BALL, _OPTIONAL = ("view", "plate"), ("id", *_XYZ, "diameter_mm"), ("datum", "shape", *_SD, *_COVARIANCE)
 _TRUTH = {"": False, "0": False, "false": False, "no": False, "1": True, "true": True, "yes": True}
+# Columns of the inspection sheet with nominal values, not measurements.
+SHEET_ONLY = (
+    "view", "plate", "nominal_x_mm", "nominal_y_mm", "nominal_z_mm", "nominal_diameter_mm", "tolerance_mm", "remark",
+)  # fmt: skip
+_MEASURED = ("series", "diameter_mm", *_SD, *_SD_PER_AXIS, *_COVARIANCE, *SHEET_ONLY)
+_COORDINATE = re.compile(r"^([xyz])(?:[ _]*[\[(]?([a-zµ\"]+)[\])]?)?$")
 
-Row = Mapping[str, Any]
+MIN_SD_MM, MAX_SD_MM = 1e-5, 10.0  # of a measured centre: better than an interferometer, worse than a ruler [ours]
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One row of a table, with its line number for messages."""
+
+    cells: Mapping[str, str]
+    line: int
+
+    def text(self, column: str) -> str:
+        return self.cells.get(column, "").strip()
+
+    def number(self, column: str) -> float:
+        try:
+            return float(self.cells[column])
+        except ValueError:
+            raise self.error(
+                f"{column} is {self.cells[column]!r}, not a number; write it with a decimal point"
+            ) from None
+
+    def error(self, words: str) -> FrameError:
+        return FrameError(f"line {self.line}: {words}")
+
+    def covariance(self, ways: Sequence[tuple[str, ...]]) -> np.ndarray | None:
+        """Return the covariance (3, 3) of the row's ball, mm², stated in one of several ways; None without one."""
+        stated = [way for way in ways if any(map(self.text, way))]
+        if not stated:
+            return None
+        (way, *others) = stated
+        if others or not all(map(self.text, way)):
+            names = ", or ".join(", ".join(each) for each in ways)
+            raise self.error(f"state a ball's error in one way, with all of its columns: {names}")
+        values = [self.number(column) for column in way]
+        if way is not _COVARIANCE:
+            if min(values) < 0:
+                raise self.error(f"{way[0]} is {min(values):g}; give an error above zero")
+            return np.diag(np.square(np.broadcast_to(values, 3)))
+        xx, xy, xz, yy, yz, zz = values
+        return np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
+
+
+def _rows(
+    text: str, file: Path, needed: Sequence[str], optional: Collection[str], column: Callable[[str], str] = str.strip
+) -> list[_Row]:
+    """Return the rows of a table. `column`: returns a header cell's column name. Raises FrameError."""
+    reader = csv.DictReader(StringIO(text, newline=""), strict=True)
+    try:
+        columns = [column(name) for name in reader.fieldnames or ()]
+        reader.fieldnames = columns
+        rows = [(reader.line_num, row) for row in reader]
+    except csv.Error as error:
+        raise FrameError(f"{file.name} is not a CSV file: {error}") from None
+    if missing := [name for name in needed if name not in columns]:
+        raise FrameError(f"{file.name} lacks the columns {', '.join(missing)}; give {', '.join(needed)}")
+    if len(set(columns)) < len(columns):
+        raise FrameError(f"{file.name} has a column twice; remove one")
+    if unknown := [name for name in columns if name not in (*needed, *optional)]:
+        raise FrameError(f"{file.name} has the unknown column {unknown[0]!r}; it may have {', '.join(optional)}")
+    for line, row in rows:
+        if None in row or None in row.values():
+            raise FrameError(f"{file.name}, line {line}: the number of cells differs from that of the columns")
+    return [_Row(row, line) for line, row in rows]
+
+
+def _all_or_none(blocks: Sequence[np.ndarray | None]) -> list[np.ndarray]:
+    """Return the covariances of all balls; none where no ball states one. Raises FrameError."""
+    stated = [block for block in blocks if block is not None]
+    if stated and len(stated) < len(blocks):
+        raise FrameError("some balls state an error and some do not; fill in the columns for all balls or for none")
+    return stated
 
 
 def frame_from_csv(path: str | Path, name: str, diameter_mm: float | None = None, unit: str | None = None) -> Frame:
@@ -41,102 +120,44 @@ def frame_from_csv(path: str | Path, name: str, diameter_mm: float | None = None
     file = Path(path)
     text = read_text(file, SIZE_LIMIT_BYTES, FrameError, "give a table of measured balls as CSV")
     columns = {cell.strip() for cell in text.partition("\n")[0].split(",")}
-    if not columns & {*_PLATE, *_NEEDED, *_OPTIONAL}:
+    if not columns & {*_PLATE, *_BALL, *_OPTIONAL}:
         cube = read_cube(file, DIAMETER_MM if diameter_mm is None else diameter_mm, unit)
         return replace(Frame.from_document(cube), name=name)
     if diameter_mm is not None or unit is not None:
         raise FrameError(f"{file.name} states its diameters in mm; leave out --diameter-mm and --units")
-    rows = _rows(text, file.name)
+    rows = _rows(text, file, (*_PLATE, *_BALL) if columns & set(_PLATE) else _BALL, _OPTIONAL)
     try:
         frame = Frame.from_document(FrameDocument.model_validate(_document(rows, name)))
     except ValidationError as error:
         raise FrameError(f"{file.name}: {explain(error, ADVICE)}") from None
-    row_of = {row["id"].strip(): (line, row) for line, row in rows}
-    blocks = [_ball_covariance(row, line) for line, row in (row_of[f.id] for f in frame.fiducials)]
-    stated = [block for block in blocks if block is not None]
-    if not stated:
-        return frame
-    if len(stated) < len(blocks):
-        raise FrameError("some balls state an error and some do not; fill in the column for all balls, or leave it out")
-    return replace(frame, covariance_mm2=_whole_covariance(frame, np.array(stated)))
+    row_of = {row.text("id"): row for row in rows}
+    stated = _all_or_none([row_of[f.id].covariance((_SD, _COVARIANCE)) for f in frame.fiducials])
+    return replace(frame, covariance_mm2=_whole_covariance(frame, np.array(stated))) if stated else frame
 
 
-def _rows(text: str, file: str) -> list[tuple[int, Row]]:
-    """Return the rows with their line numbers. Raises FrameError for missing or unknown columns."""
-    try:
-        reader = csv.DictReader(StringIO(text, newline=""), strict=True)
-        columns = [column.strip() for column in reader.fieldnames or ()]
-        reader.fieldnames = columns
-        rows: list[tuple[int, Row]] = [(reader.line_num, row) for row in reader]
-    except csv.Error as error:
-        raise FrameError(f"{file} is not a CSV file: {error}") from None
-    needed = (*_PLATE, *_NEEDED) if set(columns) & set(_PLATE) else _NEEDED
-    if missing := [column for column in needed if column not in columns]:
-        raise FrameError(f"{file} lacks the columns {', '.join(missing)}; give {', '.join(needed)}")
-    if unknown := [column for column in columns if column not in (*needed, *_OPTIONAL)]:
-        raise FrameError(f"{file} has the unknown column {unknown[0]!r}; it may have {', '.join(_OPTIONAL)}")
-    for line, row in rows:
-        if None in row or None in row.values():
-            raise FrameError(f"{file}, line {line}: the number of cells differs from that of the columns")
-    return rows
-
-
-def _document(rows: list[tuple[int, Row]], name: str) -> dict[str, Any]:
+def _document(rows: Sequence[_Row], name: str) -> dict[str, Any]:
     """Return the document of a frame with these balls, unchecked."""
     document: dict[str, Any] = {"name": name, "units": "mm"}
-    if rows and "plate" not in rows[0][1]:
-        return document | {"solid": tuple(_fiducial(row, line) for line, row in rows)}
-    views: dict[str, Any] = {}
-    for line, row in rows:
-        _plate(views, row, line).append(_fiducial(row, line))
-    return document | {
-        "views": {view: {role: tuple(balls) for role, balls in plates.items()} for view, plates in views.items()}
-    }
+    if rows and "plate" not in rows[0].cells:
+        return document | {"solid": tuple(map(_fiducial, rows))}
+    views: dict[str, dict[str, tuple[Any, ...]]] = {}
+    for row in rows:
+        if (role := row.text("plate").lower()) not in ROLES:
+            raise row.error(f"the plate is {row.cells['plate']!r}; write xrii or source")
+        views.setdefault(row.text("view"), dict.fromkeys(ROLES, ()))[role] += (_fiducial(row),)
+    return document | {"views": views}
 
 
-def _plate(views: dict[str, Any], row: Row, line: int) -> list[dict[str, Any]]:
-    role = row["plate"].strip().lower()
-    if role not in ROLES:
-        raise FrameError(f"line {line}: the plate is {row['plate']!r}; write xrii or source")
-    return views.setdefault(row["view"].strip(), {role: [] for role in ROLES})[role]
-
-
-def _fiducial(row: Row, line: int) -> dict[str, Any]:
-    datum = row.get("datum", "").strip().lower()
-    if datum not in _TRUTH:
-        raise FrameError(f"line {line}: datum is {datum!r}; write true or false")
+def _fiducial(row: _Row) -> dict[str, Any]:
+    if (datum := row.text("datum").lower()) not in _TRUTH:
+        raise row.error(f"datum is {datum!r}; write true or false")
     return {
-        "id": row["id"].strip(),
-        "xyz": tuple(_number(row, column, line) for column in ("x_mm", "y_mm", "z_mm")),
-        "diameter": _number(row, "diameter_mm", line),
+        "id": row.text("id"),
+        "xyz": tuple(map(row.number, _XYZ)),
+        "diameter": row.number("diameter_mm"),
         "datum": _TRUTH[datum],
-        "shape": row.get("shape", "").strip() or "ball",
+        "shape": row.text("shape") or "ball",
     }
-
-
-def _number(row: Row, column: str, line: int) -> float:
-    try:
-        return float(row[column])
-    except ValueError:
-        raise FrameError(f"line {line}: {column} is {row[column]!r}, not a number") from None
-
-
-def _ball_covariance(row: Row, line: int) -> np.ndarray | None:
-    """Return the covariance (3, 3) of a ball, None where the row states none."""
-    full = [column for column in _COVARIANCE if row.get(column, "").strip()]
-    single = row.get("sd_mm", "").strip()
-    if not full and not single:
-        return None
-    if single and full:
-        raise FrameError(f"line {line}: state sd_mm or the covariance of a ball, not both")
-    if single:
-        if not (sd := _number(row, "sd_mm", line)) >= 0:
-            raise FrameError(f"line {line}: sd_mm is {sd:g}; give a standard deviation of zero or more")
-        return np.diag([sd * sd] * 3)
-    if len(full) < len(_COVARIANCE):
-        raise FrameError(f"line {line}: give all of {', '.join(_COVARIANCE)} for a covariance")
-    xx, xy, xz, yy, yz, zz = (_number(row, column, line) for column in _COVARIANCE)
-    return np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
 
 
 def _whole_covariance(frame: Frame, blocks: np.ndarray) -> np.ndarray:
@@ -145,26 +166,9 @@ def _whole_covariance(frame: Frame, blocks: np.ndarray) -> np.ndarray:
     if (smallest < -1e-9 * np.abs(blocks).max(axis=(1, 2))).any():
         raise FrameError("a ball's covariance is not finite or not positive semi-definite; correct its row")
     shared = replace(frame, tolerances=replace(Tolerances(), bead_mm=0.0)).error_factor
-    out = shared @ shared.T
-    for ball, block in enumerate(blocks):
-        rows = slice(3 * ball, 3 * ball + 3)
-        out[rows, rows] += block
-    out.flags.writeable = False
-    return out
-
-
-AXES = ("x", "y", "z")
-_SD = ("sd_mm",)
-_SD_PER_AXIS = ("sd_x_mm", "sd_y_mm", "sd_z_mm")
-_COVARIANCE_COLUMNS = ("xx_mm2", "xy_mm2", "xz_mm2", "yy_mm2", "yz_mm2", "zz_mm2")
-_ERRORS = (_SD, _SD_PER_AXIS, _COVARIANCE_COLUMNS)
-# Columns of the inspection sheet with nominal values, not measurements.
-SHEET_ONLY = (
-    "view", "plate", "nominal_x_mm", "nominal_y_mm", "nominal_z_mm", "nominal_diameter_mm", "tolerance_mm", "remark",
-)  # fmt: skip
-_COORDINATE = re.compile(r"^([xyz])(?:[ _]*[\[(]?([a-zµ\"]+)[\])]?)?$")
-
-MIN_SD_MM, MAX_SD_MM = 1e-5, 10.0  # of a measured centre: better than an interferometer, worse than a ruler [ours]
+    covariance = shared @ shared.T + block_diag(*blocks)
+    covariance.flags.writeable = False
+    return covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +176,7 @@ class Series:
     """One measurement of a frame: ball `ids[i]` at `xyz_mm[i]` (N, 3), in the instrument's own axes.
 
     `covariance_mm2` (3N, 3N), None where no error is stated; `diameter_mm` (N,), NaN where not measured.
-    Raises FrameError for a stated error that no instrument has and that gives no usable weights.
+    Raises FrameError for a ball that occurs twice, and for a stated error that no instrument has.
     """
 
     name: str
@@ -182,6 +186,11 @@ class Series:
     diameter_mm: np.ndarray
 
     def __post_init__(self) -> None:
+        if twice := sorted({i for i in self.ids if self.ids.count(i) > 1}):
+            raise FrameError(
+                f"series {self.name!r} has ball {twice[0]!r} twice; give repeated measurements another name in a "
+                "column `series`"
+            )
         if self.covariance_mm2 is None or not len(self.ids):
             return
         smallest, *_, largest = np.linalg.eigvalsh(self.covariance_mm2)
@@ -193,9 +202,9 @@ class Series:
 
     def where(self, keep: np.ndarray) -> "Series":
         """Return the balls for which `keep` (N,) is true."""
-        ids = tuple(i for i, kept in zip(self.ids, keep, strict=True) if kept)
         rows = np.repeat(keep, 3)
         covariance = None if self.covariance_mm2 is None else self.covariance_mm2[np.ix_(rows, rows)]
+        ids = tuple(np.array(self.ids, dtype=object)[keep])
         return Series(self.name, ids, self.xyz_mm[keep], covariance, self.diameter_mm[keep])
 
 
@@ -206,51 +215,28 @@ def read_measurements(path: str | Path, covariance: str | Path | None = None) ->
     Raises FrameError, which names the line.
     """
     file = Path(path)
-    rows = [(line, row) for line, row in _measured_rows(file) if _measured(row, line)]
+    rows = [row for row in _rows(_text(file), file, ("id", *_XYZ), _MEASURED, _column) if _is_measured(row)]
     if not rows:
         raise FrameError(f"fill in x_mm, y_mm and z_mm: {file.name} has no measured ball")
-    xyz = np.array([[_finite_number(row, f"{axis}_mm", line) for axis in AXES] for line, row in rows])
-    blocks = [_block(row, line) for line, row in rows]
-    whole = None if covariance is None else _matrix(Path(covariance), 3 * len(rows))
-    if whole is not None and any(block is not None for block in blocks):
+    ids, names = (np.array([row.text(key) or "1" for row in rows], dtype=object) for key in ("id", "series"))
+    xyz = np.array([[_finite(row, column) for column in _XYZ] for row in rows])
+    diameters = np.array([_diameter(row) for row in rows])
+    blocks = _all_or_none([_instrument_error(row) for row in rows])
+    if covariance is not None and blocks:
         raise FrameError("errors are stated in the table and in a covariance file; give one of them")
-    if any(b is None for b in blocks) and any(b is not None for b in blocks):
-        raise FrameError("some balls state an error and some do not; fill in the columns for all balls or for none")
-    stated = [block for block in blocks if block is not None]
-    if stated:
-        whole = _block_diagonal(stated)
-    diameters = np.array([_diameter(row, line) for line, row in rows])
-    names = [(row.get("series") or "").strip() or "1" for _, row in rows]
-    out = []
+    whole = block_diag(*blocks) if blocks else None if covariance is None else _matrix(Path(covariance), 3 * len(rows))
+    series = []
     for name in dict.fromkeys(names):
-        own = np.array([other == name for other in names])
-        everything = Series(name, tuple(row["id"].strip() for _, row in rows), xyz, whole, diameters)
-        out.append(everything.where(own))
-        _refuse_repeats(out[-1])
-    _refuse_mixed(out, whole, np.array(names))
-    return tuple(out)
-
-
-def _measured_rows(file: Path) -> list[tuple[int, Row]]:
-    reader = csv.DictReader(StringIO(_text(file)), strict=True)
-    try:
-        columns = [_column(name) for name in reader.fieldnames or ()]
-        reader.fieldnames = columns
-        rows: list[tuple[int, Row]] = [(reader.line_num, row) for row in reader]
-    except csv.Error as error:
-        raise FrameError(f"{file.name} is not a CSV file: {error}") from None
-    needed = ("id", *(f"{axis}_mm" for axis in AXES))
-    if missing := [name for name in needed if name not in columns]:
-        raise FrameError(f"{file.name} lacks the columns {', '.join(missing)}; give {', '.join(needed)}")
-    if len(set(columns)) < len(columns):
-        raise FrameError(f"{file.name} has a column twice; remove one")
-    known = {*needed, "series", "diameter_mm", *SHEET_ONLY, *(name for kind in _ERRORS for name in kind)}
-    if unknown := [name for name in columns if name not in known]:
-        raise FrameError(f"{file.name} has the unknown column {unknown[0]!r}; docs/own-frame.md lists the columns")
-    for line, row in rows:
-        if None in row or None in row.values():
-            raise FrameError(f"{file.name}, line {line}: the number of cells differs from that of the columns")
-    return rows
+        own, other = (np.flatnonzero(names == name), np.flatnonzero(np.repeat(names, 3) != name))
+        coordinates = (3 * own[:, None] + np.arange(3)).ravel()
+        if whole is not None and whole[np.ix_(coordinates, other)].any():
+            raise FrameError(
+                "give each series its own covariance: this one correlates different series, and errors that series "
+                "share cannot be found from their differences"
+            )
+        part = None if whole is None else whole[np.ix_(coordinates, coordinates)]
+        series.append(Series(name, tuple(ids[own]), xyz[own], part, diameters[own]))
+    return tuple(series)
 
 
 def _text(file: Path) -> str:
@@ -260,72 +246,43 @@ def _text(file: Path) -> str:
 def _column(name: str) -> str:
     """Return a header cell's column name: `x`, `X [mm]` and `x_mm` are the same. Raises FrameError for other units."""
     plain = name.strip().lower()
-    if (found := _COORDINATE.match(plain)) is None:
+    if (coordinate := _COORDINATE.match(plain)) is None:
         return plain
-    if (unit := found[2] or "mm") != "mm":
+    if (unit := coordinate[2] or "mm") != "mm":
         raise FrameError(
             f"the coordinates are in {unit} (column {name.strip()!r}); convert them and their errors to millimetres, "
             "and write x_mm, y_mm, z_mm"
         )
-    return f"{found[1]}_mm"
+    return f"{coordinate[1]}_mm"
 
 
-def _measured(row: Row, line: int) -> bool:
+def _is_measured(row: _Row) -> bool:
     """Return whether a row has a measurement: on an inspection sheet, an unmeasured ball has empty cells."""
-    filled = [bool(row[f"{axis}_mm"].strip()) for axis in AXES]
+    filled = [bool(row.text(column)) for column in _XYZ]
     if any(filled) and not all(filled):
-        raise FrameError(f"line {line}: fill in all of x, y and z, or leave all three empty for no measurement")
+        raise row.error("fill in all of x, y and z, or leave all three empty for no measurement")
     return all(filled)
 
 
-def _finite_number(row: Row, column: str, line: int) -> float:
-    try:
-        value = float(row[column])
-    except ValueError:
-        raise FrameError(
-            f"line {line}: {column} is {row[column]!r}, not a number; write it with a decimal point"
-        ) from None
-    if not isfinite(value):
-        raise FrameError(f"line {line}: {column} is {row[column]!r}, which is not finite; leave the ball out")
+def _finite(row: _Row, column: str) -> float:
+    if not isfinite(value := row.number(column)):
+        raise row.error(f"{column} is {row.cells[column]!r}, which is not finite; leave the ball out")
     return value
 
 
-def _diameter(row: Row, line: int) -> float:
-    if not row.get("diameter_mm", "").strip():
+def _diameter(row: _Row) -> float:
+    if not row.text("diameter_mm"):
         return float("nan")
-    if (value := _finite_number(row, "diameter_mm", line)) <= 0:
-        raise FrameError(f"line {line}: diameter_mm is {value:g}; give a diameter above zero")
+    if (value := _finite(row, "diameter_mm")) <= 0:
+        raise row.error(f"diameter_mm is {value:g}; give a diameter above zero")
     return value
 
 
-def _block(row: Row, line: int) -> np.ndarray | None:
-    """Return the covariance (3, 3) of one row, None where it states none."""
-    stated = [kind for kind in _ERRORS if any(row.get(name, "").strip() for name in kind)]
-    if not stated:
-        return None
-    if len(stated) > 1 or not all(row.get(name, "").strip() for name in stated[0]):
-        raise FrameError(
-            f"line {line}: state a ball's error in one way: {', '.join(_SD)}, or {', '.join(_SD_PER_AXIS)}, or "
-            f"{', '.join(_COVARIANCE_COLUMNS)}"
-        )
-    values = [_finite_number(row, name, line) for name in stated[0]]
-    if stated[0] is _COVARIANCE_COLUMNS:
-        xx, xy, xz, yy, yz, zz = values
-        block = np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
-        positive = np.linalg.eigvalsh(block)[0] > 0
-    else:
-        block = np.diag(np.square(np.broadcast_to(values, 3)))
-        positive = min(values) > 0
-    if not positive:
-        raise FrameError(f"line {line}: state an error above zero in every direction; no instrument is exact")
+def _instrument_error(row: _Row) -> np.ndarray | None:
+    block = row.covariance((_SD, _SD_PER_AXIS, _COVARIANCE))
+    if block is not None and not (np.isfinite(block).all() and np.linalg.eigvalsh(block)[0] > 0):
+        raise row.error("state a finite error above zero in every direction; no instrument is exact")
     return block
-
-
-def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    n = len(blocks)
-    out = np.zeros((n, 3, n, 3))
-    out[range(n), :, range(n), :] = blocks
-    return out.reshape(3 * n, 3 * n)
 
 
 def _matrix(file: Path, size: int) -> np.ndarray:
@@ -336,30 +293,10 @@ def _matrix(file: Path, size: int) -> np.ndarray:
         raise FrameError(f"{file.name} must contain only numbers, separated by commas") from None
     if len(rows) != size or any(len(row) != size for row in rows):
         raise FrameError(f"{file.name} must contain {size} x {size} numbers: x, y, z of every measured row, in mm²")
-    out = np.array(rows)
-    scale = np.abs(out).max()
-    if not np.isfinite(scale) or np.abs(out - out.T).max() > 1e-6 * scale:
+    matrix = np.array(rows)
+    scale = np.abs(matrix).max()
+    if not np.isfinite(scale) or np.abs(matrix - matrix.T).max() > 1e-6 * scale:
         raise FrameError(f"{file.name} is not finite and symmetric; entry [i][j] must equal [j][i]")
-    if np.linalg.eigvalsh(out)[0] <= 1e-9 * scale:
+    if np.linalg.eigvalsh(matrix)[0] <= 1e-9 * scale:
         raise FrameError(f"{file.name} is not positive definite; state an error above zero in every direction")
-    return (out + out.T) / 2
-
-
-def _refuse_repeats(series: Series) -> None:
-    if twice := sorted({i for i in series.ids if series.ids.count(i) > 1}):
-        raise FrameError(
-            f"series {series.name!r} has ball {twice[0]!r} twice; give repeated measurements another name in a column "
-            "`series`"
-        )
-
-
-def _refuse_mixed(series: Sequence[Series], whole: np.ndarray | None, names: np.ndarray) -> None:
-    """Raise FrameError for a covariance between series: each is weighted by itself, so shared errors would be lost."""
-    if whole is None or len(series) == 1:
-        return
-    different = np.repeat(names, 3)[:, None] != np.repeat(names, 3)
-    if np.abs(whole[different]).max(initial=0.0) > 0:
-        raise FrameError(
-            "give each series its own covariance: this one correlates different series, and errors that series share "
-            "cannot be found from their differences"
-        )
+    return (matrix + matrix.T) / 2

@@ -42,11 +42,11 @@ class InUse:
 def _rigid(xyz_mm: np.ndarray, shift_mm: float, rotation_rad: float) -> np.ndarray:
     """Return (3N, 6): displacements of N points by a shift and a small rotation about their centroid, 1 s.d. each."""
     centred = xyz_mm - xyz_mm.mean(axis=0)
-    out = np.zeros((len(xyz_mm), 3, 6))
-    out[:, range(3), range(3)] = shift_mm
+    displacements = np.zeros((len(xyz_mm), 3, 6))
+    displacements[:, range(3), range(3)] = shift_mm
     for axis in range(3):
-        out[:, :, 3 + axis] = rotation_rad * np.cross(np.eye(3)[axis], centred)
-    return out.reshape(-1, 6)
+        displacements[:, :, 3 + axis] = rotation_rad * np.cross(np.eye(3)[axis], centred)
+    return displacements.reshape(-1, 6)
 
 
 def _stated_factor(covariance_mm2: np.ndarray) -> np.ndarray:

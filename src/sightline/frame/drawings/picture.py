@@ -75,7 +75,7 @@ def _draw_whole(axes: Axes, faces: Sequence[Part]) -> None:
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
     onto = np.array([right, np.cross(towards, right)]).T
-    for face in sorted(faces, key=lambda one: one.axes[2] @ towards):
+    for face in sorted(faces, key=lambda part: part.axes[2] @ towards):
         before = bool(face.axes[2] @ towards > 0)
         corners = face.corner_mm + np.array(face.outline) @ face.axes[:2]
         axes.add_patch(Polygon(corners @ onto, fill=False, edgecolor=_EDGE, linestyle="-" if before else ":"))

@@ -159,15 +159,15 @@ def drape_envelopes(frame: Frame, parts: Sequence[Part]) -> list[tuple[str, np.n
 
     One for each plate, and one for both plates of a view where the patient does not lie between them.
     """
-    out = [(part.title, np.array([part.width_mm, part.height_mm, part.thickness_mm])) for part in parts]
+    boxes = [(part.title, np.array([part.width_mm, part.height_mm, part.thickness_mm])) for part in parts]
     for name, view in frame.views.items():
         own = [part for part in parts if part.view == name]
         near, far = view.source.xyz_mm.mean(axis=0), view.xrii.xyz_mm.mean(axis=0)
         if near @ far > 0:
             length = np.linalg.norm(far - near) + max(part.thickness_mm for part in own)
             across = max(part.width_mm for part in own), max(part.height_mm for part in own)
-            out.append((f"{name}, both plates", np.array([*across, length])))
-    return [(name, box + 2 * DRAPE_CLEARANCE_MM) for name, box in out]
+            boxes.append((f"{name}, both plates", np.array([*across, length])))
+    return [(name, box + 2 * DRAPE_CLEARANCE_MM) for name, box in boxes]
 
 
 def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:

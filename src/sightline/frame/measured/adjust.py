@@ -54,7 +54,7 @@ def adjust(
     `poses`: starting values; `nominal_mm`: nominal places of the balls, CFCS, for the inner constraint. Raises
     FrameError where the series do not determine the positions.
     """
-    stated = all(one.covariance_mm2 is not None for one in series)
+    stated = all(each.covariance_mm2 is not None for each in series)
     left_out: list[tuple[str, str]] = []
     used = list(series)
     while True:
@@ -69,7 +69,7 @@ def adjust(
         if worst is None:
             return _result(system, solution, stated, left_out, ())
         place, ball = worst
-        if sum(ball in one.ids for one in used) < 3:
+        if sum(ball in each.ids for each in used) < 3:
             return _result(system, solution, stated, left_out, (ball,))
         left_out.append((used[place].name, ball))
         used[place] = used[place].where(np.array([i != ball for i in used[place].ids]))
@@ -86,10 +86,10 @@ class _System:
 
     @staticmethod
     def of(series: Sequence[Series], nominal_mm: dict[str, tuple[float, float, float]]) -> "_System":
-        ids = tuple(dict.fromkeys(i for one in series for i in one.ids))
+        ids = tuple(dict.fromkeys(i for each in series for i in each.ids))
         where = {ball: k for k, ball in enumerate(ids)}
         nominal = np.array([nominal_mm[i] for i in ids])
-        rows = tuple(np.array([where[i] for i in one.ids]) for one in series)
+        rows = tuple(np.array([where[i] for i in each.ids]) for each in series)
         _refuse_apart(series, nominal, rows)
         return _System(tuple(series), ids, nominal, rows)
 
@@ -124,7 +124,7 @@ def _solve(system: _System, poses: Sequence[RigidTransform]) -> _Solution:
     poses, moved = list(poses), np.zeros(3 * n)
     middle = system.nominal.mean(axis=0)
     for _ in range(MAX_STEPS):
-        at = [pose.apply(one.xyz_mm) for pose, one in zip(poses, system.series, strict=True)]
+        at = [pose.apply(each.xyz_mm) for pose, each in zip(poses, system.series, strict=True)]
         motions = system.motions(system.nominal + moved.reshape(-1, 3))
         design = np.zeros((3 * sum(map(len, at)), 3 * n + 6 * s))
         data = np.concatenate([(q - system.nominal[rows]).ravel() for q, rows in zip(at, system.rows, strict=True)])
@@ -203,7 +203,7 @@ def _result(
         freedom=system.freedom,
         chi_square=square if stated and repeated else None,
         instrument_mm=None if variance is None else float(np.sqrt(variance * mean_stated)),
-        residual_mm={one.name: part for one, part in zip(system.series, parts, strict=True)},
+        residual_mm={each.name: part for each, part in zip(system.series, parts, strict=True)},
         left_out=tuple(left_out),
         disputed=disputed,
     )
@@ -218,8 +218,8 @@ def _worst_outlier(system: _System, solution: _Solution, stated: bool) -> tuple[
     pull = inverse.T @ (inverse @ solution.residual)  # V^-1 v
     # Precision of the residuals: V^-1 - V^-1 A Q A^T V^-1.
     precision = _blocks(inverse.T) - _blocks(inverse.T @ half @ cholesky(_positive(solution.cofactor), lower=True))
-    names = [(k, ball) for k, one in enumerate(system.series) for ball in one.ids]
-    repeated = np.array([sum(ball in one.ids for one in system.series) > 1 for _, ball in names])
+    names = [(k, ball) for k, each in enumerate(system.series) for ball in each.ids]
+    repeated = np.array([sum(ball in each.ids for each in system.series) > 1 for _, ball in names])
     square = np.zeros(len(names))
     square[repeated] = [
         v @ np.linalg.solve(p, v) for v, p in zip(pull.reshape(-1, 3)[repeated], precision[repeated], strict=True)

@@ -58,13 +58,13 @@ def complete(frame: Frame, rows: np.ndarray, moved_mm: np.ndarray, covariance_mm
     blocks = precision.reshape(n, 3, n, 3)[range(n), :, range(n), :]
     sigma = np.sqrt(np.einsum("na,na->n", pull, np.linalg.solve(blocks, pull[..., None])[..., 0]))
     gain = others @ own.T @ precision
-    out, error = np.zeros(len(tolerance)), np.zeros((len(tolerance), len(tolerance)))
-    out[seen], out[unseen] = moved_mm.ravel(), gain @ moved_mm.ravel()
+    moved, error = np.zeros(len(tolerance)), np.zeros((len(tolerance), len(tolerance)))
+    moved[seen], moved[unseen] = moved_mm.ravel(), gain @ moved_mm.ravel()
     error[np.ix_(seen, seen)] = covariance_mm2
     error[np.ix_(unseen, seen)] = gain @ covariance_mm2
     error[np.ix_(seen, unseen)] = error[np.ix_(unseen, seen)].T
     error[np.ix_(unseen, unseen)] = others @ others.T - gain @ own @ others.T
-    return Completed(out.reshape(-1, 3), (error + error.T) / 2, sigma)
+    return Completed(moved.reshape(-1, 3), (error + error.T) / 2, sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +97,12 @@ def plate_deviations(
 ) -> tuple[PlateDeviation, ...]:
     """Return the deviations of each plate, or of the solid; arguments as for `complete`."""
     variances = np.diag(covariance_mm2).reshape(-1, 3)
-    out, start = [], 0
+    deviations, start = [], 0
     for view, role, body in bodies(frame):
         own = (rows >= start) & (rows < start + len(body.ids))
-        out.append(_body_deviation(view, role, body, rows[own] - start, moved_mm[own], variances[own]))
+        deviations.append(_body_deviation(view, role, body, rows[own] - start, moved_mm[own], variances[own]))
         start += len(body.ids)
-    return tuple(out)
+    return tuple(deviations)
 
 
 def _body_deviation(  # noqa: PLR0917
@@ -189,13 +189,13 @@ class FittedFrame:
 def fit_frame(frame: Frame, series: Sequence[Series], circumstances: Circumstances) -> FittedFrame:
     """Return the frame fitted to measured series. Raises FrameError where they do not determine one."""
     frame.refuse_plate("fit the solid and the plate each by a file of its own")
-    identified = tuple(identify(one, frame) for one in series)
+    identified = tuple(identify(each, frame) for each in series)
     checks = (_ids(identified, frame), *_diameters(frame, series))
     if failed(checks):
         return FittedFrame(None, checks, identified)
     _refuse_thin_bodies(frame, series)
     place = {f.id: (k, f.xyz_mm) for k, f in enumerate(frame.fiducials)}
-    adjusted = adjust(series, [one.pose for one in identified], {ball: xyz for ball, (_, xyz) in place.items()})
+    adjusted = adjust(series, [each.pose for each in identified], {ball: xyz for ball, (_, xyz) in place.items()})
     rows = np.array([place[ball][0] for ball in adjusted.ids])
     deviation = adjusted.xyz_mm - np.array([place[ball][1] for ball in adjusted.ids])
     whole = complete(frame, rows, deviation, adjusted.covariance_mm2)
@@ -234,35 +234,35 @@ def _measured(frame: Frame, whole: Completed, circumstances: Circumstances) -> F
 
 def _ids(identified: Sequence[Identified], frame: Frame) -> Check:
     """Return the check that every ball lies at the place of its own id."""
-    errors = [sentence for one in identified if (sentence := _id_errors(one, frame))]
-    wrong = sum(len(one.renamed) + len(one.astray_mm) for one in identified)
+    errors = [sentence for each in identified if (sentence := _id_errors(each, frame))]
+    wrong = sum(len(each.renamed) + len(each.astray_mm) for each in identified)
     count = float(max(wrong, len(errors)))
     sentence = " ".join(errors) or "Every measured ball lies at the place of its own id."
     return Check("measured ids", not errors, count, 0.0, "balls", sentence)
 
 
-def _id_errors(one: Identified, frame: Frame) -> str:
+def _id_errors(identified: Identified, frame: Frame) -> str:
     """Return a sentence on the wrong ids of a series; empty where all are right."""
-    out = f"Series {one.series}: "
-    if one.mirrored:
-        return out + (
+    start = f"Series {identified.series}: "
+    if identified.mirrored:
+        return start + (
             "it fits the frame only as a mirror image: one axis of the instrument is reversed, or its axes are "
             "left-handed. Reverse one axis and write the table again."
         )
     whole = [
         f"the {view} {role} plate is numbered from another corner, or as another plate"
         for view, role, plate in frame.named_plates
-        if sum(ball in one.renamed for ball in plate.ids) > len(plate.ids) / 2
+        if sum(ball in identified.renamed for ball in plate.ids) > len(plate.ids) / 2
     ]
     if whole:
-        return out + "; ".join(whole) + ". Write the table with the ids of the drawing."
-    pairs = {frozenset(pair) for pair in one.renamed.items() if one.renamed.get(pair[1]) == pair[0]}
+        return start + "; ".join(whole) + ". Write the table with the ids of the drawing."
+    pairs = {frozenset(pair) for pair in identified.renamed.items() if identified.renamed.get(pair[1]) == pair[0]}
     exchanged = [" and ".join(sorted(pair)) for pair in pairs]
-    others = [f"{a} fits the place of {b}" for a, b in one.renamed.items() if one.renamed.get(b) != a]
-    astray = [f"{ball} lies {mm:.1f} mm from its place and fits no other" for ball, mm in one.astray_mm.items()]
+    others = [f"{a} fits the place of {b}" for a, b in identified.renamed.items() if identified.renamed.get(b) != a]
+    astray = [f"{ball} lies {mm:.1f} mm from its place and fits no other" for ball, mm in identified.astray_mm.items()]
     parts = [f"{_some(sorted(exchanged))} are exchanged"] if exchanged else []
     parts += [_some(items) for items in (others, astray) if items]
-    return out + "; ".join(parts) + ". Correct the table, or measure these balls again." if parts else ""
+    return start + "; ".join(parts) + ". Correct the table, or measure these balls again." if parts else ""
 
 
 def _some(items: Sequence[str], shown: int = 6) -> str:
@@ -273,17 +273,17 @@ def _some(items: Sequence[str], shown: int = 6) -> str:
 def _diameters(frame: Frame, series: Sequence[Series]) -> list[Check]:
     """Return the check of the balls' diameters, which alone shows a frame that was measured the wrong way round."""
     nominal = {f.id: f.diameter_mm for f in frame.fiducials}
-    found = [
+    errors = [
         (abs(diameter - nominal[ball]), ball, diameter)
-        for one in series
-        for ball, diameter in zip(one.ids, one.diameter_mm, strict=True)
+        for each in series
+        for ball, diameter in zip(each.ids, each.diameter_mm, strict=True)
         if np.isfinite(diameter)
     ]
-    if not found:
+    if not errors:
         return []
-    worst, ball, diameter = max(found)
+    worst, ball, diameter = max(errors)
     passed = bool(worst <= MAX_DIAMETER_ERROR_MM)
-    wrong = [name for error, name, _ in found if error > MAX_DIAMETER_ERROR_MM]
+    wrong = [name for error, name, _ in errors if error > MAX_DIAMETER_ERROR_MM]
     sentence = (
         "Every measured ball has the diameter of the frame file."
         if passed
@@ -294,7 +294,7 @@ def _diameters(frame: Frame, series: Sequence[Series]) -> list[Check]:
 
 
 def _refuse_thin_bodies(frame: Frame, series: Sequence[Series]) -> None:
-    measured = {ball for one in series for ball in one.ids}
+    measured = {ball for each in series for ball in each.ids}
     for view, role, body in bodies(frame):
         is_measured = np.array([ball in measured for ball in body.ids])
         points = body.xyz_mm[is_measured]
@@ -326,18 +326,18 @@ def _agreement(adjusted: Adjusted) -> list[Check]:
         f"{adjusted.instrument_mm:.4f} mm per axis, or the frame changed between them. State the larger error, or "
         "measure again."
     )
-    out = [Check("measured series", reduced <= limit, reduced, limit, "", sentence)]
+    checks = [Check("measured series", reduced <= limit, reduced, limit, "", sentence)]
     if adjusted.left_out:
         names = _some([f"{ball} in series {series}" for series, ball in adjusted.left_out])
         sentence = f"Measurements that contradict those of the other series were left out: {names}."
-        out.append(Check("measurements left out", True, float(len(adjusted.left_out)), None, "", sentence))
-    return out
+        checks.append(Check("measurements left out", True, float(len(adjusted.left_out)), None, "", sentence))
+    return checks
 
 
 def _deviation(adjusted: Adjusted, series: Sequence[Series], sigma: np.ndarray) -> Check:
     """Return the check that every ball beyond its tolerance was confirmed by a second series."""
     left_out = set(adjusted.left_out)
-    measured = {b: sum(b in one.ids and (one.name, b) not in left_out for one in series) for b in adjusted.ids}
+    measured = {b: sum(b in each.ids and (each.name, b) not in left_out for each in series) for b in adjusted.ids}
     far = [k for k in np.argsort(-sigma) if sigma[k] > MAX_DEVIATION_SIGMA]
     doubtful = [k for k in far if measured[adjusted.ids[k]] < MIN_SERIES]
     worst = doubtful[0] if doubtful else int(np.argmax(sigma))

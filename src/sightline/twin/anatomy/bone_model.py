@@ -147,9 +147,9 @@ class BoneModel:
         if of not in FIELDS:
             raise SetUpError(f"there is no surface {of!r}; there are: {', '.join((*FIELDS, *self.keep_out))}")
         flat = np.ascontiguousarray(points.reshape(-1, 3))
-        out = np.empty(len(flat))
-        in_parts(nearest, flat, *self._tables, self.mirrored, FIELDS.index(of), _directions(), out)
-        return out.reshape(points.shape[:-1])
+        distances = np.empty(len(flat))
+        in_parts(nearest, flat, *self._tables, self.mirrored, FIELDS.index(of), _directions(), distances)
+        return distances.reshape(points.shape[:-1])
 
     def depth_mm(self, xyz_mm: np.ndarray, of: str = "surface") -> np.ndarray:
         """Return the value (...) of the field of `of` at points (..., 3): negative inside, zero on the surface.
@@ -158,9 +158,9 @@ class BoneModel:
         """
         points = np.asarray(xyz_mm, dtype=np.float64)
         flat = np.ascontiguousarray(points.reshape(-1, 3))
-        out = np.empty(len(flat))
-        in_parts(depths, flat, *self._tables, self.mirrored, FIELDS.index(of), out)
-        return out.reshape(points.shape[:-1])
+        depths_mm = np.empty(len(flat))
+        in_parts(depths, flat, *self._tables, self.mirrored, FIELDS.index(of), depths_mm)
+        return depths_mm.reshape(points.shape[:-1])
 
     def clearance_mm(self, wire_mm: np.ndarray, of: str = "outline", from_entry_mm: float = 12.0) -> float:
         """Return the shortest distance of the axis of a wire (2, 3) from a surface: for "outline" the distance by which
@@ -223,7 +223,7 @@ class BoneModel:
         the entry, or None for the surface at the entry itself. A border farther than BORDER_MM is not drawn.
         """
         made = {name: self._surface(wire_mm, beam) for name, beam in surfaces.items()}
-        known = {name: one for name, one in made.items() if one is not None}
+        known = {name: aid for name, aid in made.items() if aid is not None}
         return replace(self, wires_mm=wire_mm[None], aids={**self.aids, **known})
 
     def _surface(self, wire_mm: np.ndarray, beam: tuple[float, float, float] | None) -> PlaneAid | None:

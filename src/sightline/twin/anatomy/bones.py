@@ -79,7 +79,7 @@ class Pelvis:
         """Return the bone with the wire through the corridor's middle into the body of S1."""
         foramen, canal = self._foramina()[0], self._canal()
         sacrum = BonePart(
-            (*self._sacrum(), *(one.cut() for one in (*self._foramina(), *canal))),
+            (*self._sacrum(), *(shape.cut() for shape in (*self._foramina(), *canal))),
             self.cancellous_hu * BONE_PER_HU,
             1.0,
         )
@@ -177,7 +177,7 @@ class Pelvis:
         )
 
     def _hip_bone(self) -> tuple[SolidShape, ...]:
-        front, back = (one + self.sacrum_width_mm / 2 * LATERAL for one in (FRONT, BACK))
+        front, back = (at + self.sacrum_width_mm / 2 * LATERAL for at in (FRONT, BACK))
         rim = [*CREST, AIIS, ROOF, BRIM, front, back, PSIS]
         opening = np.array([0.75, 0.5, 0.43])
         return (

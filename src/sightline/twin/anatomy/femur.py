@@ -124,7 +124,7 @@ class Femur:
         def height(out_mm: float) -> float:
             return float(_femur_distance(inside_mm + out_mm * direction, numbers)[0])
 
-        outside = next((out for out in np.arange(1.0, 60.0) if height(out) > 0), None)
+        outside = next((at for at in np.arange(1.0, 60.0) if height(at) > 0), None)
         if outside is None or height(0.0) > 0:
             raise SetUpError("the ray does not leave this femur within 60 mm; start it inside the bone")
         return inside_mm + root_scalar(height, bracket=(0.0, outside), xtol=1e-9).root * direction
@@ -260,13 +260,13 @@ def _socket(p: np.ndarray, head: float, texture: float, spongy: float) -> float:
 
 
 @kernel(nogil=True)
-def _fill(part, parts, low, n, tile, out):  # noqa: PLR0917
+def _fill(part, parts, low, n, tile, values):  # noqa: PLR0917
     """Fill in the share of bone at every voxel; the outermost voxels stay empty."""
     tx, ty, tz = tile.shape
     p, medial = np.empty(3), _medial_limit(n)
-    for i in range(1 + part, out.shape[0] - 1, parts):
-        for j in range(1, out.shape[1] - 1):
-            for k in range(1, out.shape[2] - 1):
+    for i in range(1 + part, values.shape[0] - 1, parts):
+        for j in range(1, values.shape[1] - 1):
+            for k in range(1, values.shape[2] - 1):
                 p[0], p[1], p[2] = low[0] + VOXEL_MM * i, low[1] + VOXEL_MM * j, low[2] + VOXEL_MM * k
                 texture = float(tile[i % tx, j % ty, k % tz])
-                out[i, j, k] = _bone(p, n, texture, medial)
+                values[i, j, k] = _bone(p, n, texture, medial)

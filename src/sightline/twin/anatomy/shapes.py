@@ -224,36 +224,36 @@ def _plate(x: float, y: float, z: float, n: np.ndarray) -> float:
 
 @kernel()
 def _distances(points: np.ndarray, kind: int, row: np.ndarray) -> np.ndarray:
-    out = np.empty(len(points))
+    distances = np.empty(len(points))
     for k in range(len(points)):
-        out[k] = shape_distance(points[k, 0], points[k, 1], points[k, 2], kind, row)
-    return out
+        distances[k] = shape_distance(points[k, 0], points[k, 1], points[k, 2], kind, row)
+    return distances
 
 
 @kernel()
-def _parts(x, y, z, table, parts, mirrored, out):  # noqa: PLR0917
+def _parts(x, y, z, table, parts, mirrored, work):  # noqa: PLR0917
     """Fill `out` (P, 3) for a point with the distance from each part without and with its gap, and with its cortex's
     thickness."""
     if mirrored:
         x = abs(x)
-    out[:, 0], out[:, 2] = 1e9, 0.0
+    work[:, 0], work[:, 2] = 1e9, 0.0
     for m in range(len(table)):
         k, join = int(table[m, PART]), int(table[m, JOIN])
         distance = shape_distance(x, y, z, int(table[m, KIND]), table[m, FIRST:])
         if join == ADD:
             width = table[m, BLEND]
-            new = step(out[k, 0] - distance, max(width, 1e-9))
-            out[k, 2] += new * (table[m, CORTEX] - out[k, 2])
-            out[k, 0] = blend(out[k, 0], distance, width) if width > 0.0 else min(out[k, 0], distance)
+            new = step(work[k, 0] - distance, max(width, 1e-9))
+            work[k, 2] += new * (table[m, CORTEX] - work[k, 2])
+            work[k, 0] = blend(work[k, 0], distance, width) if width > 0.0 else min(work[k, 0], distance)
         else:
             signed = -distance if join == CUT else distance
-            if signed > out[k, 0]:
-                out[k, 2] = table[m, CORTEX]
-            out[k, 0] = max(out[k, 0], signed)
+            if signed > work[k, 0]:
+                work[k, 2] = table[m, CORTEX]
+            work[k, 0] = max(work[k, 0], signed)
     before = 1e9
     for k in range(len(parts)):
-        out[k, 1] = max(out[k, 0], parts[k, 0] - before) if parts[k, 0] > 0.0 else out[k, 0]
-        before = min(before, out[k, 0])
+        work[k, 1] = max(work[k, 0], parts[k, 0] - before) if parts[k, 0] > 0.0 else work[k, 0]
+        before = min(before, work[k, 0])
 
 
 @kernel()
@@ -275,11 +275,11 @@ def _field(x, y, z, table, parts, mirrored, of, work):  # noqa: PLR0917
 
 
 @kernel(nogil=True)
-def depths(part, parts_, points, table, parts, mirrored, of, out):  # noqa: PLR0917
+def depths(part, parts_, points, table, parts, mirrored, of, values):  # noqa: PLR0917
     """Fill in the value of the field number `of` at every point."""
     work = np.empty((len(parts), 3))
     for k in range(part, len(points), parts_):
-        out[k] = _field(points[k, 0], points[k, 1], points[k, 2], table, parts, mirrored, of, work)
+        values[k] = _field(points[k, 0], points[k, 1], points[k, 2], table, parts, mirrored, of, work)
 
 
 @kernel()
@@ -324,7 +324,7 @@ def _refined(p, best_d, best, inside, table, parts, mirrored, of, work):  # noqa
 
 
 @kernel(nogil=True)
-def nearest(part, parts_, points, table, parts, mirrored, of, directions, out):  # noqa: PLR0917
+def nearest(part, parts_, points, table, parts, mirrored, of, directions, distances):  # noqa: PLR0917
     """Fill in the signed distance of every point: the shortest ray to the surface, refined around the best of the
     directions and around the best of those that are far from it."""
     work, d, lengths = np.empty((len(parts), 3)), np.empty(3), np.empty(len(directions))
@@ -344,14 +344,14 @@ def nearest(part, parts_, points, table, parts, mirrored, of, directions, out): 
             for m in range(len(directions)):
                 if directions[m] @ directions[n] > APART:
                     lengths[m] = REACH_MM
-        out[k] = -best if inside else best
+        distances[k] = -best if inside else best
 
 
 @kernel(nogil=True)
-def fill(part, parts_, low, voxel, table, parts, mirrored, tile, out):  # noqa: PLR0917
+def fill(part, parts_, low, voxel, table, parts, mirrored, tile, values):  # noqa: PLR0917
     """Fill in the share of bone at every voxel; the outermost voxels stay empty. Blocks far from bone are skipped."""
     tx, ty, tz = tile.shape
-    nx, ny, nz = out.shape
+    nx, ny, nz = values.shape
     work = np.empty((len(parts), 3))
     far = 1.3 * voxel * BLOCK  # half the diagonal of a block is 0.87 of its side
     for i0 in range(1 + BLOCK * part, nx - 1, BLOCK * parts_):
@@ -372,4 +372,4 @@ def fill(part, parts_, low, voxel, table, parts, mirrored, tile, out):  # noqa: 
                                 hard = within - step(-work[m, 1] - work[m, 2], voxel)
                                 soft = max(parts[m, 1] * (1.0 + SPONGY_TEXTURE * grain), 0.0)
                                 share = max(share, soft * (within - hard) + (HARD + HARD_TEXTURE * grain) * hard)
-                            out[i, j, k] = share
+                            values[i, j, k] = share

@@ -48,11 +48,11 @@ def _spectra() -> dict[str, Spectrum]:
     """Return the spectra by name. Those of tungsten tubes are made by tools/make_spectra.py [calc, spekpy, xraydb]."""
     at = np.log(ENERGIES_KEV)
     three = {name: np.exp(np.interp(at, np.log(TABLE_KEV), np.log(row))) / 10 for name, row in TABLE_PER_CM.items()}
-    out = {THREE: Spectrum(ENERGIES_KEV, WEIGHTS, three)}
-    for name, one in json.loads(files("sightline.twin.objects").joinpath("spectra.json").read_text()).items():
-        per_mm = {material: np.array(row) / 10 for material, row in one["per_cm"].items()}
-        out[name] = Spectrum(np.array(one["kev"]), np.array(one["weights"]), per_mm)
-    return out
+    spectra = {THREE: Spectrum(ENERGIES_KEV, WEIGHTS, three)}
+    for name, tube in json.loads(files("sightline.twin.objects").joinpath("spectra.json").read_text()).items():
+        per_mm = {material: np.array(row) / 10 for material, row in tube["per_cm"].items()}
+        spectra[name] = Spectrum(np.array(tube["kev"]), np.array(tube["weights"]), per_mm)
+    return spectra
 
 
 def spectrum(name: str) -> Spectrum:

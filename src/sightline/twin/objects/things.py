@@ -134,11 +134,11 @@ def pack(solids: Sequence[Solid], beam: str = THREE) -> tuple[np.ndarray, np.nda
     """Pack solids into arrays: shapes (M, 9), with a negative half-length for a ball; attenuation (M, N) above that of
     the displaced material, 1/mm, at the N energies of a spectrum."""
     shapes, excess = np.zeros((len(solids), COLUMNS)), np.zeros((len(solids), len(spectrum(beam).weights)))
-    for row, one in enumerate(solids):
-        shapes[row, CENTRE], shapes[row, RADIUS] = one.centre_mm, one.radius_mm
-        excess[row] = excess_per_mm(one.material, one.within, beam)
-        if isinstance(one, Rod):
-            shapes[row, AXIS], shapes[row, HOLE], shapes[row, HALF] = one.axis, one.hole_mm, one.half_mm
+    for row, solid in enumerate(solids):
+        shapes[row, CENTRE], shapes[row, RADIUS] = solid.centre_mm, solid.radius_mm
+        excess[row] = excess_per_mm(solid.material, solid.within, beam)
+        if isinstance(solid, Rod):
+            shapes[row, AXIS], shapes[row, HOLE], shapes[row, HALF] = solid.axis, solid.hole_mm, solid.half_mm
         else:
             shapes[row, HALF] = -1.0
     return shapes, excess
@@ -309,20 +309,20 @@ def angled_plate(wire_mm: np.ndarray, caudal: np.ndarray) -> Scene:
     """
     _, back = _axis(wire_mm)
     down = np.asarray(caudal, dtype=np.float64) / np.linalg.norm(caudal)
-    out = back - (back @ down) * down
-    if np.linalg.norm(out) < 0.1:
+    outward = back - (back @ down) * down
+    if np.linalg.norm(outward) < 0.1:
         raise SetUpError("the wire runs along the shaft; an angled plate needs an angle")
-    out /= np.linalg.norm(out)
+    outward /= np.linalg.norm(outward)
     entry = np.asarray(wire_mm, dtype=np.float64)[0]
     thick, wide = SIDE_PLATE_MM
     reach = FIRST_SCREW_MM + SCREW_PITCH_MM * (SCREWS - 1) + 10.0
-    middle = entry + out * thick / 2 + down * (reach - PLATE_ABOVE_MM) / 2
+    middle = entry + outward * thick / 2 + down * (reach - PLATE_ABOVE_MM) / 2
     half = np.array([thick, wide, reach + PLATE_ABOVE_MM]) / 2
-    blade = Box(middle, np.stack([out, np.cross(down, out), down]), half, material="steel", within="tissue")
+    blade = Box(middle, np.stack([outward, np.cross(down, outward), down]), half, material="steel", within="tissue")
     inside = entry - BARREL_LENGTH_MM * back
     barrel = rod_between(entry, inside, BARREL_DIAMETER_MM / 2, SHANK_DIAMETER_MM / 2)
     heads = [entry + down * (FIRST_SCREW_MM + SCREW_PITCH_MM * k) for k in range(SCREWS)]
-    screws = [rod_between(head, head - SCREW_LENGTH_MM * out, SCREW_DIAMETER_MM / 2) for head in heads]
+    screws = [rod_between(head, head - SCREW_LENGTH_MM * outward, SCREW_DIAMETER_MM / 2) for head in heads]
     return Scene(solids=(barrel, *screws), boxes=(blade,))
 
 

@@ -76,7 +76,7 @@ def bored(volume: Volume, ends_mm: np.ndarray, diameter_mm: float) -> Volume:
     along = (end - start) / length
     across = np.linalg.svd(along[None])[2][1:]
     edge = np.float32(volume.voxel_mm.mean())
-    radial = np.hypot(*(volume.along_mm(start, one) for one in across))
+    radial = np.hypot(*(volume.along_mm(start, axis) for axis in across))
     beyond = volume.along_mm(start, along)
     depth = np.minimum(np.float32(diameter_mm / 2) - radial, np.minimum(beyond, np.float32(length) - beyond))
     return replace(volume, values=volume.values * (1 - _step(depth / edge)))
@@ -200,7 +200,7 @@ def _series(folder: Path) -> CtScan:
     _check_size((int(first.Columns), int(first.Rows), len(slices)), folder.name)
     right, down = np.array(first.ImageOrientationPatient, dtype=np.float64).reshape(2, 3)
     normal = np.cross(right, down)
-    slices.sort(key=lambda one: float(np.dot(one[1].ImagePositionPatient, normal)))
+    slices.sort(key=lambda entry: float(np.dot(entry[1].ImagePositionPatient, normal)))
     at = np.array([header.ImagePositionPatient for _, header in slices], dtype=np.float64)
     values = np.empty((int(first.Columns), int(first.Rows), len(slices)), dtype=np.float32)
     for k, (file, header) in enumerate(slices):

@@ -59,7 +59,7 @@ class Bone:
             to_voxels = volume.axes / volume.voxel_mm[:, None]
             shift = to_voxels @ (back[:3, 3] - volume.origin_mm)
             index.append(np.column_stack([to_voxels @ back[:3, :3], shift]))
-        object.__setattr__(self, "_index", tuple(np.ascontiguousarray(one) for one in index))
+        object.__setattr__(self, "_index", tuple(np.ascontiguousarray(to_voxels_) for to_voxels_ in index))
 
     def density(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return the density (N,) of mineralised tissue, g/cm³, at points (N, 3), MCS; 0 outside bone."""

@@ -102,16 +102,16 @@ def _spring(robot: Manipulator, joint: int) -> float:
 
 def _carried(robot: Manipulator, build: Build) -> list[float]:
     """Return the mass, kg, or inertia, kg m², that each joint moves at q = 0, without its drive."""
-    out = []
+    carried = []
     for joint in range(len(JOINTS)):
         loads = [*build.weights[joint:], *([build.frame] if joint < ARM_JOINTS else [])]
         if not ROTARY[joint]:
-            out.append(sum(load.kg for load in loads))
+            carried.append(sum(load.kg for load in loads))
             continue
         axis, moment = robot.axes[joint, :3], robot.axes[joint, 3:]
         arm = [np.linalg.norm(np.cross(np.array(load.at_mm) - np.cross(axis, moment), axis)) * M for load in loads]
-        out.append(float(sum(load.kg * a**2 for load, a in zip(loads, arm, strict=True))))
-    return out
+        carried.append(float(sum(load.kg * a**2 for load, a in zip(loads, arm, strict=True))))
+    return carried
 
 
 def _joint(robot: Manipulator, build: Build, joint: int, inertia: float) -> str:
@@ -144,11 +144,11 @@ def _drives(build: Build, inertia: list[float]) -> list[str]:
     pace, reach = 2 * np.pi * DRIVE_HZ, 10.0  # `reach` has no effect: the plant keeps the reference near the joint
     mass = [drive + load for drive, load in zip(build.drive_inertia, inertia, strict=True)]
     place = [
-        f'<intvelocity joint="{joint}" kp="{float(one * pace**2)!r}" actrange="{_row((-reach, reach))}"/>'
-        for joint, one in zip(JOINTS, mass, strict=True)
+        f'<intvelocity joint="{joint}" kp="{float(moved * pace**2)!r}" actrange="{_row((-reach, reach))}"/>'
+        for joint, moved in zip(JOINTS, mass, strict=True)
     ]
     return place + [
-        f'<velocity joint="{joint}" kv="{float(2 * one * pace)!r}"/>' for joint, one in zip(JOINTS, mass, strict=True)
+        f'<velocity joint="{joint}" kv="{float(2 * moved * pace)!r}"/>' for joint, moved in zip(JOINTS, mass, strict=True)
     ]
 
 

@@ -22,10 +22,10 @@ _REPORTED = (PlantFlag.DRILL_ON, PlantFlag.STOP_PRESSED, PlantFlag.RUN_HELD, Pla
 
 
 def _all_set(flags: tuple[bool, ...]) -> PlantFlag:
-    out = PlantFlag.NONE
+    joined = PlantFlag.NONE
     for flag, is_set in zip(_REPORTED, flags, strict=True):
-        out |= flag if is_set else PlantFlag.NONE
-    return out
+        joined |= flag if is_set else PlantFlag.NONE
+    return joined
 
 
 # Joined once: an `|` of two flags takes over a microsecond, and a cycle has up to five.
@@ -235,7 +235,7 @@ class _Body:
         if left:
             self._mujoco.mj_step(model, data, nstep=left)
         force = self._drive_force[self._seen].tolist()
-        overloaded = any(abs(one) > full for one, full in zip(force, self._full, strict=True))
+        overloaded = any(abs(newtons) > full for newtons, full in zip(force, self._full, strict=True))
         if overloaded:  # keep the reference near the joint
             slack = self._force / self._model.actuator_gainprm[: len(JOINTS), 0]
             data.act[:] = np.clip(data.act, self._qpos[self._seen] - slack, self._qpos[self._seen] + slack)

@@ -202,7 +202,7 @@ def placed_bone(
     bone = dimensions.bone()
     still = frame_scene(setup.true_frame) + Scene(tissue=BONES[name].body.around(setup.hip_mm))
     volume = bone.volume(setup.side, origin_mm, rng)
-    metal = tuple(replace(one, vertices_mm=to_cfcs(one.vertices_mm, setup.side, origin_mm)) for one in bone.metal)
+    metal = tuple(replace(mesh, vertices_mm=to_cfcs(mesh.vertices_mm, setup.side, origin_mm)) for mesh in bone.metal)
     placed = Scene(volumes=(volume,), meshes=metal)
     return BoneScene(still, placed, bone, setup.side, origin_mm, dimensions)
 
@@ -214,7 +214,7 @@ def bone_document(setup: SetUp, scene: BoneScene) -> dict[str, Any]:
         document["views"][name]["wires_uv_px"] = view.project(scene.wires_mm).tolist()
     aids = {
         name: {"kind": type(aid).__name__.removesuffix("Aid").lower()}
-        | {one.name: np.asarray(getattr(aid, one.name)).tolist() for one in fields(aid)}
+        | {each.name: np.asarray(getattr(aid, each.name)).tolist() for each in fields(aid)}
         for name, aid in scene.aids.items()
     }
     return document | {

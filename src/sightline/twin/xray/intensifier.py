@@ -45,9 +45,9 @@ def disc_mm(radius_mm: float, across: int = 41) -> np.ndarray:
     side = np.linspace(-radius_mm, radius_mm, across)
     x, y = np.meshgrid(side, side)
     inside = x * x + y * y <= radius_mm**2 * (1 + 1e-12)
-    out = np.stack([x[inside], y[inside]], axis=-1)
-    out.flags.writeable = False
-    return out
+    points = np.stack([x[inside], y[inside]], axis=-1)
+    points.flags.writeable = False
+    return points
 
 
 def monomials(unit_xy: np.ndarray, degree: int) -> np.ndarray:
@@ -62,9 +62,9 @@ def _cubic_basis(radius_mm: float) -> np.ndarray:
     other and to linear functions."""
     points = monomials(disc_mm(radius_mm) / radius_mm, 3)
     r = np.linalg.qr(points)[1]
-    out = np.linalg.inv(r)[:, 3:] * np.sqrt(len(points))
-    out.flags.writeable = False
-    return out
+    basis = np.linalg.inv(r)[:, 3:] * np.sqrt(len(points))
+    basis.flags.writeable = False
+    return basis
 
 
 class Cubics:
@@ -79,9 +79,9 @@ class Cubics:
     def gradients(xi_mm: np.ndarray, radius_mm: float) -> np.ndarray:
         """Return the gradients (N, 7, 2) at points (N, 2), per mm."""
         x, y = (xi_mm / radius_mm).T
-        zero, one = np.zeros_like(x), np.ones_like(x)
-        by_x = [zero, one, zero, 2 * x, y, zero, 3 * x * x, 2 * x * y, y * y, zero]
-        by_y = [zero, zero, one, zero, x, 2 * y, zero, x * x, 2 * x * y, 3 * y * y]
+        zero, unity = np.zeros_like(x), np.ones_like(x)
+        by_x = [zero, unity, zero, 2 * x, y, zero, 3 * x * x, 2 * x * y, y * y, zero]
+        by_y = [zero, zero, unity, zero, x, 2 * y, zero, x * x, 2 * x * y, 3 * y * y]
         both = np.stack([np.stack(by_x, -1), np.stack(by_y, -1)], -1)
         return np.swapaxes(np.swapaxes(both, 1, 2) @ _cubic_basis(radius_mm), 1, 2) / radius_mm
 
@@ -181,13 +181,13 @@ class DistortionMap:
         angle = fade * (linear @ self.turn)
         angle_grad = (slope * (linear @ self.turn))[:, None] * du2 + fade[:, None] * self.turn[1:] / R
         turned, normal = _rotate(xi_mm, angle), _rotate(xi_mm, angle + np.pi / 2)
-        out = turned[:, :, None] * (2 * self.k1 * xi_mm)[:, None, :]
-        out += stretch[:, None, None] * (_rotations(angle) + normal[:, :, None] * angle_grad[:, None, :])
+        jacobian = turned[:, :, None] * (2 * self.k1 * xi_mm)[:, None, :]
+        jacobian += stretch[:, None, None] * (_rotations(angle) + normal[:, :, None] * angle_grad[:, None, :])
         fade, slope = _fade(u2, SHIFT)
-        out += (linear @ self.shift_mm.T)[:, :, None] * (slope[:, None] * du2)[:, None, :]
-        out += fade[:, None, None] * self.shift_mm[:, 1:] / R
-        out += np.swapaxes(np.swapaxes(Cubics.gradients(xi_mm, R), 1, 2) @ self.cubic_mm, 1, 2)
-        return out + self.field.sum_gradients(xi_mm, self.random_mm)
+        jacobian += (linear @ self.shift_mm.T)[:, :, None] * (slope[:, None] * du2)[:, None, :]
+        jacobian += fade[:, None, None] * self.shift_mm[:, 1:] / R
+        jacobian += np.swapaxes(np.swapaxes(Cubics.gradients(xi_mm, R), 1, 2) @ self.cubic_mm, 1, 2)
+        return jacobian + self.field.sum_gradients(xi_mm, self.random_mm)
 
     def derivatives(self, xi_mm: np.ndarray) -> np.ndarray:
         """Return dD / dparameters (N, 2, P) at points (N, 2), in the order of `parameters`."""
@@ -216,13 +216,13 @@ def _rotations(angle: np.ndarray) -> np.ndarray:
 def _each_component(values: np.ndarray, component_first: bool = False) -> np.ndarray:
     """Expand scalar basis values (N, K) to responses (N, 2, 2K) of weights (K, 2), or (2, K) with `component_first`."""
     n, k = values.shape
-    out = np.zeros((n, 2, 2, k) if component_first else (n, 2, k, 2))
+    responses = np.zeros((n, 2, 2, k) if component_first else (n, 2, k, 2))
     for c in range(2):
         if component_first:
-            out[:, c, c, :] = values
+            responses[:, c, c, :] = values
         else:
-            out[:, c, :, c] = values
-    return out.reshape(n, 2, 2 * k)
+            responses[:, c, :, c] = values
+    return responses.reshape(n, 2, 2 * k)
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,16 +55,16 @@ def volume_integral(rays: Rays, values: np.ndarray, origin: np.ndarray, voxel: n
     `values` (nx, ny, nz), C-contiguous: value [i, j, k] at origin + voxel * (i, j, k), 0 beyond them. `voxel` (3,) mm.
     At least two voxels per side.
     """
-    out = np.zeros(rays.inside.shape, dtype=np.float32)
+    lengths = np.zeros(rays.inside.shape, dtype=np.float32)
     unit = voxel[0]
     ratio = unit / voxel
-    in_parts(_cast_volume, rays, values.ravel(), values.shape, (rays.focal - origin) / unit * ratio, ratio, unit, out)
-    return out
+    in_parts(_cast_volume, rays, values.ravel(), values.shape, (rays.focal - origin) / unit * ratio, ratio, unit, lengths)
+    return lengths
 
 
 # Reassociation lets the compiler take eight samples at a time; the float32 results stay bit-identical.
 @kernel(nogil=True, fastmath=True)
-def _cast_volume(part, parts, rays, flat, shape, start, ratio, unit, out):  # noqa: PLR0917
+def _cast_volume(part, parts, rays, flat, shape, start, ratio, unit, lengths):  # noqa: PLR0917
     """Voxels `flat` (n,) of `shape`; `start` (3,) the focal point in voxels, `ratio` (3,) voxels per `unit` mm."""
     h, w = rays.inside.shape
     ni, nj = shape[1] * shape[2], shape[2]
@@ -99,7 +99,7 @@ def _cast_volume(part, parts, rays, flat, shape, start, ratio, unit, out):  # no
                 high = (1 - fy) * flat[a10] + fy * flat[a11]
                 high_up = (1 - fy) * flat[a10 + up] + fy * flat[a11 + up]
                 total += (1 - fx) * ((1 - fz) * low + fz * low_up) + fx * ((1 - fz) * high + fz * high_up)
-            out[r, c] = total * step * unit
+            lengths[r, c] = total * step * unit
 
 
 @kernel()
@@ -179,7 +179,7 @@ def solid_transmission(
     `solids`: shapes (M, 9) and attenuation (M, N).
     """
     shapes, excess = solids
-    out = np.ones((excess.shape[1], *rays.inside.shape), dtype=np.float32)
+    transmission = np.ones((excess.shape[1], *rays.inside.shape), dtype=np.float32)
     # Upper bound of the distance of a sub-ray from its pixel's ray: half the spot's diagonal plus two pixels.
     h, w = rays.inside.shape
     apart = rays.points[h // 2, w // 2 + 1] - rays.points[h // 2, w // 2]
@@ -188,12 +188,12 @@ def solid_transmission(
     grown[:, 6] += reach
     grown[:, 7] = 0.0
     grown[:, 8] += np.where(shapes[:, 8] < 0.0, 0.0, reach)
-    in_parts(_cast_solids, rays, spot, *cells, shapes, grown, excess, out)
-    return out
+    in_parts(_cast_solids, rays, spot, *cells, shapes, grown, excess, transmission)
+    return transmission
 
 
 @kernel(nogil=True)
-def _cast_solids(part, parts, rays, spot, first, index, shapes, grown, excess, out):  # noqa: PLR0912, PLR0917
+def _cast_solids(part, parts, rays, spot, first, index, shapes, grown, excess, transmission):  # noqa: PLR0912, PLR0917
     """Cast sub-rays through `shapes`. `grown` (M, 9): enlarged solids, met by a pixel's ray if any sub-ray meets the
     solid."""
     h, w = rays.inside.shape
@@ -227,18 +227,18 @@ def _cast_solids(part, parts, rays, spot, first, index, shapes, grown, excess, o
                 for e in range(energies):
                     total[e] += np.exp(-depth[e])
             for e in range(energies):
-                out[e, r, c] = total[e] / (SUB * SUB)
+                transmission[e, r, c] = total[e] / (SUB * SUB)
 
 
 def box_length(rays: Rays, centres: np.ndarray, axes: np.ndarray, halves: np.ndarray) -> np.ndarray:
     """Return the lengths (H, W), mm, of the rays in cuboids: centres (M, 3), axes (M, 3, 3), half-lengths (M, 3)."""
-    out = np.zeros(rays.inside.shape, dtype=np.float32)
-    in_parts(_cast_boxes, rays, centres, axes, halves, out)
-    return out
+    lengths = np.zeros(rays.inside.shape, dtype=np.float32)
+    in_parts(_cast_boxes, rays, centres, axes, halves, lengths)
+    return lengths
 
 
 @kernel(nogil=True)
-def _cast_boxes(part, parts, rays, centres, axes, halves, out):  # noqa: PLR0917
+def _cast_boxes(part, parts, rays, centres, axes, halves, lengths):  # noqa: PLR0917
     h, w = rays.inside.shape
     d = np.empty(3)
     for r in range(part, h, parts):
@@ -256,7 +256,7 @@ def _cast_boxes(part, parts, rays, centres, axes, halves, out):  # noqa: PLR0917
                     span = _within(span, start, slope, -halves[m, a], halves[m, a])
                 near, far = span
                 if far > near:
-                    out[r, c] += (far - near) * norm
+                    lengths[r, c] += (far - near) * norm
 
 
 # These two are inlined: each call would count the references to its arrays, and a mesh would take 2.5 times as long.
@@ -310,9 +310,9 @@ def mesh_lengths(
     `surface`: vertices (V, 3) and triangles (T, 3), counter-clockwise seen from outside. `xi` (H, W, 2): the points at
     which the rays meet the input plane. `shadows` (T, 4): bounds of xi for the shadow of each triangle, mm.
     """
-    out = np.zeros((MESH_SUB * MESH_SUB, *rays.inside.shape))
-    in_parts(_cast_mesh, rays, xi, spot, *surface, shadows, out)
-    return out
+    lengths = np.zeros((MESH_SUB * MESH_SUB, *rays.inside.shape))
+    in_parts(_cast_mesh, rays, xi, spot, *surface, shadows, lengths)
+    return lengths
 
 
 @kernel()
@@ -328,7 +328,7 @@ def _fill_sub_rays(rays, spot, pixels, cast):
 
 
 @kernel(nogil=True)
-def _cast_mesh(part, parts, rays, xi, spot, vertices, triangles, shadows, out):  # noqa: PLR0917
+def _cast_mesh(part, parts, rays, xi, spot, vertices, triangles, shadows, lengths):  # noqa: PLR0917
     h, w = rays.inside.shape
     tall, wide = (h + MESH_CELL_PX - 1) // MESH_CELL_PX, (w + MESH_CELL_PX - 1) // MESH_CELL_PX
     cast = np.empty((MESH_CELL_PX, MESH_CELL_PX, MESH_SUB * MESH_SUB, 2, 3))  # start and direction of every sub-ray
@@ -357,4 +357,4 @@ def _cast_mesh(part, parts, rays, xi, spot, vertices, triangles, shadows, out): 
                         continue
                     for s in range(MESH_SUB * MESH_SUB):
                         ray = cast[r - r0, c - c0, s]
-                        out[s, r, c] += _crossing(ray[0], ray[1], vertices, triangles, t)
+                        lengths[s, r, c] += _crossing(ray[0], ray[1], vertices, triangles, t)

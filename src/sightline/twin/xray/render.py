@@ -111,7 +111,7 @@ class Exposure:
             counts = rng.poisson((second or self).quanta).astype(np.float32)
             fields = [image, (second or self)._light(counts)]
             if former:
-                fields = trailed(fields, [one._light(one.quanta) for one in (self, *former)], video.lag)
+                fields = trailed(fields, [exposure._light(exposure.quanta) for exposure in (self, *former)], video.lag)
             image = grabbed(fields[0], fields[1], self.black, video, rng)
             noise = video.noise
         image += np.float32(noise * self.chain.white) * rng.standard_normal(image.shape, dtype=np.float32)
@@ -231,11 +231,11 @@ def grabbed(first: np.ndarray, second: np.ndarray, black: float, video: Video, r
     h, w = first.shape
     v, u = np.mgrid[:h, :w].astype(np.float64)
     u += video.jitter_px * rng.standard_normal((h, 1))
-    out = np.empty_like(first)
-    out[::2] = map_coordinates(first, [v[::2], u[::2]], mode="nearest")
+    frame = np.empty_like(first)
+    frame[::2] = map_coordinates(first, [v[::2], u[::2]], mode="nearest")
     lower = map_coordinates(second, [v[1::2] + video.pairing_px, u[1::2]], mode="nearest")
-    out[1::2] = black + (1 + video.field_gain) * (lower - black)
-    return out
+    frame[1::2] = black + (1 + video.field_gain) * (lower - black)
+    return frame
 
 
 def trailed(fields: Sequence[np.ndarray], before: Sequence[np.ndarray], lag: float) -> list[np.ndarray]:
@@ -251,9 +251,9 @@ def trailed(fields: Sequence[np.ndarray], before: Sequence[np.ndarray], lag: flo
 def _rim_px(chain: ImageChain) -> np.ndarray:
     """Return the distance (H, W) of each pixel from the edge of the field, negative outside."""
     h, w = chain.shape
-    out = chain.rim_px(np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1))
-    out.flags.writeable = False
-    return out
+    rim = chain.rim_px(np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1))
+    rim.flags.writeable = False
+    return rim
 
 
 def pixel_rays(view: ViewTruth) -> tuple[Rays, np.ndarray]:
@@ -291,7 +291,7 @@ def primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.n
     meshes = [
         (excess_per_mm(mesh.material, mesh.within, beam), *_mesh_mm(view, mesh, rays, spot)) for mesh in scene.meshes
     ]
-    out, without = np.zeros(rays.inside.shape), np.zeros(rays.inside.shape)
+    arriving, without = np.zeros(rays.inside.shape), np.zeros(rays.inside.shape)
     for e, weight in enumerate(spectrum(beam).weights):
         depth = np.zeros(rays.inside.shape, dtype=np.float32)
         for length, per_mm in layers:
@@ -300,8 +300,8 @@ def primary(view: ViewTruth, scene: Scene, rays: Rays) -> tuple[np.ndarray, np.n
         for per_mm, hit, lengths in meshes:
             soft[hit] *= np.exp(-lengths * np.float32(per_mm[e])).mean(axis=0)
         without += soft
-        out += soft * sharp[e]
-    return np.where(rays.inside, out, 0.0), np.where(rays.inside, without, 0.0)
+        arriving += soft * sharp[e]
+    return np.where(rays.inside, arriving, 0.0), np.where(rays.inside, without, 0.0)
 
 
 def _layers(scene: Scene, rays: Rays, beam: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -325,10 +325,10 @@ def _layers(scene: Scene, rays: Rays, beam: str) -> Iterator[tuple[np.ndarray, n
 
 def _alike(boxes: tuple[Box, ...]) -> dict[tuple[str, str | None], list[Box]]:
     """Group boxes by material and surrounding material, to be cast together."""
-    out: dict[tuple[str, str | None], list[Box]] = {}
+    groups: dict[tuple[str, str | None], list[Box]] = {}
     for box in boxes:
-        out.setdefault((box.material, box.within), []).append(box)
-    return out
+        groups.setdefault((box.material, box.within), []).append(box)
+    return groups
 
 
 def _volume_mm(volume: Volume, rays: Rays) -> np.ndarray:

@@ -151,13 +151,13 @@ def share_beyond_degree5(radius_mm: float, correlation_mm: float, range_mm: tupl
 def _gradient_basis() -> np.ndarray:
     """Return the matrix (9, 9) from nine unit-variance numbers to a flattened symmetric, traceless 3x3 tensor (no
     currents, no monopoles in the tube) with off-diagonal elements of unit variance."""
-    out = np.zeros((9, 9))
+    basis = np.zeros((9, 9))
     for k in range(9):
         a = np.zeros(9)
         a[k] = 1.0
         tensor = (a.reshape(3, 3) + a.reshape(3, 3).T) / np.sqrt(2)
-        out[:, k] = (tensor - np.trace(tensor) / 3 * np.eye(3)).ravel()
-    return out
+        basis[:, k] = (tensor - np.trace(tensor) / 3 * np.eye(3)).ravel()
+    return basis
 
 
 def _smooth_factor(spread: Distortion, radius_mm: float, axes: np.ndarray) -> np.ndarray:
@@ -180,11 +180,11 @@ def _smooth_factor(spread: Distortion, radius_mm: float, axes: np.ndarray) -> np
     square = covariance[:3, :3] + np.outer(mean[:3], mean[:3])
     magnetic[:3, :3] = second * square - first**2 * np.outer(mean[:3], mean[:3])
     low, high = spread.pincushion_at_107_mm
-    out = np.zeros((24, 24))
-    out[0, 0] = (high - low) / np.sqrt(12) / PINCUSHION_RADIUS_MM**2
-    out[1:10, 1:10] = _root(magnetic)
-    out[10:, 10:] = spread.asymmetric_mm / np.sqrt(14) * np.eye(14)
-    return out
+    factor = np.zeros((24, 24))
+    factor[0, 0] = (high - low) / np.sqrt(12) / PINCUSHION_RADIUS_MM**2
+    factor[1:10, 1:10] = _root(magnetic)
+    factor[10:, 10:] = spread.asymmetric_mm / np.sqrt(14) * np.eye(14)
+    return factor
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
