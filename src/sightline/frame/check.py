@@ -11,11 +11,12 @@ from scipy.spatial.distance import pdist
 from sightline.common.checks import Check, failed
 from sightline.errors import FrameError
 from sightline.frame.model import MIN_COMMON, Frame, common_ids, fits_mirrored, misfits_mm
-from sightline.frame.patterns import Triples, in_steps, nearest_likeness
+from sightline.frame.patterns import HIDDEN, Triples, in_steps, nearest_likeness
 from sightline.frame.plate import SOURCE_TO_HIP_MM, FrameView, Plate, RigidBody
 from sightline.frame.solid_shape import FIELDS_MM, clear_beads, in_words, offset_mm, symmetry_of
 
-MAX_CHANGE_MM = 1.0  # [ours] rms; a larger change means another frame, as in "plate-flat"
+MAX_CHANGE_MM = 1.0  # [ours] more is a typing error or another frame, not a bent plate
+MAX_ALIKE = 0.5  # [ours] share of the triples of datums: a symmetric pattern, or a copy of another plate, has 1.0
 WIRE_END_MM = 95 / np.sqrt(8)  # half a 95 mm wire at 45° (physics.md, Frame), along each axis of the view
 
 _NOMINAL = f"a C-arm with the hip {SOURCE_TO_HIP_MM:g} mm from its source"
@@ -229,7 +230,7 @@ _PLATES = (
     ),
     Rule(
         "plate-flat", _flat, lambda plate: np.abs(plate.plane.height_mm(plate.xyz_mm)).max(),
-        at_least=False, limit=1.0, unit="mm",  # [ours] more is a typing error, not a bent plate
+        at_least=False, limit=MAX_CHANGE_MM, unit="mm",
         meaning="the beads lie in a plane",
         advice="a bead lies off the plane of the others; correct its coordinates, or measure the plate again",
     ),
@@ -256,13 +257,13 @@ _VIEWS = (
     ),
     Rule(
         "datum-symmetry", _flat, lambda plate: _alike(_datum_steps(plate)),
-        at_least=False, limit=0.5, unit="",  # [ours] a symmetric pattern has 1.0
+        at_least=False, limit=MAX_ALIKE, unit="",
         meaning="no rotation or mirror image of the datums can be confused with the pattern",
         advice="move a datum so that no three repeat the shape of others: they look the same when rotated or mirrored",
     ),
     Rule(
         "plate-twin", _pairs, lambda pair: max(_alike(pair[0], pair[1:]), _alike(pair[1], pair[:1])),
-        at_least=False, limit=0.5, unit="",  # [ours] a copy, mirrored or not, has 1.0
+        at_least=False, limit=MAX_ALIKE, unit="",
         meaning="the datums distinguish the plates",
         advice="the datums of one plate are a copy or a mirror image of the other's; move the datums of one",
     ),
@@ -274,7 +275,7 @@ _VIEWS = (
     ),
     Rule(
         "plate-field", _plates, lambda pair: pair[0].in_field(pair[1].xyz_mm).mean(),
-        at_least=True, limit=0.6, unit="",  # the labelling tolerates 40 % hidden
+        at_least=True, limit=1 - HIDDEN, unit="",
         meaning=_NOMINAL + " sees the beads",
         advice=_NOMINAL + " sees too few beads of this plate; make it smaller or move it nearer to the intensifier",
     ),

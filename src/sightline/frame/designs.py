@@ -34,10 +34,10 @@ class Beam:
 
 @dataclass(frozen=True)
 class Balls:
-    """Ball diameters of one plate, mm."""
+    """Ball diameters of one plate, mm; defaults: physics.md, Frame."""
 
-    ordinary_mm: float = 3.0  # physics.md, Frame [ours]
-    datum_mm: float = 5.0  # physics.md, Frame [ours]
+    ordinary_mm: float = 3.0
+    datum_mm: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -46,16 +46,17 @@ class FrameDesign:
 
     The XRII plate has `rows` x `rows` balls, `pitch_mm` apart. The source plate has one more row on the same field: the
     two grids beat once across the image, so balls of the two plates overlap in a few places wherever the frame is, and
-    never all at once. `patterns`: each view's datums, XRII plate first.
+    never all at once. `patterns`: each view's datums, XRII plate first. Defaults and the sizes in BUILTIN are [ours]
+    (physics.md, Frame); the pitch reaches the ends of a 95 mm wire at 45°.
     """
 
     name: str
     beams: Mapping[str, Beam]
     patterns: Mapping[str, tuple[Pattern, Pattern]]
     rows: int = 7
-    pitch_mm: float = 22.0  # [ours] reaches the ends of a 95 mm wire at 45° (physics.md, Frame)
-    xrii_mm: float = 300.0  # physics.md, Frame [ours]
-    source_mm: float = 150.0  # physics.md, Frame [ours]
+    pitch_mm: float = 22.0
+    xrii_mm: float = 300.0
+    source_mm: float = 150.0
     xrii_balls: Balls = Balls()
     source_balls: Balls = Balls()
 
@@ -189,12 +190,12 @@ def patterns_for(
 BUILTIN = {
     # Of the paper: both plates of a view on the intensifier's side of the hip.
     "gamma": FrameDesign("gamma", GAMMA_BEAMS, patterns_for(GAMMA_BEAMS, name="gamma")),
-    # The classical frame: the hip between the plates of each view, 150 mm from each [ours].
+    # The classical frame: the hip between the plates of each view, 150 mm from each.
     "biplane": FrameDesign(
         "biplane", GAMMA_BEAMS, patterns_for(GAMMA_BEAMS, name="biplane"), pitch_mm=18.5, xrii_mm=150.0,
         source_mm=-150.0, source_balls=Balls(2.0, 3.0),
     ),
-    # Paper, Fig. 4b: two beams converge at the hip through parallel plates; sizes [ours].
+    # Paper, Fig. 4b: two beams converge at the hip through parallel plates.
     "stereo": FrameDesign(
         "stereo", STEREO_BEAMS, patterns_for(STEREO_BEAMS, name="stereo"), pitch_mm=24.0, xrii_mm=330.0,
         source_mm=-200.0, source_balls=Balls(1.5, 2.5),
@@ -211,7 +212,7 @@ def builtin_design(name: str) -> FrameDesign:
 
 Place = tuple[float, float, float]
 
-# Found by `python tools/design_block.py NAME`: ball centres 3.5 mm under a face, on whole millimetres along it [ours],
+# Found by `python tools/design_block.py NAME`: ball centres 3.5 mm under a face, on whole millimetres along it,
 # at places whose shadows seldom overlap. Small block: 30 x 30 x 50 mm; cubes: 40, 60 and 120 mm. The shadows of the
 # cube of 40 mm seldom overlap along its edges either: a small field leaves no choice of how it stands.
 _BLOCK30_LARGE: tuple[Place, ...] = (
@@ -247,7 +248,7 @@ _CUBE120_SMALL: tuple[Place, ...] = (
     (48.0, 56.5, 5.0), (-56.5, 21.0, 39.0), (-56.5, -10.0, -27.0), (-17.0, -29.0, -56.5), (37.0, -32.0, 56.5),
     (-56.5, -49.0, 21.0), (49.0, -56.5, -32.0),
 )  # fmt: skip
-LARGE_MM, SMALL_MM = 5.0, 3.0  # diameters, as on the plates: two sizes, so that a glance tells the orientation [ours]
+LARGE_MM, SMALL_MM = Balls.datum_mm, Balls.ordinary_mm  # two sizes, so that a glance tells the orientation
 
 
 def _solid(large: tuple[Place, ...], small: tuple[Place, ...]) -> RigidBody:

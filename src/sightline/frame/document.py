@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from sightline.common.bounded import read_bounded, read_text
 from sightline.common.strict import explain, read_strictly
 from sightline.errors import FrameError
-from sightline.frame.designs import FRAME_NAMES
+from sightline.frame.designs import FRAME_NAMES, SMALL_MM
 from sightline.frame.plate import Fiducial, Shape
 
 MIN_BEADS = 4  # the perspective image of a plate has eight unknowns: four balls
@@ -168,7 +168,7 @@ def fiducials_of(fiducials: tuple[FiducialDocument, ...]) -> tuple[Fiducial, ...
     return tuple(Fiducial(f.id, f.xyz, f.diameter, f.datum, f.shape) for f in fiducials)
 
 
-DIAMETER_MM = 3.0  # [ours] the small Lego cube's are 3.2 mm, the large one's 5 mm
+DIAMETER_MM = SMALL_MM  # the small Lego cube's are 3.2 mm, the large one's 5 mm
 UNITS_MM = {"mm": 1.0, "cm": 10.0}
 MAX_ACROSS_CM, MIN_ACROSS_MM = (
     40.0,

@@ -14,7 +14,7 @@ import numpy as np
 from sightline.errors import FrameError
 
 STRETCH = 1.10  # [ours] ratio of the singular values of that affine map
-SCALE = 1.10  # [ours] its mean scale, with the step of the grid known from the ordinary balls
+SCALE = STRETCH  # its mean scale, with the step of the grid known from the ordinary balls
 HIDDEN = 0.4  # share of a plate, hidden as one block, that the labelling must tolerate [ours]
 SLENDER_STEPS = 0.9  # [ours] triples of a smaller height count as collinear: a bead's noise may flip them
 MOVES = 6000  # [ours] one or two seconds

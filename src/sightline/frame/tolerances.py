@@ -7,7 +7,7 @@ import numpy as np
 
 from sightline.frame.plate import FrameView
 
-EXPANSION_PER_K = 70e-6  # [ours] PMMA: data sheets of cast sheet say 60 to 80 ppm/K (physics.md)
+EXPANSION_PER_K = 70e-6  # PMMA [src data sheets of cast sheet: 60 to 80 ppm/K; physics.md, Frame]
 MOISTURE_EXPANSION = 0.2  # [ours] relative expansion of PMMA per share of water: half of the water's own volume
 DRAPE_N = 10.0  # load of a wet drape, which moves an arm by one plate tolerance [ours]
 

@@ -9,17 +9,17 @@ from sightline.errors import FrameError
 from sightline.frame.model import Frame
 from sightline.frame.plate import Fiducial, Plate, RigidBody
 
-THICKNESS_MM = 8.0  # [ours] as in the twin
+THICKNESS_MM = 8.0  # [ours] of a plate
 FLOOR_MM = 1.5  # [ours] minimum material in front of and behind a ball
 RIM_MM = 15.0  # [ours] from the outermost ball's centre to the edge: space for screws, outside the field
 SCREW_MM, SCREW_INSET_MM = 5.5, 7.0  # [ours] clearance of M5, and its distance from both edges
 CHAMFER_MM = 6.0  # [ours] one corner is cut, so that no plate is mounted mirrored
 WALL_MM = 1.0  # [ours] minimum material between two bores
-WASHER_MM = 1.5  # [ours] thickness, as in the twin
-COVER_MM = 3.5  # [ours] from the outermost balls' centres to the faces of a solid, as in the built-in blocks
+WASHER_MM = 1.5  # [ours] thickness
+COVER_MM = 3.5  # from the outermost balls' centres to the faces of a solid, as in the built-in blocks
 # H8: upper deviation of a bore up to this diameter, mm; the lower one is zero [src ISO 286-1, table 1, IT8].
 _H8 = ((3.0, 0.014), (6.0, 0.018), (10.0, 0.022), (18.0, 0.027), (30.0, 0.033), (50.0, 0.039))
-SIGMAS = 2.0  # [ours] a tolerance on a drawing is plus or minus two standard deviations
+SIGMAS = 2.0  # of a tolerance on a drawing: 95 % [src JCGM 100, 6.3.3]
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from sightline.frame.plate import Plate, RigidBody
 from sightline.frame.tables import Series
 from sightline.frame.tolerances import EXPANSION_PER_K, Tolerances
 
-DRIFT_MM = 0.05  # physics.md, Frame [ours]: plate
-DRIFT_RAD_PER_MM = 0.2e-3 / 0.05  # physics.md, Frame [ours]: plate
+DRIFT_RAD_PER_MM = Tolerances.plate_rad / Tolerances.plate_mm  # a plate drifts by its tolerance
 MIN_PER_PLATE = 4  # as in a frame file
 MAX_DIAMETER_ERROR_MM = 0.3  # [ours] a ball of another size differs by more, a probe's measurement by less
 MAX_DEVIATION_SIGMA = float(np.sqrt(chdtri(3, FALSE_ALARM / 226)))  # once in 10,000 frames of the built-in kind
@@ -147,7 +146,7 @@ class Circumstances:
     measured_on: str | None = None
     temperature_c: float | None = None
     use_temperature_c: float | None = None
-    drift_mm: float = DRIFT_MM
+    drift_mm: float = Tolerances.plate_mm
 
     def __post_init__(self) -> None:
         if self.use_temperature_c is not None and self.temperature_c is None:

@@ -274,7 +274,7 @@ def _directions() -> np.ndarray:
     return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], -1)
 
 
-MAX_LONGER_MM = 60.0  # a wire that ends farther beyond is another wire [ours]
+MAX_LONGER_MM = 60.0  # [ours] a wire that ends farther beyond is another wire
 MAX_ASIDE_MM = 80.0  # of the end, to leave a corridor or to reach what must not be touched [ours]
 STEP_MM = 3.0  # a wire that is wrong for a smaller movement only, and not for a larger one, may be missed [ours]
 FAR, CORTEX = "through the far surface", "out of the cortex"

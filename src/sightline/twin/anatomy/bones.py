@@ -11,14 +11,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.twin.anatomy.bone_model import BoneModel, BonePart, LineAid, PlaneAid, SphereAid, TubeAid
-from sightline.twin.anatomy.femur import BONE_PER_HU
+from sightline.twin.anatomy.femur import BONE_PER_HU, SHORT_MM
 from sightline.twin.anatomy.shapes import SolidShape, ball, barrel, box, cone, ellipsoid, half_space, plate
 
-PAST_MIDDLE_MM = 8.0  # how far the wire's end lies beyond the middle plane [ours]
-CORRIDOR_MM = np.array([36.0, -10.0])  # where the drawn corridor begins and ends, from the middle plane [ours]
+# Sizes and places without a source here or in docs/bones.md are [ours, typical].
+PAST_MIDDLE_MM = 8.0  # how far the wire's end lies beyond the middle plane
+CORRIDOR_MM = np.array([36.0, -10.0])  # where the drawn corridor begins and ends, from the middle plane
 PELVIS_LOW_MM, PELVIS_HIGH_MM = np.array([-95.0, -85.0, -80.0]), np.array([132.0, 150.0, 100.0])  # what views show
-# Places on a hip bone, anatomical coordinates [ours], with the hip's centre by a pelvic incidence of 52°
-# [ours, typical].
+# Places on a hip bone, anatomical coordinates, with the hip's centre by a pelvic incidence of 52°.
 HIP = np.array([88.0, 100.0, 33.0])
 PSIS, PIIS = np.array([42.0, 6.0, -60.0]), np.array([45.0, 38.0, -42.0])
 FRONT, BACK = (
@@ -223,11 +223,10 @@ def draw_pelvis(rng: np.random.Generator) -> Pelvis:
     )
 
 
-BODY_SHORT_MM = 8.0  # from the wire's end to the anterior cortex along it [ours]
 SHELL_MM = 0.6  # cortex of the body: 0.35 mm, CT shows twice as much [src Silva 1994]
-ARCH_MM = 1.6  # cortex of pedicles and arch, which is thicker than the body's [src Odeh 2021; value ours]
-DISC_MM = 11.0  # height of a disc [ours, typical]
-ISTHMUS_MM = 10.0  # of the pedicle's length that a person draws [ours]
+ARCH_MM = 1.6  # cortex of pedicles and arch, which is thicker than the body's [src Odeh 2021]
+DISC_MM = 11.0  # height of a disc
+ISTHMUS_MM = 10.0  # of the pedicle's length that a person draws
 SPINE_REACH_MM = 95.0  # of the voxels along the spine, with the vertebrae above and below
 
 
@@ -273,7 +272,7 @@ class Vertebra:
         return np.array([self.along[2], 0.0, -self.along[0]])
 
     def bone(self) -> BoneModel:
-        """Return the bone with the wire along the pedicle's axis, up to BODY_SHORT_MM from the anterior cortex."""
+        """Return the bone with the wire along the pedicle's axis, up to SHORT_MM from the anterior cortex."""
         width, height, depth = self.body_width_mm / 2, self.body_height_mm / 2, self.body_depth_mm / 2
         canal = box(
             [0.0, 0.0, -depth - self.canal_depth_mm / 2],
@@ -326,7 +325,7 @@ class Vertebra:
             mirrored=True,
         )
         bone = _with_landmarks(bone, spine, upper, lower, process)
-        wire = bone.wire_through(self.pedicle_mm, self.along, BODY_SHORT_MM)
+        wire = bone.wire_through(self.pedicle_mm, self.along, SHORT_MM)
         return bone.with_wire(wire, {"entry cortex": (1.0, 0.0, 0.0)})
 
 
@@ -361,9 +360,9 @@ def draw_vertebra(rng: np.random.Generator) -> Vertebra:
     )
 
 
-HEAD_SHORT_MM = 5.0  # from the wire's end to the head's surface [ours, typical]
+HEAD_SHORT_MM = 5.0  # from the wire's end to the head's surface
 DOME_MM = 24.0  # radius of the growth plate: 30° and a third of its width, the limits of a mild slip, agree [calc]
-OVERLAP_MM = 0.5  # of neck and head where the growth plate displaces the neck [ours]
+OVERLAP_MM = 0.5  # of neck and head where the growth plate displaces the neck
 JOINT_MM = 3.5  # between head and socket, as of the adult's
 GREATER_MM, LESSER_MM = np.array([6.0, -10.0, -5.0]), np.array([-10.0, 28.0, -10.0])  # from the base of the neck
 CAUDAL = np.array([0.0, 1.0, 0.0])

@@ -14,19 +14,20 @@ from sightline.twin.anatomy.shapes import cone, ellipsoid
 from sightline.twin.objects.meshes import Mesh
 from sightline.twin.objects.things import Rod, Scene, SoftTissue
 
-SPACING_MM = 28.0  # between both holes; makers have 25 to 30 mm [ours, typical]
-BENT_MM = 100.0  # the length over which the nail bends [ours]
-REACH_MM = 90.0  # how far the mesh reaches from the first hole, away from the tip [ours]
-TIP_MM = 14.0  # from the second hole to the tip [ours]
-CORTEX_MM = (15.0, 7.5)  # outer and inner radius of the femur's shaft (physics.md, Femur) [ours: a reamed canal]
-THIGH_MM = (80.0, 75.0)  # half-axes of the thigh above the knee [ours]
+# Sizes [ours, typical].
+SPACING_MM = 28.0  # between both holes; makers have 25 to 30 mm
+BENT_MM = 100.0  # the length over which the nail bends
+REACH_MM = 90.0  # how far the mesh reaches from the first hole, away from the tip
+TIP_MM = 14.0  # from the second hole to the tip
+CORTEX_MM = (15.0, 7.5)  # outer and inner radius of the femur's shaft (physics.md, Femur), with a reamed canal
+THIGH_MM = (80.0, 75.0)  # half-axes of the thigh above the knee
 AROUND, STEP_MM = 128, 3.0  # segments of the tube: 2 µm from round; its rings
 PLUG = (12, 96)  # rings and segments of a hole
 CAUDAL = np.array([0.0, 1.0, 0.0])
-CONDYLE_MM = np.array([22.0, 66.0, -8.0])  # middle of the lateral one [ours]
-CONDYLE_HALF_MM = (17.0, 22.0, 27.0)  # [ours]
-FLARE_MM, FLARED_MM = (20.0, 62.0), 24.0  # where the shaft widens towards the knee, and how far [ours]
-STROKE_MM = (-18.0, SPACING_MM + 10.0)  # ends of the strokes along the nail's edges [ours]
+CONDYLE_MM = np.array([22.0, 66.0, -8.0])  # middle of the lateral one
+CONDYLE_HALF_MM = (17.0, 22.0, 27.0)
+FLARE_MM, FLARED_MM = (20.0, 62.0), 24.0  # where the shaft widens towards the knee, and how far
+STROKE_MM = (-18.0, SPACING_MM + 10.0)  # ends of the strokes along the nail's edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +107,7 @@ def nail_scene(nail: DistalNail) -> Scene:
 def draw_nail(rng: np.random.Generator, at_mm: np.ndarray, beam: np.ndarray, *, off_beam: float = 0.1) -> DistalNail:
     """Draw a nail along Y at a point (3,), its holes within `off_beam` rad (about the nail) of a beam (3,).
 
-    Diameters of 10 to 12 mm, holes of 5 mm, bends up to 2° [ours].
+    Diameters of 10 to 12 mm, holes of 5 mm, bends up to 2°.
     """
     along = Rotation.from_rotvec(rng.uniform(-0.09, 0.09, 3)).apply([0.0, 1.0, 0.0])
     axis = beam - (beam @ along) * along

@@ -11,16 +11,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.errors import SetUpError
 from sightline.frame import Fiducial, Frame, Plate, RigidBody
+from sightline.frame.drawings.part import COVER_MM, THICKNESS_MM, WASHER_MM
 from sightline.twin.objects.beam import THREE, excess_per_mm, spectrum
 from sightline.twin.objects.meshes import Mesh
 from sightline.twin.objects.volumes import Volume
 
 Point: TypeAlias = tuple[float, float, float]
-PLATE_THICKNESS_MM = 8.0  # of a calibration plate [ours]
 PLATE_RIM_MM = 8.0  # distance from the outermost beads to the edge of the plate [ours]
-SOLID_COVER_MM = 3.5  # PMMA over the centres of a solid's outermost beads, as of block60
 WASHER_HOLE = 0.5  # ratio of inner to outer diameter [ours]
-WASHER_THICKNESS_MM = 1.5  # [ours]
 
 
 @dataclass(frozen=True)
@@ -182,7 +180,7 @@ def _bead(bead: Fiducial, body: RigidBody) -> Solid:
         raise SetUpError(f"the twin cannot place the washer {bead.id!r} in a solid; a solid holds balls")
     x, y, z = (float(c) for c in body.plane.normal)
     hole = WASHER_HOLE * bead.diameter_mm / 2
-    return Rod(bead.xyz_mm, (x, y, z), bead.diameter_mm / 2, WASHER_THICKNESS_MM / 2, hole_mm=hole, within="pmma")
+    return Rod(bead.xyz_mm, (x, y, z), bead.diameter_mm / 2, WASHER_MM / 2, hole_mm=hole, within="pmma")
 
 
 def frame_boxes(frame: Frame) -> tuple[Box, ...]:
@@ -192,7 +190,7 @@ def frame_boxes(frame: Frame) -> tuple[Box, ...]:
 
 def _solid_box(solid: RigidBody) -> Box:
     """Return the cuboid around the beads, without pockets, along the axes of CFCS."""
-    low, high = solid.xyz_mm.min(axis=0) - SOLID_COVER_MM, solid.xyz_mm.max(axis=0) + SOLID_COVER_MM
+    low, high = solid.xyz_mm.min(axis=0) - COVER_MM, solid.xyz_mm.max(axis=0) + COVER_MM
     return Box((low + high) / 2, np.eye(3), (high - low) / 2)
 
 
@@ -202,7 +200,7 @@ def _plate_box(plate: Plate) -> Box:
     return Box(
         centre_mm=plate.plane.to_space((low + high) / 2),
         axes=plate.plane.basis,
-        half_mm=np.array([*(high - low) / 2, PLATE_THICKNESS_MM / 2]),
+        half_mm=np.array([*(high - low) / 2, THICKNESS_MM / 2]),
     )
 
 
@@ -259,7 +257,7 @@ def _point(motion: RigidTransform, at: Point) -> Point:
 WIRE_DIAMETER_MM = 2.5  # [paper]
 WIRE_LENGTH_MM = 200.0  # [paper]
 TIP_STEP_MM = 0.1  # of the radius, from disc to disc of a trocar tip: half a pixel or less in an image [ours]
-# A sliding hip screw of 135° [paper]; sizes of a common make [ours, typical].
+# A sliding hip screw of 135° [paper], and what else lies in a beam: sizes of common makes [ours, typical].
 SHANK_DIAMETER_MM = 8.0
 THREAD_DIAMETER_MM, THREAD_LENGTH_MM, THREAD_PITCH_MM = 12.5, 22.0, 2.75
 BORE_DIAMETER_MM = 3.2  # cannulation
@@ -268,12 +266,12 @@ SIDE_PLATE_MM = (6.0, 19.0)  # thickness, width
 PLATE_ABOVE_MM = 18.0  # how far the plate extends above the entry point
 SCREWS, SCREW_PITCH_MM, FIRST_SCREW_MM = 4, 16.0, 22.0  # four screws [paper]
 SCREW_DIAMETER_MM, SCREW_LENGTH_MM = 4.5, 38.0
-SHEET_MM = 0.15  # thickness of a sterile drape of polyethylene [ours]
-FOLD_SHEETS = (2, 8)  # range of the number of sheets in a fold, both included [ours]
-FOLD_MM = (4.0, 15.0)  # half-width of a fold [ours]
-RAIL_MM = (10.0, 25.0)  # thickness and height of an operating table's steel rail [ours, typical]
-GUIDE_MM, GUIDE_LENGTH_MM, GUIDE_PLAY_MM = 10.0, 120.0, 0.2  # outer diameter, length, hole over wire [ours]
-FOOT_MM, FOOT_THICK_MM = 18.0, 3.0  # the guide's foot on the skin [ours]
+SHEET_MM = 0.15  # thickness of a sterile drape of polyethylene
+FOLD_SHEETS = (2, 8)  # range of the number of sheets in a fold, both included
+FOLD_MM = (4.0, 15.0)  # half-width of a fold
+RAIL_MM = (10.0, 25.0)  # thickness and height of an operating table's steel rail
+GUIDE_MM, GUIDE_LENGTH_MM, GUIDE_PLAY_MM = 10.0, 120.0, 0.2  # outer diameter, length, hole over wire
+FOOT_MM, FOOT_THICK_MM = 18.0, 3.0  # the guide's foot on the skin
 
 
 def guide_wire(

@@ -16,21 +16,21 @@ from sightline.errors import SetUpError
 from sightline.twin.objects.things import WIRE_DIAMETER_MM
 from sightline.twin.objects.volumes import Volume
 
-# Thrust (physics.md, Drilling [ours]): 35 N (d/2.5)(f_rev/0.06)^0.6 (density/1.9)².
+# Values [ours] without a source: physics.md, Drilling. Thrust: 35 N (d/2.5)(f_rev/0.06)^0.6 (density/1.9)².
 THRUST_N, FEED_PER_REV_MM, FEED_POWER, CORTICAL_G_CM3 = 35.0, 0.06, 0.6, 1.9
-REVS_PER_S = 1000 / 60  # physics.md [ours]
-AXIAL_N_PER_MM = 100.0  # wire in its chuck against bone: physics.md [ours]
-NOISE_SHARE, NOISE_N = 0.1, 0.3  # of the force sensor, s.d.: physics.md [ours]
-DENSITY_G_CM3 = {"bone": CORTICAL_G_CM3, "composite": 1.64}  # at a share of 1; glass-filled epoxy [ours, typical]
+REVS_PER_S = 1000 / 60
+AXIAL_N_PER_MM = 100.0  # wire in its chuck against bone
+NOISE_SHARE, NOISE_N = 0.1, 0.3  # of the force sensor, s.d.
+DENSITY_G_CM3 = {"bone": CORTICAL_G_CM3, "composite": 1.64}  # at a share of 1; glass-filled epoxy
 STEEL_N_PER_MM2 = 193e3  # physics.md
 MAX_SLOPE = 3.0  # the flank of a trocar tip 1.5 diameters long (implants.py) cannot rest on a steeper slope
-FRICTION = 0.3  # steel on wet bone [ours, typical]
-MIN_FREE_MM = 5.0  # minimum free length, from the play of the guide [ours]
+FRICTION = 0.3  # steel on wet bone
+MIN_FREE_MM = 5.0  # minimum free length, from the play of the guide
 # A sleeve that ends within GRIP_MM of the point where bone holds the wire stands on the bone, and its teeth grip. Its
-# mouth stays there; an arm with compliance or play rotates it about its mouth [ours: 8 mm across, on 45° of cortex].
+# mouth stays there; an arm with compliance or play rotates it about its mouth (8 mm across, on 45° of cortex).
 GRIP_MM, SLEEVE_LENGTH_MM = 10.0, 80.0
-HELD_SHARE = 0.3  # with this share of cortical bone all round the tip, the tip is in a hole and follows it [ours]
-SLIDE_MM = 0.02  # maximum lateral step, so that the tip does not jump over bone [ours]
+HELD_SHARE = 0.3  # with this share of cortical bone all round the tip, the tip is in a hole and follows it
+SLIDE_MM = 0.02  # maximum lateral step, so that the tip does not jump over bone
 _AROUND = 8  # density samples on a ring
 _ANGLES = 2 * np.pi * np.arange(_AROUND) / _AROUND
 _RIM = np.stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_AROUND)], axis=1)  # of a tip of radius 1, tool axes

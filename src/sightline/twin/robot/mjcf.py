@@ -144,11 +144,11 @@ def _drives(build: Build, inertia: list[float]) -> list[str]:
     pace, reach = 2 * np.pi * DRIVE_HZ, 10.0  # `reach` has no effect: the plant keeps the reference near the joint
     mass = [drive + load for drive, load in zip(build.drive_inertia, inertia, strict=True)]
     place = [
-        f'<intvelocity joint="{joint}" kp="{float(moved * pace**2)!r}" actrange="{_row((-reach, reach))}"/>'
-        for joint, moved in zip(JOINTS, mass, strict=True)
+        f'<intvelocity joint="{joint}" kp="{float(kg * pace**2)!r}" actrange="{_row((-reach, reach))}"/>'
+        for joint, kg in zip(JOINTS, mass, strict=True)
     ]
     return place + [
-        f'<velocity joint="{joint}" kv="{float(2 * moved * pace)!r}"/>' for joint, moved in zip(JOINTS, mass, strict=True)
+        f'<velocity joint="{joint}" kv="{float(2 * kg * pace)!r}"/>' for joint, kg in zip(JOINTS, mass, strict=True)
     ]
 
 

@@ -17,9 +17,7 @@ from sightline.twin.objects.things import Ball, Scene, SoftTissue, frame_scene, 
 from sightline.twin.xray.distributions import HipPlace
 from sightline.twin.xray.setup import SetUp, ViewTruth, draw_setup
 
-TEST_BALLS_MM = np.array(
-    [[-18.0, -16.0, -12.0], [20.0, -12.0, 14.0], [-14.0, 20.0, 16.0], [16.0, 18.0, -15.0]]
-)  # [ours]
+TEST_BALLS_MM = np.array([[-18.0, -16.0, -12.0], [20.0, -12.0, 14.0], [-14.0, 20.0, 16.0], [16.0, 18.0, -15.0]])
 TEST_BALL_RADIUS_MM = 1.5  # [ours]
 ATTEMPTS = 100
 Points = Mapping[str, np.ndarray]

@@ -43,11 +43,12 @@ from sightline.twin.scenes.hip_scene import (
 from sightline.twin.xray.setup import BEAMS, SetUp, ViewTruth, draw_setup
 
 ATTEMPTS = 100
-MARGIN_PX = 30.0  # minimum distance of points of interest from the edge of both fields, where possible [ours]
-PERSPEX_MM = np.array([60.0, 60.0, 50.0])  # size of the block with the four balls [ours]
+# Sizes and places without a source are [ours, typical].
+MARGIN_PX = 30.0  # minimum distance of points of interest from the edge of both fields, where possible
+PERSPEX_MM = np.array([60.0, 60.0, 50.0])  # size of the block with the four balls
 PLASTIC_BORE_MM = 8.0  # diameter [paper]
 FOAM_SHARE = 0.14  # polyurethane foam of 0.27 g/cm³ over glass-filled epoxy of 1.64, at 60 keV [calc]
-# A pig of 100 kg: head of 34 mm, short neck, stout shaft [ours, typical].
+# A pig of 100 kg: head of 34 mm, short neck, stout shaft.
 PIG = Femur(
     head_radius_mm=17.0,
     neck_radius_mm=13.0,
@@ -57,10 +58,10 @@ PIG = Femur(
     canal_radius_mm=6.5,
     socket=False,
 )
-PIG_FLESH = SoftTissue(centre_mm=(20.0, 0.0), half_mm=(80.0, 65.0))  # [ours]
+PIG_FLESH = SoftTissue(centre_mm=(20.0, 0.0), half_mm=(80.0, 65.0))
 FRACTURE_SITE = 0.25  # share of the neck's length from the shaft's axis: trochanteric, the most common site [paper]
-DRAPE_GAP_MM = 2.0  # from the skin to a drape [ours]
-RAIL_CENTRE_MM = (130.0, 0.0, -80.0)  # from the hip: beside the patient, at the lower edge of a lateral image [ours]
+DRAPE_GAP_MM = 2.0  # from the skin to a drape
+RAIL_CENTRE_MM = (130.0, 0.0, -80.0)  # from the hip: beside the patient, at the lower edge of a lateral image
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sightline.frame.patterns import HIDDEN
+from sightline.frame.plate import SOURCE_TO_HIP_MM
+
 DEGREE = pi / 180
 
 
@@ -33,21 +36,21 @@ class Distortion:
 @dataclass(frozen=True)
 class Pose:
     """Distribution of the pose of a C-arm relative to the frame. Angles rad, lengths mm. Values are standard deviations
-    of normal distributions unless stated otherwise."""
+    of normal distributions unless stated otherwise, and [ours] without a source."""
 
-    source_to_hip_mm: float = 620.0  # [ours]
-    frame_tilt: float = radians(3.0)  # of the frame against the C-arm's orbit, per axis, the same in both views [ours]
-    orbit: float = radians(2.0)  # of each view's direction, per axis: views are not exactly 90° apart [ours]
-    tilt_limit: float = radians(15.0)  # between beam and nominal beam; poses beyond it are drawn again [ours]
-    in_plane: float = pi  # uniform within +- this: the image may have any rotation [ours]
-    hip_offset_mm: float = 10.0  # uniform within +- this, per axis: the beam's axis misses the hip [ours]
+    source_to_hip_mm: float = SOURCE_TO_HIP_MM
+    frame_tilt: float = radians(3.0)  # of the frame against the C-arm's orbit, per axis, the same in both views
+    orbit: float = radians(2.0)  # of each view's direction, per axis: views are not exactly 90° apart
+    tilt_limit: float = radians(15.0)  # between beam and nominal beam; poses beyond it are drawn again
+    in_plane: float = pi  # uniform within +- this: the image may have any rotation
+    hip_offset_mm: float = 10.0  # uniform within +- this, per axis: the beam's axis misses the hip
     piercing_mm: float = 4.0  # flex: piercing point, up to 10-16 mm over the orbit [src Daly 2008]
     sdd_mm: float = 3.0  # flex: source and detector 6-8 mm over the orbit [src Daly 2008]
     detector_tilt: float = radians(1.0)  # flex: up to 2.9° [src Daly 2008]
-    # Instead, of a flat panel before a solid: 3 mm of the principal point, which has 5 mm with `piercing_mm` [ours]. A
+    # Instead, of a flat panel before a solid: 3 mm of the principal point, which has 5 mm with `piercing_mm`. A
     # tilt of 1° would be 18 mm, and the measured piercing points move by 10-16 mm over the whole orbit.
     panel_tilt: float = radians(0.17)
-    beads_in_field: float = 0.6  # minimum share of each plate's beads in the field; else drawn again [ours]
+    beads_in_field: float = 1 - HIDDEN  # minimum share of each plate's beads in the field; else drawn again
 
 
 @dataclass(frozen=True)
@@ -55,13 +58,13 @@ class Arm:
     """Distribution of the stance of one C-arm around a frame. Angles rad, uniform within +- the value, per view.
 
     The ranges are those of an operating room, with a patient on a table between source and intensifier and the other
-    leg beside it.
+    leg beside it; values [ours, typical] without a source.
     """
 
-    orbit: float = radians(8.0)  # off the view's own orbit [ours]
-    tilt: float = radians(6.0)  # about the arm's support, cranial or caudal [ours]
-    swivel: float = radians(6.0)  # of the whole arm; machines turn by 10-12.5° [ours, typical]
-    orbit_limits: tuple[float, float] = (radians(-40.0), radians(100.0))  # of the machine [ours, typical]
+    orbit: float = radians(8.0)  # off the view's own orbit
+    tilt: float = radians(6.0)  # about the arm's support, cranial or caudal
+    swivel: float = radians(6.0)  # of the whole arm; machines turn by 10-12.5°
+    orbit_limits: tuple[float, float] = (radians(-40.0), radians(100.0))  # of the machine
     repeat_mm: float = 0.25  # repeatability at the same orbit, s.d. per axis; an upper bound [src Daly 2008]
 
 
@@ -79,34 +82,34 @@ class HardScene:
 
 @dataclass(frozen=True)
 class SolidPlace:
-    """Place of a solid beside a hip, and where the beams are aimed."""
+    """Place of a solid beside a hip, and where the beams are aimed [ours]."""
 
     # The middle of the solid from the middle of the wire, mm: lateral, caudal, anterior. It is 80 mm away, caudal
     # of the entry and a little in front: there its shadow falls beside the wire in each view.
-    solid_mm: tuple[float, float, float] = (0.0, 76.8, 22.4)  # [ours]
-    aim: float = 0.4  # share of the way from the middle of the wire to the solid at which the beams are aimed [ours]
+    solid_mm: tuple[float, float, float] = (0.0, 76.8, 22.4)
+    aim: float = 0.4  # share of the way from the middle of the wire to the solid at which the beams are aimed
 
 
 # Beside a hip in the field of a 9-inch intensifier, 140 mm: 51 mm away, where a block of 30 mm is in both images.
-NEAR_PLACE = SolidPlace((0.0, 48.0, 18.0), 0.45)  # [ours]
+NEAR_PLACE = SolidPlace((0.0, 48.0, 18.0), 0.45)
 
 
 @dataclass(frozen=True)
 class PlateMount:
-    """How a plate is put on a detector, standard deviations: once for all images."""
+    """How a plate is put on a detector, standard deviations: once for all images [ours]."""
 
-    shift_mm: float = 3.0  # per axis across the detector [ours]
-    stand_off_mm: float = 1.0  # [ours]
-    turn: float = radians(5.0)  # in its plane [ours]
-    tilt: float = radians(0.3)  # per axis: 1 mm over its width [ours]
+    shift_mm: float = 3.0  # per axis across the detector
+    stand_off_mm: float = 1.0
+    turn: float = radians(5.0)  # in its plane
+    tilt: float = radians(0.3)  # per axis: 1 mm over its width
 
 
 @dataclass(frozen=True)
 class HipPlace:
-    """Position of a hip: its ideal wire is near `SetUp.hip_mm`, so that both fields can show all of it."""
+    """Position of a hip: its ideal wire is near `SetUp.hip_mm`, so that both fields can show all of it [ours]."""
 
-    off_centre_sd_mm: float = 4.0  # of the middle of the wire, per axis [ours]
-    margin_px: float = 60.0  # minimum distance of the wire's ends from the edge of both fields, where required [ours]
+    off_centre_sd_mm: float = 4.0  # of the middle of the wire, per axis
+    margin_px: float = 60.0  # minimum distance of the wire's ends from the edge of both fields, where required
 
 
 class Sag(NamedTuple):

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.errors import UnusableInputError
+from sightline.frame.plate import FIELD_DIAMETER_MM
 from sightline.twin.objects.beam import THREE
 
 
@@ -15,15 +16,15 @@ class Video:
     Even lines are the first field; odd lines are the second, `field_s` later. The second field is displaced downwards
     by `pairing_px` and brighter by the share `field_gain`. `jitter_px`: s.d. of the start of each line, from the
     grabber's synchronisation. `noise`: s.d. over the white level, before digitisation. `lag`: share of a field's light
-    that remains in the next field; the square of it remains in the one after, and so on.
+    that remains in the next field; the square of it remains in the one after, and so on. Values [ours, typical].
     """
 
     field_s: float = 0.020  # 50 fields a second [src ITU-R BT.1700]
-    pairing_px: float = 0.1  # [ours] a tenth of a line
-    field_gain: float = 0.01  # [ours]
-    jitter_px: float = 0.1  # [ours, typical] sync good to 5-10 ns, a pixel takes 68 ns
-    noise: float = 0.004  # [ours, typical] 48 dB
-    lag: float = 0.01  # [ours, typical] CCD and output phosphor: at most this after 20 ms; a vidicon has 0.2 or more
+    pairing_px: float = 0.1  # a tenth of a line
+    field_gain: float = 0.01
+    jitter_px: float = 0.1  # sync good to 5-10 ns, a pixel takes 68 ns
+    noise: float = 0.004  # 48 dB
+    lag: float = 0.01  # CCD and output phosphor: at most this after 20 ms; a vidicon has 0.2 or more
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class ImageChain:
     - `tube_mm`: diameter of the intensifier's own field, on which the distortion depends (a zoom shows its middle);
       None: a flat panel without distortion
     - `shape` (H, W) px
-    - `mask_px`: radius of the round blanking in the image; half the width of the square collimation of a flat panel
+    - `mask_px`: radius of the round blanking in the image, 4 to 8 px inside the edge [ours]; half the width of the
+      square collimation of a flat panel
     - `core_mm`: standard deviation of the Gaussian core of the detector blur
     - `glare`, `glare_mm`: share and reach of the veiling glare (1 - g) delta + g exp(-r/k)/r
     - `dqe`: quanta counted per photon
@@ -83,13 +85,14 @@ class ImageChain:
         return self.mask_px - np.linalg.norm(off, axis=-1)
 
 
+FILTERED = "70kVp-3Al"  # [ours, typical]
 NINE_INCH = ImageChain(
     name="9in-1k",
     sdd_mm=1000.0,  # [src ARCADIS Varic manual]
-    field_mm=215.0,  # [ours, typical] useful field of a 9 in tube
-    tube_mm=215.0,
+    field_mm=FIELD_DIAMETER_MM,
+    tube_mm=FIELD_DIAMETER_MM,
     shape=(1024, 1024),  # 0.21 mm/px [ours, typical]
-    mask_px=506.0,  # [ours] 6 px inside the edge
+    mask_px=506.0,
     focal_spot_mm=0.6,  # [ours, typical]
     core_mm=0.22,  # [calc] from the MTF of 25 tubes, Phys Med Biol 33:1 1988
     glare=0.15,  # [ours, typical]
@@ -98,18 +101,17 @@ NINE_INCH = ImageChain(
     dqe=0.65,  # [ours, typical]
     white=4095,  # 12 bit
 )
-FLAT_PANEL = ImageChain(
+FLAT_PANEL = replace(
+    NINE_INCH,
     name="flat-panel",
     sdd_mm=1020.0,  # [src xreg, DeepDRR: CIOS Fusion]
     field_mm=298.0,  # 1536 x 0.194 mm [src xreg, DeepDRR]
     tube_mm=None,
     shape=(1536, 1536),
-    mask_px=760.0,  # [ours] the collimator leaves 8 px dark
-    focal_spot_mm=0.6,  # [ours, typical]
+    mask_px=760.0,
     core_mm=0.17,  # [ours, typical] CsI of 0.5 mm: 55 % at 1/mm, the pixel's width included
     glare=0.0,  # only tubes have veiling glare
     glare_mm=0.0,
-    scatter_to_primary=0.6,  # [ours, typical] 0.4-0.8 with a grid
     dqe=0.70,  # [ours, typical] CsI
     white=65535,  # 16 bit
     spectrum="70kVp-3Al-0.1Cu",  # [ours, typical]
@@ -120,21 +122,20 @@ CHAINS = (
         NINE_INCH,
         name="9in-pal",
         shape=(576, 768),  # frame grabber [ours, typical]; 0.37 mm/px, within what the paper's "2-3 mm = 8 px" gives
-        mask_px=284.0,  # [ours] 4 px inside the edge
-        white=255,  # 8 bit [ours, typical]
+        mask_px=284.0,
+        white=255,  # 8 bit
         video=Video(),
-        spectrum="70kVp-3Al",  # [ours, typical]
+        spectrum=FILTERED,
     ),
     replace(
         NINE_INCH,
         name="17cm-1k",
         field_mm=160.0,  # [ours, typical] useful field of a 17 cm zoom, as 215 mm is of 23 cm
         core_mm=0.18,  # [ours] a zoom has a higher resolution
-        spectrum="70kVp-3Al",  # [ours, typical]
+        spectrum=FILTERED,
     ),
     FLAT_PANEL,
-    # Panels of 30 cm with pixels of a tenth of a millimetre, read singly or averaged 2 x 2 or 3 x 3 [ours, typical];
-    # the rest as above [ours].
+    # Panels of 30 cm with pixels of a tenth of a millimetre, read singly or averaged 2 x 2 or 3 x 3 [ours, typical].
     *(
         replace(FLAT_PANEL, name=f"flat-panel-{pitch}", field_mm=300.0, shape=(side, side), mask_px=0.495 * side)
         for pitch, side in ((0.1, 3000), (0.2, 1500), (0.3, 1000))

@@ -58,7 +58,9 @@ def volume_integral(rays: Rays, values: np.ndarray, origin: np.ndarray, voxel: n
     lengths = np.zeros(rays.inside.shape, dtype=np.float32)
     unit = voxel[0]
     ratio = unit / voxel
-    in_parts(_cast_volume, rays, values.ravel(), values.shape, (rays.focal - origin) / unit * ratio, ratio, unit, lengths)
+    in_parts(
+        _cast_volume, rays, values.ravel(), values.shape, (rays.focal - origin) / unit * ratio, ratio, unit, lengths
+    )
     return lengths
 
 

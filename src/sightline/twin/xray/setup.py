@@ -11,6 +11,7 @@ from sightline.common.geometry.outlines import centroids
 from sightline.common.geometry.planes import Plane
 from sightline.errors import OutsideRegionError, SetUpError
 from sightline.frame import Fiducial, Frame, RigidBody
+from sightline.frame.tolerances import DRAPE_N, EXPANSION_PER_K, MOISTURE_EXPANSION
 from sightline.twin.xray.distributions import (
     NEAR_PLACE,
     Arm,
@@ -365,11 +366,6 @@ def _enough_in_field(truth: ViewTruth, frame: Frame, pose: Pose) -> bool:
     )
 
 
-EXPANSION_PER_K = 70e-6  # PMMA, 0.07 mm/(m K) [src data sheets of cast PMMA; physics.md, Frame]
-MOISTURE_EXPANSION = (
-    0.2  # relative growth in length per share of mass absorbed as water: 1 % of water, 0.2 % [ours, typical]
-)
-DRAPE_N = 10.0  # load of a wet drape on one arm, which displaces a plate by one plate tolerance [ours]
 DOWN = np.array([0.0, 0.0, -1.0])  # the patient lies supine: +Z is up
 
 
