@@ -7,6 +7,7 @@ import pytest
 
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.frame import Tolerances
+from sightline.frame.tolerances import DRAPE_N, EXPANSION_PER_K, MOISTURE_EXPANSION
 from sightline.twin import Scene, draw_setup
 from sightline.twin.objects.beam import attenuation_per_mm
 from sightline.twin.objects.things import (
@@ -28,7 +29,7 @@ from sightline.twin.objects.things import (
 from sightline.twin.scenes.specimens import perspex_object
 from sightline.twin.xray.projector import chord
 from sightline.twin.xray.render import expose
-from sightline.twin.xray.setup import DRAPE_N, EXPANSION_PER_K, MOISTURE_EXPANSION, Handling, in_use
+from sightline.twin.xray.setup import Handling, in_use
 
 WIRE = np.array([[41.3, 32.2, -8.1], [-22.4, -35.7, 6.6]])  # entry, end
 ALONG = (WIRE[1] - WIRE[0]) / np.linalg.norm(WIRE[1] - WIRE[0])

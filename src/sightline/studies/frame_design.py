@@ -25,6 +25,7 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.frame.check import reach_mm
 from sightline.frame.designs import GAMMA_BEAMS, Balls, FrameDesign
+from sightline.frame.drawings.part import THICKNESS_MM
 from sightline.frame.plate import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM
 from sightline.studies.runs.plots import Span, spans
 from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, rms, share
@@ -42,7 +43,6 @@ from sightline.studies.scenes import (
 )
 from sightline.twin import SetUp, bead_images
 from sightline.twin.objects.beam import attenuation_per_mm
-from sightline.twin.objects.things import PLATE_THICKNESS_MM, SoftTissue
 from sightline.twin.xray.distributions import NEAR_PLACE, SolidPlace
 from sightline.twin.xray.setup import Handling, Variation, displaced, in_use
 
@@ -273,9 +273,9 @@ def _outside(at_mm: np.ndarray, half_mm: np.ndarray) -> bool:
 BEAD_MM = 3.0  # diameter of a ball that BEAD_PX holds for (physics.md, Centroid limit)
 MIDDLE_ENERGY = 1  # 60 keV of the beam's three
 # The skin of the thigh, drapes, and half of the plate.
-NEAREST_MM = SoftTissue().half_mm[1] + DRAPES_MM + PLATE_THICKNESS_MM / 2
+NEAREST_MM = SoftTissue().half_mm[1] + DRAPES_MM + THICKNESS_MM / 2
 # Room for the intensifier's housing before its input plane: 30 mm [ours], so that no plate touches it.
-FARTHEST_MM = SOURCE_TO_DETECTOR_MM - SOURCE_TO_HIP_MM - 30.0 - PLATE_THICKNESS_MM / 2
+FARTHEST_MM = SOURCE_TO_DETECTOR_MM - SOURCE_TO_HIP_MM - 30.0 - THICKNESS_MM / 2
 MIN_REACH_MM, MIN_IN_FIELD = 10.0, 0.6  # of `check_frame`
 MIN_GAIN = 0.10  # a smaller reduction of the error is not worth a new frame [ours]
 
