@@ -10,21 +10,13 @@ from sightline.twin.xray.setup import with_errors
 SD_MM = 0.005
 # Off any grid, so that no plate turned or mirrored is itself.
 _PLACES = (
-    (-41.0, -38.5),
-    (3.0, -40.0),
-    (39.5, -37.0),
-    (-40.0, 2.5),
-    (1.5, 0.5),
-    (42.0, 4.0),
-    (-37.5, 40.5),
-    (9.0, 38.0),
-)
+    (-41.0, -38.5), (3.0, -40.0), (39.5, -37.0), (-40.0, 2.5), (1.5, 0.5), (42.0, 4.0), (-37.5, 40.5), (9.0, 38.0),
+)  # fmt: skip
 
 
 def _plate(name: str, at) -> Plate:
-    return Plate(
-        tuple(Fiducial(f"{name}{k}", at(x, y), 5.0 if k < 3 else 3.0, k < 3) for k, (x, y) in enumerate(_PLACES))
-    )
+    balls = enumerate(_PLACES)
+    return Plate(tuple(Fiducial(f"{name}{k}", at(x, y), 5.0 if k < 3 else 3.0, k < 3) for k, (x, y) in balls))
 
 
 FRAME = Frame(
@@ -35,20 +27,20 @@ FRAME = Frame(
     },
     tolerances=Tolerances(),
 )
-NOMINAL_MM = np.array([f.xyz_mm for f in FRAME.fiducials])
+NOMINAL_MM = FRAME.xyz_mm
 IDS = tuple(f.id for f in FRAME.fiducials)
 
 
 def made(rng: np.random.Generator) -> np.ndarray:
     """(32, 3): where the balls of a frame of these tolerances are."""
-    return np.array([f.xyz_mm for f in with_errors(FRAME, rng).fiducials])
+    return with_errors(FRAME, rng).xyz_mm
 
 
 def measured(
-    xyz_mm: np.ndarray, rng: np.random.Generator, name: str = "1", *, sd_mm: float = SD_MM, stated: bool = True
+    xyz_mm: np.ndarray, rng: np.random.Generator, name: str = "1", *, sd_mm=SD_MM, stated=True, ids=IDS
 ) -> Series:
     """A series of these balls, from an instrument in any pose."""
     pose = RigidTransform.from_components(rng.uniform(-900, 900, 3), Rotation.random(rng=rng))
     noisy = pose.apply(xyz_mm) + sd_mm * rng.standard_normal(xyz_mm.shape)
     covariance = sd_mm**2 * np.eye(noisy.size) if stated else None
-    return Series(name, IDS, noisy, covariance, np.full(len(noisy), np.nan))
+    return Series(name, ids, noisy, covariance, np.full(len(noisy), np.nan))

@@ -1,5 +1,8 @@
+"""Frame files: plates, solids and the plate on the detector are read as they were written; bad files are refused."""
+
 import dataclasses
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sightline.errors import FrameError, UnusableInputError
-from sightline.frame import Fiducial, Frame, FrameView, Plate, Tolerances
+from sightline.frame import Fiducial, Frame, FrameView, InUse, Plate, Tolerances
 
 number = st.floats(-1e4, 1e4)
 name = st.text("abcXYZ019_.:+/-", min_size=1, max_size=12)
@@ -27,7 +30,7 @@ def frames(draw) -> Frame:
         datum=st.booleans(),
         shape=st.sampled_from(["ball", "washer"]),
     )
-    queue = iter([dataclasses.replace(draw(fiducial), id=one) for one in ids])
+    queue = iter([dataclasses.replace(draw(fiducial), id=i) for i in ids])
     plates = [[Plate(tuple(next(queue) for _ in range(n))) for n in pair] for pair in sizes]
     sd = st.floats(0, 1)
     root = np.random.default_rng(draw(st.integers(0, 99))).normal(size=(3 * count, 4))
@@ -55,44 +58,101 @@ def test_a_frame_survives_its_file(frame):
         np.testing.assert_array_equal(again.covariance_mm2, frame.covariance_mm2)
 
 
-@pytest.mark.parametrize("builtin", ["gamma", "biplane", "stereo"])
-def test_built_in_frames_survive_a_file_on_disk(tmp_path, builtin):
-    frame = Frame.load(builtin)
+BLOCK, DETECTOR = Frame.load("block60"), Frame.load("block40+detector-plate")
+BEAD = Tolerances(0.03, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        *(Frame.load(name) for name in ("gamma", "biplane", "stereo", "block60")),
+        *(replace(frame, serial="7", tolerances=BEAD, in_use=InUse(4.0, 0.001, 12.5)) for frame in (BLOCK, DETECTOR)),
+    ],
+)
+def test_frames_survive_a_file_on_disk(tmp_path, frame):
     frame.save(tmp_path / "frame.json")
-    assert Frame.load(tmp_path / "frame.json").views == frame.views
-    assert Frame.load(str(tmp_path / "frame.json")).key == frame.key
+    again = Frame.load(str(tmp_path / "frame.json"))
+    for name in ("key", "views", "solid", "detector", "tolerances", "in_use", "fingerprint"):
+        assert getattr(again, name) == getattr(frame, name)
+    assert (b'"detector"' in frame.to_json()) == (frame.detector is not None)
+
+
+def test_every_view_shows_the_balls_of_a_solid_which_has_no_plates():
+    gamma = Frame.load("gamma")
+    assert BLOCK.fiducials_of("pa") == BLOCK.fiducials_of("oblique") == BLOCK.fiducials
+    assert DETECTOR.fiducials_of("any") == DETECTOR.solid.fiducials + DETECTOR.detector.fiducials
+    assert (BLOCK.rows("pa"), DETECTOR.rows("any")) == (slice(0, 3 * 16), slice(0, 3 * (14 + 69)))
+    assert gamma.fiducials_of("pa") == gamma.view("pa").fiducials
+    assert gamma.fiducials == gamma.fiducials_of("pa") + gamma.fiducials_of("lateral")
+    with pytest.raises(FrameError, match="a solid without plates"):
+        BLOCK.view("pa")
+
+
+def test_a_plate_is_added_to_a_solid():
+    both = replace(BLOCK, covariance_mm2=1e-4 * np.eye(48)).with_plate()
+    assert both.name == "block60+detector-plate" and both.covariance_mm2.shape == (3 * 85, 3 * 85)
+    np.testing.assert_allclose(np.diag(both.covariance_mm2)[[0, 47, 48, -1]], [1e-4, 1e-4, 4e-4, 4e-4])
+    with pytest.raises(FrameError, match="has plates of its own"):
+        Frame.load("gamma").with_plate()
+    with pytest.raises(FrameError, match="both have a ball 'b1'"):
+        DETECTOR.with_plate(Plate(DETECTOR.solid.fiducials))
+
+
+GAMMA_TOLERANCES = {"sd_mm": {"bead": 0.02, "plate": 0.05}, "sd_rad": {"plate": 0.0, "arm": 0.0}}
+IN_USE = {"warmer_k": 1.0, "water_share": 0.001, "drape_n": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("block60", lambda d: d.pop("solid"), "give the plates of one view or more"),
+        ("block60", lambda d: d.update(views=json.loads(Frame.load("gamma").to_json())["views"]), "not both"),
+        ("block60", lambda d: d.update(solid=d["solid"][:5]), "has 5 beads"),
+        ("block60", lambda d: d.update(sd_rad={"plate": 0.0, "arm": 0.0}), "no plates and no arms"),
+        ("block60", lambda d: d.update(sd_mm={"bead": 0.02, "plate": 0.0, "arm": 0.0}), "no plates and no arms"),
+        ("block60", lambda d: d["solid"].append(d["solid"][0]), "occurs twice"),
+        (DETECTOR.name, lambda d: d.pop("solid"), "plates of one view"),
+        (DETECTOR.name, lambda d: d.update(detector=d["detector"][:11]), "too few entries"),
+        (DETECTOR.name, lambda d: d["detector"][0].update(id="b1"), "'b1' occurs twice"),
+        ("gamma", lambda d: d.update(detector=json.loads(DETECTOR.to_json())["detector"]), 'goes with a "solid"'),
+        ("gamma", lambda d: d.update(GAMMA_TOLERANCES), r"sd_mm\.arm is missing"),
+        ("gamma", lambda d: d.update(in_use=IN_USE | {"warmer_k": -1}), "in_use"),
+        ("gamma", lambda d: d.update(in_use={"warmer_k": 5}), "in_use"),
+        ("gamma", lambda d: d.update(in_use=IN_USE | {"water_share": 0.5}), "in_use"),
+        ("gamma", lambda d: d.update(in_use=IN_USE | {"wind": 3}), "in_use"),
+    ],
+)
+def test_impossible_frames_are_refused(name, change, words):
+    document = json.loads(Frame.load(name).to_json())
+    change(document)
+    with pytest.raises(FrameError, match=words):
+        Frame.from_json(json.dumps(document).encode())
 
 
 @pytest.fixture(scope="module")
 def document() -> dict:
     """A small frame as its file has it, six balls a plate."""
-    plates = {
-        f"{view}-{role}": [
-            {
-                "id": f"{view}-{role}-{i}",
-                "xyz": [20.0 * (i % 3), 20.0 * (i // 3), height],
-                "diameter": 3.0,
-                "datum": i < 3,
-            }
-            for i in range(6)
-        ]
+
+    def ball(plate: str, i: int, height: float) -> dict:
+        return {"id": f"{plate}-{i}", "xyz": [20.0 * (i % 3), 20.0 * (i // 3), height], "diameter": 3.0, "datum": i < 3}
+
+    heights = {"xrii": 300.0, "source": 150.0}
+    views = {
+        view: {role: [ball(f"{view}-{role}", i, height) for i in range(6)] for role, height in heights.items()}
         for view in ("pa", "lateral")
-        for role, height in (("xrii", 300.0), ("source", 150.0))
     }
-    views = {view: {role: plates[f"{view}-{role}"] for role in ("xrii", "source")} for view in ("pa", "lateral")}
     return {"name": "small", "units": "mm", "views": views}
 
 
 def edited(document: dict, path: list, value: object) -> bytes:
-    out = json.loads(json.dumps(document))
-    inner = out
+    changed = inner = json.loads(json.dumps(document))
     for step in path[:-1]:
         inner = inner[step]
     if value is None:
         del inner[path[-1]]
     else:
         inner[path[-1]] = value
-    return json.dumps(out).encode()
+    return json.dumps(changed).encode()
 
 
 FIRST = ["views", "pa", "xrii", 0]

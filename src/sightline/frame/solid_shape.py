@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from sightline.common.geometry.rigid import rigid_fit
+from sightline.common.geometry.rigid import fibonacci_sphere, rigid_fit
 from sightline.frame.plate import SOURCE_TO_HIP_MM, RigidBody
 
 # Fields at the hip by the detector: 9 inches and 300 mm, 1000 mm from the source, seen at 620 mm, rounded down [calc].
@@ -35,11 +35,7 @@ def clear_of_each_other(xyz_mm: np.ndarray, radius_mm: np.ndarray, directions: n
 
 def clear_beads(solid: RigidBody) -> np.ndarray:
     """Return (400,): how many balls are clear of each other, from directions spread over the sphere."""
-    k = np.arange(_DIRECTIONS) + 0.5
-    height, angle = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
-    level = np.sqrt(1 - height**2)
-    directions = np.stack([level * np.cos(angle), level * np.sin(angle), height], axis=1)
-    return clear_of_each_other(solid.xyz_mm, solid.diameter_mm / 2, directions)
+    return clear_of_each_other(solid.xyz_mm, solid.diameter_mm / 2, fibonacci_sphere(_DIRECTIONS))
 
 
 def offset_mm(solid: RigidBody, field_mm: float) -> float:

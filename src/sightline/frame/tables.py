@@ -281,7 +281,7 @@ def _diameter(row: _Row) -> float:
 def _instrument_error(row: _Row) -> np.ndarray | None:
     block = row.covariance((_SD, _SD_PER_AXIS, _COVARIANCE))
     if block is not None and not (np.isfinite(block).all() and np.linalg.eigvalsh(block)[0] > 0):
-        raise row.error("state a finite error above zero in every direction; no instrument is exact")
+        raise row.error("state an error above zero in every direction; no instrument is exact")
     return block
 
 

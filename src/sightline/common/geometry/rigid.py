@@ -66,3 +66,10 @@ def why_not_rigid(matrix: np.ndarray) -> str | None:
     if np.linalg.det(rotation) < 0:
         return "its axes are left-handed"
     return None
+
+
+def fibonacci_sphere(count: int) -> np.ndarray:
+    """Return unit vectors (count, 3) spread evenly over the sphere."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=-1)

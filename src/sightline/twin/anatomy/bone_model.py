@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sightline.common.geometry.rigid import fibonacci_sphere
 from sightline.common.threads import in_parts
 from sightline.errors import SetUpError
 from sightline.twin.anatomy.femur import NARROWEST, Femur, placed, to_cfcs
@@ -146,21 +147,21 @@ class BoneModel:
             return np.min([shape.distance_mm(points) for shape in self.keep_out[of]], axis=0)
         if of not in FIELDS:
             raise SetUpError(f"there is no surface {of!r}; there are: {', '.join((*FIELDS, *self.keep_out))}")
-        flat = np.ascontiguousarray(points.reshape(-1, 3))
-        distances = np.empty(len(flat))
-        in_parts(nearest, flat, *self._tables, self.mirrored, FIELDS.index(of), _directions(), distances)
-        return distances.reshape(points.shape[:-1])
+        return self._evaluated(nearest, points, of, fibonacci_sphere(DIRECTIONS))
 
     def depth_mm(self, xyz_mm: np.ndarray, of: str = "surface") -> np.ndarray:
         """Return the value (...) of the field of `of` at points (..., 3): negative inside, zero on the surface.
 
         Its size is at most about that of `distance_mm`, and it takes a thousandth of the time.
         """
-        points = np.asarray(xyz_mm, dtype=np.float64)
+        return self._evaluated(depths, np.asarray(xyz_mm, dtype=np.float64), of)
+
+    def _evaluated(self, kernel: Callable[..., None], points: np.ndarray, of: str, *more: np.ndarray) -> np.ndarray:
+        """Return what a kernel of `shapes` finds (...) at points (..., 3)."""
         flat = np.ascontiguousarray(points.reshape(-1, 3))
-        depths_mm = np.empty(len(flat))
-        in_parts(depths, flat, *self._tables, self.mirrored, FIELDS.index(of), depths_mm)
-        return depths_mm.reshape(points.shape[:-1])
+        values = np.empty(len(flat))
+        in_parts(kernel, flat, *self._tables, self.mirrored, FIELDS.index(of), *more, values)
+        return values.reshape(points.shape[:-1])
 
     def clearance_mm(self, wire_mm: np.ndarray, of: str = "outline", from_entry_mm: float = 12.0) -> float:
         """Return the shortest distance of the axis of a wire (2, 3) from a surface: for "outline" the distance by which
@@ -267,13 +268,6 @@ def _packed(parts: tuple[BonePart, ...]) -> tuple[np.ndarray, np.ndarray]:
     return table, np.array([[part.gap_mm, part.spongy] for part in parts])
 
 
-def _directions() -> np.ndarray:
-    """Return unit vectors (DIRECTIONS, 3) spread evenly over the sphere."""
-    k = np.arange(DIRECTIONS) + 0.5
-    z, turn = 1 - 2 * k / DIRECTIONS, np.pi * (1 + 5**0.5) * k
-    return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], -1)
-
-
 MAX_LONGER_MM = 60.0  # [ours] a wire that ends farther beyond is another wire
 MAX_ASIDE_MM = 80.0  # of the end, to leave a corridor or to reach what must not be touched [ours]
 STEP_MM = 3.0  # a wire that is wrong for a smaller movement only, and not for a larger one, may be missed [ours]
@@ -299,7 +293,7 @@ def wrong_wires(bone: BoneModel, beyond_mm: float, rng: np.random.Generator) -> 
     deeper = smallest_amount(lambda s: float(bone.distance_mm(far + s * along, "outline")), beyond_mm, MAX_ASIDE_MM)
     if np.linalg.norm(far - end) < MAX_LONGER_MM and deeper is not None:
         wires[FAR] = np.stack([entry, far + deeper * along])
-    aside = np.linalg.svd(along[None])[2][1:].T @ _unit_of(rng.standard_normal(2))
+    aside = np.linalg.svd(along[None])[2][1:].T @ _unit(rng.standard_normal(2))
     for kind, of, towards in [
         (CORTEX, "outline", aside),
         *((f"into the {name}", name, _towards(bone, name, along)) for name in bone.keep_out),
@@ -321,7 +315,7 @@ def _towards(bone: BoneModel, of: str, along: np.ndarray) -> np.ndarray:
     nearest = at[bone.distance_mm(at, of).argmin()]
     steps = 0.01 * np.eye(3)
     slope = bone.distance_mm(nearest - steps, of) - bone.distance_mm(nearest + steps, of)
-    return _unit_of(slope - (slope @ along) * along)
+    return _unit(slope - (slope @ along) * along)
 
 
 def smallest_amount(violation_mm: Callable[[float], float], wanted_mm: float, limit: float) -> float | None:
@@ -334,10 +328,6 @@ def smallest_amount(violation_mm: Callable[[float], float], wanted_mm: float, li
         middle = (low + high) / 2
         low, high = (low, middle) if violation_mm(middle) >= wanted_mm else (middle, high)
     return float(high)
-
-
-def _unit_of(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector)
 
 
 END_ON = np.cos(np.pi / 4)  # an oval tube nearer to the beam than this shows its section, others their borders [ours]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.twin.anatomy.bone_model import BoneModel, BonePart, LineAid, PlaneAid, SphereAid, TubeAid
-from sightline.twin.anatomy.femur import BONE_PER_HU, SHORT_MM
+from sightline.twin.anatomy.femur import BONE_PER_HU, SHORT_MM, neck_axis
 from sightline.twin.anatomy.shapes import SolidShape, ball, barrel, box, cone, ellipsoid, half_space, plate
 
 # Sizes and places without a source here or in docs/bones.md are [ours, typical].
@@ -392,8 +392,7 @@ class GrowingFemur:
     @property
     def along_neck(self) -> np.ndarray:
         """Unit vector (3,) along the neck towards the head before it slipped."""
-        across, version = sin(radians(self.neck_shaft_deg)), radians(self.anteversion_deg)
-        return np.array([-across * cos(version), cos(radians(self.neck_shaft_deg)), across * sin(version)])
+        return neck_axis(self.neck_shaft_deg, self.anteversion_deg)
 
     @property
     def along(self) -> np.ndarray:

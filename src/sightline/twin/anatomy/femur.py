@@ -4,6 +4,7 @@ Anatomical coordinates: origin at the centre of the femoral head, (lateral, caud
 +X, anterior +Z, and caudal +Y for a right hip, -Y for a left one.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, radians, sin
 
@@ -52,9 +53,7 @@ class Femur:
     @property
     def towards_head(self) -> np.ndarray:
         """Unit vector (3,) along the neck, anatomical coordinates."""
-        across = sin(radians(self.neck_shaft_deg))
-        version = radians(self.anteversion_deg)
-        return np.array([-across * cos(version), cos(radians(self.neck_shaft_deg)), across * sin(version)])
+        return neck_axis(self.neck_shaft_deg, self.anteversion_deg)
 
     @property
     def base_mm(self) -> np.ndarray:
@@ -78,8 +77,7 @@ class Femur:
         from the lateral surface to `short_mm` below the surface of the head (5-10 mm: physics.md, Planning figures).
         Raises SetUpError if it does not meet the lateral cortex.
         """
-        version, across = radians(self.anteversion_deg), sin(radians(angle_deg))
-        along = np.array([-across * cos(version), cos(radians(angle_deg)), across * sin(version)])
+        along = neck_axis(angle_deg, self.anteversion_deg)
         return self.entry_mm(np.zeros(3), along), (self.head_radius_mm - short_mm) * along
 
     def cannulated_wires_mm(self, screw_mm: float = 7.3, short_mm: float = 5.0) -> np.ndarray:
@@ -105,11 +103,7 @@ class Femur:
     def entry_mm(self, through_mm: np.ndarray, along: np.ndarray) -> np.ndarray:
         """Return where the line through a point (3,) in the head, along a unit vector (3,) towards the head, meets the
         lateral surface, anatomical coordinates. Raises SetUpError."""
-        numbers = self.numbers()
-
-        def height(back_mm: float) -> float:
-            return float(_femur_distance(through_mm - back_mm * along, numbers)[0])
-
+        height = self._height(through_mm, -along)
         inside = next((b for b in np.arange(110.0, 30.0, -1.0) if height(b) < 0), None)
         if inside is None:
             raise SetUpError("the wire does not meet this femur's lateral cortex; use another angle")
@@ -119,21 +113,28 @@ class Femur:
     def surface_mm(self, inside_mm: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return the first point (3,) of the surface on a ray from a point (3,) inside the bone, along a unit vector
         (3,), anatomical coordinates. Raises SetUpError if there is none within 60 mm."""
-        numbers = self.numbers()
-
-        def height(out_mm: float) -> float:
-            return float(_femur_distance(inside_mm + out_mm * direction, numbers)[0])
-
+        height = self._height(inside_mm, direction)
         outside = next((at for at in np.arange(1.0, 60.0) if height(at) > 0), None)
         if outside is None or height(0.0) > 0:
             raise SetUpError("the ray does not leave this femur within 60 mm; start it inside the bone")
         return inside_mm + root_scalar(height, bracket=(0.0, outside), xtol=1e-9).root * direction
+
+    def _height(self, start_mm: np.ndarray, direction: np.ndarray) -> Callable[[float], float]:
+        """Return the distance from the surface as a function of the way along a ray."""
+        numbers = self.numbers()
+        return lambda way_mm: float(_femur_distance(start_mm + way_mm * direction, numbers)[0])
 
     def numbers(self) -> np.ndarray:
         """Return the parameters of the compiled kernels."""
         sizes = [self.head_radius_mm, self.neck_radius_mm, self.shaft_radius_mm, self.canal_radius_mm]
         hu = self.cancellous_hu * BONE_PER_HU
         return np.array([*sizes, *self.base_mm, hu, float(self.socket)])
+
+
+def neck_axis(neck_shaft_deg: float, anteversion_deg: float) -> np.ndarray:
+    """Return the unit vector (3,) towards the head, anatomical coordinates, at these angles."""
+    across, version = sin(radians(neck_shaft_deg)), radians(anteversion_deg)
+    return np.array([-across * cos(version), cos(radians(neck_shaft_deg)), across * sin(version)])
 
 
 def draw_femur(rng: np.random.Generator) -> Femur:

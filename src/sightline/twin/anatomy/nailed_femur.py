@@ -54,6 +54,13 @@ class DistalNail:
             raise SetUpError("a nail's holes are perpendicular to it, and smaller than the nail")
 
     @property
+    def _bend(self) -> tuple[tuple[float, float], np.ndarray, np.ndarray]:
+        """Cosine and sine of the bend's angle, the direction towards which the nail bends, and the axis of the bend."""
+        first, second = np.cross(self.axis, self.along), self.axis
+        cos, sin = float(np.cos(self.bend_angle)), float(np.sin(self.bend_angle))
+        return (cos, sin), cos * second + sin * first, cos * first - sin * second
+
+    @property
     def holes(self) -> np.ndarray:
         """(2, 2, 3): point and direction of each hole's axis, the one away from the tip first."""
         ends = [self.placed(np.array([[0.0, 0.0, s], [0.0, 1.0, s]])) for s in (0.0, SPACING_MM)]
@@ -61,9 +68,7 @@ class DistalNail:
 
     def placed(self, own_mm: np.ndarray) -> np.ndarray:
         """Convert coordinates (N, 3) of the straight nail (across the hole, along the hole, along the nail) to CFCS."""
-        first, second = np.cross(self.axis, self.along), self.axis
-        cos, sin = np.cos(self.bend_angle), np.sin(self.bend_angle)
-        towards, still = cos * second + sin * first, cos * first - sin * second  # still: the axis of the bend
+        (cos, sin), towards, still = self._bend
         curvature = max(self.bend, 1e-9) / BENT_MM
         angle = curvature * own_mm[:, 2:]
         middle = np.sin(angle) * self.along + (1 - np.cos(angle)) * towards
@@ -73,9 +78,7 @@ class DistalNail:
 
     def inside(self, xyz_mm: np.ndarray) -> np.ndarray:
         """Return whether points (N, 3) lie in the nail's metal: within its tube, and in neither hole."""
-        first, second = np.cross(self.axis, self.along), self.axis
-        cos, sin = np.cos(self.bend_angle), np.sin(self.bend_angle)
-        towards, still = cos * second + sin * first, cos * first - sin * second
+        (cos, sin), towards, still = self._bend
         radius = BENT_MM / max(self.bend, 1e-9)
         off = xyz_mm - (self.hole_mm + radius * towards)  # from the centre of the bend
         along, inwards = off @ self.along, off @ towards

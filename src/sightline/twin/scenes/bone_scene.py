@@ -14,12 +14,10 @@ from sightline.twin.anatomy.bones import draw_growing_femur, draw_pelvis, draw_v
 from sightline.twin.anatomy.femur import to_cfcs
 from sightline.twin.anatomy.nailed_femur import THIGH_MM, NailedFemur, draw_nailed_femur
 from sightline.twin.objects.things import Scene, SoftTissue, frame_scene
-from sightline.twin.scenes.hip_scene import points_document
+from sightline.twin.scenes.hip_scene import first_shown, points_document
 from sightline.twin.xray.distributions import HipPlace, SolidPlace
 from sightline.twin.xray.setup import SetUp, Variation, draw_setup
 from sightline.twin.xray.tubes import FlatPanel, Tube
-
-ATTEMPTS = 100
 
 
 class Dimensions(Protocol):
@@ -175,18 +173,15 @@ def shown_bone_scene(
     kind = BONES[name]
     dimensions = kind.draw(rng)
     bone = dimensions.bone()
-    for _ in range(ATTEMPTS):
+
+    def drawn_once() -> tuple[SetUp, np.ndarray]:
         setup = kind.setup(rng, frame, side, **drawn)
-        origin = setup.hip_mm + draw_origin(bone, side, rng)
-        shown = to_cfcs(bone.wires_mm, side, origin).reshape(-1, 3)
-        if also_mm is not None:
-            shown = np.vstack([shown, also_mm])
-        margin = HipPlace().margin_px
-        if all(view.in_field(view.project(shown), margin).all() for view in setup.views.values()):
-            if not imaged:
-                return setup, BoneScene(Scene(), Scene(), bone, side, origin, dimensions)
-            return setup, placed_bone(setup, name, dimensions, origin, rng)
-    raise SetUpError(f"none of {ATTEMPTS} set-ups shows the wires in all views of frame {frame.name!r}")
+        return setup, setup.hip_mm + draw_origin(bone, side, rng)
+
+    setup, origin = first_shown(drawn_once, bone.wires_mm, also_mm)
+    if not imaged:
+        return setup, BoneScene(Scene(), Scene(), bone, side, origin, dimensions)
+    return setup, placed_bone(setup, name, dimensions, origin, rng)
 
 
 def draw_origin(bone: BoneModel, side: str, rng: np.random.Generator) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Scenes for planning: a hip in or beside the frame, the paper's object of four balls; and their truth as JSON."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -121,17 +121,30 @@ def shown_setup(
     `wires_mm` (n, 2, 3): wires to show in its place, anatomical. They also show the points `also_mm` (N, 3), CFCS.
     `drawn`: arguments of `draw_setup`. Raises SetUpError if none is found.
     """
-    wires = np.stack(femur.wire_mm()) if wires_mm is None else wires_mm.reshape(-1, 3)
-    for _ in range(ATTEMPTS):
+    wires = np.stack(femur.wire_mm()) if wires_mm is None else wires_mm
+
+    def drawn_once() -> tuple[SetUp, np.ndarray]:
         setup = draw_setup(rng, frame, side=side, **drawn)
-        head = setup.hip_mm + draw_head(side, femur, rng)
-        points = to_cfcs(wires, side, head)
-        if also_mm is not None:
-            points = np.vstack([points, also_mm])
-        margin = HipPlace().margin_px
-        if all(view.in_field(view.project(points), margin).all() for view in setup.views.values()):
-            return setup, head
-    raise SetUpError(f"none of {ATTEMPTS} set-ups shows the whole wire in all views of frame {frame.name!r}")
+        return setup, setup.hip_mm + draw_head(side, femur, rng)
+
+    return first_shown(drawn_once, wires, also_mm)
+
+
+def first_shown(
+    draw: Callable[[], tuple[SetUp, np.ndarray]], wires_mm: np.ndarray, also_mm: np.ndarray | None = None
+) -> tuple[SetUp, np.ndarray]:
+    """Return the first drawn set-up, with the origin (3,) of its bone, of which all views show the bone's wires.
+
+    `draw`: draws a set-up and an origin. `wires_mm` (..., 3): anatomical coordinates. They also show the points
+    `also_mm` (N, 3), CFCS. Raises SetUpError if none is found.
+    """
+    also = np.zeros((0, 3)) if also_mm is None else also_mm
+    for _ in range(ATTEMPTS):
+        setup, origin = draw()
+        points = to_cfcs(wires_mm, setup.side, origin).reshape(-1, 3)
+        if setup.shows(np.vstack([points, also]), HipPlace().margin_px):
+            return setup, origin
+    raise SetUpError(f"none of {ATTEMPTS} set-ups shows the whole wires in all views of frame {setup.frame.name!r}")
 
 
 def four_balls(setup: SetUp) -> tuple[Scene, np.ndarray]:

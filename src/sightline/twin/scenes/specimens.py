@@ -97,14 +97,11 @@ class SetUpSpec:
         """Draw up to ATTEMPTS set-ups; return the first that shows all points (N, 3), from `SetUp.hip_mm`, in all
         views, and True; or the last, and False. Raises SetUpError if no pose has the frame in the beam.
         """
-        left = ATTEMPTS
-        while True:
-            left -= 1
+        for _ in range(ATTEMPTS):
             setup = self._drawn(rng)
-            points = setup.hip_mm + points_mm
-            shown = all(view.in_field(view.project(points), MARGIN_PX).all() for view in setup.views.values())
-            if shown or not left:
-                return setup, shown
+            if setup.shows(setup.hip_mm + points_mm, MARGIN_PX):
+                return setup, True
+        return setup, False
 
     def _drawn(self, rng: np.random.Generator) -> SetUp:
         if self.bone is not None and self.oblique:
@@ -169,14 +166,6 @@ def _hip(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
     return _of_hip(rng, spec, femur, head, lambda setup: placed_hip(setup, femur, setup.hip_mm + head, rng))
 
 
-def _plastic(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
-    return _of_hip(rng, spec, Femur(), None, plastic_hip)
-
-
-def _porcine(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
-    return _of_hip(rng, spec, PIG, None, lambda setup: porcine_hip(setup, rng))
-
-
 def _object(rng: np.random.Generator, spec: SetUpSpec) -> Specimen:
     setup, shown = spec.draw(rng, TEST_BALLS_MM)
     block, balls_mm = perspex_object(setup.hip_mm)
@@ -230,8 +219,8 @@ def _ct(path: Path, setup: SetUp, at_mm: np.ndarray | None) -> tuple[Scene, np.n
 SPECIMENS: dict[str, Callable[[np.random.Generator, SetUpSpec], Specimen]] = {
     "hip": _hip,
     "object": _object,
-    "plastic": _plastic,
-    "porcine": _porcine,
+    "plastic": lambda rng, spec: _of_hip(rng, spec, Femur(), None, plastic_hip),
+    "porcine": lambda rng, spec: _of_hip(rng, spec, PIG, None, lambda setup: porcine_hip(setup, rng)),
     **{name: partial(_bone, name) for name in BONES},
 }
 
@@ -252,7 +241,7 @@ def plastic_hip(setup: SetUp, femur: Femur | None = None) -> HipScene:
     The femur is a shell of glass-filled epoxy in place of the cortex, filled with foam.
     """
     femur = replace(femur or Femur(), socket=False, cancellous_hu=FOAM_SHARE / BONE_PER_HU)
-    head = setup.hip_mm - np.mean(to_cfcs(np.stack(femur.wire_mm()), setup.side, np.zeros(3)), axis=0)
+    head = _centred(setup, femur)
     wire = to_cfcs(np.stack(femur.wire_mm()), setup.side, head)
     whole = replace(voxelise(femur, setup.side, head, None), material="composite", within=None)
     along = (wire[1] - wire[0]) / np.linalg.norm(wire[1] - wire[0])
@@ -260,12 +249,17 @@ def plastic_hip(setup: SetUp, femur: Femur | None = None) -> HipScene:
     return HipScene.of(frame_scene(setup.true_frame), Scene(volumes=(bore,)), femur, setup.side, head)
 
 
+def _centred(setup: SetUp, femur: Femur) -> np.ndarray:
+    """Return where the head's centre (3,) lies so that the middle of the ideal wire is at the hip's place."""
+    return setup.hip_mm - np.mean(to_cfcs(np.stack(femur.wire_mm()), setup.side, np.zeros(3)), axis=0)
+
+
 def porcine_hip(setup: SetUp, rng: np.random.Generator) -> HipScene:
     """Return the trials that the paper plans: a pig's femur in soft tissue, with the wire's middle at the hip's place.
 
     The femur has the human shape at a pig's sizes, so its trochanters are too large.
     """
-    head = setup.hip_mm - np.mean(to_cfcs(np.stack(PIG.wire_mm()), setup.side, np.zeros(3)), axis=0)
+    head = _centred(setup, PIG)
     bone = Scene(volumes=(voxelise(PIG, setup.side, head, rng),))
     still = frame_scene(setup.true_frame) + Scene(tissue=PIG_FLESH.around(setup.hip_mm))
     return HipScene.of(still, bone, PIG, setup.side, head)
@@ -321,15 +315,11 @@ def _drape(specimen: Specimen, rng: np.random.Generator) -> Scene:
     return front + side
 
 
-def _table_rail(specimen: Specimen, _: np.random.Generator) -> Scene:
-    return table_rail(specimen.setup.hip_mm + RAIL_CENTRE_MM)
-
-
 ACCESSORIES: dict[str, Callable[[Specimen, np.random.Generator], Scene]] = {
     "guide-wire": lambda specimen, _: guide_wire(_wire(specimen)),
     "lag-screw": lambda specimen, _: lag_screw(_wire(specimen)),
     "angled-plate": _angled_plate,
     "drill-guide": lambda specimen, _: drill_guide(_wire(specimen), _body(specimen)),
     "drape": _drape,
-    "table-rail": _table_rail,
+    "table-rail": lambda specimen, _: table_rail(specimen.setup.hip_mm + RAIL_CENTRE_MM),
 }

@@ -67,23 +67,19 @@ def _cubic_basis(radius_mm: float) -> np.ndarray:
     return basis
 
 
-class Cubics:
-    """The seven cubic polynomials of the asymmetric part."""
+def _cubics(xi_mm: np.ndarray, radius_mm: float) -> np.ndarray:
+    """Return the seven cubics (N, 7) of the asymmetric part at points (N, 2)."""
+    return monomials(xi_mm / radius_mm, 3) @ _cubic_basis(radius_mm)
 
-    @staticmethod
-    def values(xi_mm: np.ndarray, radius_mm: float) -> np.ndarray:
-        """Return the values (N, 7) at points (N, 2)."""
-        return monomials(xi_mm / radius_mm, 3) @ _cubic_basis(radius_mm)
 
-    @staticmethod
-    def gradients(xi_mm: np.ndarray, radius_mm: float) -> np.ndarray:
-        """Return the gradients (N, 7, 2) at points (N, 2), per mm."""
-        x, y = (xi_mm / radius_mm).T
-        zero, unity = np.zeros_like(x), np.ones_like(x)
-        by_x = [zero, unity, zero, 2 * x, y, zero, 3 * x * x, 2 * x * y, y * y, zero]
-        by_y = [zero, zero, unity, zero, x, 2 * y, zero, x * x, 2 * x * y, 3 * y * y]
-        both = np.stack([np.stack(by_x, -1), np.stack(by_y, -1)], -1)
-        return np.swapaxes(np.swapaxes(both, 1, 2) @ _cubic_basis(radius_mm), 1, 2) / radius_mm
+def _cubic_gradients(xi_mm: np.ndarray, radius_mm: float) -> np.ndarray:
+    """Return the gradients (N, 7, 2) of the cubics at points (N, 2), per mm."""
+    x, y = (xi_mm / radius_mm).T
+    zero, unity = np.zeros_like(x), np.ones_like(x)
+    by_x = [zero, unity, zero, 2 * x, y, zero, 3 * x * x, 2 * x * y, y * y, zero]
+    by_y = [zero, zero, unity, zero, x, 2 * y, zero, x * x, 2 * x * y, 3 * y * y]
+    both = np.stack([np.stack(by_x, -1), np.stack(by_y, -1)], -1)
+    return np.swapaxes(np.swapaxes(both, 1, 2) @ _cubic_basis(radius_mm), 1, 2) / radius_mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +165,7 @@ class DistortionMap:
         angle = _fade(u2, TURN)[0] * (linear @ self.turn)
         turned = stretch[:, None] * _rotate(xi_mm, angle)
         shift = _fade(u2, SHIFT)[0][:, None] * (linear @ self.shift_mm.T)
-        cubic = Cubics.values(xi_mm, self.radius_mm) @ self.cubic_mm
+        cubic = _cubics(xi_mm, self.radius_mm) @ self.cubic_mm
         return turned + shift + cubic + self.field.sums(xi_mm, self.random_mm)
 
     def jacobian(self, xi_mm: np.ndarray) -> np.ndarray:
@@ -186,7 +182,7 @@ class DistortionMap:
         fade, slope = _fade(u2, SHIFT)
         jacobian += (linear @ self.shift_mm.T)[:, :, None] * (slope[:, None] * du2)[:, None, :]
         jacobian += fade[:, None, None] * self.shift_mm[:, 1:] / R
-        jacobian += np.swapaxes(np.swapaxes(Cubics.gradients(xi_mm, R), 1, 2) @ self.cubic_mm, 1, 2)
+        jacobian += np.swapaxes(np.swapaxes(_cubic_gradients(xi_mm, R), 1, 2) @ self.cubic_mm, 1, 2)
         return jacobian + self.field.sum_gradients(xi_mm, self.random_mm)
 
     def derivatives(self, xi_mm: np.ndarray) -> np.ndarray:
@@ -198,7 +194,7 @@ class DistortionMap:
         normal = stretch[:, None] * _rotate(xi_mm, angle + np.pi / 2)
         by_turn = normal[:, :, None] * (fade[:, None] * linear)[:, None, :]
         by_shift = _each_component(_fade(u2, SHIFT)[0][:, None] * linear, component_first=True)
-        by_cubic = _each_component(Cubics.values(xi_mm, self.radius_mm))
+        by_cubic = _each_component(_cubics(xi_mm, self.radius_mm))
         by_random = _each_component(self.field.values(xi_mm))
         return np.concatenate([by_k1[:, :, None], by_turn, by_shift, by_cubic, by_random], axis=-1)
 

@@ -112,6 +112,10 @@ class SetUp:
             np.concatenate([frame.solid.xyz_mm, self.T_cfcs_plate(view).apply(frame.detector.xyz_mm)])
         )
 
+    def shows(self, points_mm: np.ndarray, margin_px: float) -> bool:
+        """Return whether all points (N, 3), CFCS, lie at least `margin_px` inside the field of every view."""
+        return all(view.in_field(view.project(points_mm), margin_px).all() for view in self.views.values())
+
     def T_cfcs_plate(self, view: str) -> RigidTransform:
         """Return the pose of the plate on the detector at the exposure of a view."""
         detector = self.views[view].detector
