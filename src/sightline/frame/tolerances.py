@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.common.geometry.covariance import factor_of
 from sightline.frame.plate import FrameView
 
 EXPANSION_PER_K = 70e-6  # PMMA [src data sheets of cast sheet: 60 to 80 ppm/K; physics.md, Frame]
@@ -49,12 +50,6 @@ def _rigid(xyz_mm: np.ndarray, shift_mm: float, rotation_rad: float) -> np.ndarr
     return displacements.reshape(-1, 6)
 
 
-def _stated_factor(covariance_mm2: np.ndarray) -> np.ndarray:
-    """Return a factor of a covariance that may be singular."""
-    values, vectors = np.linalg.eigh(covariance_mm2)
-    return vectors * np.sqrt(np.clip(values, 0.0, None))
-
-
 def error_factor(
     bodies: Sequence[np.ndarray],
     views: Mapping[str, FrameView],
@@ -73,7 +68,7 @@ def error_factor(
     if isinstance(stated, Tolerances):
         columns = [stated.bead_mm * np.eye(3 * sum(map(len, bodies))), *_shared(views, stated)]
     else:
-        columns = [_stated_factor(stated)]
+        columns = [factor_of(stated)]
     if in_use is not None:
         expansion = np.concatenate([xyz - xyz.mean(axis=0) for xyz in bodies]).reshape(-1, 1)
         load = in_use.drape_n / DRAPE_N

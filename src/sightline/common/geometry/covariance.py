@@ -55,6 +55,12 @@ def joined(own: Sequence[np.ndarray], between: Callable[[int, int], np.ndarray])
     return covariance
 
 
+def factor_of(covariance: np.ndarray) -> np.ndarray:
+    """Return a factor F (n, n), F @ F.T = covariance, of a covariance that may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.clip(values, 0.0, None))
+
+
 def length_quantile(covariance: np.ndarray, probability: float = 0.95) -> np.ndarray:
     """Return the quantile (...) of the length of a Gaussian error with covariance (..., d, d), d = 1 to 3.
 

@@ -3,9 +3,10 @@
 Origins: the middle of the first sacral body (S1), of the vertebra's body, of the slipped head.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from math import cos, radians, sin
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,25 +33,39 @@ AIIS, PUBIS, ISCHIUM = np.array([104.0, 45.0, 66.0]), np.array([12.0, 112.0, 86.
 LATERAL, MIRROR = np.array([1.0, 0.0, 0.0]), np.array([-1.0, 1.0, 1.0])
 
 
+def drawn(middle: float, low: float, high: float) -> float:
+    """Return the field of a dimension: its default, and the range that `draw` takes it from (docs/bones.md)."""
+    return field(default=middle, metadata={"range": (low, high)})
+
+
+Bone = TypeVar("Bone", "Pelvis", "Vertebra", "GrowingFemur")
+
+
+def draw(rng: np.random.Generator, bone: type[Bone]) -> Bone:
+    """Draw the dimensions of a bone within their ranges."""
+    ranges = {dimension.name: dimension.metadata.get("range") for dimension in fields(bone)}
+    return bone(**{name: rng.uniform(*range_) for name, range_ in ranges.items() if range_ is not None})
+
+
 @dataclass(frozen=True)
 class Pelvis:
-    """A pelvic ring without its femurs. Lengths mm, angles degrees. Sources: docs/bones.md.
+    """A pelvic ring without its femurs. Lengths mm, angles degrees, with their ranges. Sources: docs/bones.md.
 
     `slope_deg`: of the upper endplate of S1 (sacral slope). `corridor_height_mm`, `corridor_depth_mm`: of the bone
     between ala, first foramen and canal, where it is narrowest. `foramen_mm`: diameter of the first
     anterior foramina. `joint_mm`: width of the sacroiliac joints.
     """
 
-    slope_deg: float = 40.0
-    body_width_mm: float = 47.0
-    body_depth_mm: float = 28.3
-    body_height_mm: float = 28.4
-    corridor_height_mm: float = 18.5
-    corridor_depth_mm: float = 17.0
-    foramen_mm: float = 12.6
-    sacrum_width_mm: float = 106.0
-    joint_mm: float = 2.0
-    cancellous_hu: float = 120.0
+    slope_deg: float = drawn(40.0, 33, 47)
+    body_width_mm: float = drawn(47.0, 42, 52)
+    body_depth_mm: float = drawn(28.3, 25, 31.5)
+    body_height_mm: float = drawn(28.4, 26.2, 30.6)
+    corridor_height_mm: float = drawn(18.5, 17, 20)
+    corridor_depth_mm: float = drawn(17.0, 16, 18)
+    foramen_mm: float = drawn(12.6, 11.5, 13.5)
+    sacrum_width_mm: float = drawn(106.0, 101, 111)
+    joint_mm: float = drawn(2.0, 1.5, 3.0)
+    cancellous_hu: float = drawn(120.0, 80, 180)
 
     @property
     def axes(self) -> np.ndarray:
@@ -207,22 +222,6 @@ def _moved_by(point_mm: np.ndarray, *by_mm: float) -> np.ndarray:
     return point_mm + np.array(by_mm)
 
 
-def draw_pelvis(rng: np.random.Generator) -> Pelvis:
-    """Draw a pelvis within the ranges of docs/bones.md."""
-    return Pelvis(
-        slope_deg=rng.uniform(33, 47),
-        body_width_mm=rng.uniform(42, 52),
-        body_depth_mm=rng.uniform(25, 31.5),
-        body_height_mm=rng.uniform(26.2, 30.6),
-        corridor_height_mm=rng.uniform(17, 20),
-        corridor_depth_mm=rng.uniform(16, 18),
-        foramen_mm=rng.uniform(11.5, 13.5),
-        sacrum_width_mm=rng.uniform(101, 111),
-        joint_mm=rng.uniform(1.5, 3.0),
-        cancellous_hu=rng.uniform(80, 180),
-    )
-
-
 SHELL_MM = 0.6  # cortex of the body: 0.35 mm, CT shows twice as much [src Silva 1994]
 ARCH_MM = 1.6  # cortex of pedicles and arch, which is thicker than the body's [src Odeh 2021]
 DISC_MM = 11.0  # height of a disc
@@ -232,22 +231,22 @@ SPINE_REACH_MM = 95.0  # of the voxels along the spine, with the vertebrae above
 
 @dataclass(frozen=True)
 class Vertebra:
-    """A fourth lumbar vertebra. Lengths mm, angles degrees. Sources: docs/bones.md.
+    """A fourth lumbar vertebra. Lengths mm, angles degrees, with their ranges. Sources: docs/bones.md.
 
     `pedicle_deg`: angle of the pedicles' axes to the middle plane; they converge forwards.
     """
 
-    body_width_mm: float = 49.0
-    body_depth_mm: float = 35.5
-    body_height_mm: float = 27.0
-    canal_width_mm: float = 24.0
-    canal_depth_mm: float = 15.6
-    pedicle_width_mm: float = 11.0
-    pedicle_height_mm: float = 15.0
-    pedicle_deg: float = 12.0
-    process_mm: float = 15.0  # of a transverse process beyond the pedicle
-    spinous_mm: float = 30.0  # behind the arch
-    cancellous_hu: float = 120.0
+    body_width_mm: float = drawn(49.0, 45, 53)
+    body_depth_mm: float = drawn(35.5, 32, 39)
+    body_height_mm: float = drawn(27.0, 24.5, 28.5)
+    canal_width_mm: float = drawn(24.0, 22, 26)
+    canal_depth_mm: float = drawn(15.6, 13.5, 17.5)
+    pedicle_width_mm: float = drawn(11.0, 9, 13)
+    pedicle_height_mm: float = drawn(15.0, 13.9, 16.7)
+    pedicle_deg: float = drawn(12.0, 8, 16)
+    process_mm: float = drawn(15.0, 13, 18)  # of a transverse process beyond the pedicle
+    spinous_mm: float = drawn(30.0, 26, 33)  # behind the arch
+    cancellous_hu: float = drawn(120.0, 80, 180)
 
     @property
     def pedicle_mm(self) -> np.ndarray:
@@ -343,23 +342,6 @@ def _with_landmarks(
     return replace(bone, landmarks_mm=landmarks)
 
 
-def draw_vertebra(rng: np.random.Generator) -> Vertebra:
-    """Draw a vertebra within the ranges of docs/bones.md."""
-    return Vertebra(
-        body_width_mm=rng.uniform(45, 53),
-        body_depth_mm=rng.uniform(32, 39),
-        body_height_mm=rng.uniform(24.5, 28.5),
-        canal_width_mm=rng.uniform(22, 26),
-        canal_depth_mm=rng.uniform(13.5, 17.5),
-        pedicle_width_mm=rng.uniform(9, 13),
-        pedicle_height_mm=rng.uniform(13.9, 16.7),
-        pedicle_deg=rng.uniform(8, 16),
-        process_mm=rng.uniform(13, 18),
-        spinous_mm=rng.uniform(26, 33),
-        cancellous_hu=rng.uniform(80, 180),
-    )
-
-
 HEAD_SHORT_MM = 5.0  # from the wire's end to the head's surface
 DOME_MM = 24.0  # radius of the growth plate: 30° and a third of its width, the limits of a mild slip, agree [calc]
 OVERLAP_MM = 0.5  # of neck and head where the growth plate displaces the neck
@@ -371,23 +353,23 @@ FEMUR_LOW_MM, FEMUR_HIGH_MM = np.array([-75.0, -75.0, -50.0]), np.array([75.0, 1
 
 @dataclass(frozen=True)
 class GrowingFemur:
-    """A proximal femur of an adolescent. Lengths mm, angles degrees. Sources: docs/bones.md.
+    """A proximal femur of an adolescent. Lengths mm, angles degrees, with their ranges. Sources: docs/bones.md.
 
     `slip_deg`: rotation of the head on the neck; `slip_towards_deg`: its direction across the neck, from posterior
     (0) to inferior (90). `physis_mm`: width of the growth plate.
     """
 
-    head_radius_mm: float = 22.0
-    neck_radius_mm: float = 14.5
-    neck_length_mm: float = 46.0
-    neck_shaft_deg: float = 130.0
-    anteversion_deg: float = 13.0
+    head_radius_mm: float = drawn(22.0, 20.5, 25.0)
+    neck_radius_mm: float = drawn(14.5, 13.0, 16.5)
+    neck_length_mm: float = drawn(46.0, 42, 49)
+    neck_shaft_deg: float = drawn(130.0, 126, 135)
+    anteversion_deg: float = drawn(13.0, 9, 17)
     shaft_radius_mm: float = 13.0
     canal_radius_mm: float = 6.0
-    physis_mm: float = 2.0
-    slip_deg: float = 25.0
-    slip_towards_deg: float = 30.0
-    cancellous_hu: float = 250.0
+    physis_mm: float = drawn(2.0, 1.5, 3.0)
+    slip_deg: float = drawn(25.0, 10, 45)
+    slip_towards_deg: float = drawn(30.0, 0, 50)
+    cancellous_hu: float = drawn(250.0, 200, 300)
 
     @property
     def along_neck(self) -> np.ndarray:
@@ -478,18 +460,3 @@ def _socket(head_mm: float, spongy: float) -> BonePart:
         ball(np.zeros(3), head_mm + JOINT_MM).cut(),
     )
     return BonePart(shapes, spongy, 1.5)
-
-
-def draw_growing_femur(rng: np.random.Generator) -> GrowingFemur:
-    """Draw a slipped head within the ranges of docs/bones.md."""
-    return GrowingFemur(
-        head_radius_mm=rng.uniform(20.5, 25.0),
-        neck_radius_mm=rng.uniform(13.0, 16.5),
-        neck_length_mm=rng.uniform(42, 49),
-        neck_shaft_deg=rng.uniform(126, 135),
-        anteversion_deg=rng.uniform(9, 17),
-        physis_mm=rng.uniform(1.5, 3.0),
-        slip_deg=rng.uniform(10, 45),
-        slip_towards_deg=rng.uniform(0, 50),
-        cancellous_hu=rng.uniform(200, 300),
-    )

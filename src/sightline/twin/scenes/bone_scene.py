@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import partial
 from math import cos, radians, sin
 from typing import Any, Protocol
 
@@ -10,7 +11,7 @@ import numpy as np
 from sightline.errors import SetUpError
 from sightline.frame import Frame
 from sightline.twin.anatomy.bone_model import Aid, BoneModel
-from sightline.twin.anatomy.bones import draw_growing_femur, draw_pelvis, draw_vertebra
+from sightline.twin.anatomy.bones import GrowingFemur, Pelvis, Vertebra, draw
 from sightline.twin.anatomy.femur import to_cfcs
 from sightline.twin.anatomy.nailed_femur import THIGH_MM, NailedFemur, draw_nailed_femur
 from sightline.twin.objects.things import Scene, SoftTissue, frame_scene
@@ -90,12 +91,17 @@ NAIL_VIEWS, DRILL_VIEWS = (
 )
 BONES: dict[str, BoneKind] = {
     "pelvis": BoneKind(
-        draw_pelvis, SoftTissue((-36.0, 40.0), (175.0, 115.0)), PELVIC_VIEWS, SolidPlace((0.0, 79.0, -12.0))
+        partial(draw, bone=Pelvis),
+        SoftTissue((-36.0, 40.0), (175.0, 115.0)),
+        PELVIC_VIEWS,
+        SolidPlace((0.0, 79.0, -12.0)),
     ),
     "vertebra": BoneKind(
-        draw_vertebra, SoftTissue((-16.0, 25.0), (150.0, 105.0)), check_beams={"oblique": OBLIQUE, "lateral": LATERAL}
+        partial(draw, bone=Vertebra),
+        SoftTissue((-16.0, 25.0), (150.0, 105.0)),
+        check_beams={"oblique": OBLIQUE, "lateral": LATERAL},
     ),
-    "growing-femur": BoneKind(draw_growing_femur, SoftTissue((-35.0, -5.0), (125.0, 90.0))),
+    "growing-femur": BoneKind(partial(draw, bone=GrowingFemur), SoftTissue((-35.0, -5.0), (125.0, 90.0))),
     "nailed-femur": BoneKind(draw_nailed_femur, SoftTissue((0.0, 0.0), THIGH_MM), NAIL_VIEWS, check_beams=DRILL_VIEWS),
 }
 

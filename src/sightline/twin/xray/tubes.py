@@ -9,6 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from sightline.common.geometry.covariance import factor_of
 from sightline.errors import SetUpError, UnusableInputError
 from sightline.twin.xray.distributions import Distortion
 from sightline.twin.xray.intensifier import DistortionMap, DistortionPrior, Intensifier, RandomField, disc_mm, monomials
@@ -182,15 +183,9 @@ def _smooth_factor(spread: Distortion, radius_mm: float, axes: np.ndarray) -> np
     low, high = spread.pincushion_at_107_mm
     factor = np.zeros((24, 24))
     factor[0, 0] = (high - low) / np.sqrt(12) / PINCUSHION_RADIUS_MM**2
-    factor[1:10, 1:10] = _root(magnetic)
+    factor[1:10, 1:10] = factor_of(magnetic)
     factor[10:, 10:] = spread.asymmetric_mm / np.sqrt(14) * np.eye(14)
     return factor
-
-
-def _root(covariance: np.ndarray) -> np.ndarray:
-    """Return a factor of a covariance that may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
-    return vectors * np.sqrt(np.clip(values, 0.0, None))
 
 
 @dataclass(frozen=True)
