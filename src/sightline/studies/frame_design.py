@@ -43,6 +43,7 @@ from sightline.studies.scenes import (
 )
 from sightline.twin import SetUp, bead_images
 from sightline.twin.objects.beam import attenuation_per_mm
+from sightline.twin.objects.things import SoftTissue
 from sightline.twin.xray.distributions import NEAR_PLACE, SolidPlace
 from sightline.twin.xray.setup import Handling, Variation, displaced, in_use
 
