@@ -32,6 +32,16 @@ class Ran:
         """The one JSON document on stdout."""
         return json.loads(self.out)
 
+    @property
+    def failing(self) -> set[str]:
+        """The names of the checks that failed."""
+        return {check["name"] for check in self.document["checks"] if not check["passed"]}
+
+    @property
+    def said(self) -> str:
+        """What stands on stderr, in one line."""
+        return " ".join(self.err.split())
+
 
 @pytest.fixture(scope="session")
 def run() -> Callable[..., Ran]:

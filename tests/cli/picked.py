@@ -8,6 +8,25 @@ from typing import Any
 import numpy as np
 
 VIEWS = ("pa", "lateral")
+WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
+LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
+
+
+def typed(setup: Any, wire_mm: np.ndarray = WIRE_MM, shift_px: Any = 0.0) -> list[str]:
+    """The options of a wire's entry and end; its lateral pixels are shifted."""
+    texts = []
+    for xyz_mm in wire_mm:
+        (u, v), (s, t) = (setup.views[view].project(xyz_mm[None])[0] for view in VIEWS)
+        ds, dt = np.broadcast_to(shift_px, 2)
+        texts.append(f"pa:{u:.2f},{v:.2f} lateral:{s + ds:.2f},{t + dt:.2f}")
+    return ["--entry", texts[0], "--end", texts[1]]
+
+
+def marks_of(setup: Any, bone: Any, prefix: str = "") -> list[dict[str, Any]]:
+    """The landmarks of a bone, as a file of picks has them."""
+    return [
+        {"name": "-".join(name.split()), **place(setup, xyz_mm, prefix)} for name, xyz_mm in bone.landmarks_mm.items()
+    ]
 
 
 def place(setup: Any, xyz_mm: np.ndarray, prefix: str = "") -> dict[str, list[float]]:

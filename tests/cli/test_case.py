@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.cli.picked import LANDMARKS_MM, WIRE_MM
 
 from sightline.case import stages
 from sightline.case.canonical import canonical, digest
@@ -19,9 +20,6 @@ from sightline.common.estimator import ESTIMATOR
 from sightline.errors import CaseError
 from sightline.imaging import write_dicom
 from sightline.twin import draw_setup, hip_scene, render
-
-WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
-LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
 
 
 def files_of_a_patient(pair: dict[str, Path], folder: Path) -> list[Path]:

@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cli.picked import VIEWS, picks_file, place, wire
+from tests.cli.picked import VIEWS, WIRE_MM, marks_of, picks_file, wire
 
 from sightline.case.journal import Case, Kind
 from sightline.imaging import write_dicom
 from sightline.twin import hip_scene, render
 from sightline.twin.objects.things import guide_wire
 
-WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
 OFF_MM = 0.6  # how far beside its plan the wire is drilled in these images
 
 
@@ -45,9 +44,8 @@ def planned(run: Callable[..., Any], pair, setup, tmp_path_factory: pytest.TempP
     np.save(folder / "in" / "z.npy", np.full((64, 64), 900, np.uint16))
     assert run("acquire", "folder", folder / "in", "--case", folder / "case").code == 0
     hip = hip_scene(setup, np.random.default_rng(8))
-    marks = [{"name": "-".join(name.split()), **place(setup, xyz_mm)} for name, xyz_mm in hip.landmarks_mm.items()]
     wires = {"guide-wire": wire(setup, hip.wire_mm)}
-    picks = picks_file(folder, wires=wires, landmarks=marks, pick_sd_px=0.1)
+    picks = picks_file(folder, wires=wires, landmarks=marks_of(setup, hip), pick_sd_px=0.1)
     ran = run("plan", "--case", folder / "case", "--picks", picks, "--side", "right")
     assert "INCOMPLETE: 1 check could" in ran.out, ran.err  # the head is not drawn
     assert "image of entry 3 skipped" in ran.err
@@ -73,8 +71,7 @@ def test_a_check_shot_finds_the_wire_where_it_is(run, planned: Path, setup, tmp_
     aside = np.linalg.svd(along[None])[2][1]
     scene = hip.scene + guide_wire(hip.wire_mm + OFF_MM * aside)
     files = [write_dicom(render(setup, view, scene, rng), tmp_path / f"{view}.dcm") for view in VIEWS]
-    again = {"-".join(name.split()): place(setup, xyz_mm, "check-") for name, xyz_mm in hip.landmarks_mm.items()}
-    marks = [{"name": name, **places} for name, places in again.items()]
+    marks = marks_of(setup, hip, "check-")
     picks = ["--picks", picks_file(tmp_path, landmarks=marks, pick_sd_px=0.1)]
     shot = ["check-shot", *files, "--case", planned]
     measured = run(*shot, *picks, "--json")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cli.picked import VIEWS, picks_file, place, wire
+from tests.cli.picked import VIEWS, marks_of, picks_file, wire
 
 from sightline.case.journal import Case, Kind
 from sightline.imaging import write_dicom
@@ -46,21 +46,9 @@ def case(run, beads_csv: Path, setup, hip: HipScene, wires_mm: np.ndarray, tmp_p
     """A case with the plan of three wires."""
     folder = tmp_path_factory.mktemp("wires")
     wires = {key: wire(setup, ends_mm) for key, ends_mm in zip(KEYS, wires_mm, strict=True)}
-    marks = [{"name": "-".join(name.split()), **place(setup, xyz)} for name, xyz in hip.landmarks_mm.items()]
-    picks = picks_file(folder, wires=wires, landmarks=marks, pick_sd_px=0.2)
-    ran = run(
-        "plan",
-        beads_csv,
-        beads_csv,
-        "--side",
-        "right",
-        "--picks",
-        picks,
-        "--procedure",
-        _procedure(folder),
-        "--case",
-        folder / "case",
-    )
+    picks = picks_file(folder, wires=wires, landmarks=marks_of(setup, hip), pick_sd_px=0.2)
+    given = ("--side", "right", "--picks", picks, "--procedure", _procedure(folder), "--case", folder / "case")
+    ran = run("plan", beads_csv, beads_csv, *given)
     assert ran.code == 0, ran.out + ran.err
     return folder / "case"
 
@@ -75,7 +63,7 @@ def test_two_wires_in_one_case_are_measured_each_against_its_plan(
     for key, off in OFF_MM.items():
         scene += guide_wire(wires_mm[KEYS.index(key)] + off * aside, 2.8)
     files = [write_dicom(render(setup, view, scene, rng), tmp_path / f"{view}.dcm") for view in VIEWS]
-    marks = [{"name": "-".join(name.split()), **place(setup, xyz, "check-")} for name, xyz in hip.landmarks_mm.items()]
+    marks = marks_of(setup, hip, "check-")
     shot = ["check-shot", "--case", case, "--picks", picks_file(tmp_path, landmarks=marks, pick_sd_px=0.1)]
     unnamed = run(*shot, *files)
     assert unnamed.code == 2 and "--wire; the plan's are inferior, anterior, posterior" in unnamed.err

@@ -6,27 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydicom import dcmread
-from tests.cli.picked import picks_file
+from tests.cli.picked import picks_file, typed
 
 from sightline.calibration.exchange.formats import FORMATS, read_view
 from sightline.case.interop.plan_file import sealed
 from sightline.imaging import read_image
 
 TARGETS_MM = np.array([[11.3, -7.9, 4.1], [-20.7, 15.2, -9.9]])
-WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
-
-
-def pick(setup, xyz_mm: np.ndarray) -> str:
-    pixels = {name: setup.views[name].project(xyz_mm[None])[0] for name in ("pa", "lateral")}
-    return " ".join(f"{name}:{u},{v}" for name, (u, v) in pixels.items())
 
 
 @pytest.fixture(scope="module")
 def planned(run, pair, setup, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out, folder = tmp_path_factory.mktemp("planned"), tmp_path_factory.mktemp("picks")
-    entry, end = (pick(setup, one) for one in WIRE_MM)
     picks = picks_file(folder, pick_sd_px=0.1)
-    given = ("--entry", entry, "--end", end, "--picks", picks, "--kind", "free-wire", "--side", "left", "--out", out)
+    given = (*typed(setup), "--picks", picks, "--kind", "free-wire", "--side", "left", "--out", out)
     ran = run("plan", *pair.values(), *given)
     assert ran.code in (0, 3), ran.err
     return out
@@ -124,7 +117,7 @@ def test_the_wire_of_a_hip_procedure_tells_its_side(run, planned: Path, tmp_path
     """The entry lies caudal of the tip: +Y in a right hip. A plan that states the wrong side is refused as well."""
     ran = run("export", "plan", resealed(planned, tmp_path, **changed), "--out", tmp_path / "out", *arguments)
     assert ran.code == 2
-    assert "left, but the wire is that of a right hip" in " ".join(ran.err.split())
+    assert "left, but the wire is that of a right hip" in ran.said
     assert not (tmp_path / "out").exists()
 
 

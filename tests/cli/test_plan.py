@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cli.picked import VIEWS, picks_file, place, wire
+from tests.cli.picked import LANDMARKS_MM, VIEWS, WIRE_MM, picks_file, place, typed, wire
 
 from sightline.detection.csv_files import write_observations
 from sightline.detection.results import Observations
@@ -15,8 +15,6 @@ from sightline.rehearsal.patient import draw_patient
 from sightline.studies.scenes import measure
 from sightline.twin.anatomy.bone_model import SphereAid, drawn_aids
 
-LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
-WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
 FREE = ("--kind", "free-wire")
 
 
@@ -25,21 +23,9 @@ def wire_px(setup) -> dict[str, np.ndarray]:
     return {view: setup.views[view].project(WIRE_MM) for view in VIEWS}
 
 
-def typed(wire_px, shift=0.0) -> list[str]:
-    def point(k: int) -> str:
-        (u, v), (s, t) = wire_px["pa"][k], wire_px["lateral"][k] + shift
-        return f"pa:{u:.2f},{v:.2f} lateral:{s:.2f},{t:.2f}"
-
-    return ["--entry", point(0), "--end", point(1)]
-
-
-def failing(ran) -> set[str]:
-    return {check["name"] for check in ran.document["checks"] if not check["passed"]}
-
-
-def test_a_plan_lies_within_its_own_bounds_of_the_truth(run, beads_csv: Path, wire_px, tmp_path: Path) -> None:
+def test_a_plan_lies_within_its_own_bounds_of_the_truth(run, beads_csv: Path, setup, tmp_path: Path) -> None:
     picks = picks_file(tmp_path, pick_sd_px=0.1)
-    ran = run("plan", beads_csv, beads_csv, *typed(wire_px), *FREE, "--picks", picks, "--json")
+    ran = run("plan", beads_csv, beads_csv, *typed(setup), *FREE, "--picks", picks, "--json")
     assert ran.code == 0, ran.out
     document = ran.document
     assert document["go"] is True
@@ -53,9 +39,9 @@ def test_a_plan_lies_within_its_own_bounds_of_the_truth(run, beads_csv: Path, wi
     assert all(check["passed"] for check in document["checks"])
 
 
-def test_people_read_the_plan_and_its_folder_holds_what_was_picked(run, beads_csv, wire_px, tmp_path: Path) -> None:
+def test_people_read_the_plan_and_its_folder_holds_what_was_picked(run, beads_csv, setup, tmp_path: Path) -> None:
     plan = ["plan", beads_csv, beads_csv, *FREE]
-    ran = run(*plan, *typed(wire_px), "--out", tmp_path / "plan")
+    ran = run(*plan, *typed(setup), "--out", tmp_path / "plan")
     assert ran.code == 0, ran.err
     for words in ("Trajectory in CFCS", "no robot", "95 % error", "GO: every check passed", "report.html"):
         assert words in ran.out
@@ -64,7 +50,7 @@ def test_people_read_the_plan_and_its_folder_holds_what_was_picked(run, beads_cs
     assert f"{written['trajectory']['error_95']['entry_mm']:.2f} mm" in (tmp_path / "plan" / "report.html").read_text()
     again = run(*plan, "--picks", tmp_path / "plan" / "picks.json", "--json")
     assert again.document["trajectory"] == written["trajectory"]
-    both = run(*plan, "--picks", tmp_path / "plan" / "picks.json", *typed(wire_px))
+    both = run(*plan, "--picks", tmp_path / "plan" / "picks.json", *typed(setup))
     assert both.code == 2 and "leave --entry and --end out" in both.err
 
 
@@ -90,11 +76,11 @@ def test_snapped_picks_have_no_gap_so_landmarks_show_whether_the_patient_moved(
 
     without, still, moved = map(planned, (None, 0.0, 3.0))
     assert without.document["trajectory"]["gap_tested"] == [False, False]
-    assert (without.code, failing(without)) == (3, {"movement"})
-    assert still.code == 0, failing(still)
+    assert (without.code, without.failing) == (3, {"movement"})
+    assert still.code == 0, still.failing
     found = np.array([mark["xyz_mm"] for mark in still.document["landmarks"]])
     assert np.linalg.norm(found - LANDMARKS_MM, axis=1).max() < 1.0  # the frame's errors
-    assert (moved.code, failing(moved)) == (3, {"gap", "movement", "pick spread"})
+    assert (moved.code, moved.failing) == (3, {"gap", "movement", "pick spread"})
     for key in ("entry_mm", "end_mm", "covariance_mm2"):  # to the last digits of one adjustment that has them all
         path = [ran.document["trajectory"][key] for ran in (still, moved)]
         np.testing.assert_allclose(*path, rtol=0.0, atol=1e-9)
@@ -105,7 +91,7 @@ def test_a_depth_is_a_place_on_the_curve(run, beads_csv: Path, wire_px) -> None:
     (u0, v0), (u1, v1) = wire_px["pa"]
     ends = [f"pa:{u0:.2f},{v0:.2f} depth:300", f"pa:{u1:.2f},{v1:.2f} depth:310"]
     ran = run("plan", beads_csv, beads_csv, "--entry", ends[0], "--end", ends[1], *FREE, "--json")
-    assert (ran.code, failing(ran)) == (3, {"movement"}), ran.out  # a place on a curve has no gap
+    assert (ran.code, ran.failing) == (3, {"movement"}), ran.out  # a place on a curve has no gap
     path = ran.document["trajectory"]
     assert path["gap_tested"] == [False, False]
     # Depth runs from the plate at z = +300 towards the source, nearly along -Z: less than 10 % longer than in z.
@@ -113,8 +99,8 @@ def test_a_depth_is_a_place_on_the_curve(run, beads_csv: Path, wire_px) -> None:
         assert 0.9 * depth < 300.0 - z <= depth + 0.5
 
 
-def test_on_no_go_the_failures_come_first_and_no_error_stands_beside_the_points(run, beads_csv: Path, wire_px) -> None:
-    of_other_points = typed(wire_px, shift=np.array([25.0, 25.0]))
+def test_on_no_go_the_failures_come_first_and_no_error_stands_beside_the_points(run, beads_csv: Path, setup) -> None:
+    of_other_points = typed(setup, shift_px=25.0)
     said = run("plan", beads_csv, beads_csv, *of_other_points, "--kind", "interlocking").out
     assert "entry (near hole)" in said and "end (far hole)" in said  # as the procedure calls them
     ran = run("plan", beads_csv, beads_csv, *of_other_points, *FREE)
@@ -152,21 +138,21 @@ def of_a_hip(setup) -> dict[str, Any]:
 
 
 @pytest.fixture
-def hip(run, beads_csv: Path, wire_px, of_a_hip, tmp_path: Path) -> Any:
+def hip(run, beads_csv: Path, setup, of_a_hip, tmp_path: Path) -> Any:
     """`hip(head=None)`: the plan of a hip screw without its head."""
 
     def planned(*more: str, side: str | None = "right", ends: list[str] | None = None, **change: Any) -> Any:
         given = {key: value for key, value in (of_a_hip | change).items() if value is not None}
         sides = ["--side", side] if side else []
         picks = ["--picks", picks_file(tmp_path, **given)]
-        return run("plan", beads_csv, beads_csv, *(ends or typed(wire_px)), *sides, *picks, *(more or ["--json"]))
+        return run("plan", beads_csv, beads_csv, *(ends or typed(setup)), *sides, *picks, *(more or ["--json"]))
 
     return planned
 
 
 def test_a_hip_screw_is_go_with_all_it_asks_for_and_incomplete_without(hip) -> None:
     whole = hip()
-    assert whole.code == 0, failing(whole)
+    assert whole.code == 0, whole.failing
     assert (whole.document["go"], whole.document["verdict"], whole.document["missing"]) == (True, "go", [])
     assert (whole.document["kind"], whole.document["side"]) == ("hip-screw", "right")
     limits = {"position_mm": 1.0, "direction_deg": pytest.approx(0.6), "before_mm": 0.0, "beyond_mm": 0.0}
@@ -178,7 +164,7 @@ def test_a_hip_screw_is_go_with_all_it_asks_for_and_incomplete_without(hip) -> N
         (hip(landmarks=[]), "entry at cortex", "lesser trochanter"),
     ):
         assert (ran.code, ran.document["go"], ran.document["verdict"]) == (3, False, "incomplete")
-        assert failing(ran) == {check}
+        assert ran.failing == {check}
         (missing,) = ran.document["missing"]
         assert words in missing
     said = hip("--quiet", head=None, landmarks=None)
@@ -190,30 +176,30 @@ def test_an_aid_is_drawn_by_its_clicks(hip, setup) -> None:
     head = drawn_aids({"head": SphereAid(CENTRE_MM, RADIUS_MM)}, setup.views)["head"]
     rims = {view: uv.tolist() for view, uv in head.items()}
     ran = hip(head=None, aids={"head": rims})
-    assert ran.code == 0, failing(ran)
+    assert ran.code == 0, ran.failing
     in_one = hip(head=None, aids={"head": {"pa": rims["pa"]}})
     assert (in_one.code, in_one.document["verdict"]) == (3, "incomplete")
 
 
-def test_a_hip_screw_that_is_wrong_in_its_bone_is_no_go(hip, wire_px, of_a_hip) -> None:
-    entry, end = typed(wire_px)[1::2]
+def test_a_hip_screw_that_is_wrong_in_its_bone_is_no_go(hip, setup, of_a_hip) -> None:
+    entry, end = typed(setup)[1::2]
     exchanged = hip(ends=["--entry", end, "--end", entry])
     assert (exchanged.code, exchanged.document["verdict"]) == (3, "no-go")
-    assert "entry and end" in failing(exchanged)
+    assert "entry and end" in exchanged.failing
     left = hip(side="left")
-    assert (left.code, failing(left)) == (3, {"side"})
+    assert (left.code, left.failing) == (3, {"side"})
     through = hip(head={name: [u, v, 0.62 * radius] for name, (u, v, radius) in of_a_hip["head"].items()})
-    assert (through.code, failing(through)) == (3, {"tip in head"})
+    assert (through.code, through.failing) == (3, {"tip in head"})
     (check,) = (check for check in through.document["checks"] if check["name"] == "tip in head")
     assert check["figure"] == pytest.approx(23.0 * 0.62 - 15.0, abs=0.6)
     assert 0.1 < check["limit"] < 1.5
 
 
-def test_half_the_beads_in_the_wrong_place_is_refused_or_a_no_go(run, observations, wire_px, tmp_path: Path) -> None:
+def test_half_the_beads_in_the_wrong_place_is_refused_or_a_no_go(run, observations, setup, tmp_path: Path) -> None:
     pa = observations["pa"]
     rolled = Observations("pa", pa.ids, np.roll(pa.uv_px, 1, axis=0), pa.covariance_px2)
     path = write_observations([rolled, observations["lateral"]], tmp_path / "rolled.csv")
-    ran = run("plan", path, path, *typed(wire_px), *FREE, "--json")
+    ran = run("plan", path, path, *typed(setup), *FREE, "--json")
     assert ran.code == 3
     assert "error" in ran.document or ran.document["go"] is False
 

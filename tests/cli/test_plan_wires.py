@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cli.picked import picks_file, place, wire
+from tests.cli.picked import LANDMARKS_MM, picks_file, place, wire
 
 from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.case.journal import Case, Kind
@@ -21,7 +21,6 @@ KEYS = ("inferior", "anterior", "posterior")
 # The inferior wire, one above it in front, one above it behind; a right hip.
 INFERIOR_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, -5.3]])
 WIRES_MM = INFERIOR_MM + np.array([[0.0, 0.0, 0.0], [6.1, -6.4, 7.3], [5.2, -5.9, -8.8]])[:, None]
-LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +51,6 @@ def procedure(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         return file
 
     return written
-
-
-def _failed(document: dict[str, Any]) -> set[str]:
-    return {check["name"] for check in document["checks"] if not check["passed"]}
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +142,7 @@ def test_edited_wires_are_noticed(planned, tmp_path: Path) -> None:
 def test_a_relation_of_the_file_decides(run, arguments, procedure, relation: str, change: dict[str, Any]) -> None:
     ran = run(*arguments(WIRES_MM), "--procedure", procedure(relation, **change), "--json")
     assert ran.code == 3
-    assert ran.document["verdict"] == "no-go" and _failed(ran.document) == {relation}
+    assert ran.document["verdict"] == "no-go" and ran.failing == {relation}
     assert not any(wire["go"] for wire in ran.document["wires"].values())
 
 
@@ -173,7 +168,7 @@ def test_a_wire_without_its_relations_is_not_sent_and_not_exported(run, argument
         ("export", "plan", out, "--to", "igtl", "--out", tmp_path / "igtl"),
     ):
         ran = run(*given)
-        said = " ".join(ran.err.split())
+        said = ran.said
         assert ran.code == 3
         assert "the inverted triangle and parallel and spacing relations to the others were not checked" in said
         assert "plan all wires together" in said
@@ -201,4 +196,4 @@ def test_a_program_that_drops_relations_gets_no_wire_to_a_robot(planned, tmp_pat
 
 def test_a_wire_that_the_procedure_does_not_have_is_refused(run, arguments, procedure) -> None:
     ran = run(*arguments(WIRES_MM[:1], ("lowest",)), "--procedure", procedure())
-    assert ran.code == 2 and "has no wire 'lowest'; its wires are inferior" in " ".join(ran.err.split())
+    assert ran.code == 2 and "has no wire 'lowest'; its wires are inferior" in ran.said

@@ -5,10 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from tests.cli.picked import VIEWS
-from tests.cli.test_case_plan import WIRE_MM
+from tests.cli.picked import typed
 
 from sightline.case.journal import Case, Kind
 from sightline.case.replay.recompute import Recomputed
@@ -18,10 +16,7 @@ from sightline.planning.procedures.procedure import FOLDER, copy_text
 
 @pytest.fixture
 def wire(setup) -> list[str]:
-    """The options of a wire's entry and end."""
-    ends = np.swapaxes([setup.views[name].project(WIRE_MM) for name in VIEWS], 0, 1)
-    texts = [" ".join(f"{name}:{u:.3f},{v:.3f}" for name, (u, v) in zip(VIEWS, uv, strict=True)) for uv in ends]
-    return ["--entry", texts[0], "--end", texts[1]]
+    return typed(setup)
 
 
 def test_shipped_procedures_are_listed_and_shown(run) -> None:
@@ -41,7 +36,7 @@ def test_a_procedure_of_ones_own_is_written_checked_planned_and_kept(run, beads_
     again = run("procedure", "new", mine, "--like", "free-wire")
     assert (again.code, "my-wire.json exists" in again.err) == (2, True)
     unfound = run("procedure", "new", tmp_path / "my-wire", "--like", "free-wire")
-    assert (unfound.code, "name it my-wire.json" in " ".join(unfound.err.split())) == (2, True)
+    assert (unfound.code, "name it my-wire.json" in unfound.said) == (2, True)
     mine.write_text(mine.read_text().replace('"position_mm": {"limit": 1,', '"position_mm": {"limit": 0.001,'))
     checked = run("procedure", "check", mine, "--json")
     assert (checked.code, checked.document["key"]) == (0, "my-wire")
@@ -67,7 +62,7 @@ def test_what_is_wrong_in_a_file_is_said_where_it_is(run, tmp_path: Path) -> Non
     file.write_bytes(copy_text("hip-screw", "mine").replace(b'"limit": 0.6', b'"limit": "0.6"'))
     ran = run("procedure", "check", file)
     assert ran.code == 2
-    assert "mine.json: limits.direction_deg.limit is not a number; write it without quotes" in " ".join(ran.err.split())
+    assert "mine.json: limits.direction_deg.limit is not a number; write it without quotes" in ran.said
 
 
 def test_files_of_the_users_folder_are_listed_with_what_is_wrong(run, tmp_path, monkeypatch) -> None:
