@@ -5,7 +5,7 @@ import sys
 import traceback
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from inspect import Parameter, Signature, signature
 from json import dumps
 from pathlib import Path
@@ -26,7 +26,6 @@ commands = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-_EMPTY = Parameter.empty
 
 
 def group(name: str, text: str) -> typer.Typer:
@@ -81,10 +80,9 @@ def command(app: typer.Typer, name: str, *examples: str) -> Callable[[Callable[.
         groups = {key: types[key] for key in own if is_dataclass(types[key])}
         spread = [Parameter("context", Parameter.KEYWORD_ONLY, annotation=typer.Context)]
         for key, parameter in own.items():
-            if key in groups:
-                spread += _fields(groups[key])
-            else:
-                spread.append(_parameter(key, types[key], parameter.default))
+            members = signature(groups[key]).parameters.values() if key in groups else [parameter]
+            hints = get_type_hints(groups[key], include_extras=True) if key in groups else types
+            spread += [member.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[member.name]) for member in members]
 
         def run(context: typer.Context, **given: Any) -> None:
             with Output(json=context.meta["json"], quiet=context.meta["quiet"]) as output:
@@ -99,18 +97,6 @@ def command(app: typer.Typer, name: str, *examples: str) -> Callable[[Callable[.
         return body
 
     return register
-
-
-def _fields(group: type[Any]) -> list[Parameter]:
-    types = get_type_hints(group, include_extras=True)
-    return [
-        _parameter(field.name, types[field.name], _EMPTY if field.default is MISSING else field.default)
-        for field in fields(group)
-    ]
-
-
-def _parameter(name: str, annotation: Any, default: Any) -> Parameter:
-    return Parameter(name, Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
 
 
 Invert = Annotated[
