@@ -14,7 +14,6 @@ import numpy as np
 
 import sightline as sl
 from sightline.case.report import radiographs, svg
-from sightline.case.report.radiographs import MarkedBead
 from sightline.case.views import NAMES
 from sightline.detection.csv_files import read_observations
 from sightline.planning import Plan, kind, plan
@@ -43,11 +42,9 @@ def picture(folder: Path) -> str:
 def _panel(folder: Path, k: int, view: sl.CalibratedView, made: Plan) -> str:
     left = view.residuals
     sizes = np.linalg.norm(left.residual_mm, axis=1)
-    rows = zip(left.ids, left.uv_px.tolist(), sizes, left.used, strict=True)
-    marks = [MarkedBead(i, (u, v), 10.0, float(size), bool(used)) for i, (u, v), size, used in rows]
     curves = [made.entry_curve, made.end_curve] if k else []
     overlays = [
-        radiographs.beads(marks, float(np.quantile(sizes, 0.95))),
+        radiographs.beads(left, np.full(len(sizes), 10.0), float(np.quantile(sizes, 0.95))),
         *(radiographs.curve(curve, "PA pick") for curve in curves),
         radiographs.wire(view, made.trajectory),
     ]

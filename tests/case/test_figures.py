@@ -1,5 +1,7 @@
 """What the pictures draw, read back from the markup."""
 
+from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -41,11 +43,9 @@ def test_grey_spans_the_field_and_is_not_darkened_by_what_is_saturated() -> None
 
 
 def test_a_bead_that_was_left_out_is_dashed() -> None:
-    marks = [
-        radiographs.MarkedBead("a", (1.0, 2.0), 5.0, 0.01, True),
-        radiographs.MarkedBead("b", (3.0, 4.0), 5.0, 0.5, False),
-    ]
-    group = ElementTree.fromstring(radiographs.beads(marks, 0.1))  # noqa: S314 - our own markup
+    sizes, used = np.array([[0.01, 0.0], [0.3, 0.4]]), np.array([True, False])
+    marks: Any = SimpleNamespace(ids=("a", "b"), uv_px=np.array([[1.0, 2], [3, 4]]), residual_mm=sizes, used=used)
+    group = ElementTree.fromstring(radiographs.beads(marks, np.full(2, 5.0), 0.1))  # noqa: S314 - our own markup
     assert [c.get("stroke-dasharray") for c in group] == [None, "3 3"]
     assert group[0].get("stroke") != group[1].get("stroke")
     assert [c[0].text for c in group] == ["a: residual 0.010 mm", "b: residual 0.500 mm, left out of the fit"]

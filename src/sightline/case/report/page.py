@@ -138,22 +138,11 @@ def _budget(report: Report) -> dict[str, Any] | None:
     return {"svg": _markup(budget(rows, f"Error budget. {words}")), "points": headings, "rows": budget_rows(report)}
 
 
-def _marked(image: CalibratedImage) -> list[radiographs.MarkedBead]:
-    """Return the view's beads with their residuals."""
-    residuals = image.view.residuals
-    sizes = np.linalg.norm(residuals.residual_mm, axis=1)
-    radii = _radii(image, residuals.uv_px)
-    rows = zip(residuals.ids, residuals.uv_px, radii, sizes, residuals.used, strict=True)
-    return [radiographs.MarkedBead(i, (float(u), float(v)), float(r), float(s), bool(k)) for i, (u, v), r, s, k in rows]
-
-
 def _radii(image: CalibratedImage, uv_px: np.ndarray) -> np.ndarray:
-    """Return the radii (N,) of the nearest detections; NaN without an image."""
+    """Return the radii (N,) of the nearest detections."""
     beads = image.seen.beads
-    if beads is None:
-        return np.full(len(uv_px), np.nan)
-    distance = np.linalg.norm(uv_px[:, None] - beads.uv_px, axis=2)
-    return beads.radius_px[distance.argmin(axis=1)]
+    assert beads is not None  # noqa: S101 - only images are shown
+    return beads.radius_px[np.linalg.norm(uv_px[:, None] - beads.uv_px, axis=2).argmin(axis=1)]
 
 
 def _bead_figures(report: Report) -> dict[str, Any]:
@@ -161,31 +150,28 @@ def _bead_figures(report: Report) -> dict[str, Any]:
     shown = [image for _, image, _ in _shown(report)]
     if not shown:
         return {"bead_figures": [], "triangle_figures": [], "ramp": [], "top_mm": 0.0}
-    marked = {image.name: _marked(image) for image in shown}
-    sizes = np.array([bead.residual_mm for beads in marked.values() for bead in beads])
-    top = max(float(np.quantile(sizes, 0.95)), 1e-3)
+    residuals_mm = np.concatenate([image.view.residuals.residual_mm for image in shown])
+    top = max(float(np.quantile(np.linalg.norm(residuals_mm, axis=1), 0.95)), 1e-3)
     return {
-        "bead_figures": [_beads_of(report, image, marked[image.name], top) for image in shown],
+        "bead_figures": [_beads_of(report, image, top) for image in shown],
         "triangle_figures": _triangles(report),
         "ramp": radiographs.colour_map(np.linspace(0.0, top, RAMP_STEPS), top),
         "top_mm": top,
     }
 
 
-def _beads_of(
-    report: Report, image: CalibratedImage, marked: list[radiographs.MarkedBead], top_mm: float
-) -> dict[str, Any]:
+def _beads_of(report: Report, image: CalibratedImage, top_mm: float) -> dict[str, Any]:
     beads = image.seen.beads
     assert image.seen.image is not None and beads is not None  # noqa: S101 - only images are shown
     # Without candidates at a bead that was found with another size
     refused = [c for c in beads.rejected if (np.linalg.norm(beads.uv_px - c.uv_px, axis=1) > beads.radius_px).all()]
-    left_out = sum(not bead.used for bead in marked)
-    size = image.view.residuals.rms_mm
+    residuals = image.view.residuals
     words = (
-        f"{report.spoken(image.name)} image: {len(marked)} beads labelled, residual {size:.3f} mm rms per axis, "
-        f"{left_out} left out of the fit, {len(refused)} other candidates rejected"
+        f"{report.spoken(image.name)} image: {len(residuals.ids)} beads labelled, residual {residuals.rms_mm:.3f} mm rms "
+        f"per axis, {np.count_nonzero(~residuals.used)} left out of the fit, {len(refused)} other candidates rejected"
     )
-    marks = [radiographs.rejected(refused), radiographs.beads(marked, top_mm)]
+    drawn = radiographs.beads(residuals, _radii(image, residuals.uv_px), top_mm)
+    marks = [radiographs.rejected(refused), drawn]
     return _figure(radiographs.radiograph(image.seen.image, image.name, marks, words), words)
 
 

@@ -1,13 +1,12 @@
 """Drawings of a radiograph with overlays: beads, triangles, picks, image-matching curves, the wire with its errors."""
 
 import base64
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
 
-from sightline.calibration import CalibratedView
+from sightline.calibration import CalibratedView, Residuals
 from sightline.case.report import svg
 from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.detection import RejectedCandidate
@@ -39,31 +38,16 @@ def colour_map(values: np.ndarray, top: float) -> list[str]:
     return [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in bgr]
 
 
-@dataclass(frozen=True)
-class MarkedBead:
-    """A bead to draw: its residual in mm on the reference plane, and whether the fit used it."""
-
-    id: str
-    uv_px: tuple[float, float]
-    radius_px: float
-    residual_mm: float
-    used: bool
-
-
-def _ring(bead: MarkedBead, colour: str) -> str:
-    u, v = bead.uv_px
-    says = svg.hint(f"{bead.id}: residual {bead.residual_mm:.3f} mm{'' if bead.used else ', left out of the fit'}")
-    dash = None if bead.used else "3 3"
-    return svg.element("circle", says, cx=u, cy=v, r=bead.radius_px + 3.0, stroke=colour, stroke_dasharray=dash)
-
-
-def beads(marked: Sequence[MarkedBead], top_mm: float) -> str:
-    """Draw rings coloured by residual; the ring of a bead left out of the fit is dashed."""
-    colours = colour_map(np.array([m.residual_mm for m in marked]), top_mm)
-    return svg.group(
-        (_ring(m, colour) for m, colour in zip(marked, colours, strict=True)),
-        class_="beads",
-    )
+def beads(residuals: Residuals, radius_px: np.ndarray, top_mm: float) -> str:
+    """Draw rings (N,) coloured by residual, up to `top_mm`; the ring of a bead left out of the fit is dashed."""
+    sizes = np.linalg.norm(residuals.residual_mm, axis=1)
+    rings = []
+    rows = zip(residuals.ids, residuals.uv_px, radius_px, sizes, residuals.used, colour_map(sizes, top_mm), strict=True)
+    for name, (u, v), radius, size, used, colour in rows:
+        hint = svg.hint(f"{name}: residual {size:.3f} mm{'' if used else ', left out of the fit'}")
+        dash = None if used else "3 3"
+        rings.append(svg.element("circle", hint, cx=u, cy=v, r=radius + 3.0, stroke=colour, stroke_dasharray=dash))
+    return svg.group(rings, class_="beads")
 
 
 def rejected(candidates: Iterable[RejectedCandidate]) -> str:
