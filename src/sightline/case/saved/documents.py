@@ -145,11 +145,6 @@ def matrix_view(given: dict[str, Any]) -> MatrixView:
     return opencv.of_document(given, given["view"]).view()
 
 
-def points_written(points: SpacePoints) -> dict[str, Any]:
-    """Return the document of points."""
-    return plain(points)
-
-
 def points(given: dict[str, Any]) -> SpacePoints:
     """Return the points of a document. Raises UnusableInputError where its lists differ in length."""
     count = len(given["xyz_mm"])
@@ -186,7 +181,7 @@ def _masked(given: list[float | None]) -> np.ma.MaskedArray:
 
 def trajectory_written(trajectory: Trajectory) -> dict[str, Any]:
     """Return the document of a trajectory: that of reports, and all that is known of its points."""
-    return {**trajectory.document(), "points": points_written(trajectory.points)}
+    return {**trajectory.document(), "points": plain(trajectory.points)}
 
 
 def trajectory(given: dict[str, Any]) -> Trajectory:

@@ -43,7 +43,7 @@ _FORMS = {
     "sightline-matrix-view/1": _Form(
         MatrixView, models.SavedMatrixView, documents.matrix_written, documents.matrix_view
     ),
-    "sightline-points/1": _Form(SpacePoints, models.SavedPoints, documents.points_written, documents.points),
+    "sightline-points/1": _Form(SpacePoints, models.SavedPoints, plain, documents.points),
     "sightline-trajectory/1": _Form(
         Trajectory, models.SavedTrajectory, documents.trajectory_written, documents.trajectory
     ),

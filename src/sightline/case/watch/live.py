@@ -89,9 +89,7 @@ class Watch(Closing):
 
     def latest(self) -> Watched | None:
         """Return the newest result with its present age; None before the first."""
-        with self._changed:
-            newest = self._newest
-        return None if newest is None else aged(newest, time.monotonic())
+        return self.next(0, 0.0)
 
     def next(self, after: int, timeout_s: float) -> Watched | None:
         """Wait for a result of an image newer than number `after`; return None if none came in time."""
