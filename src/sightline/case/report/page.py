@@ -168,7 +168,8 @@ def _beads_of(report: Report, image: CalibratedImage, top_mm: float) -> dict[str
     residuals = image.view.residuals
     words = (
         f"{report.spoken(image.name)} image: {len(residuals.ids)} beads labelled, residual {residuals.rms_mm:.3f} mm "
-        f"rms per axis, {np.count_nonzero(~residuals.used)} left out of the fit, {len(refused)} other candidates rejected"
+        f"rms per axis, {np.count_nonzero(~residuals.used)} left out of the fit, {len(refused)} other candidates "
+        "rejected"
     )
     drawn = radiographs.beads(residuals, _radii(image, residuals.uv_px), top_mm)
     marks = [radiographs.rejected(refused), drawn]
