@@ -18,6 +18,7 @@ WAITING = 8  # requests that may wait for an answer; without a negotiated window
 PDU_S = 30.0  # limit for receiving a whole PDU, and for the peer to accept an answer [default of pynetdicom]
 
 _P_DATA = 4
+_HEAD_BYTES = 6  # of a PDU, and of a fragment
 _COMMAND, _LAST = 1, 2  # bits of a fragment's control header (PS3.8, E.2)
 
 
@@ -42,9 +43,8 @@ class GuardedSocket(socket.socket):
         super().__init__(connected.family, connected.type, connected.proto, fileno=connected.detach())
         self._limits, self._say = limits, say
         self._head = bytearray()  # incomplete header of a PDU or of a fragment in it
-        self._pdu_left = 0
-        self._fragment_left = 0
-        self._is_data = False
+        self._skipped = 0  # bytes to come of a fragment, or of a PDU without fragments
+        self._pdu_left = 0  # bytes of the PDU behind them
         self._in_command = False
         self._message_bytes = 0
         self._waiting = 0
@@ -61,7 +61,7 @@ class GuardedSocket(socket.socket):
         self.settimeout(left_s)
         data = super().recv(bufsize, flags)
         self._watch(data)
-        if not self._pdu_left and not self._head:
+        if not (self._skipped or self._pdu_left or self._head):
             self._began_s = None
         return data
 
@@ -81,46 +81,33 @@ class GuardedSocket(socket.socket):
     def _watch(self, data: bytes) -> None:
         view = memoryview(data)
         while view:
-            if not self._pdu_left:
-                view = self._take_head(view, 6)
-                if len(self._head) == 6:
-                    kind, self._pdu_left = struct.unpack(">BxI", self._head)
-                    self._head.clear()
-                    self._is_data = kind == _P_DATA
-                    if self._pdu_left > self._limits.pdu_bytes:
-                        raise self._ended("it announces a message that is too large")
-            elif not self._is_data:
-                view = self._skip(view)
-            elif not self._fragment_left:
-                before = len(self._head)
-                view = self._take_head(view, min(6, before + self._pdu_left))
-                self._pdu_left -= len(self._head) - before
-                if len(self._head) == 6:
-                    length, control = struct.unpack(">IxB", self._head)
-                    self._head.clear()
-                    self._begin_fragment(length - 2, control)
-                elif not self._pdu_left:
-                    raise self._ended("its message contradicts itself")
+            if self._skipped:
+                taken = min(len(view), self._skipped)
+                self._skipped -= taken
             else:
-                taken = min(len(view), self._fragment_left)
-                self._fragment_left -= taken
-                self._pdu_left -= taken
-                view = view[taken:]
+                taken = min(len(view), _HEAD_BYTES - len(self._head))
+                self._head += view[:taken]
+            view = view[taken:]
+            if len(self._head) == _HEAD_BYTES:
+                head, self._head = self._head, bytearray()
+                begin = self._begin_fragment if self._pdu_left else self._begin_pdu
+                begin(head)
+                if 0 < self._pdu_left < _HEAD_BYTES:
+                    raise self._ended("its message contradicts itself")
 
-    def _take_head(self, view: memoryview, size: int) -> memoryview:
-        missing = size - len(self._head)
-        self._head += view[:missing]
-        return view[missing:]
+    def _begin_pdu(self, head: bytearray) -> None:
+        kind, length = struct.unpack(">BxI", head)
+        if length > self._limits.pdu_bytes:
+            raise self._ended("it announces a message that is too large")
+        self._skipped, self._pdu_left = (0, length) if kind == _P_DATA else (length, 0)
 
-    def _skip(self, view: memoryview) -> memoryview:
-        taken = min(len(view), self._pdu_left)
-        self._pdu_left -= taken
-        return view[taken:]
-
-    def _begin_fragment(self, length: int, control: int) -> None:
-        if not 0 <= length <= self._pdu_left:
+    def _begin_fragment(self, head: bytearray) -> None:
+        stated, control = struct.unpack(">IxB", head)
+        length = stated - 2  # without the two bytes of the header that it counts
+        self._pdu_left -= _HEAD_BYTES + length
+        if length < 0 or self._pdu_left < 0:
             raise self._ended("its message contradicts itself")
-        self._fragment_left = length
+        self._skipped = length
         is_command = bool(control & _COMMAND)
         if is_command and not self._in_command:
             self._message_bytes = 0  # of the message that begins

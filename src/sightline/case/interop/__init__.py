@@ -1,5 +1,5 @@
 """Plans and undistorted images in the file formats of other programs; docs/interop.md states every convention and sign.
 
-It may import `views` and `canonical`; nothing else in `case` imports it. Files of a single view are written by
+It may import `views` and `canonical`; only `saved` imports it. Files of a single view are written by
 `sightline.calibration.exchange`.
 """
