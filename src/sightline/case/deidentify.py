@@ -52,11 +52,13 @@ class Deidentifier:
         with scratch_folder() as place:
             dataset = dcmread(write_dicom(image, place / "image.dcm"))
         stated, is_found = source["BurnedInAnnotation"], image.burnt_in is not None
+        # Random, so that none can be traced to its original; an image without a UID gets one of its own.
+        uids = {keyword: self._uids.setdefault(source[keyword] or generate_uid(), generate_uid()) for keyword in _UIDS}
         value, scheme, meaning = _METHOD
         method = fill(Dataset(), CodeValue=value, CodingSchemeDesignator=scheme, CodeMeaning=meaning)
         fill(
             dataset,
-            **{keyword: self._uid(source[keyword]) for keyword in _UIDS},
+            **uids,
             PatientName=NOBODY,
             PatientID=NOBODY,
             StudyID=None,
@@ -67,12 +69,6 @@ class Deidentifier:
         if is_found or stated is not None:
             dataset.BurnedInAnnotation = "YES" if is_found or stated else "NO"
         return Deidentified(file_bytes(dataset), stated, is_found)
-
-    def _uid(self, old: str | None) -> str:
-        """Return a random UID, which cannot be traced to the original; an image without a UID gets one of its own."""
-        if not old:
-            return generate_uid()
-        return self._uids.setdefault(old, generate_uid())
 
 
 def _source(file: Path) -> dict[str, Any]:

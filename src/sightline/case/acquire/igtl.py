@@ -56,20 +56,20 @@ class ImageLink:
     def __iter__(self) -> Iterator[SourceFrame]:
         number = 0
         while not self._closed:
-            for message in self._messages(self._connected()):
+            for message, body in self._messages(self._connected()):
                 try:
-                    image = radiograph_of(message.body)
+                    image = radiograph_of(body)
                 except ImageError as error:
                     self._tell(f"an image was skipped: {error}")
                     continue
                 number += 1
-                matrix = message.body.matrix
+                matrix = body.matrix
                 known = bool(np.isfinite(matrix).all())
                 self._stated = {
                     "stated_matrix": matrix if known else None,
-                    "stated_coordinates": message.body.coordinates,
+                    "stated_coordinates": body.coordinates,
                 }
-                yield SourceFrame(image, number, time.time(), "openigtlink", message.message.time_s)
+                yield SourceFrame(image, number, time.time(), "openigtlink", message.time_s)
 
     def close(self) -> None:
         """Close the link."""
@@ -98,7 +98,7 @@ class ImageLink:
                 return self._peer
         raise SourceError("the link was closed")
 
-    def _messages(self, peer: socket.socket) -> "Iterator[_Received]":
+    def _messages(self, peer: socket.socket) -> Iterator[tuple[Message, Image]]:
         """Yield the images of one peer until it disconnects; its other messages are ignored."""
         stream, heard_s, began_s = Stream(), time.monotonic(), None
         peer.settimeout(_RETRY_S)
@@ -127,15 +127,8 @@ class ImageLink:
                             return None
                     elif isinstance(event.body, Image):
                         heard_s = now
-                        yield _Received(event, event.body)
+                        yield event, event.body
         return None
-
-
-class _Received:
-    """A message and its body, an image."""
-
-    def __init__(self, message: Message, body: Image) -> None:
-        self.message, self.body = message, body
 
 
 def radiograph_of(image: Image) -> Radiograph:

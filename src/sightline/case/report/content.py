@@ -222,7 +222,8 @@ def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
     drilled = case.entries(Kind.DRILLED, plan.number)
     own = [entry for entry in drilled if not entry.rests_on or plan.number in entry.rests_on]  # not of another wire
     records = [entry.content["record"] for entry in own if "record" in entry.content]
-    shots = [entry for entry in case.entries(Kind.VERIFIED, plan.number) if _is_measured(entry, plan)]
+    verified = [entry for entry in case.entries(Kind.VERIFIED, plan.number) if plan.number in entry.rests_on]
+    shots = [entry for entry in verified if "asked" in entry.content]  # earlier versions did not record the request
     drilling = {entry.content["asked"]["straight"]: entry for entry in case.entries(Kind.SHOT, plan.number)}
     if not records and not shots and not drilling:
         return None
@@ -232,8 +233,3 @@ def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
         check=again.shot(shots[-1]) if shots else None,
         shots={ALIGNED if straight else PAUSED: again.drill_shot(entry) for straight, entry in drilling.items()},
     )
-
-
-def _is_measured(verified: Entry, plan: Entry) -> bool:
-    """Whether a check shot is of this plan, and its entry holds the request, which earlier versions did not record."""
-    return plan.number in verified.rests_on and "asked" in verified.content
