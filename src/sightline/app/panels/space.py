@@ -1,19 +1,50 @@
 """The 3-D scene below the images: each group of objects is redrawn only when it changes."""
 
 import asyncio
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import nicegui.elements.scene  # noqa: F401 # pyright: ignore[reportUnusedImport] - makes its three.js known to the page; ours is no copy of it
 import numpy as np
 from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.drawing import space
-from sightline.app.drawing.space import SpaceView
+from sightline.app.drawing.calls import Calling
 from sightline.app.plan.planner import landmarks_of
 from sightline.app.tab.tab import Tab
 from sightline.errors import SightlineError
 from sightline.planning.procedures import kind as kind_of
+
+_DRAWING = Path(__file__).parents[1] / "drawing"
+
+
+class SpaceView(
+    Calling,
+    component=_DRAWING / "space" / "space_view.js",
+    dependencies=[_DRAWING / "space" / "space*.js", _DRAWING / "colours.js"],
+):
+    """The 3-D scene. Its objects are those of `drawing.space`, in named groups that a person can hide."""
+
+    def __init__(self, *, label: str, groups: Mapping[str, str], texts: Mapping[str, str]) -> None:
+        """`label`: accessible description of the scene; `groups`: names of the groups, in the legend's order; `texts`:
+        of its buttons and notes, by name."""
+        super().__init__()
+        self._props["label"] = label
+        self._props["groups"] = dict(groups)
+        self._props["texts"] = dict(texts)
+        self._props["data-testid"] = "space"
+
+    def draw(self, group: str, objects: Sequence[Mapping[str, Any]]) -> None:
+        """Replace one group; an empty one is removed."""
+        self.run_method("draw", group, list(objects))
+
+    def orient(self, side: str | None) -> None:
+        """Set the side of the hip, "right" or "left", which orients the view: feet towards the viewer; from above, head
+        up."""
+        self.run_method("orient", side)
+
 
 _LIVE_S = 0.2  # update period of the robot's pose [ours]
 

@@ -1,22 +1,19 @@
-"""The 3-D scene: its objects as plain data (mm, CFCS), the surface of a bone, and the NiceGUI element without state.
+"""The 3-D scene: its objects as plain data (mm, CFCS), and the surface of a bone. Its worker needs no NiceGUI.
 
 Kinds: spheres, points, lines, mesh, picture, ellipsoid, cylinder, label, axes, note. `style` names a style in
 space_objects.js. `reach` is "hip", "frame" (the default) or "room": the smallest view that includes the object.
 """
 
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import cv2
-import nicegui.elements.scene  # noqa: F401 # pyright: ignore[reportUnusedImport] - makes its three.js known to the page; ours is no copy of it
 import numpy as np
 from scipy.ndimage import binary_fill_holes, gaussian_filter
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
-from sightline.app.drawing.calls import Calling
 from sightline.app.session.rehearsing import Patient, rehearsal_of
 from sightline.calibration.view import CalibratedView
 from sightline.case.report.scene import NEAR_MM, magnification
@@ -26,33 +23,6 @@ from sightline.frame.plate import Plate, RigidBody
 from sightline.imaging import Radiograph
 from sightline.planning import Trajectory
 from sightline.robot.kinematics.manipulator import FEED, Manipulator
-from sightline.twin.objects.volumes import Volume
-
-_COLOURS = Path(__file__).parents[1] / "colours.js"
-Objects = Sequence[Mapping[str, Any]]
-
-
-class SpaceView(Calling, component="space_view.js", dependencies=["space*.js", _COLOURS]):
-    """The 3-D scene. Its objects are those of `document`, in named groups that a person can hide."""
-
-    def __init__(self, *, label: str, groups: Mapping[str, str], texts: Mapping[str, str]) -> None:
-        """`label`: accessible description of the scene; `groups`: names of the groups, in the legend's order; `texts`:
-        of its buttons and notes, by name."""
-        super().__init__()
-        self._props["label"] = label
-        self._props["groups"] = dict(groups)
-        self._props["texts"] = dict(texts)
-        self._props["data-testid"] = "space"
-
-    def draw(self, group: str, objects: Objects) -> None:
-        """Replace one group; an empty one is removed."""
-        self.run_method("draw", group, list(objects))
-
-    def orient(self, side: str | None) -> None:
-        """Set the side of the hip, "right" or "left", which orients the view: feet towards the viewer; from above, head
-        up."""
-        self.run_method("orient", side)
-
 
 if TYPE_CHECKING:
     from sightline.twin.objects.volumes import Volume
@@ -320,7 +290,7 @@ SMOOTHING_CELLS = 0.7  # [ours] smooths the steps between cells
 LEVEL = 0.76
 
 
-def outer_surface(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
+def outer_surface(volume: "Volume") -> tuple[np.ndarray, np.ndarray]:
     """Return vertices (V, 3) mm, CFCS, and triangles (T, 3), counter-clockwise seen from outside. Empty without
     bone."""
     step = max(round(CELL_MM / float(volume.voxel_mm.mean())), 1)
