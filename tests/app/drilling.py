@@ -44,7 +44,7 @@ async def plan_and_send(session: Session, patient: Rehearsal) -> None:
     places = {"entry": wire[:, 0], "end": wire[:, 1]} | {f"head-{k + 1}": rim[:, k] for k in range(3)}
     named = zip(patient.landmark_keys, patient.landmarks.values(), strict=True)
     place(session, places | {f"landmark-{key}": uv for key, uv in named}, NAMES)
-    planning.confirm_side("right")
+    planning.decide(side="right")
     planning.confirm_serial("none")
     known = planning.planned
     assert session.readiness.can_send and known is not None, session.readiness.verdict

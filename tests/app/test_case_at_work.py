@@ -29,7 +29,7 @@ def test_snapping_is_a_decision_like_any_other(tmp_path: Path, worker: WorkerPro
         session = Session.open(tmp_path, "gamma", None, worker)
         told: list[bool] = []
         session.jobs.listeners.append(lambda: told.append(session.planning.decisions.snapping))
-        session.planning.choose_snapping(False)
+        session.planning.decide(snapping=False)
         session.planning.undo()
         session.planning.redo()
         assert told[:3] == [False, True, False]

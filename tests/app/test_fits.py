@@ -17,12 +17,13 @@ from tests.planning.bone import rim, views
 from tests.test_fitted_head import head_image
 from tests.test_fitted_neck import neck_borders, neck_image
 
-from sightline.app.plan.decisions import Decisions, FittedAxis, Mark
-from sightline.app.plan.planner import drawn_axis, drawn_head, plan_input, planned
+from sightline.app.plan.decisions import Decisions, Mark, as_fitted
+from sightline.app.plan.planner import drawn_axis, drawn_head, picks_of, plan_input, planned
 from sightline.app.session import planning as module
 from sightline.app.session.jobs import Jobs
 from sightline.app.session.planning import Planning
 from sightline.case.journal import Case
+from sightline.case.picks import Picks, ask_plan
 from sightline.case.views import NAMES
 from sightline.errors import CaseError, UnusableInputError
 from sightline.imaging import Radiograph
@@ -91,7 +92,7 @@ def _with_shaft(decisions: Decisions) -> Decisions:
     drawn = drawn_axis(decisions, "shaft")
     assert drawn is not None and drawn[0].borders_px is not None
     moved = Line(drawn[0].uv_px + 1.0, drawn[0].sd_px, drawn[0].borders_px + 1.0, 0.7 * np.eye(4))
-    return replace(decisions, fitted_shaft=FittedAxis.made((moved, drawn[1]), {"lateral": "no clear edge"}))
+    return replace(decisions, fitted_shaft=as_fitted((moved, drawn[1]), {"lateral": "no clear edge"}))
 
 
 @pytest.fixture
@@ -112,8 +113,8 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Decisions:
         made = _Planning(case, "gamma", nobody, Jobs())
         made.images = _good()
         made.edit(_drawn())
-        asyncio.run(made.fit_head())
-        asyncio.run(made.fit_neck())
+        asyncio.run(made.fit("head"))
+        asyncio.run(made.fit("neck"))
         return _with_shaft(made.decisions)
 
 
@@ -121,7 +122,7 @@ def _kept(planning: _Planning, match: str, fit: str = "head") -> str:
     """Fit in vain: nothing is changed, in the decisions and in the journal. Return what is said."""
     before, last = planning.decisions, planning.case.last
     with pytest.raises(UnusableInputError, match=match) as refused:
-        asyncio.run(getattr(planning, f"fit_{fit}")())
+        asyncio.run(planning.fit(fit))
     assert planning.decisions is before and planning.case.last == last
     return str(refused.value)
 
@@ -153,7 +154,7 @@ def test_a_head_without_its_edges_is_kept_as_drawn_and_says_why_in_each_image(pl
 def test_one_image_without_an_edge_keeps_its_circle_and_the_other_is_fitted(planning: _Planning) -> None:
     """Fails for a plan that takes the fitted circle's small error for the drawn one's."""
     planning.images = (head_image(VIEWS[0], 0), _dark(_good()[1]))
-    asyncio.run(planning.fit_head())
+    asyncio.run(planning.fit("head"))
     fitted, drawn = planning.decisions.fitted_head, drawn_head(planning.decisions)
     assert fitted is not None and drawn is not None and list(fitted.kept) == ["lateral"]
     (said,) = module.kept_as_drawn(fitted.kept)
@@ -186,7 +187,7 @@ def test_a_fit_of_what_has_changed_meanwhile_is_dropped(
 
     monkeypatch.setattr(asyncio, "to_thread", changed)
     with pytest.raises(UnusableInputError, match=f"fit the {fit} again: its drawing"):
-        asyncio.run(getattr(planning, f"fit_{fit}")())
+        asyncio.run(planning.fit(fit))
     assert planning.decisions.fitted_head is None and planning.decisions.fitted_neck is None
 
 
@@ -265,3 +266,17 @@ def test_a_fit_comes_back_from_its_json_and_a_broken_one_is_refused(
         Decisions.of(document)
     del document[fit], document["borders"]  # older cases, whose axes were drawn themselves
     assert getattr(Decisions.of(document), fit) is None and not Decisions.of(document).borders
+
+
+def test_the_file_of_picks_gives_the_same_plan(fitted: Decisions) -> None:
+    """As `sightline plan --picks` reads it, with the fits made again."""
+    decided = replace(fitted, fitted_shaft=None).with_mark("landmark-head-centre", fitted.mark("end"))
+    picks = Picks.model_validate_json(picks_of(decided, NAMES).text)
+    assert (picks.fit, len(picks.landmarks)) == (("head", "neck"), 1)
+    images: Any = [
+        SimpleNamespace(view=view, seen=SimpleNamespace(image=image))
+        for view, image in zip(VIEWS, _good(), strict=True)
+    ]
+    asked, known = ask_plan(picks, images, decided.kind, decided.side, propose=False), planned(decided, VIEWS)
+    assert known.plan is not None
+    assert asked.request.plan_on(VIEWS).document() == known.plan.document()

@@ -50,7 +50,7 @@ def test_a_patient_lacks_the_bones_of_other_procedures(procedure: str) -> None:
 @pytest.mark.parametrize("key", sorted(PROCEDURES))
 def test_the_step_plan_says_so_before_it_asks_for_a_point(session: Session, key: str) -> None:
     planning, document = session.planning, PROCEDURES[key].document.key
-    planning.choose_kind(key)
+    planning.edit(planning.decisions.with_kind(key))
     goal = Placing(planning, session.shots).goal(ProcedureStep.PLAN)
     if document in (*AT_HIP, FREE):
         assert not planning.lacking and goal is not None
@@ -64,7 +64,7 @@ def test_the_step_plan_says_so_before_it_asks_for_a_point(session: Session, key:
 
 def test_a_plan_of_what_the_patient_lacks_is_not_sent(session: Session) -> None:
     robot: Any = SimpleNamespace(now=SimpleNamespace(lost=False))
-    session.planning.choose_kind(f"{NAILED}:distal")
+    session.planning.edit(session.planning.decisions.with_kind(f"{NAILED}:distal"))
     session.drilling.session = robot
     known = session.planning.planned
     assert known is not None
@@ -79,7 +79,7 @@ def test_a_nail_s_procedure_of_the_user_s_own_needs_a_nail_too(
     (tmp_path / "my-nail.json").write_text(json.dumps({**shipped, "key": "my-nail"}), "utf-8")
     monkeypatch.setenv(FOLDER, str(tmp_path))
     planning = session.planning
-    planning.choose_kind("my-nail:distal")
+    planning.edit(planning.decisions.with_kind("my-nail:distal"))
     assert planning.lacking == NAIL
     planning.lacking_in = lacking_in(Patient(1, procedure=NAILED))
     assert not planning.lacking

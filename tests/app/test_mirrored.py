@@ -72,10 +72,10 @@ def test_a_person_is_asked_only_where_no_image_shows_the_frame_unmirrored(
 ) -> None:
     assert opened.planning.asks_mirrored == (NAMES if flipped == NAMES else ())
     asked = flipped == NAMES
-    opened.planning.confirm_side("right")
+    opened.planning.decide(side="right")
     opened.planning.confirm_serial("none")
     for number in opened.planning.decisions.images.values():
-        opened.planning.edit(opened.planning.decisions.with_taken(number, opened.planning.case.entry(1).at))
+        opened.planning.decide(taken={**opened.planning.decisions.taken, number: opened.planning.case.entry(1).at})
     assert (steps(opened)[0].status is StepStatus.ATTENTION) is asked
     assert any(_upright(opened)) is not asked
 
@@ -83,7 +83,7 @@ def test_a_person_is_asked_only_where_no_image_shows_the_frame_unmirrored(
 @pytest.mark.parametrize("flipped", [NAMES], indirect=True)
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_answer_is_of_the_file_and_not_of_how_the_page_shows_it(opened: Session, turned: bool) -> None:
-    opened.planning.show("pa", Display(mirrored=turned))
+    opened.planning.decide(display={"pa": Display(mirrored=turned)})
     opened.planning.state_mirrored("pa", backwards=not turned)
     assert opened.planning.decisions.mirrored == {opened.planning.decisions.images["pa"]: True}
     assert _upright(opened) == [True, False]

@@ -22,9 +22,9 @@ def session(tmp_path: Path):
 
 def test_another_case_has_its_own_decisions_and_frame(session: Session, tmp_path: Path) -> None:
     other = Session.open(tmp_path / "second", "biplane", None, session.planning.worker)
-    other.planning.confirm_side("left")
+    other.planning.decide(side="left")
     asyncio.run(other.close())
-    session.planning.confirm_side("right")
+    session.planning.decide(side="right")
     opened = session.succeeded_by(tmp_path / "second")
     assert opened.planning.decisions.side == "left"
     assert opened.planning.frame.fingerprint != session.planning.frame.fingerprint
@@ -40,7 +40,7 @@ def test_a_folder_without_a_case_is_refused_and_stays_as_it_is(session: Session,
     with pytest.raises(CaseError, match="no case"):
         session.succeeded_by(tmp_path / "empty")
     assert not list((tmp_path / "empty").iterdir())
-    session.planning.confirm_side("left")  # the present one is still open
+    session.planning.decide(side="left")  # the present one is still open
 
 
 def test_work_in_progress_keeps_the_case_open(session: Session, tmp_path: Path) -> None:

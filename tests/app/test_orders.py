@@ -15,7 +15,7 @@ from tests.planning.standin import stand_in
 
 from sightline.app import texts
 from sightline.app.panels import steps
-from sightline.app.plan.decisions import Decisions, Display, FittedAxis, FittedHead, Mark
+from sightline.app.plan.decisions import Decisions, Display, Mark, as_fitted
 from sightline.app.plan.marks import END, ENTRY, marks_of
 from sightline.app.plan.planner import drawn_head, planned
 from sightline.app.session import drilling_workflow as module
@@ -111,10 +111,13 @@ def _moved(decisions: Decisions, name: str, image: str) -> Decisions:
     return decisions.with_mark(name, decisions.mark(name).placed(image, (500.0, 500.0)))
 
 
+_ANOTHER: Any = "another fit"
+
+
 def _fitted(decisions: Decisions) -> Decisions:
     head = drawn_head(decisions)
     assert head is not None
-    return replace(decisions, fitted_head=FittedHead.made(head, {}))
+    return replace(decisions, fitted_head=as_fitted(head, {}))
 
 
 @pytest.mark.parametrize(
@@ -122,15 +125,15 @@ def _fitted(decisions: Decisions) -> Decisions:
     [
         (_fitted, False),
         (lambda now: replace(now, borders=True), False),
-        (lambda now: replace(now, fitted_shaft=FittedAxis(({}, {}), {})), False),
-        (lambda now: replace(now, fitted_neck=FittedAxis(({}, {}), {})), False),
+        (lambda now: replace(now, fitted_shaft=_ANOTHER), False),
+        (lambda now: replace(now, fitted_neck=_ANOTHER), False),
         (lambda now: _moved(now, "head-2", "lateral"), False),
         (lambda now: now.with_mark("head-1", None), False),
         (lambda now: _moved(now, "neck-1", "pa"), False),
         (lambda now: _moved(now, LANDMARK, "pa"), False),
         (lambda now: _moved(now, LANDMARK, "check-pa"), True),  # found again after drilling
         (lambda now: _moved(now, LANDMARK, "shot-lateral"), True),
-        (lambda now: now.with_display("pa", Display(90)), True),
+        (lambda now: replace(now, display={"pa": Display(90)}), True),
         (lambda now: replace(now, snapping=False), True),
     ],
 )

@@ -290,7 +290,7 @@ def _place_all(opened: Page, side: Side) -> None:
         for k in range(clicks):
             decisions = decisions.with_mark(f"{aid}-{k + 1}", Mark(_places(uv[aid], k)))
     opened.planning.edit(decisions)
-    opened.planning.confirm_side(side)
+    opened.planning.decide(side=side)
 
 
 def _places(uv: Any, k: int) -> dict[str, tuple[float, float]]:

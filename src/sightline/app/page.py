@@ -101,7 +101,7 @@ def _leave_question() -> ui.dialog:
 
 def _first_open(session: Session) -> ProcedureStep:
     """Return the step to begin with: the first that is not done."""
-    return next((one.step for one in steps(session) if one.status != "done"), ProcedureStep.VERIFY)
+    return next((each.step for each in steps(session) if each.status != "done"), ProcedureStep.VERIFY)
 
 
 async def _key(tab: Tab, menu: Menu, event) -> None:

@@ -92,7 +92,6 @@ POINT_GROUPS = {
     "robot": "Where is the robot?",
 }
 PLACE_WHAT = "Place {what}"
-FIT_NECK_AGAIN = "fit the neck again: its drawing, the head or an image has changed meanwhile"
 WIRE_STATES = {  # of a wire, by its verdict and by what was done
     "missing": "not placed",
     "go": "GO",

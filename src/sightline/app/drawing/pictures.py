@@ -127,8 +127,8 @@ def sight(view: BeadView, image_shape: tuple[int, int]) -> dict[str, Any]:
     near = xy[hull.is_near(pixels.nodes)]
     shadows = _Grid(near.min(axis=0), near.max(axis=0))
     uv = np.full((len(shadows.nodes), 2), np.nan)
-    found_px, found = view.plane_map.find_image(shadows.nodes)
-    uv[found] = found_px
+    found_px, is_found = view.plane_map.find_image(shadows.nodes)
+    uv[is_found] = found_px
     return {
         "focal": view.focal_point_mm.tolist(),
         "origin": view.plane.origin_mm.tolist(),

@@ -41,7 +41,7 @@ def beads(seen: SeenImage) -> list[Shape]:
             for uv, radius in zip(seen.beads.uv_px, seen.beads.radius_px, strict=True)
         ]
     left = seen.view.residuals
-    out = []
+    drawn = []
     for name, uv, residual, used in zip(left.ids, left.uv_px, left.residual_mm, left.used, strict=True):
         size = float(np.linalg.norm(residual))
         shape: Shape = {"shape": "circle", "points": [uv.tolist()], "radius": _radius(seen, uv), "style": "bead-good"}
@@ -49,8 +49,8 @@ def beads(seen: SeenImage) -> list[Shape]:
             shape |= {"value": min(size / RESIDUAL_MM, 1.0), "title": f"{name}: residual {size:.3f} mm"}
         else:
             shape |= {"style": "bead-bad", "title": f"{name}: left out, it contradicts the others by {size:.2f} mm"}
-        out.append(shape)
-    return out
+        drawn.append(shape)
+    return drawn
 
 
 def rejected(seen: SeenImage) -> list[Shape]:
@@ -58,8 +58,8 @@ def rejected(seen: SeenImage) -> list[Shape]:
     if seen.beads is None:
         return []
     return [
-        {"shape": "cross", "points": [list(one.uv_px)], "style": "rejected", "title": one.reason}
-        for one in seen.beads.rejected
+        {"shape": "cross", "points": [list(candidate.uv_px)], "style": "rejected", "title": candidate.reason}
+        for candidate in seen.beads.rejected
     ]
 
 
@@ -72,12 +72,12 @@ def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
     line = curve.uv_px.tolist()
     ticks = curve.uv_px[curve.is_tick].tolist()
     depths = [f"{depth:.0f}" if depth % 50 == 0 else "" for depth in curve.depth_mm[curve.is_tick]]
-    out: list[Shape] = []
+    drawn: list[Shape] = []
     if curve.half_width_px is not None:
         half = curve.half_width_px.tolist()
         band = {"shape": "band", "points": line, "halfWidth": half, "style": "curve-band"}
-        out.append({**band, "from": float(curve.depth_mm[0])})
-    out.append(
+        drawn.append({**band, "from": float(curve.depth_mm[0])})
+    drawn.append(
         {
             "shape": "line",
             "points": line,
@@ -86,53 +86,53 @@ def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
         }
     )
     if ticks:
-        out.append({"shape": "ticks", "points": ticks, "style": "tick", "label": depths})
-    for shape in out:
+        drawn.append({"shape": "ticks", "points": ticks, "style": "tick", "label": depths})
+    for shape in drawn:
         shape["of"] = name
-    return out
+    return drawn
 
 
 def wire(planned: Planned, image: str) -> list[Shape]:
     """Return the wires for one view: the current one last, at its true width with its 95 % corridor, over the implant
     that fits it."""
-    view, out = _view(planned, image), []
+    view, drawn = _view(planned, image), []
     if view is None:
         return []
-    for plan in sorted(planned.plans.values(), key=lambda one: one is planned.plan):
+    for plan in sorted(planned.plans.values(), key=lambda each: each is planned.plan):
         kind = plan.kind
         with suppress(SightlineError):  # it is outside the view; the plan's checks say so
-            found = corridor(view, plan.trajectory, wire_mm=kind.wire_mm, beyond_mm=kind.limits.beyond_mm)
+            path = corridor(view, plan.trajectory, wire_mm=kind.wire_mm, beyond_mm=kind.limits.beyond_mm)
             beside: Shape = {
                 "shape": "line",
-                "points": found.uv_px.tolist(),
+                "points": path.uv_px.tolist(),
                 "style": "plan",
                 "title": kind.wire.name,
             }
             if plan is planned.plan:
                 with suppress(SightlineError):  # the wire is drawn where a view shows no more of the implant
-                    out += _implant(found, plan)
-                out += band(found, "wire" if plan.hole is None else "plan")  # the hole in the image must stay visible
+                    drawn += _implant(path, plan)
+                drawn += band(path, "wire" if plan.hole is None else "plan")  # the hole in the image must stay visible
             else:
-                out.append(beside)
-    return out
+                drawn.append(beside)
+    return drawn
 
 
 def _implant(wire: Corridor, plan: Plan) -> list[Shape]:
     """Return the outline of the implant that fits a plan's wire, and its thread; nothing where none fits."""
     document = plan.kind.document
-    catalogue, found = document.catalogue, template(wire, plan.trajectory.length_mm, document)
-    if catalogue is None or found is None:
+    catalogue, outline_px = document.catalogue, template(wire, plan.trajectory.length_mm, document)
+    if catalogue is None or outline_px is None:
         return []
     title = (
-        f"{texts.titled(catalogue.implants)}: {found.length_mm:g} mm from the entry point, "
-        f"{found.diameter_mm:g} mm thick"
+        f"{texts.titled(catalogue.implants)}: {outline_px.length_mm:g} mm from the entry point, "
+        f"{outline_px.diameter_mm:g} mm thick"
     )
-    parts = [("implant", 0)] if found.thread is None else [("implant", 0), ("thread", found.thread)]
+    parts = [("implant", 0)] if outline_px.thread is None else [("implant", 0), ("thread", outline_px.thread)]
     return [
         {
             "shape": "band",
-            "points": found.uv_px[first:].tolist(),
-            "halfWidth": found.half_px[first:].tolist(),
+            "points": outline_px.uv_px[first:].tolist(),
+            "halfWidth": outline_px.half_px[first:].tolist(),
             "style": style,
             "title": title,
         }
@@ -143,16 +143,16 @@ def _implant(wire: Corridor, plan: Plan) -> list[Shape]:
 def nail_found(planned: Planned, image: str) -> list[Shape]:
     """Return a nail as the images show it, for one view: the edges found along its strokes, its axis, and the rims of
     its holes."""
-    found = planned.holes
-    if found is None or found.nail is None or image not in NAMES:
+    holes = planned.holes
+    if holes is None or holes.nail is None or image not in NAMES:
         return []
-    k, nail = NAMES.index(image), found.nail
+    k, nail = NAMES.index(image), holes.nail
     axis = nail.point_mm + _NAIL_MM * np.linspace(-1.0, 1.0, 31)[:, None] * nail.along
-    out = [_edge(edge.uv_px, "the nail's edge, as found in the image") for edge in nail.outlines[k]]
-    out.append({**_edge(found.views[k].project_seen(axis)[0], "axis of the nail"), "style": "aid"})
-    rims = [rim.uv_px for edges in found.edges.values() for rim in (edges[k].entry, edges[k].exit)]
-    out += [_edge(_around(uv), "rim of the hole, as found in the image") for uv in rims if len(uv) > 1]
-    return out
+    drawn = [_edge(edge.uv_px, "the nail's edge, as found in the image") for edge in nail.outlines[k]]
+    drawn.append({**_edge(holes.views[k].project_seen(axis)[0], "axis of the nail"), "style": "aid"})
+    rims = [rim.uv_px for edges in holes.edges.values() for rim in (edges[k].entry, edges[k].exit)]
+    drawn += [_edge(_around(uv), "rim of the hole, as found in the image") for uv in rims if len(uv) > 1]
+    return drawn
 
 
 def _edge(uv_px: np.ndarray, title: str) -> Shape:
@@ -182,34 +182,34 @@ def drilled(planned: Planned, image: str, depth_mm: float) -> list[Shape]:
     )
 
 
-def band(found: Corridor, style: str = "wire") -> list[Shape]:
+def band(path: Corridor, style: str = "wire") -> list[Shape]:
     """Return a wire, in a style, and its corridor in an image."""
-    line = found.uv_px.tolist()
-    out: list[Shape] = []
-    if found.half_95_px is not None:
-        half = (found.wire_half_px + found.half_95_px).tolist()
-        out.append({"shape": "band", "points": line, "halfWidth": half, "style": "corridor"})
-    out.append({"shape": "band", "points": line, "halfWidth": found.wire_half_px.tolist(), "style": style})
-    return out
+    line = path.uv_px.tolist()
+    drawn: list[Shape] = []
+    if path.half_95_px is not None:
+        half = (path.wire_half_px + path.half_95_px).tolist()
+        drawn.append({"shape": "band", "points": line, "halfWidth": half, "style": "corridor"})
+    drawn.append({"shape": "band", "points": line, "halfWidth": path.wire_half_px.tolist(), "style": style})
+    return drawn
 
 
 def aids(planned: Planned, image: str) -> list[Shape]:
     """Return the aids' axes with the borders that they lie between, and the outline of the head, for one view."""
-    out: list[Shape] = []
+    drawn: list[Shape] = []
     for aid in planned.kind.aids:
         uv = None if aid.type in ("point", "sphere") else _lines(planned, aid, image)
         title = f"{aid.key} axis" if aid.type == "line" else aid.name
         for ends in () if uv is None else uv:
-            out += _line(ends, 0.0 if aid.type != "line" or len(uv) > 1 else _AXIS_PX, title)
+            drawn += _line(ends, 0.0 if aid.type != "line" or len(uv) > 1 else _AXIS_PX, title)
         if uv is not None and by_borders(aid, planned.decisions.borders):
-            out += _line(Line.between(uv).uv_px, _AXIS_PX, title)
+            drawn += _line(Line.between(uv).uv_px, _AXIS_PX, title)
     head, view = planned.anatomy.head, _view(planned, image)
     name = next((aid.name for aid in planned.kind.aids if aid.key == HEAD), "")
     if head is not None and view is not None:
         seen = outline(view, head)
         if len(seen) > 2:
-            out.append({"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": name})
-    return out
+            drawn.append({"shape": "polygon", "points": seen.tolist(), "style": "aid", "title": name})
+    return drawn
 
 
 def _lines(planned: Planned, aid: AidAsked, image: str) -> np.ndarray | None:
@@ -264,27 +264,29 @@ def _view(planned: Planned, image: str) -> BeadView | None:
 
 def found(session: Session, image: str) -> list[Shape]:
     """Return the wires measured in a check image, and their plans."""
-    out: list[Shape] = []
+    drawn: list[Shape] = []
     for kind, seen in session.verifying.found.items():
         if (wire := seen.get(image)) is not None:
             line = {"shape": "line", "points": wire.uv_px.tolist(), "style": "found"}
             shot, sent = session.verifying.shots.get(kind), session.planning.all_sent.get(kind)
-            out += _planned_there(session, shot, sent, image, CHECK_NAMES)
+            drawn += _planned_there(session, shot, sent, image, CHECK_NAMES)
             arrows = _deviations_there(session, kind, image)
             if kind != session.planning.decisions.kind:  # the numbers over the image are those of the current wire
-                arrows = [{key: value for key, value in one.items() if key != "label"} for one in arrows]
-            out += arrows
-            out += [
+                arrows = [{key: value for key, value in arrow.items() if key != "label"} for arrow in arrows]
+            drawn += arrows
+            drawn += [
                 {**line, "title": "the wire as this image shows it"},
                 {"shape": "cross", "points": [wire.tip_uv_px.tolist()], "style": "found", "title": "its tip"},
             ]
-    return out
+    return drawn
 
 
 def shot(session: Session, image: str) -> list[Shape]:
     """Return the plan in an image taken while drilling, once the shot is measured."""
-    found = session.shots.found
-    return _planned_there(session, None if found is None else found.wire, session.drilling.held, image, SHOT_NAMES)
+    measured = session.shots.found
+    return _planned_there(
+        session, None if measured is None else measured.wire, session.drilling.held, image, SHOT_NAMES
+    )
 
 
 def _planned_there(
@@ -323,15 +325,15 @@ def deviations(
 ) -> list[Shape]:
     """Return an arrow from the planned to the measured place (2, 3) of entry and tip, drawn longer than it is, with the
     deviation in space and its 95 % error; none for a place outside the view."""
-    out: list[Shape] = []
+    drawn: list[Shape] = []
     for name, planned, measured, (mm, error) in zip(("entry", "tip"), planned_mm, measured_mm, off_mm, strict=True):
         uv, seen = view.project_seen(np.stack([planned, measured]))
         if seen.all():
             ends = [uv[0].tolist(), (uv[0] + _ARROW_TIMES * (uv[1] - uv[0])).tolist()]
-            said = f"{name} {mm:.2f} ± {error:.2f} mm off"
-            title = f"{said} its plan; the arrow is drawn {_ARROW_TIMES} times as long"
-            out.append({"shape": "arrow", "points": ends, "style": "deviation", "label": said, "title": title})
-    return out
+            label = f"{name} {mm:.2f} ± {error:.2f} mm off"
+            title = f"{label} its plan; the arrow is drawn {_ARROW_TIMES} times as long"
+            drawn.append({"shape": "arrow", "points": ends, "style": "deviation", "label": label, "title": title})
+    return drawn
 
 
 def _radius(seen: SeenImage, uv: np.ndarray) -> float:

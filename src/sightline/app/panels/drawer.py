@@ -57,7 +57,7 @@ class Menu:
 
     async def _show_cases(self) -> None:
         folder = self._tab.planning.case.folder
-        found = await asyncio.to_thread(cases_beside, folder)
+        cases = await asyncio.to_thread(cases_beside, folder)
         self._listed.clear()
         with self._listed:
             heading(texts.CASES)
@@ -65,36 +65,38 @@ class Menu:
                 with ui.element("tr"):
                     for name in ("case", "newest entry, UTC", "reached", "folder", ""):
                         _cell("th", name).props("scope=col")
-                for one in found:
-                    self._row(one, here=one.folder == folder.resolve())
+                for case in cases:
+                    self._row(case, here=case.folder == folder.resolve())
         self._cases.open()
 
-    def _row(self, one: CaseInFolder, *, here: bool) -> None:
+    def _row(self, case: CaseInFolder, *, here: bool) -> None:
         with ui.element("tr"):
-            _cell("th", texts.CASE_HERE.format(number=one.number) if here else one.number).props("scope=row")
+            _cell("th", texts.CASE_HERE.format(number=case.number) if here else case.number).props("scope=row")
             for text in (
-                f"{one.at:%Y-%m-%d %H:%M}",
-                "images" if one.reached is Kind.ACQUIRED else one.reached.value,
-                one.folder.name,
+                f"{case.at:%Y-%m-%d %H:%M}",
+                "images" if case.reached is Kind.ACQUIRED else case.reached.value,
+                case.folder.name,
             ):
                 _cell("td", text)
             with ui.element("td"):
                 if not here:
-                    button = action(texts.CASE_OPEN, partial(self._ask, one), testid=f"open-{one.number}", kind="small")
-                    button.props(f'aria-label="{texts.CASE_OPEN} {one.number}"')
+                    button = action(
+                        texts.CASE_OPEN, partial(self._ask, case), testid=f"open-{case.number}", kind="small"
+                    )
+                    button.props(f'aria-label="{texts.CASE_OPEN} {case.number}"')
 
-    def _ask(self, one: CaseInFolder) -> None:
+    def _ask(self, case: CaseInFolder) -> None:
         """Ask whether to leave this case for another one."""
         now = self._tab.session.drilling.now
         robot = () if now is None or now.lost else ("The link to the robot is closed: it stops and forgets its plan.",)
 
         async def agreed() -> None:
             self._cases.close()
-            await self._tab.act(lambda: self._open_case(one.folder))
+            await self._tab.act(lambda: self._open_case(case.folder))
 
         self._listed.clear()
         with self._listed:
-            for text in (texts.CASE_QUESTION.format(number=one.number), *robot):
+            for text in (texts.CASE_QUESTION.format(number=case.number), *robot):
                 ui.label(text).classes("question-text")
             action(texts.CASE_OPEN, agreed, testid="open-yes", kind="primary")
 

@@ -159,13 +159,13 @@ def _state(tab: Tab) -> None:
     if now.last_error:
         note(now.last_error, kind="bad", testid="robot-said")
     bar = put(_depth(tab))
-    said = ui.label().classes("note quiet").props("data-testid=robot-live")
+    readings = ui.label().classes("note quiet").props("data-testid=robot-live")
 
     def tell() -> None:
         at = tab.session.drilling.now
         if at is not None:
             bar.set_content(_depth(tab))
-            said.set_text(reading(at))
+            readings.set_text(reading(at))
             tab.show_views()  # the wire fills along the plan
 
     tell()
@@ -221,7 +221,7 @@ def _error_words(now: "RobotNow") -> str:
 
 
 def _zero_words(now: "RobotNow") -> str:
-    *others, last = (texts.ZEROS[one] for one in now.zero)
+    *others, last = (texts.ZEROS[source] for source in now.zero)
     return texts.DISPLAY_AND.join([", ".join(others), last] if others else [last])
 
 
@@ -343,7 +343,9 @@ def _second_shot(tab: Tab) -> None:
     error = ui.number("Its 95 % error, ± mm", format="%.2f").props("outlined dense data-testid=shot-error")
 
     def tell() -> Awaitable[None]:
-        return drilling.send_shot_depth(*(float("nan" if one.value is None else one.value) for one in (depth, error)))
+        return drilling.send_shot_depth(
+            *(float("nan" if field.value is None else field.value) for field in (depth, error))
+        )
 
     question = (
         f"Send this depth to the robot? It counts the last {_left_mm(drilling.session):.0f} "
@@ -380,8 +382,8 @@ def _force(tab: Tab) -> None:
             table(
                 ("event", "depth", "thrust"),
                 [
-                    (one.name, f"{texts.tenths(one.depth_mm)} mm", f"{texts.tenths(one.force_n)} N")
-                    for one in record.events
+                    (event.name, f"{texts.tenths(event.depth_mm)} mm", f"{texts.tenths(event.force_n)} N")
+                    for event in record.events
                 ],
                 testid="events-table",
             )

@@ -6,7 +6,7 @@ from collections.abc import Hashable, Sequence
 from nicegui import ui
 
 from sightline.app import texts
-from sightline.app.panels.section import Section, action, checks, heading, note, radio, table
+from sightline.app.panels.section import Section, action, checks, heading, note, radio, shown_or_not, table
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_label, image_name
@@ -80,7 +80,7 @@ def _wanted(tab: Tab) -> dict[str, str]:
     if shot or (check and tab.planning.patient is not None):  # which replaces what the views show, or is simulated
         return dict.fromkeys(slots, "here")
     seen = {name: tab.planning.seen(f"check-{name}" if check else name) for name in slots}
-    return {name: "empty" if one is None else "failed" if one.refused else "here" for name, one in seen.items()}
+    return {name: "empty" if image is None else "failed" if image.refused else "here" for name, image in seen.items()}
 
 
 def build_side(tab: Tab) -> None:
@@ -120,15 +120,9 @@ def _orientation(tab: Tab) -> None:
 def build_oblique(tab: Tab) -> None:
     """Build the choice to show the third image in the second view; nothing while there is none."""
 
-    def show(event) -> None:
-        tab.views.show_oblique = bool(event.value)
-        tab.refresh()
-
     def choice(tab: Tab) -> None:
         if OBLIQUE in tab.planning.decisions.images:
-            ui.checkbox("Show the oblique image on the right", value=tab.views.show_oblique, on_change=show).props(
-                "data-testid=show-oblique"
-            )
+            shown_or_not(tab, "Show the oblique image on the right", "show_oblique")
 
     Section(tab, lambda t: OBLIQUE in t.planning.decisions.images, choice)
 
@@ -180,14 +174,14 @@ def _side(tab: Tab) -> None:
     side = tab.planning.decisions.side
     with ui.element("div").classes("on-images").props(f'role=radiogroup aria-label="{texts.SIDE_HEADING}"'):
         ui.label("Which side? Check the marker in the image, or the patient:" if side is None else texts.SIDE_HEADING)
-        for one in ("right", "left"):
+        for name in ("right", "left"):
             button = action(
-                f"{one.title()} side",
-                tab.doing(lambda one=one: tab.planning.confirm_side(one)),
-                testid=f"side-{one}",
-                kind="primary" if side == one else "plain",
+                f"{name.title()} side",
+                tab.doing(lambda name=name: tab.planning.decide(side=name)),
+                testid=f"side-{name}",
+                kind="primary" if side == name else "plain",
             )
-            radio(button, chosen=side == one, first=side is None and one == "right")
+            radio(button, chosen=side == name, first=side is None and name == "right")
 
 
 def _serial(tab: Tab) -> None:
@@ -219,7 +213,7 @@ def _serial(tab: Tab) -> None:
 def _untimed(tab: Tab) -> tuple[str, ...]:
     """Return the names of the images whose time is unknown."""
     seen = {name: tab.planning.seen(name) for name in tab.planning.slots}
-    return tuple(name for name, one in seen.items() if one is not None and tab.session.age.taken_at(one) is None)
+    return tuple(name for name, image in seen.items() if image is not None and tab.session.age.taken_at(image) is None)
 
 
 def _taken(tab: Tab) -> None:
@@ -235,11 +229,11 @@ def _taken(tab: Tab) -> None:
             kind="warn",
             testid=f"taken-unknown-{name}",
         )
-        said = ui.number(f"{image_label(name, kind)}: taken, minutes ago", format="%.0f", min=0)
-        said.props(f"outlined dense data-testid=taken-{name}")
+        minutes = ui.number(f"{image_label(name, kind)}: taken, minutes ago", format="%.0f", min=0)
+        minutes.props(f"outlined dense data-testid=taken-{name}")
 
-        def confirm(name: str = name, said: ui.number = said) -> None:
-            tab.session.age.state_taken(name, float("nan") if said.value is None else float(said.value))
+        def confirm(name: str = name, minutes: ui.number = minutes) -> None:
+            tab.session.age.state_taken(name, float("nan") if minutes.value is None else float(minutes.value))
 
         action("Confirm the time", tab.doing(confirm), testid=f"confirm-taken-{name}", kind="primary")
 
@@ -247,8 +241,8 @@ def _taken(tab: Tab) -> None:
 def _mirrored_key(tab: Tab) -> Hashable:
     """Key of the question about mirrored displays: its images, the answers, and how the page shows the images."""
     asked, decisions = tab.planning.asks_mirrored, tab.planning.decisions
-    said = (decisions.mirrored.get(decisions.images[name]) for name in asked)
-    return asked, decisions.kind, *said, *(_is_turned(tab, name) for name in asked)
+    answers = (decisions.mirrored.get(decisions.images[name]) for name in asked)
+    return asked, decisions.kind, *answers, *(_is_turned(tab, name) for name in asked)
 
 
 def _is_turned(tab: Tab, image: str) -> bool:
@@ -271,23 +265,23 @@ def _mirrored(tab: Tab) -> None:
         testid="mirrored-question",
     )
     for name in asked:
-        said = planning.decisions.mirrored.get(planning.decisions.images[name])
+        answered = planning.decisions.mirrored.get(planning.decisions.images[name])
         label = f"{image_label(name, kind)}: writing reads"
         note(
             label
-            if said is None
-            else f"{image_label(name, kind)}: the file shows it {'mirrored' if said else 'unmirrored'}"
+            if answered is None
+            else f"{image_label(name, kind)}: the file shows it {'mirrored' if answered else 'unmirrored'}"
         )
         with ui.element("div").classes("choice").props(f'role=radiogroup aria-label="{label}"'):
             for answer in (True, False):
-                chosen = said is not None and answer == (said != _is_turned(tab, name))
+                chosen = answered is not None and answer == (answered != _is_turned(tab, name))
                 button = action(
                     texts.MIRRORED_ANSWERS[answer],
                     tab.doing(lambda name=name, answer=answer: planning.state_mirrored(name, answer)),
                     testid=f"mirrored-{name}-{'backwards' if answer else 'forwards'}",
                     kind="primary" if chosen else "plain",
                 )
-                radio(button, chosen=chosen, first=said is None and answer)
+                radio(button, chosen=chosen, first=answered is None and answer)
 
 
 def _display(tab: Tab) -> None:
@@ -311,17 +305,14 @@ def build_kind(tab: Tab) -> None:
 def _kind(tab: Tab) -> None:
     known = kind_of(tab.planning.decisions.kind)
     kinds: dict[str, str] = {}  # each procedure once, by its first wire
-    for key, one in procedures().items():
-        if one.wire == one.document.wires[0]:
-            kinds[key] = texts.titled(one.document.name)
-
-    async def choose(event) -> None:
-        await tab.choose_kind(event.value)
+    for key, procedure in procedures().items():
+        if procedure.wire == procedure.document.wires[0]:
+            kinds[key] = texts.titled(procedure.document.name)
 
     shown = Procedure.of(known.document, known.document.wires[0].key).key
-    ui.select(kinds, value=shown, on_change=choose).classes("kind").props(
-        'dense options-dense data-testid=kind aria-label="Procedure"'
-    )
+    ui.select(
+        kinds, value=shown, on_change=lambda event: tab.choose(tab.planning.decisions.with_kind(event.value))
+    ).classes("kind").props('dense options-dense data-testid=kind aria-label="Procedure"')
 
 
 def build_calibration(tab: Tab) -> None:
@@ -332,13 +323,7 @@ def build_calibration(tab: Tab) -> None:
 def build_calibration_details(tab: Tab) -> None:
     """Build the details: what is shown, and the checks of each view."""
 
-    def show(event) -> None:
-        tab.views.show_rejected = bool(event.value)
-        tab.refresh()
-
-    ui.checkbox("Show rejected candidates, with the reason", value=tab.views.show_rejected, on_change=show).props(
-        "data-testid=show-rejected"
-    )
+    shown_or_not(tab, "Show rejected candidates, with the reason", "show_rejected")
     build_oblique(tab)
     Section(tab, _seen_key, _calibration_checks)
 
@@ -368,8 +353,8 @@ def _calibrated_views(tab: Tab) -> None:
             ]
             table(("", ""), rows, testid=f"calibration-{name}")
             wrong = failed(seen.view.checks)
-            said = f"All {len(seen.view.checks)} checks passed" if not wrong else texts.sentence(wrong[0])
-            note(said, kind="bad" if wrong else "good")
+            sentence = f"All {len(seen.view.checks)} checks passed" if not wrong else texts.sentence(wrong[0])
+            note(sentence, kind="bad" if wrong else "good")
 
 
 def _calibration_checks(tab: Tab) -> None:

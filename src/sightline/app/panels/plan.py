@@ -1,6 +1,7 @@
 """Step 3, Plan: placing points, metrics of plan and implant, proposal."""
 
 from collections.abc import Hashable
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -13,15 +14,17 @@ from sightline.app.panels.section import (
     HtmlSection,
     Section,
     action,
+    decided,
     heading,
     heading_html,
     joined,
     note,
     note_html,
+    shown_or_not,
     table_html,
 )
 from sightline.app.panels.steps import aid_labels
-from sightline.app.plan.decisions import NECK, SHAFT, FittedAxis
+from sightline.app.plan.decisions import HEAD, NECK, SHAFT, FittedAxis
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import (
     Planned,
@@ -60,12 +63,7 @@ def build_details(tab: Tab) -> None:
     build_oblique(tab)
     Section(tab, lambda t: t.planning.decisions.snapping, _snapping)
     Section(tab, lambda t: (t.planning.decisions.borders, has_borders(t.planning.decisions)), _borders)
-
-    def show(event) -> None:
-        tab.views.show_beads = bool(event.value)
-        tab.refresh()
-
-    ui.checkbox("Show the beads", value=tab.views.show_beads, on_change=show).props("data-testid=show-beads")
+    shown_or_not(tab, "Show the beads", "show_beads")
     if kind_of(tab.planning.decisions.kind).proposal is not None:
         Section(tab, _missing, _lacking)
     HtmlSection(tab, lambda t: t.known, metrics_html)
@@ -102,9 +100,9 @@ def _fitted_html(tab: Tab) -> Markup:
         return Markup()
     centre = TWO_SIDED_95 * float(np.sqrt(np.linalg.eigvalsh(head.covariance_mm2[:3, :3])[-1]))
     radius = TWO_SIDED_95 * float(np.sqrt(head.covariance_mm2[3, 3]))
-    said = [(f"Head fitted: radius {head.radius_mm:.1f} ± {radius:.1f} mm, centre ± {centre:.1f} mm (95 %).")]
-    said += kept_as_drawn(fitted.kept)
-    return note_html(" ".join(said), kind="quiet", testid="head-fitted")
+    sentences = [(f"Head fitted: radius {head.radius_mm:.1f} ± {radius:.1f} mm, centre ± {centre:.1f} mm (95 %).")]
+    sentences += kept_as_drawn(fitted.kept)
+    return note_html(" ".join(sentences), kind="quiet", testid="head-fitted")
 
 
 def _fitted_axes_html(tab: Tab) -> Markup:
@@ -112,8 +110,8 @@ def _fitted_axes_html(tab: Tab) -> Markup:
     known = tab.known
     if known is None:
         return Markup()
-    found = ((SHAFT, known.anatomy.shaft, "Shaft"), (NECK, known.anatomy.neck, "Neck"))
-    return Markup().join(_fitted_axis_html(key, known.fitted_axis(key), axis, text) for key, axis, text in found)
+    axes = ((SHAFT, known.anatomy.shaft, "Shaft"), (NECK, known.anatomy.neck, "Neck"))
+    return Markup().join(_fitted_axis_html(key, known.fitted_axis(key), axis, text) for key, axis, text in axes)
 
 
 def _fitted_axis_html(key: str, fitted: FittedAxis | None, axis: Axis | None, text: str) -> Markup:
@@ -123,8 +121,8 @@ def _fitted_axis_html(key: str, fitted: FittedAxis | None, axis: Axis | None, te
         TWO_SIDED_95 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
         for covariance in (axis.direction_covariance_rad2, axis.offset_covariance_mm2)
     )
-    said = [f"{text} ± {np.rad2deg(turned):.1f}°, ± {offset:.1f} mm (95 %).", *kept_as_drawn(fitted.kept)]
-    return note_html(" ".join(said), kind="quiet", testid=f"{key}-fitted")
+    sentences = [f"{text} ± {np.rad2deg(turned):.1f}°, ± {offset:.1f} mm (95 %).", *kept_as_drawn(fitted.kept)]
+    return note_html(" ".join(sentences), kind="quiet", testid=f"{key}-fitted")
 
 
 def _nail_key(tab: Tab) -> Hashable:
@@ -143,12 +141,11 @@ def _nail(tab: Tab) -> None:
     if chosen is not None and shown == "other":  # its file is elsewhere
         known[shown], names[shown] = chosen, f"Nail: {chosen.diameter_mm:g} mm, {chosen.material}, of this case"
 
-    async def choose(event) -> None:
-        await tab.choose_nail(known.get(event.value))
-
-    ui.select(names, value=shown, on_change=choose).classes("kind").props(
-        'dense options-dense data-testid=nail aria-label="Nail"'
-    )
+    ui.select(
+        names,
+        value=shown,
+        on_change=lambda event: tab.choose(replace(tab.planning.decisions, nail=known.get(event.value))),
+    ).classes("kind").props('dense options-dense data-testid=nail aria-label="Nail"')
     if chosen is not None and (named := _implanted(tab)) and chosen != tab.planning.implanted:
         note(f"The simulated patient has this nail: {named}.", kind="quiet", testid="nail-implanted")
 
@@ -159,27 +156,17 @@ def _implanted(tab: Tab) -> str:
     if own is None:
         return ""
     return next(
-        (one.name for one in known_nails().values() if one.nail == own), f"{own.diameter_mm:g} mm, {own.material}"
+        (file.name for file in known_nails().values() if file.nail == own), f"{own.diameter_mm:g} mm, {own.material}"
     )
 
 
 def _snapping(tab: Tab) -> None:
-    async def snap(event) -> None:
-        await tab.act(lambda: tab.planning.choose_snapping(bool(event.value)))
-
-    on = tab.planning.decisions.snapping
-    ui.checkbox("Snap points of the wire to their curves", value=on, on_change=snap).props("data-testid=snapping")
+    decided(tab, "Snap points of the wire to their curves", "snapping")
 
 
 def _borders(tab: Tab) -> None:
-    if not has_borders(tab.planning.decisions):
-        return
-
-    async def choose(event) -> None:
-        await tab.act(lambda: tab.planning.choose_borders(bool(event.value)))
-
-    on = tab.planning.decisions.borders
-    ui.checkbox("Draw axes by both borders of the bone", value=on, on_change=choose).props("data-testid=borders")
+    if has_borders(tab.planning.decisions):
+        decided(tab, "Draw axes by both borders of the bone", "borders")
 
 
 def _points_key(tab: Tab) -> Hashable:
@@ -189,7 +176,7 @@ def _points_key(tab: Tab) -> Hashable:
 
 def _points(tab: Tab) -> None:
     decisions = tab.planning.decisions
-    for group, listed in groupby(tab.planning.specs, key=lambda one: one.group):
+    for group, listed in groupby(tab.planning.specs, key=lambda spec: spec.group):
         with ui.element("div").classes(f"group {group}"):
             if group != "nail":  # named by its choice above
                 heading(texts.POINT_GROUPS[group])
@@ -201,16 +188,16 @@ def _points(tab: Tab) -> None:
                     'title="Propose a wire from the drawn aids"'
                 )
             if group == "aid" and has_head(decisions):
-                fit = action("Fit head", tab.doing(tab.planning.fit_head), testid="fit-head", kind="small")
+                fit = action("Fit head", tab.doing(lambda: tab.planning.fit(HEAD)), testid="fit-head", kind="small")
                 fit.props('title="Fit the drawn circles of the femoral head to its edges in both images"')
-        for _, same in groupby(listed, key=lambda one: one.of):
+        for _, same in groupby(listed, key=lambda spec: spec.of):
             _row(tab, tuple(same))
 
 
 def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
     """Build the row of one point, or of one aid's clicks. Its buttons persist, so that a refresh does not lose
     clicks."""
-    first, names = same[0], tuple(one.name for one in same)
+    first, names = same[0], tuple(spec.name for spec in same)
     label = first.label if len(same) == 1 else first.label.rsplit(" ", 1)[0]
 
     def images_of(t: Tab) -> tuple[str, ...]:
@@ -241,16 +228,15 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
             status = ui.element("div")
             ui.tooltip(first.sentence).props('anchor="center left" self="center right"')
         fits = {
-            SHAFT: (tab.planning.fit_shaft, "Fit the drawn borders of the shaft to its edges in both images"),
-            NECK: (
-                tab.planning.fit_neck,
-                "Fit the neck's axis, from the head's centre, to the neck's edges in both images",
-            ),
+            SHAFT: "Fit the drawn borders of the shaft to its edges in both images",
+            NECK: "Fit the neck's axis, from the head's centre, to the neck's edges in both images",
         }
         if first.of in fits and has_borders_of(tab.planning.decisions, first.of):
-            work, what = fits[first.of]
-            fit = action("Fit", tab.doing(work), testid=f"fit-{first.of}", kind="small to-edges")
-            fit.props(f'title="{what}" aria-label="{what}"')
+            fit = tab.doing(lambda: tab.planning.fit(first.of))
+            what = fits[first.of]
+            action("Fit", fit, testid=f"fit-{first.of}", kind="small to-edges").props(
+                f'title="{what}" aria-label="{what}"'
+            )
         remove = action("✕", tab.doing(lambda: tab.planning.remove(names)), testid=f"remove-{first.of}", kind="small")
         remove.props(f'aria-label="{f"Remove {label}"}"')
     with status:
@@ -300,11 +286,11 @@ def metrics_html(tab: Tab) -> Markup:
                 ("direction, 95 % error", f"{np.rad2deg(path.direction_error_95_rad):.2f}°", ""),
             ]
         rows += _gaps(tab)
-    said = [note_html(why, kind="bad", testid="metrics-refused") for why in _refused(known)]
+    notes = [note_html(why, kind="bad", testid="metrics-refused") for why in _refused(known)]
     if known.plan is not None:
-        said += [note_html(sentence, kind="quiet", testid="along") for sentence in known.plan.sentences()]
+        notes += [note_html(sentence, kind="quiet", testid="along") for sentence in known.plan.sentences()]
     if tab.planning.decisions.side is None:
-        said.insert(
+        notes.insert(
             0,
             note_html("Confirm the patient's side on the step Images to see measurements of the implant.", kind="warn"),
         )
@@ -315,7 +301,7 @@ def metrics_html(tab: Tab) -> Markup:
             mark = {True: "✓", False: "!", None: ""}[metric.within]
             rows.append((metric.name, f"{metric.value:.1f}{sd}{space}{metric.unit}", mark))
     table = table_html(("", "± 95 %", ""), rows, testid="metrics")
-    return joined(heading_html("Measurements"), *said, table)
+    return joined(heading_html("Measurements"), *notes, table)
 
 
 def _refused(known: Planned) -> list[str]:
@@ -331,10 +317,10 @@ def _gaps(tab: Tab) -> list[tuple[str, str, str]]:
     seen, decisions = known.plan.seen, known.decisions
     landmarks = landmarks_of(decisions, len(known.views))
     names = ["entry", "tip", *(a.label[:1].lower() + a.label[1:] for a in landmarks)]
-    out = []
+    rows = []
     for name, gap, tested in zip(names, seen.gap_mm, seen.gap_tested, strict=True):
-        out.append((f"gap of {name}", f"{gap:.2f} mm" if tested else "not tested (snapped)", ""))
-    return out
+        rows.append((f"gap of {name}", f"{gap:.2f} mm" if tested else "not tested (snapped)", ""))
+    return rows
 
 
 def instruction(tab: Tab) -> tuple[str, str, str] | None:
@@ -352,12 +338,12 @@ def instruction(tab: Tab) -> tuple[str, str, str] | None:
         todo = "click where this image shows it; the cross is where the other two expect it"
     else:
         todo = "slide along its curve and click" if slides else spec.sentence
-    said = f"{spec.label}: {todo}"
+    todo_of = f"{spec.label}: {todo}"
     if number == 1 and spec.group == "wire" and kind_of(decisions.kind).document.through_holes:
         named = _implanted(tab)
-        said = (
-            f"Choose the nail on the right; the simulated patient has {named}. Or by hand: {said}"
+        todo_of = (
+            f"Choose the nail on the right; the simulated patient has {named}. Or by hand: {todo_of}"
             if named
-            else f"Choose the nail on the right. Or by hand: {said}"
+            else f"Choose the nail on the right. Or by hand: {todo_of}"
         )
-    return f"{number} of {count}", in_image(goal.image, decisions.kind), said
+    return f"{number} of {count}", in_image(goal.image, decisions.kind), todo_of

@@ -147,11 +147,11 @@ class _Part:
         """Fill it if its key has changed."""
         if self._box.is_deleted:
             for called in (self._tab.on_refresh, self._tab.on_drag):
-                called[:] = [one for one in called if one != self.refresh]
+                called[:] = [callback for callback in called if callback != self.refresh]
             return
-        found: list[Hashable] = []
-        refused = failure_of(lambda: found.append(self._key(self._tab)))
-        key = (refused, *found)
+        keys: list[Hashable] = []
+        refused = failure_of(lambda: keys.append(self._key(self._tab)))
+        key = (refused, *keys)
         if key != self._shown:
             self._shown = key
             self._fill(refused)
@@ -190,7 +190,7 @@ class _Box(ui.element):
         with self.client.layout:
             aside = ui.element()
         aside.set_visibility(False)
-        for button in [one for one in self.descendants() if isinstance(one, _Action)]:
+        for button in [element for element in self.descendants() if isinstance(element, _Action)]:
             self.kept[button.key] = button.move(aside)
         self.clear()
         try:
@@ -281,6 +281,22 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, testid: str)
     put(table_html(columns, rows, testid=testid))
 
 
+def decided(tab: Tab, text: str, member: str) -> None:
+    """Add a check box for a member of the decisions."""
+    on = getattr(tab.planning.decisions, member)
+    ui.checkbox(
+        text, value=on, on_change=lambda event: tab.act(lambda: tab.planning.decide(**{member: bool(event.value)}))
+    ).props(f"data-testid={member}")
+
+
+def shown_or_not(tab: Tab, text: str, member: str) -> None:
+    """Add a check box for a member of the views, which shows something or does not."""
+    on = getattr(tab.views, member)
+    ui.checkbox(
+        text, value=on, on_change=lambda event: tab.act(lambda: setattr(tab.views, member, bool(event.value)))
+    ).props(f"data-testid={member.replace('_', '-')}")
+
+
 def radio(button: ui.button, *, chosen: bool, first: bool) -> None:
     """Make a button one of a radio group; arrow keys move between them (page.js). `first`: Tab reaches it while none
     is chosen."""
@@ -299,7 +315,9 @@ def action(text: str, handler: Any, *, testid: str, kind: str = "", enabled: boo
 def _again(key: tuple[str, str], handler: Any) -> _Action | None:
     """Return the button from before of a section that is built again, moved to where it is built now."""
     here = ui.context.slot.parent
-    boxes = (one for one in here.ancestors(include_self=True) if isinstance(one, _Box) and key in one.kept)
+    boxes = (
+        element for element in here.ancestors(include_self=True) if isinstance(element, _Box) and key in element.kept
+    )
     box = next(boxes, None)
     if box is None:
         return None

@@ -51,7 +51,7 @@ def _decided(tab: Tab) -> tuple[str, str]:
     shots = tab.session.shots
     if shots.found is not None:
         verdict = shots.found.verdict
-        wrong = sorted(failed(verdict.checks), key=lambda one: one.missing)
+        wrong = sorted(failed(verdict.checks), key=lambda check: check.missing)
         return shots.found.decision, texts.sentence(wrong[0]) if wrong else "The wire is on the plan. A person decides."
     if shots.objection:
         return "STOP", shots.objection
@@ -120,14 +120,14 @@ def _frame_on_patient(tab: Tab) -> None:
     )
 
 
-def _measured(found: DrillShot) -> None:
-    wire = found.wire
+def _measured(shot: DrillShot) -> None:
+    wire = shot.wire
     angle, error = np.rad2deg(wire.angle_rad), np.rad2deg(wire.direction_error_95_rad)
     rows = [
         ("entry, perpendicular", f"{wire.entry_deviation_mm:.2f} mm", f"{wire.entry_error_95_mm:.2f} mm"),
-        ("end, drilled on", f"{np.linalg.norm(found.end_mm):.2f} mm", f"{found.end_error_95_mm:.2f} mm"),
+        ("end, drilled on", f"{np.linalg.norm(shot.end_mm):.2f} mm", f"{shot.end_error_95_mm:.2f} mm"),
         ("direction", f"{angle:.2f}°", f"{error:.2f}°"),
-        ("depth of the tip", f"{found.depth_mm:.2f} mm", f"{TWO_SIDED_95 * found.depth_sd_mm:.2f} mm"),
+        ("depth of the tip", f"{shot.depth_mm:.2f} mm", f"{TWO_SIDED_95 * shot.depth_sd_mm:.2f} mm"),
     ]
     table(("", "measured", "± 95 %"), rows, testid="shot-measured")
 
@@ -139,7 +139,7 @@ def build_live(tab: Tab) -> None:
     """Build this part of the panel."""
     heading("Live image")
     Section(tab, lambda t: t.session.live.watch is not None, _switch)
-    said = ui.label().classes("note").props("data-testid=live-state role=status")
+    state = ui.label().classes("note").props("data-testid=live-state role=status")
     note(BLIND_TO, kind="quiet")
 
     def update() -> None:
@@ -148,10 +148,10 @@ def build_live(tab: Tab) -> None:
             if tab.views.watched is not None:
                 tab.show_live(None)
             watch = tab.session.live.watch
-            said.set_text("" if watch is None else watch.fault or "Waiting for the first image …")
+            state.set_text("" if watch is None else watch.fault or "Waiting for the first image …")
             return
-        said.set_text(_live_sentence(watched))
-        said.classes(add="bad" if watched.moved else "", remove="" if watched.moved else "bad")
+        state.set_text(_live_sentence(watched))
+        state.classes(add="bad" if watched.moved else "", remove="" if watched.moved else "bad")
         tab.show_live(watched)
 
     ui.timer(_UPDATE_S, update)

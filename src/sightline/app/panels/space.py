@@ -117,15 +117,15 @@ class Space:
             self._view.draw(name, objects())
 
     def _views(self) -> list[dict[str, Any]]:
-        planning, out = self._tab.planning, []
+        planning, made = self._tab.planning, []
         for name in planning.slots:
             seen, plates = planning.seen(name), planning.frame.views.get(name)
             if seen is not None and seen.view is not None:
-                out += space.view_objects(seen.view, None if plates is None else plates.xrii, seen.image)
-        return out
+                made += space.view_objects(seen.view, None if plates is None else plates.xrii, seen.image)
+        return made
 
     def _sights(self) -> list[dict[str, Any]]:
-        planning, out = self._tab.planning, []
+        planning, made = self._tab.planning, []
         decisions = planning.decisions
         for view, name in zip(planning.views() or (), planning.names, strict=False):
             placed = [decisions.mark(spec.name) for spec in decisions.specs]
@@ -133,10 +133,10 @@ class Space:
                 at = mark.at(name)
                 if at is not None:
                     try:
-                        out += space.sight_objects(view, np.array([at]))
+                        made += space.sight_objects(view, np.array([at]))
                     except SightlineError:
                         continue  # outside the calibrated region there is no line of sight; the plan says so
-        return out
+        return made
 
     def _points(self) -> list[dict[str, Any]]:
         known = self._tab.known
@@ -146,20 +146,20 @@ class Space:
         return space.point_objects(known.plan.seen.xyz_mm[2:], words)
 
     def _wires(self) -> list[dict[str, Any]]:
-        known, out = self._tab.known, []
+        known, made = self._tab.known, []
         for plan in () if known is None else known.plans.values():
             current, kind = known is not None and plan is known.plan, plan.kind
             if current:
-                out += space.wire_objects(plan.trajectory, kind.wire_mm)
+                made += space.wire_objects(plan.trajectory, kind.wire_mm)
             else:
-                out += space.other_wire_objects(plan.trajectory, kind.wire_mm, kind.wire.name)
-        return out
+                made += space.other_wire_objects(plan.trajectory, kind.wire_mm, kind.wire.name)
+        return made
 
     def _drilled(self) -> list[dict[str, Any]]:
-        shots, out = self._tab.session.verifying.shots, []
+        shots, made = self._tab.session.verifying.shots, []
         for kind, shot in shots.items():
-            out += space.drilled_objects(shot.entry_mm, shot.tip_mm, kind_of(kind).wire_mm)
-        return out
+            made += space.drilled_objects(shot.entry_mm, shot.tip_mm, kind_of(kind).wire_mm)
+        return made
 
     def _robot(self) -> None:
         session = self._tab.session.drilling.session

@@ -4,7 +4,6 @@ each."""
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
 from itertools import chain
 
 from nicegui import ui
@@ -49,7 +48,11 @@ def _of_bone(kind: Procedure, count: int) -> set[str]:
     directions = kind.document.directions
     if len(directions) < count:
         return set()
-    return set(chain.from_iterable((*one.from_, *one.to, one.along or "") for one in directions[:count]))
+    return set(
+        chain.from_iterable(
+            (*direction.from_, *direction.to, direction.along or "") for direction in directions[:count]
+        )
+    )
 
 
 def aid_labels(kind: Procedure, keys: Sequence[str]) -> tuple[str, ...]:
@@ -78,21 +81,21 @@ class WorkflowStep:
 
 def steps(session: Session) -> tuple[WorkflowStep, ...]:
     """Return all five steps in order."""
-    found = (
+    judgements = (
         _images(session),
         _calibrate(session.planning),
         _plan(session),
         _drill(session),
         _verify(session),
     )
-    return tuple(WorkflowStep(step, *one) for step, one in zip(ProcedureStep, found, strict=True))
+    return tuple(WorkflowStep(step, *judgement) for step, judgement in zip(ProcedureStep, judgements, strict=True))
 
 
 def waits_for(session: Session, step: ProcedureStep) -> ProcedureStep | None:
     """Return the first step that a blocked one waits for; None for another one."""
     listed = steps(session)
-    here = next(one for one in listed if one.step is step)
-    earlier = (one.step for one in listed if one.step.number < step.number and one.status != StepStatus.DONE)
+    here = next(each for each in listed if each.step is step)
+    earlier = (each.step for each in listed if each.step.number < step.number and each.status != StepStatus.DONE)
     return next(earlier, None) if here.status is StepStatus.BLOCKED else None
 
 
@@ -144,9 +147,9 @@ def _calibrate(planning: Planning) -> _Found:
     seen = _present(planning)
     if any(planning.seen(name) is None for name in NAMES):
         return StepStatus.BLOCKED, "Load both images first."
-    if busy := next((one.doing for one in seen if one.doing), ""):
+    if busy := next((image.doing for image in seen if image.doing), ""):
         return StepStatus.OPEN, f"{texts.titled(busy)}."
-    if refused := next((one.refused for one in seen if one.refused), ""):
+    if refused := next((image.refused for image in seen if image.refused), ""):
         return StepStatus.ATTENTION, refused
     views = planning.views()
     if views is None:
@@ -183,7 +186,7 @@ def _judged(known: Planned, verdict: Verdict | None) -> _Found:
 
 def judged(verdict: Verdict | None) -> _Found:
     """Return the status by the checks: what is not placed is left to do, only a check that failed needs attention."""
-    wrong = [] if verdict is None else sorted(failed(verdict.checks), key=lambda one: one.missing)
+    wrong = [] if verdict is None else sorted(failed(verdict.checks), key=lambda check: check.missing)
     if verdict is None or not wrong:
         return StepStatus.DONE, "GO: every check passed."
     return StepStatus.OPEN if wrong[0].missing else StepStatus.ATTENTION, texts.sentence(wrong[0])
@@ -225,7 +228,7 @@ def _send(session: Session, *, linked: bool) -> _Found:
 def missing_again(planning: Planning) -> list[str]:
     """Return the labels of the plan's landmarks that are not found again in both check images."""
     mark = planning.decisions.mark
-    return [one.label for one in planning.landmarks if not mark(one.name).complete(CHECK_NAMES)]
+    return [spec.label for spec in planning.landmarks if not mark(spec.name).complete(CHECK_NAMES)]
 
 
 def _verify(session: Session) -> _Found:
@@ -235,7 +238,7 @@ def _verify(session: Session) -> _Found:
         return StepStatus.ATTENTION, refused[0]
     shots = [verifying.shots[kind] for kind in kinds if kind in verifying.shots]
     if shots:
-        wrong = failed((*(check for one in shots for check in one.checks), *verifying.relations()))
+        wrong = failed((*(check for shot in shots for check in shot.checks), *verifying.relations()))
         if wrong:
             return StepStatus.OPEN if missing_again(planning) else StepStatus.ATTENTION, texts.sentence(wrong[0])
         if len(shots) == len(kinds):
@@ -297,10 +300,15 @@ def _chooser(tab: Tab) -> Callable[[], None]:
         for kind in tab.planning.kinds:
             wire = kind_of(kind).wire
             name = texts.titled(wire.name).removesuffix(" wire")
-            with action(name, partial(tab.choose_kind, kind), testid=f"wire-{wire.key}", kind="small") as button:
+            with action(
+                name,
+                lambda kind=kind: tab.choose(tab.planning.decisions.with_kind(kind)),
+                testid=f"wire-{wire.key}",
+                kind="small",
+            ) as button:
                 made[kind] = button, ui.label().classes("wire-state unseen")
 
-    states = " ".join(("here", *(f"wire-{one}" for one in texts.WIRE_STATES)))
+    states = " ".join(("here", *(f"wire-{key}" for key in texts.WIRE_STATES)))
 
     def update() -> None:
         for kind, (button, label) in made.items():
@@ -314,12 +322,12 @@ def _chooser(tab: Tab) -> Callable[[], None]:
 
 def _order(tab: Tab) -> None:
     """Build the sentence on the order of drilling, on the step Drill; nothing where there is none."""
-    found = tab.planning.drilling_order
-    if tab.step is ProcedureStep.DRILL and found is not None and len(tab.planning.kinds) > 1:
+    order = tab.planning.drilling_order
+    if tab.step is ProcedureStep.DRILL and order is not None and len(tab.planning.kinds) > 1:
         names = {kind_of(kind).wire.key: kind_of(kind).wire.name for kind in tab.planning.kinds}
-        said = ", then the ".join(names[key] for key in found.keys)
+        wires = ", then the ".join(names[key] for key in order.keys)
         note(
-            f"Drill the {said}: so the wires in the bone hide the fewest beads.", kind="quiet", testid="drilling-order"
+            f"Drill the {wires}: so the wires in the bone hide the fewest beads.", kind="quiet", testid="drilling-order"
         )
 
 
@@ -337,9 +345,9 @@ def build_next_wire(tab: Tab) -> None:
     assert after is not None  # noqa: S101 - it is asked before
 
     async def follow() -> None:
-        await tab.choose_kind(after)
+        await tab.choose(tab.planning.decisions.with_kind(after))
         if tab.step is not ProcedureStep.DRILL:
             tab.go_to(ProcedureStep.DRILL)
 
-    said = f"Next: {kind_of(after).wire.name}"
-    action(said, follow, testid="next-wire", kind="primary")
+    text = f"Next: {kind_of(after).wire.name}"
+    action(text, follow, testid="next-wire", kind="primary")

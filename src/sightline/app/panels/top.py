@@ -47,17 +47,17 @@ def _follow(tab: Tab, nav: ui.element, told: object) -> None:
 def _steps(tab: Tab) -> Callable[[], None]:
     made: list[tuple[ui.button, ui.label, ui.tooltip]] = []
     for step in ProcedureStep:
-        said = f"{step.number} {texts.STEPS[step]}"
-        with action(said, partial(tab.go_to, step), testid=f"step-{step}").classes("step") as button:
+        text = f"{step.number} {texts.STEPS[step]}"
+        with action(text, partial(tab.go_to, step), testid=f"step-{step}").classes("step") as button:
             made.append((button, ui.label().classes("unseen"), ui.tooltip("").classes("step-reason")))
 
     def update() -> None:
-        for one, (button, status, tip) in zip(steps(tab.session), made, strict=True):
-            here = one.step is tab.step
-            button.classes(f"{one.status} {'here' if here else ''}", remove=" ".join((*texts.STEP_STATUS, "here")))
+        for each, (button, status, tip) in zip(steps(tab.session), made, strict=True):
+            here = each.step is tab.step
+            button.classes(f"{each.status} {'here' if here else ''}", remove=" ".join((*texts.STEP_STATUS, "here")))
             button.props(f"aria-current={'step' if here else 'false'}")
-            status.set_text(texts.STEP_STATUS[one.status])
-            tip.set_text(f"{texts.STEP_STATUS[one.status]}: {one.reason}")
+            status.set_text(texts.STEP_STATUS[each.status])
+            tip.set_text(f"{texts.STEP_STATUS[each.status]}: {each.reason}")
 
     return update
 
@@ -97,7 +97,7 @@ def size_of(text: str) -> str:
 
 
 def _reason(tab: Tab) -> str:
-    return next(one.reason for one in steps(tab.session) if one.step is tab.step)
+    return next(each.reason for each in steps(tab.session) if each.step is tab.step)
 
 
 def _time(tab: Tab) -> None:
@@ -190,7 +190,7 @@ def _lead_key(tab: Tab) -> Hashable:
 
 
 def _done(tab: Tab) -> bool:
-    return next(one.status == "done" for one in steps(tab.session) if one.step is tab.step)
+    return next(each.status == "done" for each in steps(tab.session) if each.step is tab.step)
 
 
 def _needed(tab: Tab) -> tuple[MarkSpec, ...]:
@@ -198,23 +198,23 @@ def _needed(tab: Tab) -> tuple[MarkSpec, ...]:
     verdict = tab.session.readiness.verdict if tab.step is ProcedureStep.PLAN and tab.goal is None else None
     known = tab.planning.planned
     aids = () if verdict is None or known is None else needed_aids(known, verdict)
-    return tuple(one for one in tab.planning.specs if one.of in aids[:1])
+    return tuple(spec for spec in tab.planning.specs if spec.of in aids[:1])
 
 
 def _lead(tab: Tab) -> None:
     done, before, needed = _done(tab), waits_for(tab.session, tab.step), _needed(tab)
     if before is not None:
-        said = f"Back to {texts.STEPS[before]}"
-        action(said, lambda: tab.go_to(before), testid="back", kind="primary")
+        text = f"Back to {texts.STEPS[before]}"
+        action(text, lambda: tab.go_to(before), testid="back", kind="primary")
     elif needed:
         label = needed[0].label if len(needed) == 1 else needed[0].label.rsplit(" ", 1)[0]
-        said = texts.PLACE_WHAT.format(what=label[:1].lower() + label[1:])
-        action(said, lambda: tab.place(needed), testid="place-needed", kind="primary")
+        text = texts.PLACE_WHAT.format(what=label[:1].lower() + label[1:])
+        action(text, lambda: tab.place(needed), testid="place-needed", kind="primary")
     elif tab.step is ProcedureStep.DRILL and not (done and tab.planning.sent_is_current):
         drill.build_next(tab)
     elif tab.step is ProcedureStep.VERIFY:
         verify.build_next(tab)
     else:
         after = list(ProcedureStep)[tab.step.number]
-        said = texts.CONTINUE_TO.format(step=texts.STEPS[after])
-        action(said, lambda: tab.go_to(after), testid="continue", kind="primary", enabled=done)
+        text = texts.CONTINUE_TO.format(step=texts.STEPS[after])
+        action(text, lambda: tab.go_to(after), testid="continue", kind="primary", enabled=done)

@@ -75,8 +75,10 @@ def _figures(kind: Procedure, plan: Plan | None) -> list[_Figure]:
         _Figure(_ERRORS[2], None, float(np.rad2deg(limits.direction_rad)), "°"),
         _Figure(_own(kind, made), None, None, ""),
     ]
-    filled = [_filled(one, made.get(one.code)) for one in wanted]
-    return [_of_movement(one, plan) if plan is not None and one.code is _FALLBACK else one for one in filled]
+    filled = [_filled(figure, made.get(figure.code)) for figure in wanted]
+    return [
+        _of_movement(figure, plan) if plan is not None and figure.code is _FALLBACK else figure for figure in filled
+    ]
 
 
 def _own(kind: Procedure, made: Iterable[CheckCode]) -> CheckCode:
@@ -111,13 +113,13 @@ def _figure_html(figure: _Figure) -> Markup:
         sign = filled('<span class="figure-sign" role="img" aria-label="{}"></span>', told)
     if value is None or limit is None:
         bar = filled(_BAR, 0, f"{100 / _ROOM:.0f}") if limit is not None else _NO_BAR
-        said = "" if limit is None else texts.FIGURE_AT_MOST.format(limit=_number(limit, figure.unit, _DIGITS))
-        return filled(_FIGURE, state, name, figure.said, sign, bar, said)
+        text = "" if limit is None else texts.FIGURE_AT_MOST.format(limit=_number(limit, figure.unit, _DIGITS))
+        return filled(_FIGURE, state, name, figure.said, sign, bar, text)
     whole = _ROOM * max(abs(value), abs(limit), 1e-9)
     share, at = (f"{min(max(100 * x / whole, 0), 100):.0f}" for x in (value, limit))
     shown, bound = apart(value, limit, figure.unit, _number, _DIGITS, passed=bool(figure.passed))
-    said = limit_said(figure.code, bound, most=(value <= limit) == figure.passed)
-    return filled(_FIGURE, state, name, shown, sign, filled(_BAR, share, at), said)
+    text = limit_said(figure.code, bound, most=(value <= limit) == figure.passed)
+    return filled(_FIGURE, state, name, shown, sign, filled(_BAR, share, at), text)
 
 
 def _number(value: float, unit: str, digits: int) -> str:
@@ -194,8 +196,8 @@ def html(tab: Tab) -> Markup:
         wrong = [check for check in failed(verdict.checks) if not check.missing]
         told = texts.sentence(wrong[0], kind) if wrong else "Every check passed. A person decides."
         more = len(wrong) - 1
-    said = texts.MORE.format(count=more) if more > 0 else ""
-    return card(state, texts.VERDICTS[state], told, said, testid="verdict")
+    more_text = texts.MORE.format(count=more) if more > 0 else ""
+    return card(state, texts.VERDICTS[state], told, more_text, testid="verdict")
 
 
 def build_details(tab: Tab) -> None:

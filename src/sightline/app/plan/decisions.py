@@ -6,10 +6,10 @@ Nothing here is computed; all results follow from these decisions and the images
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from types import MappingProxyType
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import AfterValidator, AwareDatetime, PlainSerializer, StrictBool, TypeAdapter
 
 from sightline.app.plan.marks import END, ENTRY, MarkSpec, border_mark, marks_of
 from sightline.case.canonical import plain
@@ -19,85 +19,57 @@ from sightline.planning import Circle, Line, Nail
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.procedure import current_key
 
+Pixels = Mapping[str, Any]  # a circle or line as JSON types, so that equal ones compare equal
+
 
 @dataclass(frozen=True)
 class FittedHead:
-    """Circles in PA and lateral image as JSON types, so that equal ones compare equal; `kept`: why an image's circle is
-    still the drawn one, by view."""
+    """Circles in PA and lateral image; `kept`: why an image's circle is still the drawn one, by view."""
 
-    circles: tuple[Mapping[str, Any], Mapping[str, Any]]
+    circles: tuple[Pixels, Pixels]
     kept: Mapping[str, str]
 
-    @staticmethod
-    def made(circles: Sequence[Circle], kept: Mapping[str, str]) -> "FittedHead":
-        """Return the result of `fit_head`."""
-        first, second = map(plain, circles)
-        return FittedHead((first, second), dict(kept))
+    def __post_init__(self) -> None:
+        for circle in self.head:
+            count = len(circle.uv_px)
+            if circle.uv_px.shape != (count, 2) or circle.covariance_px2.shape != (2 * count, 2 * count):
+                raise ValueError(circle.uv_px.shape)
 
     @property
     def head(self) -> tuple[Circle, Circle]:
         """The circles."""
-        first, second = (Circle(**_arrays(one)) for one in self.circles)
+        first, second = (Circle(**_arrays(circle)) for circle in self.circles)
         return first, second
-
-    def document(self) -> dict[str, Any]:
-        """Return it as JSON types."""
-        return {"circles": list(self.circles), "kept": dict(self.kept)}
-
-    @staticmethod
-    def of(document: Mapping[str, Any]) -> "FittedHead":
-        """Return it from JSON types. Raises KeyError, TypeError, ValueError."""
-        first, second = document["circles"]
-        made = FittedHead((first, second), _reasons(document))
-        for circle in made.head:
-            count = len(circle.uv_px)
-            if circle.uv_px.shape != (count, 2) or circle.covariance_px2.shape != (2 * count, 2 * count):
-                raise ValueError(circle.uv_px.shape)
-        return made
 
 
 @dataclass(frozen=True)
 class FittedAxis:
-    """Lines with their borders in PA and lateral image as JSON types, so that equal ones compare equal; `kept`: why an
-    image's line is still the drawn one, by view."""
+    """Lines with their borders in PA and lateral image; `kept`: why an image's line is still the drawn one, by view."""
 
-    lines: tuple[Mapping[str, Any], Mapping[str, Any]]
+    lines: tuple[Pixels, Pixels]
     kept: Mapping[str, str]
 
-    @staticmethod
-    def made(lines: Sequence[Line], kept: Mapping[str, str]) -> "FittedAxis":
-        """Return the result of `fit_shaft` or `fit_neck`."""
-        first, second = map(plain, lines)
-        return FittedAxis((first, second), dict(kept))
+    def __post_init__(self) -> None:
+        for line in self.axis:
+            borders = line.borders_px
+            if borders is None or borders.shape != (2, 2, 2) or line.spread_px2.shape != (4, 4):
+                raise ValueError(borders)
 
     @property
     def axis(self) -> tuple[Line, Line]:
         """The lines."""
-        first, second = (Line(**_arrays(one)) for one in self.lines)
+        first, second = (Line(**_arrays(line)) for line in self.lines)
         return first, second
 
-    def document(self) -> dict[str, Any]:
-        """Return it as JSON types."""
-        return {"lines": list(self.lines), "kept": dict(self.kept)}
 
-    @staticmethod
-    def of(document: Mapping[str, Any]) -> "FittedAxis":
-        """Return it from JSON types. Raises KeyError, TypeError, ValueError, UnusableInputError."""
-        first, second = document["lines"]
-        made = FittedAxis((first, second), _reasons(document))
-        for line in made.axis:
-            borders = line.borders_px
-            if borders is None or borders.shape != (2, 2, 2) or line.spread_px2.shape != (4, 4):
-                raise ValueError(borders)
-        return made
+def as_fitted(pair: Sequence[Circle | Line], kept: Mapping[str, str]) -> FittedHead | FittedAxis:
+    """Return the result of `fit_head`, `fit_shaft` or `fit_neck`."""
+    first, second = map(plain, pair)
+    return (FittedHead if isinstance(pair[0], Circle) else FittedAxis)((first, second), dict(kept))
 
 
-def _arrays(document: Mapping[str, Any]) -> dict[str, Any]:
+def _arrays(document: Pixels) -> dict[str, Any]:
     return {key: np.array(value) if isinstance(value, list) else value for key, value in document.items()}
-
-
-def _reasons(document: Mapping[str, Any]) -> dict[str, str]:
-    return {str(view): str(why) for view, why in document["kept"].items()}
 
 
 Side = Literal["right", "left"]
@@ -115,7 +87,7 @@ class Mark:
     which makes it a one-dimensional measurement.
     """
 
-    places: Mapping[str, Pixel] = field(default_factory=lambda: MappingProxyType({}))
+    places: Mapping[str, Pixel] = field(default_factory=dict)
     free: bool = True
 
     def at(self, image: str) -> Pixel | None:
@@ -129,15 +101,11 @@ class Mark:
         places = {name: uv for name, uv in self.places.items() if name not in gone}
         if uv_px is not None:
             places[image] = uv_px
-        return Mark(MappingProxyType(places), self.free if free is None else free)
+        return Mark(places, self.free if free is None else free)
 
     def complete(self, images: Iterable[str] = NAMES) -> bool:
         """Return True if it is placed in all of these images."""
         return all(image in self.places for image in images)
-
-    def document(self) -> dict[str, Any]:
-        """Return the mark as JSON types."""
-        return {"places": {image: list(uv) for image, uv in self.places.items()}, "free": self.free}
 
 
 _UNPLACED = Mark()
@@ -151,7 +119,7 @@ class Display:
     the default for the image.
     """
 
-    rotation: int | None = None
+    rotation: Annotated[int, AfterValidator(lambda degrees: degrees % 360)] | None = None
     mirrored: bool = False
     inverted: bool = False
     window: tuple[float, float] | None = None
@@ -172,16 +140,16 @@ class Decisions:
     centre of that time.
     """
 
-    images: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    kind: str = "hip-screw"
+    images: Mapping[str, int] = field(default_factory=dict)
+    kind: Annotated[str, AfterValidator(current_key)] = "hip-screw"
     side: Side | None = None
     serial: str | None = None
-    marks: Mapping[str, Mark] = field(default_factory=lambda: MappingProxyType({}))
-    display: Mapping[str, Display] = field(default_factory=lambda: MappingProxyType({}))
+    marks: Mapping[str, Mark] = field(default_factory=dict)
+    display: Mapping[str, Display] = field(default_factory=dict)
     snapping: bool = True
-    taken: Mapping[int, datetime] = field(default_factory=lambda: MappingProxyType({}))
-    mirrored: Mapping[int, bool] = field(default_factory=lambda: MappingProxyType({}))
-    wires: Mapping[str, Mapping[str, Mark]] = field(default_factory=lambda: MappingProxyType({}))
+    taken: Mapping[int, Annotated[AwareDatetime, PlainSerializer(datetime.isoformat)]] = field(default_factory=dict)
+    mirrored: Mapping[int, StrictBool] = field(default_factory=dict)
+    wires: Mapping[str, Mapping[str, Mark]] = field(default_factory=dict)
     nail: Nail | None = None
     fitted_head: FittedHead | None = None
     borders: bool = False
@@ -211,9 +179,9 @@ class Decisions:
     def with_ends(self, kind: str, ends: Mapping[str, Mark]) -> "Decisions":
         """Return the decisions with other marks of a wire's entry and end."""
         if kind != self.kind:
-            return replace(self, wires=MappingProxyType({**self.wires, kind: MappingProxyType(dict(ends))}))
+            return replace(self, wires={**self.wires, kind: dict(ends)})
         rest = {name: mark for name, mark in self.marks.items() if name not in (ENTRY, END)}
-        return replace(self, marks=MappingProxyType({**rest, **ends}))
+        return replace(self, marks={**rest, **ends})
 
     def with_kind(self, kind: str) -> "Decisions":
         """Return the decisions with another wire or procedure current; the first time that a procedure is chosen, its
@@ -222,7 +190,7 @@ class Decisions:
             return self
         own, new = self.ends(self.kind), kind.partition(":")[0] != self.kind.partition(":")[0]
         ends = self.wires.get(kind, own if new else {})
-        left = MappingProxyType({key: one for key, one in self.wires.items() if key != kind})
+        left = {key: marks for key, marks in self.wires.items() if key != kind}
         return replace(self, kind=kind, wires=left).with_ends(self.kind, own).with_ends(kind, ends)
 
     def complete(self, names: Iterable[str]) -> bool:
@@ -242,84 +210,43 @@ class Decisions:
         head = None if drawn == HEAD else self.fitted_head
         shaft = None if drawn == border_mark(SHAFT) else self.fitted_shaft
         neck = None if drawn in (HEAD, border_mark(NECK)) else self.fitted_neck
-        return replace(self, marks=MappingProxyType(marks), fitted_head=head, fitted_shaft=shaft, fitted_neck=neck)
+        return replace(self, marks=marks, fitted_head=head, fitted_shaft=shaft, fitted_neck=neck)
 
     def with_image(self, name: str, acquired: int, *, same_pixels: bool) -> "Decisions":
         """Return the decisions with another image under a name. Unless the pixels are the same, the marks in it are
         removed, and for a planning image also the patient's side and what was fitted to its edges."""
-        images = MappingProxyType({**self.images, name: acquired})
+        images = {**self.images, name: acquired}
         if same_pixels:
             return replace(self, images=images)
-        wires = MappingProxyType({kind: _without(name, ends) for kind, ends in self.wires.items()})
+        wires = {kind: _without(name, ends) for kind, ends in self.wires.items()}
         left = replace(self, images=images, marks=_without(name, self.marks), wires=wires)
         return (
             replace(left, side=None, fitted_head=None, fitted_shaft=None, fitted_neck=None) if name in NAMES else left
         )
 
-    def with_display(self, view: str, display: Display) -> "Decisions":
-        """Return the decisions with another display of one view."""
-        return replace(self, display=MappingProxyType({**self.display, view: display}))
-
-    def with_taken(self, acquired: int, at: datetime) -> "Decisions":
-        """Return the decisions with the time of acquisition of an entry's image."""
-        return replace(self, taken=MappingProxyType({**self.taken, acquired: at}))
-
-    def with_mirrored(self, acquired: int, mirrored: bool) -> "Decisions":
-        """Return the decisions with the statement whether the file shows an entry's image mirrored."""
-        return replace(self, mirrored=MappingProxyType({**self.mirrored, acquired: mirrored}))
-
     def document(self) -> dict[str, Any]:
         """Return the decisions as JSON types."""
-        return {
-            "images": dict(self.images),
-            "kind": self.kind,
-            "side": self.side,
-            "serial": self.serial,
-            "marks": {name: mark.document() for name, mark in self.marks.items()},
-            "display": {name: vars(display) for name, display in self.display.items()},
-            "snapping": self.snapping,
-            "taken": {str(acquired): at.isoformat() for acquired, at in self.taken.items()},
-            "mirrored": {str(acquired): mirrored for acquired, mirrored in self.mirrored.items()},
-            "wires": {
-                kind: {name: mark.document() for name, mark in ends.items()} for kind, ends in self.wires.items()
-            },
-            "nail": None if self.nail is None else vars(self.nail),
-            "fitted_head": None if self.fitted_head is None else self.fitted_head.document(),
-            "borders": self.borders,
-            "fitted_shaft": None if self.fitted_shaft is None else self.fitted_shaft.document(),
-            "fitted_neck": None if self.fitted_neck is None else self.fitted_neck.document(),
-        }
+        return _JSON.dump_python(self, mode="json")
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> "Decisions":
         """Return the decisions from JSON types. Raises CaseError."""
         try:
-            wires = {str(kind): _marks(ends) for kind, ends in document.get("wires", {}).items()}
-            display = {str(name): _display(shown) for name, shown in document["display"].items()}
-            side = document["side"]
-            if side not in ("right", "left", None):
-                raise ValueError(side)
-            return Decisions(
-                MappingProxyType({str(name): int(number) for name, number in document["images"].items()}),
-                current_key(str(document["kind"])),
-                side,
-                document["serial"],
-                _marks(document["marks"]),
-                MappingProxyType(display),
-                bool(document.get("snapping", True)),  # older cases have no entry: snapping was always on
-                MappingProxyType({int(number): _instant(at) for number, at in document.get("taken", {}).items()}),
-                MappingProxyType({int(number): _truth(said) for number, said in document.get("mirrored", {}).items()}),
-                MappingProxyType(wires),
-                None if document.get("nail") is None else Nail(**document["nail"]),
-                None if document.get("fitted_head") is None else FittedHead.of(document["fitted_head"]),
-                bool(document.get("borders", False)),  # older cases have no entry: axes were always drawn themselves
-                None if document.get("fitted_shaft") is None else FittedAxis.of(document["fitted_shaft"]),
-                None if document.get("fitted_neck") is None else FittedAxis.of(document["fitted_neck"]),
-            )
+            marks, display = document["marks"].values(), document["display"].values()
+            # Later fields may be missing in older cases: snapping was always on, axes were always drawn themselves.
+            parts = [(document, _FIRST), *((mark, _MARK) for mark in marks), *((shown, _DISPLAY) for shown in display)]
+            if not all(wanted <= part.keys() for part, wanted in parts):
+                raise ValueError(document)
+            return _JSON.validate_python(document)
         except (KeyError, TypeError, ValueError, AttributeError, UnusableInputError) as error:
             raise CaseError(
                 "a change in the case's journal cannot be read; run `sightline case check` on it"
             ) from error
+
+
+_JSON = TypeAdapter(Decisions)
+_FIRST = {"images", "kind", "side", "serial", "marks", "display"}  # in every case
+_MARK, _DISPLAY = vars(Mark()).keys(), vars(Display()).keys()
 
 
 class History:
@@ -375,36 +302,4 @@ class History:
 def _without(image: str, marks: Mapping[str, Mark]) -> Mapping[str, Mark]:
     """Return the marks without their pixels in an image."""
     left = {name: mark.placed(image, None) for name, mark in marks.items()}
-    return MappingProxyType({name: mark for name, mark in left.items() if mark.places})
-
-
-def _marks(documents: Mapping[str, Any]) -> Mapping[str, Mark]:
-    return MappingProxyType({str(name): _mark(mark) for name, mark in documents.items()})
-
-
-def _mark(document: Mapping[str, Any]) -> Mark:
-    places = {str(image): (float(u), float(v)) for image, (u, v) in document["places"].items()}
-    return Mark(MappingProxyType(places), bool(document["free"]))
-
-
-def _instant(text: str) -> datetime:
-    at = datetime.fromisoformat(text)
-    if at.tzinfo is None:
-        raise ValueError(text)
-    return at
-
-
-def _truth(said: Any) -> bool:
-    if not isinstance(said, bool):
-        raise TypeError(said)
-    return said
-
-
-def _display(shown: Mapping[str, Any]) -> Display:
-    window, rotation = shown["window"], shown["rotation"]
-    return Display(
-        None if rotation is None else int(rotation) % 360,
-        bool(shown["mirrored"]),
-        bool(shown["inverted"]),
-        None if window is None else (float(window[0]), float(window[1])),
-    )
+    return {name: mark for name, mark in left.items() if mark.places}

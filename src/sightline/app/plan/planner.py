@@ -1,10 +1,11 @@
 """Computes curves, a nail's holes, plan, anatomy and metrics, and the place of the robot's own wire, from decisions and
 calibrated views, without state."""
 
+import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from sightline.app.plan.decisions import HEAD, NECK, SHAFT, Decisions, FittedAxi
 from sightline.app.plan.marks import END, ENTRY, NAIL_EDGES, MarkSpec, aid_marks, hole_mark, images_of
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import PlanRequest
+from sightline.case.picks import PickedWire, Picks
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.common.checks import failed
 from sightline.errors import RobotRefusedError, SightlineError, UnusableInputError
@@ -135,8 +137,8 @@ def _tried(refused: dict[str, str], name: str, find: Callable[[], _Found]) -> _F
         return None
 
 
-def _same(one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> bool:
-    return one.keys() == other.keys() and all(np.array_equal(one[key], other[key]) for key in one)
+def _same(first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray]) -> bool:
+    return first.keys() == second.keys() and all(np.array_equal(first[key], second[key]) for key in first)
 
 
 def _pair_pixels(marks: Sequence[Mark]) -> np.ndarray:
@@ -169,7 +171,7 @@ class Planned:
     def plans(self) -> Mapping[str, Plan]:
         """The plans of all wires, by their kinds."""
         plans = () if self.plan is None else (self.plan,)
-        return {one.kind.key: one for one in (plans if self.wires is None else self.wires.plans.values())}
+        return {plan.kind.key: plan for plan in (plans if self.wires is None else self.wires.plans.values())}
 
     @cached_property
     def kind(self) -> Procedure:
@@ -224,16 +226,18 @@ class _NoSideError(SightlineError):
 
 def lowest_wire(document: ProcedureDocument) -> str | None:
     """Return the key of the wire beside which others can be proposed; None where the file states no such wires."""
-    return next((one.wires[0] for one in document.relations if one.relation == "inverted triangle"), None)
+    return next(
+        (relation.wires[0] for relation in document.relations if relation.relation == "inverted triangle"), None
+    )
 
 
 def proposed(ends: Mapping[str, Mark], proposal: Proposal) -> Mapping[str, Mark]:
     """Return the marks of a wire's entry and end where a proposal has them; in other images they stay."""
-    out = dict(ends)
+    marks = dict(ends)
     for name, uv in ((ENTRY, proposal.entry_uv_px), (END, proposal.end_uv_px)):
         for image, at in zip(NAMES, uv, strict=True):
-            out[name] = out.get(name, Mark()).placed(image, _pixel(at), free=False)
-    return out
+            marks[name] = marks.get(name, Mark()).placed(image, _pixel(at), free=False)
+    return marks
 
 
 def planned(decisions: Decisions, views: Sequence[BeadView], holes: HolesFound | None = None) -> Planned:
@@ -243,19 +247,19 @@ def planned(decisions: Decisions, views: Sequence[BeadView], holes: HolesFound |
     if decisions.of_nail:
         return _planned_through(decisions, views, holes)
     curves, refused = _drawn_curves(decisions, views)
-    found: Plan | None = None
+    current: Plan | None = None
     wires: WirePlans | None = None
     if not refused and wires_placed(decisions):
         asked = request_of(decisions, len(views))
         try:
             if asked.others is None:
-                found = asked.plan_on(views, _curve)
+                current = asked.plan_on(views, _curve)
             else:
                 wires = asked.plan_wires_on(views, _curve)
-                found = wires.plans.get(kind_of(decisions.kind).wire.key)
+                current = wires.plans.get(kind_of(decisions.kind).wire.key)
         except SightlineError as error:
             refused["plan"] = str(error)
-    return Planned(decisions, tuple(views), curves, found, refused, wires)
+    return Planned(decisions, tuple(views), curves, current, refused, wires)
 
 
 def _planned_through(decisions: Decisions, views: Sequence[BeadView], holes: HolesFound | None) -> Planned:
@@ -268,14 +272,14 @@ def _planned_through(decisions: Decisions, views: Sequence[BeadView], holes: Hol
             wires = asked.plan_holes_on(holes.views, holes.holes, _curve)
         except SightlineError as error:
             refused["plan"] = str(error)
-    found = None if wires is None else wires.plans.get(kind_of(decisions.kind).wire.key)
-    return Planned(decisions, tuple(views), {}, found, refused, wires, holes)
+    current = None if wires is None else wires.plans.get(kind_of(decisions.kind).wire.key)
+    return Planned(decisions, tuple(views), {}, current, refused, wires, holes)
 
 
 def wires_placed(decisions: Decisions) -> list[str]:
     """Return the kinds of the procedure's wires whose entry and end are placed in both images; of a nail those whose
     holes are clicked in both."""
-    each = [one.key for one in each_wire(kind_of(decisions.kind).document)]
+    each = [wire.key for wire in each_wire(kind_of(decisions.kind).document)]
     if decisions.of_nail:
         return [kind for kind in each if decisions.complete([hole_mark(kind_of(kind).wire.key)])]
     return [kind for kind in each if all(decisions.ends(kind).get(name, Mark()).complete() for name in (ENTRY, END))]
@@ -312,9 +316,9 @@ def _remembered(from_view: CalibratedView, to_view: CalibratedView, uv_px: bytes
 
 def landmarks_of(decisions: Decisions, views: int) -> tuple[MarkSpec, ...]:
     """Return the landmarks that a plan on this number of views uses: those placed in two of their images or more."""
-    listed = (one for one in decisions.specs if one.group == "landmark")
+    listed = (spec for spec in decisions.specs if spec.group == "landmark")
     images = ALL_NAMES[:views]
-    return tuple(one for one in listed if sum(decisions.mark(one.name).at(name) is not None for name in images) > 1)
+    return tuple(spec for spec in listed if sum(decisions.mark(spec.name).at(name) is not None for name in images) > 1)
 
 
 def request_of(decisions: Decisions, views: int) -> PlanRequest:
@@ -335,14 +339,14 @@ def plan_input(decisions: Decisions, views: int, kind: str = "") -> PlanRequest:
         if other != known.key
     }
     landmarks = landmarks_of(decisions, views)
-    picked = np.reshape([_pixels(decisions.mark(one.name), views) for one in landmarks], (-1, views, 2))
+    picked = np.reshape([_pixels(decisions.mark(spec.name), views) for spec in landmarks], (-1, views, 2))
     return PlanRequest(
         entry,
         end,
         PICK_SD_PX,
         snapped,
         landmarks_uv_px=picked.swapaxes(0, 1),
-        landmark_names=tuple(one.of for one in landmarks),
+        landmark_names=tuple(spec.of for spec in landmarks),
         kind=known.key,
         procedure=keeping(known),
         side=decisions.side,
@@ -350,6 +354,37 @@ def plan_input(decisions: Decisions, views: int, kind: str = "") -> PlanRequest:
         others=others if known.several else None,
         nail=nail_drawn(decisions),
     )
+
+
+def picks_of(decisions: Decisions, images: tuple[str, ...]) -> Picks:
+    """Return the picks in the images of a plan, from which `sightline plan --picks` makes it again."""
+    wires, nail = {}, nail_drawn(decisions)
+    if not decisions.of_nail:
+        for kind in wires_placed(decisions):
+            wire = PickedWire.of(WirePicks(*_picks(decisions, kind, len(images))))
+            wires[kind_of(kind).wire.key] = wire.model_dump(mode="json", exclude_defaults=True)
+    aids = {
+        key: {view: uv.tolist() for view, uv in zip(NAMES, both, strict=True) if uv is not None}
+        for key, both in _clicked(decisions).items()
+    }
+    fits = {HEAD: decisions.fitted_head, **{key: fitted_axis(decisions, key) for key in (SHAFT, NECK)}}
+    landmarks = [
+        {"name": spec.of, **{view: decisions.mark(spec.name).at(view) for view in images}}
+        for spec in landmarks_of(decisions, len(images))
+    ]
+    picked: dict[str, Any] = {
+        "wires": wires,
+        "landmarks": landmarks,
+        "aids": aids,
+        "fit": [key for key, fitted in fits.items() if fitted is not None and key in aids],
+        "pick_sd_px": PICK_SD_PX,
+        "mirrored": [view for view in images if decisions.mirrored.get(decisions.images.get(view, 0))],
+    }
+    if nail is not None:
+        edges = dict(zip(NAMES, nail.strokes_px.reshape(2, 4, 2).tolist(), strict=True))
+        holes = {key: dict(zip(NAMES, uv.tolist(), strict=True)) for key, uv in nail.clicks_px.items()}
+        picked["nail"] = {"nail": vars(nail.nail), "edges": edges, "holes": holes}
+    return Picks.model_validate_json(json.dumps(picked))
 
 
 def _picks(decisions: Decisions, kind: str, views: int) -> tuple[np.ndarray, np.ndarray, bool | list[bool]]:
@@ -458,14 +493,20 @@ def _aids(decisions: Decisions) -> Aids:
 
 def _drawn(decisions: Decisions) -> Aids:
     """Return the aids whose clicks are all placed, in all images that the procedure wants them in."""
+    types = {aid.key: aid.type for aid in kind_of(decisions.kind).aids}
+    return Aids.clicked(types, _clicked(decisions), PICK_SD_PX)
+
+
+def _clicked(decisions: Decisions) -> dict[str, list[np.ndarray | None]]:
+    """Return the clicks of the aids that are complete, by their keys: in PA and lateral image, where they are drawn."""
     known = kind_of(decisions.kind)
     clicked: dict[str, list[np.ndarray | None]] = {}
     for aid in known.aids:
         images = images_of(known, aid)
         uv = [aid_pixels(decisions, aid, image) if image in images else None for image in NAMES]
-        if images and sum(one is not None for one in uv) == len(images):
+        if images and sum(clicks is not None for clicks in uv) == len(images):
             clicked[aid.key] = uv
-    return Aids.clicked({aid.key: aid.type for aid in known.aids}, clicked, PICK_SD_PX)
+    return clicked
 
 
 def aid_pixels(decisions: Decisions, aid: AidAsked, image: str) -> np.ndarray | None:

@@ -129,6 +129,7 @@ class DrillingWorkflow:
         limit = _depth_limit(known, target)
         views = [entry_of(case, seen) for seen in map(planning.seen, planning.names) if seen is not None]
         made = record_planned(case, views, plan_input(decisions, len(views)), plan, by=Actor.SURGEON)
+        planning.write_picks(decisions)
         # From here on the robot may hold this plan, even after an error; the earlier one must not be drilled.
         self.held = None
         planning.all_sent.pop(decisions.kind, None)
@@ -222,7 +223,7 @@ def _depth_limit(known: Planned, target: RobotTarget) -> float:
     distance to the joint surface less the 95 % error of both. Raises UnusableInputError if the surface is unknown."""
     if not known.kind.ends_before_joint:
         return target.depth_mm + DEPTH_SLACK_MM
-    left: Metric | None = next((one for one in known.metrics if one.name == TO_BONE), None)
+    left: Metric | None = next((metric for metric in known.metrics if metric.name == TO_BONE), None)
     if left is None or left.value is None or left.sd is None:
         raise UnusableInputError(
             "Place the rim of the femoral head in both images, which gives the distance to the "

@@ -70,7 +70,7 @@ class Jobs:
 
     def forget(self, listener: Callable[[], None]) -> None:
         """Remove a listener, if it is one."""
-        self.listeners[:] = [one for one in self.listeners if one != listener]
+        self.listeners[:] = [known for known in self.listeners if known != listener]
 
     def refuse_more(self) -> None:
         """Raise UnusableInputError while work is running."""

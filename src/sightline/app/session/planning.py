@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from typing import TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 
 from sightline.app import texts
-from sightline.app.plan.decisions import NECK, SHAFT, Decisions, Display, FittedAxis, FittedHead, History, Pixel, Side
+from sightline.app.plan.decisions import HEAD, NECK, SHAFT, Decisions, Display, History, Pixel, as_fitted
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import (
     ROBOT_WIRE,
@@ -19,10 +19,10 @@ from sightline.app.plan.planner import (
     Planned,
     drawn_axis,
     drawn_head,
-    fitted_axis,
     fitted_head,
     moved,
     nail_drawn,
+    picks_of,
     planned,
     request_of,
 )
@@ -31,24 +31,27 @@ from sightline.app.session.jobs import Jobs, WorkerProcess, warm_up
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.seen import DrawnOn, Lightbox, NailInImages, SeenImage, entry_of
 from sightline.app.session.sent import DrilledWire, SentPlan, restored
-from sightline.calibration import BeadView, CalibratedView
+from sightline.calibration import BeadView
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, takes_oblique
-from sightline.errors import CalibrationRefusedError, SightlineError, UnusableInputError
+from sightline.errors import CalibrationRefusedError, CaseError, SightlineError, UnusableInputError
 from sightline.from_images.head_and_shaft import fit_head, fit_shaft
 from sightline.from_images.neck import fit_neck
 from sightline.from_images.pipeline import DrillingOrder, propose_order
-from sightline.imaging import Radiograph
 from sightline.planning import Circle, Line, Nail, WirePlans, kind
 from sightline.planning.procedures.procedure import document_of, each_wire
 
 _MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned to views [ours]
 _EDITS = ("edit", "undo", "redo")
-Drawn = TypeVar("Drawn")
-Kept = dict[str, str]
-FitAxis = Callable[[Sequence[CalibratedView], Sequence[Radiograph], tuple[Line, Line]], tuple[tuple[Line, Line], Kept]]
+_FITS: dict[str, Callable[..., Any]] = {HEAD: fit_head, SHAFT: fit_shaft, NECK: fit_neck}
+_DRAW_FIRST = {
+    HEAD: "click three points on the head's rim in both calibrated images first",
+    SHAFT: "click two points on each border of the shaft in both calibrated images first",
+    NECK: "click two points on each border of the neck in both calibrated images first, from the head past its "
+    "narrowest place",
+}
 
 
 class Planning:
@@ -61,7 +64,9 @@ class Planning:
         self.case, self.frame, self.worker, self.jobs = case, stages.frame_of(case, frame_ref), worker, jobs
         self.lightbox = Lightbox(case, frame_ref, worker, jobs.notify)
         changes = [entry.content for entry in case.entries(Kind.CHANGED) if entry.content["what"] in _EDITS]
-        self.history = History((one["what"], None if one["to"] is None else Decisions.of(one["to"])) for one in changes)
+        self.history = History(
+            (change["what"], None if change["to"] is None else Decisions.of(change["to"])) for change in changes
+        )
         kind(self.decisions.kind)  # its file may be gone: then the page could not be built
         self.all_sent: dict[str, SentPlan] = {}
         self.all_drilled: dict[str, DrilledWire] = {}
@@ -107,13 +112,15 @@ class Planning:
         """Those of `specs` that a plan needs: no aids, and the robot's wire where its encoders alone are not accurate
         enough."""
         left_out = ("aid",) if self.decisions.of_nail else ("aid", "robot")
-        return tuple(one for one in self.specs if one.group not in left_out)
+        return tuple(spec for spec in self.specs if spec.group not in left_out)
 
     @property
     def landmarks(self) -> tuple[MarkSpec, ...]:
         """The landmarks of the plan: those that are placed in PA and lateral image, which later images find again."""
         decisions = self.decisions
-        return tuple(one for one in decisions.specs if one.group == "landmark" and decisions.mark(one.name).complete())
+        return tuple(
+            spec for spec in decisions.specs if spec.group == "landmark" and decisions.mark(spec.name).complete()
+        )
 
     def seen(self, image: str) -> SeenImage | None:
         """Return the state of an image, by its name; None if there is none."""
@@ -138,24 +145,24 @@ class Planning:
         Views of a solid are adjusted together; those that contradict each other are returned as they are, and the plan
         is refused.
         """
-        found = [None if seen is None else seen.view for seen in map(self.seen, names or self.names)]
-        known = [view for view in found if view is not None]
-        return _together(*known) if len(known) == len(found) else None
+        each = [None if seen is None else seen.view for seen in map(self.seen, names or self.names)]
+        known = [view for view in each if view is not None]
+        return _together(*known) if len(known) == len(each) else None
 
     def _drawn_on(self, decisions: Decisions) -> DrawnOn | None:
         """Return the nail as drawn, and the images of the plan; None until it is drawn and they are calibrated."""
         drawn = nail_drawn(decisions)
         if drawn is None:
             return None
-        seen = [one for one in map(self.seen, self.names) if one is not None]
-        views = tuple(one.view for one in seen if one.view is not None)
-        return (drawn, views, tuple(one.image for one in seen)) if len(views) == len(self.names) else None
+        seen = [image for image in map(self.seen, self.names) if image is not None]
+        views = tuple(image.view for image in seen if image.view is not None)
+        return (drawn, views, tuple(image.image for image in seen)) if len(views) == len(self.names) else None
 
     @property
     def asks_mirrored(self) -> tuple[str, ...]:
         """Names of the planning images if all show the frame mirrored, else empty. A person must then say whether the
         display or the frame file is the cause; one answer is enough."""
-        seen = [one.view for one in map(self.seen, self.names) if one is not None and one.view is not None]
+        seen = [image.view for image in map(self.seen, self.names) if image is not None and image.view is not None]
         return self.names if len(seen) == len(self.names) and all(view.mirrored for view in seen) else ()
 
     @property
@@ -173,7 +180,7 @@ class Planning:
     @property
     def kinds(self) -> tuple[str, ...]:
         """The kinds of all wires of the procedure."""
-        return tuple(one.key for one in each_wire(kind(self.decisions.kind).document))
+        return tuple(wire.key for wire in each_wire(kind(self.decisions.kind).document))
 
     @property
     def drilling_order(self) -> DrillingOrder | None:
@@ -210,6 +217,10 @@ class Planning:
             self.history.edit(decisions)
             self.jobs.notify()
 
+    def decide(self, **news: Any) -> None:
+        """Change members of the decisions, as of `edit`."""
+        self.edit(replace(self.decisions, **news))
+
     def undo(self) -> None:
         """Undo one change."""
         if self.history.can_undo:
@@ -235,100 +246,38 @@ class Planning:
             decisions = decisions.with_mark(name, None)
         self.edit(decisions)
 
-    def choose_kind(self, kind: str) -> None:
-        """Plan another procedure, or another wire of it; marks common to both stay."""
-        self.edit(self.decisions.with_kind(kind))
-
     def propose_others(self) -> None:
         """Place the other wires of a triangle beside its lowest one; drilled ones stay. Raises SightlineError."""
         known = self.planned
         if known is not None:
             self.edit(known.with_others_proposed(self.all_drilled))
 
-    async def fit_head(self) -> None:
-        """Fit the drawn circles of the head to the edges of the images, as one change that can be undone. Raises
-        UnusableInputError where no image shows a clear edge, or the drawing has changed meanwhile."""
-        before, views = self.decisions, self.views(NAMES)
-        drawn = drawn_head(before)
+    async def fit(self, key: str) -> None:
+        """Fit a drawn aid, HEAD, SHAFT or NECK, to the edges of the images, as one change that can be undone.
+
+        The neck is fitted from the head's centre as it is drawn or fitted now. Raises UnusableInputError where no image
+        shows a clear edge, or the drawing has changed meanwhile."""
+        before, views, head = self.decisions, self.views(NAMES), fitted_head(self.decisions)
+        drawn = drawn_head(before) if key == HEAD else drawn_axis(before, key)
+        if key == NECK and head is None:
+            raise UnusableInputError(f"{_DRAW_FIRST[HEAD]}: the neck's axis begins at its centre")
         if drawn is None or views is None:
-            raise UnusableInputError("click three points on the head's rim in both calibrated images first")
-        head, kept = await self._fitted("fitting the head to its edges", lambda images: fit_head(views, images, drawn))
-        now = self.decisions
-        if now.images != before.images or now.fitted_head != before.fitted_head or not _same(drawn, drawn_head(now)):
-            raise UnusableInputError("fit the head again: its drawing or an image has changed meanwhile")
-        self.edit(replace(now, fitted_head=FittedHead.made(head, kept), fitted_neck=None))
-
-    async def fit_shaft(self) -> None:
-        """Fit the drawn borders of the shaft to the edges of the images, as `fit_head` does. Raises
-        UnusableInputError."""
-        shaft = await self._fitted_axis(
-            SHAFT,
-            fit_shaft,
-            "click two points on each border of the shaft in both calibrated images first",
-            "fit the shaft again: its drawing or an image has changed meanwhile",
-        )
-        self.edit(replace(self.decisions, fitted_shaft=shaft))
-
-    async def fit_neck(self) -> None:
-        """Fit the neck's axis, from the head's centre as it is drawn or fitted now, to the edges of the images, as
-        `fit_head` does. Raises UnusableInputError."""
-        head = fitted_head(self.decisions)
-        if head is None:
-            raise UnusableInputError(
-                "click three points on the head's rim in both calibrated images first: the neck's "
-                "axis begins at its centre"
-            )
-        neck = await self._fitted_axis(
-            NECK,
-            lambda views, images, drawn: fit_neck(views, images, drawn, head),
-            (
-                "click two points on each border of the neck in both calibrated images first, from "
-                "the head past its narrowest place"
-            ),
-            texts.FIT_NECK_AGAIN,
-        )
-        if not _same(head, fitted_head(self.decisions)):
-            raise UnusableInputError(texts.FIT_NECK_AGAIN)
-        self.edit(replace(self.decisions, fitted_neck=neck))
-
-    async def _fitted_axis(self, key: str, fit: FitAxis, first: str, again: str) -> FittedAxis:
-        """Return the fit of the drawn borders of an axis. Raises UnusableInputError with the text `first` where they
-        are not drawn, and with `again` where they, an image or the fit have changed meanwhile."""
-        before, views = self.decisions, self.views(NAMES)
-        drawn = drawn_axis(before, key)
-        if drawn is None or views is None:
-            raise UnusableInputError(first)
-        fitted = await self._fitted(f"fitting the {key} to its edges", lambda images: fit(views, images, drawn))
-        now = self.decisions
-        same = _same(drawn, drawn_axis(now, key)) and fitted_axis(now, key) == fitted_axis(before, key)
-        if now.images != before.images or not same:
-            raise UnusableInputError(again)
-        return FittedAxis.made(*fitted)
-
-    async def _fitted(self, work: str, fit: Callable[[list[Radiograph]], tuple[Drawn, Kept]]) -> tuple[Drawn, Kept]:
-        """Return a fit to the edges of both images, made on another thread, and what it kept as drawn. Raises
-        UnusableInputError where it kept both."""
+            raise UnusableInputError(_DRAW_FIRST[key])
         images = [seen.image for seen in map(self.seen, NAMES) if seen is not None]
-        fitted, kept = await self.jobs.during(work, lambda: asyncio.to_thread(fit, images))
+        given = (head,) if key == NECK else ()
+        fitted, kept = await self.jobs.during(
+            f"fitting the {key} to its edges", lambda: asyncio.to_thread(_FITS[key], views, images, drawn, *given)
+        )
         if len(kept) == len(NAMES):
             raise UnusableInputError(" ".join(kept_as_drawn(kept)))
-        return fitted, kept
-
-    def choose_nail(self, nail: Nail | None) -> None:
-        """Choose the nail whose holes are found in the images; None: points are placed by hand."""
-        self.edit(replace(self.decisions, nail=nail))
-
-    def choose_borders(self, on: bool) -> None:
-        """Draw axes by both borders of the bone, or by themselves; the clicks of either stay."""
-        self.edit(replace(self.decisions, borders=on))
-
-    def choose_snapping(self, on: bool) -> None:
-        """Switch snapping of lateral points of the wire to their curves on or off."""
-        self.edit(replace(self.decisions, snapping=on))
-
-    def confirm_side(self, side: Side) -> None:
-        """Confirm the patient's side as seen in the images."""
-        self.edit(replace(self.decisions, side=side))
+        now, member = self.decisions, f"fitted_{key}"
+        drawn_now = drawn_head(now) if key == HEAD else drawn_axis(now, key)
+        same = now.images == before.images and getattr(now, member) == getattr(before, member)
+        if not same or not _same(drawn, drawn_now) or (given and not _same(given[0], fitted_head(now))):
+            also = ", the head" if key == NECK else ""
+            raise UnusableInputError(f"fit the {key} again: its drawing{also} or an image has changed meanwhile")
+        ended = {"fitted_neck": None} if key == HEAD else {}
+        self.decide(**{member: as_fitted(fitted, kept), **ended})
 
     def confirm_serial(self, serial: str) -> None:
         """Confirm the serial read on the frame. Raises UnusableInputError if the frame file states another."""
@@ -338,7 +287,7 @@ class Planning:
                 f"check the frame: this case was calibrated with {known}; if the robot holds another one, open a case "
                 f"for that frame"
             )
-        self.edit(replace(self.decisions, serial=serial))
+        self.decide(serial=serial)
 
     def state_mirrored(self, image: str, backwards: bool) -> None:
         """Record a person's statement whether writing in an image, as the page shows it, reads backwards.
@@ -348,11 +297,7 @@ class Planning:
         if seen is None or seen.view is None:
             raise UnusableInputError("wait until the image is calibrated, then answer")
         flipped = self.decisions.display.get(image, Display()).mirrored  # by the page, not in the file
-        self.edit(self.decisions.with_mirrored(seen.acquired.number, backwards != flipped))
-
-    def show(self, image: str, display: Display) -> None:
-        """Change an image's display."""
-        self.edit(self.decisions.with_display(image, display))
+        self.decide(mirrored={**self.decisions.mirrored, seen.acquired.number: backwards != flipped})
 
     async def take(self, data: bytes, suffix: str, *, image: str, by: Actor = Actor.RADIOGRAPHER) -> str:
         """Add a new image and return the name it was assigned to. The datum markers of plates determine the view;
@@ -377,7 +322,16 @@ class Planning:
             return
         views = [entry_of(self.case, seen) for seen in map(self.seen, self.names) if seen is not None]
         stages.record_plans(self.case, views, request_of(known.decisions, len(views)), made, by=Actor.SURGEON)
+        self.write_picks(known.decisions)
         self._kept = known
+
+    def write_picks(self, decisions: Decisions) -> None:
+        """Write `picks.json` beside the journal: the picks of a plan, as `sightline plan --picks` takes them. Raises
+        CaseError."""
+        try:
+            (self.case.folder / "picks.json").write_text(picks_of(decisions, self.names).text, "utf-8")
+        except OSError as error:
+            raise CaseError(f"picks.json cannot be written beside the journal: {error.strerror}") from error
 
     # Opening of a case.
 

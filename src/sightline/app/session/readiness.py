@@ -28,11 +28,11 @@ class PlanAge:
     def taken_at(self, seen: SeenImage) -> datetime | None:
         """Return when an image was taken: from its file, else as stated by a person; None if unknown. A file's time
         after its arrival is from a wrong clock and is ignored."""
-        arrived, said = seen.acquired.at, seen.taken_at
+        arrived, stated = seen.acquired.at, seen.taken_at
         if seen.acquired.by is Actor.DEMO:
             return arrived  # it was simulated just then
-        if said is not None and said <= arrived + _CLOCKS_APART:
-            return min(said, arrived)
+        if stated is not None and stated <= arrived + _CLOCKS_APART:
+            return min(stated, arrived)
         return self._planning.decisions.taken.get(seen.acquired.number)
 
     def state_taken(self, image: str, minutes_ago: float) -> None:
@@ -42,7 +42,7 @@ class PlanAge:
         if seen is None or not (isfinite(minutes_ago) and 0.0 <= minutes_ago <= _MAX_AGO_MIN):
             raise UnusableInputError("enter the minutes since the image was taken, 0 or more")
         at = datetime.now(UTC) - timedelta(minutes=minutes_ago)
-        planning.edit(planning.decisions.with_taken(seen.acquired.number, at))
+        planning.decide(taken={**planning.decisions.taken, seen.acquired.number: at})
 
     @property
     def now_s(self) -> float | None:
@@ -73,7 +73,7 @@ class PlanAge:
     def _imaged_at(self) -> datetime | None:
         """Return when the oldest planning image was taken; None if one is missing or its time is unknown."""
         seen = [self._planning.seen(name) for name in self._planning.names]
-        known = [at for one in seen if one is not None and (at := self.taken_at(one)) is not None]
+        known = [at for image in seen if image is not None and (at := self.taken_at(image)) is not None]
         return min(known) if len(known) == len(seen) else None
 
 

@@ -98,10 +98,13 @@ def _in_bone(
 
     *before, (kind, newest) = [(kind_of(kind), SimulatedWire.of(text)) for kind, text in wires.items()]
     rehearsal = replace(rehearsal_of(patient), procedure=kind.document.key)
-    return rehearsal, newest, kind.wire.key, {one.wire.key: wire.axis_mm for one, wire in before}
+    return rehearsal, newest, kind.wire.key, {earlier.wire.key: wire.axis_mm for earlier, wire in before}
 
 
 def _files(radiographs: Mapping[str, Radiograph], patient: Patient) -> dict[str, bytes]:
     with scratch_folder() as folder:
-        written = {name: write_dicom(one, folder / f"{name}.dcm", patient.side) for name, one in radiographs.items()}
+        written = {
+            name: write_dicom(radiograph, folder / f"{name}.dcm", patient.side)
+            for name, radiograph in radiographs.items()
+        }
         return {name: file.read_bytes() for name, file in written.items()}

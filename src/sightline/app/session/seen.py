@@ -120,10 +120,10 @@ class Lightbox:
         observations = await self._workshop.do(label_beads, image, beads, frame, view)
         seen = replace(seen, doing="calibrating", observations=observations)
         self._put(seen)
-        found = await self._workshop.do(calibrated, seen.labelled_as(observations), frame, "smooth", known_arm(image))
+        result = await self._workshop.do(calibrated, seen.labelled_as(observations), frame, "smooth", known_arm(image))
         number = seen.acquired.number
-        before = {n: one.view for n, one in self._images.items() if n < number and one.view is not None}
-        steady = await asyncio.to_thread(found.view.steady_since, list(before.values()))
+        before = {n: other.view for n, other in self._images.items() if n < number and other.view is not None}
+        steady = await asyncio.to_thread(result.view.steady_since, list(before.values()))
         done = replace(seen, doing="", view=steady)
         await asyncio.to_thread(_record, case, done, self._frame_ref, list(before))
         self._put(done)
@@ -173,8 +173,8 @@ class NailInImages:
     @property
     def found(self) -> HolesFound | None:
         """What was found of the nail as it is drawn now; None while it is searched for, and without one."""
-        found, now = self._found, self._drawn_on()
-        return found if found is not None and now is not None and found.is_of(*now[:2]) else None
+        newest, now = self._found, self._drawn_on()
+        return newest if newest is not None and now is not None and newest.is_of(*now[:2]) else None
 
     def update(self) -> None:
         """Start the search where the nail as drawn was not looked for. Must run on the event loop."""

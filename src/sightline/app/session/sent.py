@@ -68,7 +68,7 @@ class SentPlan:
                 for at in map(decisions.images.get, ALL_NAMES)
                 if at is not None
             )
-            and all(then.mark(one.name) == decisions.mark(one.name) for one in ROBOT_WIRE)
+            and all(then.mark(spec.name) == decisions.mark(spec.name) for spec in ROBOT_WIRE)
             and of_wire(then, then.kind) == of_wire(decisions, then.kind)
             and _around(then, then.specs) == _around(decisions, then.specs)
         )
@@ -85,7 +85,7 @@ class DrilledWire:
 def _around(decisions: Decisions, specs: Sequence[MarkSpec]) -> tuple[object, ...]:
     """Return what verdict and depth limit of a wire follow from beside itself: landmarks and aids in the images of the
     plan, how axes are drawn, and what was fitted to edges."""
-    marks = [decisions.mark(one.name) for one in specs if one.group in ("landmark", "aid")]
+    marks = [decisions.mark(spec.name) for spec in specs if spec.group in ("landmark", "aid")]
     head = decisions.fitted_head if has_head(decisions) else None
     axes = (decisions.borders, decisions.fitted_shaft, decisions.fitted_neck) if has_borders(decisions) else None
     return tuple(mark.at(image) for mark in marks for image in ALL_NAMES), head, axes
@@ -140,7 +140,7 @@ def _restored(case: Case, sent: Entry, again: Planned) -> tuple[SentPlan, Drille
             "perhaps by another version of the software, and is not restored."
         )
     made = SentPlan(again, sent.at, sent.number)
-    later = [one.number for one in case.entries(Kind.SENT, sent.number)]
+    later = [entry.number for entry in case.entries(Kind.SENT, sent.number)]
     drilled = next(iter(case.entries(Kind.DRILLED, sent.number)), None)
     if drilled is None or min(later, default=drilled.number) < drilled.number:
         return made, None

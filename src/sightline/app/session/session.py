@@ -66,7 +66,7 @@ class Session:
         Raises CaseError, FrameError, and UnusableInputError while work on this case is in progress or the robot moves.
         """
         seen = (self.planning.seen(name) for name in self.planning.decisions.images)
-        doing = self.jobs.working or next((one.doing for one in seen if one is not None and one.doing), "")
+        doing = self.jobs.working or next((image.doing for image in seen if image is not None and image.doing), "")
         now = self.drilling.now
         if doing:
             raise UnusableInputError(f"open the other case when this is done: {doing}")
@@ -111,7 +111,7 @@ def report_files(folder: Path) -> dict[str, bytes]:
 
 def cases_beside(folder: Path) -> list[CaseInFolder]:
     """Return the cases in the folder around a case's own, the newest first; those that cannot be read are left out."""
-    found = []
+    cases = []
     for journal in folder.resolve().parent.glob(f"*/{JOURNAL}"):
         try:
             with Case.open(journal.parent, read_only=True) as case:
@@ -119,7 +119,7 @@ def cases_beside(folder: Path) -> list[CaseInFolder]:
                 reached = [kind for kind in (Kind.VERIFIED, Kind.DRILLED, Kind.PLANNED) if case.latest(kind)]
                 if last:
                     here = reached[0] if reached else Kind.ACQUIRED
-                    found.append(CaseInFolder(journal.parent, case.number, last[0].at, here))
+                    cases.append(CaseInFolder(journal.parent, case.number, last[0].at, here))
         except SightlineError:
             continue
-    return sorted(found, key=lambda one: one.at, reverse=True)[:MAX_LISTED]
+    return sorted(cases, key=lambda listed: listed.at, reverse=True)[:MAX_LISTED]

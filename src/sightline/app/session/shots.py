@@ -80,7 +80,7 @@ class Shots:
         if self._stopping is None or self._since[:2] != (self._waiting, self._drilling.held):
             return ""
         verdict = self._stopping.verdict
-        why = " ".join(one.sentence for one in failed(verdict.checks) if not one.missing)
+        why = " ".join(check.sentence for check in failed(verdict.checks) if not check.missing)
         return f"The shot says STOP: {why}"
 
     @property
@@ -111,7 +111,7 @@ class Shots:
             raise RobotRefusedError(texts.SHOT_NOT_WAITING)
         wire, q = await session.simulated_wire(), await session.joints()
         kind = held.planned.decisions.kind
-        wires = {key: one.wire.text() for key, one in planning.all_drilled.items() if key != kind}
+        wires = {key: earlier.wire.text() for key, earlier in planning.all_drilled.items() if key != kind}
         wires[kind] = wire.text()
         args = wires, q.tolist(), state, self.on_patient
 
@@ -169,7 +169,7 @@ class Shots:
     def _request(self) -> "tuple[tuple[object, ...], SentPlan, list[SeenImage], DrillShotRequest] | None":
         """Return key, plan, images and input of the measurement; None before all of them are there."""
         planning, drilling, held = self._planning, self._drilling, self._drilling.held
-        seen = [one for one in map(planning.seen, SHOT_NAMES) if one is not None and one.view is not None]
+        seen = [image for image in map(planning.seen, SHOT_NAMES) if image is not None and image.view is not None]
         session, numbers = drilling.session, self._numbers
         if not self.shown or len(seen) < 2 or held is None or drilling.changed or session is None or numbers is None:
             return None
@@ -201,24 +201,24 @@ class Shots:
     ) -> None:
         """Measure the shot and record the result or the refusal."""
         planning, wires = self._planning, held.planned.wires
-        before = [one.calibrated for one in map(planning.seen, planning.names) if one is not None]
-        planned = [one for one in before if one is not None]
-        taken = [one.calibrated for one in seen if one.calibrated is not None]
+        before = [image.calibrated for image in map(planning.seen, planning.names) if image is not None]
+        planned = [image for image in before if image is not None]
+        taken = [image.calibrated for image in seen if image.calibrated is not None]
         others = () if wires is None else wires.others_mm(held.plan.kind.wire.key)
-        found: DrillShot | str
+        result: DrillShot | str
         try:
-            found = await asyncio.to_thread(asked.shot, held.plan, planned, taken, others)
+            result = await asyncio.to_thread(asked.shot, held.plan, planned, taken, others)
         except RefusedError as error:
-            found = str(error)
+            result = str(error)
         if key != self._measured:
             return  # the input has changed meanwhile
-        self.found, self.refused = (None, found) if isinstance(found, str) else (found, "")
+        self.found, self.refused = (None, result) if isinstance(result, str) else (result, "")
         if self.found is not None:
             self._stopping = self.found if self.found.decision == STOP else None
         case = planning.case
         try:
-            entries = [entry_of(case, one) for one in seen]
-            record_shot(case, case.entry(case.entry(held.number).rests_on[0]), entries, asked, found, by=Actor.APP)
+            entries = [entry_of(case, image) for image in seen]
+            record_shot(case, case.entry(case.entry(held.number).rests_on[0]), entries, asked, result, by=Actor.APP)
         except SightlineError as error:
             self.found, self.refused = None, str(error)
         planning.jobs.notify()

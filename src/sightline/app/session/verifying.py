@@ -62,7 +62,7 @@ class Verifying:
         if known is None or known.wires is None or len(shots) < 2 or not set(shots) <= set(known.wires.plans):
             return ()
         measured = judge_measured(known.wires, shots, known.decisions.side)
-        return tuple(one for one in measured.checks if not one.missing)
+        return tuple(check for check in measured.checks if not check.missing)
 
     @property
     def shows_all(self) -> bool:
@@ -70,7 +70,7 @@ class Verifying:
         planning = self._planning
         seen = [planning.seen(name) for name in CHECK_NAMES]
         newest = max((planning.all_sent[kind].number for kind in planning.all_drilled), default=0)
-        return all(one is not None and one.acquired.number > newest for one in seen)
+        return all(image is not None and image.acquired.number > newest for image in seen)
 
     async def take_rehearsed(self) -> None:
         """Acquire both check images of the rehearsed patient, with all wires in the bone.
@@ -81,7 +81,7 @@ class Verifying:
         patient, drilled = planning.patient, planning.all_drilled
         if patient is None or not drilled:
             raise UnusableInputError("drill the wire first; then take the check images")
-        wires = {kind: one.wire.text() for kind, one in drilled.items()}
+        wires = {kind: wire.wire.text() for kind, wire in drilled.items()}
         retake = self._taken.get(tuple(wires.values()), 0)
         files = await planning.jobs.during(
             "taking both check images", lambda: planning.worker.do(check_images, patient, wires, retake)
@@ -92,29 +92,32 @@ class Verifying:
 
     def update(self) -> None:
         """Discard results whose images were replaced, and start measuring where images or landmarks are new."""
-        asked = {one.kind: one for one in self._requests()}
+        asked = {request.kind: request for request in self._requests()}
         for kind in [kind for kind in self._measured if kind not in asked]:
             self._forget(kind)
         # A plan that was sent and not drilled is looked for only while a person asks about this wire.
         tried = {*self._planning.all_drilled, *self._measured, self._planning.decisions.kind}
-        for kind, one in asked.items():
-            if kind in tried and one.key != self._measured.get(kind):
+        for kind, request in asked.items():
+            if kind in tried and request.key != self._measured.get(kind):
                 self._forget(kind)
-                self._measured[kind] = one.key
-                self._planning.jobs.start(self.measure(one))
+                self._measured[kind] = request.key
+                self._planning.jobs.start(self.measure(request))
 
     def _requests(self) -> "list[_CheckRequest]":
         """Return the input of each wire's measurement; none before both check images are calibrated."""
         planning = self._planning
-        seen = [one for one in map(planning.seen, CHECK_NAMES) if one is not None]
+        seen = [plan for plan in map(planning.seen, CHECK_NAMES) if plan is not None]
         views = planning.views(CHECK_NAMES)
         if views is None:
             return []
         # Images acquired before a plan was sent show another wire, or none.
-        sent = [one for one in planning.all_sent.values() if all(image.acquired.number > one.number for image in seen)]
+        sent = [
+            plan for plan in planning.all_sent.values() if all(image.acquired.number > plan.number for image in seen)
+        ]
         now = planning.decisions
         return [
-            _CheckRequest(one, tuple(seen), views, found_again(one.planned.decisions, now, CHECK_NAMES)) for one in sent
+            _CheckRequest(plan, tuple(seen), views, found_again(plan.planned.decisions, now, CHECK_NAMES))
+            for plan in sent
         ]
 
     def _forget(self, kind: str) -> None:
@@ -147,7 +150,7 @@ class Verifying:
         """Measure, and record the result or the refusal in the case, from which reports are made. Raises
         SightlineError."""
         try:
-            wires = [await self._found(request, one) for one in request.seen]
+            wires = [await self._found(request, image) for image in request.seen]
             if not self._is_asked(request):
                 return
             self.found[request.kind] = dict(zip(CHECK_NAMES, wires, strict=True))
@@ -159,14 +162,14 @@ class Verifying:
             raise
         self._record(request, self.shots[request.kind])
 
-    def _record(self, request: "_CheckRequest", found: CheckShot | str) -> None:
+    def _record(self, request: "_CheckRequest", result: CheckShot | str) -> None:
         case = self._planning.case
         told = case.entry(request.sent.number)
         if not told.rests_on:
             return  # sent by a version that did not record the plan
-        first, second = (entry_of(case, one) for one in request.seen)
+        first, second = (entry_of(case, image) for image in request.seen)
         measured = CheckRequest(request.sent.plan.kind.wire_mm, request.landmarks)
-        record_verified(case, case.entry(told.rests_on[0]), (first, second), measured, found, by=Actor.APP)
+        record_verified(case, case.entry(told.rests_on[0]), (first, second), measured, result, by=Actor.APP)
 
     async def _found(self, request: "_CheckRequest", seen: SeenImage) -> "WireShadow":
         """Return the wire in one image, cached."""
@@ -203,5 +206,5 @@ class _CheckRequest:
     @property
     def key(self) -> tuple[object, ...]:
         """Key that is equal for equal inputs."""
-        numbers = (one.acquired.number for one in self.seen)
+        numbers = (image.acquired.number for image in self.seen)
         return (self.sent, *numbers, self.landmarks.checked_uv_px.tobytes())

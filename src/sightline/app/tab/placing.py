@@ -50,7 +50,7 @@ class Placing:
 
     def goal(self, step: ProcedureStep) -> Goal | None:
         """Return the next goal; None if there is none."""
-        return next((one for one in self._wanted(step) if not one.reached(self._planning.decisions)), None)
+        return next((goal for goal in self._wanted(step) if not goal.reached(self._planning.decisions)), None)
 
     def progress(self, step: ProcedureStep) -> tuple[int, int]:
         """Return the number of the next goal, from 1, and the number of all."""
@@ -63,7 +63,7 @@ class Placing:
     def choose(self, listed: Sequence[MarkSpec], images: tuple[str, ...]) -> None:
         """Ask for these marks that are not placed; if all are, ask for the first one again."""
         goals, decisions = _goals(listed, images), self._planning.decisions
-        if all(one.reached(decisions) for one in goals):
+        if all(goal.reached(decisions) for goal in goals):
             first = goals[0]
             goals = (replace(first, before=decisions.mark(first.spec.name).at(first.image)),)
         self._chosen = goals
@@ -86,7 +86,7 @@ class Placing:
             return _goals([*guide, *planning.landmarks], SHOT_NAMES)
         if step is ProcedureStep.PLAN and planning.planned is not None and not planning.lacking:
             pair = _goals(planning.asked, NAMES)
-            third = [one for one in specs if one.group == "landmark" and OBLIQUE in planning.names]
+            third = [spec for spec in specs if spec.group == "landmark" and OBLIQUE in planning.names]
             return (*pair, *_goals(third, (OBLIQUE,)))
         return ()
 

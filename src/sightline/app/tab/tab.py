@@ -10,7 +10,7 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.drawing.pictures import Pictures, head_up
 from sightline.app.drawing.xray import XrayEvent, XrayView
-from sightline.app.plan.decisions import Display, Pixel
+from sightline.app.plan.decisions import Decisions, Display, Pixel
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import Planned
 from sightline.app.session.jobs import failure_of, report
@@ -19,7 +19,6 @@ from sightline.app.session.session import Session, report_files
 from sightline.app.tab.placing import Goal, Placing, ProcedureStep
 from sightline.app.tab.views import Dragging, Views
 from sightline.errors import SightlineError
-from sightline.planning import Nail
 from sightline.planning.points.reconstruct import Measured, measured_in_plane, measured_in_space
 
 if TYPE_CHECKING:
@@ -49,28 +48,28 @@ def measured(planning: Planning, image: str | None, clicks: Clicks) -> tuple[str
         return "", texts.RULER_NEEDS_WIRE
     path = known.plan.trajectory
     try:
-        found = measured_in_plane(seen.view, np.array(clicks), (path.entry_mm + path.end_mm) / 2.0)
+        value = measured_in_plane(seen.view, np.array(clicks), (path.entry_mm + path.end_mm) / 2.0)
     except SightlineError as error:
         return "", str(error)
     plane = (
         (
             "Measured in the plane of the wire, parallel to the image: "
-            f"{1000.0 * found.per_mm:.1f} % more or less for each 10 mm before or behind it. "
+            f"{1000.0 * value.per_mm:.1f} % more or less for each 10 mm before or behind it. "
             "Error: 95 %."
         )
         if len(clicks) == 2
         else "Measured between lines parallel to the image. Error: 95 %."
     )
-    return _label(found, angle=len(clicks) == 3), plane
+    return _label(value, angle=len(clicks) == 3), plane
 
 
-def _label(found: Measured, *, angle: bool) -> str:
+def _label(measured_value: Measured, *, angle: bool) -> str:
     """Return length or angle with its error."""
     if angle:
-        off = "" if found.error_95 is None else f" ± {np.rad2deg(found.error_95):.1f}°"
-        return f"{np.rad2deg(found.value):.1f}°{off}"
-    off = "" if found.error_95 is None else f" ± {found.error_95:.1f}"
-    return f"{found.value:.1f}{off} mm"
+        off = "" if measured_value.error_95 is None else f" ± {np.rad2deg(measured_value.error_95):.1f}°"
+        return f"{np.rad2deg(measured_value.value):.1f}°{off}"
+    off = "" if measured_value.error_95 is None else f" ± {measured_value.error_95:.1f}"
+    return f"{measured_value.value:.1f}{off} mm"
 
 
 class Tab:
@@ -201,23 +200,15 @@ class Tab:
         for name, data in files.items():
             ui.download.content(data, name)
 
-    async def choose_kind(self, kind: str) -> None:
-        """Plan another procedure, or another wire of it, and ask for its points."""
+    async def choose(self, decisions: Decisions) -> None:
+        """Plan another procedure, another wire of it, or through the holes of another nail, and ask for its points."""
         self._placing.begin_step()
-        await self.act(lambda: self.planning.choose_kind(kind))
-
-    async def choose_nail(self, nail: Nail | None) -> None:
-        """Find the holes of this nail, or with None place points by hand, and ask for what is needed."""
-        self._placing.begin_step()
-        await self.act(lambda: self.planning.choose_nail(nail))
+        await self.act(lambda: self.planning.edit(decisions))
 
     def doing(self, what: Callable[[], Awaitable[Any] | None]) -> Callable[[], Awaitable[None]]:
         """Return a button's handler that runs an action."""
 
-        async def handler() -> None:
-            await self.act(what)
-
-        return handler
+        return lambda: self.act(what)
 
     async def _heard(self, view: XrayView, event: XrayEvent) -> None:
         if event.type == "cancel":
@@ -245,11 +236,11 @@ class Tab:
     def _say_measured(self) -> None:
         """Show what the ruler measures: in space where it has as many clicks in the other view, on the image shown."""
         self._ruled_on = self.planning.planned
-        now = {one: (self.views.image_in(one, self.step), one.shown.picture) for one in self.views.pair}
-        ruled = {one: each for one, each in self._ruled.items() if each[2] and each[:2] == now[one]}
-        said = measured_in_both(self.planning, {image: uv for image, _, uv in ruled.values() if image})
-        for one, (image, _, uv) in ruled.items():
-            one.say_measured(*(said or measured(self.planning, image, uv)))
+        now = {view: (self.views.image_in(view, self.step), view.shown.picture) for view in self.views.pair}
+        ruled = {view: each for view, each in self._ruled.items() if each[2] and each[:2] == now[view]}
+        in_space = measured_in_both(self.planning, {image: uv for image, _, uv in ruled.values() if image})
+        for view, (image, _, uv) in ruled.items():
+            view.say_measured(*(in_space or measured(self.planning, image, uv)))
 
     def _let_go(self) -> None:
         self.dragging.end()
@@ -270,7 +261,7 @@ class Tab:
             shown = event.display
             turned = None if shown.rotation == head_up(head) else shown.rotation
             display = Display(turned, shown.mirrored, shown.inverted, (shown.window.centre, shown.window.width))
-            await self.act(lambda: planning.show(image, display))
+            await self.act(lambda: planning.decide(display={**planning.decisions.display, image: display}))
 
     async def _drag(self, name: str, image: str, uv: tuple[float, float]) -> None:
         try:

@@ -57,8 +57,8 @@ class Dragging:
     @property
     def preview(self) -> Preview | None:
         """The preview of the current drag; None if it is over."""
-        one = self._preview
-        return one if one is not None and one.revision == self._planning.history.revision else None
+        preview = self._preview
+        return preview if preview is not None and preview.revision == self._planning.history.revision else None
 
     def end(self) -> None:
         """End the drag and discard its preview."""
@@ -224,9 +224,9 @@ class Views:
         if views is None:
             return None
         drawn = [
-            self._pictures.sight(view, self._pictures.of(one))
-            for view, one in zip(views, seen, strict=False)
-            if one is not None
+            self._pictures.sight(view, self._pictures.of(image))
+            for view, image in zip(views, seen, strict=False)
+            if image is not None
         ]
         return {
             "from": NAMES[0],
@@ -297,12 +297,12 @@ def _is_editable(image: str, step: ProcedureStep) -> bool:
 
 def _points(image: str, step: ProcedureStep, specs: tuple[MarkSpec, ...], decisions: Decisions) -> list[dict[str, Any]]:
     """Return the points of an image, placed or not, as JSON types."""
-    out, movable = [], _is_editable(image, step)
+    points, movable = [], _is_editable(image, step)
     for spec in (*specs, *GUIDE):
         if not spec.shown_in(image):
             continue
         mark, on_curve = decisions.mark(spec.name), image == NAMES[1] and spec.group == "wire"
-        out.append(
+        points.append(
             {
                 "id": spec.name,
                 "label": spec.label,
@@ -313,4 +313,4 @@ def _points(image: str, step: ProcedureStep, specs: tuple[MarkSpec, ...], decisi
                 "slides": on_curve and decisions.snapping and mark.at(NAMES[0]) is not None,
             }
         )
-    return out
+    return points

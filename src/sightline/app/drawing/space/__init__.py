@@ -147,7 +147,7 @@ def bone_objects(volume: "Volume") -> list[Object]:
 
 def rehearsed_bone(patient: Patient) -> list[Object]:
     """Return the femur of a rehearsed patient; takes seconds, so run it in the worker process."""
-    return [one for volume in rehearsal_of(patient).hip.bone.volumes for one in bone_objects(volume)]
+    return [bone for volume in rehearsal_of(patient).hip.bone.volumes for bone in bone_objects(volume)]
 
 
 def robot_objects(robot: Manipulator, q: np.ndarray, T_mcs_cfcs: RigidTransform) -> list[Object]:

@@ -132,7 +132,7 @@ class XrayContent:
         known = {} if before is None else before.layers
         news = [name for name in _MEMBERS if before is None or getattr(self, name) != getattr(before, name)]
         return {name: _as_json(getattr(self, name)) for name in news} | {
-            "layers": {name: None if known.get(name) is one else list(one) for name, one in self.layers.items()}
+            "layers": {name: None if known.get(name) is drawn else list(drawn) for name, drawn in self.layers.items()}
         }
 
 
@@ -168,12 +168,12 @@ class XrayView(Calling, component="xray_view.js", dependencies=["xray*.js", _COL
 
     def __init__(self, name: str, *, label: str, texts: Mapping[str, str]) -> None:
         """`name`: the view's key in the page; `label`: its title. Raises KeyError if a text is missing."""
-        said = {key: texts[key] for key in TEXT_KEYS}
+        named = {key: texts[key] for key in TEXT_KEYS}
         super().__init__()
         self.name = name
         self._props["name"] = name
         self._props["label"] = label
-        self._props["texts"] = said
+        self._props["texts"] = named
         self._props["data-testid"] = f"xray-{name}"
         self.refused = 0
         """Number of invalid events from the browser."""
@@ -212,8 +212,8 @@ class XrayView(Calling, component="xray_view.js", dependencies=["xray*.js", _COL
         self._say_lost(event.type, event.id)
 
     async def _hear(self, arguments: GenericEventArguments) -> None:
-        said = arguments.args
-        event = checked(said, self.shown)
+        message = arguments.args
+        event = checked(message, self.shown)
         try:
             if event is None:
                 self.refused += 1
@@ -222,7 +222,7 @@ class XrayView(Calling, component="xray_view.js", dependencies=["xray*.js", _COL
                 if inspect.isawaitable(answer):
                     await answer
         finally:  # a refused event must not block later ones
-            kind, name, seq = (said.get(key) if isinstance(said, dict) else None for key in ("type", "id", "seq"))
+            kind, name, seq = (message.get(key) if isinstance(message, dict) else None for key in ("type", "id", "seq"))
             if isinstance(kind, str) and kind in _ANSWERED and _is_seq(seq):
                 self.acknowledge(seq)
                 if event is None:
@@ -233,30 +233,30 @@ class XrayView(Calling, component="xray_view.js", dependencies=["xray*.js", _COL
             self.run_method("sayLost", name)
 
 
-def checked(said: object, shown: XrayContent) -> XrayEvent | None:
+def checked(message: object, shown: XrayContent) -> XrayEvent | None:
     """Return the event in a browser's message; None if it is invalid, names an unknown point, lies outside the field or
     was made on another image than the one shown."""
-    kind = said.get("type") if isinstance(said, dict) else None
-    if not isinstance(said, dict) or not isinstance(kind, str) or kind not in _TYPES:
+    kind = message.get("type") if isinstance(message, dict) else None
+    if not isinstance(message, dict) or not isinstance(kind, str) or kind not in _TYPES:
         return None
-    elsewhere = kind in _ON_AN_IMAGE and (shown.picture is None or said.get("image") != shown.picture.url)
-    if elsewhere or (kind in _ANSWERED and not _is_seq(said.get("seq"))):
+    elsewhere = kind in _ON_AN_IMAGE and (shown.picture is None or message.get("image") != shown.picture.url)
+    if elsewhere or (kind in _ANSWERED and not _is_seq(message.get("seq"))):
         return None
     if kind in _OF_A_POINT:
-        return _of_a_point(kind, said, shown)
+        return _of_a_point(kind, message, shown)
     read = {"measure": _measure, "display": _displayed, "error": _error}.get(kind)
-    return XrayEvent("ready") if read is None else read(said, shown)
+    return XrayEvent("ready") if read is None else read(message, shown)
 
 
-def _of_a_point(kind: Any, said: dict[str, Any], shown: XrayContent) -> XrayEvent | None:
-    name, seq = said.get("id"), said.get("seq") if kind in _ANSWERED else None
+def _of_a_point(kind: Any, message: dict[str, Any], shown: XrayContent) -> XrayEvent | None:
+    name, seq = message.get("id"), message.get("seq") if kind in _ANSWERED else None
     if kind == "select" and name is None:
         return XrayEvent("select")  # nothing is selected any more
     if not isinstance(name, str) or name not in {point["id"] for point in shown.points}:
         return None
     if kind not in _MOVES:
         return XrayEvent(kind, name, seq=seq)
-    uv = _place(said.get("uv"), shown.picture)
+    uv = _place(message.get("uv"), shown.picture)
     return None if uv is None else XrayEvent(kind, name, uv, seq)
 
 
@@ -269,26 +269,26 @@ def _place(uv: object, picture: XrayPicture | None) -> tuple[float, float] | Non
     return u, v
 
 
-def _measure(said: dict[str, Any], shown: XrayContent) -> XrayEvent | None:
-    clicks = said.get("points")
+def _measure(message: dict[str, Any], shown: XrayContent) -> XrayEvent | None:
+    clicks = message.get("points")
     if not isinstance(clicks, list) or len(clicks) not in {0, 2, 3}:
         return None
-    points = tuple(uv for uv in (_place(one, shown.picture) for one in clicks) if uv is not None)
+    points = tuple(uv for uv in (_place(click, shown.picture) for click in clicks) if uv is not None)
     return XrayEvent("measure", points=points) if len(points) == len(clicks) else None
 
 
-def _displayed(said: dict[str, Any], _: XrayContent) -> XrayEvent | None:
-    display = _display(said)
-    return None if display is None else XrayEvent("display", seq=said["seq"], display=display)
+def _displayed(message: dict[str, Any], _: XrayContent) -> XrayEvent | None:
+    display = _display(message)
+    return None if display is None else XrayEvent("display", seq=message["seq"], display=display)
 
 
-def _error(said: dict[str, Any], _: XrayContent) -> XrayEvent | None:
-    message = said.get("message")
+def _error(news: dict[str, Any], _: XrayContent) -> XrayEvent | None:
+    message = news.get("message")
     return XrayEvent("error", message=_one_line(message)) if isinstance(message, str) else None
 
 
-def _display(said: dict[str, Any]) -> XrayDisplay | None:
-    rotation, mirrored, inverted, window = (said.get(key) for key in ("rotation", "mirrored", "inverted", "window"))
+def _display(message: dict[str, Any]) -> XrayDisplay | None:
+    rotation, mirrored, inverted, window = (message.get(key) for key in ("rotation", "mirrored", "inverted", "window"))
     if type(rotation) is not int or rotation not in _ROTATIONS:
         return None
     if not (isinstance(mirrored, bool) and isinstance(inverted, bool) and isinstance(window, dict)):
