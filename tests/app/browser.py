@@ -13,8 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
+from weakref import WeakKeyDictionary
 
-from playwright.sync_api import Browser, ConsoleMessage, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, expect, sync_playwright
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -98,15 +99,20 @@ class Server:
         assert "Traceback" not in self.log.read_text(), self.log.read_text()
 
 
+_CONTEXTS: WeakKeyDictionary[Browser, dict[str, BrowserContext]] = WeakKeyDictionary()
+
+
 class Tab:
     """A page whose requests off this machine and whose errors on the console are remembered."""
 
     def __init__(self, browser: Browser, url: str, **options: Any) -> None:
         self.strays: list[str] = []
         self.errors: list[str] = []
-        self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **options})
-        self.context.on("request", lambda request: self._asked(request.url))
-        self.page: Page = self.context.new_page()
+        contexts = _CONTEXTS.setdefault(browser, {})  # pages of the same options share one cache
+        if repr(options) not in contexts:
+            contexts[repr(options)] = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **options})
+        self.page: Page = contexts[repr(options)].new_page()
+        self.page.on("request", lambda request: self._asked(request.url))
         self.page.set_default_timeout(PATIENCE_MS)
         self.page.on("websocket", lambda opened: self._asked(opened.url))
         self.page.on("console", self._said)
@@ -132,4 +138,4 @@ class Tab:
         assert not unexpected, f"errors in the browser: {unexpected}"
 
     def close(self) -> None:
-        self.context.close()
+        self.page.close()

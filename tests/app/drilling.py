@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from tests.app.hands import unrendered
 
 from sightline.app.plan.marks import GUIDE, SHOT_NAMES
 from sightline.app.session.session import Session
@@ -70,7 +71,7 @@ async def take_shot(session: Session, patient: Rehearsal, state: str) -> CheckIm
     wire, q = await robot.simulated_wire(), await robot.joints()
     await shots.take_rehearsed()
     await until(lambda: shots.shown == state and session.planning.views(SHOT_NAMES) is not None)
-    return patient.drilling_images(wire, q, state, on_patient=shots.on_patient)
+    return unrendered(patient.drilling_images, wire, q, state, on_patient=shots.on_patient)
 
 
 def truth(patient: Rehearsal, true: CheckImages, aside_mm: np.ndarray | float = 0.0) -> Places:

@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
 from tests.app.eyes import wrong
-from tests.app.hands import PATIENCE_MS, Hands
+from tests.app.hands import PATIENCE_MS, Hands, unrendered
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.marks import NAIL_EDGES
@@ -113,7 +113,7 @@ def _check(hands: Hands, patient: Rehearsal, folder: Path, shoot) -> None:
         *before, newest = [SimulatedWire.of(one.content["simulated_wire"]) for one in case.entries(Kind.DRILLED)]
     axes = {key: one.axis_mm for key, one in zip(KEYS, before, strict=False)}
     key = KEYS[len(axes)]
-    true = patient.check_images(newest, key, axes)
+    true = unrendered(patient.check_images, newest, key, axes)
     for mark, name in zip(patient.landmark_keys, patient.landmarks, strict=True):
         for view in NAMES:
             at = true.setup.views[view].project(true.landmarks_mm[name][None])[0]

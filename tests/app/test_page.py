@@ -21,7 +21,7 @@ from tests.app.bidi import find_firefox, firefox
 from tests.app.browser import Server, Tab
 from tests.app.clock_app import set_ahead
 from tests.app.eyes import unread, written, wrong
-from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, by_image, rehearsal, truth
+from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, by_image, rehearsal, truth, unrendered
 from tests.systems import needs_posix
 
 from sightline.app.drawing.pictures import as_u16
@@ -30,6 +30,7 @@ from sightline.app.plan.decisions import Decisions
 from sightline.app.texts import STEPS, XRAY
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
+from sightline.case.picks import Picks
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES
 from sightline.planning.procedures.procedure import shipped
@@ -589,6 +590,7 @@ def test_the_wire_is_drilled_and_verified(
     set_ahead(clock, 0.0)
     _verify(hands, folder)
     shoot(hands.page, "verified")
+    assert Picks.read(folder / "picks.json").wires.keys() == {"guide-wire"}
     with Case.open(folder, read_only=True) as case:
         assert not case.problems
         replayed = list(replay(case))
@@ -640,7 +642,7 @@ def _verify(hands: Hands, folder: Path) -> None:
     with Case.open(folder, read_only=True) as case:
         drilled = case.latest(Kind.DRILLED)
     assert drilled is not None
-    check = rehearsal().check_images(SimulatedWire.of(drilled.content["simulated_wire"]))
+    check = unrendered(rehearsal().check_images, SimulatedWire.of(drilled.content["simulated_wire"]))
     for known in LANDMARKS:
         for view in NAMES:
             at = check.setup.views[view].project(check.landmarks_mm[known][None])[0]

@@ -14,10 +14,11 @@ from sightline.calibration import BeadView
 from sightline.calibration.maps.hull import MAX_OUTSIDE
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
+from sightline.planning.points.picks import DEFAULT_PICK_SD_PX
 
 _MAX_PICTURES = 16  # pictures kept: two planning and two check images, and those that undo may need [ours]
 _MAX_LIVE = 20  # live pictures kept: two seconds of them
-_FIELD_PX = 0.5  # tolerance of the field's polygon: less than a click's precision [ours]
+_FIELD_PX = DEFAULT_PICK_SD_PX  # tolerance of the field's polygon
 # Percentiles of the field's grey levels between black and white [ours]. By default the open beam is left out.
 _WINDOW = (0.5, 96.0)
 _PRESETS = {"bone": (0.5, 75.0), "metal": (0.0, 12.0), "beads": (0.1, 99.9)}  # metal is darkest, beads lie anywhere

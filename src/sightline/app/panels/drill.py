@@ -10,6 +10,7 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels import shots
 from sightline.app.panels.section import (
+    LIVE_S,
     Section,
     action,
     checks,
@@ -30,6 +31,7 @@ from sightline.app.tab.tab import Tab
 from sightline.case.report.drilled import force_figure
 from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.robot.control.states import State
+from sightline.robot.kinematics.target import PLAN_SD_MM
 
 if TYPE_CHECKING:
     from sightline.app.session.robot_session import RobotNow, RobotSession
@@ -40,8 +42,7 @@ _DEPTH = (
     '<div class="depth-bar" aria-hidden="true"><i style="width:{}%"></i>{}</div><div class="depth-marks">{}</div></div>'
 )
 _PLOT_PX = 400.0  # about the panel's width, so that its text is as large as the panel's [ours]
-_SHORT_MM = 0.5  # from here on a wire is short of its planned depth: two s.d. of what contact adds [ours]
-_LIVE_S = 0.2  # update period of the robot's readings [ours]
+_SHORT_MM = PLAN_SD_MM  # from here on a wire is short of its planned depth
 _RETRACTABLE = tuple(one.value for one in (State.DONE, State.STOP, State.ALIGNED, State.PAUSED))
 
 
@@ -169,7 +170,7 @@ def _state(tab: Tab) -> None:
             tab.show_views()  # the wire fills along the plan
 
     tell()
-    ui.timer(_LIVE_S, tell)
+    ui.timer(LIVE_S, tell)
 
 
 def _depth(tab: Tab) -> Markup:
@@ -389,4 +390,4 @@ def _force(tab: Tab) -> None:
             )
 
     tell()
-    ui.timer(_LIVE_S * 2, tell)
+    ui.timer(LIVE_S * 2, tell)

@@ -18,7 +18,7 @@ from sightline.errors import UnusableInputError
 from sightline.planning.procedures import Procedure, procedures
 from sightline.planning.procedures import kind as kind_of
 
-_SERIAL_LENGTH = 64  # characters of a serial [ours]
+_SERIAL_LENGTH = 64  # characters: a DICOM Device Serial Number (LO) has no more
 
 
 def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> None:

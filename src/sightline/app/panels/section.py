@@ -26,7 +26,7 @@ _CHECK = (
 
 
 _SHOWN, _MORE = 3, 4  # significant digits of a value, and how many more may tell it from its limit [ours]
-_LONG = 120  # characters of a card's text that is written smaller, to fit [ours]
+LONG = 110  # characters from which a card's text or an instruction is written smaller, to fit [ours]
 _CARD = (
     '<div class="verdict {}" data-testid="{}"><div class="verdict-word">{}</div>'
     '<div class="verdict-sentence {}">{} <span class="verdict-more">{}</span></div></div>'
@@ -56,7 +56,7 @@ def note_html(text: str, *, kind: str = "", testid: str = "") -> Markup:
 
 def card(state: str, word: str, sentence: str, more: str = "", *, testid: str) -> Markup:
     """Return a card with a verdict; `state`: go, no-go or incomplete."""
-    size = "long" if len(sentence) + len(more) > _LONG else ""
+    size = "long" if len(sentence) + len(more) > LONG else ""
     return filled(_CARD, state, testid, word, size, sentence, more)
 
 
@@ -131,6 +131,7 @@ def _quantity(value: float, unit: str, digits: int) -> str:
 
 
 Key = Callable[[Tab], Hashable]
+LIVE_S = 0.2  # update period of the robot's readings and its pose [ours]
 
 
 class _Part:

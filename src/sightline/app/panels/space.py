@@ -12,6 +12,7 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.drawing import space
 from sightline.app.drawing.calls import Calling
+from sightline.app.panels.section import LIVE_S
 from sightline.app.plan.planner import landmarks_of
 from sightline.app.tab.tab import Tab
 from sightline.errors import SightlineError
@@ -46,9 +47,6 @@ class SpaceView(
         self.run_method("orient", side)
 
 
-_LIVE_S = 0.2  # update period of the robot's pose [ours]
-
-
 class Space:
     """The 3-D scene of one page. `open`: whether it is shown; nothing is drawn while it is not."""
 
@@ -63,7 +61,7 @@ class Space:
                 label="3-D scene: frame, views, wire, robot", groups=texts.SPACE_GROUPS, texts=self._texts
             )
         tab.on_refresh.append(self.refresh)
-        ui.timer(_LIVE_S, self._robot)
+        ui.timer(LIVE_S, self._robot)
 
     def toggle(self) -> None:
         """Show or hide it."""

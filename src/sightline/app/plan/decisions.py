@@ -76,7 +76,6 @@ Side = Literal["right", "left"]
 Pixel = tuple[float, float]
 HEAD, SHAFT, NECK = "head", "shaft", "neck"  # keys of the aids that can be fitted to edges
 MAX_MARKS = 64  # more than any procedure needs; a page that sends more is defective [ours]
-MAX_UNDO = 500  # changes that can be undone; the journal has all of them [ours]
 
 
 @dataclass(frozen=True)
@@ -282,7 +281,7 @@ class History:
 
     def edit(self, decisions: Decisions) -> None:
         """Add a change; undone changes can no longer be redone."""
-        self._all = [*self._all[: self._at + 1], decisions][-MAX_UNDO:]
+        self._all = [*self._all[: self._at + 1], decisions]
         self._at = len(self._all) - 1
         self.revision += 1
 

@@ -308,7 +308,7 @@ def _curve(
     return _remembered(from_view, to_view, uv_px.tobytes(), uv_covariance_px2.tobytes())
 
 
-@lru_cache(maxsize=8)  # the curves of two points, before and after a move, for two pages [ours]
+@lru_cache(maxsize=8)  # [calc] the curves of two points, before and after a move, for two pages
 def _remembered(from_view: CalibratedView, to_view: CalibratedView, uv_px: bytes, covariance_px2: bytes):
     covariance = np.frombuffer(covariance_px2).reshape(2, 2)
     return matching_curve(from_view, np.frombuffer(uv_px), to_view, covariance)

@@ -15,7 +15,7 @@ from sightline.planning.points.results import Verdict
 from sightline.robot.kinematics.target import LIFETIME_S
 
 _CLOCKS_APART = timedelta(seconds=5)  # tolerated between C-arm and this machine, both set by one time server [ours]
-_MAX_AGO_MIN = 1e6  # two years [ours]
+_MAX_AGO_MIN = 60 * 24 * 365  # [calc] a year: an older image is a slip of the keyboard
 
 
 class PlanAge:

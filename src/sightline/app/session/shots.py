@@ -229,7 +229,7 @@ if TYPE_CHECKING:
     from sightline.case.watch.live import Watch
 
 # Freshness is reported every 0.1 s; allow one period and 0.1 s of latency. If the reports stop, an image can show as
-# current until it is STALE_S + LATE_S = 0.4 s old [ours].
+# current until it is STALE_S + LATE_S = 0.4 s old.
 LATE_S = 0.2
 EVERY = 3  # of 30 images a second every third is processed, to leave processor time for the page [ours]
 

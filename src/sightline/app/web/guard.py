@@ -22,7 +22,7 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-MIN_TOKEN_CHARACTERS = 16  # [ours] 96 bits or more when generated
+MIN_TOKEN_CHARACTERS = 16  # 96 bits of base64; OWASP asks 64 of a session identifier
 MAX_BODY_BYTES = 1_000_000  # Socket.IO's own limit on a message; no other body is expected
 MAX_SOCKETS = 32  # [ours] a page holds one, and a second one while it reconnects
 BODY_PAUSE_S = 30.0  # [ours] longest silence within a body

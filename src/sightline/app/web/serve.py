@@ -16,13 +16,12 @@ from nicegui import Client, core, ui
 from starlette.responses import PlainTextResponse
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from sightline.app.web.guard import MAX_BODY_BYTES, App, Guard, Receive, Scope, Send, is_loopback
+from sightline.app.web.guard import MAX_BODY_BYTES, MAX_SOCKETS, App, Guard, Receive, Scope, Send, is_loopback
 from sightline.app.web.transfers import IMAGES_PATH, MAX_UPLOAD_BYTES, UPLOADS_PATH, Images, Uploads
 from sightline.errors import UnusableInputError
 
 MAX_WAITING = 3  # [ours] pages that wait while one is built: seconds on a slow machine
-MAX_PAGES = 32  # [ours] open pages, as many as sockets (guard.MAX_SOCKETS)
-RETRY_S = 5  # [ours]
+MAX_PAGES = MAX_SOCKETS  # open pages, each with a socket
 _TOO_MANY = "close some pages and reload this one in a few seconds: too many are being opened"
 
 
@@ -43,7 +42,7 @@ class Pages:
         if scope["type"] != "http" or scope["method"] == "POST" or scope["path"].startswith(self.others):
             await self.app(scope, receive, send)
         elif self._waiting > MAX_WAITING or self.open_pages() >= MAX_PAGES:
-            await PlainTextResponse(_TOO_MANY, 503, {"Retry-After": str(RETRY_S)})(scope, receive, send)
+            await PlainTextResponse(_TOO_MANY, 503, {"Retry-After": str(int(RECONNECT_S))})(scope, receive, send)
         else:
             self._waiting += 1
             try:
@@ -53,7 +52,7 @@ class Pages:
                 self._waiting -= 1
 
 
-MAX_CONNECTIONS = 64  # [ours] a browser opens six and a socket
+MAX_CONNECTIONS = 2 * MAX_SOCKETS  # [calc] sockets, and as many requests for files
 HEADERS_S = 10.0  # [ours] time limit for the headers of a request
 STOP_S = 3  # [ours] time limit for open connections to finish
 RECONNECT_S = 10.0  # [ours] time for which a page that lost its connection is kept

@@ -62,7 +62,7 @@ class Images:
 
 
 MAX_UPLOAD_BYTES = 4 * MAX_PIXELS + 2**20  # [calc] the largest image as float32, with a header
-MAX_AT_ONCE = 2  # [ours] two views; limits the memory that uploads use
+MAX_AT_ONCE = 2  # [calc] as many as a plan has views; limits the memory that uploads use
 UPLOADS_PATH = "/upload/"
 
 

@@ -4,6 +4,7 @@
 // the image with those that stand still, are on others, off the page.
 
 import { COLOURS } from "colours";
+import { ZOOM_MAX } from "./xray_display.js";
 import { arrange, Labels, measureOn, paintTexts } from "./xray_labels.js";
 import { hasDirection, paintCrosshair, paintDirection, paintPoint, paintShape, reaches, STYLES } from "./xray_paint.js";
 import { Bitmap } from "./xray_stream.js";
@@ -291,7 +292,6 @@ export class Still {
 
 // The round magnifier above the pointer (below it at the upper edge), with a cross-hair at its position.
 const TIMES = 4;
-const ZOOM_MAX = 32; // [ours] CSS pixels per image pixel: enough to point at 1/32 of a pixel
 const RADIUS = 84; // CSS pixels
 const CLEAR = 44; // CSS pixels between its rim and the pointer
 

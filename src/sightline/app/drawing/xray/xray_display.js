@@ -8,7 +8,7 @@
 
 /** @type {Record<number, Pair>} */
 const ROTATIONS = { 0: [1, 0], 90: [0, 1], 180: [-1, 0], 270: [0, -1] }; // cos, sin, exact
-const ZOOM_MAX = 64; // [ours] CSS pixels per image pixel: 1/64 px is finer than anyone can point
+export const ZOOM_MAX = 64; // [ours] CSS pixels per image pixel: 1/64 px is finer than anyone can point
 const ZOOM_MIN_OF_FIT = 0.5; // [ours] smallest zoom, as a share of the fitted zoom
 
 export class Display {
