@@ -484,15 +484,6 @@ def test_a_notice_stands_over_the_image(view: View) -> None:
     expect(notice).to_be_hidden()
 
 
-def test_maximised_it_fills_the_window(view: View) -> None:
-    view.button("maximise").click()
-    assert view.root.bounding_box() == {"x": 0, "y": 0, "width": 1280, "height": 800}
-    view.page.keyboard.press("Escape")
-    box = view.root.bounding_box()
-    assert box is not None
-    assert box["width"] < 640
-
-
 def test_maximised_nothing_lies_over_it(view: View) -> None:
     """Not the other view, which comes after it in the page."""
     view.button("maximise").click()
@@ -500,7 +491,8 @@ def test_maximised_nothing_lies_over_it(view: View) -> None:
         assert view.page.evaluate(
             "at => Boolean(document.elementFromPoint(...at).closest('[data-testid=xray-pa]'))", at
         )
-    view.button("restore").click()
+    assert view.root.bounding_box() == {"x": 0, "y": 0, "width": 1280, "height": 800}
+    view.page.keyboard.press("Escape")
     assert view.page.evaluate("Boolean(document.elementFromPoint(960, 400).closest('[data-testid=xray-lateral]'))")
     assert view.page.locator(".box-pa [data-testid=xray-pa]").count() == 1
 
@@ -584,25 +576,6 @@ def test_a_click_on_a_point_moves_nothing(view: View) -> None:
     assert view.core("core.state.selected") == "entry"
 
 
-def test_a_point_has_its_name_while_the_pointer_is_on_it(view: View) -> None:
-    """A name is white; without it a mark has only the pixels of its own colour."""
-
-    def white() -> int:
-        x, y = view.screen(POINTS[0]["uv"])
-        return int((view.grey()[round(y) - 40 : round(y) + 40, round(x) - 90 : round(x) + 90] > 230).sum())
-
-    view.core("core.select(null)")
-    view.mouse.move(*view.screen((420.0, 460.0)))
-    view.settle()
-    assert white() == 0
-    view.mouse.move(*view.screen(POINTS[0]["uv"]))
-    view.settle()
-    assert white() > 50
-    view.mouse.move(*view.screen((420.0, 460.0)))
-    view.settle()
-    assert white() == 0
-
-
 def test_what_may_not_move_stays(view: View) -> None:
     start = view.screen((512.0, 200.0))
     view.drag(start, (start[0] + 40, start[1] + 20))
@@ -617,17 +590,6 @@ def test_a_point_cannot_leave_the_field(view: View) -> None:
     (dropped,) = view.heard("drop")
     assert near(dropped["uv"], (SIDE / 2, SIDE / 2)) == pytest.approx(FIELD_PX, abs=1.0)
     assert view.refused() == 0
-
-
-def test_a_click_in_the_black_corner_places_nothing(view: View) -> None:
-    view.do("place")
-    view.mouse.click(*view.screen((20.0, 20.0)))
-    expect(view.root.get_by_test_id("lost")).to_have_text(TEXTS["off_field"])
-    assert view.heard("place") == []
-    assert view.core("core.state.placing") == "aim"
-    view.mouse.click(*view.screen((420.0, 460.0)))
-    assert [one["id"] for one in view.heard("place")] == ["aim"]
-    expect(view.root.get_by_test_id("lost")).to_be_hidden()
 
 
 def test_what_is_refused_is_not_shown_though_the_server_says_nothing_more(view: View) -> None:
@@ -661,22 +623,6 @@ def test_a_point_in_the_hand_stays_where_it_is_while_the_view_changes_its_size(v
     assert near(view.point("end"), before) < 2 / view.zoom()
     view.mouse.up()
     view.page.evaluate("document.querySelector('.box-pa').style.marginTop = ''")
-
-
-def test_one_move_is_in_flight_and_the_newest_wins(view: View) -> None:
-    view.forget(answering=False)
-    x, y = view.screen(POINTS[0]["uv"])
-    view.mouse.move(x, y)
-    view.mouse.down()
-    for step in range(1, 11):
-        view.mouse.move(x + 3 * step, y + step)
-    assert len(view.heard("drag")) == 1
-    view.do("acknowledge")
-    first, newest = view.heard("drag")
-    zoom = view.zoom()
-    for times, one in ((1, first), (10, newest)):
-        assert near(one["uv"], (300 + 3 * times / zoom, 400 + times / zoom)) < 1e-6
-    view.mouse.up()
 
 
 def _lateral(view: View, expression: str) -> Any:
@@ -817,18 +763,6 @@ def test_the_server_moves_a_point_but_not_one_in_the_hand(view: View) -> None:
     view.mouse.up()
 
 
-def test_escape_takes_a_drag_back(view: View) -> None:
-    x, y = view.screen(POINTS[0]["uv"])
-    view.mouse.move(x, y)
-    view.mouse.down()
-    view.mouse.move(x + 50, y + 50)
-    view.page.keyboard.press("Escape")
-    view.mouse.move(x + 70, y + 70)
-    view.mouse.up()
-    assert view.point("entry") == (300.0, 400.0)
-    assert view.heard("drop")[-1]["uv"] == [300.0, 400.0]
-
-
 def test_placing_ends_with_escape(view: View) -> None:
     view.do("place")
     expect(view.root.get_by_test_id("hint")).to_have_text("Click to place Aim. Escape cancels.")
@@ -883,21 +817,6 @@ def test_delete_asks_and_enter_places(view: View) -> None:
     assert placed["uv"] == [(SIDE - 1) / 2, (SIDE - 1) / 2]
 
 
-def test_the_keyboard_steers_a_cross_hair_that_places(view: View) -> None:
-    view.do("place")
-    view.stage.focus()
-    for key in ("ArrowRight", "ArrowRight", "ArrowRight", "Shift+ArrowDown"):
-        view.page.keyboard.press(key)
-    view.settle()
-    uv = ((SIDE - 1) / 2 + 20 * view.core("core.canvas.unit") / view.zoom(), (SIDE - 1) / 2 + 1.0)
-    assert view.core("core.lens.uv") == pytest.approx(uv)
-    expect(view.root.get_by_test_id("live")).to_have_text(f"Aim: column {uv[0]:.1f}, row {uv[1]:.1f}")
-    view.page.keyboard.press("Enter")
-    (placed,) = view.heard("place")
-    assert placed["uv"] == pytest.approx(uv)
-    assert view.core("core.lens") is None
-
-
 def test_plus_and_minus_zoom(view: View) -> None:
     before = view.zoom()
     view.stage.focus()
@@ -942,25 +861,6 @@ def test_a_finger_drags_a_point_it_touches_beside(touched: View) -> None:
     (dropped,) = touched.heard("drop")
     zoom = touched.zoom()
     assert near(dropped["uv"], (300 + 40 / zoom, 400 + 30 / zoom)) < PLACE_PX  # from where the touch became a drag
-
-
-def test_a_finger_that_rests_moves_nothing(touched: View) -> None:
-    x, y = touched.screen(POINTS[0]["uv"])
-    Fingers(touched.page).stroke([(x, y)], [(x + 2, y + 3)], [(x - 2, y)])
-    assert touched.point("entry") == (300.0, 400.0)
-    assert touched.heard("drag", "drop") == []
-
-
-def test_two_fingers_zoom_and_pan(touched: View) -> None:
-    x, y = touched.screen((450.0, 480.0))
-    before = touched.zoom()
-    Fingers(touched.page).stroke(
-        [(x - 50, y), (x + 50, y)], [(x - 75, y), (x + 75, y)], [(x - 100 + 30, y + 20), (x + 100 + 30, y + 20)]
-    )
-    touched.settle()
-    assert touched.zoom() == pytest.approx(2 * before, rel=1e-6)
-    assert near(touched.screen((450.0, 480.0)), (x + 30, y + 20)) < 0.05
-    assert touched.heard("drag", "drop") == []
 
 
 def test_a_finger_places_where_it_is_lifted(touched: View) -> None:
@@ -1014,15 +914,6 @@ def test_what_the_browser_makes_up_is_dropped_and_the_rest_goes_on(view: View) -
     start = view.screen(POINTS[0]["uv"])
     view.drag(start, (start[0] + 20, start[1]))
     assert len(view.heard("drop")) == 1
-
-
-def test_a_point_whose_move_is_refused_goes_back(view: View) -> None:
-    start = view.screen(POINTS[0]["uv"])
-    view.core("core.display.clamp = () => [1e9, 2]")  # a browser that is wrong
-    view.drag(start, (start[0] + 20, start[1]))
-    view.core("delete core.display.clamp")
-    expect(view.root.get_by_test_id("lost")).to_contain_text("Entry")
-    assert view.point("entry") == POINTS[0]["uv"]
 
 
 def test_no_point_is_moved_before_its_image_is_there(view: View) -> None:

@@ -82,8 +82,6 @@ ROBOT_NEXT = {  # what to do next, by the robot's state; of the others the state
 }
 ONLY_GO = "Complete the plan first: only a plan that is GO can be sent."
 SIDE_HEADING = "Patient's side"
-SERIAL_CONFIRM = "Confirm serial"
-MIRRORED_ANSWERS = ("forwards", "backwards")
 DISPLAY_AND = " and "
 POINT_GROUPS = {
     "wire": "Wire",
@@ -141,7 +139,6 @@ FIGURES = {  # by the check that states them; of a procedure's own ones the firs
     CheckCode.TIP_TO_BONE_NEAREST: "Tip to bone",
     CheckCode.MOVEMENT: "Bone movement",
 }
-FIGURE_AT_MOST = "at most {limit}"
 FIGURE_MOVED = ("seen", "none seen")  # of a movement between three images, which has no single value in mm
 FIGURE_PASSED, FIGURE_FAILED = "within its limit", "beyond its limit"
 TIME_UNDER = {"left": "min left", "expired": "expired", "done": "drilled", "unknown": "min left"}
@@ -152,10 +149,8 @@ TIME_TOLD = {
     "unknown": "The time left is known once both images and their times are.",
 }
 LINKS = {"none": "no robot", "open": "connected", "lost": "link lost"}
-CONTINUE_TO = "Continue to {step}"
 DETAILS = "Details"
 SHARES_OF = {"entry": "entry", "end": "tip", "direction": "direction"}
-START_ROBOT = "Start the simulated robot"
 STATE_UNKNOWN = "Getting ready"
 STATES = {
     "UNDEFINED": "Not ready: send the plan",
@@ -190,7 +185,6 @@ SHOT_NOT_WAITING = (
     "take the shot while the robot waits, aligned or at the pause, with a block or a frame fixed to the patient; send "
     "a depth only at GO"
 )
-TAKE_CHECK = "Take both check images"
 CHECK_IMAGE = "{image}: {state}"
 CHECK_VERDICT = (  # word and sentence, of a failed and of a passed one
     ("FAILED", "The check shot did not pass."),
@@ -208,9 +202,7 @@ CHANGED_AFTER_SENDING = "Send the plan again, or undo the change: it was changed
 CLOSE = "Close"
 REPORT = "Save the report"
 CASES = "Cases"
-CASE_HERE = "{number} (this one)"
 CASE_OPEN = "Open"
-CASE_QUESTION = "Open case {number}? All that was done in this case is saved; it can be opened again."
 
 
 def sentence(check: Check, kind: str = "") -> str:

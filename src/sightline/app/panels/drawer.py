@@ -71,7 +71,7 @@ class Menu:
 
     def _row(self, case: CaseInFolder, *, here: bool) -> None:
         with ui.element("tr"):
-            _cell("th", texts.CASE_HERE.format(number=case.number) if here else case.number).props("scope=row")
+            _cell("th", f"{case.number} (this one)" if here else case.number).props("scope=row")
             for text in (
                 f"{case.at:%Y-%m-%d %H:%M}",
                 "images" if case.reached is Kind.ACQUIRED else case.reached.value,
@@ -96,7 +96,10 @@ class Menu:
 
         self._listed.clear()
         with self._listed:
-            for text in (texts.CASE_QUESTION.format(number=case.number), *robot):
+            for text in (
+                f"Open case {case.number}? All that was done in this case is saved; it can be opened again.",
+                *robot,
+            ):
                 ui.label(text).classes("question-text")
             action(texts.CASE_OPEN, agreed, testid="open-yes", kind="primary")
 

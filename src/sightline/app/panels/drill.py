@@ -296,7 +296,7 @@ def _start(tab: Tab, kind: str) -> None:
         return jobs.during("starting the simulated robot", lambda: drilling.start_robot(fast=tab.fast_robot))
 
     enabled = tab.planning.patient is not None and not jobs.working
-    action(texts.START_ROBOT, tab.doing(begin), testid="start-robot", kind=kind, enabled=enabled)
+    action("Start the simulated robot", tab.doing(begin), testid="start-robot", kind=kind, enabled=enabled)
 
 
 def _send(tab: Tab, *, enabled: bool) -> None:

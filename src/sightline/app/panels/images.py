@@ -207,7 +207,7 @@ def _serial(tab: Tab) -> None:
         tab.planning.confirm_serial(serial)
 
     field.on("keydown.enter", tab.doing(confirm))
-    action(texts.SERIAL_CONFIRM, tab.doing(confirm), testid="confirm-serial", kind="plain" if confirmed else "primary")
+    action("Confirm serial", tab.doing(confirm), testid="confirm-serial", kind="plain" if confirmed else "primary")
 
 
 def _untimed(tab: Tab) -> tuple[str, ...]:
@@ -276,7 +276,7 @@ def _mirrored(tab: Tab) -> None:
             for answer in (True, False):
                 chosen = answered is not None and answer == (answered != _is_turned(tab, name))
                 button = action(
-                    texts.MIRRORED_ANSWERS[answer],
+                    ("forwards", "backwards")[answer],
                     tab.doing(lambda name=name, answer=answer: planning.state_mirrored(name, answer)),
                     testid=f"mirrored-{name}-{'backwards' if answer else 'forwards'}",
                     kind="primary" if chosen else "plain",

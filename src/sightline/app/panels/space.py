@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -115,25 +116,19 @@ class Space:
             self._view.draw(name, objects())
 
     def _views(self) -> list[dict[str, Any]]:
-        planning, made = self._tab.planning, []
-        for name in planning.slots:
-            seen, plates = planning.seen(name), planning.frame.views.get(name)
-            if seen is not None and seen.view is not None:
-                made += space.view_objects(seen.view, None if plates is None else plates.xrii, seen.image)
-        return made
+        planning = self._tab.planning
+        seen = {name: image for name in planning.slots if (image := planning.seen(name)) is not None}
+        shown = [(name, each.view, each.image) for name, each in seen.items() if each.view is not None]
+        plates = {name: view.xrii for name, view in planning.frame.views.items()}
+        return [made for name, view, image in shown for made in space.view_objects(view, plates.get(name), image)]
 
     def _sights(self) -> list[dict[str, Any]]:
         planning, made = self._tab.planning, []
-        decisions = planning.decisions
+        marks = [planning.decisions.mark(spec.name) for spec in planning.decisions.specs]
         for view, name in zip(planning.views() or (), planning.names, strict=False):
-            placed = [decisions.mark(spec.name) for spec in decisions.specs]
-            for mark in placed:
-                at = mark.at(name)
-                if at is not None:
-                    try:
-                        made += space.sight_objects(view, np.array([at]))
-                    except SightlineError:
-                        continue  # outside the calibrated region there is no line of sight; the plan says so
+            for at in (mark.at(name) for mark in marks):
+                with suppress(SightlineError):  # outside the calibrated region; the plan says so
+                    made += space.sight_objects(view, np.reshape(at or (), (-1, 2)))
         return made
 
     def _points(self) -> list[dict[str, Any]]:
@@ -146,18 +141,14 @@ class Space:
     def _wires(self) -> list[dict[str, Any]]:
         known, made = self._tab.known, []
         for plan in () if known is None else known.plans.values():
-            current, kind = known is not None and plan is known.plan, plan.kind
-            if current:
-                made += space.wire_objects(plan.trajectory, kind.wire_mm)
-            else:
-                made += space.other_wire_objects(plan.trajectory, kind.wire_mm, kind.wire.name)
+            name = "" if known is not None and plan is known.plan else plan.kind.wire.name
+            made += space.wire_objects(plan.trajectory, plan.kind.wire_mm, name)
         return made
 
     def _drilled(self) -> list[dict[str, Any]]:
-        shots, made = self._tab.session.verifying.shots, []
-        for kind, shot in shots.items():
-            made += space.drilled_objects(shot.entry_mm, shot.tip_mm, kind_of(kind).wire_mm)
-        return made
+        shots = self._tab.session.verifying.shots.items()
+        drilled = [(shot.entry_mm, shot.tip_mm, kind_of(kind).wire_mm) for kind, shot in shots]
+        return [made for wire in drilled for made in space.drilled_objects(*wire)]
 
     def _robot(self) -> None:
         session = self._tab.session.drilling.session

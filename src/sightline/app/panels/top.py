@@ -216,5 +216,5 @@ def _lead(tab: Tab) -> None:
         verify.build_next(tab)
     else:
         after = list(ProcedureStep)[tab.step.number]
-        text = texts.CONTINUE_TO.format(step=texts.STEPS[after])
+        text = f"Continue to {texts.STEPS[after]}"
         action(text, lambda: tab.go_to(after), testid="continue", kind="primary", enabled=done)

@@ -113,7 +113,7 @@ def _figure_html(figure: _Figure) -> Markup:
         sign = filled('<span class="figure-sign" role="img" aria-label="{}"></span>', told)
     if value is None or limit is None:
         bar = filled(_BAR, 0, f"{100 / _ROOM:.0f}") if limit is not None else _NO_BAR
-        text = "" if limit is None else texts.FIGURE_AT_MOST.format(limit=_number(limit, figure.unit, _DIGITS))
+        text = "" if limit is None else f"at most {_number(limit, figure.unit, _DIGITS)}"
         return filled(_FIGURE, state, name, figure.said, sign, bar, text)
     whole = _ROOM * max(abs(value), abs(limit), 1e-9)
     share, at = (f"{min(max(100 * x / whole, 0), 100):.0f}" for x in (value, limit))

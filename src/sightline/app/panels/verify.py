@@ -57,7 +57,7 @@ def build_next(tab: Tab) -> None:
     if planning.patient is not None and not verifying.shows_all:
         take = tab.doing(verifying.take_rehearsed)
         enabled = bool(planning.all_drilled) and not jobs.working
-        action(texts.TAKE_CHECK, take, testid="take-check", kind="primary", enabled=enabled)
+        action("Take both check images", take, testid="take-check", kind="primary", enabled=enabled)
     elif all(planning.seen(name) for name in CHECK_NAMES) and missing_again(tab.planning):
         place = partial(tab.place, planning.landmarks, CHECK_NAMES)
         action("Place landmarks", place, testid="place-check", kind="primary")

@@ -96,12 +96,15 @@ def point_objects(xyz_mm: np.ndarray, words: Sequence[str]) -> list[Object]:
     return [{"kind": "points", "style": "quiet", "at": _list(xyz_mm)}, *labels] if len(xyz_mm) else []
 
 
-def wire_objects(trajectory: Trajectory, diameter_mm: float) -> list[Object]:
-    """Return the planned wire at its true width, with the 95 % ellipsoids of entry and tip if the errors are known.
+def wire_objects(trajectory: Trajectory, diameter_mm: float, name: str = "") -> list[Object]:
+    """Return the planned wire at its true width, with the 95 % ellipsoids of entry and tip if the errors are known; one
+    that is not the current one with its `name` only.
 
     The ellipsoids are magnified by a round factor, which a note states.
     """
     ends = (trajectory.entry_mm, trajectory.end_mm)
+    if name:
+        return [_cylinder(*ends, diameter_mm / 2, "quiet"), _label(ends[0], name, "quiet")]
     made: list[Object] = [_cylinder(*ends, diameter_mm / 2, "wire")]
     made += [_label(at, word, "wire") for at, word in zip(ends, ("entry", "tip"), strict=True)]
     if not trajectory.error_stated:
@@ -113,12 +116,6 @@ def wire_objects(trajectory: Trajectory, diameter_mm: float) -> list[Object]:
         *made,
         {"kind": "note", "text": f"Ellipsoids hold 95 % of the error of entry and tip, {times:g} times as large"},
     ]
-
-
-def other_wire_objects(trajectory: Trajectory, diameter_mm: float, name: str) -> list[Object]:
-    """Return a planned wire that is not the current one, at its true width with its name."""
-    ends = (trajectory.entry_mm, trajectory.end_mm)
-    return [_cylinder(*ends, diameter_mm / 2, "quiet"), _label(ends[0], name, "quiet")]
 
 
 def drilled_objects(entry_mm: np.ndarray, tip_mm: np.ndarray, diameter_mm: float) -> list[Object]:
