@@ -8,7 +8,6 @@ import pytest
 from playwright.sync_api import Browser, Locator, Page
 from tests.app import NO_BROWSER
 from tests.app.browser import NAMES, ROOT, Server, Tab, chromium, find_chromium
-from tests.app.hands import SEED, Hands
 
 
 # For each file, not for the session: the synchronous Playwright holds an event loop in this thread, and tests of other
@@ -57,21 +56,6 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
         tab.close()
     for tab, allow in opened:
         tab.check(allow)
-
-
-@pytest.fixture(scope="module")
-def server(serve: Callable[..., Server], tmp_path_factory: pytest.TempPathFactory) -> Server:
-    """The app with a rehearsed patient, its robot at real speed."""
-    command = ["sightline", "app", "--port", "{port}", "--no-browser", "--quiet"]
-    return serve(*command, "--case", str(tmp_path_factory.mktemp("case")), "--rehearse", str(SEED))
-
-
-@pytest.fixture
-def hands(server: Server, open_page: Callable[..., Page]) -> Hands:
-    """A person before the page, its images calibrated."""
-    person = Hands(open_page(server.url))
-    person.wait_for_step("Calibrate", "done")
-    return person
 
 
 @pytest.fixture(scope="session")
