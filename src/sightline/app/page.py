@@ -12,7 +12,6 @@ from sightline.app.panels.drawer import Drawer, Menu, OpenCase
 from sightline.app.panels.section import HtmlSection, Section, action
 from sightline.app.panels.space import Space
 from sightline.app.panels.steps import build_wires, steps
-from sightline.app.session.session import Session
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.web.serve import ServedApp
@@ -55,7 +54,11 @@ def build(site: ServedApp, tab: Tab, open_case: OpenCase) -> None:
     ui.on("leave", leaving.open)
     request = ui.context.client.request
     asked = None if request is None else request.query_params.get("step")
-    first = ProcedureStep(asked) if asked in list(ProcedureStep) else _first_open(tab.session)
+    first = (
+        ProcedureStep(asked)
+        if asked in list(ProcedureStep)
+        else next((each.step for each in steps(tab.session) if each.status != "done"), ProcedureStep.VERIFY)
+    )
     tab.go_to(first)
 
 
@@ -97,11 +100,6 @@ def _leave_question() -> ui.dialog:
             action("Stay", dialog.close, testid="leave-no", kind="primary")
             action("Leave", lambda: ui.run_javascript("sightlineLeave()") and None, testid="leave-yes", kind="plain")
     return dialog
-
-
-def _first_open(session: Session) -> ProcedureStep:
-    """Return the step to begin with: the first that is not done."""
-    return next((each.step for each in steps(session) if each.status != "done"), ProcedureStep.VERIFY)
 
 
 async def _key(tab: Tab, menu: Menu, event) -> None:

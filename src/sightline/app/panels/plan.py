@@ -50,7 +50,7 @@ from sightline.planning.procedures import kind as kind_of
 def build(tab: Tab) -> None:
     """Build the panel: kind, and the checklist of points and aids."""
     build_kind(tab)
-    Section(tab, _nail_key, _nail)
+    Section(tab, lambda t: (t.planning.decisions.kind, t.planning.decisions.nail, t.planning.implanted), _nail)
     Section(tab, _points_key, _points, classes="checklist")
     HtmlSection(tab, lambda t: t.known, _turns_html)
     HtmlSection(tab, lambda t: t.known, _fitted_html)
@@ -61,7 +61,11 @@ def build_details(tab: Tab) -> None:
     """Build the details: what the procedure is, what is shown, and the metrics."""
     Section(tab, lambda t: t.planning.decisions.kind, _purpose)
     build_oblique(tab)
-    Section(tab, lambda t: t.planning.decisions.snapping, _snapping)
+    Section(
+        tab,
+        lambda t: t.planning.decisions.snapping,
+        lambda t: decided(t, "Snap points of the wire to their curves", "snapping"),
+    )
     Section(tab, lambda t: (t.planning.decisions.borders, has_borders(t.planning.decisions)), _borders)
     shown_or_not(tab, "Show the beads", "show_beads")
     if kind_of(tab.planning.decisions.kind).proposal is not None:
@@ -125,10 +129,6 @@ def _fitted_axis_html(key: str, fitted: FittedAxis | None, axis: Axis | None, te
     return note_html(" ".join(sentences), kind="quiet", testid=f"{key}-fitted")
 
 
-def _nail_key(tab: Tab) -> Hashable:
-    return tab.planning.decisions.kind, tab.planning.decisions.nail, tab.planning.implanted
-
-
 def _nail(tab: Tab) -> None:
     """Build the choice of the nail, for a procedure through its holes."""
     decisions = tab.planning.decisions
@@ -158,10 +158,6 @@ def _implanted(tab: Tab) -> str:
     return next(
         (file.name for file in known_nails().values() if file.nail == own), f"{own.diameter_mm:g} mm, {own.material}"
     )
-
-
-def _snapping(tab: Tab) -> None:
-    decided(tab, "Snap points of the wire to their curves", "snapping")
 
 
 def _borders(tab: Tab) -> None:

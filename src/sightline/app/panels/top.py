@@ -30,7 +30,8 @@ def build(tab: Tab) -> None:
     ui.on("step", lambda event: _follow(tab, nav, event.args))
     with ui.element("div").classes("tools"):
         _time(tab)
-        PersistentSection(tab, _history, _undo, classes="undo")
+        history = tab.planning.history
+        PersistentSection(tab, lambda _: (history.can_undo, history.can_redo), _undo, classes="undo")
         PersistentSection(tab, _link, _stop, classes="stop-box")
 
 
@@ -130,10 +131,6 @@ def _time(tab: Tab) -> None:
 
 def _minutes(seconds: float) -> str:
     return f"{int(seconds // 60)}:{int(seconds % 60):02d}"
-
-
-def _history(tab: Tab) -> Hashable:
-    return tab.planning.history.can_undo, tab.planning.history.can_redo
 
 
 def _undo(tab: Tab) -> Callable[[], None]:

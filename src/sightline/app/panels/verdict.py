@@ -235,7 +235,7 @@ def _shares(tab: Tab) -> Markup:
     columns = [f"{texts.SHARES_OF[what]}, {share.unit}" for what, share in shares.items()]
     rows = [
         (
-            _named(source),
+            filled('<i style="background:{}"></i>{}', _colour(source), source.replace("_", " ")),
             *(
                 "–" if source in unknown else _part(share, percent[source])
                 for share, percent in zip(shares.values(), together, strict=True)
@@ -278,10 +278,6 @@ def _bar(percent: dict[str, float]) -> Markup:
         for source, of in percent.items()
     )
     return filled('<div class="share">{}</div>', joined(*pieces))
-
-
-def _named(source: str) -> Markup:
-    return filled('<i style="background:{}"></i>{}', _colour(source), source.replace("_", " "))
 
 
 def _part(share: Share, percent: float) -> Markup:

@@ -302,7 +302,7 @@ class Planning:
     async def take(self, data: bytes, suffix: str, *, image: str, by: Actor = Actor.RADIOGRAPHER) -> str:
         """Add a new image and return the name it was assigned to. The datum markers of plates determine the view;
         `image` is used if they cannot be read, and for a solid. Raises ImageError, CaseError."""
-        seen = await self.lightbox.acquire(data, suffix, by, _view_in(image))
+        seen = await self.lightbox.open(await self.lightbox.store(data, suffix, by), _view_in(image))
         name = image
         if seen.observations is not None:
             name = image.removesuffix(_view_in(image)) + seen.observations.view

@@ -77,10 +77,6 @@ class Lightbox:
         """Store a new image in the case and return its entry. Raises ImageError, CaseError."""
         return await asyncio.to_thread(stages.record_acquired, self._case, data, suffix, by=by)
 
-    async def acquire(self, data: bytes, suffix: str, by: Actor, view: str) -> SeenImage:
-        """Store a new image in the case and process it; `view` as of `open`. Raises ImageError, CaseError."""
-        return await self.open(await self.store(data, suffix, by), view)
-
     async def show(self, entry: Entry) -> SeenImage:
         """Return the state of an image of the case, which is read if it is new, so that pages can show it."""
         known = self._images.get(entry.number)

@@ -284,7 +284,13 @@ def _displayed(message: dict[str, Any], _: XrayContent) -> XrayEvent | None:
 
 def _error(news: dict[str, Any], _: XrayContent) -> XrayEvent | None:
     message = news.get("message")
-    return XrayEvent("error", message=_one_line(message)) if isinstance(message, str) else None
+    return (
+        XrayEvent(
+            "error", message="".join(letter if letter.isprintable() else " " for letter in message[:_MAX_MESSAGE])
+        )
+        if isinstance(message, str)
+        else None
+    )
 
 
 def _display(message: dict[str, Any]) -> XrayDisplay | None:
@@ -307,7 +313,3 @@ def _number(value: object) -> float | None:
 
 def _is_seq(value: object) -> TypeGuard[int]:
     return type(value) is int and 0 < value < _MAX_NUMBER
-
-
-def _one_line(text: str) -> str:
-    return "".join(character if character.isprintable() else " " for character in text[:_MAX_MESSAGE])
