@@ -10,13 +10,15 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, TypeGuard, get_args
+from typing import Annotated, Any, Literal, TypeGuard, TypeVar, get_args
 
 import numpy as np
 from nicegui.events import GenericEventArguments
+from pydantic import Field, StrictBool, TypeAdapter, ValidationError
 
 from sightline.app.drawing.calls import Calling
 
+T = TypeVar("T")
 _COLOURS = Path(__file__).parents[1] / "colours.js"
 PRESETS = ("bone", "metal", "beads")
 """Names of the windows for what a person looks at."""
@@ -44,24 +46,23 @@ _MARGIN_PX = 1.0  # tolerance for rounding; the browser keeps points in the fiel
 _MAX_MESSAGE = 300  # characters of an error that are kept [ours]
 _MAX_NUMBER = 2**31  # largest number: moves of one page at one a second would take 68 years [calc]
 _GREY_LEVELS = 65536
-_ROTATIONS = (0, 90, 180, 270)
 
 
 @dataclass(frozen=True)
 class Window:
     """Grey-level window: black at centre - width / 2, white at centre + width / 2, in stored values."""
 
-    centre: float
-    width: float
+    centre: Annotated[float, Field(strict=True, ge=0, le=_GREY_LEVELS)]
+    width: Annotated[float, Field(strict=True, gt=0, le=_GREY_LEVELS)]
 
 
 @dataclass(frozen=True)
 class XrayDisplay:
     """How the image is drawn: mirrored left to right first, then rotated clockwise by `rotation` degrees."""
 
-    rotation: int
-    mirrored: bool
-    inverted: bool
+    rotation: Annotated[int, Field(strict=True, ge=0, lt=360, multiple_of=90)]
+    mirrored: StrictBool
+    inverted: StrictBool
     window: Window
 
 
@@ -261,54 +262,43 @@ def _of_a_point(kind: Any, message: dict[str, Any], shown: XrayContent) -> XrayE
 
 
 def _place(uv: object, picture: XrayPicture | None) -> tuple[float, float] | None:
-    if not isinstance(uv, list) or len(uv) != 2 or picture is None:
-        return None
-    u, v = (_number(value) for value in uv)
-    if u is None or v is None or not picture.contains((u, v), _MARGIN_PX):
-        return None
-    return u, v
+    at = _read(_PIXEL, uv)
+    return at if at is not None and picture is not None and picture.contains(at, _MARGIN_PX) else None
 
 
 def _measure(message: dict[str, Any], shown: XrayContent) -> XrayEvent | None:
-    clicks = message.get("points")
-    if not isinstance(clicks, list) or len(clicks) not in {0, 2, 3}:
+    clicks = _read(_CLICKS, message.get("points"))
+    if clicks is None or len(clicks) not in {0, 2, 3} or None in [_place(click, shown.picture) for click in clicks]:
         return None
-    points = tuple(uv for uv in (_place(click, shown.picture) for click in clicks) if uv is not None)
-    return XrayEvent("measure", points=points) if len(points) == len(clicks) else None
+    return XrayEvent("measure", points=tuple(clicks))
 
 
 def _displayed(message: dict[str, Any], _: XrayContent) -> XrayEvent | None:
-    display = _display(message)
+    display = _read(_DISPLAY, message)
     return None if display is None else XrayEvent("display", seq=message["seq"], display=display)
 
 
 def _error(news: dict[str, Any], _: XrayContent) -> XrayEvent | None:
     message = news.get("message")
-    return (
-        XrayEvent(
-            "error", message="".join(letter if letter.isprintable() else " " for letter in message[:_MAX_MESSAGE])
-        )
-        if isinstance(message, str)
-        else None
+    if not isinstance(message, str):
+        return None
+    return XrayEvent(
+        "error", message="".join(letter if letter.isprintable() else " " for letter in message[:_MAX_MESSAGE])
     )
 
 
-def _display(message: dict[str, Any]) -> XrayDisplay | None:
-    rotation, mirrored, inverted, window = (message.get(key) for key in ("rotation", "mirrored", "inverted", "window"))
-    if type(rotation) is not int or rotation not in _ROTATIONS:
-        return None
-    if not (isinstance(mirrored, bool) and isinstance(inverted, bool) and isinstance(window, dict)):
-        return None
-    centre, width = _number(window.get("centre")), _number(window.get("width"))
-    if centre is None or width is None or not (0 <= centre <= _GREY_LEVELS and 0 < width <= _GREY_LEVELS):
-        return None
-    return XrayDisplay(rotation, mirrored, inverted, Window(centre, width))
+_Coordinate = Annotated[float, Field(strict=True, gt=-_MAX_NUMBER, lt=_MAX_NUMBER)]
+_PIXEL = TypeAdapter(tuple[_Coordinate, _Coordinate])
+_CLICKS = TypeAdapter(list[tuple[_Coordinate, _Coordinate]])
+_DISPLAY = TypeAdapter(XrayDisplay)
 
 
-def _number(value: object) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _MAX_NUMBER:
-        return None  # not a number, infinite, or larger than anything here
-    return float(value)
+def _read(adapter: TypeAdapter[T], value: object) -> T | None:
+    """Return a value of a message; None if it is of another form, not finite, or larger than anything here."""
+    try:
+        return adapter.validate_python(value)
+    except ValidationError:
+        return None
 
 
 def _is_seq(value: object) -> TypeGuard[int]:
