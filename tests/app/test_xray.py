@@ -251,7 +251,7 @@ def test_the_readout_says_the_pixel_under_the_pointer(view: View) -> None:
         view.mouse.move(*view.screen(uv))
         view.settle()
         value = values[round(uv[1]), round(uv[0])]
-        expect(view.root.get_by_test_id("readout")).to_have_text(f"u {uv[0]:.1f}   v {uv[1]:.1f}   value {value}")
+        expect(view.root.get_by_test_id("readout")).to_have_text(f"column {uv[0]:.1f}, row {uv[1]:.1f}: {value}")
     x, y = view.screen((-3.0, 500.0))
     view.mouse.move(x, y)
     expect(view.root.get_by_test_id("readout")).to_have_text(TEXTS["outside"])
@@ -265,7 +265,7 @@ def test_the_readout_of_a_pointer_that_rests_in_a_drag_is_that_of_its_pixel(view
     for k in range(1, 20):  # faster than the readout follows
         view.mouse.move(x + 3.0 * k, y + 2.0 * k)
     u, v = view.core("core.toImage(value)", [x + 57.0, y + 38.0])
-    said = f"u {u:.1f}   v {v:.1f}   value {values[round(v), round(u)]}"
+    said = f"column {u:.1f}, row {v:.1f}: {values[round(v), round(u)]}"
     expect(view.root.get_by_test_id("readout")).to_have_text(said)
     view.mouse.up()
 
@@ -309,7 +309,7 @@ def test_what_is_turned_says_so(view: View) -> None:
     turned = view.root.get_by_test_id("turned")
     expect(turned).to_have_text("")
     view.do("turn")
-    expect(turned).to_have_text("turned 90°, mirrored")
+    expect(turned).to_have_text("rotated by 90°, mirrored")
     assert view.heard("display") == []  # the server knows its own message
 
 
@@ -319,9 +319,9 @@ def test_where_the_head_is_on_the_screen(view: View) -> None:
     turned = view.root.get_by_test_id("turned")
     expect(turned).to_have_text("head up")
     view.button("rotate").click()
-    expect(turned).to_have_text("head right")
+    expect(turned).to_have_text("head to the right")
     view.button("flip").click()
-    expect(turned).to_have_text("head left, mirrored")
+    expect(turned).to_have_text("head to the left, mirrored")
     view.button("reset").click()
     expect(turned).to_have_text("head up")
     assert view.heard("display")[-1]["display"]["rotation"] == 270
@@ -765,7 +765,7 @@ def test_the_server_moves_a_point_but_not_one_in_the_hand(view: View) -> None:
 
 def test_placing_ends_with_escape(view: View) -> None:
     view.do("place")
-    expect(view.root.get_by_test_id("hint")).to_have_text("Click to place Aim. Escape cancels.")
+    expect(view.root.get_by_test_id("hint")).to_have_text(TEXTS["placing"].format(name="Aim"))
     view.page.keyboard.press("Escape")
     assert [one["id"] for one in view.heard("cancel")] == ["aim"]
     view.mouse.click(*view.screen((420.0, 460.0)))
@@ -1072,6 +1072,6 @@ def test_an_edit_made_while_the_server_is_away(server: Server, open_page: Callab
             page.wait_for_function("sessionStorage.getItem('sightline-xray-pa') === null")
             assert near(view.heard("drop")[-1]["uv"], left) < 1e-9
             view.do("restore")
-    expect(view.root.get_by_test_id("lost")).to_contain_text("The last change of Entry")
+    expect(view.root.get_by_test_id("lost")).to_contain_text("Repeat the last change of Entry")
     assert view.heard("drop") == []
     assert view.point("entry") == (300.0, 400.0)

@@ -17,6 +17,7 @@ from fastapi import Response
 from nicegui import app, ui
 
 from sightline.app.drawing.xray import Window, XrayContent, XrayDisplay, XrayEvent, XrayPicture, XrayView
+from sightline.app.texts import XRAY as TEXTS
 
 SIDE = 1024
 WINDOW = Window(32768.0, 65536.0)
@@ -34,37 +35,6 @@ POINTS: list[dict[str, Any]] = [
     {"id": "aim", "label": "Aim", "uv": None, "style": "landmark"},
 ]
 HOSTILE = "<img src=x onerror='window.hacked=1'>"
-TEXTS = {
-    "fit": "Fit to view",
-    "window": "Brightness and contrast",
-    "measure": "Ruler",
-    "link": "Zoom together",
-    "bone": "Bone",
-    "metal": "Metal",
-    "beads": "Beads",
-    "invert": "Invert",
-    "flip": "Flip left to right",
-    "rotate": "Turn clockwise",
-    "reset": "Reset the view",
-    "maximise": "Maximise",
-    "restore": "Restore",
-    "point": "{name}: column {u}, row {v}",
-    "snapped": "on the matching curve",
-    "placing": "Click to place {name}. Escape cancels.",
-    "mirrored": "mirrored",
-    "rotated": "turned {degrees}°",
-    "head_up": "head up",
-    "head_right": "head right",
-    "head_down": "head down",
-    "head_left": "head left",
-    "stale": "Plan hidden: the image is out of date",
-    "readout": "u {u}   v {v}   value {value}",
-    "outside": "–",
-    "edit_lost": "The last change of {name} did not reach the server: please make it again.",
-    "load_failed": "The image could not be loaded.",
-    "off_field": "Outside the field.",
-    "ticks": "Ticks: 10 mm",
-}
 
 
 @functools.cache
