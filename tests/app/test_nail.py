@@ -13,7 +13,7 @@ from sightline.app.drawing import shapes
 from sightline.app.plan.decisions import Decisions, Mark
 from sightline.app.plan.marks import NAIL_EDGES, hole_mark
 from sightline.app.plan.planner import NAIL as STROKES
-from sightline.app.plan.planner import HolesFound, nail_drawn, of_wire, plan_input, planned, with_nail
+from sightline.app.plan.planner import HolesFound, nail_drawn, of_wire, picks_of, plan_input, planned, with_nail
 from sightline.app.session.jobs import Jobs
 from sightline.app.session.seen import NailInImages
 from sightline.app.tab.placing import _goals
@@ -84,6 +84,11 @@ def test_strokes_and_clicks_are_kept_in_their_order_and_with_the_case() -> None:
             assert tuple(drawn.strokes_px[k, n // 2, n % 2]) == decisions.mark(spec.name).at(image)
     assert with_nail(Decisions(kind=KINDS[0]), drawn).marks.items() <= decisions.marks.items()
     assert of_wire(with_nail(Decisions(kind=KINDS[0]), drawn), KINDS[1]) == of_wire(decisions, KINDS[1])
+    picked = picks_of(decisions, NAMES).nail
+    assert picked is not None
+    in_file = picked.drawn(())
+    assert in_file.nail == drawn.nail and np.array_equal(in_file.strokes_px, drawn.strokes_px)
+    assert np.array_equal(in_file.clicks_px["proximal"], drawn.clicks_px["proximal"])
     old = decisions.document()
     del old["nail"]
     assert Decisions.of(old).nail is None

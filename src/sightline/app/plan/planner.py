@@ -13,7 +13,7 @@ from sightline.app.plan.decisions import HEAD, NECK, SHAFT, Decisions, FittedAxi
 from sightline.app.plan.marks import END, ENTRY, NAIL_EDGES, MarkSpec, aid_marks, hole_mark, images_of
 from sightline.calibration import BeadView, CalibratedView
 from sightline.case.contents import PlanRequest
-from sightline.case.picks import PickedWire, Picks
+from sightline.case.picks import NailSizes, PickedWire, Picks
 from sightline.case.views import ALL_NAMES, NAMES
 from sightline.common.checks import failed
 from sightline.errors import RobotRefusedError, SightlineError, UnusableInputError
@@ -36,6 +36,7 @@ from sightline.planning import (
 from sightline.planning.bone.aids import Aids, Circle, Line
 from sightline.planning.bone.anatomy import Anatomy, locate
 from sightline.planning.bone.metrics import Metric, metrics
+from sightline.planning.nail.files import known_nails
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX
 from sightline.planning.points.results import SpacePoints, Verdict
 from sightline.planning.procedures import Procedure
@@ -383,7 +384,9 @@ def picks_of(decisions: Decisions, images: tuple[str, ...]) -> Picks:
     if nail is not None:
         edges = dict(zip(NAMES, nail.strokes_px.reshape(2, 4, 2).tolist(), strict=True))
         holes = {key: dict(zip(NAMES, uv.tolist(), strict=True)) for key, uv in nail.clicks_px.items()}
-        picked["nail"] = {"nail": vars(nail.nail), "edges": edges, "holes": holes}
+        sizes = {name: getattr(nail.nail, name) for name in NailSizes.model_fields}
+        known = next((key for key, file in known_nails().items() if file.nail == nail.nail), sizes)
+        picked["nail"] = {"nail": known, "edges": edges, "holes": holes}
     return Picks.model_validate_json(json.dumps(picked))
 
 
