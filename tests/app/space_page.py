@@ -8,7 +8,6 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.drawing.space import (
-    SpaceView,
     bone_objects,
     drilled_objects,
     frame_objects,
@@ -19,6 +18,7 @@ from sightline.app.drawing.space import (
     view_objects,
     wire_objects,
 )
+from sightline.app.panels.space import SpaceView
 from sightline.app.web.serve import ServedApp, serve
 from sightline.calibration import calibrate
 from sightline.detection import Observations
