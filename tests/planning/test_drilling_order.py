@@ -36,7 +36,7 @@ def covered(*wires: np.ndarray) -> float:
             hidden = False
             for entry, end in wires:
                 way = (end - entry) / np.linalg.norm(end - entry)
-                on = entry + np.arange(-100.0, np.linalg.norm(end - entry), 0.02)[:, None] * way
+                on = entry + np.arange(-100.0, np.linalg.norm(end - entry), 0.1)[:, None] * way
                 larger = (bead.xyz_mm[axis] - focal[axis]) / (on[:, axis] - focal[axis])
                 shadow = focal + larger[:, None] * (on - focal)
                 off = np.linalg.norm(shadow - bead.xyz_mm, axis=1)

@@ -65,13 +65,12 @@ def test_wires_that_leave_the_bone_by_a_millimetre_are_refused(name: str):
     """Through the far surface, out of the cortex, into canal and foramen: by the twin's exact distances."""
     rng = np.random.default_rng(32)
     made = set()
-    for seed in (1, 2):
-        bone = drawn(name, seed)
-        for wrong, at in wrong_wires(bone.bone, 1.0, rng).items():
-            wire = to_cfcs(at, "right", bone.origin_mm)
-            if all(len(view.project_seen(wire)[0]) == 2 for view in views(name)):
-                assert _failed(_judged(bone, wire, _clicked(bone, rng))), (seed, wrong)
-                made.add(wrong)
+    bone = drawn(name, 1)
+    for wrong, at in wrong_wires(bone.bone, 1.0, rng).items():
+        wire = to_cfcs(at, "right", bone.origin_mm)
+        if all(len(view.project_seen(wire)[0]) == 2 for view in views(name)):
+            assert _failed(_judged(bone, wire, _clicked(bone, rng))), wrong
+            made.add(wrong)
     assert len(made) >= 2
 
 

@@ -206,12 +206,6 @@ class Adjustment:
         """(3,) the middle of the plan in the CFCS of the check images."""
         return self.movement.apply((self._trajectory.entry_mm + self._trajectory.end_mm) / 2)
 
-    @property
-    def _prior_sd(self) -> np.ndarray:
-        """(6,) of rotation and shift."""
-        rotation = _FREE_RAD if self._n >= MIN_LANDMARKS else STILL_RAD
-        return np.repeat([rotation, _FREE_MM if self._n else STILL_MM], 3)
-
     def _offset(self, along_mm: np.ndarray | float) -> np.ndarray:
         """Return the offsets (..., 2) of the wire from the planned axis, mm."""
         return self._terms(along_mm) @ self._curve
@@ -257,7 +251,9 @@ class Adjustment:
         design = np.concatenate([*designs, prior])
         covariance = np.zeros((len(residual), len(residual)))
         covariance[:-6, :-6] = joint_covariance(rows)
-        covariance[-6:, -6:] = np.diag(self._prior_sd**2) + self._known.covariance
+        rotation_sd = _FREE_RAD if self._n >= MIN_LANDMARKS else STILL_RAD
+        prior_sd = np.repeat([rotation_sd, _FREE_MM if self._n else STILL_MM], 3)
+        covariance[-6:, -6:] = np.diag(prior_sd**2) + self._known.covariance
         weighted = np.linalg.solve(covariance, design).T
         return residual, design, np.linalg.solve(weighted @ design, weighted), covariance
 

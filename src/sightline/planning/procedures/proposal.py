@@ -147,11 +147,6 @@ def _across_growth_plate(anatomy: Anatomy, side: str, rule: ProposalRule) -> np.
     return np.stack([entry, head.centre_mm + _beyond_centre(head.radius_mm, rule) * wire])
 
 
-def _through_rims(anatomy: Anatomy, side: str, rule: ProposalRule) -> np.ndarray:
-    """Return the wire from the middle of the rim that was drawn first to that of the other."""
-    return anatomy.part(rule.needs[0]).reshape(2, 3)
-
-
 # Accepted lengths: hip screws have 70 to 120 mm, pedicle screws 40 to 50 mm [ours].
 RULES: Mapping[str, KnownRule] = MappingProxyType(
     {
@@ -186,7 +181,7 @@ RULES: Mapping[str, KnownRule] = MappingProxyType(
             "surface",
         ),
         "through-rims": KnownRule(
-            _through_rims,
+            lambda anatomy, side, rule: anatomy.part(rule.needs[0]).reshape(2, 3),
             (5.0, 30.0),
             (),
             ("{wire}-rims",),
