@@ -18,7 +18,7 @@ from sightline.planning.bone.metrics import metric
 from sightline.planning.procedures.document import CHECKS, CheckRule
 from sightline.planning.verdict.bone_checks import MEASURES, measures
 from sightline.planning.verdict.view_directions import Located
-from sightline.twin.anatomy.bone_model import BoneModel, smallest_amount
+from sightline.twin.anatomy.bone_model import MAX_LONGER_MM, BoneModel, smallest_amount
 from sightline.twin.anatomy.femur import NARROWEST, Femur
 
 HIP_SCREW, CANNULATED = "hip-screw", "cannulated-hip-screws:inferior"
@@ -27,7 +27,7 @@ SOLID_ONLY = (SACRAL,)  # no plates have its views; those of the others stand in
 # Sizes: uniform between the first two for NEAR_SHARE of the plans, else between the last two. Kinds without a size
 # (exchanged points, the other side) are far beyond: with them half of all plans lie within NEAR_TIMES.
 MIN_TIMES, NEAR_TIMES, MAX_TIMES, NEAR_SHARE = 3.1, 5.0, 15.0, 0.75
-MAX_AMOUNT = 60.0  # mm or degrees: farther, a wrong wire is another wire [ours]
+MAX_AMOUNT = MAX_LONGER_MM  # mm or degrees
 # Right wires [ours]: angle to the shaft, °; direction, ° s.d.; beside the head's centre, mm s.d. per axis; short of the
 # head's surface, mm; share of the way to the neck's limit at which a cannulated screw lies.
 ANGLE_DEG, FREEHAND_DEG, ASIDE_MM, SHORT_MM, SPREAD = (130.0, 140.0), 2.0, 1.5, (5.0, 10.0), (0.3, 0.9)

@@ -13,6 +13,8 @@ from scipy.spatial import KDTree
 
 from sightline.detection import Detections
 from sightline.detection.beads.noise import NoiseModel, estimate_noise
+from sightline.detection.beads.window import BEYOND
+from sightline.detection.labelling.naming import ON_PLACE
 from sightline.detection.log_image import field_inset, log_image
 from sightline.errors import RefusedError
 from sightline.imaging import Radiograph
@@ -24,7 +26,6 @@ PER_COEFFICIENT = 2  # points for each coefficient of a polynomial, at least [ou
 CLEAR = 1.6  # bead radii about a bead that count as its shadow and blur [ours]
 STEP_PX = 0.2  # grid of the template of a rim
 BIN_PX = 0.25  # of a rim's profile
-BESIDE_PX = 5.0  # of a bead's surroundings that its rim is fitted with: four blurs and more [ours]
 EDGE_BEADS = 60  # rims that are fitted, of many beads evenly chosen [ours]
 MIN_RADIUS_PX = 10 * BIN_PX  # of a bead whose rim has a profile: ten of its bins
 MIN_BALLS, ALIKE = 8, 0.15  # as many as detection compares with each other; spread of their radii [ours]
@@ -32,8 +33,7 @@ OPEN, INNER = 0.8, 0.8  # log ratio of bright to dark, in so much of the radius:
 RINGS, MIN_RINGS, SECTORS, MIN_PIXELS = 10, 6, 12, 100  # of the field; of the rings; of each; of a sector [ours]
 PLATE_BLUR = 0.7  # pitches: leaves 3e-6 of a hexagonal lattice's own pattern [calc]
 UNEVEN = 0.05  # spread (s.d.) of brightness around a ring beyond which something shades it: vignetting is round [ours]
-# Of a lattice:
-REACH = 0.25  # of the pitch: maximum distance of a point from the position predicted by its neighbours [ours]
+# Of a lattice, whose points lie within ON_PLACE of where their neighbours predict them:
 STARTS = 5  # points tried as the first one: on a square lattice the middle one and its four neighbours
 MIN_SINE = 0.75  # between both axes: 60, 90 and 120 degrees and distortion [ours]
 HEXAGONAL_COSINE = 0.25  # between both axes: above 75.5 degrees a lattice counts as square
@@ -95,7 +95,7 @@ def _centred(steps: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Return a step, averaged with the opposite step if there is one."""
     gap = np.linalg.norm(steps + step, axis=1)
     opposite = int(np.argmin(gap))
-    return (step - steps[opposite]) / 2 if gap[opposite] < REACH * np.linalg.norm(step) else step
+    return (step - steps[opposite]) / 2 if gap[opposite] < ON_PLACE * np.linalg.norm(step) else step
 
 
 def walk(uv_px: np.ndarray, tree: KDTree, start: int, axes: np.ndarray) -> dict[tuple[int, int], int]:
@@ -111,7 +111,7 @@ def walk(uv_px: np.ndarray, tree: KDTree, start: int, axes: np.ndarray) -> dict[
                 continue
             step = here - uv_px[behind] if behind is not None else np.array([di, dj]) @ axes
             distance, nearest = tree.query(here + step)
-            if distance < REACH * pitch and nearest not in taken:
+            if distance < ON_PLACE * pitch and nearest not in taken:
                 place[site] = int(nearest)
                 taken.add(int(nearest))
                 todo.append(site)
@@ -230,7 +230,7 @@ def edge_spread(image: Radiograph, beads: Detections | None) -> tuple[float, int
         raise NotMeasurableError("no beads or holes")
     kind = np.array(beads.kind)
     nearest = _nearest_px(beads)
-    reach = np.minimum(beads.radius_px + BESIDE_PX, nearest - beads.radius_px - BESIDE_PX / 2)
+    reach = np.minimum(beads.radius_px + BEYOND, nearest - beads.radius_px - BEYOND / 2)
     fit = (kind != "washer") & (beads.radius_px >= MIN_RADIUS_PX) & (reach > beads.radius_px + 1.5)
     chosen = np.flatnonzero(fit)
     if not len(chosen):
