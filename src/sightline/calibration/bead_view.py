@@ -77,14 +77,14 @@ class BeadView(Plotted):
 
     def summary(self) -> str:
         """Return the focal point with its error, the residuals, and the checks that failed."""
-        left, out = self.residuals, self.residuals.left_out
+        left, left_out = self.residuals, self.residuals.left_out
         focal = f"{numbers(self.focal_point_mm, 1)} mm, s.d. {numbers(self.focal_point_sd_mm, 1)} mm"
-        named = f" ({', '.join(out[:4])}{', ...' if len(out) > 4 else ''})" if out else ""
+        named = f" ({', '.join(left_out[:4])}{', ...' if len(left_out) > 4 else ''})" if left_out else ""
         return "\n".join(
             [
                 f"View {self.name} of frame {self.frame_key.partition('#')[0].rstrip('/')}, method {self.method}",
                 f"  focal point {focal}, CFCS",
-                f"  {counted(int(left.used.sum()), 'bead')} used, {len(out)} left out{named}",
+                f"  {counted(int(left.used.sum()), 'bead')} used, {len(left_out)} left out{named}",
                 f"  residual {left.rms_mm:.3f} mm rms per axis, leave-one-out {left.leave_one_out_rms_mm:.3f} mm",
                 *(["  the image is a mirror image of the frame"] if self.mirrored else []),
                 *checks_lines(self.checks, _MAX_FAILED),

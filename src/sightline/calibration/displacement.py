@@ -134,8 +134,8 @@ def _on_plane(view: BeadView, frame: Frame, seen: Observations) -> tuple[np.ndar
 def _homography(place_mm: np.ndarray) -> np.ndarray:
     """Return (N, 2, 8), mm: derivatives of places (N, 2) by the parameters of a homography near identity."""
     x, y = (place_mm / _UNIT_MM).T
-    one, zero = np.ones_like(x), np.zeros_like(x)
-    rows = [[one, x, y, zero, zero, zero, x * x, x * y], [zero, zero, zero, one, x, y, x * y, y * y]]
+    ones, zero = np.ones_like(x), np.zeros_like(x)
+    rows = [[ones, x, y, zero, zero, zero, x * x, x * y], [zero, zero, zero, ones, x, y, x * y, y * y]]
     return np.moveaxis(np.array(rows), 2, 0)
 
 

@@ -238,8 +238,8 @@ def _beginning(usual: np.ndarray, u: np.ndarray) -> tuple[float, float]:
         first = gaussian_filter1d(np.sqrt(np.clip(fine, 0.0, None)), blur / 0.1)
         for shell in _SHELLS_PX:
             second = np.interp(fine - shell, fine, first)
-            roots = [np.interp(u - begins[:, None], fine, one) for one in (first, second)]
-            basis = np.stack([np.broadcast_to(one, roots[0].shape) for one in (np.ones_like(u), u, *roots)], axis=-1)
+            roots = [np.interp(u - begins[:, None], fine, form) for form in (first, second)]
+            basis = np.stack([np.broadcast_to(form, roots[0].shape) for form in (np.ones_like(u), u, *roots)], axis=-1)
             q, r = np.linalg.qr(basis)
             rest = usual @ usual - ((usual @ q) ** 2).sum(axis=1)
             darker = np.linalg.solve(r[:, 2:, 2:] + 1e-9 * np.eye(2), (usual @ q)[:, 2:, None])[:, 0, 0] < 0.0

@@ -31,7 +31,7 @@ def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[RejectedCa
         return (
             f"the image is saturated: {share:.0f} % of its field is clipped; expose less, or export it without a window"
         )
-    others = np.array([(*one.uv_px, one.radius_px) for one in rejected]).reshape(-1, 3)
+    others = np.array([(*candidate.uv_px, candidate.radius_px) for candidate in rejected]).reshape(-1, 3)
     moved = smear(image, beads, others)
     if moved is not None:
         return (
@@ -43,7 +43,7 @@ def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[RejectedCa
     tear = torn(image)
     if tear is not None:
         return tear.sentence
-    soft = sum(one.reason.startswith(NO_RIM) for one in rejected)
+    soft = sum(candidate.reason.startswith(NO_RIM) for candidate in rejected)
     if soft >= max(_MIN_SPOTS, len(beads) / 2):
         return f"the image is blurred: {soft} spots fade out without a rim, {len(beads)} have one; focus, or hold still"
     return None
@@ -72,8 +72,8 @@ def smear(image: Radiograph, beads: np.ndarray, others: np.ndarray) -> Smear | N
     sets = [every, of_beads] if len(of_beads) >= _MIN_SPOTS else [every]
     if len(every) < _MIN_SPOTS:
         return None
-    common = [np.median(one, axis=0) for one in sets]
-    weakest = min(common, key=lambda one: float(np.hypot(*one)))
+    common = [np.median(vector, axis=0) for vector in sets]
+    weakest = min(common, key=lambda vector: float(np.hypot(*vector)))
     directed = float(np.hypot(*weakest))
     if directed < DIRECTED:
         return None
@@ -95,7 +95,7 @@ def _directions(gradients: np.ndarray, spots: np.ndarray) -> np.ndarray:
     Vectors at twice the angle; their length is 0 (no common direction) to 1 (all gradients).
     """
     height, width = gradients.shape[1:]
-    out = []
+    directions = []
     for u, v, radius in spots[:: 1 + len(spots) // _MAX_SPOTS]:
         inner = _INSIDE * radius + _RIM_PX
         reach = int(np.ceil(_RING * inner))
@@ -107,5 +107,5 @@ def _directions(gradients: np.ndarray, spots: np.ndarray) -> np.ndarray:
         inside = about[:, apart <= inner].mean(axis=1)
         own = inside - about[:, (apart > inner) & (apart <= reach)].mean(axis=1)
         if own[2] > _OWN * inside[2]:
-            out.append(own[:2] / own[2])
-    return np.array(out, dtype=np.float64).reshape(-1, 2)
+            directions.append(own[:2] / own[2])
+    return np.array(directions, dtype=np.float64).reshape(-1, 2)

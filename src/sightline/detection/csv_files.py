@@ -128,9 +128,9 @@ def label_csv(
     Raises ObservationsError, which names the line, and the errors of `label`.
     """
     detections, known = read_detections(path)
-    found = label(detections, frame, view, datums)
+    labelled = label(detections, frame, view, datums)
     # The image's size is unknown; the value made up for labelling must not be passed on.
-    return replace(found, covariance_px2=found.covariance_px2 if known else None, image_shape=None)
+    return replace(labelled, covariance_px2=labelled.covariance_px2 if known else None, image_shape=None)
 
 
 def read_detections(path: Path) -> tuple[Detections, bool]:
@@ -148,7 +148,7 @@ def read_detections(path: Path) -> tuple[Detections, bool]:
         raise ObservationsError(f"{path.name} holds no beads; give one line for each")
     uv = np.array([[row["u_px"], row["v_px"]] for row, _ in rows])
     known = "sd_px" in columns or _COVARIANCE[0] in columns
-    found = Detections(
+    beads = Detections(
         uv_px=uv,
         radius_px=np.array([row["radius_px"] for row, _ in rows]),
         covariance_px2=np.array([_stated_covariance(row) for row, _ in rows]),
@@ -156,7 +156,7 @@ def read_detections(path: Path) -> tuple[Detections, bool]:
         contrast=np.array([row.get("contrast", 0.0) for row, _ in rows]),
         image_shape=(int(uv[:, 1].max()) + 2, int(uv[:, 0].max()) + 2),
     )
-    return found, known
+    return beads, known
 
 
 def _detection_columns(reader: "csv.DictReader[str]", name: str) -> list[str]:

@@ -76,17 +76,17 @@ def _filled(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
         return total / np.maximum(weight, np.float32(1e-6))
     half = (total.shape[1] + 1) // 2, (total.shape[0] + 1) // 2
     smaller = _filled(*(cv2.resize(values, half, interpolation=cv2.INTER_AREA) for values in (total, weight)))
-    out = cv2.resize(smaller, total.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return np.divide(total, weight, out=out, where=weight > _KNOWN)
+    filled = cv2.resize(smaller, total.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.divide(total, weight, out=filled, where=weight > _KNOWN)
 
 
 @kernel(nogil=True)
 def _looked_up(pixels, table):
-    out = np.empty(pixels.shape, np.float32)
+    values = np.empty(pixels.shape, np.float32)
     for i in range(pixels.shape[0]):
         for j in range(pixels.shape[1]):
-            out[i, j] = table[pixels[i, j]]
-    return out
+            values[i, j] = table[pixels[i, j]]
+    return values
 
 
 @kernel(nogil=True)

@@ -97,10 +97,10 @@ def transmission(metal_mm: np.ndarray, material: str, hardness: float) -> np.nda
     """
     if material not in PER_MM:
         raise UnusableInputError(f"there is no metal {material!r}; there are: {', '.join(PER_MM)}")
-    out = np.zeros(np.shape(metal_mm))
+    share_left = np.zeros(np.shape(metal_mm))
     for per_mm, share in zip(PER_MM[material], _SHARE, strict=True):
-        out += share * np.exp(-hardness * per_mm * metal_mm)
-    return out
+        share_left += share * np.exp(-hardness * per_mm * metal_mm)
+    return share_left
 
 
 def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray, tube: MetalTube) -> MetalEdge:
@@ -143,16 +143,16 @@ def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray
 def _refuse_no_fall(profiles: np.ndarray, t: np.ndarray, offset: np.ndarray) -> None:
     """Raise WireRefusedError where the light does not fall across the edge found in profiles (P, T), at `offset` (P,):
     something fits best in noise, too."""
-    found = np.isfinite(offset)
-    away = t - offset[found, None]
+    known = np.isfinite(offset)
+    away = t - offset[known, None]
     sides = [
-        np.where((sign * away > _CLEAR_PX) & (sign * away < _OUTLINE_WINDOW), profiles[found], np.nan)
+        np.where((sign * away > _CLEAR_PX) & (sign * away < _OUTLINE_WINDOW), profiles[known], np.nan)
         for sign in (-1, 1)
     ]
-    if not found.any():
+    if not known.any():
         raise WireRefusedError(f"no edge of a nail lies along a stroke; {_DRAW}")
-    outside, inside = (np.nanmean(one, axis=1) for one in sides)
-    level, sd = (outside + inside) / 2, np.hypot(*(np.nanstd(one, axis=1) for one in sides)) / np.sqrt(2)
+    outside, inside = (np.nanmean(side, axis=1) for side in sides)
+    level, sd = (outside + inside) / 2, np.hypot(*(np.nanstd(side, axis=1) for side in sides)) / np.sqrt(2)
     fall = float(np.median((outside - inside) / np.maximum(level, 1e-9)))
     clear = float(np.median((outside - inside) / np.maximum(sd, 1e-9)))
     if fall < _MIN_FALL or clear < _MIN_FALL_SD:
@@ -188,7 +188,7 @@ def find_rims(  # noqa: PLR0917
     on_grid = np.moveaxis((at - expected.corner_px) / grid_px, -1, 0)[::-1]
 
     blurred = (gaussian_filter(sharp, blur / grid_px, mode="nearest") for blur in blurs)
-    models = [map_coordinates(one, on_grid, order=1, mode="nearest").mean(axis=0) for one in blurred]
+    models = [map_coordinates(model, on_grid, order=1, mode="nearest").mean(axis=0) for model in blurred]
     shift, variance, misfit = _rim_shifts(seen, np.stack(models))
     best = int(misfit.argmin())
     return RimsFound(uv + shift[best][:, None] * normal, variance[best], float(misfit[best]))
@@ -248,7 +248,7 @@ def _outline_offsets(
     light = windows @ np.linalg.pinv(basis)[1]
     falls = light > 0.3 * np.median(light.max(axis=1))
     best = np.where(falls, cost, np.inf).argmin(axis=1)
-    found = np.isfinite(np.where(falls, cost, np.inf).min(axis=1))
+    known = np.isfinite(np.where(falls, cost, np.inf).min(axis=1))
     middle = t[starts + half][best]
     full = np.column_stack([basis, -slope])
     solver = np.linalg.pinv(full)
@@ -264,9 +264,9 @@ def _outline_offsets(
     own, fit = fitted(offset)
     rest = ((own - fit @ full.T) ** 2).sum(axis=1)
     variance = _CORRELATED * rest / (len(u) - 4) * (solver[3] ** 2).sum() / _not_zero(fit[:, 1]) ** 2
-    found &= np.abs(offset - middle) < 2.0
-    typical = float(np.median(rest[found])) if found.any() else np.inf
-    return np.where(found, offset, np.nan), variance + _MODEL_PX**2, typical
+    known &= np.abs(offset - middle) < 2.0
+    typical = float(np.median(rest[known])) if known.any() else np.inf
+    return np.where(known, offset, np.nan), variance + _MODEL_PX**2, typical
 
 
 def _not_zero(values: np.ndarray) -> np.ndarray:
@@ -283,7 +283,9 @@ def _rim_shifts(seen: np.ndarray, models: np.ndarray) -> tuple[np.ndarray, np.nd
         steps = np.floor(-shift / _STEP_PX)
         share = -shift / _STEP_PX - steps
         at = around + steps.astype(int)[..., None]
-        low, high = (np.take_along_axis(models, np.clip(at + one, 0, models.shape[-1] - 1), axis=-1) for one in (0, 1))
+        low, high = (
+            np.take_along_axis(models, np.clip(at + values, 0, models.shape[-1] - 1), axis=-1) for values in (0, 1)
+        )
         moved = low + share[..., None] * (high - low)
         slope = (moved[..., 2:] - moved[..., :-2]) / (2 * _STEP_PX)
         basis = np.stack([np.ones_like(slope), moved[..., 1:-1], -slope], axis=-1)
@@ -298,7 +300,7 @@ def _rim_shifts(seen: np.ndarray, models: np.ndarray) -> tuple[np.ndarray, np.nd
     basis, inverse, fit = fitted(shift)
     light = fit[..., 1]
     rest = ((seen - (basis @ fit[..., None])[..., 0]) ** 2).sum(axis=-1)
-    usual, typical = (np.median(one, axis=-1, keepdims=True) for one in (light, rest))
+    usual, typical = (np.median(values, axis=-1, keepdims=True) for values in (light, rest))
     noise = np.maximum(rest, typical) / (len(window) - 3)  # a rest below the usual one is chance
     variance = _CORRELATED_RIM * noise * inverse[..., 2, 2] / _not_zero(light) ** 2 + _MODEL_PX**2
     shown = (light > _CONTRAST[0] * usual) & (light < _CONTRAST[1] * usual) & (np.abs(shift) < _MAX_SHIFT_PX)

@@ -21,13 +21,13 @@ _NOT_WRITTEN = {"written": False}
 
 def _frozen(array: np.ndarray, shape: tuple[int, ...], what: str) -> np.ndarray:
     """Return a read-only float64 copy. Raises ObservationsError on another shape and on values that are not finite."""
-    out = np.array(array, dtype=np.float64)
-    if out.shape != shape:
-        raise ObservationsError(f"{what} has the shape {out.shape}; {shape} was expected")
-    if not np.isfinite(out).all():
+    frozen = np.array(array, dtype=np.float64)
+    if frozen.shape != shape:
+        raise ObservationsError(f"{what} has the shape {frozen.shape}; {shape} was expected")
+    if not np.isfinite(frozen).all():
         raise ObservationsError(f"{what} holds values that are not finite")
-    out.flags.writeable = False
-    return out
+    frozen.flags.writeable = False
+    return frozen
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class Observations(Plotted):
 
 def _places(rejected: tuple[RejectedCandidate, ...]) -> np.ndarray:
     """(N, 2) px."""
-    return np.array([one.uv_px for one in rejected]).reshape(-1, 2)
+    return np.array([candidate.uv_px for candidate in rejected]).reshape(-1, 2)
 
 
 FACTOR = 2
@@ -263,8 +263,10 @@ def _scaled(
     rejected: tuple[RejectedCandidate, ...], to_other: Callable[[np.ndarray], np.ndarray], factor: float
 ) -> tuple[RejectedCandidate, ...]:
     return tuple(
-        replace(one, uv_px=tuple(to_other(np.array(one.uv_px)).tolist()), radius_px=one.radius_px * factor)
-        for one in rejected
+        replace(
+            candidate, uv_px=tuple(to_other(np.array(candidate.uv_px)).tolist()), radius_px=candidate.radius_px * factor
+        )
+        for candidate in rejected
     )
 
 

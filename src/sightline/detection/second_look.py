@@ -151,11 +151,11 @@ def _hull_of_metal(metal: np.ndarray) -> np.ndarray:
     Metal under a bead is not visible: a wire seen on two sides of a bead continues between them.
     """
     side = 2 * window.METAL + 1
-    found = cv2.erode(metal.view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
-    points = cv2.findNonZero(found)
+    core = cv2.erode(metal.view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    points = cv2.findNonZero(core)
     if points is not None:
-        cv2.fillConvexPoly(found, cv2.convexHull(points), 1)
-    return found > 0
+        cv2.fillConvexPoly(core, cv2.convexHull(points), 1)
+    return core > 0
 
 
 def hidden_share(apart: np.ndarray, radius: np.ndarray | float, other: np.ndarray) -> np.ndarray:
@@ -262,9 +262,9 @@ def look_again(
         if len(which) == 0:
             break
         shares = clipped_shares(image, image.field_mask, expected.start())
-        found = _detected(rows, expected, which[shares[which] > WITHOUT_FOOT])
-        row_of = row_of | {ids[k]: row for k, row in found.items()}
-        settled[list(found)] = True
+        detected = _detected(rows, expected, which[shares[which] > WITHOUT_FOOT])
+        row_of = row_of | {ids[k]: row for k, row in detected.items()}
+        settled[list(detected)] = True
         which = which[~settled[which]]
         if len(which) == 0:
             continue
@@ -278,7 +278,7 @@ def look_again(
         row_of = {name: row for name, row in row_of.items() if name not in ids[which]}
         row_of |= {name: len(rows) + k for k, name in enumerate(ids[which[clear]])}
         rows = np.concatenate([rows, fit[clear]])
-        if len(clear) + len(found) == 0 or _too_few(plates, row_of):
+        if len(clear) + len(detected) == 0 or _too_few(plates, row_of):
             break
     if row_of == before:
         return observations
@@ -306,9 +306,9 @@ def _rejected(
         for row in again
     )
     every = (*observations.rejected, *hidden)
-    places = np.array([one.uv_px for one in every]).reshape(-1, 2)
+    places = np.array([candidate.uv_px for candidate in every]).reshape(-1, 2)
     covered = np.any(distances(places, centres(good)) < good["radius_px"], axis=1).tolist()
-    return tuple(one for one, taken in zip(every, covered, strict=True) if not taken)
+    return tuple(candidate for candidate, taken in zip(every, covered, strict=True) if not taken)
 
 
 def _rows_of(observations: Observations, beads: Detections) -> dict[str, int]:
@@ -463,7 +463,7 @@ def _detected(rows: np.ndarray, expected: _Expected, which: np.ndarray) -> dict[
 
     Labelling does not take them, because their radii are too small.
     """
-    left, found = np.setdiff1d(np.flatnonzero(rows["contrast"] < 0), expected.row), {}
+    left, detected = np.setdiff1d(np.flatnonzero(rows["contrast"] < 0), expected.row), {}
     for k in which[expected.row[which] < 0]:
         total = centre_covariances(rows[left]) + expected.variance_px2[k] * np.eye(2)
         off = centres(rows[left]) - expected.uv_px[k]
@@ -472,8 +472,8 @@ def _detected(rows: np.ndarray, expected: _Expected, which: np.ndarray) -> dict[
         alike = np.flatnonzero((m2 < _MAX_M2) & (size > _MIN_LOG_SIZE_WITHOUT_FOOT) & (size < _MAX_LOG_SIZE))
         apart = distances(expected.uv_px[[k]], expected.uv_px)[0] - expected.radius_px
         if len(alike) == 1 and np.partition(apart, 1)[1] > expected.radius_px[k]:
-            found[int(k)] = int(left[alike[0]])
-    return found
+            detected[int(k)] = int(left[alike[0]])
+    return detected
 
 
 def _others(every: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -134,16 +134,16 @@ def find_wire(  # noqa: PLR0917
     shown = _shown(path, mask)
     path, scale, stretch, sine = ImagePath.through(path.uv_px[shown]), scale[shown], stretch[shown], sine[shown]
     radii = scale * diameter_mm / 2
-    found = search(logs, usable, path, radii, scale, [other.uv_px for other in others], corridor_mm)
+    coarse = search(logs, usable, path, radii, scale, [other.uv_px for other in others], corridor_mm)
     radius = float(np.median(radii))
-    usable = _without_lines(usable, found.others, radius + 2 * _RIM_PX)
-    here = int(np.clip(found.expected_tip_s_px, 0, len(scale) - 1))
+    usable = _without_lines(usable, coarse.others, radius + 2 * _RIM_PX)
+    here = int(np.clip(coarse.expected_tip_s_px, 0, len(scale) - 1))
     point_px = point * float(stretch[here])
-    end = found.tip_s_px - point_px - radius
+    end = coarse.tip_s_px - point_px - radius
     wire = SteelWire(diameter_mm, point, float(sine[here]), float(stretch[here]))
-    strip = _Strip.about(logs, usable, noise, found.path, (wire, radii))
+    strip = _Strip.about(logs, usable, noise, coarse.path, (wire, radii))
     pieces = strip.pieces(end)
-    strip = _Strip.about(logs, usable & ~strip.outliers(pieces), noise, _through(found.path, pieces), (wire, radii))
+    strip = _Strip.about(logs, usable & ~strip.outliers(pieces), noise, _through(coarse.path, pieces), (wire, radii))
     pieces = strip.pieces(end)
     if others:
         pieces = _alone(pieces, strip)
@@ -161,7 +161,7 @@ def find_wire(  # noqa: PLR0917
             "another wire is in; give the right diameter"
         )
     correlation = strip.correlation(pieces)
-    tip_s, tip_x, tip_variance = _tip(strip, pieces, found.tip_s_px, point_px, correlation)
+    tip_s, tip_x, tip_variance = _tip(strip, pieces, coarse.tip_s_px, point_px, correlation)
     on, along, normal = strip.path.at(np.array([piece.s_px for piece in pieces]))
     tip_on, _, tip_normal = strip.path.at(np.array([tip_s]))
     return WireShadow(
@@ -249,7 +249,7 @@ class _Strip:
     def pieces(self, end: float) -> list[_Piece]:
         """Return the pieces from the path's beginning to `end` that can be measured and lie on one curve."""
         step, area = self.piece_px, 2 * self.piece_px * (self.radius_px + _BESIDE_PX)
-        out = []
+        measured = []
         for first in np.arange(0.0, end - step, step):
             pixels = self.within(first, first + step)
             s, x = self.s[pixels], self.x[pixels]
@@ -264,8 +264,8 @@ class _Strip:
                 and abs(fit.values[0]) < self.radius_px
                 and fit.contrast < -_MIN_CONTRAST
             ):
-                out.append(_Piece(first + step / 2, pixels, fit))
-        return _on_a_curve(out)
+                measured.append(_Piece(first + step / 2, pixels, fit))
+        return _on_a_curve(measured)
 
     def shows(self, s_px: float, x_px: float) -> bool:
         """Return whether the pixel at s and x is usable."""
@@ -274,16 +274,16 @@ class _Strip:
 
     def residuals(self, pieces: list[_Piece]) -> np.ndarray:
         """Return the light minus the model (N,), over its noise; NaN outside the pieces."""
-        out = np.full(len(self.s), np.nan)
+        residuals = np.full(len(self.s), np.nan)
         for piece in pieces:
-            out[piece.pixels] = (self.light[piece.pixels] - piece.fit.model) / self.noise[piece.pixels]
-        return out
+            residuals[piece.pixels] = (self.light[piece.pixels] - piece.fit.model) / self.noise[piece.pixels]
+        return residuals
 
     def image(self, values: np.ndarray) -> np.ndarray:
         """Return values (N,) at their pixels in the smallest image that contains the strip; 0 elsewhere."""
-        out = np.zeros((int(np.ptp(self.row)) + 1, int(np.ptp(self.column)) + 1))
-        out[self.row - self.row.min(), self.column - self.column.min()] = values
-        return out
+        pixels = np.zeros((int(np.ptp(self.row)) + 1, int(np.ptp(self.column)) + 1))
+        pixels[self.row - self.row.min(), self.column - self.column.min()] = values
+        return pixels
 
     def outliers(self, pieces: list[_Piece]) -> np.ndarray:
         """Return the pixels (H, W) bool that the model does not explain, such as a part of a bead or another wire."""
@@ -292,10 +292,10 @@ class _Strip:
         if not known.any():
             return np.zeros(self.usable.shape, dtype=bool)
         spread = self.spread(smooth)
-        out = np.zeros(self.usable.shape, dtype=bool)
+        unexplained = np.zeros(self.usable.shape, dtype=bool)
         far = known & (np.abs(smooth) > _OUTLIER * spread)
-        out[self.row[far], self.column[far]] = True
-        return binary_dilation(out, iterations=2)
+        unexplained[self.row[far], self.column[far]] = True
+        return binary_dilation(unexplained, iterations=2)
 
     def smoothed(self, rest: np.ndarray) -> np.ndarray:
         """Return residuals (N,) averaged over neighbours; NaN where there are none."""
@@ -352,7 +352,7 @@ def _alone(pieces: list[_Piece], strip: _Strip) -> list[_Piece]:
 
     Raises WireRefusedError where these are less than half.
     """
-    alone = [one for one in pieces if abs(one.fit.values[1] / strip.radius_at(one.s_px) - 1) < _MAX_OVERLAP]
+    alone = [piece for piece in pieces if abs(piece.fit.values[1] / strip.radius_at(piece.s_px) - 1) < _MAX_OVERLAP]
     if len(alone) < len(pieces) / 2:
         raise WireRefusedError(
             f"only {len(alone)} of {len(pieces)} pieces of the line are as wide as the wire, so another wire may lie "

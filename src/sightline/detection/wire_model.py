@@ -115,10 +115,10 @@ def profile(x_px: np.ndarray, wire: SteelWire, radius_px: float, blur_px: float)
 
 def _absorbed(chord_mm: np.ndarray) -> np.ndarray:
     """Return the share of the primary radiation that steel absorbs."""
-    out = np.zeros(chord_mm.shape)
+    absorbed = np.zeros(chord_mm.shape)
     for mu, share in zip(_PER_MM, _SHARE, strict=True):
-        out += share * (1 - np.exp(-mu * chord_mm))
-    return out
+        absorbed += share * (1 - np.exp(-mu * chord_mm))
+    return absorbed
 
 
 def fit_across(  # noqa: PLR0917
@@ -138,9 +138,11 @@ def fit_across(  # noqa: PLR0917
         return profile(x_px - p[0], wire, p[1], p[2])
 
     def keep(p: np.ndarray, step: np.ndarray) -> np.ndarray:
-        out = p + np.clip(step, [-2.0, -0.2 * p[1], -0.3 * p[2]], [2.0, 0.2 * p[1], 0.3 * p[2]])
-        out[2] = np.clip(out[2], _MIN_BLUR, _MAX_BLUR * start[1])
-        return np.append(out[0], [np.clip(out[1], start[1] / _MAX_WIDTH_RATIO, start[1] * _MAX_WIDTH_RATIO), out[2]])
+        moved = p + np.clip(step, [-2.0, -0.2 * p[1], -0.3 * p[2]], [2.0, 0.2 * p[1], 0.3 * p[2]])
+        moved[2] = np.clip(moved[2], _MIN_BLUR, _MAX_BLUR * start[1])
+        return np.append(
+            moved[0], [np.clip(moved[1], start[1] / _MAX_WIDTH_RATIO, start[1] * _MAX_WIDTH_RATIO), moved[2]]
+        )
 
     return _fitted(shape, keep, np.array(start), background, light, noise)
 
@@ -186,14 +188,14 @@ def _chord_mm(wire: SteelWire, s_mm: np.ndarray, x_mm: np.ndarray) -> np.ndarray
     """Return the chord (S, X) of parallel rays at s and x (across the rays) in a wire with its tip at 0."""
     cosine = np.sqrt(1 - wire.sine**2)
     half = wire.diameter_mm / wire.sine
-    out = np.zeros((len(s_mm), len(x_mm)))
+    chord = np.zeros((len(s_mm), len(x_mm)))
     for depth in np.arange(-half, half, _RAY_MM) + _RAY_MM / 2:
         # The range of depths is centred on the wire's axis.
         t = depth + s_mm * cosine / wire.sine
         behind, off = -(s_mm * wire.sine + t * cosine), s_mm * cosine - t * wire.sine
         radius = wire.diameter_mm / 2 * (np.clip(behind / wire.point_mm, 0, 1) if wire.point_mm > 0 else behind > 0)
-        out += _RAY_MM * ((radius**2 - off**2)[:, None] > x_mm**2)
-    return out
+        chord += _RAY_MM * ((radius**2 - off**2)[:, None] > x_mm**2)
+    return chord
 
 
 def _fitted(  # noqa: PLR0917

@@ -78,12 +78,12 @@ def search(  # noqa: PLR0917
     kept = slice(None, min(int(tip + 12 * radius), len(s)))
     centre = _smooth(s, across, tip, radius)
     on, _, normal = path.at(s)
-    found = ImagePath.through((on + centre[:, None] * normal)[kept])
+    followed = ImagePath.through((on + centre[:, None] * normal)[kept])
     others = []
     for line in (_followed(dark, known, line, reach, radius) for line in lines[:own] + lines[own + 1 :]):
         until = int(_gain(dark, known, line, reach)[0].argmax()) + 1
         others.append((on + line[:, None] * normal)[:until])
-    return CoarseWire(found, float(found.s_px[int(tip)]), tip, tuple(others))
+    return CoarseWire(followed, float(followed.s_px[int(tip)]), tip, tuple(others))
 
 
 def _darkness(  # noqa: PLR0917
@@ -134,13 +134,13 @@ def _dark_lines(
 
 def _across(path: ImagePath, uv_px: Sequence[np.ndarray], s: np.ndarray) -> list[np.ndarray]:
     """Return the offsets (S,) from the path of straight lines through points (M, 2) each, where they run beside it."""
-    out = []
+    offsets = []
     for points in uv_px:
         along, across = path.places(points)
         beside = (along >= 0) & (along <= s[-1])
         if np.count_nonzero(beside) > 1:
-            out.append(np.polynomial.Polynomial.fit(along[beside], across[beside], 1)(s))
-    return out
+            offsets.append(np.polynomial.Polynomial.fit(along[beside], across[beside], 1)(s))
+    return offsets
 
 
 def _own(

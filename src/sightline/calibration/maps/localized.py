@@ -109,9 +109,9 @@ class LocalizedMap:
         """Return the pixels (M, 2) of the plane coordinates (N, 2) that lie in a triangle, and which do, (N,) bool."""
         shares = np.einsum("tij,nj->nti", self._barycentric, np.column_stack([xy_mm, np.ones(len(xy_mm))]))
         inside = (shares >= -_EDGE).all(axis=2)
-        found, first = inside.any(axis=1), inside.argmax(axis=1)
-        rows = np.flatnonzero(found)
-        return np.einsum("nk,nkc->nc", shares[rows, first[rows]], self.triangles_px[first[rows]]), found
+        mapped, first = inside.any(axis=1), inside.argmax(axis=1)
+        rows = np.flatnonzero(mapped)
+        return np.einsum("nk,nkc->nc", shares[rows, first[rows]], self.triangles_px[first[rows]]), mapped
 
     @cached_property
     def _barycentric(self) -> np.ndarray:
@@ -122,9 +122,9 @@ class LocalizedMap:
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
         """Return the pixels (N, 2) of plane coordinates (N, 2), by the same triangles. Raises OutsideRegionError."""
         target = np.asarray(xy_mm, dtype=np.float64)
-        uv, found = self.find_image(target)
-        if not found.all():
-            point = target[~found][0]
+        uv, mapped = self.find_image(target)
+        if not mapped.all():
+            point = target[~mapped][0]
             raise OutsideRegionError(
                 f"the point ({point[0]:.1f}, {point[1]:.1f}) mm of the plate lies in no triangle of beads; "
                 "the localized method does not extrapolate: choose points inside the convex hull, or the smooth method"

@@ -263,9 +263,9 @@ def _propagated(beads: Beads, jacobian: np.ndarray) -> np.ndarray:
 def twice(matrix: np.ndarray) -> np.ndarray:
     """Return (2N, 2M): `matrix` (N, M) for x and for y, interleaved."""
     n, m = matrix.shape
-    out = np.zeros((n, 2, m, 2))
-    out[:, 0, :, 0] = out[:, 1, :, 1] = matrix
-    return out.reshape(2 * n, 2 * m)
+    doubled = np.zeros((n, 2, m, 2))
+    doubled[:, 0, :, 0] = doubled[:, 1, :, 1] = matrix
+    return doubled.reshape(2 * n, 2 * m)
 
 
 def _without_negative(matrix: np.ndarray) -> np.ndarray:

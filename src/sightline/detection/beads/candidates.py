@@ -100,7 +100,7 @@ def _smoothed(shape: tuple[int, ...], half: tuple[int, ...]) -> list[np.ndarray]
     """
     kept = getattr(_kept, "images", None)
     if kept is None or kept[0].shape != shape:
-        kept = [np.empty(one, np.float32) for one in (shape, half, half, half)]
+        kept = [np.empty(size, np.float32) for size in (shape, half, half, half)]
         _kept.images = kept if kept[0].size <= _KEPT_PX else None
     return kept
 
@@ -184,9 +184,9 @@ def _band(fine, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
 
 
 @kernel()
-def _subtract(fine, coarse, out):
-    for x in range(len(out)):
-        out[x] = fine[x] - coarse[x]
+def _subtract(fine, coarse, difference):
+    for x in range(len(difference)):
+        difference[x] = fine[x] - coarse[x]
 
 
 @kernel()

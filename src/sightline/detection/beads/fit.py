@@ -145,8 +145,8 @@ def joint_rows(spots, i, reach, prior_sd):
 
 
 @kernel(nogil=True)
-def fit_part(part, parts, image, usable, spots, which, optics, prior_sd, out):  # noqa: PLR0917 - a kernel
-    """Fit the beads `which[part::parts]` of `spots` and write bead `which[i]` into row i of `out`.
+def fit_part(part, parts, image, usable, spots, which, optics, prior_sd, fitted_beads):  # noqa: PLR0917 - a kernel
+    """Fit the beads `which[part::parts]` of `spots` and write bead `which[i]` into row i of `fitted_beads`.
 
     Where a large residual remains, metal around the bead is searched for and hidden, and the fit is repeated.
     """
@@ -165,8 +165,10 @@ def fit_part(part, parts, image, usable, spots, which, optics, prior_sd, out):  
             trial[0] = spots[row]
             _fit(spots, rows, optics, unit_sds, prior_sd, light, state, left, top, reach, zero, trial)
             fitted = trial[0].status == FITTED
-            if attempt == 0 or (fitted and (out[i].status != FITTED or trial[0].excess < out[i].excess)):
-                out[i] = trial[0]
+            if attempt == 0 or (
+                fitted and (fitted_beads[i].status != FITTED or trial[0].excess < fitted_beads[i].excess)
+            ):
+                fitted_beads[i] = trial[0]
             if attempt == 1 or (fitted and trial[0].excess <= SUSPICIOUS_EXCESS) or spots[row].contrast > 0:
                 break
             metal = hide_metal(state, spots, rows, left, top, light)
@@ -175,8 +177,8 @@ def fit_part(part, parts, image, usable, spots, which, optics, prior_sd, out):  
 
 
 @kernel()
-def _fit(spots, rows, optics, unit_sds, prior_sd, light, state, left, top, reach, zero, out):  # noqa: PLR0915, PLR0917 - a kernel
-    """Fit the beads `rows` jointly to the visible pixels and write the first bead's result into `out` (1,)."""
+def _fit(spots, rows, optics, unit_sds, prior_sd, light, state, left, top, reach, zero, result):  # noqa: PLR0915, PLR0917 - a kernel
+    """Fit the beads `rows` jointly to the visible pixels and write the first bead's values into `result` (1,)."""
     own, noise = spots[rows[0]], optics.line
     radius, x0, y0 = own.radius_px, own.u_px - left, own.v_px - top
     table, stopped = (optics.balls, STOPPED_BY_BALL) if own.contrast < 0 else (optics.holes, STOPPED_BY_HOLE)
@@ -201,7 +203,7 @@ def _fit(spots, rows, optics, unit_sds, prior_sd, light, state, left, top, reach
     brightest = np.float32(
         np.exp(noise[2] - zero - CLIPPING_MARGIN_SD * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
     )
-    out[0].status, chi2, pixels, coupling, moved = TOO_FEW_PIXELS, 0.0, 0, 0.0, np.inf
+    result[0].status, chi2, pixels, coupling, moved = TOO_FEW_PIXELS, 0.0, 0, 0.0, np.inf
     for iteration in range(_MAX_ITERATIONS):
         fill_light(table, at, beads, scatter, background, scale, stopped, shared, behind, effect, columns)
         if iteration < _ADAPTIVE_ITERATIONS:
@@ -212,11 +214,11 @@ def _fit(spots, rows, optics, unit_sds, prior_sd, light, state, left, top, reach
         chi2 = normal_equations(columns, A, b)
         coupling = add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b)
         if not solve(A, b, U, step):
-            out[0].status = SINGULAR
+            result[0].status = SINGULAR
             return
         before = moved
         moved = _take_step(beads, scatter, background, step, 1.0 if iteration < _ADAPTIVE_ITERATIONS else 0.5)
-        out[0].status = WANDERED
+        result[0].status = WANDERED
         if (
             beads[0, BEAD_X] ** 2 + beads[0, BEAD_Y] ** 2 > (0.5 * radius + 1) ** 2
             or not 0.5 < beads[0, BEAD_RADIUS] / radius < 1.9
@@ -226,24 +228,24 @@ def _fit(spots, rows, optics, unit_sds, prior_sd, light, state, left, top, reach
             continue
         if beads[0, BEAD_AXIAL] ** 2 + beads[0, BEAD_DIAGONAL] ** 2 > MAX_ELLIPTICITY**2:
             return
-        out[0].status = FITTED
+        result[0].status = FITTED
         break
-    if out[0].status != FITTED:
+    if result[0].status != FITTED:
         return
     freedom = max(pixels - _effective_parameters(columns, where, U, used.by_distance), 1.0)
     scale2 = (PRIOR_PIXELS + chi2) / (PRIOR_PIXELS + freedom)
-    out[0].chi2 = chi2 / freedom
-    out[0].blur_px = np.sqrt(max(beads[0, BEAD_BLUR] ** 2 - used.blur2_px2, 0.0))
-    _covariance(columns, where, U, len(state), used.correlation, scale2, prior, coupling, background, out)
+    result[0].chi2 = chi2 / freedom
+    result[0].blur_px = np.sqrt(max(beads[0, BEAD_BLUR] ** 2 - used.blur2_px2, 0.0))
+    _covariance(columns, where, U, len(state), used.correlation, scale2, prior, coupling, background, result)
     inside = max((1.0 - stopped) * background[0] + scatter[0], 0.02 * background[0])
-    out[0].contrast_variance /= inside**2
-    out[0].u_px, out[0].v_px = own.u_px + beads[0, BEAD_X], own.v_px + beads[0, BEAD_Y]
-    out[0].radius_px, out[0].contrast = beads[0, BEAD_RADIUS], np.log(inside / max(background[0], 1e-3))
-    out[0].axial, out[0].diagonal = beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]
+    result[0].contrast_variance /= inside**2
+    result[0].u_px, result[0].v_px = own.u_px + beads[0, BEAD_X], own.v_px + beads[0, BEAD_Y]
+    result[0].radius_px, result[0].contrast = beads[0, BEAD_RADIUS], np.log(inside / max(background[0], 1e-3))
+    result[0].axial, result[0].diagonal = beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]
     unsharpen(beads, at, where, light, used.blur2_px2)
     shared = np.float32(used.shared_px2 - used.blur2_px2)
     fill_light(table, at, beads, scatter, background, scale, stopped, shared, behind, effect, columns)
-    assess(at, beads, used.gain, inverse_sd, pixels, columns, out)
+    assess(at, beads, used.gain, inverse_sd, pixels, columns, result)
 
 
 @kernel()
@@ -399,8 +401,8 @@ def _effective_parameters(columns, where, U, by_lag):  # noqa: PLR0912 - a kerne
 
 
 @kernel()
-def _covariance(columns, where, U, side, correlation, scale2, prior, coupling, background, out):  # noqa: PLR0917 - a kernel
-    """Write the covariance of u, v and the variance of the light in the middle into `out`, whose blur must be set.
+def _covariance(columns, where, U, side, correlation, scale2, prior, coupling, background, result):  # noqa: PLR0917 - a kernel
+    """Write the covariance of u, v and the variance of the light in the middle into `result`, whose blur must be set.
 
     Propagated are noise of the given `correlation` and the uncertainty of the priors.
     """
@@ -433,8 +435,13 @@ def _covariance(columns, where, U, side, correlation, scale2, prior, coupling, b
         uu += influence[0, k] ** 2 * missing
         uv += influence[0, k] * influence[1, k] * missing
         vv += influence[1, k] ** 2 * missing
-    bent = 1.0 + _RIM_NONLINEARITY * 0.5 * (uu + vv) / max(out[0].blur_px, MIN_BLUR_PX) ** 2
-    out[0].uu_px2, out[0].uv_px2, out[0].vv_px2, out[0].contrast_variance = bent * uu, bent * uv, bent * vv, ww
+    bent = 1.0 + _RIM_NONLINEARITY * 0.5 * (uu + vv) / max(result[0].blur_px, MIN_BLUR_PX) ** 2
+    result[0].uu_px2, result[0].uv_px2, result[0].vv_px2, result[0].contrast_variance = (
+        bent * uu,
+        bent * uv,
+        bent * vv,
+        ww,
+    )
 
 
 @kernel()
@@ -447,8 +454,8 @@ def unsharpen(beads, at, where, light, blur2):
 
 
 @kernel()
-def assess(at, beads, gain, inverse_sd, pixels, columns, out):  # noqa: PLR0917 - a kernel
-    """Write into `out` how well the bead explains its window before sharpening: residual excess, weakest sector.
+def assess(at, beads, gain, inverse_sd, pixels, columns, result):  # noqa: PLR0917 - a kernel
+    """Write into `result` how well the bead explains its window before sharpening: residual excess, weakest sector.
 
     `columns`: from `fill_light`, for beads and values before sharpening.
     """
@@ -469,11 +476,11 @@ def assess(at, beads, gain, inverse_sd, pixels, columns, out):  # noqa: PLR0917 
             seen[sector] += (rest[p] / bright[p] + bead) * bead
             meant[sector] += bead * bead
     beyond = max(residuals - _NOISE_MARGIN * expected / gain, 0.0) / pixels
-    out[0].excess = np.sqrt(beyond) / max(abs(out[0].contrast), 1e-9)
+    result[0].excess = np.sqrt(beyond) / max(abs(result[0].contrast), 1e-9)
     weakest, whole = 1.0, 0.0
     for k in range(8):
         whole += meant[k]
     for k in range(8):
         if meant[k] > whole / 32:  # a sector that a neighbour covers is not judged
             weakest = min(weakest, seen[k] / meant[k])
-    out[0].weakest = weakest
+    result[0].weakest = weakest

@@ -95,16 +95,16 @@ def _correlations_after(image: np.ndarray, mask: np.ndarray, noise: NoiseModel, 
     In units of the noise's variance; 0 for blocks with an unusable pixel.
     """
     rows, columns = (max((side - _WIDE) // _STEP + 1, 0) for side in image.shape)
-    out = np.zeros((rows * columns, AFTER_LAGS + 1))
+    covariances = np.zeros((rows * columns, AFTER_LAGS + 1))
     line = np.array([noise.offset, noise.slope])
-    in_parts(_correlations_part, image, mask, line, taps.astype(np.float32), float(image.max()), columns, out)
-    return out
+    in_parts(_correlations_part, image, mask, line, taps.astype(np.float32), float(image.max()), columns, covariances)
+    return covariances
 
 
 @kernel(nogil=True)
-def _correlations_part(part, parts, image, mask, line, taps, ceiling, columns, out):  # noqa: PLR0917
+def _correlations_part(part, parts, image, mask, line, taps, ceiling, columns, covariances):  # noqa: PLR0917
     block, transposed, sums = np.empty(AREA, np.float32), np.empty(AREA, np.float32), np.empty((3, BLOCK), np.float32)
-    for b in range(part, len(out), parts):
+    for b in range(part, len(covariances), parts):
         top, left = (b // columns) * _STEP, (b % columns) * _STEP
         if not _usable(image, mask, top, left, ceiling):
             continue
@@ -115,7 +115,7 @@ def _correlations_part(part, parts, image, mask, line, taps, ceiling, columns, o
         variance = np.exp(line[0] - line[1] * flatten(block, transposed, sums))
         for lag in range(AFTER_LAGS + 1):
             total = _products(block, BLOCK * lag, sums[0]) + _products(transposed, BLOCK * lag, sums[0])
-            out[b, lag] = total / (2.0 * BLOCK * (BLOCK - lag)) / variance
+            covariances[b, lag] = total / (2.0 * BLOCK * (BLOCK - lag)) / variance
 
 
 @kernel()

@@ -66,8 +66,8 @@ def judged(base: np.ndarray, extrema: np.ndarray, line: np.ndarray) -> np.ndarra
 
 
 @kernel(nogil=True)
-def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917 - a kernel
-    """Fit a circle to the rim points around each extremum and write the candidate into its row of `out`."""
+def _judge_part(part, parts, base, extrema, line, candidates):  # noqa: PLR0917 - a kernel
+    """Fit a circle to the rim points around each extremum and write the candidate into its row of `candidates`."""
     # Made once: threads that count the references of one array a thousand times an image stall each other.
     pixels, shape, seen = base.reshape(-1), base.shape, np.empty((_PLACES, _RAYS), np.float32)
     x, y, values = np.empty(seen.size, np.float32), np.empty(seen.size, np.float32), np.empty(seen.size, np.float32)
@@ -95,7 +95,12 @@ def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917 - a ker
             sound, du, dv, radius = _circle(rim, step, _SOUND * middle, slack, radius, ordered)
             u, v = u + du, v + dv
             if iteration == _ITERATIONS - 1:
-                out[i].u_px, out[i].v_px, out[i].radius_px, out[i].contrast = u, v, radius, sign * middle
+                candidates[i].u_px, candidates[i].v_px, candidates[i].radius_px, candidates[i].contrast = (
+                    u,
+                    v,
+                    radius,
+                    sign * middle,
+                )
             far = (u - first_u) ** 2 + (v - first_v) ** 2 > (0.8 * first_radius + 1) ** 2
             is_disc = sound >= _MIN_RAYS[iteration] and not far and 0.5 * first_radius < radius < 2.0 * first_radius
             if not is_disc:
@@ -115,8 +120,8 @@ def _judge_part(part, parts, base, extrema, line, out):  # noqa: PLR0917 - a ker
         for k in range(8):
             core += values[k]
             ring += values[8 + k]
-        out[i].score = middle * np.sqrt(radius) * sound**2
-        out[i].hollow = sign * (ring / 8 - core / 9) / middle
+        candidates[i].score = middle * np.sqrt(radius) * sound**2
+        candidates[i].hollow = sign * (ring / 8 - core / 9) / middle
 
 
 @kernel()
@@ -172,7 +177,7 @@ def _interpolate(pixels, shape, count, x, y, at, values):  # noqa: PLR0917
     after them, so that the compiler vectorises the first loop and most of the second.
     """
     zero, last_x, last_y = np.float32(0), np.float32(shape[1] - 1.01), np.float32(shape[0] - 1.01)
-    width, one = np.int32(shape[1]), np.uint32(1)
+    width, right = np.int32(shape[1]), np.uint32(1)
     below = np.uint32(width)
     for n in range(count):
         u, v = min(max(x[n], zero), last_x), min(max(y[n], zero), last_y)
@@ -182,8 +187,8 @@ def _interpolate(pixels, shape, count, x, y, at, values):  # noqa: PLR0917
     for n in range(count):
         k = at[n]
         top, low = pixels[k], pixels[k + below]
-        top += (pixels[k + one] - top) * x[n]
-        low += (pixels[k + below + one] - low) * x[n]
+        top += (pixels[k + right] - top) * x[n]
+        low += (pixels[k + below + right] - low) * x[n]
         values[n] = top + (low - top) * y[n]
 
 

@@ -50,12 +50,12 @@ def _tables() -> np.ndarray:
     from_rim = 1e-3 * np.sinh(np.linspace(-np.arcsinh(1e3), np.arcsinh(1e3 * furthest), _RADII))
     blur = np.exp(-0.5 * np.outer(k, q) ** 2)
     blurred = _transformed(1 + from_rim, k, np.concatenate([blur * spectrum[:, None] for spectrum in spectra], axis=1))
-    out = np.empty((len(spectra), Q_COUNT, T_COUNT))
-    for table, values in zip(out, np.split(blurred, len(spectra), axis=1), strict=True):
+    tables = np.empty((len(spectra), Q_COUNT, T_COUNT))
+    for table, values in zip(tables, np.split(blurred, len(spectra), axis=1), strict=True):
         table[:] = np.stack([np.interp(t * sigma, from_rim, values[:, i]) for i, sigma in enumerate(q)])
-    np.clip(out, 0.0, 1.0, out=out)
-    out.flags.writeable = False
-    return out
+    np.clip(tables, 0.0, 1.0, out=tables)
+    tables.flags.writeable = False
+    return tables
 
 
 def _transformed(at: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -102,9 +102,9 @@ def _profile_row(tables, bead, row):
 
 
 @kernel()
-def _shadow(row, at, bead, out, slopes):
-    """Fill `out` (BEAD_TERMS, N) with the derivatives of a bead's share by its parameters, `slopes` (3, N) with the
-    share and its slopes.
+def _shadow(row, at, bead, by_parameters, slopes):
+    """Fill `by_parameters` (BEAD_TERMS, N) with the derivatives of a bead's share, `slopes` (3, N) with it and its
+    slopes.
 
     Several short loops, because the compiler vectorises each of them.
     """
@@ -115,17 +115,17 @@ def _shadow(row, at, bead, out, slopes):
         np.float32(bead[BEAD_BLUR]),
     )
     e_axes, e_diagonals = np.float32(bead[BEAD_AXIAL]), np.float32(2.0 * bead[BEAD_DIAGONAL])
-    one, two, first = np.float32(1.0), np.float32(2.0), np.float32(T_FIRST)
+    unity, two, first = np.float32(1.0), np.float32(2.0), np.float32(T_FIRST)
     per_step, last = np.float32(1.0 / T_STEP), np.float32(T_COUNT - 1.001)
-    per_blur, per_radius, pixels = one / blur, one / radius, at.shape[1]
-    r, t, by_r, by_q, share = out[2], out[3], out[4], out[5], slopes[0]
+    per_blur, per_radius, pixels = unity / blur, unity / radius, at.shape[1]
+    r, t, by_r, by_q, share = by_parameters[2], by_parameters[3], by_parameters[4], by_parameters[5], slopes[0]
     for n in range(pixels):
         dx, dy = at[0, n] - u, at[1, n] - v
         distance = np.sqrt(dx * dx + dy * dy + np.float32(1e-6))
-        inverse = one / distance
+        inverse = unity / distance
         c, s = dx * inverse, dy * inverse
-        r[n], out[0, n], out[1, n] = distance, c, s
-        t[n] = (distance * (one - e_axes * (c * c - s * s) - e_diagonals * c * s) - radius) * per_blur
+        r[n], by_parameters[0, n], by_parameters[1, n] = distance, c, s
+        t[n] = (distance * (unity - e_axes * (c * c - s * s) - e_diagonals * c * s) - radius) * per_blur
     for n in range(pixels):  # the place in the row, and below the way to its next entry
         share[n] = min(max((t[n] - first) * per_step, np.float32(0.0)), last)
     for n in range(pixels):
@@ -137,13 +137,13 @@ def _shadow(row, at, bead, out, slopes):
         share[n] = low + step * w
         by_q[n] = row[1, j] + (row[1, j + np.uint32(1)] - row[1, j]) * w
     for n in range(pixels):
-        c, s, f, q = out[0, n], out[1, n], by_r[n], by_q[n]
+        c, s, f, q = by_parameters[0, n], by_parameters[1, n], by_r[n], by_q[n]
         slopes[1, n], slopes[2, n] = f * c, f * s
-        out[0, n], out[1, n] = -f * c, -f * s
+        by_parameters[0, n], by_parameters[1, n] = -f * c, -f * s
         g = f * r[n]
-        out[2, n] = -f - q * blur * per_radius * per_radius
-        out[3, n] = q * per_radius - f * t[n]
-        out[4, n], out[5, n] = -g * (c * c - s * s), -g * two * c * s
+        by_parameters[2, n] = -f - q * blur * per_radius * per_radius
+        by_parameters[3, n] = q * per_radius - f * t[n]
+        by_parameters[4, n], by_parameters[5, n] = -g * (c * c - s * s), -g * two * c * s
 
 
 @kernel()
@@ -162,7 +162,7 @@ def fill_light(tables, at, beads, scatter, background, scale, stopped, shared, b
     Blur over a slope of G moves the rim: to first order by blur² grad G grad W.
     """
     count, pixels = len(beads), at.shape[1]
-    blur2, one = shared * scale, np.float32(1.0)
+    blur2, unity = shared * scale, np.float32(1.0)
     three, s0, s1, s2 = np.float32(3.0), np.float32(scatter[0]), np.float32(scatter[1]), np.float32(scatter[2])
     row, slopes = np.empty((2, T_COUNT), np.float32), np.empty((count, 3, pixels), np.float32)
     others_left, others_clear = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
@@ -180,20 +180,20 @@ def fill_light(tables, at, beads, scatter, background, scale, stopped, shared, b
         a, b = at[0, n] * scale, at[1, n] * scale
         low = g0 + a * (g1 + a * (g3 + a * g6)) + b * (g2 + b * (g5 + b * g9))
         bright[n] = low + a * b * (g4 + a * g7 + b * g8)
-    left[:], clear[:], left_x[:], left_y[:] = one, one, 0.0, 0.0
+    left[:], clear[:], left_x[:], left_y[:] = unity, unity, 0.0, 0.0
     for k in range(count):
         _profile_row(tables, beads[k], row)
         _shadow(row, at, beads[k], columns[BEAD_TERMS * k : BEAD_TERMS * k + BEAD_TERMS], slopes[k])
         for n in range(pixels):
-            left[n] *= one - stopped * slopes[k, 0, n]
-            clear[n] *= one - slopes[k, 0, n]
+            left[n] *= unity - stopped * slopes[k, 0, n]
+            clear[n] *= unity - slopes[k, 0, n]
     for k in range(count):
-        others_left[:], others_clear[:] = one, one
+        others_left[:], others_clear[:] = unity, unity
         for m in range(count):
             if m != k:
                 for n in range(pixels):
-                    others_left[n] *= one - stopped * slopes[m, 0, n]
-                    others_clear[n] *= one - slopes[m, 0, n]
+                    others_left[n] *= unity - stopped * slopes[m, 0, n]
+                    others_clear[n] *= unity - slopes[m, 0, n]
         for n in range(pixels):
             left_x[n] -= blur2 * stopped * slopes[k, 1, n] * others_left[n]
             left_y[n] -= blur2 * stopped * slopes[k, 2, n] * others_left[n]
@@ -203,7 +203,9 @@ def fill_light(tables, at, beads, scatter, background, scale, stopped, shared, b
         a, b = at[0, n] * scale, at[1, n] * scale
         by_a = g1 + a * (g3 + g3 + three * a * g6) + b * (g4 + a * (g7 + g7) + b * g8)
         by_b = g2 + b * (g5 + g5 + three * b * g9) + a * (g4 + b * (g8 + g8) + a * g7)
-        light[n] = (s0 + s1 * a + s2 * b) * (one - clear[n]) + bright[n] * left[n] + by_a * left_x[n] + by_b * left_y[n]
+        light[n] = (
+            (s0 + s1 * a + s2 * b) * (unity - clear[n]) + bright[n] * left[n] + by_a * left_x[n] + by_b * left_y[n]
+        )
         rest[n] = at[2, n] - light[n]
 
 
@@ -214,7 +216,7 @@ def fill_slopes(at, scale, inverse_sd, behind, effect, columns):  # noqa: PLR091
     `behind`, `effect` and `columns` come from `fill_light`.
     """
     first, pixels = BEAD_TERMS * len(effect), at.shape[1]
-    one, two, three = np.float32(1.0), np.float32(2.0), np.float32(3.0)
+    unity, two, three = np.float32(1.0), np.float32(2.0), np.float32(3.0)
     for k in range(len(effect)):
         for n in range(pixels):
             effect[k, n] *= inverse_sd[n]
@@ -223,7 +225,7 @@ def fill_slopes(at, scale, inverse_sd, behind, effect, columns):  # noqa: PLR091
                 columns[m, n] *= effect[k, n]
     scatter, rest = columns[first : first + SCATTER_TERMS], columns[RESIDUAL]
     for n in range(pixels):
-        stopped = inverse_sd[n] * (one - behind[CLEAR, n])
+        stopped = inverse_sd[n] * (unity - behind[CLEAR, n])
         scatter[0, n] = stopped
         scatter[1, n], scatter[2, n] = stopped * at[0, n] * scale, stopped * at[1, n] * scale
         rest[n] *= inverse_sd[n]

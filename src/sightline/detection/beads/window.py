@@ -60,12 +60,12 @@ def window_light(image, left, top, half, zero):
         for j in range(last, n):
             row[j] = seen[width - 1] - level
     # The exponential, to 1e-6: a polynomial of x / 16, squared four times. The compiler vectorises it, unlike np.exp.
-    one, values = np.float32(1.0), light.reshape(-1)
+    unity, values = np.float32(1.0), light.reshape(-1)
     for k in range(len(values)):
         x = min(max(values[k], np.float32(-8.0)), np.float32(8.0)) * np.float32(1 / 16)
-        y = one + x * np.float32(1 / 6) * (one + x * np.float32(1 / 7))
-        y = one + x * np.float32(1 / 4) * (one + x * np.float32(1 / 5) * y)
-        y = one + x * (one + x * np.float32(1 / 2) * (one + x * np.float32(1 / 3) * y))
+        y = unity + x * np.float32(1 / 6) * (unity + x * np.float32(1 / 7))
+        y = unity + x * np.float32(1 / 4) * (unity + x * np.float32(1 / 5) * y)
+        y = unity + x * (unity + x * np.float32(1 / 2) * (unity + x * np.float32(1 / 3) * y))
         y *= y
         y *= y
         y *= y
@@ -177,12 +177,12 @@ def mark_near_unusable(state, x, y, radius):
     """Mark visible pixels within the filter's reach of unusable ones; return the share of the visible rim lost."""
     n, reach = len(state), _FILTER_REACH
     side = n + 2 * reach
-    clipped, near, one = np.uint8(CLIPPED), np.uint8(NEAR_UNUSABLE), np.uint8(1)
+    clipped, near, mark = np.uint8(CLIPPED), np.uint8(NEAR_UNUSABLE), np.uint8(1)
     wide, any_unusable = np.zeros(side * side, np.uint8), np.uint8(0)  # rows, one after another
     for i in range(n):
         seen, row = state[i], wide[(i + reach) * side + reach :]
         for j in range(n):
-            row[j] = one if seen[j] >= clipped else np.uint8(0)
+            row[j] = mark if seen[j] >= clipped else np.uint8(0)
             any_unusable |= row[j]
     if not any_unusable:
         return 0.0
@@ -276,16 +276,16 @@ def correlated_products(fields, correlation, width):
 
 
 @kernel()
-def convolve(values, taps, step, out):
-    """Fill `out` with the convolution of `values` with symmetric `taps` (K + 1,), which are `step` places apart.
+def convolve(values, taps, step, result):
+    """Fill `result` with the convolution of `values` with symmetric `taps` (K + 1,), which are `step` places apart.
 
-    The first of `out` is at K steps in `values`. The compiler vectorises each of the inner loops.
+    The first of `result` is at K steps in `values`. The compiler vectorises each of the inner loops.
     """
     last = len(taps) - 1
     middle = values[last * step :]
-    for p in range(len(out)):
-        out[p] = taps[0] * middle[p]
+    for p in range(len(result)):
+        result[p] = taps[0] * middle[p]
     for k in range(1, last + 1):
         tap, before, after = taps[k], values[(last - k) * step :], values[(last + k) * step :]
-        for p in range(len(out)):
-            out[p] += tap * (before[p] + after[p])
+        for p in range(len(result)):
+            result[p] += tap * (before[p] + after[p])

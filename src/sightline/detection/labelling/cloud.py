@@ -119,8 +119,8 @@ def _found(problem: Problem) -> Labelling:
     return best
 
 
-def _is_certain(one: Labelling) -> bool:
-    return len(one.rows) >= MIN_MATCHED and one.evidence > -np.log(MAX_CHANCE)
+def _is_certain(labelling: Labelling) -> bool:
+    return len(labelling.rows) >= MIN_MATCHED and labelling.evidence > -np.log(MAX_CHANCE)
 
 
 def _first(problem: Problem, most: float) -> Labelling | None:
@@ -131,11 +131,11 @@ def _first(problem: Problem, most: float) -> Labelling | None:
     best = None
     enough = max(MIN_MATCHED, int(CLEAR * min(len(problem.xyz_mm), len(problem.uv_px))))
     triples = promising(problem, np.arange(len(problem.uv_px)), most)
-    for found in search.chunks(triples, MIN_MATCHED - 1, enough, KEPT):
-        for start in found[:FITTED]:
-            one = converge(problem, start, search.gate_px)
-            if one is not None and (best is None or one.log_likelihood > best.log_likelihood):
-                best = one
+    for hypotheses in search.chunks(triples, MIN_MATCHED - 1, enough, KEPT):
+        for start in hypotheses[:FITTED]:
+            labelling = converge(problem, start, search.gate_px)
+            if labelling is not None and (best is None or labelling.log_likelihood > best.log_likelihood):
+                best = labelling
         if best is not None and _is_certain(best):
             return best
     return best
@@ -146,7 +146,7 @@ def _unique(problem: Problem, best: Labelling) -> tuple[Labelling, float]:
     others = list(_others(problem, best))
     if not others:
         return best, 0.0
-    best, second = sorted([best, *others], key=lambda one: -one.log_likelihood)[:2]
+    best, second = sorted([best, *others], key=lambda labelling: -labelling.log_likelihood)[:2]
     odds = float(np.exp(second.log_likelihood - best.log_likelihood))
     if odds < MAX_CHANCE and _is_certain(best):
         return best, odds
@@ -169,35 +169,39 @@ def _others(problem: Problem, best: Labelling) -> Iterator[Labelling]:
     """
     n = len(best.rows)
     search, known, tried = Search.of(problem), [best], [best.matrix]
-    for found in search.chunks(
+    for hypotheses in search.chunks(
         _bases(problem, best), max(MIN_MATCHED - 1, n - max(3, int(MISSED * n))), None, 4 * KEPT
     ):
-        for start in found:
-            if any((start.matrix * one).sum() > start.scale * (1 + 2 * SAME_TURN) for one in tried):
+        for start in hypotheses:
+            if any((start.matrix * labelling).sum() > start.scale * (1 + 2 * SAME_TURN) for labelling in tried):
                 continue
             tried.append(start.matrix / start.scale)
-            one = converge(problem, start, search.gate_px)
-            if one is None or len(one.rows) < MIN_MATCHED or any(one.is_same(other) for other in known):
+            labelling = converge(problem, start, search.gate_px)
+            if (
+                labelling is None
+                or len(labelling.rows) < MIN_MATCHED
+                or any(labelling.is_same(other) for other in known)
+            ):
                 continue
-            known.append(one)
-            yield one
+            known.append(labelling)
+            yield labelling
             if len(known) > MAX_OTHERS:
                 return
 
 
 def _bases(problem: Problem, best: Labelling) -> np.ndarray:
     """Return triples (T, 3) of matched detections; no two share a side, and each detection is in two at most."""
-    out: list[list[int]] = []
+    bases: list[list[int]] = []
     uses, sides = np.zeros(len(problem.uv_px), int), set[frozenset[int]]()
     for triple in promising(problem, best.rows, np.inf).tolist():
         mine = {frozenset(pair) for pair in combinations(triple, 2)}
         if uses[triple].max() < 2 and not mine & sides:
-            out.append(triple)
+            bases.append(triple)
             uses[triple] += 1
             sides |= mine
-            if len(out) == (BASES if len(best.rows) <= MANY else MANY_BASES):
+            if len(bases) == (BASES if len(best.rows) <= MANY else MANY_BASES):
                 break
-    return np.array(out, dtype=np.int64).reshape(-1, 3)
+    return np.array(bases, dtype=np.int64).reshape(-1, 3)
 
 
 def _check_alone(problem: Problem, best: Labelling) -> None:
@@ -281,7 +285,7 @@ def label_plate(detections: Detections, usable: np.ndarray, pattern: Pattern) ->
         try:
             beads, fit = solve_alone(problem, grown)
         except AttemptError as error:
-            failure = max(failure, error, key=lambda one: one.stage)
+            failure = max(failure, error, key=lambda attempt: attempt.stage)
             continue
         if len(beads) >= MIN_BEADS:
             similarity = grown.sheet.similarity

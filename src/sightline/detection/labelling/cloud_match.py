@@ -96,16 +96,16 @@ def _normal_equations(camera, prior, xyz_mm, uv_px, variance_px2):
 @kernel()
 def _rotated(matrix, vector):
     """Return the rotation by a small rotation vector, to second order and made orthonormal again, of a matrix."""
-    out = np.empty((3, 3))
+    rotated = np.empty((3, 3))
     for c in range(3):
         column = matrix[:, c]
         first = np.cross(vector, column)
-        out[:, c] = column + first + 0.5 * np.cross(vector, first)
-    x = out[0] / np.sqrt(out[0] @ out[0])
-    y = out[1] - (out[1] @ x) * x
+        rotated[:, c] = column + first + 0.5 * np.cross(vector, first)
+    x = rotated[0] / np.sqrt(rotated[0] @ rotated[0])
+    y = rotated[1] - (rotated[1] @ x) * x
     y /= np.sqrt(y @ y)
-    out[0], out[1], out[2] = x, y, np.cross(x, y)
-    return out
+    rotated[0], rotated[1], rotated[2] = x, y, np.cross(x, y)
+    return rotated
 
 
 @kernel()
@@ -172,7 +172,9 @@ class Labelling:
 
     def is_same(self, other: "Labelling") -> bool:
         """Return whether two labellings agree on handedness and on most detections, and contradict on none."""
-        mine, theirs = (dict(zip(one.rows.tolist(), one.balls.tolist(), strict=True)) for one in (self, other))
+        mine, theirs = (
+            dict(zip(labelling.rows.tolist(), labelling.balls.tolist(), strict=True)) for labelling in (self, other)
+        )
         both = mine.keys() & theirs.keys()
         agree = all(mine[row] == theirs[row] for row in both)
         return self.mirrored == other.mirrored and agree and 2 * len(both) >= min(len(mine), len(theirs))
@@ -184,43 +186,43 @@ def converge(problem: Problem, start: Hypothesis, gate_px: float) -> Labelling |
     The first rounds match within `gate_px` and its half, later ones by the fit's covariance.
     """
     try:
-        one = _converged(problem, start, gate_px)
+        labelling = _converged(problem, start, gate_px)
     except np.linalg.LinAlgError:  # the camera runs away, and its precision becomes singular
         return None
-    return one if one is not None and np.isfinite(one.evidence) else None
+    return labelling if labelling is not None and np.isfinite(labelling.evidence) else None
 
 
 def _converged(problem: Problem, start: Hypothesis, gate_px: float) -> Labelling | None:
     """Return the result of `converge`. Raises LinAlgError."""
     uv_px, variance_px2 = problem.image(start.mirrored)
     camera = _camera(problem, start, uv_px[start.row])
-    one: Fit | None = None
+    fitted: Fit | None = None
     rows = balls = unclear = np.zeros(0, np.int64)
     for turn in range(ROUNDS):
         before = rows, balls
-        if one is None or turn < NARROWED:
+        if fitted is None or turn < NARROWED:
             rows, balls = _nearest(problem, camera, uv_px, gate_px / (1 + turn))
         else:
-            rows, balls, unclear = _within(problem, one, uv_px, variance_px2)
+            rows, balls, unclear = _within(problem, fitted, uv_px, variance_px2)
         if len(rows) < MIN_PAIRS:
             return None
         if turn > NARROWED and np.array_equal(before, (rows, balls)):
             break
         spread_px2 = variance_px2[rows] + _ball_variance(problem, project(camera, problem.xyz_mm[balls])[1])
-        one = Fit(*fit(camera, problem.prior, problem.xyz_mm[balls], uv_px[rows], spread_px2))
-        camera = one.camera
-        if not np.isfinite(one.chi2):
+        fitted = Fit(*fit(camera, problem.prior, problem.xyz_mm[balls], uv_px[rows], spread_px2))
+        camera = fitted.camera
+        if not np.isfinite(fitted.chi2):
             return None
-    if one is None:
+    if fitted is None:
         return None
     at_px, scales, _ = project(camera, problem.xyz_mm[balls])
     return Labelling(
         rows=rows,
         balls=balls,
         unclear=unclear,
-        fit=one,
+        fit=fitted,
         mirrored=start.mirrored,
-        evidence=_log_evidence(one, problem.prior, len(rows), len(problem.xyz_mm), len(uv_px)),
+        evidence=_log_evidence(fitted, problem.prior, len(rows), len(problem.xyz_mm), len(uv_px)),
         by_radius=_by_radius(problem.log_radius[rows] - problem.log_half[balls] - np.log(scales)),
         off_px=uv_px[rows] - at_px,
     )
@@ -254,14 +256,14 @@ def _nearest(problem: Problem, camera: Camera, uv_px: np.ndarray, gate_px: float
 
 
 def _within(
-    problem: Problem, one: Fit, uv_px: np.ndarray, variance_px2: np.ndarray
+    problem: Problem, fitted: Fit, uv_px: np.ndarray, variance_px2: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return detections and balls that are each other's only candidates by the fit's covariance, and unclear ones."""
-    at_px, scales, by = project(one.camera, problem.xyz_mm)
+    at_px, scales, by = project(fitted.camera, problem.xyz_mm)
     squares = _near(problem, scales, cdist(uv_px, at_px, "sqeuclidean"), GATE_SD_PX * np.sqrt(GATE_M2))
     rows, balls = np.nonzero(np.isfinite(squares))
     spread = variance_px2[rows] + _ball_variance(problem, scales[balls])
-    spread += by[balls] @ np.linalg.inv(one.precision) @ by[balls].transpose(0, 2, 1)
+    spread += by[balls] @ np.linalg.inv(fitted.precision) @ by[balls].transpose(0, 2, 1)
     off = (uv_px[rows] - at_px[balls])[:, :, None]
     inside = (off * np.linalg.solve(spread, off)).sum(axis=(1, 2)) < GATE_M2
     rows, balls = rows[inside], balls[inside]

@@ -184,8 +184,8 @@ def _pose(rows, balls, seen, cloud, near, focal, matrices):  # noqa: PLR0917 - a
     b1, b2 = _cross(v2, normal), _cross(normal, v1)
     for r in range(3):
         for c in range(3):
-            within, out = (p1[r] * b1[c] + p2[r] * b2[c]) / area2, across[r] * normal[c] / (scale * area2)
-            matrices[0, r, c], matrices[1, r, c] = within + out, within - out
+            within, beyond = (p1[r] * b1[c] + p2[r] * b2[c]) / area2, across[r] * normal[c] / (scale * area2)
+            matrices[0, r, c], matrices[1, r, c] = within + beyond, within - beyond
     return scale
 
 

@@ -128,19 +128,19 @@ def _of_solid(detections: Detections, usable: np.ndarray, frame: Frame, view: st
     assert solid is not None  # noqa: S101 - the caller asks
     if frame.detector is None:
         low, high = (factor * max(detections.image_shape) for factor in SOLID_FOCAL)
-        found = label_cloud(detections, solid.xyz_mm, solid.diameter_mm, (low, high), bead_sd_mm)
-        unclear = np.isin(np.arange(len(detections)), found.unclear)
-        ids = tuple(solid.ids[ball] for ball in found.balls)
-        return LabellingSolution(view, ids, found.rows, found.mirrored, unclear)
+        match = label_cloud(detections, solid.xyz_mm, solid.diameter_mm, (low, high), bead_sd_mm)
+        unclear = np.isin(np.arange(len(detections)), match.unclear)
+        ids = tuple(solid.ids[ball] for ball in match.balls)
+        return LabellingSolution(view, ids, match.rows, match.mirrored, unclear)
     plate = label_plate(detections, usable, detector_pattern(frame))
     rest, rows = plate.undistorted(detections)
-    found = label_cloud(rest, solid.xyz_mm, solid.diameter_mm, plate.focal_px, bead_sd_mm)
+    match = label_cloud(rest, solid.xyz_mm, solid.diameter_mm, plate.focal_px, bead_sd_mm)
     return LabellingSolution(
         view,
-        (*(solid.ids[ball] for ball in found.balls), *plate.ids),
-        np.concatenate([rows[found.rows], plate.rows]),
-        plate.mirrored != found.mirrored,
-        np.isin(np.arange(len(detections)), rows[found.unclear]),
+        (*(solid.ids[ball] for ball in match.balls), *plate.ids),
+        np.concatenate([rows[match.rows], plate.rows]),
+        plate.mirrored != match.mirrored,
+        np.isin(np.arange(len(detections)), rows[match.unclear]),
     )
 
 
@@ -208,13 +208,13 @@ def _lattices(problem: LabellingProblem, usable: np.ndarray, most: int) -> Itera
     for seed in find_seeds(problem.detections, every, usable, SEEDS):
         if len(known) == most or tried == MAX_GROWN:
             return
-        if any(_is_known(seed, one) for one in known):
+        if any(_is_known(seed, lattice) for lattice in known):
             continue
         tried += 1
-        one = grow(seed, problem.detections, usable)
-        if len(one) >= MIN_BEADS:
-            known.append(one)
-            yield one
+        lattice = grow(seed, problem.detections, usable)
+        if len(lattice) >= MIN_BEADS:
+            known.append(lattice)
+            yield lattice
 
 
 def _is_known(seed: Seed, lattice: Grown) -> bool:
@@ -229,8 +229,8 @@ def _is_known(seed: Seed, lattice: Grown) -> bool:
 
 def _view_of(datums: Mapping[str, tuple[float, float]], frame: Frame) -> str:
     """Return the view to which all given datum markers belong. Raises ObservationsError."""
-    for name, one in frame.views.items():
-        if datums.keys() <= one.by_id.keys():
+    for name, view in frame.views.items():
+        if datums.keys() <= view.by_id.keys():
             return name
     raise ObservationsError("the datum markers given are not fiducials of one view of the frame; check their names")
 

@@ -186,13 +186,13 @@ class _Lattice:
         own = self.origin, self.away, self.own, phase(self.away), tilt_rad, similarity.mirror
         (x, y), shape = real_points(self.z).T.copy(), (len(patterns), 24)
         beads = _Beads(x, y, *own)
-        out = Readings(np.full(shape, np.inf), np.full(shape, np.inf), np.full(shape, -1))
+        cheapest = Readings(np.full(shape, np.inf), np.full(shape, np.inf), np.full(shape, -1))
         for k in sorted(range(len(patterns)), key=lambda k: patterns[k] is not self.grown.pattern):
-            held, costs = _map_of(patterns[k]), _Costs(out.cost[k], out.second[k], out.index[k])
+            held, costs = _map_of(patterns[k]), _Costs(cheapest.cost[k], cheapest.second[k], cheapest.index[k])
             sizes = np.append(held.larger, np.inf)  # of no place
             of_place = np.minimum(0.5 * ((self.larger[:, None] - sizes) / RADIUS_SD) ** 2, CONTRADICTION)
             least = _cheapest(beads, held, of_place, least, costs)
-        return out
+        return cheapest
 
     def is_own(self, pattern: Pattern, index: int) -> bool:
         """Return whether a reading is the one with which the lattice was grown."""
@@ -252,19 +252,21 @@ def name(pair: tuple[Grown, Grown], couples: list[tuple[Pattern, Pattern]]) -> N
         return None
     reference = phase(pair[0].sheet.similarity.rotation)
     every = [pattern for couple in couples for pattern in couple]
-    one, two = (lattice.readings(every, reference) for lattice in lattices)
+    first, two = (lattice.readings(every, reference) for lattice in lattices)
     other = np.arange(len(every)) ^ 1  # the other plate of each one's couple
-    totals = one.cost + two.cost[other]  # (P, 24): the first lattice is pattern P, the second one the other plate
+    totals = first.cost + two.cost[other]  # (P, 24): the first lattice is pattern P, the second one the other plate
     best, c = (int(k) for k in np.unravel_index(totals.argmin(), totals.shape))
     second = int(other[best])
-    if one.index[best, c] < 0 or two.index[second, c] < 0:
+    if first.index[best, c] < 0 or two.index[second, c] < 0:
         return None
     cost = float(totals[best, c])
-    totals[best, c] = min(one.second[best, c] + two.cost[second, c], one.cost[best, c] + two.second[second, c])
+    totals[best, c] = min(first.second[best, c] + two.cost[second, c], first.cost[best, c] + two.second[second, c])
     rivals = totals.min(axis=1)
     return Naming(
         patterns=(every[best], every[second]),
-        places=_places(lattices, ((every[best], int(one.index[best, c])), (every[second], int(two.index[second, c])))),
+        places=_places(
+            lattices, ((every[best], int(first.index[best, c])), (every[second], int(two.index[second, c])))
+        ),
         margin=float(rivals.min()) - cost,
         margin_in_view=float(min(rivals[k] for k, plate in enumerate(every) if plate.view == every[best].view)) - cost,
     )

@@ -118,13 +118,13 @@ def _bead_sd_mm(xy_mm: np.ndarray, plane: Plane, factor: np.ndarray) -> float:
 @lru_cache(maxsize=8)
 def patterns(frame: Frame) -> tuple[Pattern, ...]:
     """Return the patterns of all views, in each view XRII before source."""
-    out = []
+    every = []
     for name, view in frame.views.items():
         factor = frame.error_factor[frame.rows(name)]
         split = 3 * len(view.xrii.fiducials)
-        out.append(_pattern(name, "xrii", view.xrii, factor[:split]))
-        out.append(_pattern(name, "source", view.source, factor[split:]))
-    return tuple(out)
+        every.append(_pattern(name, "xrii", view.xrii, factor[:split]))
+        every.append(_pattern(name, "source", view.source, factor[split:]))
+    return tuple(every)
 
 
 @lru_cache(maxsize=8)

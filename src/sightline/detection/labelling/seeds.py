@@ -107,7 +107,7 @@ class _Triple(NamedTuple):
 class _Best(NamedTuple):
     """The best triples so far, best first, and their number `filled` (1,).
 
-    `scores` (K,); `what` (K, 7): three detections, their places, whether mirrored; `found` (K, 2): rotation and shift.
+    `scores` (K,); `what` (K, 7): three detections, their places, whether mirrored; `moves` (K, 2): rotation and shift.
     `least`: the score that all of them exceed.
     """
 
@@ -115,7 +115,7 @@ class _Best(NamedTuple):
     filled: np.ndarray
     scores: np.ndarray
     what: np.ndarray
-    found: np.ndarray
+    moves: np.ndarray
 
 
 def _nearest_table(w: np.ndarray, usable: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -191,7 +191,7 @@ def _fitted(beads, plate, rows, places, mirror, ratios):  # noqa: PLR0917 - a ke
 @kernel()
 def _offer(triple, plate, beads, best):
     """Insert a triple into the sorted best ones, if it is one of them; the worst is dropped when they are full."""
-    scores, what, found = best.scores, best.what, best.found
+    scores, what, moves = best.scores, best.what, best.moves
     full = best.filled[0] == len(scores)
     score = _score(triple, plate, beads, scores[-1] if full else best.least)
     if score == -np.inf:
@@ -200,11 +200,11 @@ def _offer(triple, plate, beads, best):
         best.filled[0] += 1
     at = best.filled[0] - 1
     while at > 0 and scores[at - 1] < score:
-        scores[at], found[at, 0], found[at, 1] = scores[at - 1], found[at - 1, 0], found[at - 1, 1]
+        scores[at], moves[at, 0], moves[at, 1] = scores[at - 1], moves[at - 1, 0], moves[at - 1, 1]
         for c in range(7):
             what[at, c] = what[at - 1, c]
         at -= 1
-    scores[at], found[at, 0], found[at, 1] = score, triple.rotation, triple.shift
+    scores[at], moves[at, 0], moves[at, 1] = score, triple.rotation, triple.shift
     for c in range(3):
         what[at, c], what[at, 3 + c] = triple.rows[c], triple.places[c]
     what[at, 6] = triple.mirror
@@ -268,7 +268,7 @@ def find_seeds(detections: Detections, patterns: list[Pattern], usable: np.ndarr
     w = complex_points(detections.uv_px)
     table = _nearest_table(w, usable, width, height)
     beads = _Beads(w, np.log(detections.radius_px), table, CELLS / height, CELLS / width)
-    washer = np.array([one == "washer" for one in detections.kind], dtype=bool)
+    washer = np.array(detections.kind, dtype=object) == "washer"
     kinds = {pattern.datum_kind for pattern in patterns}
     may_be = {kind: _may_be_datums(detections.radius_px, washer, kind, usable) for kind in kinds}
     for count, ranks in ((1, slice(1)), (most, slice(1, None))):
@@ -284,23 +284,23 @@ def _best_seeds(beads: _Beads, patterns: list[Pattern], may_be: dict[str, np.nda
     scores are higher, come first.
     """
     counts, scores = np.zeros((len(patterns), 1), np.int64), np.empty((len(patterns), most))
-    what, found = np.empty((len(patterns), most, 7), np.int64), np.empty((len(patterns), most, 2), np.complex128)
+    what, moves = np.empty((len(patterns), most, 7), np.int64), np.empty((len(patterns), most, 2), np.complex128)
     guesses, least = [], -np.inf
     for k in sorted(range(len(patterns)), key=lambda k: -len(patterns[k].z)):
         pattern = patterns[k]
         plate = _Plate(pattern.z, pattern.log_half, pattern.datums, pattern.pitch_mm)
-        datums, best = plate.z[plate.datums], _Best(least, counts[k], scores[k], what[k], found[k])
+        datums, best = plate.z[plate.datums], _Best(least, counts[k], scores[k], what[k], moves[k])
         with np.errstate(divide="ignore"):
             log_side = np.log(np.abs(datums - datums[:, None]))
         _search(beads, plate, may_be[pattern.datum_kind], log_side, best)
         guesses += [(score, k, i) for i, score in enumerate(scores[k, : counts[k, 0]].tolist())]
         least = max(guesses)[0] if most == 1 and guesses else least
-    out = []
+    seeds = []
     for score, k, i in sorted(guesses, key=lambda guess: -guess[0]):
-        rotation, shift = found[k, i].tolist()
+        rotation, shift = moves[k, i].tolist()
         similarity = Similarity(rotation, shift, bool(what[k, i, 6]))
-        out.append(Seed(patterns[k], similarity, what[k, i, :3], what[k, i, 3:6], score))
-    return out
+        seeds.append(Seed(patterns[k], similarity, what[k, i, :3], what[k, i, 3:6], score))
+    return seeds
 
 
 def _may_be_datums(radius_px: np.ndarray, washer: np.ndarray, kind: str, usable: np.ndarray) -> np.ndarray:
@@ -317,11 +317,11 @@ def _may_be_datums(radius_px: np.ndarray, washer: np.ndarray, kind: str, usable:
 def best_similarity(xy_mm: np.ndarray, uv_px: np.ndarray) -> Similarity:
     """Return the least-squares similarity from plate points (N, 2) to pixels (N, 2), with the better handedness."""
     w, plain = complex_points(uv_px), complex_points(xy_mm)
-    found: list[tuple[float, Similarity]] = []
+    fits: list[tuple[float, Similarity]] = []
     for mirror in (False, True):
         z = plain.conj() if mirror else plain
         dz, dw = z - z.mean(), w - w.mean()
         rotation = complex(np.vdot(dz, dw) / np.vdot(dz, dz))
         miss = float((np.abs(dw - rotation * dz) ** 2).sum())
-        found.append((miss, Similarity(rotation, complex(w.mean() - rotation * z.mean()), mirror)))
-    return min(found, key=lambda one: one[0])[1]
+        fits.append((miss, Similarity(rotation, complex(w.mean() - rotation * z.mean()), mirror)))
+    return min(fits, key=lambda fit: fit[0])[1]

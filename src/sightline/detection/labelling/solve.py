@@ -113,9 +113,9 @@ def _check_pattern(pair: tuple[Grown, ...]) -> None:
     for plate in pair:
         pattern = plate.pattern
         seen = np.abs(plate.log_ratio[plate.all_rows][:, None] - pattern.log_sizes).argmin(axis=1)
-        said = pattern.size_of[plate.all_places]
-        agree = int((pattern.datum[plate.all_places] & (seen == said)).sum())
-        contradict = int((seen != said).sum())
+        stated = pattern.size_of[plate.all_places]
+        agree = int((pattern.datum[plate.all_places] & (seen == stated)).sum())
+        contradict = int((seen != stated).sum())
         if contradict > max(SIZES_WRONG, agree):
             raise AttemptError(
                 Stage.FINAL,
@@ -231,7 +231,7 @@ def identified(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> tuple[Gr
 
 def _check_certain(problem: LabellingProblem, naming: Naming) -> None:
     """Check that every other reading is clearly worse; given datums or view decide a tie. Raises AttemptError."""
-    found = naming.patterns[0].view
+    view = naming.patterns[0].view
     margin = naming.margin if problem.view is None else naming.margin_in_view
     if margin < MARGIN and not problem.given:
         raise AttemptError(
@@ -239,9 +239,9 @@ def _check_certain(problem: LabellingProblem, naming: Naming) -> None:
             "the datum markers that can be seen fit more than one way to label the beads; show more of them, "
             "or give the datum markers' pixels",
         )
-    if problem.view not in (None, found):
+    if problem.view not in (None, view):
         raise AttemptError(
-            Stage.FINAL, f"the image shows the {found} view, not {problem.view}; are the two images exchanged?"
+            Stage.FINAL, f"the image shows the {view} view, not {problem.view}; are the two images exchanged?"
         )
 
 
