@@ -24,5 +24,6 @@ def test_values_between_pixels_are_bilinear_and_the_border_repeats() -> None:
     x, y = rng.uniform(-5, 65, 500).astype(np.float32), rng.uniform(-5, 45, 500).astype(np.float32)
     expected = 2.0 * np.clip(x, 0, 58.99) - 3.0 * np.clip(y, 0, 38.99)
     values = np.empty(500, np.float32)
-    rim._interpolate(image.reshape(-1), image.shape, 500, x.copy(), y.copy(), np.empty(500, np.uint32), values)
+    sampler = rim._Sampler(image.reshape(-1), image.shape, x.copy(), y.copy(), np.empty(500, np.uint32), values)
+    rim._interpolate(sampler, 500)
     np.testing.assert_allclose(values, expected, atol=1e-3)

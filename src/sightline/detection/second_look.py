@@ -102,7 +102,7 @@ def without_overlaps(
 
     And (M,) bool: whether enough of each bead is left. `deepest`: overlap beyond which it is not.
     """
-    usable = fit.usable.copy()
+    usable = fit.scene.usable.copy()
     enough = [_clear_covered(fit, rows, i, usable) < deepest for i in which]
     return usable, np.array(enough, dtype=bool)
 
@@ -120,9 +120,10 @@ def _clear_covered(fit: refine.BeadFitter, rows: np.ndarray, i: int, usable: np.
     near = near[np.argsort(apart[near])]  # itself first
     half = int(reach) + 1
     left, top = int(u + 0.5) - half, int(v + 0.5) - half
-    level = window.log_level(fit.log_image, fit.usable, u, v, radius, reach)
-    light = window.window_light(fit.log_image, left, top, half, level)
-    state = window.pixel_states(fit.log_image, fit.usable, rows, near, left, top, 2 * half + 1, np.inf)
+    logs = fit.scene.logs
+    level = window.log_level(logs, fit.scene.usable, u, v, radius, reach)
+    light = window.window_light(logs, left, top, half, level)
+    state = window.pixel_states(logs, fit.scene.usable, rows, near, left, top, 2 * half + 1, np.inf)
     outside = state == window.HIDDEN
     window.hide_metal(state, rows, near, left, top, light)
     state[_hull_of_metal((state == window.HIDDEN) & ~outside)] = window.HIDDEN

@@ -156,7 +156,8 @@ def _band(fine, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
     height, width = fine.shape
     reach = 0 if step > _HALF else 1 if radius < _BAND_RADIUS * step else 2
     faintest = np.float32(_BAND_GAIN * FAINTEST)
-    extremal, differences = np.zeros(width, np.bool_), np.empty((3, width), np.float32)
+    extremal, differences = np.zeros((width + 7) // 8 * 8, np.bool_), np.empty((3, width), np.float32)
+    eights = extremal.view(np.uint64)  # few are extremal: eight others are passed over at once
     _subtract(fine[0], coarse[0], differences[0])
     _subtract(fine[1], coarse[1], differences[1])
     n = 0
@@ -164,22 +165,23 @@ def _band(fine, coarse, mask, step, radius, line, rows) -> int:  # noqa: PLR0917
         before, here, after = differences[(y - 1) % 3], differences[y % 3], differences[(y + 1) % 3]
         _subtract(fine[y + 1], coarse[y + 1], after)
         _mark_extremal(before, here, after, faintest, extremal)
-        for x in range(1, width - 1):
-            if not extremal[x] or not mask[y * step, x * step]:
-                continue
-            value, noise = here[x], broad_noise(coarse[y, x], line) / radius
-            if abs(value) < _MIN_SNR * _BAND_NOISE * noise or n == _MAX_EXTREMA:
-                continue
-            if reach and not _has_sides(fine, y, x, reach, value > 0, max(FAINTEST, MIN_STEP_SNR * noise)):
-                continue
-            left, right, above, below = here[x - 1], here[x + 1], before[x], after[x]
-            bend_u, bend_v = left - 2 * value + right, above - 2 * value + below
-            u = x + (0.5 * (left - right) / bend_u if abs(bend_u) > 1e-9 else 0.0)
-            v = y + (0.5 * (above - below) / bend_v if abs(bend_v) > 1e-9 else 0.0)
-            # Pixel 0 of the half-size image is centred between pixels 0 and 1 of the image.
-            rows[n].u_px, rows[n].v_px = u * step + 0.5 * (_HALF - 1), v * step + 0.5 * (_HALF - 1)
-            rows[n].radius_px, rows[n].contrast = radius, value
-            n += 1
+        for k in range(len(eights)):
+            for x in range(8 * k, 8 * k + 8 if eights[k] else 0):
+                if not extremal[x] or not mask[y * step, x * step]:
+                    continue
+                value, noise = here[x], broad_noise(coarse[y, x], line) / radius
+                if abs(value) < _MIN_SNR * _BAND_NOISE * noise or n == _MAX_EXTREMA:
+                    continue
+                if reach and not _has_sides(fine, y, x, reach, value > 0, max(FAINTEST, MIN_STEP_SNR * noise)):
+                    continue
+                left, right, above, below = here[x - 1], here[x + 1], before[x], after[x]
+                bend_u, bend_v = left - 2 * value + right, above - 2 * value + below
+                u = x + (0.5 * (left - right) / bend_u if abs(bend_u) > 1e-9 else 0.0)
+                v = y + (0.5 * (above - below) / bend_v if abs(bend_v) > 1e-9 else 0.0)
+                # Pixel 0 of the half-size image is centred between pixels 0 and 1 of the image.
+                rows[n].u_px, rows[n].v_px = u * step + 0.5 * (_HALF - 1), v * step + 0.5 * (_HALF - 1)
+                rows[n].radius_px, rows[n].contrast = radius, value
+                n += 1
     return n
 
 

@@ -24,6 +24,8 @@ from sightline.detection.beads.shadow import (
     SCATTER_TERMS,
     STOPPED_BY_BALL,
     STOPPED_BY_HOLE,
+    Derivatives,
+    Model,
     fill_light,
     fill_slopes,
     normal_equations,
@@ -47,7 +49,7 @@ from sightline.detection.beads.window import (
 
 # Kernels compute with the values of an enum.
 FITTED, TOO_FEW_PIXELS, WANDERED, SINGULAR = map(int, BeadStatus)
-_LIGHT_STEPS = 32  # entries of the noise table per unit of light
+LIGHT_STEPS = 32  # entries of the noise table per unit of light
 MAX_JOINT = 3  # beads of a joint fit
 _MAX_ITERATIONS = 12
 # Iterations before weights and pixels are frozen and steps are halved; otherwise the fit oscillates [ours].
@@ -99,18 +101,36 @@ class Filter(NamedTuple):
     by_distance: np.ndarray
 
 
-class Optics(NamedTuple):
-    """What a fit needs of an image's noise and blur.
+class Scene(NamedTuple):
+    """An image as a fit needs it: `logs` (H, W), its log light, and the `usable` pixels (H, W); its noise and blur.
 
-    `line` (3,): offset and slope of the noise, and the log intensity at which pixels are clipped. The filters, and the
+    `line` (3,): offset and slope of the noise, and the log intensity at which pixels are clipped. `inverse_sds`: one
+    over the noise's s.d. at light 0 to 2, in units of that at 1, LIGHT_STEPS entries per unit. The filters, and the
     profiles of balls and of holes.
     """
 
+    logs: np.ndarray
+    usable: np.ndarray
     line: np.ndarray
+    inverse_sds: np.ndarray
     sharpened: Filter
     plain: Filter
     balls: np.ndarray
     holes: np.ndarray
+
+
+class Window(NamedTuple):
+    """The window of a fit: its `light` with a margin, the `state` (n, n) of each pixel, its first pixel and its reach.
+
+    `zero`: log light of the image where `light` is 1.
+    """
+
+    light: np.ndarray
+    state: np.ndarray
+    left: int
+    top: int
+    reach: float
+    zero: float
 
 
 @kernel()
@@ -145,12 +165,12 @@ def joint_rows(spots, i, reach, prior_sd):
 
 
 @kernel(nogil=True)
-def fit_part(part, parts, image, usable, spots, which, optics, prior_sd, fitted_beads):  # noqa: PLR0917 - a kernel
+def fit_part(part, parts, scene, spots, which, prior_sd, fitted_beads):  # noqa: PLR0917 - a kernel
     """Fit the beads `which[part::parts]` of `spots` and write bead `which[i]` into row i of `fitted_beads`.
 
     Where a large residual remains, metal around the bead is searched for and hidden, and the fit is repeated.
     """
-    trial, unit_sds = spots[:1].copy(), inverse_sd_table(optics.line[1])
+    trial = spots[:1].copy()
     for i in range(part, len(which), parts):
         row = which[i]
         u, v, radius = spots[row].u_px, spots[row].v_px, spots[row].radius_px
@@ -158,16 +178,16 @@ def fit_part(part, parts, image, usable, spots, which, optics, prior_sd, fitted_
         rows = joint_rows(spots, row, reach, prior_sd)
         half = int(reach) + 1
         left, top = int(u + 0.5) - half, int(v + 0.5) - half
-        zero = log_level(image, usable, u, v, radius, reach)
-        light = window_light(image, left, top, half, zero)
-        state = pixel_states(image, usable, spots, rows, left, top, 2 * half + 1, optics.line[2])
+        zero = log_level(scene.logs, scene.usable, u, v, radius, reach)
+        light = window_light(scene.logs, left, top, half, zero)
+        state = pixel_states(scene.logs, scene.usable, spots, rows, left, top, 2 * half + 1, scene.line[2])
+        window = Window(light, state, left, top, reach, zero)
         for attempt in range(2):
             trial[0] = spots[row]
-            _fit(spots, rows, optics, unit_sds, prior_sd, light, state, left, top, reach, zero, trial)
+            _fit(scene, spots, rows, prior_sd, window, trial)
             fitted = trial[0].status == FITTED
-            if attempt == 0 or (
-                fitted and (fitted_beads[i].status != FITTED or trial[0].excess < fitted_beads[i].excess)
-            ):
+            better = fitted_beads[i].status != FITTED or trial[0].excess < fitted_beads[i].excess
+            if attempt == 0 or (fitted and better):
                 fitted_beads[i] = trial[0]
             if attempt == 1 or (fitted and trial[0].excess <= SUSPICIOUS_EXCESS) or spots[row].contrast > 0:
                 break
@@ -177,52 +197,45 @@ def fit_part(part, parts, image, usable, spots, which, optics, prior_sd, fitted_
 
 
 @kernel()
-def _fit(spots, rows, optics, unit_sds, prior_sd, light, state, left, top, reach, zero, result):  # noqa: PLR0915, PLR0917 - a kernel
+def _fit(scene, spots, rows, prior_sd, window, result):  # noqa: PLR0917 - a kernel
     """Fit the beads `rows` jointly to the visible pixels and write the first bead's values into `result` (1,)."""
-    own, noise = spots[rows[0]], optics.line
-    radius, x0, y0 = own.radius_px, own.u_px - left, own.v_px - top
-    table, stopped = (optics.balls, STOPPED_BY_BALL) if own.contrast < 0 else (optics.holes, STOPPED_BY_HOLE)
-    size = BEAD_TERMS * len(rows) + SCATTER_TERMS + BACKGROUND_TERMS
-    filtered = mark_near_unusable(state, x0, y0, radius) < MAX_RIM_LOST
-    used = optics.sharpened if filtered else optics.plain
-    values = along_both_axes(light, used.taps) if filtered else light
-    at, where, counting = gather_pixels(state, filtered, values, x0, y0, reach)
+    own, noise, zero = spots[rows[0]], scene.line, window.zero
+    radius, x0, y0 = own.radius_px, own.u_px - window.left, own.v_px - window.top
+    table, stopped = (scene.balls, STOPPED_BY_BALL) if own.contrast < 0 else (scene.holes, STOPPED_BY_HOLE)
+    filtered = mark_near_unusable(window.state, x0, y0, radius) < MAX_RIM_LOST
+    used = scene.sharpened if filtered else scene.plain
+    values = along_both_axes(window.light, used.taps) if filtered else window.light
+    at, where, counting = gather_pixels(window.state, filtered, values, x0, y0, window.reach)
     beads, scatter, background = initial_values(spots, rows, used.blur2_px2)
-    initial, pixels_held = beads.copy(), at.shape[1]
+    model = Model(table, at, beads, scatter, background, np.float32(1.0 / window.reach), stopped)
+    size, pixels_held = BEAD_TERMS * len(rows) + SCATTER_TERMS + BACKGROUND_TERMS, at.shape[1]
     columns, inverse_sd = np.empty((size + 3, pixels_held), np.float32), np.empty(pixels_held, np.float32)
-    behind, effect = np.empty((4, pixels_held), np.float32), np.empty((len(rows), pixels_held), np.float32)
-    A, U, b, step, prior = (
-        np.empty((size, size)),
-        np.zeros((size, size)),
-        np.empty(size),
-        np.zeros(size),
-        np.zeros(size),
+    derivatives = Derivatives(
+        columns, np.empty((4, pixels_held), np.float32), np.empty((len(rows), pixels_held), np.float32)
     )
-    scale, shared = np.float32(1.0 / reach), np.float32(used.shared_px2)
+    A, U, b = np.empty((size, size)), np.zeros((size, size)), np.empty(size)
+    step, prior, initial, shared = np.zeros(size), np.zeros(size), beads.copy(), np.float32(used.shared_px2)
     unit = np.float32(1.0 / (np.exp(0.5 * (noise[0] - noise[1] * zero)) * np.sqrt(used.gain)))
-    brightest = np.float32(
-        np.exp(noise[2] - zero - CLIPPING_MARGIN_SD * np.exp(0.5 * (noise[0] - noise[1] * noise[2])))
-    )
+    margin = CLIPPING_MARGIN_SD * np.exp(0.5 * (noise[0] - noise[1] * noise[2]))
+    brightest = np.float32(np.exp(noise[2] - zero - margin))
     result[0].status, chi2, pixels, coupling, moved = TOO_FEW_PIXELS, 0.0, 0, 0.0, np.inf
     for iteration in range(_MAX_ITERATIONS):
-        fill_light(table, at, beads, scatter, background, scale, stopped, shared, behind, effect, columns)
+        fill_light(model, shared, derivatives)
         if iteration < _ADAPTIVE_ITERATIONS:
-            pixels = weigh(columns[LIGHT], counting, brightest, unit, unit_sds, inverse_sd)
+            pixels = weigh(columns[LIGHT], counting, brightest, unit, scene.inverse_sds, inverse_sd)
         if pixels < 2 * size:
             return
-        fill_slopes(at, scale, inverse_sd, behind, effect, columns)
+        fill_slopes(at, model.scale, inverse_sd, derivatives)
         chi2 = normal_equations(columns, A, b)
-        coupling = add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b)
+        coupling = add_priors(model, initial, rows, prior_sd, prior, A, b)
         if not solve(A, b, U, step):
             result[0].status = SINGULAR
             return
         before = moved
         moved = _take_step(beads, scatter, background, step, 1.0 if iteration < _ADAPTIVE_ITERATIONS else 0.5)
         result[0].status = WANDERED
-        if (
-            beads[0, BEAD_X] ** 2 + beads[0, BEAD_Y] ** 2 > (0.5 * radius + 1) ** 2
-            or not 0.5 < beads[0, BEAD_RADIUS] / radius < 1.9
-        ):
+        away2, growth = beads[0, BEAD_X] ** 2 + beads[0, BEAD_Y] ** 2, beads[0, BEAD_RADIUS] / radius
+        if away2 > (0.5 * radius + 1) ** 2 or not 0.5 < growth < 1.9:
             return
         if iteration == 0 or not (moved < _CONVERGED or moved * moved < _REMAINS * (before - moved)):
             continue
@@ -233,19 +246,25 @@ def _fit(spots, rows, optics, unit_sds, prior_sd, light, state, left, top, reach
     if result[0].status != FITTED:
         return
     freedom = max(pixels - _effective_parameters(columns, where, U, used.by_distance), 1.0)
-    scale2 = (PRIOR_PIXELS + chi2) / (PRIOR_PIXELS + freedom)
-    result[0].chi2 = chi2 / freedom
+    scale2, result[0].chi2 = (PRIOR_PIXELS + chi2) / (PRIOR_PIXELS + freedom), chi2 / freedom
     result[0].blur_px = np.sqrt(max(beads[0, BEAD_BLUR] ** 2 - used.blur2_px2, 0.0))
-    _covariance(columns, where, U, len(state), used.correlation, scale2, prior, coupling, background, result)
-    inside = max((1.0 - stopped) * background[0] + scatter[0], 0.02 * background[0])
-    result[0].contrast_variance /= inside**2
-    result[0].u_px, result[0].v_px = own.u_px + beads[0, BEAD_X], own.v_px + beads[0, BEAD_Y]
-    result[0].radius_px, result[0].contrast = beads[0, BEAD_RADIUS], np.log(inside / max(background[0], 1e-3))
-    result[0].axial, result[0].diagonal = beads[0, BEAD_AXIAL], beads[0, BEAD_DIAGONAL]
-    unsharpen(beads, at, where, light, used.blur2_px2)
-    shared = np.float32(used.shared_px2 - used.blur2_px2)
-    fill_light(table, at, beads, scatter, background, scale, stopped, shared, behind, effect, columns)
+    _loosen_cubic(prior, background)
+    _covariance(columns, where, U, len(window.state), used.correlation, scale2, prior, coupling, result)
+    _write(own, model, result)
+    unsharpen(beads, at, where, window.light, used.blur2_px2)
+    fill_light(model, np.float32(used.shared_px2 - used.blur2_px2), derivatives)
     assess(at, beads, used.gain, inverse_sd, pixels, columns, result)
+
+
+@kernel()
+def _write(own, model, result):
+    """Write the first bead of a `model` into `result`; `own`: its initial values, to which its centre is relative."""
+    bead, background = model.beads[0], model.background
+    inside = max((1.0 - model.stopped) * background[0] + model.scatter[0], 0.02 * background[0])
+    result[0].contrast_variance /= inside**2
+    result[0].u_px, result[0].v_px = own.u_px + bead[BEAD_X], own.v_px + bead[BEAD_Y]
+    result[0].radius_px, result[0].contrast = bead[BEAD_RADIUS], np.log(inside / max(background[0], 1e-3))
+    result[0].axial, result[0].diagonal = bead[BEAD_AXIAL], bead[BEAD_DIAGONAL]
 
 
 @kernel()
@@ -264,29 +283,17 @@ def initial_values(spots, rows, blur2):
 
 
 @kernel()
-def inverse_sd_table(slope):
-    """Return one over the noise's s.d. at light 0 to 2, in units of that at 1.
-
-    _LIGHT_STEPS entries per unit: fine enough for weights.
-    """
-    inverse_sds = np.empty(2 * _LIGHT_STEPS, np.float32)
-    for k in range(len(inverse_sds)):
-        inverse_sds[k] = ((k + 0.5) / _LIGHT_STEPS) ** (0.5 * slope - 1.0)
-    return inverse_sds
-
-
-@kernel()
-def weigh(light, counting, brightest, unit, unit_sds, inverse_sd):  # noqa: PLR0917 - a kernel
+def weigh(light, counting, brightest, unit, inverse_sds, inverse_sd):  # noqa: PLR0917 - a kernel
     """Fill `inverse_sd` with one over the noise's s.d. at the model's light; return how many pixels count.
 
     `unit` is its value at light 1. Zero, for pixels that do not count: those from `counting` on, and those that the
     model makes brighter than `brightest`, which may be clipped. The model decides, not the value seen: selecting by the
     value would keep the pixels with negative noise.
     """
-    count, zero, steps, last = np.int32(0), np.float32(0.0), np.float32(_LIGHT_STEPS), np.float32(2 * _LIGHT_STEPS - 1)
+    count, zero, steps, last = np.int32(0), np.float32(0.0), np.float32(LIGHT_STEPS), np.float32(2 * LIGHT_STEPS - 1)
     for p in range(len(inverse_sd)):
         at = np.uint32(np.int32(min(max(light[p] * steps, zero), last)))
-        inverse_sd[p] = unit * unit_sds[at] if light[p] < brightest else zero
+        inverse_sd[p] = unit * inverse_sds[at] if light[p] < brightest else zero
     for p in range(counting, len(inverse_sd)):
         inverse_sd[p] = zero
     for p in range(len(inverse_sd)):
@@ -295,12 +302,13 @@ def weigh(light, counting, brightest, unit, unit_sds, inverse_sd):  # noqa: PLR0
 
 
 @kernel()
-def add_priors(beads, initial, rows, prior_sd, scatter, background, prior, A, b):  # noqa: PLR0917
+def add_priors(model, initial, rows, prior_sd, prior, A, b):  # noqa: PLR0917
     """Add the priors to the normal equations `A`, `b` and fill `prior` with their precisions (1 / s.d.²).
 
     Cubic terms are near zero; a bead's centre, shape and blur are near their initial values; scatter
     slopes follow the background's. Returns the coupling: expected scatter slope over background slope.
     """
+    beads, scatter, background = model.beads, model.scatter, model.background
     prior[:] = 0.0
     for k in range(len(beads)):
         for m in range(BEAD_TERMS):
@@ -401,7 +409,18 @@ def _effective_parameters(columns, where, U, by_lag):  # noqa: PLR0912 - a kerne
 
 
 @kernel()
-def _covariance(columns, where, U, side, correlation, scale2, prior, coupling, background, result):  # noqa: PLR0917 - a kernel
+def _loosen_cubic(prior, background):
+    """Change the precisions of the cubic terms: their error is taken to be as large as their fitted values.
+
+    The prior pulls them to zero.
+    """
+    for m in range(BACKGROUND_TERMS - CUBIC_TERMS, BACKGROUND_TERMS):
+        k = len(prior) - BACKGROUND_TERMS + m
+        prior[k] = prior[k] ** 2 * (background[m] ** 2 + _MIN_CUBIC**2)
+
+
+@kernel()
+def _covariance(columns, where, U, side, correlation, scale2, prior, coupling, result):  # noqa: PLR0917 - a kernel
     """Write the covariance of u, v and the variance of the light in the middle into `result`, whose blur must be set.
 
     Propagated are noise of the given `correlation` and the uncertainty of the priors.
@@ -428,13 +447,9 @@ def _covariance(columns, where, U, side, correlation, scale2, prior, coupling, b
             influence[row, of_scatter + 1 + m] -= coupling * influence[row, of_background + 1 + m]
     uu, uv, vv, ww = scale2 * uu, scale2 * uv, scale2 * vv, scale2 * ww
     for k in range(size):
-        # The prior pulls cubic terms to zero: their error is taken to be as large as their fitted values.
-        m, missing = k - of_background, prior[k]
-        if m >= BACKGROUND_TERMS - CUBIC_TERMS:
-            missing = prior[k] ** 2 * (background[m] ** 2 + _MIN_CUBIC**2)
-        uu += influence[0, k] ** 2 * missing
-        uv += influence[0, k] * influence[1, k] * missing
-        vv += influence[1, k] ** 2 * missing
+        uu += influence[0, k] ** 2 * prior[k]
+        uv += influence[0, k] * influence[1, k] * prior[k]
+        vv += influence[1, k] ** 2 * prior[k]
     bent = 1.0 + _RIM_NONLINEARITY * 0.5 * (uu + vv) / max(result[0].blur_px, MIN_BLUR_PX) ** 2
     result[0].uu_px2, result[0].uv_px2, result[0].vv_px2, result[0].contrast_variance = (
         bent * uu,

@@ -12,7 +12,7 @@ from sightline.common.fitting import median, quantiles
 from sightline.common.kernels import kernel
 from sightline.common.threads import in_parts
 from sightline.detection.beads.bead import BEAD
-from sightline.detection.beads.fit import PRIOR_SD, Filter, Optics, fit_part
+from sightline.detection.beads.fit import LIGHT_STEPS, PRIOR_SD, Filter, Scene, fit_part
 from sightline.detection.beads.noise import AREA, BLOCK, LAGS, NoiseModel, flatten
 from sightline.detection.beads.shadow import profile_table
 from sightline.detection.beads.window import TAPS, along_both_axes
@@ -96,14 +96,15 @@ def _correlations_after(image: np.ndarray, mask: np.ndarray, noise: NoiseModel, 
     """
     rows, columns = (max((side - _WIDE) // _STEP + 1, 0) for side in image.shape)
     covariances = np.zeros((rows * columns, AFTER_LAGS + 1))
-    line = np.array([noise.offset, noise.slope])
-    in_parts(_correlations_part, image, mask, line, taps.astype(np.float32), float(image.max()), columns, covariances)
+    line = np.array([noise.offset, noise.slope, float(image.max())])
+    in_parts(_correlations_part, image, mask, line, taps.astype(np.float32), covariances)
     return covariances
 
 
 @kernel(nogil=True)
-def _correlations_part(part, parts, image, mask, line, taps, ceiling, columns, covariances):  # noqa: PLR0917
+def _correlations_part(part, parts, image, mask, line, taps, covariances):  # noqa: PLR0917 - a kernel
     block, transposed, sums = np.empty(AREA, np.float32), np.empty(AREA, np.float32), np.empty((3, BLOCK), np.float32)
+    columns, ceiling = (image.shape[1] - _WIDE) // _STEP + 1, line[2]
     for b in range(part, len(covariances), parts):
         top, left = (b // columns) * _STEP, (b % columns) * _STEP
         if not _usable(image, mask, top, left, ceiling):
@@ -170,12 +171,15 @@ class BeadFitter:
     """
 
     def __init__(self, log_image: np.ndarray, usable: np.ndarray, noise: NoiseModel) -> None:
-        self.log_image, self.usable = log_image, usable
         blur2 = noise_blur_px(noise) ** 2
         sharp = design(log_image, usable, noise)
         nothing = Sharpening(np.eye(len(sharp.taps))[0], 0.0, 1.0, noise.correlation)
-        self._optics = Optics(
+        light = (np.arange(2 * LIGHT_STEPS) + 0.5) / LIGHT_STEPS
+        self.scene = Scene(
+            log_image,
+            usable,
             np.array([noise.offset, noise.slope, float(log_image.max())]),
+            (light ** (0.5 * noise.slope - 1.0)).astype(np.float32),
             _filter(sharp, blur2),
             _filter(nothing, blur2),
             profile_table(ball=True),
@@ -185,7 +189,7 @@ class BeadFitter:
     def within(self, usable: np.ndarray) -> "BeadFitter":
         """Return a fitter that uses only the pixels `usable` (H, W)."""
         other = copy(self)
-        other.usable = usable
+        other.scene = self.scene._replace(usable=usable)
         return other
 
     def __call__(
@@ -203,7 +207,7 @@ class BeadFitter:
             prior_sd, beads = np.repeat(PRIOR_SD[:, None], len(beads), axis=1), beads.copy()
             beads["axial"] = beads["diagonal"] = 0.0
         fitted = np.empty(len(which), BEAD)
-        in_parts(fit_part, self.log_image, self.usable, beads, which, self._optics, prior_sd, fitted)
+        in_parts(fit_part, self.scene, beads, which, prior_sd, fitted)
         return fitted
 
 

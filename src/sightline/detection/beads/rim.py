@@ -1,5 +1,7 @@
 """Test candidates for a rim that lies on a circle, from the steepest point along sixteen rays."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sightline.common.kernels import kernel
@@ -52,6 +54,20 @@ def _middle_network(count: int) -> tuple[np.ndarray, np.ndarray]:
 _LOWER, _UPPER = _middle_network(_RAYS)
 
 
+class _Sampler(NamedTuple):
+    """Bilinear interpolation in an image: its `pixels`, row by row, and its `shape`; the border repeats.
+
+    `x`, `y`, `at`: work space; `values`: those last interpolated.
+    """
+
+    pixels: np.ndarray
+    shape: tuple[int, int]
+    x: np.ndarray
+    y: np.ndarray
+    at: np.ndarray
+    values: np.ndarray
+
+
 @kernel()
 def broad_noise(level, line) -> float:
     """Return the noise of a mean over many pixels, times the root of their number, at the log intensity `level`."""
@@ -69,14 +85,14 @@ def judged(base: np.ndarray, extrema: np.ndarray, line: np.ndarray) -> np.ndarra
 def _judge_part(part, parts, base, extrema, line, candidates):  # noqa: PLR0917 - a kernel
     """Fit a circle to the rim points around each extremum and write the candidate into its row of `candidates`."""
     # Made once: threads that count the references of one array a thousand times an image stall each other.
-    pixels, shape, seen = base.reshape(-1), base.shape, np.empty((_PLACES, _RAYS), np.float32)
+    seen = np.empty((_PLACES, _RAYS), np.float32)
     x, y, values = np.empty(seen.size, np.float32), np.empty(seen.size, np.float32), np.empty(seen.size, np.float32)
-    at = np.empty(seen.size, np.uint32)
+    sampler = _Sampler(base.reshape(-1), base.shape, x, y, np.empty(seen.size, np.uint32), values)
     rim, step, ordered = np.empty(_RAYS, np.float32), np.empty(_RAYS, np.float32), np.empty(_RAYS, np.float32)
     for i in range(part, len(extrema), parts):
         u, v, radius = extrema[i].u_px, extrema[i].v_px, extrema[i].radius_px
         first_u, first_v, first_radius, sign = u, v, radius, 1.0 if extrema[i].contrast > 0 else -1.0
-        _two_rings(pixels, shape, u, v, 0.4 * radius, 1.7 * radius, 2, x, y, at, values)
+        _two_rings(sampler, u, v, 0.4 * radius, 1.7 * radius, 2)
         noise = broad_noise(values[16], line)
         if not _has_all_sides(values, radius, sign, noise):
             continue
@@ -85,7 +101,7 @@ def _judge_part(part, parts, base, extrema, line, candidates):  # noqa: PLR0917 
             spacing = max(_SPACING[0] * radius, _SPACING[1])
             first = max(radius - (_PLACES // 2) * spacing, 0.3)
             averaged = iteration == _ITERATIONS - 1 and radius > _LARGE
-            _cast(pixels, shape, u, v, first, spacing, sign, _BESIDE if averaged else 1, seen, x, y, at, values)
+            _cast(sampler, u, v, first, spacing, sign, _BESIDE if averaged else 1, seen)
             _steepest(seen, first, spacing, rim, step)
             middle = _median(step, ordered)
             is_disc = middle >= max(FAINTEST, MIN_STEP_SNR * noise / radius)
@@ -109,13 +125,13 @@ def _judge_part(part, parts, base, extrema, line, candidates):  # noqa: PLR0917 
             continue
         # The mean within a circle minus the mean around it: linear in the image, so noise causes no bias.
         inner, outer = max(0.7 * radius, radius - 2.0), max(1.3 * radius, radius + 1.5)
-        _two_rings(pixels, shape, u, v, inner, outer, 1, x, y, at, values)
+        _two_rings(sampler, u, v, inner, outer, 1)
         whole = 0.0
         for k in range(_RAYS):
             whole += values[k] - values[_RAYS + k]
         if sign * whole / _RAYS < max(FAINTEST, MIN_STEP_SNR * noise / radius):
             continue
-        _two_rings(pixels, shape, u, v, 0.15 * radius, 0.75 * radius, 2, x, y, at, values)
+        _two_rings(sampler, u, v, 0.15 * radius, 0.75 * radius, 2)
         core, ring = float(values[16]), 0.0
         for k in range(8):
             core += values[k]
@@ -125,16 +141,18 @@ def _judge_part(part, parts, base, extrema, line, candidates):  # noqa: PLR0917 
 
 
 @kernel()
-def _two_rings(pixels, shape, u, v, inner, outer, every, x, y, at, values):  # noqa: PLR0917 - a kernel
-    """Fill `values` with those at `inner` px from (u, v), then those at `outer` px, on every first or second ray; and
-    in the middle."""
-    count = _RAYS // every
+def _two_rings(sampler, u, v, inner, outer, every):  # noqa: PLR0917 - a kernel
+    """Fill the sampler's values with those at `inner` px from (u, v), then those at `outer` px, and in the middle.
+
+    `every`: 1 for all rays, 2 for every second.
+    """
+    count, x, y = _RAYS // every, sampler.x, sampler.y
     for k in range(count):
         c, s = _COS[0, every * k], _SIN[0, every * k]
         x[k], y[k] = u + inner * c, v + inner * s
         x[count + k], y[count + k] = u + outer * c, v + outer * s
     x[2 * count], y[2 * count] = u, v
-    _interpolate(pixels, shape, 2 * count + 1, x, y, at, values)
+    _interpolate(sampler, 2 * count + 1)
 
 
 @kernel()
@@ -153,9 +171,9 @@ def _has_all_sides(values, radius, sign, noise) -> bool:
 
 
 @kernel()
-def _cast(pixels, shape, u, v, first, spacing, sign, beside, seen, x, y, at, values):  # noqa: PLR0917 - a kernel
+def _cast(sampler, u, v, first, spacing, sign, beside, seen):  # noqa: PLR0917 - a kernel
     """Fill `seen` (_PLACES, _RAYS) with signed values along rays from (u, v), or their means over `beside` rays."""
-    part = np.float32(sign / beside)
+    part, x, y, values = np.float32(sign / beside), sampler.x, sampler.y, sampler.values
     u, v = np.float32(u), np.float32(v)
     seen[:] = 0
     for b in range(beside):
@@ -163,19 +181,19 @@ def _cast(pixels, shape, u, v, first, spacing, sign, beside, seen, x, y, at, val
             r, first_ray = np.float32(first + j * spacing), j * _RAYS
             for k in range(_RAYS):
                 x[first_ray + k], y[first_ray + k] = u + r * _COS[b, k], v + r * _SIN[b, k]
-        _interpolate(pixels, shape, seen.size, x, y, at, values)
+        _interpolate(sampler, seen.size)
         for j in range(_PLACES):
             for k in range(_RAYS):
                 seen[j, k] += part * values[j * _RAYS + k]
 
 
 @kernel()
-def _interpolate(pixels, shape, count, x, y, at, values):  # noqa: PLR0917
-    """Fill the first `count` of `values` with the bilinear values at `x`, `y`; the border repeats.
+def _interpolate(sampler, count):
+    """Fill the first `count` values with those at `x`, `y`, which are overwritten.
 
-    `pixels`: those of an image of this `shape`, row by row. All but them is overwritten. Places come first and values
-    after them, so that the compiler vectorises the first loop and most of the second.
+    Places come first and values after them, so that the compiler vectorises the first loop and most of the second.
     """
+    pixels, shape, x, y, at, values = sampler
     zero, last_x, last_y = np.float32(0), np.float32(shape[1] - 1.01), np.float32(shape[0] - 1.01)
     width, right = np.int32(shape[1]), np.uint32(1)
     below = np.uint32(width)

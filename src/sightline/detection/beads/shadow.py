@@ -1,6 +1,7 @@
 """Model of a window (shadows of one to three beads on a cubic background) and its linear algebra."""
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import j0, roots_legendre
@@ -83,6 +84,34 @@ LEFT, CLEAR, LEFT_X, LEFT_Y = range(4)
 STOPPED_BY_BALL, STOPPED_BY_HOLE = np.float32(0.87), np.float32(0.0)
 
 
+class Model(NamedTuple):
+    """The model of a window: `tables` of profiles (`profile_table`); the pixels' x, y and measured value, `at` (3, N).
+
+    Parameters of K `beads`, of the `scatter` and of the `background`; `scale`: one over the window's reach; `stopped`:
+    the share of the light that a bead stops.
+    """
+
+    tables: np.ndarray
+    at: np.ndarray
+    beads: np.ndarray
+    scatter: np.ndarray
+    background: np.ndarray
+    scale: float
+    stopped: float
+
+
+class Derivatives(NamedTuple):
+    """What a model gives at N pixels: `columns`, the derivatives by all parameters, residual, light and background.
+
+    `columns` (BEAD_TERMS K + SCATTER_TERMS + BACKGROUND_TERMS + 3, N); `behind` (4, N): see LEFT; `effect` (K, N):
+    derivative of the light by each bead's share.
+    """
+
+    columns: np.ndarray
+    behind: np.ndarray
+    effect: np.ndarray
+
+
 @kernel()
 def _profile_row(tables, bead, row):
     """Fill `row` (2, T_COUNT) with a bead's profile, and its derivative by blur over radius."""
@@ -147,20 +176,17 @@ def _shadow(row, at, bead, by_parameters, slopes):
 
 
 @kernel()
-def fill_light(tables, at, beads, scatter, background, scale, stopped, shared, behind, effect, columns):  # noqa: PLR0917
+def fill_light(model, shared, derivatives):
     """Fill `columns` with the residual, the model's light and the background, and with what `fill_slopes` needs.
 
-    `tables`: as of `profile_table`; `at` (3, N): x, y, measured value; `scatter` (3,): level and slopes; `scale`: one
-    over the window's reach; `stopped`: the share that a bead stops; `shared`: the squared blur that background and
-    shadow went through together.
-
-    Filled are: `columns` (BEAD_TERMS K + SCATTER_TERMS + BACKGROUND_TERMS + 3, N), of which the first BEAD_TERMS K
-    rows receive the derivatives of each bead's share; `effect` (K, N): derivative of the light by each share;
-    `behind` (4, N): see LEFT.
+    Of `columns`, the first BEAD_TERMS K rows receive the derivatives of each bead's share. `shared`: the squared blur
+    that background and shadow went through together.
 
     Without blur, the light is G W + s (1 - V): background G, scatter s, shares W and V that the beads leave of each.
     Blur over a slope of G moves the rim: to first order by blur² grad G grad W.
     """
+    tables, at, beads, scatter, background, scale, stopped = model
+    columns, behind, effect = derivatives
     count, pixels = len(beads), at.shape[1]
     blur2, unity = shared * scale, np.float32(1.0)
     three, s0, s1, s2 = np.float32(3.0), np.float32(scatter[0]), np.float32(scatter[1]), np.float32(scatter[2])
@@ -210,11 +236,12 @@ def fill_light(tables, at, beads, scatter, background, scale, stopped, shared, b
 
 
 @kernel()
-def fill_slopes(at, scale, inverse_sd, behind, effect, columns):  # noqa: PLR0917
+def fill_slopes(at, scale, inverse_sd, derivatives):
     """Fill `columns` with the derivatives of the light by all parameters and the residual, times `inverse_sd` (N,).
 
-    `behind`, `effect` and `columns` come from `fill_light`.
+    `derivatives` come from `fill_light`.
     """
+    columns, behind, effect = derivatives
     first, pixels = BEAD_TERMS * len(effect), at.shape[1]
     unity, two, three = np.float32(1.0), np.float32(2.0), np.float32(3.0)
     for k in range(len(effect)):
