@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.calibration.view import LineErrors, LinesOfSight
+from sightline.calibration.view import LineErrors, LinesOfSight, PlaneMap
 from sightline.common.checks import Check
 from sightline.common.geometry.planes import Plane
 from sightline.common.show import Shown, checks_lines, numbers
@@ -17,8 +17,8 @@ MIN_DISTANCE_MM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class HomographyMap:
-    """A `PlaneMap` without distortion: `homography` (3, 3) takes (x, y, 1) of the plane to pixels."""
+class HomographyMap(PlaneMap):
+    """A map without distortion: `homography` (3, 3) takes (x, y, 1) of the plane to pixels."""
 
     homography: np.ndarray
 
@@ -39,10 +39,6 @@ class HomographyMap:
         """Return the pixels (M, 2) of the plane coordinates (N, 2) off the horizon, and which these are, (N,) bool."""
         homogeneous, regular = _homogeneous(self.homography, xy_mm)
         return homogeneous[regular, :2] / homogeneous[regular, 2:], regular
-
-    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return (N, 2, 2) d xy / d uv, mm/px."""
-        return self.linearised(uv_px)[1]
 
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `to_plane` and `jacobian`."""

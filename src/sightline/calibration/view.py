@@ -102,24 +102,24 @@ SOURCES = ("beads", "map", "focal_point", "frame")
 class PlaneMap(Protocol):
     """A smooth map between an image (IDCS, px) and a plane (mm)."""
 
-    def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return the plane coordinates (N, 2), mm, of pixels (N, 2). Raises OutsideRegionError."""
+    def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `to_plane` and `jacobian` at pixels (N, 2)."""
         ...
 
-    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Return the pixels (N, 2) of plane coordinates (N, 2). Raises OutsideRegionError."""
-        ...
+    def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
+        """Return the plane coordinates (N, 2), mm, of pixels (N, 2). Raises OutsideRegionError."""
+        return self.linearised(uv_px)[0]
+
+    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
+        """Return (N, 2, 2) d(to_plane) / d(uv), mm/px, at pixels (N, 2)."""
+        return self.linearised(uv_px)[1]
 
     def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the pixels (M, 2) of the plane coordinates (N, 2) that have one, and which do, (N,) bool."""
         ...
 
-    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return (N, 2, 2) d(to_plane) / d(uv), mm/px, at pixels (N, 2)."""
-        ...
-
-    def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `to_plane` and `jacobian` at pixels (N, 2)."""
+    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Return the pixels (N, 2) of plane coordinates (N, 2). Raises OutsideRegionError."""
         ...
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sightline.calibration.view import PlaneMap
 from sightline.errors import CalibrationRefusedError, OutsideRegionError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ _EDGE = 1e-9  # barycentric: a point on an edge belongs to the triangle
 
 
 @dataclass(frozen=True, eq=False)
-class LocalizedMap:
+class LocalizedMap(PlaneMap):
     """Piecewise linear map through controls `controls_px` (N, 2), `controls_mm` (N, 2).
 
     `usable` (T,) bool: the triangles that are not slivers; only these are used.
@@ -92,16 +93,8 @@ class LocalizedMap:
         np.put_along_axis(weights, self.triangulation.simplices[triangle], shares, axis=1)
         return weights
 
-    def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return the plane coordinates (N, 2), mm, of pixels (N, 2). Raises OutsideRegionError."""
-        return self.linearised(uv_px)[0]
-
-    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return (N, 2, 2) d xy / d uv, mm/px, constant in a triangle. Raises OutsideRegionError."""
-        return self.linearised(uv_px)[1]
-
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `to_plane` and `jacobian`. Raises OutsideRegionError."""
+        """Return `to_plane` and `jacobian`, constant in a triangle. Raises OutsideRegionError."""
         a = self._affine[self._inside(uv_px)]
         return np.einsum("nij,nj->ni", a[:, :, :2], uv_px) + a[:, :, 2], a[:, :, :2]
 

@@ -6,8 +6,12 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from sightline.calibration.view import PlaneMap
 from sightline.common.fitting import minimum_norm
 from sightline.errors import CalibrationRefusedError, OutsideRegionError, UnusableInputError
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 ITERATIONS = 10  # four are enough wherever a view is calibrated [calc]
 # Steps below this end the iteration: the next would be its square times the map's curvature (1e-3 per px), 1e-9 px
@@ -18,40 +22,18 @@ CONVERGED_PX = 1e-3
 MAX_OUTSIDE = 0.5
 
 
-class SmoothPlaneMap(Protocol):
-    """A plane map with a derivative everywhere."""
+class InvertibleMap(PlaneMap, Protocol):
+    """A plane map with a derivative everywhere near its controls `controls_px` (M, 2), inverted by Newton's method."""
 
-    def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the plane coordinates (N, 2), mm, of pixels (N, 2), and their derivative (N, 2, 2), mm/px."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Inverse:
-    """The inverse map, from plane to pixels; each point starts at its nearest control.
-
-    `controls_mm` (M, 2): the controls `controls_px` (M, 2) mapped by `plane_map`; `back` (M, 2, 2): inverse Jacobian
-    there, px/mm.
-    """
-
-    plane_map: SmoothPlaneMap
     controls_px: np.ndarray
-    controls_mm: np.ndarray
-    back: np.ndarray
 
-    @staticmethod
-    def of(plane_map: SmoothPlaneMap, controls_px: np.ndarray) -> "Inverse":
-        """Return the inverse of a map that is valid near its controls (M, 2)."""
-        xy, jacobian = plane_map.linearised(controls_px)
-        return Inverse(plane_map, controls_px, xy, np.linalg.pinv(jacobian))
-
-    def __call__(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Return the pixels (N, 2) that the map takes to points (N, 2), mm.
+    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Return the pixels (N, 2) of plane coordinates (N, 2), mm.
 
         Raises OutsideRegionError where there is none near the controls.
         """
         target = np.asarray(xy_mm, dtype=np.float64)
-        uv, mapped = self.find(target)
+        uv, mapped = self.find_image(target)
         if not mapped.all():
             where = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in target[~mapped][:3])
             raise OutsideRegionError(
@@ -60,21 +42,23 @@ class Inverse:
             )
         return uv
 
-    def find(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pixels (M, 2) of the points (N, 2) that have one near the controls, and which do, (N,) bool."""
-        (low_mm, high_mm), (low, high) = (
-            (at.min(axis=0), at.max(axis=0)) for at in (self.controls_mm, self.controls_px)
-        )
+    def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pixels (M, 2) of the points (N, 2) that have one near the controls, and which do, (N,) bool.
+
+        Each point starts at its nearest control.
+        """
+        controls_mm, back, tree = self._back
+        (low_mm, high_mm), (low, high) = ((at.min(axis=0), at.max(axis=0)) for at in (controls_mm, self.controls_px))
         size = float((high - low).max())
         # Twice the limit for pixels: no usable map stretches by more than that outside its controls.
         at = np.flatnonzero(_within(xy_mm, low_mm, high_mm, 2 * MAX_OUTSIDE * float((high_mm - low_mm).max())))
-        near = self._tree.query(xy_mm[at])[1]
-        here = self.controls_px[near] + np.einsum("nij,nj->ni", self.back[near], xy_mm[at] - self.controls_mm[near])
+        near = tree.query(xy_mm[at])[1]
+        here = self.controls_px[near] + np.einsum("nij,nj->ni", back[near], xy_mm[at] - controls_mm[near])
         uv, length, converged = np.zeros((len(xy_mm), 2)), np.full(len(at), np.inf), np.zeros(len(xy_mm), dtype=bool)
         for _ in range(ITERATIONS):
             if not len(at):
                 break
-            xy, jacobian = self.plane_map.linearised(here)
+            xy, jacobian = self.linearised(here)
             (a, b), (c, d) = np.moveaxis(jacobian, 0, -1)
             x, y = (xy_mm[at] - xy).T
             determinant = a * d - b * c
@@ -91,11 +75,12 @@ class Inverse:
         return uv[converged], converged
 
     @cached_property
-    def _tree(self) -> "KDTree":
-        """The controls, mm."""
+    def _back(self) -> tuple[np.ndarray, np.ndarray, "KDTree"]:
+        """The controls (M, 2), mm, the inverse Jacobian (M, 2, 2) there, px/mm, and a tree of the controls."""
         from scipy.spatial import KDTree  # here: lines of sight need no inverse, and it takes 6 MB
 
-        return KDTree(self.controls_mm)
+        xy, jacobian = self.linearised(self.controls_px)
+        return xy, np.linalg.pinv(jacobian), KDTree(xy)
 
 
 def _within(points: np.ndarray, low: np.ndarray, high: np.ndarray, margin: float) -> np.ndarray:
@@ -175,7 +160,7 @@ def _exponents(degree: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class PolynomialMap:
+class PolynomialMap(InvertibleMap):
     """Plane coordinates as polynomials of normalised pixel coordinates; `coefficients` (terms, 2), mm.
 
     `inverse_design` (terms, N): the coefficients are this times the controls' coordinates.
@@ -214,32 +199,8 @@ class PolynomialMap:
         """Return (N, controls): to_plane(uv) = weights @ the controls' plane coordinates."""
         return monomials(self.unit(uv_px), self.degree) @ self.inverse_design
 
-    def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return the plane coordinates (N, 2), mm, of pixels (N, 2)."""
-        return monomials(self.unit(uv_px), self.degree) @ self.coefficients
-
-    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return (N, 2, 2) d xy / d uv, mm/px."""
-        return self.linearised(uv_px)[1]
-
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `to_plane` and `jacobian`."""
         basis = monomials(self.unit(uv_px), self.degree)
         by_unit = np.stack([basis @ (by @ self.coefficients) for by in derivatives(self.degree)], axis=-1)
         return basis @ self.coefficients, by_unit @ self.unit.matrix
-
-    def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pixels (M, 2) of the plane coordinates (N, 2) that have one, and which do, (N,) bool."""
-        return self._inverse.find(xy_mm)
-
-    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Return the pixels (N, 2) of plane coordinates (N, 2). Raises OutsideRegionError."""
-        return self._inverse(xy_mm)
-
-    @cached_property
-    def _inverse(self) -> Inverse:
-        return Inverse.of(self, self.controls_px)
-
-
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree

@@ -8,7 +8,14 @@ from heapq import heappop, heappush
 import numpy as np
 
 from sightline.calibration.maps.hull import well_conditioned
-from sightline.calibration.maps.polynomial import Affine, Inverse, derivatives, monomial_gradients, monomials, terms
+from sightline.calibration.maps.polynomial import (
+    Affine,
+    InvertibleMap,
+    derivatives,
+    monomial_gradients,
+    monomials,
+    terms,
+)
 from sightline.common.fitting import (
     Kriging,
     cholesky,
@@ -201,7 +208,7 @@ BLOCK = 2**20  # kernel values held at once: 8 MB [ours]
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothMap:
+class SmoothMap(InvertibleMap):
     """`cubic` (10, 2) on normalised pixels plus kernel(., controls) @ `dual` (N, 2), mm."""
 
     unit: Affine
@@ -214,14 +221,6 @@ class SmoothMap:
     def controls_unit(self) -> np.ndarray:
         """(N, 2): the controls in unit coordinates."""
         return self.unit(self.controls_px)
-
-    def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return the plane coordinates (N, 2), mm, of pixels (N, 2): the posterior mean."""
-        return self.linearised(uv_px)[0]
-
-    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return (N, 2, 2) d xy / d uv, mm/px."""
-        return self.linearised(uv_px)[1]
 
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `to_plane` and `jacobian`."""
@@ -246,14 +245,23 @@ class SmoothMap:
         """Return plane coordinates (N, 2) at unit coordinates `at` (N, 2), and their derivatives (N, 2, 2) by these."""
         basis, d2 = monomials(at, QUINTIC), squared_distances(at, self.controls_unit)
         xy = basis @ self._polynomial
-        by_unit = np.stack([basis @ (by @ self._polynomial) for by in derivatives(QUINTIC)], axis=-1)
-        moments = (self.dual[:, :, None] * self.controls_unit[:, None, :]).reshape(-1, 4)
+        by_unit = np.stack([basis @ slope for slope in self._polynomial_slopes], axis=-1)
         for variance, length in zip(self.kernel.variances_mm2, self.kernel.lengths, strict=True):
             near = variance * squared_exponential(d2, length)
             own = near @ self.dual
             xy += own  # and d exp(-|a - b|² / 2 l²) / da is that times (b - a) / l²
-            by_unit += ((near @ moments).reshape(-1, 2, 2) - own[:, :, None] * at[:, None, :]) / length**2
+            by_unit += ((near @ self._moments).reshape(-1, 2, 2) - own[:, :, None] * at[:, None, :]) / length**2
         return xy, by_unit
+
+    @cached_property
+    def _moments(self) -> np.ndarray:
+        """(N, 4): `dual` times the controls' coordinates."""
+        return (self.dual[:, :, None] * self.controls_unit[:, None, :]).reshape(-1, 4)
+
+    @cached_property
+    def _polynomial_slopes(self) -> list[np.ndarray]:
+        """Coefficients (21, 2) of the derivatives of `_polynomial` by both coordinates."""
+        return [by @ self._polynomial for by in derivatives(QUINTIC)]
 
     @cached_property
     def _polynomial(self) -> np.ndarray:
@@ -261,18 +269,6 @@ class SmoothMap:
         coefficients = self.kernel.polynomial_part(self.controls_unit, self.dual)
         coefficients[: len(self.cubic)] += self.cubic
         return coefficients
-
-    def find_image(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pixels (M, 2) of the plane coordinates (N, 2) that have one, and which do, (N,) bool."""
-        return self._inverse.find(xy_mm)
-
-    def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Return the pixels (N, 2) of plane coordinates (N, 2). Raises OutsideRegionError."""
-        return self._inverse(xy_mm)
-
-    @cached_property
-    def _inverse(self) -> Inverse:
-        return Inverse.of(self, self.controls_px)
 
 
 @dataclass(frozen=True, eq=False)

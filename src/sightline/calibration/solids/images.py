@@ -305,15 +305,11 @@ class DetectorPlateImage(SolidImage):
 
 
 @dataclass(frozen=True, eq=False)
-class ThroughPlate:
-    """A `PlaneMap` by way of the plate: `plate_map` takes pixels to its plane, `beyond` from there to another."""
+class ThroughPlate(PlaneMap):
+    """A map by way of the plate: `plate_map` takes pixels to its plane, `beyond` from there to another."""
 
     plate_map: SmoothMap
     beyond: HomographyMap
-
-    def to_plane(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return the plane coordinates (N, 2), mm, of pixels (N, 2)."""
-        return self.beyond.to_plane(self.plate_map.to_plane(uv_px))
 
     def to_image(self, xy_mm: np.ndarray) -> np.ndarray:
         """Return the pixels (N, 2) of plane coordinates (N, 2). Raises OutsideRegionError."""
@@ -324,10 +320,6 @@ class ThroughPlate:
         on_plate, regular = self.beyond.find_image(xy_mm)
         uv, regular[regular] = self.plate_map.find_image(on_plate)
         return uv, regular
-
-    def jacobian(self, uv_px: np.ndarray) -> np.ndarray:
-        """Return (N, 2, 2) d xy / d uv, mm/px."""
-        return self.linearised(uv_px)[1]
 
     def linearised(self, uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `to_plane` and `jacobian`."""
