@@ -107,7 +107,7 @@ def _in_image(rng: np.random.Generator, shot: Shot, name: str, made: Plan) -> tu
     beads = sl.detect(image)
     view = sl.calibrate(sl.label(beads, shot.checked.frame, name), shot.checked.frame, view=name)
     where = expected_wire(view, made.trajectory.points.xyz_mm)
-    return view, find_wire(image, where, shot.diameter_mm, beads.uv_px, beads.radius_px)
+    return view, find_wire(image, where, shot.diameter_mm, beads)
 
 
 def _picked(rng: np.random.Generator, shot: Shot, sd_px: float) -> Landmarks:

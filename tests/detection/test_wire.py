@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from tests.detection.wire_images import PX_PER_MM, SIZE, Drawn, Expected, expected, image_of
 
+from sightline.detection import Detections
 from sightline.detection.wire import WireShadow, _left_out_residuals, _Piece, find_wire
 from sightline.detection.wire_model import BEND, WireFit
 from sightline.errors import UnusableInputError, WireRefusedError
 from sightline.imaging import Radiograph
 
 WIRE = Drawn((391.37, 301.62), 0.43)
-NONE = np.zeros((0, 2)), np.zeros(0)
 
 
 def clear(wires: list[Drawn]) -> Radiograph:
@@ -33,7 +33,7 @@ def at_tip(seen: WireShadow, wire: Drawn) -> float:
 @pytest.mark.parametrize("diameter_mm", [2.5, 3.2])
 def test_with_hardly_any_noise_line_and_tip_lie_where_they_are(diameter_mm):
     wire = Drawn((391.37, 301.62), 0.43, diameter_mm, 1.5 * diameter_mm)
-    seen = find_wire(clear([wire]), expected(wire, aside_mm=2.0, turned_rad=0.02), diameter_mm, *NONE)
+    seen = find_wire(clear([wire]), expected(wire, aside_mm=2.0, turned_rad=0.02), diameter_mm)
     assert np.abs(off_line(seen, wire)).max() < 0.03
     assert abs(at_tip(seen, wire)) < 0.3
     assert seen.width_mm == pytest.approx(diameter_mm, rel=0.03)
@@ -42,7 +42,7 @@ def test_with_hardly_any_noise_line_and_tip_lie_where_they_are(diameter_mm):
 
 def test_a_plain_end_is_found_where_it_is_said_to_be_one():
     wire = Drawn((391.37, 301.62), 0.43, point_mm=0.0)
-    seen = find_wire(clear([wire]), expected(wire), 2.5, *NONE, point_mm=0.0)
+    seen = find_wire(clear([wire]), expected(wire), 2.5, point_mm=0.0)
     assert abs(at_tip(seen, wire)) < 0.3
     assert seen.point_mm == 0.0
 
@@ -52,7 +52,7 @@ def test_far_in_the_corridor_and_across_a_bone_edge():
     background = 0.65 + 0.35 * np.tanh((u + 0.4 * v - 320) / 3)
     wire = Drawn((391.37, 301.62), 0.43)
     image = image_of([wire], np.random.default_rng(5), background=background)
-    seen = find_wire(image, expected(wire, aside_mm=7.0, turned_rad=0.06), 2.5, *NONE)
+    seen = find_wire(image, expected(wire, aside_mm=7.0, turned_rad=0.06), 2.5)
     assert np.sqrt((off_line(seen, wire) ** 2).mean()) < 0.15
     assert abs(at_tip(seen, wire)) < 1.0
 
@@ -68,7 +68,7 @@ def test_the_tip_of_a_drill_beyond_a_nail_has_the_scale_of_its_own_place():
     """With the width that the drill has before the nail, the tip lay 0.8 px short."""
     drill = Drawn((431.37, 321.62), 0.43, 4.0, 6.0, widening_per_mm=1.5e-3)
     nail = [band_across(drill, 10.0, 24.0)]
-    seen = find_wire(clear([drill]), expected(drill, aside_mm=1.0, length_mm=56.0), 4.0, *NONE, covered_px=nail)
+    seen = find_wire(clear([drill]), expected(drill, aside_mm=1.0, length_mm=56.0), 4.0, covered_px=nail)
     assert abs(at_tip(seen, drill)) < 0.3
 
 
@@ -80,7 +80,7 @@ def test_a_bone_edge_beyond_the_tip_of_a_drill_is_not_part_of_its_background():
     beyond = (np.stack([u, v], axis=-1) - drill.tip_px) @ drill.along
     bone = 0.4 + 0.6 / (1 + np.exp((25.0 - beyond) / 2))
     image = image_of([drill], np.random.default_rng(1), quanta=2e3, background=bone)
-    seen = find_wire(image, expected(drill, aside_mm=1.0), 4.0, *NONE)
+    seen = find_wire(image, expected(drill, aside_mm=1.0), 4.0)
     assert abs(at_tip(seen, drill)) < 0.3
     assert seen.tip_variance_px2 < 0.5**2
 
@@ -92,11 +92,16 @@ def test_the_stated_variance_is_that_of_repeated_images():
     for seed in range(8):
         rng = np.random.default_rng(seed)
         wire = Drawn(tuple(390 + rng.uniform(-3, 3, 2)), 0.43 + rng.uniform(-0.05, 0.05))
-        seen = find_wire(image_of([wire], rng, quanta=30.0), expected(wire, aside_mm=1.0), 2.5, *NONE)
+        seen = find_wire(image_of([wire], rng, quanta=30.0), expected(wire, aside_mm=1.0), 2.5)
         line.append(np.mean(off_line(seen, wire) ** 2 / seen.variance_px2))
         tip.append(at_tip(seen, wire) ** 2 / seen.tip_variance_px2)
     assert 0.3 < np.mean(line) < 1.3
     assert np.mean(tip) < 1.8
+
+
+def detections(uv_px: np.ndarray, radius_px: np.ndarray) -> Detections:
+    n = len(uv_px)
+    return Detections(uv_px, radius_px, np.zeros((n, 2, 2)), ("ball",) * n, np.zeros(n), (SIZE, SIZE))
 
 
 def test_beads_over_the_wire_are_left_out():
@@ -107,7 +112,7 @@ def test_beads_over_the_wire_are_left_out():
     for (x, y), r in zip(beads, radius, strict=True):
         background[np.hypot(u - x, v - y) < r] = 0.4
     image = image_of([WIRE], np.random.default_rng(6), background=background)
-    seen = find_wire(image, expected(WIRE), 2.5, beads, radius)
+    seen = find_wire(image, expected(WIRE), 2.5, detections(beads, radius))
     assert np.sqrt((off_line(seen, WIRE) ** 2).mean()) < 0.15
     assert (np.hypot(*(seen.uv_px[:, None] - beads).T) > 5.0).all()
 
@@ -123,25 +128,25 @@ def test_a_piece_is_held_against_the_others_not_against_itself():
 
 def test_no_wire_is_refused():
     with pytest.raises(WireRefusedError, match="no wire is seen"):
-        find_wire(image_of([], np.random.default_rng(1)), expected(WIRE), 2.5, *NONE)
+        find_wire(image_of([], np.random.default_rng(1)), expected(WIRE), 2.5)
 
 
 def test_a_wire_outside_the_corridor_is_refused():
     with pytest.raises(WireRefusedError, match="no wire is seen"):
-        find_wire(image_of([WIRE], np.random.default_rng(1)), expected(WIRE, aside_mm=16.0), 2.5, *NONE)
+        find_wire(image_of([WIRE], np.random.default_rng(1)), expected(WIRE, aside_mm=16.0), 2.5)
 
 
 def test_a_plan_outside_the_image_is_refused():
     far = expected(WIRE)
     far = Expected(far.uv_px + 2000.0, far.along_mm, far.px_per_mm, far.sine)
     with pytest.raises(WireRefusedError, match="outside the image's field"):
-        find_wire(image_of([WIRE], np.random.default_rng(1)), far, 2.5, *NONE)
+        find_wire(image_of([WIRE], np.random.default_rng(1)), far, 2.5)
 
 
 def test_two_wires_compete():
     beside = Drawn(tuple(np.array(WIRE.tip_px) + 5.0 * PX_PER_MM * np.array([-WIRE.along[1], WIRE.along[0]])), 0.43)
     with pytest.raises(WireRefusedError, match="compete"):
-        find_wire(image_of([WIRE, beside], np.random.default_rng(1)), expected(WIRE, aside_mm=2.5), 2.5, *NONE)
+        find_wire(image_of([WIRE, beside], np.random.default_rng(1)), expected(WIRE, aside_mm=2.5), 2.5)
 
 
 def beside(aside_mm: float, turned_rad: float = 0.0, back_mm: float = 0.0) -> Drawn:
@@ -157,27 +162,25 @@ def test_each_of_two_wires_is_found_by_its_own_plan(aside_mm):
     image = image_of([WIRE, other], np.random.default_rng(1))
     for own, rest in ((WIRE, other), (other, WIRE)):
         planned, also = expected(own, aside_mm=0.9), expected(rest, aside_mm=-0.3)
-        seen = find_wire(image, planned, 2.5, *NONE, others=[also])
+        seen = find_wire(image, planned, 2.5, others=[also])
         assert np.sqrt((off_line(seen, own) ** 2).mean()) < 0.1
         assert abs(at_tip(seen, own)) < 1.0
 
 
 def test_a_wire_that_crosses_another_is_found_beside_the_crossing():
     other = beside(-20.0, turned_rad=-0.9)
-    seen = find_wire(
-        image_of([WIRE, other], np.random.default_rng(1)), expected(WIRE), 2.5, *NONE, others=[expected(other)]
-    )
+    seen = find_wire(image_of([WIRE, other], np.random.default_rng(1)), expected(WIRE), 2.5, others=[expected(other)])
     assert np.abs(off_line(seen, WIRE)).max() < 0.3  # 0.04 mm
     assert seen.hidden > 0.1
 
 
 def test_another_wires_line_is_not_the_planned_wire():
     image = image_of([beside(6.0)], np.random.default_rng(1))
-    assert find_wire(image, expected(WIRE), 2.5, *NONE) is not None  # unless the other wire is known
+    assert find_wire(image, expected(WIRE), 2.5) is not None  # unless the other wire is known
     with pytest.raises(WireRefusedError, match="may be the other"):
-        find_wire(image, expected(WIRE), 2.5, *NONE, others=[expected(beside(6.0))])
+        find_wire(image, expected(WIRE), 2.5, others=[expected(beside(6.0))])
     with pytest.raises(WireRefusedError, match="may be the other"):  # halfway between both plans
-        find_wire(image, expected(WIRE, aside_mm=3.0), 2.5, *NONE, others=[expected(beside(6.0), aside_mm=3.0)])
+        find_wire(image, expected(WIRE, aside_mm=3.0), 2.5, others=[expected(beside(6.0), aside_mm=3.0)])
 
 
 @pytest.mark.parametrize("aside_mm", [0.3, 0.8, 1.6])
@@ -186,39 +189,39 @@ def test_the_shadow_of_two_wires_is_not_that_of_one(aside_mm):
     other = beside(aside_mm)
     image = image_of([WIRE, other], np.random.default_rng(1))
     with pytest.raises(WireRefusedError, match="lie over it"):
-        find_wire(image, expected(WIRE), 2.5, *NONE, others=[expected(other)])
+        find_wire(image, expected(WIRE), 2.5, others=[expected(other)])
     alone = image_of([WIRE], np.random.default_rng(1))  # the other wire is planned there, but not in yet
-    assert find_wire(alone, expected(WIRE), 2.5, *NONE, others=[expected(other)]).hidden < 0.2
+    assert find_wire(alone, expected(WIRE), 2.5, others=[expected(other)]).hidden < 0.2
 
 
 def test_a_line_of_no_plan_competes():
     wires = [WIRE, beside(6.0), beside(-5.0)]
     with pytest.raises(WireRefusedError, match="compete"):
-        find_wire(image_of(wires, np.random.default_rng(1)), expected(WIRE), 2.5, *NONE, others=[expected(beside(6.0))])
+        find_wire(image_of(wires, np.random.default_rng(1)), expected(WIRE), 2.5, others=[expected(beside(6.0))])
 
 
 def test_a_wire_hidden_behind_metal_is_refused():
     v, u = np.mgrid[:SIZE, :SIZE]
     metal = np.where(np.hypot(u - 270, v - 250) < 160, 0.02, 1.0)
     with pytest.raises(WireRefusedError):
-        find_wire(image_of([WIRE], np.random.default_rng(1), metal=metal), expected(WIRE), 2.5, *NONE)
+        find_wire(image_of([WIRE], np.random.default_rng(1), metal=metal), expected(WIRE), 2.5)
 
 
 def test_a_hidden_tip_is_refused():
     with pytest.raises(WireRefusedError, match="tip is hidden"):
-        tip = np.array([WIRE.tip_px])
-        find_wire(image_of([WIRE], np.random.default_rng(1)), expected(WIRE), 2.5, tip, np.array([30.0]))
+        tip = detections(np.array([WIRE.tip_px]), np.array([30.0]))
+        find_wire(image_of([WIRE], np.random.default_rng(1)), expected(WIRE), 2.5, tip)
 
 
 def test_a_tip_outside_the_field_is_refused():
     through = Drawn((WIRE.tip_px[0] + 200.0, WIRE.tip_px[1] + 92.0), WIRE.turn_rad)
     with pytest.raises(WireRefusedError, match="does not end"):
-        find_wire(image_of([through], np.random.default_rng(1)), expected(WIRE), 2.5, *NONE)
+        find_wire(image_of([through], np.random.default_rng(1)), expected(WIRE), 2.5)
 
 
 def test_a_thicker_rod_is_not_the_wire():
     with pytest.raises(WireRefusedError):
-        find_wire(image_of([Drawn(WIRE.tip_px, 0.43, 4.5)], np.random.default_rng(1)), expected(WIRE), 2.5, *NONE)
+        find_wire(image_of([Drawn(WIRE.tip_px, 0.43, 4.5)], np.random.default_rng(1)), expected(WIRE), 2.5)
 
 
 def test_a_wire_seen_end_on_is_refused():
@@ -228,7 +231,6 @@ def test_a_wire_seen_end_on_is_refused():
             image_of([WIRE], np.random.default_rng(1)),
             Expected(good.uv_px, good.along_mm, good.px_per_mm, 0.1 * good.sine),
             2.5,
-            *NONE,
         )
 
 
@@ -241,7 +243,7 @@ def test_what_cannot_be_a_wire_is_unusable(wrong):
         "shape": (Expected(good.uv_px[:5], good.along_mm, good.px_per_mm, good.sine), 2.5),
     }[wrong]
     with pytest.raises(UnusableInputError):
-        find_wire(image, *bad, *NONE)
+        find_wire(image, *bad)
 
 
 @pytest.mark.parametrize(("along_px", "across_px"), [(0.0, 14.0), (-15.0, 12.0)])
@@ -253,11 +255,11 @@ def test_a_bead_that_touches_the_tip_is_left_out_where_the_view_knows_it(along_p
     chord = np.sqrt(np.clip(1 - ((u - at[0]) ** 2 + (v - at[1]) ** 2) / radius**2, 0.0, None))
     image = image_of([WIRE], np.random.default_rng(1), metal=np.exp(-4 * chord))
     known = replace(expected(WIRE), beads_px=np.array([[*at, radius]]))
-    seen = find_wire(image, known, 2.5, *NONE)
+    seen = find_wire(image, known, 2.5)
     assert abs(at_tip(seen, WIRE)) < 1.2  # three standard deviations
     assert seen.tip_variance_px2 < 0.5**2
     with pytest.raises(WireRefusedError, match="tip is hidden"):
-        find_wire(image, expected(WIRE), 2.5, *NONE)
+        find_wire(image, expected(WIRE), 2.5)
 
 
 def test_a_bone_edge_across_the_tip_is_refused():
@@ -266,4 +268,4 @@ def test_a_bone_edge_across_the_tip_is_refused():
     off = (np.stack([u, v], axis=-1) - WIRE.tip_px) @ (0.8 * along + 0.6 * across)
     bone = 0.55 + 0.45 / (1 + np.exp(3 - np.abs(off) / 2))
     with pytest.raises(WireRefusedError, match="tip is hidden"):
-        find_wire(image_of([WIRE], np.random.default_rng(1), background=bone), expected(WIRE), 2.5, *NONE)
+        find_wire(image_of([WIRE], np.random.default_rng(1), background=bone), expected(WIRE), 2.5)

@@ -289,8 +289,7 @@ class DrillShotRequest:
             path = expected_wire(shown.view, known.movement.apply(trajectory.points.xyz_mm), beyond_mm, before_mm)
             others = expected_wires([known.movement.apply(line) for line in others_mm], shown.view)
             covered = () if hole is None else [nail_px(shown.view, hole, known.movement)]
-            at = (beads.uv_px, beads.radius_px)
-            wires.append(find_wire(image, path, self.check.wire_mm, *at, others=others, covered_px=covered))
+            wires.append(find_wire(image, path, self.check.wire_mm, beads, others=others, covered_px=covered))
         known_marks = self.check.landmarks
         return drill_shot(made.to_check(before), after, wires, tip_mm=self.tip_mm, known=known, landmarks=known_marks)
 

@@ -20,7 +20,7 @@ from sightline.detection.beads.bead import (
 from sightline.detection.beads.candidates import distinct, find_candidates
 from sightline.detection.beads.noise import MIN_FIELD_PX, NoiseModel, estimate_noise
 from sightline.detection.causes import NO_RIM, cause_of
-from sightline.detection.log_image import field_and_logs
+from sightline.detection.log_image import field_and_logs, in_discs
 from sightline.detection.results import FACTOR, Detections, RejectedCandidate, finer, is_fine
 from sightline.errors import DetectionRefusedError
 from sightline.imaging import Radiograph, as_radiograph
@@ -167,10 +167,7 @@ def without_middles(mask: np.ndarray, uv_px: np.ndarray, radius_px: np.ndarray) 
     """Return the mask without the middles of washers, whose outer rims are fitted as if they were balls."""
     if len(uv_px) == 0:
         return mask
-    middles = np.zeros(mask.shape, np.uint8)
-    for (u, v), radius in zip(uv_px, radius_px, strict=True):
-        cv2.circle(middles, (round(16 * u), round(16 * v)), round(16 * _WASHER_RIM * radius), 1, -1, cv2.LINE_8, 4)
-    return mask & (middles == 0)
+    return mask & ~in_discs(mask.shape, np.column_stack([uv_px, _WASHER_RIM * radius_px]))
 
 
 def _shape_reasons(fit: np.ndarray, limits: tuple[float, float]) -> np.ndarray:

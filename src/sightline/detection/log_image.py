@@ -23,6 +23,14 @@ def field_inset(image: Radiograph) -> np.ndarray:
     return inset if image.burnt_in is None else inset & ~image.burnt_in
 
 
+def in_discs(shape: tuple[int, ...], discs: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: which pixels lie in `discs` (N, 3): u, v and radius, px."""
+    inside = np.zeros(shape, np.uint8)
+    for u, v, radius in np.rint(16 * discs).astype(int).tolist():  # cv2 draws to a sixteenth of a pixel
+        cv2.circle(inside, (u, v), radius, 1, -1, cv2.LINE_8, 4)
+    return inside > 0
+
+
 def log_image(image: Radiograph, mask: np.ndarray) -> np.ndarray:
     """Return the natural logarithm (H, W) float32 of the pixels; zero counts as half a grey level.
 

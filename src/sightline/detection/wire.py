@@ -10,7 +10,8 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 
 from sightline.common.fitting import MAD_TO_SD
 from sightline.detection.beads.noise import NoiseModel, estimate_noise
-from sightline.detection.log_image import field_inset, log_image
+from sightline.detection.log_image import field_inset, in_discs, log_image
+from sightline.detection.results import Detections
 from sightline.detection.wire_model import BEND, ImagePath, SteelWire, WireFit, fit_across, fit_tip
 from sightline.detection.wire_search import CORRIDOR_MM, search
 from sightline.errors import UnusableInputError, WireRefusedError
@@ -45,6 +46,11 @@ _TIP_BEHIND = 5.0  # radii of the wire behind its point that are fitted; beyond 
 _MIN_SHOWN_PX = 50  # length of the expected wire inside the field [ours]
 _MAX_OVERLAP = 0.04  # relative error of a piece's width; of a single wire 0.02, rarely 0.04 [twin]
 _MAX_WIDTH_ERROR = 0.25  # relative; refuses a wire of 3.2 mm for one of 2.5 mm [ours]
+
+_FEW_PIECES = (
+    "only {} pieces of the wire can be measured, the others are hidden or too faint; take other metal out of the beam, "
+    "or expose more"
+)
 
 
 class ProjectedWire(Protocol):
@@ -102,8 +108,7 @@ def find_wire(  # noqa: PLR0917
     image: Radiograph,
     expected: ProjectedWire,
     diameter_mm: float,
-    bead_uv_px: np.ndarray,
-    bead_radius_px: np.ndarray,
+    beads: Detections | None = None,
     point_mm: float | None = None,
     others: Sequence[ProjectedWire] = (),
     corridor_mm: float = CORRIDOR_MM,
@@ -111,14 +116,13 @@ def find_wire(  # noqa: PLR0917
 ) -> WireShadow:
     """Return the wire within `corridor_mm` and 5° of its expected place.
 
-    `bead_uv_px` (K, 2), `bead_radius_px` (K,): beads that were detected; they and the expected ones are left out,
-    because detection misses a bead that a wire touches. `point_mm`:
-    length of the conical (trocar) point, by default 1.5 diameters; 0: a plain end. `others`: where other wires are
-    expected that may be in the image too: they are told from this one by their places and left out, and this one must
-    have its own width over half of its length. `covered_px`: polygons (M, 2) in which other metal lies over the wire;
-    they are left out. Raises UnusableInputError, and WireRefusedError where there is no wire,
-    it is too faint or hidden, two lines compete, another wire may be meant or lies over it, the tip is not visible, or
-    the width differs.
+    `beads` that were detected and the expected ones are left out, because detection misses a bead that a wire touches.
+    `point_mm`: length of the conical (trocar) point, by default 1.5 diameters; 0: a plain end. `others`: where other
+    wires are expected that may be in the image too: they are told from this one by their places and left out, and this
+    one must have its own width over half of its length. `covered_px`: polygons (M, 2) in which other metal lies over
+    the wire; they are left out. Raises UnusableInputError, and WireRefusedError where there is no wire, it is too faint
+    or hidden, two lines compete, another wire may be meant or lies over it, the tip is not visible, or the width
+    differs.
     """
     point = POINT_DIAMETERS * diameter_mm if point_mm is None else point_mm
     path, scale, stretch, sine = _prepared(expected, diameter_mm, point)
@@ -127,55 +131,36 @@ def find_wire(  # noqa: PLR0917
     noise = estimate_noise(logs, mask)
     if noise is None:
         raise WireRefusedError("the image has no area in which its noise can be measured; give a larger image")
-    beads = np.concatenate([np.column_stack([bead_uv_px, bead_radius_px]), expected.beads_px])
-    usable = _without(mask, beads[:, :2], beads[:, 2] + _ROUND_BEAD_PX)
-    usable &= image.pixels < image.white
-    usable = _without_polygons(usable, covered_px)
+    discs = expected.beads_px
+    if beads is not None:
+        discs = np.concatenate([np.column_stack([beads.uv_px, beads.radius_px]), discs])
+    usable = mask & (image.pixels < image.white) & ~in_discs(mask.shape, discs + np.array([0.0, 0.0, _ROUND_BEAD_PX]))
+    usable &= ~_in_polygons(mask.shape, covered_px)
     shown = _shown(path, mask)
     path, scale, stretch, sine = ImagePath.through(path.uv_px[shown]), scale[shown], stretch[shown], sine[shown]
     radii = scale * diameter_mm / 2
     coarse = search(logs, usable, path, radii, scale, [other.uv_px for other in others], corridor_mm)
     radius = float(np.median(radii))
-    usable = _without_lines(usable, coarse.others, radius + 2 * _RIM_PX)
+    usable &= ~_in_bands(mask.shape, coarse.others, radius + 2 * _RIM_PX)
     here = int(np.clip(coarse.expected_tip_s_px, 0, len(scale) - 1))
-    point_px = point * float(stretch[here])
-    end = coarse.tip_s_px - point_px - radius
     wire = SteelWire(diameter_mm, point, float(sine[here]), float(stretch[here]))
+    end = coarse.tip_s_px - wire.point_px - radius
     strip = _Strip.about(logs, usable, noise, coarse.path, (wire, radii))
     pieces = strip.pieces(end)
     strip = _Strip.about(logs, usable & ~strip.outliers(pieces), noise, _through(coarse.path, pieces), (wire, radii))
     pieces = strip.pieces(end)
     if others:
         pieces = _alone(pieces, strip)
-    open_px = end - _covered_px(strip.path, covered_px)
-    looked_at = max(int(open_px / strip.piece_px), 1)
+    looked_at = max(int((end - _covered_px(strip.path, covered_px)) / strip.piece_px), 1)
     if len(pieces) < max(_MIN_PIECES, _MIN_MEASURED * looked_at):
-        raise WireRefusedError(
-            f"only {len(pieces)} of {looked_at} pieces of the wire can be measured, the others are hidden or too "
-            "faint; take other metal out of the beam, or expose more"
-        )
+        raise WireRefusedError(_FEW_PIECES.format(f"{len(pieces)} of {looked_at}"))
     width_mm = 2 * float(np.median([piece.fit.values[1] for piece in pieces])) / float(np.median(scale))
     if abs(width_mm / diameter_mm - 1) > _MAX_WIDTH_ERROR:
         raise WireRefusedError(
             f"the line found is {width_mm:.1f} mm wide, the wire {diameter_mm:.1f} mm: it is something else, or "
             "another wire is in; give the right diameter"
         )
-    correlation = strip.correlation(pieces)
-    tip_s, tip_x, tip_variance = _tip(strip, pieces, coarse.tip_s_px, point_px, correlation)
-    on, along, normal = strip.path.at(np.array([piece.s_px for piece in pieces]))
-    tip_on, _, tip_normal = strip.path.at(np.array([tip_s]))
-    return WireShadow(
-        uv_px=on + np.array([piece.fit.values[0] for piece in pieces])[:, None] * normal,
-        along=along,
-        variance_px2=np.array([strip.variance(piece.pixels, piece.fit.influence[0], correlation) for piece in pieces])
-        + _MODEL_ACROSS_PX**2,
-        tip_uv_px=(tip_on + tip_x * tip_normal)[0],
-        tip_variance_px2=tip_variance,
-        point_mm=point,
-        width_mm=width_mm,
-        contrast=float(np.median([piece.fit.contrast for piece in pieces])),
-        hidden=max(1 - len(pieces) / looked_at, 0.0),
-    )
+    return _measured(strip, pieces, coarse.tip_s_px, width_mm, max(1 - len(pieces) / looked_at, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,6 +311,26 @@ class _Strip:
         return float((_products_by_lag(field) * correlation).sum())
 
 
+def _measured(strip: _Strip, pieces: list[_Piece], near_px: float, width_mm: float, hidden: float) -> WireShadow:
+    """Return the wire of pieces whose tip lies near s = `near_px`. Raises WireRefusedError."""
+    correlation = strip.correlation(pieces)
+    tip_s, tip_x, tip_variance = _tip(strip, pieces, near_px, correlation)
+    on, along, normal = strip.path.at(np.array([piece.s_px for piece in pieces]))
+    tip_on, _, tip_normal = strip.path.at(np.array([tip_s]))
+    variance = [strip.variance(piece.pixels, piece.fit.influence[0], correlation) for piece in pieces]
+    return WireShadow(
+        uv_px=on + np.array([piece.fit.values[0] for piece in pieces])[:, None] * normal,
+        along=along,
+        variance_px2=np.array(variance) + _MODEL_ACROSS_PX**2,
+        tip_uv_px=(tip_on + tip_x * tip_normal)[0],
+        tip_variance_px2=tip_variance,
+        point_mm=strip.wire.point_mm,
+        width_mm=width_mm,
+        contrast=float(np.median([piece.fit.contrast for piece in pieces])),
+        hidden=hidden,
+    )
+
+
 def _products_by_lag(values: np.ndarray) -> np.ndarray:
     """Return the sums (2 L + 1, 2 L + 1) of products of pixels that are -L to L rows and columns apart."""
     shape = [length + _LAGS for length in values.shape]
@@ -387,33 +392,23 @@ def _left_out_residuals(pieces: list[_Piece]) -> np.ndarray:
     return (x - hat @ x) / (1.0 - np.diag(hat))
 
 
-def _curve(pieces: list[_Piece]) -> np.polynomial.Polynomial:
-    """Return the curve of offset over s."""
-    s, x = np.array([(piece.s_px, piece.fit.values[0]) for piece in pieces]).T
-    return np.polynomial.Polynomial.fit(s, x, BEND)
-
-
 def _through(path: ImagePath, pieces: list[_Piece]) -> ImagePath:
     """Return the path moved onto the pieces, extrapolated straight beyond them. Raises WireRefusedError."""
     if len(pieces) < _MIN_PIECES:
-        raise WireRefusedError(
-            f"only {len(pieces)} pieces of the wire can be measured, the others are hidden or too faint; "
-            "take other metal out of the beam, or expose more"
-        )
-    curve, last = _curve(pieces), pieces[-1].s_px
+        raise WireRefusedError(_FEW_PIECES.format(len(pieces)))
+    s, x = np.array([(piece.s_px, piece.fit.values[0]) for piece in pieces]).T
+    curve, last = np.polynomial.Polynomial.fit(s, x, BEND), s[-1]
     offset = curve(np.minimum(path.s_px, last)) + curve.deriv()(last) * np.maximum(path.s_px - last, 0.0)
     return path.moved(offset)
 
 
-def _tip(
-    strip: _Strip, pieces: list[_Piece], near_px: float, point_px: float, correlation: np.ndarray
-) -> tuple[float, float, float]:
+def _tip(strip: _Strip, pieces: list[_Piece], near_px: float, correlation: np.ndarray) -> tuple[float, float, float]:
     """Return s and x of the tip, and the variance of s. Raises WireRefusedError.
 
     The error of the model grows with the light that it leaves unexplained, beside that along the wire.
     """
     wider, blur = np.median([(p.fit.values[1] / strip.radius_at(p.s_px), p.fit.values[2]) for p in pieces[-6:]], axis=0)
-    spread = strip.spread(strip.smoothed(strip.residuals(pieces)))
+    spread, point_px = strip.spread(strip.smoothed(strip.residuals(pieces))), strip.wire.point_px
     for _ in range(_MAX_MOVES):
         radius = wider * strip.radius_at(near_px)
         pixels = strip.within(near_px - point_px - _TIP_BEHIND * radius, near_px + _BESIDE_PX)
@@ -463,14 +458,6 @@ def _prepared(
     return fine, *(np.interp(s, rough.s_px, a) for a in (scale, stretch, sine))
 
 
-def _without(mask: np.ndarray, uv_px: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
-    """Return the mask without discs at (K, 2) with radii (K,)."""
-    covered = np.zeros(mask.shape, np.uint8)
-    for (u, v), radius in zip(uv_px, radius_px, strict=True):
-        cv2.circle(covered, (round(16 * u), round(16 * v)), round(16 * radius), 1, -1, cv2.LINE_8, 4)
-    return mask & (covered == 0)
-
-
 def _covered_px(path: ImagePath, polygons_px: Sequence[np.ndarray]) -> float:
     """Return the length of a path inside polygons (M, 2), px; its points are a pixel apart."""
     return float(
@@ -482,20 +469,20 @@ def _covered_px(path: ImagePath, polygons_px: Sequence[np.ndarray]) -> float:
     )
 
 
-def _without_lines(mask: np.ndarray, lines_uv_px: Sequence[np.ndarray], half_px: float) -> np.ndarray:
-    """Return the mask without bands of half a width about lines (M, 2) each."""
-    covered = np.zeros(mask.shape, np.uint8)
+def _in_bands(shape: tuple[int, ...], lines_uv_px: Sequence[np.ndarray], half_px: float) -> np.ndarray:
+    """Return (H, W) bool: which pixels lie in bands of half a width about lines (M, 2) each."""
+    inside = np.zeros(shape, np.uint8)
     for line in lines_uv_px:
-        cv2.polylines(covered, [np.rint(line).astype(np.int32)], False, 1, max(round(2 * half_px), 1))
-    return mask & (covered == 0)
+        cv2.polylines(inside, [np.rint(line).astype(np.int32)], False, 1, max(round(2 * half_px), 1))
+    return inside > 0
 
 
-def _without_polygons(mask: np.ndarray, polygons_px: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the mask without the insides of polygons (M, 2) each."""
-    covered = np.zeros(mask.shape, np.uint8)
+def _in_polygons(shape: tuple[int, ...], polygons_px: Sequence[np.ndarray]) -> np.ndarray:
+    """Return (H, W) bool: which pixels lie inside polygons (M, 2) each."""
+    inside = np.zeros(shape, np.uint8)
     for polygon in polygons_px:
-        cv2.fillPoly(covered, [np.rint(polygon).astype(np.int32)], 1)
-    return mask & (covered == 0)
+        cv2.fillPoly(inside, [np.rint(polygon).astype(np.int32)], 1)
+    return inside > 0
 
 
 def _shown(path: ImagePath, mask: np.ndarray) -> slice:

@@ -98,6 +98,11 @@ class SteelWire:
     px_per_mm: float
 
     @property
+    def point_px(self) -> float:
+        """Length of its point in the image."""
+        return self.point_mm * self.px_per_mm
+
+    @property
     def depth_mm(self) -> float:
         """Path length in steel of a ray through the axis."""
         return self.diameter_mm / self.sine
@@ -175,7 +180,7 @@ def fit_tip(  # noqa: PLR0917
 
 def _tip_template(wire: SteelWire, radius: float, blur: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the shadow of a wire's end, sampled over s and x with the tip at s = 0, and its first cell (2,)."""
-    behind = 4 * radius + wire.point_mm * wire.px_per_mm + 5 * blur + reach
+    behind = 4 * radius + wire.point_px + 5 * blur + reach
     corner = np.round(np.array([-behind, -reach - 5 * blur - 4.0]) / _CELL)
     s = _CELL * (corner[0] + np.arange(round((behind + radius + 5 * blur + 4.0) / _CELL)))
     x = _CELL * (corner[1] + np.arange(1 - 2 * round(corner[1])))

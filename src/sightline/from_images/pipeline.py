@@ -128,7 +128,7 @@ def find_planned_wire(  # noqa: PLR0917
     straight. `others_mm`: as of `check_shot`. Raises what `expected_wire` and `find_wire` raise.
     """
     search = planned_search(plan, view, others_mm)
-    return find_wire(image, diameter_mm=wire_mm, bead_uv_px=beads.uv_px, bead_radius_px=beads.radius_px, **search)
+    return find_wire(image, diameter_mm=wire_mm, beads=beads, **search)
 
 
 def planned_search(plan: Plan, view: CalibratedView, others_mm: Sequence[np.ndarray] = ()) -> dict[str, Any]:
@@ -167,7 +167,7 @@ def _placed(
     others = expected_wires([ends for name, ends in ends_mm.items() if name != key], view)
     try:
         shadow = find_wire(
-            image, expected, wire_mm, beads.uv_px, beads.radius_px, others=others, corridor_mm=_PLACED_CORRIDOR_MM
+            image, expected, wire_mm, beads, others=others, corridor_mm=_PLACED_CORRIDOR_MM
         )
     except WireRefusedError as refused:
         raise WireRefusedError(f"placed wire {key!r}, view {view.name!r}: {refused}") from None
