@@ -30,7 +30,9 @@ MIN_BESIDE_ROW = 6  # [ours] beads on either side of a row that is tested for a 
 def view_checks(beads: Beads, residuals: Residuals) -> list[Check]:
     """Return the checks common to all methods: count, coverage, leave-one-out, wrong beads, tolerances."""
     used = beads.where(residuals.used)
-    checks = [_count(len(used)), _coverage(used), leave_one_out_check(residuals)]
+    needed = f"beads are used; {MIN_COUNT} are needed for meaningful residuals, 60 or more are good"
+    count = count_check(len(used), MIN_COUNT, needed, "move the frame so that more of both plates lies in the field")
+    checks = [count, _coverage(used), leave_one_out_check(residuals)]
     if residuals.left_out:
         checks.append(wrong_beads_check(residuals))
     return checks + tolerance_checks(beads.frame)
@@ -62,14 +64,20 @@ def noise_checks(fit: JointFit) -> list[Check]:
         ) + ("." if passed else f", limit {MAX_NOISE_PX:g} px: check labels and frame, or acquire a sharper image.")
         return [Check("measurement noise", passed, noise_px, MAX_NOISE_PX, "px", sentence)]
     freedom = len(fit.data_mm) - fit.solution.theta.shape[0]
-    reduced = float(fit.data_mm @ fit.solution.dual[:, 0]) / freedom
-    limit = float(chdtri(freedom, CHI_SQUARE_FALSE_ALARM)) / freedom
-    sentence = (
-        "The residuals agree with the stated noise and tolerances."
-        if reduced <= limit
-        else "The residuals are larger than the stated noise and tolerances explain: check labels and frame."
-    )
-    return [Check("chi-square", reduced <= limit, reduced, limit, "", sentence)]
+    return [
+        chi_square_check(
+            float(fit.data_mm @ fit.solution.dual[:, 0]),
+            freedom,
+            "The residuals agree with the stated noise and tolerances.",
+            "The residuals are larger than the stated noise and tolerances explain: check labels and frame.",
+        )
+    ]
+
+
+def chi_square_check(square: float, freedom: int, agrees: str, disagrees: str) -> Check:
+    """Return the check of a sum of squared residuals over their expected variances."""
+    reduced, limit = square / freedom, float(chdtri(freedom, CHI_SQUARE_FALSE_ALARM)) / freedom
+    return Check("chi-square", reduced <= limit, reduced, limit, "", agrees if reduced <= limit else disagrees)
 
 
 def handedness_check(upright: bool, mirrored_display: bool | None) -> Check:
@@ -138,12 +146,10 @@ def strip_check(shift_px: float) -> Check:
     return Check("image rows", False, abs(shift_px), None, "px", sentence)
 
 
-def _count(count: int) -> Check:
-    passed = count >= MIN_COUNT
-    sentence = f"{count} beads are used; {MIN_COUNT} are needed for meaningful residuals, 60 or more are good" + (
-        "." if passed else ": move the frame so that more of both plates lies in the field."
-    )
-    return Check("bead count", passed, float(count), float(MIN_COUNT), "beads", sentence)
+def count_check(count: int, least: int, needed: str, advice: str) -> Check:
+    """Return the check of the number of beads; `needed`: what the sentence says of it."""
+    sentence = f"{count} {needed}" + ("." if count >= least else f": {advice}.")
+    return Check("bead count", count >= least, float(count), float(least), "beads", sentence)
 
 
 def _coverage(used: Beads) -> Check:

@@ -126,7 +126,9 @@ def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray
     beside = np.arange(-_PIECE_PX / 2 + 0.5, _PIECE_PX / 2)
     at = first + (s[:, None] + beside)[:, :, None, None] * along + t[:, None] * normal
     profiles = _light(image, at).mean(axis=1)
-    offset, variance, misfit = min((_outline_offsets(profiles, t, tube, blur) for blur in _BLURS_PX), key=_badness)
+    offset, variance, misfit = min(
+        (_outline_offsets(profiles, t, tube, blur) for blur in _BLURS_PX), key=lambda fit: fit[2]
+    )
     _refuse_no_fall(profiles, t, offset)
     kept, spread = np.isfinite(offset), _MODEL_PX
     for _ in range(3):
@@ -305,8 +307,3 @@ def _rim_shifts(seen: np.ndarray, models: np.ndarray) -> tuple[np.ndarray, np.nd
     variance = _CORRELATED_RIM * noise * inverse[..., 2, 2] / _not_zero(light) ** 2 + _MODEL_PX**2
     shown = (light > _CONTRAST[0] * usual) & (light < _CONTRAST[1] * usual) & (np.abs(shift) < _MAX_SHIFT_PX)
     return np.where(shown, shift, np.nan), variance, typical[:, 0]
-
-
-def _badness(fit: tuple[np.ndarray, np.ndarray, float]) -> float:
-    """Return what a fit leaves unexplained."""
-    return fit[2]

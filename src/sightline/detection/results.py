@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -198,76 +198,37 @@ def is_fine(radius_px: np.ndarray, contrast: np.ndarray) -> bool:
     return bool(usual > _USUAL_RADIUS_PX or (strong[-_SOME:][0] > _LARGE_PX and small > _SMALL_PX))
 
 
-def finer(beads: Detections, image_shape: tuple[int, int]) -> Detections:
+_Beads = TypeVar("_Beads", Detections, Observations)
+
+
+def finer(beads: _Beads, image_shape: tuple[int, int] | None) -> _Beads:
     """Convert beads of the binned image to the image itself."""
-    return replace(
-        beads,
-        uv_px=_finer_uv(beads.uv_px),
-        radius_px=beads.radius_px * FACTOR,
-        covariance_px2=beads.covariance_px2 * FACTOR**2,
-        image_shape=image_shape,
-        rejected=_scaled(beads.rejected, _finer_uv, FACTOR),
-        shadows=_scaled_shadows(beads.shadows, _finer_uv, FACTOR),
-    )
+    return _scaled(beads, _finer_uv, FACTOR, image_shape)
 
 
-def coarser(beads: Detections) -> Detections:
+def coarser(beads: _Beads) -> _Beads:
     """Convert beads of an image to the binned image."""
-    return replace(
-        beads,
-        uv_px=_coarser_uv(beads.uv_px),
-        radius_px=beads.radius_px / FACTOR,
-        covariance_px2=beads.covariance_px2 / FACTOR**2,
-        image_shape=(beads.image_shape[0] // FACTOR, beads.image_shape[1] // FACTOR),
-        shadows=_scaled_shadows(beads.shadows, _coarser_uv, 1 / FACTOR),
-    )
+    shape = beads.image_shape
+    return _scaled(beads, _coarser_uv, 1 / FACTOR, None if shape is None else (shape[0] // FACTOR, shape[1] // FACTOR))
 
 
-def finer_observations(seen: Observations, image_shape: tuple[int, int] | None) -> Observations:
-    """Convert observations in the binned image to the image itself."""
-    covariance = None if seen.covariance_px2 is None else seen.covariance_px2 * FACTOR**2
-    return replace(
-        seen,
-        uv_px=_finer_uv(seen.uv_px),
-        covariance_px2=covariance,
-        image_shape=image_shape,
-        radius_px=None if seen.radius_px is None else seen.radius_px * FACTOR,
-        rejected=None if seen.rejected is None else _scaled(seen.rejected, _finer_uv, FACTOR),
-    )
-
-
-def coarser_observations(seen: Observations) -> Observations:
-    """Convert observations in an image to the binned image."""
-    covariance = None if seen.covariance_px2 is None else seen.covariance_px2 / FACTOR**2
-    return replace(
-        seen,
-        uv_px=_coarser_uv(seen.uv_px),
-        covariance_px2=covariance,
-        radius_px=None if seen.radius_px is None else seen.radius_px / FACTOR,
-        rejected=None if seen.rejected is None else _scaled(seen.rejected, _coarser_uv, 1 / FACTOR),
-    )
-
-
-def _scaled_shadows(
-    shadows: np.ndarray | None, to_other: Callable[[np.ndarray], np.ndarray], factor: float
-) -> np.ndarray | None:
-    if shadows is None:
-        return None
-    scaled = shadows.copy()
-    scaled["u_px"], scaled["v_px"] = to_other(centres(shadows)).T
-    scaled["blur_px"] *= factor
-    return scaled
-
-
-def _scaled(
-    rejected: tuple[RejectedCandidate, ...], to_other: Callable[[np.ndarray], np.ndarray], factor: float
-) -> tuple[RejectedCandidate, ...]:
-    return tuple(
-        replace(
-            candidate, uv_px=tuple(to_other(np.array(candidate.uv_px)).tolist()), radius_px=candidate.radius_px * factor
+def _scaled(beads: Any, to_other: Callable[[np.ndarray], np.ndarray], factor: float, image_shape: Any) -> Any:
+    """Return detections or observations with other pixels; what is unknown stays unknown."""
+    changed: dict[str, Any] = {"uv_px": to_other(beads.uv_px), "image_shape": image_shape}
+    if beads.covariance_px2 is not None:
+        changed["covariance_px2"] = beads.covariance_px2 * factor**2
+    if beads.radius_px is not None:
+        changed["radius_px"] = beads.radius_px * factor
+    if beads.rejected is not None:
+        changed["rejected"] = tuple(
+            replace(spot, uv_px=tuple(to_other(np.array(spot.uv_px)).tolist()), radius_px=spot.radius_px * factor)
+            for spot in beads.rejected
         )
-        for candidate in rejected
-    )
+    if isinstance(beads, Detections) and beads.shadows is not None:
+        changed["shadows"] = shadows = beads.shadows.copy()
+        shadows["u_px"], shadows["v_px"] = to_other(centres(shadows)).T
+        shadows["blur_px"] *= factor
+    return replace(beads, **changed)
 
 
 def _finer_uv(uv_px: np.ndarray) -> np.ndarray:

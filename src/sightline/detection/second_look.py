@@ -33,8 +33,7 @@ from sightline.detection.results import (
     Observations,
     RejectedCandidate,
     coarser,
-    coarser_observations,
-    finer_observations,
+    finer,
     is_fine,
 )
 from sightline.errors import ObservationsError
@@ -241,12 +240,15 @@ def look_again(
     """
     image, frame = as_radiograph(image, white), Frame.of(frame)
     if is_fine(beads.radius_px, beads.contrast):
-        seen = look_again(image.binned(FACTOR), coarser(beads), coarser_observations(observations), frame)
-        return finer_observations(seen, observations.image_shape)
+        seen = look_again(image.binned(FACTOR), coarser(beads), coarser(observations), frame)
+        return finer(seen, observations.image_shape)
     plates = [pattern for pattern in patterns(frame) if pattern.view == observations.view]
     ids = np.array([name for pattern in plates for name in pattern.ids], dtype=object)
     before = row_of = _rows_of(observations, beads)
-    _require_enough(plates, row_of)
+    for pattern in _too_few(plates, row_of):
+        raise ObservationsError(
+            f"fewer than {MIN_BEADS} beads of the {pattern.role_name} plate are labelled; `label` gives more"
+        )
     rows = refine.start(beads.uv_px, beads.radius_px, beads.contrast)
     rows["uu_px2"], rows["uv_px2"], _, rows["vv_px2"] = beads.covariance_px2.reshape(-1, 4).T
     if not plates:
@@ -319,14 +321,6 @@ def _rows_of(observations: Observations, beads: Detections) -> dict[str, int]:
         return {i: rows[tuple(uv)] for i, uv in zip(observations.ids, observations.uv_px.tolist(), strict=True)}
     except KeyError:
         raise ObservationsError("these observations are not what `label` returned for these detections") from None
-
-
-def _require_enough(plates: list[Pattern], row_of: dict[str, int]) -> None:
-    """Raise ObservationsError where a plate has too few labelled beads to predict the others."""
-    for pattern in _too_few(plates, row_of):
-        raise ObservationsError(
-            f"fewer than {MIN_BEADS} beads of the {pattern.role_name} plate are labelled; `label` gives more"
-        )
 
 
 def _too_few(plates: list[Pattern], row_of: dict[str, int]) -> list[Pattern]:

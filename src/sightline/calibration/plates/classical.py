@@ -237,17 +237,12 @@ def fit_plates(
     view = beads.frame.view(beads.view)
     xrii = PlateFit.of(view.xrii.plane, beads.where(beads.on_xrii), fit, noise_px, joint)
     source = PlateFit.of(view.source.plane, beads.where(~beads.on_xrii), fit, noise_px, joint)
-    lines = np.flatnonzero(_mapped(source, xrii.beads.uv_px))
+    lines = np.flatnonzero(_defined(source.map, source.hull, xrii.beads.uv_px))
     from_mm = xrii.beads.xyz_mm[lines]
     to_mm = source.plane.to_space(source.map.to_plane(xrii.beads.uv_px[lines]))
     focal = focal_point(from_mm, to_mm)
     refuse_misplaced(Pencil.through(xrii.plane, focal), beads.xyz_mm)
     return ClassicalFit(xrii, source, through, focal, lines, from_mm, to_mm)
-
-
-def _mapped(plate: PlateFit, uv_px: np.ndarray) -> np.ndarray:
-    """Return (N,) bool: pixels inside the plate's convex hull, where its map interpolates."""
-    return _defined(plate.map, plate.hull, uv_px)
 
 
 def _defined(plane_map: PlaneMap, hull: Hull, uv_px: np.ndarray) -> np.ndarray:
@@ -270,7 +265,7 @@ def classical_residuals(fit: ClassicalFit, given: Beads, used: np.ndarray) -> Re
         residual[fitted] = plate.map.to_plane(_inward(plate.beads.uv_px)) - plate.plane.to_plane(plate.beads.xyz_mm)
         error[fitted], predicted[fitted] = plate.leave_one_out_mm, plate.predicted
         others = np.flatnonzero(on_plate & ~used)
-        predicted[others] = _mapped(plate, given.uv_px[others])
+        predicted[others] = _defined(plate.map, plate.hull, given.uv_px[others])
         others = others[predicted[others]]
         error[others] = plate.map.to_plane(given.uv_px[others]) - plate.plane.to_plane(given.xyz_mm[others])
         residual[others] = error[others]

@@ -331,7 +331,7 @@ def _result(
         for name in frame.views
     }
     return SelfCheck(
-        frame=_estimated(frame, moved, normal.covariance),
+        frame=measured_frame(frame, moved, normal.covariance),
         moved_mm=moved,
         in_plate=within,
         pairs=plate_pairs(frame, errors),
@@ -343,7 +343,8 @@ def _result(
     )
 
 
-def _estimated(frame: Frame, moved_mm: np.ndarray, covariance: np.ndarray) -> Frame:
+def measured_frame(frame: Frame, moved_mm: np.ndarray, covariance: np.ndarray) -> Frame:
+    """Return a frame with its M beads moved by (M, 3) and a covariance (3M, 3M) in place of its tolerances."""
     covariance = (covariance + covariance.T) / 2
     covariance.flags.writeable = False
     measured = frame.with_beads_at((frame.xyz_mm + moved_mm).round(6))

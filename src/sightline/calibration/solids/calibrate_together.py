@@ -14,6 +14,8 @@ from scipy.special import chdtri
 
 from sightline.calibration.bead_checks import (
     CHI_SQUARE_FALSE_ALARM,
+    chi_square_check,
+    count_check,
     leave_one_out_check,
     tolerance_checks,
     wrong_beads_check,
@@ -49,29 +51,13 @@ from sightline.frame import Frame
 MIN_DISTORTION = 0.01
 
 
-def adjustment_check(fit: SolidAdjustment) -> Check:
-    """Return the chi-square of all images of one adjustment."""
-    reduced, limit = fit.chi_square / fit.freedom, float(chdtri(fit.freedom, CHI_SQUARE_FALSE_ALARM)) / fit.freedom
-    sentence = (
-        "All images of the solid agree with its file, the stated noise and tolerances."
-        if reduced <= limit
-        else "The images disagree with the solid's file by more than the stated noise and tolerances explain: the "
-        "solid moved between the images, its file is of another one or states too small errors, or an image is "
-        "distorted."
-    )
-    return Check("chi-square", reduced <= limit, reduced, limit, "", sentence)
-
-
 def checks_of_image(fit: SolidAdjustment, image: int, c_arm: CArm | None) -> list[Check]:
     """Return the checks of one image: its balls, that its kind is that of the frame, and what is known of the C-arm."""
     own = fit.images[image]
     kind = _is_distorted(own) if isinstance(own, DetectorPlateImage) else _distortion(fit, image)
-    return [_count(int((own.rows < fit.solid.count).sum())), kind, *_panel_checks(fit, image, c_arm)]
-
-
-def _count(balls: int) -> Check:
-    sentence = f"{balls} balls of the solid are used; {MIN_BALLS} are needed, 9 or more are good."
-    return Check("bead count", True, float(balls), float(MIN_BALLS), "beads", sentence)
+    needed = f"balls of the solid are used; {MIN_BALLS} are needed, 9 or more are good"
+    count = count_check(int((own.rows < fit.solid.count).sum()), MIN_BALLS, needed, "")
+    return [count, kind, *_panel_checks(fit, image, c_arm)]
 
 
 def _distortion(fit: SolidAdjustment, image: int) -> Check:
@@ -164,7 +150,14 @@ def calibrate_together(
         cameras = [first_camera(solid, image, seen.view) for image, seen in zip(images, observations, strict=True)]
         fit, left = _robustly(solid, images, cameras, observations)
     adjustment = sha256(b"".join(seen.view.encode() + seen.uv_px.tobytes() for seen in observations)).hexdigest()[:16]
-    checks = (adjustment_check(fit), *tolerance_checks(frame))
+    chi_square = chi_square_check(
+        fit.chi_square,
+        fit.freedom,
+        "All images of the solid agree with its file, the stated noise and tolerances.",
+        "The images disagree with the solid's file by more than the stated noise and tolerances explain: the solid "
+        "moved between the images, its file is of another one or states too small errors, or an image is distorted.",
+    )
+    checks = (chi_square, *tolerance_checks(frame))
     return tuple(
         replace(
             _view(_InOne(fit, k, adjustment), centred[k], frame, c_arm, (left[k], checks)),

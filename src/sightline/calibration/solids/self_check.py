@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.calibration.lengths import CArm
-from sightline.calibration.plates.self_check import MIN_IMAGES
+from sightline.calibration.plates.self_check import MIN_IMAGES, measured_frame
 from sightline.calibration.solids.adjustment import SolidAdjustment
 from sightline.calibration.solids.calibrate_together import adjustment_of, calibrate_together
 from sightline.common.checks import Check
@@ -69,14 +69,12 @@ def self_check_solid(
     views = calibrate_together(observations, _with_distance(frame, distance), c_arms)
     fit = adjustment_of(views[0])
     moved, covariance = _at_best_fit(frame, fit)
-    covariance.flags.writeable = False
-    measured = _moved(frame, moved)
     seen = np.concatenate([image.rows for image in fit.images])
     sd = np.sqrt(np.diag(covariance)).reshape(-1, 3)
     named = {check.name: check for view in views for check in view.checks if not check.passed}
     shared = [check for check in views[0].checks if check.name == "chi-square" and check.passed]
     return SolidSelfCheck(
-        frame=replace(measured, tolerances=None, covariance_mm2=covariance),
+        frame=measured_frame(frame, moved, covariance),
         moved_mm=moved,
         sd_mm=sd,
         images=np.bincount(seen, minlength=len(moved)),
@@ -104,9 +102,7 @@ def _with_distance(frame: Frame, known: KnownDistance) -> Frame:
             "the distance (between the centres) and the file's tolerance"
         )
     covariance = prior - np.outer(gain, by_ball @ prior)
-    covariance = (covariance + covariance.T) / 2
-    covariance.flags.writeable = False
-    return replace(_moved(frame, off * gain.reshape(-1, 3)), tolerances=None, in_use=None, covariance_mm2=covariance)
+    return replace(measured_frame(frame, off * gain.reshape(-1, 3), covariance), in_use=None)
 
 
 def _at_best_fit(frame: Frame, fit: SolidAdjustment) -> tuple[np.ndarray, np.ndarray]:
@@ -117,10 +113,6 @@ def _at_best_fit(frame: Frame, fit: SolidAdjustment) -> tuple[np.ndarray, np.nda
     free = np.eye(len(rigid)) - rigid @ np.linalg.pinv(rigid)
     gain = free @ fit.solid.factor @ fit.gain[: len(fit.e)]
     return (free @ (fit.xyz_mm - before).ravel()).reshape(-1, 3), gain @ gain.T
-
-
-def _moved(frame: Frame, moved_mm: np.ndarray) -> Frame:
-    return frame.with_beads_at((frame.xyz_mm + moved_mm).round(6))
 
 
 def _error_check(sd_mm: np.ndarray) -> Check:

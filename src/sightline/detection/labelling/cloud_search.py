@@ -456,22 +456,15 @@ def promising(problem: Problem, rows: np.ndarray, most: float) -> np.ndarray:
     i, j, k = corners.T
     (au, av), (bu, bv) = (uv_px[j] - uv_px[i]).T, (uv_px[k] - uv_px[i]).T
     broad = np.abs(au * bv - av * bu) > MIN_AREA * distance[i, j] ** 2
-    off = np.subtract.outer(log_radius, log_radius)[:, :, None] - _size_steps(half)
+    sizes = np.unique(np.round(half, 3))
+    steps = np.unique(np.round(np.subtract.outer(sizes, sizes), 3))
+    off = np.subtract.outer(log_radius, log_radius)[:, :, None] - steps
     alike = (np.abs(off).min(axis=2) < ALIKE).mean(axis=1)
-    share = _share_apart(problem, distance / np.exp(np.add.outer(log_radius, log_radius) / 2 - median(half)))
+    # The share (N, N) of pairs of balls whose distance may be that of each pair of detections, or more.
+    apart = np.sort(problem.cloud.apart[np.triu_indices(len(half), 1)])
+    apart_mm = distance / np.exp(np.add.outer(log_radius, log_radius) / 2 - median(half))
+    share = 1 - np.searchsorted(apart, apart_mm * (1 - SLACK)) / len(apart)
     cost = share[i, j] * share[i, k] * share[j, k] * len(half) ** 3
     promise = np.where(broad & (cost > 0), (alike[i] * alike[j] * alike[k]) ** 2 / (cost + OVERHEAD), 0.0)
     order = np.argsort(-promise, kind="stable")[: np.count_nonzero(promise)]
     return rows[corners[order[np.cumsum(cost[order] + OVERHEAD) <= most]]]
-
-
-def _size_steps(log_half: np.ndarray) -> np.ndarray:
-    """Return the log ratios (S,) of the sizes of balls, ascending."""
-    sizes = np.unique(np.round(log_half, 3))
-    return np.unique(np.round(np.subtract.outer(sizes, sizes), 3))
-
-
-def _share_apart(problem: Problem, least_mm: np.ndarray) -> np.ndarray:
-    """Return the share (N, N) of pairs of balls whose distance may be `least_mm` (N, N) or more."""
-    apart = np.sort(problem.cloud.apart[np.triu_indices(len(problem.xyz_mm), 1)])
-    return 1 - np.searchsorted(apart, least_mm * (1 - SLACK)) / len(apart)

@@ -180,7 +180,12 @@ def _first_solution(problem: LabellingProblem) -> LabellingSolution:
                 failures.append(failure)
     largest = max(lone, key=len, default=None)
     if largest is not None and (not failures or problem.usable.sum() < (1 + LEFT_OVER) * len(largest)):
-        raise _one_plate(problem, largest)
+        best = most_like(largest, [pattern for couple in problem.couples for pattern in couple])
+        raise AttemptError(
+            Stage.LATTICES,
+            f"only one plate was found: {len(largest)} beads that look most like the {best.role_name} plate of the "
+            f"{best.view} view; move the C-arm or the frame until both plates are in the field",
+        )
     if not failures:
         raise AttemptError(
             Stage.SEEDS,
@@ -188,16 +193,6 @@ def _first_solution(problem: LabellingProblem) -> LabellingSolution:
             "frame in the image, show more of its datum markers, or give their pixels",
         )
     raise max(failures, key=lambda failure: failure.stage)
-
-
-def _one_plate(problem: LabellingProblem, lattice: Grown) -> AttemptError:
-    """Return the error for an image without a second plate."""
-    best = most_like(lattice, [pattern for couple in problem.couples for pattern in couple])
-    return AttemptError(
-        Stage.LATTICES,
-        f"only one plate was found: {len(lattice)} beads that look most like the {best.role_name} plate of the "
-        f"{best.view} view; move the C-arm or the frame until both plates are in the field",
-    )
 
 
 def _lattices(problem: LabellingProblem, usable: np.ndarray, most: int) -> Iterator[Grown]:
@@ -237,13 +232,9 @@ def _view_of(datums: Mapping[str, tuple[float, float]], frame: Frame) -> str:
 
 def _given_lattices(problem: LabellingProblem, datums: Mapping[str, tuple[float, float]]) -> tuple[Grown, Grown]:
     """Return the lattices of both plates from given datum pixels. Raises ObservationsError and AttemptError."""
-    couple = problem.couples[0] if problem.view is None else _couple(problem)
+    couple = next(couple for couple in problem.couples if problem.view in (None, couple[0].view))
     first, second = (_given_lattice(problem, pattern, datums) for pattern in couple)
     return first, second
-
-
-def _couple(problem: LabellingProblem) -> tuple[Pattern, Pattern]:
-    return next(couple for couple in problem.couples if couple[0].view == problem.view)
 
 
 def _given_lattice(problem: LabellingProblem, pattern: Pattern, datums: Mapping[str, tuple[float, float]]) -> Grown:

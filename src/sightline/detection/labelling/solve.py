@@ -53,17 +53,17 @@ def check(model: Model, fit: Joint, beads: np.ndarray, pair: tuple[Grown, Grown]
     left = ball_like.copy()
     left[beads[:, 0]] = False
     _check_map(model, fit, beads)
-    _check_explained(beads, int(ball_like.any(axis=1).sum()))
+    spots = int(ball_like.any(axis=1).sum())
+    if len(beads) < MIN_EXPLAINED * spots:
+        raise AttemptError(
+            Stage.CHECKS,
+            f"only {100 * len(beads) / spots:.0f} % of the bead-like spots lie on the frame's places; "
+            "check the frame file, or give the datum markers' pixels",
+        )
     _check_edge(model, fit, pair, left)
     _check_pattern(pair)
     _check_ball_size(fit, pair)
     _check_focal_point(model, fit, beads)
-
-
-def check_alone(model: Model, fit: Joint, beads: np.ndarray, plate: Grown) -> None:
-    """Check the labels of `beads` (B, 2) of a plate alone. Raises AttemptError."""
-    _check_map(model, fit, beads)
-    _check_pattern((plate,))
 
 
 def _check_map(model: Model, fit: Joint, beads: np.ndarray) -> None:
@@ -79,16 +79,6 @@ def _check_map(model: Model, fit: Joint, beads: np.ndarray) -> None:
     if fit.bend > MAX_BEND:
         raise AttemptError(
             Stage.CHECKS, "the labels would need a distortion that no intensifier has; is this the frame in the image?"
-        )
-
-
-def _check_explained(beads: np.ndarray, ball_like: int) -> None:
-    """Check that most detections that look like beads are explained."""
-    if len(beads) < MIN_EXPLAINED * ball_like:
-        raise AttemptError(
-            Stage.CHECKS,
-            f"only {100 * len(beads) / ball_like:.0f} % of the bead-like spots lie on the frame's places; "
-            "check the frame file, or give the datum markers' pixels",
         )
 
 
@@ -301,12 +291,6 @@ def _fitted(problem: LabellingProblem, model: Model, pair: tuple[Grown, ...], si
     return fit
 
 
-def _fewest(pair: tuple[Grown, Grown], beads: np.ndarray) -> int:
-    """Return the smaller number of beads of one plate among `beads` (B, 2) of detection and place."""
-    of_first = int((beads[:, 1] < len(pair[0].pattern.ids)).sum())
-    return min(of_first, len(beads) - of_first)
-
-
 def solve(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> LabellingSolution:
     """Return the labels of two lattices. Raises AttemptError."""
     pair = identified(problem, pair)
@@ -315,7 +299,8 @@ def solve(problem: LabellingProblem, pair: tuple[Grown, Grown]) -> LabellingSolu
     fit = _fitted(problem, model, pair, sizes.m2)
     beads = fit.beads[_certain(problem, fit, sizes, pair[0].sheet.similarity.scale)]
     xrii, source = pair[0].pattern, pair[1].pattern
-    if _fewest(pair, beads) < MIN_BEADS:
+    on_xrii = int((beads[:, 1] < len(xrii.ids)).sum())
+    if min(on_xrii, len(beads) - on_xrii) < MIN_BEADS:
         raise AttemptError(
             Stage.PROJECTION,
             "too few beads can be distinguished from false candidates; show more of both plates, or expose longer",
@@ -346,5 +331,6 @@ def solve_alone(problem: LabellingProblem, grown: Grown) -> tuple[np.ndarray, Jo
     sizes, model = _sizes((grown,), problem.usable), Model((grown,), problem.detections)
     fit = _fitted(problem, model, (grown,), sizes.m2)
     beads = fit.beads[_certain(problem, fit, sizes, grown.sheet.similarity.scale)]
-    check_alone(model, fit, beads, grown)
+    _check_map(model, fit, beads)
+    _check_pattern((grown,))
     return beads, fit
