@@ -1,5 +1,6 @@
 """Second look: once beads are labelled, fit the missing ones where the frame predicts them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -224,12 +225,10 @@ def look_again(
 ) -> Observations:
     """Return `observations` (of `label`) with beads that `detect` missed, where the image shows them clearly.
 
-    Beads partly under metal or under each other are fitted where the labelled beads of their plate predict them. They
-    are accepted only if centre, size and contrast agree with the prediction. Before a clipped background, detections
-    too small for labelling are accepted too, with a larger covariance. Labelled beads with a deep overlap are fitted
-    again, both at once, or left out. So are labelled beads beside metal whose first fit leaves a residual. Fitted beads
-    stand last. Washers are not searched for, nor balls of a solid. `image`, `white`: as of `detect`; `frame`: as of
-    `label`.
+    Beads partly under metal or each other are fitted where the others of their plate predict them, and accepted if
+    centre, size and contrast agree. Before a clipped background, detections too small for labelling are accepted too,
+    with a larger covariance. Labelled beads with a deep overlap, or beside metal, are fitted again or left out. Fitted
+    beads stand last. Washers and balls of a solid are not searched for. Arguments as of `detect` and `label`.
     Raises ObservationsError where `observations` are not what `label` returned for `beads`.
 
     >>> image, frame = sl.read_image("out/demo/demo_pa.dcm"), sl.Frame.load("gamma")
@@ -245,20 +244,15 @@ def look_again(
     plates = [pattern for pattern in patterns(frame) if pattern.view == observations.view]
     ids = np.array([name for pattern in plates for name in pattern.ids], dtype=object)
     before = row_of = _rows_of(observations, beads)
+    if not plates:
+        return observations
     for pattern in _too_few(plates, row_of):
         raise ObservationsError(
             f"fewer than {MIN_BEADS} beads of the {pattern.role_name} plate are labelled; `label` gives more"
         )
-    rows = refine.start(beads.uv_px, beads.radius_px, beads.contrast)
-    rows["uu_px2"], rows["uv_px2"], _, rows["vv_px2"] = beads.covariance_px2.reshape(-1, 4).T
-    if not plates:
-        return observations
     fitter = cache(lambda: bead_fitter(image, beads))  # made only if a bead is to be fitted
+    rows = _known_fits(beads, fitter)
     settled, tried = np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
-    if beads.shadows is not None and np.array_equal(centres(beads.shadows), beads.uv_px):
-        rows[SHADOW] = beads.shadows
-    else:
-        rows[_NOT_STATED] = fitter()(rows)[_NOT_STATED]
     for _ in range(_ROUNDS):  # beads found in one round predict those further out in the next
         expected = _expected(plates, rows, row_of)
         which = _rows_to_fit(image, plates, expected, rows, settled)
@@ -271,20 +265,25 @@ def look_again(
         which = which[~settled[which]]
         if len(which) == 0:
             continue
-        initial, prior_sd = _initial(plates, rows, expected, which)
-        # Before a clipped background, the radius must take up what the fit does not know of the shadow's profile.
-        prior_sd[:, np.flatnonzero(shares > WITHOUT_FOOT)] = PRIOR_SD[:, None]
-        fit = _fitted(fitter(), initial, which, prior_sd)
-        allow_for_missing_foot(fit, shares[which])
-        clear = _clear(fit, initial, expected, which, shares[which] > WITHOUT_FOOT)
+        fit, clear = _fitted(fitter(), plates, rows, expected, which, shares)
         tried[which] = settled[which[clear]] = True
         row_of = {name: row for name, row in row_of.items() if name not in ids[which]}
         row_of |= {name: len(rows) + k for k, name in enumerate(ids[which[clear]])}
         rows = np.concatenate([rows, fit[clear]])
         if len(clear) + len(detected) == 0 or _too_few(plates, row_of):
             break
-    if row_of == before:
-        return observations
+    return observations if row_of == before else _looked(observations, beads, rows, (before, row_of), ids[tried])
+
+
+def _looked(
+    observations: Observations,
+    beads: Detections,
+    rows: np.ndarray,
+    rows_of: tuple[dict[str, int], dict[str, int]],
+    tried: np.ndarray,
+) -> Observations:
+    """Return the observations after the second look; `rows_of`: the row of each bead before and after it."""
+    before, row_of = rows_of
     row, new = list(row_of.values()), [row for name, row in row_of.items() if before.get(name) != row]
     return replace(
         observations,
@@ -292,8 +291,19 @@ def look_again(
         uv_px=centres(rows[row]),
         covariance_px2=centre_covariances(rows[row]),
         radius_px=rows["radius_px"][row],
-        rejected=_rejected(observations, beads, [before[i] for i in ids[tried] if i in before], rows[new]),
+        rejected=_rejected(observations, beads, [before[i] for i in tried if i in before], rows[new]),
     )
+
+
+def _known_fits(beads: Detections, fitter: Callable[[], refine.BeadFitter]) -> np.ndarray:
+    """Return the beads (N,) as fits; what detections do not state is fitted again."""
+    rows = refine.start(beads.uv_px, beads.radius_px, beads.contrast)
+    rows["uu_px2"], rows["uv_px2"], _, rows["vv_px2"] = beads.covariance_px2.reshape(-1, 4).T
+    if beads.shadows is not None and np.array_equal(centres(beads.shadows), beads.uv_px):
+        rows[SHADOW] = beads.shadows
+    else:
+        rows[_NOT_STATED] = fitter()(rows)[_NOT_STATED]
+    return rows
 
 
 def _rejected(
@@ -477,13 +487,27 @@ def _others(every: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.asarray((apart > np.maximum(every["radius_px"][:, None], rows["radius_px"])).all(axis=1))
 
 
-def _fitted(fit: refine.BeadFitter, rows: np.ndarray, which: np.ndarray, prior_sd: np.ndarray) -> np.ndarray:
-    """Fit the rows `which` outside metal and overlaps; status TOO_FEW_PIXELS where too little is left."""
-    usable, enough = without_overlaps(fit, rows, which, DEEPEST_OF_KNOWN_SHAPE)
-    fitted = rows[which]
-    fitted["status"] = BeadStatus.TOO_FEW_PIXELS
-    fitted[enough] = fit.within(usable)(rows, which[enough], prior_sd)
-    return fitted
+def _fitted(  # noqa: PLR0917
+    fitter: refine.BeadFitter,
+    plates: list[Pattern],
+    rows: np.ndarray,
+    expected: _Expected,
+    which: np.ndarray,
+    shares: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return fits (M,) of the beads `which` (M,) outside metal and overlaps, and which of them are clear.
+
+    `shares` (P,): of the clipped pixels around each bead. Status TOO_FEW_PIXELS where too little is left.
+    """
+    initial, prior_sd = _initial(plates, rows, expected, which)
+    # Before a clipped background, the radius must take up what the fit does not know of the shadow's profile.
+    prior_sd[:, np.flatnonzero(shares > WITHOUT_FOOT)] = PRIOR_SD[:, None]
+    usable, enough = without_overlaps(fitter, initial, which, DEEPEST_OF_KNOWN_SHAPE)
+    fit = initial[which]
+    fit["status"] = BeadStatus.TOO_FEW_PIXELS
+    fit[enough] = fitter.within(usable)(initial, which[enough], prior_sd)
+    allow_for_missing_foot(fit, shares[which])
+    return fit, _clear(fit, initial, expected, which, shares[which] > WITHOUT_FOOT)
 
 
 def _clear(
