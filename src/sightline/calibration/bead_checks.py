@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from sightline.calibration.plates.beads import Beads
-from sightline.calibration.plates.joint import JointFit
+from sightline.calibration.plates.joint import FALSE_ALARM, JointFit
 from sightline.calibration.view import Residuals
 from sightline.common.checks import Check
 from sightline.common.fitting import distances
@@ -19,11 +19,10 @@ from sightline.common.geometry.outlines import convex_hull, enclosed_area
 from sightline.common.geometry.planes import Plane
 from sightline.frame import Frame
 
-MIN_COUNT = 24  # [ours] a cubic and F have 23 parameters: 25 degrees of freedom are left
+MIN_COUNT = 24  # a cubic and F have 23 parameters: more degrees of freedom are left, 25, than are fitted [calc]
 MIN_COVERAGE = 0.45  # [ours] share of each plate's area within the convex hull of its used beads
 MAX_LEAVE_ONE_OUT_MM = 0.5  # [ours] half of the 1 mm the paper reaches at the entry point
-MAX_NOISE_PX = 2.0  # [ours] twice an ordinary click (physics.md, Picks)
-CHI_SQUARE_FALSE_ALARM = 1e-4  # [ours]
+MAX_NOISE_PX = 2.0  # twice an ordinary click [physics.md, Picks]
 MIN_BESIDE_ROW = 6  # [ours] beads on either side of a row that is tested for a tear
 
 
@@ -76,7 +75,7 @@ def noise_checks(fit: JointFit) -> list[Check]:
 
 def chi_square_check(square: float, freedom: int, agrees: str, disagrees: str) -> Check:
     """Return the check of a sum of squared residuals over their expected variances."""
-    reduced, limit = square / freedom, float(chdtri(freedom, CHI_SQUARE_FALSE_ALARM)) / freedom
+    reduced, limit = square / freedom, float(chdtri(freedom, FALSE_ALARM)) / freedom
     return Check("chi-square", reduced <= limit, reduced, limit, "", agrees if reduced <= limit else disagrees)
 
 
@@ -123,7 +122,7 @@ def row_check(fit: JointFit) -> Check:
     shifts_px, sds_px = (np.concatenate(values) for values in zip(*scores, strict=True))
     sigma = np.abs(shifts_px) / sds_px
     worst = int(sigma.argmax())
-    largest, limit = float(sigma[worst]), float(np.sqrt(chdtri(1, CHI_SQUARE_FALSE_ALARM / len(sigma))))
+    largest, limit = float(sigma[worst]), float(np.sqrt(chdtri(1, FALSE_ALARM / len(sigma))))
     if passed := largest <= limit:
         sentence = "The image is not torn at any row."
     else:

@@ -12,7 +12,7 @@ from sightline.calibration.maps.fit_map import Method, refuse_unknown_method
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.maps.localized import LocalizedMap
 from sightline.calibration.maps.polynomial import Affine, PolynomialMap
-from sightline.calibration.plates.beads import Beads, match
+from sightline.calibration.plates.beads import UNKNOWN_NOISE_PX, Beads, match
 from sightline.calibration.plates.classical import Fitter, PlateName, classical_residuals, fit_plates
 from sightline.calibration.plates.joint import MIN_BEADS, JointFit, fit_robustly
 from sightline.calibration.solids.calibrate_together import calibrate_together
@@ -21,9 +21,6 @@ from sightline.common.threads import one_blas_thread
 from sightline.detection.results import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
-
-# Noise assumed where none is stated and the beads are too few to estimate it: a careful click (physics.md, Picks).
-UNKNOWN_NOISE_PX = 0.5
 
 
 @one_blas_thread

@@ -19,7 +19,7 @@ from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.frame import Frame
 
-MIN_BEADS = 12  # two equations each for 11 parameters, with redundancy to find wrong beads [ours]
+MIN_BEADS = 12  # 24 equations for 11 parameters: twice as many, to find wrong beads [calc]
 _PARAMETERS = 11
 _UNIT_MM = 100.0  # unit of the plane's coordinates in the homography, so that its parameters are of similar size [calc]
 _WRONG_M2 = 13.8  # chi-square, two degrees of freedom, once in 1,000: an instrument in front of a bead

@@ -40,7 +40,7 @@ _MAX_PANEL_SPREAD = 0.02
 MIN_SOURCE_PLATE_MM = 400.0
 # Half the side of the square of pixels whose solid angle is measured, in radii of the beads' convex hull [ours].
 _HALF_SIDE = 0.5
-# Systematic error of the fitted log radius where blur or beam hardening differ from the fit's model [twin, ours]: in 17
+# Systematic error of the fitted log radius where blur or beam hardening differ from the fit's model [twin]: in 17
 # images of four image chains, three doses and twice the blur, balls of 3 mm looked 0.4 to 1.8 % too large, those of
 # 5 mm 0.9 to 2.6 %; on an unmeasured machine the error may be three times as large.
 SYSTEMATIC = 0.06

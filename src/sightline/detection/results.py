@@ -178,7 +178,7 @@ def _places(rejected: tuple[RejectedCandidate, ...]) -> np.ndarray:
 
 
 FACTOR = 2
-_USUAL_RADIUS_PX = 14.0  # largest median of the beads; datum balls, 5/3 as large, then have 24 px [ours]
+_USUAL_RADIUS_PX = 14.0  # largest median of the beads: datum balls, 5/3 as large, then have 24 px of 25 [calc]
 # Where some are larger than this, they are binned too, unless the smallest tenth would become hard to fit. Fits of
 # discs above 23 px do not always converge [twin].
 _LARGE_PX, _SMALL_PX = 22.0, 6.0  # [ours]

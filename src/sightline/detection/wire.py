@@ -45,7 +45,7 @@ _MIN_TIP_VISIBLE = 0.3  # share of the pixels around the tip that must be usable
 _TIP_BEHIND = 5.0  # radii of the wire behind its point that are fitted; beyond the tip, _BESIDE_PX [ours]
 _MIN_SHOWN_PX = 50  # length of the expected wire inside the field [ours]
 _MAX_OVERLAP = 0.04  # relative error of a piece's width; of a single wire 0.02, rarely 0.04 [twin]
-_MAX_WIDTH_ERROR = 0.25  # relative; refuses a wire of 3.2 mm for one of 2.5 mm [ours]
+_MAX_WIDTH_ERROR = 0.25  # relative; refuses a wire of 3.2 mm for one of 2.5 mm, the next sizes [calc]
 
 _FEW_PIECES = (
     "only {} pieces of the wire can be measured, the others are hidden or too faint; take other metal out of the beam, "

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sightline.calibration.exchange import reading
-from sightline.calibration.exchange.pinhole import Pinhole
+from sightline.calibration.exchange.pinhole import MAX_DIFFERENCE, Pinhole
 from sightline.calibration.exchange.reading import json_bytes
 from sightline.common.bounded import npy_array
 from sightline.errors import UnusableInputError
@@ -18,8 +18,6 @@ CONVENTION = (
     "(u w, v w, w) = camera_matrix (rotation X + translation_mm), X in CFCS mm; pixel (0, 0) is the centre of the "
     "top-left pixel, u to the right, v down; z from the X-ray source to the detector; no distortion"
 )
-
-_MAX_DIFFERENCE = 1e-6  # [ours] of a matrix's norm: files written with seven digits agree to that
 
 
 def document(pinhole: Pinhole) -> dict[str, Any]:
@@ -74,7 +72,7 @@ def _of_parts(given: dict[str, Any]) -> np.ndarray:
 def _refuse_two(whole: np.ndarray, parts: np.ndarray) -> None:
     """Raise UnusableInputError where a matrix and its parts differ by more than scale."""
     first, second = whole / np.linalg.norm(whole), parts / np.linalg.norm(parts)
-    if min(np.abs(first - second).max(), np.abs(first + second).max()) > _MAX_DIFFERENCE:
+    if min(np.abs(first - second).max(), np.abs(first + second).max()) > MAX_DIFFERENCE:
         raise UnusableInputError(
             "export the file again: its matrix disagrees with its camera matrix, rotation and translation"
         )

@@ -9,8 +9,8 @@ from scipy.linalg import rq
 from sightline.calibration.matrix_view import MatrixView, view_from_matrix
 from sightline.errors import UnusableInputError
 
-# Focal lengths along u and v, in mm, that differ by a smaller share count as equal [ours]: 0.001 mm at 1000 mm.
-_MAX_FOCAL_DIFFERENCE = 1e-6
+# Numbers that differ by a smaller share count as equal: files written with seven digits agree to that [ours].
+MAX_DIFFERENCE = 1e-6
 _PIXELS = ("uint8", "uint16", "float32")  # pixel types of other programs' images
 
 
@@ -121,7 +121,7 @@ class Pinhole:
             )
         fx, skew, fy = abs(self.camera_matrix[0, 0]), self.camera_matrix[0, 1], self.camera_matrix[1, 1]
         along_u, along_v = fx * self.pixel_mm[0], fy * self.pixel_mm[1]
-        if abs(along_u - along_v) > _MAX_FOCAL_DIFFERENCE * along_u or abs(skew) > _MAX_FOCAL_DIFFERENCE * fx:
+        if abs(along_u - along_v) > MAX_DIFFERENCE * along_u or abs(skew) > MAX_DIFFERENCE * fx:
             raise UnusableInputError(
                 f"resample the image first: the format needs one focal length and no skew; this camera has "
                 f"{along_u:.3f} and {along_v:.3f} mm and a skew of {skew:.3g} px"

@@ -13,7 +13,7 @@ from sightline.errors import UnusableInputError
 MAX_BYTES = 2**20  # [ours] a matrix with its covariance takes 5 kB
 MAX_NUMBER = 1e12  # [ours] focal lengths of 1e5 px times distances of 1e4 mm, and a scale of 1000
 _BRACKETS = re.compile(r"[\[{\]}]")
-_MAX_DEPTH = 8  # [ours] of nested brackets in JSON; our files have 3
+MAX_DEPTH = 8  # [ours] of nested brackets in JSON and elements in XML; files of views have 3
 
 
 def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
@@ -29,7 +29,7 @@ def text(data: bytes) -> str:
         raise UnusableInputError("this is not a text file; export it again as text in UTF-8") from None
 
 
-def json_object(data: bytes, depth: int = _MAX_DEPTH) -> dict[str, Any]:
+def json_object(data: bytes, depth: int = MAX_DEPTH) -> dict[str, Any]:
     """Return a JSON object without repeated keys or NaN, nested no deeper than `depth`."""
     value = json_value(data, depth)
     if not isinstance(value, dict):
@@ -37,7 +37,7 @@ def json_object(data: bytes, depth: int = _MAX_DEPTH) -> dict[str, Any]:
     return value
 
 
-def json_value(data: bytes, depth: int = _MAX_DEPTH) -> Any:
+def json_value(data: bytes, depth: int = MAX_DEPTH) -> Any:
     """Return any JSON value, with the same restrictions."""
     written = text(data)
     level = 0

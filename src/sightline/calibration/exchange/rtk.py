@@ -29,9 +29,8 @@ _NAMES = (
     "ProjectionOffsetY",
 )
 _NEEDED = _NAMES[:3]
-# A file's matrix must agree with its parameters, as in RTK [ours]: 0.001 px at 0.2 mm.
+# A file's matrix must agree with its parameters to 0.001 px at 0.2 mm, as in RTK [calc].
 _MAX_DIFFERENCE_MM = 2e-4
-_MAX_DEPTH = 16  # [ours] of nested elements; RTK's files have 3
 
 
 def parameters(pinhole: Pinhole) -> dict[str, float]:
@@ -195,7 +194,7 @@ def parsed_xml(data: bytes) -> Element:
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
-        if depth > _MAX_DEPTH:
+        if depth > reading.MAX_DEPTH:
             raise UnusableInputError("the XML is nested too deeply to be a geometry")
         builder.start(tag, attributes)
 

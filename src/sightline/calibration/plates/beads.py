@@ -153,6 +153,8 @@ def _plates(frame: Frame, view: str) -> tuple[Plate, ...]:
     return (frame.views[view].xrii, frame.views[view].source) if view in frame.views else ()
 
 
+# Noise assumed where none is stated and the beads are too few to estimate it: a careful click (physics.md, Picks).
+UNKNOWN_NOISE_PX = 0.5
 MIN_SD_PX, MAX_SD_PX = 1e-6, 1e3  # of a bead's centre: far below any measurement's, about the size of an image [ours]
 
 

@@ -39,7 +39,7 @@ from sightline.errors import CalibrationRefusedError
 
 # The cubic has 20 parameters and F 3; with fewer beads too few degrees of freedom are left to test them [ours].
 MIN_BEADS = 16
-# Once in 10,000 views a correct bead is rejected: chi-square, two degrees of freedom, over all beads of a view [ours].
+# Once in 10,000 views a correct bead is rejected (chi-square, over all beads of a view), or a check fails [ours].
 FALSE_ALARM = 1e-4
 # More outliers than this, or than this share, mean a wrong frame, image or labelling [ours].
 MAX_WRONG = 6

@@ -114,7 +114,7 @@ def _rigid(plate: Plate, axes_of: Plate) -> np.ndarray:
 
 
 MIN_IMAGES = 4  # [ours] two of each of two views: in one image the map absorbs the frame's errors
-# [ours] half the shortest correlation length beyond a cubic of a real tube's map (physics.md, Distortion): images
+# Half the shortest correlation length beyond a cubic of a real tube's map [physics.md, Distortion]: images
 # nearer to each other share the errors of their maps, which are treated as independent.
 MIN_MOVEMENT_MM = 15.0
 FREE_SD_MM = 3.0  # [ours] prior s.d. of a ball that contradicts its tolerance: a third of the densest pitch

@@ -13,7 +13,7 @@ from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.frame import Frame, FrameView
 
-MIN_BEADS = 8  # [ours] the 11 parameters of a projection need six beads; two more for redundancy
+MIN_BEADS = 8  # the 11 parameters of a projection need six beads; two more for redundancy [calc]
 STEP_MM = 5.0  # [ours] precision with which a frame is moved by hand
 MAX_MOVE_MM = 100.0  # [ours]
 # A bead counts as visible when its centre lies this far inside the image [ours].

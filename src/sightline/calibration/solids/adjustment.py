@@ -16,6 +16,7 @@ from sightline.calibration.lengths import CArm
 from sightline.calibration.maps.hull import refuse_collinear
 from sightline.calibration.maps.polynomial import Affine
 from sightline.calibration.maps.smooth import FittedSmoothMap
+from sightline.calibration.plates.beads import UNKNOWN_NOISE_PX
 from sightline.calibration.solids.images import (
     MIN_BALLS,
     MIN_PLATE_BALLS,
@@ -195,15 +196,14 @@ def _linearised(
     return SolidAdjustment(solid, tuple(images), tuple(cameras), e, residual, design)
 
 
-# S.d. of what is known of a panel [ours]: the stated source-detector distance changes by 6 to 8 mm over the orbit and
+# S.d. of what is known of a panel: the stated source-detector distance changes by 6 to 8 mm over the orbit and
 # the piercing point wanders by up to 16 mm where the C-arm flexes (physics.md, C-arm).
 DISTANCE_SD_MM = 10.0
 CENTRE_SD_MM = 5.0
 # Of a panel that states nothing [ours]: image widths between 1/8 and 1/2 of the focal length, about this mean.
 FOCAL_WIDTHS, FOCAL_SHARE = 4.0, 0.5
 CENTRE_SHARE = CENTRE_SD_MM / 200.0  # of the image's width, for the smallest panels of C-arms
-UNKNOWN_NOISE_PX = 0.5  # where none is stated: a careful click (physics.md, Picks)
-# Difference of chi-square between an image and its mirror image that decides [ours]: odds of e^12 to 1.
+# Difference of chi-square between an image and its mirror image that decides: odds of e^12.5 to 1 [calc].
 MIRROR_EVIDENCE = 25.0
 # Of a plate on the detector: the middle of the beam is this far from its own, per axis [ours]: 5 mm as of a panel, 3 mm
 # and 0.3° by which it is put on askew. A C-arm that states no distance has 0.9 to 1.2 m.

@@ -16,7 +16,7 @@ from sightline.calibration.view import PlaneMap
 from sightline.common.fitting import Kriging, cholesky, inverse_lower
 from sightline.common.geometry.planes import Plane
 
-MIN_BALLS = 6  # of the solid in one image: 9 unknowns of its camera, two equations for each ball [ours]
+MIN_BALLS = 6  # of the solid in one image: 12 equations for the 9 unknowns of its camera [calc]
 
 
 @dataclass(frozen=True, eq=False)

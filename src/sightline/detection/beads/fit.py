@@ -70,7 +70,7 @@ _MAX_SLOPE = 0.1
 _MIN_CUBIC = 0.005  # smallest cubic terms that the covariance allows for [ours]
 # S.d. of the background's level, slopes and quadratic terms; they matter where the background is clipped [ours].
 _BACKGROUND_SD = np.array([1.0, 0.5, 0.5, 0.3, 0.3, 0.3])
-CLIPPING_MARGIN_SD = 2.0  # of the noise, below the brightest value [ours]
+CLIPPING_MARGIN_SD = 2.0  # of the noise, below the brightest value: 98 % of the pixels counted are not clipped [calc]
 SUSPICIOUS_EXCESS = 0.05  # residual beyond noise over contrast: isolated beads have 0.00-0.04 [twin]
 _MIN_RIM_SHARE = 0.7  # share of the rim that metal must leave: the straight sides of a wire look like short arcs [ours]
 _NOISE_MARGIN = 1.3  # noise alone may reach this many times the expected sum of squares [ours]

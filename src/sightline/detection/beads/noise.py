@@ -8,7 +8,7 @@ import numpy as np
 from sightline.common.fitting import median
 from sightline.common.kernels import kernel
 
-BLOCK = 16  # px; small enough that most blocks of anatomy are nearly planes [ours]
+BLOCK = 16  # px, four lags; small enough that most blocks of anatomy are nearly planes [ours]
 AREA = BLOCK * BLOCK
 LAGS = 4  # px; beyond, a detector blur of 0.7-1.2 px leaves a correlation below 3 % [calc]
 _SILL = 6  # px; lag at which noise is taken as uncorrelated

@@ -10,7 +10,7 @@ from sightline.common.threads import in_parts
 EXTREMUM = np.dtype([(name, np.float64) for name in ("u_px", "v_px", "radius_px", "contrast")])
 # `score`: 0 where the rim is not round. `hollow`: how much the middle lacks, over the contrast.
 CANDIDATE = np.dtype([*EXTREMUM.descr, ("score", np.float64), ("hollow", np.float64)])
-FAINTEST = 0.08  # step of log intensity; a 3 mm steel ball under much scatter still makes 0.3 [ours]
+FAINTEST = 0.08  # step of log intensity; a 3 mm steel ball under much scatter still makes 0.3 [twin]
 _RAYS = 16
 _BESIDE = 3  # adjacent rays averaged in large discs
 _ANGLE = 2 * np.pi * (np.arange(_RAYS) + np.array([[0], [1], [-1]]) / _BESIDE) / _RAYS  # the rays, and those beside

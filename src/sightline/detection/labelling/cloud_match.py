@@ -9,7 +9,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import gammaln
 
 from sightline.common.kernels import kernel
-from sightline.detection.labelling.cloud_search import RADIUS_RATIO, Hypothesis, Prior, Problem, sign_of
+from sightline.detection.labelling.cloud_search import Hypothesis, Prior, Problem, sign_of
+from sightline.detection.labelling.seeds import RADIUS_RATIO
 
 STEPS = 4  # Gauss-Newton steps of a fit; from a hypothesis three suffice for 0.01 px [calc]
 PARAMETERS = 9
@@ -126,11 +127,11 @@ def fit(camera, prior, xyz_mm, uv_px, variance_px2):
 GATE_M2 = 13.8  # 99.9 % of chi-square with two degrees of freedom [calc]
 GATE_SD_PX = 4.0  # largest s.d. for which a gate is looked at, px [ours]
 RADIUS_SD = 0.06  # of log radii: noise, blur [ours]
-MISJUDGED = 0.05  # share of radii far off: 2 % in images of the twin [ours]
-LOG_RADII = 2.5  # range of log radii of false detections: 2 to 25 px [ours]
+MISJUDGED = 0.05  # share of radii far off; 2 % in images with plates [twin]
+LOG_RADII = 2.5  # range of log radii of false detections: log(25 / 2), px [calc]
 ROUNDS, NARROWED = 12, 2  # of matching and fitting; the first ones within a gate in px
 MIN_SCALE = 1e-6  # px/mm, of balls behind the source
-LOG_SCALES = 3.0  # range of the log scale: 0.5 to 10 px/mm [ours]
+LOG_SCALES = 3.0  # range of the log scale: log(10 / 0.5), px/mm [calc]
 MIN_PAIRS = 4  # that determine a camera with the help of its priors [ours]
 
 

@@ -16,11 +16,11 @@ from scipy.spatial.distance import cdist
 
 from sightline.common.fitting import median
 from sightline.common.kernels import kernel
+from sightline.detection.labelling.seeds import RADIUS_RATIO, square
 from sightline.detection.results import Detections
 
-RADIUS_RATIO = 0.25  # largest share by which a radius differs from the expected one: noise, blur [ours]
-SCALE_RATIO = 0.12  # of the scale of three points to their mean magnification by radius: 3 % each, blur [ours]
-SLACK = 0.12  # share by which a distance may appear too long: magnification by radius has an error of 5 % [ours]
+# Share by which the scale of three points, or a distance, may differ from that by their radii: 5 % each, blur [ours].
+SLACK = 0.12
 CELLS = 256  # of the table of nearest detections, per side
 BEYOND = -2  # stands for a detection outside the table
 SEEN = 0.7  # probability that a ball of the right hypothesis has a detection in its gate [ours]
@@ -91,18 +91,12 @@ def nearest_table(w, corner, cells, gate):
 
 
 @kernel()
-def _square(z):
-    """Return the squared modulus of a complex number."""
-    return z.real**2 + z.imag**2
-
-
-@kernel()
 def _heights(d1, d2, g11, g22, g12):
     """Return the squared scale and the depths (px) of two points over a first, under scaled orthography.
 
     `d1`, `d2`: their images relative to the first, px; `g11`, `g22`, `g12`: products of the vectors to them, mm².
     """
-    a, b, c = _square(d1), _square(d2), d1.real * d2.real + d1.imag * d2.imag
+    a, b, c = square(d1), square(d2), d1.real * d2.real + d1.imag * d2.imag
     determinant = g11 * g22 - g12 * g12
     half = 0.5 * (g11 * b + g22 * a - 2 * g12 * c)
     q = (half + np.sqrt(max(half * half - determinant * (a * b - c * c), 0.0))) / determinant
@@ -221,7 +215,7 @@ def _search_one(rows, seen, cloud, focals, best, least, enough):  # noqa: PLR091
     i, j, k = rows
     d1, d2 = w[j] - w[i], w[k] - w[i]
     ij, ik, jk, focal = abs(d1), abs(d2), abs(w[k] - w[j]), focals[0]
-    low, high = np.exp(-6 * SCALE_RATIO), np.exp(6 * SCALE_RATIO)
+    low, high = np.exp(-6 * SLACK), np.exp(6 * SLACK)
     balls = len(apart)
     for a in range(balls):
         m_a = magnification[i, a]

@@ -19,12 +19,12 @@ from sightline.detection.results import Detections
 
 DEGREE = 5
 # Prior s.d. of what a map adds to a similarity, per degree, as a share of the field's radius: position, tilt and scale,
-# perspective of a 20° tilt, 9 % pincushion with 4° S-shape, and their higher terms (physics.md, Distortion) [ours].
+# perspective of a 20° tilt, 9 % pincushion with 4° S-shape, and their higher terms [physics.md, Distortion].
 PRIOR = np.array([0.3, 0.15, 0.06, 0.10, 0.03, 0.03])
 # The remainder beyond degree 5, in shares of the field's radius: 0.11-0.13 mm rms and 30-60 mm of 107 (physics.md).
 REMAINDER_SD, REMAINDER_LENGTH = 0.0013, 0.4
-# S.d. of a centre's error in addition to its stated noise, from uneven background and overlap [ours]. In 78 rendered
-# images at high dose, the estimated noise is 1.7 times the stated variance with it, 2.1 times without it.
+# S.d. of a centre's error in addition to its stated noise, from uneven background and overlap: in 78 rendered images
+# at high dose, the estimated noise is 1.7 times the stated variance with it, 2.1 times without it [twin].
 CENTRE_PX = 0.05
 
 _POWERS = np.array([(d - k, k) for d in range(DEGREE + 1) for k in range(d + 1)])
@@ -47,10 +47,10 @@ def map_covariance(phi_a: np.ndarray, phi_b: np.ndarray, squares: np.ndarray) ->
     return phi_a @ phi_b.T + REMAINDER_SD**2 * squared_exponential(squares, REMAINDER_LENGTH)
 
 
-REMAINDER = 0.003  # s.d. beyond degree 5, share of the radius: 0.3 mm of 107 (physics.md: 0.11-0.13 mm rms) [ours]
+REMAINDER = 0.003  # s.d. beyond degree 5, share of the radius: thrice that of tubes [physics.md, Distortion]
 GATE = 3.5  # standard deviations [ours]
 CERTAIN = 0.3  # of the pitch: where the gate is wider, beads are not matched yet [ours]
-LOG_RADIUS = 0.15  # largest error of a bead's log radius: below half the step from 3 to 5 mm [ours]
+LOG_RADIUS = 0.15  # largest error of a bead's log radius, below half the step from 3 to 5 mm, 0.26 [calc]
 AGREES = 0.15  # of the pitch: gate of the first matches by the seed's similarity [ours]
 LOOSE = 0.1  # of the pitch: s.d. added in the first fit of the map [ours]
 MAX_ROUNDS = 15

@@ -26,11 +26,11 @@ from sightline.detection.results import Detections
 
 MIN_BEADS = 8  # of each plate [ours]
 MIN_BEYOND = 0.1  # smallest distance of the focal point beyond the source plate, over that between the plates [ours]
-GATE_M2 = 11.3  # squared Mahalanobis distance in place and radius: 99 %, 3 degrees of freedom [ours]
+GATE_M2 = 11.3  # squared Mahalanobis distance in place and radius: 99 % of chi-square, 3 degrees of freedom [calc]
 NEAR_M2 = 24.0  # detections or places as near as this can be confused with each other [ours]
 MAX_FITS, NOISE_FITS = 10, 3  # iterations, and those in which the noise is estimated
 SAME_NOISE = 0.1  # relative change of the noise that needs no further fit [ours]
-MAX_NOISE = 100.0  # times the stated variance [ours]; rendered images have up to 3.5; 1 would lose 7 % of the beads
+MAX_NOISE = 100.0  # times the stated variance; rendered images have up to 3.5, and 1 would lose 7 % of the beads [twin]
 SAME_DISTANCE = 1e-6  # relative, of two squares that rounding alone tells apart
 FOCAL_STEP_MM = 500.0  # wide prior s.d. of the focal point's step [ours]
 

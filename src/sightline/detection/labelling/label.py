@@ -9,7 +9,7 @@ from sightline.common.threads import one_blas_thread
 from sightline.detection.labelling.growth import Grown, grow
 from sightline.detection.labelling.naming import most_like
 from sightline.detection.labelling.patterns import Pattern, detector_pattern, patterns
-from sightline.detection.labelling.seeds import Seed, best_similarity, find_seeds
+from sightline.detection.labelling.seeds import MAX_SEEDS, Seed, best_similarity, find_seeds
 from sightline.detection.labelling.solve import (
     MIN_BEADS,
     AttemptError,
@@ -22,13 +22,12 @@ from sightline.detection.results import Detections, Observations, RejectedCandid
 from sightline.errors import LabellingRefusedError, ObservationsError, UnusableInputError
 from sightline.frame import Frame
 
-SEEDS = 12  # of each plate [ours]
-MAX_FIRST, MAX_SECOND, MAX_GROWN = 4, 3, 12  # lattices tried before giving up [ours]
+MAX_FIRST, MAX_SECOND, MAX_GROWN = 4, 3, 12  # lattices tried before giving up: one for each view's plates [ours]
 LEFT_OVER = 0.4  # of a lattice's beads: with fewer other detections there is no second plate [ours]
 SAME_SHAPE = 1.05  # largest ratio of side ratios of triangles that count as similar [ours]
 CLICK = 1.5  # largest distance of a pixel given for a datum from the bead's centre, in radii [ours]
 MAY_BE_TWO = "may be two beads of the frame, or a false bead"
-# Focal length of a flat panel's image over its longer side: panels of 20 to 43 cm, 0.8 to 1.6 m from the source [ours]
+# Focal length of a flat panel's image over its longer side: panels of 20 to 43 cm, 0.8 to 1.6 m away [physics.md]
 SOLID_FOCAL = (1.8, 8.0)
 MIN_SPREAD = 0.25  # rms distance of a plate's given datums from one line, in pitches [ours]
 
@@ -200,7 +199,7 @@ def _lattices(problem: LabellingProblem, usable: np.ndarray, most: int) -> Itera
     every = [pattern for couple in problem.couples for pattern in couple]
     known: list[Grown] = []
     tried = 0
-    for seed in find_seeds(problem.detections, every, usable, SEEDS):
+    for seed in find_seeds(problem.detections, every, usable, MAX_SEEDS):
         if len(known) == most or tried == MAX_GROWN:
             return
         if any(_is_known(seed, lattice) for lattice in known):

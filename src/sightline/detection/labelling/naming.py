@@ -15,10 +15,10 @@ from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import complex_points, real_points
 
 # Cost of a bead: half the square of its log-radius error over RADIUS_SD, at most CONTRADICTION. That is the log odds
-# against a misjudged size, or against a bead where the plate has none (2 % each) [ours].
+# against a misjudged size, or against a bead where the plate has none: log(0.98 / 0.02) = 3.9 [twin: 2 % each].
 RADIUS_SD = 0.1
 CONTRADICTION = 4.0
-HOPELESS = 24.0  # excess cost at which a reading is abandoned: six contradictions [ours]
+HOPELESS = 6 * CONTRADICTION  # excess cost at which a reading is abandoned
 ON_PLACE = 0.25  # of the pitch [ours]
 CELLS = 96
 SECTOR = np.pi / 6  # rotations of the plates of one view agree to within half of this [ours]

@@ -11,12 +11,13 @@ from sightline.common.kernels import kernel
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
 
-MAX_LARGE = 32  # detections tried as datum markers [ours: 12 datums, 10 false ones, and a margin]
-LARGER = 1.12  # than the median detection: half the step from 3 to 5 mm, less 15 % for the plates' scales [ours]
-MIN_PITCH_PX = 10.0  # in the image [ours: beads of 2 px radius and gaps of their size]
+MAX_SEEDS = 12  # of each plate [ours]
+MAX_LARGE = 32  # detections tried as datum markers: 12 datums, 10 false ones, and a margin [twin]
+LARGER = 1.12  # than the median detection: half the step from 3 to 5 mm, 1.29, over 1.15 for the plates' scales [calc]
+MIN_PITCH_PX = 10.0  # in the image: beads of the least radius, 2 px, with gaps of 1.5 diameters [calc]
 RADIUS_RATIO = 0.25  # largest log ratio of detected and expected radius: blur, local magnification, tilt [ours]
-RADIUS_SPREAD = 0.2  # of that log ratio among the fiducials of a plate; half the step from 3 to 5 mm [ours]
-THIRD = 0.14  # gate of the third datum over the span: tilt 20°, 9 % pincushion [ours]
+RADIUS_SPREAD = 0.2  # of that log ratio among the fiducials of a plate; below half the step from 3 to 5 mm, 0.26 [calc]
+THIRD = 0.14  # gate of the third datum over the span: tilt 20° 0.06, pincushion 9 % [physics.md, Distortion]
 REACH = 0.3  # gate of the other beads over the pitch: nearer to their place than to the next [ours]
 CELLS = 48
 NEAR = 5  # cells: REACH times a pitch of a third of the image; plates are finer [calc]
@@ -137,7 +138,7 @@ def _nearest_table(w: np.ndarray, usable: np.ndarray, width: int, height: int) -
 
 
 @kernel()
-def _square(z):
+def square(z):
     """Return the squared modulus of a complex number."""
     return z.real**2 + z.imag**2
 
@@ -156,7 +157,7 @@ def _score(triple, plate, beads, least):
     """
     score, z, log_half = 0.0, plate.z, plate.log_half
     w, log_radius, nearest = beads.w, beads.log_radius, beads.nearest
-    reach2 = (REACH * plate.pitch) ** 2 * _square(triple.rotation)
+    reach2 = (REACH * plate.pitch) ** 2 * square(triple.rotation)
     for p in range(len(z)):
         if score + (len(z) - p) <= least:
             return -np.inf
@@ -165,7 +166,7 @@ def _score(triple, plate, beads, least):
         if i < 0 or j < 0 or i >= CELLS or j >= CELLS:
             continue
         k = nearest[i, j]
-        if k >= 0 and _square(w[k] - at) < reach2:
+        if k >= 0 and square(w[k] - at) < reach2:
             score += 1.0 if abs(log_radius[k] - log_half[p] - triple.level) < RADIUS_SPREAD else -0.5
         else:
             score -= 0.33
@@ -183,8 +184,8 @@ def _fitted(beads, plate, rows, places, mirror, ratios):  # noqa: PLR0917 - a ke
     zm, wm = (za + zb + zc) / 3, (w[i] + w[j] + w[k]) / 3
     da, db, dc = za - zm, zb - zm, zc - zm
     top = w[i] * da.conjugate() + w[j] * db.conjugate() + w[k] * dc.conjugate()
-    rotation = top * (1.0 / (_square(da) + _square(db) + _square(dc)))
-    level = (ratios[0] + ratios[1] + ratios[2]) / 3 + 0.5 * np.log(_square(rotation))
+    rotation = top * (1.0 / (square(da) + square(db) + square(dc)))
+    level = (ratios[0] + ratios[1] + ratios[2]) / 3 + 0.5 * np.log(square(rotation))
     return _Triple(rows, places, rotation, wm - rotation * zm, mirror, level)
 
 
@@ -228,7 +229,7 @@ def _search(beads, plate, rows, log_side, best):  # noqa: PLR0912 - a kernel
             if i == j:
                 continue
             origin, gap = w[i], w[j] - w[i]
-            span2 = _square(gap)
+            span2 = square(gap)
             log_gap = 0.5 * np.log(span2)
             for a in range(len(datums)):
                 pa = datums[a]
@@ -239,12 +240,12 @@ def _search(beads, plate, rows, log_side, best):  # noqa: PLR0912 - a kernel
                     if not alike or log_scale < log_least:
                         continue
                     side, mean_ratio = z[pb] - z[pa], (ratio_i + ratio_j) / 2
-                    per_side = side.conjugate() / _square(side)
+                    per_side = side.conjugate() / square(side)
                     for mirror in (False, True):
                         for c in range(b + 1, len(datums)):
                             pc = datums[c]
                             share = (z[pc] - z[pa]) * per_side  # of the side: its place is that share of the gap
-                            reach2 = THIRD**2 * span2 * max(1.0, _square(share), _square(share - 1.0))
+                            reach2 = THIRD**2 * span2 * max(1.0, square(share), square(share - 1.0))
                             want, level = origin + gap * _laid(share, mirror), log_half[pc] + log_scale
                             near, u, v = 0, want.real, want.imag
                             for m in range(len(us)):  # vectorised; seldom is any near
