@@ -53,12 +53,13 @@ def test_bright_holes_are_found_and_named() -> None:
     assert np.sqrt((error**2).mean()) < 0.06
 
 
-def test_washers_are_measured_at_their_outer_rim() -> None:
+@pytest.mark.parametrize("inner", [0.45, 0.5, 0.55])
+def test_washers_are_measured_at_their_outer_rim(inner: float) -> None:
     rng = np.random.default_rng(13)
     places = grid(50, SIZE, rng)
     washers = np.arange(len(places)) % 3 == 0
     beads = [
-        Bead(u, v, 13.0, depth=1.0, ball=False, inner=6.5) if hollow else Bead(u, v, 8.0)
+        Bead(u, v, 13.0, depth=1.0, ball=False, inner=13.0 * inner) if hollow else Bead(u, v, 8.0)
         for (u, v), hollow in zip(places, washers, strict=True)
     ]
     found = detect(radiograph(quanta(beads, flat()), rng))
@@ -68,17 +69,6 @@ def test_washers_are_measured_at_their_outer_rim() -> None:
     assert found.radius_px[at][washers] == pytest.approx(13.0, abs=0.8)
     error = found.uv_px[at][washers] - places[washers]
     assert np.sqrt((error**2).mean()) < 0.08
-
-
-def test_two_sizes_are_found_in_one_image() -> None:
-    rng = np.random.default_rng(5)
-    places = grid(50, SIZE, rng)
-    radii = np.where(np.arange(len(places)) % 4 == 0, 11.0, 5.0)
-    beads = [Bead(u, v, r, depth=0.5 * r) for (u, v), r in zip(places, radii, strict=True)]
-    found = detect(radiograph(quanta(beads, flat()), rng))
-    at = matched(found, places)
-    assert len(found) == len(places)
-    assert found.radius_px[at] == pytest.approx(radii, rel=0.06)
 
 
 def test_a_faint_round_texture_among_beads_is_not_a_bead_but_a_thin_washer_is() -> None:
@@ -162,23 +152,9 @@ def test_overlapping_beads_are_refused_or_within_their_covariance() -> None:
     matched(found, places[alone])
 
 
-def test_every_rejected_candidate_has_a_reason() -> None:
-    rng = np.random.default_rng(11)
-    y, x = np.mgrid[:SIZE, :SIZE]
-    wire = np.exp(-1.5 * (np.abs(y - 0.5 * x - 40) < 3))
-    places = grid(80, SIZE, rng)
-    found = detect(radiograph(quanta([Bead(u, v, 5.0) for u, v in places], 300 * wire), rng))
-    assert found.rejected
-    assert all(one.reason for one in found.rejected)
-
-
-@pytest.mark.parametrize("level", [20.0, 400.0])
-def test_noise_alone_is_refused(level: float) -> None:
-    image = radiograph(flat(level), np.random.default_rng(12))
-    with pytest.raises(DetectionRefusedError, match="no bead was found"):
-        detect(image)
-
-
-def test_a_blank_image_is_refused() -> None:
-    with pytest.raises(DetectionRefusedError):
-        detect(radiograph(flat(), None))
+@pytest.mark.parametrize(("level", "seed"), [(20.0, 12), (400.0, 12), (400.0, None)])
+def test_an_image_without_beads_is_refused(level: float, seed: int | None) -> None:
+    """Of noise, or blank."""
+    rng = None if seed is None else np.random.default_rng(seed)
+    with pytest.raises(DetectionRefusedError, match=None if rng is None else "no bead was found"):
+        detect(radiograph(flat(level), rng))

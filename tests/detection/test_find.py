@@ -73,21 +73,6 @@ def test_both_beads_of_a_touching_pair_are_candidates(gap: float) -> None:
         assert found.radius_px[found.round][at] == pytest.approx(radius, rel=0.12)
 
 
-@pytest.mark.parametrize("inner", [0.45, 0.55])
-def test_washers_are_told_from_balls(inner: float) -> None:
-    rng = np.random.default_rng(3)
-    places = grid(64, SIZE, rng)
-    beads = [
-        Bead(u, v, 13.0, depth=1.0, ball=False, inner=13.0 * inner) if k % 2 else Bead(u, v, 9.0)
-        for k, (u, v) in enumerate(places)
-    ]
-    found = candidates(radiograph(quanta(beads, np.full((SIZE, SIZE), 400.0)), rng))
-    at = nearest(found, places)
-    assert np.count_nonzero(found.round) == len(places)
-    assert found.washer[found.round][at].tolist() == [bool(k % 2) for k in range(len(places))]
-    assert found.radius_px[found.round][at][1::2] == pytest.approx(13.0, abs=0.3)
-
-
 def test_of_edges_corners_and_wires_only_a_crossing_may_pass_for_a_candidate() -> None:
     rng = np.random.default_rng(4)
     y, x = np.mgrid[:SIZE, :SIZE]
