@@ -64,12 +64,15 @@ class Kernel:
 
     def __call__(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Return (N, M), mm², for unit coordinates (N, 2) and (M, 2)."""
-        d2 = squared_distances(a, b)
         of_a = monomials(a, QUINTIC) @ _quintics()
         of_b = of_a if b is a else monomials(b, QUINTIC) @ _quintics()
+        return self.covariance_mm2(squared_distances(a, b), of_a, of_b)
+
+    def covariance_mm2(self, squares: np.ndarray, of_a: np.ndarray, of_b: np.ndarray) -> np.ndarray:
+        """Return (N, M) for squared distances (N, M) and the polynomials of degree 4 and 5, (N, 11) and (M, 11)."""
         covariance = self.quintic_mm2 * of_a @ of_b.T
         for variance, length in zip(self.variances_mm2, self.lengths, strict=True):
-            covariance += variance * squared_exponential(d2, length)
+            covariance += variance * squared_exponential(squares, length)
         return covariance
 
     def polynomial_part(self, b: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -136,7 +139,8 @@ def learn(data: PriorData, noise_scales: np.ndarray | None = None) -> Learned:
     `noise_scales`: grid of the noise's standard deviation, px, where it is unknown; `noise_mm2` is then that of 1 px.
     """
     scales = np.ones(1) if noise_scales is None else noise_scales
-    shapes = [Kernel.of_amplitudes(unit)(data.at, data.at) for unit in np.eye(len(LENGTHS))]
+    quintics, squares = monomials(data.at, QUINTIC) @ _quintics(), squared_distances(data.at, data.at)
+    shapes = [Kernel.of_amplitudes(unit).covariance_mm2(squares, quintics, quintics) for unit in np.eye(len(LENGTHS))]
     # The evidence does not depend on the design's share of the data, but its rounding errors grow with that.
     r = cholesky(data.design.T @ data.design)
     rest = data.data_mm - data.design @ solve_lower_transposed(r, solve_lower(r, data.design.T @ data.data_mm))
@@ -152,9 +156,9 @@ def learn(data: PriorData, noise_scales: np.ndarray | None = None) -> Learned:
         return _log_evidence(covariance, rows, data.design.shape[1]) + float(hyper[at])
 
     weight = _weights(score, hyper)
-    squares = weight.sum(axis=2) @ (AMPLITUDES * data.radius_mm) ** 2
+    amplitudes2 = weight.sum(axis=2) @ (AMPLITUDES * data.radius_mm) ** 2
     scale = float(np.sqrt(weight.sum(axis=(0, 1)) @ scales**2))
-    return Learned(Kernel.of_amplitudes(squares), scale)
+    return Learned(Kernel.of_amplitudes(amplitudes2), scale)
 
 
 def _weights(score: Callable[[tuple[int, ...]], float], hyper: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The beads of one view: image centres, coordinates in the frame, and the frame's errors there."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Self
 
 import numpy as np
@@ -207,10 +207,11 @@ class Beads:
         whole = self.frame.error_factor[self.frame.rows(self.view)]
         return whole.reshape(-1, 3, whole.shape[1])[self.rows].reshape(-1, whole.shape[1])
 
-    @property
+    @cached_property
     def frame_covariance(self) -> np.ndarray:
-        """(3M, 3M) covariance, mm², of the coordinates of all M beads of the view, of which these are the `rows`."""
-        return _view_covariance(self.frame, self.view)
+        """(3N, 3N) covariance, mm², of the beads' coordinates in the frame."""
+        rows = (3 * self.rows[:, None] + np.arange(3)).ravel()
+        return _view_covariance(self.frame, self.view)[rows][:, rows]
 
 
 @lru_cache(maxsize=16)

@@ -254,8 +254,7 @@ def diagonal(blocks: np.ndarray) -> np.ndarray:
 
 def _propagated(beads: Beads, jacobian: np.ndarray) -> np.ndarray:
     """Return the covariance (2N, 2N), mm², of J x for the errors x of the beads in the frame, and J (N, 2, 3)."""
-    rows = (3 * beads.rows[:, None] + np.arange(3)).ravel()
-    covariance = beads.frame_covariance[np.ix_(rows, rows)].reshape(len(jacobian), 3, -1)
+    covariance = beads.frame_covariance.reshape(len(jacobian), 3, -1)
     half = (jacobian @ covariance).reshape(-1, len(jacobian), 3)
     return (half.transpose(1, 0, 2) @ jacobian.transpose(0, 2, 1)).transpose(1, 0, 2).reshape(len(half), -1)
 
