@@ -166,9 +166,7 @@ def _placed(
     expected = expected_wire(view, ends_mm[key])
     others = expected_wires([ends for name, ends in ends_mm.items() if name != key], view)
     try:
-        shadow = find_wire(
-            image, expected, wire_mm, beads, others=others, corridor_mm=_PLACED_CORRIDOR_MM
-        )
+        shadow = find_wire(image, expected, wire_mm, beads, others=others, corridor_mm=_PLACED_CORRIDOR_MM)
     except WireRefusedError as refused:
         raise WireRefusedError(f"placed wire {key!r}, view {view.name!r}: {refused}") from None
     off_px = np.linalg.norm(shadow.uv_px[:, None] - expected.uv_px, axis=-1).min(axis=1)
