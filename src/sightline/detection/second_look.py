@@ -49,7 +49,7 @@ _TERMS = 6
 _ENOUGH = 15  # beads for a quadratic polynomial; fewer give a mean [ours]
 _FLOOR = np.array([0.003, 0.02, 0.003, 0.003])  # least s.d. of log size, log blur and ellipticities [twin]
 _RIDGE = 0.01  # of the polynomial's coefficients, so that they are determined [ours]
-_HUBER = 1.5  # s.d. beyond which a bead counts less [ours]
+_HUBER = 1.5  # s.d. beyond which a bead counts less [Huber 1981: 1 to 2]
 _REWEIGHTED = 8  # of reweighting [ours]
 
 

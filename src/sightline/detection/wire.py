@@ -10,6 +10,7 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 
 from sightline.common.fitting import MAD_TO_SD
 from sightline.detection.beads.noise import NoiseModel, estimate_noise
+from sightline.detection.detector import MAX_SD_PX
 from sightline.detection.log_image import field_inset, in_discs, log_image
 from sightline.detection.results import Detections
 from sightline.detection.wire_model import BEND, ImagePath, SteelWire, WireFit, fit_across, fit_tip
@@ -20,10 +21,10 @@ from sightline.imaging import Radiograph
 POINT_DIAMETERS = 1.5  # length of a trocar point over the wire's diameter [ours]
 _PIECE = 3.5  # length of the pieces, radii; each gives one point of the centre line [ours]
 _THICK_MM = 2.8  # pieces of thicker drills are half as long in radii: beside a nail little of them is seen [ours]
-_BESIDE_PX = 14.0  # width of background to either side [ours]
 _BLUR_PX = 1.2  # initial value: detector 1.0, focal spot and pixel [physics.md]
 _ROUND_BEAD_PX = 2.5  # around a bead: its rim and the blur of that
 _LAGS = 14  # px; longest correlation of the residuals: trabeculae are 8 px wide [twin]
+_BESIDE_PX = float(_LAGS)  # width of background to either side: further out nothing is known of the wire's
 _OUTLIER = 4.5  # s.d. of smoothed residuals, not explained by the wire and its background [ours]
 _MIN_VISIBLE = 0.6  # share of a piece, and of each of its rims, that must be usable [ours]
 _RIM_PX = 3.0  # to either side of a rim, the zone that determines the centre
@@ -31,7 +32,6 @@ _MODEL_LIGHT = 0.01  # residual of the model without noise, share of the light [
 # Outlier limits, s.d. from the line and then from the curve through the other pieces. Another object overlies such a
 # piece. The line's limit is coarse, for a wire may bend; the curve's is stricter than the check shot's 4 [ours].
 _FAR_OFF_LINE, _FAR_OFF = 4.0, 3.5
-_MAX_SD_PX = 1.0  # pieces with a larger s.d. are not used [ours]
 # Model errors: s.d. without any noise, from curved backgrounds and glare, px [twin].
 _MODEL_ACROSS_PX, _MODEL_TIP_PX = 0.05, 0.4
 _MIN_PIECES = 6  # and at least _MIN_MEASURED of all [ours]
@@ -245,7 +245,7 @@ class _Strip:
             sd = float(np.linalg.norm(fit.influence[0]))
             if (
                 fit.converged
-                and sd < _MAX_SD_PX
+                and sd < MAX_SD_PX
                 and abs(fit.values[0]) < self.radius_px
                 and fit.contrast < -_MIN_CONTRAST
             ):
