@@ -281,8 +281,9 @@ def test_scatter_spreads_as_wide_as_its_kernel(setup):
         assert over_open[1:] / over_open[0] == pytest.approx(expected, abs=0.03), width_mm
 
 
-def test_views_drawn_at_once_are_those_drawn_one_after_another(setup):
+def test_views_drawn_at_once_are_those_drawn_one_after_another(frame):
     """Fails for noise that is drawn in the threads, whose order is left to chance, and for swapped views."""
+    setup = draw_setup(np.random.default_rng(31), frame, chain="9in-pal")
     scene, views = Scene(solids=frame_solids(setup.true_frame)), ("pa", "lateral")
     in_turn = np.random.default_rng(4)
     expected = {view: render(setup, view, scene, in_turn) for view in views}
