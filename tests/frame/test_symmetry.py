@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sightline.frame import Frame
 from sightline.frame.solid_shape import in_words, symmetry_of
 
 CUBE = 20.0 * np.array(list(product((-1, 1), repeat=3)))
@@ -71,10 +70,3 @@ def test_balls_in_a_plane_are_their_own_mirror_image() -> None:
 
 def test_balls_on_a_line_have_a_symmetry() -> None:
     assert words(np.outer([-30.0, -10.0, 0.0, 5.0, 25.0, 10.0], [1.0, 0.0, 0.0]))
-
-
-def test_the_built_in_block_has_no_symmetry() -> None:
-    solid = Frame.load("block60").solid
-    assert solid is not None
-    diameters = np.array([one.diameter_mm for one in solid.fiducials])
-    assert symmetry_of(solid.xyz_mm, diameters, 3.0) == ()

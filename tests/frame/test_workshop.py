@@ -41,6 +41,15 @@ def changed(ball: int, **what) -> Frame:
     return replace(GAMMA, views={**GAMMA.views, "pa": replace(view, xrii=Plate(tuple(balls)))})
 
 
+def filled(path, rows: list[dict]):
+    """The inspection sheet with these rows, written."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
 @pytest.mark.parametrize("name", FRAMES)
 def test_bores_put_the_balls_where_the_frame_has_them(name):
     """Sheet coordinates, rotated back by the sheet's stated axes, are the frame's, to the drawing's 0.001 mm."""
@@ -229,11 +238,7 @@ def test_a_block_folder_holds_its_faces_and_its_filled_sheet_is_read_back(tmp_pa
     assert len(rows) == 16 and {row["plate"] for row in rows} >= {"face+x", "face-z"}
     for row in rows:
         row.update({f"{axis}_mm": row[f"nominal_{axis}_mm"] for axis in "xyz"}, sd_mm="0.004")
-    with (tmp_path / "filled.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    fitted = fit_frame(block, read_measurements(tmp_path / "filled.csv"), Circumstances())
+    fitted = fit_frame(block, read_measurements(filled(tmp_path / "filled.csv", rows)), Circumstances())
     np.testing.assert_allclose(fitted.frame.solid.xyz_mm, block.solid.xyz_mm, atol=1e-6)
 
 
@@ -271,11 +276,7 @@ def test_the_inspection_sheet_filled_in_is_read_back(tmp_path):
         for axis in "xyz":
             row[f"{axis}_mm"] = f"{float(row[f'nominal_{axis}_mm']) + 0.02 * rng.standard_normal():.4f}"
         row |= {"sd_mm": "0.004", "diameter_mm": row["nominal_diameter_mm"], "remark": "ok"}
-    with (tmp_path / "filled.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    fitted = fit_frame(GAMMA, read_measurements(tmp_path / "filled.csv"), Circumstances())
+    fitted = fit_frame(GAMMA, read_measurements(filled(tmp_path / "filled.csv", rows)), Circumstances())
     assert fitted.frame is not None
     assert fitted.missing == ("pa-x-1-1", "pa-x-1-2")
     with pytest.raises(FrameError, match="no measured ball"):

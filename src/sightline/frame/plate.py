@@ -13,9 +13,10 @@ from sightline.common.geometry.planes import Plane
 
 Shape = Literal["ball", "washer"]
 ROLES = ("xrii", "source")
-SOURCE_TO_HIP_MM = 620.0  # physics.md, C-arm and image chain [ours]
+# physics.md, C-arm and image chain: [ours] where no source is named.
+SOURCE_TO_HIP_MM = 620.0
 SOURCE_TO_DETECTOR_MM = 1000.0  # ARCADIS Varic 968 [src manual]
-FIELD_DIAMETER_MM = 215.0  # [ours] useful field of a 9 inch (229 mm) intensifier, its rim left out
+FIELD_DIAMETER_MM = 215.0  # useful field of a 9 inch (229 mm) intensifier, its rim left out
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 from sightline.common.bounded import read_bounded
 from sightline.errors import UnusableInputError
 
-MAX_FILE_BYTES = 2**28  # [ours] 5 million triangles of binary STL
 MAX_TRIANGLES = 2**21  # [ours] 25 times those of a femur from clinical CT
+MAX_FILE_BYTES = 128 * MAX_TRIANGLES  # binary STL has 50 bytes a triangle
 SIZE_MM = (1.0, 1000.0)  # [ours] longest side: smaller meshes are in metres or inches, larger ones do not fit the beam
 FLAT = 1e-9  # volume over longest side cubed: smaller values are rounding errors
 FILE_TYPES = ("stl", "ply", "obj")

@@ -14,7 +14,7 @@ from sightline.twin.objects.beam import TABLE_PER_CM
 
 WATER_PER_CM = 0.206  # at 60 keV [calc, xraydb], where a CT number is taken as mu_water (1 + HU/1000)
 MAX_VOXELS = 2**26  # [ours] 256 slices of 512²; 0.7 GB during projection
-MAX_SLICES = 4096  # [ours] files in one folder
+MAX_SLICES = MAX_VOXELS // 128**2  # files in one folder: slices of 128²
 SPACING_MM = (0.1, 10.0)  # [ours] voxel edges of clinical CT; others are probably not in mm
 HU = (-1024, 3071)  # range of twelve bits; values outside are clipped
 NO_AIR_HU = -100  # [ours] a scan of a body has fat or air below this; values of another modality have not

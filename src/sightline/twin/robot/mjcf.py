@@ -10,10 +10,11 @@ from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, JOINTS, ROT
 
 M = 1e-3  # a millimetre
 STEP_S = 0.001
-DRIVE_HZ = 80.0  # bandwidth of a drive's position loop, critically damped [ours]
-SPRING_DAMPING = 0.1  # of critical damping, from bolted joints and grease in the gears [ours]
+# Values [ours] unless computed.
+DRIVE_HZ = 80.0  # bandwidth of a drive's position loop, critically damped
+SPRING_DAMPING = 0.1  # of critical damping, from bolted joints and grease in the gears
 MAX_PHASE = 1.5  # rad of a spring's oscillation per time step; beyond 2 it is unstable [calc]
-HARD_STOP = (2.0, float(np.deg2rad(0.5)))  # distance beyond a soft limit: mm, rad [ours]
+HARD_STOP = (2.0, float(np.deg2rad(0.5)))  # distance beyond a soft limit: mm, rad
 
 
 @dataclass(frozen=True)
