@@ -44,10 +44,10 @@ def test_a_turn_by_90_degrees_moves_the_image_as_the_paper_saw(frame):
 def test_the_field_turns_the_image_along_the_tube_and_shifts_it_across():
     tube = Tube(CHAIN, 107.5, MAGNETIC_ONLY, 4.4e-6, 1e-3, np.zeros((7, 2)))
     rng = np.random.default_rng(1)
-    along = tube.expose_in(rng, PA, (np.array([0.0, 0.0, 30.0]), np.zeros((3, 3)))).distortion
+    along = tube.expose(rng, PA, (np.array([0.0, 0.0, 30.0]), np.zeros((3, 3)))).distortion
     assert along.turn == pytest.approx([0.030, 0.0, 0.0])
     assert np.abs(along.shift_mm).max() == 0
-    across = tube.expose_in(rng, PA, (np.array([30.0, 0.0, 0.0]), np.zeros((3, 3)))).distortion
+    across = tube.expose(rng, PA, (np.array([30.0, 0.0, 0.0]), np.zeros((3, 3)))).distortion
     assert np.abs(across.turn).max() == 0
     assert across.shift_mm[:, 0] == pytest.approx([0.0, 30 * 0.055])  # z x B
 
@@ -58,8 +58,8 @@ def test_turning_tube_and_field_together_changes_nothing():
     tube = Tube(CHAIN, 107.5, MAGNETIC_ONLY, 4.4e-6, 1e-3, np.zeros((7, 2)))
     turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
     rng = np.random.default_rng(2)
-    one = tube.expose_in(rng, LATERAL, (field, gradient)).distortion
-    two = tube.expose_in(rng, LATERAL @ turn.T, (turn @ field, turn @ gradient @ turn.T)).distortion
+    one = tube.expose(rng, LATERAL, (field, gradient)).distortion
+    two = tube.expose(rng, LATERAL @ turn.T, (turn @ field, turn @ gradient @ turn.T)).distortion
     assert two.turn == pytest.approx(one.turn, abs=1e-12)
     assert two.shift_mm == pytest.approx(one.shift_mm, abs=1e-12)
     assert np.abs(one.shift_mm[:, 1:]).max() > 0.01  # uneven: a gradient

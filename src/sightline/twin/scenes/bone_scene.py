@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from math import cos, radians, sin
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -20,13 +20,7 @@ from sightline.twin.xray.distributions import HipPlace, SolidPlace
 from sightline.twin.xray.setup import SetUp, Variation, draw_setup
 from sightline.twin.xray.tubes import FlatPanel, Tube
 
-
-class Dimensions(Protocol):
-    """The dimensions of a bone: a dataclass of numbers that builds it."""
-
-    def bone(self) -> BoneModel:
-        """Return the bone."""
-        ...
+Dimensions: TypeAlias = Pelvis | Vertebra | GrowingFemur | NailedFemur  # which a bone is built of
 
 
 @dataclass(frozen=True)
@@ -219,7 +213,7 @@ def bone_document(setup: SetUp, scene: BoneScene) -> dict[str, Any]:
         for name, aid in scene.aids.items()
     }
     return document | {
-        "dimensions": asdict(scene.dimensions),  # type: ignore[call-overload]
+        "dimensions": asdict(scene.dimensions),
         "wires_mm": scene.wires_mm.tolist(),
         "aids": aids,
     }

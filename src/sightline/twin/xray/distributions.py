@@ -5,7 +5,7 @@ The benchmarks' scenes depend on them. Tags as in docs/twin.md: [paper], [src], 
 
 from dataclasses import dataclass
 from math import pi, radians
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -124,18 +124,6 @@ class Sag(NamedTuple):
     rotation: np.ndarray
 
 
-class Stance(Protocol):
-    """Distribution of a view's beam direction and of the arm's sag."""
-
-    def swing(self, rng: np.random.Generator, beam: np.ndarray) -> np.ndarray | None:
-        """Draw a rotation (3, 3) of the intended beam (3,); None if the arm cannot reach it."""
-        ...
-
-    def sag(self, rng: np.random.Generator, beam: np.ndarray, axes: np.ndarray) -> Sag:
-        """Draw the sag at a beam (3,); `axes` (2, 3): the image's axes, across the beam."""
-        ...
-
-
 @dataclass(frozen=True)
 class IndependentViews:
     """Independent views: a direction and a sag are drawn for each."""
@@ -143,11 +131,11 @@ class IndependentViews:
     pose: Pose
 
     def swing(self, rng: np.random.Generator, beam: np.ndarray) -> np.ndarray | None:
-        """See Stance."""
+        """Draw a rotation (3, 3) of the intended beam (3,); None if the arm cannot reach it."""
         return Rotation.from_rotvec(rng.normal(0.0, self.pose.orbit, 3)).as_matrix()
 
     def sag(self, rng: np.random.Generator, beam: np.ndarray, axes: np.ndarray) -> Sag:
-        """See Stance."""
+        """Draw the sag at a beam (3,); `axes` (2, 3): the image's axes, across the beam."""
         rotation = rng.normal(0.0, self.pose.detector_tilt, 2) @ axes
         longer = rng.normal(0.0, self.pose.sdd_mm)
         return Sag(rng.normal(0.0, self.pose.piercing_mm, 2) @ axes, longer, rotation)
@@ -165,7 +153,7 @@ class OneArm:
     waves: np.ndarray
 
     def swing(self, rng: np.random.Generator, beam: np.ndarray) -> np.ndarray | None:
-        """See Stance. Orbit about the body (Y), tilt about the arm's support (X), swivel about the vertical (Z)."""
+        """As of `IndependentViews`: orbit about the body (Y), tilt about the arm's support (X), swivel about Z."""
         arm = self.limits
         orbit, tilt, swivel = (rng.uniform(-reach, reach) for reach in (arm.orbit, arm.tilt, arm.swivel))
         rotation = Rotation.from_euler("yxz", [orbit, tilt, swivel]).as_matrix()
@@ -173,7 +161,7 @@ class OneArm:
         return rotation if low <= orbit_of(rotation @ beam) <= high else None
 
     def sag(self, rng: np.random.Generator, beam: np.ndarray, axes: np.ndarray) -> Sag:
-        """See Stance. The sag is a function of the orbit plus a part that does not repeat."""
+        """As of `IndependentViews`. The sag is a function of the orbit plus a part that does not repeat."""
         angle = orbit_of(beam)
         along_orbit, along_body, longer, *rotation = self.waves @ np.array([np.cos(angle), np.sin(angle)])
         tangent = np.cross([0.0, 1.0, 0.0], beam)
@@ -181,6 +169,9 @@ class OneArm:
         own = np.stack([tangent, np.cross(beam, tangent)])
         shift = np.array([along_orbit, along_body]) + rng.normal(0.0, self.limits.repeat_mm, 2)
         return Sag(shift @ own, longer + rng.normal(0.0, self.limits.repeat_mm), np.array(rotation) @ own)
+
+
+Stance: TypeAlias = IndependentViews | OneArm
 
 
 def draw_arm(rng: np.random.Generator, limits: Arm, pose: Pose) -> OneArm:

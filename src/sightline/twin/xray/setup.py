@@ -192,11 +192,11 @@ def draw_setup(
         }
         if any(stand is None for stand in stands.values()):
             continue
-        stood = {
-            name: ViewTruth(name, *stand, _exposed(rng, tube, stand[1], variation.site or earth))
-            for name, stand in stands.items()
-            if stand is not None
-        }
+        stood = {}
+        for name, stand in stands.items():
+            if stand is not None:
+                magnet = earth if variation.site is None else field_at(variation.site, stand[1].origin_mm)
+                stood[name] = ViewTruth(name, *stand, tube.expose(rng, stand[1].basis, magnet))
         if all(_enough_in_field(view, true_frame, pose) for view in stood.values()):
             mount = _mounted(rng, variation.mount) if frame.detector is not None else RigidTransform.identity()
             return SetUp(frame, true_frame, stood, side, tube, hip, mount)
@@ -341,16 +341,6 @@ def _detector_axes(beam: np.ndarray, down: np.ndarray, angle: float) -> np.ndarr
     u = np.cross(v, beam)
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([c * u + s * v, -s * u + c * v])
-
-
-def _exposed(
-    rng: np.random.Generator, tube: Tube | FlatPanel, detector: Plane, magnet: Site | np.ndarray
-) -> Intensifier:
-    """Expose the tube where it stands: at a site, or in a geomagnetic field (3,) with a drawn stray field."""
-    axes = detector.basis  # the tube's z points away from the source
-    if isinstance(magnet, Site):
-        return tube.expose_in(rng, axes, field_at(magnet, detector.origin_mm))
-    return tube.expose(rng, axes, magnet)
 
 
 def _beads_in_field(truth: ViewTruth, beads: tuple[Fiducial, ...]) -> tuple[np.ndarray, np.ndarray]:

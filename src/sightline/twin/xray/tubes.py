@@ -6,6 +6,7 @@ table's heading rotates the frame's X axis from north.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from sightline.twin.xray.distributions import Distortion
 from sightline.twin.xray.intensifier import DistortionMap, DistortionPrior, Intensifier, RandomField, disc_mm, monomials
 from sightline.twin.xray.presets import ImageChain
 
+# The geomagnetic field (3,), µT, CFCS, with a stray field to be drawn; or a field and its gradient, of `field_at`.
+Magnet: TypeAlias = np.ndarray | tuple[np.ndarray, np.ndarray]
 PINCUSHION_RADIUS_MM = 107.0  # the radius of Distortion.pincushion_at_107_mm
 # East, north, up, µT [calc, IGRF; the first as physics.md has it, the others at 2025.0]
 PLACES = {
@@ -54,31 +57,20 @@ class Tube:
     turn_rad_per_ut: float
     cubic_mm: np.ndarray
 
-    def expose(self, rng: np.random.Generator, axes: np.ndarray, earth_ut: np.ndarray) -> Intensifier:
+    def expose(self, rng: np.random.Generator, axes: np.ndarray, magnet: Magnet) -> Intensifier:
         """Draw the intensifier in one exposure.
 
-        `axes` (3, 3): rows are its x, y and z (away from the source) in CFCS. `earth_ut` (3,): the geomagnetic field in
-        CFCS, µT.
+        `axes` (3, 3): rows are its x, y and z (away from the source) in CFCS. In a known field its prior is that of an
+        unknown one.
         """
         spread, radius = self.spread, self.radius_mm
-        magnetic = magnetic_numbers(
-            axes @ (earth_ut + spread.stray_ut * rng.standard_normal(3)),
-            spread.gradient_ut_per_mm * radius * (_gradient_basis() @ rng.standard_normal(9)).reshape(3, 3),
-        )
-        return self._exposed(rng, axes, magnetic)
-
-    def expose_in(
-        self, rng: np.random.Generator, axes: np.ndarray, field: tuple[np.ndarray, np.ndarray]
-    ) -> Intensifier:
-        """Draw the intensifier in a given field: (3,) µT and its gradient (3, 3) µT/mm, CFCS (`magnetic.field_at`).
-
-        Its prior is that of an unknown field.
-        """
-        return self._exposed(rng, axes, tube_numbers(axes, *field, self.radius_mm))
-
-    def _exposed(self, rng: np.random.Generator, axes: np.ndarray, magnetic: np.ndarray) -> Intensifier:
-        """Draw the intensifier for the values `magnetic` (9,) of `magnetic.tube_numbers`."""
-        spread, radius = self.spread, self.radius_mm
+        if isinstance(magnet, tuple):
+            magnetic = tube_numbers(axes, *magnet, radius)
+        else:
+            magnetic = magnetic_numbers(
+                axes @ (magnet + spread.stray_ut * rng.standard_normal(3)),
+                spread.gradient_ut_per_mm * radius * (_gradient_basis() @ rng.standard_normal(9)).reshape(3, 3),
+            )
         correlation = float(rng.uniform(*spread.correlation_mm))
         field = RandomField.over(radius, correlation)
         share = share_beyond_degree5(radius, correlation, spread.correlation_mm)
@@ -101,14 +93,8 @@ class FlatPanel:
 
     chain: ImageChain
 
-    def expose(self, rng: np.random.Generator, axes: np.ndarray, earth_ut: np.ndarray) -> Intensifier:
+    def expose(self, rng: np.random.Generator, axes: np.ndarray, magnet: Magnet) -> Intensifier:
         """Return the panel, which is the same in every exposure."""
-        return self.undistorted
-
-    def expose_in(
-        self, rng: np.random.Generator, axes: np.ndarray, field: tuple[np.ndarray, np.ndarray]
-    ) -> Intensifier:
-        """Return the panel, which is the same in every field."""
         return self.undistorted
 
     @property
