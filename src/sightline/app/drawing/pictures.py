@@ -16,7 +16,7 @@ from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX
 
-_MAX_PICTURES = 16  # pictures kept: two planning and two check images, and those that undo may need [ours]
+_MAX_PICTURES = 16  # [calc] more than twice the seven of a case, for undo: planning, oblique, check and shot
 _MAX_LIVE = 20  # live pictures kept: two seconds of them
 _FIELD_PX = DEFAULT_PICK_SD_PX  # tolerance of the field's polygon
 # Percentiles of the field's grey levels between black and white [ours]. By default the open beam is left out.
@@ -55,8 +55,8 @@ class Pictures:
 
     def forget(self) -> None:
         """Publish none of them any more."""
-        live = [picture.url for _, picture in self._live]
-        for url in (*live, *(one.url for one in self._pictures.values()), *self._sights.values()):
+        pictures = (*(picture for _, picture in self._live), *self._pictures.values())
+        for url in (*(picture.url for picture in pictures), *self._sights.values()):
             self._images.forget(url)
 
     def sight(self, view: BeadView, picture: XrayPicture) -> str:

@@ -43,7 +43,7 @@ _DEPTH = (
 )
 _PLOT_PX = 400.0  # about the panel's width, so that its text is as large as the panel's [ours]
 _SHORT_MM = PLAN_SD_MM  # from here on a wire is short of its planned depth
-_RETRACTABLE = tuple(one.value for one in (State.DONE, State.STOP, State.ALIGNED, State.PAUSED))
+_RETRACTABLE = tuple(state.value for state in (State.DONE, State.STOP, State.ALIGNED, State.PAUSED))
 
 
 def key(tab: Tab) -> Hashable:

@@ -334,12 +334,12 @@ def instruction(tab: Tab) -> tuple[str, str, str] | None:
         todo = "click where this image shows it; the cross is where the other two expect it"
     else:
         todo = "slide along its curve and click" if slides else spec.sentence
-    todo_of = f"{spec.label}: {todo}"
+    instruction = f"{spec.label}: {todo}"
     if number == 1 and spec.group == "wire" and kind_of(decisions.kind).document.through_holes:
         named = _implanted(tab)
-        todo_of = (
-            f"Choose the nail on the right; the simulated patient has {named}. Or by hand: {todo_of}"
+        instruction = (
+            f"Choose the nail on the right; the simulated patient has {named}. Or by hand: {instruction}"
             if named
-            else f"Choose the nail on the right. Or by hand: {todo_of}"
+            else f"Choose the nail on the right. Or by hand: {instruction}"
         )
-    return f"{number} of {count}", in_image(goal.image, decisions.kind), todo_of
+    return f"{number} of {count}", in_image(goal.image, decisions.kind), instruction

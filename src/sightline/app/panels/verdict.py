@@ -43,14 +43,14 @@ _NO_BAR = Markup('<div class="figure-bar" aria-hidden="true"></div>')  # while t
 
 @dataclass(frozen=True)
 class _Figure:
-    """`value`: None while it is not known; then `said` stands in its place."""
+    """`value`: None while it is not known; then `words` stand in its place."""
 
     code: CheckCode
     value: float | None
     limit: float | None
     unit: str
     passed: bool | None = None
-    said: str = "–"
+    words: str = "–"
 
 
 def figures_html(tab: Tab) -> Markup:
@@ -100,7 +100,7 @@ def _of_movement(figure: _Figure, plan: Plan) -> _Figure:
         return figure
     shift, sd = plan.seen.shift_mm, plan.seen.shift_sd_mm
     if plan.seen.movement is not None or shift is None or sd is None:
-        return replace(figure, value=None, limit=None, said=texts.FIGURE_MOVED[figure.passed])
+        return replace(figure, value=None, limit=None, words=texts.FIGURE_MOVED[figure.passed])
     return replace(figure, value=abs(shift), limit=MAX_GAP_SIGMA * sd, unit="mm")
 
 
@@ -114,7 +114,7 @@ def _figure_html(figure: _Figure) -> Markup:
     if value is None or limit is None:
         bar = filled(_BAR, 0, f"{100 / _ROOM:.0f}") if limit is not None else _NO_BAR
         text = "" if limit is None else f"at most {_number(limit, figure.unit, _DIGITS)}"
-        return filled(_FIGURE, state, name, figure.said, sign, bar, text)
+        return filled(_FIGURE, state, name, figure.words, sign, bar, text)
     whole = _ROOM * max(abs(value), abs(limit), 1e-9)
     share, at = (f"{min(max(100 * x / whole, 0), 100):.0f}" for x in (value, limit))
     shown, bound = apart(value, limit, figure.unit, _number, _DIGITS, passed=bool(figure.passed))

@@ -128,8 +128,7 @@ def hole_mark(wire: str) -> str:
 
 def images_of(known: Procedure, aid: AidAsked) -> tuple[str, ...]:
     """Return the images that an aid is drawn in: those in the places of its views among the procedure's."""
-    views = [one.name for one in known.document.views]
-    return tuple(image for image, view in zip(NAMES, views, strict=False) if view in aid.views)
+    return tuple(image for image, view in zip(NAMES, known.document.views, strict=False) if view.name in aid.views)
 
 
 def _titled(name: str) -> str:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Object = dict[str, Any]
 
 PICTURE_PX = 256  # [ours] longest side of an image in the scene; the X-ray views show the detail
-PICTURE_CELLS = 16  # [ours] across a plate; a pincushion distortion of 5 % deviates 0.05 mm within one cell
+PICTURE_CELLS = 16  # [calc] across a plate; a pincushion distortion of 5 % deviates 0.05 mm within one cell
 PICTURE_PERCENTILES = (1.0, 99.0)  # shown as black and white
 ROUND_DECIMALS = 2  # 0.01 mm is less than a pixel of the scene
 TOOL_RADIUS_MM = 2.5  # [calc] twice that of a guide wire of 2.5 mm, for visibility
