@@ -295,7 +295,9 @@ async def _forget(answering: bool) -> None:
 async def _do(name: str, mark: int) -> None:
     for views in pages:
         COMMANDS[name](views["pa"])
-        views["pa"].client.run_javascript(f"window.marked = {mark}")  # comes after what the command did
+    await asyncio.sleep(0)  # the calls of one moment are sent at its end; the mark comes after them
+    for views in pages:
+        views["pa"].client.run_javascript(f"window.marked = {mark}")
 
 
 def main() -> None:
