@@ -24,7 +24,7 @@ from sightline.robot.igtl.messages_text import (
 from sightline.robot.igtl.wire import HEADER_BYTES, VERSIONS, Header, Reader, read_header, time_of, unwrap, wrap
 
 LONG_NAME = "IGTL_DEVICE_NAME"  # metadata key in which PLUS gives the full name cut to 20 bytes in the header
-MAX_BODY_BYTES = 16 << 20  # [ours] twice an image of 2048 x 2048 with 16 bits, the largest that C-arms make
+MAX_BODY_BYTES = 2 * (2048 * 2048 * 2)  # twice the largest image that C-arms make: 2048 x 2048 pixels of 2 bytes
 
 
 class Body(Protocol):

@@ -17,7 +17,7 @@ P = ParamSpec("P")
 
 MESSAGE_S = 5.0  # [ours] time limit to complete a message: 16 MiB at 30 Mbit/s; after that its size must be wrong
 _PIECE = 1 << 15  # bytes: some hundred messages, which take ten milliseconds [ours]
-GOODBYE_S = 1.0  # [ours] time limit to send what waits when closing
+GOODBYE_S = float(_INTERVAL_S)  # time limit to send what waits when closing, as between two probes
 
 
 class Outbox:

@@ -18,9 +18,9 @@ from sightline.robot.link.client import RobotClient
 from sightline.robot.link.exchange import TIP_LIMIT_MM, WireDeviation, pose_of, refuse_other_pose
 from sightline.robot.link.shared_connection import Mailbox
 
-# Apparent movement of a robot at rest, from encoders and compliance [ours].
-STILL_MM, STILL_RAD = 0.1, float(np.deg2rad(0.1))
-STILL_S, STILL_POSES = 0.3, 10  # time and number of poses needed to see that it stands still [ours]
+# A robot stands still if no more movement is seen than encoders and compliance show at rest, for this time and in at
+# least so many poses [ours].
+STILL_MM, STILL_RAD, STILL_S, STILL_POSES = 0.1, float(np.deg2rad(0.1)), 0.3, 10
 _ENTERED_IS_DONE = ("PLANNING", "CALIBRATION")  # phases that robots of 2013 confirm by CURRENT_STATUS only
 
 # A registration for tests of refusals, where any will do: 500 mm from base to hip, as many robots stand.
