@@ -199,12 +199,10 @@ class Motion:
         """Stop; raise RobotRefusedError if the wire moves on after the stop was answered."""
         before = self.watch.tip()
         answer = stop()
-        if answer.code != Code.OK:
-            raise RobotRefusedError(f"STOP was answered by {answer.code} {answer.text}")
+        expect(answer.code == Code.OK, f"STOP was answered by {answer.code} {answer.text}")
         at_once = self.watch.tip()
         off = self._moves(at_once)
-        if off:
-            raise RobotRefusedError(f"STOP was acknowledged, but the wire moved on by {off}")
+        expect(not off, f"STOP was acknowledged, but the wire moved on by {off}")
         if self._mail.holds(_arrived):
             raise NotAskedError("the motion had ended by itself before it could be stopped")
         took = f"answered in {1e3 * (answer.status_s or 0.0):.0f} ms"
@@ -213,10 +211,8 @@ class Motion:
     def must_not_begin_again(self, answer: Response) -> str:
         """Raise RobotRefusedError if the wire, which stood still, moves again after this response."""
         off = self._moves(self.watch.tip())
-        if off:
-            raise RobotRefusedError(f"the repeated MOVE_TO_TARGET moved the wire again, by {off}")
-        if answer.code is None:
-            raise RobotRefusedError("the repeated MOVE_TO_TARGET was not answered")
+        expect(not off, f"the repeated MOVE_TO_TARGET moved the wire again, by {off}")
+        expect(answer.code is not None, "the repeated MOVE_TO_TARGET was not answered")
         return f"the first answer again: {answer.code} {answer.text}"
 
     def must_stand_by_itself(self, within_s: float) -> str:
