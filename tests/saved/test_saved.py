@@ -149,7 +149,7 @@ def test_a_frame_is_saved_as_its_own_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(PUBLISHED))
 def test_the_published_schemas_are_those_of_the_code(name: str) -> None:
     published = SCHEMAS / f"{name}.schema.json"
-    assert published.read_text() == schema_text(name), "python -m sightline.case.saved.models docs/schemas"
+    assert published.read_text() == schema_text(name), "python -m sightline.case.saved docs/schemas"
 
 
 def test_a_saved_trajectory_keeps_the_published_schema(files) -> None:

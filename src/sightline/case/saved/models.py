@@ -1,12 +1,9 @@
-"""The forms of saved results, as models. `python -m sightline.case.saved.models FOLDER` writes the published schemas
-there.
+"""The forms of saved results, as models. `python -m sightline.case.saved FOLDER` writes the published schemas there.
 
 Keys that are not named here may follow: readers pass over what they do not know.
 """
 
 import json
-import sys
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, RootModel
@@ -185,8 +182,3 @@ PUBLISHED = {"views": SavedViews, "trajectory": SavedTrajectory, "procedure": Pr
 def schema_text(name: str) -> str:
     """Return the published schema of one of PUBLISHED."""
     return json.dumps(PUBLISHED[name].model_json_schema(), indent=1) + "\n"
-
-
-if __name__ == "__main__":
-    for published in PUBLISHED:
-        (Path(sys.argv[1]) / f"{published}.schema.json").write_text(schema_text(published))
