@@ -115,8 +115,12 @@ def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nda
     n = 0
     for b in range(rows * columns):
         top, left = (b // columns) * step, (b % columns) * step
-        if not _copied(image, mask, top, left, block):
+        if not all_usable(image, mask, top, left, BLOCK, np.inf):
             continue
+        for i in range(BLOCK):
+            values, row = image[top + i, left : left + BLOCK], block[BLOCK * i : BLOCK * i + BLOCK]
+            for j in range(len(values)):
+                row[j] = values[j]
         level[n], brightest[n] = flatten(block, transposed, sums), sums[2, 0]
         for j in range(1, BLOCK):
             brightest[n] = max(brightest[n], sums[2, j])
@@ -129,19 +133,14 @@ def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 @kernel()
-def _copied(image, mask, top, left, block) -> bool:
-    """Copy the pixels at (`top`, `left`) to `block`; return whether all lie inside the mask."""
-    inside = np.uint8(1)
-    for i in range(BLOCK):
-        known = mask[top + i, left : left + BLOCK]
-        for j in range(len(known)):
-            inside &= np.uint8(known[j])
+def all_usable(image, mask, top, left, side, ceiling) -> bool:  # noqa: PLR0917 - a kernel
+    """Return whether the pixels of a square are all inside the mask and below `ceiling`."""
+    for i in range(top, top + side):
+        known, values, inside = mask[i, left : left + side], image[i, left : left + side], np.uint8(1)
+        for j in range(len(values)):
+            inside &= np.uint8(known[j]) & np.uint8(values[j] < ceiling)
         if not inside:
             return False
-    for i in range(BLOCK):
-        values, row = image[top + i, left : left + BLOCK], block[BLOCK * i : BLOCK * i + BLOCK]
-        for j in range(len(values)):
-            row[j] = values[j]
     return True
 
 

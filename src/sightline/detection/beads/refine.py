@@ -13,7 +13,7 @@ from sightline.common.kernels import kernel
 from sightline.common.threads import in_parts
 from sightline.detection.beads.bead import BEAD
 from sightline.detection.beads.fit import LIGHT_STEPS, PRIOR_SD, Filter, Scene, fit_part
-from sightline.detection.beads.noise import AREA, BLOCK, LAGS, NoiseModel, flatten
+from sightline.detection.beads.noise import AREA, BLOCK, LAGS, NoiseModel, all_usable, flatten
 from sightline.detection.beads.shadow import profile_table
 from sightline.detection.beads.window import TAPS, along_both_axes
 
@@ -107,7 +107,7 @@ def _correlations_part(part, parts, image, mask, line, taps, covariances):  # no
     columns, ceiling = (image.shape[1] - _WIDE) // _STEP + 1, line[2]
     for b in range(part, len(covariances), parts):
         top, left = (b // columns) * _STEP, (b % columns) * _STEP
-        if not _usable(image, mask, top, left, ceiling):
+        if not all_usable(image, mask, top, left, _WIDE, ceiling):
             continue
         sharp = along_both_axes(image[top : top + _WIDE, left : left + _WIDE].copy(), taps)
         for i in range(BLOCK):
@@ -117,18 +117,6 @@ def _correlations_part(part, parts, image, mask, line, taps, covariances):  # no
         for lag in range(AFTER_LAGS + 1):
             total = _products(block, BLOCK * lag, sums[0]) + _products(transposed, BLOCK * lag, sums[0])
             covariances[b, lag] = total / (2.0 * BLOCK * (BLOCK - lag)) / variance
-
-
-@kernel()
-def _usable(image, mask, top, left, ceiling) -> bool:
-    """Return whether the pixels of a block and its margin are all in the field and none is clipped."""
-    for i in range(top, top + _WIDE):
-        known, values, inside = mask[i, left : left + _WIDE], image[i, left : left + _WIDE], np.uint8(1)
-        for j in range(_WIDE):
-            inside &= np.uint8(known[j]) & np.uint8(values[j] < ceiling)
-        if not inside:
-            return False
-    return True
 
 
 @kernel()
