@@ -218,7 +218,8 @@ def read_measurements(path: str | Path, covariance: str | Path | None = None) ->
     rows = [row for row in _rows(_text(file), file, ("id", *_XYZ), _MEASURED, _column) if _is_measured(row)]
     if not rows:
         raise FrameError(f"fill in x_mm, y_mm and z_mm: {file.name} has no measured ball")
-    ids, names = (np.array([row.text(key) or "1" for row in rows], dtype=object) for key in ("id", "series"))
+    ids = np.array([row.text("id") for row in rows], dtype=object)
+    names = np.array([row.text("series") or "1" for row in rows], dtype=object)
     xyz = np.array([[_finite(row, column) for column in _XYZ] for row in rows])
     diameters = np.array([_diameter(row) for row in rows])
     blocks = _all_or_none([_instrument_error(row) for row in rows])

@@ -48,7 +48,7 @@ class Mesh:
 
 
 def read_mesh(path: str | Path, material: str = "bone", within: str | None = "tissue") -> Mesh:
-    """Read a mesh from an STL, PLY or OBJ file in mm, in the file's coordinates; `motion.moved` places it.
+    """Read a mesh from an STL, PLY or OBJ file in mm, in the file's coordinates; `things.moved` places it.
 
     Identical vertices are merged, and triangles without area are removed. Raises UnusableInputError.
     """

@@ -85,7 +85,7 @@ def bored(volume: Volume, ends_mm: np.ndarray, diameter_mm: float) -> Volume:
 def fractured(volume: Volume, at_mm: np.ndarray, normal: np.ndarray, gap_mm: float = 1.0) -> tuple[Volume, Volume]:
     """Return the two fragments behind and before a plane through a point (3,) with a `normal` (3,), with a gap between.
 
-    The gap is filled with the material around the volume. A gap of 1 mm [ours] is a fracture line; `motion.moved`
+    The gap is filled with the material around the volume. A gap of 1 mm [ours] is a fracture line; `things.moved`
     displaces a fragment. Raises SetUpError.
     """
     length = float(np.linalg.norm(normal))

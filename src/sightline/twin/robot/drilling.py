@@ -23,7 +23,7 @@ AXIAL_N_PER_MM = 100.0  # wire in its chuck against bone
 NOISE_SHARE, NOISE_N = 0.1, 0.3  # of the force sensor, s.d.
 DENSITY_G_CM3 = {"bone": CORTICAL_G_CM3, "composite": 1.64}  # at a share of 1; glass-filled epoxy
 STEEL_N_PER_MM2 = 193e3  # physics.md
-MAX_SLOPE = 3.0  # the flank of a trocar tip 1.5 diameters long (implants.py) cannot rest on a steeper slope
+MAX_SLOPE = 3.0  # the flank of a trocar tip 1.5 diameters long (things.py) cannot rest on a steeper slope
 FRICTION = 0.3  # steel on wet bone
 MIN_FREE_MM = 5.0  # minimum free length, from the play of the guide
 # A sleeve that ends within GRIP_MM of the point where bone holds the wire stands on the bone, and its teeth grip. Its
