@@ -223,9 +223,11 @@ def read_measurements(path: str | Path, covariance: str | Path | None = None) ->
     xyz = np.array([[_finite(row, column) for column in _XYZ] for row in rows])
     diameters = np.array([_diameter(row) for row in rows])
     blocks = _all_or_none([_instrument_error(row) for row in rows])
-    if covariance is not None and blocks:
-        raise FrameError("errors are stated in the table and in a covariance file; give one of them")
-    whole = block_diag(*blocks) if blocks else None if covariance is None else _matrix(Path(covariance), 3 * len(rows))
+    whole = block_diag(*blocks) if blocks else None
+    if covariance is not None:
+        whole = _matrix(Path(covariance), 3 * len(rows))
+        if blocks:
+            raise FrameError("errors are stated in the table and in a covariance file; give one of them")
     series = []
     for name in dict.fromkeys(names):
         own, other = (np.flatnonzero(names == name), np.flatnonzero(np.repeat(names, 3) != name))
