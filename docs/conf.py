@@ -34,7 +34,7 @@ nitpick_ignore_regex = [(r"py:.*", r"(?!sightline).*")]
 # Types that only the estimation core uses, schemas of files, and private ones
 nitpick_ignore_regex += [
     (r"py:class", r"sightline\..*\._\w+"),
-    (r"py:class", r"sightline\.(common\.fitting|frame\.document|planning\.procedures\.(document|rules))\..*"),
+    (r"py:class", r"sightline\.(common\.fitting|frame\.document|planning\.procedures\.document)\..*"),
     (r"py:class", r"sightline\.twin\.xray\.distortion\..*"),
     (r"py:class", r"sightline\.calibration\.(line_errors|maps\.(prior|smooth)|plates\.(beads|joint)|projection)\..*"),
 ]
