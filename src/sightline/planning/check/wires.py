@@ -34,18 +34,22 @@ class WireSeen(Protocol):
     @property
     def uv_px(self) -> np.ndarray:
         """(N, 2) points of the centre line."""
+        ...
 
     @property
     def variance_px2(self) -> np.ndarray:
         """(N,) variance of each point across the line."""
+        ...
 
     @property
     def tip_uv_px(self) -> np.ndarray:
         """(2,) the tip."""
+        ...
 
     @property
     def tip_variance_px2(self) -> float:
         """Variance of the tip along the line."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

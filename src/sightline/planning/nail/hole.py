@@ -58,14 +58,17 @@ class EdgeSeen(Protocol):
     @property
     def uv_px(self) -> np.ndarray:
         """(N, 2)."""
+        ...
 
     @property
     def variance_px2(self) -> np.ndarray:
         """(N,) variance of each point across the edge."""
+        ...
 
     @property
     def common_px(self) -> float:
         """S.d. of an error across the edge that all its points share, outwards; both rims of a view share one."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -116,5 +116,5 @@ def _diameter_mm(document: ProcedureDocument) -> float | None:
 
 def _fitting_mm(lengths: tuple[float, ...], wire_mm: float) -> float | None:
     """Return the longest of the lengths that is not longer than the wire; None where none fits."""
-    step = lengths[-1] - lengths[-2] if len(lengths) > 1 else 0.0  # a wire longer by more has no implant
+    step = lengths[-1] - lengths[max(len(lengths) - 2, 0)]  # a wire longer by more has no implant
     return None if wire_mm > lengths[-1] + step else max((mm for mm in lengths if mm <= wire_mm), default=None)
