@@ -37,13 +37,15 @@ MAX_SHARE = 0.5  # of one core
 # A sender that is killed while it sends an image.
 _KILLED = """
 import sys
-from benchmarks.bench_acquire import association
 from pydicom import dcmread
+from pynetdicom import AE
+ae = AE(ae_title="CARM")
+ae.add_requested_context("1.2.840.10008.5.1.4.1.1.12.1")
+link = ae.associate("127.0.0.1", int(sys.argv[1]), ae_title="SIGHTLINE")
 image = dcmread(sys.argv[2])
-with association(int(sys.argv[1])) as link:
-    print("sending", flush=True)
-    while True:
-        link.send_c_store(image)
+print("sending", flush=True)
+while True:
+    link.send_c_store(image)
 """
 
 
