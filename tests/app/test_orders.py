@@ -52,6 +52,8 @@ class _Planning(Planning):
     def seen(self, image: str) -> Any:
         return SimpleNamespace(view=None)
 
+    def write_picks(self, decisions: Decisions) -> None: ...
+
 
 def _drilling(monkeypatch: pytest.MonkeyPatch, send: Any, record: Any) -> tuple[DrillingWorkflow, _Planning]:
     """A plan was sent, and another is confirmed."""
