@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
@@ -616,8 +615,7 @@ def _decisions(planned: DemoPlan, drawn_px: "AidClicks", acquired: dict[str, int
         drawn = {name: uv for name, uv in zip(NAMES, clicks, strict=True) if uv is not None}
         for k in range(len(next(iter(drawn.values())))):
             marks[f"{key}-{k + 1}"] = mark({name: uv[k] for name, uv in drawn.items()}, free=True)
-    images, kind = MappingProxyType(acquired), planned.plan.kind.key
-    decisions = Decisions(images=images, kind=kind, marks=MappingProxyType(marks))
+    decisions = Decisions(images=dict(acquired), kind=planned.plan.kind.key, marks=marks)
     if asked.nail is not None:
         return with_nail(decisions, asked.nail).document()
     for plan in () if planned.wires is None else planned.wires.plans.values():
