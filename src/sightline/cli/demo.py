@@ -698,7 +698,7 @@ def _run(
         seen = see_pair(files[0], files[1], frame)
     methods = METHODS if frame.solid is None else METHODS[:1]
     with output.step(f"3/8 calibrating both views: {', '.join(methods)}"):
-        images = {method: calibrate_pair(seen, frame, method) for method in methods}
+        images: dict[Method, Pair] = {method: calibrate_pair(seen, frame, method) for method in methods}
     rng, calibrated = rehearsal.generator("picks"), images[METHODS[0]]
     asked, drawn_px = rehearsal.asked(rng, PICK_SD_PX)
     with output.step("4/8 planning entry and tip, drawing the image-matching curves"):

@@ -223,7 +223,7 @@ def read_measurements(path: str | Path, covariance: str | Path | None = None) ->
     xyz = np.array([[_finite(row, column) for column in _XYZ] for row in rows])
     diameters = np.array([_diameter(row) for row in rows])
     blocks = _all_or_none([_instrument_error(row) for row in rows])
-    whole = block_diag(*blocks) if blocks else None
+    whole: np.ndarray | None = np.asarray(block_diag(*blocks)) if blocks else None
     if covariance is not None:
         whole = _matrix(Path(covariance), 3 * len(rows))
         if blocks:

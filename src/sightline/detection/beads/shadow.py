@@ -96,8 +96,8 @@ class Model(NamedTuple):
     beads: np.ndarray
     scatter: np.ndarray
     background: np.ndarray
-    scale: float
-    stopped: float
+    scale: np.float32
+    stopped: np.float32
 
 
 class Derivatives(NamedTuple):

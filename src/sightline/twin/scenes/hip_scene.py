@@ -139,12 +139,13 @@ def first_shown(
     `also_mm` (N, 3), CFCS. Raises SetUpError if none is found.
     """
     also = np.zeros((0, 3)) if also_mm is None else also_mm
+    name = ""
     for _ in range(ATTEMPTS):
         setup, origin = draw()
-        points = to_cfcs(wires_mm, setup.side, origin).reshape(-1, 3)
+        name, points = setup.frame.name, to_cfcs(wires_mm, setup.side, origin).reshape(-1, 3)
         if setup.shows(np.vstack([points, also]), HipPlace().margin_px):
             return setup, origin
-    raise SetUpError(f"none of {ATTEMPTS} set-ups shows the whole wires in all views of frame {setup.frame.name!r}")
+    raise SetUpError(f"none of {ATTEMPTS} set-ups shows the whole wires in all views of frame {name!r}")
 
 
 def four_balls(setup: SetUp) -> tuple[Scene, np.ndarray]:

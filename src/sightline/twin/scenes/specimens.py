@@ -97,11 +97,10 @@ class SetUpSpec:
         """Draw up to ATTEMPTS set-ups; return the first that shows all points (N, 3), from `SetUp.hip_mm`, in all
         views, and True; or the last, and False. Raises SetUpError if no pose has the frame in the beam.
         """
-        for _ in range(ATTEMPTS):
-            setup = self._drawn(rng)
-            if setup.shows(setup.hip_mm + points_mm, MARGIN_PX):
-                return setup, True
-        return setup, False
+        setup, attempts = self._drawn(rng), 1
+        while not (shown := setup.shows(setup.hip_mm + points_mm, MARGIN_PX)) and attempts < ATTEMPTS:
+            setup, attempts = self._drawn(rng), attempts + 1
+        return setup, shown
 
     def _drawn(self, rng: np.random.Generator) -> SetUp:
         if self.bone is not None and self.oblique:
