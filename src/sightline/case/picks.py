@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -360,7 +360,7 @@ def _fitted(picks: Picks, aids: Aids | None, images: Images) -> tuple[Aids | Non
     views, unfitted = [image.view for image in images], {}
     for key in sorted(picks.fit, key=list(_NEEDS).index):  # the neck begins at the fitted head
         fit, needed, advice = _NEEDS[key]
-        drawn = [getattr(aids, name) for name in needed] if aids is not None else [None]
+        drawn: list[Any] = [getattr(aids, name) for name in needed] if aids is not None else [None]
         if aids is None or None in drawn:
             raise UnusableInputError(f"fit names the {key}, which is not drawn; {advice}")
         shown = refuse_tables([image.seen.image for image in images])

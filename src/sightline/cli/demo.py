@@ -565,12 +565,13 @@ def record(
                 plan = stages.record_planned(case, (first, second), wire.planned.asked, wire.planned.plan, by=by)
             for shot in wire.shots.values():
                 if entries := _record_images(case, shot, frame_ref):
-                    stages.record_shot(case, plan, entries, shot.request, shot.result, by=by)
+                    stages.record_shot(case, plan, entries, cast("DrillShotRequest", shot.request), shot.result, by=by)
             if wire.drilled.record is not None:
                 drilling = {"record": wire.drilled.document()["record"]}
                 case.record(Kind.DRILLED, drilling, by=Actor.ROBOT, rests_on=[plan.number])
             if entries := _record_images(case, wire.checked, frame_ref):
-                stages.record_verified(case, plan, entries, wire.checked.request, wire.checked.result, by=by)
+                request = cast("CheckRequest", wire.checked.request)
+                stages.record_verified(case, plan, entries, request, wire.checked.result, by=by)
 
 
 def _record_images(case: "Case", shot: TakenShot, frame_ref: str) -> "list[Entry]":

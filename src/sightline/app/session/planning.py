@@ -264,7 +264,7 @@ class Planning:
         if drawn is None or views is None:
             raise UnusableInputError(_DRAW_FIRST[key])
         images = [seen.image for seen in map(self.seen, NAMES) if seen is not None]
-        given = (head,) if key == NECK else ()
+        given = (head,) if key == NECK and head is not None else ()
         fitted, kept = await self.jobs.during(
             f"fitting the {key} to its edges", lambda: asyncio.to_thread(_FITS[key], views, images, drawn, *given)
         )

@@ -48,18 +48,16 @@ def of_document(given: dict[str, Any], name: str) -> Pinhole:
         raise UnusableInputError(
             "undistort the image and give the matrix of the result: the file states a lens distortion"
         )
-    whole = reading.array(given["matrix"], (3, 4), "the matrix") if "matrix" in given else None
-    parts = _of_parts(given) if whole is None or "camera_matrix" in given else None
-    if whole is not None and parts is not None:
-        _refuse_two(whole, parts)
-    matrix = whole if whole is not None else parts
+    matrix = reading.array(given["matrix"], (3, 4), "the matrix") if "matrix" in given else _of_parts(given)
+    if "matrix" in given and "camera_matrix" in given:
+        _refuse_two(matrix, _of_parts(given))
     size, pixel, covariance = (given.get(key) for key in ("image_size", "pixel_mm", "covariance_of_matrix"))
     shape = None if size is None else reading.image_shape(*reading.array(size, (2,), "the image size")[::-1])
     if covariance is not None:
         covariance = reading.array(covariance, (12, 12), "the covariance of the matrix")
     return Pinhole.of_matrix(
         matrix, str(given.get("view", name)), shape, reading.pixel_size(pixel, "the pixel size"), covariance
-    )  # pyright: ignore[reportArgumentType]
+    )
 
 
 def _of_parts(given: dict[str, Any]) -> np.ndarray:
