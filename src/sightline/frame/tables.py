@@ -72,7 +72,7 @@ class _Row:
         if way is not _COVARIANCE:
             if min(values) < 0:
                 raise self.error(f"{way[0]} is {min(values):g}; give an error above zero")
-            return np.diag(np.square(np.broadcast_to(values, 3)))
+            return np.diag(np.broadcast_to([value * value for value in values], 3))
         xx, xy, xz, yy, yz, zz = values
         return np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
 

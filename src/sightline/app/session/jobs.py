@@ -157,7 +157,7 @@ def _wait_for(sentinel: int) -> None:
 
 def warm_up() -> None:
     """Import what the first image needs, and compile it where no program has before, by looking for drawn discs."""
-    for name in ("calibration", "case.views", "detection.wires.wire"):
+    for name in ("calibration", "case.views", "detection.wire"):
         import_module(f"sightline.{name}")
     from sightline.from_images.pipeline import find_beads
     from sightline.imaging import Radiograph

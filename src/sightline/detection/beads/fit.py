@@ -25,7 +25,7 @@ from sightline.detection.beads.shadow import (
     STOPPED_BY_BALL,
     STOPPED_BY_HOLE,
     Derivatives,
-    Model,
+    WindowModel,
     fill_light,
     fill_slopes,
     normal_equations,
@@ -101,7 +101,7 @@ class Filter(NamedTuple):
     by_distance: np.ndarray
 
 
-class Scene(NamedTuple):
+class FitImage(NamedTuple):
     """An image as a fit needs it: `logs` (H, W), its log light, and the `usable` pixels (H, W); its noise and blur.
 
     `line` (3,): offset and slope of the noise, and the log intensity at which pixels are clipped. `inverse_sds`: one
@@ -119,7 +119,7 @@ class Scene(NamedTuple):
     holes: np.ndarray
 
 
-class Window(NamedTuple):
+class FitWindow(NamedTuple):
     """The window of a fit: its `light` with a margin, the `state` (n, n) of each pixel, its first pixel and its reach.
 
     `zero`: log light of the image where `light` is 1.
@@ -181,7 +181,7 @@ def fit_part(part, parts, scene, spots, which, prior_sd, fitted_beads):  # noqa:
         zero = log_level(scene.logs, scene.usable, u, v, radius, reach)
         light = window_light(scene.logs, left, top, half, zero)
         state = pixel_states(scene.logs, scene.usable, spots, rows, left, top, 2 * half + 1, scene.line[2])
-        window = Window(light, state, left, top, reach, zero)
+        window = FitWindow(light, state, left, top, reach, zero)
         for attempt in range(2):
             trial[0] = spots[row]
             _fit(scene, spots, rows, prior_sd, window, trial)
@@ -207,7 +207,7 @@ def _fit(scene, spots, rows, prior_sd, window, result):  # noqa: PLR0917 - a ker
     values = along_both_axes(window.light, used.taps) if filtered else window.light
     at, where, counting = gather_pixels(window.state, filtered, values, x0, y0, window.reach)
     beads, scatter, background = initial_values(spots, rows, used.blur2_px2)
-    model = Model(table, at, beads, scatter, background, np.float32(1.0 / window.reach), stopped)
+    model = WindowModel(table, at, beads, scatter, background, np.float32(1.0 / window.reach), stopped)
     size, pixels_held = BEAD_TERMS * len(rows) + SCATTER_TERMS + BACKGROUND_TERMS, at.shape[1]
     columns, inverse_sd = np.empty((size + 3, pixels_held), np.float32), np.empty(pixels_held, np.float32)
     derivatives = Derivatives(

@@ -12,7 +12,7 @@ from sightline.common.fitting import median, quantiles
 from sightline.common.kernels import kernel
 from sightline.common.threads import in_parts
 from sightline.detection.beads.bead import BEAD
-from sightline.detection.beads.fit import LIGHT_STEPS, PRIOR_SD, Filter, Scene, fit_part
+from sightline.detection.beads.fit import LIGHT_STEPS, PRIOR_SD, Filter, FitImage, fit_part
 from sightline.detection.beads.noise import AREA, BLOCK, LAGS, NoiseModel, all_usable, flatten
 from sightline.detection.beads.shadow import profile_table
 from sightline.detection.beads.window import TAPS, along_both_axes
@@ -163,7 +163,7 @@ class BeadFitter:
         sharp = design(log_image, usable, noise)
         nothing = Sharpening(np.eye(len(sharp.taps))[0], 0.0, 1.0, noise.correlation)
         light = (np.arange(2 * LIGHT_STEPS) + 0.5) / LIGHT_STEPS
-        self.scene = Scene(
+        self.scene = FitImage(
             log_image,
             usable,
             np.array([noise.offset, noise.slope, float(log_image.max())]),

@@ -84,7 +84,7 @@ LEFT, CLEAR, LEFT_X, LEFT_Y = range(4)
 STOPPED_BY_BALL, STOPPED_BY_HOLE = np.float32(0.87), np.float32(0.0)
 
 
-class Model(NamedTuple):
+class WindowModel(NamedTuple):
     """The model of a window: `tables` of profiles (`profile_table`); the pixels' x, y and measured value, `at` (3, N).
 
     Parameters of K `beads`, of the `scatter` and of the `background`; `scale`: one over the window's reach; `stopped`:
