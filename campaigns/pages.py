@@ -136,12 +136,12 @@ def page() -> str:
     return text
 
 
-def _stay(handshake: str, opened: threading.Event) -> None:
+def _stay(handshake: str, is_open: threading.Event) -> None:
     """Answer the server's pings, so that the page counts as open."""
     with suppress(WebSocketException), opened(app(), app().cookie) as link:
         link.send("40")
         link.send("42" + handshake)
-        opened.set()
+        is_open.set()
         for message in link:
             if message == "2":
                 link.send("3")

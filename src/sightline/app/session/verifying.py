@@ -181,10 +181,9 @@ class Verifying:
             assert view is not None and beads is not None  # noqa: S101 - it is calibrated
             wires = request.sent.planned.wires
             others = () if wires is None else wires.others_mm(kind.wire.key)
-            discs = {"bead_uv_px": beads.uv_px, "bead_radius_px": beads.radius_px}
             search = planned_search(request.sent.plan, view, others)
             self._found_in[key] = await self._planning.worker.do(
-                partial(find_wire, seen.image, diameter_mm=kind.wire_mm, **search, **discs)
+                partial(find_wire, seen.image, diameter_mm=kind.wire_mm, beads=beads, **search)
             )
         return self._found_in[key]
 
