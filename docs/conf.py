@@ -35,8 +35,9 @@ nitpick_ignore_regex = [(r"py:.*", r"(?!sightline).*")]
 nitpick_ignore_regex += [
     (r"py:class", r"sightline\..*\._\w+"),
     (r"py:class", r"sightline\.(common\.fitting|frame\.document|planning\.procedures\.document)\..*"),
-    (r"py:class", r"sightline\.twin\.xray\.distortion\..*"),
-    (r"py:class", r"sightline\.calibration\.(line_errors|maps\.(prior|smooth)|plates\.(beads|joint)|projection)\..*"),
+    (r"py:class", r"sightline\.twin\.xray\.intensifier\.DistortionMap"),
+    (r"py:class", r"sightline\.calibration\.(view\.(Posterior|Pencil)|maps\.smooth\..*|plates\.(beads|joint)\..*)"),
+    (r"py:class", r"sightline\.robot\.igtl\.wire\.Reader"),
 ]
 
 # Markdown: what GitHub renders too
