@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise, permutations
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.common.threads import one_blas_thread
 from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
 from sightline.detection.causes import cause_of
-from sightline.detection.wire import WireShadow, find_wire
+from sightline.detection.wire import ProjectedWire, WireShadow, find_wire
 from sightline.errors import DetectionRefusedError, LabellingRefusedError, OutsideRegionError, WireRefusedError
 from sightline.frame import Frame
 from sightline.frame.plate import Fiducial
@@ -128,14 +128,22 @@ def find_planned_wire(  # noqa: PLR0917
     straight. `others_mm`: as of `check_shot`. Raises what `expected_wire` and `find_wire` raise.
     """
     search = planned_search(plan, view, others_mm)
-    return find_wire(image, diameter_mm=wire_mm, beads=beads, **search)
+    return find_wire(image, search.expected, wire_mm, beads, others=search.others, covered_px=search.covered_px)
 
 
-def planned_search(plan: Plan, view: CalibratedView, others_mm: Sequence[np.ndarray] = ()) -> dict[str, Any]:
-    """Return where `find_planned_wire` searches, as arguments of `find_wire`: `expected`, `others`, `covered_px`."""
+class WireSearch(NamedTuple):
+    """Where `find_wire` searches for a planned wire: its arguments of these names."""
+
+    expected: ProjectedWire
+    others: Sequence[ProjectedWire]
+    covered_px: Sequence[np.ndarray]
+
+
+def planned_search(plan: Plan, view: CalibratedView, others_mm: Sequence[np.ndarray] = ()) -> WireSearch:
+    """Return where `find_planned_wire` searches."""
     before_mm, covered = (BEFORE_MM, ()) if plan.hole is None else (GUIDED_MM, [nail_px(view, plan.hole)])
     expected = expected_wire(view, plan.trajectory.points.xyz_mm, plan.kind.limits.beyond_mm, before_mm)
-    return {"expected": expected, "others": expected_wires(others_mm, view), "covered_px": covered}
+    return WireSearch(expected, expected_wires(others_mm, view), covered)
 
 
 def find_placed_wires(

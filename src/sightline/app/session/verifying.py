@@ -182,9 +182,11 @@ class Verifying:
             wires = request.sent.planned.wires
             others = () if wires is None else wires.others_mm(kind.wire.key)
             search = planned_search(request.sent.plan, view, others)
-            self._found_in[key] = await self._planning.worker.do(
-                partial(find_wire, seen.image, diameter_mm=kind.wire_mm, beads=beads, **search)
+            image, covered = seen.image, search.covered_px
+            find = partial(
+                find_wire, image, search.expected, kind.wire_mm, beads, others=search.others, covered_px=covered
             )
+            self._found_in[key] = await self._planning.worker.do(find)
         return self._found_in[key]
 
 
