@@ -10,7 +10,6 @@ from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from importlib import import_module
 from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
@@ -157,9 +156,7 @@ def _wait_for(sentinel: int) -> None:
 
 def warm_up() -> None:
     """Import what the first image needs, and compile it where no program has before, by looking for drawn discs."""
-    for name in ("calibration", "case.views", "detection.wire"):
-        import_module(f"sightline.{name}")
-    from sightline.from_images.pipeline import find_beads
+    from sightline.case.views import find_beads  # imports all that an image is calibrated with, and a wire found
     from sightline.imaging import Radiograph
 
     v, u = np.mgrid[:_DRAWN_PX, :_DRAWN_PX] % _APART_PX - _APART_PX / 2
