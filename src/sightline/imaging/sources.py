@@ -259,7 +259,7 @@ def _source(name: str) -> Source:
     path = Path(name)
     if not path.is_dir() and not path.is_file():
         raise UnusableInputError(
-            f"there is no file or folder {name}; name one, a device by its number, or a stream by its address"
+            f"no file or folder {name} exists; name one, a device by its number, or a stream by its address"
         )
     files = [file for file in sorted(path.iterdir()) if file.name[0] != "."] if path.is_dir() else [path]
     images = [file for file in files if is_image(file)]
