@@ -1,4 +1,7 @@
-"""Files with damaged bytes: each must be read, or refused with its name; no other exception may be raised."""
+"""Files with damaged bytes: each must be read, or refused with its name; no other exception may be raised.
+
+Views and plans of other programs are in tests/case/interop/test_fuzz.py.
+"""
 
 import io
 import tempfile
@@ -10,8 +13,6 @@ import cv2
 import numpy as np
 
 from campaigns.campaign import Campaign, Damage, Ended
-from sightline.calibration.exchange.formats import FORMATS, read_view, write_view
-from sightline.calibration.exchange.pinhole import Pinhole
 from sightline.detection.csv_files import read_detections, read_observations
 from sightline.frame import Frame
 from sightline.frame.tables import frame_from_csv, read_measurements
@@ -103,15 +104,6 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(changed)
 
 
-CAMERA = np.array([[5000.0, 0, 500, 310000], [0, 5000, 480, 290000], [0, 0, 1, 620]])
-
-
-@lru_cache
-def view_files(kind: str) -> dict[str, bytes]:
-    """Return a view's files in another program's format, by name."""
-    return write_view(Pinhole.of_matrix(CAMERA, "pa", (64, 80), (0.2, 0.2)), kind)
-
-
 def of_file(name: str) -> Damage:
     """Return the class of one kind of file."""
     make, read = FILES[name]
@@ -127,21 +119,4 @@ def of_file(name: str) -> Damage:
     return Damage(go)
 
 
-def of_view(kind: str) -> Damage:
-    """Return the class of a view in another program's format, with one damaged file."""
-
-    def go(rng: np.random.Generator) -> Ended:
-        files = view_files(kind)
-        spoilt = str(rng.choice(sorted(files)))
-        with tempfile.TemporaryDirectory() as folder:
-            for name, data in files.items():
-                (Path(folder) / name).write_bytes(mutated(data, rng) if name == spoilt else data)
-            view = read_view(Path(folder) / spoilt.replace(".mha", ".xml"), name="pa").view()
-        finite = np.isfinite(view.matrix).all() and np.isfinite(view.focal_point_mm).all()
-        return Ended("right" if finite else "wrong", "" if finite else "numbers that are not finite")
-
-    return Damage(go)
-
-
-CLASSES = {name: of_file(name) for name in FILES} | {f"view for {kind}": of_view(kind) for kind in FORMATS}
-CAMPAIGN = Campaign("files", "Files damaged byte by byte", CLASSES)
+CAMPAIGN = Campaign("files", "Files damaged byte by byte", {name: of_file(name) for name in FILES})

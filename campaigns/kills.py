@@ -1,4 +1,4 @@
-"""Programs killed while they write: acknowledged data stays, each folder is complete or old, and the next run works.
+"""Programs killed while they write: acknowledged entries stay, and the next run works.
 
 The moment is random: an operation on a file or folder, an instruction of SQLite's virtual machine, or a written byte.
 """
@@ -6,36 +6,30 @@ The moment is random: an operation on a file or folder, an instruction of SQLite
 import os
 import resource
 import signal
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from campaigns.campaign import Campaign, Damage, Ended
-from campaigns.programs import PROGRAMS, Steps, in_a_child, moment, not_finished, place_for
+from campaigns.programs import PROGRAMS, Steps, interrupted
 
 
-def killed(name: str) -> Damage:
-    """Return the class of one program."""
-    program = PROGRAMS[name]
+def killed(name: str, rng: np.random.Generator) -> Ended:
+    """Kill one program."""
 
-    def make(rng: np.random.Generator) -> Ended:
-        kind, at = moment(name, rng, ("file", "journal", "byte"))
+    def prepare(kind: str, at: int, _: Path) -> None:
+        if kind == "byte":  # the kernel kills the process while it writes a longer file
+            resource.setrlimit(resource.RLIMIT_FSIZE, (at, at))
+            signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
+        else:
+            Steps(kind, at, lambda: os.kill(os.getpid(), signal.SIGKILL)).watch()
 
-        def work() -> int:
-            if kind == "byte":  # the kernel kills the process while it writes a longer file
-                resource.setrlimit(resource.RLIMIT_FSIZE, (at, at))
-                signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
-            else:
-                Steps(kind, at, lambda: os.kill(os.getpid(), signal.SIGKILL)).watch()
-            return program.run(place)
-
-        with place_for(program) as place:
-            child = in_a_child(work)
-            if child.code > 0:
-                return Ended("crash", f"it fails at {kind} {at}: {child.err.strip()[-200:]}")
-            wrong = program.damage(place, child.out) or not_finished(program, place)
-        return Ended("lost", f"{wrong} ({kind} {at})") if wrong else Ended("right")
-
-    return Damage(make)
+    child, wrong, when = interrupted(name, rng, ("file", "journal", "byte"), prepare)
+    if child.code > 0:
+        return Ended("crash", f"it fails at {when}: {child.err.strip()[-200:]}")
+    return Ended("lost", f"{wrong} ({when})") if wrong else Ended("right")
 
 
-CAMPAIGN = Campaign("kills", "Programs that are killed while they write", {name: killed(name) for name in PROGRAMS})
+CLASSES = {name: Damage(partial(killed, name)) for name in PROGRAMS}
+CAMPAIGN = Campaign("kills", "Programs that are killed while they write", CLASSES)

@@ -29,13 +29,10 @@ from campaigns.campaign import Finished
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("planning", "calibration", "frame", "robot", "case", "detection")  # those whose tests are the quickest first
-TOKENS = {
-    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=",
-    ast.Eq: "==", ast.NotEq: "!=", ast.And: "and", ast.Or: "or",
-}  # fmt: skip
+# Operators: their token, and the one instead.
 SWAPPED = {
-    "+": "-", "-": "+", "*": "/", "/": "*", "<": ">", "<=": ">", ">": "<", ">=": "<", "==": "!=", "!=": "==",
-    "and": "or", "or": "and",
+    ast.Add: "+-", ast.Sub: "-+", ast.Mult: "*/", ast.Div: "/*", ast.Lt: "<>", ast.LtE: ("<=", ">="), ast.Gt: "><",
+    ast.GtE: (">=", "<="), ast.Eq: ("==", "!="), ast.NotEq: ("!=", "=="), ast.And: ("and", "or"), ast.Or: ("or", "and"),
 }  # fmt: skip
 LIMIT_S = 1800  # a change that makes the tests run this long is detected: something waits forever
 PROCESSES = 2
@@ -83,10 +80,10 @@ def changes_of(file: Path) -> Iterator[Change]:
         return int(starts[begin[0] - 1]) + begin[1], int(starts[end[0] - 1]) + end[1]
 
     def between(left: ast.expr, right: ast.expr, operator: ast.AST) -> Iterator[Change]:
-        token = TOKENS.get(type(operator))
-        place = text.find(token.encode(), span(left)[1], span(right)[0]) if token else -1
+        token, instead = SWAPPED.get(type(operator), ("", ""))
+        place = text.find(token.encode(), span(left)[1], span(right)[0])
         if token and place >= 0:
-            yield Change(name, left.end_lineno or 0, place, token, SWAPPED[token])
+            yield Change(name, left.end_lineno or 0, place, token, instead)
 
     guards = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "strict"}
     for node in ast.walk(tree):
@@ -117,13 +114,11 @@ def drawn(number: int, seed: int, rooms: list[str]) -> list[Change]:
 
 
 def copy_of_checkout(tree: Path) -> Path:
-    """Copy the files that git tracks and the compiled kernels, with their time stamps, to a folder; return it."""
+    """Copy the files that git tracks to a folder; return it."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True).stdout  # noqa: S607
     for name in filter(None, listed.decode().split("\0")):
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, tree / name)
-    for cache in (ROOT / "src").rglob("__pycache__"):
-        shutil.copytree(cache, tree / cache.relative_to(ROOT), dirs_exist_ok=True)
     return tree
 
 
@@ -139,40 +134,27 @@ def tests_of(change: Change) -> list[str]:
 
 def noticed(change: Change, tree: Path) -> str:
     """Return the first test that fails with the change, or ""."""
-    file = tree / change.file
-    before, stamp = file.read_bytes(), file.stat()
-    kept = tree.parent / f"{tree.name}-kernels"
-    # Compiled kernels contain functions and constants of other files.
-    aside = change.room == "detection" or b"njit" in before
-    if aside:
-        _move_caches(tree / "src", kept)
-    try:
-        file.write_bytes(change.applied(before))
-        tests, flaky = tests_of(change), []
-        while "::" in (test := _failed([*tests, *flaky], tree)) and not _failed([test], tree):
-            flaky.append(f"--deselect={test}")  # it fails on a busy machine, not by the change
-        return test
-    finally:
-        file.write_bytes(before)
-        os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
-        if aside:
-            for cache in list((tree / "src").rglob("__pycache__")):
-                shutil.rmtree(cache)
-            _move_caches(kept, tree / "src")
+    file, kernels = tree / change.file, tree.with_name(f"{tree.name}-kernels")
+    before = file.read_bytes()
+    with tempfile.TemporaryDirectory() as own:
+        if change.room == "detection" or b"njit" in before:
+            kernels = Path(own)  # compiled kernels contain functions and constants of other files
+        try:
+            file.write_bytes(change.applied(before))
+            tests, flaky = tests_of(change), []
+            while "::" in (test := _failed([*tests, *flaky], tree, kernels)) and not _failed([test], tree, kernels):
+                flaky.append(f"--deselect={test}")  # it fails on a busy machine, not by the change
+            return test
+        finally:
+            file.write_bytes(before)
 
 
-def _move_caches(source: Path, target: Path) -> None:
-    for cache in list(source.rglob("__pycache__")):
-        (target / cache.relative_to(source)).parent.mkdir(parents=True, exist_ok=True)
-        cache.rename(target / cache.relative_to(source))
-
-
-def _failed(tests: list[str], tree: Path) -> str:
+def _failed(tests: list[str], tree: Path, kernels: Path) -> str:
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", *tests]
-    environment = {**os.environ, "PYTHONPATH": str(tree / "src"), "OPENBLAS_NUM_THREADS": "1"}
+    changed = {"PYTHONPATH": str(tree / "src"), "NUMBA_CACHE_DIR": str(kernels), "OPENBLAS_NUM_THREADS": "1"}
     try:
         run = subprocess.run(
-            command, check=False, cwd=tree, env=environment, capture_output=True, text=True, timeout=LIMIT_S
+            command, check=False, cwd=tree, env=os.environ | changed, capture_output=True, text=True, timeout=LIMIT_S
         )
     except subprocess.TimeoutExpired:
         return "the tests do not end"

@@ -1,4 +1,7 @@
-"""Wrong beads, clicks, frames and patients, as measured points; nothing is rendered."""
+"""Wrong beads, clicks, frames and patients, as measured points; nothing is rendered.
+
+Wrong plans, clicked as they were meant, are in the study `wrong-plans`.
+"""
 
 from collections.abc import Callable
 from copy import deepcopy
@@ -215,12 +218,6 @@ def warped(world: World, rng: np.random.Generator) -> None:
     world.clicks = world.clicks.as_shown({name: shown})
 
 
-def entry_for_end(world: World, _: np.random.Generator) -> None:
-    """Exchange entry and end."""
-    world.clicks = replace(world.clicks, wire=world.clicks.wire[:, ::-1])
-    world.never_go = True
-
-
 def views_exchanged(world: World, _: np.random.Generator) -> None:
     """Exchange the clicks of the images."""
     c = world.clicks
@@ -285,33 +282,6 @@ def head_off(world: World, rng: np.random.Generator) -> None:
     world.clicks = replace(world.clicks, head=head)
 
 
-def wrong_side(world: World, _: np.random.Generator) -> None:
-    """State the other hip's side."""
-    world.clicks = replace(world.clicks, side="left" if world.clicks.side == "right" else "right")
-    world.never_go = True
-
-
-def _rewired(world: World, rng: np.random.Generator, wire_mm: np.ndarray) -> None:
-    world.hip = replace(world.hip, wire_mm=wire_mm)
-    world.moved = world.hip
-    world.reclick(world.hip, rng)
-    world.never_go = True
-
-
-def through_the_joint(world: World, rng: np.random.Generator) -> None:
-    """Plan the tip 3 to 20 mm beyond the head's surface."""
-    entry, end = world.hip.wire_mm
-    along = (end - entry) / np.linalg.norm(end - entry)
-    surface = world.hip.head_mm + world.hip.femur.head_radius_mm * along
-    _rewired(world, rng, np.stack([entry, surface + rng.uniform(3, 20) * along]))
-
-
-def entry_in_the_neck(world: World, rng: np.random.Generator) -> None:
-    """Plan the entry half to three quarters along the wire."""
-    entry, end = world.hip.wire_mm
-    _rewired(world, rng, np.stack([entry + rng.uniform(0.5, 0.75) * (end - entry), end]))
-
-
 def mirrored_frame(world: World, _: np.random.Generator) -> None:
     """Make the frame file left-handed: y changes its sign, names stay."""
     world.told = altered(world.told, lambda bead: (bead.xyz_mm[0], -bead.xyz_mm[1], bead.xyz_mm[2]))
@@ -371,7 +341,6 @@ CLASSES: dict[str, Damage] = {
     "torn": damage(torn, "torn", "rows", "shift"),
     "torn, lower beads dropped": damage(partial(torn, keep=False), "torn", "rows", "shift", "bead"),
     "sheared, stretched, turned": damage(warped),
-    "entry and end exchanged": damage(entry_for_end, "exchang", "entry"),
     "clicks of the views exchanged": damage(views_exchanged),
     "row and column exchanged": damage(row_column),
     "points and views exchanged": damage(points_for_views),
@@ -380,9 +349,6 @@ CLASSES: dict[str, Damage] = {
     "clicks of 2-4 px stated as 0.5": damage(careless),
     "a landmark is another point": damage(landmark_off),
     "the head's circle is wrong": damage(head_off),
-    "the wrong side": damage(wrong_side, "side"),
-    "tip through the joint": damage(through_the_joint, "joint", "head"),
-    "entry in the neck": damage(entry_in_the_neck, "entry", "long", "short"),
     "left-handed frame file": damage(mirrored_frame, "mirror", "hand"),
     "frame file of another scale": damage(scaled_frame),
     "plate shifted": damage(shifted_plate),

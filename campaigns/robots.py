@@ -5,12 +5,12 @@ Faults of a robot towards our client are covered by the tests of the conformance
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 from tests.robot.igtl_faults import in_pieces
-from tests.robot.rig import CLIENT, ROBOT, T_MCS_CFCS, IdealPlant, Rig, code, metadata, wire
+from tests.robot.rig import CLIENT, ROBOT, T_MCS_CFCS, Rig, code, metadata, wire
 
 from campaigns.campaign import Campaign, Damage, Ended
 from sightline.robot.control.states import COMMANDS, MOVING, State
@@ -24,23 +24,6 @@ BEYOND_MM = 0.3  # allowed beyond a depth limit for feed error and braking
 STATES = tuple(State)
 TEXTS = (*(cause.value for cause in COMMANDS), "stop", "STOP ", "DANCE", "", "DRILL" * 40)
 NUMBERS = ("nan", "inf", "-1", "0", "1e9", "1e308", "0.035", "", "sixty")
-
-
-class Faulty(IdealPlant):
-    """A plant whose readings are wrong from some moment on."""
-
-    def __init__(self, spoil: Callable[[Reading, Reading], Reading], after_s: float) -> None:
-        super().__init__()
-        self.spoil, self.after_s = spoil, after_s
-        self.last: Reading | None = None
-
-    def read(self) -> Reading:
-        """Return the true reading, from `after_s` on a damaged one."""
-        now = super().read()
-        if self.last is None or now.time_s < self.after_s:
-            self.last = now
-            return now
-        return self.spoil(self.last, now)
 
 
 @dataclass
@@ -209,30 +192,28 @@ def clock(witness: Witness, rng: np.random.Generator) -> None:
         witness.run(0.5)
 
 
-SPOILT: dict[str, Callable[[Reading, Reading], Reading]] = {
-    "encoders stick": lambda last, now: replace(now, encoders=last.encoders),
-    "encoders jump": lambda _, now: replace(now, encoders=now.encoders + np.array([0, 0, 0.3, 25.0, 0])),
-    "encoders say nothing": lambda _, now: replace(now, encoders=np.full(5, np.nan)),
-    "readings are old": lambda last, _: last,
-    "time runs back": lambda _, now: replace(now, time_s=-now.time_s),
-    "force says nothing": lambda _, now: replace(now, force_n=float("nan")),
-    "force is huge": lambda _, now: replace(now, force_n=1e6),
-    "all flags at once": lambda _, now: replace(now, flags=~PlantFlag.NONE),
-    "no flag at all": lambda _, now: replace(now, flags=PlantFlag.NONE),
+# What a reading says from some moment on, by the last true one: values, or functions of the true reading.
+SPOILT: dict[str, Callable[[Reading], dict[str, object]]] = {
+    "encoders stick": lambda last: {"encoders": last.encoders},
+    "encoders jump": lambda _: {"encoders": lambda now: now.encoders + np.array([0, 0, 0.3, 25.0, 0])},
+    "encoders say nothing": lambda _: {"encoders": np.full(5, np.nan)},
+    "readings are old": vars,
+    "time runs back": lambda _: {"time_s": lambda now: -now.time_s},
+    "force says nothing": lambda _: {"force_n": float("nan")},
+    "force is huge": lambda _: {"force_n": 1e6},
+    "all flags at once": lambda _: {"flags": ~PlantFlag.NONE},
+    "no flag at all": lambda _: {"flags": PlantFlag.NONE},
 }
 
 
-def hardware(spoil: Callable[[Reading, Reading], Reading]) -> Damage:
+def hardware(spoil: Callable[[Reading], dict[str, object]]) -> Damage:
     """Return the class of sensors that fail while the arm moves: it must stand within a second."""
 
     def make(rng: np.random.Generator) -> Ended:
-        state = MOVING[int(rng.integers(len(MOVING)))]
-        plant = Faulty(spoil, np.inf)
-        rig = Rig(moved=plant)
-        rig.reach(state)
+        rig = Rig.at(MOVING[int(rng.integers(len(MOVING)))])
         rig.run(float(rng.uniform(0.0, 1.0)))
         witness = Witness(rig)
-        plant.after_s = plant.time_s
+        rig.reads(**spoil(rig.plant.read()))
         for _ in range(int(rng.integers(0, 3))):
             witness.send(*_command(rng))
         witness.run(1.0)
@@ -241,13 +222,15 @@ def hardware(spoil: Callable[[Reading, Reading], Reading]) -> Damage:
     return Damage(make)
 
 
-CLASSES: dict[str, Damage] = {
-    "any commands": play(commands),
-    "several clients": play(several_clients),
-    "spoilt bytes": play(spoilt_bytes),
-    "numbers that no pose has": play(numbers_in_transforms),
-    "stops": play(stops),
-    "lost client": play(lost_client),
-    "clock": play(clock),
-} | {name: hardware(spoil) for name, spoil in SPOILT.items()}
+PLAYS = {
+    "any commands": commands,
+    "several clients": several_clients,
+    "spoilt bytes": spoilt_bytes,
+    "numbers that no pose has": numbers_in_transforms,
+    "stops": stops,
+    "lost client": lost_client,
+    "clock": clock,
+}
+CLASSES = {name: play(scenario) for name, scenario in PLAYS.items()}
+CLASSES |= {name: hardware(spoil) for name, spoil in SPOILT.items()}
 CAMPAIGN = Campaign("robots", "Clients and hardware that do not behave", CLASSES)

@@ -97,7 +97,18 @@ def test_it_answers_to_loopback_names(open_app: App, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "host", ["evil.example:{port}", "127.0.0.1:1", "127.0.0.1", "10.0.0.1:{port}", "", "a:b:{port}"]
+    "host",
+    [
+        "evil.example:{port}",
+        "127.0.0.1.evil.example:{port}",
+        "127.0.0.1:1",
+        "127.0.0.1",
+        "10.0.0.1:{port}",
+        "",
+        "a:b:{port}",
+        "127.0.0.1:{port}:1",
+        "127.0.0.1:{port}@evil.example",
+    ],
 )
 def test_it_answers_to_no_other_name(open_app: App, host: str) -> None:
     host = host.format(port=open_app.port)
@@ -111,7 +122,17 @@ def test_two_host_headers_are_refused(open_app: App) -> None:
     assert b" 200 " not in raw(open_app.port, f"GET {open_app.image} HTTP/1.1", own, "Host: evil.example")[:20]
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1"])
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "http://evil.example",
+        "http://127.0.0.1:{port}.evil.example",
+        "null",
+        "https://127.0.0.1:{port}",
+        "http://127.0.0.1:1",
+        "file://",
+    ],
+)
 def test_a_foreign_origin_gets_nothing(open_app: App, origin: str) -> None:
     origin = origin.format(port=open_app.port)
     assert ask(open_app, open_app.image, origin=origin).status_code == 403
