@@ -11,8 +11,10 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.stats import chi2
 
 import sightline as sl
@@ -33,7 +35,7 @@ from sightline.twin.scenes.hip_scene import shown_hip_scene
 from sightline.twin.scenes.specimens import tagged
 from sightline.twin.xray.setup import BEAMS, ViewTruth
 
-HIPS, WITH_PLATES, ACROSS = 100, 30, 60  # with a block; with the Γ frame; with a block and a beam across the neck
+HIPS, WITH_PLATES, ACROSS = 60, 15, 30  # with a block; with the Γ frame; with a block and a beam across the neck
 FIRST_ACROSS = 2000  # the error stated in lateral images was raised after a run of the first hips
 CLICK_PX = 2.0
 MAX_RATIO = 1.15  # error over stated s.d.: of 60 fits with 2 numbers each an honest one is 1 +- 0.065 [calc]
@@ -44,9 +46,9 @@ ACROSS_NECK = np.array([0.64, -0.77, 0.0])
 NECK_AXIS = (0.25, 0.75)  # of the way from the head's centre, where the studies click on a neck's axis
 VISIBLE_MM = (5.0, 12.0)  # between plates the field ends at about 40 mm
 
-HEAD = (("centre", 3, "mm"), ("radius", 1, "mm"))  # names, numbers of components, and units
-SHAFT = (("offset", 2, "mm"), ("direction", 2, "°"))
-NECK = (("offset", 1, "mm"), ("direction", 1, "°"))  # in the image
+HEAD = {"centre": (3, "mm"), "radius": (1, "mm")}  # numbers of components, and units
+SHAFT = {"offset": (2, "mm"), "direction": (2, "°")}
+NECK = {"offset": (1, "mm"), "direction": (1, "°")}  # in the image
 
 STATIONS = np.arange(0.25, 0.8, 0.006)  # along the neck, of its length from the head's centre
 DEPTHS_MM = np.arange(-14.0, 14.5, 2.0)  # along the beam, of the places where a line of sight may touch the bone
@@ -56,21 +58,22 @@ HIDDEN = (0.36, 0.56)  # stations of clicks in an image that does not show a nec
 MAX_COSINE = 0.5  # of neck and beam; an image whose beam is nearer to the neck shows head and trochanter
 
 Pair = tuple[float, float]
-NONE = (np.nan, np.nan)
+Sizes = dict[str, tuple[int, str]]
+# Of each number of HEAD, SHAFT or NECK: the squared error over its stated covariance, and lengths of the error, of the
+# stated one, of that of the drawing and, of a neck, of that of clicks on its true axis; `images`: how many were fitted.
+Fit = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """Of both numbers of HEAD, SHAFT or NECK: squared errors over their stated covariance, and lengths of the error, of
-    that of the drawing, and of the stated one; NaN unless `images`, those that were fitted, are all. `axis`: length of
-    the error of clicks on the true axis of a neck."""
-
-    images: int
-    squares: Pair = NONE
-    error: Pair = NONE
-    drawn: Pair = NONE
-    stated: Pair = NONE
-    axis: Pair = NONE
+def _scored(sizes: Sizes, measured: tuple[np.ndarray, np.ndarray], *others: np.ndarray) -> Fit:
+    """Return a fit by its error (N,) with covariance (N, N), and the errors of the drawing and of the axis."""
+    (off, covariance), first, fit = measured, 0, {"images": 1 if sizes is NECK else 2}
+    for name, (size, _) in sizes.items():
+        own = slice(first, first + size)
+        first += size
+        error, *beside = (float(np.linalg.norm(each[own])) for each in (off, *others))
+        stated = float(np.sqrt(np.trace(covariance[own, own])))
+        fit[name] = (float(mahalanobis2(off[own], covariance[own, own])), error, stated, *beside)
+    return fit
 
 
 def run(quick: bool) -> Rows:
@@ -96,37 +99,35 @@ def run(quick: bool) -> Rows:
     return rows
 
 
-def _add(rows: Rows, name: str, fits: list[_Fit], numbers: Sequence[tuple[str, int, str]], most: float) -> None:
+def _add(rows: Rows, name: str, fits: list[Fit], sizes: Sizes, most: float) -> None:
     """Add one kind of fit; `most`: the largest ratio of error and stated s.d. asked for."""
-    images = 1 if numbers is NECK else 2
-    counts = " / ".join(str(sum(fit.images == n for fit in fits)) for n in range(images, -1, -1))
+    images = 1 if sizes is NECK else 2
+    counts = " / ".join(str(sum(fit["images"] == n for fit in fits)) for n in range(images, -1, -1))
     rows.add(f"{name}: fitted {'/ kept' if images == 1 else 'in both images / one / none'}", f"{counts} of {len(fits)}")
-    done = [fit for fit in fits if fit.images == images]
-    for k, (number, size, unit) in enumerate(numbers if done else ()):
-        squares, *lengths = (
-            np.array([getattr(fit, key)[k] for fit in done]) for key in ("squares", "error", "stated", "drawn", "axis")
-        )
+    done = [fit for fit in fits if fit["images"] == images]
+    for number, (size, unit) in sizes.items() if done else ():
+        squares, *lengths = np.array([fit[number] for fit in done]).T
         ratio, inside = rms(np.sqrt(squares / size)), np.mean(squares <= chi2.ppf(0.95, size))
-        error, stated, drawn, axis = (f"{rms(values):.2f} {unit}" for values in lengths)
-        peer = f"as drawn {drawn}" + ("" if np.isnan(lengths[3]).all() else f"; clicks on the true axis {axis}")
+        error, stated, drawn, *axis = (f"{rms(values):.2f} {unit}" for values in lengths)
+        peer = f"as drawn {drawn}" + (f"; clicks on the true axis {axis[0]}" if axis else "")
         asked, met = (f"<= {most:g}", ratio <= most) if most < np.inf else ("", None)
         value = f"{ratio:.2f}; {100 * inside:.0f} %; {error}; {stated}"
         rows.add(f"{name}, {number}: error / stated s.d., rms; within 95 %; rms error; stated", value, asked, met,
                  peer=peer)  # fmt: skip
 
 
-def _with_block(seed: int) -> tuple[_Fit, ...]:
+def _with_block(seed: int) -> tuple[Fit, ...]:
     """Return the fits of a head, of a shaft below the lesser trochanter, of one beside it, and of a neck by image."""
     hip = _Hip.drawn(seed, "block60")
     return hip.head(), hip.shaft(BELOW_MM), hip.shaft(BESIDE_MM), *hip.neck()
 
 
-def _across_neck(seed: int) -> tuple[_Fit, ...]:
+def _across_neck(seed: int) -> tuple[Fit, ...]:
     """Return the fits of a neck in a PA image, and in a lateral one whose beam crosses it."""
     return _Hip.drawn(seed, "block60", across_neck=True).neck()
 
 
-def _with_plates(seed: int) -> tuple[_Fit, ...]:
+def _with_plates(seed: int) -> tuple[Fit, ...]:
     """Return the fits of a head, of the visible part of a shaft, and of a neck in the PA image."""
     hip = _Hip.drawn(seed, "gamma")
     return hip.head(), hip.shaft(VISIBLE_MM), hip.neck()[0]
@@ -162,17 +163,13 @@ class _Hip:
         first, second = (Circle.through(self._clicked(pixels[name]), CLICK_PX) for name in self.setup.views)
         return (first, second), *fit_head(self.views, self.images, (first, second))
 
-    def head(self) -> _Fit:
+    def head(self) -> Fit:
         """Return the fit of three clicks on the rim in each image."""
         drawn, fitted, kept = self.circles
         before, after = (locate(self.views, Aids(head=each)).head for each in (drawn, fitted))
         if kept or before is None or after is None or after.covariance_mm2 is None:
-            return _Fit(2 - len(kept))
-        off, covariance = self._off(after), after.covariance_mm2
-        squares = float(mahalanobis2(off[:3], covariance[:3, :3])), float(off[3] ** 2 / covariance[3, 3])
-        stated = float(np.sqrt(np.trace(covariance[:3, :3]))), float(np.sqrt(covariance[3, 3]))
-        lengths = [(float(np.linalg.norm(each[:3])), float(abs(each[3]))) for each in (off, self._off(before))]
-        return _Fit(2, squares, lengths[0], lengths[1], stated)
+            return {"images": 2 - len(kept)}
+        return _scored(HEAD, (self._off(after), after.covariance_mm2), self._off(before))
 
     @property
     def _radius_mm(self) -> float:
@@ -183,40 +180,31 @@ class _Hip:
     def _off(self, head: Sphere) -> np.ndarray:
         return np.append(head.centre_mm - self.scene.head_mm, head.radius_mm - self._radius_mm)
 
-    def shaft(self, begin_mm: Pair) -> _Fit:
+    def shaft(self, begin_mm: Pair) -> Fit:
         """Return the fit of both borders in each image, begun so far caudal of where the axes meet."""
         first, second = (Line.between(self._borders(name, begin_mm), CLICK_PX) for name in self.setup.views)
         try:
             fitted, kept = fit_shaft(self.views, self.images, (first, second))
         except SightlineError:
-            return _Fit(0)
+            return {"images": 0}
         before, after = (locate(self.views, Aids(shaft=each)).shaft for each in ((first, second), fitted))
         if kept or before is None or after is None:
-            return _Fit(2 - len(kept))
-        squares, error, stated = self._axis(after)
-        return _Fit(2, squares, error, self._axis(before)[1], stated)
+            return {"images": 2 - len(kept)}
+        return _scored(SHAFT, self._axis(after), self._axis(before)[0])
 
-    def _axis(self, axis: Axis) -> tuple[Pair, Pair, Pair]:
-        """Return of offset, mm, and direction, °, the squares, errors, and stated errors."""
+    def _axis(self, axis: Axis) -> tuple[np.ndarray, np.ndarray]:
+        """Return the error (4,) of offset, mm, and direction, °, with its covariance."""
         base, knee = self._in_cfcs(self.scene.femur.base_mm + np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
         true, middle = knee - base, axis.ends_mm.mean(axis=0)
         across = np.linalg.svd(axis.direction[None])[2][1:]
         length = np.linalg.norm(axis.ends_mm[1] - axis.ends_mm[0])
-        wrong = (
-            across @ (base + (middle - base) @ true * true - middle),
-            across @ true * np.sign(true @ axis.direction),
-        )
-        by_ends = across @ np.hstack([np.eye(3), np.eye(3)]) / 2, across @ np.hstack([-np.eye(3), np.eye(3)]) / length
+        beside, turned = base + (middle - base) @ true * true - middle, true * np.sign(true @ axis.direction)
+        off = np.concatenate([across @ beside, np.rad2deg(across @ turned)])
+        by_ends = np.vstack([np.hstack([across, across]) / 2, np.rad2deg(np.hstack([-across, across]) / length)])
         assert axis.covariance_mm2 is not None
-        stated = [by @ axis.covariance_mm2 @ by.T for by in by_ends]
-        squares = tuple(float(mahalanobis2(off, own)) for off, own in zip(wrong, stated, strict=True))
-        (offset, turned), (offset_sd, turned_sd) = (
-            map(np.linalg.norm, wrong),
-            (np.sqrt(np.trace(own)) for own in stated),
-        )
-        return squares, (offset, np.rad2deg(turned)), (offset_sd, np.rad2deg(turned_sd))
+        return off, by_ends @ axis.covariance_mm2 @ by_ends.T
 
-    def neck(self) -> tuple[_Fit, _Fit]:
+    def neck(self) -> tuple[Fit, Fit]:
         """Return the fit of both borders of the neck in each image, from the head past the narrowest place."""
         drawn, axes = [], []
         for view in self.setup.views.values():
@@ -225,39 +213,28 @@ class _Hip:
             on_axis = self._in_cfcs(np.outer(NECK_AXIS, self.scene.femur.base_mm))
             axes.append(Line(self._clicked(view.project(on_axis)), CLICK_PX))
         lines, kept = fit_neck(self.views, self.images, (drawn[0], drawn[1]), self.circles[1])
-        first, second = (
-            _Fit(0) if view.name in kept else self._neck(view, *three)
-            for view, *three in zip(self.views, lines, drawn, axes, strict=True)
-        )
-        return first, second
+        fits = []
+        for view, fitted, *others in zip(self.views, lines, drawn, axes, strict=True):
+            beside = [self._in_image(view, line)[0] for line in others]
+            fits.append({"images": 0} if view.name in kept else _scored(NECK, self._in_image(view, fitted), *beside))
+        return fits[0], fits[1]
 
-    def _neck(self, view: CalibratedView, fitted: Line, drawn: Line, axis: Line) -> _Fit:
-        """Return the errors of lines along the neck in one image."""
-        (offset, turned), (offset_sd, turned_sd) = self._in_image(view, fitted)
-        squares = (offset / offset_sd) ** 2, (turned / turned_sd) ** 2
-        others = [self._in_image(view, line)[0] for line in (drawn, axis)]
-        return _Fit(1, squares, (offset, turned), others[0], (offset_sd, turned_sd), others[1])
-
-    def _in_image(self, view: CalibratedView, line: Line) -> tuple[Pair, Pair]:
-        """Return offset and rotation of a line against the neck's true axis on the view's plane, at the middle of the
-        line, mm in the bone and °; and their stated s.d."""
+    def _in_image(self, view: CalibratedView, line: Line) -> tuple[np.ndarray, np.ndarray]:
+        """Return offset and rotation (2,) of a line against the neck's true axis on the view's plane, at the middle of
+        the line, mm in the bone and °, with their covariance."""
         ends = self._in_cfcs(np.outer([0.0, 1.0], self.scene.femur.base_mm))
         seen, true = view.lines_of_sight(line.uv_px), view.lines_of_sight(view.project(ends))
         middle = true.plane.to_space(true.xy_mm).mean(axis=0)
         scale = float(np.linalg.norm(ends.mean(axis=0) - true.focal_point_mm))
         scale /= float(np.linalg.norm(middle - true.focal_point_mm))
-        along = true.xy_mm[1] - true.xy_mm[0]
+        along, way = (each.xy_mm[1] - each.xy_mm[0] for each in (true, seen))
         across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
-        way = seen.xy_mm[1] - seen.xy_mm[0]
         length = float(np.linalg.norm(way))
         offset = scale * across @ (seen.xy_mm.mean(axis=0) - true.xy_mm[0])
-        turned = np.arcsin(across @ way / length)
-        response = np.zeros((4, 4))
-        response[:2, :2], response[2:, 2:] = seen.jacobian
-        covariance = response @ line.spread_px2 @ response.T
-        by_ends = scale * np.concatenate([across, across]) / 2, np.concatenate([-across, across]) / length
-        offset_sd, turned_sd = (float(np.sqrt(by @ covariance @ by)) for by in by_ends)
-        return (float(offset), float(np.rad2deg(turned))), (offset_sd, float(np.rad2deg(turned_sd)))
+        by_ends = np.concatenate([across, across]) * scale / 2, np.rad2deg(np.concatenate([-across, across]) / length)
+        response = np.vstack(by_ends) @ block_diag(*seen.jacobian)
+        turned = np.rad2deg(np.arcsin(across @ way / length))
+        return np.array([offset, turned]), response @ line.spread_px2 @ response.T
 
     def _in_cfcs(self, points_mm: np.ndarray) -> np.ndarray:
         return to_cfcs(points_mm, self.setup.side, self.scene.head_mm)

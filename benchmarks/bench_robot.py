@@ -5,11 +5,7 @@ TRANSFORM there and back. Times of the manipulator's arithmetic are processor ti
 runs.
 """
 
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -59,9 +55,9 @@ def run(quick: bool) -> list[Row]:
 
 def _link(trips: int) -> Rows:
     rows = Rows("robot link")
-    with _server("-c", _ECHO) as port:
+    with robot_faults.server("-c", _ECHO) as port:
         own, arrived, in_order = _ours(port, trips)
-    with _server("-m", "tests.robot.pyigtl_peer", "echo") as port:
+    with robot_faults.server("-m", "tests.robot.pyigtl_peer", "echo") as port:
         peer, peer_arrived = _pyigtl(port, trips // 30)
     name = f"TRANSFORM there and back on loopback, median; 99 % {np.quantile(own, 0.99):.3f} ms"
     rows.number(name, np.median(own), unit="ms", most=MAX_TRIP_MS, peer=f"pyigtl {np.median(peer):.1f} ms")
@@ -71,17 +67,6 @@ def _link(trips: int) -> Rows:
     name = "IMAGE of 2 MB, written and read, CRC verified"
     rows.number(name, image_ms, ".0f", "ms", peer=f"pyigtl {peer_ms:.0f} ms, not verified")
     return rows
-
-
-@contextmanager
-def _server(*arguments: str) -> Iterator[int]:
-    """Yield the port that a program prints."""
-    with subprocess.Popen([sys.executable, *arguments], stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            yield int(process.stdout.readline())
-        finally:
-            process.kill()
 
 
 def _ours(port: int, count: int) -> tuple[np.ndarray, int, bool]:

@@ -1,8 +1,9 @@
 """The tests, and runs of the robot, on a machine with all cores busy: `python -m campaigns.busy [robot]`.
 
 Twenty runs of the tests of robot, app and acquisition, three of all tests, and one of the first set with SIGINT
-ignored, as a shell does for background processes; all must pass. `robot`: 500 dry runs and 100 drillings in air. A dry run is that of
-`sightline robot check`, which requires that real silence of the client stops the wire; none may end by a false one.
+ignored, as a shell does for background processes; all must pass. `robot`: 500 dry runs and 100 drillings in air. A dry
+run is that of `sightline robot check`, which requires that real silence of the client stops the wire; none may end by a
+false one.
 Finished runs are kept; the same command resumes a stopped run.
 """
 
