@@ -52,7 +52,7 @@ class Shot:
 def run(quick: bool) -> Rows:
     """Return the rows of this benchmark."""
     number, rows, squares = SETUPS // 10 if quick else SETUPS, Rows("check shot"), []
-    done, refused = finished(trials(_errors, range(number), keep="check-shot"))
+    done, refused = finished(trials(_errors, range(number)))
     for landmarks, sd in LANDMARK_PX.items():
         errors = np.array([each[landmarks] for each in done])
         tip, angle = np.quantile(errors[:, 1:3], 0.95, axis=0)

@@ -2,11 +2,11 @@
 
 Points: each set-up has its own frame errors; every bead has its own, correctly stated covariance. Dose (bead noise),
 tolerances and the way of picking are distributed evenly; targets lie inside and outside the beads' convex hulls. Each
-class of tolerance has 2,000 set-ups, so that a share of 50 % has a s.d. of 1.1 %, well below the required ±3 %.
+class of tolerance has 1,000 set-ups, so that a share of 50 % has a s.d. of 1.6 %, below the required ±3 %.
 
 Images are those of hard scenes: bone, metal, saturation, scatter that follows the object, three doses. Beads are
 detected, labelled and looked for again as `calibrate_image` does; picks are exact. The frame is exact, or its balls
-have errors of 0.02 mm; larger errors of a frame would hide those of detection. A stopped run goes on where it was.
+have errors of 0.02 mm; larger errors of a frame would hide those of detection.
 """
 
 import warnings
@@ -24,15 +24,15 @@ from sightline.studies.coverage import PICKS, UNEVEN, outcome
 from sightline.studies.scenes import BEADS_20UM, EXACT, FAR_MM, FRAMES, draw_scene, draw_target
 from sightline.twin.scenes.hard import hard_views
 
-SETUPS = 6000
+SETUPS = 3000
 BEADS = {"beads 0.05 px": 0.05, "beads 0.1 px": 0.1, "beads 0.3 px": 0.3}
 CLASSES = tuple(product(BEADS, FRAMES, PICKS))
 POINT_LIMITS = {0.50: 0.03, 0.95: 0.02, 0.99: 0.02}
 POINT_SEED = 10_000  # different set-ups from bench_accuracy
 
-PAIRS = 2400  # of which at least 2,000 must give a result
+PAIRS = 240
 IMAGE_LIMITS = {0.50: 0.035, 0.95: 0.015, 0.99: 0.007}
-MIN_MEMBERS = 200  # of a stratum
+MIN_MEMBERS = 50  # of a stratum
 DOSES = ("low", "medium", "high")
 IMAGE_FRAMES = {"frame exact": EXACT, "balls with errors of 0.02 mm": BEADS_20UM}
 PICK_PX = 1e-3  # s.d. stated for exact picks
@@ -79,7 +79,7 @@ def _target(seed: int) -> Any:
 
 def _images(number: int) -> Rows:
     rows = Rows("image coverage")
-    done, refused = finished(trials(_pair, range(IMAGE_SEED, IMAGE_SEED + number), keep="image-coverage"))
+    done, refused = finished(trials(_pair, range(IMAGE_SEED, IMAGE_SEED + number)))
     rows.add("rendered pairs without a result", refused)
     if not done:
         return rows

@@ -29,7 +29,7 @@ from sightline.twin.scenes.hard import BeadTruth, HardView, hard_scene, hard_vie
 from sightline.twin.xray.setup import shadow_centres_px
 
 DOSES = ("low", "medium", "high")
-IMAGES, SCENES = 67, 48  # of each dose, against the bound; for the second look
+IMAGES, SCENES = 20, 20  # of each dose, against the bound; for the second look
 BOUND_PX, LOOK_PX = 0.5, 0.25  # within which a bead that counts is determined
 FOUND_PX = 2.0
 OPENCV = {"minArea": np.pi * 4, "maxArea": np.pi * 625, "minThreshold": 10, "maxThreshold": 250, "thresholdStep": 10,
@@ -156,7 +156,7 @@ class _Bead:
 
 def _second_look(number: int) -> Rows:
     rows = Rows("second look")
-    views, refused = finished([view for scene in trials(_views, range(number), keep="second-look") for view in scene])
+    views, refused = finished([view for scene in trials(_views, range(number)) for view in scene])
     beads = [bead for view in views for bead in view[0]]
 
     def of(*kinds: str, own: bool = False) -> list[list[_Bead]]:

@@ -79,10 +79,10 @@ def _scored(sizes: Sizes, measured: tuple[np.ndarray, np.ndarray], *others: np.n
 def run(quick: bool) -> Rows:
     """Return the rows of this benchmark; `quick` takes a tenth of the hips."""
     rows, (many, few, across) = Rows("fitted to edges"), (n // 10 if quick else n for n in (HIPS, WITH_PLATES, ACROSS))
-    block, refused = finished(trials(_with_block, range(many), keep="fitted-block"))
-    plates, also = finished(trials(_with_plates, range(few), keep="fitted-plates"))
+    block, refused = finished(trials(_with_block, range(many)))
+    plates, also = finished(trials(_with_plates, range(few)))
     seeds = range(FIRST_ACROSS, FIRST_ACROSS + across)
-    beside, too = finished(trials(_across_neck, seeds, keep="fitted-necks"))
+    beside, too = finished(trials(_across_neck, seeds))
     rows.add("hips refused: block, Γ, across the neck", f"{refused}, {also}, {too}")
     for name, numbers, most, fits in (
         ("head", HEAD, MAX_RATIO, [hip[0] for hip in block]),

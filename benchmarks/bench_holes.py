@@ -2,7 +2,7 @@
 
 Points are those of scenes/nails.py, on views calibrated from their beads. The sizes of the nail differ from the
 stated ones by machining tolerances. Images are the twin's, and those whose rays gVirtualXray casts (gvxr.py; optional:
-`pip install gvxr`). Finished nails are kept in out/bench: the same command goes on with a stopped run.
+`pip install gvxr`).
 """
 
 import time
@@ -32,7 +32,7 @@ from sightline.twin.objects.things import frame_scene
 from sightline.twin.xray.distributions import beam_at
 from sightline.twin.xray.render import expose
 
-NAILS = 1000
+NAILS = 500
 MAX_MM, MAX_DEG, COVERAGE = 0.3, 0.7, 0.02  # of 95 % of the nails; of the stated 95 % regions
 OTHERS = (("block30", 0.3), ("block60", 0.0), ("gamma", 0.0))
 RENDERED = 10  # nails of the twin's images for each of
@@ -49,22 +49,22 @@ PEER = "Esfandiari 2016: below 0.5 mm, 2°"
 def run(quick: bool) -> list[Row]:
     """Return the rows of this benchmark."""
     rows, number = Rows("interlocking"), NAILS // 10 if quick else NAILS
-    of_points = trials(_points, product(("block30",), (0.0,), range(number)), "interlocking-points")
+    of_points = trials(_points, product(("block30",), (0.0,), range(number)))
     _add(rows, "nails as points, block30, views 32° apart", of_points, asked=True)
     turned = np.quantile([each["turned_deg"] for each in _kept(of_points)], 0.95)
     rows.number("beam off the hole's axis after the advised turn, 95 %", turned, ".1f", "°", most=MAX_TURN_DEG)
     for frame, hidden in OTHERS:
         name = f"nails as points, {frame}" + (f", {hidden:.0%} of each rim hidden" if hidden else "")
-        _add(rows, name, trials(_points, product((frame,), (hidden,), range(number // 4)), "interlocking-points"))
-    moved = _kept(trials(_moved, range(number // 4), "interlocking-moved"))
+        _add(rows, name, trials(_points, product((frame,), (hidden,), range(number // 4))))
+    moved = _kept(trials(_moved, range(number // 4)))
     off = [each["off_mm"] for each in moved]
     name = f"nails as points, block30, moved between the images by {MOVED_MM[0]} to {MOVED_MM[1]:g} mm along the second"
     value = f"{len(off)} of {number // 4}; {sum(each > WRONG_MM for each in off)} of {len(off)}"
     rows.add(f"{name} beam: no check of the hole fails; of these, axis off by more than {WRONG_MM} mm", value)
-    rendered = trials(_rendered, product(CHAINS, range(1 if quick else RENDERED)), "interlocking-rendered")
+    rendered = trials(_rendered, product(CHAINS, range(1 if quick else RENDERED)))
     _add(rows, "rendered by the twin, four chains, strokes and clicks 2 px off", rendered)
     if INSTALLED:
-        _add_cast(rows, trials(_cast, product(CHAINS, range(1 if quick else CAST)), "interlocking-cast"))
+        _add_cast(rows, trials(_cast, product(CHAINS, range(1 if quick else CAST))))
     else:
         rows.add("rays cast by gVirtualXray", "not installed", peer="pip install gvxr")
     return [*rows, *drilled(quick)]

@@ -15,7 +15,7 @@ from sightline.errors import LabellingRefusedError
 from sightline.frame import Frame
 from sightline.twin.xray.presets import PRESETS
 
-SCENES, CLEAN = 10_000, 500
+SCENES, CLEAN = 5_000, 100
 BLOCK = 50  # scenes of one job
 PLATE_SEED, SOLID_SEED, CLEAN_SEED = 2, 5, 9
 SEEN = 9  # balls seen from which a scene must be labelled, where the solid has as many

@@ -44,17 +44,17 @@ from sightline.twin.xray.setup import Variation
 from sightline.twin.xray.tubes import FlatPanel
 
 BALLS_MM = (0.02, 0.05, 0.1)
-SETUPS, PLATE_SETUPS = 200, 400  # for each error of the balls; on an intensifier
+SETUPS, PLATE_SETUPS = 100, 100  # for each error of the balls; on an intensifier
 MAX_RATIO, MAX_PLATE_RATIO, MAX_RMS_MM, MIN_GAIN, MIN_PLATE_GAIN = 1.15, 1.2, 0.056, 4.0, 3.0
 DLT, OPENCV = "DLT and bundle adjustment", ("OpenCV 5", "OpenCV 14")
 ON_PLATE = "block40+detector-plate"
 
-COVERED = 5000  # set-ups
+COVERED = 2500  # set-ups
 STRATA = tuple(product((30.0, 60.0, 90.0), BALLS_MM, (0.0, 0.2, 0.4)))  # angle between views, balls, share hidden
 LIMITS = {0.50: 0.02, 0.95: 0.01, 0.99: 0.005}
 FIRST_SEED = 20_000  # other set-ups than those of the errors
 
-IMAGED, PLATES_IMAGED, CAST = 30, 20, 20  # set-ups with images of the twin; on an intensifier; of gVirtualXray
+IMAGED, PLATES_IMAGED, CAST = 15, 6, 20  # set-ups with images of the twin; on an intensifier; of gVirtualXray
 BLOCK_RANGE, PLATE_RANGE = (0.9, 1.15), (0.8, 1.2)  # of normalised errors
 SIZES, RUNS, MAX_SLOWER = (1024, 1536), 20, 1.2
 

@@ -1,10 +1,13 @@
 """What all benchmarks share: rows of values beside limit and peer, trials on all cores, and times."""
 
 import pickle
+import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
+from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,7 @@ from scipy.stats import chi2
 from sightline.errors import SightlineError
 from sightline.studies.runs.run import code_digest, local_workers
 
-KEPT = Path("out/bench")  # results by benchmark and by the digest of the program's code
+KEPT = Path("out/bench")  # results by function and by the digest of its code and of the program's
 WARM_UP = 2  # runs that are not timed
 ARCADIS = Path(__file__).parents[2] / "shared" / "data" / "arcadis"  # real images, no part of the repository
 
@@ -84,31 +87,31 @@ class Refusal(str):
     __slots__ = ()
 
 
-def trials(function: Callable[[Any], Any], cases: Iterable[Any], keep: str | None = None) -> list[Any]:
+def trials(function: Callable[[Any], Any], cases: Iterable[Any]) -> list[Any]:
     """Return `function` of each case, in order, on all cores with one thread each; a Refusal for a SightlineError.
 
-    `keep`: name under which results are kept when they are done. The same call, by the same code of the program, does
-    only what is missing. Delete KEPT after a change of the benchmark itself.
+    Results are kept when they are done: the same call, by the same code of program and benchmark, does what is missing.
     """
-    cases = list(cases)
-    file = None if keep is None else KEPT / f"{keep}-{code_digest()[:12]}.pickle"
-    known = {} if file is None else _read(file)
-    keys = [k if file is None else repr(case) for k, case in enumerate(cases)]
-    missing = {key: case for key, case in zip(keys, cases, strict=True) if key not in known}
+    whole = function if isinstance(function, partial) else partial(function)
+    module = Path(sys.modules[whole.func.__module__].__file__ or "").read_bytes()
+    code = sha256(module + code_digest().encode()).hexdigest()[:12]
+    file = KEPT / f"{whole.func.__module__}.{whole.func.__qualname__}-{code}.pickle"
+    cases = {repr((whole.args, whole.keywords, case)): case for case in cases}
+    known = _read(file)
+    missing = {key: case for key, case in cases.items() if key not in known}
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with (
         local_workers() as workers,
         Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as progress,
     ):
-        bar = progress.add_task(keep or "trials", total=len(missing))
+        bar = progress.add_task(whole.func.__qualname__, total=len(missing))
         futures = {workers.executor.submit(_tried, function, case): key for key, case in missing.items()}
         for future in as_completed(futures):
             known[futures[future]] = future.result()
-            if file is not None:
-                with file.open("ab") as kept:
-                    pickle.dump((futures[future], future.result()), kept)
+            with file.open("ab") as kept:
+                pickle.dump((futures[future], future.result()), kept)
             progress.advance(bar)
-    return [known[key] for key in keys]
+    return [known[key] for key in cases]
 
 
 def _tried(function: Callable[[Any], Any], case: Any) -> Any:

@@ -26,7 +26,7 @@ from sightline.twin import SetUp
 from sightline.twin.xray.distributions import beam_at
 from sightline.twin.xray.setup import displaced, with_errors
 
-SETUPS = 40  # of each case
+SETUPS = 20  # of each case
 # Centre of the head and tip of the lesser trochanter of an average right femur with that wire (twin/anatomy/femur.py).
 LANDMARKS_MM = np.array([[-23.0, -23.5, 5.0], [-2.5, 38.5, -22.0]])
 POINTS_MM = np.concatenate([WIRE_ENDS_MM, LANDMARKS_MM])
