@@ -28,18 +28,13 @@ def test_new_writes_the_built_in_frame_with_datums_of_its_own(tmp_path):
 
 
 def test_new_takes_figures(tmp_path):
-    run("new", str(tmp_path / "b.json"), "--like", "biplane", "--pitch-mm", "19", "--xrii-mm", "160", "--quiet")
+    given = ("--like", "biplane", "--rows", "8", "--pitch-mm", "19", "--datums", "7", "--xrii-mm", "160")
+    run("new", str(tmp_path / "b.json"), *given, "--quiet")
     view = Frame.load(tmp_path / "b.json").view("pa")
+    assert (len(view.xrii.ids), view.xrii.is_datum.sum()) == (64, 7)
     assert view.xrii.xyz_mm[:, 2].max() == 160
     assert view.source.xyz_mm[:, 2].max() == -150
     assert view.xrii.xyz_mm[1, 0] - view.xrii.xyz_mm[0, 0] == 19
-
-
-@pytest.mark.slow
-def test_new_takes_another_number_of_rows_and_datums(tmp_path):
-    run("new", str(tmp_path / "f.json"), "--rows", "8", "--pitch-mm", "19", "--datums", "7", "--quiet")
-    plate = Frame.load(tmp_path / "f.json").view("lateral").xrii
-    assert (len(plate.ids), plate.is_datum.sum()) == (64, 7)
 
 
 @pytest.mark.slow
@@ -66,17 +61,13 @@ def test_new_takes_measured_balls(tmp_path):
     assert "the covariance in the frame file" in run("show", str(tmp_path / "m.json"))
 
 
-def test_show_says_where_tolerances_come_from():
-    assert "the defaults: the frame file states none" in run("show", "gamma")
+def test_show_says_where_tolerances_come_from_and_draws_the_plates(tmp_path):
+    assert "the defaults: the frame file states none" in run("show", "gamma", "--picture", str(tmp_path / "plates.png"))
+    assert (tmp_path / "plates.png").read_bytes().startswith(b"\x89PNG")
     document = json.loads(run("show", "stereo", "--json"))
     assert document["tolerances"]["plate_mm"] == 0.05
     assert [plate["beads"] for plate in document["plates"]] == [49, 64, 49, 64]
     assert all(plate["reach_mm"] > 10 for plate in document["plates"])
-
-
-def test_show_draws_the_plates(tmp_path):
-    run("show", "biplane", "--picture", str(tmp_path / "plates.png"), "--quiet")
-    assert (tmp_path / "plates.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_check_passes_a_good_frame_and_refuses_what_is_none(tmp_path):

@@ -3,4 +3,3 @@ def test_a_block_is_drawn_by_its_faces(run, tmp_path):
     assert ran.code == 0, ran.err
     assert sum(part["bores"] for part in ran.document["parts"]) == 12
     assert (tmp_path / "shop" / "solid.stl").exists()
-    assert run("frame", "draw", "block30", "--out", tmp_path / "far", "--clearance-mm", "3").code == 2

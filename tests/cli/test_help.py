@@ -87,13 +87,8 @@ def test_every_command_that_measures_in_images_can_invert_them(name: str) -> Non
     assert "--invert" in [option for parameter in command.params for option in parameter.opts]
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_shell_gets_its_completion_script(shell: str) -> None:
-    told = completed({"_SIGHTLINE_COMPLETE": f"source_{shell}"})
-    assert "_SIGHTLINE_COMPLETE=complete_" in told
-
-
-def test_completion_offers_commands_and_their_options() -> None:
+def test_a_shell_gets_its_completion_script_which_offers_commands_and_their_options() -> None:
+    assert "_SIGHTLINE_COMPLETE=complete_bash" in completed({"_SIGHTLINE_COMPLETE": "source_bash"})
     assert completed(typed("sightline ca")).split() == ["calibrate", "case"]
     assert "--picks" in completed(typed("sightline plan --p")).split()
 

@@ -131,18 +131,11 @@ def test_edited_wires_are_noticed(planned, tmp_path: Path) -> None:
         PlanFile.read_all(file)
 
 
-@pytest.mark.parametrize(
-    ("relation", "change"),
-    [
-        ("parallel", {"high": 0.05}),
-        ("spacing", {"low": 14.0}),
-        ("inverted triangle", {"wires": ["posterior", "anterior", "inferior"]}),
-    ],
-)
-def test_a_relation_of_the_file_decides(run, arguments, procedure, relation: str, change: dict[str, Any]) -> None:
-    ran = run(*arguments(WIRES_MM), "--procedure", procedure(relation, **change), "--json")
+def test_a_relation_of_the_file_decides(run, arguments, procedure) -> None:
+    """Each relation by its own limit: tests/planning/test_wires.py."""
+    ran = run(*arguments(WIRES_MM), "--procedure", procedure("spacing", low=14.0), "--json")
     assert ran.code == 3
-    assert ran.document["verdict"] == "no-go" and ran.failing == {relation}
+    assert ran.document["verdict"] == "no-go" and ran.failing == {"spacing"}
     assert not any(wire["go"] for wire in ran.document["wires"].values())
 
 
@@ -192,8 +185,3 @@ def test_a_program_that_drops_relations_gets_no_wire_to_a_robot(planned, tmp_pat
             continue
         with pytest.raises(RobotRefusedError, match=words):
             read.refuse_for_robot()
-
-
-def test_a_wire_that_the_procedure_does_not_have_is_refused(run, arguments, procedure) -> None:
-    ran = run(*arguments(WIRES_MM[:1], ("lowest",)), "--procedure", procedure())
-    assert ran.code == 2 and "has no wire 'lowest'; its wires are inferior" in ran.said

@@ -223,7 +223,7 @@ class ScriptedRobot:
         if code == 1:
             self.obey(peer, text)
         peer.send("CURRENT_STATUS", Status(1, self.phase))
-        moves = code == 1 and text in ("MOVE_TO_TARGET", "DRILL")
+        moves = self.moving is not None and self.moving is not moved
         if not moves and (self.ours or code != 1 or text not in ("PLANNING", "CALIBRATION")):
             # As of 2013 none is sent on entering these.
             told = 3 if text == "EMERGENCY" and code == 1 else code

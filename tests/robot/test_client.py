@@ -99,7 +99,7 @@ def test_a_robot_that_means_another_target_is_not_told_to_move(ours, flaw, why):
 
 @pytest.mark.parametrize("ours", [True, False], ids=["ours", "2013"])
 def test_a_robot_that_lays_the_wire_elsewhere_than_it_said_is_found_out_at_the_end(ours):
-    with serving(ScriptedRobot("lays it aside", ours=ours)) as port, RobotClient(port=port) as robot:
+    with serving(ScriptedRobot("lays it aside", ours=ours, steps=5)) as port, RobotClient(port=port) as robot:
         told(robot)
         with pytest.raises(RobotRefusedError, match="the wire lies elsewhere than planned"):
             for step in (robot.align, robot.drill):
@@ -134,8 +134,11 @@ def test_nor_does_a_late_answer_count_for_the_next_question(monkeypatch):
 
 
 def test_a_robot_of_2013_answers_with_where_it_is_now():
-    peer = ScriptedRobot(ours=False)
+    peer = ScriptedRobot(ours=False, steps=5)
     with serving(peer) as port, RobotClient(port=port) as robot:
+        assert not robot.capabilities
+        told(robot)
+        robot.plan()  # which such a robot answers by no STATUS of that name
         told(robot)
         robot.command("MOVE_TO_TARGET")
         assert robot.position().translation == pytest.approx(TARGET.translation, abs=1e-3)
@@ -185,10 +188,10 @@ def test_a_stop_falls_back_to_the_main_connection(clients):
 
 
 def test_where_no_stop_is_answered_the_connections_are_closed(monkeypatch):
-    monkeypatch.setattr("sightline.robot.link.shared_connection.STATUS_S", 0.5)
     peer = ScriptedRobot("deaf to STOP")
     with serving(peer) as port, RobotClient(port=port) as robot:
         told(robot)
+        monkeypatch.setattr("sightline.robot.link.shared_connection.STATUS_S", 0.1)
         with pytest.raises(LinkError, match="red button"):
             robot.stop()
         wait_for(lambda: not peer.peers)

@@ -10,6 +10,7 @@ from sightline.robot.link.record import DrillingEvent, Recorder
 
 def test_depth_goes_with_the_force_before_it_and_events_keep_their_order():
     recorder = Recorder()
+    assert recorder.record.depth_mm.shape == (0,)
     for depth, force in ((-1.0, 0.2), (0.5, 12.5), (1.5, 30.25)):
         recorder.heard(Message(Sensor(np.array([force])), contract.FORCE))
         recorder.heard(Message(Sensor(np.array([depth])), contract.DEPTH))
@@ -20,6 +21,7 @@ def test_depth_goes_with_the_force_before_it_and_events_keep_their_order():
     assert np.allclose(record.force_n, [0.2, 12.5, 30.25])
     assert record.events == (DrillingEvent("contact", 0.12, 1.4), DrillingEvent("break-through", 5.31, -0.4))
     assert record.document()["events"][1] == {"name": "break-through", "depth_mm": 5.31, "force_n": -0.4}
+    assert record.depth_sd_mm is record.document()["depth_sd_mm"] is None  # the robot states no error
 
 
 @pytest.mark.parametrize(
