@@ -11,16 +11,11 @@ from sightline.calibration import calibrate
 from sightline.calibration.plates import joint
 from sightline.calibration.plates.beads import match
 from sightline.calibration.plates.joint import fit_jointly
-from sightline.detection.results import Observations
 from sightline.errors import OutsideRegionError
-from sightline.twin import bead_images, draw_setup
+from sightline.studies.scenes import measure
+from sightline.twin import draw_setup
 
 SD_PX = 0.1
-
-
-def observe(setup, view, rng):
-    ids, uv = bead_images(setup, view, rng, SD_PX)
-    return Observations(view, ids, uv, np.broadcast_to(SD_PX**2 * np.eye(2), (len(ids), 2, 2)))
 
 
 def squares(seeds, method="smooth", **options):
@@ -30,8 +25,9 @@ def squares(seeds, method="smooth", **options):
         rng = np.random.default_rng(seed)
         setup = draw_setup(rng, GAMMA)
         target = rng.uniform(-25.0, 25.0, (1, 3))
+        seen = measure(rng, setup, SD_PX)
         for name, truth in setup.views.items():
-            view = calibrate(observe(setup, name, rng), GAMMA, method=method, **options)
+            view = calibrate(seen[name], GAMMA, method=method, **options)
             try:
                 lines = view.lines_of_sight(truth.project(target))
             except OutsideRegionError:  # the localized method does not extrapolate
@@ -84,7 +80,7 @@ def test_stated_ellipses_cover_as_they_say():
 
 def test_a_third_step_changes_nothing(monkeypatch):
     rng = np.random.default_rng(3)
-    beads = match(observe(draw_setup(rng, GAMMA), "pa", rng), GAMMA, "pa")
+    beads = match(measure(rng, draw_setup(rng, GAMMA), SD_PX)["pa"], GAMMA, "pa")
     fit = fit_jointly(beads)
     first = joint._Start.of
     at_the_end = staticmethod(lambda beads, pencil: replace(first(beads, pencil), pencil=fit.pencil))

@@ -61,7 +61,7 @@ def check(view, name: str):
 @pytest.mark.parametrize("method", ["smooth", "localized"])
 @pytest.mark.parametrize(
     ("factor", "passes"),
-    [(0.5, False), (0.92, False), (0.97, True), (1.0, True), (1.03, True), (1.08, False), (2.0, False)],
+    [(0.5, False), (0.92, False), (0.97, True), (1.03, True), (1.08, False)],
 )
 def test_the_balls_tell_a_frame_file_of_another_scale(panel, method, factor, passes):
     found = check(calibrate(measured(panel), told(factor), method=method), "ball size")
@@ -117,7 +117,7 @@ def test_the_known_distance_tells_plates_at_another_distance_but_no_scale(panel)
     assert check(scaled, "focal length").passed
 
 
-@pytest.mark.parametrize(("factor", "passes"), [(0.4, False), (0.97, True), (1.05, True), (1.2, False), (2.0, False)])
+@pytest.mark.parametrize(("factor", "passes"), [(0.4, False), (0.97, True), (1.05, True), (1.2, False)])
 def test_the_known_distance_bounds_that_to_the_plate(panel, factor, passes):
     """The plate is 920 mm from the source, the detector 1020 mm."""
     found = check(calibrate(measured(panel), told(factor), c_arm=CArm(1020.0)), "source distance")
@@ -149,7 +149,7 @@ def test_a_plate_that_moved_since_an_earlier_image_is_noticed(panel):
         assert again.steady_since([one]).checks == again.checks
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_c_arm_that_is_brought_anew_is_the_same(seed):
     """Its flex passes on a flat panel; what an intensifier's own magnification does is not judged."""
     rng = np.random.default_rng([31, seed])

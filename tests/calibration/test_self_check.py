@@ -10,8 +10,8 @@ from sightline.calibration.view import Pencil
 from sightline.detection.results import Observations
 from sightline.errors import CalibrationRefusedError, ObservationsError
 from sightline.frame import Frame
-from sightline.twin import SetUp
-from sightline.twin.xray.setup import bead_images, displaced, draw_setup, with_errors
+from sightline.studies.scenes import measure
+from sightline.twin.xray.setup import displaced, draw_setup, with_errors
 
 GAMMA = Frame.load("gamma")
 IDS = [f.id for f in GAMMA.fiducials]
@@ -20,18 +20,10 @@ SEEDS = (11, 12, 13)
 SD_PX = 0.1
 
 
-def image(rng: np.random.Generator, true: Frame, view: str) -> Observations:
-    """The beads of one image, the C-arm and its distortion drawn afresh."""
-    return observed(draw_setup(rng, true, frame_errors=False), view, rng)
-
-
-def observed(setup: SetUp, view: str, rng: np.random.Generator) -> Observations:
-    ids, uv = bead_images(setup, view, rng, SD_PX)
-    return Observations(view, ids, uv, np.broadcast_to(SD_PX**2 * np.eye(2), (len(ids), 2, 2)))
-
-
 def images(rng: np.random.Generator, true: Frame, number: int) -> list[Observations]:
-    return [image(rng, true, view) for _ in range(number // 2) for view in ("pa", "lateral")]
+    """Images of both views in turn, the C-arm and its distortion drawn afresh for each."""
+    pairs = [measure(rng, draw_setup(rng, true, frame_errors=False), SD_PX) for _ in range(number)]
+    return [pairs[k][("pa", "lateral")[k % 2]] for k in range(number)]
 
 
 def moved_by(ball: str, mm: tuple[float, float, float]) -> np.ndarray:
@@ -185,7 +177,7 @@ def test_a_frame_with_twice_the_stated_errors_is_estimated_and_with_four_times_r
 def test_an_arm_that_did_not_move_is_told():
     rng = np.random.default_rng(25)
     setup = draw_setup(rng, GAMMA)
-    seen = [observed(setup, view, rng) for view in ("pa", "lateral", "pa", "lateral")]
+    seen = [one for _ in range(2) for one in measure(rng, setup, SD_PX).values()]
     movement = self_check(seen, GAMMA).checks[0]
     assert not movement.passed
     assert movement.figure is not None

@@ -1,14 +1,15 @@
 """The second look: partly hidden beads are found with a correct covariance, absent ones never."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
 import pytest
 from bead_images import Bead, radiograph, transmission
 
-from sightline.detection import Observations, detect, label, look_again, results, second_look
+from sightline.detection import Detections, Observations, detect, label, look_again, results, second_look
 from sightline.detection.beads import refine
 from sightline.detection.beads.bead import centres
 from sightline.detection.detector import bead_fitter
@@ -70,6 +71,16 @@ def only(labelled: Observations, rows: list[int]) -> Observations:
     )
 
 
+def darken(primary: np.ndarray, one: Seen, without: tuple[str, ...], depth_of: Callable[[str], float]) -> np.ndarray:
+    """Put the shadows of the balls into the light (H, W), by the attenuation along each one's diameter."""
+    for name, (u, v), radius in zip(one.ids, one.uv_px, one.radius_px, strict=True):
+        if name not in without:
+            left, top = int(u) - 24, int(v) - 24
+            part = np.s_[top : top + 48, left : left + 48]
+            primary[part] *= transmission(Bead(u - left, v - top, radius, depth_of(name)), (48, 48))
+    return primary
+
+
 def image(
     one: Seen,
     rng: np.random.Generator,
@@ -81,18 +92,31 @@ def image(
 
     `per_mm`: attenuation of the steel, by default at 60 keV.
     """
-    primary = np.ones(SHAPE)
-    for name, (u, v), radius in zip(one.ids, one.uv_px, one.radius_px, strict=True):
-        if name not in without:
-            left, top, half = int(u) - 24, int(v) - 24, 48
-            part = np.s_[top : top + half, left : left + half]
-            primary[part] *= transmission(Bead(u - left, v - top, radius, per_mm * DIAMETER_MM[name]), (half, half))
+    primary = darken(np.ones(SHAPE), one, without, lambda name: per_mm * DIAMETER_MM[name])
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
     for normal, place in bars or []:
         depth = normal[0] * (u - place[0]) + normal[1] * (v - place[1])
         along = normal[0] * (v - place[1]) - normal[1] * (u - place[0])
         primary[(depth > 0) & (depth < 20) & (abs(along) < 30)] = 0.02
     return radiograph(LEVEL * (primary + SCATTER), rng)
+
+
+@cache
+def whole() -> tuple[Seen, Radiograph, Detections, Observations]:
+    """Return the balls of a set-up, their image, what detection finds in it, and its labels."""
+    one = seen(44)
+    shown = image(one, np.random.default_rng(44))
+    beads = detect(shown)
+    return one, shown, beads, label(beads, GAMMA)
+
+
+@cache
+def finer() -> tuple[Radiograph, Detections]:
+    """The same image in pixels of half the size, and what detection finds in it."""
+    coarse = whole()[1]
+    pixels = cv2.resize(coarse.pixels, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    fine = replace(coarse, pixels=np.minimum(pixels, np.uint16(coarse.white)))
+    return fine, detect(fine)
 
 
 def looked(one: Radiograph) -> tuple[Observations, Observations]:
@@ -133,7 +157,7 @@ def test_beads_half_under_metal_come_back_with_their_covariance(cover: float, fo
     """By their own rims alone, without the shape of the others, 70 % and none of them do."""
     rng = np.random.default_rng(41)
     before, chi2, hidden = 0, [], 0
-    for turn in range(5):
+    for turn in range(3):
         one = seen(turn)
         names = lonely(one, rng, 14)
         labelled, again = looked(image(one, rng, beside(one, names, rng, cover)))
@@ -173,14 +197,8 @@ def clipped(one: Seen, rng: np.random.Generator, without: tuple[str, ...] = ()) 
     """
     u = np.broadcast_to(np.arange(SHAPE[1]), SHAPE)
     bright = np.exp(2.2 * np.clip((u - 500) / 524, 0, None) ** 1.3)
-    primary = bright.copy()
-    scatter = SCATTER * np.minimum(primary, 2.0)
-    for name, (x, y), radius in zip(one.ids, one.uv_px, one.radius_px, strict=True):
-        if name not in without:
-            left, top, half = int(x) - 24, int(y) - 24, 48
-            primary[top : top + half, left : left + half] *= transmission(
-                Bead(x - left, y - top, radius, depth=5.0), (half, half)
-            )
+    scatter = SCATTER * np.minimum(bright, 2.0)
+    primary = darken(bright.copy(), one, without, lambda _: 5.0)
     level = 0.6 / float(np.median(primary + scatter))  # as `radiograph` exposes, share of white
     return radiograph(LEVEL * (primary + scatter), rng), level * (bright + scatter) > 1.05
 
@@ -261,9 +279,9 @@ def overlapping(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("per_mm", [1.0, 0.55])
 @pytest.mark.parametrize(
-    ("overlap", "found"), [((0.4, 0.8), 0.95), ((0.8, 1.2), 0.95), ((1.2, 1.6), 0.75), ((1.6, 1.9), 0.2)]
+    ("overlap", "found", "per_mm"),
+    [((0.4, 0.8), 0.95, 0.55), ((0.8, 1.2), 0.95, 1.0), ((1.2, 1.6), 0.75, 0.55), ((1.6, 1.9), 0.2, 1.0)],
 )
 def test_beads_under_one_another_are_fitted_both(overlap: tuple[float, float], found: float, per_mm: float) -> None:
     """And one of them that is absent is not found: the other's rim, or its shadow, is no evidence of it.
@@ -292,7 +310,7 @@ def test_a_ball_deep_in_a_larger_shadow_is_fitted_with_the_larger_one() -> None:
     """Its centre lies so far inside the larger ball that, of an unknown shape, that could be anatomy around it."""
     rng = np.random.default_rng(48)
     chi2 = []
-    for number in range(8):
+    for number in range(6):
         one = seen(number)
         of_source = np.array(["-s-" in name for name in one.ids])
         apart = np.linalg.norm(one.uv_px[:, None] - one.uv_px, axis=2)
@@ -305,7 +323,7 @@ def test_a_ball_deep_in_a_larger_shadow_is_fitted_with_the_larger_one() -> None:
         pair = [one.ids[small], one.ids[large]]
         assert set(pair) <= set(again.ids)
         chi2 += squares(again, two, pair)
-    assert 0.47 < np.mean(chi2) < 1.76  # 99 % of means of 16
+    assert 0.41 < np.mean(chi2) < 1.9  # 99 % of means of 12
     assert max(chi2) < 8.0  # 1 in 3000
 
 
@@ -368,11 +386,7 @@ def test_two_fits_of_one_shadow_are_no_beads(apart: float, kept: int) -> None:
 
 def test_radii_and_what_was_rejected_follow_the_second_look() -> None:
     """Candidates covered by a newly fitted bead are no longer rejected; an unknown `rejected` stays unknown."""
-    rng = np.random.default_rng(48)
-    one = seen(1)
-    shown = image(one, rng)
-    beads = detect(shown)
-    labelled = label(beads, GAMMA)
+    one, shown, beads, labelled = whole()
     again = look_again(shown, beads, labelled, GAMMA)
     assert again.radius_px is not None
     assert again.rejected is not None
@@ -387,38 +401,30 @@ def test_radii_and_what_was_rejected_follow_the_second_look() -> None:
 
 
 def test_where_nothing_is_missing_the_observations_stay() -> None:
-    one = seen(9)
+    one, shown, beads, labelled = whole()
     free = {name for name, gap in zip(one.ids, one.gaps(), strict=True) if gap > 0}
-    labelled, _ = looked(image(one, np.random.default_rng(44)))
-    beads = detect(image(one, np.random.default_rng(44)))
-    kept = [i for i, name in enumerate(labelled.ids) if name in free]
-    labelled = only(labelled, kept)
+    kept = only(labelled, [i for i, name in enumerate(labelled.ids) if name in free])
     view = GAMMA.view("pa")
-    plates = [Plate(tuple(f for f in plate.fiducials if f.id in labelled.ids)) for plate in (view.xrii, view.source)]
-    only_these = replace(GAMMA, views={"pa": FrameView(*plates)})
-    assert look_again(image(one, np.random.default_rng(44)), beads, labelled, only_these) is labelled
+    plates = [Plate(tuple(f for f in plate.fiducials if f.id in kept.ids)) for plate in (view.xrii, view.source)]
+    assert look_again(shown, beads, kept, replace(GAMMA, views={"pa": FrameView(*plates)})) is kept
 
 
 def test_observations_of_something_else_are_refused() -> None:
-    rng = np.random.default_rng(45)
-    one = image(seen(0), rng)
-    beads = detect(one)
-    labelled = label(beads, GAMMA)
+    _, shown, beads, labelled = whole()
     with pytest.raises(ObservationsError, match="are not what `label` returned"):
-        look_again(one, beads, replace(labelled, uv_px=labelled.uv_px + 0.01), GAMMA)
+        look_again(shown, beads, replace(labelled, uv_px=labelled.uv_px + 0.01), GAMMA)
     few = [i for i, name in enumerate(labelled.ids) if "-s-" not in name]
     with pytest.raises(ObservationsError, match="fewer than 8 beads of the source plate"):
-        look_again(one, beads, only(labelled, few), GAMMA)
+        look_again(shown, beads, only(labelled, few), GAMMA)
 
 
 def test_the_second_look_depends_on_its_arguments_alone() -> None:
     """The middles of washers are left out, whether `detect` processed this image before or not."""
-    one, other = (image(seen(44), np.random.default_rng(44)) for _ in range(2))
-    beads = detect(one)
-    labelled = label(beads, GAMMA)
+    one, shown, beads, labelled = whole()
+    other = image(one, np.random.default_rng(44))
     washers = replace(beads, kind=tuple("washer" if k % 3 else "ball" for k in range(len(beads))))
     here, there, balls = (
-        look_again(i, b, labelled, GAMMA) for i, b in ((one, washers), (other, washers), (one, beads))
+        look_again(i, b, labelled, GAMMA) for i, b in ((shown, washers), (other, washers), (shown, beads))
     )
     assert (here.ids, here.uv_px.tobytes()) == (there.ids, there.uv_px.tobytes())
     assert (here.ids, here.uv_px.tobytes()) != (balls.ids, balls.uv_px.tobytes())
@@ -454,16 +460,10 @@ def test_shapes_come_from_the_fits_of_detection_and_only_from_those_of_the_same_
 
 def test_the_shadows_of_a_finer_image_are_those_of_its_beads_in_both_scales() -> None:
     """A program that scales centres and shadows apart repeats all fits; one that leaves the blur has twice as much."""
-    coarse = image(seen(44), np.random.default_rng(44))
-    pixels = cv2.resize(coarse.pixels, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    beads = detect(replace(coarse, pixels=np.minimum(pixels, np.uint16(coarse.white))))
-    for one in (beads, results.coarser(beads)):
-        assert one.shadows is not None
+    beads, binned = finer()[1], results.coarser(finer()[1])
+    for one in (beads, binned):
         assert np.array_equal(centres(one.shadows), one.uv_px)
-    usual, binned = detect(coarse).shadows, results.coarser(beads).shadows
-    assert usual is not None
-    assert binned is not None
-    assert np.median(binned["blur_px"]) == pytest.approx(np.median(usual["blur_px"]), rel=0.1)
+    assert np.median(binned.shadows["blur_px"]) == pytest.approx(np.median(whole()[2].shadows["blur_px"]), rel=0.1)
 
 
 def test_neighbours_at_one_distance_are_all_taken_whatever_the_rounding() -> None:
@@ -482,11 +482,11 @@ def test_neighbours_at_one_distance_are_all_taken_whatever_the_rounding() -> Non
 
 def test_a_finer_image_gives_the_same_beads() -> None:
     """Balls of 20 px radius and datum balls of 33 px are measured in the binned image."""
-    coarse = image(seen(44), np.random.default_rng(44))
-    pixels = cv2.resize(coarse.pixels, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    fine = replace(coarse, pixels=np.minimum(pixels, np.uint16(coarse.white)))
-    assert np.median(detect(fine).radius_px) > 15
-    (labelled, looked_again), (labelled_fine, again_fine) = looked(coarse), looked(fine)
+    (_, coarse, beads, labelled), (fine, fine_beads) = whole(), finer()
+    assert np.median(fine_beads.radius_px) > 15
+    labelled_fine = label(fine_beads, GAMMA)
+    looked_again = look_again(coarse, beads, labelled, GAMMA)
+    again_fine = look_again(fine, fine_beads, labelled_fine, GAMMA)
     assert len(labelled_fine) > 0.95 * len(labelled)
     assert again_fine.image_shape == fine.shape
     for one, other in ((labelled, labelled_fine), (looked_again, again_fine)):

@@ -62,9 +62,9 @@ def test_balls_are_labelled_among_false_ones_in_any_pose(
         assert found.chance < 1e-6 and found.second < 1e-6
 
 
-def test_two_hundred_balls_are_labelled() -> None:
+def test_a_hundred_balls_are_labelled() -> None:
     rng = np.random.default_rng(5)
-    cloud = draw_cloud(rng, 200, 100.0, (2.0,))
+    cloud = draw_cloud(rng, 100, 100.0, (2.0,))
     scene = draw_cloud_scene(rng, cloud)
     found = labelled(scene, cloud)
     assert found.balls.tolist() == scene.truth[found.rows].tolist()
@@ -90,19 +90,24 @@ def test_pose_focal_length_and_residuals_are_those_of_the_scene(mirrored: bool) 
     assert 0.6 < np.median(rms) < 1.3
 
 
-def test_a_cloud_that_looks_the_same_rotated_is_refused_by_name() -> None:
-    for seed in range(4):
-        scene = draw_cloud_scene(np.random.default_rng(seed), (HALF_TURN, ONE_SIZE), hidden=0.1)
-        with pytest.raises(LabellingRefusedError, match=r"rotated by 180° about z.*frame check"):
-            labelled(scene, (HALF_TURN, ONE_SIZE))
+CUBE = 25.0 * np.array(list(product((-1, 1), repeat=3)))
+FLAT = draw_cloud(np.random.default_rng(1), 12, 60.0)[0] * [1, 1, 0]
 
 
-def test_a_cube_is_refused() -> None:
-    cube = 25.0 * np.array(list(product((-1, 1), repeat=3)))
-    for seed in range(4):
-        scene = draw_cloud_scene(np.random.default_rng(seed), (cube, np.full(8, 3.0)), hidden=0.0)
-        with pytest.raises(LabellingRefusedError, match=r"or (rotated|reflected)|mirror image"):
-            labelled(scene, (cube, np.full(8, 3.0)))
+@pytest.mark.parametrize(
+    ("xyz_mm", "words"),
+    [
+        (HALF_TURN, r"rotated by 180° about z.*frame check"),
+        (CUBE, r"or (rotated|reflected)|mirror image"),
+        (FLAT, r"mirror image.*plane"),
+    ],
+    ids=["looks the same rotated", "cube", "in a plane"],
+)
+def test_symmetric_clouds_are_refused_by_their_symmetry(xyz_mm: np.ndarray, words: str) -> None:
+    for seed in range(3):
+        cloud = xyz_mm, np.full(len(xyz_mm), 3.0)
+        with pytest.raises(LabellingRefusedError, match=words):
+            labelled(draw_cloud_scene(np.random.default_rng(seed), cloud, hidden=0.0), cloud)
 
 
 def test_evidence_decides_how_nearly_symmetric_a_cloud_may_be() -> None:
@@ -125,12 +130,6 @@ def test_sizes_alone_can_tell_the_orientation() -> None:
         scene = draw_cloud_scene(np.random.default_rng(seed), (HALF_TURN, sizes), hidden=0.0, false=5)
         found = labelled(scene, (HALF_TURN, sizes))
         assert found.balls.tolist() == scene.truth[found.rows].tolist()
-
-
-def test_balls_in_a_plane_are_their_own_mirror_image_and_refused() -> None:
-    flat = draw_cloud(np.random.default_rng(1), 12, 60.0)[0] * [1, 1, 0]
-    with pytest.raises(LabellingRefusedError, match=r"mirror image.*plane"):
-        labelled(draw_cloud_scene(np.random.default_rng(3), (flat, ONE_SIZE), hidden=0.0), (flat, ONE_SIZE))
 
 
 def test_a_left_handed_cloud_is_seen_as_a_mirrored_image() -> None:
@@ -188,7 +187,7 @@ def test_centres_that_err_more_than_stated_are_not_labelled_wrongly() -> None:
 def test_balls_known_roughly_are_labelled_correctly_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmarks.scenes.balls.BALL_SD_MM", 0.5)
     right = 0
-    for seed in range(20):
+    for seed in range(10):
         rng = np.random.default_rng([14, seed])
         cloud = draw_cloud(rng, 12, 60.0)
         scene = draw_cloud_scene(rng, cloud, hidden=0.1, false=10)
@@ -198,7 +197,7 @@ def test_balls_known_roughly_are_labelled_correctly_or_refused(monkeypatch: pyte
             continue
         assert (found.balls.tolist(), found.mirrored) == (scene.truth[found.rows].tolist(), scene.mirrored)
         right += 1
-    assert right >= 5
+    assert right >= 3
     with pytest.raises(UnusableInputError, match=r"known to 0.6 mm"):
         label_cloud(scene.detections, *cloud, scene.focal_px, 0.6)
 
@@ -254,28 +253,3 @@ def test_one_of_two_detections_where_a_ball_is_expected_is_not_chosen() -> None:
     found = label(both, BLOCK, "pa")
     assert BLOCK.solid is not None and BLOCK.solid.ids[scene.truth[row]] not in found.ids
     assert found.rejected is not None and sum(one.reason == MAY_BE_TWO for one in found.rejected) == 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("balls", "side_mm", "hidden", "false", "least"),
-    [(12, 60.0, 0.2, 0, 0.99), (12, 60.0, 0.1, 20, 0.99), (6, 60.0, 0.0, 0, 0.9), (32, 60.0, 0.2, 20, 0.99)],
-)
-def test_no_ball_of_a_thousand_scenes_is_labelled_wrongly(
-    balls: int, side_mm: float, hidden: float, false: int, least: float
-) -> None:
-    solvable = right = 0
-    for seed in range(1000 if balls < 20 else 200):
-        rng = np.random.default_rng([11, balls, false, seed])
-        cloud = draw_cloud(rng, balls, side_mm)
-        scene = draw_cloud_scene(rng, cloud, hidden=hidden, false=false)
-        needed = min(9, balls)
-        solvable += scene.clear >= needed
-        try:
-            found = labelled(scene, cloud)
-        except LabellingRefusedError:
-            continue
-        truth = scene.truth[found.rows]
-        assert (found.balls == truth)[truth >= 0].all() and found.mirrored == scene.mirrored
-        right += scene.clear >= needed
-    assert right >= least * solvable

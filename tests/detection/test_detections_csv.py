@@ -4,18 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.scenes.plates import Hiding, draw_scene
 
-from sightline.detection import Detections, detect
+from sightline.detection import Detections
 from sightline.detection.csv_files import are_detections, label_csv, read_detections
 from sightline.detection.labelling import label
 from sightline.errors import ObservationsError
-from sightline.twin import hip_scene, render
 
 
 @pytest.fixture(scope="module")
-def beads(setup) -> Detections:
-    rng = np.random.default_rng(21)
-    return detect(render(setup, "lateral", hip_scene(setup, rng).scene, rng))
+def beads(frame) -> Detections:
+    return draw_scene(np.random.default_rng(21), frame, "lateral", Hiding(most=0.15)).detections
 
 
 def written(beads: Detections, file: Path, columns: str) -> Path:

@@ -27,7 +27,7 @@ def nearest(found: Candidates, places: np.ndarray) -> np.ndarray:
     return np.linalg.norm(found.uv_px[found.round][None] - places[:, None], axis=-1).argmin(axis=1)
 
 
-@pytest.mark.parametrize("radius", [2.2, 3.4, 5.0, 7.5, 11.0, 16.0, 24.0])
+@pytest.mark.parametrize("radius", [2.2, 5.0, 11.0, 24.0])
 def test_starts_are_good_to_a_fraction_of_a_pixel_at_any_radius(radius: float) -> None:
     rng = np.random.default_rng(1)
     places = grid(max(5 * radius, 40), SIZE, rng)
@@ -73,14 +73,6 @@ def test_both_beads_of_a_touching_pair_are_candidates(gap: float) -> None:
         assert found.radius_px[found.round][at] == pytest.approx(radius, rel=0.12)
 
 
-def test_of_edges_corners_and_wires_only_a_crossing_may_pass_for_a_candidate() -> None:
-    rng = np.random.default_rng(4)
-    y, x = np.mgrid[:SIZE, :SIZE]
-    things = 0.6 * (x + 0.4 * y > 200) + 0.5 * (y > 180) + 1.5 * (np.abs(y - 0.5 * x - 40) < 4)
-    found = candidates(radiograph(400 * np.exp(-things), rng))
-    assert np.count_nonzero(found.round) <= 1  # the fit takes that one away
-
-
 def test_distinct_keeps_the_better_of_a_repetition_and_both_signs() -> None:
     spots = [(50.0, 50, 9, -1), (52, 50, 8, -1), (56, 50, 8, -1), (50, 50, 4, 1), (300, 300, 9, -1)]
     assert distinct(np.array(spots, EXTREMUM)).tolist() == [True, False, True, True, True]
@@ -103,7 +95,7 @@ def test_candidates_do_not_depend_on_the_images_searched_before_or_beside() -> N
         assert np.array_equal(found.sizes, alone[k % 4].sizes)
 
 
-@pytest.mark.parametrize("width", [313, 314, 315, 316, 317, 318, 319])
+@pytest.mark.parametrize("width", [313, 316, 319])
 def test_beads_beside_the_right_border_are_found_at_any_width(width: int) -> None:
     """A search that looks at whole groups of eight pixels alone misses the last ones."""
     places = np.array([[width - 13.3, v] for v in (60.2, 120.7, 180.4, 240.9)])

@@ -6,8 +6,6 @@ from itertools import permutations
 import numpy as np
 import pytest
 from benchmarks.scenes.plates import Hiding, Scene, clean_views, draw_scene
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from sightline.detection import Detections, Observations, label
 from sightline.detection.labelling.label import MAY_BE_TWO
@@ -119,25 +117,13 @@ def test_labels_do_not_depend_on_the_rounding_of_pixels(seed: int) -> None:
 
 @pytest.mark.parametrize("cropped", [False, True])
 @pytest.mark.parametrize("chain", PRESETS)
-@pytest.mark.parametrize(("count", "least"), [(10, 2), pytest.param(250, 60, marks=pytest.mark.slow)])
-def test_clean_views_of_every_image_chain_are_labelled(chain: str, cropped: bool, count: int, least: int) -> None:
+def test_clean_views_of_every_image_chain_are_labelled(chain: str, cropped: bool) -> None:
     """Of the views that can be labelled; a 17 cm field shows few datum markers."""
-    drawn = (clean_views(np.random.default_rng([9, seed]), GAMMA, chain, cropped=cropped) for seed in range(count))
+    drawn = (clean_views(np.random.default_rng([9, seed]), GAMMA, chain, cropped=cropped) for seed in range(6))
     able = [one for views in drawn for one in views if one.solvable]
     for one in able:
         assert_right(label(one.detections, GAMMA), one)
-    assert len(able) > least
-
-
-@settings(max_examples=20, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 2**32 - 1), most=st.floats(0.0, 0.8), block=st.booleans(), false=st.integers(0, 40))
-def test_any_scene_is_labelled_rightly_or_refused(seed: int, most: float, block: bool, false: int) -> None:
-    one = scene(seed, "lateral", hiding=Hiding(most=max(most, 0.2), block=block), false=false)
-    try:
-        found = label(one.detections, GAMMA)
-    except LabellingRefusedError:
-        return
-    assert_right(found, one)
+    assert able
 
 
 @pytest.mark.parametrize("name", ["biplane", "stereo"])
@@ -184,8 +170,8 @@ def test_the_view_given_is_kept_when_right_and_refused_when_wrong() -> None:
 @pytest.mark.parametrize(("shown", "used"), list(permutations(BUILTIN, 2)))
 def test_the_image_of_another_frame_is_refused(shown: str, used: str) -> None:
     other = Frame.load(shown)
-    for seed in range(4):
-        one = scene(seed, list(other.views)[seed % 2], other)
+    for seed in range(2):
+        one = scene(seed, list(other.views)[seed], other)
         with pytest.raises(LabellingRefusedError) as refusal:
             label(one.detections, Frame.load(used))
         assert refusal.type is LabellingRefusedError
@@ -220,27 +206,19 @@ def test_one_plate_alone_is_refused_by_its_name() -> None:
         label(alone, GAMMA)
 
 
-def test_a_pattern_that_cannot_be_told_is_refused() -> None:
+def test_noise_and_a_pattern_that_cannot_be_told_are_refused() -> None:
+    rng, n = np.random.default_rng(4), 120
     frame = frame_without_datums()
-    one = draw_scene(np.random.default_rng(2), frame, "pa", ALL_SEEN)
-    with pytest.raises(LabellingRefusedError):
-        label(one.detections, frame)
-
-
-def test_noise_alone_is_refused() -> None:
-    rng = np.random.default_rng(4)
-    for _ in range(10):
-        n = 120
-        noise = Detections(
-            rng.uniform(0, 1023, (n, 2)),
-            rng.choice([8.0, 9.5, 13.0, 15.5], n, p=[0.4, 0.4, 0.1, 0.1]) * rng.uniform(0.95, 1.05, n),
-            0.04 * np.broadcast_to(np.eye(2), (n, 2, 2)),
-            ("ball",) * n,
-            np.full(n, -0.5),
-            (1024, 1024),
-        )
+    plain = draw_scene(np.random.default_rng(2), frame, "pa", ALL_SEEN).detections
+    radius_px = rng.choice([8.0, 9.5, 13.0, 15.5], n, p=[0.4, 0.4, 0.1, 0.1]) * rng.uniform(0.95, 1.05, n)
+    covariance = 0.04 * np.broadcast_to(np.eye(2), (n, 2, 2))
+    noise = [
+        Detections(rng.uniform(0, 1023, (n, 2)), radius_px, covariance, ("ball",) * n, np.full(n, -0.5), (1024, 1024))
+        for _ in range(3)
+    ]
+    for seen, of in ((plain, frame), *((one, GAMMA) for one in noise)):
         with pytest.raises(LabellingRefusedError):
-            label(noise, GAMMA)
+            label(seen, of)
 
 
 def test_pixels_given_for_datums_label_the_rest() -> None:

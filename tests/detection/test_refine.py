@@ -100,7 +100,7 @@ def test_a_bone_edge_under_a_bead_shows_in_its_covariance() -> None:
     assert np.mean(chi2) < 2.0
 
 
-@pytest.mark.parametrize("width_px", [38.0, 57.0, 143.0, np.inf])  # 8, 12 and 30 mm at 0.21 mm/px, and even
+@pytest.mark.parametrize("width_px", [38.0, np.inf])  # 8 mm at 0.21 mm/px, and even
 def test_scatter_that_follows_the_background_pulls_no_centre(width_px: float) -> None:
     """Centres stay within their covariance, without a bias along the background's slope."""
     rng = np.random.default_rng([37, 2000])

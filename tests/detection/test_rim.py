@@ -6,7 +6,7 @@ import pytest
 from sightline.detection.beads import rim
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_sorting_network_finds_the_median(seed: int) -> None:
     """A network that lacks a comparison fails, also one that fails only where values are equal."""
     rng = np.random.default_rng(seed)

@@ -1,6 +1,7 @@
 """Images of a steel wire with known truth: chords of a cylinder with a conical point, Poisson counts, blur."""
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from tests.detection.bead_images import radiograph
@@ -53,7 +54,8 @@ def expected(wire: Drawn, aside_mm: float = 0.0, turned_rad: float = 0.0, length
     return Expected(uv, along_mm, PX_PER_MM * (flat - wire.widening_per_mm * along_mm), flat)
 
 
-def steel(wires: list[Drawn], over: int = 2) -> np.ndarray:
+@lru_cache(maxsize=8)
+def steel(wires: tuple[Drawn, ...], over: int = 2) -> np.ndarray:
     """Return the transmission (SIZE, SIZE) of the primary radiation."""
     fine = (np.arange(SIZE * over) + 0.5) / over - 0.5
     left = np.ones((SIZE * over, SIZE * over))
@@ -77,4 +79,4 @@ def image_of(
     """A radiograph of wires before a background, its light (SIZE, SIZE) relative to 1, with 40 % of scatter.
 
     `metal`: share of the straight light that other metal lets through; scatter is not stopped by it."""
-    return radiograph(quanta * background * (steel(wires) * metal + 0.4), rng)
+    return radiograph(quanta * background * (steel(tuple(wires)) * metal + 0.4), rng)

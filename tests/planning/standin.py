@@ -1,5 +1,6 @@
 """A calibrated view whose every error is known: a cubic plane map with stated parameter covariance."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -154,6 +155,12 @@ def stand_in(name: str, turn_rad: float = 0.0, scale: float = 1.0, seed: int = 5
 def pair(scale: float = 0.3) -> list[StandInView]:
     """PA and lateral view."""
     return [stand_in("pa", 0.4, scale), stand_in("lateral", -0.2, scale)]
+
+
+def estimates(views: Sequence[StandInView], rng: np.random.Generator) -> list[StandInView]:
+    """Views as they would be estimated: the frame's errors are the same numbers in all."""
+    drawn = [view.draw_errors(rng) for view in views]
+    return [view.erring(errors | {"frame": drawn[0]["frame"]}) for view, errors in zip(views, drawn, strict=True)]
 
 
 def turned(view: StandInView, axis: str, degrees: float, name: str) -> StandInView:

@@ -10,7 +10,7 @@ from sightline.planning import Aids, Circle, Line, Pick, locate, matching_curve,
 from sightline.planning.points.picks import stack
 
 from . import bone
-from .standin import pair
+from .standin import estimates, pair
 
 
 def test_perfect_drawings_give_the_bone():
@@ -36,11 +36,8 @@ def test_all_covariances_by_sampling():
     truth = metrics(stated, "right")
     parts, errors, agreements = ("wire", "neck", "shaft", "head"), [], []
     for _ in range(draws):
-        drawn = [view.draw_errors(rng) for view in views]
-        drawn[1]["frame"] = drawn[0]["frame"]
-        estimated = [view.erring(e) for view, e in zip(views, drawn, strict=True)]
         clicked = {name: [each + rng.normal(0.0, sd, each.shape) for each in both] for name, both in uv.items()}
-        found = locate(estimated, bone.aids(clicked, sd), bone.picks(clicked, sd))
+        found = locate(estimates(views, rng), bone.aids(clicked, sd), bone.picks(clicked, sd))
         agreements.append(found.head.agreement.figure)
         errors.append(
             np.r_[

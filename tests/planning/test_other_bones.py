@@ -60,7 +60,7 @@ def test_the_bones_own_wire_passes_with_clicks_of_half_a_pixel(name: str):
     assert _failed(_judged(bone, bone.wire_mm[::-1]))
 
 
-@pytest.mark.parametrize("name", ["vertebra", "growing-femur"])
+@pytest.mark.parametrize("name", [pytest.param("vertebra", marks=pytest.mark.slow), "growing-femur"])
 def test_wires_that_leave_the_bone_by_a_millimetre_are_refused(name: str):
     """Through the far surface, out of the cortex, into canal and foramen: by the twin's exact distances."""
     rng = np.random.default_rng(32)

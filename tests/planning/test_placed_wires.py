@@ -16,7 +16,7 @@ from sightline.planning.procedures.procedure import copy_text, document_from_jso
 from sightline.planning.verdict.relations import spacing_mm
 
 from .bone import END_MM, ENTRY_MM, curve_once, views
-from .standin import StandInView
+from .standin import StandInView, estimates
 
 WIRE = np.array([ENTRY_MM, END_MM])
 UP = np.array([6.0, -7.0, 2.0])  # to a wire whose tip lies on other epipolar planes
@@ -64,20 +64,13 @@ def test_wires_lie_where_they_are():
         assert np.linalg.norm(axis.ends_mm[0] - wire[0]) < 3.0  # near the click
 
 
-def erring_views(rng: np.random.Generator):
-    """Return the views with drawn errors, of which the frame's are the same in both."""
-    pa, lateral = (view.draw_errors(rng) for view in views())
-    lateral["frame"] = pa["frame"]
-    return tuple(view.erring(errors) for view, errors in zip(views(), (pa, lateral), strict=True))
-
-
 def test_the_stated_covariance_is_that_of_the_errors():
     """Errors of the views and of the images, drawn; the place along the wire of the chosen entry does not count."""
     rng, squares = np.random.default_rng(3), []
     along = (WIRE[1] - WIRE[0]) / np.linalg.norm(WIRE[1] - WIRE[0])
     beside = np.linalg.svd(along[None])[2][1:]
     for _ in range(40):
-        true = erring_views(rng)
+        true = estimates(views(), rng)
         try:
             (axis,) = found(WIRE, shown=true, rng=rng)
         except ReconstructionRefusedError:  # once in a thousand
@@ -151,7 +144,7 @@ def test_relations_to_a_placed_wire_have_the_errors_that_they_state():
     rng, squares, apart = np.random.default_rng(11), [], []
     both = np.array([WIRE + UP, WIRE])  # planned, placed
     for _ in range(60):
-        true = erring_views(rng)
+        true = estimates(views(), rng)
         try:
             (axis,) = found(WIRE, shown=true, rng=rng)
         except ReconstructionRefusedError:  # once in a thousand

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import ReconstructionRefusedError
-from sightline.planning import Circle, Line, Pick, ProposalRule, kind, locate, plan, propose
+from sightline.planning import Line, Pick, ProposalRule, kind, locate, plan, propose
 from sightline.planning.bone.aids import Aids
 
 from . import bone
@@ -101,14 +101,3 @@ def test_a_kinds_limits_judge_its_plan():
     assert loose["direction error"].limit == pytest.approx(5.19, abs=0.01)
     assert loose["entry error"].limit == 0.5
     assert strict["direction error"].passed < loose["direction error"].passed
-
-
-def test_a_circle_may_stand_for_the_rim():
-    views = pair()
-    drawn = bone.aids(bone.pixels(views))
-    rims = [bone.rim(view, np.deg2rad(np.arange(0.0, 360.0, 15.0))) for view in views]
-    circles = [
-        Circle.of(rim.mean(axis=0), float(np.linalg.norm(rim - rim.mean(axis=0), axis=1).mean())) for rim in rims
-    ]
-    _, made = _proposed(replace(drawn, head=(circles[0], circles[1])))
-    np.testing.assert_allclose(made.end_mm, _proposed()[1].end_mm, atol=0.4)

@@ -4,18 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from sightline.errors import ErrorUnknownError, OutsideRegionError, ReconstructionRefusedError
 from sightline.planning import matching_curve, reconstruct, snap
 from sightline.planning.points.results import BUDGET
 
-from .standin import StandInView, stand_in
+from .standin import StandInView, estimates, stand_in
 
 TARGETS_MM = np.array([[3.7, -11.2, 18.3], [-24.1, 27.9, -6.6]])
-PICKS_PX2 = np.array([[[0.25, 0.05], [0.05, 0.16]], [[0.09, -0.02], [-0.02, 0.3]]])
 
 
 def _views(**kwargs: float) -> list[StandInView]:
@@ -24,48 +21,6 @@ def _views(**kwargs: float) -> list[StandInView]:
 
 def _seen(views: list[StandInView], xyz_mm: np.ndarray) -> np.ndarray:
     return np.array([view.project(xyz_mm) for view in views])
-
-
-def _estimates(views: list[StandInView], rng: np.random.Generator) -> list[StandInView]:
-    """Views as they would be estimated: the frame's errors are the same numbers in both."""
-    drawn = [view.draw_errors(rng) for view in views]
-    drawn[1]["frame"] = drawn[0]["frame"]
-    return [view.erring(errors) for view, errors in zip(views, drawn, strict=True)]
-
-
-@pytest.mark.parametrize("method", ["weighted", "nearest"])
-@settings(max_examples=25, deadline=None)
-@given(xyz=st.tuples(*[st.floats(-35.0, 35.0)] * 3))
-def test_perfect_picks_give_the_point(method, xyz):
-    views = _views()
-    target = np.array([xyz])
-    points = reconstruct(views, _seen(views, target), method=method)
-    np.testing.assert_allclose(points.xyz_mm, target, atol=1e-8)
-    assert points.gap_mm[0] < 1e-8
-
-
-@pytest.mark.parametrize("method", ["weighted", "nearest"])
-def test_joint_covariance_by_sampling(method):
-    views, draws = _views(), 200
-    truth = _seen(views, TARGETS_MM)
-    covariance = np.broadcast_to(PICKS_PX2[:, None], (2, 2, 2, 2))
-    predicted = reconstruct(views, truth, covariance, method)
-    rng = np.random.default_rng(2)
-    factor = np.linalg.cholesky(covariance)
-    errors, gaps, shifts = [], [], []
-    for _ in range(draws):
-        picks = truth + np.einsum("vijk,vik->vij", factor, rng.standard_normal((2, 2, 2)))
-        points = reconstruct(_estimates(views, rng), picks, covariance, method)
-        errors.append((points.xyz_mm - TARGETS_MM).ravel())
-        gaps.append(points.gap_sigma)
-        shifts.append(points.shift_mm)
-    whitened = np.linalg.solve(np.linalg.cholesky(predicted.joint_covariance_mm2), np.transpose(errors))
-    # The sample covariance scatters by sqrt(2 / draws) on the diagonal, as do squared gaps over their sd; 4 of these.
-    within = 4 * np.sqrt(2 / draws)
-    np.testing.assert_allclose(np.cov(whitened), np.eye(6), atol=within)
-    np.testing.assert_allclose(np.mean(np.square(gaps), axis=0), 1.0, atol=within)
-    assert np.mean(np.square(shifts)) / predicted.shift_sd_mm**2 == pytest.approx(1.0, abs=within)
-    assert abs(np.mean(shifts)) < 4 * predicted.shift_sd_mm / np.sqrt(draws)
 
 
 def test_weighted_beats_nearest_where_the_views_differ_in_quality():
@@ -138,7 +93,7 @@ def test_snapped_pick_is_one_number():
     rng = np.random.default_rng(7)
     sd, squares, draws = 0.5, [], 60
     for _ in range(draws):
-        estimated = _estimates(views, rng)
+        estimated = estimates(views, rng)
         clicks = truth[:, 0] + rng.normal(0.0, sd, (2, 2))
         pick = snap(matching_curve(estimated[0], clicks[0], estimated[1]), clicks[1], sd)
         uv = np.array([clicks[0], pick.uv_px])[:, None]
@@ -159,13 +114,6 @@ def test_snapped_pick_is_one_number():
     for probability in (0.5, 0.95):
         inside = np.mean(np.array(squares) < chi2.ppf(probability, 3))
         assert inside == pytest.approx(probability, abs=4 * np.sqrt(probability * (1 - probability) / draws))
-
-
-def test_default_pick_is_a_careful_click():
-    views = _views()
-    uv = _seen(views, TARGETS_MM)
-    stated = reconstruct(views, uv, np.broadcast_to(0.25 * np.eye(2), (2, 2, 2, 2)))
-    np.testing.assert_array_equal(reconstruct(views, uv).joint_covariance_mm2, stated.joint_covariance_mm2)
 
 
 def test_unknown_error_stays_unknown():

@@ -7,11 +7,11 @@ import pytest
 
 from sightline.calibration import BeadView, calibrate
 from sightline.common.geometry.covariance import TWO_SIDED_95
-from sightline.detection import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.planning.points.reconstruct import measured_in_plane, measured_in_space
-from sightline.twin import SetUp, bead_images, draw_setup
+from sightline.studies.scenes import measure
+from sightline.twin import SetUp, draw_setup
 
 AT = np.array([3.2, -7.1, 11.4])
 CORNERS = np.array([[-18.3, 4.1], [12.9, -6.6], [21.7, 30.2]])  # in the plane, mm
@@ -20,12 +20,9 @@ CORNERS = np.array([[-18.3, 4.1], [12.9, -6.6], [21.7, 30.2]])  # in the plane, 
 @pytest.fixture(scope="module")
 def pair() -> tuple[list[BeadView], SetUp]:
     frame = Frame.load("gamma")
-    setup, rng, made = draw_setup(np.random.default_rng(21), frame), np.random.default_rng(3), []
-    for name in ("pa", "lateral"):
-        ids, uv = bead_images(setup, name, rng, 0.1)
-        noise = np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0)
-        made.append(calibrate(Observations(name, ids, uv, noise, image_shape=(1024, 1024)), frame, view=name))
-    return made, setup
+    setup = draw_setup(np.random.default_rng(21), frame)
+    seen = measure(np.random.default_rng(3), setup, 0.1)
+    return [calibrate(one, frame, view=name) for name, one in seen.items()], setup
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ from sightline.planning.verdict.relations import angle_rad, judge_relations, spa
 
 from . import bone
 from .bone import END_MM, ENTRY_MM, curve_once, views
-from .standin import stand_in
+from .standin import estimates, stand_in
 from .test_wire_in_neck import neck_borders
 
 KEYS = ("inferior", "anterior", "posterior")
@@ -302,9 +302,9 @@ def test_the_relations_errors_are_as_stated_and_their_bounds_hold():
     assert true_figures["parallel"] == pytest.approx(largest_deg, abs=1e-3)
     joint, independent, held = [], [], []
     for _ in range(DRAWS):
-        drawn = [view.draw_errors(rng) for view in true_views]
-        erring = [v.erring(one | {"frame": drawn[0]["frame"]}) for v, one in zip(true_views, drawn, strict=True)]
-        lines = WireLines.of(KEYS, reconstruct(erring, exact + rng.normal(0.0, 0.5, exact.shape)), {})
+        lines = WireLines.of(
+            KEYS, reconstruct(estimates(true_views, rng), exact + rng.normal(0.0, 0.5, exact.shape)), {}
+        )
         for squares, factor in ((joint, 1.0), (independent, own)):
             given = replace(lines, joint_covariance_mm2=lines.joint_covariance_mm2 * factor)
             value, covariance = given.linear(values)

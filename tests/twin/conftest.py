@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -30,14 +28,6 @@ def _frame() -> Frame:
 def frame() -> Frame:
     """A frame with the plates of the Γ frame, made here so that the twin's tests hang on no frame file."""
     return _frame()
-
-
-@pytest.fixture(scope="session")
-def exact_frame(frame: Frame) -> Frame:
-    """The same frame without errors."""
-    from sightline.frame import Tolerances
-
-    return replace(frame, tolerances=Tolerances(0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope="session")
