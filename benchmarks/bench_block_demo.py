@@ -12,20 +12,13 @@ import numpy as np
 
 from benchmarks.harness import Rows, columns, finished, trials
 from sightline.case.views import NAMES, calibrate_pair, see_pair
-from sightline.cli.demo import (
-    BY_ENCODERS,
-    BY_IMAGES,
-    PICK_SD_PX,
-    DemoPlan,
-    depth_limit_mm,
-    registrations,
-    targets_by,
-)
+from sightline.cli.demo import PICK_SD_PX
 from sightline.common.atomic import scratch_folder
 from sightline.frame import Frame
 from sightline.imaging import write_dicom
 from sightline.rehearsal.operation import InsertionOutcome
 from sightline.rehearsal.rehearsal import Rehearsal
+from sightline.rehearsal.wire import BY_ENCODERS, BY_IMAGES, DemoPlan, depth_limit_mm, registrations, targets_by
 
 FRAME = "block60"
 SETUPS, QUICK = 30, 2

@@ -9,12 +9,13 @@ import pytest
 
 from sightline.calibration import calibrate
 from sightline.cli import demo as demo_robot
-from sightline.cli.demo import BY_ENCODERS, BY_IMAGES, DemoPlan, RobotAhead, registrations
+from sightline.cli.demo import RobotAhead
 from sightline.common.geometry.covariance import length_quantile
 from sightline.errors import RobotRefusedError
 from sightline.frame import Frame
 from sightline.rehearsal.operation import SHOWN_FEED_MM, drawn_robot, shown_wire_mm
 from sightline.rehearsal.rehearsal import Rehearsal
+from sightline.rehearsal.wire import BY_ENCODERS, BY_IMAGES, DemoPlan, registrations
 from sightline.robot.kinematics.manipulator import imaging_yaw
 from sightline.robot.kinematics.target import Registration
 from sightline.studies.scenes import VIEWS, measure

@@ -1,7 +1,6 @@
 """`sightline demo`: a procedure on the twin, from two images over plan, drilling and check shot to report and case."""
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,25 +18,16 @@ if TYPE_CHECKING:
     from sightline.case.contents import CheckRequest, DrillShotRequest, Pair, PlanRequest
     from sightline.case.journal import Case, Entry
     from sightline.case.report.content import Compared, Refused, Report
-    from sightline.case.report.drilled import Deviation, Drilled
     from sightline.common.checks import Check
     from sightline.frame import Frame
-    from sightline.imaging import Radiograph
-    from sightline.planning import Plan, WirePlans
-    from sightline.planning.check.wires import Landmarks
-    from sightline.planning.points.results import SpacePoints
-    from sightline.rehearsal.patient import AidClicks, CheckImages, RehearsedPatient
+    from sightline.planning import Plan
+    from sightline.rehearsal.patient import AidClicks, CheckImages
     from sightline.rehearsal.process import RobotProcess
-    from sightline.rehearsal.rehearsal import Rehearsal
+    from sightline.rehearsal.wire import DemoPlan, Inserted, TakenShot
     from sightline.robot.control.states import State
-    from sightline.robot.kinematics.target import Registration, RobotTarget
-    from sightline.robot.link.client import RobotClient
 
-METHODS: "tuple[Method, ...]" = (
-    "smooth",
-    "localized",
-    "polynomial",
-)  # the plan is made with the first, blocks no other
+# The plan is made with the first; blocks know no other.
+METHODS: "tuple[Method, ...]" = ("smooth", "localized", "polynomial")
 DEFAULT = "hip-screw"
 SIDE = "right"
 # The first seed whose beads surround the whole wire in both images; otherwise `localized` gives no result to compare.
@@ -62,7 +52,6 @@ HIP_PICKS = "centre of the head, both trochanters; three clicks on the head's ri
 PLACED = (
     "No robot drilled this wire: its simulation does not know this procedure. The wire was put where it was planned."
 )
-BY_ENCODERS, BY_IMAGES = "encoders", "images"
 
 
 def frame_for(procedure: str, frame: str | None) -> str:
@@ -74,126 +63,6 @@ def frame_for(procedure: str, frame: str | None) -> str:
     if procedure not in known:
         raise UnusableInputError(f"there is no demo of {procedure!r}; choose one of {', '.join(known)}")
     return frame or WITH_ROBOT.get(procedure) or frame_of(procedure)
-
-
-@dataclass(frozen=True, eq=False)
-class DemoPlan:
-    """A plan for a rehearsed patient, its inputs `asked`, and its images; `frame_name`: of its frame, for `Frame.load`.
-
-    `wires`: the plans of all wires of the procedure, where it has several. `before_mm`: wires that are in the bone
-    already, their axes (2, 3), CFCS of the planning images, by key.
-    """
-
-    rehearsal: "RehearsedPatient"
-    frame_name: str
-    asked: "PlanRequest"
-    plan: "Plan"
-    images: "Pair"
-    wires: "WirePlans | None" = None
-    before_mm: "Mapping[str, np.ndarray]" = field(default_factory=dict)
-
-    @property
-    def robot(self) -> "Rehearsal":
-        """The patient of a procedure WITH_ROBOT, with the robot."""
-        return cast("Rehearsal", self.rehearsal)
-
-    @property
-    def key(self) -> str:
-        """The wire's key."""
-        return self.plan.kind.wire.key
-
-    @property
-    def of_wire(self) -> str:
-        """Words that name the wire, "" where it is alone."""
-        return "" if self.wires is None else f" of the {self.plan.kind.wire.name}"
-
-    @property
-    def others_mm(self) -> "tuple[np.ndarray, ...]":
-        """Entry and end (2, 3) of each other wire, as planned."""
-        return () if self.wires is None else self.wires.others_mm(self.key)
-
-    def each(self) -> "list[DemoPlan]":
-        """Return the plan of each wire, in the proposed order of drilling."""
-        from sightline.from_images.pipeline import propose_order
-
-        wires = self.wires
-        if wires is None:
-            return [self]
-        views, frame = [image.view for image in self.images], self.rehearsal.setup.frame
-        order = propose_order(wires.lines, wires.procedure, views, frame, wires.placed)
-        return [replace(self, asked=self.asked.of_wire(key), plan=wires.plans[key]) for key in order.keys]
-
-    def beside(self, inserted: "Mapping[str, Inserted]") -> "DemoPlan":
-        """Return the plan beside wires in the bone; a nail's hole is planned again on the same images, beside those
-        that are drilled."""
-        beside = replace(self, before_mm={key: wire.wire_mm for key, wire in inserted.items()})
-        if self.asked.nail is None or not inserted:
-            return beside
-        left = {key: picks for key, picks in (self.asked.others or {}).items() if key not in inserted}
-        asked = replace(self.asked, nail=replace(self.asked.nail, drilled=tuple(inserted)), others=left)
-        return replace(beside, asked=asked, plan=asked.plan(self.images))
-
-    def picked(self, xyz_mm: "np.ndarray", rng: "np.random.Generator") -> "SpacePoints":
-        """Return true points (N, 3), CFCS, as reconstructed from a person's picks in both images."""
-        import numpy as np
-
-        from sightline.planning import reconstruct
-
-        uv = self.rehearsal.pixels(xyz_mm)
-        uv = uv + self.asked.pick_sd_px * rng.standard_normal(uv.shape)
-        spread = np.broadcast_to(self.asked.pick_sd_px**2 * np.eye(2), (*uv.shape, 2))
-        return reconstruct([image.view for image in self.images], uv, spread)
-
-    def found_again(self, taken: "CheckImages", rng: "np.random.Generator") -> "Landmarks":
-        """Return the plan's landmarks, picked by a person in two more images."""
-        from sightline.planning.check.wires import Landmarks
-
-        asked = self.asked
-        assert asked.landmarks_uv_px is not None  # noqa: S101 - they were picked
-        again = taken.landmarks_px(tuple(self.rehearsal.landmarks), asked.pick_sd_px, rng)
-        return Landmarks(asked.landmarks_uv_px, again, asked.pick_sd_px)
-
-
-@dataclass(frozen=True, eq=False)
-class TakenShot:
-    """A check shot, or a shot while drilling: its inputs, its images (None if one could not be calibrated), and its
-    result or the reason for a refusal."""
-
-    request: "CheckRequest | DrillShotRequest"
-    images: "Pair | None"
-    result: Any
-
-    @staticmethod
-    def of(
-        planned: DemoPlan, request: "CheckRequest | DrillShotRequest", images: "dict[str, Radiograph]"
-    ) -> "TakenShot":
-        """Measure images that are read back from files, as the planning images are."""
-        from sightline.case.views import NAMES, calibrate_pair, see_pair
-        from sightline.common.atomic import scratch_folder
-        from sightline.errors import RefusedError
-        from sightline.imaging import write_dicom
-
-        frame, calibrated = planned.rehearsal.setup.frame, None
-        try:
-            with scratch_folder() as folder:
-                pa, lateral = (write_dicom(images[name], folder / f"{name}.dcm") for name in NAMES)
-                calibrated = calibrate_pair(see_pair(pa, lateral, frame), frame, "smooth")
-            result = request.shot(planned.plan, planned.images, calibrated, planned.others_mm)
-        except RefusedError as error:
-            result = str(error)
-        return TakenShot(request, calibrated, result)
-
-
-@dataclass(frozen=True, eq=False)
-class Inserted:
-    """A wire in the bone, its axis `wire_mm` (2, 3), CFCS of the planning images: its plan, how it was drilled, its
-    check shot, and the shots while drilling by the robot's state."""
-
-    planned: DemoPlan
-    wire_mm: "np.ndarray"
-    drilled: "Drilled"
-    checked: TakenShot
-    shots: dict[str, TakenShot] = field(default_factory=dict)
 
 
 class RobotAhead(Closing):
@@ -211,7 +80,7 @@ class RobotAhead(Closing):
         if frame.detector is not None:
             self.close()
 
-    def take(self, planned: DemoPlan) -> "RobotProcess":
+    def take(self, planned: "DemoPlan") -> "RobotProcess":
         """Return the one that was started, or a new one for another wire."""
         taken, self._running = self._running, None
         patient = planned.rehearsal
@@ -235,7 +104,9 @@ def _robot(seed: int, frame_name: str, side: str, procedure: str) -> "RobotProce
     return RobotProcess(seed, frame_name, side, procedure, virtual=True)
 
 
-def carry_out(output: Output, planned: DemoPlan, ahead: RobotAhead, rng: "np.random.Generator") -> dict[str, Inserted]:
+def carry_out(
+    output: Output, planned: "DemoPlan", ahead: RobotAhead, rng: "np.random.Generator"
+) -> "dict[str, Inserted]":
     """Return the wires by key, put in one after another in the proposed order, each checked before the next.
 
     They are drilled by the robot, or placed at bones that its simulation does not know. It ends where the robot does
@@ -254,18 +125,19 @@ def carry_out(output: Output, planned: DemoPlan, ahead: RobotAhead, rng: "np.ran
     return inserted
 
 
-def place(output: Output, planned: DemoPlan, rng: "np.random.Generator") -> Inserted:
+def place(output: Output, planned: "DemoPlan", rng: "np.random.Generator") -> "Inserted":
     """Return a wire put into the twin's bone where it is planned, without a robot."""
     from sightline.case.report.drilled import Drilled
+    from sightline.rehearsal.wire import Inserted, deviations
 
     wire_mm = planned.plan.trajectory.points.xyz_mm
     wires_mm = {**planned.before_mm, planned.key: wire_mm}
     checked = _check(output, planned, lambda: planned.rehearsal.shown_again(wires_mm), rng)
-    drilled = Drilled(None, None, checked.result, _physics(planned, wire_mm)[1:])
+    drilled = Drilled(None, None, checked.result, deviations(planned, wire_mm)[1:])
     return Inserted(planned, wire_mm, drilled, checked)
 
 
-def drill(output: Output, planned: DemoPlan, ahead: RobotAhead, rng: "np.random.Generator") -> Inserted | None:
+def drill(output: Output, planned: "DemoPlan", ahead: RobotAhead, rng: "np.random.Generator") -> "Inserted | None":
     """Return a wire drilled by the robot; None, with a message, if the robot is not installed or refuses."""
     from sightline.errors import RefusedError
 
@@ -282,13 +154,23 @@ def drill(output: Output, planned: DemoPlan, ahead: RobotAhead, rng: "np.random.
         return None
 
 
-def _drill(output: Output, planned: DemoPlan, ahead: RobotAhead, rng: "np.random.Generator") -> Inserted:
+def _drill(output: Output, planned: "DemoPlan", ahead: RobotAhead, rng: "np.random.Generator") -> "Inserted":
     from time import monotonic
 
     from sightline.case.report.drilled import Drilled
     from sightline.common.checks import failed
     from sightline.planning.check.shot import TURNED_AWAY
     from sightline.rehearsal.operation import insert
+    from sightline.rehearsal.wire import (
+        BY_ENCODERS,
+        BY_IMAGES,
+        Inserted,
+        depth_limit_mm,
+        deviations,
+        drill_shot,
+        registrations,
+        targets_by,
+    )
     from sightline.robot.link.client import RobotClient
 
     shots: dict[str, TakenShot] = {}
@@ -307,22 +189,23 @@ def _drill(output: Output, planned: DemoPlan, ahead: RobotAhead, rng: "np.random
             elif planned.before_mm:
                 output.note(f"{state.value}: this demo measures the shots while drilling of the first wire only")
             else:
-                shots[state.value] = _drill_shot(planned, robot, target, state, rng)
+                shots[state.value] = drill_shot(planned, robot, target, state, rng)
 
         record = insert(robot, target, depth_limit_mm(planned, target, rng), confirm)
         wire = robot.simulated_wire()
     again = partial(planned.robot.check_images, wire, planned.key, planned.before_mm)
     checked = _check(output, planned, again, rng)
-    physics, results = _physics(planned, wire.axis_mm), {state: shot.result for state, shot in shots.items()}
+    physics, results = deviations(planned, wire.axis_mm), {state: shot.result for state, shot in shots.items()}
     drilled = Drilled(target, record, checked.result, physics, targets.get(BY_IMAGES), results)
     return Inserted(planned, wire.axis_mm, drilled, checked, shots)
 
 
 def _check(
-    output: Output, planned: DemoPlan, take: "Callable[[], CheckImages]", rng: "np.random.Generator"
-) -> TakenShot:
+    output: Output, planned: "DemoPlan", take: "Callable[[], CheckImages]", rng: "np.random.Generator"
+) -> "TakenShot":
     """Take two more images and return the check shot of a wire on them."""
     from sightline.case.contents import CheckRequest
+    from sightline.rehearsal.wire import TakenShot
 
     with output.step(f"7/8 the check shot{planned.of_wire}: two more images, finding the wire in both"):
         taken = take()
@@ -330,112 +213,7 @@ def _check(
         return TakenShot.of(planned, request, taken.images)
 
 
-def _drill_shot(
-    planned: DemoPlan, robot: "RobotClient", target: "RobotTarget", state: "State", rng: "np.random.Generator"
-) -> TakenShot:
-    """Take and measure two images, with the block on its mount again; send a depth measured at the pause.
-
-    Raises RobotRefusedError for a shot that says STOP.
-    """
-    from sightline.case.contents import CheckRequest, DrillShotRequest
-    from sightline.common.checks import failed
-    from sightline.errors import RobotRefusedError
-    from sightline.robot.control.states import State
-    from sightline.robot.kinematics.manipulator import FEED
-
-    plan, q = planned.plan, robot.joints()[0]
-    taken = planned.robot.drilling_images(robot.simulated_wire(), q, state.value, planned.key, planned.before_mm)
-    middle_mm = plan.trajectory.points.xyz_mm.mean(axis=0)
-    movement, covariance = planned.robot.robot.frame_moved(target.registration.q, q, middle_mm)
-    check = CheckRequest(plan.kind.wire_mm, planned.found_again(taken, rng))
-    picked = None if taken.picked_mm is None else taken.pixels(taken.picked_mm, planned.asked.pick_sd_px, rng)
-    depth_mm, straight = float(q[FEED] - target.q[FEED]), state is State.ALIGNED
-    request = DrillShotRequest(check, depth_mm, straight, movement.as_matrix(), covariance, picked)
-    shot = TakenShot.of(planned, request, taken.images)
-    if isinstance(shot.result, str):
-        return shot
-    if shot.result.decision == "STOP":
-        reasons = "; ".join(check.sentence for check in failed(shot.result.verdict.checks))
-        raise RobotRefusedError(f"the shot at {state.value} says STOP: {reasons}")
-    if state is State.PAUSED and shot.result.decision == "GO":
-        robot.shot_depth(shot.result.depth_mm, shot.result.depth_sd_mm)
-    return shot
-
-
-def registrations(
-    planned: DemoPlan, imaged: "np.ndarray", now_s: float, rng: "np.random.Generator"
-) -> "dict[str, Registration]":
-    """Return the robot's registration by its encoders (5,) at the images; with a block also by the images, in which a
-    person picks the robot's own wire. Raises RobotRefusedError where both disagree beyond their stated errors."""
-    from sightline.rehearsal.operation import registered
-
-    robot, wire_mm = planned.robot.robot, planned.robot.robot_wire_mm
-    by_encoders = {BY_ENCODERS: registered(robot, imaged, now_s)}
-    if wire_mm is None:
-        return by_encoders
-    seen = planned.picked(wire_mm, rng)
-    assert seen.joint_covariance_mm2 is not None  # noqa: S101 - both views state their errors
-    corrected = robot.with_wire_seen(imaged, seen.xyz_mm, seen.joint_covariance_mm2)
-    return by_encoders | {BY_IMAGES: registered(corrected, imaged, now_s)}
-
-
-def targets_by(registered: "dict[str, Registration]", planned: DemoPlan) -> "dict[str, RobotTarget]":
-    """Return the robot's target by each registration. Raises RobotRefusedError."""
-    from sightline.rehearsal.operation import target_of
-    from sightline.robot.kinematics.target import PlanIdentity
-
-    patient, plan = planned.robot, planned.plan
-    name = "demo" if planned.wires is None else f"demo-{planned.key}"
-    frame = patient.setup.frame.fingerprint
-    identity = PlanIdentity(name, patient.side, patient.serial, plan.verdict.go, plan.kind.key, frame)
-    return {by: target_of(plan, identity, registration) for by, registration in registered.items()}
-
-
-def depth_limit_mm(planned: DemoPlan, target: "RobotTarget", rng: "np.random.Generator") -> float:
-    """Return the depth limit beyond the planned entry, mm: the distance along the wire to the head's surface, picked in
-    both views, less the 95 % error of both. A drill through a nail has that of a plan without a surface."""
-    import numpy as np
-
-    from sightline.common.geometry.covariance import TWO_SIDED_95
-    from sightline.robot.control.insertion import DEPTH_SLACK_MM
-    from sightline.robot.control.supervision import depth_limit
-
-    if planned.asked.nail is not None:
-        return target.depth_mm + DEPTH_SLACK_MM
-    surface = planned.picked(planned.robot.surface_mm(planned.key)[None], rng)
-    assert surface.covariance_mm2 is not None  # noqa: S101 - both views state their errors
-    entry_mm, along = planned.plan.trajectory.entry_mm, planned.plan.trajectory.direction
-    sd_mm = np.sqrt(along @ surface.covariance_mm2[0] @ along)
-    error_mm = np.hypot(TWO_SIDED_95 * sd_mm, target.end_error_95_mm)
-    return depth_limit(float((surface.xyz_mm[0] - entry_mm) @ along), float(error_mm))
-
-
-def _physics(planned: DemoPlan, wire_mm: "np.ndarray") -> "tuple[Deviation, ...]":
-    """Return the true deviations of a wire (2, 3) from the plan, from the ideal wire, and from the points that were
-    picked, if any were; of a drill that goes past its end point, at the end point."""
-    import numpy as np
-
-    from sightline.case.report.drilled import Deviation
-    from sightline.rehearsal.operation import InsertionOutcome
-
-    lines = [
-        ("the plan", planned.plan.trajectory.points.xyz_mm),
-        ("the ideal wire", planned.rehearsal.ideal_mm[planned.key]),
-    ]
-    if planned.asked.nail is None:
-        lines.append(("the picked points, as in the check shot", planned.rehearsal.picked_mm(planned.plan)))
-    along = (wire_mm[1] - wire_mm[0]) / np.linalg.norm(wire_mm[1] - wire_mm[0])
-    deviations = []
-    for name, line_mm in lines:
-        ends_mm = wire_mm
-        if planned.plan.kind.limits.beyond_mm > 0:  # the points of the wire's axis nearest to entry and end
-            ends_mm = wire_mm[0] + ((line_mm - wire_mm[0]) @ along)[:, None] * along
-        off = InsertionOutcome.of(ends_mm, line_mm)
-        deviations.append(Deviation(name, off.entry_mm, off.end_mm, float(np.rad2deg(off.angle_rad))))
-    return tuple(deviations)
-
-
-def _compare(planned: DemoPlan, images: "dict[Method, Pair]") -> "list[Compared | Refused]":
+def _compare(planned: "DemoPlan", images: "dict[Method, Pair]") -> "list[Compared | Refused]":
     """Return the errors of every method, with a person's picks and with the true pixels, and of the other wires."""
     import numpy as np
 
@@ -481,8 +259,8 @@ def _picks_told(asked: "PlanRequest", drawn: Collection[str]) -> str:
 
 
 def _report(
-    planned: DemoPlan,
-    inserted: Mapping[str, Inserted],
+    planned: "DemoPlan",
+    inserted: "Mapping[str, Inserted]",
     compared: "list[Compared | Refused]",
     drawn: Collection[str],
     localized: "Pair | None",
@@ -526,13 +304,13 @@ def _report(
     )
 
 
-def _measured(inserted: Mapping[str, Inserted]) -> dict[str, Any]:
+def _measured(inserted: "Mapping[str, Inserted]") -> dict[str, Any]:
     """Return the check shots that were not refused, by wire."""
     return {key: wire.checked.result for key, wire in inserted.items() if not isinstance(wire.checked.result, str)}
 
 
 def record(
-    folder: Path, planned: DemoPlan, files: "list[Path]", drawn_px: "AidClicks", inserted: Mapping[str, Inserted]
+    folder: Path, planned: "DemoPlan", files: "list[Path]", drawn_px: "AidClicks", inserted: "Mapping[str, Inserted]"
 ) -> None:
     """Create the case in a folder, which `sightline case` checks and replays and `sightline app --case` opens.
 
@@ -574,7 +352,7 @@ def record(
                 stages.record_verified(case, plan, entries, request, wire.checked.result, by=by)
 
 
-def _record_images(case: "Case", shot: TakenShot, frame_ref: str) -> "list[Entry]":
+def _record_images(case: "Case", shot: "TakenShot", frame_ref: str) -> "list[Entry]":
     """Record the images of a shot, if they could be calibrated; return their entries."""
     from sightline.case import stages
     from sightline.case.journal import Actor
@@ -590,7 +368,7 @@ def _record_images(case: "Case", shot: TakenShot, frame_ref: str) -> "list[Entry
     return entries
 
 
-def _decisions(planned: DemoPlan, drawn_px: "AidClicks", acquired: dict[str, int]) -> dict[str, object]:
+def _decisions(planned: "DemoPlan", drawn_px: "AidClicks", acquired: dict[str, int]) -> dict[str, object]:
     """Return the picks as the app keeps them; side and serial are left for a person to confirm."""
     from sightline.app.plan.decisions import Decisions, Mark
     from sightline.app.plan.marks import END, ENTRY
@@ -647,7 +425,7 @@ def _write_results(folder: Path, page: str, report: "Report", truth: dict[str, A
 
 
 def _show(
-    output: Output, planned: DemoPlan, compared: "list[Compared | Refused]", inserted: Mapping[str, Inserted]
+    output: Output, planned: "DemoPlan", compared: "list[Compared | Refused]", inserted: "Mapping[str, Inserted]"
 ) -> "tuple[Check, ...]":
     """Print the results for people; return the relations between several wires as their check shots measured them."""
     from sightline.case.report.content import Refused
@@ -686,6 +464,7 @@ def _run(
     from sightline.imaging import write_dicom
     from sightline.rehearsal.patient import draw_patient
     from sightline.rehearsal.rehearsal import Rehearsal
+    from sightline.rehearsal.wire import DemoPlan
 
     frame = Frame.load(frame_name)
     with output.step("1/8 drawing the set-up and its X-ray images"):
