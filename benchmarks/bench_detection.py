@@ -11,40 +11,46 @@ only they change determine them (`own`).
 """
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import product
-from typing import Any
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
 from benchmarks import blobs
 from benchmarks.centroid_bound import centroid_bounds
-from benchmarks.harness import ARCADIS, Refusal, Row, Rows, finished, mahalanobis2, rms, trials
+from benchmarks.harness import ARCADIS, Row, Rows, mahalanobis2, trials
 from sightline.detection import Observations, detect, label, look_again
 from sightline.errors import DetectionRefusedError, LabellingRefusedError
 from sightline.frame import Frame
 from sightline.imaging import read_image
-from sightline.twin.scenes.hard import BeadTruth, HardView, hard_scene, hard_view
+from sightline.twin.scenes.hard import BeadTruth, HardView, hard_view
 from sightline.twin.xray.setup import shadow_centres_px
 
 DOSES = ("low", "medium", "high")
-IMAGES, SCENES = 20, 20  # of each dose, against the bound; for the second look
+SCENES = 8  # each at each dose
 BOUND_PX, LOOK_PX = 0.5, 0.25  # within which a bead that counts is determined
 FOUND_PX = 2.0
 OPENCV = {"minArea": np.pi * 4, "maxArea": np.pi * 625, "minThreshold": 10, "maxThreshold": 250, "thresholdStep": 10,
           "minDistBetweenBlobs": 5}  # dark blobs of 2-25 px radius  # fmt: skip
 SMALL_PX = 19  # diameter of the smaller balls
 
+SIMPLE = ("free", "bone edge", "touching")
 DEEP = tuple(f"overlap {what}" for what in ("0.4 to 0.8", "0.8 to 1.2", "1.2 to 1.6", "above 1.6"))
 METAL_PX, CLIPPED, TOUCHING = 4.0, 0.3, -0.4
 ISOLATED_PX = 6.0  # from rim to rim, or to the field's edge: nothing else lies in the window of the fit
 EDGE = 0.15  # of the light around a bead: range beyond which a bone's edge, not its slope alone, lies in the window
 
+# By name, a value of each bead: kind, dose, bounds of its centre, px (`bound`, `own`); squared errors, half of those
+# over their covariance, of the finders below, NaN where it was not found; whether its view was labelled (`in_view`).
+Beads = dict[str, np.ndarray]
+FINDERS = ("OpenCV", "trackpy", "over bound", "detect", "labelled", "looked")
+
 
 def run(quick: bool) -> list[Row]:
-    """Return the rows; `quick` uses 2 hard images of each dose and 3 scenes."""
-    return _real() + _against_bound(2 if quick else IMAGES) + _second_look(3 if quick else SCENES)
+    """Return the rows; `quick` uses 2 hard scenes."""
+    images = [image for scene in trials(_scene, range(2 if quick else SCENES)) for image in scene]
+    beads = {key: np.concatenate([image[key] for image, _ in images]) for key in images[0][0]}
+    return _real() + _against_bound(beads) + _second_look(beads, [false for _, false in images])
 
 
 def _real() -> Rows:
@@ -67,169 +73,114 @@ def _real() -> Rows:
     return rows
 
 
-def _against_bound(images: int) -> Rows:
-    rows, all_of = Rows("detection"), trials(_scored, product(DOSES, range(images)))
-    by_dose = [all_of[k * images : (k + 1) * images] for k in range(len(DOSES))]
-    keys = all_of[0]["counts"]
-    counts = [{key: sum(image["counts"][key] for image in dose) for key in keys} for dose in by_dose]
-    keys = ("bound", "stated", "labelled")
-    squares = [{key: np.concatenate([image[key] for image in dose]) for key in keys} for dose in by_dose]
+def _against_bound(beads: Beads) -> Rows:
+    rows, findable = Rows("detection"), beads["bound"] < BOUND_PX
+    doses = [beads["dose"] == dose for dose in DOSES]
 
-    def recall(name: str) -> list[float]:
-        return [count[name] / count["findable"] for count in counts]
+    def recall(*finders: str) -> list[float]:
+        found = np.any([np.isfinite(beads[finder]) for finder in finders], axis=0)
+        return [found[findable & dose].mean() for dose in doses]
 
-    others = ("detect alone", "OpenCV", "trackpy")
-    beside = ", ".join(f"{name} {' / '.join(f'{share:.3f}' for share in recall(name))}" for name in others)
-    name = f"recall where the own bound is under {BOUND_PX} px, low / medium / high dose, {images} scenes each"
-    rows.number(name, recall("either"), peer=beside, least=0.99)
-    rows.number("rms (error / own bound), low / medium / high dose", [rms(np.sqrt(s["bound"])) for s in squares], ".2f",
-                most=1.2)  # fmt: skip
-    rows.number("median of (error / bound)²; of an efficient one 0.69", [np.median(s["bound"]) for s in squares], ".2f")
-    for name in ("stated", "labelled"):
-        honest = [s[name].mean() for s in squares]
-        of = "all" if name == "stated" else "labelled beads"
+    others = {"detect alone": "detect", "OpenCV": "OpenCV", "trackpy": "trackpy"}
+    beside = ", ".join(f"{name} {' / '.join(f'{x:.3f}' for x in recall(key))}" for name, key in others.items())
+    name = f"recall where the own bound is under {BOUND_PX} px, low / medium / high dose, {len(findable):,} beads"
+    rows.number(name, recall("detect", "labelled", "looked"), peer=beside, least=0.99)
+    over = [np.sqrt(np.nanmean(beads["over bound"][findable & dose])) for dose in doses]
+    rows.number("rms (error / own bound), low / medium / high dose", over, ".2f", most=1.2)
+    for of, finder, counted in (("all", "detect", findable), ("labelled beads", "looked", beads["in_view"])):
+        honest = [np.nanmean(beads[finder][counted & dose]) for dose in doses]
         rows.number(f"mean chi-square / 2 of the stated covariance: {of}", honest, ".2f", least=0.85, most=1.2)
-    beads, labelled = sum(len(s["labelled"]) for s in squares), sum(count["images"] for count in counts)
-    name = f"false beads after labelling ({labelled} of {len(all_of)} scenes labelled, {beads:,} beads)"
-    rows.none(name, sum(count["false"] for count in counts))
     return rows
 
 
-def _scored(case: tuple[str, int]) -> dict[str, Any]:
-    """Return the squared errors of one hard image over the bound, over their stated covariance, and over that of the
-    labelled beads; and counts."""
-    dose, seed = case
-    image, truth = hard_scene(np.random.default_rng([20, seed]), dose)
-    bounds = centroid_bounds(truth)
-    findable = np.trace(bounds, axis1=1, axis2=2) / 2 < BOUND_PX**2
-    scores: dict[str, Any] = {key: np.empty(0) for key in ("bound", "stated", "labelled")}
-    counts = dict.fromkeys(("detect alone", "either", "images", "false"), 0) | {"findable": int(findable.sum())}
-    peers = {"OpenCV": blobs.opencv(**OPENCV), "trackpy": blobs.trackpy(SMALL_PX, characterize=False)}
-    for name, peer in peers.items():
-        places = peer(image.pixels.astype(np.float64) if name == "trackpy" else image.pixels, image.white)
-        apart = np.linalg.norm(places[:, None] - truth.shadow_px[findable][None], axis=-1)
-        counts[name] = int((apart.min(axis=0) < FOUND_PX).sum()) if len(places) else 0
-    found: set[int] = set()
-    try:
-        beads = detect(image)
-        apart = np.linalg.norm(truth.shadow_px[:, None] - beads.uv_px[None], axis=-1)
-        rows = np.flatnonzero(findable & (apart.min(axis=1) < FOUND_PX))
-        nearest = apart.argmin(axis=1)[rows]
-        error = beads.uv_px[nearest] - truth.shadow_px[rows]
-        scores["bound"] = mahalanobis2(error, bounds[rows]) / 2
-        scores["stated"] = mahalanobis2(error, beads.covariance_px2[nearest]) / 2
-        found, counts["detect alone"] = set(rows.tolist()), len(rows)
-        frame = Frame.load("gamma")
-        labelled = label(beads, frame)
-        counts["images"] = 1
-        for seen in (labelled, look_again(image, beads, labelled, frame)):
-            theirs, right, scores["labelled"] = _labelled(seen, truth)
-            found |= set(theirs[right & findable[theirs]].tolist())
-            counts["false"] = int((~right).sum())
-    except (DetectionRefusedError, LabellingRefusedError):
-        pass
-    return {**scores, "counts": {**counts, "either": len(found)}}
+def _second_look(beads: Beads, false: Sequence[int | None]) -> Rows:
+    rows, counted = Rows("second look"), (beads["bound"] < LOOK_PX) & beads["in_view"]
 
+    def of(*kinds: str, own: bool = False) -> list[np.ndarray]:
+        kept = counted & (beads["own"] < LOOK_PX) if own else counted
+        return [kept & (beads["kind"] == kind) for kind in kinds]
 
-def _labelled(seen: Observations, truth: BeadTruth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return for labelled beads (N,) the rows of the truth, whether they are right, and the squared errors of those."""
-    assert seen.covariance_px2 is not None
-    row = {name: i for i, name in enumerate(truth.ids)}
-    theirs = np.array([row.get(name, -1) for name in seen.ids])
-    error = seen.uv_px - truth.shadow_px[theirs]
-    right = (theirs >= 0) & (np.linalg.norm(error, axis=1) < FOUND_PX)
-    return theirs, right, mahalanobis2(error[right], seen.covariance_px2[right]) / 2
+    def add_recall(name: str, groups: list[np.ndarray], limits: Sequence[float]) -> None:
+        recall, first = ([np.isfinite(beads[key][g]).mean() for g in groups] for key in ("looked", "labelled"))
+        name = f"{name} ({' / '.join(f'{group.sum():,}' for group in groups)})"
+        value, peer = (" / ".join(f"{share:.3f}" for share in shares) for shares in (recall, first))
+        met = all(share >= limit for share, limit in zip(recall, limits, strict=True)) if limits else None
+        asked = f">= {' / '.join(f'{limit:g}' for limit in limits)}" if limits else ""
+        rows.add(name, value, asked, met, peer=f"labelling alone {peer}")
 
+    def add_honesty(name: str, groups: list[np.ndarray]) -> None:
+        squares = [beads["looked"][group & np.isfinite(beads["looked"])] for group in groups]
+        name = f"error / stated s.d.: {name} ({' / '.join(f'{len(each):,}' for each in squares)})"
+        rows.number(name, [np.sqrt(each.mean()) if len(each) else np.nan for each in squares], ".2f", least=0.9,
+                    most=1.15)  # fmt: skip
 
-@dataclass(frozen=True, eq=False)
-class _Bead:
-    """A bead: its kind, the dose, whether labelling alone and the second look found it, half its squared normalised
-    error, and whether its own pixels determine it."""
-
-    kind: str
-    dose: str
-    at_first: bool
-    found: bool
-    square: float
-    own: bool
-
-
-def _second_look(number: int) -> Rows:
-    rows = Rows("second look")
-    views, refused = finished([view for scene in trials(_views, range(number)) for view in scene])
-    beads = [bead for view in views for bead in view[0]]
-
-    def of(*kinds: str, own: bool = False) -> list[list[_Bead]]:
-        return [[bead for bead in beads if bead.kind == kind and (bead.own or not own)] for kind in kinds]
-
-    clear = [bead for bead in beads if bead.kind != "clipped"]
-    simple, limits = ("free", "bone edge", "touching"), (0.998, 0.99, 0.99)
-    _add_recall(rows, "recall by what covers a bead: free / bone edge / touching", of(*simple), limits)
-    _add_recall(rows, "recall of overlaps by 0.4-0.8 / 0.8-1.2 / 1.2-1.6 / above 1.6 radii", of(*DEEP), 4 * (0.9,))
+    overlaps = "0.4-0.8 / 0.8-1.2 / 1.2-1.6 / above 1.6"
+    add_recall("recall by what covers a bead: free / bone edge / touching", of(*SIMPLE), (0.998, 0.99, 0.99))
+    add_recall(f"recall of overlaps by {overlaps} radii", of(*DEEP), 4 * (0.9,))
     name = f"overlapping, of the beads that the pixels of their own shadow determine to {LOOK_PX} px"
-    _add_recall(rows, name, of(*DEEP, own=True), 4 * (0.9,))
-    _add_recall(rows, "beside metal", of("beside metal"), (0.85,))
-    _add_recall(rows, "clipped surroundings", of("clipped"), ())
-    _add_recall(rows, "all / all but clipped", [beads, clear], (0.98, 0.98))
-    name = "error / stated s.d.: "
-    _add_honesty(rows, f"{name}free, bone edge, touching, beside metal", of(*simple, "beside metal"))
-    _add_honesty(rows, f"{name}overlaps of 0.4-0.8 / 0.8-1.2 / 1.2-1.6 / above 1.6", of(*DEEP))
-    _add_honesty(rows, f"{name}clipped surroundings", of("clipped"))
-    by_dose = [[bead for bead in beads if bead.dose == dose] for dose in DOSES]
-    _add_honesty(rows, f"{name}all beads, low / medium / high dose", by_dose)
-    rows.none(f"false beads in {len(views)} images; refused {refused}", sum(false for _, false in views))
+    add_recall(name, of(*DEEP, own=True), 4 * (0.9,))
+    add_recall("beside metal", of("beside metal"), (0.85,))
+    add_recall("clipped surroundings", of("clipped"), ())
+    add_recall("all / all but clipped", [counted, counted & (beads["kind"] != "clipped")], (0.98, 0.98))
+    add_honesty("free, bone edge, touching, beside metal", of(*SIMPLE, "beside metal"))
+    add_honesty(f"overlaps of {overlaps}", of(*DEEP))
+    add_honesty("clipped surroundings", of("clipped"))
+    add_honesty("all beads, low / medium / high dose", [counted & (beads["dose"] == dose) for dose in DOSES])
+    labelled = [count for count in false if count is not None]
+    rows.none(f"false beads in {len(labelled)} labelled images of {len(false)}", sum(labelled))
     return rows
 
 
-def _add_recall(rows: Rows, name: str, groups: Sequence[Sequence[_Bead]], limits: Sequence[float]) -> None:
-    recall = [np.mean([bead.found for bead in group]) for group in groups]
-    first = [np.mean([bead.at_first for bead in group]) for group in groups]
-    name = f"{name} ({' / '.join(f'{len(group):,}' for group in groups)})"
-    value, peer = (" / ".join(f"{share:.3f}" for share in shares) for shares in (recall, first))
-    met = all(share >= limit for share, limit in zip(recall, limits, strict=True)) if limits else None
-    asked = f">= {' / '.join(f'{limit:g}' for limit in limits)}" if limits else ""
-    rows.add(name, value, asked, met, peer=f"labelling alone {peer}")
-
-
-def _add_honesty(rows: Rows, name: str, groups: Sequence[Sequence[_Bead]]) -> None:
-    squares = [np.array([bead.square for bead in group if bead.found]) for group in groups]
-    name = f"{name} ({' / '.join(f'{len(each):,}' for each in squares)})"
-    rows.number(name, [np.sqrt(each.mean()) if len(each) else np.nan for each in squares], ".2f", least=0.9, most=1.15)
-
-
-def _views(seed: int) -> list[tuple[list[_Bead], int] | Refusal]:
-    """Return one scene at each dose, that which its seed draws first; or why an image has no beads."""
+def _scene(seed: int) -> list[tuple[Beads, int | None]]:
+    """Return the beads of one scene at each dose, that which its seed draws first, and the number of false ones."""
     warnings.simplefilter("ignore", RuntimeWarning)  # of bounds where no bead is whole
     rng = np.random.default_rng([78, seed])
     scene = hard_view(rng)
-    return [_view(scene, rng, DOSES[(seed + k) % len(DOSES)]) for k in range(len(DOSES))]
+    return [_image(scene, rng, DOSES[(seed + k) % len(DOSES)]) for k in range(len(DOSES))]
 
 
-def _view(scene: HardView, rng: np.random.Generator, dose: str) -> tuple[list[_Bead], int] | Refusal:
-    """Return the beads of one exposure, and the number of false ones; or why there are none."""
+def _image(scene: HardView, rng: np.random.Generator, dose: str) -> tuple[Beads, int | None]:
+    """Return the beads of one exposure, and the number of labels that no bead has; None if it was not labelled."""
     frame = Frame.load("gamma")
     image, truth = scene.exposed(rng, dose, even_scatter=False, scatter_mm=12.0)
-    bound, own = (np.sqrt(np.trace(centroid_bounds(truth, own=each), axis1=1, axis2=2) / 2) for each in (False, True))
-    try:
-        beads = detect(image)
-        labelled = label(beads, frame)
-    except (DetectionRefusedError, LabellingRefusedError) as refused:
-        return Refusal(f"{dose} dose: {refused}")
-    seen = look_again(image, beads, labelled, frame)
-    assert seen.covariance_px2 is not None
+    kinds, bounds = np.array(covers(truth)), centroid_bounds(truth)
+    beads = {finder: np.full(len(truth), np.nan) for finder in FINDERS}
+    beads |= {"kind": kinds, "dose": np.full(len(truth), dose)}
+    for name, each in (("bound", bounds), ("own", centroid_bounds(truth, np.isin(kinds, DEEP)))):
+        beads[name] = np.sqrt(np.trace(each, axis1=1, axis2=2) / 2)
+    beads["in_view"], false = np.zeros(len(truth), dtype=bool), None
+
+    def find(finder: str, uv: np.ndarray, covariance: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
+        apart = np.linalg.norm(truth.shadow_px[:, None] - uv.reshape(1, -1, 2), axis=-1)
+        rows = np.flatnonzero(apart.min(axis=1, initial=np.inf) < FOUND_PX)
+        nearest = apart[rows].argmin(axis=1)
+        error = uv[nearest] - truth.shadow_px[rows]
+        beads[finder][rows] = mahalanobis2(error, covariance(rows, nearest)) / 2
+
+    white, finders = image.white, (blobs.opencv(**OPENCV), blobs.trackpy(SMALL_PX, characterize=False))
+    for finder, peer, pixels in zip(FINDERS, finders, (image.pixels, image.pixels.astype(float)), strict=False):
+        find(finder, peer(pixels, white), lambda rows, _: np.tile(np.eye(2), (len(rows), 1, 1)))
+    with suppress(DetectionRefusedError, LabellingRefusedError):
+        found = detect(image)
+        find("over bound", found.uv_px, lambda rows, _: bounds[rows])
+        find("detect", found.uv_px, lambda _, nearest: found.covariance_px2[nearest])
+        labelled = label(found, frame)
+        looked = look_again(image, found, labelled, frame)
+        beads["in_view"] = np.array([name in frame.view(labelled.view).by_id for name in truth.ids])
+        beads["labelled"], _ = _errors(labelled, truth, scene)
+        beads["looked"], false = _errors(looked, truth, scene)
+    return beads, false
+
+
+def _errors(seen: Observations, truth: BeadTruth, scene: HardView) -> tuple[np.ndarray, int]:
+    """Return half the squared normalised error of each bead that has its label, else NaN; and the false labels."""
     balls = scene.setup.true_frame.fiducials  # also those whose centres lie just outside the field
     xyz, radius = np.array([ball.xyz_mm for ball in balls]), np.array([ball.diameter_mm / 2 for ball in balls])
     place = dict(zip([ball.id for ball in balls], shadow_centres_px(scene.projection.view, xyz, radius), strict=True))
-    row, kinds, plates = {name: k for k, name in enumerate(seen.ids)}, covers(truth), frame.view(labelled.view).by_id
-    false = sum(np.hypot(*(seen.uv_px[k] - place[name])) > FOUND_PX for name, k in row.items())
-    counted = []
-    for i in np.flatnonzero((bound < LOOK_PX) & [name in plates for name in truth.ids]):
-        k = row.get(truth.ids[i])
-        error = np.zeros(2) if k is None else seen.uv_px[k] - truth.shadow_px[i]
-        square = 0.0 if k is None else float(mahalanobis2(error, seen.covariance_px2[k])) / 2
-        at_first = truth.ids[i] in labelled.ids
-        counted.append(_Bead(kinds[i], dose, at_first, k is not None, square, bool(own[i] < LOOK_PX)))
-    return counted, int(false)
+    assert seen.covariance_px2 is not None
+    error = seen.uv_px - np.array([place[name] for name in seen.ids])
+    square = dict(zip(seen.ids, mahalanobis2(error, seen.covariance_px2) / 2, strict=True))
+    return np.array([square.get(name, np.nan) for name in truth.ids]), int((np.hypot(*error.T) > FOUND_PX).sum())
 
 
 def covers(truth: BeadTruth) -> list[str]:

@@ -1,8 +1,8 @@
 """Holes of a nail from two views, and drilled by the robot: error, coverage and refusals.
 
 Points are those of scenes/nails.py, on views calibrated from their beads. The sizes of the nail differ from the
-stated ones by machining tolerances. Images are the twin's, and those whose rays gVirtualXray casts (gvxr.py; optional:
-`pip install gvxr`).
+stated ones by machining tolerances. Images are those whose rays gVirtualXray casts (gvxr.py; optional: `pip install
+gvxr`); those of the twin are in tests/test_interlocking.py.
 """
 
 import time
@@ -27,15 +27,12 @@ from sightline.imaging import Radiograph
 from sightline.planning import Hole, Nail, fit_hole, perfect_circle
 from sightline.studies.scenes import calibrated_views, measure
 from sightline.twin import SetUp, ViewTruth, draw_setup
-from sightline.twin.anatomy.nailed_femur import DistalNail, draw_nail, nail_scene
-from sightline.twin.objects.things import frame_scene
+from sightline.twin.anatomy.nailed_femur import DistalNail, draw_nail
 from sightline.twin.xray.distributions import beam_at
-from sightline.twin.xray.render import expose
 
 NAILS = 500
 MAX_MM, MAX_DEG, COVERAGE = 0.3, 0.7, 0.02  # of 95 % of the nails; of the stated 95 % regions
 OTHERS = (("block30", 0.3), ("block60", 0.0), ("gamma", 0.0))
-RENDERED = 10  # nails of the twin's images for each of
 CHAINS = (("block30", "flat-panel"), ("stereo", "9in-1k"), ("stereo", "9in-pal"), ("stereo", "17cm-1k"))
 CAST = 50  # nails of another projector for each of
 JUDGED = 13  # stream of seeds of these nails; on stream 12 the method was tuned, on this never
@@ -61,8 +58,6 @@ def run(quick: bool) -> list[Row]:
     name = f"nails as points, block30, moved between the images by {MOVED_MM[0]} to {MOVED_MM[1]:g} mm along the second"
     value = f"{len(off)} of {number // 4}; {sum(each > WRONG_MM for each in off)} of {len(off)}"
     rows.add(f"{name} beam: no check of the hole fails; of these, axis off by more than {WRONG_MM} mm", value)
-    rendered = trials(_rendered, product(CHAINS, range(1 if quick else RENDERED)))
-    _add(rows, "rendered by the twin, four chains, strokes and clicks 2 px off", rendered)
     if INSTALLED:
         _add_cast(rows, trials(_cast, product(CHAINS, range(1 if quick else CAST))))
     else:
@@ -151,16 +146,6 @@ def _moved(seed: int) -> dict[str, float] | Refusal:
     moved = replace(nail, hole_mm=nail.hole_mm + rng.uniform(*MOVED_MM) * beam / np.linalg.norm(beam))
     edges = seen(rng, nail, {first: at}) + seen(rng, moved, {second: then})
     return _score(fit_hole(views, edges, known_nail(nail)), moved)
-
-
-def _rendered(case: tuple[tuple[str, str], int]) -> dict[str, float] | Refusal:
-    """Return the errors of one rendered nail, found from strokes and clicks."""
-    (frame, chain), seed = case
-    rng = np.random.default_rng([seed, 7])
-    setup, views, nail = _drawn(rng, frame, chain)
-    scene, truths = frame_scene(setup.true_frame) + nail_scene(nail), list(setup.views.values())
-    images = [expose(truth, scene).read_out(rng) for truth in truths]
-    return _found(views, images, _clicked(rng, *_exact(nail, truths)), nail)
 
 
 def _cast(case: tuple[tuple[str, str], int]) -> tuple[Any, Any]:

@@ -8,16 +8,15 @@ import numpy as np
 
 from benchmarks.harness import Row, Rows, trials
 from benchmarks.scenes.balls import BALL_SD_MM, draw_cloud, draw_cloud_scene
-from benchmarks.scenes.plates import Scene, clean_views, draw_scene
+from benchmarks.scenes.plates import Scene, draw_scene
 from sightline.detection import Observations, label
 from sightline.detection.labelling.cloud import label_cloud
 from sightline.errors import LabellingRefusedError
 from sightline.frame import Frame
-from sightline.twin.xray.presets import PRESETS
 
-SCENES, CLEAN = 5_000, 100
+SCENES = 5_000
 BLOCK = 50  # scenes of one job
-PLATE_SEED, SOLID_SEED, CLEAN_SEED = 2, 5, 9
+PLATE_SEED, SOLID_SEED = 2, 5
 SEEN = 9  # balls seen from which a scene must be labelled, where the solid has as many
 MIN_LABELLED = {"labelling": 98.0, "cloud": 99.0}  # % of the scenes that can be
 
@@ -75,10 +74,10 @@ class Outcome:
 
 def run(quick: bool) -> list[Row]:
     """Return the rows of this benchmark."""
-    return _plates(SCENES // 10 if quick else SCENES, CLEAN // 10 if quick else CLEAN) + _solids(10 if quick else 1)
+    return _plates(SCENES // 10 if quick else SCENES) + _solids(10 if quick else 1)
 
 
-def _plates(number: int, clean: int) -> Rows:
+def _plates(number: int) -> Rows:
     rows = Rows("labelling")
     every = [scene for job in trials(_plate_scenes, range(0, number, BLOCK)) for scene in job]
     solvable, fewer = ([scene for scene in every if scene.solvable is can] for can in (True, False))
@@ -95,9 +94,6 @@ def _plates(number: int, clean: int) -> Rows:
     rows.add(name, "; ".join(map(str, wrong)), "0", not any(wrong))
     share, taken = 100 * np.mean([s.share for s in every if s.labelled]), np.median([s.seconds for s in every])
     rows.add("beads seen that were labelled; processor time, median", f"{share:.1f} %; {1e3 * taken:.1f} ms")
-    counts = [_clean(chain, cropped, clean) for chain in PRESETS for cropped in (False, True)]
-    name = f"clean views of the twin, {', '.join(PRESETS)}, each whole and cropped, {clean} of each: refused or wrong"
-    rows.none(name, sum(counts))
     return rows
 
 
@@ -127,21 +123,6 @@ def _judged(seen: Observations, scene: Scene) -> tuple[int, int, int]:
     wrong = sum(bool(truth) and name not in truth for name, truth in zip(seen.ids, of, strict=True))
     false = sum(not truth for truth in of)
     return wrong, false, len(of) - wrong - false
-
-
-def _clean(chain: str, cropped: bool, count: int) -> int:
-    """Return how many of `count` clean views are refused or labelled wrongly."""
-    frame, bad, number, seed = Frame.load("gamma"), 0, 0, 0
-    while number < count:
-        views = clean_views(np.random.default_rng([CLEAN_SEED, seed]), frame, chain, cropped=cropped)
-        for scene in (view for view in views if view.solvable):
-            try:
-                bad += _judged(label(scene.detections, frame), scene)[:2] != (0, 0)
-            except LabellingRefusedError:
-                bad += 1
-            number += 1
-        seed += 1
-    return bad
 
 
 def _solids(share: int) -> Rows:

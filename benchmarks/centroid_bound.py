@@ -35,20 +35,23 @@ class _Profile:
     contrast: float
 
 
-def centroid_bounds(truth: BeadTruth, *, own: bool = False) -> np.ndarray:
+def centroid_bounds(truth: BeadTruth, own: np.ndarray | None = None) -> np.ndarray:
     """Return the bounds (N, 2, 2), px²; infinite where the image does not determine a centre.
 
-    `own`: from the pixels that a single shadow changes alone.
+    `own` (N,) bool: of these beads alone, from the pixels that a single shadow changes.
     """
     exposure = truth.exposure
     ratio = np.where(exposure.field, exposure.quanta / np.maximum(exposure.open_quanta, 1e-9), 1.0)
     mean, white = exposure.mean_pixels(), exposure.chain.white
     sd = np.sqrt(np.maximum(mean, 1.0) * exposure.gain / (4 * np.pi * exposure.core_px**2))
     clear = exposure.field & (mean + sd < white)
-    if own:
+    if own is not None:
         clear &= ~_shared(truth)
     profiles = [_profile(truth, ratio, i) for i in range(len(truth))]
-    return np.stack([_bound(truth, ratio, clear, profiles, i) for i in range(len(truth))])
+    bounds = np.full((len(truth), 2, 2), np.inf)
+    for i in range(len(truth)) if own is None else np.flatnonzero(own):
+        bounds[i] = _bound(truth, ratio, clear, profiles, i)
+    return bounds
 
 
 def _shared(truth: BeadTruth) -> np.ndarray:
