@@ -4,29 +4,21 @@
 The metric of a method is the largest error of the four targets, compared over the set-ups in which both methods give a
 result (`localized` refuses targets whose containing triangle is a sliver).
 
-`localized` is the paper's method, which reconstructs the point of closest approach. A smaller sample starts from
-images: the paper's object of four balls in the frame, rendered, detected and labelled.
+`localized` is the paper's method, which reconstructs the point of closest approach. Rendered pairs are in `coverage`.
 """
 
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-import sightline as sl
-from benchmarks.harness import Rows, columns, finished, rms, spread, trials
-from sightline.errors import RefusedError
+from benchmarks.harness import Rows, columns, rms, spread, trials
 from sightline.frame import Frame
-from sightline.studies.assess import Assessment, MeasuredPoints, assess, find_balls
 from sightline.studies.bound import bound
 from sightline.studies.methods import errors
-from sightline.studies.scenes import BEADS_20UM, EXACT, VIEWS, WHOLE, draw_scene
-from sightline.twin import draw_setup, render
-from sightline.twin.scenes.hip_scene import four_balls
+from sightline.studies.scenes import BEADS_20UM, EXACT, WHOLE, draw_scene
 
 SETUPS = 200
-IMAGED = 20  # set-ups with rendered images
 BEAD_PX = 0.1
 OPENCV = "OpenCV 14"
 POLYNOMIALS = ("polynomial 3", "polynomial 5", "polynomial 7")
@@ -56,7 +48,7 @@ def run(quick: bool) -> Rows:
             told = f"{peer} refuses {refused} of {number}"
             rows.number(f"smooth more accurate than {peer}, {named}", gain, ".1f", "times", least=least, peer=told)
         rows.number(f"rms (error / bound), {named}", rms(each["smooth"] / each["bound"]), most=1.25)
-    return _add_images(rows, IMAGED // 10 if quick else IMAGED)
+    return rows
 
 
 def _spread(values: np.ndarray) -> str:
@@ -77,44 +69,3 @@ def _errors(frame: str, pick_px: float, seed: int) -> dict[str, np.ndarray]:
         bounds = [bound(scene.setup, seen, target, known_map=known) for target in scene.target_mm]
         mm[name] = np.sqrt(np.trace(bounds, axis1=1, axis2=2))
     return mm
-
-
-def _add_images(rows: Rows, number: int) -> Rows:
-    done, refused = finished(trials(_table_1, range(number)))
-    rows.add("rendered images, four balls, refused", refused)
-    if done:
-        own, peer = (
-            _spread(np.array([each[name].absolute_mm.max() for each in done if name in each]))
-            for name in ("smooth", "localized")
-        )
-        name = f"rendered images, four balls, {number} set-ups: largest error, median / 95 %"
-        rows.add(name, own, peer=f"localized {peer}")
-        normalised = np.concatenate([each["smooth"].normalised for each in done])
-        value = f"{rms(normalised) / np.sqrt(3):.2f} of {len(normalised)} balls"
-        rows.add("rendered images: rms normalised error per axis", value, "1 is right")
-    return rows
-
-
-def _table_1(seed: int) -> dict[str, Assessment]:
-    """Return the paper's Table 1 from rendered images, by two methods, of the balls that no bead hides in any view."""
-    rng = np.random.default_rng([seed, 2])
-    setup = draw_setup(rng, replace(Frame.load("gamma"), tolerances=BEADS_20UM))
-    scene, balls = four_balls(setup)
-    detected = [sl.detect(render(setup, name, scene, rng)) for name in VIEWS]
-    seen = [sl.label(beads, setup.frame, name) for beads, name in zip(detected, VIEWS, strict=True)]
-    views = [sl.calibrate(beads, setup.frame) for beads in seen]
-    kept, picks = [], []
-    for number, ball in enumerate(balls, 1):
-        with suppress(RefusedError):
-            point = MeasuredPoints((str(number),), ball[None])
-            picks.append([find_balls(*each, point) for each in zip(views, detected, seen, strict=True)])
-            kept.append(number)
-    if not kept:
-        raise RefusedError("beads hide all four balls")
-    uv, covariance = (np.array([[view[k][0] for view in pick] for pick in picks]).swapaxes(0, 1) for k in range(2))
-    points = MeasuredPoints(tuple(map(str, kept)), balls[np.array(kept) - 1])
-    tables = {"smooth": assess(views, points, uv, covariance)}
-    with suppress(RefusedError):
-        localized = [sl.calibrate(beads, setup.frame, method="localized") for beads in seen]
-        tables["localized"] = assess(localized, points, uv, covariance, "nearest")
-    return tables

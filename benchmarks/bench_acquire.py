@@ -1,7 +1,6 @@
-"""Acquisition: C-STORE of a hundred images from a faulty sender, images per second, video, burnt-in annotations."""
+"""Acquisition: C-STORE of a hundred images from a faulty sender, images per second, video."""
 
 import os
-import resource
 import signal
 import socket
 import struct
@@ -19,15 +18,12 @@ from pydicom import Dataset, dcmread
 from pynetdicom import AE
 from pynetdicom.association import Association
 
-from benchmarks.harness import Rows, time_ms
+from benchmarks.harness import Rows
 from sightline.case.acquire import Acquirer
 from sightline.case.acquire.dicom import DicomReceiver, Peer
 from sightline.case.journal import Case
-from sightline.detection import detect
-from sightline.frame import Frame
 from sightline.imaging import Radiograph, write_dicom
 from sightline.imaging.sources import VideoSource
-from sightline.twin import draw_setup, hip_scene, render
 
 IMAGES, SIDE = 100, 1024
 XA = "1.2.840.10008.5.1.4.1.1.12.1"
@@ -55,7 +51,7 @@ def run(quick: bool) -> Rows:
     with tempfile.TemporaryDirectory() as folder:
         _add_store(rows, Path(folder), IMAGES // 10 if quick else IMAGES)
         _add_video(rows, Path(folder), 2 if quick else SECONDS)
-    return _add_annotations(rows)
+    return rows
 
 
 def _add_store(rows: Rows, folder: Path, images: int) -> None:
@@ -67,19 +63,15 @@ def _add_store(rows: Rows, folder: Path, images: int) -> None:
     with Case.create(folder / "case") as case:
         acquirer, receiver = Acquirer(case), DicomReceiver([Peer.parse("CARM@127.0.0.1")], port=0)
         with receiver, receiver.receiving(acquirer, lambda _: None):
-            answered, peak_mb = 0, 0.0
+            answered = 0
             for k, file in enumerate(files):
                 _misbehave(k, receiver.port, file)
                 answered += _is_answered(receiver.port, dcmread(file))
-                with suppress(OSError):  # no /proc: not measured
-                    pages = int(Path("/proc/self/statm").read_text().split()[1])
-                    peak_mb = max(peak_mb, pages * resource.getpagesize() / 2**20)
             held = len({entry.content["pixels_sha256"] for entry in case.entries()})
             whole = all(check.passed for check in case.check())
     name = f"C-STORE of {images} images; between them the sender aborts, reconnects, sends garbage, is killed"
     value, met = f"{held} of {images} kept, {answered} answered with success", held == answered == images and whole
     rows.add(name, value, f"{images} of {images}, the case whole", met)
-    rows.number("memory of receiver and sender meanwhile, most", peak_mb, ".0f", "MB")
     rate, cpu_ms, floor = _rates(folder, files[: min(50, images)])
     name = f"C-STORE of {SIDE}² 16 bit on one association, each synced before its answer"
     value = f"{rate:.0f} images/s, {cpu_ms:.0f} ms of CPU an image, sender included"
@@ -180,22 +172,3 @@ def _add_video(rows: Rows, folder: Path, seconds: int) -> None:
     name, met = f"video {SIDE}², MJPEG, at {FPS} frames a second", share < MAX_SHARE and came == FPS * seconds
     value = f"{100 * share:.0f} % of a core, {came} of {FPS * seconds} frames"
     rows.add(name, value, f"{100 * MAX_SHARE:.0f} %", met, peer=f"OpenCV's decoding alone {100 * bare:.0f} %")
-
-
-def _add_annotations(rows: Rows) -> Rows:
-    """Measure what the search for burnt-in annotations adds to a detection."""
-    rng = np.random.default_rng(3)
-    setup = draw_setup(rng, Frame.load("gamma"))
-    image = render(setup, "pa", hip_scene(setup, rng).scene, rng)
-
-    def with_field() -> Radiograph:
-        fresh = Radiograph(image.pixels, image.white)
-        assert fresh.field_mask.any()
-        return fresh
-
-    fresh = iter([with_field() for _ in range(17)])
-    search = time_ms(lambda: next(fresh).burnt_in, 15, time.thread_time).min()
-    whole = time_ms(lambda: detect(Radiograph(image.pixels, image.white)), 15, time.thread_time).min()
-    name = f"looking for writing in an image of {SIDE}² without any"
-    rows.add(name, f"{search:.1f} ms of {whole:.0f} ms for the whole detection")
-    return rows

@@ -44,12 +44,6 @@ def run(quick: bool) -> Rows:
         share = " / ".join(f"{x:.3f}" for x in np.median(wire["robot"], axis=0))
         rows.add(f"drilled entry / end by {name}, median; within the stated 95 %", f"{median} mm; {covered}",
                  peer=f"{stated}; the robot's share {share} mm")  # fmt: skip
-        held = wire["gripped"]
-        if held.any():
-            off, inside = wire["off"][held], (wire["off"] <= wire["stated"])[held].sum(axis=0)
-            median = " / ".join(f"{x:.3f}" for x in np.median(off, axis=0))
-            covered = f"{inside[0]} and {inside[1]} of {held.sum()}"
-            rows.add(f"of these by {name}, the sleeve held by the bone", f"{median} mm; {covered}")
     return rows
 
 
@@ -70,12 +64,10 @@ def _drilled(seed: int) -> dict[str, dict[str, Any]]:
     for by, target in targets.items():
         theatre = rehearsal.theatre()  # the same true robot
         theatre.drill(target, depth_limit_mm(known, target, rng))
-        assert theatre.plant.wire is not None
         true, alone = (InsertionOutcome.of(theatre.wire.axis_mm, line) for line in (ideal, wire_mm))
         errors[by] = {
             "off": (true.entry_mm, true.end_mm),
             "stated": (target.entry_error_95_mm, target.end_error_95_mm),
             "robot": (alone.entry_mm, alone.end_mm),
-            "gripped": theatre.plant.wire.gripped,
         }
     return errors

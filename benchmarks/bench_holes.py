@@ -159,9 +159,7 @@ def _cast(case: tuple[tuple[str, str], int]) -> tuple[Any, Any]:
     rays = [cast_nail(truth, nail, setup.true_frame, px) for truth, px in zip(truths, windows, strict=True)]
     drawn = _clicked(rng, strokes, clicks)
     casts = list(zip(truths, rays, windows, strict=True))
-    whole, hidden = (
-        [nail_image(*each, rng, material=nail.material, hidden=hides) for each in casts] for hides in (False, True)
-    )
+    whole, hidden = ([nail_image(*each, rng, hidden=hides) for each in casts] for hides in (False, True))
     return _found(views, whole, drawn, nail), _found(views, hidden, drawn, nail)
 
 

@@ -32,8 +32,6 @@ from benchmarks.harness import Row, Rows, time_ms, times_ms
 from sightline.frame import Frame
 from sightline.planning import corridor, kind, matching_curve, plan
 from sightline.studies.scenes import WHOLE, draw_scene
-from sightline.twin import draw_setup, render
-from sightline.twin.objects.things import frame_scene
 
 MAX_MS, MAX_MB, MAX_FIRST_S = 33.0, 200.0, 1.5
 MAX_BLAS_RATIO = 1.1  # of the slower over the faster environment: the noise of two processes
@@ -43,8 +41,7 @@ FOUND_PX = 2.0  # a bead counts as found if a blob lies within this distance of 
 RUNS = 60
 
 SIDES = (512, 724, 1024, 1448, 2048, 2896, 4096)
-COUNTS = (50, 100, 200, 400)
-SIDE, COUNT = 1024, 100  # of the images that vary in the other property
+SIDE, COUNT = 1024, 100  # from which the exponent is taken; beads
 RADIUS_PX, DEPTH, QUANTA, BLUR_PX, WHITE = 7.0, 3.0, 2000.0, 0.9, 4095.0
 MAX_EXPONENT = 1.1  # of the cost over the pixels from 1024² on: linear, with a tenth for the machine's caches
 SIZE_RUNS = 8
@@ -78,7 +75,8 @@ for _ in range(int(sys.argv[2])):
     taken.append(1e3 * (time.process_time() - started))
 errors = first.posterior.line_errors(first.residuals.uv_px[:5])
 numbers = (first.focal_point_mm, first.residuals.uv_px, np.diagonal(errors.noise), np.diagonal(errors.misfit))
-print(peak, begun, min(taken), *(float(x).hex() for x in np.concatenate([n.ravel() for n in numbers])))
+every = [peak, begun, min(taken), *np.concatenate([n.ravel() for n in numbers])]
+print(*(float(x).hex() for x in every))
 """
 # What differs between the processes, beside the image's form.
 _ENVIRONMENTS = {
@@ -117,10 +115,7 @@ def _view(runs: int, quick: bool) -> Rows:
         images = [_read(folder, name) for name in ("pa", "lateral")]
         processes = _processes(folder / "demo_pa.dcm", 1 if quick else 3, runs)
     frame = sl.Frame.load("gamma")
-    finders = {
-        "SimpleBlobDetector": _fastest(_blob_detectors(), images),
-        "trackpy.locate": _fastest(_locates(), images),
-    }
+    finders = {name: _fastest(grid, images) for name, grid in _peers().items()}
 
     def each(stage: Callable[[_Image], object]) -> Callable[[], object]:
         return lambda: [stage(image) for image in images]
@@ -145,11 +140,6 @@ def _view(runs: int, quick: bool) -> Rows:
     rows.number(name, ms["whole"], ".1f", "ms", most=MAX_MS, peer=f"only finding blobs: {peers}")
     stages = [ms[stage] for stage in ("field", "detect", "label", "calibrate")]
     rows.number("of which field of view / detect / label / calibrate", stages, ".1f", "ms")
-    rng = np.random.default_rng(1)
-    setup = draw_setup(rng, frame, chain="flat-panel-0.1")
-    panel = render(setup, "pa", frame_scene(setup.true_frame), rng)
-    taken = time_ms(lambda: sl.detect(sl.Radiograph(panel.pixels, panel.white)), max(runs // 10, 2))
-    rows.number("detect on a flat panel of 3000²", np.median(taken), ".0f", "ms")
     _add_processes(rows, processes)
     return rows
 
@@ -164,104 +154,81 @@ def _read(folder: Path, name: str) -> _Image:
     return _Image(sl.read_image(folder / f"demo_{name}.dcm"), uv, np.array(detected["radius_px"])[near])
 
 
-@dataclass(frozen=True)
-class _Process:
-    """What `_PROCESS` prints: peak memory, processor times of the first view and of a later one, a view's numbers."""
-
-    peak_mb: float
-    first_s: float
-    view_ms: float
-    numbers: tuple[float, ...]
-
-
-def _processes(image: Path, rounds: int, runs: int) -> dict[str, list[_Process]]:
-    """Return `_PROCESS` in all environments, which alternate; the image is an array but for "DICOM"."""
+def _processes(image: Path, rounds: int, runs: int) -> dict[str, np.ndarray]:
+    """Return what `_PROCESS` prints (rounds, N) in all environments, which alternate; the image is an array but for
+    "DICOM"."""
     ours = "PYTHONDONTWRITEBYTECODE"  # an installed package has its bytecode
     free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS") and name != ours}
     read, array = sl.read_image(image), image.with_suffix(".npy")
     np.save(array, read.pixels)
-    processes: dict[str, list[_Process]] = {name: [] for name in _ENVIRONMENTS}
+    printed: dict[str, list[list[float]]] = {name: [] for name in _ENVIRONMENTS}
     for _, (name, changed) in product(range(rounds), _ENVIRONMENTS.items()):
         command = [sys.executable, "-c", _PROCESS, str(image if name == "DICOM" else array), str(runs), str(read.white)]
         done = subprocess.run(command, check=True, capture_output=True, text=True, env={**free, **changed})
-        printed = done.stdout.split()
-        processes[name].append(_Process(*map(float, printed[:3]), tuple(map(float.fromhex, printed[3:]))))
-    return processes
+        printed[name].append([*map(float.fromhex, done.stdout.split())])
+    return {name: np.array(values) for name, values in printed.items()}
 
 
-def _add_processes(rows: Rows, processes: dict[str, list[_Process]]) -> None:
+def _add_processes(rows: Rows, processes: dict[str, np.ndarray]) -> None:
     """Add the smallest of each processor time, and the largest peak."""
-
-    def least(name: str, key: str) -> float:
-        return min(getattr(process, key) for process in processes[name])
 
     def difference(name: str) -> float:
         """Return the largest relative difference of a view's numbers from those of the first process."""
-        usual = np.array(processes["array"][0].numbers)
-        others = np.array([process.numbers for process in processes[name]])
-        return float(np.max(np.abs(others - usual) / np.maximum(np.abs(usual), np.finfo(float).tiny)))
+        usual = processes["array"][0, 3:]
+        return float(np.max(np.abs(processes[name][:, 3:] - usual) / np.maximum(np.abs(usual), np.finfo(float).tiny)))
 
-    fixed, free = (least(name, "view_ms") for name in ("one thread of linear algebra", "array"))
-    blas, counts = (difference("one thread of linear algebra"), max(difference(f"{n} threads") for n in (1, 2, 3, 4)))
-    value, met = (
-        "OTHER bits" if blas else "the same bits",
-        not blas and max(fixed, free) <= MAX_BLAS_RATIO * min(fixed, free),
-    )
+    fixed, free = (processes[name][:, 2].min() for name in ("one thread of linear algebra", "array"))
+    blas, counts = difference("one thread of linear algebra"), max(difference(f"{n} threads") for n in (1, 2, 3, 4))
+    value = f"{fixed:.1f} / {free:.1f} ms, {'OTHER bits' if blas else 'the same bits'}"
+    met = not blas and max(fixed, free) <= MAX_BLAS_RATIO * min(fixed, free)
     name = "processor time of a view, with / without OPENBLAS_NUM_THREADS=1"
-    rows.add(name, f"{fixed:.1f} / {free:.1f} ms, {value}", f"<= {MAX_BLAS_RATIO:g} x, the same bits", met)
+    rows.add(name, value, f"<= {MAX_BLAS_RATIO:g} x, the same bits", met)
     other = difference("another processor")
-    name = (
-        "largest relative difference of a view with 1, 2, 3 and 4 threads; with OpenBLAS's kernels of another processor"
-    )
+    name = "largest relative difference of a view with 1 to 4 threads; with OpenBLAS's kernels of another processor"
     value = f"{f'{counts:.1g}' if counts else 'none: the same bits'}; {other:.1g}"
     rows.add(name, value, f"the same bits; < {MAX_DIFFERENCE:g}", not counts and other < MAX_DIFFERENCE)
-    first, dicom = (least(name, "first_s") for name in ("array", "DICOM"))
+    first, dicom = (processes[name][:, 1].min() for name in ("array", "DICOM"))
     name = "processor time of a new process with its first view, kernels compiled: of an array; of a DICOM file"
     rows.add(name, f"{first:.2f} s; {dicom:.2f} s", f"<= {MAX_FIRST_S:g} s", first <= MAX_FIRST_S)
-    peak, with_dicom = (max(process.peak_mb for process in processes[name]) for name in ("array", "DICOM"))
+    peak, with_dicom = (processes[name][:, 0].max() for name in ("array", "DICOM"))
     name = "peak memory of the process: an array; a DICOM file"
     rows.add(name, f"{peak:.0f} MB; {with_dicom:.0f} MB", f"< {MAX_MB:.0f} MB", peak < MAX_MB)
 
 
-def _blob_detectors() -> list[blobs.Finder]:
+def _peers() -> dict[str, list[blobs.Finder]]:
+    """Return finders of blobs by name, with parameters of a small grid."""
     options = {"minThreshold": 10, "maxThreshold": 220, "minRepeatability": 2, "minDistBetweenBlobs": 5,
                "filterByArea": True, "minArea": 60, "maxArea": 1500, "filterByCircularity": True, "minCircularity": 0.7,
                "filterByConvexity": True, "filterByInertia": False}  # fmt: skip
-    grid = product((20, 10, 5, 3, 2), (0.9, 0.8))
-    return [blobs.opencv(**options, thresholdStep=step, minConvexity=convexity) for step, convexity in grid]
-
-
-def _locates() -> list[blobs.Finder]:
-    grid = product((19, 23, 27), (64.0, 40.0), (13, 19))
-    return [blobs.trackpy(diameter, percentile=share, separation=apart) for diameter, share, apart in grid]
+    grid, diameters = product((20, 10, 5, 3, 2), (0.9, 0.8)), product((19, 23, 27), (64.0, 40.0), (13, 19))
+    return {
+        "SimpleBlobDetector": [blobs.opencv(**options, thresholdStep=step, minConvexity=least) for step, least in grid],
+        "trackpy.locate": [blobs.trackpy(size, percentile=share, separation=by) for size, share, by in diameters],
+    }
 
 
 def _recall(find: blobs.Finder, images: list[_Image]) -> float:
     hits = []
     for image in images:
-        spots = find(image.radiograph.pixels, float(image.radiograph.pixels.max()))
-        if not len(spots):
-            return 0.0
-        distance = np.linalg.norm(image.bead_px[:, None] - spots[None], axis=2).min(axis=1)
+        spots = find(image.radiograph.pixels, float(image.radiograph.pixels.max())).reshape(1, -1, 2)
+        distance = np.linalg.norm(image.bead_px[:, None] - spots, axis=2).min(axis=1, initial=np.inf)
         hits.append(distance < np.maximum(FOUND_PX, 0.3 * image.radius_px))
     return float(np.concatenate(hits).mean())
 
 
 def _fastest(finders: list[blobs.Finder], images: list[_Image]) -> tuple[blobs.Finder, float]:
     """Return the fastest finder with enough recall, else the one with the highest, and its recall."""
-    graded = []
-    for find in finders:
-        recall, started = _recall(find, images), time.perf_counter()
-        find(images[0].radiograph.pixels, float(images[0].radiograph.pixels.max()))
-        graded.append((recall < MIN_RECALL, time.perf_counter() - started if recall >= MIN_RECALL else -recall, recall))
-    best = min(range(len(finders)), key=lambda k: graded[k][:2])
-    return finders[best], graded[best][2]
+    recall = [_recall(find, images) for find in finders]
+    enough = [k for k, share in enumerate(recall) if share >= MIN_RECALL]
+    pixels = images[0].radiograph.pixels
+    taken = {k: time_ms(lambda k=k: finders[k](pixels, float(pixels.max())), 1)[0] for k in enough}
+    best = min(enough, key=lambda k: taken[k]) if enough else int(np.argmax(recall))
+    return finders[best], recall[best]
 
 
 def _size(quick: bool) -> Rows:
     rows, (sides, runs) = Rows("speed against size"), (SIDES[:3], 2) if quick else (SIDES, SIZE_RUNS)
     by_side = np.array([_cost_ms(side, COUNT, runs) for side in sides])
-    by_count = np.array([_cost_ms(SIDE, count, runs) for count in COUNTS])
     name = f"detect, {COUNT} beads on {' / '.join(map(str, sides))} px squared"
     rows.number(name, by_side, ".0f", "ms")
     if not quick:
@@ -269,9 +236,6 @@ def _size(quick: bool) -> Rows:
         exponent = np.polyfit(2 * np.log(np.array(sides)[large]), np.log(by_side[large]), 1)[0]
         name = f"exponent of the cost over the pixels, from {SIDE} px squared on"
         rows.number(name, exponent, ".2f", most=MAX_EXPONENT)
-    name = f"detect, {' / '.join(map(str, COUNTS))} beads on {SIDE} px squared; cost of one more bead"
-    value = f"{' / '.join(f'{ms:.0f}' for ms in by_count)} ms; {np.polyfit(COUNTS, by_count, 1)[0]:.2f} ms"
-    rows.add(name, value)
     return rows
 
 

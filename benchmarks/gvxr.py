@@ -1,10 +1,10 @@
 """Images of a block beside a hip, and of a nail in a femur's shaft, whose rays gVirtualXray has cast.
 
 Optional: `pip install gvxr` (2.1; without a GPU, Mesa's software renderer serves). Path lengths through triangle meshes
-are gVirtualXray's. Of a block's image attenuation, scatter, counts and blur are computed here, and only the places of
-source, panel, balls and hip are the twin's. Of a nail's image the energies and the attenuation are those of this file;
-the nail's mesh and the detector's distortion, blur, glare, noise and video are the twin's. Only the pixels around the
-nail are drawn; the others are 0.
+are gVirtualXray's; energies and attenuation are those of this file. Of a block's image scatter, counts and blur are
+computed here, and only the places of source, panel, balls and hip are the twin's. Of a nail's image the nail's mesh and
+the detector's distortion, blur, glare, noise and video are the twin's. Only the pixels around the nail are drawn; the
+others are 0.
 """
 
 from collections.abc import Iterable, Mapping
@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter, map_coordinates, uniform_filter
 from trimesh.creation import cylinder
 
@@ -26,26 +25,25 @@ from sightline.twin.anatomy.nailed_femur import CORTEX_MM, THIGH_MM, DistalNail
 from sightline.twin.xray.render import DOSES, Exposure
 
 INSTALLED = find_spec("gvxrPython3") is not None
-# Attenuation at an effective 52 keV, 1/mm [xraydb tables, rounded]; what a part displaces is subtracted.
-STEEL, BONE, TISSUE, PMMA = 1.46, 0.078, 0.0236, 0.0247
+# Attenuation at 45, 55, 65 and 80 keV, 1/mm [mem: XCOM, rounded], and the share of each energy behind a thigh [ours].
+PER_MM = {
+    "titanium": np.array([0.73, 0.435, 0.29, 0.183]),
+    "steel": np.array([2.10, 1.24, 0.79, 0.47]),
+    "bone": np.array([0.095, 0.070, 0.058, 0.045]),
+    "tissue": np.array([0.0245, 0.0218, 0.0203, 0.0187]),
+    "pmma": np.array([0.0262, 0.0237, 0.0223, 0.0208]),
+}
+SHARES = np.array([0.25, 0.30, 0.27, 0.18])
 QUANTA, SCATTER = 200.0, 0.5  # per pixel, mean of the image's middle; scatter over primary, even [ours]
 BLUR_MM, WHITE, LEVEL = 0.15, 65535, 0.3  # s.d. of the panel's blur; mean of the middle over white [ours]
 SCATTER_MM = 30.0  # s.d. of the scatter's spread
 COVER_MM = 3.5  # PMMA over the balls' centres
-# Attenuation at 45, 55, 65 and 80 keV, 1/mm [mem: XCOM, rounded], and the share of each energy behind a thigh [ours].
-PER_MM = {
-    "titanium": (0.73, 0.435, 0.29, 0.183),
-    "steel": (2.10, 1.24, 0.79, 0.47),
-    "bone": (0.095, 0.070, 0.058, 0.045),
-    "tissue": (0.0245, 0.0218, 0.0203, 0.0187),
-}
-SHARES = np.array([0.25, 0.30, 0.27, 0.18])
 MARGIN_PX = 40  # drawn beyond the strokes
 ROD_MM = 4.0  # diameter of what hides a part of the lens
 RAYS = 3  # along each side of a pixel: a pixel shows the mean light of its area, which is not that of its mean length
-EVEN = ("shaft", "canal", "thigh")  # one ray for each pixel is enough
 
 Meshes = Mapping[str, trimesh.Trimesh]
+Parts = Mapping[str, tuple[trimesh.Trimesh, np.ndarray]]  # with the attenuation above what a part displaces, 1/mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +108,19 @@ def _ball(centre_mm: Any, radius_mm: float, subdivisions: int = 3) -> trimesh.Tr
     return ball
 
 
+def _above(material: str, displaced: str = "tissue") -> np.ndarray:
+    return PER_MM[material] - PER_MM[displaced]
+
+
+def _light(lengths: Mapping[str, np.ndarray], attenuation: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the share (H, W) of the light that passes path lengths (H, W), mm."""
+    energies = zip(SHARES, np.array(list(attenuation.values())).T, strict=True)
+    return sum(
+        share * np.exp(-sum(per_mm * lengths[key] for key, per_mm in zip(attenuation, each, strict=True)))
+        for share, each in energies
+    )
+
+
 def _ellipse(half_mm: tuple[float, float], height_mm: float, at_mm: np.ndarray) -> trimesh.Trimesh:
     """Return a cylinder along CFCS y with an elliptical section."""
     body = cylinder(1.0, height=height_mm, sections=192)
@@ -119,9 +130,8 @@ def _ellipse(half_mm: tuple[float, float], height_mm: float, at_mm: np.ndarray) 
     return body
 
 
-def block_parts(frame: Frame, wire_mm: np.ndarray) -> dict[str, tuple[trimesh.Trimesh, float]]:
-    """Return the meshes of a block's true balls and PMMA and of a plain hip around a wire (2, 3): entry, end; each with
-    its attenuation above what it displaces, 1/mm."""
+def block_parts(frame: Frame, wire_mm: np.ndarray) -> Parts:
+    """Return a block's true balls and PMMA and a plain hip around a wire (2, 3): entry, end."""
     assert frame.solid is not None
     xyz, (entry, end) = frame.solid.xyz_mm, wire_mm
     bounds = np.stack([xyz.min(axis=0) - COVER_MM, xyz.max(axis=0) + COVER_MM])
@@ -131,20 +141,19 @@ def block_parts(frame: Frame, wire_mm: np.ndarray) -> dict[str, tuple[trimesh.Tr
         cylinder(16.0, segment=np.stack([end, entry]), sections=96),
         cylinder(15.0, segment=np.stack([entry - 25.0 * down, entry + 150.0 * down]), sections=96),
     ]
+    body = _ellipse((140.0, 105.0), 500.0, wire_mm.mean(axis=0) + np.array([-35.0, 0.0, -5.0]))
     return {
-        "balls": (balls(frame.solid.fiducials, 3), STEEL - PMMA),
-        "block": (trimesh.creation.box(bounds=bounds), PMMA - TISSUE),
-        **{f"bone {k}": (mesh, 0.5 * (BONE - TISSUE)) for k, mesh in enumerate(bone)},
-        "body": (_ellipse((140.0, 105.0), 500.0, wire_mm.mean(axis=0) + np.array([-35.0, 0.0, -5.0])), TISSUE),
+        "balls": (balls(frame.solid.fiducials, 3), _above("steel", "pmma")),
+        "block": (trimesh.creation.box(bounds=bounds), _above("pmma")),
+        **{f"bone {k}": (mesh, 0.5 * _above("bone")) for k, mesh in enumerate(bone)},
+        "body": (body, PER_MM["tissue"]),
     }
 
 
-def block_image(
-    view: ViewTruth, parts: Mapping[str, tuple[trimesh.Trimesh, float]], rng: np.random.Generator
-) -> Radiograph:
+def block_image(view: ViewTruth, parts: Parts, rng: np.random.Generator) -> Radiograph:
     """Draw the image of the parts on the panel of a view."""
     chain, lengths = view.chain, path_lengths_mm(view, {name: mesh for name, (mesh, _) in parts.items()})
-    primary = np.exp(-np.sum([per_mm * lengths[name] for name, (_, per_mm) in parts.items()], axis=0))
+    primary = _light(lengths, {name: per_mm for name, (_, per_mm) in parts.items()})
     quanta = (primary + SCATTER * gaussian_filter(primary, SCATTER_MM / chain.pitch_mm)) / (1 + SCATTER)
     height, width = quanta.shape
     quanta *= QUANTA / quanta[height // 4 : -height // 4, width // 4 : -width // 4].mean()
@@ -155,41 +164,30 @@ def block_image(
 
 @dataclass(frozen=True, eq=False)
 class Cast:
-    """Path lengths (H, W), mm, by material and part, of a lattice of rays; `at` (2, h, w): row and column on it of the
-    pixels of a window."""
+    """Path lengths (H, W), mm, by part, of a lattice of rays; `at` (2, h, w): row and column on it of the pixels of a
+    window; `attenuation` of each part above what it displaces."""
 
     lengths_mm: Mapping[str, np.ndarray]
     at: np.ndarray
+    attenuation: Mapping[str, np.ndarray]
 
 
 def cast_nail(view: ViewTruth, nail: DistalNail, frame: Frame, window_px: np.ndarray) -> Cast:
-    """Return the path lengths of rays near a window's pixels (h, w, 2) in each material but tissue, and in the thigh.
+    """Return the path lengths of rays near a window's pixels (h, w, 2).
 
     "rod": a steel rod along the nail, before the hole, that covers about 30 % of the lens's rim.
     """
-    xy, pitch = _to_detector(view, window_px), view.chain.pitch_mm / RAYS
+    xy, pitch = view.intensifier.to_detector(window_px), view.chain.pitch_mm / RAYS
     low, high = xy.min(axis=(0, 1)) - RAYS * pitch, xy.max(axis=(0, 1)) + RAYS * pitch
     count = np.ceil((high - low) / pitch).astype(int) + 1
     window = Window(low + (count - 1) / 2 * pitch, (int(count[1]), int(count[0])), pitch)
-    meshes = _nail_meshes(view, nail, frame)
-    lengths = path_lengths_mm(view, {key: mesh for key, mesh in meshes.items() if key not in EVEN}, window)
-    coarse = Window(window.middle_mm, (window.shape[0] // RAYS + 2, window.shape[1] // RAYS + 2), view.chain.pitch_mm)
-    each = [(np.arange(n) - (n - 1) / 2) / RAYS + (m - 1) / 2 for n, m in zip(window.shape, coarse.shape, strict=True)]
-    between = np.stack(np.meshgrid(*each, indexing="ij"))
-    for key, rough in path_lengths_mm(view, {key: meshes[key] for key in EVEN}, coarse).items():
-        lengths[key] = map_coordinates(rough, between, order=1)
-    return Cast(lengths, np.moveaxis((xy - low) / pitch, -1, 0)[::-1])
+    parts = _nail_parts(view, nail, frame)
+    lengths = path_lengths_mm(view, {key: mesh for key, (mesh, _) in parts.items()}, window)
+    at = np.moveaxis((xy - low) / pitch, -1, 0)[::-1]
+    return Cast(lengths, at, {key: per_mm for key, (_, per_mm) in parts.items()})
 
 
-def _to_detector(view: ViewTruth, window_px: np.ndarray) -> np.ndarray:
-    """Return (h, w, 2), mm, of a window's pixels: a spline through every eighth, since distortion is smooth."""
-    u, v = window_px[0, :, 0], window_px[:, 0, 1]
-    few = [np.linspace(axis[0], axis[-1], len(axis) // 8 + 4) for axis in (u, v)]
-    known = view.intensifier.to_detector(np.stack(np.meshgrid(*few), axis=-1))
-    return np.stack([RectBivariateSpline(few[1], few[0], known[..., k])(v, u) for k in (0, 1)], axis=-1)
-
-
-def _nail_meshes(view: ViewTruth, nail: DistalNail, frame: Frame) -> dict[str, trimesh.Trimesh]:
+def _nail_parts(view: ViewTruth, nail: DistalNail, frame: Frame) -> Parts:
     mesh, along = nail.mesh(), nail.along
     ends = nail.hole_mm + np.array([[-75.0], [75.0]]) * along
     shaft, canal = (cylinder(radius, segment=ends, sections=192) for radius in CORTEX_MM)
@@ -199,29 +197,25 @@ def _nail_meshes(view: ViewTruth, nail: DistalNail, frame: Frame) -> dict[str, t
     aside *= np.sign(aside @ np.ones(3)) / np.linalg.norm(aside)
     # A chord at 0.59 of the radius cuts 30 % off a circle's rim.
     at = nail.hole_mm + (0.59 * nail.hole_diameter_mm / 2 + ROD_MM / 2) * aside - 12.0 * beam
+    rod = cylinder(ROD_MM / 2, segment=at + np.array([[-40.0], [40.0]]) * along, sections=64)
     return {
-        "nail": trimesh.Trimesh(mesh.vertices_mm, mesh.triangles, process=False),
-        "shaft": shaft,
-        "canal": canal,
-        "thigh": _ellipse(THIGH_MM, 400.0, nail.hole_mm),
-        "rod": cylinder(ROD_MM / 2, segment=at + np.array([[-40.0], [40.0]]) * along, sections=64),
-        "balls": balls(frame.fiducials, 2),
+        "nail": (trimesh.Trimesh(mesh.vertices_mm, mesh.triangles, process=False), _above(nail.material)),
+        "shaft": (shaft, _above("bone")),
+        "canal": (canal, -_above("bone")),
+        "thigh": (_ellipse(THIGH_MM, 400.0, nail.hole_mm), PER_MM["tissue"]),
+        "rod": (rod, _above("steel")),
+        "balls": (balls(frame.fiducials, 2), _above("steel")),
     }
 
 
 def nail_image(
-    view: ViewTruth, rays: Cast, window_px: np.ndarray, rng: np.random.Generator, *, material: str, hidden: bool
+    view: ViewTruth, rays: Cast, window_px: np.ndarray, rng: np.random.Generator, *, hidden: bool
 ) -> Radiograph:
-    """Draw the image of a window (h, w, 2); `hidden`: with the rod. The nail is of this material."""
-    chain, dose, lengths = view.chain, DOSES["medium"], rays.lengths_mm
-    steel = lengths["balls"] + (lengths["rod"] if hidden else 0.0)
-    light = np.zeros(steel.shape)
-    for k, share in enumerate(SHARES):
-        tissue = PER_MM["tissue"][k]
-        depth = tissue * lengths["thigh"] + (PER_MM["bone"][k] - tissue) * (lengths["shaft"] - lengths["canal"])
-        depth += (PER_MM[material][k] - tissue) * lengths["nail"] + (PER_MM["steel"][k] - tissue) * steel
-        light += share * np.exp(-depth)
-    primary = map_coordinates(uniform_filter(light, RAYS), rays.at, order=1, mode="nearest")
+    """Draw the image of a window (h, w, 2); `hidden`: with the rod."""
+    chain, dose = view.chain, DOSES["medium"]
+    shown = {key: per_mm for key, per_mm in rays.attenuation.items() if hidden or key != "rod"}
+    light = uniform_filter(_light(rays.lengths_mm, shown), RAYS)
+    primary = map_coordinates(light, rays.at, order=1, mode="nearest")
     arriving = primary + chain.scatter_to_primary * gaussian_filter(primary, SCATTER_MM / chain.pitch_mm)
     wanted = dose.quanta(chain)
     quanta = wanted * arriving / arriving.mean()

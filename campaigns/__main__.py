@@ -15,7 +15,7 @@ from campaigns.campaign import called
 from sightline.errors import UnusableInputError
 from sightline.studies.runs.run import StudyRun
 
-NAMES = ("points", "images", "files", "robots", "kills", "disks", "pages")
+NAMES = ("points", "images", "files", "robots", "kills", "pages")
 TRIES = 200  # of each campaign: minutes on two cores
 
 

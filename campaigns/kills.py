@@ -1,35 +1,85 @@
-"""Programs killed while they write: acknowledged entries stay, and the next run works.
+"""Programs killed while they write: acknowledged entries stay, folders are complete or old, and the next run works.
 
-The moment is random: an operation on a file or folder, an instruction of SQLite's virtual machine, or a written byte.
+The programs are those of tests/case/test_journal_killed.py and tests/test_atomic.py, which kill them at a few steps and
+have the disks that are full, read-only or faulty. Here the step is random: an operation on a file or folder, or an
+instruction of SQLite's virtual machine.
 """
 
-import os
-import resource
-import signal
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+from tests.case.test_journal_killed import CREATE_STEPS, RECORD_STEPS, Acknowledged, killed_after, killed_at_step
+from tests.folder_program import AGAIN, NEW, OLD, killed_at, read
 
 from campaigns.campaign import Campaign, Damage, Ended
-from campaigns.programs import PROGRAMS, Steps, interrupted
+from sightline.common.atomic import write_folder
+
+KILLS = 3  # of the same case
+FOLDER_STEPS = 60  # about as many as writing a folder takes
+OLD_TEXT, NEW_TEXT, AGAIN_TEXT = ({name: data.decode() for name, data in one.items()} for one in (OLD, NEW, AGAIN))
+Kill = Callable[[Path, np.random.Generator], str]  # in an empty folder; returns what is lost
 
 
-def killed(name: str, rng: np.random.Generator) -> Ended:
-    """Kill one program."""
-
-    def prepare(kind: str, at: int, _: Path) -> None:
-        if kind == "byte":  # the kernel kills the process while it writes a longer file
-            resource.setrlimit(resource.RLIMIT_FSIZE, (at, at))
-            signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
-        else:
-            Steps(kind, at, lambda: os.kill(os.getpid(), signal.SIGKILL)).watch()
-
-    child, wrong, when = interrupted(name, rng, ("file", "journal", "byte"), prepare)
-    if child.code > 0:
-        return Ended("crash", f"it fails at {when}: {child.err.strip()[-200:]}")
-    return Ended("lost", f"{wrong} ({when})") if wrong else Ended("right")
+def new_case(place: Path, rng: np.random.Generator) -> str:
+    """Kill while a case is created."""
+    return _killed(place, rng, 1)
 
 
-CLASSES = {name: Damage(partial(killed, name)) for name in PROGRAMS}
-CAMPAIGN = Campaign("kills", "Programs that are killed while they write", CLASSES)
+def case(place: Path, rng: np.random.Generator) -> str:
+    """Kill while entries are recorded."""
+    return _killed(place, rng, CREATE_STEPS)
+
+
+def _killed(place: Path, rng: np.random.Generator, first: int) -> str:
+    acknowledged = Acknowledged()
+    for _ in range(KILLS):
+        step = first + int(rng.integers(CREATE_STEPS + 10 * RECORD_STEPS))
+        killed_at_step(place / "case", int(rng.integers(1 << 30)), step, acknowledged)
+    return _whole(place, acknowledged)
+
+
+def at_any_time(place: Path, rng: np.random.Generator) -> str:
+    """Kill at an instant of the clock."""
+    acknowledged = Acknowledged()
+    for _ in range(KILLS):
+        seed, lines = rng.integers(1 << 30), rng.integers(3, 12)
+        killed_after(place / "case", int(seed), int(lines), float(rng.uniform(0.0, 0.01)), acknowledged)
+    return _whole(place, acknowledged)
+
+
+def _whole(place: Path, acknowledged: Acknowledged) -> str:
+    killed_at_step(place / "case", 1, 2 * CREATE_STEPS, acknowledged)  # the next run
+    try:
+        acknowledged.all_there(place / "case")
+    except AssertionError as lost:
+        return str(lost) or "acknowledged entries"
+    return ""
+
+
+def folder(place: Path, rng: np.random.Generator) -> str:
+    """Kill while new results replace old ones."""
+    out = place / "out"
+    write_folder(out, OLD)
+    killed_at(int(rng.integers(1, FOLDER_STEPS)), out)
+    held = [read(each) for each in (out, place / "out.old") if each.exists()]
+    write_folder(out, AGAIN)
+    if held not in ([OLD_TEXT], [NEW_TEXT], [NEW_TEXT, OLD_TEXT]):
+        return "the folder is neither old nor new"
+    return "" if read(out) == AGAIN_TEXT else "the next run has written something else"
+
+
+def killed(kill: Kill) -> Damage:
+    """Return the class of one program."""
+
+    def make(rng: np.random.Generator) -> Ended:
+        with TemporaryDirectory(prefix="sightline-campaign-") as place:
+            lost = kill(Path(place), rng)
+        return Ended("lost", lost) if lost else Ended("right")
+
+    return Damage(make)
+
+
+KINDS = {"a new case": new_case, "a case": case, "a case, at any time": at_any_time, "a folder of results": folder}
+CAMPAIGN = Campaign("kills", "Programs killed while they write", {name: killed(kill) for name, kill in KINDS.items()})

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from sightline.errors import UnusableInputError
 
-TRIES = {"points": 1, "images": 1, "files": 2, "robots": 1, "kills": 1, "disks": 1, "pages": 1}  # of each class
+TRIES = {"points": 1, "images": 1, "files": 2, "robots": 1, "kills": 1, "pages": 1}  # of each class
 
 
 @pytest.mark.slow
