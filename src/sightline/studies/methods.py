@@ -125,8 +125,8 @@ def _plates(scene: TargetScene, name: str, fit: Fit) -> tuple[np.ndarray, Predic
 
 
 def opencv(parameters: int) -> Method:
-    """Return OpenCV's method: calibrateCamera with 5 or 14 distortion parameters on the beads of both plates, then
-    triangulatePoints."""
+    """Return OpenCV's method: calibrateCamera with 0, 5 or 14 distortion parameters on all beads, then
+    triangulatePoints. 0: bundle adjustment of a pinhole."""
 
     def of(scene: TargetScene) -> Locate:
         cameras = [_camera(scene, name, parameters) for name in VIEWS]
@@ -148,6 +148,8 @@ def _camera(scene: TargetScene, name: str, parameters: int) -> tuple[np.ndarray,
     """Return camera matrix, distortion and pose (3, 4) of one view. The fit starts from the nominal focal length and
     centre."""
     flags = cv2.CALIB_USE_INTRINSIC_GUESS
+    if parameters == 0:
+        flags |= cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
     if parameters == 14:
         flags |= cv2.CALIB_RATIONAL_MODEL | cv2.CALIB_THIN_PRISM_MODEL | cv2.CALIB_TILTED_MODEL
     criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
@@ -158,13 +160,14 @@ def _camera(scene: TargetScene, name: str, parameters: int) -> tuple[np.ndarray,
     guess = np.array([[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]])
     pixels = seen.uv_px.astype(np.float32)
     _, camera, distortion, turns, shifts = cv2.calibrateCamera(
-        [beads], [pixels], (width, height), guess, np.zeros(parameters), flags=flags, criteria=criteria
+        [beads], [pixels], (width, height), guess, np.zeros(parameters or 5), flags=flags, criteria=criteria
     )
     return camera, distortion, np.hstack([cv2.Rodrigues(turns[0])[0], shifts[0]])
 
 
 METHODS: dict[str, Method] = {
     **{name: ours(name) for name in OURS},
+    "OpenCV 0": opencv(0),
     "OpenCV 5": opencv(5),
     "OpenCV 14": opencv(14),
     "local weighted mean": by_plates(local_weighted_mean),
