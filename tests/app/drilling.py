@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from tests.app.hands import unrendered
 
-from sightline.app.plan.marks import GUIDE, SHOT_NAMES
+from sightline.app.plan.marks import GUIDE
 from sightline.app.session.session import Session
-from sightline.case.views import NAMES
+from sightline.case.views import NAMES, SHOT_NAMES
 from sightline.rehearsal.patient import CheckImages
 from sightline.rehearsal.rehearsal import Rehearsal
 

@@ -12,7 +12,6 @@ from tests.app.drilling import ASIDE_MM, measure, place, plan_and_send, take_sho
 from tests.app.hands import SEED
 
 from sightline.app.panels import shots as panel
-from sightline.app.plan.marks import SHOT_NAMES
 from sightline.app.session.jobs import Jobs, WorkerProcess
 from sightline.app.session.planning import Planning
 from sightline.app.session.rehearsing import Patient
@@ -22,7 +21,7 @@ from sightline.app.session.shots import Shots
 from sightline.app.tab.placing import ProcedureStep
 from sightline.case.journal import Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
-from sightline.case.views import NAMES
+from sightline.case.views import NAMES, SHOT_NAMES
 from sightline.common.checks import Check, failed
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.frame import Frame

@@ -22,7 +22,6 @@ from sightline.app.drawing.xray import Window, XrayPicture, XrayView
 from sightline.app.panels import plan, top
 from sightline.app.panels.section import Section, note
 from sightline.app.plan.decisions import Mark, Side
-from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.session.jobs import WorkerProcess
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
@@ -30,7 +29,7 @@ from sightline.app.session.session import Session
 from sightline.app.session.shots import LATE_S
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
-from sightline.case.views import NAMES
+from sightline.case.views import CHECK_NAMES, NAMES
 from sightline.case.watch.analyser import STALE_S
 from sightline.errors import UnusableInputError
 

@@ -1,5 +1,6 @@
 """Pairs of views from files: what is recognised, and what is refused."""
 
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from sightline.calibration import CArm
 from sightline.case.report.content import Compared
-from sightline.case.views import calibrate_pair, see_pair, stated_view, view_document
+from sightline.case.views import ImageSlot, calibrate_pair, see_pair, stated_view, view_document
 from sightline.detection.csv_files import write_observations
 from sightline.errors import ObservationsError, UnusableInputError
 from sightline.from_images.pipeline import known_arm
@@ -105,3 +106,11 @@ def test_errors_against_the_truth(report, truth) -> None:
 def test_the_angles_of_the_c_arm_name_a_view_where_it_is_near_to_one(primary, secondary, view) -> None:
     tags = GeometryTags(primary_angle_deg=primary, secondary_angle_deg=secondary)
     assert stated_view(Radiograph(np.zeros((64, 64), np.uint16), white=1.0, tags=tags)) == view
+
+
+@pytest.mark.parametrize(("view", "purpose"), [("pa", ""), ("lateral", "check"), ("oblique", "shot")])
+def test_a_slot_is_its_name_in_files_and_comes_back_from_it_and_from_a_copy(view: str, purpose: str) -> None:
+    slot = ImageSlot(view, purpose)
+    assert slot == (f"{purpose}-{view}" if purpose else view)
+    for again in (ImageSlot.read(str(slot)), copy(slot)):
+        assert (again, again.view, again.purpose) == (slot, view, purpose)

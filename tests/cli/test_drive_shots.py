@@ -19,8 +19,8 @@ from tests.robot.rig import END_MM, ENTRY_MM
 
 from sightline.case.interop.plan_file import PlanFile
 from sightline.case.journal import Case, Kind
-from sightline.case.picks import CHECK_NAMES
 from sightline.case.replay import ReplayOutcome, replay
+from sightline.case.views import CHECK_NAMES
 from sightline.cli.drive import _target
 from sightline.frame import Frame
 from sightline.imaging import write_dicom

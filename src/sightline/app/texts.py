@@ -2,7 +2,7 @@
 
 import re
 
-from sightline.case.views import spoken
+from sightline.case.views import ImageSlot, spoken
 from sightline.common.checks import Check, CheckCode
 from sightline.planning.procedures import kind as kind_of
 
@@ -231,8 +231,7 @@ def in_progress(work: str) -> str:
 
 def image_name(image: str, kind: str) -> str:
     """Return the name of an image of a procedure, by its key, as in a sentence: "PA image", "inlet check image"."""
-    purpose, view = _parts(image, kind)
-    return f"{view} {_IMAGE_OF[purpose]}"
+    return f"{_view(image, kind)} {_IMAGE_OF[ImageSlot.read(image).purpose]}"
 
 
 def image_label(image: str, kind: str) -> str:
@@ -242,17 +241,15 @@ def image_label(image: str, kind: str) -> str:
 
 def image_short(image: str, kind: str) -> str:
     """Return the name of an image's view where there is little room: "PA", "lat", "inlet"."""
-    _, view = _parts(image, kind)
+    view = _view(image, kind)
     return {"lateral": "lat", "oblique": "obl"}.get(view, view)
 
 
 def in_image(image: str, kind: str) -> str:
     """Return the name of an image as in an instruction: "PA", "INLET CHECK"."""
-    purpose, view = _parts(image, kind)
-    return f"{view} {purpose}".strip().upper()
+    return f"{_view(image, kind)} {ImageSlot.read(image).purpose}".strip().upper()
 
 
-def _parts(image: str, kind: str) -> tuple[str, str]:
-    """Return what an image is taken for, "" for the plan, "check" or "shot", and its view as the procedure calls it."""
-    purpose, _, slot = image.rpartition("-")
-    return purpose, spoken(slot, kind_of(kind))
+def _view(image: str, kind: str) -> str:
+    """Return an image's view as the procedure calls it."""
+    return spoken(ImageSlot.read(image).view, kind_of(kind))

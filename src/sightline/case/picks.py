@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sightline.case.contents import Images, PlanRequest
-from sightline.case.views import ALL_NAMES, NAMES
+from sightline.case.views import ALL_NAMES, CHECK_NAMES, NAMES
 from sightline.common.bounded import MAX_JSON_BYTES, read_bounded
 from sightline.common.strict import naming, read_strictly
 from sightline.errors import UnusableInputError
@@ -36,7 +36,6 @@ VIEWS: tuple[View, View] = ("pa", "lateral")
 End = Literal["entry", "end"]
 ENDS: tuple[End, End] = ("entry", "end")
 Text = Annotated[str, Field(max_length=200)]
-CHECK_NAMES = ("check-pa", "check-lateral")
 MIN_WIRE_POINTS = 5  # four on the centre line, and the tip
 _ADVICE = {**ADVICE, "extra_forbidden": "is not a key of a file of picks; correct its spelling or remove it"}
 

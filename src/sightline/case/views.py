@@ -22,6 +22,32 @@ OBLIQUE = "oblique"  # a third image, after the pair
 ALL_NAMES = (*NAMES, OBLIQUE)
 
 
+class ImageSlot(str):
+    """A place for an image of a case: its `view`, and its `purpose`, "" for the plan. As text, its name in files."""
+
+    view: str
+    purpose: str
+
+    def __new__(cls, view: str, purpose: str = "") -> "ImageSlot":
+        """Name the slot of a view."""
+        slot = super().__new__(cls, f"{purpose}-{view}" if purpose else view)
+        slot.view, slot.purpose = view, purpose
+        return slot
+
+    def __getnewargs__(self) -> tuple[str, str]:
+        """Return what a copy is made from."""
+        return self.view, self.purpose
+
+    @staticmethod
+    def read(name: str) -> "ImageSlot":
+        """Return the slot of a name in a file."""
+        purpose, _, view = name.rpartition("-")
+        return ImageSlot(view, purpose)
+
+
+CHECK_NAMES = (ImageSlot("pa", "check"), ImageSlot("lateral", "check"))
+SHOT_NAMES = (ImageSlot("pa", "shot"), ImageSlot("lateral", "shot"))  # while drilling
+
 # A beam this near to an axis of the patient is called by it; farther from both than _OBLIQUE_RAD it is oblique [ours].
 _NEAR_RAD, _OBLIQUE_RAD = radians(25.0), radians(30.0)
 

@@ -304,7 +304,7 @@ def _hidden_rows(name: str, trials: Sequence[Values]) -> Iterable[tuple[Estimate
     yield _hidden(name, [trial["unseen"] for trial in trials])
     by_procedure: dict[str, list[Values]] = {}
     for trial in trials:
-        by_procedure.setdefault(_KINDS[trial["kind"]].procedure.split(":")[0], []).append(trial["unseen"])
+        by_procedure.setdefault(ProcedureKey.of(_KINDS[trial["kind"]].procedure).file, []).append(trial["unseen"])
     for procedure in sorted(by_procedure):
         yield _hidden(f"{name}, {procedure}", by_procedure[procedure])
 

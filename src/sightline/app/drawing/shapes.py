@@ -8,13 +8,13 @@ import numpy as np
 
 from sightline.app import texts
 from sightline.app.plan.decisions import HEAD
-from sightline.app.plan.marks import CHECK_NAMES, SHOT_NAMES, by_borders
+from sightline.app.plan.marks import by_borders
 from sightline.app.plan.planner import Planned, aid_pixels, landmarks_of
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.sent import SentPlan
 from sightline.app.session.session import Session
 from sightline.calibration import BeadView
-from sightline.case.views import ALL_NAMES, NAMES
+from sightline.case.views import ALL_NAMES, CHECK_NAMES, NAMES, SHOT_NAMES
 from sightline.errors import SightlineError
 from sightline.planning import Line, MatchingCurve, Plan, reconstruct
 from sightline.planning.bone.head import outline

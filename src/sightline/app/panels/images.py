@@ -12,7 +12,7 @@ from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_label, image_name
 from sightline.app.web.serve import ServedApp
 from sightline.app.web.transfers import DropZone, Upload
-from sightline.case.views import NAMES, OBLIQUE
+from sightline.case.views import NAMES, OBLIQUE, ImageSlot
 from sightline.common.checks import failed
 from sightline.errors import UnusableInputError
 from sightline.planning.procedures import Procedure, procedures
@@ -33,7 +33,7 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
                 raise UnusableInputError(
                     "load the check image as one of the first two: a check shot takes no third image"
                 )
-            image = f"{taken_for}{view}"
+            image = ImageSlot(view, taken_for)
             tab.say("")  # what was said of the image before
             where = await tab.planning.take(upload.data, upload.suffix, image=image)
             if where != image:
@@ -56,8 +56,8 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
         nonlocal told
         kind, taken_for = tab.planning.decisions.kind, _taken_for(tab)
         states = {slots[name]: state for name, state in _wanted(tab).items()}
-        names = {slots[name]: image_name(taken_for + name, kind) for name in NAMES}
-        labels = {slots[name]: image_label(taken_for + name, kind) for name in NAMES}
+        names = {slots[name]: image_name(ImageSlot(name, taken_for), kind) for name in NAMES}
+        labels = {slots[name]: image_label(ImageSlot(name, taken_for), kind) for name in NAMES}
         if (states, names, labels) != told:
             told = states, names, labels
             zone.tell(states, names, labels)
@@ -67,8 +67,8 @@ def build_drop_zone(tab: Tab, site: ServedApp, boxes: Sequence[ui.element]) -> N
 
 
 def _taken_for(tab: Tab) -> str:
-    """Return what the names of the images that the step takes begin with."""
-    return {ProcedureStep.DRILL: "shot-", ProcedureStep.VERIFY: "check-"}.get(tab.step, "")
+    """Return the purpose of the images that the step takes."""
+    return {ProcedureStep.DRILL: "shot", ProcedureStep.VERIFY: "check"}.get(tab.step, "")
 
 
 def _wanted(tab: Tab) -> dict[str, str]:
@@ -79,7 +79,7 @@ def _wanted(tab: Tab) -> dict[str, str]:
     slots = [name for name in tab.planning.slots if not (check or shot) or name != OBLIQUE]
     if shot or (check and tab.planning.patient is not None):  # which replaces what the views show, or is simulated
         return dict.fromkeys(slots, "here")
-    seen = {name: tab.planning.seen(f"check-{name}" if check else name) for name in slots}
+    seen = {name: tab.planning.seen(ImageSlot(name, "check" if check else "")) for name in slots}
     return {name: "empty" if image is None else "failed" if image.refused else "here" for name, image in seen.items()}
 
 

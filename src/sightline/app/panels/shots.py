@@ -9,11 +9,11 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels.section import Section, action, card, confirmed_action, heading, note, table
-from sightline.app.plan.marks import SHOT_NAMES
 from sightline.app.session.sent import ZeroSource
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_label
+from sightline.case.views import SHOT_NAMES
 from sightline.case.watch.analyser import BLIND_TO
 from sightline.common.checks import failed
 from sightline.common.geometry.covariance import TWO_SIDED_95

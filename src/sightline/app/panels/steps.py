@@ -10,7 +10,6 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels.section import PersistentSection, Section, action, note
-from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.plan.planner import Planned
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
@@ -18,7 +17,7 @@ from sightline.app.session.session import Session
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_name
-from sightline.case.views import NAMES
+from sightline.case.views import CHECK_NAMES, NAMES
 from sightline.common.checks import CheckCode, failed
 from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import Procedure

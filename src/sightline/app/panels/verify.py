@@ -8,9 +8,9 @@ import numpy as np
 from sightline.app import texts
 from sightline.app.panels.section import Section, action, card, checks, heading, note, put, table
 from sightline.app.panels.steps import build_next_wire, missing_again, next_wire
-from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_label
+from sightline.case.views import CHECK_NAMES
 from sightline.common.checks import failed
 
 

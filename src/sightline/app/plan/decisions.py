@@ -17,7 +17,7 @@ from sightline.case.views import NAMES
 from sightline.errors import CaseError, UnusableInputError
 from sightline.planning import Circle, Line, Nail
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.procedures.procedure import current_key
+from sightline.planning.procedures.procedure import ProcedureKey, current_key
 
 Pixels = Mapping[str, Any]  # a circle or line as JSON types, so that equal ones compare equal
 
@@ -187,7 +187,7 @@ class Decisions:
         wire has entry and end of the current one."""
         if kind == self.kind:
             return self
-        own, new = self.ends(self.kind), kind.partition(":")[0] != self.kind.partition(":")[0]
+        own, new = self.ends(self.kind), ProcedureKey.of(kind).file != ProcedureKey.of(self.kind).file
         ends = self.wires.get(kind, own if new else {})
         left = {key: marks for key, marks in self.wires.items() if key != kind}
         return replace(self, kind=kind, wires=left).with_ends(self.kind, own).with_ends(kind, ends)

@@ -4,14 +4,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
-from sightline.case.views import NAMES, OBLIQUE
+from sightline.case.views import CHECK_NAMES, NAMES, OBLIQUE, SHOT_NAMES
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.document import AidAsked
 
 Group = Literal["wire", "nail", "landmark", "aid", "guide", "robot"]
-CHECK_NAMES = (f"check-{NAMES[0]}", f"check-{NAMES[1]}")
-SHOT_NAMES = (f"shot-{NAMES[0]}", f"shot-{NAMES[1]}")  # while drilling
 ENTRY, END = "entry", "end"
 _EDGES = {"a": "One edge of the nail", "b": "Other edge of the nail"}
 _STROKE = {  # the two clicks of a stroke

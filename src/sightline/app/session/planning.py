@@ -35,7 +35,7 @@ from sightline.calibration import BeadView
 from sightline.calibration.solids.calibrate_together import adjusted_together
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
-from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, takes_oblique
+from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE, ImageSlot, takes_oblique
 from sightline.errors import CalibrationRefusedError, CaseError, SightlineError, UnusableInputError
 from sightline.from_images.head_and_shaft import fit_head, fit_shaft
 from sightline.from_images.neck import fit_neck
@@ -302,10 +302,9 @@ class Planning:
     async def take(self, data: bytes, suffix: str, *, image: str, by: Actor = Actor.RADIOGRAPHER) -> str:
         """Add a new image and return the name it was assigned to. The datum markers of plates determine the view;
         `image` is used if they cannot be read, and for a solid. Raises ImageError, CaseError."""
-        seen = await self.lightbox.open(await self.lightbox.store(data, suffix, by), _view_in(image))
-        name = image
-        if seen.observations is not None:
-            name = image.removesuffix(_view_in(image)) + seen.observations.view
+        slot = ImageSlot.read(image)
+        seen = await self.lightbox.open(await self.lightbox.store(data, suffix, by), slot.view)
+        name = slot if seen.observations is None else ImageSlot(seen.observations.view, slot.purpose)
         before = self.seen(name)
         same = before is not None and before.acquired.content["original"] == seen.acquired.content["original"]
         if same and by is not Actor.DEMO:
@@ -390,7 +389,7 @@ class Planning:
                 await self.lightbox.show(self.case.entry(number))
         for name, number in named:
             with suppress(SightlineError):
-                await self.lightbox.open(self.case.entry(number), _view_in(name))
+                await self.lightbox.open(self.case.entry(number), ImageSlot.read(name).view)
         await self._restore_sent()
         self.jobs.notify()
 
@@ -415,11 +414,6 @@ class Planning:
     def _record(self, what: str, decisions: Decisions | None) -> None:
         to = None if decisions is None else decisions.document()
         stages.record_changed(self.case, what, to, by=Actor.SURGEON)
-
-
-def _view_in(image: str) -> str:
-    """Return the view that an image's slot is for."""
-    return image.rpartition("-")[2]
 
 
 def kept_as_drawn(kept: Mapping[str, str]) -> list[str]:

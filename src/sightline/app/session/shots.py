@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sightline.app import texts
-from sightline.app.plan.marks import GUIDE, SHOT_NAMES
+from sightline.app.plan.marks import GUIDE
 from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.planning import Planning
 from sightline.app.session.rehearsing import Patient, shot_images
@@ -18,7 +18,7 @@ from sightline.app.session.sent import SentPlan, found_again
 from sightline.case.contents import CheckRequest, DrillShotRequest
 from sightline.case.journal import Actor, Kind
 from sightline.case.stages import record_changed, record_shot
-from sightline.case.views import ALL_NAMES
+from sightline.case.views import ALL_NAMES, SHOT_NAMES, ImageSlot
 from sightline.common.checks import failed
 from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import RefusedError, RobotRefusedError, SetUpError, SightlineError, UnusableInputError
@@ -126,7 +126,7 @@ class Shots:
 
         files = await planning.jobs.during("taking the shot", taken)
         for name, data in files.items():
-            await planning.take(data, ".dcm", image=f"shot-{name}", by=Actor.DEMO)
+            await planning.take(data, ".dcm", image=ImageSlot(name, "shot"), by=Actor.DEMO)
 
     async def send_depth(self) -> None:
         """Send the measured depth to the robot. Raises RobotRefusedError, LinkError, CaseError."""

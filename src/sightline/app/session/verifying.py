@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from sightline.app.plan.marks import CHECK_NAMES
 from sightline.app.session.planning import Planning
 from sightline.app.session.rehearsing import check_images
 from sightline.app.session.seen import SeenImage, entry_of
@@ -14,6 +13,7 @@ from sightline.calibration import BeadView
 from sightline.case.contents import CheckRequest
 from sightline.case.journal import Actor
 from sightline.case.stages import record_verified
+from sightline.case.views import CHECK_NAMES, ImageSlot
 from sightline.common.checks import Check
 from sightline.errors import RefusedError, SightlineError, UnusableInputError
 from sightline.from_images.pipeline import planned_search
@@ -88,7 +88,7 @@ class Verifying:
         )
         self._taken = {tuple(wires.values()): retake + 1}
         for name, data in files.items():
-            await planning.take(data, ".dcm", image=f"check-{name}", by=Actor.DEMO)
+            await planning.take(data, ".dcm", image=ImageSlot(name, "check"), by=Actor.DEMO)
 
     def update(self) -> None:
         """Discard results whose images were replaced, and start measuring where images or landmarks are new."""

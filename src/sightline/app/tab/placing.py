@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from sightline.app.plan.decisions import Decisions, Pixel
-from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, MarkSpec
+from sightline.app.plan.marks import GUIDE, MarkSpec
 from sightline.app.session.planning import Planning
 from sightline.app.session.shots import Shots
-from sightline.case.views import NAMES, OBLIQUE
+from sightline.case.views import CHECK_NAMES, NAMES, OBLIQUE, SHOT_NAMES
 from sightline.planning.check.shot import ALIGNED
 
 

@@ -13,7 +13,7 @@ from sightline.app.drawing import shapes
 from sightline.app.drawing.pictures import Pictures, head_in, head_up
 from sightline.app.drawing.xray import Window, XrayContent, XrayDisplay, XrayEvent, XrayView
 from sightline.app.plan.decisions import Decisions, Display, Pixel, Side
-from sightline.app.plan.marks import CHECK_NAMES, GUIDE, SHOT_NAMES, MarkSpec
+from sightline.app.plan.marks import GUIDE, MarkSpec
 from sightline.app.plan.planner import Planned, planned
 from sightline.app.session.jobs import failure_of
 from sightline.app.session.planning import Planning
@@ -23,7 +23,7 @@ from sightline.app.session.shots import fresh_s
 from sightline.app.tab.placing import Goal, ProcedureStep
 from sightline.app.texts import image_label
 from sightline.calibration import BeadView
-from sightline.case.views import ALL_NAMES, NAMES, OBLIQUE
+from sightline.case.views import ALL_NAMES, CHECK_NAMES, NAMES, OBLIQUE, SHOT_NAMES
 from sightline.common.threads import one_blas_thread
 from sightline.errors import SightlineError
 
