@@ -1,15 +1,12 @@
-"""The pages keep up with the code: every check and error has its heading, links resolve, the README's Python runs."""
+"""The pages keep up with the code: every check and error has its heading, links resolve, citations hold."""
 
 import ast
 import inspect
-import json
 import re
 import tomllib
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 from sightline import errors
@@ -117,24 +114,6 @@ def test_pictures_of_the_readme_are_small() -> None:
     pictures = list((ROOT / "docs" / "pictures").iterdir())
     assert pictures
     assert all(picture.stat().st_size < 300_000 for picture in pictures)
-
-
-def python_blocks(page: Path) -> list[str]:
-    return re.findall(r"^```python\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
-
-
-def test_the_python_of_the_readme_runs_on_the_demo(demo_folder: Path, tmp_path: Path, monkeypatch, capsys) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "demo").symlink_to(demo_folder)
-    monkeypatch.chdir(tmp_path)
-    (block,) = python_blocks(ROOT / "README.md")
-    known: dict[str, Any] = {}
-    exec(compile(block, "README.md", "exec"), known)  # noqa: S102 - our own page
-    assert capsys.readouterr().out.startswith("go [")
-    truth = json.loads((demo_folder / "truth.json").read_text())
-    path = known["plan"].trajectory
-    assert np.linalg.norm(path.entry_mm - truth["entry_mm"]) < path.entry_error_95_mm
-    assert np.linalg.norm(path.end_mm - truth["end_mm"]) < path.end_error_95_mm
 
 
 def test_the_tests_that_the_page_on_safety_names_exist() -> None:

@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
+from tests.worked import Worked
 from typer.testing import CliRunner
 
 from sightline.cli import commands
@@ -31,8 +33,7 @@ LONG = {
     "planning.md",
     "watch.md",
 }  # seconds of physics or images
-# tests/test_docs.py runs README.md and compares its plan with the truth; tests/test_interlocking.py calls what
-# interlocking.md shows, on images that it renders.
+# README.md has a test of its own; tests/test_interlocking.py calls what interlocking.md shows, on rendered images.
 ELSEWHERE = {"README.md", "interlocking.md"}
 COMMAND: Any = typer.main.get_command(commands)
 
@@ -41,6 +42,9 @@ def blocks(page: Path, *languages: str) -> list[str]:
     """The code blocks of a page in one of the languages."""
     found = re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     return [text for language, text in found if language in languages]
+
+
+RUN = [page for page in PAGES if blocks(page, "python") and page.name not in {*WALKED, *ELSEWHERE}]
 
 
 def commands_in(text: str) -> list[list[str]]:
@@ -72,22 +76,39 @@ def options_of(command: Any) -> set[str]:
     )
 
 
+def run(text: str, page: str) -> dict[str, Any]:
+    """Run Python of a page, and return its names."""
+    known: dict[str, Any] = {"__name__": "__page__"}
+    exec(compile(text, page, "exec"), known)  # noqa: S102 - our own page
+    return known
+
+
 @pytest.fixture
-def place(demo_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder that the pages stand in: `sightline demo` was run there."""
-    shutil.copytree(demo_folder, tmp_path / "out" / "demo")
+def place(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder that the pages stand in, with the demo's images; for slow tests `sightline demo` was run there."""
+    slow = request.node.get_closest_marker("slow") is not None
+    demo = request.getfixturevalue("demo_folder") if slow else request.getfixturevalue("worked").demo
+    shutil.copytree(demo, tmp_path / "out" / "demo")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(page, marks=[pytest.mark.slow] if page.name in LONG else [], id=page.name)
-        for page in PAGES
-        if blocks(page, "python") and page.name not in {*WALKED, *ELSEWHERE}
-    ],
-)
+def test_the_plan_of_the_readme_is_near_the_truth(place: Path, worked: Worked, capsys) -> None:
+    (block,) = blocks(ROOT / "README.md", "python")
+    path = run(block, "README.md")["plan"].trajectory
+    assert capsys.readouterr().out.startswith("go [")
+    entry_mm, end_mm = worked.rehearsal.hip.wire_mm
+    assert np.linalg.norm(path.entry_mm - entry_mm) < path.entry_error_95_mm
+    assert np.linalg.norm(path.end_mm - end_mm) < path.end_error_95_mm
+
+
+@pytest.mark.parametrize("page", [page for page in RUN if page.name not in LONG], ids=lambda page: page.name)
+def test_the_python_of_a_page_runs(page: Path, place: Path) -> None:
+    run("\n".join(blocks(page, "python")), page.name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in RUN if page.name in LONG], ids=lambda page: page.name)
 def test_the_python_of_a_page_runs_in_a_fresh_process(page: Path, place: Path) -> None:
     script = place / "page.py"
     script.write_text("\n".join(blocks(page, "python")))

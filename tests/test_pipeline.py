@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.worked import Worked
 
 import sightline as sl
 from sightline.errors import FrameError, ImageError, UnusableInputError
@@ -11,39 +12,30 @@ from sightline.imaging import as_radiograph
 
 
 @pytest.fixture(scope="module")
-def image(demo_folder: Path) -> sl.Radiograph:
-    return sl.read_image(demo_folder / "demo_pa.dcm")
+def view(worked: Worked) -> sl.CalibratedView:
+    return worked.views[0]
 
 
-@pytest.fixture(scope="module")
-def view(image: sl.Radiograph) -> sl.CalibratedView:
-    return sl.calibrate_image(image, sl.Frame.load("gamma"))
-
-
-def test_it_is_the_four_steps(image: sl.Radiograph, view: sl.CalibratedView) -> None:
+def test_it_is_the_four_steps(worked: Worked, view: sl.CalibratedView) -> None:
     frame = sl.Frame.load("gamma")
-    beads = sl.detect(image)
-    seen = sl.look_again(image, beads, sl.label(beads, frame), frame)
+    seen = sl.look_again(worked.image, worked.beads, sl.label(worked.beads, frame), frame)
     assert np.array_equal(view.focal_point_mm, sl.calibrate(seen, frame).focal_point_mm)
-    assert view.name == "pa"
 
 
-def test_a_path_an_array_and_a_frame_by_name_give_the_same_view(
-    demo_folder: Path, image: sl.Radiograph, view: sl.CalibratedView
-) -> None:
-    path = demo_folder / "demo_pa.dcm"
-    for given in (path, str(path)):
-        assert np.array_equal(sl.calibrate_image(given, "gamma").focal_point_mm, view.focal_point_mm)
-    from_array = sl.calibrate_image(image.pixels, "gamma", "pa", white=image.white)
+def test_a_path_an_array_and_a_frame_by_name_give_the_same_view(worked: Worked, view: sl.CalibratedView) -> None:
+    from_path = sl.calibrate_image(str(worked.demo / "demo_pa.dcm"), sl.Frame.load("gamma"))
+    assert np.array_equal(from_path.focal_point_mm, view.focal_point_mm)
+    assert from_path.name == "pa"  # by its datum markers
+    from_array = sl.calibrate_image(worked.image.pixels, "gamma", "pa", white=worked.image.white)
     assert np.array_equal(from_array.focal_point_mm, view.focal_point_mm)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.int32, np.float32, np.float64])
-def test_arrays_of_other_types_show_the_same_beads(image: sl.Radiograph, tmp_path: Path, dtype: type) -> None:
+def test_arrays_of_other_types_show_the_same_beads(worked: Worked, tmp_path: Path, dtype: type) -> None:
     """As arrays and as files; the noise of eight bits moves a centre by a tenth of a pixel."""
     shift = 16 if dtype is np.uint8 else 1
-    pixels, white = (image.pixels // shift).astype(dtype), image.white // shift
-    beads, ours = sl.detect(pixels, white=white), sl.detect(image)
+    pixels, white = (worked.image.pixels // shift).astype(dtype), worked.image.white // shift
+    beads, ours = sl.detect(pixels, white=white), worked.beads
     near = np.linalg.norm(ours.uv_px[:, None] - beads.uv_px, axis=2).min(axis=1)
     assert np.quantile(near, 0.9) < (0.01 if shift == 1 else 0.15)
     seen = sl.label(beads, "gamma")
@@ -87,6 +79,6 @@ def test_white_is_the_type_s_largest_value_unless_given() -> None:
         (lambda im, b: sl.calibrate_image(im, None), UnusableInputError, "not NoneType"),
     ],
 )
-def test_what_it_does_not_take_is_told_in_a_sentence(call, error: type, words: str, image: sl.Radiograph) -> None:
+def test_what_it_does_not_take_is_told_in_a_sentence(call, error: type, words: str, worked: Worked) -> None:
     with pytest.raises(error, match=words):
-        call(image, sl.detect(image))
+        call(worked.image, worked.beads)

@@ -1,8 +1,11 @@
 """A worked procedure without the demo's robot: two images, a plan on them, two check images of a wire as planned."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -15,6 +18,12 @@ from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.link.record import SimulatedWire
 
 VIEWS = ("pa", "lateral")
+
+
+def unrendered(take: Callable[..., CheckImages], *given: Any, **options: Any) -> CheckImages:
+    """Return set-up and landmarks of check or drilling images without rendering them."""
+    with patch("sightline.rehearsal.patient.render_views", return_value={}):
+        return take(*given, **options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,18 +40,20 @@ class Worked:
     def rehearsal(self) -> Rehearsal:
         return Rehearsal.draw(SEED, sl.Frame.load("gamma"))
 
-    @cached_property
-    def check_images(self) -> CheckImages:
+    @property
+    def drilled(self) -> SimulatedWire:
+        """A wire where the plan is."""
         wire = self.rehearsal.hip.wire_mm
-        drilled = np.stack([wire[0], wire.mean(axis=0), wire[1]])
-        return self.rehearsal.check_images(SimulatedWire(drilled, RigidTransform.identity(), np.zeros(5)))
+        axis_mm = np.stack([wire[0], wire.mean(axis=0), wire[1]])
+        return SimulatedWire(axis_mm, RigidTransform.identity(), np.zeros(5))
 
-    def write(self) -> "Worked":
+    def write(self) -> None:
+        """Render all images."""
         self.demo.mkdir(parents=True)
-        for start, images in (("demo", self.rehearsal.images), ("check", self.check_images.images)):
+        check = self.rehearsal.check_images(self.drilled)
+        for start, images in (("demo", self.rehearsal.images), ("check", check.images)):
             for name in VIEWS:
                 write_dicom(images[name], self.demo / f"{start}_{name}.dcm", self.rehearsal.side)
-        return self
 
     @cached_property
     def image(self) -> sl.Radiograph:
@@ -89,6 +100,7 @@ class Worked:
     @cached_property
     def shot(self) -> sl.CheckShot:
         images = [self.demo / f"check_{name}.dcm" for name in VIEWS]
-        found = self.check_images.landmarks_px(list(self.rehearsal.landmarks), 0.0, np.random.default_rng(0))
+        check = unrendered(self.rehearsal.check_images, self.drilled)
+        found = check.landmarks_px(list(self.rehearsal.landmarks), 0.0, np.random.default_rng(0))
         marks = sl.Landmarks(self.landmarks_px, found)
         return sl.check_shot(self.plan, self.views, images, "gamma", landmarks=marks)

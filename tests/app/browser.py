@@ -50,12 +50,12 @@ def chromium(path: str) -> Iterator[Browser]:
 class Server:
     """`python -m *argv` in a separate process, with "{port}" filled in."""
 
-    def __init__(self, log: Path, *argv: str) -> None:
+    def __init__(self, log: Path, *argv: str, cwd: Path = ROOT) -> None:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port: int = free.getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}/"
-        self.log = log
+        self.log, self.cwd = log, cwd
         self.argv = [argument.replace("{port}", str(self.port)) for argument in argv]
         self._process: subprocess.Popen[bytes] | None = None
         self.start()
@@ -63,9 +63,10 @@ class Server:
     def start(self) -> None:
         """Start it (again, on the same port) and wait until it answers."""
         environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTEST_", "NICEGUI_"))}
+        environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
         with self.log.open("ab") as log:
             command = [sys.executable, "-m", *self.argv]
-            self._process = subprocess.Popen(command, stdout=log, stderr=log, cwd=ROOT, env=environment)  # noqa: S603
+            self._process = subprocess.Popen(command, stdout=log, stderr=log, cwd=self.cwd, env=environment)  # noqa: S603
         last = time.monotonic() + START_S
         while not self._answers():
             if self._process.poll() is not None or time.monotonic() > last:
@@ -82,13 +83,18 @@ class Server:
         except OSError:
             return False
 
+    def terminate(self) -> int:
+        """Ask it to end, and return how it ended."""
+        assert self._process is not None
+        self._process.terminate()
+        return self._process.wait(END_S)
+
     def stop(self) -> None:
         """End it: terminate first, then kill."""
         if self._process is None:
             return
-        self._process.terminate()
         try:
-            self._process.wait(END_S)
+            self.terminate()
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

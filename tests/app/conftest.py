@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -30,8 +31,8 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Se
     """`serve(*argv)` runs `python -m *argv` with "{port}" filled in until the file's tests are done."""
     servers: list[Server] = []
 
-    def start(*argv: str) -> Server:
-        servers.append(Server(tmp_path_factory.mktemp("server") / "log.txt", *argv))
+    def start(*argv: str, **options: Path) -> Server:
+        servers.append(Server(tmp_path_factory.mktemp("server") / "log.txt", *argv, **options))
         return servers[-1]
 
     yield start

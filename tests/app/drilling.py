@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from tests.app.hands import unrendered
+from tests.worked import unrendered
 
 from sightline.app.plan.marks import GUIDE
 from sightline.app.session.session import Session

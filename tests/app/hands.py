@@ -1,9 +1,7 @@
 """A person before the planning page: looks, clicks, drags, types. What they know of the patient is the twin's truth."""
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 from playwright.sync_api import Locator, Page, expect
@@ -11,7 +9,6 @@ from playwright.sync_api import Locator, Page, expect
 from sightline.app.plan.marks import marks_of
 from sightline.case.views import NAMES
 from sightline.frame import Frame
-from sightline.rehearsal.patient import CheckImages
 from sightline.rehearsal.rehearsal import Rehearsal
 
 SEED = 9
@@ -45,12 +42,6 @@ def _rim(patient: Rehearsal) -> dict[str, np.ndarray]:
     """Three points of the head's silhouette in each view."""
     rim = patient.head_rim
     return {f"head-{n + 1}": rim[:, n] for n in range(rim.shape[1])}
-
-
-def unrendered(take: Callable[..., CheckImages], *given: Any, **options: Any) -> CheckImages:
-    """Return set-up and landmarks of check or drilling images that the page renders, without rendering them again."""
-    with patch("sightline.rehearsal.patient.render_views", return_value={}):
-        return take(*given, **options)
 
 
 def _ask(expression: str) -> str:

@@ -10,7 +10,8 @@ import pytest
 from playwright.sync_api import Page, expect
 from tests.app.browser import Server
 from tests.app.eyes import wrong
-from tests.app.hands import PATIENCE_MS, Hands, unrendered
+from tests.app.hands import PATIENCE_MS, Hands
+from tests.worked import unrendered
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.marks import NAIL_EDGES

@@ -14,15 +14,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Locator, Page, expect
-from tests.app import NO_BROWSER
+from playwright.sync_api import Browser, Locator, Page, Route, expect
+from tests.app import NO_BROWSER, program
 from tests.app.bidi import NAMES as FIREFOXES
 from tests.app.bidi import find_firefox, firefox
 from tests.app.browser import Server, Tab
-from tests.app.clock_app import set_ahead
 from tests.app.eyes import unread, written, wrong
-from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, by_image, rehearsal, truth, unrendered
+from tests.app.hands import LANDMARKS, PATIENCE_MS, SEED, Hands, by_image, rehearsal, truth
 from tests.systems import needs_posix
+from tests.worked import Worked, unrendered
 
 from sightline.app.drawing.pictures import as_u16
 from sightline.app.panels.top import size_of
@@ -33,6 +33,7 @@ from sightline.case.journal import Actor, Case, Kind
 from sightline.case.picks import Picks
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.case.views import NAMES
+from sightline.imaging import Radiograph, write_dicom
 from sightline.planning.procedures.procedure import shipped
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.target import LIFETIME_S
@@ -42,6 +43,7 @@ from sightline.twin.anatomy.femur import to_cfcs
 SEEN_PX = 1.2  # a click is a whole pixel of the screen, the image drawn at 0.45: half of one over that
 # How far a point is from [name, u, v], px.
 _AWAY = "Math.hypot(core.state.points.get(value[0]).uv[0] - value[1], core.state.points.get(value[0]).uv[1] - value[2])"
+REFUSED = ("422",)  # what the browser itself says of a refused upload
 SIZES = ((1280, 800), (1024, 768), (800, 1280))
 LONG = (  # the longest sentence of a check that a person meets while planning
     "The gaps of 3 free points together are 2.3 times what picks and views explain; the picks are less accurate than "
@@ -49,26 +51,49 @@ LONG = (  # the longest sentence of a check that a person meets while planning
     "plan's own error."
 )
 _CONTROL, _ENTER = "\ue009", "\ue007"
+JUNK = b"\0" * 128 + b"DICM" + b"junk"
+_MARK = "document.querySelector('[data-testid=show-beads] .q-checkbox__indet').getBoundingClientRect().width"
+# Click a step; resolves to the step of the history's entry in the moment in which the page shows the new step.
+_ENTRY_WHEN_SHOWN = """(step) => new Promise((done) => {
+  const button = document.querySelector(`[data-testid="step-${step}"]`);
+  new MutationObserver(() => {
+    if (button.getAttribute("aria-current") === "step") done(history.state.sightline);
+  }).observe(document.body, { subtree: true, attributeFilter: ["aria-current"] }); // after the page's own observer
+  button.click();
+})"""
+# Back and Forward before the server hears of either.
+_BACK_AND_FORWARD = """async () => {
+  const { socket } = window, emit = socket.emit, held = [];
+  socket.emit = (...told) => held.push(told);
+  const popped = (go) => new Promise((done) => { window.addEventListener("popstate", done, { once: true }); go(); });
+  await popped(() => history.back());
+  await popped(() => history.forward());
+  socket.emit = emit;
+  for (const told of held) socket.emit(...told);
+  return held.filter(([kind]) => kind === "event").length;
+}"""
+_AT = "(step) => history.state?.sightline === step"
 CONTROLS = Path(__file__).with_name("controls.js").read_text("utf-8")
 AXE = (files("axe_playwright_python") / "axe.min.js").read_text("utf-8")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("cases") / "1"
+def place(tmp_path_factory: pytest.TempPathFactory, worked: Worked) -> Path:
+    """The folder that the program of the tests reads."""
+    made = tmp_path_factory.mktemp("program")
+    program.prepare(made, worked.demo)
+    return made
 
 
 @pytest.fixture(scope="module")
-def clock(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Holds by how many seconds the server's clock is ahead."""
-    file = tmp_path_factory.mktemp("clock") / "ahead.txt"
-    set_ahead(file, 0.0)
-    return file
+def folder(place: Path) -> Path:
+    """The folder of the case."""
+    return place / "cases" / "1"
 
 
 @pytest.fixture(scope="module")
-def server(serve: Callable[..., Server], folder: Path, clock: Path) -> Server:
-    command = ["tests.app.clock_app", str(clock), "app", "--port", "{port}", "--no-browser", "--case", str(folder)]
+def server(serve: Callable[..., Server], place: Path, folder: Path) -> Server:
+    command = ["tests.app.program", str(place), "app", "--port", "{port}", "--no-browser", "--case", str(folder)]
     return serve(*command, "--rehearse", str(SEED), "--fast-robot", "--quiet")
 
 
@@ -80,8 +105,9 @@ def tab(browser: Browser, server: Server) -> Iterator[Tab]:
 
 
 @pytest.fixture
-def hands(tab: Tab) -> Iterator[Hands]:
+def hands(tab: Tab, place: Path) -> Iterator[Hands]:
     """A person before the page, its images calibrated; at the end nothing may have left this machine or failed."""
+    (place / "go").touch()
     person = Hands(tab.page)
     tab.page.set_viewport_size({"width": 1280, "height": 800})
     person.wait_for_step("Calibrate", "done")
@@ -114,6 +140,17 @@ def _axe(page: Page) -> dict[str, str]:
     }
 
 
+def test_the_page_is_served_while_the_program_compiles(tab: Tab, place: Path) -> None:
+    """Fails for a page that waits for the worker, or does not say what it waits for."""
+    hands = Hands(tab.page)
+    expect(hands.see("working")).to_contain_text("compiles")
+    hands.step("plan")
+    hands.step("images")
+    (place / "go").touch()
+    hands.wait_for_step("Calibrate", "done")
+    expect(hands.see("working")).to_have_count(0)
+
+
 # How the page looks, before anything is placed.
 
 
@@ -134,9 +171,8 @@ def test_every_step_is_read_and_fits(hands: Hands, step: str, shoot: Callable[[P
     shoot(hands.page, step)
     words = written(hands.page)
     assert len(words) > 15 and not unread(words)
-    hands.page.evaluate(AXE)
-    assert _axe(hands.page) == {}
     hands.details()
+    hands.page.evaluate(AXE)
     assert _axe(hands.page) == {}
     hands.details()
     expect(hands.page.locator("html")).to_have_attribute("lang", "en-US")
@@ -280,6 +316,58 @@ def test_a_click_survives_a_section_that_is_built_again(
     assert right.get_attribute("id") == element  # the element that a click on its way names
 
 
+def _is_here(hands: Hands, step: str) -> None:
+    expect(hands.see(f"step-{step}")).to_have_attribute("aria-current", "step")
+    hands.page.wait_for_function(_AT, arg=step)
+
+
+def test_history_and_steps_agree_whatever_comes_first(hands: Hands) -> None:
+    """Fails where the entry is made by a message after the step's: a reload in between opens the step before. Fails
+    where Forward is compared with the step that the page still shows, and where the program believes the browser."""
+    hands.step("calibrate")
+    hands.step("plan")
+    hands.page.evaluate("() => { emitEvent('step', 'nowhere', 1); emitEvent('step'); emitEvent('step', 'plan', 'x'); }")
+    assert hands.page.evaluate(_ENTRY_WHEN_SHOWN, "drill") == "drill"
+    assert hands.page.locator("nav").get_attribute("data-went") == "0"
+    assert hands.page.evaluate(_BACK_AND_FORWARD) == 2
+    _is_here(hands, "drill")
+    hands.page.go_back()
+    _is_here(hands, "plan")
+    hands.page.reload()
+    _is_here(hands, "plan")
+
+
+def test_back_before_the_page_is_built_is_followed_once_it_is(hands: Hands) -> None:
+    """Fails where Back needs a button that is not there yet: the page stays on a step that is not the history's."""
+    hands.step("calibrate")
+    hands.step("plan")
+    held: list[Route] = []
+    hands.page.route("**/nicegui.js", lambda route: held.append(route))  # noqa: PLW0108 - Playwright marks its handler
+    with hands.page.expect_request("**/nicegui.js"):
+        hands.page.reload(wait_until="commit")
+    hands.page.evaluate("history.back()")
+    hands.page.wait_for_function(_AT, arg="calibrate")
+    assert hands.see("step-plan").count() == 0
+    held[0].continue_()
+    hands.page.unroute("**/nicegui.js")
+    _is_here(hands, "calibrate")
+
+
+def test_a_page_that_was_left_and_comes_back_keeps_its_steps(server: Server, open_page: Callable[..., Page]) -> None:
+    """It asks before it is left, and comes back on the entry before the first step. Fails where no entry is made from
+    there: a reload then loses the step."""
+    hands = Hands(page := open_page(server.url))
+    for answer in ("leave-no", "leave-yes"):
+        page.evaluate("history.back()")
+        expect(hands.see("leave-question")).to_be_visible()
+        hands.press(answer)
+    page.wait_for_url("about:blank")
+    page.go_forward()
+    hands.step("plan")
+    page.reload()
+    _is_here(hands, "plan")
+
+
 # A plan.
 
 
@@ -303,12 +391,12 @@ def test_points_are_placed_where_they_are_clicked_until_the_plan_is_go(
             assert np.array_equal(np.frombuffer(sent, "<u2"), pixels.ravel())  # each under its own label
 
 
-def test_a_plan_expires_by_itself_and_is_go_again_with_its_time(hands: Hands, clock: Path) -> None:
+def test_a_plan_expires_by_itself_and_is_go_again_with_its_time(hands: Hands, place: Path) -> None:
     _planned(hands)
-    set_ahead(clock, LIFETIME_S + 1.0)
+    program.set_ahead(place, LIFETIME_S + 1.0)
     expect(hands.see("verdict")).to_contain_text("NO-GO")
     expect(hands.see("age")).to_contain_text("expired")
-    set_ahead(clock, 0.0)
+    program.set_ahead(place, 0.0)
     expect(hands.see("verdict")).not_to_contain_text("NO-GO")
     expect(hands.see("age")).to_contain_text("min left")
 
@@ -473,6 +561,7 @@ def _aids() -> dict[str, dict[str, tuple[float, float]]]:
     return marks | {"cortex-1": {"pa": (float(uv[0, 2, 0]), float(uv[0, 2, 1]))}}
 
 
+@pytest.mark.slow  # another browser
 def test_firefox_places_drags_types_and_undoes_too(hands: Hands, server: Server, tmp_path: Path) -> None:
     path = find_firefox()
     if path is None:
@@ -507,10 +596,7 @@ def test_firefox_places_drags_types_and_undoes_too(hands: Hands, server: Server,
     expect(hands.see("verdict").locator(".verdict-word")).to_have_text("GO")
 
 
-def test_what_a_person_does_wrong_ends_in_a_sentence(
-    server: Server, open_page: Callable[..., Page], tmp_path: Path
-) -> None:
-    hands = Hands(open_page(server.url, allow=("422",)))  # what the browser itself says of a refused upload
+def test_what_a_person_does_wrong_ends_in_a_sentence(hands: Hands, tab: Tab, tmp_path: Path) -> None:
     hands.step("Images")
     (tmp_path / "note.txt").write_text("not an image")
     hands.page.locator("input[type=file]").first.set_input_files(tmp_path / "note.txt")
@@ -518,12 +604,14 @@ def test_what_a_person_does_wrong_ends_in_a_sentence(
     hands.page.locator("input[data-testid=serial], [data-testid=serial] input").fill(" ")
     hands.press("confirm-serial")
     expect(hands.see("message")).to_contain_text("engraved")
+    tab.check(REFUSED)
 
 
 # Drilling.
 
 
 @needs_posix
+@pytest.mark.slow  # the robot is started, and a live image grows old
 def test_what_is_no_longer_true_says_so_by_itself(hands: Hands, server: Server) -> None:
     """Of a server that does not answer: a live image is marked as old, and within a second verdict and STOP must not
     look valid."""
@@ -557,7 +645,7 @@ def test_what_is_no_longer_true_says_so_by_itself(hands: Hands, server: Server) 
 
 @pytest.mark.slow  # a wire is drilled, and two more images are rendered
 def test_the_wire_is_drilled_and_verified(
-    hands: Hands, server: Server, open_page: Callable[..., Page], folder: Path, clock: Path, shoot
+    hands: Hands, server: Server, open_page: Callable[..., Page], folder: Path, place: Path, shoot
 ) -> None:
     """From the plan to a wire in the bone that two more images show where it was planned."""
     _planned(hands)
@@ -578,7 +666,7 @@ def test_the_wire_is_drilled_and_verified(
     hands.details()
     expect(hands.see("events")).to_contain_text("cortex")
     hands.details()
-    set_ahead(clock, LIFETIME_S + 1.0)  # what is drilled grows no older; another plan on the same images does
+    program.set_ahead(place, LIFETIME_S + 1.0)  # what is drilled grows no older; another plan on the same images does
     hands.step("Plan")
     expect(hands.see("age")).to_contain_text("drilled")
     expect(hands.see("verdict")).not_to_contain_text("NO-GO")
@@ -587,7 +675,7 @@ def test_the_wire_is_drilled_and_verified(
     expect(hands.see("verdict")).to_contain_text("NO-GO")
     hands.page.keyboard.press("Control+z")
     expect(hands.see("verdict")).not_to_contain_text("NO-GO")
-    set_ahead(clock, 0.0)
+    program.set_ahead(place, 0.0)
     _verify(hands, folder)
     shoot(hands.page, "verified")
     assert Picks.read(folder / "picks.json").wires.keys() == {"guide-wire"}
@@ -656,8 +744,9 @@ def _verify(hands: Hands, folder: Path) -> None:
 # What is kept.
 
 
+@pytest.mark.slow  # a server is started again
 def test_a_plan_outlives_a_second_tab_and_a_killed_server(
-    server: Server, open_page: Callable[..., Page], folder: Path
+    tab: Tab, server: Server, open_page: Callable[..., Page], folder: Path
 ) -> None:
     gone = ("WebSocket", "ERR_", "Failed to load")  # what the browser says of a server that was killed
     other = Hands(open_page(f"{server.url}?step=plan", allow=gone))
@@ -675,6 +764,8 @@ def test_a_plan_outlives_a_second_tab_and_a_killed_server(
     other.until("lateral", "core.state.points.get('end')?.uv")
     assert other.placed("end", "lateral") == here
     assert _recorded(folder) == decided
+    tab.page.goto(server.url)
+    tab.check(gone)
 
 
 def _recorded(folder: Path) -> Decisions:
@@ -682,21 +773,85 @@ def _recorded(folder: Path) -> Decisions:
         return Decisions.of(case.latest(Kind.CHANGED, where={"what": "edit"}).content["to"])
 
 
-def test_another_case_is_opened_from_the_list_on_all_pages(
-    server: Server, open_page: Callable[..., Page], folder: Path
-) -> None:
-    """It asks first."""
+def _open_empty(hands: Hands, folder: Path) -> None:
+    """Open another case from the list, which asks first."""
     with Case.create(folder.parent / "2") as case:
-        stages.record_changed(case, "edit", Decisions(side="left").document(), by=Actor.SURGEON)
+        stages.record_changed(case, "edit", Decisions().document(), by=Actor.SURGEON)
         number = case.number
-    hands, second = (Hands(open_page(server.url)) for _ in range(2))
-    hands.wait_for_step("Calibrate", "done")
     hands.details()
     hands.press("cases")
     expect(hands.see("cases-table")).to_contain_text("(this one)")
     hands.press(f"open-{number}")
     expect(hands.see("cases-sheet")).to_contain_text(f"Open case {number}?")
     hands.press("open-yes")
-    for page in (hands, second):
-        expect(page.see("step-images")).to_have_attribute("aria-current", "step")
-        expect(page.see("no-pa")).to_be_visible()
+    expect(hands.see("step-images")).to_have_attribute("aria-current", "step")
+    expect(hands.see("no-pa")).to_be_visible()
+
+
+def test_another_case_is_opened_from_the_list_on_all_pages(
+    hands: Hands, server: Server, open_page: Callable[..., Page], folder: Path
+) -> None:
+    second = Hands(open_page(f"{server.url}?step=plan"))
+    second.wait_for_step("Calibrate", "done")
+    _open_empty(hands, folder)
+    expect(second.see("step-images")).to_have_attribute("aria-current", "step")
+    expect(second.see("no-pa")).to_be_visible()
+
+
+# A case without images: what each step shows and where it leads, and refused images.
+
+
+@pytest.fixture
+def empty(tab: Tab, place: Path, folder: Path) -> Iterator[Hands]:
+    """A person before the other case."""
+    (place / "go").touch()
+    person = Hands(tab.page)
+    if not (folder.parent / "2").exists():
+        person.wait_for_step("Calibrate", "done")
+        _open_empty(person, folder)
+    yield person
+    tab.check(REFUSED)
+
+
+def test_a_blocked_step_leads_to_what_it_waits_for(empty: Hands) -> None:
+    """Fails where its one button is dead."""
+    for step in ("calibrate", "plan", "drill", "verify"):
+        empty.step(step)
+        expect(empty.see("back")).to_have_text("Back to Images")
+    empty.press("back")
+    _is_here(empty, "images")
+    expect(empty.see("continue")).to_be_disabled()
+
+
+def test_an_empty_view_asks_for_its_image_by_name(empty: Hands) -> None:
+    """On each step by the name that it has there, without tools that have nothing to work on."""
+    for step, name in (("verify", "check image"), ("images", "image")):
+        empty.step(step)
+        expect(empty.see("drop-in-PA image")).to_contain_text(f"Drop the PA {name} here")
+        expect(empty.see("drop-in-Lateral image")).to_contain_text(f"Drop the lateral {name} here")
+        expect(empty.see("xray-pa").locator(".xray-name")).to_have_text(f"PA {name}")
+        expect(empty.see("xray-pa").get_by_role("toolbar")).to_be_hidden()
+    expect(empty.see("instruction")).to_have_text("Drop the PA image and the lateral image onto the page.")
+    empty.step("plan")
+    empty.details()  # an empty check box looks empty: its styles need a direction of text
+    expect(empty.see("show-beads")).to_have_attribute("aria-checked", "false")
+    assert empty.page.evaluate(_MARK) == 0.0
+
+
+def test_an_image_that_cannot_be_used_says_so_where_it_is_and_what_to_do(empty: Hands, tmp_path: Path) -> None:
+    """Fails where another thing is asked first, such as the patient's side, or the text leaves its box."""
+    empty.step("images")
+    pixels = np.random.default_rng(1).integers(900, 1100, (256, 256)).astype(np.uint16)
+    (tmp_path / "junk.dcm").write_bytes(JUNK)
+    inputs = empty.page.locator("input[type=file]")
+    inputs.nth(1).set_input_files(tmp_path / "junk.dcm")
+    box = empty.see("drop-in-Lateral image")
+    expect(box).to_contain_text("junk.dcm: the file is truncated or damaged")
+    assert box.evaluate("element => element.scrollWidth <= element.clientWidth")
+    for number in range(2):
+        inputs.nth(number).set_input_files(write_dicom(Radiograph(pixels + number, 4095), tmp_path / f"{number}.dcm"))
+        empty.wait_for_step("Images", "needs attention" if number else "to do")
+    expect(empty.see("instruction")).to_contain_text("Load another PA image: this one cannot be used.")
+    expect(empty.see("side-right")).to_have_count(0)
+    expect(box).to_have_class(re.compile("failed"))
+    assert not wrong(empty.page, scrolls=True)

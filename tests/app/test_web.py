@@ -1,29 +1,34 @@
-"""What the guard keeps out, tried from outside over real connections."""
+"""The app's server, tried from outside over real connections: what the guard keeps out, and images sent to it: what is
+taken, what is refused with which words, and what a hostile name can do."""
 
+import asyncio
 import json
-import os
 import re
-import signal
 import socket
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+import zlib
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
-from tests.app.browser import ROOT, Server
+from playwright.sync_api import Browser, Page, expect
+from tests.app.browser import Server
+from tests.app.small_app import image_of
 from tests.systems import needs_posix
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from sightline.app.drawing.pictures import as_u16
+from sightline.app.panels import section
 from sightline.app.web.guard import MAX_BODY_BYTES, MAX_SOCKETS, Guard, is_loopback
 from sightline.app.web.serve import serve as start
-from sightline.app.web.transfers import MAX_UPLOAD_BYTES
-from sightline.errors import UnusableInputError
+from sightline.app.web.transfers import MAX_UPLOAD_BYTES, Images, Upload, receive
+from sightline.errors import ImageError, UnusableInputError
+from sightline.imaging import Radiograph, write_dicom, write_png
 
 TOKEN = "correct-horse-battery"  # noqa: S105
 SOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
@@ -55,12 +60,22 @@ def open_app(serve: Callable[..., Server]) -> App:
 
 
 @pytest.fixture(scope="module")
-def locked_app(serve: Callable[..., Server]) -> App:
-    return told(serve("tests.app.small_app", "{port}", TOKEN))
+def locked(serve: Callable[..., Server], tmp_path_factory: pytest.TempPathFactory) -> Server:
+    return serve("tests.app.small_app", "{port}", TOKEN, cwd=tmp_path_factory.mktemp("locked"))
+
+
+@pytest.fixture(scope="module")
+def locked_app(locked: Server) -> App:
+    return told(locked)
 
 
 def ask(app: App, path: str, **headers: str) -> httpx.Response:
     return httpx.get(app.base + path, headers=headers)
+
+
+def post(app: App, content: bytes | Iterator[bytes], path: str = "", **headers: str) -> httpx.Response:
+    """The answer to an upload, or to what is sent to a path."""
+    return httpx.post(app.base + (path or app.upload), content=content, headers=headers, timeout=60)
 
 
 def socket_url(app: App) -> str:
@@ -137,13 +152,13 @@ def test_a_foreign_origin_gets_nothing(open_app: App, origin: str) -> None:
     origin = origin.format(port=open_app.port)
     assert ask(open_app, open_app.image, origin=origin).status_code == 403
     assert ask(open_app, POLLING, origin=origin).status_code == 403
-    assert httpx.post(open_app.base + open_app.upload, content=b"x", headers={"origin": origin}).status_code == 403
+    assert post(open_app, b"x", origin=origin).status_code == 403
     with pytest.raises(InvalidStatus, match="403"), connect(socket_url(open_app), origin=origin):  # type: ignore[arg-type]
         pass
 
 
 def test_what_changes_something_must_have_an_origin(open_app: App) -> None:
-    assert httpx.post(open_app.base + open_app.upload, content=b"x").status_code == 403
+    assert post(open_app, b"x").status_code == 403
     with pytest.raises(InvalidStatus, match="403"), connect(socket_url(open_app)):
         pass
 
@@ -209,8 +224,7 @@ def test_a_body_is_bounded_while_it_streams(open_app: App, kind: str) -> None:
     def too_much() -> Iterator[bytes]:  # without a Content-Length
         yield from [b"\x93NUMPY" + bytes(2**20)] * (limit // 2**20 + 1)
 
-    answer = httpx.post(open_app.base + path, content=too_much(), headers={"origin": open_app.base}, timeout=60)
-    assert answer.status_code == 413
+    assert post(open_app, too_much(), path, origin=open_app.base).status_code == 413
     assert ask(open_app, "/").status_code == 200
 
 
@@ -244,21 +258,6 @@ def test_pixels_arrive_as_they_are(open_app: App) -> None:
     assert ask(open_app, "/image/guessed.u16").status_code == 404
 
 
-@needs_posix
-@pytest.mark.parametrize("sign", [signal.SIGTERM])
-def test_it_ends_in_order_and_leaves_nothing(tmp_path: Path, sign: signal.Signals) -> None:
-    command = [sys.executable, "-m", "tests.app.small_app", "0"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, stdout=-1, stderr=-1, text=True, cwd=tmp_path, env=environment) as process:  # noqa: S603
-        assert process.stdout is not None
-        app = App(**json.loads(process.stdout.readline()))
-        with connect(socket_url(app), origin=app.base):  # type: ignore[arg-type]
-            process.send_signal(sign)
-            out, err = process.communicate(timeout=30)
-    assert (process.returncode, out.strip(), err) == (0, "ended in order", "")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_port_that_cannot_be_had_is_refused_with_advice(open_app: App) -> None:
     with pytest.raises(UnusableInputError, match="another --port"):
         start(lambda site: None, port=open_app.port)
@@ -284,3 +283,172 @@ REACHABLE = ["0.0.0.0", "::", "10.0.0.1", "localhost.evil.example"]  # noqa: S10
 @pytest.mark.parametrize("host", [*ALONE, *REACHABLE])
 def test_which_addresses_are_this_machine_alone(host: str) -> None:
     assert is_loopback(host) == (host in ALONE)
+
+
+# Images.
+
+PIXELS = (np.arange(40 * 30, dtype=np.uint16) * 37).reshape(30, 40)
+HOSTILE = "<img src=x onerror='window.hacked=1'>.png"
+
+
+@pytest.fixture(scope="module")
+def png(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_png(Radiograph(PIXELS, 65535.0), tmp_path_factory.mktemp("images") / "pa.png")
+
+
+def take(*chunks: bytes) -> Upload:
+    async def stream() -> AsyncIterator[bytes]:
+        for chunk in chunks:
+            yield chunk
+
+    return asyncio.run(receive(stream()))
+
+
+def test_an_image_arrives_byte_by_byte(png: Path) -> None:
+    upload = take(*(bytes([b]) for b in png.read_bytes()))
+    assert upload.suffix == ".png" and upload.data == png.read_bytes()
+    assert np.array_equal(image_of(upload).pixels, PIXELS)
+
+
+def test_the_content_tells_the_kind(tmp_path: Path, png: Path) -> None:
+    dicom = write_dicom(Radiograph(PIXELS, 65535.0), tmp_path / "misnamed.png").read_bytes()
+    np.save(tmp_path / "pixels.npy", PIXELS)
+    kinds = {".dcm": dicom, ".png": png.read_bytes(), ".npy": (tmp_path / "pixels.npy").read_bytes()}
+    for suffix, data in kinds.items():
+        upload = take(data[:100], data[100:])
+        assert upload.suffix == suffix
+        assert np.array_equal(image_of(upload).pixels, PIXELS)
+    for data in (b"GIF89a", b"<html>", b"PK\x03\x04", bytes(200), b"MZ" + bytes(200), b"DICM"):
+        with pytest.raises(ImageError, match="give DICOM"):
+            take(data)
+
+
+def test_what_is_no_image_is_refused_and_not_kept() -> None:
+    with pytest.raises(ImageError, match="give DICOM, PNG"):
+        take(b"<svg onload=alert(1)>" * 100, b"\x89PNG\r\n\x1a\n")
+    with pytest.raises(ImageError, match="empty"):
+        take(b"", b"")
+
+
+def test_a_picture_far_larger_than_its_file_is_refused() -> None:
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return len(data).to_bytes(4) + kind + data + zlib.crc32(kind + data).to_bytes(4)
+
+    size = 60000
+    header = size.to_bytes(4) * 2 + bytes([16, 0, 0, 0, 0])
+    start = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header)
+    bomb = start + chunk(b"IDAT", zlib.compress(bytes(10000))) + chunk(b"IEND", b"")
+    with pytest.raises(ImageError, match="the limit is"):
+        image_of(take(bomb))
+
+
+def test_refusals_come_back_as_sentences(open_app: App, png: Path) -> None:
+    assert post(open_app, png.read_bytes(), origin=open_app.base).json() == {}
+    refused = post(open_app, b"no image at all", origin=open_app.base)
+    assert refused.status_code == 422
+    assert "give DICOM" in refused.json()["error"]
+
+
+def test_floating_point_pixels_are_scaled_for_the_eye() -> None:
+    eight = Radiograph(np.arange(256, dtype=np.uint8).reshape(16, 16), 255.0)
+    pixels = as_u16(eight)
+    assert pixels.dtype == np.uint16 and pixels.max() == 255
+    pixels = as_u16(Radiograph(np.linspace(-3.0, 5.0, 256, dtype=np.float32).reshape(16, 16), 5.1))
+    assert (pixels.min(), pixels.max()) == (0, 65535)
+    assert (as_u16(Radiograph(np.ones((16, 16), np.float32), 2.0)) == 0).all()
+
+
+def test_only_grey_pixels_are_published_and_only_once_each() -> None:
+    images = Images()
+    assert images.publish(PIXELS) != images.publish(PIXELS)
+    for wrong in (PIXELS.astype(np.uint8), PIXELS[0], PIXELS.astype(float)):
+        with pytest.raises(ImageError, match="uint16"):
+            images.publish(wrong)
+
+
+def test_a_chosen_file_reaches_its_target(
+    open_app: App, open_page: Callable[..., Page], png: Path, tmp_path: Path
+) -> None:
+    page = open_page(open_app.base, allow=("422",))
+    page.get_by_test_id("drop-PA image").set_input_files(png)
+    expect(page.get_by_test_id("said")).to_have_text(".png|(30, 40)")
+    expect(page.get_by_test_id("drop-message")).to_have_text("")  # the view shows that it came
+    page.get_by_test_id("drop-Lateral image").set_input_files({"name": HOSTILE, "mimeType": "", "buffer": b"nothing"})
+    expect(page.get_by_test_id("drop-message")).to_contain_text(f"{HOSTILE}: give DICOM, PNG")
+    expect(page.get_by_test_id("hostile")).to_contain_text("<img")
+    assert page.evaluate("window.hacked") is None
+
+
+def test_the_whole_page_takes_a_drop(open_app: App, open_page: Callable[..., Page], png: Path) -> None:
+    page = open_page(open_app.base)
+    data = page.evaluate_handle(
+        """bytes => { const data = new DataTransfer();
+                      data.items.add(new File([new Uint8Array(bytes)], "dropped.png")); return data; }""",
+        list(png.read_bytes()),
+    )
+    page.dispatch_event("body", "dragenter", {"dataTransfer": data})
+    expect(page.get_by_test_id("drop-page")).to_be_visible()
+    page.dispatch_event("[data-testid='drop-panel-Lateral image']", "drop", {"dataTransfer": data})
+    expect(page.get_by_test_id("said")).to_have_text(".png|(30, 40)")
+    expect(page.get_by_test_id("drop-page")).to_have_count(0)
+
+
+# HTML of a section in the browser: set anew, but for the elements that were there before.
+
+SCRIPT = Path(section.__file__).with_name("html_section.js").read_text("utf-8")
+# Sets the first HTML, then the second; returns what is shown, and whether the first element is the same one.
+SHOW = """async ([source, first, second, anew = false]) => {
+  const { default: { methods } } = await import("data:text/javascript," + encodeURIComponent(source));
+  const section = { $el: document.createElement("section") };
+  methods.show.call(section, first);
+  const before = section.$el.firstElementChild;
+  methods.show.call(section, second, anew);
+  return [section.$el.innerHTML, before !== null && before === section.$el.firstElementChild];
+}"""
+FIGURE = '<div class="figure {}"><b>{}</b><i style="width: {}%;"></i></div>'
+HTML = (
+    "",
+    FIGURE.format("passed", "0.41 mm", 40),
+    FIGURE.format("failed", "1.20 mm", 95),
+    '<div class="figure open" lang="de">–<!-- none --></div>',
+    "<p>no wire: a &lt; b</p>",
+    '<div><div lang="en">GO</div></div><p>two</p>',
+)
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser) -> Iterator[Page]:
+    """An empty page."""
+    page = browser.new_page()
+    yield page
+    page.close()
+
+
+def test_what_is_shown_is_the_newest_html(page: Page) -> None:
+    """Catches a text, an attribute or an element of the HTML before that stays, or a new one that is left out."""
+    for first, second in permutations(HTML, 2):
+        assert page.evaluate(SHOW, [SCRIPT, first, second])[0] == second
+
+
+def test_elements_stay_where_only_texts_and_attributes_differ(page: Page) -> None:
+    """Catches elements built anew by each message of a drag, which the browser lays out anew."""
+    assert page.evaluate(SHOW, [SCRIPT, HTML[1], HTML[2]])[1]
+    assert not page.evaluate(SHOW, [SCRIPT, HTML[1], HTML[4]])[1]
+
+
+def test_a_notice_that_is_repeated_is_built_anew(page: Page) -> None:
+    """A screen reader announces what is put into a live region: fails where a second, identical notice changes
+    nothing."""
+    assert page.evaluate(SHOW, [SCRIPT, HTML[4], HTML[4], True]) == [HTML[4], False]
+
+
+# Last, because it ends the server.
+
+
+@needs_posix
+def test_it_ends_in_order_and_leaves_nothing(locked: Server, locked_app: App) -> None:
+    cookie = httpx.get(locked_app.url).headers["set-cookie"].partition(";")[0]
+    with connect(socket_url(locked_app), origin=locked_app.base, additional_headers={"cookie": cookie}):  # type: ignore[arg-type]
+        assert locked.terminate() == 0
+    assert locked.log.read_text().splitlines()[1:] == ["ended in order"]
+    assert list(locked.cwd.iterdir()) == []
