@@ -2,16 +2,13 @@
 
 import json
 import os
-import sqlite3
-from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.app import NO_BROWSER
-from tests.worked import Worked
+from tests.worked import Worked, make_once
 from typer.testing import CliRunner
 
 from sightline.cli import commands
@@ -52,29 +49,26 @@ class Ran:
     stderr: str
 
 
-def made_once(tmp_path_factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
-    """Return a folder that `make` fills: once, for all processes of a test run."""
+def shared(tmp_path_factory: pytest.TempPathFactory, name: str) -> Path:
+    """Return a folder of all processes of a test run."""
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base) / name
     folder.mkdir(exist_ok=True)
-    with closing(sqlite3.connect(folder / "lock", timeout=900)) as lock:
-        lock.execute("BEGIN EXCLUSIVE")  # a lock between processes that every system has
-        if not (folder / "made").exists():
-            make(folder)
-            (folder / "made").touch()
     return folder
 
 
 @pytest.fixture(scope="session")
 def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ran, Path]:
     """What `sightline demo` said, and the folder that it wrote."""
+    folder = shared(tmp_path_factory, "demo-run")
+    out, said = folder / "deep" / "demo", folder / "said.json"
 
-    def run(folder: Path) -> None:
-        result = CliRunner().invoke(commands, ["demo", "--out", str(folder / "deep" / "demo")])
-        (folder / "said.json").write_text(json.dumps([result.exit_code, result.stdout, result.stderr]))
+    def run() -> None:
+        result = CliRunner().invoke(commands, ["demo", "--out", str(out)])
+        said.write_text(json.dumps([result.exit_code, result.stdout, result.stderr]))
 
-    folder = made_once(tmp_path_factory, "demo-run", run)
-    return Ran(*json.loads((folder / "said.json").read_text())), folder / "deep" / "demo"
+    make_once(folder, "demo", run)
+    return Ran(*json.loads(said.read_text())), out
 
 
 @pytest.fixture(scope="session")
@@ -87,4 +81,4 @@ def demo_folder(demo_run: tuple[Ran, Path]) -> Path:
 @pytest.fixture(scope="session")
 def worked(tmp_path_factory: pytest.TempPathFactory) -> Worked:
     """Two images, a plan on them and two check images, made in seconds."""
-    return Worked(made_once(tmp_path_factory, "worked", lambda folder: Worked(folder).write()))
+    return Worked(shared(tmp_path_factory, "worked"))

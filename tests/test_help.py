@@ -26,12 +26,12 @@ NAMES = [name for name in sl.__all__ if name != "__version__"]
 def folder(worked: Worked, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the demo writes, under out/demo; check images and a view of another program beside it."""
     out = tmp_path_factory.mktemp("help")
-    shutil.copytree(worked.folder, out, dirs_exist_ok=True)
+    shutil.copytree(worked.demo, out / "out" / "demo")
     views = [document(view, source="") for view in worked.views]
     (out / "out" / "demo" / "views.json").write_text(json.dumps(views))
     sl.save(worked.plan.trajectory, out / "out" / "demo" / "trajectory.json")
-    for name in ("check_pa.dcm", "check_lateral.dcm"):
-        shutil.move(out / "out" / "demo" / name, out / name)
+    for image in worked.check:
+        shutil.copy(image, out)
     for name, data in write_view(Pinhole.of_matrix(MATRIX, "pa"), "opencv").items():
         (out / name).write_bytes(data)
     return out

@@ -1,6 +1,8 @@
 """A worked procedure without the demo's robot: two images, a plan on them, two check images of a wire as planned."""
 
-from collections.abc import Callable
+import sqlite3
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,12 +14,21 @@ from scipy.spatial.transform import RigidTransform
 
 import sightline as sl
 from sightline.cli.demo import SEED
-from sightline.imaging import write_dicom
+from sightline.imaging import Radiograph, write_dicom
 from sightline.rehearsal.patient import CheckImages
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.link.record import SimulatedWire
 
 VIEWS = ("pa", "lateral")
+
+
+def make_once(folder: Path, name: str, make: Callable[[], object]) -> None:
+    """Make something in a folder: once, for all processes of a test run."""
+    with closing(sqlite3.connect(folder / f"{name}.lock", timeout=900)) as lock:
+        lock.execute("BEGIN EXCLUSIVE")  # a lock between processes that every system has
+        if not (folder / f"{name}.made").exists():
+            make()
+            (folder / f"{name}.made").touch()
 
 
 def unrendered(take: Callable[..., CheckImages], *given: Any, **options: Any) -> CheckImages:
@@ -28,13 +39,27 @@ def unrendered(take: Callable[..., CheckImages], *given: Any, **options: Any) ->
 
 @dataclass(frozen=True, eq=False)
 class Worked:
-    """`folder`: holds out/demo with the images of `sightline demo`, and two check images."""
+    """`folder`: of all processes of a test run; it gets images once they are needed."""
 
     folder: Path
 
-    @property
+    @cached_property
     def demo(self) -> Path:
+        """The folder out/demo with the images of `sightline demo`."""
+        make_once(self.folder, "demo", lambda: self._write("out/demo/demo", self.rehearsal.images))
         return self.folder / "out" / "demo"
+
+    @cached_property
+    def check(self) -> list[Path]:
+        """Both check images, beside out/demo."""
+        take = self.rehearsal.check_images
+        make_once(self.folder, "check", lambda: self._write("check", take(self.drilled).images))
+        return [self.folder / f"check_{name}.dcm" for name in VIEWS]
+
+    def _write(self, start: str, images: Mapping[str, Radiograph]) -> None:
+        (self.folder / start).parent.mkdir(parents=True, exist_ok=True)
+        for name in VIEWS:
+            write_dicom(images[name], self.folder / f"{start}_{name}.dcm", self.rehearsal.side)
 
     @cached_property
     def rehearsal(self) -> Rehearsal:
@@ -46,14 +71,6 @@ class Worked:
         wire = self.rehearsal.hip.wire_mm
         axis_mm = np.stack([wire[0], wire.mean(axis=0), wire[1]])
         return SimulatedWire(axis_mm, RigidTransform.identity(), np.zeros(5))
-
-    def write(self) -> None:
-        """Render all images."""
-        self.demo.mkdir(parents=True)
-        check = self.rehearsal.check_images(self.drilled)
-        for start, images in (("demo", self.rehearsal.images), ("check", check.images)):
-            for name in VIEWS:
-                write_dicom(images[name], self.demo / f"{start}_{name}.dcm", self.rehearsal.side)
 
     @cached_property
     def image(self) -> sl.Radiograph:
@@ -99,8 +116,7 @@ class Worked:
 
     @cached_property
     def shot(self) -> sl.CheckShot:
-        images = [self.demo / f"check_{name}.dcm" for name in VIEWS]
         check = unrendered(self.rehearsal.check_images, self.drilled)
         found = check.landmarks_px(list(self.rehearsal.landmarks), 0.0, np.random.default_rng(0))
         marks = sl.Landmarks(self.landmarks_px, found)
-        return sl.check_shot(self.plan, self.views, images, "gamma", landmarks=marks)
+        return sl.check_shot(self.plan, self.views, self.check, "gamma", landmarks=marks)
