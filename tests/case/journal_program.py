@@ -1,7 +1,7 @@
-"""A program that fills a case and says what is acknowledged, until it is killed: `journal_program.py DIR SEED [STEPS]`.
+"""A program that fills a case and says what is acknowledged, until it kills itself: journal_program.py DIR SEED STEPS.
 
-With STEPS it kills itself at that step: the steps are the file operations of an original, as Python sees them, and the
-instructions of SQLite's machine, among them those of a commit.
+The steps are the file operations of an original, as Python sees them, and the instructions of SQLite's machine, among
+them those of a commit.
 """
 
 import os
@@ -21,14 +21,13 @@ EVENTS = ("open", "os.rename", "os.chmod", "os.remove", "os.mkdir")  # audit eve
 class Fuse:
     """Burns down by one at each step; at the end the process is killed, as by the kernel."""
 
-    def __init__(self, steps: int | None) -> None:
+    def __init__(self, steps: int) -> None:
         self.left = steps
 
     def step(self, *_: object) -> int:
-        if self.left is not None:
-            self.left -= 1
-            if self.left <= 0:
-                os.kill(os.getpid(), signal.SIGKILL)
+        self.left -= 1
+        if self.left <= 0:
+            os.kill(os.getpid(), signal.SIGKILL)
         return 0
 
     def audit(self, event: str, _: object) -> None:
@@ -40,7 +39,7 @@ def say(*words: object) -> None:
     os.write(1, (" ".join(map(str, words)) + "\n").encode())
 
 
-def main(folder: Path, seed: int, steps: int | None) -> None:
+def main(folder: Path, seed: int, steps: int) -> None:
     versions()  # slow once, and no part of what is killed
     fuse, rng = Fuse(steps), Random(seed)  # noqa: S311 - no secret
     connect = journal.connect
@@ -63,4 +62,4 @@ def main(folder: Path, seed: int, steps: int | None) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else None)
+    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from sightline.planning.procedures.procedure import copy_text
+
 VIEWS = ("pa", "lateral")
 WIRE_MM = np.array([[31.3, 28.9, -9.7], [-30.1, -27.7, 8.3]])
 LANDMARKS_MM = np.array([[-21.3, -17.9, 4.4], [12.2, 30.1, -16.8]])
@@ -38,6 +40,17 @@ def wire(setup: Any, ends_mm: Sequence[np.ndarray], *snapped: str) -> dict[str, 
     """Entry and end of a wire."""
     entry, end = (place(setup, xyz_mm) for xyz_mm in ends_mm)
     return {"entry": entry, "end": end, "snapped": list(snapped)}
+
+
+def screws_file(folder: Path, relation: str = "", *, without: str = "", **change: Any) -> Path:
+    """Write the shipped file of three wires without checks of the bone, with a changed relation or without one."""
+    given = json.loads(copy_text("cannulated-hip-screws", "mine"))
+    given["checks"] = []
+    given["relations"] = [one for one in given["relations"] if one["relation"] != without]
+    for one in given["relations"]:
+        one.update(change if one["relation"] == relation else {})
+    (folder / "mine.json").write_text(json.dumps(given))
+    return folder / "mine.json"
 
 
 def picks_file(folder: Path, **content: Any) -> Path:

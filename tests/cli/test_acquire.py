@@ -80,16 +80,6 @@ def test_no_case_is_made_where_the_port_is_taken(run, tmp_path: Path) -> None:
     assert not (tmp_path / "case").exists()
 
 
-def test_what_a_killed_program_left_of_a_case_is_gone_on_with(run, tmp_path: Path) -> None:
-    (tmp_path / "in").mkdir()
-    (tmp_path / "case").mkdir()
-    (tmp_path / "case" / "journal.sqlite").touch()
-    write_dicom(image(1), tmp_path / "in" / "a.dcm")
-    assert run("case", "check", tmp_path / "case").code == 2
-    assert run("acquire", "folder", tmp_path / "in", "--case", tmp_path / "case").code == 0
-    assert run("case", "check", tmp_path / "case").code == 0
-
-
 @pytest.mark.slow
 @needs_posix
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])

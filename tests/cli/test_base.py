@@ -194,12 +194,17 @@ def test_a_value_that_is_not_finite_is_a_bug_not_a_document() -> None:
     assert invoke(lambda out: out.result({"x": np.inf}), "--json").exit_code == 1
 
 
-def test_the_installed_command_answers() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", "from sightline.cli import main; main()", "--version"],
-        capture_output=True,
-        text=True,
-        check=True,
-        stdin=subprocess.DEVNULL,
-    )
-    assert done.stdout.strip() == f"sightline {sightline.__version__}"
+@pytest.mark.parametrize(
+    ("words", "code", "out", "err"),
+    [
+        (["--version"], 0, f"sightline {sightline.__version__}\n", ""),
+        pytest.param(
+            ["watch", "nowhere.mp4"], 2, "", "sightline: no file or folder nowhere.mp4 exists", marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_the_installed_command_answers_in_one_line_without_a_traceback(words, code: int, out: str, err: str) -> None:
+    script = [sys.executable, "-c", "from sightline.cli import main; main()", *words]
+    done = subprocess.run(script, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)  # noqa: S603
+    assert (done.returncode, done.stdout) == (code, out)
+    assert len(done.stderr.splitlines()) == bool(err) and done.stderr.startswith(err)

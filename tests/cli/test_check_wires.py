@@ -1,16 +1,15 @@
 """`sightline check-shot` of several wires in one case: each by its own plan, and the relations between them."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.cli.picked import VIEWS, marks_of, picks_file, wire
+from tests.cli.picked import VIEWS, marks_of, picks_file, screws_file, wire
 
 from sightline.case.journal import Case, Kind
 from sightline.imaging import write_dicom
-from sightline.planning.procedures.procedure import copy_text
+from sightline.planning.bone.directions import unit
 from sightline.twin import HipScene, hip_scene, render
 from sightline.twin.objects.things import guide_wire
 
@@ -27,18 +26,9 @@ def hip(setup) -> HipScene:
 @pytest.fixture(scope="module")
 def wires_mm(hip: HipScene) -> np.ndarray:
     """Three parallel wires that both images show apart."""
-    along = (hip.wire_mm[1] - hip.wire_mm[0]) / np.linalg.norm(hip.wire_mm[1] - hip.wire_mm[0])
-    up, front = np.cross(along, [0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])
+    front = np.array([0.0, 0.0, 1.0])
+    up = np.cross(unit(hip.wire_mm[1] - hip.wire_mm[0]), front)
     return hip.wire_mm + np.array([k * ASIDE_MM * (up + front) for k in (0, 1, -1)])[:, None]
-
-
-def _procedure(folder: Path) -> Path:
-    """The shipped file without checks of the bone, with its relations of geometry but for the triangle."""
-    given = json.loads(copy_text("cannulated-hip-screws", "mine"))
-    given["checks"] = []
-    given["relations"] = [one for one in given["relations"] if one["relation"] != "inverted triangle"]
-    (folder / "mine.json").write_text(json.dumps(given))
-    return folder / "mine.json"
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +37,8 @@ def case(run, beads_csv: Path, setup, hip: HipScene, wires_mm: np.ndarray, tmp_p
     folder = tmp_path_factory.mktemp("wires")
     wires = {key: wire(setup, ends_mm) for key, ends_mm in zip(KEYS, wires_mm, strict=True)}
     picks = picks_file(folder, wires=wires, landmarks=marks_of(setup, hip), pick_sd_px=0.2)
-    given = ("--side", "right", "--picks", picks, "--procedure", _procedure(folder), "--case", folder / "case")
+    procedure = screws_file(folder, without="inverted triangle")
+    given = ("--side", "right", "--picks", picks, "--procedure", procedure, "--case", folder / "case")
     ran = run("plan", beads_csv, beads_csv, *given)
     assert ran.code == 0, ran.out + ran.err
     return folder / "case"
@@ -100,7 +91,8 @@ def test_a_wire_is_planned_beside_one_that_the_images_show(
     files = [write_dicom(render(setup, view, scene, rng), tmp_path / f"{view}.dcm") for view in VIEWS]
     clicked = wires_mm.copy()
     clicked[0, 1] += [0.0, 0.0, 2.5]  # the tip of the wire in the bone: 1.5° from where it lies
-    wires, procedure = {key: wire(setup, ends) for key, ends in zip(KEYS, clicked, strict=True)}, _procedure(tmp_path)
+    wires = {key: wire(setup, ends) for key, ends in zip(KEYS, clicked, strict=True)}
+    procedure = screws_file(tmp_path, without="inverted triangle")
 
     def beside(*in_bone: str) -> Any:
         picks = picks_file(tmp_path, wires=wires, in_bone=in_bone)

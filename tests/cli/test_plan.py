@@ -59,22 +59,13 @@ def test_snapped_picks_have_no_gap_so_landmarks_show_whether_the_patient_moved(
 ) -> None:
     snapped = {"wires": {"wire": wire(setup, WIRE_MM, "entry", "end")}}
 
-    def planned(moved_mm: float | None) -> Any:
-        marks = (
-            []
-            if moved_mm is None
-            else [
-                {
-                    "pa": place(setup, xyz)["pa"],
-                    "lateral": place(setup, xyz + np.array([0.0, moved_mm, 0.0]))["lateral"],
-                }
-                for xyz in LANDMARKS_MM
-            ]
-        )
-        return run("plan", beads_csv, beads_csv, *FREE, "--picks", picks_file(tmp_path, **snapped, landmarks=marks),
-                   "--json")  # fmt: skip
+    def planned(landmarks_mm: Any, moved_mm: float = 0.0) -> Any:
+        later = [place(setup, xyz + np.array([0.0, moved_mm, 0.0])) for xyz in landmarks_mm]
+        marks = [two | {"pa": place(setup, xyz)["pa"]} for two, xyz in zip(later, landmarks_mm, strict=True)]
+        picks = picks_file(tmp_path, **snapped, landmarks=marks)
+        return run("plan", beads_csv, beads_csv, *FREE, "--picks", picks, "--json")
 
-    without, still, moved = map(planned, (None, 0.0, 3.0))
+    without, still, moved = planned([]), planned(LANDMARKS_MM), planned(LANDMARKS_MM, 3.0)
     assert without.document["trajectory"]["gap_tested"] == [False, False]
     assert (without.code, without.failing) == (3, {"movement"})
     assert still.code == 0, still.failing

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cli.picked import LANDMARKS_MM, picks_file, place, wire
+from tests.cli.picked import LANDMARKS_MM, picks_file, place, screws_file, wire
 
 from sightline.case.interop.plan_file import PlanFile, sealed
 from sightline.case.journal import Case, Kind
@@ -15,7 +15,6 @@ from sightline.cli.base import Output
 from sightline.cli.watch import _planned
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.frame import Frame
-from sightline.planning.procedures.procedure import copy_text
 
 KEYS = ("inferior", "anterior", "posterior")
 # The inferior wire, one above it in front, one above it behind; a right hip.
@@ -38,27 +37,11 @@ def arguments(setup, beads_csv: Path, tmp_path_factory: pytest.TempPathFactory) 
 
 
 @pytest.fixture(scope="module")
-def procedure(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """`procedure("parallel", high=0.1)`: the shipped file without checks of the bone, with a changed relation."""
-
-    def written(relation: str = "", **change: Any) -> Path:
-        given = json.loads(copy_text("cannulated-hip-screws", "mine"))
-        given["checks"] = []
-        for one in given["relations"]:
-            one.update(change if one["relation"] == relation else {})
-        file = tmp_path_factory.mktemp("procedure") / "mine.json"
-        file.write_text(json.dumps(given))
-        return file
-
-    return written
-
-
-@pytest.fixture(scope="module")
-def planned(run, arguments, procedure, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
+def planned(run, arguments, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     """What was printed, and the folder of plan and case."""
     folder = tmp_path_factory.mktemp("planned")
     files = ["--out", folder / "plan", "--case", folder / "case"]
-    return run(*arguments(WIRES_MM), "--procedure", procedure(), *files), folder
+    return run(*arguments(WIRES_MM), "--procedure", screws_file(folder), *files), folder
 
 
 def test_all_wires_are_planned_and_reported(planned) -> None:
@@ -131,29 +114,31 @@ def test_edited_wires_are_noticed(planned, tmp_path: Path) -> None:
         PlanFile.read_all(file)
 
 
-def test_a_relation_of_the_file_decides(run, arguments, procedure) -> None:
+def test_a_relation_of_the_file_decides(run, arguments, tmp_path: Path) -> None:
     """Each relation by its own limit: tests/planning/test_wires.py."""
-    ran = run(*arguments(WIRES_MM), "--procedure", procedure("spacing", low=14.0), "--json")
+    ran = run(*arguments(WIRES_MM), "--procedure", screws_file(tmp_path, "spacing", low=14.0), "--json")
     assert ran.code == 3
     assert ran.document["verdict"] == "no-go" and ran.failing == {"spacing"}
     assert not any(wire["go"] for wire in ran.document["wires"].values())
 
 
-def test_a_wire_that_is_left_out_is_asked_for_and_the_others_are_not_sent(run, arguments, procedure, tmp_path) -> None:
-    ran = run(*arguments(WIRES_MM[:2], KEYS[:2]), "--procedure", procedure(), "--out", tmp_path, "--json")
+def test_a_wire_that_is_left_out_is_asked_for_and_the_others_are_not_sent(run, arguments, tmp_path) -> None:
+    out = tmp_path / "plan"
+    given = (*arguments(WIRES_MM[:2], KEYS[:2]), "--procedure", screws_file(tmp_path))
+    ran = run(*given, "--out", out, "--json")
     assert ran.code == 3
     assert ran.document["verdict"] == "incomplete"
     assert any("pick entry and end of the posterior wire" in sentence for sentence in ran.document["missing"])
-    alone = PlanFile.read(tmp_path, "inferior")
+    alone = PlanFile.read(out, "inferior")
     assert alone.go  # by itself
     with pytest.raises(RobotRefusedError, match="the plan of all wires is INCOMPLETE: none of them"):
         alone.refuse_for_robot()
-    drive = run("robot", "drive", tmp_path, "--wire", "inferior", "--yes")
+    drive = run("robot", "drive", out, "--wire", "inferior", "--yes")
     assert drive.code == 3 and "the plan of all wires is INCOMPLETE" in drive.err
 
 
-def test_a_wire_without_its_relations_is_not_sent_and_not_exported(run, arguments, procedure, tmp_path: Path) -> None:
-    out, of_one = tmp_path / "plan", f"{procedure()}:inferior"
+def test_a_wire_without_its_relations_is_not_sent_and_not_exported(run, arguments, tmp_path: Path) -> None:
+    out, of_one = tmp_path / "plan", f"{screws_file(tmp_path)}:inferior"
     planned = run(*arguments(WIRES_MM[:1], KEYS[:1]), "--procedure", of_one, "--out", out)
     assert planned.code == 0, planned.err  # GO for this wire
     for given in (

@@ -112,7 +112,6 @@ def test_what_is_not_this_robot_s_is_refused(robot_file, plan, images, tmp_path)
         register(robot_file, address, images)
         for changed, why in (
             ({"side": "left"}, "side"),
-            ({"frame": FRAME | {"serial": "SN-8"}}, "frame serial"),
             ({"frame": FRAME | {"serial": None}}, "frame serial"),
             ({"frame": FRAME | {"name": "block30", "fingerprint": BLOCK.fingerprint}}, "frame file is block30"),
             ({"frame": {key: FRAME[key] for key in ("name", "serial", "beads")}}, "frame file is not stated"),

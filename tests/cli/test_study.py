@@ -32,13 +32,3 @@ def test_a_study_leaves_figures_a_page_and_its_trials(run, small, tmp_path: Path
     assert again.document["figures"] == document["figures"]
     quiet = run("study", "small", "--trials", "12", "--seed", "3", "--out", tmp_path, "--quiet")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
-
-
-@pytest.mark.slow
-def test_trials_of_another_seed_are_not_mixed_in(run, small, tmp_path: Path) -> None:
-    assert run("study", "small", "--trials", "2", "--out", tmp_path, "--quiet").code == 0
-    before = (tmp_path / "trials.jsonl").read_bytes()
-    ran = run("study", "small", "--trials", "2", "--seed", "9", "--out", tmp_path)
-    assert ran.code == 2
-    assert "seed 1 there, 9 now" in ran.err.replace("\n", " ")
-    assert (tmp_path / "trials.jsonl").read_bytes() == before

@@ -1,4 +1,4 @@
-"""A program that speaks OpenIGTLink through pyigtl: `pyigtl_peer.py server` or `client PORT`.
+"""A program that serves OpenIGTLink through pyigtl: `pyigtl_peer.py server`.
 
 It sends one message of every type that it knows, waits for a STRING of the device DONE, prints as JSON what it received
 and ends at once: pyigtl leaves threads and sockets behind, so it lives in a process of its own. `echo` returns every
@@ -63,14 +63,10 @@ def wait_until(true: Any) -> None:
 
 
 def main() -> None:
-    role = sys.argv[1]
-    if role == "client":
-        peer: Any = pyigtl.OpenIGTLinkClient(host="127.0.0.1", port=int(sys.argv[2]))
-    else:
-        peer = pyigtl.OpenIGTLinkServer(port=0, local_server=True)
-        print(peer.server_address[1], flush=True)
+    peer: Any = pyigtl.OpenIGTLinkServer(port=0, local_server=True)
+    print(peer.server_address[1], flush=True)
     wait_until(peer.is_connected)
-    while role == "echo":
+    while sys.argv[1] == "echo":
         message = peer.wait_for_message("TGT_1", timeout=PATIENCE_S)
         if message is None:
             os._exit(0)

@@ -241,13 +241,10 @@ class ScriptedRobot:
     def repeated(self, peer: Peer, number: str, text: str) -> bool:
         """Whether this identifier was used before; then it is answered."""
         before, code = peer.asked.get(number, (None, 0))
-        if before is None or "forgets identifiers" in self.flaws:
-            return False
-        if before == text and "acts on a repeat" in self.flaws:
-            return False
-        if before == text == "MOVE_TO_TARGET" and "moves on a repeat" in self.flaws:
-            return False
-        if before != text and "takes an identifier twice" in self.flaws:
+        anew = {"acts on a repeat"} if before == text else {"takes an identifier twice"}
+        if before == text == "MOVE_TO_TARGET":
+            anew.add("moves on a repeat")
+        if before is None or anew & self.flaws:
             return False
         peer.send(f"ACK_{number}", String(text))
         peer.send("CURRENT_STATUS", Status(1, self.phase))
@@ -321,7 +318,7 @@ class ScriptedRobot:
         place = np.linalg.inv(self.registration) @ pose.matrix
         if np.linalg.norm(place[:3, 3] - HOME[:3, 3]) > REACH_MM:
             return "takes a target out of reach" in self.flaws
-        if not self.ours or "ignores metadata" in self.flaws:
+        if not self.ours:
             return True
         if np.linalg.norm(pose.matrix[:3, 3]) < 1.0 and "takes metres" not in self.flaws:
             return False

@@ -89,7 +89,7 @@ def test_its_client_waits_and_others_may_stop_and_ask():
     assert said.device_name == "TARGETING"
 
 
-@pytest.mark.parametrize("how", ["STOP", "EMERGENCY", "lost", "stop button"])
+@pytest.mark.parametrize("how", ["STOP", "own STOP", "EMERGENCY", "lost", "stop button"])
 def test_a_stop_makes_what_is_found_afterwards_void(how):
     rig = Rig.at(State.TARGETING)
     checks = HeldChecks(rig)
@@ -99,9 +99,11 @@ def test_a_stop_makes_what_is_found_afterwards_void(how):
     elif how == "stop button":
         rig.plant.stop_pressed = True
     else:
-        rig.command(how, client=2)
+        rig.command(how.split()[-1], client=CLIENT if how == "own STOP" else 2)
     said = rig.run(0.2)
-    assert code(said, "TARGET") == {"STOP": Code.NOT_READY, "lost": None}.get(how, Code.EMERGENCY)
+    answers = {"STOP": Code.NOT_READY, "own STOP": Code.NOT_READY, "lost": None}
+    assert code(said, "TARGET") == answers.get(how, Code.EMERGENCY)
+    assert how != "own STOP" or names(said) == ["STOP", "TARGET"]
     checks.end()
     assert code(rig.run(0.2), "TARGET") is None
     assert rig.controller.machine.insertion is None

@@ -135,16 +135,6 @@ def _cycle(rig: Rig):
     return rig.dialogue.cycle(rig.now_s)
 
 
-def test_a_look_that_a_stop_ended_is_told_after_it():
-    from concurrent.futures import Future
-
-    rig = Rig.at(State.TARGETING)
-    rig.controller.check_executor = lambda work: Future()
-    target(rig)
-    rig.command("STOP")
-    assert named(rig.run(0.2)) == ["STOP", "TARGET"]
-
-
 def test_a_target_of_a_client_without_the_lease_is_not_echoed_as_accepted():
     from concurrent.futures import Future
 

@@ -1,22 +1,17 @@
-"""Beside pyigtl, another implementation, as server and as client: every type that it knows, both ways.
+"""Beside pyigtl, another implementation: every type that it knows, both ways.
 
 Its POSITION has the layout of a POINT, which must be refused with a reason. Its POLYDATA is not read here and skipped.
-read here and must be skipped.
 """
 
-import asyncio
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.robot.pyigtl_peer import MATRIX, PATIENCE_S, PIXELS, POINTS
-from tests.robot.test_transport import Witness
 
 from sightline.robot.igtl import (
     Event,
@@ -32,7 +27,7 @@ from sightline.robot.igtl import (
     Transform,
     timestamp_of,
 )
-from sightline.robot.transport import BlockingClient, Connection, serve
+from sightline.robot.transport import BlockingClient
 
 SIDE = {"version": 2, "message_id": 5, "metadata": {"side": "left", "frame": "gamma 3"}}
 NOW = timestamp_of(1_700_000_000.5)
@@ -50,37 +45,30 @@ OURS = [
 ]
 
 
-@contextmanager
-def peer(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    program = [sys.executable, "-m", "tests.robot.pyigtl_peer", *arguments]
-    root = Path(__file__).parents[2]
-    with subprocess.Popen(  # noqa: S603 - our own program
-        program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=root
-    ) as process:
+def test_it_serves_us_and_hears_what_we_say() -> None:
+    program, root = [sys.executable, "-m", "tests.robot.pyigtl_peer", "server"], Path(__file__).parents[2]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    events: list[Event] = []
+    with subprocess.Popen(program, cwd=root, **pipes) as process:  # noqa: S603 - our own program
         try:
-            yield process
+            with BlockingClient(port=int(process.stdout.readline())) as client:
+                while not (events and isinstance(events[-1], Message) and events[-1].device_name == "DONE"):
+                    event = client.receive(PATIENCE_S)
+                    assert event is not None
+                    events.append(event)
+                for message in OURS:
+                    client.send(message)
+                out, err = process.communicate(timeout=PATIENCE_S)
         finally:
             process.kill()
-
-
-def heard(process: subprocess.Popen[str]) -> dict[str, Any]:
-    """What the peer says that it received."""
-    out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
-    return json.loads(out)
+    check_what_it_heard(json.loads(out))
+    check_what_came(events)
 
 
 def check_what_came(events: list[Event]) -> None:
-    assert [e.device_name for e in events if isinstance(e, Message)] == [
-        "t1",
-        "t2",
-        "s1",
-        "s2",
-        "p1",
-        "i1",
-        "i2",
-        "DONE",
-    ]
+    read = [event.device_name for event in events if isinstance(event, Message)]
+    assert read == ["t1", "t2", "s1", "s2", "p1", "i1", "i2", "DONE"]
     assert [(e.header.device_name, e.fault) for e in events if isinstance(e, Rejected) and e.header] == [
         ("m1", Fault.UNKNOWN_TYPE), ("q1", Fault.BAD_BODY),
     ]  # fmt: skip
@@ -116,37 +104,3 @@ def check_what_it_heard(found: dict[str, Any]) -> None:
         assert found[name]["image"] == PIXELS.tolist()
         directions = np.array(found[name]["ijk_to_world_matrix"])[:3, :3]
         np.testing.assert_array_equal(directions, np.array(MATRIX)[:3, :3])
-
-
-def test_it_serves_us() -> None:
-    with peer("server") as process:
-        events: list[Event] = []
-        with BlockingClient(port=int(process.stdout.readline())) as client:
-            while not (events and isinstance(events[-1], Message) and events[-1].device_name == "DONE"):
-                event = client.receive(PATIENCE_S)
-                assert event is not None
-                events.append(event)
-            for message in OURS:
-                client.send(message)
-            check_what_it_heard(heard(process))
-        check_what_came(events)
-
-
-def test_we_serve_it() -> None:
-    def answer(connection: Connection, event: Event) -> None:
-        if isinstance(event, Message) and event.device_name == "DONE":
-            connection.send(OURS[-1])  # not before: the peer ends once it has heard it, whatever it has still to send
-
-    async def main() -> None:
-        there = Witness(answer)
-        async with await serve(there, port=0) as server:
-            with peer("client", str(server.port)) as process:
-                (connection,) = await there.until("opened")
-                for message in OURS[:-1]:
-                    connection.send(message)
-                found = await asyncio.to_thread(heard, process)
-                await there.until("lost")
-        check_what_it_heard(found)
-        check_what_came(there.all("received"))
-
-    asyncio.run(main())

@@ -116,12 +116,7 @@ def client_of(server) -> RobotClient:
 
 def at_mid_motion(server, act) -> threading.Thread:
     """Do something from another thread while the robot moves."""
-
-    def wait_and_act() -> None:
-        mid_motion(server)
-        act()
-
-    thread = threading.Thread(target=wait_and_act)
+    thread = threading.Thread(target=lambda: (mid_motion(server), act()))
     thread.start()
     return thread
 

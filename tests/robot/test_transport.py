@@ -109,9 +109,9 @@ async def test_a_thread_without_a_loop_talks_to_it() -> None:
 
         def talk() -> None:
             with BlockingClient(port=listening.port) as client:
-                for number in range(1000):
+                for number in range(100):
                     client.send(numbered(number))
-                for number in range(1000):
+                for number in range(100):
                     event = client.receive(PATIENCE_S)
                     assert event.timestamp == number + 1
                 assert client.receive(0.0) is None
@@ -220,31 +220,26 @@ async def test_bytes_that_lose_the_stream_end_the_connection_and_no_other(data: 
         assert event.timestamp == 6
 
 
+@pytest.mark.parametrize(("ends", "message_s"), [(False, 0.05), (True, 0.25)])
 @asynchronous
-async def test_a_message_that_never_ends_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "MESSAGE_S", 0.05)
-    there = Witness()
+async def test_a_message_that_never_ends_is_given_up_and_one_that_ends_later_is_not(
+    monkeypatch: pytest.MonkeyPatch, ends: bool, message_s: float
+) -> None:
+    monkeypatch.setattr(connection, "MESSAGE_S", message_s)
+    there, data = Witness(), encode(numbered(1))
     async with await serve(there) as listening:
         with socket.create_connection(("127.0.0.1", listening.port)) as peer:
-            peer.sendall(encode(numbered(0)) + encode(numbered(1))[:-1])
-            (reason,) = await there.until("lost")
-            assert "not complete" in reason
-            assert len(there.all("received")) == 1
-
-
-@asynchronous
-async def test_a_message_that_ends_later_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "MESSAGE_S", 0.25)
-    there = Witness()
-    async with await serve(there) as listening:
-        with socket.create_connection(("127.0.0.1", listening.port)) as peer:
-            data = encode(numbered(1))
             peer.sendall(encode(numbered(0)) + data[:-1])
             await there.until("received")
-            peer.sendall(data[-1:])
-            await there.until("received", 2)
-            await asyncio.sleep(2 * connection.MESSAGE_S)
-            assert not there.all("lost")
+            if ends:
+                peer.sendall(data[-1:])
+                await there.until("received", 2)
+                await asyncio.sleep(2 * message_s)
+                assert not there.all("lost")
+            else:
+                (reason,) = await there.until("lost")
+                assert "not complete" in reason
+                assert len(there.all("received")) == 1
 
 
 @asynchronous
