@@ -58,7 +58,7 @@ def _planned(case: tuple[str, int]) -> dict[str, Any]:
     views = calibrated_views(patient.setup, measure(rng, patient.setup, BEAD_PX))
     asked, _ = patient.asked(rng, PICK_PX)
     if asked.nail is not None:
-        made = asked.plan_holes_on(views, _holes(patient, views, rng))
+        made = asked.plan_holes_on(views, holes_of(patient, views, rng))
     else:
         made = asked.plan_on(views) if asked.others is None else asked.plan_wires_on(views)
     plans = [made] if isinstance(made, Plan) else [made.plans[wire.key] for wire in patient.document.wires]
@@ -72,7 +72,7 @@ def _planned(case: tuple[str, int]) -> dict[str, Any]:
     return {"go": made.verdict.go, "errors": errors, "within": (errors <= bounds).ravel(), "in_band": in_band}
 
 
-def _holes(patient: RehearsedPatient, views: Sequence[CalibratedView], rng: np.random.Generator) -> dict[str, Hole]:
+def holes_of(patient: RehearsedPatient, views: Sequence[CalibratedView], rng: np.random.Generator) -> dict[str, Hole]:
     """Return the holes of a nail by the procedure's wires, fitted to points of their edges as the images show them."""
     bone, drawn = patient.bone, patient.nail
     assert isinstance(bone, BoneScene) and isinstance(bone.dimensions, NailedFemur) and drawn is not None
