@@ -1,6 +1,6 @@
 """Other programs read our files: each is run if installed, else reported as missing.
 
-Peers: `pip install itk-rtk SimpleITK slicerio diffdrr`, and dcmtk from the system's packages. None is a dependency of
+Peers: `pip install itk-rtk SimpleITK diffdrr`, and dcmtk from the system's packages. None is a dependency of
 Sightline; DiffDRR needs torch, several gigabytes. Views are random cameras around a hip. Each peer's result is compared
 with the formula of `Pinhole`.
 """
@@ -37,8 +37,7 @@ def run(quick: bool) -> Rows:
     views = [_drawn(np.random.default_rng([SEED, k])) for k in range(VIEWS // 10 if quick else VIEWS)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for package, compare in (("itk-rtk", _rtk), ("SimpleITK", _simple_itk), ("slicerio", _slicerio),
-                                 ("diffdrr", _diffdrr)):  # fmt: skip
+        for package, compare in (("itk-rtk", _rtk), ("SimpleITK", _simple_itk), ("diffdrr", _diffdrr)):
             try:
                 peer = f"{package} {version(package)}"
             except PackageNotFoundError:
@@ -114,21 +113,6 @@ def _simple_itk(view: Pinhole, folder: Path) -> dict[str, Any]:
         "places of an image's pixels (NRRD), mm": np.abs(placed - (corner + uv @ steps) @ to_lps[:3, :3].T).max(),
         "other pixels of NRRD and MetaImage": (SimpleITK.GetArrayFromImage(image)[0] != pixels).sum()
         + (SimpleITK.GetArrayFromImage(projection)[0] != pixels[::-1]).sum(),
-    }
-
-
-def _slicerio(view: Pinhole, folder: Path) -> dict[str, Any]:
-    """Compare pixels and LPS positions of the plate's image, read by 3D Slicer's stand-alone reader."""
-    import slicerio
-
-    pixels, to_lps = _pixels(view), T_lps_cfcs(SIDE)
-    (folder / "plate.nrrd").write_bytes(nrrd_bytes(pixels, view, to_lps, "a plan"))
-    volume = slicerio.read_volume(str(folder / "plate.nrrd"))
-    corner, steps = plate_corner(view)
-    expected = to_lps[:3, :3] @ np.column_stack([steps[0], steps[1], corner])
-    return {
-        "axes of 3D Slicer's volumes, mm": np.abs(np.asarray(volume["ijkToLPS"])[:3, [0, 1, 3]] - expected).max(),
-        "other pixels of these volumes": (pixels != np.asarray(volume["voxels"])[..., 0].T).sum(),
     }
 
 

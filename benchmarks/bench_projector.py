@@ -3,8 +3,8 @@
 The image is one view of a random set-up, 1024² pixels, with a volume of 256³ voxels and 200 balls around the hip.
 Volumes are compared with RTK (`pip install itk-rtk`; never required) on a view without distortion, timed in the same
 run; without RTK, with samples a tenth of a voxel apart (scipy's map_coordinates) on 300 rays. A mesh is compared with
-brute force on 300 rays, the Möller-Trumbore test of every triangle in numpy, and timed beside gVirtualXray (`pip
-install gvxr`; in Mesa's software renderer), which casts meshes only, one ray a pixel where we cast several.
+gVirtualXray (`pip install gvxr`; in Mesa's software renderer), which casts one ray a pixel where we cast several; with
+exact lengths in tests/twin/test_meshes.py.
 """
 
 import importlib.util
@@ -62,7 +62,7 @@ def run(quick: bool) -> Rows:
     rows.number("its volume, cast for every second pixel, against every pixel: rms", 100 * between, ".3f", "%")
     for side_px, most_s in ((SIDE_PX, np.inf), (SMALL_PX, MAX_SMALL_S)):
         _add_volume(rows, volume, side_px, runs, most_s)
-    _add_meshes(rows)
+    _add_mesh(rows)
     return rows
 
 
@@ -164,40 +164,26 @@ def _sampled(volume: Volume, focal: np.ndarray, points: np.ndarray) -> np.ndarra
     return integrals * VOXEL_MM / 10
 
 
-def _add_meshes(rows: Rows) -> None:
-    """Add a torus, cast for every pixel of both squares."""
+def _add_mesh(rows: Rows) -> None:
+    """Add a torus, cast for every pixel of the small square."""
     ring = trimesh.creation.torus(40.0, 15.0, major_sections=160, minor_sections=64)
     tilt = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     vertices, triangles = np.ascontiguousarray(ring.vertices @ (tilt * np.linalg.det(tilt)).T), np.array(ring.faces)
-    for side_px in (SIDE_PX, SMALL_PX):
-        rays = _flat_rays(side_px)
-        xi, pixel = rays.points[..., :2].copy(), FIELD_MM / side_px
-        shadow = rays.focal + (vertices - rays.focal) * (DETECTOR_MM / (SOURCE_MM - vertices[:, 2:]))
-        corners, mesh = shadow[triangles][..., :2], (vertices, triangles.astype(np.int64))
-        bounds = np.concatenate([corners.min(axis=1) - pixel, corners.max(axis=1) + pixel], axis=1)
-        own_s, busy_s, lengths = _least(lambda: mesh_lengths(rays, xi, np.zeros((2, 3)), mesh, bounds), 3)  # noqa: B023
-        if side_px == SIDE_PX:
-            share, peer = _off_brute_force(rays, np.asarray(lengths), vertices[triangles]), "brute force in numpy"
-        elif gvxr.INSTALLED:
-            their_s, their_busy_s, theirs = _least(_by_gvxr(vertices, triangles), 3)
-            share = _share(np.asarray(lengths).mean(axis=0), theirs)
-            peer = f"gVirtualXray, one ray a pixel, {their_s:.2f} s ({their_busy_s:.2f} s of processor)"
-        else:
-            share, peer = 0.0, "gvxr not installed"
-        name = f"mesh of {len(triangles):,} triangles, {MESH_SUB**2} rays a pixel, {side_px}²; rms difference"
-        value = f"{own_s:.2f} s ({busy_s:.2f} s of processor); {share:.1e}"
-        rows.add(name, value, f"<= {MAX_SHARE:.0%}", share <= MAX_SHARE, peer=peer)
-
-
-def _off_brute_force(rays: Rays, lengths_mm: np.ndarray, corners: np.ndarray) -> float:
-    """Return the rms difference of some rays from brute force over the rms; `corners` (T, 3, 3): of the triangles."""
-    rng, side_px = np.random.default_rng(4), lengths_mm.shape[1]
-    v, u = rng.integers(150, side_px - 150, (2, SOME_RAYS))
-    sub = rng.integers(0, MESH_SUB**2, SOME_RAYS)
-    offset = (np.stack([sub % MESH_SUB, sub // MESH_SUB], axis=1) + 0.5) / MESH_SUB - 0.5
-    towards = rays.points[v, u] + FIELD_MM / side_px * np.pad(offset, ((0, 0), (0, 1)))
-    theirs = np.array([_brute_force(corners, rays.focal, point) for point in towards])
-    return _share(lengths_mm[sub, v, u], theirs)
+    rays, pixel = _flat_rays(SMALL_PX), FIELD_MM / SMALL_PX
+    shadow = rays.focal + (vertices - rays.focal) * (DETECTOR_MM / (SOURCE_MM - vertices[:, 2:]))
+    corners, mesh = shadow[triangles][..., :2], (vertices, triangles.astype(np.int64))
+    bounds = np.concatenate([corners.min(axis=1) - pixel, corners.max(axis=1) + pixel], axis=1)
+    xi, still = rays.points[..., :2].copy(), np.zeros((2, 3))
+    own_s, busy_s, lengths = _least(lambda: mesh_lengths(rays, xi, still, mesh, bounds), 3)
+    name = f"mesh of {len(triangles):,} triangles, {MESH_SUB**2} rays a pixel, {SMALL_PX}²"
+    value = f"{own_s:.2f} s ({busy_s:.2f} s of processor)"
+    if not gvxr.INSTALLED:
+        rows.add(name, value, peer="gVirtualXray not installed: pip install gvxr")
+        return
+    their_s, their_busy_s, theirs = _least(_by_gvxr(vertices, triangles), 3)
+    share = _share(np.asarray(lengths).mean(axis=0), theirs)
+    peer = f"gVirtualXray, one ray a pixel, {their_s:.2f} s ({their_busy_s:.2f} s of processor)"
+    rows.add(f"{name}; rms difference", f"{value}; {share:.1e}", f"<= {MAX_SHARE:.0%}", share <= MAX_SHARE, peer=peer)
 
 
 def _by_gvxr(vertices: np.ndarray, triangles: np.ndarray) -> Callable[[], np.ndarray]:
@@ -208,17 +194,3 @@ def _by_gvxr(vertices: np.ndarray, triangles: np.ndarray) -> Callable[[], np.nda
     library = gvxr.aimed(np.array([0.0, 0.0, SOURCE_MM]), below, axes, window)
     gvxr.add(library, "ring", vertices, triangles)
     return lambda: 10.0 * np.array(library.computeLBuffer("ring"), dtype=float)  # its first row is the lowest, as ours
-
-
-def _brute_force(corners: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    """Return the length, mm, of a ray within a closed surface of triangles (T, 3, 3), by Möller and Trumbore."""
-    d = (end - start) / np.linalg.norm(end - start)
-    a, b, c = np.moveaxis(corners, 1, 0)
-    p = np.cross(d, c - a)
-    det = ((b - a) * p).sum(axis=1)
-    s = start - a
-    u = (s * p).sum(axis=1) / det
-    q = np.cross(s, b - a)
-    v = (q @ d) / det
-    t = np.sort((((c - a) * q).sum(axis=1) / det)[(u >= 0) & (v >= 0) & (u + v <= 1)])
-    return float((t[1::2] - t[::2]).sum()) if len(t) % 2 == 0 else np.nan
