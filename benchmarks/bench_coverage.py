@@ -30,9 +30,9 @@ CLASSES = tuple(product(BEADS, FRAMES, PICKS))
 POINT_LIMITS = {0.50: 0.03, 0.95: 0.02, 0.99: 0.02}
 POINT_SEED = 10_000  # different set-ups from bench_accuracy
 
-PAIRS = 240
+PAIRS = 120
 IMAGE_LIMITS = {0.50: 0.035, 0.95: 0.015, 0.99: 0.007}
-MIN_MEMBERS = 50  # of a stratum
+MIN_MEMBERS = 20  # of a stratum
 DOSES = ("low", "medium", "high")
 IMAGE_FRAMES = {"frame exact": EXACT, "balls with errors of 0.02 mm": BEADS_20UM}
 PICK_PX = 1e-3  # s.d. stated for exact picks
