@@ -82,9 +82,6 @@ def test_the_scale_of_the_matrix_carries_no_error():
 def test_invalid_matrices_are_refused(matrix, covariance, words):
     with pytest.raises(UnusableInputError, match=words):
         view_from_matrix(matrix, covariance)
-
-
-def test_invalid_pixels_are_refused():
     with pytest.raises(UnusableInputError, match="finite"):
         view_from_matrix(P).lines_of_sight(np.array([[np.nan, 1.0]]))
 

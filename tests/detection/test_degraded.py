@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from degraded_images import banded, blocks, in_8_bits, interlaced, jpeg, levels, torn
+from tests.detection.bead_images import normalised
 from tests.detection.frame_images import FRAME, beads, image
 
 from sightline.detection import Observations, detect, label, look_again
@@ -30,10 +31,9 @@ def labelled(pixels: np.ndarray) -> Observations:
 
 
 def squares(found: Observations) -> np.ndarray:
-    """Return half the squared normalised errors (N,); their mean is 1 if the stated covariance is correct."""
+    """Return half the squared normalised errors (N,)."""
     assert found.covariance_px2 is not None
-    off = found.uv_px - [(TRUTH[name].u, TRUTH[name].v) for name in found.ids]
-    return np.einsum("ni,nij,nj->n", off, np.linalg.inv(found.covariance_px2), off) / 2
+    return normalised(found.uv_px - [(TRUTH[name].u, TRUTH[name].v) for name in found.ids], found.covariance_px2)
 
 
 @pytest.mark.parametrize("quality", [20, 50, 95])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bead_images import Bead, grid, quanta, radiograph
+from bead_images import Bead, grid, normalised, quanta, radiograph
 
 from sightline.detection import Detections, detect
 from sightline.errors import DetectionRefusedError
@@ -89,19 +89,16 @@ def test_a_faint_round_texture_among_beads_is_not_a_bead_but_a_thin_washer_is() 
 @pytest.mark.parametrize("level", [20.0, 120.0, 500.0])
 def test_stated_covariance_is_that_of_blurred_noise(level: float) -> None:
     rng = np.random.default_rng(6)
-    normalised = []
+    squares = []
     for _ in range(6):
         places = grid(40, SIZE, rng)
         expected = quanta([Bead(u, v, rng.uniform(5, 6)) for u, v in places], flat(level))
         found = detect(radiograph(expected, rng))
         at = matched(found, places)
-        error = found.uv_px[at] - places
-        normalised.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance_px2[at]), error))
-    chi2 = np.concatenate(normalised)
-    # Mean of chi-square with two degrees of freedom is 2, its standard error here 2 / sqrt(294) = 0.12.
-    # The noise is the image's own estimate, good to 15 % in variance.
-    assert 1.5 < chi2.mean() < 2.5
-    # White-noise formulas state a variance 2.9-8 times too small [physics.md]: the mean would be 6 and more.
+        squares.append(normalised(found.uv_px[at] - places, found.covariance_px2[at]))
+    # The standard error is 1 / sqrt(294) = 0.06 here. The noise is the image's own estimate, good to 15 % in variance.
+    assert 0.75 < np.concatenate(squares).mean() < 1.25
+    # White-noise formulas state a variance 2.9-8 times too small [physics.md]: the mean would be 3 and more.
 
 
 def test_beads_over_a_bone_edge_a_wire_and_vignetting_are_found() -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.detection.bead_images import Bead, grid, quanta, radiograph
+from tests.detection.bead_images import Bead, grid, normalised, quanta, radiograph
 from tests.detection.panel_images import hip, middle_of, scattered, shown, view_of
 
 from sightline.detection import Detections, detect
@@ -23,12 +23,6 @@ def found_of(beads: Detections, uv_px: np.ndarray, within_px: np.ndarray) -> tup
     return apart.argmin(axis=1), apart.min(axis=1) < within_px
 
 
-def squares(beads: Detections, row: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
-    """Return half the squared normalised errors (N,); their mean is 1 where the stated covariance is right."""
-    off = beads.uv_px[row] - uv_px
-    return np.einsum("ni,nij,nj->n", off, np.linalg.inv(beads.covariance_px2[row]), off) / 2
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("chain", PANELS)
 def test_a_blocks_balls_are_found_with_honest_covariances(chain: str) -> None:
@@ -44,7 +38,9 @@ def test_a_blocks_balls_are_found_with_honest_covariances(chain: str) -> None:
             beads = detect(balls.projection.exposed(dose).read_out(rng))
             row, there = found_of(beads, balls.uv_px, 0.2 * balls.radius_px)
             missed, false = missed + np.count_nonzero(~there), false + len(beads) - np.count_nonzero(there)
-            seen[name].append(squares(beads, row[there], balls.uv_px[there]))
+            seen[name].append(
+                normalised(beads.uv_px[row[there]] - balls.uv_px[there], beads.covariance_px2[row[there]])
+            )
     ratio = {name: float(np.sqrt(np.concatenate(some).mean())) for name, some in seen.items()}
     assert missed + false < 0.03 * 3 * 96
     assert max(ratio.values()) < 1.15

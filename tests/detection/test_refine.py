@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bead_images import Bead, grid, quanta, radiograph
+from bead_images import Bead, grid, normalised, quanta, radiograph
 from scipy.ndimage import gaussian_filter
 
 from sightline.detection.beads import refine
@@ -36,10 +36,6 @@ def answers(
 def errors(beads: list[Bead], fits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Errors (N, 2) and covariances (N, 2, 2) of fits."""
     return centres(fits) - np.array([(b.u, b.v) for b in beads]), centre_covariances(fits)
-
-
-def normalised(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    return np.einsum("ni,nij,nj->n", error, np.linalg.inv(cov), error) / 2
 
 
 @pytest.mark.slow

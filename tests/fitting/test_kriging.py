@@ -9,7 +9,6 @@ from sightline.common.fitting import (
     Kriging,
     PlanarKriging,
     cholesky,
-    median,
     squared_distances,
     squared_exponential,
     variance_ratio,
@@ -119,13 +118,6 @@ def test_many_data_are_fitted_as_few_are(monkeypatch, points, covariance, planar
     np.testing.assert_allclose(few.solved, np.linalg.solve(covariance, planar["design"]).T, rtol=1e-8, atol=1e-9)
 
 
-def test_pairs_of_one_column_are_left_out_alike(covariance, planar) -> None:
-    one = Kriging.of(both(planar["design"]), both(covariance), planar["data"].reshape(-1, 1)).left_out()
-    pairs = PlanarKriging.of(covariance, planar["data"], design=planar["design"]).left_out()
-    for name in ("residual", "variance", "m2"):
-        np.testing.assert_allclose(getattr(one, name), getattr(pairs, name), rtol=1e-8)
-
-
 def test_every_tail_is_scored_as_a_column_of_its_own(points, covariance) -> None:
     """Fails where a tail begins at another row, or where theta's part is not taken away."""
     rng = np.random.default_rng(4)
@@ -158,12 +150,6 @@ def test_the_variance_ratio_of_honest_errors_is_one() -> None:
     m2 = (rng.normal(size=(100_000, 2)) ** 2).sum(axis=1)
     assert abs(variance_ratio(m2) - 1) < 0.02
     assert abs(variance_ratio(9 * m2) - 9) < 0.2
-
-
-@pytest.mark.parametrize("n", [1, 2, 7, 8])
-def test_the_median(n: int) -> None:
-    values = np.random.default_rng(n).normal(size=n)
-    assert median(values) == np.median(values)
 
 
 def test_what_is_not_positive_definite_is_refused() -> None:

@@ -88,6 +88,7 @@ def test_the_covariance_is_that_of_the_errors(names, change):
     assert chi2.ppf(0.0005, 60 * 90) < total < chi2.ppf(0.9995, 60 * 90)
 
 
+@pytest.mark.slow
 def test_balls_that_were_not_measured_are_placed_with_the_error_that_they_then_have():
     rng, total, freedom = np.random.default_rng(4), 0.0, 0
     keep = np.array([i not in ("px1", "ls6", "ls7") for i in IDS])

@@ -59,14 +59,12 @@ def test_a_table_of_the_gamma_frame_is_the_gamma_frame_in_any_order(balls):
         (COVARIANCE, np.array([[4e-4, 1e-4, 0], [1e-4, 3e-4, -1e-4], [0, -1e-4, 9e-4]])),
     ],
 )
-def test_stated_errors_replace_the_bead_tolerance_and_no_other(balls, tmp_path, columns, block):
+def test_stated_errors_replace_the_bead_tolerance_and_no_other(balls, columns, block):
     frame = frame_from_csv(balls(rows_of_gamma(**columns)), "mine")
     default = GAMMA.error_factor @ GAMMA.error_factor.T
     beads = Tolerances().bead_mm ** 2 * np.eye(len(default))
     expected = default - beads + np.kron(np.eye(len(default) // 3), block)
     np.testing.assert_allclose(frame.covariance_mm2, expected, atol=1e-12)
-    frame.save(tmp_path / "mine.json")
-    np.testing.assert_array_equal(Frame.load(tmp_path / "mine.json").covariance_mm2, frame.covariance_mm2)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +72,6 @@ def test_stated_errors_replace_the_bead_tolerance_and_no_other(balls, tmp_path, 
     [
         ({}, {"plate": "top"}, "line 2: the plate is 'top'; write xrii or source"),
         ({}, {"x_mm": "1,5"}, "line 2: x_mm is '1,5', not a number"),
-        ({}, {"x_mm": ""}, "line 2: x_mm is '', not a number"),
         ({}, {"x_mm": "nan"}, r"xyz\[0\] is not a finite number"),
         ({}, {"id": "pa-x-1-2"}, "'pa-x-1-2' occurs twice"),
         ({}, {"diameter_mm": "-1"}, "above zero"),
@@ -154,10 +151,8 @@ def test_series_stand_apart_and_empty_rows_are_no_measurement(table):
         ("id,x,y,z,sd_mm", "a,1,2,,0.1", "fill in all of x, y and z"),
         ("id,x,y,z,sd_mm", "a,1,2,3;5,0.1", "'3;5', not a number"),
         ("id,x,y,z,sd_mm", "a,1,2,inf,0.1", "not finite"),
-        ("id,x,y,z,sd_mm", "a,1,2,nan,0.1", "not finite"),
         ("id,x,y,z,sd_mm", "a,1,2,3,nan", "an error above zero"),
         ("id,x,y,z,sd_mm", "a,1,2,3,0", "an error above zero"),
-        ("id,x,y,z,sd_mm", "a,1,2,3,-1", "an error above zero"),
         ("id,x,y,z,sd_x_mm,sd_y_mm,sd_z_mm", "a,1,2,3,1,,1", "in one way"),
         ("id,x,y,z,sd_mm,sd_x_mm,sd_y_mm,sd_z_mm", "a,1,2,3,1,1,1,1", "in one way"),
         ("id,x,y,z,xx_mm2,xy_mm2,xz_mm2,yy_mm2,yz_mm2,zz_mm2", "a,1,2,3,1,2,0,1,0,1", "an error above zero"),
@@ -186,7 +181,6 @@ def test_a_covariance_file_joins_the_balls(table, tmp_path):
         ("", np.diag([1, 1, 1, 1, 1, 0]), "not positive definite"),
         ("", np.eye(6) + np.eye(6, k=1), "symmetric"),
         ("", np.full((6, 6), np.nan), "finite"),
-        ("", np.diag([1, 1, 1, 1, 1, np.inf]), "finite"),
         ("", 1e3 * np.eye(6), "between 1e-05 and 10 mm"),
         ("", np.diag([1e-11, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5]), "not positive definite|between 1e-05 and 10 mm"),
         ("", np.array([["one", "two"]]), "only numbers"),

@@ -134,6 +134,7 @@ def test_the_stated_covariance_is_that_of_the_errors():
     assert np.median(ends, axis=0)[1] < 0.12
 
 
+@pytest.mark.slow
 def test_residuals_are_one_where_the_errors_are_those_stated(one):
     squares = [drawn.result().residual_rms ** 2 for drawn in (one, *(case(200 + seed, WIRE) for seed in range(2)))]
     assert 0.7 < np.mean(squares) < 1.4  # some 60 degrees of freedom each: 1 ± 0.09

@@ -59,6 +59,7 @@ def test_the_curve_ends_where_the_other_view_is_calibrated():
         assert LIMIT_PX - 1.1 * step < np.linalg.norm(end - CENTRE_PX) < LIMIT_PX
 
 
+@pytest.mark.slow
 def test_the_band_covers_the_true_line():
     """Over many estimates of both views, the frame's errors shared, the target lies within the band in 95 %."""
     pa, lateral, uv = _drawn()

@@ -19,7 +19,7 @@ TURN_RAD, SHIFT_MM = 1e-4, 0.05  # s.d. of a view's pose
 NAIL = DistalNail(np.array([3.2, -4.1, 5.3]), np.array([0.0, 1.0, 0.0]), beam_at(0.03), bend=0.02, bend_angle=0.7)
 
 
-def _matrix(orbit_deg: float, twist: np.ndarray | None = None) -> np.ndarray:
+def camera_matrix(orbit_deg: float, twist: np.ndarray | None = None) -> np.ndarray:
     """(3, 4): a camera 620 mm from the origin, after a small movement of what it sees."""
     beam = beam_at(np.deg2rad(orbit_deg))
     axes = np.stack([np.cross([0.0, 1.0, 0.0], beam), [0.0, 1.0, 0.0], beam])
@@ -33,12 +33,12 @@ def _matrix(orbit_deg: float, twist: np.ndarray | None = None) -> np.ndarray:
 
 
 def _sights(orbits_deg=ORBITS) -> dict[str, Sight]:
-    views = [view_from_matrix(_matrix(angle)) for angle in orbits_deg]
+    views = [view_from_matrix(camera_matrix(angle)) for angle in orbits_deg]
     return {f"{k}": Sight(view.focal_point_mm, view.project) for k, view in enumerate(views)}
 
 
 def _views(orbits_deg=ORBITS):
-    return [view_from_matrix(_matrix(angle), SMALL, f"{k}") for k, angle in enumerate(orbits_deg)]
+    return [view_from_matrix(camera_matrix(angle), SMALL, f"{k}") for k, angle in enumerate(orbits_deg)]
 
 
 def _known(nail: DistalNail = NAIL) -> Nail:
@@ -70,12 +70,13 @@ def test_covariance_is_that_of_the_errors():
     rng, squares = np.random.default_rng(5), []
     sd = np.repeat([TURN_RAD, SHIFT_MM], 3)
     by_pose = [
-        np.array([(_matrix(a, 1e-4 * e) - _matrix(a, -1e-4 * e)).ravel() / 2e-4 for e in np.eye(6)]).T for a in ORBITS
+        np.array([(camera_matrix(a, 1e-4 * e) - camera_matrix(a, -1e-4 * e)).ravel() / 2e-4 for e in np.eye(6)]).T
+        for a in ORBITS
     ]
     for _ in range(TRIALS):
         nail = draw_nail(rng, rng.uniform(-8.0, 8.0, 3), beam_at(0.0), off_beam=0.06)
         views = [
-            view_from_matrix(_matrix(angle, sd * rng.standard_normal(6)), (by * sd**2) @ by.T, f"{k}")
+            view_from_matrix(camera_matrix(angle, sd * rng.standard_normal(6)), (by * sd**2) @ by.T, f"{k}")
             for k, (angle, by) in enumerate(zip(ORBITS, by_pose, strict=True))
         ]
         squares.append(scored(fit_hole(views, seen(rng, nail, _sights(), every=10), _known(nail)), nail).square)
@@ -141,13 +142,13 @@ def test_views_close_together_are_refused():
 
 
 def test_an_unknown_error_is_refused():
-    views = [view_from_matrix(_matrix(angle), None, f"{k}") for k, angle in enumerate(ORBITS)]
+    views = [view_from_matrix(camera_matrix(angle), None, f"{k}") for k, angle in enumerate(ORBITS)]
     with pytest.raises(ErrorUnknownError):
         fit_hole(views, seen(np.random.default_rng(9), NAIL, _sights()), _known())
 
 
 def test_a_movement_between_the_images_fails_the_check():
     edges = seen(np.random.default_rng(10), NAIL, _sights())
-    shifted = view_from_matrix(_matrix(16.0, np.array([0.0, 0.0, 0.0, 0.0, 1.5, 0.0])), SMALL, "1")
+    shifted = view_from_matrix(camera_matrix(16.0, np.array([0.0, 0.0, 0.0, 0.0, 1.5, 0.0])), SMALL, "1")
     hole = fit_hole([_views()[0], shifted], edges, _known())
     assert {check.name for check in hole.checks if not check.passed} & {"hole agreement", "hole rims used"}

@@ -34,8 +34,15 @@ def _picks(views: list[StandInView], xyz_mm: np.ndarray, seen: np.ndarray) -> np
     return np.where(seen[..., None], uv, np.nan)
 
 
-@pytest.mark.parametrize("count", [2, 3])
-@pytest.mark.parametrize("method", ["weighted", "nearest"])
+@pytest.mark.parametrize(
+    ("method", "count"),
+    [
+        ("weighted", 3),
+        ("nearest", 2),
+        pytest.param("weighted", 2, marks=pytest.mark.slow),
+        pytest.param("nearest", 3, marks=pytest.mark.slow),
+    ],
+)
 def test_the_covariance_of_two_and_three_views_by_sampling(method, count):
     views, draws = _views()[:count], 200
     seen = SEEN if count == 3 else np.ones((2, 4), dtype=bool)

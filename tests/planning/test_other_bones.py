@@ -92,7 +92,7 @@ def test_a_tip_on_the_side_of_the_bodys_front_is_refused():
     ("name", "check"), [(name, one) for name, all_ in METRICS.items() for one in all_ if one in MOVES]
 )
 def test_each_check_finds_a_wire_beyond_three_times_its_error_and_passes_one_within(name: str, check: str):
-    """The end is moved until the value is 3 of the 95 % errors beyond the limit, or within it; five draws of clicks.
+    """The end is moved until the value is 3 of the 95 % errors beyond the limit, or within it; three draws of clicks.
 
     The bone's other checks may refuse the same wire.
     """
@@ -119,7 +119,7 @@ def test_each_check_finds_a_wire_beyond_three_times_its_error_and_passes_one_wit
         at = brentq(
             lambda s, errors=errors: inward * (value(s)[0] - limit) - errors * value(s)[1], 0.0, reach, xtol=1e-2
         )
-        for _ in range(5):
+        for _ in range(3):
             assert (check not in _failed(_judged(bone, moved(at), _clicked(bone, rng)))) == passes
 
 

@@ -73,6 +73,7 @@ def test_two_clicks_in_one_place_are_refused(view: BeadView) -> None:
 ENDS = AT + np.array([[-20.0, 6.0, -11.0], [4.0, -3.0, 2.0], [9.0, 17.0, 13.0]])  # in no plane of a plate
 
 
+@pytest.mark.slow
 def test_two_images_measure_in_space_as_well_as_they_say(pair) -> None:
     """Clicks on the truth in one set-up; calibration adds a constant error."""
     views, setup = pair

@@ -273,6 +273,7 @@ def _spread_of(rng: np.random.Generator, sd_px: float, snapped: bool) -> Check:
     return check
 
 
+@pytest.mark.slow
 def test_the_gaps_chi_square_is_one_and_its_limit_is_passed_once_in_a_thousand():
     """Picks of 0.5 px, as stated: mean and variance of a chi-square of five points; views have no error,
     which 0.05 of a frame's errors hardly changes."""

@@ -14,6 +14,8 @@ from sightline.planning import Hole, Nail, WirePicks, fit_hole, plan_wires
 from sightline.twin.anatomy.nailed_femur import SPACING_MM, DistalNail
 from sightline.twin.xray.distributions import beam_at
 
+from .test_hole import camera_matrix
+
 ERRORS = np.eye(12) * 1e-14  # a matrix with a small error
 ORBITS_DEG = (-106.0, -74.0)  # the beams run from lateral to medial
 NAIL = DistalNail(np.array([3.2, -14.1, 5.3]), np.array([0.0, 1.0, 0.0]), beam_at(-np.pi / 2 + 0.03), bend=0.02)
@@ -21,15 +23,9 @@ KNOWN = Nail(11.0, 5.0, 5.0, spacing_mm=SPACING_MM)
 PROCEDURE = "distal-interlocking"
 
 
-def _matrix(orbit_deg: float) -> np.ndarray:
-    beam = beam_at(np.deg2rad(orbit_deg))
-    axes = np.stack([np.cross([0.0, 1.0, 0.0], beam), [0.0, 1.0, 0.0], beam])
-    inner = np.array([[5000.0, 0.0, 511.5], [0.0, 5000.0, 511.5], [0.0, 0.0, 1.0]])
-    return inner @ np.column_stack([axes, 620.0 * axes @ beam])
-
-
 VIEWS = [
-    view_from_matrix(_matrix(angle), ERRORS, name) for angle, name in zip(ORBITS_DEG, ("pa", "lateral"), strict=True)
+    view_from_matrix(camera_matrix(angle), ERRORS, name)
+    for angle, name in zip(ORBITS_DEG, ("pa", "lateral"), strict=True)
 ]
 SIGHTS = {view.name: Sight(view.focal_point_mm, view.project) for view in VIEWS}
 

@@ -280,6 +280,7 @@ def test_no_wires_are_proposed_where_they_have_no_place():
 DRAWS = 200
 
 
+@pytest.mark.slow
 def test_the_relations_errors_are_as_stated_and_their_bounds_hold():
     """Sampled: errors of the views, those of the frame shared, and picks; wires 0.5° off parallel."""
     rng, true_views = np.random.default_rng(71), [stand_in("pa", 0.4), stand_in("lateral", -0.2)]

@@ -101,6 +101,7 @@ def test_the_frame_with_the_least_error_is_the_one_to_build():
     assert "gamma: 0.2" in second
 
 
+@pytest.mark.slow
 def test_each_kind_of_frame_has_the_error_that_it_states():
     for kind in (
         FrameKind("biplane", "9in-1k"),

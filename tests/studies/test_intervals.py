@@ -15,7 +15,7 @@ def test_a_quantile_lies_between_its_order_statistics():
     assert quantile("x", np.zeros(0), 0.5).value is None
 
 
-@pytest.mark.parametrize("at", [0.05, 0.5, 0.95])
+@pytest.mark.parametrize("at", [0.5, 0.95])
 def test_quantile_intervals_hold_the_true_quantile(at):
     rng = np.random.default_rng(1)
     true = np.log(1 / (1 - at))  # of an exponential distribution

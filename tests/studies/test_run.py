@@ -112,6 +112,7 @@ def test_a_trial_that_always_kills_its_worker_is_named(tmp_path):
     assert len(lines(tmp_path / "out")) == N  # the header and all but one
 
 
+@pytest.mark.slow
 def test_a_full_disk_keeps_what_was_finished(whole, tmp_path):
     resource = pytest.importorskip("resource", reason="no limits on the size of files here")
     started(whole, tmp_path, 4)

@@ -12,7 +12,7 @@ from sightline.studies.wrong_wires import KINDS, NEAR_TIMES, KnownBone, WrongKin
 
 
 @pytest.mark.parametrize(
-    "of", [pytest.param(of, id=of.name, marks=pytest.mark.slow if k % 5 else ()) for k, of in enumerate(KINDS)]
+    "of", [pytest.param(of, id=of.name, marks=pytest.mark.slow if k % 10 else ()) for k, of in enumerate(KINDS)]
 )
 def test_a_wrong_plan_is_caught_by_its_own_check_and_is_go_without_it(of: WrongKind):
     seed = [46, KINDS.index(of)]
@@ -70,6 +70,7 @@ def test_the_summary_counts_what_is_go():
     ]
 
 
+@pytest.mark.slow
 def test_the_stated_error_of_a_check_is_that_of_the_clicks():
     """120 draws of all clicks on two stand-in views whose own errors are small: their s.d. is known to 6.5 %."""
     views, rng = bone.views(), np.random.default_rng(45)

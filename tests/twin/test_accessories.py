@@ -29,12 +29,6 @@ def test_each_accessory_adds_its_parts_and_stands_in_the_truth(hip: Specimen, na
     assert more.truth == {"frame": "gamma", "with": [name]}
 
 
-def test_several_accessories_add_up(hip: Specimen) -> None:
-    names = list(ACCESSORIES)
-    alone = [with_accessories(hip, [name], np.random.default_rng(1)) for name in names]
-    assert parts(with_accessories(hip, names, np.random.default_rng(1))) == sum(map(parts, alone))
-
-
 @pytest.mark.parametrize("name", NEEDS_A_WIRE)
 def test_what_belongs_to_a_wire_needs_one(hip: Specimen, name: str) -> None:
     with pytest.raises(UnusableInputError, match="hip, plastic or porcine"):

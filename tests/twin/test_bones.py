@@ -53,9 +53,7 @@ def test_a_moved_shape_is_the_shape_elsewhere():
         assert shape.shifted(by).distance_mm(WIDE + by) == pytest.approx(shape.distance_mm(WIDE))
 
 
-@pytest.mark.parametrize(
-    ("name", "of"), [("vertebra", "surface"), ("pelvis", "outline"), ("growing-femur", "cancellous")]
-)
+@pytest.mark.parametrize(("name", "of"), [("vertebra", "surface"), ("growing-femur", "cancellous")])
 def test_distances_are_those_of_voxels(name: str, of: str):
     """A voxel on the other side of the surface is never nearer than the surface, and at most 1.5 voxels farther."""
     bone, side = MIDDLE[name], 0.35
@@ -112,7 +110,7 @@ def chord(bone: BoneModel, middle: np.ndarray, across: np.ndarray) -> float:
 def test_a_vertebra_has_its_dimensions():
     """The ranges are those of the sources in docs/bones.md."""
     rng = np.random.default_rng(7)
-    for _ in range(4):
+    for _ in range(2):
         drawn = BONES["vertebra"].draw(rng)
         assert isinstance(drawn, Vertebra)
         bone, axis = drawn.bone(), np.eye(3)
@@ -132,7 +130,7 @@ def test_a_vertebra_has_its_dimensions():
 def test_a_pelvis_has_its_dimensions():
     """The corridor to 1.5 mm: it blends into ala and body. The ranges are those of the sources in docs/bones.md."""
     rng = np.random.default_rng(10)
-    for _ in range(4):
+    for _ in range(2):
         drawn = BONES["pelvis"].draw(rng)
         assert isinstance(drawn, Pelvis)
         bone, (_, down, forwards) = drawn.bone(), drawn.axes
@@ -152,23 +150,14 @@ def test_a_pelvis_has_its_dimensions():
 
 
 @pytest.mark.parametrize("name", BARE)
-def test_wires_lie_in_their_corridors(name: str):
-    rng = np.random.default_rng(8)
-    for _ in range(3):
-        bone = BONES[name].draw(rng).bone()
+def test_wires_lie_in_their_corridors_and_landmarks_on_the_surface(name: str):
+    for bone in (MIDDLE[name], BONES[name].draw(np.random.default_rng(8)).bone()):
         for wire in bone.wires_mm:
             assert abs(bone.depth_mm(wire[0], "outline")) < 1e-6  # the entry lies on the surface
             assert bone.clearance_mm(wire) > 3.4  # room for an implant of 6.8 mm
             for of in bone.keep_out:
                 assert bone.clearance_mm(wire, of, from_entry_mm=0.0) > 3.4
             assert 40 < np.linalg.norm(wire[1] - wire[0]) < 110
-
-
-@pytest.mark.parametrize("name", BARE)
-def test_landmarks_lie_on_the_surface(name: str):
-    rng = np.random.default_rng(9)
-    for _ in range(3):
-        bone = BONES[name].draw(rng).bone()
         centres = [aid.centre_mm for aid in bone.aids.values() if isinstance(aid, SphereAid)]
         points = [at for at in bone.landmarks_mm.values() if not any(np.array_equal(at, c) for c in centres)]
         assert len(points) >= 4
@@ -177,23 +166,24 @@ def test_landmarks_lie_on_the_surface(name: str):
 
 def test_wires_of_a_nailed_femur_pass_the_middle_of_its_nails_holes():
     rng = np.random.default_rng(10)
-    for side in ("right", "left"):
-        drawn = BONES[NAILED].draw(rng)
-        bone, half = drawn.bone(), drawn.diameter_mm / 2
-        for wire, (at, axis) in zip(bone.wires_mm, drawn.nail.holes[::-1], strict=True):
-            assert wire[0, 0] > wire[1, 0] + 9.0  # from lateral
-            assert np.abs(wire - at + np.outer([half, -half], axis)).max() < 1e-9
-            assert bone.distance_mm(wire).min() > 0.3  # in the reamed canal
-        epicondyles = [at for name, at in bone.landmarks_mm.items() if "epicondyle" in name]
-        assert np.abs(bone.distance_mm(np.stack(epicondyles))).max() < 1e-6
-        setup = BONES[NAILED].setup(rng, BLOCK, side)
-        scene = placed_bone(setup, NAILED, drawn, setup.hip_mm, rng)
-        (nail,) = scene.bone.meshes
-        assert np.abs(nail.vertices_mm - to_cfcs(drawn.nail.mesh().vertices_mm, side, setup.hip_mm)).max() < 1e-9
-        assert nail.volume_mm3 > 0
+    drawn = BONES[NAILED].draw(rng)
+    bone, half = drawn.bone(), drawn.diameter_mm / 2
+    for wire, (at, axis) in zip(bone.wires_mm, drawn.nail.holes[::-1], strict=True):
+        assert wire[0, 0] > wire[1, 0] + 9.0  # from lateral
+        assert np.abs(wire - at + np.outer([half, -half], axis)).max() < 1e-9
+        assert bone.distance_mm(wire).min() > 0.3  # in the reamed canal
+    epicondyles = [at for name, at in bone.landmarks_mm.items() if "epicondyle" in name]
+    assert np.abs(bone.distance_mm(np.stack(epicondyles))).max() < 1e-6
+    setup = BONES[NAILED].setup(rng, BLOCK, "left")
+    scene = placed_bone(setup, NAILED, drawn, setup.hip_mm, rng)
+    (nail,) = scene.bone.meshes
+    assert np.abs(nail.vertices_mm - to_cfcs(drawn.nail.mesh().vertices_mm, "left", setup.hip_mm)).max() < 1e-9
+    assert nail.volume_mm3 > 0
 
 
-@pytest.mark.parametrize(("name", "side"), [("growing-femur", "right"), ("pelvis", "left")])
+@pytest.mark.parametrize(
+    ("name", "side"), [("growing-femur", "right"), pytest.param("pelvis", "left", marks=pytest.mark.slow)]
+)
 def test_landmarks_lie_on_the_edge_of_the_shadow(name: str, side: str):
     """Where the surface turns away from the beam, rays 1.5 mm inside a landmark pass bone that those outside miss."""
     bone = replace(MIDDLE[name], around=(), voxel_mm=1.0)

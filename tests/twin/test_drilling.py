@@ -153,6 +153,7 @@ def test_the_wall_of_the_bore_bends_a_wire_that_is_tilted_too_far(plastic):
     assert run.thrust_n.max() > 1.0
 
 
+@pytest.mark.slow
 def test_the_femurs_cortex_is_felt_and_its_spongy_bone_hardly():
     femur = Femur(cancellous_hu=132.0)
     wire_mm = to_cfcs(np.stack(femur.wire_mm()), "left", np.zeros(3))

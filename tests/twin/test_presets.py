@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.twin import Scene, draw_setup, hard_scene
+from sightline.twin import Scene, draw_setup
 from sightline.twin.objects.things import frame_solids
 from sightline.twin.xray.distributions import Distortion
 from sightline.twin.xray.intensifier import disc_mm
@@ -86,39 +86,13 @@ def test_nothing_distorts_a_flat_panel():
 
 
 def test_a_panel_has_square_corners_and_no_veil(frame):
-    setup = draw_setup(np.random.default_rng(43), frame, chain="flat-panel")
+    setup = draw_setup(np.random.default_rng(43), frame, chain="flat-panel-0.3")
     view = setup.views["pa"]
-    corner = view.intensifier.centre_px + 750.0
+    corner = view.intensifier.centre_px + 490.0
     assert view.in_field(corner)
-    assert not view.in_field(corner + np.array([12.0, 0.0]))
+    assert not view.in_field(corner + np.array([8.0, 0.0]))
     exposure = expose(view, Scene())
     lit = exposure.mean_pixels() - exposure.black
-    v, u = np.rint(corner[::-1]).astype(int)
+    (v, u), (row, column) = np.rint(corner[::-1]).astype(int), np.array(lit.shape) // 2
     # Scattered light falls off by what smoothing finds beyond the edge, nothing else.
-    assert lit[v, u] / lit[768, 768] == pytest.approx(1.0, abs=0.02)
-
-
-def test_the_frame_shows_as_many_beads_as_a_set_up_asks_for(frame):
-    for chain in ("9in-pal", "flat-panel"):
-        setup = draw_setup(np.random.default_rng(44), frame, chain=chain)
-        for name, view in setup.views.items():
-            uv = view.project(setup.true_frame.view(name).xrii.xyz_mm)
-            assert view.in_field(uv).mean() > 0.6
-
-
-def test_a_hard_scene_of_any_chain_tells_where_its_beads_are(frame):
-    chain = "9in-pal"
-    image, truth = hard_scene(np.random.default_rng(45), "high", frame, chain=chain)
-    assert image.shape == preset(chain).shape
-    assert len(truth) > 60
-    alone = (truth.gap_px > 4) & (truth.rim_px > 4) & (truth.saturated == 0)
-    assert alone.sum() > 5
-    assert (truth.contrast[alone] < -0.05).mean() > 0.9
-    assert (truth.quanta > 0).all()
-    assert ((truth.blur_px > 0.5) & (truth.blur_px < 1.3)).all()
-    darker = []
-    for (u, v), radius in zip(truth.uv_px[alone], truth.radius_px[alone], strict=True):
-        angle, at = np.linspace(0, 6.2, 12), np.rint([v, u]).astype(int)
-        around = np.rint([v + 1.6 * radius * np.sin(angle), u + 1.6 * radius * np.cos(angle)]).astype(int)
-        darker.append(image.pixels[tuple(at)] < image.pixels[around[0], around[1]].mean())
-    assert np.mean(darker) > 0.9
+    assert lit[v, u] / lit[row, column] == pytest.approx(1.0, abs=0.02)

@@ -17,11 +17,11 @@ from sightline.twin.anatomy.femur import (
     _socket,
     _without_socket,
     draw_femur,
-    to_cfcs,
     voxelise,
 )
 from sightline.twin.scenes.hard import hard_scene, hard_views
 from sightline.twin.scenes.hip_scene import four_balls
+from sightline.twin.xray.presets import preset
 
 
 @pytest.fixture(scope="module")
@@ -90,16 +90,6 @@ def test_the_volume_is_bone_where_the_femur_is(femur_and_volume):
     assert volume.values[0].max() == volume.values[-1].max() == volume.values[:, 0].max() == 0.0
 
 
-def test_a_left_hip_is_a_right_one_mirrored(femur_and_volume):
-    femur, right = femur_and_volume
-    left = voxelise(femur, "left", np.array([1.0, 2.0, 3.0]), np.random.default_rng(1))
-    points = np.random.default_rng(4).uniform([-60, -60, -30], [60, 60, 30], (500, 3))
-    a = share_at(right, points)
-    b = share_at(left, to_cfcs(points, "left", np.array([1.0, 2.0, 3.0])))
-    assert np.mean(a == b) > 0.98  # all but points that lie half-way between voxels
-    assert (a > 0).mean() > 0.1
-
-
 def test_a_wire_that_meets_no_cortex_is_refused():
     with pytest.raises(SetUpError, match="lateral cortex"):
         Femur().wire_mm(angle_deg=45.0)
@@ -129,17 +119,29 @@ def test_the_papers_object_has_four_balls_beside_the_frames(frame):
         assert view.in_field(view.project(xyz)).all()
 
 
-def test_hard_views_show_one_scene_from_all_sides(frame):
+@pytest.mark.slow
+def test_hard_views_show_one_scene_from_all_sides_and_tell_where_its_beads_are(frame):
     views = hard_views(np.random.default_rng(9), frame, chain="9in-pal")
     pa, lateral = views["pa"], views["lateral"]
     assert pa.scene is lateral.scene  # a scene drawn for each view has other metal in each
     assert pa.setup is lateral.setup
     assert pa.level != lateral.level
-    for name, one in views.items():
-        truth = one.exposed(np.random.default_rng(9), "high")[1]
-        assert len(set(truth.ids) & set(frame.view(name).by_id)) > 60
-        exact = {b.id: one.setup.views[name].project(np.array([b.xyz_mm]))[0] for b in one.setup.true_frame.fiducials}
-        assert np.allclose(truth.uv_px, [exact[i] for i in truth.ids], atol=1e-6)
+    image, truth = lateral.exposed(np.random.default_rng(9), "high")
+    assert image.shape == preset("9in-pal").shape
+    assert len(set(truth.ids) & set(frame.view("lateral").by_id)) > 60
+    exact = {b.id: pa.setup.views["lateral"].project(np.array([b.xyz_mm]))[0] for b in pa.setup.true_frame.fiducials}
+    assert np.allclose(truth.uv_px, [exact[i] for i in truth.ids], atol=1e-6)
+    alone = (truth.gap_px > 4) & (truth.rim_px > 4) & (truth.saturated == 0)
+    assert alone.sum() > 5
+    assert (truth.contrast[alone] < -0.05).mean() > 0.9
+    assert (truth.quanta > 0).all()
+    assert ((truth.blur_px > 0.5) & (truth.blur_px < 1.3)).all()
+    darker = []
+    for (u, v), radius in zip(truth.uv_px[alone], truth.radius_px[alone], strict=True):
+        angle, at = np.linspace(0, 6.2, 12), np.rint([v, u]).astype(int)
+        around = np.rint([v + 1.6 * radius * np.sin(angle), u + 1.6 * radius * np.cos(angle)]).astype(int)
+        darker.append(image.pixels[tuple(at)] < image.pixels[around[0], around[1]].mean())
+    assert np.mean(darker) > 0.9
 
 
 def test_bad_dose_class(frame):
@@ -147,7 +149,7 @@ def test_bad_dose_class(frame):
         hard_scene(np.random.default_rng(8), "none", frame)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_is_left_out_of_a_hip_is_empty(seed):
     """Points 5 mm apart where no femur or no socket is computed. Fails for a limit 16 mm nearer to the femur, or 30 mm
     nearer to the socket."""

@@ -180,6 +180,7 @@ def test_an_image_of_a_block_has_the_tags_of_a_panel(drawn):
     assert tags.intensifier_size_mm is None
 
 
+@pytest.mark.slow
 def test_the_body_and_the_bone_lie_at_the_hip(drawn):
     setup = replace(drawn[0], views={})
     hip = hip_scene(setup, np.random.default_rng(67))

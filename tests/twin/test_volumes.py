@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
+from tests.twin.test_render import coarse
 
 from sightline.errors import SetUpError
 from sightline.twin import Scene, draw_setup, hip_scene, write_truth
@@ -92,7 +93,7 @@ def test_a_moved_volume_is_crossed_as_the_rays_moved_back(frame):
 
 
 def test_finely_voxelled_volumes_are_cast_for_every_pixel(frame):
-    view = draw_setup(np.random.default_rng(3), frame).views["pa"]
+    view = coarse(draw_setup(np.random.default_rng(3), frame).views["pa"])
     rays = Rays(np.array([0.0, 0, -600]), np.array([[[0.0, 0, 400]]]), np.ones((1, 1), dtype=bool))
     fine = Volume(np.ones((80, 80, 80)), np.full(3, -8.0), np.full(3, 0.2), within=None)
     way = volume_integral(rays, fine.values, fine.origin_mm, fine.voxel_mm)[0, 0]

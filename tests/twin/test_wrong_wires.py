@@ -16,7 +16,11 @@ KINDS = {
 
 @pytest.mark.parametrize(
     ("name", "beyond_mm"),
-    [pytest.param("pelvis", 2.0, marks=pytest.mark.slow), ("vertebra", 1.5), ("growing-femur", 4.0)],
+    [
+        pytest.param("pelvis", 2.0, marks=pytest.mark.slow),
+        pytest.param("vertebra", 1.5, marks=pytest.mark.slow),
+        ("growing-femur", 4.0),
+    ],
 )
 def test_a_wrong_wire_is_wrong_by_the_amount_asked_for(name: str, beyond_mm: float):
     bone = BONES[name].draw(np.random.default_rng(21)).bone()

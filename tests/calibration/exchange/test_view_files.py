@@ -30,7 +30,7 @@ def there_and_back(pinhole: Pinhole, kind: str, folder: Path) -> list[Pinhole]:
 def test_a_view_comes_back(kind: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp(kind)
 
-    @settings(max_examples=40, deadline=None, database=None)
+    @settings(max_examples=15, deadline=None, database=None)
     @given(pinholes(mirrored=None if kind in MIRRORED else False))
     def check(pinhole: Pinhole) -> None:
         wanted = project(pinhole, POINTS)
@@ -44,7 +44,7 @@ def test_a_view_comes_back(kind: str, tmp_path_factory: pytest.TempPathFactory) 
     check()
 
 
-@settings(max_examples=30, deadline=None, database=None)
+@settings(max_examples=15, deadline=None, database=None)
 @given(pinholes())
 def test_rtk_sees_the_written_image_as_its_documentation_says(pinhole: Pinhole) -> None:
     """Source and detector as points in space, from RTK's drawing of its parameters: no matrix of ours."""
@@ -65,7 +65,7 @@ def test_rtk_sees_the_written_image_as_its_documentation_says(pinhole: Pinhole) 
     assert np.abs(project(pinhole, on_ray[None]) - [u, v]).max() < 1e-6
 
 
-@settings(max_examples=30, deadline=None, database=None)
+@settings(max_examples=15, deadline=None, database=None)
 @given(pinholes(mirrored=None))
 def test_diffdrr_casts_each_pixels_ray_where_ours_runs(pinhole: Pinhole) -> None:
     """Its detector as `_initialize_carm` and `calibration` make it."""
@@ -80,7 +80,7 @@ def test_diffdrr_casts_each_pixels_ray_where_ours_runs(pinhole: Pinhole) -> None
     assert np.abs(project(pinhole, on_ray[None]) - [column, row]).max() < 1e-6
 
 
-@settings(max_examples=30, deadline=None, database=None)
+@settings(max_examples=15, deadline=None, database=None)
 @given(pinholes())
 def test_deepdrr_samples_a_pixel_at_its_index_and_a_half(pinhole: Pinhole) -> None:
     d = json.loads(write_view(pinhole, "deepdrr")["pa.deepdrr.json"])
@@ -89,7 +89,7 @@ def test_deepdrr_samples_a_pixel_at_its_index_and_a_half(pinhole: Pinhole) -> No
     assert np.abs(index[:, :2] / index[:, 2:] - (project(pinhole, POINTS) + 0.5)).max() < 1e-8
 
 
-@settings(max_examples=30, deadline=None, database=None)
+@settings(max_examples=15, deadline=None, database=None)
 @given(pinholes())
 def test_autoscoper_turns_mayacam_into_a_camera_that_looks_along_its_minus_z(pinhole: Pinhole) -> None:
     """Its reader: x right, y up, the image's rows counted from the bottom (size - 1 - cy)."""

@@ -102,7 +102,7 @@ def test_what_is_written_is_what_xregs_reader_asks_for(tmp_path: Path, kind: typ
 
 
 @pytest.mark.parametrize("frame", ["origin-at-focal-pt-det-neg-z", "origin-on-det"])
-@settings(max_examples=20, deadline=None, database=None)
+@settings(max_examples=10, deadline=None, database=None)
 @given(pinhole=pinholes(mirrored=True))
 def test_xregs_other_two_frames_give_the_same_pixels(tmp_path_factory, frame: str, pinhole: Pinhole) -> None:
     """By `phys_pt_to_ind_pt`: with z towards the source its images are mirrored ones."""
