@@ -83,7 +83,9 @@ def _images(number: int) -> Rows:
     rows.add("rendered pairs without a result", refused)
     if not done:
         return rows
-    rows.covers("all", [pair["square"] for pair in done], IMAGE_LIMITS)
+    by_chance = {p: 3 * np.sqrt(p * (1 - p) / len(done)) for p in IMAGE_LIMITS}  # of few pairs it is more than asked
+    limits = {p: max(limit, by_chance[p]) for p, limit in IMAGE_LIMITS.items()}
+    rows.covers("all", [pair["square"] for pair in done], limits)
     places = ("inside the hull", "outside the hull")
     for name in (*DOSES, *IMAGE_FRAMES, *places, *(name for strata in STRATA.values() for name in strata)):
         squares = [pair["square"] for pair in done if name in pair["strata"]]
