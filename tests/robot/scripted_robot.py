@@ -53,6 +53,7 @@ class Peer(asyncio.Protocol):
     robot: "ScriptedRobot"
     stream: Stream = field(default_factory=Stream)
     transport: asyncio.Transport | None = None
+    loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
     telemetry: bool = False
     promised: bool = False
     heard_s: float = 0.0
@@ -61,6 +62,10 @@ class Peer(asyncio.Protocol):
     def connection_made(self, transport) -> None:
         self.transport = transport
         self.robot.joined(self)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes. Any thread."""
+        self.loop.call_soon_threadsafe(self.transport.write, data)
 
     def data_received(self, data: bytes) -> None:
         if "whole pieces only" in self.robot.flaws:

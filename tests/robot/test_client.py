@@ -15,7 +15,7 @@ from tests.systems import needs_posix
 
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
-from sightline.robot.igtl import Message, String
+from sightline.robot.igtl import Message, NDArray, String, encode
 from sightline.robot.link.client import RobotClient
 from sightline.robot.link.exchange import AXIS_LIMIT_RAD, TIP_LIMIT_MM, WireDeviation, refuse_other_pose
 from sightline.robot.link.shared_connection import Mailbox
@@ -212,6 +212,19 @@ def test_a_stop_s_connection_that_dies_is_made_anew(monkeypatch):
         assert peer.phase == "STOP"
 
 
+def test_a_person_may_think_for_as_long_as_they_like():
+    """More streams than sockets hold, while no call is made: a robot gives up a client that reads none."""
+    peer = ScriptedRobot()
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        arrived: list[str] = []
+        robot.listeners.append(lambda message: arrived.append(message.device_name))
+        minutes = encode(Message(NDArray(np.zeros((6, 1000))), "minutes")) * 400  # 20 MB
+        peer.peers[0].write(minutes)
+        wait_for(lambda: arrived.count("minutes") == 400)
+        robot.align()
+
+
 # Signs of life.
 
 
@@ -223,7 +236,7 @@ def test_a_pause_of_the_client_is_not_the_robot_s_lateness(monkeypatch, pauses, 
     answer = Message(String("START_UP"), "ACK_1")
 
     class Connection:
-        def hear(self, mail: Mailbox, timeout_s: float) -> None:
+        def wait(self, mail: Mailbox, timeout_s: float) -> None:
             nonlocal left
             left -= 1
             clock.now_s += 5.0 if left >= 0 else timeout_s

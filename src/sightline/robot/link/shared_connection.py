@@ -1,11 +1,11 @@
-"""A connection to a robot shared by several threads: each gets all messages since its request, whichever thread
-reads."""
+"""A connection to a robot that is read all the time, and shared by several threads: each gets all messages since its
+request."""
 
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
-from threading import Lock
+from threading import Condition, Lock, Thread
 
 from sightline.errors import LinkError
 from sightline.robot.contract import ALIVE_S, HEARTBEAT, HEARTBEAT_S, IDLE_S, STATUS_S
@@ -44,7 +44,7 @@ class Mailbox:
                 if wanted(message):
                     return message
             left = end_s - self.clock.now_s
-            self._connection.hear(self, min(max(left, 0.0), HEARTBEAT_S))
+            self._connection.wait(self, min(max(left, 0.0), HEARTBEAT_S))
             self.clock.tick(time.monotonic())
             if (left <= 0 and not self.came) or left < -DRAIN_S:
                 return None
@@ -64,8 +64,9 @@ class Mailbox:
 class SharedConnection:
     """A connection to `host`:`port`. Raises LinkError if it cannot be opened, and in every call once it is lost.
 
-    `latest` holds the newest message of each device name. `listeners` are called with every message, in order, by the
-    thread that reads it. `unreadable` holds what could not be decoded.
+    A thread reads it, also while a person thinks between calls: a robot whose streams nobody reads gives its client up.
+    `latest` holds the newest message of each device name. `listeners` are called with every message, in order, by that
+    thread, before a call returns with a later one. `unreadable` holds what could not be decoded.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -73,10 +74,14 @@ class SharedConnection:
         self.listeners: list[Callable[[Message], None]] = []
         self.unreadable: list[Rejected] = []
         self._link = BlockingClient(host, port)
-        self._reading, self._asking = Lock(), Lock()
+        self._asking, self._turn = Lock(), Condition()  # notified whenever the reader has read something, or nothing
         self._mailboxes: list[Mailbox] = []
         self._marks_sent = self._marks_heard = 0
+        self._turns = self._emptied = 0  # of the reader; of these, the last that found nothing waiting
+        self._shown = 0  # turns that a call has shown as progress
+        self._failure: Exception | None = None
         self._heartbeat: Heartbeat | None = None
+        Thread(target=self._read_all, name="robot link", daemon=True).start()
 
     def close(self) -> None:
         """Close the connection, even while other threads use it."""
@@ -119,26 +124,30 @@ class SharedConnection:
 
     @contextmanager
     def mailbox(self) -> Generator[Mailbox]:
-        """Open a mailbox. Open it before sending a query, or another thread may read the answer first."""
+        """Open a mailbox. Open it before sending a query, or its answer may come first."""
         mail = Mailbox(self)
-        self._mailboxes.append(mail)
+        with self._turn:
+            self._refuse_lost()
+            self._mailboxes.append(mail)
         self._show_progress()
         try:
             yield mail
         finally:
-            self._mailboxes.remove(mail)
+            with self._turn:
+                self._mailboxes.remove(mail)
             if not self._mailboxes and self._heartbeat is not None:
                 self._heartbeat.idles()
 
-    def hear(self, mail: Mailbox, timeout_s: float) -> None:
+    def wait(self, mail: Mailbox, timeout_s: float) -> None:
         """Wait until a message may have come for `mail`, at most `timeout_s`."""
-        self._show_progress()
-        if self._reading.acquire(timeout=timeout_s):
-            try:
-                if not mail.came:
-                    self._read(timeout_s)
-            finally:
-                self._reading.release()
+        with self._turn:
+            if not mail.came:
+                self._refuse_lost()
+                self._turn.wait(timeout_s)
+            # A call makes progress while the reader does: it may hang in a listener.
+            progress, self._shown = self._turns > self._shown, self._turns
+        if progress:
+            self._show_progress()
 
     def ask(self, body: Body, name: str, answers: Wanted, what: str, *, marked: bool) -> Message:
         """Send a query and return its answer, not an earlier message that looks like it. `marked`: the robot answers
@@ -147,9 +156,9 @@ class SharedConnection:
         Raises LateError."""
         with self._asking:
             if not marked:
-                self._drain()
+                self._catch_up()
             with self.mailbox() as mail:
-                with self._reading:
+                with self._turn:
                     due = self._marks_sent - self._marks_heard
                     mail.came.clear()
                 self.send(body, name)
@@ -162,10 +171,8 @@ class SharedConnection:
     def fresh(self, name: str) -> Message:
         """Return the next message of a stream that has not come yet. Raises LateError."""
         with self._asking:
-            self._drain()
+            self._catch_up()
             with self.mailbox() as mail:
-                with self._reading:
-                    mail.came.clear()
                 return mail.need(lambda m: m.device_name == name, STATUS_S, name)
 
     def _before_mark(self, mail: Mailbox, due: int, answers: Wanted, what: str) -> Message:
@@ -187,29 +194,48 @@ class SharedConnection:
         if heartbeat is not None:
             heartbeat.waits()
 
-    def _drain(self) -> None:
-        """Read all messages that have come: streams continue between calls."""
-        end = time.monotonic() + DRAIN_S
-        with self._reading:
-            while self._read(0.0):
-                if time.monotonic() > end:
-                    raise LinkError(f"the robot sends more than can be read: {DRAIN_S:g} s were not enough")
+    def _refuse_lost(self) -> None:
+        if self._failure is not None:
+            raise self._failure
 
-    def _read(self, timeout_s: float) -> bool:
-        """Read one message into all mailboxes; return whether there was one. Called by the reading thread only."""
-        event = self._link.receive(timeout_s)
-        if event is None:
-            return False
+    def _catch_up(self) -> None:
+        """Wait until all that has come was read."""
+        with self._turn:
+            self._refuse_lost()
+            now = self._turns
+            if not self._turn.wait_for(lambda: self._emptied > now or self._failure is not None, DRAIN_S):
+                raise LinkError(f"the robot sends more than can be read: {DRAIN_S:g} s were not enough")
+            self._refuse_lost()
+
+    def _read_all(self) -> None:
+        """Read until the connection is lost or a listener fails, which every later call raises."""
+        try:
+            while True:
+                event = self._link.receive(0.0)
+                self._end_turn(event)
+                if event is None:
+                    self._end_turn(self._link.receive(HEARTBEAT_S))
+        except Exception as error:
+            with self._turn:
+                self._failure = error
+                self._turn.notify_all()
+
+    def _end_turn(self, event: Message | Rejected | None) -> None:
+        """Hand an event to listeners, then to all mailboxes."""
         if isinstance(event, Rejected):
             self.unreadable.append(event)
             if event.fatal:
                 raise LinkError(f"the robot sends what is not OpenIGTLink: {event.reason}")
-            return True
-        if isinstance(event.body, Capability) and self._marks_heard < self._marks_sent:
-            self._marks_heard += 1
-        self.latest[event.device_name] = event
-        for mail in tuple(self._mailboxes):
-            mail.came.append(event)
-        for listener in tuple(self.listeners):
-            listener(event)
-        return True
+        elif event is not None:
+            self.latest[event.device_name] = event
+            for listener in tuple(self.listeners):
+                listener(event)
+        with self._turn:
+            self._turns += 1
+            if event is None:
+                self._emptied = self._turns
+            elif isinstance(event, Message):
+                self._marks_heard += isinstance(event.body, Capability) and self._marks_heard < self._marks_sent
+                for mail in self._mailboxes:
+                    mail.came.append(event)
+            self._turn.notify_all()

@@ -143,10 +143,12 @@ class Conversation:
             answer.order.append(status)
             answer.code, answer.text, answer.status_s = body.code, body.text, at_s
 
-    def next(self, name: str, within_s: float) -> Message | None:
-        """Return the next message of that name, or None if none came in time."""
+    def target(self, target: np.ndarray) -> tuple[Response, Message | None]:
+        """Send a target and return how it ended, and if it was accepted the REACHABLE_TARGET, None if none came."""
         with self.robot.connection.mailbox() as mail:
-            return mail.until(lambda m: m.device_name == name, within_s)
+            answer = self.pose(contract.TARGET, target)
+            accepted = answer.code == Code.OK
+            return answer, mail.until(lambda m: m.device_name == "REACHABLE_TARGET", contract.ACK_S * accepted)
 
     def phase(self) -> str:
         """Query the state and return the name of the STATUS that answers. Raises LateError."""
@@ -253,8 +255,11 @@ def _apart(first: RigidTransform, second: RigidTransform) -> tuple[float, float]
 Question = Callable[[Conversation], str]  # returns what was observed; raises if it breaks the contract
 
 
-def target_in_air(talk: Conversation) -> np.ndarray:
-    """Send a target ahead of the wire that the robot accepts, and return it, (4, 4) CFCS. Raises NotAskedError."""
+def target_in_air(talk: Conversation) -> tuple[np.ndarray, Message | None]:
+    """Send a target ahead of the wire that the robot accepts; return it, (4, 4) CFCS, and its REACHABLE_TARGET, if any.
+
+    Raises NotAskedError.
+    """
     talk.bring("START_UP")
     registration = REGISTRATION
     if contract.HAS_TELEMETRY in talk.robot.capabilities:
@@ -269,17 +274,16 @@ def target_in_air(talk: Conversation) -> np.ndarray:
     talk.bring("TARGETING")
     for ahead in AHEAD_MM:
         target = (now * RigidTransform.from_translation([0.0, ASIDE_MM, ahead])).as_matrix()
-        answer = talk.pose(contract.TARGET, target)
+        answer, reachable = talk.target(target)
         if answer.code == Code.OK:
-            return target
+            return target, reachable
         why = why or answer.text
     raise NotAskedError(f"no target ahead of the wire is reachable: {why or 'no reason given'}")
 
 
 def verified_target(talk: Conversation) -> np.ndarray:
     """Send a target that the robot accepts and will reach, and return it, (4, 4) CFCS. Raises NotAskedError."""
-    target = target_in_air(talk)
-    reachable = talk.next("REACHABLE_TARGET", contract.ACK_S)
+    target, reachable = target_in_air(talk)
     if reachable is not None:
         try:
             WireDeviation.of(pose_of(reachable), RigidTransform.from_matrix(target)).refuse_large(

@@ -49,7 +49,7 @@ def _no_target(change: Callable[[np.ndarray], np.ndarray]) -> Question:
     """Return the question whether a target with one fault is refused; without the fault it was accepted."""
 
     def question(talk: Conversation) -> str:
-        good = target_in_air(talk)
+        good, _ = target_in_air(talk)
         talk.bring("TARGETING")
         return expect_code(talk.pose(contract.TARGET, change(good)), Code.CONFIGURATION)
 
@@ -61,7 +61,7 @@ def _no_plan(**metadata: str) -> Question:
 
     def question(talk: Conversation) -> str:
         talk.require(contract.HAS_PLAN)
-        good = target_in_air(talk)
+        good, _ = target_in_air(talk)
         talk.bring("TARGETING")
         return expect_code(talk.pose(contract.TARGET, good, metadata), Code.CONFIGURATION)
 
@@ -75,18 +75,17 @@ def _in_metres(talk: Conversation) -> str:
 
 
 def _echoes_a_target(talk: Conversation) -> str:
-    good = target_in_air(talk)
+    good, _ = target_in_air(talk)
     talk.bring("TARGETING")
     return expect_echo(talk.pose(contract.TARGET, good), good, "target")
 
 
 def _reaches_what_it_takes(talk: Conversation) -> str:
-    good = target_in_air(talk)
+    good, _ = target_in_air(talk)
     talk.bring("TARGETING")
-    answer = talk.pose(contract.TARGET, good)
+    answer, reachable = talk.target(good)
     if answer.code != Code.OK:
         raise NotAskedError(f"the target was refused: {answer.text}")
-    reachable = talk.next("REACHABLE_TARGET", contract.ACK_S)
     if reachable is None and not talk.robot.capabilities:
         raise UnsupportedError("a robot of the 2013 convention does not report what it reaches")
     if reachable is None:
