@@ -67,7 +67,8 @@ def _provenance(seed: int | None) -> Entry:
 
 def table(entries: Sequence[Entry]) -> str:
     """Return the tables of the page: for each benchmark what it measures, its values, and where they are from."""
-    parts = []
+    machines = dict.fromkeys(f"{each['processor']}, {each['cores']} cores" for each in entries if each["commit"])
+    parts = [f"Values with a commit are from: {'; '.join(machines)}. The others are older; some have other names now."]
     for name in names():
         own = [each for each in entries if each["benchmark"] == name]
         own = [each for each in own if each["asked"] or each["peer"]] or own
@@ -92,9 +93,8 @@ def _line(each: Entry, *, several: bool) -> str:
 
 def _source(shown: Sequence[Entry]) -> str:
     """Return where the values of a benchmark are from, as far as it was recorded."""
-    sources = dict.fromkeys(tuple(each[key] for key in _PROVENANCE) for each in shown)
-    known = [[f"{key} {value}" for key, value in zip(_PROVENANCE, each, strict=True) if value] for each in sources]
-    return f"Measured with {'; '.join(', '.join(each) for each in known if each)}." if any(known) else ""
+    sources = dict.fromkeys(f"{each['commit']} of {each['date']}" for each in shown if each["commit"])
+    return f"Measured at {', '.join(sources)}." if sources else ""
 
 
 def page() -> str:
