@@ -230,7 +230,7 @@ def test_files_that_are_no_frame(tmp_path, text, words):
 
 
 def test_a_file_too_large_is_not_read(tmp_path, monkeypatch):
-    monkeypatch.setattr("sightline.frame.document.SIZE_LIMIT_BYTES", 1 << 20)
+    monkeypatch.setattr("sightline.frame.document.MAX_JSON_BYTES", 1 << 20)
     (tmp_path / "frame.json").write_bytes(b" " * ((1 << 20) + 1))
     with pytest.raises(FrameError, match="larger than 1 MiB"):
         Frame.load(tmp_path / "frame.json")

@@ -93,7 +93,7 @@ def test_measurements_that_are_none(tmp_path, changed, why):
         Measurements.read(tmp_path / "m.json")
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{", "null", "[" * 5000, '{"schema": NaN}', " " * (2**20 + 1)])
+@pytest.mark.parametrize("text", ["", "[]", "{", "null", "[" * 5000, '{"schema": NaN}', " " * (2**22 + 1)])
 def test_files_that_are_none(tmp_path, text):
     (tmp_path / "robot.json").write_text(text)
     for kind in (Measurements, RobotFile):

@@ -11,19 +11,19 @@ import numpy as np
 from scipy.special import chdtri
 
 from sightline.calibration.plates.beads import Beads
-from sightline.calibration.plates.joint import FALSE_ALARM, JointFit
+from sightline.calibration.plates.joint import JointFit
 from sightline.calibration.view import Residuals
-from sightline.common.checks import Check
+from sightline.common.checks import FALSE_ALARM, Check
 from sightline.common.fitting import distances
 from sightline.common.geometry.outlines import convex_hull, enclosed_area
 from sightline.common.geometry.planes import Plane
 from sightline.frame import Frame
 
 MIN_COUNT = 24  # a cubic and F have 23 parameters: more degrees of freedom are left, 25, than are fitted [calc]
-MIN_COVERAGE = 0.45  # [ours] share of each plate's area within the convex hull of its used beads
+MIN_COVERAGE = 0.45  # [ours] of a plate's area in its used beads' convex hull: with less, most of it is extrapolated
 MAX_LEAVE_ONE_OUT_MM = 0.5  # [ours] half of the 1 mm the paper reaches at the entry point
 MAX_NOISE_PX = 2.0  # twice an ordinary click [physics.md, Picks]
-MIN_BESIDE_ROW = 6  # [ours] beads on either side of a row that is tested for a tear
+MIN_BESIDE_ROW = 6  # [ours] beads on either side of a row that is tested for a tear: the mean of fewer is uncertain
 
 
 def view_checks(beads: Beads, residuals: Residuals) -> list[Check]:
@@ -195,7 +195,10 @@ def wrong_beads_check(residuals: Residuals) -> Check:
 # Unlabelled detections beside missing beads, all by one shift along the rows: so many are a strip of shifted rows. Of
 # 28 detections and 20 missing beads at random places six agree in fewer than one of a million images [calc].
 MIN_STRIP = 6
-_SAME_ROW_PX, _SAME_SHIFT_PX = 4.0, 8.0  # the map is extrapolated into the strip [ours]
+_SAME_ROW_PX, _SAME_SHIFT_PX = (
+    4.0,
+    8.0,
+)  # errors of the map, which is extrapolated there, far below a pitch [ours]
 _LEAST_SHIFT_PX, _MOST_SHIFT_PX = 3.0, 100.0  # beads that are shifted by less are labelled, and their residuals show it
 NEIGHBOURS = 8  # [ours] beads about a pixel, of both plates: within 1.1 pitches with 7 x 7 and 8 x 8 beads
 

@@ -38,13 +38,14 @@ _MAX_PANEL_SPREAD = 0.02
 # From the focal spot to the hip, and so to any plate behind it: at least 300 mm to the skin with a mobile C-arm
 # (21 CFR 1020.32(g)) plus half of a slim hip's depth [ours].
 MIN_SOURCE_PLATE_MM = 400.0
-# Half the side of the square of pixels whose solid angle is measured, in radii of the beads' convex hull [ours].
+# Half the side of the square of pixels whose solid angle is measured, in radii of the beads' convex hull [ours]: its
+# corners lie inside at 0.7, where the map does not extrapolate; a smaller square measures the angle less well.
 _HALF_SIDE = 0.5
 # Systematic error of the fitted log radius where blur or beam hardening differ from the fit's model [twin]: in 17
 # images of four image chains, three doses and twice the blur, balls of 3 mm looked 0.4 to 1.8 % too large, those of
 # 5 mm 0.9 to 2.6 %; on an unmeasured machine the error may be three times as large.
 SYSTEMATIC = 0.06
-_MIN_BALLS = 8  # balls [ours]
+_MIN_BALLS = 8  # [ours] for a median that two wrong radii do not move by more than its error
 _MEDIAN = 1.2533  # s.d. of the median over that of the mean (normal distribution)
 
 

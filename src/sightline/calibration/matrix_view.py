@@ -10,9 +10,11 @@ from sightline.common.geometry.planes import Plane
 from sightline.common.show import Shown, checks_lines, numbers
 from sightline.errors import OutsideRegionError, UnusableInputError
 
-# For a source at infinity the unit rows of the left 3x3 block span less volume than this [ours].
+# For a source at infinity the unit rows of the left 3x3 block span less volume than this [ours]: those of a C-arm span
+# about 1, and rounding leaves 1e-16 of none.
 MIN_VOLUME = 1e-9
-# The reference plane passes through the origin, but stays at least this far from the source [ours].
+# The reference plane passes through the origin, but stays at least this far from the source [ours]: a C-arm's is some
+# 600 mm away, and through the source no ray meets the plane in a point.
 MIN_DISTANCE_MM = 1.0
 
 

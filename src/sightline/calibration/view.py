@@ -12,7 +12,7 @@ from sightline.common.geometry.planes import Plane
 from sightline.errors import CalibrationRefusedError
 
 # Limits for the ratio of a bead's height above the reference plane to that of F [ours]; 0.16 on a Γ frame's source
-# plate.
+# plate. Beads as high as F have no image, and with none above the plane F is not determined.
 MIN_SOURCE_DISTANCE = 0.05  # of 1 - ratio
 MIN_PARALLAX = 0.01  # of |ratio|
 

@@ -12,7 +12,10 @@ import numpy as np
 
 from sightline.errors import UnusableInputError
 
-MAX_JSON_BYTES = 2**26  # [ours] of results and plans: six times a view of a frame with a full covariance
+# Size limits [ours]: far above what programs write, far below what exhausts the memory of a machine.
+MAX_TEXT_BYTES = 2**22  # of tables and of small documents: forty thousand beads
+MAX_JSON_BYTES = 2**26  # of results, plans and frames: six times the full covariance of a built-in frame
+MAX_PIXELS = 2**25  # of an image: twice a 43 cm flat panel at 0.105 mm
 
 
 @contextmanager

@@ -6,6 +6,9 @@ from enum import StrEnum
 from math import radians
 from typing import Any, Self
 
+# Probability with which something that is right is refused: once in 10,000 views, frames or fits a correct bead is left
+# out or a check fails [ours]. More often it would be a nuisance; more rarely, larger errors would pass.
+FALSE_ALARM = 1e-4
 # An entry point within the bone, such as a nail's wall, lies at least so far in it: four standard deviations of a
 # planned entry along the wire. At most: half of a large femur above the knee [ours].
 CLEAR_MM, MAX_BEFORE_MM = 2.0, 40.0

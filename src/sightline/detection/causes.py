@@ -11,11 +11,17 @@ from sightline.imaging import Radiograph
 from sightline.imaging.defects import MAX_CLIPPED, clipped_share, torn
 
 NO_RIM = "no rim"  # start of this reason
-_MIN_SPOTS = 5  # for a statement about the image, or for a direction of motion [ours]
-_MAX_SPOTS = 400  # evaluated [ours]
-_INSIDE, _RIM_PX = 1.6, 4.0  # a smeared rim lies within so many radii plus so many px [ours]
+# Spots for a statement about the image, or for a direction of motion, which fewer show by chance; and at most, which
+# take a second [ours].
+_MIN_SPOTS, _MAX_SPOTS = 5, 400
+_INSIDE, _RIM_PX = (
+    1.6,
+    4.0,
+)  # [ours] a smeared rim lies within so many radii plus so many px; outside are other beads
 _RING = 1.5  # outer over inner radius of the background ring
-_OWN = 0.5  # smallest share of the squared gradients that does not come from the background [ours]
+_OWN = (
+    0.5  # [ours] smallest share of the squared gradients that is not of the background: with less, an edge's direction
+)
 # Refused images with motion of 2-12 px, or with two exposures, have 0.09 and more; images refused for another reason
 # have 0.06 and less [twin: `campaigns/images.py`, two seeds].
 DIRECTED = 0.075

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.common.atomic import write_whole
-from sightline.common.bounded import read_text, regular_file
+from sightline.common.bounded import MAX_TEXT_BYTES, read_text, regular_file
 from sightline.detection.labelling import label
 from sightline.detection.results import Detections, Observations
 from sightline.errors import ObservationsError
@@ -20,8 +20,7 @@ _COLUMNS = ("view", "id", "u_px", "v_px")
 _COVARIANCE = ("suu_px2", "suv_px2", "svv_px2")
 _RADIUS = ("radius_px",)
 _HEADERS = (_COLUMNS, _COLUMNS + _COVARIANCE, _COLUMNS + _RADIUS, _COLUMNS + _COVARIANCE + _RADIUS)
-_MAX_BYTES = 2**22  # [ours] forty thousand beads
-_MAX_TEXT = 64  # [ours] characters in the name of a view or fiducial
+_MAX_TEXT = 64  # characters in the name of a view or fiducial, as in a frame file
 # Of beads that are not labelled.
 _NEEDED = ("u_px", "v_px", "radius_px")
 _OPTIONAL = ("sd_px", *_COVARIANCE, "kind", "contrast")
@@ -35,7 +34,7 @@ def read_observations(path: str | Path) -> dict[str, Observations]:
     name = Path(path).name
     reader = csv.reader(
         io.StringIO(
-            read_text(Path(path), _MAX_BYTES, ObservationsError, "give the beads of one pair of images as CSV")
+            read_text(Path(path), MAX_TEXT_BYTES, ObservationsError, "give the beads of one pair of images as CSV")
         ),
         strict=True,
     )
@@ -135,7 +134,7 @@ def label_csv(
 
 def read_detections(path: Path) -> tuple[Detections, bool]:
     """Return the detections of a file, and whether it states the errors of their centres. Raises ObservationsError."""
-    text = read_text(path, _MAX_BYTES, ObservationsError, "give one image's beads as CSV")
+    text = read_text(path, MAX_TEXT_BYTES, ObservationsError, "give one image's beads as CSV")
     try:
         if not text:
             raise ObservationsError(f"{path.name} is empty; give one image's beads as CSV")

@@ -181,7 +181,7 @@ FACTOR = 2
 _USUAL_RADIUS_PX = 14.0  # largest median of the beads: datum balls, 5/3 as large, then have 24 px of 25 [calc]
 # Where some are larger than this, they are binned too, unless the smallest tenth would become hard to fit. Fits of
 # discs above 23 px do not always converge [twin].
-_LARGE_PX, _SMALL_PX = 22.0, 6.0  # [ours]
+_LARGE_PX, _SMALL_PX = 22.0, 6.0  # [ours] below 23 px, and 3 px after binning, above the promised 2 px
 # Spots with less than this share of the strong spots' contrast are texture or noise: 0.2-0.35 at low dose on pixels
 # of 0.1 mm, beads 0.5 and more [twin]. A few strong or large spots may be metal or anatomy.
 _FAINT, _SOME = 0.45, 5

@@ -46,11 +46,11 @@ _MEAN_ALONE = np.array([False, True, False, False])
 # Over a plate, log size and ellipticity follow a quadratic polynomial of the place to 0.002-0.007 [twin]: perspective,
 # distortion and oblique rays. The blur is the same everywhere.
 _TERMS = 6
-_ENOUGH = 15  # beads for a quadratic polynomial; fewer give a mean [ours]
+# Of the fit of that polynomial [ours]: beads for it, 2.5 for each coefficient, of fewer the mean is taken; a ridge, so
+# that its coefficients are determined; times of reweighting, after which nothing changes.
+_ENOUGH, _RIDGE, _REWEIGHTED = 15, 0.01, 8
 _FLOOR = np.array([0.003, 0.02, 0.003, 0.003])  # least s.d. of log size, log blur and ellipticities [twin]
-_RIDGE = 0.01  # of the polynomial's coefficients, so that they are determined [ours]
 _HUBER = 1.5  # s.d. beyond which a bead counts less [Huber 1981: 1 to 2]
-_REWEIGHTED = 8  # of reweighting [ours]
 
 
 def expected_shapes(pattern: Pattern, seen: np.ndarray, beads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -91,7 +91,7 @@ DEEPEST, DEEPEST_OF_KNOWN_SHAPE = 1.4, 1.9
 # predicts. The margin lowers chi-square / 2 of overlapping beads from 6-10 to 0.8-1.2. In overlaps above 1.2 radii one
 # of 70 beads was wrong by 6 s.d. at 1.75 px, none at 2 px; 2.5 px leave fewer of them enough pixels [twin].
 _MARGIN_PX = 2.0
-_MIN_RIM_SHARE = 0.3  # of the rim, not covered by metal or other beads [ours]
+_MIN_RIM_SHARE = 0.3  # [ours] of the rim, not covered by metal or other beads: a shorter arc does not give a centre
 _MOST_HIDDEN = 0.5  # share of its rim up to which what covers a bead does not matter, however deep the overlap [twin]
 
 
@@ -170,10 +170,10 @@ def overlap_of(apart: np.ndarray, radius: np.ndarray | float, other: np.ndarray)
     return (radius + other - apart) / np.minimum(radius, other)
 
 
-_ROUNDS = 6  # of fitting, each further out [ours]
+_ROUNDS = 6  # [ours] of fitting, each further out: as many as a plate has rows beside the first
 # What a file of detections does not state of their fits.
 _NOT_STATED = ["blur_px", "axial", "diagonal", "status", "excess"]
-_NEIGHBOURS = 6  # nearest beads of the plate, or more at the same distance, predict a bead's size and contrast [ours]
+_NEIGHBOURS = 6  # [ours] nearest beads, or more at the same distance, predict size and contrast; farther ones differ
 _MAX_PREDICTION_SD_PX = 2.0  # with a less certain prediction, the fit may find something else [ours]
 # Overlap beyond which detection finds one bead, or the two bias each other: chi-square / 2 of labelled beads is 1.2-4.4
 # there, 0.8-1.4 where they overlap less [twin].

@@ -18,32 +18,34 @@ from sightline.detection.wire_search import CORRIDOR_MM, search
 from sightline.errors import UnusableInputError, WireRefusedError
 from sightline.imaging import Radiograph
 
-POINT_DIAMETERS = 1.5  # length of a trocar point over the wire's diameter [ours]
-_PIECE = 3.5  # length of the pieces, radii; each gives one point of the centre line [ours]
-_THICK_MM = 2.8  # pieces of thicker drills are half as long in radii: beside a nail little of them is seen [ours]
+POINT_DIAMETERS = 1.5  # [ours] length of a trocar point over the wire's diameter, where none is stated: a usual one
+# Length of the pieces, radii; each gives one point of the centre line: along a longer one the background bends. Those
+# of drills thicker than _THICK_MM are half as long: beside a nail little of them is seen [ours].
+_PIECE, _THICK_MM = 3.5, 2.8
 _BLUR_PX = 1.2  # initial value: detector 1.0, focal spot and pixel [physics.md]
 _ROUND_BEAD_PX = 2.5  # around a bead: its rim and the blur of that
 _LAGS = 14  # px; longest correlation of the residuals: trabeculae are 8 px wide [twin]
 _BESIDE_PX = float(_LAGS)  # width of background to either side, as far as residuals correlate
 _OUTLIER = 4.5  # s.d. of smoothed residuals, not explained by the wire and its background [ours]
-_MIN_VISIBLE = 0.6  # share of a piece, and of each of its rims, that must be usable [ours]
+# Shares that must be usable [ours]: of a piece and of each of its rims, and of the pixels around the tip. What covers
+# more shifts the fit by its own edges.
+_MIN_VISIBLE, _MIN_TIP_VISIBLE = 0.6, 0.3
 _RIM_PX = 3.0  # to either side of a rim, the zone that determines the centre
-_MODEL_LIGHT = 0.01  # residual of the model without noise, share of the light [ours]
+_MODEL_LIGHT = 0.01  # [ours] residual of the model without noise, share of the light: at high dose it is not an outlier
 # Outlier limits, s.d. from the line and then from the curve through the other pieces. Another object overlies such a
 # piece. The line's limit is coarse, for a wire may bend; the curve's is stricter than the check shot's 4 [ours].
 _FAR_OFF_LINE, _FAR_OFF = 4.0, 3.5
 # Model errors: s.d. without any noise, from curved backgrounds and glare, px [twin].
 _MODEL_ACROSS_PX, _MODEL_TIP_PX = 0.05, 0.4
-_MIN_PIECES = 6  # and at least _MIN_MEASURED of all [ours]
+_MIN_PIECES = 6  # [ours] and at least _MIN_MEASURED of all: of fewer, a wrong one looks like a bent wire
 # Of the pieces; beads and bone edges leave 12 to 14 of 25 in good images, and those state their error [twin].
 _MIN_MEASURED = 0.4
 _MIN_CONTRAST = 0.15  # log light; wires have 0.4 and more [twin]
 _MAX_MOVES = 8  # of the window that follows the tip
 _MIN_SINE = 0.3  # of the angle between wire and rays: seen end-on, a wire has no direction [ours]
 _MAX_TIP_MISFIT = 4.0  # of the tip's light over that of the wire; wrong tips had 5 and more, others rarely 4 [twin]
-_MIN_TIP_VISIBLE = 0.3  # share of the pixels around the tip that must be usable [ours]
 _TIP_BEHIND = 5.0  # radii of the wire behind its point that are fitted; beyond the tip, _BESIDE_PX [ours]
-_MIN_SHOWN_PX = 50  # length of the expected wire inside the field [ours]
+_MIN_SHOWN_PX = 50  # [ours] length of the expected wire inside the field: a shorter stump gives no direction
 _MAX_OVERLAP = 0.04  # relative error of a piece's width; of a single wire 0.02, rarely 0.04 [twin]
 _MAX_WIDTH_ERROR = 0.25  # relative; refuses a wire of 3.2 mm for one of 2.5 mm, the next sizes [calc]
 

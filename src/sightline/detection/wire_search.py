@@ -11,17 +11,19 @@ from scipy.ndimage import gaussian_filter, uniform_filter1d
 from sightline.detection.wire_model import BEND, ImagePath
 from sightline.errors import WireRefusedError
 
-CORRIDOR_MM = 8.0  # to either side of where the wire is expected [ours]
-CORRIDOR_RAD = np.radians(5.0)  # largest rotation against it [ours]
+# To either side of where the wire is expected, and the largest rotation against it [ours]: farther off is another
+# wire, and a wider corridor has more bone edges.
+CORRIDOR_MM, CORRIDOR_RAD = 8.0, np.radians(5.0)
 _ROTATIONS = 21  # tried within the corridor
 _ALONG = 9  # px averaged along the path before sides are compared
 _SIDE = 1.7  # radii from the middle to where the sides are sampled
 _MIN_CONTRAST = 0.2  # log light: cortices seen along their length have 0.1-0.15, wires 0.4 and more [twin]
-_MIN_LENGTH = 6.0  # visible length, in radii [ours]
-_RIVAL = 0.6  # share of the best line's summed darkness at which another line is a rival [ours]
-_APART = 3.0  # radii, median along both, from which two lines are two [ours]
+_MIN_LENGTH = 6.0  # [ours] visible length, in radii: of shorter ones, beads and edges are taken for wires
+# Another line is a rival from this share of the best line's summed darkness, and where it lies apart by so many radii,
+# median along both [ours]: nearer, both are the rims of one wire.
+_RIVAL, _APART = 0.6, 3.0
 _SURE = 0.5  # of the rms distance of lines to plans in any other assignment: a lone line is in the nearer third [ours]
-_REWEIGHTED, _MIN_RESIDUAL_PX = 10, 0.5  # reweighted fits; smaller residuals get the same weight [ours]
+_REWEIGHTED, _MIN_RESIDUAL_PX = 10, 0.5  # [ours] reweighted fits; smaller residuals, of pixels, get the same weight
 _BRIDGED = 0.3  # share of the usual darkness that marks the end of a wire; under dense bone it is 0.5 [twin]
 
 

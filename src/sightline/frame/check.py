@@ -21,7 +21,7 @@ WIRE_END_MM = 95 / np.sqrt(8)  # half a 95 mm wire at 45° (physics.md, Frame), 
 
 _NOMINAL = f"a C-arm with the hip {SOURCE_TO_HIP_MM:g} mm from its source"
 SYMMETRY_MM = 1.0  # [ours] five times the error of a printed ball: nearer to a symmetry, labels may be exchanged
-_RARE = 0.02  # [ours] share of the directions in which an image may be refused
+_RARE = 0.02  # [ours] share of the directions in which an image may be refused: a person then turns the C-arm a little
 
 Items = Iterator[tuple[str, Any]]  # (place, what is measured there)
 
@@ -269,7 +269,7 @@ _VIEWS = (
     ),
     Rule(
         "plate-tilt", _plates, lambda pair: np.degrees(np.arccos(min(1.0, abs(pair[1].plane.normal @ pair[0].axis)))),
-        at_least=False, limit=20.0, unit="°",  # what the labelling tolerates [ours]
+        at_least=False, limit=20.0, unit="°",  # as the labelling (labelling/solve.py)
         meaning="the plates are perpendicular to the beam",
         advice="the plate is tilted too far; make it perpendicular to the line from plate to plate",
     ),

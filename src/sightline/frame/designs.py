@@ -263,9 +263,11 @@ SOLIDS = {
     "cube120": _solid(_CUBE120_LARGE, _CUBE120_SMALL),
 }
 
-STAND_OFF_MM = 20.0  # [ours] of the balls from the detector's input plane, towards the source
-_ROWS, _PITCH_MM, _RADIUS_STEPS = 9, 22.0, 4.6  # [ours] 69 balls in a circle of 100 mm: a 9-inch field
-_LARGE_MM, _SMALL_MM = 3.0, 2.0  # [ours] half the shadows of a block's balls: a glance tells them apart
+# The plate on a detector [ours]: its balls' distance from the input plane, towards the source; 69 balls in a circle of
+# 100 mm, a 9-inch field; with half the shadows of a block's balls, so that a glance tells them apart.
+STAND_OFF_MM = 20.0
+_ROWS, _PITCH_MM, _RADIUS_STEPS = 9, 22.0, 4.6
+_LARGE_MM, _SMALL_MM = 3.0, 2.0
 # Places (row, column) of the datum markers. No two triples of them resemble each other (`patterns.resemblance`), and
 # each half of the plate has three.
 _DATUMS = ((1, 3), (1, 6), (3, 2), (6, 8), (9, 4), (9, 6))

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from sightline.common.bounded import read_bounded, read_text
+from sightline.common.bounded import MAX_JSON_BYTES, read_bounded, read_text
 from sightline.common.strict import explain, read_strictly
 from sightline.errors import FrameError
 from sightline.frame.designs import FRAME_NAMES, SMALL_MM
@@ -26,7 +26,7 @@ from sightline.frame.plate import Fiducial, Shape
 MIN_BEADS = 4  # the perspective image of a plate has eight unknowns: four balls
 MIN_SOLID_BEADS = 6  # a view of a solid has 9 to 11 unknowns: six balls give twelve equations
 MIN_DETECTOR_BEADS = 12  # the smooth map has ten unknowns for each coordinate
-MAX_SOLID_BEADS = 200  # [ours] their labels are searched for without a pattern
+MAX_SOLID_BEADS = 200  # [ours] their labels are searched for without a pattern, in a time that grows with their cube
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 # [ours] ten metres: a larger number is not a coordinate of a frame in any unit
@@ -240,7 +240,6 @@ def _unit(across: float) -> str:
     return "cm" if across <= MAX_ACROSS_CM else "mm"
 
 
-SIZE_LIMIT_BYTES = 64 * 2**20  # [ours] six times the full covariance of the built-in frames
 ADVICE = {
     "extra_forbidden": "is not a key of the frame file; correct its spelling or remove it",
     "missing": "is missing; add it",
@@ -261,7 +260,7 @@ def read_document(path: Path) -> FrameDocument:
         )
     if path.suffix.lower() == ".csv":
         return read_cube(path)
-    data = read_bounded(path, SIZE_LIMIT_BYTES, FrameError, "give a frame file")
+    data = read_bounded(path, MAX_JSON_BYTES, FrameError, "give a frame file")
     try:
         return document_from_json(data)
     except FrameError as error:
@@ -273,7 +272,7 @@ def read_cube(path: Path, diameter_mm: float = DIAMETER_MM, unit: str | None = N
 
     `unit`: mm or cm; None: by the size of the object.
     """
-    text = read_text(path, SIZE_LIMIT_BYTES, FrameError, "give a frame specification of XMALab")
+    text = read_text(path, MAX_JSON_BYTES, FrameError, "give a frame specification of XMALab")
     try:
         return FrameDocument.model_validate(cube_document(text, path.stem, diameter_mm, unit))
     except ValidationError as error:

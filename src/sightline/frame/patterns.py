@@ -15,9 +15,9 @@ from sightline.errors import FrameError
 
 STRETCH = 1.10  # [ours] ratio of the singular values of that affine map
 SCALE = STRETCH  # its mean scale, with the step of the grid known from the ordinary balls
-HIDDEN = 0.4  # share of a plate, hidden as one block, that the labelling must tolerate [ours]
+HIDDEN = 0.4  # [ours] share of a plate that metal may hide as one block; with more, the map has no support either
 SLENDER_STEPS = 0.9  # [ours] triples of a smaller height count as collinear: a bead's noise may flip them
-MOVES = 6000  # [ours] one or two seconds
+MOVES = 6000  # [ours] of the search for a pattern: one or two seconds
 _ORDERS = np.array(list(permutations(range(3))))
 _CONGRUENT = 1e-6  # resemblance of triples that are congruent on the grid
 

@@ -13,7 +13,7 @@ from sightline.common.geometry.planes import Plane
 
 Shape = Literal["ball", "washer"]
 ROLES = ("xrii", "source")
-# physics.md, C-arm and image chain: [ours] where no source is named.
+# physics.md, C-arm and image chain.
 SOURCE_TO_HIP_MM = 620.0
 SOURCE_TO_DETECTOR_MM = 1000.0  # ARCADIS Varic 968 [src manual]
 FIELD_DIAMETER_MM = 215.0  # useful field of a 9 inch (229 mm) intensifier, its rim left out

@@ -17,7 +17,7 @@ DRAPE_N = 10.0  # load of a wet drape, which moves an arm by one plate tolerance
 class Tolerances:
     """Standard deviations of a frame's errors: bead (independent), plate (its beads share it), arm (a view shares it).
 
-    Defaults: physics.md, section Frame [ours].
+    Defaults: physics.md, section Frame.
     """
 
     bead_mm: float = 0.02

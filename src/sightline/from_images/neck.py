@@ -27,6 +27,7 @@ from sightline.planning.bone.aids import Aids, Circle, Line
 from sightline.planning.bone.anatomy import Anatomy, locate
 from sightline.planning.bone.drawings import Axis
 from sightline.planning.bone.head import Sphere
+from sightline.planning.procedures.proposal import MIN_ACROSS
 
 _CURVE = 0.12  # depth of a border's curve over its length, at which the search begins: half of the deepest [twin]
 # Nearer to the beam head and trochanter cover the neck: at 68° the outline's narrowest place is 0.4 mm beside the
@@ -45,9 +46,9 @@ _WIDTHS = 0.45, 0.9  # of the neck over the head's; adults have about 0.55 to 0.
 # Distances of the edges' narrowest place from the head's centre, in radii. Where it is nearer, the trochanter covers
 # the neck up to the head, and the middle of the edges is 1 to 4° off everywhere [twin].
 _NARROWEST = 1.15, 2.0
-_BEGIN, _END = 1.04, 1.4  # distances from the head's centre at which the edges are compared, in radii [ours]
-_MIN_SPAN = 0.06  # of these distances that both edges have in common [ours]
-_MIN_LEAVING = 0.3  # sine of the angle at which an edge leaves the head's rim; an error there counts threefold [ours]
+# Distances from the head's centre at which the edges are compared, in radii, and the span of them that both edges must
+# have in common [ours]: nearer is the head's own rim, farther the trochanter.
+_BEGIN, _END, _MIN_SPAN = 1.04, 1.4, 0.06
 _RADII = 12  # distances at which the edges are compared
 _DEGREE = 4  # of an edge's form
 _STEPS = 101  # places along an edge
@@ -269,7 +270,7 @@ def _direction(
 
     `uneven`: one of _UNEVEN; `centre_mm2`: variance of the head's centre across the neck. Raises NoBoneEdgeError.
     """
-    leaves = [np.flatnonzero(edge.leaving > _MIN_LEAVING) for edge in edges]
+    leaves = [np.flatnonzero(edge.leaving > MIN_ACROSS) for edge in edges]
     if min(map(len, leaves)) < _STEPS / 4:
         raise NoBoneEdgeError(
             "its edges run along the head's rim; draw both borders from the head past the narrowest place of the neck, "

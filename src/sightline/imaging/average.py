@@ -9,7 +9,7 @@ import numpy as np
 from sightline.errors import ImageError, MovedRefusedError
 from sightline.imaging.radiograph import Radiograph
 
-STILL_PX = 0.1  # [ours] about the error of a bead's centre
+STILL_PX = 0.1  # the error of a centred ball [physics.md, Picks]: averaging adds no more
 _BLOCK = 64  # px, side of the blocks compared one by one: a leg may move while the frame does not
 _SMOOTH = 1.5  # px, sigma of the filter before gradients, which noise would increase
 _CERTAIN = 5.0  # s.d.; a smaller movement is not significant

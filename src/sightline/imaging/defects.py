@@ -8,16 +8,17 @@ import numpy as np
 from sightline.common.checks import Check
 from sightline.imaging.radiograph import Radiograph
 
-_RIM_PX = 12  # left out at the field's edge, where lines always differ [ours]
-_AROUND = 24  # lines to either side that define the usual difference between lines [ours]
+# Of the search for tears, [ours] if without a source: tried on torn images of the twin and intact ones, also of C-arms.
+_RIM_PX = 12  # left out at the field's edge, where lines always differ
+_AROUND = 24  # lines to either side that define the usual difference between lines
 _STEP = 2.5  # times the usual difference, at a tear; there, blurred noise alone gives 3.7 [calc]
-_SHARE = 0.5  # of the image's width that must lie in the field [ours]
-_MAX_SHIFT_PX, _MIN_SHIFT_PX = 64, 2  # range of the search; smaller shifts are within a bead's blur [ours]
+_SHARE = 0.5  # of the image's width that must lie in the field: shorter lines match by chance
+_MAX_SHIFT_PX, _MIN_SHIFT_PX = 64, 2  # range of the search; smaller shifts are within a bead's blur
 _EXPLAINED = (
     2.0  # smallest ratio of differences before and after the shift; 28 intact images have up to 1.3 [twin, ARCADIS, XA]
 )
 _LINES = 5  # candidates examined
-MAX_CLIPPED = 50.0  # % of the field; air beside the patient clips up to 32 % in images of the twin [ours]
+MAX_CLIPPED = 50.0  # [ours] % of the field: air beside the patient clips up to 32 % in images of the twin
 
 
 @dataclass(frozen=True)

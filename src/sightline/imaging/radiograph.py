@@ -11,7 +11,7 @@ from sightline.errors import ImageError
 from sightline.imaging.burnt_in import burnt_in
 from sightline.imaging.collimation import field_mask
 
-_STRETCH = (0.5, 99.5)  # percentiles of the values that become black and white [ours]
+_STRETCH = (0.5, 99.5)  # [ours] percentiles that become black and white: dead pixels and writing do not set the range
 
 
 @dataclass(frozen=True)

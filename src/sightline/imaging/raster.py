@@ -9,8 +9,9 @@ import numpy as np
 from PIL import Image
 from PIL.ImageFile import ImageFile
 
+from sightline.common.bounded import MAX_PIXELS
 from sightline.errors import ImageError
-from sightline.imaging.formats import MAX_PIXELS, check_size, damaged, refuse_longer
+from sightline.imaging.formats import check_size, damaged, refuse_longer
 
 # Pillow warns of huge images and of inconsistent headers, before it reads a pixel. Both are refused.
 warnings.filterwarnings("error", module=r"PIL\b")

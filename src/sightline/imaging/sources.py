@@ -68,8 +68,9 @@ DEADLINE_S = 2.0  # [ours] fifty frame times without an image: the device hangs 
 RETRY_S = 10 * DEADLINE_S  # time to reconnect a cable
 _AGAIN_S = 0.5  # between attempts
 _WAITING = 2  # frames in the queue: a live source drops the oldest, a file waits
-_COLOUR = 24  # of 255: largest difference between the channels of a grey image after a colour encoder [ours]
-_COLOURED = 0.02  # share of the pixels that may differ more: coloured writing [ours]
+# A grey image after a colour encoder: its channels differ by at most _COLOUR of 255, but for this share of the pixels,
+# coloured writing. More is a colour camera, whose brightness is no measure of X-rays [ours].
+_COLOUR, _COLOURED = 24, 0.02
 
 Opener = Callable[[int | str], Any]  # returns an object with isOpened, read, get and release
 

@@ -36,7 +36,7 @@ from sightline.planning.verdict.view_directions import Located, assumed_axes, ru
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-_DRAWN_POINTS = 21  # [ours] along the wire: it bends with the image's distortion
+DRAWN_POINTS = 21  # [ours] along the wire, about 5 mm apart: it bends with the image's distortion
 
 # Of two images; with a third the check "movement" says which movements it does not show.
 _PAIR = (
@@ -114,7 +114,7 @@ class Plan(Plotted):
                 for curve in (self.entry_curve, self.end_curve):
                     panel.plot(*curve.uv_px.T, color=draw.BLUE, linewidth=0.8)
                 panel.plot([], [], color=draw.BLUE, label=f"lines of sight of view {self.views[0].name}")
-            along = np.linspace(self.trajectory.entry_mm, self.trajectory.end_mm, _DRAWN_POINTS)
+            along = np.linspace(self.trajectory.entry_mm, self.trajectory.end_mm, DRAWN_POINTS)
             with suppress(OutsideRegionError):
                 panel.plot(*view.project(along).T, color=draw.ORANGE, label="planned wire")
             draw.marks(panel, picks[:1], "o", draw.GREEN, "entry")

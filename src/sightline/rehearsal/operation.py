@@ -16,7 +16,7 @@ from sightline.frame import Frame
 from sightline.planning import Plan
 from sightline.planning.verdict.relations import refuse_unrelated
 from sightline.robot.control.controller import Controller
-from sightline.robot.control.insertion import Insertion, OwnFrames, Setup
+from sightline.robot.control.insertion import IN_SLEEVE_MM, Insertion, OwnFrames, Setup
 from sightline.robot.control.states import State
 from sightline.robot.kinematics.calibrated import MACHINED_SD, CalibratedAxes, CalibratedRobot, Mount
 from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, YAW, Manipulator, imaging_yaw, nominal_manipulator
@@ -51,7 +51,6 @@ BASE_SPREAD = np.array([10.0, 10.0, np.deg2rad(2.0), np.deg2rad(2.0), 0.0])
 # the wire are in both fields [ours].
 SHOWN_FEED_MM = 75.0
 SLEEVE_MM = 5.0  # distance from the mouth of the wire's sleeve to the entry point, at the bone [ours]
-IN_SLEEVE_MM = 0.5  # feed of a retracted wire, just inside the joint's limit [ours]
 
 
 def calibrated_robot(side: str = "right", frame: Frame | None = None, yaw_rad: float | None = None) -> CalibratedRobot:

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-CYCLE_S = 0.005  # period of the control loop: 200 Hz [ours]
+CYCLE_S = 0.005  # period of the control loop: 200 Hz [physics.md, Drilling]
 WATCHDOG_S = 10 * CYCLE_S  # the drives stop by themselves after this time without a command
 
 

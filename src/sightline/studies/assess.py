@@ -14,17 +14,17 @@ import numpy as np
 from scipy.stats import chi2
 
 from sightline.calibration import CalibratedView
-from sightline.common.bounded import read_text
+from sightline.common.bounded import MAX_TEXT_BYTES, read_text
 from sightline.common.checks import Check
 from sightline.common.geometry.covariance import length_quantile
 from sightline.detection import Detections, Observations
 from sightline.errors import RefusedError, UnusableInputError
 from sightline.planning import SpacePoints, reconstruct
+from sightline.planning.points.gaps import MIN_PROBABILITY
 from sightline.planning.points.solution import Method
 
 _PLACE = ("name", "x_mm", "y_mm", "z_mm")
 _PIXELS = ("pa_u_px", "pa_v_px", "lateral_u_px", "lateral_v_px")
-_MAX_BYTES = 2**20  # [ours] ten thousand points
 # Maximum distance of a detected ball from the projection of its measured position: 3 mm, less than the error of the
 # paper's worst calibration, and half the distance of neighbouring beads [ours].
 NEAR_PX = 15.0
@@ -45,7 +45,7 @@ def read_points(path: str | Path) -> MeasuredPoints:
     Raises UnusableInputError, which names the line.
     """
     file = Path(path)
-    text = read_text(file, _MAX_BYTES, UnusableInputError, "give a table of test points as CSV")
+    text = read_text(file, MAX_TEXT_BYTES, UnusableInputError, "give a table of test points as CSV")
     try:
         rows = list(csv.reader(io.StringIO(text), strict=True))
     except csv.Error:
@@ -104,10 +104,6 @@ def find_balls(
             )
         balls.append(near[0])
     return detections.uv_px[balls], detections.covariance_px2[balls]
-
-
-# Errors with a smaller probability show that the stated covariance is wrong [ours].
-MIN_PROBABILITY = 1e-3
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from sightline.twin.xray.presets import preset
 from sightline.twin.xray.tubes import draw_earth, draw_tube
 
 PAPER_MM = (2.0, 3.0)
-HOLE_PITCH_MM = 20.0  # [ours]
+HOLE_PITCH_MM = 20.0  # [ours] the paper does not state it; the measures do not depend on it, but for their sampling
 QUANTILES = (0.05, 0.5, 0.95)
 # u, v and the beam of both poses, CFCS: the image's v points caudally (a right hip).
 POSES = {

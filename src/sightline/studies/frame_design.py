@@ -25,8 +25,9 @@ from sightline.errors import SightlineError
 from sightline.frame import Frame, Tolerances
 from sightline.frame.check import reach_mm
 from sightline.frame.designs import GAMMA_BEAMS, Balls, FrameDesign
-from sightline.frame.drawings.part import THICKNESS_MM
+from sightline.frame.drawings.part import COVER_MM, THICKNESS_MM
 from sightline.frame.plate import SOURCE_TO_DETECTOR_MM, SOURCE_TO_HIP_MM
+from sightline.frame.solid_shape import FIELDS_MM
 from sightline.studies.runs.plots import Span, spans
 from sightline.studies.runs.study import Estimate, EstimateGroup, Plot, Summary, Table, Values, rms, share
 from sightline.studies.scenes import (
@@ -192,14 +193,9 @@ def error_of_kind(kind: FrameKind, sd: Tolerances, seed: int) -> Values | None:
         return None
 
 
-FIELDS_MM = {
-    "9-inch intensifier": 140.0,
-    "30 cm panel": 185.0,
-}  # at the hip: 9 inches and 298 mm on the detector times 620 / 1000, to 5 mm [calc]
 BLOCKS = ("block30", "block40", "block60", "cube120")
 MARGIN_MM = 8.0  # aiming error per image, at the hip [ours]
 DRAPES_MM = 5.0  # thickness of folded drapes on the skin [ours]
-COVER_MM = 3.5  # balls' centres under the solid's faces (frame/designs.py)
 CLEAR_MM = 5.0  # minimum distance between an end of the wire and a ball in an image, at the hip [ours]
 STEP_MM = 10.0
 REACH_MM = ((-40.0, 140.0), (-100.0, 100.0), (0.0, 180.0))  # of the search: lateral, caudal, anterior

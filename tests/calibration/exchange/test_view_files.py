@@ -166,7 +166,7 @@ GOOD = {"matrix": [[5000.0, 0, 500, 310000], [0, 5000, 480, 290000], [0, 0, 1, 6
         ("a.opencv.csv", b"1,0,0,inf\n0,1,0,0\n0,0,1,5\n", "3 x 4"),
         ("a.opencv.csv", b"\xff\xfe\x00", "not a text file"),
         ("a.opencv.npy", b"\x93NUMPY\x01\x00", "NumPy"),
-        ("a.opencv.csv", b"0" * (2**20 + 1), "larger than 1 MiB"),
+        ("a.opencv.csv", b"0" * (2**22 + 1), "larger than 4 MiB"),
         ("a.mayacam2.txt", b"image size\n1,2\n", "14 lines"),
         ("a.mayacam2.txt", b"x\n" * 14, "heading 'image size' was expected"),
         ("a.diffdrr.json", b'{"sdd": -1}', "above zero"),

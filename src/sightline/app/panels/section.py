@@ -25,8 +25,9 @@ _CHECK = (
 )
 
 
-_SHOWN, _MORE = 3, 4  # significant digits of a value, and how many more may tell it from its limit [ours]
-LONG = 110  # characters from which a card's text or an instruction is written smaller, to fit [ours]
+# Significant digits of a value, which no error is smaller than, and how many more may tell it from its limit [ours].
+_SHOWN, _MORE = 3, 4
+LONG, LONGER = 110, 190  # [ours] characters from which a card's text or an instruction is written smaller, to fit
 _CARD = (
     '<div class="verdict {}" data-testid="{}"><div class="verdict-word">{}</div>'
     '<div class="verdict-sentence {}">{} <span class="verdict-more">{}</span></div></div>'
@@ -131,7 +132,7 @@ def _quantity(value: float, unit: str, digits: int) -> str:
 
 
 Key = Callable[[Tab], Hashable]
-LIVE_S = 0.2  # update period of the robot's readings and its pose [ours]
+LIVE_S = 0.2  # [ours] update period of the robot's readings and its pose: nobody reads faster
 
 
 class _Part:

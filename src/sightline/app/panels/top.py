@@ -9,15 +9,14 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels import drill, plan, verify
-from sightline.app.panels.section import LONG, HtmlSection, PersistentSection, Section, action, filled
+from sightline.app.panels.section import LONG, LONGER, HtmlSection, PersistentSection, Section, action, filled
 from sightline.app.panels.steps import needed_aids, steps, waits_for
 from sightline.app.plan.marks import MarkSpec
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.robot.kinematics.target import LIFETIME_S
 
-_LONGER = 190  # characters from which an instruction is written smaller still [ours]
-_EXPIRING_S = 120.0  # time left that is marked [ours]
+_EXPIRING_S = 120.0  # [ours] time left that is marked: long enough to drill one wire, or to take another image
 
 
 def build(tab: Tab) -> None:
@@ -94,7 +93,7 @@ def _say(tab: Tab) -> Markup:
 
 def size_of(text: str) -> str:
     """Return the class of an instruction by its length."""
-    return "longer" if len(text) > _LONGER else "long" if len(text) > LONG else ""
+    return "longer" if len(text) > LONGER else "long" if len(text) > LONG else ""
 
 
 def _reason(tab: Tab) -> str:

@@ -31,8 +31,8 @@ from sightline.robot.kinematics.target import RobotTarget
 
 _ERRORS = (CheckCode.ENTRY_ERROR, CheckCode.END_ERROR, CheckCode.DIRECTION_ERROR)
 _FALLBACK = CheckCode.MOVEMENT  # of procedures without a check of their own that has a value and a limit
-_DIGITS = 2  # decimals of a value below 10, one less above [ours]
-_ROOM = 1.25  # length of a bar over the larger one of value and limit [ours]
+_DIGITS = 2  # [ours] decimals of a value below 10, one less above: a hundredth is below every error
+_ROOM = 1.25  # [ours] length of a bar over the larger one of value and limit, so that neither is at its end
 _FIGURE = (
     '<div class="figure {}"><div class="figure-name">{}</div><div class="figure-value">{}{}</div>{}'
     '<div class="figure-limit">{}</div></div>'

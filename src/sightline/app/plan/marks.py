@@ -5,6 +5,7 @@ from functools import lru_cache
 from typing import Literal
 
 from sightline.case.views import CHECK_NAMES, NAMES, OBLIQUE, SHOT_NAMES
+from sightline.planning.check.adjustment import CURVE
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
 from sightline.planning.procedures.document import AidAsked
@@ -65,7 +66,7 @@ NAIL_EDGES = tuple(
 )
 
 # On the robot's wire in its guide, the tip last: it lies in part before a saturated background, so a person picks it.
-GUIDE_POINTS = 5  # one more than its curve needs [ours]
+GUIDE_POINTS = CURVE + 1  # one more than its curve needs [calc]
 GUIDE = tuple(map(_on_guide, range(1, GUIDE_POINTS + 2)))
 
 

@@ -105,7 +105,7 @@ class Jobs:
             self.notify()
 
 
-_DRAWN_PX, _APART_PX, _DISC_PX = 256, 64, 7.0  # of an image with 16 discs as large as beads [ours]
+_DRAWN_PX, _APART_PX, _DISC_PX = 256, 64, 7.0  # [ours] of an image with 16 discs as large as beads, for a first run
 
 
 class WorkerProcess:

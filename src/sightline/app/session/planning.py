@@ -43,7 +43,7 @@ from sightline.from_images.pipeline import DrillingOrder, propose_order
 from sightline.planning import Circle, Line, Nail, WirePlans, kind
 from sightline.planning.procedures.procedure import document_of, each_wire
 
-_MAX_TAKEN_IN = 8  # newest images that are tried when a case has none assigned to views [ours]
+_MAX_TAKEN_IN = 8  # [ours] newest images that are tried when a case has none assigned to views: each takes a second
 _EDITS = ("edit", "undo", "redo")
 _FITS: dict[str, Callable[..., Any]] = {HEAD: fit_head, SHAFT: fit_shaft, NECK: fit_neck}
 _DRAW_FIRST = {

@@ -28,8 +28,8 @@ from sightline.robot.link.client import RobotClient
 from sightline.robot.link.record import DrillingRecord, Recorder, SimulatedWire
 
 T = TypeVar("T")
-_STATUS_EVERY_S = 0.25  # [ours]
-_STOPS = 4  # STOPs that may be in progress at once; a further press waits for one of them [ours]
+_STATUS_EVERY_S = 0.25  # [ours] within a second a page shows a state that no message reported
+_STOPS = 4  # [ours] STOPs that may be in progress at once; a further press waits for one of them, which is as good
 _STOPPED = "the robot was told to stop: align again, or retract the wire"
 _IDLE_S = 0.02  # polling period of the command queue
 _NOTIFIED = ("state", "fault", "activity", "last_error", "lost", "zero")  # notify pages; they poll the rest

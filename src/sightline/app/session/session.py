@@ -83,7 +83,7 @@ class Session:
         self.planning.case.close()
 
 
-MAX_LISTED = 50  # cases, the newest ones [ours]
+MAX_LISTED = 50  # [ours] cases, the newest ones: each is opened to be listed
 
 
 @dataclass(frozen=True)

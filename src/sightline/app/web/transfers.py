@@ -17,8 +17,9 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
+from sightline.common.bounded import MAX_PIXELS
 from sightline.errors import ImageError, SightlineError
-from sightline.imaging.formats import FORMAT_NAMES, HEADER_BYTES, MAX_PIXELS, SUFFIXES, format_of
+from sightline.imaging.formats import FORMAT_NAMES, HEADER_BYTES, SUFFIXES, format_of
 
 IMAGES_PATH = "/image/"
 _TYPES = {".u16": "application/octet-stream", ".json": "application/json"}

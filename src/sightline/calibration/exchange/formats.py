@@ -8,7 +8,7 @@ import numpy as np
 
 from sightline.calibration.exchange import drr, opencv, reading, rtk, xreg
 from sightline.calibration.exchange.pinhole import Pinhole
-from sightline.common.bounded import regular_file
+from sightline.common.bounded import MAX_TEXT_BYTES, regular_file
 from sightline.errors import UnusableInputError
 
 _WRITE: dict[str, Callable[[Pinhole], dict[str, bytes]]] = {
@@ -54,7 +54,7 @@ def read_view(path: str | Path, kind: str | None = None, name: str | None = None
     words = file.name.lower().split(".")
     kind = check_format(kind or next((word for word in words[1:] if word in FORMATS), "opencv"))
     view = name or re.sub(r"[^\w-]", "_", words[0])[:32]
-    data = reading.read_bytes(file, _MAX_BYTES.get(kind, reading.MAX_BYTES))
+    data = reading.read_bytes(file, _MAX_BYTES.get(kind, MAX_TEXT_BYTES))
     try:
         if kind == "rtk":
             image = file.with_suffix(".mha")

@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from sightline.common.bounded import read_bounded
+from sightline.common.bounded import MAX_TEXT_BYTES, read_bounded
 from sightline.errors import UnusableInputError
 
-MAX_BYTES = 2**20  # [ours] a matrix with its covariance takes 5 kB
-MAX_NUMBER = 1e12  # [ours] focal lengths of 1e5 px times distances of 1e4 mm, and a scale of 1000
+MAX_NUMBER = 1e12  # [calc] focal lengths of 1e5 px times distances of 1e4 mm, and a scale of 1000
 _BRACKETS = re.compile(r"[\[{\]}]")
 MAX_DEPTH = 8  # [ours] of nested brackets in JSON and elements in XML; files of views have 3
 
 
-def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
+def read_bytes(path: Path, limit: int = MAX_TEXT_BYTES) -> bytes:
     """Return the content of a file of at most `limit` bytes."""
     return read_bounded(path, limit, UnusableInputError, "give the file of one view or plan")
 

@@ -23,7 +23,7 @@ def fit_map(
     """Return the map between an image and a plane, fitted to controls: pixels (N, 2), plane coordinates (N, 2), mm.
 
     `noise_px`: standard deviation of the controls' pixels per axis, used by "smooth". None: estimated from the
-    residuals [ours]; a wrong value costs more: 0.1 px stated for a noise of 0.3 px overfits. `degree`: of "polynomial".
+    residuals, for a wrong value costs more: 0.1 px stated for a noise of 0.3 px overfits. `degree`: of "polynomial".
     Raises UnusableInputError, CalibrationRefusedError.
 
     >>> xy_mm = np.stack(np.meshgrid(np.arange(0.0, 80.0, 10.0), np.arange(0.0, 80.0, 10.0)), axis=-1).reshape(-1, 2)

@@ -10,9 +10,11 @@ import numpy as np
 from sightline.common.geometry.outlines import convex_hull, enclosed_area
 from sightline.errors import CalibrationRefusedError, OutsideRegionError
 
-# How far outside the convex hull a map may be evaluated, in radii of the hull [ours]: further out no bead supports it.
+# How far outside its controls a map may be evaluated, in radii of their convex hull, or sizes of their bounding box
+# [ours]: further out no bead supports it, and a polynomial is meaningless.
 MAX_OUTSIDE = 0.5
-# Points whose spread across a line is below this share of that along it are collinear [ours].
+# Points whose spread across a line is below this share of that along it are collinear [ours]: across it, a map's error
+# would be fifty times that along it.
 MAX_COLLINEAR_RATIO = 0.02
 
 

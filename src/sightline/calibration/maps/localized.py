@@ -16,7 +16,8 @@ from sightline.errors import CalibrationRefusedError, OutsideRegionError
 if TYPE_CHECKING:
     from scipy.spatial import Delaunay
 
-# A triangle whose height is below this share of its longest side is a sliver [ours]; half a square has 0.5.
+# A triangle whose height is below this share of its longest side is a sliver [ours]: it magnifies the errors of its
+# corners tenfold. Half a square has 0.5.
 MIN_FLATNESS = 0.1
 _EDGE = 1e-9  # barycentric: a point on an edge belongs to the triangle
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from sightline.calibration.maps.hull import MAX_OUTSIDE
 from sightline.calibration.view import PlaneMap
 from sightline.common.fitting import minimum_norm
 from sightline.errors import CalibrationRefusedError, OutsideRegionError, UnusableInputError
@@ -17,9 +18,6 @@ ITERATIONS = 10  # four are enough wherever a view is calibrated [calc]
 # Steps below this end the iteration: the next would be its square times the map's curvature (1e-3 per px), 1e-9 px
 # [calc].
 CONVERGED_PX = 1e-3
-# How far outside the controls' bounding box a pixel may lie, in sizes of that box [ours]: further out a polynomial is
-# meaningless.
-MAX_OUTSIDE = 0.5
 
 
 class InvertibleMap(PlaneMap, Protocol):

@@ -36,7 +36,7 @@ QUINTIC = 5
 QUINTIC_SHARE = 0.75  # share of that mean square in degrees 4 and 5
 NEGLIGIBLE = 1e-6  # share of the largest mean square below which a component is dropped
 MAX_LOG_RATIO = 15.0  # smaller weights, exp(-this) of the largest, change no displayed digit [calc]
-# Where no noise is stated: centres picked by hand have errors of 0.1 to 1 px [ours]; log-normal.
+# Where no noise is stated, of centres picked by hand, 0.1 to 1 px [physics.md, Picks]; log-normal.
 NOISE_SCALES_PX = np.geomspace(0.03, 3.0, 9)
 NOISE_MEDIAN_PX, NOISE_SPREAD = 0.3, 0.8
 # Log density of the hyper-prior (lengths, amplitudes, 1).
@@ -206,9 +206,10 @@ def _log_evidence(covariance: np.ndarray, rows: np.ndarray, a: int) -> float:
 DEGREE = 3
 # With more controls a fit takes seconds and gigabytes: their covariance is dense [ours].
 MAX_CONTROLS = 4000
-# The hyper-parameters are learned from at most this many controls, drawn at random [ours].
+# The hyper-parameters are learned from at most this many controls, drawn at random: they are a few numbers, and time
+# grows with the cube of the controls [ours].
 LEARN_FROM = 250
-BLOCK = 2**20  # kernel values held at once: 8 MB [ours]
+BLOCK = 2**20  # [ours] kernel values held at once: 8 MB, in a processor's cache
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,12 @@ from scipy.interpolate import RectBivariateSpline
 
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.view import PlaneMap
+from sightline.common.bounded import MAX_PIXELS
 from sightline.errors import UnusableInputError
 
 # The map is inverted at nodes this far apart, with a cubic spline between them; a plane map varies over 30 mm and more
 # (physics.md, Distortion), so the spline is within 0.01 px of it [calc, in its test].
 _NODES_MM = 2.0
-_MAX_PIXELS = 2**25  # [ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ def undistort(pixels: np.ndarray, plane_map: PlaneMap, hull: Hull, spacing_mm: f
         spacing_mm = float(np.sqrt(abs(np.linalg.det(plane_map.jacobian(middle)[0]))))
     corners_mm = plane_map.to_plane(hull.corners_px)
     origin, extent = corners_mm.min(axis=0), np.ptp(corners_mm, axis=0)
-    if not (np.isfinite(spacing_mm) and spacing_mm > 0) or np.prod(extent / spacing_mm) > _MAX_PIXELS:
+    if not (np.isfinite(spacing_mm) and spacing_mm > 0) or np.prod(extent / spacing_mm) > MAX_PIXELS:
         raise UnusableInputError(f"a spacing of {spacing_mm} mm does not give an image of a usable size; try 0.2")
     uv_px = _sources(plane_map, origin, extent, spacing_mm)
     return PlaneImage(

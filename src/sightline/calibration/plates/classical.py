@@ -25,8 +25,8 @@ from sightline.errors import CalibrationRefusedError, OutsideRegionError, Recons
 PlateName = Literal["xrii", "source"]
 # Correlation length of a map's misfit, in radii of the convex hull [ours]: about three spacings of 7 x 7 beads.
 MISFIT_LENGTH = 0.5
-PROBES = 12  # per side of the grid about a plate's convex hull where its map is compared with the smooth one [ours]
-# The paper used 16 to 25 lines. Four lines leave five degrees of freedom to test three parameters [ours].
+PROBES = 12  # [ours] per side of the grid where a map is compared with the smooth one: nearly two between two beads
+# The paper used 16 to 25 lines. Four lines leave five degrees of freedom, more than the three that are fitted [calc].
 MIN_LINES = 4
 
 

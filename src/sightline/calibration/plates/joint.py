@@ -24,6 +24,7 @@ from sightline.calibration.maps.polynomial import Affine, derivatives, monomials
 from sightline.calibration.maps.smooth import DEGREE, NOISE_SCALES_PX, Learned, PriorData, SmoothMap, learn
 from sightline.calibration.plates.beads import Beads
 from sightline.calibration.view import LineErrors, Pencil, Residuals, refuse_misplaced
+from sightline.common.checks import FALSE_ALARM
 from sightline.common.fitting import (
     Kriging,
     LeftOut,
@@ -37,11 +38,11 @@ from sightline.common.fitting import (
 from sightline.common.threads import one_blas_thread
 from sightline.errors import CalibrationRefusedError
 
-# The cubic has 20 parameters and F 3; with fewer beads too few degrees of freedom are left to test them [ours].
+# The cubic has 20 parameters and F 3: 16 beads leave nine degrees of freedom to test them; with fewer than 12 none is
+# left [ours].
 MIN_BEADS = 16
-# Once in 10,000 views a correct bead is rejected (chi-square, over all beads of a view), or a check fails [ours].
-FALSE_ALARM = 1e-4
-# More outliers than this, or than this share, mean a wrong frame, image or labelling [ours].
+# More outliers than this, or than this share, mean a wrong frame, image or labelling, whose beads agree by chance only:
+# leaving them out one by one would end with a map through the rest [ours].
 MAX_WRONG = 6
 MAX_WRONG_SHARE = 0.1
 _CUBIC = terms(DEGREE)

@@ -14,9 +14,9 @@ from sightline.errors import CalibrationRefusedError, UnusableInputError
 from sightline.frame import Frame, FrameView
 
 MIN_BEADS = 8  # the 11 parameters of a projection need six beads; two more for redundancy [calc]
-STEP_MM = 5.0  # [ours] precision with which a frame is moved by hand
-MAX_MOVE_MM = 100.0  # [ours]
-# A bead counts as visible when its centre lies this far inside the image [ours].
+# Moves that are tried [ours]: by steps as small as a hand makes; after a longer one the beam misses the frame's middle.
+STEP_MM, MAX_MOVE_MM = 5.0, 100.0
+# A bead counts as visible when its centre lies this far inside the image [ours]: its whole disc, which has 5 to 10 px.
 MARGIN_PX = 10.0
 # Directions along the CFCS axes in words (docs/conventions.md); caudal and cranial depend on the side.
 WORDS = {

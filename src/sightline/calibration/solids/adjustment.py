@@ -200,16 +200,19 @@ def _linearised(
 # the piercing point wanders by up to 16 mm where the C-arm flexes (physics.md, C-arm).
 DISTANCE_SD_MM = 10.0
 CENTRE_SD_MM = 5.0
-# Of a panel that states nothing [ours]: image widths between 1/8 and 1/2 of the focal length, about this mean.
+# Of a panel that states nothing [ours]: image widths between 1/8 and 1/2 of the focal length, about this mean, which
+# includes panels of 20 to 43 cm, 0.8 to 1.6 m away.
 FOCAL_WIDTHS, FOCAL_SHARE = 4.0, 0.5
 CENTRE_SHARE = CENTRE_SD_MM / 200.0  # of the image's width, for the smallest panels of C-arms
 # Difference of chi-square between an image and its mirror image that decides: odds of e^12.5 to 1 [calc].
 MIRROR_EVIDENCE = 25.0
-# Of a plate on the detector: the middle of the beam is this far from its own, per axis [ours]: 5 mm as of a panel, 3 mm
-# and 0.3° by which it is put on askew. A C-arm that states no distance has 0.9 to 1.2 m.
-PLATE_CENTRE_SD_MM = 8.0
+# Of a plate on the detector: the middle of the beam is this far from its own, per axis: that of a panel, and 3 mm and
+# 0.3° by which it is put on askew [ours]. A C-arm that states no distance has 0.9 to 1.2 m.
+PLATE_CENTRE_SD_MM = CENTRE_SD_MM + 3.0
 USUAL_DISTANCE_MM, USUAL_SHARE = 1000.0, 0.1
-MIN_DEPTH = 0.1  # of the solid's balls about their best plane, rms over their rms distance from the middle [ours]
+# Of the solid's balls about their best plane, rms over their rms distance from the middle [ours]: a flatter solid does
+# not determine the focal length.
+MIN_DEPTH = 0.1
 
 
 def solid_of(frame: Frame) -> SolidBalls:

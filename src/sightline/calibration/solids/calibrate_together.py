@@ -23,7 +23,7 @@ from sightline.calibration.bead_view import SOLID, BeadView, CalibrationInputs
 from sightline.calibration.lengths import CArm
 from sightline.calibration.maps.hull import well_conditioned
 from sightline.calibration.plates.beads import at_centres
-from sightline.calibration.plates.joint import FALSE_ALARM, MAX_WRONG_SHARE
+from sightline.calibration.plates.joint import MAX_WRONG_SHARE
 from sightline.calibration.solids.adjustment import (
     SolidAdjustment,
     adjust,
@@ -36,7 +36,7 @@ from sightline.calibration.solids.adjustment import (
 from sightline.calibration.solids.images import MIN_BALLS, DetectorPlateImage, SolidBalls, SolidImage
 from sightline.calibration.solids.panel_camera import CENTRE, FOCAL, PanelCamera
 from sightline.calibration.view import CalibratedView, Residuals
-from sightline.common.checks import Check
+from sightline.common.checks import FALSE_ALARM, Check
 from sightline.common.fitting import variance_ratio
 from sightline.common.geometry.covariance import TWO_SIDED_999
 from sightline.common.geometry.planes import Plane

@@ -38,6 +38,7 @@ from pynetdicom.transport import ThreadedAssociationServer
 from sightline.case.acquire.acquirer import Acquirer, News, Tell, news_of
 from sightline.case.acquire.guard import PDU_BYTES, GuardedSocket, PeerLimits
 from sightline.errors import CaseError, ImageError, LinkError, UnusableInputError
+from sightline.robot.transport.connection import MESSAGE_S
 
 AET = "SIGHTLINE"
 PORT = 11112  # registered for DICOM; port 104 needs a privileged program
@@ -45,7 +46,7 @@ LOOPBACK = "127.0.0.1"
 ASSOCIATIONS = 4  # [ours] a C-arm, an archive, a workstation, one that hangs
 CONNECTIONS = 8 * ASSOCIATIONS  # including those without an association yet, which hold no image
 IDLE_S = 60.0  # a silent peer is disconnected after this time [default of pynetdicom]
-ASSOCIATE_S = 5.0  # [ours] from the connection to the request for an association
+ASSOCIATE_S = MESSAGE_S  # from the connection to the request for an association, its first message
 
 _ECHO = "1.2.840.10008.1.1"  # verification (PS3.4, A.4)
 _IMAGES = (

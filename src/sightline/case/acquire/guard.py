@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-PDU_BYTES = 1 << 20  # [ours] four times what we announce to peers
+PDU_BYTES = 1 << 20  # [ours] four times what we announce to peers, for those that ignore it
 MESSAGE_BYTES = 128 << 20  # [ours] 64 frames of 1024² at 16 bit; longer runs are exported as files
 WAITING = 8  # requests that may wait for an answer; without a negotiated window it is one (PS3.7, D.3.3.3)
 PDU_S = 30.0  # limit for receiving a whole PDU, and for the peer to accept an answer [default of pynetdicom]

@@ -12,11 +12,10 @@ from sightline.imaging import Radiograph, SourceFrame
 from sightline.imaging.formats import check_size, grey
 from sightline.robot.igtl import Image, Message, Rejected, Stream
 from sightline.robot.transport import LOOPBACK
-from sightline.robot.transport.connection import prepare
+from sightline.robot.transport.connection import MESSAGE_S, prepare
 
 PORT = 18944  # OpenIGTLink's default
-SILENCE_S = 10.0  # [ours] time without an image, or without a peer, after which the source fails
-MESSAGE_S = 5.0  # time limit for a whole message, as on the robot's link
+SILENCE_S = 10.0  # [ours] without an image or a peer, after which the source fails: longer than a restart of the sender
 _CHUNK = 1 << 16  # bytes
 _CONNECT_S, _RETRY_S = 2.0, 0.5
 

@@ -27,6 +27,7 @@ from sightline.imaging import read_image
 from sightline.planning import Plan, Trajectory
 from sightline.planning.bone.directions import caudal
 from sightline.planning.document import SOLID, PlanFileDocument
+from sightline.planning.plan import DRAWN_POINTS
 from sightline.planning.points.results import SpacePoints
 from sightline.planning.procedures.procedure import ProcedureKey
 from sightline.planning.verdict.relations import refuse_unrelated
@@ -319,7 +320,6 @@ def _checked(file: Path, given: Mapping[str, Any], wire: str | None) -> PlanFile
 
 
 POINTS = ("entry", "end")
-_WIRE_POINTS = 21  # [ours] about 5 mm apart, since distortion bends the drawn wire
 
 
 def bundle(plan: Plan, images: Sequence[CalibratedImage], frame: Frame) -> tuple[dict[str, Any], dict[str, bytes]]:
@@ -375,7 +375,7 @@ def _drawn(plan: Plan, k: int, image: CalibratedImage) -> dict[str, Any]:
         picks[missed] = image.view.project(plan.trajectory.points.xyz_mm[missed])
     entry, end = picks.tolist()
     path = plan.trajectory
-    along = path.entry_mm + np.linspace(0, 1, _WIRE_POINTS)[:, None] * (path.end_mm - path.entry_mm)
+    along = path.entry_mm + np.linspace(0, 1, DRAWN_POINTS)[:, None] * (path.end_mm - path.entry_mm)
     try:
         wire = image.view.project(along).tolist()
     except OutsideRegionError:

@@ -9,12 +9,12 @@ from typing import Any, TypeGuard
 import numpy as np
 from scipy.special import chdtri
 
-from sightline.calibration.plates.joint import FALSE_ALARM
+from sightline.common.checks import FALSE_ALARM
 
 # Tolerances for other versions and machines, by the end of a number's key. They are those of the tests' golden data,
-# but twice as large for mm, since here a view is computed from its image [ours].
+# but twice as large for mm, since here a view is computed from its image; the last two are for all others [ours].
 TOLERANCES = {"uv_px": 2e-3, "radius_px": 5e-3, "_mm": 2e-3}
-RELATIVE, ABSOLUTE = 1e-2, 1e-4  # for all other numbers [ours]
+RELATIVE, ABSOLUTE = 1e-2, 1e-4
 # Not compared: sentences for people, which versions word differently, and rejected candidates: one at a limit may come
 # or go.
 _FREE = ("sentence", "missing", "refused", "rejected")

@@ -16,7 +16,7 @@ from sightline.planning import Hole, MatchingCurve, Pick, Plan, Trajectory
 from sightline.planning.nail.expected import rim
 
 JPEG_QUALITY = 82  # [ours] 1024² in about 150 kB; overlays are drawn over it, not burnt in
-CLOSEUP_PX = 24.0  # half the side of a close-up: about 3 mm at the hip [ours]
+CLOSEUP_PX = 24.0  # [ours] half the side of a close-up: about 3 mm at the hip, so that half a pixel is seen
 
 
 def grey(image: Radiograph) -> np.ndarray:
@@ -107,7 +107,7 @@ def sources(images: dict[str, Radiograph]) -> str:
     return svg.element("svg", svg.element("defs", *parts), class_="sources", aria_hidden="true", width=0, height=0)
 
 
-LABEL_EVERY_MM = 50.0  # depth between labelled ticks [ours]
+LABEL_EVERY_MM = 50.0  # [ours] depth between labelled ticks, every fifth: 250 px apart, so that no labels overlap
 TICK_PX = 6.0
 NAIL_MM, AXIS_MM = 25.0, 15.0  # drawn: of the nail to either side of a hole, of its axis beyond the nail [ours]
 _DIFFERENCE_MM = 0.05  # step of the numerical derivative of a projection; its error is below 1e-4 of an ellipse

@@ -7,8 +7,9 @@ import numpy as np
 
 from sightline.errors import OutsideRegionError, UnusableInputError
 
-_LEVEL = 0.1  # [ours] sine of 6°: closer to parallel, the sign of the normal is taken from another axis
-_ALONG_X = 0.9  # [ours] cosine of 26°
+# Where the choice of axes changes (see `Plane.fit`), sine of 6° and cosine of 26° [ours]: far from frames' plates,
+# whose axes would otherwise change with their tilt.
+_LEVEL, _ALONG_X = 0.1, 0.9
 _COLLINEAR = 1e-9  # ratio of spreads across and along a line, below which rounding determines the plane
 
 

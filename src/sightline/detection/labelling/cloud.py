@@ -20,13 +20,15 @@ from sightline.frame.solid_shape import in_words
 MIN_MATCHED = 6  # balls: twelve coordinates for nine unknowns of a camera
 MAX_BALL_SD_MM = 0.5  # of a coordinate: of 80 scenes none was labelled wrongly with 0.5 mm, one with 1 mm [calc]
 MAX_CHANCE = 1e-6  # of a match by chance, and of the second-best labelling
-FIRST, LEFT_OVER = 5e6, 2e5  # triples of balls tried, 1 to 5 s; on detections left over after a match [ours]
-CLEAR = 0.6  # share of the balls with a detection in their gate from which a hypothesis is fitted at once [ours]
+# Triples of balls tried, 1 to 5 s, and on detections left over after a match; triples that look for other labellings,
+# of up to MANY detections and of more. More take longer than a person waits [ours].
+FIRST, LEFT_OVER = 5e6, 2e5
+BASES, MANY, MANY_BASES = 6, 40, 4
+CLEAR = 0.6  # [ours] share of the balls with a detection in their gate from which a hypothesis is fitted at once: most
 KEPT, FITTED = 8, 2  # hypotheses kept and fitted of a chunk of triples
-BASES, MANY, MANY_BASES = 6, 40, 4  # triples that look for other labellings: of up to MANY detections, of more [ours]
 MISSED = 0.25  # share of matched detections, at least 3, that another labelling may lack
 MAX_OTHERS = 6  # other labellings compared
-SAME_TURN = np.cos(np.radians(5))  # of two hypotheses that converge to the same labelling [ours]
+SAME_TURN = np.cos(np.radians(5))  # [ours] of two hypotheses that converge to the same labelling, which saves a fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +220,7 @@ def _check_alone(problem: Problem, best: Labelling) -> None:
 
 
 MIN_BEADS = 12  # what the calibration needs
-FOCAL_MM = (850.0, 1300.0)  # from the X-ray source to the plate, 95 % [ours]
+FOCAL_MM = (850.0, 1300.0)  # [ours] from the X-ray source to the plate, 95 %: C-arms have 0.9 to 1.2 m
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,15 +24,15 @@ from sightline.detection.labelling.growth import CENTRE_PX, Grown, features, map
 from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
 
-MIN_BEADS = 8  # of each plate [ours]
+MIN_BEADS = 8  # [ours] of each plate: with fewer, a wrong labelling may fit as well
 MIN_BEYOND = 0.1  # smallest distance of the focal point beyond the source plate, over that between the plates [ours]
 GATE_M2 = 11.3  # squared Mahalanobis distance in place and radius: 99 % of chi-square, 3 degrees of freedom [calc]
-NEAR_M2 = 24.0  # detections or places as near as this can be confused with each other [ours]
+NEAR_M2 = 24.0  # [ours] detections or places as near as this can be confused with each other: twice the gate and more
 MAX_FITS, NOISE_FITS = 10, 3  # iterations, and those in which the noise is estimated
-SAME_NOISE = 0.1  # relative change of the noise that needs no further fit [ours]
+SAME_NOISE = 0.1  # [ours] relative change of the noise that needs no further fit: its estimate is no better
 MAX_NOISE = 100.0  # times the stated variance; rendered images have up to 3.5, and 1 would lose 7 % of the beads [twin]
 SAME_DISTANCE = 1e-6  # relative, of two squares that rounding alone tells apart
-FOCAL_STEP_MM = 500.0  # wide prior s.d. of the focal point's step [ours]
+FOCAL_STEP_MM = 500.0  # [ours] prior s.d. of the focal point's step: wide, so that only runaway steps are held back
 
 
 @dataclass(frozen=True, eq=False)

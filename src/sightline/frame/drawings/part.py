@@ -9,13 +9,14 @@ from sightline.errors import FrameError
 from sightline.frame.model import Frame
 from sightline.frame.plate import Fiducial, Plate, RigidBody
 
-THICKNESS_MM = 8.0  # [ours] of a plate
-FLOOR_MM = 1.5  # [ours] minimum material in front of and behind a ball
-RIM_MM = 15.0  # [ours] from the outermost ball's centre to the edge: space for screws, outside the field
-SCREW_MM, SCREW_INSET_MM = 5.5, 7.0  # [ours] clearance of M5, and its distance from both edges
-CHAMFER_MM = 6.0  # [ours] one corner is cut, so that no plate is mounted mirrored
-WALL_MM = 1.0  # [ours] minimum material between two bores
-WASHER_MM = 1.5  # [ours] thickness
+# The parts' dimensions [ours]: stiff enough for the tolerances in PMMA, and every workshop can make them.
+THICKNESS_MM = 8.0  # of a plate: a datum ball of 5 mm with FLOOR_MM on both sides
+FLOOR_MM = 1.5  # minimum material in front of and behind a ball
+RIM_MM = 15.0  # from the outermost ball's centre to the edge: space for screws, outside the field
+SCREW_MM, SCREW_INSET_MM = 5.5, 7.0  # clearance of M5, and its distance from both edges
+CHAMFER_MM = 6.0  # one corner is cut, so that no plate is mounted mirrored
+WALL_MM = 1.0  # minimum material between two bores
+WASHER_MM = 1.5  # thickness
 COVER_MM = 3.5  # from the outermost balls' centres to the faces of a solid, as in the built-in blocks
 # H8: upper deviation of a bore up to this diameter, mm; the lower one is zero [src ISO 286-1, table 1, IT8].
 _H8 = ((3.0, 0.014), (6.0, 0.018), (10.0, 0.022), (18.0, 0.027), (30.0, 0.033), (50.0, 0.039))

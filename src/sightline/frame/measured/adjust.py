@@ -14,11 +14,11 @@ from scipy.linalg import block_diag, cho_factor, cho_solve, cholesky, solve_tria
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
+from sightline.common.checks import FALSE_ALARM
 from sightline.common.geometry.rigid import displacement
 from sightline.errors import FrameError
 from sightline.frame.tables import Series
 
-FALSE_ALARM = 1e-4  # [ours] per frame, as for beads in images (calibration/plates/joint.py)
 CONVERGED_MM = 1e-9
 MAX_STEPS = 20
 
@@ -265,4 +265,4 @@ def _is_broad(points: np.ndarray) -> bool:
     if len(points) < 3:
         return False
     across = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1]
-    return bool(across / np.sqrt(len(points)) > 1.0)  # [ours] mm rms: less is a line, given a frame's tolerances
+    return bool(across / np.sqrt(len(points)) > 1.0)  # [ours] mm rms: twenty times a plate's tolerance; less is a line

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from sightline.common.checks import Check, failed
+from sightline.common.checks import FALSE_ALARM, Check, failed
 from sightline.common.geometry.rigid import displacement
 from sightline.errors import FrameError
-from sightline.frame.measured.adjust import FALSE_ALARM, Adjusted, adjust
+from sightline.frame.measured.adjust import Adjusted, adjust
 from sightline.frame.measured.identify import Identified, identify
 from sightline.frame.model import Frame
 from sightline.frame.plate import Plate, RigidBody

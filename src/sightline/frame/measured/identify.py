@@ -19,10 +19,10 @@ from sightline.frame.tables import Series
 
 TRIPLES = 400  # [calc] with half of the ids right, 50 triples have right ids only
 MAX_MISFIT = 1 / 3  # [ours] of the smallest distance between two balls: nearer to a ball's own place than to any other
-MIN_FLATNESS = 0.05  # [ours] minimum height of a triple over its longest side
+MIN_FLATNESS = 0.05  # [ours] minimum height of a triple over its longest side: a flatter one leaves its rotation open
 MAX_WRONG_SHARE = 0.5  # share of wrong ids beyond which no pose is reliable: that of TRIPLES
 UNITS = {"metres": 1e-3, "centimetres": 0.1, "inches": 1 / 25.4, "micrometres": 1e3}
-UNIT_TOLERANCE = 0.1  # [ours] relative tolerance for a ratio of distances to indicate a wrong unit
+UNIT_TOLERANCE = 0.1  # [ours] of a ratio of distances that shows a wrong unit: far below a factor of 2.5 between two
 MIRRORED_RATIO = 1.2  # [ours] of the balls that fit mirrored to those upright: a single plate fits its mirror image too
 
 

@@ -17,13 +17,14 @@ from sightline.planning.points.trajectory import MIN_LENGTH_MM
 
 # For both images the focal point and four clicks on the view's plate, (K, 2, 5, 3).
 Tube = np.ndarray
-_MIN_SINE = 0.5  # of the angle between the two views of the tube, seen along it [ours]
+_MIN_SINE = 0.5  # [ours] of the angle between the two views of the tube, seen along it: below, an error counts twofold
 _MIN_ALONG = 0.7  # cosine of the largest angle between wire and tube; a larger one shows wrong borders [ours]
-_STATIONS = 5  # along the drawn part of the tube, whose borders are straight [ours]
-MAX_UNEQUAL = 0.2  # difference of a cylinder's or a shaft's widths in both images over their mean [ours]
+_STATIONS = 5  # [ours] along the drawn part of the tube: its borders are straight, so that more tell no more
+MAX_UNEQUAL = 0.2  # [ours] of a cylinder's widths in both images, over their mean: with more, they are of two things
 # At a smaller angle between the planes the axis's error is more than six times theirs [ours].
 MIN_ANGLE_RAD = np.deg2rad(10.0)
-# Drawings of one thing in two images show its middle on lines of sight that pass each other by less than this [ours].
+# Drawings of one thing in two images show its middle on lines of sight that pass each other by less than this [ours]: a
+# few times the error of strokes, and less than between two things.
 MAX_GAP_MM = 5.0
 Rays = list[tuple[np.ndarray, np.ndarray]]
 

@@ -14,7 +14,7 @@ from sightline.common.show import Shown, checks_lines, numbers
 
 MIN_LANDMARKS = 3  # fewer do not determine a rotation
 MAX_OUTLIER = 4.0  # standard deviations; eight good shots had 3.2 at most, one with a tip 1 mm off 4.8 [calc]
-MAX_RESIDUAL = 2.0  # rms of the residuals over their stated standard deviations [ours]
+MAX_RESIDUAL = 2.0  # [ours] rms of the residuals over their stated standard deviations: these would be wrong by half
 
 
 @dataclass(frozen=True, eq=False, repr=False)

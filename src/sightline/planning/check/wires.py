@@ -18,12 +18,13 @@ from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, PickArrays
 from sightline.planning.points.reconstruct import reconstruct
 from sightline.planning.points.results import error_unknown
 
-BEFORE_MM, BEYOND_MM = 25.0, 15.0  # lengths added outside the entry and beyond the planned depth [ours]
-GUIDED_MM = 80.0  # the same outside the entry for a wire that waits in its guide [ours]
+# Lengths that are searched outside the entry and beyond the planned depth, so that the tip is inside; the last outside
+# the entry for a wire that waits in its guide [ours].
+BEFORE_MM, BEYOND_MM, GUIDED_MM = 25.0, 15.0, 80.0
 _STEP_MM = 1.0
 _STILL = RigidTransform.identity()
-_NAIL_MM = 30.0  # of a nail to either side of its hole [ours]
-_BESIDE_NAIL_MM = 2.0  # the bone may move so far between plan and check [ours]
+# What a nail may cover in a check image [ours]: so much to either side of its hole, wider by a bone's movement.
+_NAIL_MM, _BESIDE_NAIL_MM = 30.0, 2.0
 _CURVE = 3  # degree of a wire's line in an image, as in the check shot
 _CHOSEN_PX = 0.01  # s.d. along the line of the entry, which is chosen in the first image and not measured
 

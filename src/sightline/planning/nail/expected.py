@@ -15,8 +15,8 @@ from sightline.errors import ReconstructionRefusedError
 from sightline.planning.bone.directions import across, unit
 from sightline.planning.nail.result import HolePose, Nail
 
-_MIN_OPEN_PX = 2.0  # of the lens beside a point of its rim [ours]
-_CUBE_MM = 8.0  # half the side of the cube around a point in which a camera is fitted [ours]
+_MIN_OPEN_PX = 2.0  # [ours] of the lens beside a point of its rim: in a narrower corner, blur joins both rims
+_CUBE_MM = 8.0  # [ours] half the side of the cube in which a camera is fitted: as large as a hole with its nail
 _AROUND = 30  # points of each rim, 4 px apart
 GRID_PX = 0.5  # steps of the grid of metal
 _AROUND_PX = 12.0  # of the grid beyond the rims' points: half a profile, its shift and the blur

@@ -8,12 +8,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from sightline.common.bounded import read_bounded
+from sightline.common.bounded import MAX_TEXT_BYTES, read_bounded
 from sightline.common.strict import read_strictly
 from sightline.errors import UnusableInputError
 from sightline.planning.nail.result import Nail
 from sightline.planning.procedures.document import Strict
-from sightline.planning.procedures.procedure import ADVICE, MAX_BYTES, user_files
+from sightline.planning.procedures.procedure import ADVICE, user_files
 
 NAILS_FOLDER = "SIGHTLINE_NAILS"  # environment variable: the folder of the user's files
 _ADVICE = {**ADVICE, "extra_forbidden": "is not a key of a nail's file; correct its spelling or remove it"}
@@ -64,7 +64,7 @@ def nail_of(name: str) -> Nail | None:
 
 def _read(path: Path) -> NailFile:
     try:
-        text = read_bounded(path, MAX_BYTES, UnusableInputError, "give a nail's file")
+        text = read_bounded(path, MAX_TEXT_BYTES, UnusableInputError, "give a nail's file")
         made = read_strictly(text, NailFile, UnusableInputError, _ADVICE)
         _ = made.nail  # its sizes fit each other
     except UnusableInputError as error:

@@ -29,7 +29,7 @@ from sightline.planning.points.lines_of_sight import Sights, joint_covariance
 from sightline.planning.points.results import error_unknown
 
 MIN_ANGLE_RAD = np.deg2rad(20.0)
-MIN_RIM_POINTS = 8  # of each rim, in all views together [ours]
+MIN_RIM_POINTS = 8  # [ours] of each rim, in all views together: an ellipse has five unknowns
 MIN_VIEW_POINTS = 5  # of both rims in a view
 MIN_OUTLINE_POINTS = 4  # of each outline
 # Prior s.d. of the nail's curvature, 1/mm: 2° over its last 100 mm; three times as much is beyond the model [ours].
@@ -37,9 +37,10 @@ BEND_PER_MM = float(np.deg2rad(2.0)) / 100.0
 _MAX_BEND = 3.0
 _MAX_SIZE_MM = 0.12  # of a radius: sizes differ by 0.5 mm in diameter; half of the difference is refused [ours]
 _FREE = 1e-6  # precision of a size that nothing states, 1/mm²
-_MAX_TILT_RAD, _MAX_OFF_MM = np.deg2rad(3.0), 0.6  # of the hole from the normal of the nail, and from its axis [ours]
+# Of the hole from the normal of the nail, and from its axis [ours]: nails are made ten times better.
+_MAX_TILT_RAD, _MAX_OFF_MM = np.deg2rad(3.0), 0.6
 _OUTLIER = 4.0  # s.d.
-_MIN_USED = 0.6  # share of the rims' points in a view that fit [ours]
+_MIN_USED = 0.6  # [ours] share of the rims' points in a view that fit: with fewer, another edge may explain as many
 _ITERATIONS = 40
 _CONVERGED = 1e-3  # mm; of directions over 5 mm
 

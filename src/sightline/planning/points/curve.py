@@ -23,13 +23,14 @@ from sightline.planning.points.lines_of_sight import (
 from sightline.planning.points.picks import DEFAULT_PICK_SD_PX, Pick
 from sightline.planning.points.trajectory import Trajectory
 
-STEP_MM = 2.0  # about 10 px: the chord of a distorted line then deviates from it by less than 0.01 px [ours]
+# Steps along a curve and along a wire, about 10 and 25 px: chords of the distorted lines deviate from them by less than
+# 0.01 and 0.06 px, which no screen shows [ours].
+STEP_MM, _STEP_MM = 2.0, 5.0
 TICK_MM = 10.0  # a centimetre, as on a ruler
 _BAND_EVERY = 5  # samples: the band varies as slowly as the map's covariance, over the beads' pitch
 # A click farther than this from the curve was not meant for it: about 8 mm at the hip [ours].
 MAX_SNAP_PX = 25.0
 WIRE_DIAMETER_MM = 2.5  # physics.md, Planning figures [paper]
-_STEP_MM = 5.0  # about 25 px: the chord of a distorted line then deviates from it by less than 0.06 px [ours]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,11 @@ from sightline.common.geometry.covariance import ellipsoid_factor
 from sightline.common.geometry.lines import cross
 from sightline.planning.points.solution import Solution, inverse
 
-# Correct plans exceed a limit by chi-square once in a thousand [ours].
-CONFIDENCE = 0.999
-_POWER = 0.95  # probability with which the stated movement is detected [ours]
+# Correct plans exceed a limit by chi-square once in a thousand [ours]. More often people would learn to ignore it; more
+# rarely, larger errors would pass.
+MIN_PROBABILITY = 1e-3
+CONFIDENCE = 1 - MIN_PROBABILITY
+_POWER = 0.95  # probability with which the stated movement is detected, as that of every stated region [ours]
 # A shift known worse than this is not counted as shown [ours]; perspective shows one along a beam to 4 mm [calc].
 _MAX_SD_MM = 3.0
 

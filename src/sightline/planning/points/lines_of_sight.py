@@ -16,7 +16,7 @@ from sightline.calibration.view import SOURCES, CalibratedView, LinesOfSight
 from sightline.common.geometry.planes import refuse_behind
 from sightline.errors import ReconstructionRefusedError, UnusableInputError
 
-# Two X-ray sources nearer than this belong to one exposure given twice [ours].
+# Two X-ray sources nearer than this belong to one exposure given twice [ours]: two views are hundreds of mm apart.
 MIN_BASELINE_MM = 1.0
 CACHED = 8  # values kept by view: of a few cases, before and after a change [ours]
 # One drawing in one view: pixels (M, 2) and their covariance (2M, 2M).

@@ -8,7 +8,7 @@ import numpy as np
 
 from sightline.errors import UnusableInputError
 
-# Standard deviation of a careful click, per axis: the default of every pick (physics.md, Picks) [ours].
+# Standard deviation of a careful click, per axis: the default of every pick [physics.md, Picks].
 DEFAULT_PICK_SD_PX = 0.5
 _FREE_PX = 1e3  # s.d. across a snapped pick's curve, where it measures nothing
 

@@ -12,7 +12,7 @@ from sightline.common.show import Plotted, numbers
 from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning.points.results import SpacePoints, error_unknown
 
-# Two points nearer than this do not give a direction [ours].
+# Two points nearer than this do not give a direction [ours]: errors of 0.5 mm would turn it by 6°.
 MIN_LENGTH_MM = 5.0
 
 

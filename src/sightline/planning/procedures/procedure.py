@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from sightline.common.bounded import read_bounded
+from sightline.common.bounded import MAX_TEXT_BYTES, read_bounded
 from sightline.common.checks import Limits
 from sightline.common.strict import explain, read_strictly
 from sightline.errors import UnusableInputError
@@ -24,7 +24,7 @@ from sightline.planning.procedures.document import AidAsked, CheckRule, Procedur
 from sightline.planning.procedures.proposal import ProposalRule
 
 FOLDER = "SIGHTLINE_PROCEDURES"  # environment variable: the folder of the user's files
-MAX_BYTES, MAX_FILES = 2**18, 200  # of a file, fifty times the largest shipped one; of the user's folder [ours]
+MAX_FILES = 200  # [ours] of the user's folder: each is read when a program starts
 _RENAMED = {"interlocking": "distal-interlocking"}  # keys of earlier versions
 # Files that had one wire in earlier versions: the wire that a plan by the file's key alone is of.
 _ONLY_WIRE = {"distal-interlocking": "distal-interlocking:distal"}
@@ -198,7 +198,7 @@ def shipped() -> MappingProxyType[str, ProcedureDocument]:
 def read_document(path: Path) -> ProcedureDocument:
     """Return the content of a procedure's file. Raises UnusableInputError, also for another one's shipped key."""
     try:
-        document = document_from_json(read_bounded(path, MAX_BYTES, UnusableInputError, "give a procedure's file"))
+        document = document_from_json(read_bounded(path, MAX_TEXT_BYTES, UnusableInputError, "give a procedure's file"))
     except UnusableInputError as error:
         raise UnusableInputError(f"{path.name}: {error}") from None
     if shipped().get(document.key, document) != document:

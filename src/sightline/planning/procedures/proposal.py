@@ -19,11 +19,11 @@ CORTEX_RADII_MM = (5.0, 40.0)
 # Minimum distance of the head's centre from the shaft's axis; in adults it is 30 to 50 mm [ours].
 MIN_OFFSET_MM = 15.0
 ENTRY, ENTRY_LATERAL = "entry-cortex", "entry-cortex-lateral"  # the bone's surface at the entry, as one image shows it
-MIN_ACROSS = (
-    0.3  # cosine between the wire and the normal of the drawn surface; below it the crossing is uncertain [ours]
-)
+# Sine of the angle at which a line crosses a drawn surface or border [ours]: below it, the border's error counts more
+# than threefold along the line.
+MIN_ACROSS = 0.3
 MIN_BESIDE_MM = 5.0  # of the middle of the vertebral body from the pedicle, seen from behind; it is 15 to 25 mm [ours]
-_MAX_ROTATION_RAD = np.deg2rad(45.0)  # about the shaft, between the neck's axis and the head's centre [ours]
+_MAX_ROTATION_RAD = np.deg2rad(45.0)  # [ours] about the shaft, from neck's axis to head's centre: more is an error
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from sightline.planning.points.results import Verdict
 from sightline.planning.procedures.document import CHECKS, HEAD_CENTRE, LESSER, CheckRule
 
 _LATERAL = -MEDIAL
-# Range and step of the trial shifts of a point along a line of sight [ours].
+# Range and step of the trial shifts of a point along a line of sight [ours]: farther, a point is outside the bone;
+# the step is that of a plan's error.
 MAX_SHIFT_MM, _STEP_MM = 60.0, 0.5
 
 

@@ -13,9 +13,10 @@ from sightline.robot.kinematics.manipulator import FEED, JOINTS, ROTARY, Manipul
 from sightline.robot.plant import Reading
 
 ACCELERATION_SHARE = 0.5  # of the manipulator's acceleration: the rest is left for corrections [ours]
-RETRACT_MM_S = 10.0  # feed out of bone, with the drill off [ours]
+RETRACT_MM_S = 10.0  # [ours] feed out of bone, with the drill off: ten times that into it, half of the joint's speed
 POSITION_GAIN_PER_S = 10.0  # of the position error: a time constant of 0.1 s, twenty cycles [ours]
-# Limits of a joint's position error, moving and standing (mm, rad) [ours].
+# Limits of a joint's position error, moving and standing (mm, rad) [ours]: a servo lags by less, and a jam exceeds them
+# at once.
 MOVING_LIMIT = np.where(ROTARY, np.deg2rad(0.5), 1.0)
 STANDING_LIMIT = MOVING_LIMIT / 5
 SETTLED_COUNTS, SETTLE_S = 2.0, 1.0  # at the end of a leg: position error in encoder counts, and time to reach it

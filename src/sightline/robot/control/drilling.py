@@ -14,7 +14,7 @@ from sightline.robot.plant import Reading
 # Feed towards the entry point, and the distance before it at which drilling feed begins: twice its 95 % error [ours].
 APPROACH_MM_S, NEAR_MM = 5.0, 2.0
 DRILL_MM_S = 1.0  # 60 mm/min [physics.md, Drilling]
-# A break-through beyond this share of the path is at the far cortex, not the near one [ours].
+# A break-through beyond this share of the path is at the far cortex, not the near one [ours]: each lies near its end.
 FAR_SHARE = 0.5
 # A drill that goes past its end point goes on by the length of its point once it breaks through the far cortex [ours].
 POINT_MM = 3.0

@@ -16,6 +16,8 @@ from sightline.robot.kinematics.manipulator import FEED, Manipulator, fed
 from sightline.robot.kinematics.reach import check_reach, hip_surroundings
 from sightline.robot.kinematics.target import LIFETIME_S, PlanIdentity
 
+# Feed of a retracted wire before the joint's limit: inside it, so that drives still obey [ours].
+IN_SLEEVE_MM = 0.5
 # For the confirmation shot the wire waits this far before the entry point, outside the skin of most patients [ours].
 STANDOFF_MM = 20.0
 BARE_LENGTH_MM = 95.0  # entry to tip for a target without entry point: the wire of the paper's hip [paper]
@@ -121,9 +123,9 @@ class Insertion:
 
 
 def retracted(manipulator: Manipulator, q: np.ndarray) -> np.ndarray:
-    """Return the joints (5,) with the wire in its sleeve, 0.5 mm before the limit, where drives still obey [ours]."""
+    """Return the joints (5,) with the wire in its sleeve."""
     back = np.array(q, dtype=np.float64)
-    back[FEED] = manipulator.lower[FEED] + 0.5
+    back[FEED] = manipulator.lower[FEED] + IN_SLEEVE_MM
     return back
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtrc  # not scipy.stats, which takes half a second to import
 
+from sightline.common.checks import FALSE_ALARM
 from sightline.common.geometry.rigid import adjoint, displacement
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, Manipulator
@@ -20,13 +21,9 @@ COMPLIANCE_SD = np.array([1e-4] * 3 + [0.03] * 3)
 SOURCES = ("kinematics", "hand_eye", "drill_axis", "encoders", "compliance")
 # Repeatability of a block on its mount, s.d. of a twist about its own middle [ours].
 REMOUNT_SD = np.array([5e-4] * 3 + [0.05] * 3)
-MIN_SEEN_MM = 20.0  # length of wire between two points that gives its direction [ours]
+MIN_SEEN_MM = 20.0  # [ours] length of wire between two points that gives its direction, to 0.1 mm / 20 mm = 0.3°
 _AXES, _FRAME, _WIRE = slice(0, 24), slice(24, 30), slice(30, 36)
 _MAX_ITERATIONS, _TOLERANCE = 30, 1e-9
-
-
-# A fit less probable than this means swapped points or a wrong stated accuracy [ours].
-MIN_PROBABILITY = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +89,7 @@ def measured_axis(feed_mm: np.ndarray, tip_flange_mm: np.ndarray, sd_mm: float) 
 
 def refuse_unlikely(squares: float, freedom: int, what: str) -> None:
     """Raise RobotRefusedError if a normalised sum of squares is improbable for its degrees of freedom."""
-    if freedom > 0 and chdtrc(freedom, squares) < MIN_PROBABILITY:
+    if freedom > 0 and chdtrc(freedom, squares) < FALSE_ALARM:
         raise RobotRefusedError(
             f"{what} deviate by {np.sqrt(squares / freedom):.1f} times their stated accuracy: two are swapped, "
             "something moved, or the stated accuracy is too optimistic; measure again"
@@ -257,7 +254,7 @@ class CalibratedRobot:
 def _refuse_disagreement(residual: np.ndarray, covariance: np.ndarray, tip_off_mm: np.ndarray) -> None:
     """Raise RobotRefusedError if a residual is improbable for its covariance."""
     squares = float(residual @ np.linalg.solve(covariance, residual))
-    if chdtrc(len(residual), squares) < MIN_PROBABILITY:
+    if chdtrc(len(residual), squares) < FALSE_ALARM:
         raise RobotRefusedError(
             f"images and encoders disagree: the tip lies {np.linalg.norm(tip_off_mm):.2f} mm from where the encoders "
             f"put it; the deviations are {np.sqrt(squares / len(residual)):.1f} times the stated errors. Frame or wire "

@@ -21,8 +21,9 @@ JOINTS = ("lift", "traverse", "yaw", "pitch", "feed")
 LIFT, TRAVERSE, YAW, PITCH, FEED = range(5)
 ROTARY = np.array([False, False, True, True, False])
 ARM_JOINTS = 4  # joints that move the flange; the feed moves the wire on it
-# The design [ours]: intersection of the yaw and pitch axes at q = 0, MCS; in flange coordinates the tip at q = 0,
-# ahead of the wrist and below it, and the hip, on the wire's axis and 150 mm ahead of the retracted tip.
+# The design [ours], with the numbers of `nominal_manipulator`: ball screws and geared rotations. The axes of yaw and
+# pitch intersect in WRIST_MM at q = 0, MCS; in flange coordinates the tip at q = 0, ahead of the wrist and below it,
+# and the hip, on the wire's axis and 150 mm ahead of the retracted tip.
 WRIST_MM, TIP_MM, HIP_MM = (250.0, 0.0, 300.0), (0.0, -40.0, 250.0), (0.0, -40.0, 400.0)
 WIRE_YAW_RAD = float(np.deg2rad(45.0))  # a wire of 135° to the shaft, seen from the robot beside the patient [paper]
 # Newton's stopping tolerance for the tip (mm) and the direction (rad): rounding at 1 m is 1e-13.
@@ -39,8 +40,7 @@ class Manipulator:
     the flange at q = 0. `T_flange_tool`: the wire on the flange at feed 0, origin at the tip, +z along the wire towards
     it. `T_flange_cfcs`: the frame on the flange. `backlash`: total play of a joint, not seen by its encoder;
     `stiffness`: of the joint behind its encoder, N/mm and N mm/rad; `column_stiffness`: N/mm along X, where no joint
-    moves. Defaults [ours]: a bench of ball screws and geared rotations; yaw and pitch backlash of 0.05° as in the
-    accuracy trial.
+    moves.
     """
 
     axes: np.ndarray
@@ -279,7 +279,7 @@ def nominal_manipulator(
         speed=_per_joint(20.0, 10.0, 10.0, 20.0),
         acceleration=_per_joint(800.0, 400.0, 400.0, 800.0),  # from full speed to rest in 25 ms
         resolution=_per_joint(0.005, 360 / 2**17, 360 / 2**17, 0.005),
-        backlash=_per_joint(0.01, 0.05, 0.05, 0.01),
+        backlash=_per_joint(0.01, 0.05, 0.05, 0.01),  # yaw and pitch as in the accuracy trial
         stiffness=np.array([2e3, 2e3, 5e7, 5e7, 1e3]),
         column_stiffness=1e3,
     )

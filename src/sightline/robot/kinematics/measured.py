@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
 from sightline.common.atomic import write_whole
-from sightline.common.bounded import read_bounded
+from sightline.common.bounded import MAX_TEXT_BYTES, read_bounded
 from sightline.common.geometry.rigid import why_not_rigid
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot.kinematics.calibrated import (
@@ -26,7 +26,6 @@ from sightline.robot.kinematics.calibrated import (
 from sightline.robot.kinematics.manipulator import nominal_manipulator
 from sightline.robot.kinematics.target import LIFETIME_S, PoseAtImage, Registration, register
 
-MAX_BYTES = 2**20  # [ours] 36 x 36 numbers take 30 kB; 200 poses of 20 targets 300 kB
 CALIBRATION_DAYS = 90  # validity of a calibration: a knock on the flange goes unnoticed [ours]
 VIEWS = ("pa", "lateral")
 
@@ -307,7 +306,8 @@ class RobotFile(_Part):
 
 def _read(file: Path, model: type[Any]) -> Any:
     try:
-        return model.model_validate(loads(read_bounded(file, MAX_BYTES, UnusableInputError, "give a robot's own file")))
+        data = read_bounded(file, MAX_TEXT_BYTES, UnusableInputError, "give a robot's own file")
+        return model.model_validate(loads(data))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))

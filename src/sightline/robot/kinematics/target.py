@@ -22,11 +22,11 @@ from sightline.robot.kinematics.manipulator import FEED, JOINTS, describe_excess
 # not the encoders' resolution [ours].
 STILL_MM = 0.05
 STILL_RAD = float(np.deg2rad(0.02))
-# Largest time between an image and the reading of its pose [ours].
+# Largest time between an image and the reading of its pose [ours]: an arm that creeps at 0.2 mm/s is still meanwhile.
 FRESH_S = 0.2
 # Validity of a plan from its last image: patients breathe, tables sag [ours].
 LIFETIME_S = 600.0
-_CLOCK_S = 1.0  # tolerated disagreement of two readings of one clock [ours]
+_CLOCK_S = 1.0  # [ours] tolerated disagreement of two readings of one clock: it may be set by a time server meanwhile
 # Deflection of a wire by an oblique cortex with its sleeve at the bone, 1 s.d. per axis: 60 holes of 130° to 138°
 # drilled in the twin, the sleeve 5 mm before the bone, gave 0.9 mrad, at most 3.5 [calc]. Four times that at 10 mm.
 SKIVING_RAD = 1e-3

@@ -34,7 +34,7 @@ from sightline.robot.transport.connection import TELEMETRY_MESSAGES
 
 LATE_S = CYCLE_S / 5  # a cycle that begins later than this counts as missed
 SWITCH_S = CYCLE_S / 10  # Python's thread switch interval
-PRIORITY = 10  # real-time priority of the loop's thread, if the system allows it [ours]
+PRIORITY = 10  # [ours] real-time priority of the loop's thread, if the system allows it: above all programs without one
 STALLED_S = 3 * CYCLE_S  # after this time without a cycle the link itself stops the drives
 READ_S = CYCLE_S  # longest time between rounds in which the link reads its sockets
 REQUESTS_PER_CYCLE = 32  # the others wait, so that a flood of requests makes no cycle late [ours]

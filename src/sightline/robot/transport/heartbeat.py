@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 WAITING, IDLE = b"w", b"i"
 START_S = 10.0  # time limit to start; a busy machine takes a second [measured]
-TICK_S = 0.02  # period of WAITING from a client that waits [ours]
+TICK_S = 0.02  # [ours] period of WAITING from a client that waits: two and more in each period of heartbeats
 _PRIORITY = 1  # lowest real-time priority, if the system allows it: each heartbeat takes 50 µs
 
 

@@ -37,7 +37,7 @@ RANGE = (5, 95)  # percentiles of the twin's distortion over other tubes and pos
 DRAWS = 2 * 100 // RANGE[0]  # of them: two lie beyond each end of the range
 MAX_IMAGES = 40  # per folder: each takes up to half a minute [ours]
 
-SHOWN_PX = 512  # side of an image on the page [ours]
+SHOWN_PX = 512  # [ours] side of an image on the page, two of which are side by side on a screen
 MAX_LEGEND = len(COLOURS)  # images per plot: one colour for each
 
 
@@ -310,8 +310,8 @@ def findings(pairs: Sequence[Pair]) -> list[str]:
 
 
 VIEW = "pa"
-PLATE_THICKNESS_MM = 1.0  # thickness of the twin's perforated plate [ours]
-PLATE_HEIGHT_MM = 5.0  # distance of its centre from the input plane [ours]
+# Of the twin's perforated plate on a detector: its thickness, and its centre's distance from the input plane [ours].
+PLATE_THICKNESS_MM, PLATE_HEIGHT_MM = 1.0, 5.0
 BALL_DEPTH = SOURCE_TO_HIP_MM / SOURCE_TO_DETECTOR_MM  # of the distance from the source to the input plane
 
 

@@ -23,7 +23,7 @@ from sightline.twin.xray.setup import ViewTruth
 
 DIRECTIONS = 200  # of the search for the nearest point, before it is refined
 BOUND = 0.85  # share of a depth that a distance is at least: barrels and ellipsoids are exact to first order only
-BORDER_MM = 15.0  # of the entry of a wire from the border that a person draws, along the wire, at most [ours]
+BORDER_MM = 15.0  # [ours] at most, of a wire's entry from the border that a person draws: farther, it is another border
 FIELDS = ("surface", "outline", "cancellous", "gap")
 
 
@@ -268,9 +268,9 @@ def _packed(parts: tuple[BonePart, ...]) -> tuple[np.ndarray, np.ndarray]:
     return table, np.array([[part.gap_mm, part.spongy] for part in parts])
 
 
-MAX_LONGER_MM = 60.0  # [ours] a wire that ends farther beyond is another wire
-MAX_ASIDE_MM = 80.0  # of the end, to leave a corridor or to reach what must not be touched [ours]
-STEP_MM = 3.0  # a wire that is wrong for a smaller movement only, and not for a larger one, may be missed [ours]
+# Of the search for wrong wires [ours]: how far beyond a wire may end, and aside, to leave a corridor or to reach what
+# must not be touched; farther, it is another wire. Step: one that is wrong for a smaller movement only may be missed.
+MAX_LONGER_MM, MAX_ASIDE_MM, STEP_MM = 60.0, 80.0, 3.0
 FAR, CORTEX = "through the far surface", "out of the cortex"
 
 

@@ -17,8 +17,9 @@ from sightline.twin.objects.meshes import Mesh
 from sightline.twin.objects.volumes import Volume
 
 Point: TypeAlias = tuple[float, float, float]
-PLATE_RIM_MM = 8.0  # distance from the outermost beads to the edge of the plate [ours]
-WASHER_HOLE = 0.5  # ratio of inner to outer diameter [ours]
+# Distance from the outermost beads to the edge of a plate, and ratio of a washer's inner to its outer diameter, as in
+# parts that are on sale [ours].
+PLATE_RIM_MM, WASHER_HOLE = 8.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -256,7 +257,8 @@ def _point(motion: RigidTransform, at: Point) -> Point:
 
 WIRE_DIAMETER_MM = 2.5  # [paper]
 WIRE_LENGTH_MM = 200.0  # [paper]
-TIP_STEP_MM = 0.1  # of the radius, from disc to disc of a trocar tip: half a pixel or less in an image [ours]
+# A trocar tip [ours]: its length, in diameters; and the step of its radius from disc to disc, half a pixel or less.
+TIP_DIAMETERS, TIP_STEP_MM = 1.5, 0.1
 # A sliding hip screw of 135° [paper], and what else lies in a beam: sizes of common makes [ours, typical].
 SHANK_DIAMETER_MM = 8.0
 THREAD_DIAMETER_MM, THREAD_LENGTH_MM, THREAD_PITCH_MM = 12.5, 22.0, 2.75
@@ -283,7 +285,7 @@ def guide_wire(
     """Return a straight steel wire with its tip at the second of two points (2, 3) and its axis through the first."""
     tip, back = _axis(wire_mm)
     discs = int(np.ceil(diameter_mm / 2 / TIP_STEP_MM))
-    at = np.append(np.linspace(0.0, 1.5 * diameter_mm, discs + 1), length_mm)  # a tip of 1.5 diameters [ours]
+    at = np.append(np.linspace(0.0, TIP_DIAMETERS * diameter_mm, discs + 1), length_mm)
     wide = np.append((np.arange(discs) + 0.5) / discs, 1.0) * diameter_mm / 2
     parts = zip(pairwise(at), wide.tolist(), strict=True)
     return Scene(solids=tuple(rod_between(tip + a * back, tip + b * back, r, within=within) for (a, b), r in parts))

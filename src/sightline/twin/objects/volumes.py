@@ -18,8 +18,9 @@ MAX_SLICES = MAX_VOXELS // 128**2  # files in one folder: slices of 128²
 SPACING_MM = (0.1, 10.0)  # [ours] voxel edges of clinical CT; others are probably not in mm
 HU = (-1024, 3071)  # range of twelve bits; values outside are clipped
 NO_AIR_HU = -100  # [ours] a scan of a body has fat or air below this; values of another modality have not
-UNEVEN = 0.01  # [ours] of the slice spacing: a larger deviation means a missing slice
-TILTED = 1e-3  # [ours] cosine between axes that should be perpendicular
+# Of a regular stack [ours]: deviation of a spacing, of which a missing slice makes more, and cosine between axes that
+# should be perpendicular; both are above the rounding of numbers in files.
+UNEVEN, TILTED = 0.01, 1e-3
 # Rows: CFCS axes in patient coordinates (docs/conventions.md: +X lateral, +Z anterior, +Y completes them).
 CFCS_OF_PATIENT = {
     "right": np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]]),

@@ -18,7 +18,7 @@ from sightline.twin.xray.distributions import HipPlace
 from sightline.twin.xray.setup import SetUp, ViewTruth, draw_setup
 
 TEST_BALLS_MM = np.array([[-18.0, -16.0, -12.0], [20.0, -12.0, 14.0], [-14.0, 20.0, 16.0], [16.0, 18.0, -15.0]])
-TEST_BALL_RADIUS_MM = 1.5  # [ours]
+TEST_BALL_RADIUS_MM = 1.5  # that of a frame's balls [physics.md, Frame]
 ATTEMPTS = 100
 Points = Mapping[str, np.ndarray]
 

@@ -27,8 +27,9 @@ TURN = Distortion.turn_fade
 SHIFT = Distortion.shift_fade
 NEWTON_STEPS = 30
 NEWTON_MM = 1e-10
-MIN_DETERMINANT = 0.2  # of D' anywhere in the field; a map with a smaller one counts as folded [ours]
-FIELD_MARGIN = 1.1  # the map must not fold within this multiple of the useful field's radius [ours]
+# A map with a smaller determinant of D' counts as folded; it must not fold within this multiple of the useful field's
+# radius, which the blanking leaves dark [ours].
+MIN_DETERMINANT, FIELD_MARGIN = 0.2, 1.1
 
 
 def _fade(u2: np.ndarray, coefficients: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

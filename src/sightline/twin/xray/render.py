@@ -32,16 +32,16 @@ RAY_GRID_PX = 8  # the inverse distortion is exact on this grid, splines between
 # S.d. of the scatter kernel at the input plane. Scatter behind slabs spreads as a Gaussian [src Med Phys 13:254 1986].
 # The best kernels for head, chest and pelvis phantoms had a full width at half maximum of 50-150 of 512 pixels across
 # fields of 15-36 cm [src Med Phys 14:178 1987]: s.d. 6-45 mm [calc].
-SCATTER_MM = 30.0  # [ours]
+SCATTER_MM = 30.0  # [ours] within that range
 # Thickness of tissue, mm, at which the ratio of scatter to primary is that of the chain; it grows in proportion [ours].
 # It is the equivalent of drawn hips with bone and plates, mean of PA and lateral [calc].
 HIP_MM = 250.0
 MAX_TISSUE_MM = 600.0  # thicker tissue counts as this
 COARSE_PX = 8  # scatter and glare are computed on means of this many pixels
-FINE_VOXEL_MM = 0.5  # volumes with finer voxels are cast for every pixel [ours]
+FINE_VOXEL_MM = 0.5  # [ours] volumes with finer voxels are cast for every pixel, since a pixel sees their steps
 MEAN_LEVEL = 0.25  # [ours, typical] these three: of the white level: mean of the image's middle after exposure control
 BLACK_LEVEL = 0.02  # of the white level
-ELECTRONIC_SD = 0.0006  # of the white level: 2.5 of 4095 [ours]
+ELECTRONIC_SD = 0.0006  # of the white level: 2.5 of 4095
 
 
 @dataclass(frozen=True)

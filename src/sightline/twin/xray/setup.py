@@ -29,7 +29,7 @@ from sightline.twin.xray.presets import ImageChain, preset
 from sightline.twin.xray.tubes import FlatPanel, Site, Tube, draw_earth, draw_tube, field_at
 
 ATTEMPTS = 100
-CLEAR_PX = 1.0  # [ours] between shadows that are both measured
+CLEAR_PX = 1.0  # [ours] between shadows that are both measured: with less, blur joins them
 BEAMS = {"pa": beam_at(0.0), "lateral": beam_at(pi / 2), "oblique": beam_at(pi / 4)}
 SOLID_VIEWS = ("pa", "lateral")  # of a solid, by default
 

@@ -43,7 +43,7 @@ _OF_A_POINT = _MOVES | {"select", "remove", "cancel"}
 _ANSWERED = _MOVES | {"cancel", "display"}  # each has a number; the browser waits for its acknowledgement
 _ON_AN_IMAGE = _MOVES | {"remove", "display", "measure"}  # valid only for the image on which they were made
 _MARGIN_PX = 1.0  # tolerance for rounding; the browser keeps points in the field [ours]
-_MAX_MESSAGE = 300  # characters of an error that are kept [ours]
+_MAX_MESSAGE = 300  # [ours] characters of an error that are kept: a sentence and a place, in a log of many
 _MAX_NUMBER = 2**31  # largest number: moves of one page at one a second would take 68 years [calc]
 _GREY_LEVELS = 65536
 
