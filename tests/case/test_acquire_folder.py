@@ -10,9 +10,9 @@ import pytest
 from sightline.case.acquire import Acquirer, News
 from sightline.case.acquire.folder import GIVE_UP_S, SETTLED_S, Folder
 from sightline.case.journal import Case
+from sightline.common.bounded import MAX_FILE_BYTES
 from sightline.errors import CaseError, UnusableInputError
 from sightline.imaging import Radiograph, write_dicom, write_png
-from sightline.imaging.formats import MAX_FILE_BYTES
 
 
 def image(seed: int) -> Radiograph:

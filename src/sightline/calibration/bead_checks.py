@@ -195,10 +195,8 @@ def wrong_beads_check(residuals: Residuals) -> Check:
 # Unlabelled detections beside missing beads, all by one shift along the rows: so many are a strip of shifted rows. Of
 # 28 detections and 20 missing beads at random places six agree in fewer than one of a million images [calc].
 MIN_STRIP = 6
-_SAME_ROW_PX, _SAME_SHIFT_PX = (
-    4.0,
-    8.0,
-)  # errors of the map, which is extrapolated there, far below a pitch [ours]
+# Errors of the map, which is extrapolated there: far below a pitch [ours].
+_SAME_ROW_PX, _SAME_SHIFT_PX = 4.0, 8.0
 _LEAST_SHIFT_PX, _MOST_SHIFT_PX = 3.0, 100.0  # beads that are shifted by less are labelled, and their residuals show it
 NEIGHBOURS = 8  # [ours] beads about a pixel, of both plates: within 1.1 pitches with 7 x 7 and 8 x 8 beads
 

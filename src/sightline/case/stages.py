@@ -15,7 +15,7 @@ from sightline.case.contents import CheckRequest, DrillShotRequest, Images, Plan
 from sightline.case.journal import Actor, Case, Entry, Kind
 from sightline.case.journal.originals import name_of, short
 from sightline.case.views import NAMES, CalibratedImage, ObservedView, see_oblique, see_pair, spoken, stated_view
-from sightline.common.bounded import read_bounded
+from sightline.common.bounded import MAX_FILE_BYTES, read_bounded
 from sightline.detection import Detections, Observations
 from sightline.detection.csv_files import are_detections
 from sightline.errors import CaseError, ImageError, RefusedError, UnusableInputError
@@ -23,7 +23,6 @@ from sightline.frame import Frame
 from sightline.frame.designs import BUILTIN
 from sightline.from_images.pipeline import find_beads, label_beads
 from sightline.imaging import Radiograph, read_image
-from sightline.imaging.formats import MAX_FILE_BYTES
 from sightline.planning import Plan, WirePlans
 from sightline.planning.check.result import CheckShot
 from sightline.planning.check.shot import DrillShot

@@ -14,14 +14,12 @@ NO_RIM = "no rim"  # start of this reason
 # Spots for a statement about the image, or for a direction of motion, which fewer show by chance; and at most, which
 # take a second [ours].
 _MIN_SPOTS, _MAX_SPOTS = 5, 400
-_INSIDE, _RIM_PX = (
-    1.6,
-    4.0,
-)  # [ours] a smeared rim lies within so many radii plus so many px; outside are other beads
+# A smeared rim lies within so many radii plus so many px; outside are other beads [ours].
+_INSIDE, _RIM_PX = 1.6, 4.0
 _RING = 1.5  # outer over inner radius of the background ring
-_OWN = (
-    0.5  # [ours] smallest share of the squared gradients that is not of the background: with less, an edge's direction
-)
+# Smallest share of the squared gradients that is not of the background: with less, they show an edge's direction
+# [ours].
+_OWN = 0.5
 # Refused images with motion of 2-12 px, or with two exposures, have 0.09 and more; images refused for another reason
 # have 0.06 and less [twin: `campaigns/images.py`, two seeds].
 DIRECTED = 0.075

@@ -26,12 +26,13 @@ _BLUR_PX = 1.2  # initial value: detector 1.0, focal spot and pixel [physics.md]
 _ROUND_BEAD_PX = 2.5  # around a bead: its rim and the blur of that
 _LAGS = 14  # px; longest correlation of the residuals: trabeculae are 8 px wide [twin]
 _BESIDE_PX = float(_LAGS)  # width of background to either side, as far as residuals correlate
-_OUTLIER = 4.5  # s.d. of smoothed residuals, not explained by the wire and its background [ours]
+# An outlier has so many s.d. of smoothed residuals, which few have by chance; the s.d. is at least that of the model
+# without noise, a share of the light, so that at high dose not all are outliers [ours].
+_OUTLIER, _MODEL_LIGHT = 4.5, 0.01
 # Shares that must be usable [ours]: of a piece and of each of its rims, and of the pixels around the tip. What covers
 # more shifts the fit by its own edges.
 _MIN_VISIBLE, _MIN_TIP_VISIBLE = 0.6, 0.3
 _RIM_PX = 3.0  # to either side of a rim, the zone that determines the centre
-_MODEL_LIGHT = 0.01  # [ours] residual of the model without noise, share of the light: at high dose it is not an outlier
 # Outlier limits, s.d. from the line and then from the curve through the other pieces. Another object overlies such a
 # piece. The line's limit is coarse, for a wire may bend; the curve's is stricter than the check shot's 4 [ours].
 _FAR_OFF_LINE, _FAR_OFF = 4.0, 3.5

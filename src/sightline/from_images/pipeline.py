@@ -39,9 +39,9 @@ from sightline.planning.check.wires import (
 from sightline.planning.procedures.document import ProcedureDocument
 from sightline.planning.verdict.relations import WireLines
 
-# A line within this of a placed wire must be another that was clicked: parallel screws are up to 25 mm apart [ours].
-_PLACED_CORRIDOR_MM = 25.0
-_CLICKED_MM = 4.0  # [ours] how far beside its line a placed wire may be clicked: twice its width, less than to the next
+# Of placed wires [ours]: a line within the first must be another that was clicked, since parallel screws are up to 25
+# mm apart; a wire may be clicked as far beside its line as the second, less than half of the distance to the next.
+_PLACED_CORRIDOR_MM, _CLICKED_MM = 25.0, 4.0
 _SQUARE = 1e-3  # [ours] share by which a pixel's sides may differ: makers round them to three or four digits
 DATUM_BEADS = 5.0  # a datum counts as so many beads: without it an image may not be labelled [ours]
 _OUTSIDE_MM = 100.0  # [ours] of a wire of 200 mm outside the entry, which hides beads too

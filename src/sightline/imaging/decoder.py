@@ -17,7 +17,7 @@ from typing import IO
 
 import numpy as np
 
-from sightline.imaging.formats import MAX_FILE_BYTES
+from sightline.common.bounded import MAX_FILE_BYTES
 
 DEADLINE_S = 30.0  # [ours] a frame of 2^25 pixels takes 2 s; includes the helper's start
 MEMORY_BYTES = 4 * MAX_FILE_BYTES  # address space: the largest file, its largest frame twice, libraries

@@ -8,11 +8,10 @@ import cv2
 import numpy as np
 
 from sightline.common.atomic import write_whole
-from sightline.common.bounded import npy_array, read_bounded
+from sightline.common.bounded import MAX_FILE_BYTES, npy_array, read_bounded
 from sightline.errors import ImageError, UnusableInputError
 from sightline.imaging.formats import (
     FORMAT_NAMES,
-    MAX_FILE_BYTES,
     ImageFormat,
     ReadBy,
     check_size,

@@ -9,7 +9,6 @@ import numpy as np
 from sightline.common.bounded import MAX_PIXELS, regular_file
 from sightline.errors import ImageError
 
-MAX_FILE_BYTES = 2**30  # [ours] a run of 500 frames of 1024² at 16 bit
 MIN_SIDE = 16  # as `Radiograph`
 HEADER_BYTES = 132  # tell the format: DICOM's preamble of 128 bytes and its magic number
 

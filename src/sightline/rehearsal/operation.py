@@ -50,7 +50,7 @@ BASE_SPREAD = np.array([10.0, 10.0, np.deg2rad(2.0), np.deg2rad(2.0), 0.0])
 # Feed at the images of a block, mm: the tip is some 75 mm before the hip, 25 mm before the bone, and more than 20 mm of
 # the wire are in both fields [ours].
 SHOWN_FEED_MM = 75.0
-SLEEVE_MM = 5.0  # distance from the mouth of the wire's sleeve to the entry point, at the bone [ours]
+SLEEVE_MM = 5.0  # of the mouth of the wire's sleeve from the entry point: that for which SKIVING_RAD was computed
 
 
 def calibrated_robot(side: str = "right", frame: Frame | None = None, yaw_rad: float | None = None) -> CalibratedRobot:

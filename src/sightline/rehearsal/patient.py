@@ -41,8 +41,10 @@ MARGIN_PX = 20.0  # minimum distance of wire and landmarks from the edge of the 
 PARTS = (*VIEWS, "robot", "check", "picks", "ALIGNED", "PAUSED", "oblique")
 LANDMARK_MARGIN_PX = 30.0  # landmarks nearer to the edge of a field are not picked [ours]
 RIM_ANGLES_RAD = np.array([0.3, 2.4, 4.5])  # about a third of the outline apart
-CAP_ANGLES_RAD = np.deg2rad([-65.0, 0.0, 65.0])  # on a cap that a plane cuts off, from its top: the rim is round [ours]
-SHAFT_MM = np.array([[0.0, 0.0, 0.0], [0.0, 20.0, 0.0]])  # the drawn part of a hip's shaft, from the neck's base [ours]
+# Where a person draws [ours]: on the round rim of a cap that a plane cuts off, from its top; along the part of a hip's
+# shaft that both images show, from the neck's base.
+CAP_ANGLES_RAD = np.deg2rad([-65.0, 0.0, 65.0])
+SHAFT_MM = np.array([[0.0, 0.0, 0.0], [0.0, 20.0, 0.0]])
 CANNULATED = "cannulated-hip-screws"
 AT_HIP = ("hip-screw", CANNULATED, "free-wire")
 # Screws of 7.3 mm, and 0.5 mm to each side: a plan that is right up to the limit of "wire in neck" fails by its error.

@@ -42,8 +42,9 @@ from sightline.twin.scenes.bone_scene import shown_bone_scene
 from sightline.twin.scenes.specimens import tagged
 from sightline.twin.xray.setup import BEAMS
 
-SHOWN_MM, MAX_SHOWN_MM = 25.0, 60.0  # length of the robot's own wire, to its tip, in images of a block [ours]
-PICKED = 7  # points that a person picks on the robot's wire, its tip last [ours]
+# Of the robot's own wire in images of a block [ours]: its length to the tip, at least what gives a direction and at
+# most what the field has; and the points that a person picks on it, the tip last, more than the form asks for.
+SHOWN_MM, MAX_SHOWN_MM, PICKED = 25.0, 60.0, 7
 # Of a frame fixed to the patient by hand, s.d. of a twist against its place at the images: 2° and 3 mm per axis [ours].
 ON_PATIENT_SD = np.array([np.deg2rad(2.0)] * 3 + [3.0] * 3)
 NO_SERIAL = "none"  # sent to the robot for a frame without a serial

@@ -194,9 +194,10 @@ def error_of_kind(kind: FrameKind, sd: Tolerances, seed: int) -> Values | None:
 
 
 BLOCKS = ("block30", "block40", "block60", "cube120")
-MARGIN_MM = 8.0  # aiming error per image, at the hip [ours]
-DRAPES_MM = 5.0  # thickness of folded drapes on the skin [ours]
-CLEAR_MM = 5.0  # minimum distance between an end of the wire and a ball in an image, at the hip [ours]
+# Assumed where a solid's place is searched [ours]: aiming error per image, at the hip; thickness of folded drapes on
+# the skin; smallest distance between an end of the wire and a ball in an image, at the hip. Less would not last in
+# practice.
+MARGIN_MM, DRAPES_MM, CLEAR_MM = 8.0, 5.0, 5.0
 STEP_MM = 10.0
 REACH_MM = ((-40.0, 140.0), (-100.0, 100.0), (0.0, 180.0))  # of the search: lateral, caudal, anterior
 BEAM_AXES = ((2, [0, 1]), (0, [1, 2]))  # of CFCS: along the beam, across it

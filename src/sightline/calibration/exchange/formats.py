@@ -8,7 +8,7 @@ import numpy as np
 
 from sightline.calibration.exchange import drr, opencv, reading, rtk, xreg
 from sightline.calibration.exchange.pinhole import Pinhole
-from sightline.common.bounded import MAX_TEXT_BYTES, regular_file
+from sightline.common.bounded import MAX_FILE_BYTES, MAX_TEXT_BYTES, regular_file
 from sightline.errors import UnusableInputError
 
 _WRITE: dict[str, Callable[[Pinhole], dict[str, bytes]]] = {
@@ -25,7 +25,7 @@ _READ: dict[str, Callable[[bytes, str], Pinhole]] = {  # RTK's reader needs its 
     "deepdrr": drr.read_deepdrr,
     "xreg": xreg.read,
 }
-_MAX_BYTES = {"xreg": xreg.MAX_BYTES}  # its file contains the images
+_MAX_BYTES = {"xreg": MAX_FILE_BYTES}  # its file contains the images
 FORMATS = (*_WRITE, *_WRITE_WITH_IMAGE)
 
 

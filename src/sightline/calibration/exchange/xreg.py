@@ -18,7 +18,6 @@ from sightline.errors import UnusableInputError
 if TYPE_CHECKING:
     import h5py
 
-MAX_BYTES = 2**28  # [ours] two dozen projections of 1536 x 1536 floats
 _WRITTEN = "origin-at-focal-pt-det-pos-z"
 _FRAMES = (_WRITTEN, "origin-at-focal-pt-det-neg-z", "origin-on-det")
 _MAX_PROJECTIONS = 1000  # their names have three digits

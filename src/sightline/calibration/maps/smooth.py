@@ -204,12 +204,10 @@ def _log_evidence(covariance: np.ndarray, rows: np.ndarray, a: int) -> float:
 
 
 DEGREE = 3
-# With more controls a fit takes seconds and gigabytes: their covariance is dense [ours].
-MAX_CONTROLS = 4000
-# The hyper-parameters are learned from at most this many controls, drawn at random: they are a few numbers, and time
-# grows with the cube of the controls [ours].
-LEARN_FROM = 250
-BLOCK = 2**20  # [ours] kernel values held at once: 8 MB, in a processor's cache
+# What a fit may take [ours]. With more controls, seconds and gigabytes: their covariance is dense. The
+# hyper-parameters, a few numbers, are learned from at most LEARN_FROM controls, drawn at random: time grows with their
+# cube. Kernel values held at once take 8 MB, as much as a processor's cache.
+MAX_CONTROLS, LEARN_FROM, BLOCK = 4000, 250, 2**20
 
 
 @dataclass(frozen=True, eq=False)

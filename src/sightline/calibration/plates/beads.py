@@ -18,9 +18,7 @@ from sightline.frame import Frame, Plate
 MAX_DEGREE = 5  # leaves 0.004 px rms of 0.018 in the twin's images; degree 3 leaves 0.005 [twin]
 BALLS_PER_TERM = 3  # at least [ours]; with fewer than 18 balls of a plate nothing is known of the bending
 _FLOOR_PX = 0.05  # [ours] s.d. added to each centre's, for what the polynomial does not follow: no single ball rules it
-_NEWTON_STEPS = (
-    4  # [ours] from the nearest ball: over half a pitch the scale changes little; each step squares the error
-)
+_NEWTON_STEPS = 4  # [ours] from the nearest ball: over half a pitch the scale changes by a few per cent
 _AROUND = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
 _RIM = np.stack([np.cos(_AROUND), np.sin(_AROUND)], axis=-1)
 

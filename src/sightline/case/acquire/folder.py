@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sightline.case.acquire.acquirer import Acquirer, News, Tell, news_of
-from sightline.common.bounded import regular_file
+from sightline.common.bounded import MAX_FILE_BYTES, regular_file
 from sightline.errors import CaseError, ImageError, UnusableInputError
-from sightline.imaging.formats import FORMAT_NAMES, MAX_FILE_BYTES, format_of
+from sightline.imaging.formats import FORMAT_NAMES, format_of
 
 SETTLED_S = 1.0  # [ours] a file is read once unchanged for this time: network folders write in bursts
 GIVE_UP_S = 30 * SETTLED_S  # an incomplete file is refused once unchanged for this time

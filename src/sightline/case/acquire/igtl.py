@@ -12,12 +12,12 @@ from sightline.imaging import Radiograph, SourceFrame
 from sightline.imaging.formats import check_size, grey
 from sightline.robot.igtl import Image, Message, Rejected, Stream
 from sightline.robot.transport import LOOPBACK
-from sightline.robot.transport.connection import MESSAGE_S, prepare
+from sightline.robot.transport.connection import CONNECT_S, MESSAGE_S, prepare
 
 PORT = 18944  # OpenIGTLink's default
 SILENCE_S = 10.0  # [ours] without an image or a peer, after which the source fails: longer than a restart of the sender
 _CHUNK = 1 << 16  # bytes
-_CONNECT_S, _RETRY_S = 2.0, 0.5
+_RETRY_S = 0.5
 
 
 class ImageLink:
@@ -86,7 +86,7 @@ class ImageLink:
                     self._server.settimeout(_RETRY_S)
                     self._peer = self._server.accept()[0]
                 else:
-                    self._peer = socket.create_connection(self._address, timeout=_CONNECT_S)
+                    self._peer = socket.create_connection(self._address, timeout=CONNECT_S)
             except OSError:
                 if time.monotonic() >= end:
                     why = f"no OpenIGTLink peer connected within {self._silence_s:g} s; start it, and check its port"

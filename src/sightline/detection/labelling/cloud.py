@@ -24,7 +24,7 @@ MAX_CHANCE = 1e-6  # of a match by chance, and of the second-best labelling
 # of up to MANY detections and of more. More take longer than a person waits [ours].
 FIRST, LEFT_OVER = 5e6, 2e5
 BASES, MANY, MANY_BASES = 6, 40, 4
-CLEAR = 0.6  # [ours] share of the balls with a detection in their gate from which a hypothesis is fitted at once: most
+CLEAR = 0.6  # [ours] share of balls with a detection in their gate from which a hypothesis is fitted before all others
 KEPT, FITTED = 8, 2  # hypotheses kept and fitted of a chunk of triples
 MISSED = 0.25  # share of matched detections, at least 3, that another labelling may lack
 MAX_OTHERS = 6  # other labellings compared

@@ -48,9 +48,11 @@ def map_covariance(phi_a: np.ndarray, phi_b: np.ndarray, squares: np.ndarray) ->
 
 
 REMAINDER = 0.003  # s.d. beyond degree 5, share of the radius: thrice that of tubes [physics.md, Distortion]
-GATE = 3.5  # [ours] standard deviations: one bead in 450 lies outside, and a wider gate has other beads
-# In pitches [ours]: where the gate is wider than the first, beads are not matched yet, since two might be in it; gate
-# of the first matches by the seed's similarity; s.d. added in the first fit of the map, for what that leaves out.
+# Gates of the matching [ours]: standard deviations, outside of which one bead in 450 lies; and in pitches: where that
+# gate is wider than CERTAIN, beads are not matched yet, since two might be in it; AGREES, the gate of the first matches
+# by the seed's similarity; LOOSE, an s.d. that is added in the first fit of the map, for what the similarity leaves
+# out.
+GATE = 3.5
 CERTAIN, AGREES, LOOSE = 0.3, 0.15, 0.1
 LOG_RADIUS = 0.15  # largest error of a bead's log radius, below half the step from 3 to 5 mm, 0.26 [calc]
 MAX_ROUNDS = 15

@@ -13,7 +13,7 @@ from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.labelling.seeds import Seed, best_similarity
 from sightline.detection.results import Detections
 
-MAX_SCATTER = 0.02  # of the pitch, rms of the beads about their places; 2 px at the design distance [ours]
+MAX_SCATTER = 0.02  # [ours] of the pitch, rms of beads about their places, 2 px as designed: wrong labels scatter more
 MAX_BEND = 4.5  # [ours] s.d. of the prior that a map may need: wrong labels bend it more than any tube
 # Largest log ratio of apparent and stated ball size: -0.02 to 0.03 in 108 images of the twin. Another machine's blur
 # gives larger errors, and confusing 3 mm with 1/8 inch balls does no harm (0.06) [twin]
@@ -21,8 +21,10 @@ BALL_LOG_SIZE = 0.15
 SIZES_WRONG = 2  # tolerated wrong sizes per plate: of 113 balls 2 % are misjudged [twin]
 BEYOND_M2, MAX_BEYOND = 9.2, 1  # 99 % of chi-square; by chance, 1 of 90 scenes has one ball there, none has two [twin]
 MIN_EXPLAINED = 0.6  # [ours] share of the ball-like detections that must be beads: with fewer, the frame is another one
-FOCAL_MM = (300.0, 2000.0)  # [ours] of the focal point from the XRII plate: 920 mm as designed; no C-arm has a third
-FOCAL_SLOPE = 0.45  # tangent of the beam's angle to the plates' normal: a tilt of 20° and an off-centre field [ours]
+# Where a focal point may be [ours]: its distance from the XRII plate, 920 mm as designed, and the tangent of its beam's
+# angle to the plates' normal, from a tilt of 20° and an off-centre field. Elsewhere the labels are wrong.
+FOCAL_MM = (300.0, 2000.0)
+FOCAL_SLOPE = 0.45
 
 
 class Stage(IntEnum):
@@ -148,10 +150,11 @@ def _check_focal_point(model: Model, fit: Joint, beads: np.ndarray) -> None:
 
 
 MAX_NAMINGS = 4
-MARGIN = 1.5 * CONTRADICTION  # smallest log odds against any other reading, in misjudged sizes [ours]
+MARGIN = 1.5 * CONTRADICTION  # [ours] smallest log odds against any other reading: one misjudged size does not decide
 LOG_RADIUS_SD = (0.01, 0.07)  # [ours] limits of the s.d. of a plate's log radii, which few radii estimate badly
-MAX_FALSE_ODDS = 7e-6  # [ours] that a bead is a false candidate in a hidden one's place: of 100, once in 1400 images
-FALSE_PER_LOG_RADIUS = 2.0  # [ours] density of false candidates over log radius: as if all had the balls' size, ±25 %
+# Largest odds that a bead is a false candidate in the place of a hidden one: of 100 beads, once in 1400 images. Density
+# of false candidates over log radius: as if all had the balls' size, ±25 % [ours].
+MAX_FALSE_ODDS, FALSE_PER_LOG_RADIUS = 7e-6, 2.0
 NEIGHBOURS = 8
 NOT_CENTRAL = (
     "the beads found are not two plates seen from one focal point; is this the frame in the image, "

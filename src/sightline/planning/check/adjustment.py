@@ -34,8 +34,9 @@ _FREE_MM, _FREE_RAD = 100.0, 1.0
 MIN_REDUNDANCY = 1e-3  # redundancy number below which an observation cannot be tested by the others [ours]
 _OUTSIDE_MM = 15.0  # length of wire outside the entry point that is used: further out it may be bent [ours]
 CURVE = 4  # terms of the wire's curve along each perpendicular axis: offset, direction, two of bending
-_MIN_COSINE = 0.8  # of the angle between wire and plan: beyond 37° it is another wire [ours]
-_MAX_TIP_GAP_MM = 5.0  # along the wire, between the tips of the two views; the error of a tip is 0.2 mm [ours]
+# Another wire was found beyond these [ours]: 37° between wire and plan; along the wire, between the tips of the two
+# views, whose error is 0.2 mm.
+_MIN_COSINE, _MAX_TIP_GAP_MM = 0.8, 5.0
 
 
 @dataclass(frozen=True, eq=False)

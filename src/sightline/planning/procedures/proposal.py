@@ -13,16 +13,15 @@ from sightline.planning.bone.anatomy import Anatomy
 from sightline.planning.bone.directions import MEDIAL, across, caudal, towards, unit
 from sightline.planning.bone.drawings import axis_of_oval, axis_of_tube
 
-# Accepted distances of the lateral cortex from the shaft's axis: the shaft's outer diameter is 30 mm (physics.md,
-# Femur), the trochanter is wider [ours].
-CORTEX_RADII_MM = (5.0, 40.0)
-# Minimum distance of the head's centre from the shaft's axis; in adults it is 30 to 50 mm [ours].
-MIN_OFFSET_MM = 15.0
+# What is accepted of drawn bone, beyond all adults: elsewhere a drawing is wrong [ours]. Distances of the lateral
+# cortex from the shaft's axis: the shaft's outer diameter is 30 mm (physics.md, Femur), the trochanter is wider; of the
+# head's centre from the shaft's axis, 30 to 50 mm in adults; of the middle of the vertebral body from the pedicle, seen
+# from behind, 15 to 25 mm.
+CORTEX_RADII_MM, MIN_OFFSET_MM, MIN_BESIDE_MM = (5.0, 40.0), 15.0, 5.0
 ENTRY, ENTRY_LATERAL = "entry-cortex", "entry-cortex-lateral"  # the bone's surface at the entry, as one image shows it
 # Sine of the angle at which a line crosses a drawn surface or border [ours]: below it, the border's error counts more
 # than threefold along the line.
 MIN_ACROSS = 0.3
-MIN_BESIDE_MM = 5.0  # of the middle of the vertebral body from the pedicle, seen from behind; it is 15 to 25 mm [ours]
 _MAX_ROTATION_RAD = np.deg2rad(45.0)  # [ours] about the shaft, from neck's axis to head's centre: more is an error
 
 

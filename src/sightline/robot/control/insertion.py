@@ -24,9 +24,9 @@ BARE_LENGTH_MM = 95.0  # entry to tip for a target without entry point: the wire
 MIN_LENGTH_MM = 5.0  # as in planning: a shorter distance gives no direction
 # Depth limit past the planned depth for a target that states none: the paper's limit for the tip [paper, Fig. 15].
 DEPTH_SLACK_MM = 1.0
-MIN_SLACK_MM = 0.2  # between planned depth and depth limit: the feed error at rest with a margin [ours]
-# Largest distance from a planned tip to the bone's far surface: a femoral head has a radius of 20 to 30 mm [ours].
-MAX_SLACK_MM = 30.0
+# Between planned depth and depth limit [ours]: at least the feed error at rest with a margin; at most what lies before
+# a bone's far surface: a femoral head has a radius of 20 to 30 mm.
+MIN_SLACK_MM, MAX_SLACK_MM = 0.2, 30.0
 # A base this near the hip, or a target this near the frame's origin, mm, must have been sent in metres [ours].
 BASE_IN_METRES, TARGET_IN_METRES = 10.0, 1.0
 

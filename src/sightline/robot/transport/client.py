@@ -13,10 +13,9 @@ from typing import Self
 from sightline.common.closing import Closing
 from sightline.errors import LinkError
 from sightline.robot.igtl import Event, Message, Rejected, Stream, encode
-from sightline.robot.transport.connection import LOOPBACK, MESSAGE_S, PORT, Connection, Handler, prepare
+from sightline.robot.transport.connection import CONNECT_S, LOOPBACK, MESSAGE_S, PORT, Connection, Handler, prepare
 from sightline.robot.transport.heartbeat import Heartbeat, Pace
 
-CONNECT_S = 2.0  # [ours] a robot in the same room answers in milliseconds
 _FIRST_RETRY_S, _LAST_RETRY_S = CONNECT_S / 20, CONNECT_S  # doubled from one to the other
 # Bytes read at once, some twenty messages: a call shows progress after each piece. A client with a backlog decodes
 # 64 KiB in 25 ms, or in 0.5 s when nine others compete for its processor [measured].

@@ -10,12 +10,15 @@ from typing import Concatenate, ParamSpec, Protocol, cast
 from sightline.errors import LinkError
 from sightline.robot.igtl import MAX_BODY_BYTES, Event, Message, Rejected, Stream, encode
 
-TELEMETRY_MESSAGES = 64  # [ours] a third of a second at 200 Hz: older telemetry is useless
-ANSWER_BYTES = 1 << 20  # [ours] thousands of answers: a peer that has not read these reads none
-_IDLE_S, _INTERVAL_S, _PROBES = 1, 1, 3  # [ours] a peer that vanished is detected within 4 s
+# What waits for a peer [ours]: telemetry of a third of a second at 200 Hz, since older is useless; and thousands of
+# answers: a peer that has not read these reads none.
+TELEMETRY_MESSAGES, ANSWER_BYTES = 64, 1 << 20
+# How long a peer may take [ours]: to accept a connection, which a robot in the same room does in milliseconds; to
+# complete a message, 16 MiB at 30 Mbit/s, after which its size must be wrong. One that vanished is detected within 4 s.
+CONNECT_S, MESSAGE_S = 2.0, 5.0
+_IDLE_S, _INTERVAL_S, _PROBES = 1, 1, 3
 P = ParamSpec("P")
 
-MESSAGE_S = 5.0  # [ours] time limit to complete a message: 16 MiB at 30 Mbit/s; after that its size must be wrong
 _PIECE = 1 << 15  # bytes: some hundred messages, which take ten milliseconds [ours]
 GOODBYE_S = float(_INTERVAL_S)  # time limit to send what waits when closing, as between two probes
 

@@ -10,7 +10,7 @@ from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, JOINTS, ROT
 
 M = 1e-3  # a millimetre
 STEP_S = 0.001
-# Values [ours] unless computed.
+# Values of the machine, as in `Build`, [ours] unless computed.
 DRIVE_HZ = 80.0  # bandwidth of a drive's position loop, critically damped
 SPRING_DAMPING = 0.1  # of critical damping, from bolted joints and grease in the gears
 MAX_PHASE = 1.5  # rad of a spring's oscillation per time step; beyond 2 it is unstable [calc]
@@ -28,7 +28,7 @@ class Weight:
 
 @dataclass(frozen=True)
 class Build:
-    """Masses and drives of a manipulator. All [ours]: machined aluminium, a surgical drill, a frame of acrylic plates.
+    """Masses and drives of a manipulator. Of machined aluminium, a surgical drill, a frame of acrylic plates.
 
     `weights`: of each joint's own link; `frame`: on the flange; `drive_inertia`: of a motor at its joint, kg and kg m²;
     `drive_force`: maximum of a drive, N and N m; `gravity` m/s², MCS.

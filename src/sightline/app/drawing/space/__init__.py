@@ -35,8 +35,9 @@ PICTURE_PERCENTILES = (1.0, 99.0)  # shown as black and white
 ROUND_DECIMALS = 2  # 0.01 mm is less than a pixel of the scene
 TOOL_RADIUS_MM = 2.5  # [calc] twice that of a guide wire of 2.5 mm, for visibility
 WIRE_BEHIND_MM = 200.0  # drawn behind the tip on the robot: the length of the wire [paper]
-AXIS_MM = 40.0  # [ours] length of the drawn axes of CFCS: between wire and plates
-SIDE_LABELS_MM = 130.0  # [ours] distance of the side labels from the hip: beside it, within the frame
+# Length of the drawn axes of CFCS, between wire and plates, and distance of the side labels from the hip, beside it and
+# within the frame, so that neither hides another thing [ours].
+AXIS_MM, SIDE_LABELS_MM = 40.0, 130.0
 
 SIDES = {
     "right": {"lateral": (1, 0, 0), "medial": (-1, 0, 0), "caudal": (0, 1, 0), "cranial": (0, -1, 0)},
@@ -280,9 +281,10 @@ def _list(values: Any, decimals: int = ROUND_DECIMALS) -> list[Any]:
     return np.round(np.asarray(values, dtype=np.float64), decimals).tolist()
 
 
-CELL_MM = 3.0  # [ours] some 10,000 triangles of a proximal femur
+# The bone's surface [ours]: some 10,000 triangles of a proximal femur, which any computer draws; smoothed over the
+# steps between cells, but not over the bone's grooves.
+CELL_MM, SMOOTHING_CELLS = 3.0, 0.7
 BONE_SHARE = 0.03  # [calc] below the 0.041 of osteoporotic spongiosa: 99 HU less noise, with nothing around it
-SMOOTHING_CELLS = 0.7  # [ours] smooths the steps between cells; more would fill grooves of the bone
 # [calc] a cell touched by bone counts as bone, on average half a cell too far out; there a smoothed step is 0.76.
 LEVEL = 0.76
 
