@@ -49,6 +49,7 @@ CHECK_NAMES = (ImageSlot("pa", "check"), ImageSlot("lateral", "check"))
 SHOT_NAMES = (ImageSlot("pa", "shot"), ImageSlot("lateral", "shot"))  # while drilling
 
 # A beam this near to an axis of the patient is called by it; farther from both than _OBLIQUE_RAD it is oblique [ours].
+# Between these a name might be wrong, and a person is asked.
 _NEAR_RAD, _OBLIQUE_RAD = radians(25.0), radians(30.0)
 
 

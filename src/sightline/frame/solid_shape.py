@@ -15,7 +15,7 @@ from sightline.frame.plate import SOURCE_TO_HIP_MM, RigidBody
 FIELDS_MM = {"9-inch intensifier": 140.0, "30 cm panel": 185.0}
 SHADOW_GAP_MM = 1.0  # [ours] minimum distance between two shadows for both to be measured: more than their blur
 _DIRECTIONS = 400  # [ours] of a Fibonacci lattice, 10° apart
-SAME_TURN = np.cos(np.radians(3))  # [ours] of two symmetries that count as one: true ones are 15° apart or more
+SAME_TURN = np.cos(np.radians(3))  # [ours] of two symmetries that count as one: others are many degrees apart
 AXES = "xyz"
 AXIS_TOLERANCE = 0.02  # of a unit vector's components: an axis within 1° of x, y or z is named so [ours]
 

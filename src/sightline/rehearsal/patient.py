@@ -39,7 +39,7 @@ ATTEMPTS = 200
 MARGIN_PX = 20.0  # minimum distance of wire and landmarks from the edge of the field
 # Each has its own generator; add new parts at the end.
 PARTS = (*VIEWS, "robot", "check", "picks", "ALIGNED", "PAUSED", "oblique")
-LANDMARK_MARGIN_PX = 30.0  # landmarks nearer to the edge of a field are not picked [ours]
+LANDMARK_MARGIN_PX = 30.0  # [ours] landmarks nearer to the edge of a field are not picked, since it may hide a part
 RIM_ANGLES_RAD = np.array([0.3, 2.4, 4.5])  # about a third of the outline apart
 # Where a person draws [ours]: on the round rim of a cap that a plane cuts off, from its top; along the part of a hip's
 # shaft that both images show, from the neck's base.
@@ -53,7 +53,7 @@ WIDER_SCREW_MM = 8.3
 CANNULATED_BEAMS = {"pa": beam_at(np.deg2rad(-20.0)), "lateral": beam_at(np.deg2rad(100.0))}
 AidClicks: TypeAlias = Mapping[str, Sequence[np.ndarray | None]]
 NAILED = "distal-interlocking"
-NAIL_CLICK_PX = 2.0  # s.d. of a click on a nail's edge or in its hole, per axis [ours]
+NAIL_CLICK_PX = 2.0  # [ours] s.d. of a click on a nail's edge or in its hole, per axis: twice that of an ordinary click
 BONE_OF = {"slipped-epiphysis-pin": "growing-femur", "iliosacral-screw": "pelvis", "pedicle-screw": "vertebra"}
 BONES_OF = {**BONE_OF, NAILED: "nailed-femur"}
 

@@ -19,7 +19,7 @@ from sightline.planning.points.picks import DEFAULT_PICK_SD_PX
 _MAX_PICTURES = 16  # [calc] more than twice the seven of a case, for undo: planning, oblique, check and shot
 _MAX_LIVE = 20  # live pictures kept: two seconds of them
 _FIELD_PX = DEFAULT_PICK_SD_PX  # tolerance of the field's polygon
-# Percentiles of the field's grey levels between black and white [ours]. By default the open beam is left out.
+# Percentiles of the field's grey levels between black and white [ours]: the open beam and dead pixels are left out.
 _WINDOW = (0.5, 96.0)
 _PRESETS = {"bone": (0.5, 75.0), "metal": (0.0, 12.0), "beads": (0.1, 99.9)}  # metal is darkest, beads lie anywhere
 

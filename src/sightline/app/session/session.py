@@ -83,7 +83,7 @@ class Session:
         self.planning.case.close()
 
 
-MAX_LISTED = 50  # [ours] cases, the newest ones: each is opened to be listed
+MAX_LISTED = 50  # [ours] cases, the newest ones: nobody reads a longer list
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,9 @@ from sightline.detection.labelling.patterns import Pattern
 from sightline.detection.results import Detections
 
 MIN_BEADS = 8  # [ours] of each plate: with fewer, a wrong labelling may fit as well
-MIN_BEYOND = 0.1  # smallest distance of the focal point beyond the source plate, over that between the plates [ours]
+# Smallest distance of the focal point beyond the source plate, over that between the plates [ours]: nearer, the C-arm's
+# own housing would touch the plate.
+MIN_BEYOND = 0.1
 GATE_M2 = 11.3  # squared Mahalanobis distance in place and radius: 99 % of chi-square, 3 degrees of freedom [calc]
 NEAR_M2 = 24.0  # [ours] detections or places as near as this can be confused with each other: twice the gate and more
 MAX_FITS, NOISE_FITS = 10, 3  # iterations, and those in which the noise is estimated

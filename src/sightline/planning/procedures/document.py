@@ -36,6 +36,7 @@ LOCATED: dict[str, AidType] = {
     "outline": "outline tube",
 }
 # Smallest singular value of the bone's directions: two unit vectors at 25° to each other have 0.3 [ours].
+# Of a smaller one, errors of the directions count threefold.
 _MIN_SINGULAR = 0.3
 
 

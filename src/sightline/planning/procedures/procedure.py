@@ -24,7 +24,7 @@ from sightline.planning.procedures.document import AidAsked, CheckRule, Procedur
 from sightline.planning.procedures.proposal import ProposalRule
 
 FOLDER = "SIGHTLINE_PROCEDURES"  # environment variable: the folder of the user's files
-MAX_FILES = 200  # [ours] of the user's folder: each is read when a program starts
+MAX_FILES = 200  # [ours] of the user's folder: each is kept in memory once it was read
 _RENAMED = {"interlocking": "distal-interlocking"}  # keys of earlier versions
 # Files that had one wire in earlier versions: the wire that a plan by the file's key alone is of.
 _ONLY_WIRE = {"distal-interlocking": "distal-interlocking:distal"}

@@ -12,14 +12,16 @@ from sightline.common.geometry.rigid import adjoint, displacement
 from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot.kinematics.manipulator import ARM_JOINTS, FEED, Manipulator
 
-# Machining tolerance of an axis, 1 s.d. of its twist: 1 mrad and 0.2 mm [ours].
+# Machining tolerance of an axis, 1 s.d. of its twist [ours]: 1 mrad and 0.2 mm, of an ordinary workshop. A prior that
+# is too narrow would contradict the measurements.
 MACHINED_SD = np.array([1e-3] * 3 + [0.2] * 3)
 # Deflection under load between imaging and drilling that the encoders cannot see, 1 s.d. of the flange's twist: weight
 # of frame and drilling unit, a thrust of 35 N against 1000 N/mm [ours, physics.md "Drilling"].
 COMPLIANCE_SD = np.array([1e-4] * 3 + [0.03] * 3)
 # The robot's sources of error in a trajectory; their covariances add up.
 SOURCES = ("kinematics", "hand_eye", "drill_axis", "encoders", "compliance")
-# Repeatability of a block on its mount, s.d. of a twist about its own middle [ours].
+# Repeatability of a block on its mount, s.d. of a twist about its own middle [ours]: 0.5 mrad and 0.05 mm, of dowel
+# pins.
 REMOUNT_SD = np.array([5e-4] * 3 + [0.05] * 3)
 MIN_SEEN_MM = 20.0  # [ours] length of wire between two points that gives its direction, to 0.1 mm / 20 mm = 0.3°
 _AXES, _FRAME, _WIRE = slice(0, 24), slice(24, 30), slice(30, 36)

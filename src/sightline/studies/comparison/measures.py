@@ -22,15 +22,17 @@ from sightline.imaging import Radiograph
 DEGREES = (1, 2, 3, 4, 5, 6, 7)
 RIM = 0.9  # of the field's radius: where pincushion and turn are stated; an octagonal field reaches further [ours]
 ON_LATTICE = 0.8  # [ours] share of the beads that must stand on one lattice: the others may be metal or writing
-PER_COEFFICIENT = 2  # points for each coefficient of a polynomial, at least [ours]
+PER_COEFFICIENT = 2  # [ours] points for each coefficient of a polynomial, at least: of fewer, it follows the noise
 CLEAR = 1.6  # [ours] bead radii about a bead that count as its shadow and blur: with less, noise is overstated
 STEP_PX = 0.2  # grid of the template of a rim
 BIN_PX = 0.25  # of a rim's profile
-EDGE_BEADS = 60  # [ours] rims that are fitted, of many beads evenly chosen: a second
+EDGE_BEADS = 60  # [ours] rims that are fitted, of many beads evenly chosen: more take longer and say the same
 MIN_RADIUS_PX = 10 * BIN_PX  # of a bead whose rim has a profile: ten of its bins
 MIN_BALLS, ALIKE = 8, 0.15  # as many as detection compares with each other; spread of their radii [ours]
 OPEN, INNER = 0.8, 0.8  # log ratio of bright to dark, in so much of the radius: phantoms 0.5, a spine 1.3 [ARCADIS]
-RINGS, MIN_RINGS, SECTORS, MIN_PIXELS = 10, 6, 12, 100  # of the field; of the rings; of each; of a sector [ours]
+# Rings of the field, and how many of them must be even; sectors of each, and pixels of a sector, whose mean then has a
+# tenth of their noise [ours].
+RINGS, MIN_RINGS, SECTORS, MIN_PIXELS = 10, 6, 12, 100
 PLATE_BLUR = 0.7  # pitches: leaves 3e-6 of a hexagonal lattice's own pattern [calc]
 UNEVEN = 0.05  # spread (s.d.) of brightness around a ring beyond which something shades it: vignetting is round [ours]
 # Of a lattice, whose points lie within ON_PLACE of where their neighbours predict them:

@@ -61,7 +61,7 @@ class Box:
 
 @dataclass(frozen=True)
 class SoftTissue:
-    """Hip and thigh as an elliptic cylinder along Y. Centre (x, z) and half-axes (x, z), mm [ours]."""
+    """Hip and thigh as an elliptic cylinder along Y. Centre (x, z) and half-axes (x, z), mm: of a slim adult [ours]."""
 
     centre_mm: tuple[float, float] = (-35.0, -5.0)
     half_mm: tuple[float, float] = (140.0, 105.0)
@@ -210,7 +210,7 @@ Thing = TypeVar("Thing", bound=Ball | Rod | Box | Volume | Mesh | Scene)
 
 @dataclass(frozen=True)
 class BoneMotion:
-    """Unnoticed motion of a leg: s.d. per axis [ours]."""
+    """Motion of a leg, s.d. per axis: as large as may stay unnoticed between two images [ours]."""
 
     shift_mm: float = 1.0
     rotation: float = radians(0.5)
