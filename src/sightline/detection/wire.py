@@ -45,9 +45,7 @@ _MIN_CONTRAST = 0.15  # log light; wires have 0.4 and more [twin]
 _MAX_MOVES = 8  # of the window that follows the tip
 _MIN_SINE = 0.3  # of the angle between wire and rays: seen end-on, a wire has no direction [ours]
 _MAX_TIP_MISFIT = 4.0  # of the tip's light over that of the wire; wrong tips had 5 and more, others rarely 4 [twin]
-_TIP_BEHIND = (
-    5.0  # [ours] radii of the wire behind its point that are fitted, for its light; beyond the tip, _BESIDE_PX
-)
+_TIP_BEHIND = 5.0  # [ours] radii of the wire behind its point that are fitted, for its light; beyond it, _BESIDE_PX
 _MIN_SHOWN_PX = 50  # [ours] length of the expected wire inside the field: a shorter stump gives no direction
 _MAX_OVERLAP = 0.04  # relative error of a piece's width; of a single wire 0.02, rarely 0.04 [twin]
 _MAX_WIDTH_ERROR = 0.25  # relative; refuses a wire of 3.2 mm for one of 2.5 mm, the next sizes [calc]
