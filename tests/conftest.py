@@ -3,17 +3,22 @@
 import json
 import os
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.app import NO_BROWSER
 from tests.worked import Worked, make_once
+from typer import testing
 from typer.testing import CliRunner
 
 from sightline.cli import commands
 from sightline.frame import Frame
 from sightline.twin import SetUp, draw_setup
+
+# Typer builds every command anew for each call, which takes longer than most calls that are refused.
+testing._get_command = cache(testing._get_command)
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

@@ -1,10 +1,12 @@
-"""The exposures of a report: each once, with its use, its frames and its time; none that is not told of."""
+"""What a report tells of a case besides its plan: each exposure once, with its use, its frames and its time."""
 
 from pathlib import Path
 
 import pytest
 
 from sightline.case.journal import Actor, Case, Entry, Kind
+from sightline.case.replay import Recomputed
+from sightline.case.report import content as case_report
 from sightline.case.report.content import UNUSED, exposures_of_case
 
 
@@ -77,3 +79,13 @@ def test_frames_taken_out_of_one_file_are_one_exposure(case: Case) -> None:
         case.record(Kind.ACQUIRED, content, by=Actor.RECEIVER, settings={"acquisition": {"frames": 30}})
     found = exposures_of_case(case, planned(case, acquired(case, "a"), acquired(case, "b")))
     assert [one.frames for one in found] == [30, 1, 1]
+
+
+def test_a_check_shot_of_an_earlier_version_is_left_out(case: Case) -> None:
+    """It did not say what it was measured from, so nobody can measure it again."""
+    plan = case.record(Kind.PLANNED, {}, by=Actor.SURGEON)
+    case.record(Kind.VERIFIED, {"entry_mm": 0.1}, by=Actor.APP, rests_on=[plan.number])
+    assert case_report._drilled(case, plan, Recomputed(case)) is None
+    case.record(Kind.VERIFIED, {"asked": {}}, by=Actor.APP, rests_on=[plan.number])
+    with pytest.raises((KeyError, ValueError)):  # this one says so, and would be measured
+        case_report._drilled(case, plan, Recomputed(case))

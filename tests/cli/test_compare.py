@@ -34,6 +34,7 @@ def test_an_image_of_beads_is_measured_beside_its_twin(run, pair, tmp_path: Path
     assert json.loads((tmp_path / "out" / "compare.json").read_text())["images"] == ran.document["images"]
 
 
+@pytest.mark.slow
 def test_an_image_of_nothing_says_why_each_figure_is_missing(run, tmp_path: Path) -> None:
     folder = tmp_path / "images"
     folder.mkdir()

@@ -18,20 +18,9 @@ from sightline.cli import demo as demo_module
 from sightline.detection.csv_files import read_observations
 from sightline.errors import CaseError
 
-EXPECTED = {
-    "report.html",
-    "demo_pa.dcm",
-    "demo_lateral.dcm",
-    "detections.json",
-    "observations.json",
-    "observations.csv",
-    "views.json",
-    "trajectory.json",
-    "comparison.json",
-    "drilling.json",
-    "truth.json",
-    "case",
-}
+DOCUMENTS = ("detections", "observations", "views", "trajectory", "comparison", "drilling", "truth")
+IMAGES = {"demo_pa.dcm", "demo_lateral.dcm"}
+EXPECTED = IMAGES | {"report.html", "observations.csv", "case"} | {f"{name}.json" for name in DOCUMENTS}
 
 
 def load(folder: Path, name: str):

@@ -37,6 +37,7 @@ def joints(planned: DemoPlan) -> np.ndarray:
     return drawn_robot(of.robot, imaging_yaw(of.side), of.generator("robot"), SHOWN_FEED_MM)[1]
 
 
+@pytest.mark.slow
 def test_both_registrations_know_the_wire_as_they_state_and_images_better(planned):
     """The true wire in CFCS at the images, against each: a registration in other coordinates is 80 mm off."""
     q = joints(planned)
@@ -57,6 +58,7 @@ def tip_error_95_mm(stood: Registration) -> float:
     return float(length_quantile(parts["hand_eye"] + parts["drill_axis"]))
 
 
+@pytest.mark.slow
 def test_a_block_that_was_knocked_on_its_mount_is_refused(planned):
     of = planned.rehearsal
     elsewhere = np.add(of.robot_wire_mm, [0.0, 1.5, 0.0])
@@ -65,6 +67,7 @@ def test_a_block_that_was_knocked_on_its_mount_is_refused(planned):
         registrations(replace(planned, rehearsal=knocked), joints(planned), 0.0, np.random.default_rng(13))
 
 
+@pytest.mark.slow
 def test_a_gamma_s_images_do_not_show_the_wire(planned):
     around = SimpleNamespace(robot=planned.rehearsal.robot, robot_wire_mm=None)
     assert list(registrations(replace(planned, rehearsal=around), joints(planned), 0.0, None)) == [BY_ENCODERS]

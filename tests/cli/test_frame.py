@@ -28,13 +28,13 @@ def test_new_writes_the_built_in_frame_with_datums_of_its_own(tmp_path):
 
 
 def test_new_takes_figures(tmp_path):
-    given = ("--like", "biplane", "--rows", "8", "--pitch-mm", "19", "--datums", "7", "--xrii-mm", "160")
+    given = ("--like", "biplane", "--rows", "6", "--pitch-mm", "25", "--datums", "7", "--xrii-mm", "160")
     run("new", str(tmp_path / "b.json"), *given, "--quiet")
     view = Frame.load(tmp_path / "b.json").view("pa")
-    assert (len(view.xrii.ids), view.xrii.is_datum.sum()) == (64, 7)
+    assert (len(view.xrii.ids), view.xrii.is_datum.sum()) == (36, 7)
     assert view.xrii.xyz_mm[:, 2].max() == 160
     assert view.source.xyz_mm[:, 2].max() == -150
-    assert view.xrii.xyz_mm[1, 0] - view.xrii.xyz_mm[0, 0] == 19
+    assert view.xrii.xyz_mm[1, 0] - view.xrii.xyz_mm[0, 0] == 25
 
 
 @pytest.mark.slow

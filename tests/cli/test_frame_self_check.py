@@ -29,6 +29,7 @@ def tables(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow  # tests/calibration/test_self_check.py proves the estimate
 def test_a_displaced_ball_is_named_and_the_frame_written(run, tables, tmp_path):
     ran = run("frame", "self-check", *tables, "--frame", "gamma", "--out", tmp_path / "found.json", "--json")
     assert ran.code == 0, ran.out

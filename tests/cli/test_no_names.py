@@ -11,7 +11,7 @@ import pytest
 WIRE = ("--entry", "pa:512,512 lateral:512,512", "--end", "pa:470,470 lateral:540,500")
 COMMANDS: dict[str, tuple[str, ...]] = {
     "calibrate": ("calibrate", "{pa}", "--csv", "{out}/beads.csv"),
-    "undistort": ("undistort", "{pa}", "--out", "{out}"),
+    "undistort": ("undistort", "{pa}", "--out", "{out}", "--spacing", "1"),
     "plan": ("plan", "{csv}", "{csv}", *WIRE, "--out", "{out}"),
     "export views": ("export", "views", "{pa}", "--to", "opencv,rtk,xreg", "--out", "{out}"),
 }

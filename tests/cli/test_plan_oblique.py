@@ -12,7 +12,7 @@ from sightline.imaging import write_dicom
 from sightline.twin import SetUp
 from sightline.twin.xray.setup import BEAMS
 
-PAIR = ("pa", "lateral")
+pytestmark = pytest.mark.slow  # tests/planning/test_third_image.py proves the plan
 OF_BLOCK = ("--frame", "block60", "--procedure", "free-wire")
 
 

@@ -100,9 +100,6 @@ def test_a_solid_stands_before_a_panel_whose_files_state_its_geometry(run, tmp_p
         assert image.tags.imager_pixel_spacing_mm == pytest.approx((298 / 1536, 298 / 1536))
         assert image.tags.intensifier_size_mm is None
         assert len(truth["views"][view]["beads_uv_px"]) == 16
-    refused = run("simulate", "--frame", "block60", "--preset", "9in-1k", "--out", tmp_path / "other")
-    assert refused.code == 2
-    assert "flat-panel" in refused.err
 
 
 @pytest.mark.slow
@@ -165,6 +162,7 @@ def brightness_at_origin(pixels: np.ndarray, truth: dict) -> float:
     return float(np.median(pixels[v - 8 : v + 9, u - 8 : u + 9]) / np.median(pixels[pixels > 0]))
 
 
+@pytest.mark.slow
 def test_accessories_lie_in_the_beam_and_the_set_up_is_the_same(run, simulated: Path, tmp_path: Path) -> None:
     ran = run("simulate", "object", "--seed", 5, "--with", "drape", "--with", "table-rail", "--out", tmp_path, "--json")
     assert ran.code == 0, ran.out

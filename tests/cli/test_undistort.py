@@ -4,11 +4,13 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from sightline.detection import detect
 from sightline.imaging import read_image
 
 
+@pytest.mark.slow  # tests/calibration/test_undistort.py proves the map
 def test_on_the_plate_the_xrii_beads_stand_where_the_frame_has_them(run, pair, frame, tmp_path: Path) -> None:
     ran = run("undistort", pair["pa"], "--out", tmp_path / "plate", "--json")
     assert ran.code in (0, 3), ran.out

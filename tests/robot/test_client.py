@@ -191,7 +191,7 @@ def test_where_no_stop_is_answered_the_connections_are_closed(monkeypatch):
     peer = ScriptedRobot("deaf to STOP")
     with serving(peer) as port, RobotClient(port=port) as robot:
         told(robot)
-        monkeypatch.setattr("sightline.robot.link.shared_connection.STATUS_S", 0.1)
+        monkeypatch.setattr("sightline.robot.link.exchange.ACK_S", 0.1)
         with pytest.raises(LinkError, match="red button"):
             robot.stop()
         wait_for(lambda: not peer.peers)

@@ -111,12 +111,16 @@ FAULTS_IN_MOTION = [
 # Faults that do not touch each other: one robot has several, and fails the line of each.
 TOGETHER = [
     ("another ACK text", "echoes another registration", "takes metres", "NaN in its joints", "moves in MANUAL"),
-    ("acts on a repeat", "takes any frame", "takes a registration that is not rigid", "any reset"),
-    ("takes an identifier twice", "takes any unit", "takes a registration that is not finite", "five rows of joints"),
+    ("acts on a repeat", "takes any frame", "takes a registration that is not rigid", "any reset",
+     "hangs up on unknown types"),
+    ("takes an identifier twice", "takes any unit", "takes a registration that is not finite", "five rows of joints",
+     "hangs up on a wrong CRC"),
     ("refuses a repeat", "echoes another target", "takes NO-GO", "no lease", "TARGETING without calibration"),
-    ("would lay it aside", "takes half a plan", "takes a target that is not rigid", "stops for its own client only"),
-    ("takes a target that is not finite", "sends wrong CRCs", "obeys in EMERGENCY", "moves without a target"),
-]
+    ("would lay it aside", "takes half a plan", "takes a target that is not rigid", "stops for its own client only",
+     "takes a target out of reach"),
+    ("takes a target that is not finite", "sends wrong CRCs", "obeys in EMERGENCY", "moves without a target",
+     "obeys a wrong CRC"),
+]  # fmt: skip
 LINES = {flaw: {lines} if isinstance(lines, str) else lines for flaw, lines in FAULTS}
 GROUPED = {flaw for group in TOGETHER for flaw in group}
 # Found by what does not come within its time.
