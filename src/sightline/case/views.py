@@ -34,9 +34,9 @@ class ImageSlot(str):
         slot.view, slot.purpose = view, purpose
         return slot
 
-    def __getnewargs__(self) -> tuple[str, str]:
+    def __reduce__(self) -> "tuple[type[ImageSlot], tuple[str, str]]":
         """Return what a copy is made from."""
-        return self.view, self.purpose
+        return ImageSlot, (self.view, self.purpose)
 
     @staticmethod
     def read(name: str) -> "ImageSlot":
