@@ -9,53 +9,19 @@ from sightline.imaging import Radiograph
 H, W = 480, 512
 CENTRE, RADIUS = np.array([261.3, 237.8]), 221.7
 V, U = np.mgrid[:H, :W]
-
-
-def round_field() -> np.ndarray:
-    return (U - CENTRE[0]) ** 2 + (V - CENTRE[1]) ** 2 < RADIUS**2
-
-
-def octagonal_field() -> np.ndarray:
-    turns = np.deg2rad(11.0) + np.arange(8) * np.pi / 4
-    return np.all([(U - CENTRE[0]) * np.cos(t) + (V - CENTRE[1]) * np.sin(t) < 201.4 for t in turns], axis=0)
-
-
-def rectangular_field() -> np.ndarray:
-    return (U > 61.5) & (U < 431.2) & (V > 49.7) & (V < 399.4)
-
-
-def bladed_field() -> np.ndarray:
-    return round_field() & (U > 118.4) & (V + 0.3 * U < 455)
-
-
-def narrow_field() -> np.ndarray:
-    """Blades leave a strip at one side; the middle of the image is dark."""
-    return round_field() & (U < 150.6)
-
-
-def banded_field() -> np.ndarray:
-    """With blades above and below only, two sides run from border to border, two along it."""
-    return (V > 80.3) & (V - 0.1 * U < 380.6)
-
-
-def whole_field() -> np.ndarray:
-    return np.ones((H, W), dtype=bool)
-
-
-def larger_than_the_image() -> np.ndarray:
-    return (U - 255.5) ** 2 + (V - 239.5) ** 2 < 290**2
-
-
-FIELDS = [
-    round_field,
-    octagonal_field,
-    rectangular_field,
-    bladed_field,
-    narrow_field,
-    banded_field,
-    whole_field,
-    larger_than_the_image,
-]
+ROUND = (U - CENTRE[0]) ** 2 + (V - CENTRE[1]) ** 2 < RADIUS**2
+TURNS = np.deg2rad(11.0) + np.arange(8) * np.pi / 4
+WHOLE = np.ones((H, W), dtype=bool)
+FIELDS = {
+    "round": ROUND,
+    "octagonal": np.all([(U - CENTRE[0]) * np.cos(t) + (V - CENTRE[1]) * np.sin(t) < 201.4 for t in TURNS], axis=0),
+    "rectangular": (U > 61.5) & (U < 431.2) & (V > 49.7) & (V < 399.4),
+    "with blades": ROUND & (U > 118.4) & (V + 0.3 * U < 455),
+    "a strip at one side": ROUND & (U < 150.6),  # the middle of the image is dark
+    "blades above and below": (V > 80.3) & (V - 0.1 * U < 380.6),
+    "whole": WHOLE,
+    "larger than the image": (U - 255.5) ** 2 + (V - 239.5) ** 2 < 290**2,
+}
 
 
 def exposed(field: np.ndarray, *, dark: np.ndarray | None = None, seed: int = 3) -> np.ndarray:
@@ -76,9 +42,9 @@ def assert_edge_within(mask: np.ndarray, truth: np.ndarray, tolerance_px: int) -
     assert (mask | ~shrunk).all()
 
 
-@pytest.mark.parametrize("field", FIELDS)
-def test_every_shape_is_found_to_a_hundredth_of_its_radius(field) -> None:
-    truth = field()
+@pytest.mark.parametrize("name", FIELDS)
+def test_every_shape_is_found_to_a_hundredth_of_its_radius(name: str) -> None:
+    truth = FIELDS[name]
     mask = Radiograph(exposed(truth), 4095.0).field_mask
     assert mask.dtype == bool
     assert not mask.flags.writeable
@@ -86,34 +52,34 @@ def test_every_shape_is_found_to_a_hundredth_of_its_radius(field) -> None:
 
 
 def test_an_image_without_collimation_is_field_to_its_last_pixel() -> None:
-    assert Radiograph(exposed(whole_field()), 4095.0).field_mask.all()
+    assert Radiograph(exposed(WHOLE), 4095.0).field_mask.all()
 
 
-@pytest.mark.parametrize("field", FIELDS)
-def test_a_wide_dark_thing_across_the_rim_is_bridged(field) -> None:
+@pytest.mark.parametrize("name", FIELDS)
+def test_a_wide_dark_thing_across_the_rim_is_bridged(name: str) -> None:
     """Metal covers a sector from outside the rim to the middle; in a round field, the circle bridges the gap."""
     bolster = (np.abs(V - CENTRE[1] - 20) < 45) & (U > 300)
-    mask = Radiograph(exposed(field(), dark=bolster), 4095.0).field_mask
-    assert_edge_within(mask, field(), 8 if field in (octagonal_field, bladed_field) else 4)
+    mask = Radiograph(exposed(FIELDS[name], dark=bolster), 4095.0).field_mask
+    assert_edge_within(mask, FIELDS[name], 8 if name in ("octagonal", "with blades") else 4)
 
 
 def test_a_bar_that_cuts_the_field_in_two_does_not_halve_it() -> None:
     bar = np.abs(U - CENTRE[0] + 0.2 * V) < 30
-    assert_edge_within(Radiograph(exposed(round_field(), dark=bar), 4095.0).field_mask, round_field(), 4)
+    assert_edge_within(Radiograph(exposed(ROUND, dark=bar), 4095.0).field_mask, ROUND, 4)
 
 
 def test_one_dark_corner_is_anatomy_not_collimation() -> None:
     corner = U + V < 150
-    assert Radiograph(exposed(whole_field(), dark=corner), 4095.0).field_mask.all()
+    assert Radiograph(exposed(WHOLE, dark=corner), 4095.0).field_mask.all()
 
 
 def test_writing_outside_the_field_and_a_line_along_the_border_are_not_field() -> None:
     writing = np.zeros((H, W), np.uint8)
     cv2.putText(writing, "R 12:30", (2, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, 255, 2)
     cv2.putText(writing, "70 kV", (430, 470), cv2.FONT_HERSHEY_SIMPLEX, 0.7, 255, 2)
-    pixels = np.where(writing > 0, 4095, exposed(round_field())).astype(np.uint16)
+    pixels = np.where(writing > 0, 4095, exposed(ROUND)).astype(np.uint16)
     pixels[0] = np.linspace(0, 4091, W)
-    assert_edge_within(Radiograph(pixels, 4095.0).field_mask, round_field(), 3)
+    assert_edge_within(Radiograph(pixels, 4095.0).field_mask, ROUND, 3)
 
 
 @pytest.mark.parametrize(
@@ -132,5 +98,5 @@ def test_a_degenerate_image_gives_a_mask_of_its_shape(pixels: np.ndarray) -> Non
 
 @pytest.mark.parametrize("kind", [np.uint8, np.float32])
 def test_the_pixel_type_does_not_matter(kind: type) -> None:
-    pixels = (exposed(octagonal_field()) / 16.0).astype(kind)
-    assert_edge_within(Radiograph(pixels, 255.0).field_mask, octagonal_field(), 3)
+    pixels = (exposed(FIELDS["octagonal"]) / 16.0).astype(kind)
+    assert_edge_within(Radiograph(pixels, 255.0).field_mask, FIELDS["octagonal"], 3)

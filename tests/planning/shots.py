@@ -1,11 +1,22 @@
 """Check shots of a straight wire, without images."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from sightline.planning.check.result import CheckShot
+
+
+@dataclass(frozen=True, eq=False)
+class Wire:
+    """See `WireSeen`."""
+
+    uv_px: np.ndarray
+    variance_px2: np.ndarray
+    tip_uv_px: np.ndarray
+    tip_variance_px2: float
 
 
 def straight_shot(wire_mm: np.ndarray, across: np.ndarray, deviation_mm: Sequence[float], sd_mm: float) -> CheckShot:

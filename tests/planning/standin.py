@@ -174,3 +174,11 @@ def turned(view: StandInView, axis: str, degrees: float, name: str) -> StandInVi
         focal_point_mm=rotation @ view.focal_point_mm,
         factors={s: np.vstack([rotation @ f[:3], f[3:]]) for s, f in view.factors.items()},
     )
+
+
+ENTRY_MM, END_MM = np.array([31.0, 24.0, -9.0]), np.array([-22.0, -26.0, 11.0])
+
+
+def wire_px(views: list[StandInView]) -> np.ndarray:
+    """(2, 2, 2): pixels of a wire from ENTRY_MM to END_MM in both views."""
+    return np.array([view.project(np.stack([ENTRY_MM, END_MM])) for view in views])

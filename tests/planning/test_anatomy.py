@@ -12,11 +12,12 @@ from sightline.planning.points.picks import stack
 from . import bone
 from .standin import estimates, pair
 
+VIEWS = pair()
+
 
 def test_perfect_drawings_give_the_bone():
-    views = pair()
-    uv = bone.pixels(views)
-    found = locate(views, bone.aids(uv), bone.picks(uv))
+    uv = bone.pixels(VIEWS)
+    found = locate(VIEWS, bone.aids(uv), bone.picks(uv))
     assert set(found.absent) == {"outline"}  # few procedures ask for it
     np.testing.assert_allclose(found.head.centre_mm, bone.CENTRE_MM, atol=1e-6)
     assert found.head.radius_mm == pytest.approx(bone.RADIUS_MM, abs=1e-6)
@@ -30,7 +31,7 @@ def test_perfect_drawings_give_the_bone():
 
 def test_all_covariances_by_sampling():
     """With views, frame errors and clicks drawn anew, all parts and metrics have the stated errors, jointly too."""
-    views, rng = pair(), np.random.default_rng(12)
+    views, rng = VIEWS, np.random.default_rng(12)
     uv, sd, draws = bone.pixels(views), 0.5, 60
     stated = locate(views, bone.aids(uv, sd), bone.picks(uv, sd))
     truth = metrics(stated, "right")
@@ -61,15 +62,14 @@ def test_all_covariances_by_sampling():
 
 @pytest.mark.parametrize("snapped", [False, True])
 def test_the_wire_is_the_trajectory_of_the_plan(snapped):
-    views = pair()
-    uv = bone.pixels(views)
+    uv = bone.pixels(VIEWS)
     picks = bone.picks(uv)
     if snapped:
-        curves = [matching_curve(views[0], first.uv_px, views[1]) for first, _ in picks]
+        curves = [matching_curve(VIEWS[0], first.uv_px, VIEWS[1]) for first, _ in picks]
         picks = tuple((a, snap(curve, b.uv_px)) for (a, b), curve in zip(picks, curves, strict=True))
     uv_px, covariance, across = stack(picks)
-    points = reconstruct(views, uv_px, covariance, across_px=across)
-    found = locate(views, bone.aids(uv), picks)
+    points = reconstruct(VIEWS, uv_px, covariance, across_px=across)
+    found = locate(VIEWS, bone.aids(uv), picks)
     np.testing.assert_allclose(found.part("wire"), points.xyz_mm.ravel(), atol=1e-9)
     at = found.at["wire"]
     np.testing.assert_allclose(found.covariance[at, at], points.joint_covariance_mm2, rtol=1e-8, atol=1e-12)
@@ -77,16 +77,15 @@ def test_the_wire_is_the_trajectory_of_the_plan(snapped):
 
 def test_a_drawn_circle_is_three_numbers_and_finds_the_sphere():
     """A circle cannot follow a distorted outline: 0.15 mm are left to it."""
-    views = pair()
     turns = np.deg2rad(np.arange(0.0, 360.0, 10.0))
     circles = []
-    for view in views:
+    for view in VIEWS:
         rim = bone.rim(view, turns)
         design = np.column_stack([2 * rim, np.ones(len(rim))])
         u, v, rest = np.linalg.lstsq(design, (rim**2).sum(axis=1), rcond=None)[0]
         circles.append(Circle.of(np.array([u, v]), float(np.sqrt(rest + u**2 + v**2)), 0.5))
         assert np.linalg.matrix_rank(circles[-1].covariance_px2, tol=1e-9) == 3
-    found = locate(views, Aids(head=(circles[0], circles[1])))
+    found = locate(VIEWS, Aids(head=(circles[0], circles[1])))
     np.testing.assert_allclose(found.head.centre_mm, bone.CENTRE_MM, atol=0.15)
     assert found.head.radius_mm == pytest.approx(bone.RADIUS_MM, abs=0.15)
     # Six numbers for four: not twenty-four.
@@ -107,11 +106,10 @@ def test_the_centre_of_the_outline_is_not_the_image_of_the_centre():
 
 
 def test_an_axis_in_the_plane_of_both_beams_is_refused_and_nothing_else_is():
-    views = pair()
-    uv = bone.pixels(views)
+    uv = bone.pixels(VIEWS)
     level = np.array([-0.8, 0.0, 0.6])  # beams run along Z and X
-    uv["neck"] = [bone.drawn_line(view, bone.ON_NECK_MM, level, (0.0, 25.0)) for view in views]
-    found = locate(views, bone.aids(uv), bone.picks(uv))
+    uv["neck"] = [bone.drawn_line(view, bone.ON_NECK_MM, level, (0.0, 25.0)) for view in VIEWS]
+    found = locate(VIEWS, bone.aids(uv), bone.picks(uv))
     assert set(found.absent) == {"neck", "outline"}
     assert "plane of both beams" in found.absent["neck"]
     assert found.neck is None
@@ -127,9 +125,8 @@ def test_an_axis_in_the_plane_of_both_beams_is_refused_and_nothing_else_is():
     ],
 )
 def test_bad_drawings_are_absent_with_the_reason(change, name, why):
-    views = pair()
-    uv = bone.pixels(views) | change
-    found = locate(views, bone.aids(uv), bone.picks(uv))
+    uv = bone.pixels(VIEWS) | change
+    found = locate(VIEWS, bone.aids(uv), bone.picks(uv))
     assert why in found.absent[name]
     assert "wire" in found.at
 
@@ -142,9 +139,8 @@ def test_what_is_not_drawn_is_absent():
 
 
 def test_unknown_errors_stay_unknown():
-    views = pair()
-    uv = bone.pixels(views)
-    found = locate([views[0], replace(views[1], factors=None)], bone.aids(uv), bone.picks(uv))
+    uv = bone.pixels(VIEWS)
+    found = locate([VIEWS[0], replace(VIEWS[1], factors=None)], bone.aids(uv), bone.picks(uv))
     assert found.covariance is None
     assert found.head.covariance_mm2 is None
     assert found.head.agreement is None

@@ -15,6 +15,7 @@ from sightline.planning.points.results import Verdict
 from . import bone
 from .standin import StandInView
 
+VIEWS = bone.views()
 DOWN = {"right": 1.0, "left": -1.0}
 
 
@@ -40,15 +41,14 @@ def _planned(
     noise_px: np.ndarray | float = 0.0,
 ) -> Plan:
     """On a sphere for a head, as clicks on its rim show it."""
-    views = bone.views()
-    uv = np.array([view.project(wire_mm) for view in views]) + noise_px
+    uv = np.array([view.project(wire_mm) for view in VIEWS]) + noise_px
     drawn = aids or Aids()
     if radius_mm is not None:
-        drawn = replace(drawn, head=(_rim(views[0], centre_mm, radius_mm), _rim(views[1], centre_mm, radius_mm)))
-    marks = None if lesser_mm is None else np.array([view.project(lesser_mm[None]) for view in views])
+        drawn = replace(drawn, head=(_rim(VIEWS[0], centre_mm, radius_mm), _rim(VIEWS[1], centre_mm, radius_mm)))
+    marks = None if lesser_mm is None else np.array([view.project(lesser_mm[None]) for view in VIEWS])
     names = () if lesser_mm is None else ("lesser-trochanter",)
     return plan(
-        views, uv[:, 0], uv[:, 1], side=side, aids=drawn, landmarks_uv_px=marks, landmark_names=names, curve=_one_curve
+        VIEWS, uv[:, 0], uv[:, 1], side=side, aids=drawn, landmarks_uv_px=marks, landmark_names=names, curve=_one_curve
     )
 
 
@@ -108,15 +108,14 @@ def test_right_plans_are_go_and_none_is_when_its_points_are_exchanged_or_its_sid
 
 def test_what_is_known_without_the_head_tells_an_exchange_too():
     """The landmark at the head's centre, where no outline was drawn: incomplete, and wrong where exchanged."""
-    views = bone.views()
-    marks = np.array([view.project(np.stack([bone.CENTRE_MM, bone.LESSER_MM])) for view in views])
-    uv = np.array([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in views])
+    marks = np.array([view.project(np.stack([bone.CENTRE_MM, bone.LESSER_MM])) for view in VIEWS])
+    uv = np.array([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in VIEWS])
     names = ("head-centre", "lesser-trochanter")
     known = {"side": "right", "landmarks_uv_px": marks, "landmark_names": names}
-    right = plan(views, uv[:, 0], uv[:, 1], **known).verdict
+    right = plan(VIEWS, uv[:, 0], uv[:, 1], **known).verdict
     assert (right.state, _names(right)) == ("incomplete", {"head"})
     assert right.missing[0].startswith("The head is not drawn")
-    exchanged = plan(views, uv[:, 1], uv[:, 0], **known).verdict
+    exchanged = plan(VIEWS, uv[:, 1], uv[:, 0], **known).verdict
     assert exchanged.state == "no-go" and "entry and end" in _names(exchanged)
 
 
@@ -201,11 +200,10 @@ def test_missing_and_wrong_together_are_no_go_and_both_are_said():
 
 @pytest.mark.parametrize("names", [("patella",), ("lesser-trochanter", "head-centre"), ("", "")])
 def test_landmarks_have_names_of_the_kinds_once_each(names: tuple[str, ...]):
-    views = bone.views()
-    uv = np.array([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in views])
-    mark = np.array([view.project(bone.LESSER_MM[None]) for view in views])
+    uv = np.array([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in VIEWS])
+    mark = np.array([view.project(bone.LESSER_MM[None]) for view in VIEWS])
     with pytest.raises(UnusableInputError, match="landmark"):
-        plan(views, uv[:, 0], uv[:, 1], landmarks_uv_px=mark, landmark_names=names)
+        plan(VIEWS, uv[:, 0], uv[:, 1], landmarks_uv_px=mark, landmark_names=names)
 
 
 def test_how_far_a_point_may_be_wrong_along_its_line_of_sight_is_what_the_checks_let_pass():

@@ -9,28 +9,27 @@ from sightline.errors import ErrorUnknownError, OutsideRegionError
 from sightline.planning import Trajectory, corridor, error_shares, error_shares_of, reconstruct
 from sightline.planning.points.results import BUDGET
 
-from .standin import StandInView, pair
+from .standin import END_MM, ENTRY_MM, StandInView, pair, wire_px
 
-ENTRY_MM, END_MM = np.array([31.0, 24.0, -9.0]), np.array([-22.0, -26.0, 11.0])
+VIEWS = pair(0.5)
 
 
 def _trajectory(views: list[StandInView]) -> Trajectory:
-    return Trajectory(reconstruct(views, np.array([view.project(np.stack([ENTRY_MM, END_MM])) for view in views])))
+    return Trajectory(reconstruct(views, wire_px(views)))
 
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_the_middle_is_the_wires_image_and_its_width_is_the_wires(which):
-    views = pair(0.5)
-    trajectory = _trajectory(views)
-    made = corridor(views[which], trajectory, wire_mm=2.5, beyond_mm=4.0)
+    trajectory = _trajectory(VIEWS)
+    made = corridor(VIEWS[which], trajectory, wire_mm=2.5, beyond_mm=4.0)
     assert made.along_mm[0] == 0.0
     assert made.along_mm[-1] == pytest.approx(trajectory.length_mm + 4.0)
     at = trajectory.entry_mm + made.along_mm[:, None] * trajectory.direction
-    np.testing.assert_allclose(made.uv_px, views[which].project(at), atol=1e-9)
+    np.testing.assert_allclose(made.uv_px, VIEWS[which].project(at), atol=1e-9)
     # A round wire's outline: the rays that touch it.
-    ray = at - views[which].focal_point_mm
+    ray = at - VIEWS[which].focal_point_mm
     side = np.cross(ray, trajectory.direction)
-    edge = views[which].project(at + 1.25 * side / np.linalg.norm(side, axis=1, keepdims=True)) - made.uv_px
+    edge = VIEWS[which].project(at + 1.25 * side / np.linalg.norm(side, axis=1, keepdims=True)) - made.uv_px
     np.testing.assert_allclose(np.abs(np.sum(edge * made.across_px, axis=1)), made.wire_half_px, rtol=3e-3)
 
 
@@ -52,23 +51,21 @@ def test_the_wire_runs_within_the_corridor_95_times_in_a_hundred(which):
 
 
 def test_only_what_the_view_sees_is_drawn():
-    views = pair(0.5)
-    trajectory = _trajectory(views)
-    made = corridor(views[0], trajectory, beyond_mm=60.0)
+    trajectory = _trajectory(VIEWS)
+    made = corridor(VIEWS[0], trajectory, beyond_mm=60.0)
     step = made.along_mm[1]
     assert made.along_mm[-1] < trajectory.length_mm + 60.0 - step
     ahead = trajectory.entry_mm + (made.along_mm[-1] + step) * trajectory.direction
     with pytest.raises(OutsideRegionError):
-        views[0].project(ahead[None])
-    aside = replace(views[0], focal_point_mm=views[0].focal_point_mm + np.array([0.0, 3000.0, 0.0]))
+        VIEWS[0].project(ahead[None])
+    aside = replace(VIEWS[0], focal_point_mm=VIEWS[0].focal_point_mm + np.array([0.0, 3000.0, 0.0]))
     with pytest.raises(OutsideRegionError, match="no part of the plan"):
         corridor(aside, trajectory)
 
 
 def test_an_unknown_error_has_no_corridor_and_no_shares():
-    views = pair(0.5)
-    trajectory = _trajectory([views[0], replace(views[1], factors=None)])
-    assert corridor(views[0], trajectory).half_95_px is None
+    trajectory = _trajectory([VIEWS[0], replace(VIEWS[1], factors=None)])
+    assert corridor(VIEWS[0], trajectory).half_95_px is None
     with pytest.raises(ErrorUnknownError):
         error_shares(trajectory)
 

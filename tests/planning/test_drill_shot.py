@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
-from tests.planning.test_check_shot import MARK_PX, MARKS, PLAN, Wire, shows, wire_in
+from tests.planning.shots import Wire
+from tests.planning.test_check_shot import MARK_PX, MARKS, PLAN, shows, wire_in
 
 import sightline as sl
 from sightline.calibration import BeadView

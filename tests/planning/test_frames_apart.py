@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,33 +11,27 @@ from sightline.errors import ReconstructionRefusedError
 from sightline.planning import Aids, Circle, locate, matching_curve, plan, reconstruct
 from sightline.planning.check.shot import check_shot
 
-from .standin import StandInView, stand_in
+from .shots import Wire
+from .standin import END_MM, ENTRY_MM, StandInView, stand_in
 
 THIRD, FOURTH, AGAIN = "gamma/03#1111", "gamma/04#2222", "gamma/03#3333"
-POINTS_MM = np.array([[31.0, 24.0, -9.0], [-22.0, -26.0, 11.0]])
+POINTS_MM = np.stack([ENTRY_MM, END_MM])
 
 
 def _views(pa: str | None, lateral: str | None) -> list[StandInView]:
     return [replace(stand_in(name, scale=0.05), frame_key=key) for name, key in (("pa", pa), ("lateral", lateral))]
 
 
-def _reconstruct(views: list[StandInView], uv_px: np.ndarray) -> None:
-    reconstruct(views, uv_px)
-
-
-def _curve(views: list[StandInView], uv_px: np.ndarray) -> None:
-    matching_curve(views[0], uv_px[0, 0], views[1])
-
-
-def _plan(views: list[StandInView], uv_px: np.ndarray) -> None:
-    plan(views, uv_px[:, 0], uv_px[:, 1], snapped=True)
-
-
-def _aids(views: list[StandInView], uv_px: np.ndarray) -> None:
-    locate(views, Aids(head=(Circle.of(uv_px[0, 0], 60.0), Circle.of(uv_px[1, 0], 60.0))))
-
-
-@pytest.mark.parametrize("combine", [_reconstruct, _curve, _plan, _aids])
+@pytest.mark.parametrize(
+    "combine",
+    [
+        reconstruct,
+        lambda views, uv: matching_curve(views[0], uv[0, 0], views[1]),
+        lambda views, uv: plan(views, uv[:, 0], uv[:, 1], snapped=True),
+        lambda views, uv: locate(views, Aids(head=(Circle.of(uv[0, 0], 60.0), Circle.of(uv[1, 0], 60.0)))),
+    ],
+    ids=["points", "curve", "plan", "aids"],
+)
 def test_views_of_two_frames_or_of_two_files_of_one_are_refused(combine: Callable) -> None:
     uv = np.array([view.project(POINTS_MM) for view in _views(THIRD, THIRD)])
     with pytest.raises(ReconstructionRefusedError, match=r"the frames gamma/03 and gamma/04, .* calibrate all views"):
@@ -63,15 +56,7 @@ def test_a_check_shot_through_another_frame_is_refused() -> None:
     made = plan(planned, uv[:, 0], uv[:, 1])
     along = np.linspace(0.0, 1.0, 30)[:, None]
     wire = POINTS_MM[0] + along * (POINTS_MM[1] - POINTS_MM[0])
-    wires = [
-        SimpleNamespace(
-            uv_px=view.project(wire),
-            variance_px2=np.full(30, 0.04),
-            tip_uv_px=view.project(POINTS_MM[1:])[0],
-            tip_variance_px2=0.25,
-        )
-        for view in planned
-    ]
+    wires = [Wire(view.project(wire), np.full(30, 0.04), view.project(POINTS_MM[1:])[0], 0.25) for view in planned]
     for checked in (_views(FOURTH, FOURTH), _views(THIRD, FOURTH)):
         with pytest.raises(ReconstructionRefusedError, match="gamma/03 and gamma/04"):
             check_shot(made.to_check(planned), checked, wires)

@@ -10,15 +10,9 @@ from sightline.errors import ErrorUnknownError, UnusableInputError
 from sightline.planning import Trajectory, corridor, error_shares, plan, reconstruct
 from sightline.planning.points.results import MAX_GAP_SIGMA
 
-from .standin import StandInView, pair
+from .standin import pair, wire_px
 
-ENTRY_MM, END_MM = np.array([31.0, 24.0, -9.0]), np.array([-22.0, -26.0, 11.0])
-
-
-def _pixels(views: list[StandInView]) -> np.ndarray:
-    return np.array([view.project(np.stack([ENTRY_MM, END_MM])) for view in views])
-
-
+VIEWS = pair(0.05)
 WRONG = {
     "point before view": lambda uv: uv.swapaxes(0, 1),
     "views exchanged": lambda uv: uv[::-1],
@@ -28,8 +22,7 @@ WRONG = {
 
 @pytest.mark.parametrize("how", WRONG)
 def test_arrays_in_another_order_fail_their_gap_and_get_no_error(how):
-    views = pair(0.05)
-    right, wrong = (reconstruct(views, uv) for uv in (_pixels(views), WRONG[how](_pixels(views))))
+    right, wrong = (reconstruct(VIEWS, uv) for uv in (wire_px(VIEWS), WRONG[how](wire_px(VIEWS))))
     assert not failed(right.checks)
     assert [check.name for check in right.checks] == ["error known", "gap", "gap"]
     assert "gap" in {check.name for check in failed(wrong.checks)}
@@ -43,14 +36,13 @@ def test_arrays_in_another_order_fail_their_gap_and_get_no_error(how):
             ask()
     document = trajectory.document()
     assert all(document[key] is None for key in ("error_95", "covariance_mm2", "budget_rms"))
-    assert corridor(views[0], trajectory, 2.5).half_95_px is None
+    assert corridor(VIEWS[0], trajectory, 2.5).half_95_px is None
 
 
 def test_one_failed_gap_rules_out_both_points_of_a_plan_and_their_error_checks():
-    views = pair(0.05)
-    uv = _pixels(views)
+    uv = wire_px(VIEWS)
     uv[1, 1] += 12.0
-    made = plan(views, uv[:, 0], uv[:, 1])
+    made = plan(VIEWS, uv[:, 0], uv[:, 1])
     assert made.seen.gap_failed.tolist() == [False, True]
     assert made.seen.error_stated.tolist() == [True, False]
     assert not made.trajectory.error_stated
@@ -61,7 +53,7 @@ def test_one_failed_gap_rules_out_both_points_of_a_plan_and_their_error_checks()
 
 
 def test_the_limit_is_where_a_gap_begins_to_fail():
-    points = reconstruct(pair(0.05), _pixels(pair(0.05)))
+    points = reconstruct(pair(0.05), wire_px(pair(0.05)))
     for sigma, fails in ((MAX_GAP_SIGMA, False), (np.nextafter(MAX_GAP_SIGMA, 4.0), True), (np.nan, True)):
         at = replace(points, gap_sigma=np.ma.masked_array([0.1, sigma]))
         assert at.gap_failed.tolist() == [False, fails]
@@ -72,21 +64,20 @@ def test_the_limit_is_where_a_gap_begins_to_fail():
 
 
 def test_pixels_by_name_cannot_be_exchanged():
-    views = pair(0.05)
-    uv = _pixels(views)
+    uv = wire_px(VIEWS)
     covariance = 0.04 * np.broadcast_to(np.eye(2), (2, 2, 2, 2)) * np.array([1.0, 4.0])[:, None, None, None]
-    stated = reconstruct(views, uv, covariance)
+    stated = reconstruct(VIEWS, uv, covariance)
     named = {"lateral": uv[1], "pa": uv[0]}
-    for order in (views, views[::-1]):
+    for order in (VIEWS, VIEWS[::-1]):
         points = reconstruct(order, named, {"pa": covariance[0], "lateral": covariance[1]})
         np.testing.assert_allclose(points.xyz_mm, stated.xyz_mm, atol=1e-9)
         np.testing.assert_allclose(points.covariance_mm2, stated.covariance_mm2, atol=1e-9)
-    again = [views[0], replace(views[1], name="pa")]
+    again = [VIEWS[0], replace(VIEWS[1], name="pa")]
     cases = (
-        (views, {"pa": uv[0]}, "an entry for each view"),
-        (views, {"pa": uv[0], "AP": uv[1]}, "'AP'"),
+        (VIEWS, {"pa": uv[0]}, "an entry for each view"),
+        (VIEWS, {"pa": uv[0], "AP": uv[1]}, "'AP'"),
         (again, {"pa": uv[0]}, "different names"),
-        (views, {"pa": uv[0], "lateral": uv[1, :1]}, "same points"),
+        (VIEWS, {"pa": uv[0], "lateral": uv[1, :1]}, "same points"),
     )
     for given, pixels, message in cases:
         with pytest.raises(UnusableInputError, match=message):

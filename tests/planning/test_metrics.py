@@ -11,6 +11,8 @@ from sightline.planning import Aids, locate, metrics
 from . import bone
 from .standin import StandInView, pair
 
+VIEWS = pair()
+
 NAMES = (
     "wire length",
     "wire to shaft",
@@ -39,8 +41,7 @@ def _flat(way: np.ndarray, view: StandInView) -> float:
 
 
 def test_metrics_follow_their_definitions():
-    views = pair()
-    found = _metrics(views)
+    found = _metrics(VIEWS)
     assert tuple(found) == NAMES
     wire = bone.END_MM - bone.ENTRY_MM
     length = np.linalg.norm(wire)
@@ -51,7 +52,7 @@ def test_metrics_follow_their_definitions():
     assert found["wire to shaft"].value == pytest.approx(np.rad2deg(np.arccos(wire @ bone.SHAFT)), abs=1e-6)
     assert found["neck-shaft angle"].value == pytest.approx(np.rad2deg(bone.NECK_SHAFT_RAD), abs=1e-6)
     assert found["neck version"].value == pytest.approx(np.rad2deg(bone.VERSION_RAD), abs=1e-6)
-    tad = sum(_flat(bone.END_MM - apex, view) for view in views)
+    tad = sum(_flat(bone.END_MM - apex, view) for view in VIEWS)
     assert found["tip-apex distance"].value == pytest.approx(tad, abs=1e-6)
     assert found["tip to bone nearest"].value == pytest.approx(bone.RADIUS_MM - np.linalg.norm(tip), abs=1e-6)
     ahead = found["tip to bone along wire"].value
@@ -62,8 +63,7 @@ def test_metrics_follow_their_definitions():
 
 def test_the_calcar_line_leaves_the_head_where_it_should():
     """A point on the head's rim in the PA view, from the calcar along the neck: its distance to the tip."""
-    views = pair()
-    beam = bone.CENTRE_MM - views[0].focal_point_mm
+    beam = bone.CENTRE_MM - VIEWS[0].focal_point_mm
     beam /= np.linalg.norm(beam)
     flat = np.eye(3) - np.outer(beam, beam)
     along = flat @ bone.NECK / np.linalg.norm(flat @ bone.NECK)
@@ -73,9 +73,9 @@ def test_the_calcar_line_leaves_the_head_where_it_should():
     leaves = start + steps[np.flatnonzero(inside)[-1]] * along
     ap = np.linalg.norm(flat @ (bone.END_MM - bone.CENTRE_MM) - leaves)
     apex = bone.CENTRE_MM + bone.RADIUS_MM * bone.NECK
-    expected = ap + _flat(bone.END_MM - apex, views[1])
+    expected = ap + _flat(bone.END_MM - apex, VIEWS[1])
     # 1 % of the way along the beam to the calcar's line of sight, which is not quite that to the centre.
-    assert _metrics(views)["calcar tip-apex distance"].value == pytest.approx(expected, abs=0.2)
+    assert _metrics(VIEWS)["calcar tip-apex distance"].value == pytest.approx(expected, abs=0.2)
 
 
 @pytest.mark.parametrize(
@@ -98,19 +98,18 @@ def test_thirds_of_the_head(moved_mm, ap, lateral):
 def test_a_left_hip_mirrors_a_right_one():
     """Mirrored at Y = 0: every metric is unchanged, given the side."""
     mirror = np.diag([1.0, -1.0, 1.0])
-    views = pair()
     mirrored = [
         replace(
             view,
             focal_point_mm=mirror @ view.focal_point_mm,
             plane=replace(view.plane, origin_mm=mirror @ view.plane.origin_mm, axes=view.plane.axes @ mirror),
         )
-        for view in views
+        for view in VIEWS
     ]
-    uv = bone.pixels(views)
+    uv = bone.pixels(VIEWS)
     right, left = (
         metrics(locate(each, bone.aids(uv), bone.picks(uv)), side)
-        for each, side in ((views, "right"), (mirrored, "left"))
+        for each, side in ((VIEWS, "right"), (mirrored, "left"))
     )
     np.testing.assert_allclose([f.value for f in left], [f.value for f in right], atol=1e-9)
     assert [f.zone for f in left] == [f.zone for f in right]
@@ -119,7 +118,7 @@ def test_a_left_hip_mirrors_a_right_one():
         assert wrong[name].value is None
         assert "above the head of a right hip" in wrong[name].sentence
     with pytest.raises(UnusableInputError, match="side"):
-        metrics(locate(views, Aids()), "both")
+        metrics(locate(VIEWS, Aids()), "both")
 
 
 def test_a_wire_outside_the_head_has_no_bone_ahead():
@@ -132,16 +131,15 @@ def test_a_wire_outside_the_head_has_no_bone_ahead():
 
 
 def test_what_is_not_drawn_is_absent_and_never_zero():
-    views = pair()
-    uv = bone.pixels(views)
+    uv = bone.pixels(VIEWS)
     drawn = bone.aids(uv)
-    found = {f.name: f for f in metrics(locate(views, replace(drawn, neck=None), bone.picks(uv)), "right")}
+    found = {f.name: f for f in metrics(locate(VIEWS, replace(drawn, neck=None), bone.picks(uv)), "right")}
     absent = {"neck-shaft angle", "neck version", "tip-apex distance", "calcar tip-apex distance"}
     for name, figure in found.items():
         assert (figure.value is None) == (name in absent)
         assert (figure.sd is None) == (name in absent)
     assert "draw a line along it" in found["tip-apex distance"].sentence
-    assert all(f.value is None for f in metrics(locate(views, Aids()), "right"))
+    assert all(f.value is None for f in metrics(locate(VIEWS, Aids()), "right"))
 
 
 def test_recommended_ranges():

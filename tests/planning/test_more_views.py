@@ -15,7 +15,7 @@ from sightline.errors import ReconstructionRefusedError, UnusableInputError
 from sightline.planning import kind, matching_curve, plan, reconstruct
 from sightline.planning.points.results import BUDGET, SpacePoints
 
-from .standin import StandInView, estimates, stand_in, turned
+from .standin import END_MM, ENTRY_MM, StandInView, estimates, stand_in, turned
 
 TARGETS_MM = np.array([[3.7, -11.2, 18.3], [-24.1, 27.9, -6.6], [11.8, 7.3, -14.2], [-8.6, -19.4, 5.9]])
 # Which view shows which point: all of them the first two, two of them each of the others.
@@ -32,6 +32,9 @@ def _views(scale: float = 1.0, degrees: float = 40.0) -> list[StandInView]:
 def _picks(views: list[StandInView], xyz_mm: np.ndarray, seen: np.ndarray) -> np.ndarray:
     uv = np.array([view.project(xyz_mm) for view in views])
     return np.where(seen[..., None], uv, np.nan)
+
+
+VIEWS = _views()
 
 
 @pytest.mark.parametrize(
@@ -76,12 +79,11 @@ def test_the_covariance_of_two_and_three_views_by_sampling(method, count):
 
 @pytest.mark.parametrize("method", ["weighted", "nearest"])
 def test_perfect_picks_give_the_points_though_views_miss_some(method):
-    views = _views()
-    picks = _picks(views, TARGETS_MM, SEEN)
-    points = reconstruct(views, picks, method=method)
+    picks = _picks(VIEWS, TARGETS_MM, SEEN)
+    points = reconstruct(VIEWS, picks, method=method)
     np.testing.assert_allclose(points.xyz_mm, TARGETS_MM, atol=1e-7)
     assert not failed(points.checks)
-    stated = reconstruct(views, picks, np.full((3, 4, 1, 1), 0.25) * np.eye(2), method)  # a careful click's
+    stated = reconstruct(VIEWS, picks, np.full((3, 4, 1, 1), 0.25) * np.eye(2), method)  # a careful click's
     np.testing.assert_array_equal(points.joint_covariance_mm2, stated.joint_covariance_mm2)
     assert tuple(points.budget_mm2) == BUDGET
     np.testing.assert_allclose(sum(points.budget_mm2.values()), points.joint_covariance_mm2, rtol=1e-12, atol=1e-15)
@@ -106,12 +108,11 @@ def test_a_point_that_two_views_show_is_the_point_of_these_two():
 
 
 def test_the_nearest_point_of_three_lines():
-    views = _views()
-    uv = _picks(views, TARGETS_MM[:1], SEEN[:, :1]) + np.random.default_rng(4).normal(0.0, 2.0, (3, 1, 2))
-    lines = [view.lines_of_sight(one) for view, one in zip(views, uv, strict=True)]
+    uv = _picks(VIEWS, TARGETS_MM[:1], SEEN[:, :1]) + np.random.default_rng(4).normal(0.0, 2.0, (3, 1, 2))
+    lines = [view.lines_of_sight(one) for view, one in zip(VIEWS, uv, strict=True)]
     expected = meeting_point([one.focal_point_mm for one in lines], np.concatenate([one.directions for one in lines]))
     # Gauss-Newton with the distances' weights held: off by the residuals, 0.5 mm, times their share of the distance.
-    np.testing.assert_allclose(reconstruct(views, uv, method="nearest").xyz_mm[0], expected.point_mm, atol=2e-3)
+    np.testing.assert_allclose(reconstruct(VIEWS, uv, method="nearest").xyz_mm[0], expected.point_mm, atol=2e-3)
 
 
 def test_views_of_one_direction_need_a_third_from_another():
@@ -175,21 +176,19 @@ def test_a_snapped_pick_of_three_is_one_number():
     ],
 )
 def test_bad_arguments_are_refused(change, message):
-    views = _views()
-    good = {"uv_px": _picks(views, TARGETS_MM, SEEN)}
-    assert np.isfinite(reconstruct(views, **good).xyz_mm).all()
+    good = {"uv_px": _picks(VIEWS, TARGETS_MM, SEEN)}
+    assert np.isfinite(reconstruct(VIEWS, **good).xyz_mm).all()
     with pytest.raises(UnusableInputError, match=message):
-        reconstruct(views, **(good | change))
+        reconstruct(VIEWS, **(good | change))
 
 
 def test_one_view_is_not_enough_and_none_counts_twice():
-    views = _views()
-    uv = _picks(views, TARGETS_MM, np.ones((3, 4), dtype=bool))
+    uv = _picks(VIEWS, TARGETS_MM, np.ones((3, 4), dtype=bool))
     with pytest.raises(UnusableInputError, match="two or more"):
-        reconstruct(views[:1], uv[:1])
-    for again in (views[0], replace(views[0]), replace(views[0], name="copy")):
+        reconstruct(VIEWS[:1], uv[:1])
+    for again in (VIEWS[0], replace(VIEWS[0]), replace(VIEWS[0], name="copy")):
         with pytest.raises(ReconstructionRefusedError, match="twice"):
-            reconstruct([*views[:2], again], uv[[0, 1, 0]])
+            reconstruct([*VIEWS[:2], again], uv[[0, 1, 0]])
 
 
 def _planned(views: list[StandInView], uv: np.ndarray, **given: object) -> SpacePoints:
@@ -234,7 +233,7 @@ def test_a_plan_on_three_views_is_saved_with_the_picks_that_it_lacks(tmp_path):
 
 
 # The bone shifts once, by 2 mm. Errors of the views about those of a block: 0.1 mm rms at the target.
-ENDS_MM = np.array([[31.0, 24.0, -9.0], [-22.0, -26.0, 11.0]])
+ENDS_MM = np.stack([ENTRY_MM, END_MM])
 MARKS_MM = np.array([[-20.0, -12.0, 9.0], [14.0, 22.0, -11.0], [8.0, -19.0, 16.0]])
 SHIFT_MM, OFF_MM = 2.0, 1.0
 

@@ -1,7 +1,7 @@
 """Placed wires in space: place, covariance by sampling, and wires that are exchanged between the views."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from sightline.planning.procedures.procedure import copy_text, document_from_jso
 from sightline.planning.verdict.relations import spacing_mm
 
 from .bone import END_MM, ENTRY_MM, curve_once, views
+from .shots import Wire
 from .standin import StandInView, estimates
 
 WIRE = np.array([ENTRY_MM, END_MM])
@@ -24,17 +25,7 @@ FRONT = np.array([7.0, -0.465, 5.0])  # to one whose tip both images show at the
 ACROSS_PX, TIP_PX, CLICK_PX = 0.1, 0.5, 0.1
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """See `WireSeen`."""
-
-    uv_px: np.ndarray
-    variance_px2: np.ndarray
-    tip_uv_px: np.ndarray
-    tip_variance_px2: float
-
-
-def seen(view: StandInView, wire: np.ndarray, rng: np.random.Generator | None = None) -> Seen:
+def seen(view: StandInView, wire: np.ndarray, rng: np.random.Generator | None = None) -> Wire:
     """A wire as a view shows it, with noise where there is a generator."""
     uv = view.project(wire[0] + np.linspace(-0.05, 0.93, 20)[:, None] * (wire[1] - wire[0]))
     tip = view.project(wire[1:])[0]
@@ -42,7 +33,7 @@ def seen(view: StandInView, wire: np.ndarray, rng: np.random.Generator | None = 
     if rng is not None:
         uv = uv + ACROSS_PX * rng.standard_normal((20, 1)) * [-way[1], way[0]]
         tip = tip + TIP_PX * rng.standard_normal() * way
-    return Seen(uv, np.full(20, ACROSS_PX**2), tip, TIP_PX**2)
+    return Wire(uv, np.full(20, ACROSS_PX**2), tip, TIP_PX**2)
 
 
 def found(*wires: np.ndarray, shown: tuple[StandInView, ...] | None = None, rng=None) -> list[PlacedWire]:

@@ -12,11 +12,12 @@ from sightline.planning.bone.aids import Aids
 from . import bone
 from .standin import StandInView, pair
 
+VIEWS = pair()
+
 
 def _proposed(aids: Aids | None = None, side: str = "right", rule: ProposalRule | None = None):
-    views = pair()
-    aids = bone.aids(bone.pixels(views)) if aids is None else aids
-    return views, propose(views, locate(views, aids), side, rule)
+    aids = bone.aids(bone.pixels(VIEWS)) if aids is None else aids
+    return VIEWS, propose(VIEWS, locate(VIEWS, aids), side, rule)
 
 
 @pytest.mark.parametrize("with_neck", [False, True])
@@ -61,16 +62,15 @@ def _pixel(xyz_mm: np.ndarray) -> Pick:
     ],
 )
 def test_impossible_proposals_are_refused_with_the_reason(change, why):
-    views = pair()
-    drawn = bone.aids(bone.pixels(views))
+    drawn = bone.aids(bone.pixels(VIEWS))
     ((name, what),) = change.items()
     lateral, medial = (bone.ON_SHAFT_MM + 5.0 * bone.SHAFT + np.array([x, 0.0, 0.0]) for x in (3.0, -12.0))
     new = {
         None: None,
         "medial": _pixel(medial),
         "near": _pixel(lateral),
-        "through the head": _lines(views, bone.CENTRE_MM + np.array([3.0, 0.0, 1.0]), bone.SHAFT),
-        "backwards": _lines(views, bone.ON_NECK_MM, np.array([-0.35, -0.45, -0.82])),
+        "through the head": _lines(VIEWS, bone.CENTRE_MM + np.array([3.0, 0.0, 1.0]), bone.SHAFT),
+        "backwards": _lines(VIEWS, bone.ON_NECK_MM, np.array([-0.35, -0.45, -0.82])),
     }[what]
     with pytest.raises(ReconstructionRefusedError, match=why):
         _proposed(replace(drawn, **{name: new}))
@@ -90,11 +90,10 @@ def test_the_wrong_side_is_refused():
 
 
 def test_a_kinds_limits_judge_its_plan():
-    views = pair()
     near, far = np.array([10.0, 20.0, 3.0]), np.array([-1.0, 20.5, 2.0])  # two holes of a nail
-    uv = np.array([view.project(np.stack([near, far])) for view in views])
+    uv = np.array([view.project(np.stack([near, far])) for view in VIEWS])
     strict, loose = (
-        {c.name: c for c in plan(views, uv[:, 0], uv[:, 1], kind=kind(key)).verdict.checks}
+        {c.name: c for c in plan(VIEWS, uv[:, 0], uv[:, 1], kind=kind(key)).verdict.checks}
         for key in ("hip-screw", "interlocking")
     )
     assert strict["direction error"].limit == pytest.approx(0.6)

@@ -23,6 +23,10 @@ def _seen(views: list[StandInView], xyz_mm: np.ndarray) -> np.ndarray:
     return np.array([view.project(xyz_mm) for view in views])
 
 
+VIEWS = _views()
+UV = _seen(VIEWS, TARGETS_MM)
+
+
 def test_weighted_beats_nearest_where_the_views_differ_in_quality():
     views = [stand_in("pa", scale=0.05), stand_in("lateral", scale=1.0)]
     uv = _seen(views, TARGETS_MM)
@@ -33,33 +37,29 @@ def test_weighted_beats_nearest_where_the_views_differ_in_quality():
 
 
 def test_a_point_does_not_depend_on_the_others():
-    views = _views()
     rng = np.random.default_rng(4)
-    uv = _seen(views, TARGETS_MM) + rng.normal(0.0, 1.0, (2, 2, 2))
-    both, first = reconstruct(views, uv), reconstruct(views, uv[:, :1])
+    uv = _seen(VIEWS, TARGETS_MM) + rng.normal(0.0, 1.0, (2, 2, 2))
+    both, first = reconstruct(VIEWS, uv), reconstruct(VIEWS, uv[:, :1])
     np.testing.assert_allclose(both.xyz_mm[0], first.xyz_mm[0], atol=1e-10)
     np.testing.assert_allclose(both.covariance_mm2[0], first.covariance_mm2[0], rtol=1e-9)
 
 
 def test_frames_error_is_shared_between_views_of_the_frame():
-    views = _views()
-    uv = _seen(views, TARGETS_MM)
-    shared = reconstruct(views, uv, method="nearest")
+    shared = reconstruct(VIEWS, UV, method="nearest")
     alone = StandInView.lines_of_sight
 
     class WithoutFactor(StandInView):
         def lines_of_sight(self, uv_px):
             return replace(alone(self, uv_px), shared={}, frame_key=None)
 
-    fields = {name: getattr(views[1], name) for name in StandInView.__dataclass_fields__}
-    apart = reconstruct([views[0], WithoutFactor(**fields)], uv, method="nearest")
+    fields = {name: getattr(VIEWS[1], name) for name in StandInView.__dataclass_fields__}
+    apart = reconstruct([VIEWS[0], WithoutFactor(**fields)], UV, method="nearest")
     np.testing.assert_array_equal(shared.budget_mm2["map"], apart.budget_mm2["map"])
     assert not np.allclose(shared.budget_mm2["frame"], apart.budget_mm2["frame"], rtol=0.05)
 
 
 def test_errors_of_one_adjustment_are_shared_by_its_views_alone():
     """With "map" an error of both views the points' covariance changes, by exactly the cross-covariance of the two."""
-    uv = _seen(_views(), TARGETS_MM)
 
     class Adjusted(StandInView):
         adjustment = "first"
@@ -74,7 +74,7 @@ def test_errors_of_one_adjustment_are_shared_by_its_views_alone():
 
     def budget(*kinds):
         views = [kind(**vars(view)) for kind, view in zip(kinds, _views(), strict=True)]
-        return reconstruct(views, uv, method="nearest").budget_mm2
+        return reconstruct(views, UV, method="nearest").budget_mm2
 
     alone, together, apart = (
         budget(StandInView, StandInView),
@@ -88,12 +88,11 @@ def test_errors_of_one_adjustment_are_shared_by_its_views_alone():
 
 def test_snapped_pick_is_one_number():
     """A snapped pick says nothing across its curve: the point stays on the PA line, and its covariance is right."""
-    views = _views()
-    truth = _seen(views, TARGETS_MM[:1])
+    truth = _seen(VIEWS, TARGETS_MM[:1])
     rng = np.random.default_rng(7)
     sd, squares, draws = 0.5, [], 60
     for _ in range(draws):
-        estimated = estimates(views, rng)
+        estimated = estimates(VIEWS, rng)
         clicks = truth[:, 0] + rng.normal(0.0, sd, (2, 2))
         pick = snap(matching_curve(estimated[0], clicks[0], estimated[1]), clicks[1], sd)
         uv = np.array([clicks[0], pick.uv_px])[:, None]
@@ -136,16 +135,14 @@ def test_nearly_parallel_lines_are_refused_with_their_angle():
 
 
 def test_points_behind_a_source_are_refused():
-    views = _views()
-    uv = _seen(views, TARGETS_MM[:1])
-    turned = replace(views[1], focal_point_mm=np.array([100.0, 2.0, 1.0]))
+    uv = _seen(VIEWS, TARGETS_MM[:1])
+    turned = replace(VIEWS[1], focal_point_mm=np.array([100.0, 2.0, 1.0]))
     with pytest.raises(ReconstructionRefusedError, match="behind"):
-        reconstruct([views[0], turned], uv)
+        reconstruct([VIEWS[0], turned], uv)
 
 
 def test_pixels_outside_the_region_are_refused():
-    views = _views()
-    uv = _seen(views, TARGETS_MM)
+    uv = UV.copy()
     uv[1, 0] = (1023.0, 1023.0)
     with pytest.raises(OutsideRegionError, match="lateral"):
-        reconstruct(views, uv)
+        reconstruct(VIEWS, uv)

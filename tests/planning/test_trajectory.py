@@ -13,17 +13,13 @@ from sightline.planning.points.picks import Pick, stack
 from sightline.planning.points.results import BUDGET
 from sightline.planning.verdict.plan_checks import MAX_GAP_SIGMA
 
-from .standin import StandInView, pair
+from .standin import END_MM, ENTRY_MM, StandInView, pair, wire_px
 
-ENTRY_MM, END_MM = np.array([31.0, 24.0, -9.0]), np.array([-22.0, -26.0, 11.0])
-
-
-def _pixels(views: list[StandInView]) -> np.ndarray:
-    return np.array([view.project(np.stack([ENTRY_MM, END_MM])) for view in views])
+VIEWS = pair(0.05)
 
 
 def _trajectory(views: list[StandInView]) -> Trajectory:
-    return Trajectory(reconstruct(views, _pixels(views)))
+    return Trajectory(reconstruct(views, wire_px(views)))
 
 
 def test_direction_error_by_sampling():
@@ -71,7 +67,7 @@ def test_unknown_error_is_null_not_a_number():
 
 def test_points_that_give_no_direction_are_refused():
     views = pair()
-    for uv in (_pixels(views)[:, :1], _pixels(views)[:, [0, 0]], np.concatenate([_pixels(views)] * 2, axis=1)):
+    for uv in (wire_px(views)[:, :1], wire_px(views)[:, [0, 0]], np.concatenate([wire_px(views)] * 2, axis=1)):
         with pytest.raises(UnusableInputError):
             Trajectory(reconstruct(views, uv))
 
@@ -85,8 +81,7 @@ def _changed(trajectory: Trajectory, **changes: object) -> Trajectory:
 
 
 def test_a_good_plan_is_go():
-    views = pair(0.05)
-    verdict = judge(_trajectory(views), views)
+    verdict = judge(_trajectory(VIEWS), VIEWS)
     assert verdict.go
     names = "error known, entry error, end error, direction error, gap, pick spread, movement, plan inside hull"
     assert {c.name for c in verdict.checks} == set(names.split(", "))
@@ -100,27 +95,24 @@ def test_a_good_plan_is_go():
     ],
 )
 def test_limits_decide(limits, names):
-    views = pair(0.05)
-    verdict = judge(_trajectory(views), views, limits)
+    verdict = judge(_trajectory(VIEWS), VIEWS, limits)
     assert not verdict.go
     assert _names(verdict.checks) == names
     assert "largest source" in failed(verdict.checks)[0].sentence
 
 
 def test_a_significant_gap_is_no_go_and_a_snapped_point_has_none():
-    views = pair(0.05)
-    trajectory = _trajectory(views)
+    trajectory = _trajectory(VIEWS)
     wide = _changed(trajectory, gap_sigma=np.array([0.3, 3.4]))
-    assert _names(judge(wide, views).checks) == {"gap"}
+    assert _names(judge(wide, VIEWS).checks) == {"gap"}
     snapped = _changed(trajectory, gap_sigma=np.zeros(2), gap_tested=np.array([True, False]))
-    assert _names(judge(snapped, views).checks) == {"movement"}  # one free point is too few
-    assert [c.name for c in judge(snapped, views).checks].count("gap") == 1
+    assert _names(judge(snapped, VIEWS).checks) == {"movement"}  # one free point is too few
+    assert [c.name for c in judge(snapped, VIEWS).checks].count("gap") == 1
 
 
 def test_a_failed_gap_names_its_landmark_and_tells_it_against_its_limit():
     """Fails for sentences of "landmark 1" where the procedure names it, and for "1.0 times the limit" of a failure."""
-    views = pair(0.05)
-    trajectory = _trajectory(views)
+    trajectory = _trajectory(VIEWS)
     seen = _changed(trajectory, gap_sigma=np.array([0.3, 1.004 * MAX_GAP_SIGMA])).points
     last = replace(
         seen,
@@ -130,7 +122,7 @@ def test_a_failed_gap_names_its_landmark_and_tells_it_against_its_limit():
         gap_tested=np.ones(4, dtype=bool),
     )
     gaps = [
-        check for check in judge(trajectory, views, None, last, ["", "lesser trochanter"]).checks if check.name == "gap"
+        check for check in judge(trajectory, VIEWS, None, last, ["", "lesser trochanter"]).checks if check.name == "gap"
     ]
     assert [check.sentence.split(" pass ")[0].removeprefix("The lines of sight of ") for check in gaps] == [
         "the entry point",
@@ -151,18 +143,16 @@ def test_outside_the_convex_hull_only_smooth_states_a_sufficient_error(method, g
 
 
 def test_a_views_failed_check_and_an_unknown_error_are_no_go():
-    views = pair(0.05)
     wrong = Check("bead count", False, 9.0, 24.0, "beads", "Too few beads.")
-    assert _names(judge(_trajectory(views), [replace(views[0], checks=(wrong,)), views[1]]).checks) == {"bead count"}
-    blind = [views[0], replace(views[1], factors=None)]
+    assert _names(judge(_trajectory(VIEWS), [replace(VIEWS[0], checks=(wrong,)), VIEWS[1]]).checks) == {"bead count"}
+    blind = [VIEWS[0], replace(VIEWS[1], factors=None)]
     assert _names(judge(_trajectory(blind), blind).checks) == {"error known"}
 
 
 @pytest.mark.parametrize("snapped", [False, True])
-def test_plan_from_pixels(snapped):
-    views = pair(0.05)
-    entry, end = np.swapaxes(_pixels(views), 0, 1)
-    made = plan(views, entry, end, kind=kind("free-wire"), snapped=snapped)
+def test_plan_fromwire_px(snapped):
+    entry, end = np.swapaxes(wire_px(VIEWS), 0, 1)
+    made = plan(VIEWS, entry, end, kind=kind("free-wire"), snapped=snapped)
     np.testing.assert_allclose(made.trajectory.entry_mm, ENTRY_MM, atol=0.02)
     np.testing.assert_allclose(made.trajectory.end_mm, END_MM, atol=0.02)
     assert made.verdict.go != snapped
@@ -186,11 +176,10 @@ def _planned(views: list[StandInView], moved_mm: np.ndarray, landmarks: int = 2,
 
 
 def test_landmarks_that_agree_make_a_snapped_plan_go_and_change_nothing_else():
-    views = pair(0.05)
-    still, bare = _planned(views, np.zeros(3)), _planned(views, np.zeros(3), landmarks=0)
+    still, bare = _planned(VIEWS, np.zeros(3)), _planned(VIEWS, np.zeros(3), landmarks=0)
     assert still.verdict.go
     assert (
-        _names(bare.verdict.checks) == _names(_planned(views, np.zeros(3), landmarks=1).verdict.checks) == {"movement"}
+        _names(bare.verdict.checks) == _names(_planned(VIEWS, np.zeros(3), landmarks=1).verdict.checks) == {"movement"}
     )
     # Equal but for rounding: with landmarks the matrices are larger, and a processor's products of them differ.
     one, other = still.trajectory, bare.trajectory
@@ -204,15 +193,14 @@ def test_landmarks_that_agree_make_a_snapped_plan_go_and_change_nothing_else():
 
 def test_movement_along_the_common_normal_is_no_go_and_in_the_plane_of_the_beams_it_is_not_seen():
     """The beams run along Z and X: the common normal is Y. The value is the movement over its stated error."""
-    views = pair(0.05)
     for moved_mm in (2.0, -2.0):
-        made = _planned(views, np.array([0.0, moved_mm, 0.0]))
+        made = _planned(VIEWS, np.array([0.0, moved_mm, 0.0]))
         assert "movement" in _names(made.verdict.checks)
         check = next(check for check in made.verdict.checks if check.name == "movement")
         assert check.figure * made.seen.shift_sd_mm == pytest.approx(2.0, abs=0.03)
         assert "moved by 2.0" in check.sentence
-        assert np.sign(made.seen.shift_mm) == np.sign(moved_mm) * np.sign(_planned(views, [0, 2.0, 0]).seen.shift_mm)
-    assert _planned(views, np.array([2.0, 0.0, 0.0])).verdict.go  # and wrong by 2 mm: nothing can show it
+        assert np.sign(made.seen.shift_mm) == np.sign(moved_mm) * np.sign(_planned(VIEWS, [0, 2.0, 0]).seen.shift_mm)
+    assert _planned(VIEWS, np.array([2.0, 0.0, 0.0])).verdict.go  # and wrong by 2 mm: nothing can show it
 
 
 def test_the_mean_of_many_points_sees_less_movement_than_a_gap():
@@ -227,14 +215,13 @@ def test_the_mean_of_many_points_sees_less_movement_than_a_gap():
 
 
 def test_landmarks_need_finite_pixels_in_both_views_and_a_known_error():
-    views = pair(0.05)
-    entry, end = np.swapaxes(_pixels(views), 0, 1)
+    entry, end = np.swapaxes(wire_px(VIEWS), 0, 1)
     for bad in (np.zeros((2, 2)), np.zeros((1, 2, 2)), np.full((2, 2, 2), np.nan)):
         with pytest.raises(UnusableInputError, match="landmarks"):
-            plan(views, entry, end, kind=kind("free-wire"), landmarks_uv_px=bad)
-    blind = [views[0], replace(views[1], factors=None)]
+            plan(VIEWS, entry, end, kind=kind("free-wire"), landmarks_uv_px=bad)
+    blind = [VIEWS[0], replace(VIEWS[1], factors=None)]
     made = plan(
-        blind, entry, end, kind=kind("free-wire"), landmarks_uv_px=np.array([v.project(LANDMARKS_MM) for v in views])
+        blind, entry, end, kind=kind("free-wire"), landmarks_uv_px=np.array([v.project(LANDMARKS_MM) for v in VIEWS])
     )
     assert (made.seen.shift_mm, made.seen.shift_sd_mm) == (None, None)
     assert made.landmarks_document()[0]["gap_sigma"] is None
@@ -242,9 +229,9 @@ def test_landmarks_need_finite_pixels_in_both_views_and_a_known_error():
 
 
 @pytest.mark.parametrize("bad", [np.zeros((2, 3)), np.full((2, 2), np.nan), np.zeros(2)])
-def test_plan_refuses_bad_pixels(bad):
+def test_plan_refuses_badwire_px(bad):
     views = pair()
-    entry, end = np.swapaxes(_pixels(views), 0, 1)
+    entry, end = np.swapaxes(wire_px(views), 0, 1)
     for arguments in ((bad, end), (entry, bad)):
         with pytest.raises(UnusableInputError, match="each of the 2 images"):
             plan(views, *arguments)
@@ -253,23 +240,21 @@ def test_plan_refuses_bad_pixels(bad):
 
 
 def test_one_point_may_be_snapped_and_the_other_free():
-    views = pair(0.05)
-    entry, end = np.swapaxes(_pixels(views), 0, 1)
-    made = plan(views, entry, end, kind=kind("free-wire"), snapped=(True, False))
+    entry, end = np.swapaxes(wire_px(VIEWS), 0, 1)
+    made = plan(VIEWS, entry, end, kind=kind("free-wire"), snapped=(True, False))
     assert made.trajectory.points.gap_tested.tolist() == [False, True]
 
 
 def _spread_of(rng: np.random.Generator, sd_px: float, snapped: bool) -> Check:
-    views = pair(0.05)
-    uv = _pixels(views) + rng.normal(0.0, sd_px, (2, 2, 2))
-    marks = np.array([view.project(np.vstack([LANDMARKS_MM, [[-4.0, 22.0, 9.0]]])) for view in views])
+    uv = wire_px(VIEWS) + rng.normal(0.0, sd_px, (2, 2, 2))
+    marks = np.array([view.project(np.vstack([LANDMARKS_MM, [[-4.0, 22.0, 9.0]]])) for view in VIEWS])
     marks = marks + rng.normal(0.0, sd_px, marks.shape)
     picks = [(Pick.free(a), Pick.free(b)) for a, b in zip(*np.concatenate([uv, marks], axis=1), strict=True)]
     uv_px, covariance, across = stack(picks)
     if snapped:
         across[1, :2] = [0.0, 1.0]
-    seen = reconstruct(views, uv_px, covariance, across_px=across)
-    (check,) = (one for one in judge(Trajectory(seen.first(2)), views, seen=seen).checks if one.name == "pick spread")
+    seen = reconstruct(VIEWS, uv_px, covariance, across_px=across)
+    (check,) = (one for one in judge(Trajectory(seen.first(2)), VIEWS, seen=seen).checks if one.name == "pick spread")
     return check
 
 

@@ -19,23 +19,18 @@ from sightline.studies.fig15 import Figure15
 IDEAL = np.array([[40.0, 30.0, -5.0], [-30.0, -35.0, 7.0]])
 
 
-def test_a_wire_on_its_line_errs_by_nothing_but_its_depth():
-    along = (IDEAL[1] - IDEAL[0]) / np.linalg.norm(IDEAL[1] - IDEAL[0])
-    found = InsertionOutcome.of(np.stack([IDEAL[0] - 12.0 * along, IDEAL[1] + 0.4 * along]), IDEAL)
-    assert found.entry_mm == pytest.approx(0.0, abs=1e-9)
-    assert found.end_mm == pytest.approx(0.4)
-    assert found.angle_rad == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_turned_wire_errs_as_it_is_turned():
-    along = (IDEAL[1] - IDEAL[0]) / np.linalg.norm(IDEAL[1] - IDEAL[0])
-    across = np.cross(along, [0.0, 0.0, 1.0])
-    across /= np.linalg.norm(across)
+def test_a_wire_errs_by_its_depth_on_its_line_and_as_it_is_turned():
     length = np.linalg.norm(IDEAL[1] - IDEAL[0])
-    found = InsertionOutcome.of(np.stack([IDEAL[0], IDEAL[1] + 0.01 * length * across]), IDEAL)
-    assert found.entry_mm == pytest.approx(0.0, abs=1e-9)
-    assert found.end_mm == pytest.approx(0.01 * length)
-    assert found.angle_rad == pytest.approx(np.arctan(0.01))
+    along = (IDEAL[1] - IDEAL[0]) / length
+    across = np.cross(along, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(along, [0.0, 0.0, 1.0]))
+    for wire, end_mm, angle in (
+        (np.stack([IDEAL[0] - 12.0 * along, IDEAL[1] + 0.4 * along]), 0.4, 0.0),
+        (np.stack([IDEAL[0], IDEAL[1] + 0.01 * length * across]), 0.01 * length, np.arctan(0.01)),
+    ):
+        found = InsertionOutcome.of(wire, IDEAL)
+        assert found.entry_mm == pytest.approx(0.0, abs=1e-9)
+        assert found.end_mm == pytest.approx(end_mm)
+        assert found.angle_rad == pytest.approx(angle, abs=1e-9)
 
 
 def test_the_frame_stands_square_at_its_nominal_yaw():

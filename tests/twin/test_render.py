@@ -9,9 +9,10 @@ from scipy.stats import norm
 
 from sightline.errors import SetUpError
 from sightline.frame import Frame
-from sightline.twin import DOSES, Dose, Scene, draw_setup, render, shown_hip_scene
+from sightline.twin import DOSES, Dose, Scene, Variation, draw_setup, render, shown_hip_scene
 from sightline.twin.objects.beam import THREE, WEIGHTS, attenuation_per_mm, spectrum
 from sightline.twin.objects.things import Ball, Box, Rod, frame_boxes, frame_solids
+from sightline.twin.xray.distributions import Pose
 from sightline.twin.xray.presets import preset
 from sightline.twin.xray.render import (
     ELECTRONIC_SD,
@@ -247,11 +248,15 @@ def test_nothing_left_to_expose_with_is_refused(setup):
         expose(coarse(setup.views["pa"]), Scene(solids=(wall,)))
 
 
-def test_scatter_spreads_as_wide_as_its_kernel(setup):
+def test_scatter_spreads_as_wide_as_its_kernel(frame):
     """Behind opaque balls beside a block of tissue: how much of its scatter is there.
 
     To 0.03 of that: the sides of the block do not lie along all rays, and the balls take a little of what scatters."""
-    view, at = coarse(setup.views["pa"], 512), np.array([[-45.0, 0.0, 20.0], [8.0, 0.0, 20.0], [16.0, 0.0, 20.0]])
+    upright = Variation(
+        Pose(frame_tilt=0.0, orbit=0.0, in_plane=0.0, hip_offset_mm=0.0, piercing_mm=0.0, detector_tilt=0.0)
+    )
+    view = coarse(draw_setup(np.random.default_rng(7), frame, variation=upright).views["pa"], 512)
+    at = np.array([[-45.0, 0.0, 20.0], [8.0, 0.0, 20.0], [16.0, 0.0, 20.0]])
     block = Box(np.array([-150.0, 0.0, 0.0]), np.eye(3), np.array([150.0, 300.0, 5.0]), "tissue")
     scene = Scene(solids=tuple(Ball((x, y, z), 4.0, within=None) for x, y, z in at.tolist()), boxes=(block,))
     u, v = np.rint(view.project(at)).astype(int).T
