@@ -4,6 +4,7 @@ import ast
 import inspect
 import re
 import tomllib
+from collections import defaultdict
 from importlib import import_module
 from pathlib import Path
 
@@ -149,3 +150,14 @@ def test_one_licence_holds_for_every_file() -> None:
     assert [one["path"] for one in stated] == ["**"]
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert {stated[0]["SPDX-License-Identifier"], project["license"]} == {"Apache-2.0"}
+
+
+def test_each_public_class_name_stands_once() -> None:
+    package = ROOT / "src" / "sightline"
+    homes = defaultdict(list)
+    for file in package.rglob("*.py"):
+        for node in ast.parse(file.read_text()).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes[node.name].append(str(file.relative_to(package)))
+    assert len(homes) > 400
+    assert {name: files for name, files in homes.items() if len(files) > 1} == {}

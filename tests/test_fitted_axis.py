@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.bone_images import rays, shown, with_cortex
+from tests.bone_images import rays, shown, with_cortex, wrong
 from tests.planning.bone import ON_SHAFT_MM, SHAFT, views
 
 from sightline.case.canonical import plain
@@ -56,12 +56,7 @@ def _shaft(lines: tuple[Line, Line]) -> Axis:
 
 
 def _wrong(axis: Axis) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (4,) of a shaft across its axis: of both ends, mm; and their stated covariance (4, 4)."""
-    assert axis.covariance_mm2 is not None
-    across = np.linalg.svd(axis.direction[None])[2][1:]
-    by_end = np.kron(np.eye(2), across)
-    true = ON_SHAFT_MM + ((axis.ends_mm - ON_SHAFT_MM) @ SHAFT)[:, None] * SHAFT
-    return by_end @ (axis.ends_mm - true).ravel(), by_end @ axis.covariance_mm2 @ by_end.T
+    return wrong(axis, ON_SHAFT_MM, SHAFT)
 
 
 OFF_PX = np.array([[[3.0, -2.0], [-2.0, 3.0]], [[2.0, 2.5], [3.0, -1.0]]])
@@ -92,8 +87,8 @@ def test_the_stated_error_holds() -> None:
         images = [_shaft_image(view, 10 * seed + k) for k, view in enumerate(views())]
         fitted, kept = fit_shaft(views(), images, (first, second))
         assert not kept
-        wrong, stated = _wrong(_shaft(fitted))
-        squares.append(wrong @ np.linalg.solve(stated, wrong))
+        off, stated = _wrong(_shaft(fitted))
+        squares.append(off @ np.linalg.solve(stated, off))
     assert 0.1 < np.sqrt(np.mean(squares) / 4) < 1.2
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.bone_images import SIZE, rays, shown, with_cortex
+from tests.bone_images import SIZE, rays, shown, with_cortex, wrong
 from tests.planning.bone import CENTRE_MM, NECK, RADIUS_MM, SHAFT, rim, views
 
 from sightline.case.canonical import plain
@@ -83,14 +83,6 @@ def _neck(lines: tuple[Line, Line]) -> Axis:
     return found
 
 
-def _wrong(axis: Axis) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (4,) of an axis across it: of both ends, mm; and their stated covariance (4, 4)."""
-    assert axis.covariance_mm2 is not None
-    by_end = np.kron(np.eye(2), np.linalg.svd(axis.direction[None])[2][1:])
-    true = CENTRE_MM + ((axis.ends_mm - CENTRE_MM) @ ALONG)[:, None] * ALONG
-    return by_end @ (axis.ends_mm - true).ravel(), by_end @ axis.covariance_mm2 @ by_end.T
-
-
 OFF_PX = np.array([[[3.0, -2.0], [-2.0, 3.0]], [[2.0, 2.5], [3.0, -1.0]]])
 
 
@@ -109,11 +101,11 @@ def test_a_neck_is_fitted_midway_where_its_edges_leave_the_head_though_one_bends
     before, after = _off(_neck((first, second))), _off(_neck(fitted))
     assert before[1] > 2.0
     assert after[0] < 0.35 and after[1] < 0.7  # of 0.2 mm and 0.4° stated
-    stated = _wrong(_neck(fitted))[1]
+    stated = wrong(_neck(fitted), CENTRE_MM, ALONG)[1]
     assert 0.1 < np.sqrt(np.trace(stated)) < 1.0
     again = Aids.of(plain(Aids(neck=fitted))).neck  # as a case keeps it
     assert again is not None
-    assert np.array_equal(_wrong(_neck(again))[1], stated)
+    assert np.array_equal(wrong(_neck(again), CENTRE_MM, ALONG)[1], stated)
     for view, line in zip(views(), fitted, strict=True):  # where its borders are drawn
         assert line.borders_px is not None
         middle = view.project(CENTRE_MM[None] + NARROW_MM * ALONG)[0]
@@ -132,8 +124,8 @@ def test_the_stated_error_holds() -> None:
         fitted, kept = fit_neck(views(), images, (first, second), _head())
         if kept:
             continue
-        wrong, stated = _wrong(_neck(fitted))
-        squares.append(wrong @ np.linalg.solve(stated, wrong))
+        off, stated = wrong(_neck(fitted), CENTRE_MM, ALONG)
+        squares.append(off @ np.linalg.solve(stated, off))
     assert len(squares) >= 8
     assert 0.1 < np.sqrt(np.mean(squares) / 4) < 1.2
 

@@ -33,6 +33,12 @@ def _known(nail: DistalNail) -> Nail:
     return Nail(nail.diameter_mm, nail.hole_diameter_mm, nail.bore_mm, nail.material)
 
 
+@pytest.fixture(scope="module")
+def found(titanium: NailImages):
+    """The nail in its images."""
+    return find_nail(titanium.views, titanium.images, titanium.strokes_px, _known(NAIL))
+
+
 def _found(images: NailImages, rng: np.random.Generator, off_px: float = 2.0):
     strokes = images.strokes_px + off_px * rng.standard_normal(images.strokes_px.shape)
     nail = find_nail(images.views, images.images, strokes, _known(images.nail))
@@ -67,24 +73,21 @@ def test_a_rim_hidden_in_part_is_found_or_refused():
     assert not hole.passed or (score.off_mm < MAX_MM and score.off_deg < 2 * MAX_DEG and score.square < 18.5)
 
 
-def test_clicks_beside_the_holes_are_refused(titanium):
-    nail = find_nail(titanium.views, titanium.images, titanium.strokes_px, _known(NAIL))
+def test_clicks_beside_the_holes_are_refused(titanium, found):
     between = titanium.clicks_px + np.array([0.0, 12.0 / 0.12])
     with pytest.raises(ReconstructionRefusedError):
-        find_hole(nail, between)
+        find_hole(found, between)
 
 
-def test_clicks_on_two_holes_are_refused(titanium):
-    nail = find_nail(titanium.views, titanium.images, titanium.strokes_px, _known(NAIL))
+def test_clicks_on_two_holes_are_refused(titanium, found):
     other = titanium.views[1].project(NAIL.holes[1, :1])[0]
     with pytest.raises(ReconstructionRefusedError, match="two different holes"):
-        find_hole(nail, [titanium.clicks_px[0], other])
+        find_hole(found, [titanium.clicks_px[0], other])
 
 
-def test_one_hole_clicked_twice_is_refused(titanium):
-    nail = find_nail(titanium.views, titanium.images, titanium.strokes_px, _known(NAIL))
+def test_one_hole_clicked_twice_is_refused(titanium, found):
     with pytest.raises(ReconstructionRefusedError, match="the same one"):
-        find_holes(nail, titanium.clicks_px, titanium.clicks_px + 1.0, "right")
+        find_holes(found, titanium.clicks_px, titanium.clicks_px + 1.0, "right")
 
 
 def test_sizes_of_another_nail_are_refused(titanium):
@@ -126,13 +129,12 @@ def test_an_image_without_a_nail_is_refused(titanium, noise):
         find_nail(titanium.views, one_without, titanium.strokes_px, _known(NAIL))
 
 
-def test_bad_clicks_and_strokes_are_refused(titanium):
+def test_bad_clicks_and_strokes_are_refused(titanium, found):
     with pytest.raises(UnusableInputError, match="strokes"):
         find_nail(titanium.views, titanium.images, titanium.strokes_px[:, 0], _known(NAIL))
     short = titanium.strokes_px.copy()
     short[0, 0, 1] = short[0, 0, 0] + 10.0
     with pytest.raises(UnusableInputError, match="longer"):
         find_nail(titanium.views, titanium.images, short, _known(NAIL))
-    nail = find_nail(titanium.views, titanium.images, titanium.strokes_px, _known(NAIL))
     with pytest.raises(UnusableInputError, match="click"):
-        find_hole(nail, [[np.nan, 1.0], [2.0, 3.0]])
+        find_hole(found, [[np.nan, 1.0], [2.0, 3.0]])

@@ -172,6 +172,7 @@ print(second(np.arange(4, dtype=DTYPE)))
 """
 
 
+@pytest.mark.slow  # three programs compile
 def test_two_processes_that_compile_for_different_types_leave_code_for_both(package: Path) -> None:
     """Without a lock one names the file that the other writes, whose code then runs on arguments of other types."""
     both = [_run(_SLOW.replace("DTYPE", f'"{dtype}"'), package.parent) for dtype in ("f8", "f4")]

@@ -116,7 +116,8 @@ class Tab:
         self.errors: list[str] = []
         contexts = _CONTEXTS.setdefault(browser, {})  # pages of the same options share one cache
         if repr(options) not in contexts:
-            contexts[repr(options)] = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **options})
+            given = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce", **options}
+            contexts[repr(options)] = browser.new_context(**given)
         self.page: Page = contexts[repr(options)].new_page()
         self.page.on("request", lambda request: self._asked(request.url))
         self.page.set_default_timeout(PATIENCE_MS)
@@ -145,3 +146,11 @@ class Tab:
 
     def close(self) -> None:
         self.page.close()
+
+
+def stroke(page: Page, *path: list[tuple[float, float]]) -> None:
+    """Put fingers on the glass, move them, and lift them."""
+    session = page.context.new_cdp_session(page)
+    for kind, places in zip(("touchStart", *["touchMove"] * (len(path) - 1), "touchEnd"), (*path, []), strict=True):
+        touches = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})

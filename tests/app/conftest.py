@@ -10,6 +10,8 @@ from playwright.sync_api import Browser, Locator, Page
 from tests.app import NO_BROWSER
 from tests.app.browser import NAMES, ROOT, Server, Tab, chromium, find_chromium
 
+from sightline.app.session.jobs import WorkerProcess
+
 
 # For each file, not for the session: the synchronous Playwright holds an event loop in this thread, and tests of other
 # rooms in the same process run their own.
@@ -57,6 +59,13 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
         tab.close()
     for tab, allow in opened:
         tab.check(allow)
+
+
+@pytest.fixture(scope="module")
+def worker() -> Iterator[WorkerProcess]:
+    made = WorkerProcess()
+    yield made
+    made.close()
 
 
 @pytest.fixture(scope="session")

@@ -1,10 +1,11 @@
-"""A page with the scene alone, drawn from the twin, for tests. python -m tests.app.space_page PORT"""
+"""A page with the scene alone, of a hip of known form, for tests. python -m tests.app.space_page PORT"""
 
 import sys
 from typing import Any
 
 import numpy as np
 from nicegui import ui
+from tests.planning.bone import CENTRE_MM, END_MM, ENTRY_MM, views
 
 from sightline.app import texts
 from sightline.app.drawing.space import (
@@ -20,14 +21,11 @@ from sightline.app.drawing.space import (
 )
 from sightline.app.panels.space import SpaceView
 from sightline.app.web.serve import ServedApp, serve
-from sightline.calibration import calibrate
-from sightline.detection import Observations
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
 from sightline.planning import kind, plan
 from sightline.robot.kinematics.manipulator import YAW, imaging_yaw, nominal_manipulator
-from sightline.twin import bead_images
-from sightline.twin.scenes.hip_scene import shown_hip_scene
+from sightline.twin.objects.volumes import Volume
 
 HOSTILE = "<img src=x onerror='window.hacked=1'>"
 GROUPS = {"frame": "Frame", "views": "Views", "bone": "Bone", "rays": "Lines of sight", "wire": "Wire"}
@@ -36,31 +34,29 @@ GROUPS |= {"robot": "Robot", "sides": "Sides"}
 
 def scene() -> tuple[dict, list]:
     """Groups of objects of a planned hip, and the lines of sight after a pick has moved."""
-    rng, frame = np.random.default_rng(5), Frame.load("gamma")
-    setup, hip = shown_hip_scene(rng, frame)
-    groups = {"frame": frame_objects(frame), "views": [], "rays": [], "bone": bone_objects(hip.bone.volumes[0])}
-    views, picks, moved = [], [], []
-    for name in ("pa", "lateral"):
-        ids, uv = bead_images(setup, name, rng, 0.1)
-        noise = np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0)
-        view = calibrate(Observations(name, ids, uv, noise, image_shape=(1024, 1024)), frame, view=name)
-        uv_px = setup.views[name].project(hip.wire_mm)
+    frame, shown = Frame.load("gamma"), views()
+    wire_mm = np.stack([ENTRY_MM, END_MM])
+    away = np.linalg.norm(np.indices((40, 40, 40)) - np.reshape([19.3, 19.7, 19.1], (3, 1, 1, 1)), axis=0)
+    head = Volume((away < 17.5).astype(np.float32), CENTRE_MM - 39.0, np.full(3, 2.0))
+    groups = {"frame": frame_objects(frame), "views": [], "rays": [], "bone": bone_objects(head)}
+    picks, moved = [], []
+    for view in shown:
+        uv_px = view.project(wire_mm)
         v, u = np.mgrid[0:1024, 0:1024]
         rings = 800 + 600 * np.cos(np.hypot(u - uv_px[0, 0], v - uv_px[0, 1]) / 15)
         image = Radiograph(rings.astype(np.uint16), 4095.0)
-        groups["views"] += view_objects(view, frame.view(name).xrii, image)
+        groups["views"] += view_objects(view, frame.view(view.name).xrii, image)
         groups["rays"] += sight_objects(view, uv_px)
         moved += sight_objects(view, uv_px[:1])
-        views.append(view)
         picks.append(uv_px)
-    planned = plan(views, np.stack(picks)[:, 0], np.stack(picks)[:, 1], snapped=True, kind=kind("free-wire"))
+    planned = plan(shown, np.stack(picks)[:, 0], np.stack(picks)[:, 1], snapped=True, kind=kind("free-wire"))
     robot, q = nominal_manipulator(), np.zeros(5)
     q[YAW] = imaging_yaw("right")
-    entry, tip = hip.wire_mm + np.array([3.0, 0.0, 2.0])
+    entry, tip = wire_mm + np.array([3.0, 0.0, 2.0])
     groups["wire"] = wire_objects(planned.trajectory, 2.5) + drilled_objects(entry, tip, 2.5)
-    groups["wire"] += point_objects(hip.head_mm[None], [HOSTILE])
+    groups["wire"] += point_objects(CENTRE_MM[None], [HOSTILE])
     groups["robot"] = robot_objects(robot, q, robot.T_mcs_cfcs(q))
-    groups["sides"] = side_objects("right", hip.head_mm)
+    groups["sides"] = side_objects("right", CENTRE_MM)
     return groups, moved
 
 

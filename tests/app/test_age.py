@@ -72,18 +72,16 @@ class _Clock(datetime):
 
 
 @pytest.fixture
-def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:
+def opened(tmp_path: Path, worker: WorkerProcess, monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:
     """Both images came just now."""
     monkeypatch.setattr(module, "datetime", _Clock)
     monkeypatch.setattr(module, "monotonic", lambda: 0.0)
     _Clock.at = NOW
-    worker = WorkerProcess()
     made = Session.open(tmp_path, "gamma", None, worker)
     for number, name in enumerate(NAMES, 101):
         _came(made, name, number)
     yield made
     made.planning.case.close()
-    worker.close()
 
 
 def _came(session: Session, name: str, number: int, said_ago_s: float | None = 0.0, by: Actor = Actor.APP) -> None:

@@ -1,7 +1,6 @@
 """A case with a block: images named by a person, planned on together, and a third image that shows a movement."""
 
 import asyncio
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -39,13 +38,6 @@ def three() -> SetUp:
 def files(three: SetUp, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     folder, images = tmp_path_factory.mktemp("block"), three_images(three, np.random.default_rng(32))
     return {name: write_dicom(image, folder / f"{name}.dcm").read_bytes() for name, image in images.items()}
-
-
-@pytest.fixture(scope="module")
-def worker() -> Iterator[WorkerProcess]:
-    made = WorkerProcess()
-    yield made
-    made.close()
 
 
 def _in_plane(three: SetUp) -> np.ndarray:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.app.given import marked
 from tests.planning import bone
 from tests.planning.bone import rim, views
 from tests.test_fitted_head import head_image
@@ -63,13 +64,6 @@ def _dark(image: Radiograph) -> Radiograph:
     return Radiograph(np.full_like(image.pixels, 9000), 65535.0)
 
 
-def _placed(decisions: Decisions, name: str, uv: Any) -> Decisions:
-    """Place a mark at pixels (2, 2), a row for each image."""
-    return decisions.with_mark(
-        name, Mark({image: (float(u), float(v)) for image, (u, v) in zip(NAMES, uv, strict=True)})
-    )
-
-
 @cache
 def _drawn() -> Decisions:
     """Wire, head's rim, neck's borders, and the shaft's axis and borders, in both images; borders are on."""
@@ -82,9 +76,7 @@ def _drawn() -> Decisions:
     marks |= {name: [each[k % 2] + across[k // 2] for each in uv["shaft"]] for k, name in enumerate(BORDERS)}
     marks |= {f"head-{k + 1}": [each[k] for each in rims] for k in range(3)}
     marks |= {f"neck-border-{k + 1}": [each[k] for each in lines] for k in range(4)}
-    for name, places in marks.items():
-        decisions = _placed(decisions, name, places)
-    return decisions
+    return marked(decisions, marks)
 
 
 def _with_shaft(decisions: Decisions) -> Decisions:

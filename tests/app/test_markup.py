@@ -4,7 +4,9 @@ import pytest
 
 from sightline.app import texts
 from sightline.app.panels.section import checks_html
+from sightline.app.panels.steps import StepStatus, judged
 from sightline.common.checks import Check
+from sightline.planning.points.results import Verdict
 
 
 @pytest.mark.parametrize(
@@ -40,3 +42,12 @@ def test_the_names_of_views_are_those_of_the_page(sentence: str, said: str) -> N
 @pytest.mark.parametrize(("value", "said"), [(-0.04, "0.0"), (0.04, "0.0"), (-0.06, "-0.1"), (12.34, "12.3")])
 def test_a_zero_has_no_sign(value: float, said: str) -> None:
     assert texts.tenths(value) == said
+
+
+def test_what_is_not_placed_is_left_to_do_and_needs_no_attention() -> None:
+    """Fails where a plan without its landmarks is marked as one that failed a check."""
+    unmade = Check("head", False, None, None, "", "head.", missing=True)
+    failed = Check("entry error", False, None, None, "", "entry error.")
+    assert judged(Verdict((unmade,))) == (StepStatus.OPEN, "head.")
+    assert judged(Verdict((unmade, failed))) == (StepStatus.ATTENTION, "entry error.")
+    assert judged(Verdict(()))[0] is StepStatus.DONE

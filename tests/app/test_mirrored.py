@@ -33,9 +33,10 @@ def flipped(request: pytest.FixtureRequest) -> tuple[str, ...]:
 
 
 @pytest.fixture
-def opened(flipped: tuple[str, ...], setup: SetUp, frame: Frame, tmp_path: Path) -> Iterator[Session]:
+def opened(
+    flipped: tuple[str, ...], setup: SetUp, frame: Frame, worker: WorkerProcess, tmp_path: Path
+) -> Iterator[Session]:
     """Both images calibrated and recorded, from tables of their beads."""
-    worker = WorkerProcess()
     session = Session.open(tmp_path / "case", "gamma", None, worker)
     tables = [_table(setup, name, tmp_path, mirrored=name in flipped) for name in NAMES]
     for table, seen in zip(tables, see_pair(tables[0], tables[1], frame), strict=True):
@@ -47,7 +48,6 @@ def opened(flipped: tuple[str, ...], setup: SetUp, frame: Frame, tmp_path: Path)
         session.planning.edit(session.planning.decisions.with_image(image.name, acquired.number, same_pixels=False))
     yield session
     session.planning.case.close()
-    worker.close()
 
 
 def _no_pixels() -> Any:

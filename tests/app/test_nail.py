@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from benchmarks.scenes.nails import seen
+from tests.app.given import mark, marked
 from tests.planning.test_two_holes import ERRORS, KNOWN, NAIL, SIGHTS, VIEWS, _matrix
 
 from sightline.app.drawing import shapes
-from sightline.app.plan.decisions import Decisions, Mark
+from sightline.app.plan.decisions import Decisions
 from sightline.app.plan.marks import NAIL_EDGES, hole_mark
 from sightline.app.plan.planner import NAIL as STROKES
 from sightline.app.plan.planner import HolesFound, nail_drawn, of_wire, picks_of, plan_input, planned, with_nail
@@ -34,27 +35,18 @@ def holes() -> dict[str, Hole]:
     return {key: fit_hole(VIEWS, seen(rng, NAIL, SIGHTS, n), KNOWN) for n, key in ((1, "distal"), (0, "proximal"))}
 
 
-def _mark(uv_px: np.ndarray) -> Mark:
-    return Mark({name: (float(u), float(v)) for name, (u, v) in zip(NAMES, uv_px, strict=True)})
-
-
 def _decided(keys: tuple[str, ...] = KEYS, **given: Any) -> Decisions:
     """The strokes drawn, these holes clicked, and two landmarks."""
     rng = np.random.default_rng(6)
     decisions = Decisions(
         **{"images": {"pa": 1, "lateral": 2}, "kind": KINDS[0], "side": "right", "nail": KNOWN, **given}
     )
-    for spec in NAIL_EDGES:
-        decisions = decisions.with_mark(spec.name, _mark(rng.uniform(100.0, 900.0, (2, 2))))
-    for key in keys:
-        uv = np.array([view.project(MIDDLES[key][None])[0] for view in VIEWS])
-        decisions = decisions.with_mark(hole_mark(key), _mark(uv))
-    marks = NAIL.placed(np.array([[0.0, 0.0, 40.0], [4.0, 0.0, 14.0]]))
-    for name, at in zip(("nail-tip", "lateral-epicondyle"), marks, strict=True):
-        decisions = decisions.with_mark(
-            f"landmark-{name}", _mark(np.array([view.project(at[None])[0] for view in VIEWS]))
-        )
-    return decisions
+    places: dict[str, Any] = {spec.name: rng.uniform(100.0, 900.0, (2, 2)) for spec in NAIL_EDGES}
+    landmarks = NAIL.placed(np.array([[0.0, 0.0, 40.0], [4.0, 0.0, 14.0]]))
+    clicked = {hole_mark(key): MIDDLES[key] for key in keys}
+    clicked |= {f"landmark-{name}": at for name, at in zip(("nail-tip", "lateral-epicondyle"), landmarks, strict=True)}
+    places |= {name: [view.project(at[None])[0] for view in VIEWS] for name, at in clicked.items()}
+    return marked(decisions, places)
 
 
 def _found(decisions: Decisions, holes: dict[str, Hole], **given: Any) -> HolesFound:
@@ -207,9 +199,9 @@ def test_a_search_runs_beside_the_page_again_after_a_change_and_not_after_a_defe
 
 def test_a_sent_hole_holds_until_its_own_marks_change() -> None:
     decisions = _decided()
-    moved = decisions.with_mark("hole-proximal", _mark(np.array([[1.0, 2.0], [3.0, 4.0]])))
+    moved = decisions.with_mark("hole-proximal", mark(np.array([[1.0, 2.0], [3.0, 4.0]])))
     assert of_wire(moved, KINDS[0]) == of_wire(decisions, KINDS[0])
     assert of_wire(moved, KINDS[1]) != of_wire(decisions, KINDS[1])
-    edge = decisions.with_mark(NAIL_EDGES[2].name, _mark(np.array([[1.0, 2.0], [3.0, 4.0]])))
+    edge = decisions.with_mark(NAIL_EDGES[2].name, mark(np.array([[1.0, 2.0], [3.0, 4.0]])))
     for other in (edge, replace(decisions, nail=Nail(12.0)), replace(decisions, nail=None)):
         assert of_wire(other, KINDS[0]) != of_wire(decisions, KINDS[0])

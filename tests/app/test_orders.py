@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.app.given import marked
 from tests.planning import bone
 from tests.planning.standin import stand_in
 
 from sightline.app import texts
 from sightline.app.panels import steps
-from sightline.app.plan.decisions import Decisions, Display, Mark, as_fitted
+from sightline.app.plan.decisions import Decisions, Display, as_fitted
 from sightline.app.plan.marks import END, ENTRY, marks_of
 from sightline.app.plan.planner import drawn_head, planned
 from sightline.app.session import drilling_workflow as module
@@ -25,7 +26,6 @@ from sightline.app.session.planning import Planning
 from sightline.app.session.sent import SentPlan, restored
 from sightline.app.session.verifying import Verifying
 from sightline.case.journal import Actor, Case, Kind
-from sightline.case.views import NAMES
 from sightline.errors import CaseError, LinkError, RobotRefusedError, UnusableInputError, WireRefusedError
 from sightline.frame import Frame
 from sightline.planning import PROCEDURES, kind
@@ -102,11 +102,7 @@ def _drawn(decisions: Decisions) -> Decisions:
     shown, turns = bone.views(), np.array([0.4, 2.3, 4.6])
     rims = np.stack([bone.rim(view, turns) for view in shown], axis=1)
     uv = {LANDMARK: np.stack([view.project(bone.LESSER_MM[None])[0] for view in shown])}
-    uv |= {f"head-{k + 1}": at for k, at in enumerate(rims)}
-    for name, at in uv.items():
-        places = {view: (u, v) for view, (u, v) in zip(NAMES, at.tolist(), strict=True)}
-        decisions = decisions.with_mark(name, Mark(places))
-    return decisions
+    return marked(decisions, uv | {f"head-{k + 1}": at for k, at in enumerate(rims)})
 
 
 def _moved(decisions: Decisions, name: str, image: str) -> Decisions:
@@ -209,10 +205,8 @@ VIEWS = (stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3))
 def sent_case(tmp_path: Path) -> Iterator[tuple[Case, Decisions]]:
     """A case whose plan was sent before the program ended."""
     wire = bone.pixels(list(VIEWS))["wire"]
-    decisions = Decisions(images={"pa": 1, "lateral": 2})
-    for k, name in enumerate((ENTRY, END)):
-        places = {view: (float(uv[k][0]), float(uv[k][1])) for view, uv in zip(NAMES, wire, strict=True)}
-        decisions = decisions.with_mark(name, Mark(places))
+    places = {name: [uv[k] for uv in wire] for k, name in enumerate((ENTRY, END))}
+    decisions = marked(Decisions(images={"pa": 1, "lateral": 2}), places)
     plan = planned(decisions, VIEWS).plan
     assert plan is not None
     case = Case.create(tmp_path)

@@ -5,6 +5,7 @@ import re
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
@@ -63,21 +64,6 @@ def test_an_order_after_the_link_has_ended_is_answered(session: RobotSession) ->
         asyncio.run(session.retract())
 
 
-def test_a_motion_is_shown_while_it_lasts(paused: RobotSession) -> None:
-    """The robot's state is not queried meanwhile. Fails where "Paused" is shown while the wire advances."""
-
-    async def drill() -> list[str]:
-        task = asyncio.create_task(paused.drill(State.PAUSED))
-        await asyncio.sleep(0)  # it has begun
-        during = paused.now.phase
-        await task
-        return [during, paused.now.activity]
-
-    assert paused.now.phase == "PAUSED"
-    assert asyncio.run(drill()) == ["DRILL", ""]
-    _until(paused, lambda now: now.phase == "DONE")
-
-
 @pytest.mark.parametrize(
     ("stops", "raised", "said"),
     [(True, "told to stop", ""), (False, r"DRILL \(not ready, 13\)", "The robot refused: the door is open.")],
@@ -125,8 +111,8 @@ PATIENCE_S = 120.0  # of a busy machine
 AT_CONTACT_MM = PLAN_SD_MM * CONTACT_SD_MM / float(np.hypot(PLAN_SD_MM, CONTACT_SD_MM))
 
 
-@pytest.fixture
-def paused() -> Iterator[RobotSession]:
+@contextmanager
+def _at_the_pause() -> Iterator[RobotSession]:
     """At the pause, 10 mm short of the tip, after bone was met where it is planned."""
     plant = Layers({-CONTACT_LEAD_MM: 20.0})
     controller = Controller(ROBOT, plant, Setup(SETUP.side, SETUP.frame_serial))
@@ -151,6 +137,13 @@ def paused() -> Iterator[RobotSession]:
         _until(session, lambda _: heard.count(DEPTH) > 2)
         yield session
         session.close()
+
+
+@pytest.fixture(scope="module")
+def paused() -> Iterator[RobotSession]:
+    """One session for three tests, in their order: nothing is told, a shot is told, the wire is drilled on."""
+    with _at_the_pause() as session:
+        yield session
 
 
 def _until(session: RobotSession, there) -> None:
@@ -192,6 +185,24 @@ def test_a_wire_is_called_drilled_to_the_planned_depth_only_if_it_is(told_mm: li
     assert f"Drilled {said}. " in how_deep(planning)
 
 
+APART = "at most 1.4 mm is consistent"
+IMPOSSIBLE = [(1.6, 0.5, APART), (-1.6, 0.5, APART), (0.0, 0.0, "95 %"), (0.0, -0.1, "95 %")]
+NOT_FINITE = [(np.nan, 0.5, "the depth"), (0.0, np.nan, "95 %"), (np.inf, 0.5, "the depth")]
+
+
+def test_a_second_shot_that_cannot_be_tells_the_robot_nothing(paused: RobotSession) -> None:
+    before = paused.now
+    assert before.depth_mm is not None
+    for off_mm, error_95_mm, why in (*IMPOSSIBLE, *NOT_FINITE):
+        with pytest.raises(RobotRefusedError, match=why):
+            asyncio.run(paused.send_shot_depth(before.depth_mm + off_mm, error_95_mm))
+    paused.refuse_shot(before.depth_mm + 1.2, 0.5)  # within what both state
+    heard: list[str] = []  # the robot would have answered by then
+    paused._client.listeners.append(lambda message: heard.append(message.device_name))
+    _until(paused, lambda _: heard.count(DEPTH) > 2)
+    assert (paused.now.depth_sd_mm, paused.now.zero) == (before.depth_sd_mm, before.zero)
+
+
 def test_a_second_shot_is_told_with_its_error_and_counts_once(paused: RobotSession) -> None:
     before = paused.now.depth_mm
     assert before is not None
@@ -211,39 +222,35 @@ def test_a_second_shot_is_told_with_its_error_and_counts_once(paused: RobotSessi
         asyncio.run(paused.send_shot_depth(shot, error))
 
 
-def test_a_second_shot_whose_answer_came_too_late_counts_once_too(
-    paused: RobotSession, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before, tell = paused.now.depth_mm, paused._client.shot_depth
-    assert before is not None
+def test_a_motion_is_shown_while_it_lasts(paused: RobotSession) -> None:
+    """The robot's state is not queried meanwhile. Fails where "Paused" is shown while the wire advances."""
 
-    def late(*told: float) -> None:
-        tell(*told)
-        raise LinkError("no answer in time")
+    async def drill() -> list[str]:
+        task = asyncio.create_task(paused.drill(State.PAUSED))
+        await asyncio.sleep(0)  # it has begun
+        during = paused.now.phase
+        await task
+        return [during, paused.now.activity]
 
-    monkeypatch.setattr(paused._client, "shot_depth", late)
-    with pytest.raises(LinkError):
-        asyncio.run(paused.send_shot_depth(before, 0.5))
-    with pytest.raises(RobotRefusedError, match="already sent"):
-        asyncio.run(paused.send_shot_depth(before, 0.5))
+    assert paused.now.phase == "PAUSED"
+    assert asyncio.run(drill()) == ["DRILL", ""]
+    _until(paused, lambda now: now.phase == "DONE")
 
 
-APART = "at most 1.4 mm is consistent"
-IMPOSSIBLE = [(1.6, 0.5, APART), (-1.6, 0.5, APART), (0.0, 0.0, "95 %"), (0.0, -0.1, "95 %")]
-NOT_FINITE = [(np.nan, 0.5, "the depth"), (0.0, np.nan, "95 %"), (np.inf, 0.5, "the depth")]
+def test_a_second_shot_whose_answer_came_too_late_counts_once_too() -> None:
+    with _at_the_pause() as session:
+        before, tell = session.now.depth_mm, session._client.shot_depth
+        assert before is not None
 
+        def late(*told: float) -> None:
+            tell(*told)
+            raise LinkError("no answer in time")
 
-def test_a_second_shot_that_cannot_be_tells_the_robot_nothing(paused: RobotSession) -> None:
-    before = paused.now
-    assert before.depth_mm is not None
-    for off_mm, error_95_mm, why in (*IMPOSSIBLE, *NOT_FINITE):
-        with pytest.raises(RobotRefusedError, match=why):
-            asyncio.run(paused.send_shot_depth(before.depth_mm + off_mm, error_95_mm))
-    paused.refuse_shot(before.depth_mm + 1.2, 0.5)  # within what both state
-    heard: list[str] = []  # the robot would have answered by then
-    paused._client.listeners.append(lambda message: heard.append(message.device_name))
-    _until(paused, lambda _: heard.count(DEPTH) > 2)
-    assert (paused.now.depth_sd_mm, paused.now.zero) == (before.depth_sd_mm, before.zero)
+        session._client.shot_depth = late
+        with pytest.raises(LinkError):
+            asyncio.run(session.send_shot_depth(before, 0.5))
+        with pytest.raises(RobotRefusedError, match="already sent"):
+            asyncio.run(session.send_shot_depth(before, 0.5))
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from tests.app.given import mark
 from tests.planning.bone import views
 from tests.planning.test_wires import KEYS, WIRES_MM
 
@@ -21,7 +22,6 @@ from sightline.app.session.planning import Planning
 from sightline.app.session.sent import SentPlan, restored
 from sightline.app.tab.views import Views
 from sightline.case.journal import Actor, Case, Kind
-from sightline.case.views import NAMES
 from sightline.errors import RobotRefusedError, SightlineError
 from sightline.frame import Frame
 
@@ -31,11 +31,8 @@ RELATIONS = {"parallel", "spacing", "inverted triangle"}
 
 
 def _ends(wire_mm: np.ndarray) -> dict[str, Mark]:
-    uv = [view.project(wire_mm).tolist() for view in VIEWS]
-    return {
-        name: Mark({image: (at[k][0], at[k][1]) for image, at in zip(NAMES, uv, strict=True)})
-        for k, name in enumerate((ENTRY, END))
-    }
+    uv = [view.project(wire_mm) for view in VIEWS]
+    return {name: mark([at[k] for at in uv]) for k, name in enumerate((ENTRY, END))}
 
 
 def _decided(count: int = 3, current: int = 0) -> Decisions:

@@ -35,13 +35,6 @@ _IN_LATERAL = np.array([[0.0, 0.0], [0.0, 1.0]])  # along the patient in the sec
 MOVED_PX = 9.0  # a movement along the patient between two images, which both show
 
 
-@pytest.fixture(scope="module")
-def worker() -> Iterator[WorkerProcess]:
-    made = WorkerProcess()
-    yield made
-    made.close()
-
-
 @pytest.fixture
 def waiting(tmp_path: Path) -> Iterator[tuple[Planning, Any]]:
     """Planning with a Γ frame, and a robot that waits in its guide."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.app.given import observed
 from tests.app.node import XRAY, run_node
 from tests.three import draw_three
 
@@ -12,11 +13,10 @@ from sightline.app.drawing.pictures import sight
 from sightline.calibration import BeadView, calibrate
 from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.case.views import NAMES
-from sightline.detection import Observations
 from sightline.errors import OutsideRegionError
 from sightline.frame import Frame
 from sightline.planning import matching_curve, snap
-from sightline.twin import SetUp, bead_images, draw_setup
+from sightline.twin import draw_setup
 
 AGREES_PX = 0.05  # what is asked of the browser: a tenth of a careful click's error
 SHAPE = (1024, 1024)
@@ -32,23 +32,14 @@ console.log(JSON.stringify({{ curves, slid }}));
 """
 
 
-def _observed(setup: SetUp, rng: np.random.Generator) -> list[Observations]:
-    out = []
-    for name in NAMES:
-        ids, uv = bead_images(setup, name, rng, 0.1)
-        noise = np.repeat(0.01 * np.eye(2)[None], len(ids), axis=0)
-        out.append(Observations(name, ids, uv, noise, image_shape=SHAPE))
-    return out
-
-
 def _views(frame: str) -> tuple[BeadView, ...]:
     """Both views of a drawn set-up: of plates before a distorting intensifier, of a block before a flat panel."""
     rng = np.random.default_rng(17)
     if frame == "block60":
         setup = draw_three(rng, "flat-panel-0.3")[0]
-        return calibrate_together(_observed(setup, rng), setup.frame)
+        return calibrate_together([observed(setup, name, rng) for name in NAMES], setup.frame)
     setup = draw_setup(rng, Frame.load(frame))
-    return tuple(calibrate(one, setup.frame, view=one.view) for one in _observed(setup, rng))
+    return tuple(calibrate(observed(setup, name, rng), setup.frame, view=name) for name in NAMES)
 
 
 def _visible(uv: np.ndarray) -> np.ndarray:

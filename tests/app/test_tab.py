@@ -8,11 +8,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from markupsafe import Markup
 from nicegui import Client, ui
 from nicegui.events import GenericEventArguments
 from nicegui.page import page
+from tests.app.given import marked
 from tests.planning import bone
 from tests.planning.standin import stand_in
 
@@ -28,7 +30,7 @@ from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
 from sightline.app.session.shots import LATE_S
 from sightline.app.tab.placing import ProcedureStep
-from sightline.app.tab.tab import Tab
+from sightline.app.tab.tab import Tab, measured_in_both
 from sightline.case.views import CHECK_NAMES, NAMES
 from sightline.case.watch.analyser import STALE_S
 from sightline.errors import UnusableInputError
@@ -102,11 +104,10 @@ class Page:
 
 
 @pytest.fixture
-def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
+def opened(tmp_path: Path, worker: WorkerProcess, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
     """On the step Plan, both images of planning calibrated; their numbers are 101 and 102."""
     loop = asyncio.new_event_loop()
     asyncio.set_event_loop(loop)
-    worker = WorkerProcess()
     session = Session.open(tmp_path, "gamma", None, worker)
     drawn: Any = Drawn()
     made = Page(Tab(session, drawn))
@@ -128,7 +129,6 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
         made.tab.go_to(ProcedureStep.PLAN)
         yield made
     session.planning.case.close()
-    worker.close()
     loop.close()
 
 
@@ -158,8 +158,10 @@ def test_a_move_made_on_the_planned_image_is_not_taken_for_the_check_image(opene
     turned = {"rotation": 90, "mirrored": False, "inverted": False, "window": {"centre": 9.0, "width": 9.0}}
     opened.hear("pa", {"type": "display", "image": "/image/101", **turned})
     assert opened.planning.decisions is before
-    opened.hear("pa", _move("/image/103", LANDMARK))
-    assert opened.planning.decisions.mark(LANDMARK).places == {"check-pa": (300.0, 400.0)}
+    for kind in ("place", "nudge", "drop"):
+        opened.planning.edit(before)
+        opened.hear("pa", _move("/image/103", LANDMARK, kind))
+        assert opened.planning.decisions.mark(LANDMARK).places == {"check-pa": (300.0, 400.0)}
 
 
 def test_nor_before_the_page_has_drawn_what_the_procedure_has_already(opened: Page) -> None:
@@ -282,18 +284,11 @@ def test_a_section_that_fails_says_so_and_holds_no_other_up(opened: Page, error:
 def _place_all(opened: Page, side: Side) -> None:
     """Wire, head and shaft of a right hip, as both images show them."""
     uv = bone.pixels([VIEWS[name] for name in NAMES])
-    decisions = opened.planning.decisions
-    for name, at in {"entry": 0, "end": 1}.items():
-        decisions = decisions.with_mark(name, Mark(_places(uv["wire"], at)))
-    for aid, clicks in {"head": 3, "shaft": 2}.items():
-        for k in range(clicks):
-            decisions = decisions.with_mark(f"{aid}-{k + 1}", Mark(_places(uv[aid], k)))
-    opened.planning.edit(decisions)
+    clicks = {"entry": ("wire", 0), "end": ("wire", 1)}
+    clicks |= {f"{aid}-{k + 1}": (aid, k) for aid, count in {"head": 3, "shaft": 2}.items() for k in range(count)}
+    places = {name: [at[k] for at in uv[drawn]] for name, (drawn, k) in clicks.items()}
+    opened.planning.edit(marked(opened.planning.decisions, places))
     opened.planning.decide(side=side)
-
-
-def _places(uv: Any, k: int) -> dict[str, tuple[float, float]]:
-    return {name: (float(both[k][0]), float(both[k][1])) for name, both in zip(NAMES, uv, strict=True)}
 
 
 @pytest.mark.parametrize(("side", "refused"), [("right", False), ("left", True)])
@@ -457,3 +452,31 @@ def test_a_notice_that_is_repeated_is_told_again(opened: Page) -> None:
     assert top._said(opened.tab) != first
     opened.tab.say("")
     assert opened.tab.notices == 2
+
+
+# The ruler in both images: in space where they show the same places, else in each image alone.
+
+PLANNING: Any = SimpleNamespace(seen={view.name: SimpleNamespace(view=view) for view in bone.views()}.get)
+
+
+def _clicks(*points_mm: np.ndarray) -> dict[str, list[tuple[float, float]]]:
+    return {view.name: [(u, v) for u, v in view.project(np.array(points_mm))] for view in bone.views()}
+
+
+def test_as_many_clicks_on_the_same_places_are_measured_in_space() -> None:
+    said = measured_in_both(PLANNING, _clicks(bone.CENTRE_MM, bone.ENTRY_MM))
+    assert said is not None
+    label, note = said
+    assert label.startswith(f"{np.linalg.norm(bone.ENTRY_MM - bone.CENTRE_MM):.1f} ± ") and label.endswith("mm")
+    assert note == texts.RULER_SPACE
+    turned = measured_in_both(
+        PLANNING, _clicks(bone.CENTRE_MM, bone.ENTRY_MM, bone.CENTRE_MM + np.array([0.0, 0.0, 30.0]))
+    )
+    assert turned is not None and "°" in turned[0]
+
+
+def test_clicks_in_one_image_more_in_one_or_on_other_places_are_not() -> None:
+    both = _clicks(bone.CENTRE_MM, bone.ENTRY_MM)
+    assert measured_in_both(PLANNING, {"pa": both["pa"]}) is None
+    assert measured_in_both(PLANNING, both | {"pa": [*both["pa"], (400.0, 400.0)]}) is None
+    assert measured_in_both(PLANNING, both | {"pa": both["pa"][::-1]}) is None

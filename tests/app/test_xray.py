@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
-from tests.app.browser import PATIENCE_MS, Server, Tab
+from tests.app.browser import PATIENCE_MS, Server, Tab, stroke
 from tests.app.xray_page import FIELD_PX, HOSTILE, POINTS, SIDE, SPOTS, TEXTS, lateral_column, picture
 
 from sightline.app.drawing.xray import TEXT_KEYS, Window, XrayContent, XrayEvent, XrayPicture, XrayView, checked
@@ -18,7 +18,7 @@ from sightline.app.drawing.xray import TEXT_KEYS, Window, XrayContent, XrayEvent
 PLACE_PX = 0.05  # image pixels: what a place on the screen may be off by
 MARKS = itertools.count(1)
 GROUND = 0.299 * 0x22 + 0.587 * 0x2B + 0.114 * 0x35  # the grey of the colour "raised"
-ORIENTATIONS = [(rotation, mirrored) for rotation in (0, 90, 180, 270) for mirrored in (False, True)]
+ORIENTATIONS = [(0, True), (90, False), (90, True), (180, True), (270, False)]
 
 
 class View:
@@ -36,7 +36,6 @@ class View:
         """Wait until both images are there."""
         both = "window.sightlineXray?.pa?.state.image && window.sightlineXray.lateral?.state.image"
         self.page.wait_for_function(both)
-        self.settle()
 
     def core(self, expression: str, value: Any = None) -> Any:
         return self.page.evaluate(f"(value) => {{ const core = window.sightlineXray.pa; return {expression}; }}", value)
@@ -183,21 +182,6 @@ def test_a_click_on_what_is_seen_reports_where_it_is(view: View, rotation: int, 
     assert (turned["rotation"], turned["mirrored"]) == (expected, mirrored)
 
 
-def test_on_a_dense_screen_too(open_page: Callable[..., Page], server: Server) -> None:
-    view = View(open_page(server.url, device_scale_factor=2.0), server)
-    view.ready()
-    view.forget()
-    box = view.stage.bounding_box()
-    assert box is not None
-    assert view.core("core.chrome.canvas.width") == 2 * box["width"]
-    view.do("dim")
-    seen = view.seen_spot(view.screen(SPOTS[1]), radius=12.0)
-    view.do("place")
-    view.mouse.click(*seen)
-    (placed,) = view.heard("place")
-    assert near(placed["uv"], SPOTS[1]) < PLACE_PX
-
-
 def test_the_wheel_zooms_at_the_pointer(view: View) -> None:
     x, y = view.screen((300.25, 611.5))
     at = (round(x), round(y))  # a wheel event counts whole pixels
@@ -305,18 +289,15 @@ def test_with_the_window_tool_the_left_button_does_it(view: View) -> None:
     assert near(view.screen((420.0, 460.0)), (x, y)) < 1e-6
 
 
-def test_what_is_turned_says_so(view: View) -> None:
+def test_where_the_head_is_on_the_screen(view: View) -> None:
+    """The word follows the image, whatever turns or mirrors it; a reset shows the head up again. Without a head it is
+    told how the image is turned."""
     turned = view.root.get_by_test_id("turned")
     expect(turned).to_have_text("")
     view.do("turn")
     expect(turned).to_have_text("rotated by 90°, mirrored")
     assert view.heard("display") == []  # the server knows its own message
-
-
-def test_where_the_head_is_on_the_screen(view: View) -> None:
-    """The word follows the image, whatever turns or mirrors it; a reset shows the head up again."""
     view.do("head")
-    turned = view.root.get_by_test_id("turned")
     expect(turned).to_have_text("head up")
     view.button("rotate").click()
     expect(turned).to_have_text("head to the right")
@@ -475,15 +456,6 @@ def test_layers_show_and_hide(view: View) -> None:
     assert not np.array_equal(bare, drawn)
 
 
-def test_a_notice_stands_over_the_image(view: View) -> None:
-    notice = view.root.get_by_test_id("notice")
-    expect(notice).to_be_hidden()
-    view.do("notice")
-    expect(notice).to_have_text("The image is 0.4 s old")
-    view.do("no-notice")
-    expect(notice).to_be_hidden()
-
-
 def test_maximised_nothing_lies_over_it(view: View) -> None:
     """Not the other view, which comes after it in the page."""
     view.button("maximise").click()
@@ -570,25 +542,25 @@ def test_a_point_follows_the_hand_and_the_server_hears_where_it_was_left(view: V
     assert curve["of"] == dropped["seq"]
 
 
-def test_a_click_on_a_point_moves_nothing(view: View) -> None:
+def test_a_click_on_a_point_and_a_drag_of_one_that_may_not_move_move_nothing(view: View) -> None:
     view.mouse.click(*view.screen(POINTS[0]["uv"]))
-    assert view.heard("drag", "drop", "place") == []
     assert view.core("core.state.selected") == "entry"
-
-
-def test_what_may_not_move_stays(view: View) -> None:
     start = view.screen((512.0, 200.0))
     view.drag(start, (start[0] + 40, start[1] + 20))
     assert view.point("fixed") == (512.0, 200.0)
-    assert view.heard("drag", "drop") == []
+    assert view.heard("drag", "drop", "place") == []
 
 
 def test_a_point_cannot_leave_the_field(view: View) -> None:
-    """The field decides, not the rectangle about it: there is nothing to point at in the black corner."""
+    """The field decides, not the rectangle about it: in the black corner is nothing to point at, which it says."""
     start, corner = view.screen(POINTS[0]["uv"]), view.screen((20.0, 20.0))
     view.drag(start, corner)
     (dropped,) = view.heard("drop")
     assert near(dropped["uv"], (SIDE / 2, SIDE / 2)) == pytest.approx(FIELD_PX, abs=1.0)
+    view.do("place")
+    view.mouse.click(*corner)
+    expect(view.root.get_by_test_id("lost")).to_have_text(TEXTS["off_field"])
+    assert view.heard("place") == []
     assert view.refused() == 0
 
 
@@ -826,52 +798,6 @@ def test_plus_and_minus_zoom(view: View) -> None:
     assert view.zoom() == pytest.approx(before)
 
 
-# touch
-
-
-class Fingers:
-    """Fingers on the glass, through the browser's own protocol."""
-
-    def __init__(self, page: Page) -> None:
-        self.session = page.context.new_cdp_session(page)
-
-    def _send(self, kind: str, places: list[tuple[float, float]]) -> None:
-        touches = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
-        self.session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
-
-    def stroke(self, *path: list[tuple[float, float]]) -> None:
-        self._send("touchStart", path[0])
-        for places in path[1:]:
-            self._send("touchMove", places)
-        self._send("touchEnd", [])
-
-
-@pytest.fixture
-def touched(open_page: Callable[..., Page], server: Server) -> View:
-    view = View(open_page(server.url, has_touch=True), server)
-    view.ready()
-    view.forget()
-    return view
-
-
-def test_a_finger_drags_a_point_it_touches_beside(touched: View) -> None:
-    x, y = touched.screen(POINTS[0]["uv"])
-    x, y = x + 20, y + 18  # 27 CSS px off
-    Fingers(touched.page).stroke([(x, y)], [(x + 8, y)], [(x + 8, y + 30)], [(x + 48, y + 30)])
-    (dropped,) = touched.heard("drop")
-    zoom = touched.zoom()
-    assert near(dropped["uv"], (300 + 40 / zoom, 400 + 30 / zoom)) < PLACE_PX  # from where the touch became a drag
-
-
-def test_a_finger_places_where_it_is_lifted(touched: View) -> None:
-    touched.do("place")
-    x, y = touched.screen((420.0, 460.0))
-    fingers = Fingers(touched.page)
-    fingers.stroke([(x - 30, y - 30)], [(x - 10, y)], [(x, y)])
-    (placed,) = touched.heard("place")
-    assert near(placed["uv"], (420.0, 460.0)) < PLACE_PX
-
-
 # bad and hostile
 
 
@@ -1042,16 +968,71 @@ def test_a_message_holds_only_what_has_changed() -> None:
 
 def test_what_a_message_leaves_out_stays_as_it_was(view: View) -> None:
     """Fails a page that takes a message for the complete content."""
+    notice = view.root.get_by_test_id("notice")
+    expect(notice).to_be_hidden()
     view.do("gallery")
     before = view.core("[core.state.points.size, core.shownShapes.length, core.url, core.word.revision]")
     view.do("notice")
-    assert view.core("core.word.notice") == "The image is 0.4 s old"
+    expect(notice).to_have_text("The image is 0.4 s old")
     assert view.core("[core.state.points.size, core.shownShapes.length, core.url, core.word.revision]") == before
+    view.do("no-notice")
+    expect(notice).to_be_hidden()
+
+
+# touch: another page, to which commands go too from here on
+
+
+@pytest.fixture(scope="module")
+def dense(browser: Browser, server: Server) -> Iterator[Tab]:
+    """A page on a dense screen that is touched."""
+    tab = Tab(browser, server.url, has_touch=True, device_scale_factor=2.0)
+    yield tab
+    tab.close()
+
+
+@pytest.fixture
+def touched(dense: Tab, server: Server) -> Iterator[View]:
+    view = View(dense.page, server)
+    view.ready()
+    view.do("restore")
+    view.forget()
+    yield view
+    dense.check()
+
+
+def test_on_a_dense_screen_too(touched: View) -> None:
+    box = touched.stage.bounding_box()
+    assert box is not None
+    assert touched.core("core.chrome.canvas.width") == 2 * box["width"]
+    touched.do("dim")
+    seen = touched.seen_spot(touched.screen(SPOTS[1]), radius=12.0)
+    touched.do("place")
+    touched.mouse.click(*seen)
+    (placed,) = touched.heard("place")
+    assert near(placed["uv"], SPOTS[1]) < PLACE_PX
+
+
+def test_a_finger_drags_a_point_it_touches_beside(touched: View) -> None:
+    x, y = touched.screen(POINTS[0]["uv"])
+    x, y = x + 20, y + 18  # 27 CSS px off
+    stroke(touched.page, [(x, y)], [(x + 8, y)], [(x + 8, y + 30)], [(x + 48, y + 30)])
+    (dropped,) = touched.heard("drop")
+    zoom = touched.zoom()
+    assert near(dropped["uv"], (300 + 40 / zoom, 400 + 30 / zoom)) < PLACE_PX  # from where the touch became a drag
+
+
+def test_a_finger_places_where_it_is_lifted(touched: View) -> None:
+    touched.do("place")
+    x, y = touched.screen((420.0, 460.0))
+    stroke(touched.page, [(x - 30, y - 30)], [(x - 10, y)], [(x, y)])
+    (placed,) = touched.heard("place")
+    assert near(placed["uv"], (420.0, 460.0)) < PLACE_PX
 
 
 # the server went away: last, because it leaves the file's server with another revision
 
 
+@pytest.mark.slow  # the server is started again, twice
 def test_an_edit_made_while_the_server_is_away(server: Server, open_page: Callable[..., Page]) -> None:
     """It is sent again when the server is back; to one of another revision it is not, and the person is told."""
     page = open_page(server.url, allow=("ERR_CONNECTION_REFUSED", "WebSocket", "502", "Failed to load resource"))
