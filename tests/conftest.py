@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.app import NO_BROWSER
 from tests.worked import Worked, make_once
 from typer import testing
 from typer.testing import CliRunner
@@ -19,19 +18,6 @@ from sightline.twin import SetUp, draw_setup
 
 # Typer builds every command anew for each call, which takes longer than most calls that are refused.
 testing._get_command = cache(testing._get_command)
-
-
-def pytest_unconfigure(config: pytest.Config) -> None:
-    """The last line of a run says what to install where tests were skipped for the want of a browser."""
-    reporter = config.pluginmanager.get_plugin("terminalreporter")
-    if reporter is None or hasattr(config, "workerinput"):
-        return
-    skipped = [one for one in reporter.stats.get("skipped", []) if NO_BROWSER in str(one.longrepr)]
-    if skipped:
-        reporter.write_line(
-            f"{len(skipped)} browser tests were skipped: install Chromium (Debian: apt-get install chromium), "
-            "or name a Chromium or Chrome in the environment variable CHROME"
-        )
 
 
 @pytest.fixture(scope="session")

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Locator, Page
-from tests.app import NO_BROWSER
-from tests.app.browser import NAMES, ROOT, Server, Tab, chromium, find_chromium
+from tests.app.browser import ROOT, Server, Tab, chromium, find_chromium
 
 from sightline.app.session.jobs import WorkerProcess
 
@@ -20,7 +19,7 @@ def browser() -> Iterator[Browser]:
     """An installed Chromium, headless."""
     path = find_chromium()
     if path is None:
-        said = f"{NO_BROWSER}: none of {', '.join(NAMES)} is installed; CHROME may name one"
+        said = "no browser: install Chromium (Debian: apt-get install chromium), or name one in the variable CHROME"
         if os.environ.get("CI") == "true":
             pytest.fail(said)
         pytest.skip(said)

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Locator, Page, Route, expect
-from tests.app import NO_BROWSER, program
-from tests.app.bidi import NAMES as FIREFOXES
+from tests.app import program
 from tests.app.bidi import find_firefox, firefox
 from tests.app.browser import Server, Tab, stroke
 from tests.app.eyes import unread, written, wrong
@@ -44,6 +43,7 @@ SEEN_PX = 1.2  # a click is a whole pixel of the screen, the image drawn at 0.45
 # How far a point is from [name, u, v], px.
 _AWAY = "Math.hypot(core.state.points.get(value[0]).uv[0] - value[1], core.state.points.get(value[0]).uv[1] - value[2])"
 REFUSED = ("422",)  # what the browser itself says of a refused upload
+GONE = ("WebSocket", "ERR_", "Failed to load")  # what it says of a server that was killed
 SIZES = ((1280, 800), (1024, 768), (800, 1280))
 LONG = (  # the longest sentence of a check that a person meets while planning
     "The gaps of 3 free points together are 2.3 times what picks and views explain; the picks are less accurate than "
@@ -113,6 +113,15 @@ def hands(tab: Tab, place: Path) -> Iterator[Hands]:
     person.wait_for_step("Calibrate", "done")
     yield person
     tab.check()
+
+
+@pytest.fixture(scope="module")
+def beside(browser: Browser, server: Server) -> Iterator[Hands]:
+    """A person before a second page."""
+    made = Tab(browser, server.url)
+    yield Hands(made.page)
+    made.close()
+    made.check(GONE)
 
 
 def _planned(hands: Hands) -> None:
@@ -294,14 +303,11 @@ def test_an_enlarged_image_lies_over_all_but_the_bar(hands: Hands) -> None:
     hands.see("xray-pa").get_by_role("button", name=XRAY["restore"]).click()
 
 
-def test_a_click_survives_a_section_that_is_built_again(
-    hands: Hands, server: Server, open_page: Callable[..., Page]
-) -> None:
+def test_a_click_survives_a_section_that_is_built_again(hands: Hands, beside: Hands) -> None:
     """A program whose sections throw their buttons away loses it: press and release have nothing in common, and the
     element that the click names is gone."""
-    other = Hands(open_page(server.url))
     hands.step("Images")
-    other.step("Images")
+    beside.step("Images")
     left, right = hands.see("side-left"), hands.see("side-right")
     hands.press("side-right")
     expect(right).to_have_attribute("aria-checked", "true")  # the row has its width from here on
@@ -309,7 +315,7 @@ def test_a_click_survives_a_section_that_is_built_again(
     assert box is not None
     hands.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     hands.page.mouse.down()
-    other.press("side-left")
+    beside.press("side-left")
     expect(left).to_have_attribute("aria-checked", "true")  # another page has answered: the question is built again
     hands.page.mouse.up()
     expect(right).to_have_attribute("aria-checked", "true")
@@ -486,7 +492,7 @@ def test_firefox_places_drags_types_and_undoes_too(hands: Hands, server: Server,
     path = find_firefox()
     if path is None:
         refuse = pytest.fail if os.environ.get("CI") == "true" else pytest.skip
-        refuse(f"{NO_BROWSER}: none of {', '.join(FIREFOXES)} is installed")
+        refuse("no browser: install Firefox (Debian: apt-get install firefox-esr)")
     _planned(hands)
     with firefox(path, tmp_path) as page:
         page.open(f"{server.url}?step=plan")
@@ -664,8 +670,7 @@ def _verify(hands: Hands, folder: Path) -> None:
 def test_a_plan_outlives_a_second_tab_and_a_killed_server(
     tab: Tab, server: Server, open_page: Callable[..., Page], folder: Path
 ) -> None:
-    gone = ("WebSocket", "ERR_", "Failed to load")  # what the browser says of a server that was killed
-    other = Hands(open_page(f"{server.url}?step=plan", allow=gone))
+    other = Hands(open_page(f"{server.url}?step=plan", allow=GONE))
     other.wait_for_step("Calibrate", "done")
     _planned(other)
     here, decided = other.placed("end", "lateral"), _recorded(folder)
@@ -681,7 +686,7 @@ def test_a_plan_outlives_a_second_tab_and_a_killed_server(
     assert other.placed("end", "lateral") == here
     assert _recorded(folder) == decided
     tab.page.goto(server.url)
-    tab.check(gone)
+    tab.check(GONE)
 
 
 def _recorded(folder: Path) -> Decisions:
@@ -704,14 +709,11 @@ def _open_empty(hands: Hands, folder: Path) -> None:
     expect(hands.see("no-pa")).to_be_visible()
 
 
-def test_another_case_is_opened_from_the_list_on_all_pages(
-    hands: Hands, server: Server, open_page: Callable[..., Page], folder: Path
-) -> None:
-    second = Hands(open_page(f"{server.url}?step=plan"))
-    second.wait_for_step("Calibrate", "done")
+def test_another_case_is_opened_from_the_list_on_all_pages(hands: Hands, beside: Hands, folder: Path) -> None:
+    beside.step("Plan")
     _open_empty(hands, folder)
-    expect(second.see("step-images")).to_have_attribute("aria-current", "step")
-    expect(second.see("no-pa")).to_be_visible()
+    expect(beside.see("step-images")).to_have_attribute("aria-current", "step")
+    expect(beside.see("no-pa")).to_be_visible()
 
 
 # A case without images: what each step shows and where it leads, and refused images.

@@ -182,7 +182,7 @@ def test_a_click_on_what_is_seen_reports_where_it_is(view: View, rotation: int, 
     assert (turned["rotation"], turned["mirrored"]) == (expected, mirrored)
 
 
-def test_the_wheel_zooms_at_the_pointer(view: View) -> None:
+def test_the_wheel_zooms_at_the_pointer_and_keys_zoom_too(view: View) -> None:
     x, y = view.screen((300.25, 611.5))
     at = (round(x), round(y))  # a wheel event counts whole pixels
     held = tuple(view.core("core.toImage(value)", at))
@@ -195,6 +195,12 @@ def test_the_wheel_zooms_at_the_pointer(view: View) -> None:
     view.mouse.wheel(0, 100)
     view.settle()
     assert near(view.screen(held), at) < 1e-6
+    before = view.zoom()
+    view.stage.focus()
+    view.page.keyboard.press("+")
+    assert view.zoom() == pytest.approx(1.25 * before)
+    view.page.keyboard.press("-")
+    assert view.zoom() == pytest.approx(before)
 
 
 @pytest.mark.parametrize("button", ["left", "middle"])
@@ -421,6 +427,17 @@ def test_plan_layers_hide_while_the_image_is_stale(view: View) -> None:
     assert np.array_equal(view.grey()[below], with_plan[below])
 
 
+def test_layers_show_and_hide(view: View) -> None:
+    bare = view.grey()
+    view.do("gallery")
+    drawn = view.grey()
+    view.do("hide")
+    assert np.array_equal(view.grey(), bare)
+    view.do("gallery")
+    assert np.array_equal(view.grey(), drawn)
+    assert not np.array_equal(bare, drawn)
+
+
 def test_the_browser_itself_hides_the_plan_of_a_live_image_that_no_word_comes_of(view: View) -> None:
     view.do("fresh")
     assert not view.core("core.state.stale")
@@ -445,30 +462,6 @@ def test_word_of_a_live_image_is_not_taken_for_the_older_one_on_the_screen(view:
     assert not view.core("core.state.stale")
 
 
-def test_layers_show_and_hide(view: View) -> None:
-    bare = view.grey()
-    view.do("gallery")
-    drawn = view.grey()
-    view.do("hide")
-    assert np.array_equal(view.grey(), bare)
-    view.do("gallery")
-    assert np.array_equal(view.grey(), drawn)
-    assert not np.array_equal(bare, drawn)
-
-
-def test_maximised_nothing_lies_over_it(view: View) -> None:
-    """Not the other view, which comes after it in the page."""
-    view.button("maximise").click()
-    for at in ((60, 60), (640, 400), (960, 400), (1260, 780)):
-        assert view.page.evaluate(
-            "at => Boolean(document.elementFromPoint(...at).closest('[data-testid=xray-pa]'))", at
-        )
-    assert view.root.bounding_box() == {"x": 0, "y": 0, "width": 1280, "height": 800}
-    view.page.keyboard.press("Escape")
-    assert view.page.evaluate("Boolean(document.elementFromPoint(960, 400).closest('[data-testid=xray-lateral]'))")
-    assert view.page.locator(".box-pa [data-testid=xray-pa]").count() == 1
-
-
 def test_one_escape_does_one_thing(view: View) -> None:
     """Whichever of the views it is to be done in."""
     view.button("maximise").click()
@@ -486,6 +479,7 @@ def test_one_escape_does_one_thing(view: View) -> None:
         assert there() == left
         view.page.keyboard.press("Escape")
     view.mouse.up()
+    assert view.page.locator(".box-pa [data-testid=xray-pa]").count() == 1
 
 
 def test_nothing_is_drawn_while_nothing_changes(view: View) -> None:
@@ -777,25 +771,11 @@ def test_arrows_go_where_the_eye_sees_them_go(view: View) -> None:
     assert (after[0], after[1]) == pytest.approx((before[0], before[1] + view.zoom()))
 
 
-def test_delete_asks_and_enter_places(view: View) -> None:
+def test_delete_asks(view: View) -> None:
     view.root.get_by_test_id("point-end").focus()
     view.page.keyboard.press("Delete")
     assert [one["id"] for one in view.heard("remove")] == ["end"]
     assert view.point("end") == (700.0, 600.0)  # the server decides
-    view.do("place")
-    view.stage.focus()
-    view.page.keyboard.press("Enter")
-    (placed,) = view.heard("place")
-    assert placed["uv"] == [(SIDE - 1) / 2, (SIDE - 1) / 2]
-
-
-def test_plus_and_minus_zoom(view: View) -> None:
-    before = view.zoom()
-    view.stage.focus()
-    view.page.keyboard.press("+")
-    assert view.zoom() == pytest.approx(1.25 * before)
-    view.page.keyboard.press("-")
-    assert view.zoom() == pytest.approx(before)
 
 
 # bad and hostile
