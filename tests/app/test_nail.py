@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from benchmarks.scenes.nails import seen
 from tests.app.given import mark, marked
-from tests.planning.test_two_holes import ERRORS, KNOWN, NAIL, SIGHTS, VIEWS, _matrix
+from tests.planning.test_hole import camera_matrix
+from tests.planning.test_two_holes import ERRORS, KNOWN, NAIL, SIGHTS, VIEWS
 
 from sightline.app.drawing import shapes
 from sightline.app.plan.decisions import Decisions
@@ -147,7 +148,7 @@ def test_without_a_side_and_with_a_refused_hole_there_is_no_plan(holes: dict[str
 def test_views_less_than_20_degrees_apart_and_images_without_a_nail_are_refused() -> None:
     drawn: Any = nail_drawn(_decided())
     dark: Any = [Radiograph(np.full((1024, 1024), 900, dtype=np.uint16), white=1000)] * 2
-    near: Any = [VIEWS[0], view_from_matrix(_matrix(-100.0), ERRORS, "lateral")]
+    near: Any = [VIEWS[0], view_from_matrix(camera_matrix(-100.0), ERRORS, "lateral")]
     refused = HolesFound.find(drawn, near, dark)
     assert "at least 20° is needed" in refused.refused[STROKES] and not refused.holes
     views: Any = VIEWS
