@@ -57,14 +57,6 @@ def test_a_procedure_of_ones_own_is_written_checked_planned_and_kept(run, beads_
     assert (gone.code, "unknown procedure" in gone.err) == (2, True)
 
 
-def test_what_is_wrong_in_a_file_is_said_where_it_is(run, tmp_path: Path) -> None:
-    file = tmp_path / "mine.json"
-    file.write_bytes(copy_text("hip-screw", "mine").replace(b'"limit": 0.6', b'"limit": "0.6"'))
-    ran = run("procedure", "check", file)
-    assert ran.code == 2
-    assert "mine.json: limits.direction_deg.limit is not a number; write it without quotes" in ran.said
-
-
 def test_files_of_the_users_folder_are_listed_with_what_is_wrong(run, tmp_path, monkeypatch) -> None:
     monkeypatch.setenv(FOLDER, str(tmp_path))
     (tmp_path / "my-hip.json").write_bytes(copy_text("hip-screw", "my-hip"))
