@@ -127,6 +127,7 @@ class ScriptedRobot:
         self.late: np.ndarray | None = None  # where it is once it has answered that
         self.joints_at: np.ndarray | None = None
         self.length_mm = 95.0  # from entry to tip
+        self.deeper_mm = 0.0  # by which it drills deeper than it says
         self.types = OURS if simulated else OURS[:-1]
         self.commands: list[str] = []
         self.plans: list[str] = []  # that it was sent, by their identifiers
@@ -343,7 +344,7 @@ class ScriptedRobot:
         target = self.aside(self.target, "lays it aside")
         target = self.aside(target, "would lay it aside")
         short = SHORT_MM if self.ours and text == "MOVE_TO_TARGET" else 0.0
-        end = target[:3, 3] - short * target[:3, 2]
+        end = target[:3, 3] + (self.deeper_mm * (text == "DRILL") - short) * target[:3, 2]
         start = self.tip[:3, 3].copy()
         for step in range(1, self.steps + 1):
             await asyncio.sleep(STEP_S)

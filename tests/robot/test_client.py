@@ -4,6 +4,7 @@ their queries, and a stop gets through."""
 import subprocess
 import sys
 import threading
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -104,6 +105,30 @@ def test_a_robot_that_lays_the_wire_elsewhere_than_it_said_is_found_out_at_the_e
         with pytest.raises(RobotRefusedError, match="the wire lies elsewhere than planned"):
             for step in (robot.align, robot.drill):
                 step()
+
+
+@pytest.mark.parametrize(
+    ("deeper_mm", "shot", "beyond_mm", "why"),
+    [
+        (1.1, False, 0.0, None),  # as contact may move the zero
+        (2.0, False, 0.0, "its zero moved by 2.00 mm .at most 1.2 mm"),
+        (2.0, True, 0.0, None),
+        (0.1, False, 10.0, "its zero moved by 0.10 mm .at most 0.0 mm"),  # there is no contact
+        (-2.0, False, 0.0, "and -2.00 mm along the wire"),
+    ],
+)
+def test_a_zero_of_depth_is_moved_by_contact_or_a_shot_alone(monkeypatch, deeper_mm, shot, beyond_mm, why):
+    peer = ScriptedRobot(steps=2)
+    peer.deeper_mm = deeper_mm
+    with serving(peer) as port, RobotClient(port=port) as robot:
+        told(robot)
+        robot.aim(TARGET, {contract.LENGTH_MM: repr(peer.length_mm), contract.BEYOND_MM: repr(beyond_mm)})
+        robot.align()
+        if shot:
+            monkeypatch.setattr(robot, "order", lambda name, text: "")  # it takes it
+            robot.shot_depth(peer.length_mm)
+        with nullcontext() if why is None else pytest.raises(RobotRefusedError, match=why):
+            robot.drill()
 
 
 def test_answers_are_those_of_their_questions():

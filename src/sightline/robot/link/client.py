@@ -14,7 +14,7 @@ from sightline.robot import contract
 from sightline.robot.contract import ACK_S, STATUS_S
 from sightline.robot.control.states import State, Trigger
 from sightline.robot.igtl import Get, Message, NDArray, Sensor, Status, String, Transform
-from sightline.robot.kinematics.target import MAX_ZERO_SHIFT_MM, SHOT_SD_MM, RobotTarget
+from sightline.robot.kinematics.target import CONTACT_WEIGHT, MAX_ZERO_SHIFT_MM, SHOT_SD_MM, RobotTarget
 from sightline.robot.link.exchange import (
     Exchange,
     RequestResult,
@@ -45,7 +45,7 @@ class RobotClient(Exchange, Closing):
         self.host, self.port = host, port
         self._target: RigidTransform | None = None
         self._length_mm: float | None = None
-        self._beyond_mm = 0.0
+        self._beyond_mm = self._zero_shift_mm = 0.0  # the latter: of the robot's zero of depth, at most
         self._doubts: dict[str, str] = {}  # "registration" or "target": why the robot may not move by it
         super().__init__(SharedConnection(host, port))
         self.latest, self.listeners = self.connection.latest, self.connection.listeners
@@ -124,6 +124,9 @@ class RobotClient(Exchange, Closing):
         said_mm = {} if metadata is None else metadata
         self._length_mm = float(said_mm[contract.LENGTH_MM]) if contract.LENGTH_MM in said_mm else None
         self._beyond_mm = float(said_mm.get(contract.BEYOND_MM, 0.0))
+        # A drill through something before the bone, or beyond its end, is not corrected by contact.
+        by_contact = self._beyond_mm == float(said_mm.get(contract.BEFORE_MM, 0.0)) == 0.0
+        self._zero_shift_mm = CONTACT_WEIGHT * MAX_ZERO_SHIFT_MM * by_contact
         return reached
 
     def aim_plan(self, target: RobotTarget, now_s: float, depth_limit_mm: float) -> RigidTransform:
@@ -189,7 +192,7 @@ class RobotClient(Exchange, Closing):
     def wire_deviation(self) -> WireDeviation:
         """Return the wire's deviation from the target, by the robot's own position. Raises RobotRefusedError if it
         exceeds 0.5 mm or 0.2°. Along the wire the robot's stated depth counts, if any, because contact and check shot
-        move its zero; past the end point a break-through may end drilling early."""
+        move its zero, by no more than either can; past the end point a break-through may end drilling early."""
         if self._target is None:
             raise RobotRefusedError("send a target first: there is none to compare the wire with")
         deviation = WireDeviation.of(self.position(), self._target)
@@ -200,7 +203,7 @@ class RobotClient(Exchange, Closing):
             depth_off_mm = float(depth.body.values[0]) - self._length_mm
             short_mm = min(max(-depth_off_mm, 0.0), self._beyond_mm)
             ended = replace(deviation, along_mm=deviation.along_mm + short_mm)
-            ended.refuse_large("the wire lies", depth_off_mm + short_mm, MAX_ZERO_SHIFT_MM)
+            ended.refuse_large("the wire lies", depth_off_mm + short_mm, self._zero_shift_mm)
         return deviation
 
     def joints(self) -> np.ndarray:
@@ -224,6 +227,7 @@ class RobotClient(Exchange, Closing):
         """Send, in PAUSED, the depth of the tip beyond the entry point in the check shot, and its standard
         deviation."""
         self.order(contract.SHOT_DEPTH, f"{float(depth_mm)!r} {float(sd_mm)!r}")
+        self._zero_shift_mm = MAX_ZERO_SHIFT_MM
 
     def simulated_wire(self) -> SimulatedWire:
         """Return the true pose of a simulated robot's wire, for simulated images. Raises RobotRefusedError from a real

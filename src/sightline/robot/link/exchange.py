@@ -66,9 +66,13 @@ class WireDeviation:
             and self.angle_rad <= AXIS_LIMIT_RAD
         ):
             return
+        stated = ""
+        if depth_off_mm is not None:
+            stated = f", its stated depth {depth_off_mm:+.2f} mm off, its zero moved by {moved:.2f} mm (at most "
+            stated += f"{zero_limit_mm:.1f} mm)"
         raise RobotRefusedError(
             f"{what} elsewhere than planned: the tip {self.aside_mm:.2f} mm aside and {self.along_mm:+.2f} mm along "
-            f"the wire (at most {TIP_LIMIT_MM:g} mm), its axis {np.rad2deg(self.angle_rad):.2f}° off (at most "
+            f"the wire (at most {TIP_LIMIT_MM:g} mm){stated}, its axis {np.rad2deg(self.angle_rad):.2f}° off (at most "
             f"{np.rad2deg(AXIS_LIMIT_RAD):.1f}°); stop, and find the cause before anything moves"
         )
 
