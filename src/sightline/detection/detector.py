@@ -27,7 +27,7 @@ from sightline.imaging import Radiograph, as_radiograph
 from sightline.imaging.defects import interlaced
 
 _MIN_RADIUS_PX, _MAX_RADIUS_PX = 1.7, 27.0  # the promised 2-25 px, and a margin for the fit
-MAX_SD_PX = 1.0  # a less certain centre, of a bead or a piece of wire, is of no use: twice the promised 0.5 px [ours]
+MAX_SD_PX = 1.0  # of a bead or a piece of wire: an ordinary click is as certain [physics.md, Picks]
 _MIN_CONTRAST_SD = 3.5  # contrast over its s.d.: 1 in 4000 by chance, of candidates that have 4.5 already [calc]
 # Largest residual beyond noise over contrast (beads 0.05, rarely 0.11, also on bone edges; anatomy and metal more), and
 # smallest contrast of the weakest eighth over that of the whole (beads 0.8 and more, 0.63 at low dose) [twin, ARCADIS].

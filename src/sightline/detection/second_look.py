@@ -47,7 +47,7 @@ _MEAN_ALONE = np.array([False, True, False, False])
 # distortion and oblique rays. The blur is the same everywhere.
 _TERMS = 6
 # Of the fit of that polynomial [ours]: beads for it, 2.5 for each coefficient, of fewer the mean is taken; a ridge, so
-# that its coefficients are determined; times of reweighting, after which nothing changes.
+# that its coefficients are determined; times of reweighting.
 _ENOUGH, _RIDGE, _REWEIGHTED = 15, 0.01, 8
 _FLOOR = np.array([0.003, 0.02, 0.003, 0.003])  # least s.d. of log size, log blur and ellipticities [twin]
 _HUBER = 1.5  # s.d. beyond which a bead counts less [Huber 1981: 1 to 2]
@@ -170,7 +170,7 @@ def overlap_of(apart: np.ndarray, radius: np.ndarray | float, other: np.ndarray)
     return (radius + other - apart) / np.minimum(radius, other)
 
 
-_ROUNDS = 6  # [ours] of fitting, each further out: as many as a plate has rows beside the first
+_ROUNDS = 6  # [ours] of fitting, each further out: across a plate of seven rows
 # What a file of detections does not state of their fits.
 _NOT_STATED = ["blur_px", "axial", "diagonal", "status", "excess"]
 _NEIGHBOURS = 6  # [ours] nearest beads, or more at the same distance, predict size and contrast; farther ones differ

@@ -38,7 +38,7 @@ _MAX_SPACING_MM = 1.0  # of a nail's holes from the stated spacing: nails differ
 # Points of each rim in each view: of 26 holes with four in images, nine were outside of their 95 % regions [rays of
 # another projector].
 _MIN_ARC_POINTS = 5
-_MIN_AGREEMENT = 0.5  # [ours] correlation of the best candidate with the images; of a wrong nail it is lower
+_MIN_AGREEMENT = 0.5  # [ours] correlation of the best candidate with the images: lower, most of it is another thing
 
 
 @dataclass(frozen=True, eq=False)

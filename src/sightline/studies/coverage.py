@@ -27,7 +27,7 @@ PICKS = {"picks free, 0.1 px": 0.1, "picks free, 0.5 px": 0.5, "picks snapped, 0
 LEVELS = (0.50, 0.95, 0.99)
 MAX_NAMED = 5
 BINS = 5  # of the predicted error, with equal counts
-UNEVEN = 0.3  # [ours] standard deviations of beads vary by 30 %, as over an image with bone
+UNEVEN = 0.3  # [ours] standard deviations of beads vary by 30 %: bone and metal make the noise uneven
 
 
 @dataclass(frozen=True)

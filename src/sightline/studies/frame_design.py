@@ -195,8 +195,8 @@ def error_of_kind(kind: FrameKind, sd: Tolerances, seed: int) -> Values | None:
 
 BLOCKS = ("block30", "block40", "block60", "cube120")
 # Assumed where a solid's place is searched [ours]: aiming error per image, at the hip; thickness of folded drapes on
-# the skin; smallest distance between an end of the wire and a ball in an image, at the hip. Less would not last in
-# practice.
+# the skin; smallest distance between an end of the wire and a ball in an image, at the hip. Less would not hold
+# in practice.
 MARGIN_MM, DRAPES_MM, CLEAR_MM = 8.0, 5.0, 5.0
 STEP_MM = 10.0
 REACH_MM = ((-40.0, 140.0), (-100.0, 100.0), (0.0, 180.0))  # of the search: lateral, caudal, anterior

@@ -26,7 +26,7 @@ from sightline.planning.verdict.implant import template
 Shape = dict[str, Any]
 Layers = dict[str, list[Shape]]
 RESIDUAL_MM = 0.3  # end of the colour scale: six times the default tolerance of a plate [ours]
-_ARROW_TIMES = 10  # [ours] enlarges residuals: 0.1 mm, half a pixel of a screen, is seen
+_ARROW_TIMES = 10  # [ours] enlarges residuals: a millimetre is two pixels of a screen, and they are a tenth of that
 _NAIL_MM = 40.0  # [ours] of a nail's axis to either side of the strokes' middle: beyond both holes, 25 to 30 mm apart
 _AXIS_PX = 4000.0  # extends an aid's axis across the whole image
 

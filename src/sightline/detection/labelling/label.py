@@ -24,7 +24,7 @@ from sightline.frame import Frame
 
 MAX_FIRST, MAX_SECOND, MAX_GROWN = 4, 3, 12  # lattices tried before giving up: one for each view's plates [ours]
 LEFT_OVER = 0.4  # of a lattice's beads: with fewer other detections there is no second plate [ours]
-SAME_SHAPE = 1.05  # [ours] largest ratio of side ratios of triangles that count as similar: more than distortion makes
+SAME_SHAPE = 1.05  # [ours] largest ratio of side ratios of triangles that count as similar: distortion makes a few %
 CLICK = 1.5  # [ours] largest distance of a click on a datum from its centre, in radii: farther off, another is meant
 MAY_BE_TWO = "may be two beads of the frame, or a false bead"
 # Focal length of a flat panel's image over its longer side: panels of 20 to 43 cm, 0.8 to 1.6 m away [physics.md]

@@ -17,9 +17,8 @@ from sightline.twin.objects.meshes import Mesh
 from sightline.twin.objects.volumes import Volume
 
 Point: TypeAlias = tuple[float, float, float]
-# Distance from the outermost beads to the edge of a plate, and ratio of a washer's inner to its outer diameter, as in
-# parts that are on sale [ours].
-PLATE_RIM_MM, WASHER_HOLE = 8.0, 0.5
+PLATE_RIM_MM = 8.0  # [ours] from the outermost beads to the edge of a plate: room for a clamp
+WASHER_HOLE = 0.5  # [ours] of inner to outer diameter: common washers have about this
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,7 @@ class Distortion:
     pincushion_at_107_mm: tuple[float, float] = (0.03, 0.09)  # uniform [calc]: k1 = share / (107 mm)²
     earth_ut: tuple[float, float] = (18.65, -44.9)  # Loughborough: horizontal, up [calc, IGRF]
     stray_ut: float = 10.0  # s.d. per component, drawn for each exposure [physics.md, Distortion]
-    gradient_ut_per_mm: float = (
-        3.0 / 107.5
-    )  # s.d. of one component of the stray gradient: 3 µT from middle to rim [ours]
+    gradient_ut_per_mm: float = 3.0 / 107.5  # [ours] s.d. of a component of the stray gradient: 3 µT from middle to rim
     shift_mm_per_ut: float = 0.055  # [calc] 2.6 mm lateral, 1.0 mm PA; the paper saw 2-3 mm between them
     turn_rad_per_ut: tuple[float, float] = (0.02 * DEGREE, 0.08 * DEGREE)  # log-uniform [physics.md, Distortion]
     turn_fade: tuple[float, float] = (-0.79, 0.23)  # of u², u⁴ [calc on measured dots]

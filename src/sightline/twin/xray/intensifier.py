@@ -28,7 +28,7 @@ SHIFT = Distortion.shift_fade
 NEWTON_STEPS = 30
 NEWTON_MM = 1e-10
 # A map with a smaller determinant of D' counts as folded; it must not fold within this multiple of the useful field's
-# radius, which the blanking leaves dark [ours].
+# radius: what is farther out is blanked [ours].
 MIN_DETERMINANT, FIELD_MARGIN = 0.2, 1.1
 
 
