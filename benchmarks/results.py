@@ -70,7 +70,7 @@ def table(entries: Sequence[Entry]) -> str:
     machines = dict.fromkeys(f"{each['processor']}, {each['cores']} cores" for each in entries if each["commit"])
     parts = [f"Values with a commit are from: {'; '.join(machines)}. The others are older; some have other names now."]
     for name in names():
-        own = [each for each in entries if each["benchmark"] == name]
+        own = [each for each in entries if each["benchmark"] == name and each["value"] != "not installed"]
         own = [each for each in own if each["asked"] or each["peer"]] or own
         groups = [list(group) for _, group in groupby(own, key=lambda each: each["group"])]
         shown = [each for group in groups for k, each in enumerate(group) if k < SHOWN or each["met"] is False]
@@ -93,7 +93,7 @@ def _line(each: Entry, *, several: bool) -> str:
 
 def _source(shown: Sequence[Entry]) -> str:
     """Return where the values of a benchmark are from, as far as it was recorded."""
-    sources = dict.fromkeys(f"{each['commit']} of {each['date']}" for each in shown if each["commit"])
+    sources = dict.fromkeys(each["commit"] for each in shown if each["commit"])
     return f"Measured at {', '.join(sources)}." if sources else ""
 
 
