@@ -5,12 +5,15 @@ have the disks that are full, read-only or faulty. Here the step is random: an o
 instruction of SQLite's virtual machine.
 """
 
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from tests.case.test_journal_killed import CREATE_STEPS, RECORD_STEPS, Acknowledged, killed_after, killed_at_step
+from tests.case.test_journal_killed import CREATE_STEPS, PROGRAM, RECORD_STEPS, Acknowledged, killed_at_step
 from tests.folder_program import AGAIN, NEW, OLD, killed_at, read
 
 from campaigns.campaign import Campaign, Damage, Ended
@@ -45,8 +48,20 @@ def at_any_time(place: Path, rng: np.random.Generator) -> str:
     acknowledged = Acknowledged()
     for _ in range(KILLS):
         seed, lines = rng.integers(1 << 30), rng.integers(3, 12)
-        killed_after(place / "case", int(seed), int(lines), float(rng.uniform(0.0, 0.01)), acknowledged)
+        _killed_after(place / "case", int(seed), int(lines), float(rng.uniform(0.0, 0.01)), acknowledged)
     return _whole(place, acknowledged)
+
+
+def _killed_after(folder: Path, seed: int, lines: int, seconds: float, acknowledged: Acknowledged) -> None:
+    """Kill some time after it has written so many lines, whatever it does then."""
+    command = [sys.executable, str(PROGRAM), str(folder), str(seed), str(1 << 60)]  # steps
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        for _ in range(lines):
+            acknowledged.hear(program.stdout.readline())
+        time.sleep(seconds)
+        program.kill()
+        acknowledged.hear(program.communicate(timeout=60)[0])
 
 
 def _whole(place: Path, acknowledged: Acknowledged) -> str:

@@ -9,7 +9,11 @@ from tests.app.colour import GRAPHIC, TEXT, contrast, over
 EYES, GEOMETRY = (Path(__file__).with_name(name).read_text("utf-8") for name in ("eyes.js", "geometry.js"))
 LARGE_PX, LARGE_BOLD_PX = 24.0, 18.66  # 18 pt, 14 pt bold: WCAG 2.2, 1.4.3
 SMALLEST_PX = 11.0  # on a screen of 1280 pixels [ours]
-_AT_REST = "document.getAnimations().every(({ playState }) => playState === 'finished')"
+# No dialog is coming or going: its classes change before and after its animation too.
+_AT_REST = (
+    "document.getAnimations().every(({ playState }) => playState === 'finished') && "
+    "!document.querySelector('[class*=q-transition--]')"
+)
 
 
 def wrong(page: Page, *, scrolls: bool) -> list[str]:
