@@ -108,3 +108,18 @@ def completed(environment: dict[str, str]) -> str:
         env={**os.environ, **environment},
         stdin=subprocess.DEVNULL,
     ).stdout
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1"])
+def test_an_encoding_without_our_characters_ends_no_command(encoding: str) -> None:
+    """As a pipe on Windows: what it lacks is shown as "?"."""
+    script = (
+        "import sys; sys.argv = ['sightline', 'procedure', 'show', 'hip-screw']; from sightline.cli import main; main()"
+    )
+    shown = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", script],
+        capture_output=True,
+        check=True,
+        env={**os.environ, "PYTHONIOENCODING": encoding},
+    ).stdout.decode(encoding)
+    assert ("130° to 150°" in shown, "130? to 150?" in shown) == (encoding != "ascii", encoding == "ascii")

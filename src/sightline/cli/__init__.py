@@ -20,7 +20,9 @@ plain text: Rich would take `[...]` for markup.
 
 import os
 import signal
+import sys
 from importlib import import_module
+from io import TextIOWrapper
 from typing import Annotated
 
 import typer
@@ -79,6 +81,10 @@ def main() -> None:
     """Entry point of `sightline`."""
     for name in _BLAS_THREADS:
         os.environ.setdefault(name, "1")  # read when numpy is first imported, which no command file does at its top
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            # A pipe on Windows has no "°" or "σ": that is no reason to fail when all files are written.
+            stream.reconfigure(errors="replace")
     # A shell without job control starts background jobs with SIGINT ignored, and Python would leave it ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminate)
