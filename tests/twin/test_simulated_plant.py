@@ -1,5 +1,7 @@
 """The simulated plant against the closed-form kinematics and against statics worked out by hand."""
 
+import os
+import subprocess
 import sys
 from dataclasses import replace
 from importlib import import_module
@@ -286,3 +288,22 @@ def test_the_same_generator_gives_the_same_readings():
         read.append((*one.read().encoders, one.read().force_n, one.read().time_s))
     assert read[0] == read[1]
     assert read[0][-1] == pytest.approx(1.0)  # whole cycles; 3 ms are owed
+
+
+@pytest.mark.parametrize("graphics", ["osmesa", "none of MuJoCo's"])
+def test_graphics_that_are_not_there_are_not_needed(graphics: str) -> None:
+    """As a shell names them that renders elsewhere without a screen. The variable keeps its value."""
+    script = (
+        "import os\nimport numpy as np\nfrom sightline.robot.kinematics.manipulator import nominal_manipulator\n"
+        "from sightline.twin.robot.plant import SimulatedPlant\n"
+        "SimulatedPlant(nominal_manipulator(), None, np.random.default_rng(0), np.zeros(5))\n"
+        "print(os.environ['MUJOCO_GL'])"
+    )
+    done = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", script],
+        check=True,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "MUJOCO_GL": graphics},
+    )
+    assert done.stdout == f"{graphics}\n"

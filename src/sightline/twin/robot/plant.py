@@ -1,8 +1,10 @@
 """The simulated plant: the true manipulator, simulated by MuJoCo, with its wire in the bone of the images."""
 
+import os
 from importlib import import_module
 from itertools import product
 from math import isfinite
+from types import ModuleType
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -155,6 +157,23 @@ class SimulatedPlant:
         return Reading(self._time_s, encoders, sensed(self.thrust_n, self._rng), flags)
 
 
+def _imported() -> ModuleType:
+    """Import MuJoCo. Raises SetUpError if it is not installed."""
+    try:
+        return import_module("mujoco")
+    except ImportError as error:
+        raise SetUpError("the simulated robot needs MuJoCo: pip install 'sightline[robot]'") from error
+    except (AttributeError, RuntimeError):
+        if "MUJOCO_GL" not in os.environ:
+            raise
+        # The graphics that it names are not there. Here nothing is drawn.
+        named, os.environ["MUJOCO_GL"] = os.environ["MUJOCO_GL"], "disable"
+        try:
+            return import_module("mujoco")
+        finally:
+            os.environ["MUJOCO_GL"] = named
+
+
 class _Body:
     """The moving masses: MuJoCo's state, in mm and rad.
 
@@ -163,11 +182,7 @@ class _Body:
     """
 
     def __init__(self, robot: Manipulator, build: Build, start: np.ndarray) -> None:
-        try:
-            mujoco = import_module("mujoco")
-        except ImportError as error:
-            raise SetUpError("the simulated robot needs MuJoCo: pip install 'sightline[robot]'") from error
-        self._mujoco = mujoco
+        mujoco = self._mujoco = _imported()
         self._model = mujoco.MjModel.from_xml_string(mjcf(robot, build))
         self._data = mujoco.MjData(self._model)
         self._lower, self._upper, self._acceleration = robot.lower, robot.upper, robot.acceleration
