@@ -35,12 +35,9 @@ class BoundData:
     across_px: np.ndarray
 
 
-def bound(setup: SetUp, seen: dict[str, BoundData], target_mm: np.ndarray, *, known_map: bool = False) -> np.ndarray:
-    """Return the lower bound (3, 3), mm², of the covariance of a target at `target_mm` (3,), CFCS.
-
-    `known_map`: take both maps as known exactly.
-    """
-    return target_bound([_linearised(setup, name, data, target_mm, known_map) for name, data in seen.items()])
+def bound(setup: SetUp, seen: dict[str, BoundData], target_mm: np.ndarray) -> np.ndarray:
+    """Return the lower bound (3, 3), mm², of the covariance of a target at `target_mm` (3,), CFCS."""
+    return target_bound([_linearised(setup, name, data, target_mm) for name, data in seen.items()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +64,7 @@ def target_bound(views: list[Linear]) -> np.ndarray:
     return (scale[:, None] * np.linalg.inv(scale[:, None] * information * scale) * scale)[-3:, -3:]
 
 
-def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray, known_map: bool) -> Linear:
+def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray) -> Linear:
     """Return a view; its unknowns without a prior are the cubic and F."""
     truth, plane = setup.views[name], setup.frame.view(name).xrii.plane
     fiducials = setup.true_frame.view(name).by_id
@@ -79,13 +76,11 @@ def _linearised(setup: SetUp, name: str, seen: BoundData, target_mm: np.ndarray,
     by_point = derivative(partial(plane.central_projection, focal), xyz)
     by_focal = derivative(lambda f: plane.central_projection(f[0], xyz), focal[None])
     jacobian = plane_per_pixel(truth, plane, xyz, by_point)
-    cubic = np.zeros((2 * n, 0)) if known_map else np.kron(cubic_terms(uv), np.eye(2))
+    cubic = np.kron(cubic_terms(uv), np.eye(2))
     factor = setup.frame.error_factor[setup.frame.rows(name)].reshape(len(places), 3, -1)[rows]
     response = np.zeros((n, 2, factor.shape[-1]))
     response[:-1] = by_point[:-1] @ factor
-    noise_px = np.asarray(block_diag(*seen.bead_px2, seen.pick_px2))
-    if not known_map:
-        noise_px = noise_px + truth.beyond_cubic_covariance(uv)
+    noise_px = np.asarray(block_diag(*seen.bead_px2, seen.pick_px2)) + truth.beyond_cubic_covariance(uv)
     to_mm = np.asarray(block_diag(*jacobian))
     linear = Linear(
         nuisance=np.hstack([cubic, -by_focal.reshape(2 * n, 3)]),
