@@ -109,6 +109,7 @@ def hands(tab: Tab, place: Path) -> Iterator[Hands]:
     """A person before the page, its images calibrated; at the end nothing may have left this machine or failed."""
     (place / "go").touch()
     person = Hands(tab.page)
+    tab.page.bring_to_front()  # the browser draws a page behind another one once a second
     tab.page.set_viewport_size({"width": 1280, "height": 800})
     person.wait_for_step("Calibrate", "done")
     yield person
