@@ -576,6 +576,7 @@ def test_the_wire_is_drilled_and_verified(
     if hands.see("start-robot").count():
         hands.press("start-robot")
     _send(hands, Hands(open_page(f"{server.url}?step=plan")))
+    hands.page.bring_to_front()
     for order, state in (("align", State.ALIGNED), ("drill", State.PAUSED), ("drill-on", State.DONE)):
         expect(hands.see(order)).to_be_enabled(timeout=PATIENCE_MS)
         hands.press(order)
