@@ -1,9 +1,12 @@
-"""The arithmetic of the test for a rim: medians by a sorting network, and values between pixels."""
+"""The test for a rim: of a disc in an image without noise; medians by a sorting network; values between pixels."""
 
 import numpy as np
 import pytest
 
 from sightline.detection.beads import rim
+
+CENTRE, RADIUS, STEP = np.array([60.3, 58.6]), 10.0, 0.5
+LINE = np.array([-9.0, 0.0], np.float32)  # of the noise: 1 % of the light
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -27,3 +30,31 @@ def test_values_between_pixels_are_bilinear_and_the_border_repeats() -> None:
     sampler = rim._Sampler(image.reshape(-1), image.shape, x.copy(), y.copy(), np.empty(500, np.uint32), values)
     rim._interpolate(sampler, 500)
     np.testing.assert_allclose(values, expected, atol=1e-3)
+
+
+def judged_from(away: float, direction: float, radius_px: float = RADIUS) -> np.void:
+    """Return the candidate from an extremum so many radii away from the disc's centre."""
+    v, u = np.mgrid[:120, :120]
+    inside = np.clip(RADIUS + 0.5 - np.hypot(u - CENTRE[0], v - CENTRE[1]), 0.0, 1.0)
+    start = CENTRE + away * RADIUS * np.array([np.cos(direction), np.sin(direction)])
+    extremum = np.zeros(1, rim.EXTREMUM)
+    extremum["u_px"], extremum["v_px"], extremum["radius_px"], extremum["contrast"] = *start, radius_px, -STEP
+    return rim.judged((8.0 - STEP * inside).astype(np.float32), extremum, LINE)[0]
+
+
+@pytest.mark.parametrize("direction", np.arange(0.3, 6.3, 0.7))
+def test_a_disc_is_found_from_where_half_of_it_is_seen(direction: float) -> None:
+    found = judged_from(0.45, direction)
+    assert found["score"] > 0
+    assert (found["u_px"], found["v_px"], found["radius_px"]) == pytest.approx((*CENTRE, RADIUS), abs=0.15)
+    assert found["contrast"] == pytest.approx(-STEP, rel=0.25)
+
+
+@pytest.mark.parametrize("direction", np.arange(0.3, 6.3, 0.7))
+def test_a_disc_is_not_that_of_an_extremum_at_its_rim(direction: float) -> None:
+    assert judged_from(1.05, direction)["radius_px"] == 0
+
+
+@pytest.mark.parametrize("radius_px", [0.4 * RADIUS, 2.3 * RADIUS])
+def test_a_disc_is_not_that_of_an_extremum_of_another_size(radius_px: float) -> None:
+    assert judged_from(0.0, 0.0, radius_px)["radius_px"] == 0
