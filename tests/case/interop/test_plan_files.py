@@ -182,7 +182,9 @@ def test_a_robots_messages_say_what_the_contract_asks_and_that_they_have_expired
     entry, end = go_plan.points_mm
     assert np.abs(pose[:3, 3] - end).max() < 1e-4  # 32-bit numbers
     assert np.abs(pose[:3, 2] - (end - entry) / go_plan.length_mm).max() < 1e-6
-    assert np.abs(path.body.paths[0].entry_mm - entry).max() < 1e-4
+    planned = path.body.paths[0]
+    assert np.abs(planned.entry_mm - entry).max() < 1e-4
+    assert (planned.given, planned.diameter_mm) == (3, 0.0)  # entry and target; no thickness of its own
     assert set(contract.PLAN_KEYS) <= set(target.metadata)
     setup, registered = Setup("right", ""), LinkRegistration(T_MCS_CFCS, 0)
     assert target.metadata["kind"] == "free-wire"
