@@ -137,6 +137,8 @@ def test_a_retractor_is_not_taken_for_a_torn_strip(setup, frame, by_mm: int, hid
     made = plan(views, np.array(uv)[:, 0], np.array(uv)[:, 1])
     check = next(check for check in made.verdict.checks if check.name == "beads near")
     assert check.passed is passes, check.sentence
+    counts = np.concatenate([n[:2] for n in (made.trajectory.points.beads_near or {}).values()])
+    assert check.figure == (counts @ [1.0, 0.5, 0.0] / counts[:, 2]).min()  # hidden ones count half
     if hidden:  # and the error stated without these beads is sufficient
         assert np.linalg.norm(made.trajectory.entry_mm - wire[0]) < made.trajectory.entry_error_95_mm
 

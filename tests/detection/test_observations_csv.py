@@ -91,3 +91,9 @@ def test_a_file_that_is_no_text_too_large_or_absent_is_refused(tmp_path: Path) -
         read_observations(path)
     with pytest.raises(ObservationsError, match="cannot read"):
         read_observations(tmp_path / "absent.csv")
+
+
+def test_observations_are_themselves_alone() -> None:
+    """Arrays have no one truth: equal content would end a comparison, and a set of results."""
+    first, second = (Observations("pa", ("a", "b"), [[1.0, 2.0], [3.0, 4.0]]) for _ in range(2))
+    assert len({first, second, first}) == 2

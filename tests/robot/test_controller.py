@@ -6,7 +6,7 @@ from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, IMAGED, ROBOT, T_MCS_CFCS,
 
 from sightline.robot.contract import HEARTBEAT, Code
 from sightline.robot.control.states import COMMANDS, MOVING, TRANSITIONS, WAITING, State, Trigger, phase
-from sightline.robot.control.timing import LoopClock
+from sightline.robot.control.timing import Lease, LoopClock
 from sightline.robot.igtl import Capability, Command, Status, String, Transform
 from sightline.robot.kinematics.manipulator import FEED
 from sightline.robot.plant import CYCLE_S, PlantFlag
@@ -211,6 +211,14 @@ def test_a_controller_that_pauses_does_not_blame_its_client():
     assert rig.state is State.ALIGN
     rig.run(0.2)
     assert rig.state is State.STOP  # true silence
+
+
+def test_only_the_holder_of_the_lease_must_be_heard():
+    lease = Lease()
+    lease.heard(0, 0.0, heartbeat=True)
+    assert lease.silence(0.0, 10.0, 0.0) is None
+    assert lease.take(0)
+    assert "silent" in (lease.silence(0.0, 10.0, 0.0) or "")
 
 
 def test_silence_counts_only_where_the_robot_listened():

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from tests.robot.rig import CLIENT, T_MCS_CFCS, Rig, code, metadata, wire
 
+from sightline.robot import contract
 from sightline.robot.contract import MAX_KEPT, Code
 from sightline.robot.control.requests import Answer
 from sightline.robot.control.states import State
-from sightline.robot.igtl import Capability, Message, Status, String, Transform
+from sightline.robot.igtl import Capability, Get, Message, Status, String, Transform
 from sightline.robot.link.inbox import AnswerCache
 
 OTHER = 2
@@ -89,6 +90,12 @@ def test_what_a_connection_asked_is_kept_within_bounds():
     assert max(len(text) for text, _ in asked._entries.values()) <= 100
     assert asked.earlier(f"CMD_{10 * MAX_KEPT - 1}", "X" * 10_000).code is Code.UNKNOWN
     assert asked.earlier("CMD_0", "X") is None
+
+
+def test_a_robot_is_not_called_simulated_unless_it_is():
+    (answer,) = Rig().send("", Get("CAPABILITY"))
+    assert contract.HAS_DRILLING in answer.body.types
+    assert contract.IS_SIMULATED not in answer.body.types
 
 
 @pytest.mark.parametrize("state", [State.ALIGNED, State.PAUSED], ids=lambda state: state.value)

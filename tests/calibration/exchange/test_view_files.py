@@ -11,6 +11,7 @@ from tests.calibration.exchange.cameras import pinholes, points_about_hip, proje
 from sightline.calibration.exchange import rtk
 from sightline.calibration.exchange.formats import FORMATS, read_view, write_view
 from sightline.calibration.exchange.pinhole import Pinhole
+from sightline.calibration.exchange.reading import image_shape
 from sightline.errors import UnusableInputError
 
 POINTS = points_about_hip()
@@ -220,3 +221,10 @@ def test_what_a_format_cannot_state_is_refused() -> None:
         write_view(Pinhole.of_matrix(np.diag([-1.0, 1, 1]) @ GOOD["matrix"], "a", (90, 80), (0.2, 0.2)), "rtk")
     with pytest.raises(UnusableInputError, match="unknown format"):
         write_view(Pinhole.of_matrix(skew, "a"), "maya")
+
+
+@pytest.mark.parametrize("sides", [(0, 512), (512, 0), (65537, 1), (1.5, 2), (None, 1)])
+def test_an_image_has_whole_sides_of_1_to_65536_pixels(sides) -> None:
+    with pytest.raises(UnusableInputError):
+        image_shape(*sides)
+    assert image_shape(1, 65536.0) == (1, 65536)
