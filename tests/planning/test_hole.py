@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from sightline.calibration import view_from_matrix
 from sightline.errors import ErrorUnknownError, ReconstructionRefusedError
 from sightline.planning import Edge, Hole, HoleSeen, Nail, fit_hole
+from sightline.planning.nail.hole import farthest_apart
 from sightline.twin.anatomy.nailed_femur import DistalNail, draw_nail
 from sightline.twin.xray.distributions import beam_at
 
@@ -152,3 +153,13 @@ def test_a_movement_between_the_images_fails_the_check():
     shifted = view_from_matrix(camera_matrix(16.0, np.array([0.0, 0.0, 0.0, 0.0, 1.5, 0.0])), SMALL, "1")
     hole = fit_hole([_views()[0], shifted], edges, _known())
     assert {check.name for check in hole.checks if not check.passed} & {"hole agreement", "hole rims used"}
+
+
+def test_the_two_beams_farthest_apart_are_taken() -> None:
+    """Of lines: opposite beams see the same."""
+    angles = np.deg2rad([0.0, 66.0, 88.0, 178.0])
+    beams = np.stack([np.cos(angles), np.sin(angles), np.zeros(4)], axis=1)
+    assert farthest_apart(beams[:3]) == (0, 2)
+    assert farthest_apart(beams) == (2, 3)
+    with pytest.raises(ReconstructionRefusedError):
+        farthest_apart(beams[[0, 3]])
