@@ -36,7 +36,7 @@ demo: $(READY)  ## two images of a twin, calibrated, planned, reported: out/demo
 
 # A process for each core, a file of tests on one of them: files share fixtures; in their order, that the longest (app) do
 # not come last. Matrices are small: a thread each will do.
-test: $(TOOLS) $(KERNELS)  ## the whole suite: about ten minutes on two cores
+test: $(TOOLS) $(KERNELS)  ## the whole suite: about five minutes on two cores
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --durations=10
 
 slow: $(TOOLS) $(KERNELS)  ## what is too slow for `make test`
