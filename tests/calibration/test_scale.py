@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.calibration import CArm, calibrate
-from sightline.calibration.lengths import FocalLength
+from sightline.calibration.lengths import MAX_FLEX, FocalLength
 from sightline.detection import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
@@ -108,6 +108,7 @@ def test_the_known_distance_tells_plates_at_another_distance_but_no_scale(panel)
     alone = calibrate(seen, GAMMA, c_arm=arm)
     stated = check(alone, "focal length")
     assert stated.passed
+    assert stated.limit == pytest.approx(100 * (MAX_FLEX + 3.2905 * alone.focal_length.sd), rel=1e-4)  # 99.9 %
     assert f"up to {stated.limit:.1f} % may be flex" in stated.sentence
     for by_mm, passes in ((0.5, True), (4.0, False), (-4.0, False)):
         view = calibrate(seen, told(source_by_mm=(0.0, 0.0, by_mm)), c_arm=arm)

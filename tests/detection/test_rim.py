@@ -32,14 +32,16 @@ def test_values_between_pixels_are_bilinear_and_the_border_repeats() -> None:
     np.testing.assert_allclose(values, expected, atol=1e-3)
 
 
-def judged_from(away: float, direction: float, radius_px: float = RADIUS, step: float = STEP) -> np.void:
+def judged_from(
+    away: float, direction: float, radius_px: float = RADIUS, step: float = STEP, line: np.ndarray = LINE
+) -> np.void:
     """Return the candidate from an extremum so many radii away from the disc's centre."""
     v, u = np.mgrid[:120, :120]
     inside = np.clip(RADIUS + 0.5 - np.hypot(u - CENTRE[0], v - CENTRE[1]), 0.0, 1.0)
     start = CENTRE + away * RADIUS * np.array([np.cos(direction), np.sin(direction)])
     extremum = np.zeros(1, rim.EXTREMUM)
     extremum["u_px"], extremum["v_px"], extremum["radius_px"], extremum["contrast"] = *start, radius_px, -step
-    return rim.judged((8.0 - step * inside).astype(np.float32), extremum, LINE)[0]
+    return rim.judged((8.0 - step * inside).astype(np.float32), extremum, line)[0]
 
 
 @pytest.mark.parametrize("direction", np.arange(0.3, 6.3, 0.7))
@@ -63,3 +65,11 @@ def test_a_disc_is_not_that_of_an_extremum_of_another_size(radius_px: float) -> 
 @pytest.mark.parametrize(("step", "found"), [(1.15 * rim.FAINTEST, True), (0.85 * rim.FAINTEST, False)])
 def test_the_faintest_disc_is_found(step: float, found: bool) -> None:
     assert (judged_from(0.1, 1.0, step=step)["radius_px"] > 0) == found
+
+
+@pytest.mark.parametrize(("share", "found"), [(1.15, True), (0.85, False)])
+def test_noise_hides_a_disc_as_far_as_the_mean_of_its_pixels(share: float, found: bool) -> None:
+    step = 0.3
+    sd = step * RADIUS / (share * rim.MIN_STEP_SNR)
+    line = np.array([2.0 * np.log(sd), 0.0], np.float32)
+    assert (judged_from(0.1, 1.0, step=step, line=line)["radius_px"] > 0) == found
