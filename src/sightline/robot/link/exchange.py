@@ -31,7 +31,7 @@ PROBE_S = ACK_S  # period of probes whether the stop connection still answers
 # comes from its encoders, which resolve a hundredth of these.
 TIP_LIMIT_MM = 0.5
 AXIS_LIMIT_RAD = float(np.deg2rad(0.2))
-_ENCODER_MM = TIP_LIMIT_MM / 10  # by which pose and depth of one instant may differ
+_APART_MM = TIP_LIMIT_MM / 2  # by which pose and depth may differ, of instants a quarter of a second apart at 1 mm/s
 # Tolerance of an echo, which is in 32-bit numbers; a robot that converts it to a quaternion and back loses digits
 # [ours].
 _ECHO_DIGITS = 16 * np.finfo(np.float32).eps
@@ -63,7 +63,7 @@ class WireDeviation:
         moved = abs(self.along_mm - deep)
         if (
             np.hypot(self.aside_mm, deep) <= TIP_LIMIT_MM
-            and moved <= zero_limit_mm + _ENCODER_MM
+            and moved <= zero_limit_mm + _APART_MM
             and self.angle_rad <= AXIS_LIMIT_RAD
         ):
             return
