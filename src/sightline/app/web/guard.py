@@ -25,7 +25,7 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 MIN_TOKEN_CHARACTERS = 16  # 96 bits of base64; OWASP asks 64 of a session identifier
 MAX_BODY_BYTES = 1_000_000  # Socket.IO's own limit on a message; no other body is expected
 MAX_SOCKETS = 32  # [ours] a page holds one, and a second one while it reconnects
-PATIENCE_S = 10.0  # [ours] a browser that is silent for longer has gone: one that reloads is back in a second
+BODY_PAUSE_S = 30.0  # [ours] longest silence within a body: a slow network pauses for longer than a page reloads
 
 _LOOPBACK_NAMES = {"localhost", "127.0.0.1", "::1"}
 _HOST = re.compile(r"(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+)(?::(\d{1,5}))?")
@@ -241,7 +241,7 @@ class _Body:
         if self._whole:
             return await self._receive()  # waits for a disconnect while the app answers
         try:
-            message = await asyncio.wait_for(self._receive(), PATIENCE_S)
+            message = await asyncio.wait_for(self._receive(), BODY_PAUSE_S)
         except TimeoutError:
             self.refusal = _OwnResponse(408, "send the request again: the rest of it did not arrive")
             return {"type": "http.disconnect"}

@@ -16,17 +16,7 @@ from nicegui import Client, core, ui
 from starlette.responses import PlainTextResponse
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from sightline.app.web.guard import (
-    MAX_BODY_BYTES,
-    MAX_SOCKETS,
-    PATIENCE_S,
-    App,
-    Guard,
-    Receive,
-    Scope,
-    Send,
-    is_loopback,
-)
+from sightline.app.web.guard import MAX_BODY_BYTES, MAX_SOCKETS, App, Guard, Receive, Scope, Send, is_loopback
 from sightline.app.web.transfers import IMAGES_PATH, MAX_UPLOAD_BYTES, UPLOADS_PATH, Images, Uploads
 from sightline.errors import UnusableInputError
 
@@ -52,7 +42,7 @@ class Pages:
         if scope["type"] != "http" or scope["method"] == "POST" or scope["path"].startswith(self.others):
             await self.app(scope, receive, send)
         elif self._waiting > MAX_WAITING or self.open_pages() >= MAX_PAGES:
-            await PlainTextResponse(_TOO_MANY, 503, {"Retry-After": str(int(PATIENCE_S))})(scope, receive, send)
+            await PlainTextResponse(_TOO_MANY, 503, {"Retry-After": str(int(_PATIENCE_S))})(scope, receive, send)
         else:
             self._waiting += 1
             try:
@@ -63,6 +53,7 @@ class Pages:
 
 
 MAX_CONNECTIONS = 2 * MAX_SOCKETS  # [calc] sockets, and as many requests for files
+_PATIENCE_S = 10.0  # [ours] a browser that is silent for longer has gone: one that reloads is back in a second
 STOP_S = 3  # [ours] time limit for open connections to finish: longer, a person presses Ctrl+C again
 _NO_PAGES = ("/_nicegui", "/favicon", IMAGES_PATH, UPLOADS_PATH)
 
@@ -134,7 +125,7 @@ def guarded(page_root: PageRoot, site: ServedApp) -> Guard:
         favicon=_ICON,
         dark=True,
         language="en-US",
-        reconnect_timeout=PATIENCE_S,
+        reconnect_timeout=_PATIENCE_S,
         gzip_middleware_factory=None,  # compression is slower than the loopback
         tailwind=False,  # saves 270 kB of compiler per page
         show_welcome_message=False,
@@ -234,7 +225,7 @@ class _Http(H11Protocol):
 
     def _await_headers(self) -> None:
         self._forget_deadline()
-        self._deadline = self.loop.call_later(PATIENCE_S, self._close_if_none_came)
+        self._deadline = self.loop.call_later(_PATIENCE_S, self._close_if_none_came)
 
     def _forget_deadline(self) -> None:
         if self._deadline is not None:
