@@ -214,7 +214,7 @@ def test_a_result_that_is_not_what_the_originals_give_is_noticed(
 
 
 def test_each_entry_is_judged_by_itself(run, copied: Path) -> None:
-    """An older estimator's beads move within their errors, or not; an image is no estimate; a verdict is told apart."""
+    """Replay compares an older estimator's beads within their errors, images exactly, and verdicts as words."""
 
     def moved(by_sd: float):
         def change(content) -> None:

@@ -79,7 +79,7 @@ def _wanted(tab: Tab) -> dict[str, str]:
     slots = [name for name in tab.planning.slots if not (check or shot) or name != OBLIQUE]
     if shot or (check and tab.planning.patient is not None):  # which replaces what the views show, or is simulated
         return dict.fromkeys(slots, "here")
-    seen = {name: tab.planning.seen(ImageSlot(name, "check" if check else "")) for name in slots}
+    seen = {name: tab.planning.seen(ImageSlot(name, _taken_for(tab))) for name in slots}
     return {name: "empty" if image is None else "failed" if image.refused else "here" for name, image in seen.items()}
 
 

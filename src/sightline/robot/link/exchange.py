@@ -69,8 +69,8 @@ class WireDeviation:
             return
         stated = ""
         if depth_off_mm is not None:
-            stated = f", its stated depth {depth_off_mm:+.2f} mm off, its zero moved by {moved:.2f} mm (at most "
-            stated += f"{zero_limit_mm:.1f} mm)"
+            moved_by = f"{moved:.2f} mm (at most {zero_limit_mm:.1f} mm)"
+            stated = f", its stated depth {depth_off_mm:+.2f} mm off, its zero moved by {moved_by}"
         raise RobotRefusedError(
             f"{what} elsewhere than planned: the tip {self.aside_mm:.2f} mm aside and {self.along_mm:+.2f} mm along "
             f"the wire (at most {TIP_LIMIT_MM:g} mm){stated}, its axis {np.rad2deg(self.angle_rad):.2f}° off (at most "
