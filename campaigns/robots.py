@@ -172,7 +172,7 @@ def stops(witness: Witness, rng: np.random.Generator) -> None:
 
 def lost_client(witness: Witness, rng: np.random.Generator) -> None:
     """Promise heartbeats, then fall silent or disconnect."""
-    witness.send("caps", Capability(("X_HEARTBEAT",)))
+    witness.rig.beat(Capability(("X_HEARTBEAT",)))
     witness.run(float(rng.uniform(0.0, 1.0)))
     if rng.random() < 0.5:
         witness.rig.dialogue.left(CLIENT, witness.rig.now_s)

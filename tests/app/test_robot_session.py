@@ -37,7 +37,7 @@ from sightline.robot.link.server import RobotServer, Simulation
 def session():
     theatre = SimulatedTheatre.in_air("right", "none")
     with theatre.server(virtual=True) as server:
-        made = RobotSession(theatre.robot, server.port, lambda: None, heartbeat=False)
+        made = RobotSession(theatre.robot, server.port, lambda: None)
         yield made
         made.close()
 
@@ -97,7 +97,7 @@ def test_nobody_is_told_of_a_link_that_was_ended_on_purpose() -> None:
     told: list[str] = []
     theatre = SimulatedTheatre.in_air("right", "none")
     with theatre.server(virtual=True) as server:
-        session = RobotSession(theatre.robot, server.port, lambda: told.append("changed"), heartbeat=False)
+        session = RobotSession(theatre.robot, server.port, lambda: told.append("changed"))
         with pytest.raises(RobotRefusedError):
             asyncio.run(session.reset(1))
         assert told
@@ -125,7 +125,7 @@ def _at_the_pause() -> Iterator[RobotSession]:
         plant.zero_mm = float(controller.machine.insertion.q[FEED])
 
     with RobotServer(controller, plant, Simulation(plant.advance, virtual=True), port=0) as server:
-        session = RobotSession(ROBOT, server.port, lambda: None, heartbeat=False)
+        session = RobotSession(ROBOT, server.port, lambda: None)
         asyncio.run(session._do("aiming", ready))
         assert session.now.zero == (ZeroSource.PLAN,)
         asyncio.run(session.align())

@@ -47,7 +47,7 @@ def test_a_second_insertion_finds_its_line_where_the_images_had_it():
     wire, budget = np.stack([ENTRY_MM, END_MM]), {"planning": 0.01 * np.eye(6)}
     with theatre.server(virtual=True) as server:
         for number in range(2):
-            with RobotClient(port=server.port, heartbeat=False, streams=False) as robot:
+            with RobotClient(port=server.port, streams=False) as robot:
                 registration = registered(theatre.robot, robot.simulated_wire().imaged, time.monotonic())
                 target = robot_target(
                     PlanIdentity(f"{number}", "right", "SN-7", go=True), wire, budget, registration, Limits()

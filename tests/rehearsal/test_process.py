@@ -38,7 +38,7 @@ def test_it_is_the_robot_of_the_rehearsal_and_ends_with_its_block():
     rehearsal = Rehearsal.draw(SEED, Frame.load("gamma"))
     theatre = rehearsal.theatre()
     with RobotProcess(SEED, virtual=True) as process:
-        with RobotClient(port=process.port, heartbeat=False) as robot:
+        with RobotClient(port=process.port) as robot:
             assert robot.simulated
             assert robot.status().error_name == "UNDEFINED"
             np.testing.assert_allclose(robot.joints()[0], theatre.imaged, atol=1e-9)

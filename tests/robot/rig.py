@@ -12,11 +12,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sightline.rehearsal.operation import calibrated_robot
+from sightline.robot import contract
 from sightline.robot.control.controller import Controller
 from sightline.robot.control.insertion import Setup
 from sightline.robot.control.requests import Panel
 from sightline.robot.control.states import State
-from sightline.robot.igtl import Message, Status, String, Transform
+from sightline.robot.igtl import Capability, Message, Status, String, Transform
 from sightline.robot.link import client, exchange
 from sightline.robot.link.dialogue import Dialogue
 from sightline.robot.link.outgoing import SIGHTLINE, Dialect
@@ -30,7 +31,7 @@ ENTRY_MM, END_MM = np.array([35.0, 31.0, -4.0]), np.array([7.7, 2.3, 1.1])
 SETUP = Setup("right", "SN-7", into_bone=False, frame="gamma/SN-7#1")  # its wire is in air
 ROBOT = calibrated_robot()
 T_MCS_CFCS = ROBOT.manipulator.T_mcs_cfcs(IMAGED)
-CLIENT = 1
+CLIENT, BEAT = 1, String("")
 BUSY_S = 60.0  # other programs keep a process from the processor for no longer
 
 
@@ -87,7 +88,7 @@ def plant(seed: int = 0) -> SimulatedPlant:
 
 
 class Rig:
-    """Controller, plant and dialogue without a link; time passes in `run`."""
+    """Controller, plant and dialogue without a link; time passes in `run`. Silence counts from the first `beat`."""
 
     def __init__(
         self,
@@ -98,6 +99,7 @@ class Rig:
     ) -> None:
         self.plant, self.panel = moved or IdealPlant(), Panel(key_switch=key_switch)
         self.controller = Controller(ROBOT, self.plant, setup, self.panel)
+        self.controller.machine.lease.watches = False
         # `run` leaves telemetry aside, whose poses take half of all time.
         self.dialogue = Dialogue(self.controller, telemetry_s=1.0, dialect=dialect)
         self.now_s, self.number = 0.0, 0  # of the newest command
@@ -117,6 +119,12 @@ class Rig:
     def command(self, text: str, client: int = CLIENT) -> list[Message]:
         self.number += 1
         return self.send(f"CMD_{self.number}", String(text), client)
+
+    def beat(self, promise: String | Capability | None = BEAT) -> None:
+        """Silence counts from now on, for the client only if it sends a heartbeat or promises them."""
+        self.controller.machine.lease.watches = True
+        if promise is not None:
+            self.send(contract.HEARTBEAT, promise)
 
     def run(self, seconds: float) -> list[Message]:
         """Return the messages sent meanwhile, without telemetry."""

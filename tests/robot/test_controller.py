@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, IMAGED, ROBOT, T_MCS_CFCS, Rig, code, metadata, wire
 
-from sightline.robot.contract import HEARTBEAT, Code
+from sightline.robot.contract import Code
 from sightline.robot.control.states import COMMANDS, MOVING, TRANSITIONS, WAITING, State, Trigger, phase
 from sightline.robot.control.timing import Lease, LoopClock
 from sightline.robot.igtl import Capability, Command, Status, String, Transform
@@ -140,8 +140,7 @@ def test_a_lost_client_stops_the_robot_which_forgets(state):
 def test_silence_stops_a_client_that_promised_heartbeats_and_no_other(state):
     for promise in (String(""), Capability(("X_HEARTBEAT",)), None):
         rig = Rig.at(state)
-        if promise is not None:
-            rig.send(HEARTBEAT, promise)
+        rig.beat(promise)
         said = rig.run(0.19)
         assert rig.state is state
         said += rig.run(0.05)
@@ -149,14 +148,27 @@ def test_silence_stops_a_client_that_promised_heartbeats_and_no_other(state):
         assert any("silent" in message.body.text for message in said) is (promise is not None)
     rig = Rig.at(state)
     for _ in range(5):
-        rig.send(HEARTBEAT, String(""))
+        rig.beat()
         rig.run(0.1)
     assert rig.state is state
 
 
+@pytest.mark.parametrize("command", ["DRILL", "MOVE_TO_TARGET"])
+def test_nothing_is_drilled_for_a_client_whose_loss_would_be_noticed_late(command):
+    for state in (State.ALIGNED, State.PAUSED):
+        rig = Rig.at(state)
+        rig.beat(None)
+        said = rig.command(command)
+        assert code(said, command) == Code.NOT_READY
+        assert "announce X_HEARTBEAT" in said[-1].body.text
+        rig.beat()
+        rig.command(command)
+        assert rig.state is State.DRILL
+
+
 def test_what_a_look_for_collisions_takes_is_no_silence():
     rig = Rig.at(State.TARGETING)
-    rig.send(HEARTBEAT, String(""))
+    rig.beat()
     rig.command("MOVE_TO_TARGET")
     rig.now_s += 0.4
     rig.run(0.1)
@@ -203,7 +215,7 @@ def test_a_controller_that_slept_does_not_blame_the_drives(state):
 def test_a_controller_that_pauses_does_not_blame_its_client():
     """Cycle after cycle it pauses, each time for less than it may; so does the client on the same machine."""
     rig = Rig.at(State.ALIGN)
-    rig.send(HEARTBEAT, String(""))
+    rig.beat()
     for _ in range(8):
         rig.now_s += 0.045
         rig.plant.advance(0.045)
@@ -234,11 +246,11 @@ def test_silence_counts_only_where_the_robot_listened():
         return [body.text for body in said if isinstance(body, Status)]
 
     rig = Rig.at(State.DRILL)
-    rig.send(HEARTBEAT, String(""))
+    rig.beat()
     run(rig, 0.15, listened=True)
     run(rig, 0.15, listened=False)
     assert rig.state is State.DRILL
-    rig.send(HEARTBEAT, String(""))  # it lay there
+    rig.beat()  # it lay there
     run(rig, 0.19, listened=True)
     assert rig.state is State.DRILL
     assert any("client was silent" in text for text in run(rig, 0.02, listened=True))
@@ -246,7 +258,7 @@ def test_silence_counts_only_where_the_robot_listened():
         for seconds, ends in ((0.195, State.DRILL), (0.21, State.STOP)):
             rig = Rig.at(State.DRILL)
             if promised:
-                rig.send(HEARTBEAT, String(""))
+                rig.beat()
             run(rig, 0.15, listened=True)
             said = run(rig, seconds, listened=False)
             assert rig.state is ends

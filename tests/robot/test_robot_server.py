@@ -57,7 +57,7 @@ def virtual():
 @pytest.fixture
 def robot(virtual):
     wait_for(lambda: virtual.dialogue.controller.lease is None)
-    with RobotClient(port=virtual.port, heartbeat=False, streams=False) as client:
+    with RobotClient(port=virtual.port, streams=False) as client:
         yield client
 
 
@@ -92,7 +92,7 @@ def test_a_robot_does_not_know_where_its_wire_truly_is(robot):
 
 def test_streams_and_what_they_hold():
     began = time.time()
-    with served() as server, RobotClient(port=server.port, heartbeat=False) as robot:
+    with served() as server, RobotClient(port=server.port) as robot:
         ready(robot)
         rows = robot.stream("arm/measured_js").body.values
         assert rows.shape == (6, 5)
@@ -111,7 +111,7 @@ def test_streams_and_what_they_hold():
 
 
 def client_of(server) -> RobotClient:
-    return RobotClient(port=server.port, heartbeat=False, streams=False)
+    return RobotClient(port=server.port, streams=False)
 
 
 def at_mid_motion(server, act) -> threading.Thread:

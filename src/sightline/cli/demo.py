@@ -177,7 +177,7 @@ def _drill(output: Output, planned: "DemoPlan", ahead: RobotAhead, rng: "np.rand
     with (
         output.step(f"6/8 the robot{planned.of_wire}: registering, aligning, drilling under force supervision"),
         ahead.take(planned) as process,
-        RobotClient(port=process.port, heartbeat=False) as robot,
+        RobotClient(port=process.port) as robot,
     ):
         targets = targets_by(registrations(planned, robot.joints()[0], monotonic(), rng), planned)
         fit = [target for target in targets.values() if not failed(target.checks)]

@@ -146,7 +146,7 @@ def _connected(
     with output.step("starting a simulator"):
         theatre = simulator.theatre(plan.side or "", plan.procedure)
     server = stack.enter_context(theatre.server(virtual=True))
-    robot = stack.enter_context(RobotClient(port=server.port, heartbeat=False))
+    robot = stack.enter_context(RobotClient(port=server.port))
     return robot, replace(simulator, frame_serial=theatre.setup.frame_serial)
 
 

@@ -88,7 +88,7 @@ def serve(
         typer.Option(help="brp2013: for clients that know only the convention of 2013."),
     ] = "sightline",
     virtual: Annotated[
-        bool, typer.Option("--virtual", help="Run as fast as the machine computes, for clients without heartbeats.")
+        bool, typer.Option("--virtual", help="Run as fast as the machine computes, without regard to heartbeats.")
     ] = False,
     attached: Annotated[
         bool,

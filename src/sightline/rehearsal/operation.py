@@ -204,7 +204,7 @@ class SimulatedTheatre:
 
     def drill(self, target: RobotTarget, depth_limit_mm: float) -> DrillingRecord:
         """Drill through the real link, in virtual time. Raises RobotRefusedError with the robot's reason, LinkError."""
-        with self.server(virtual=True) as server, RobotClient(port=server.port, heartbeat=False) as client:
+        with self.server(virtual=True) as server, RobotClient(port=server.port) as client:
             return insert(client, target, depth_limit_mm)
 
     @property

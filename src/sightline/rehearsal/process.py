@@ -23,7 +23,7 @@ class RobotProcess(Closing):
 
     Use it as `with RobotProcess(seed) as robot:`, with a RobotClient at `robot.port`, which waits until the robot
     listens. The process ends with the block, with `close`, and when this process ends in any way. `virtual`: run as
-    fast as possible, for clients without heartbeats.
+    fast as possible, without regard to heartbeats.
     """
 
     def __init__(

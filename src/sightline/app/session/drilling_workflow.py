@@ -82,7 +82,6 @@ class DrillingWorkflow:
                     robot_at(patient.procedure, patient.side, Frame.load(patient.frame)),
                     process.port,
                     lambda: loop.call_soon_threadsafe(notify) and None,
-                    heartbeat=not fast,
                 )
             except BaseException:
                 process.close()

@@ -75,12 +75,10 @@ class RobotSession:
     images and moves only on commands sent here.
     """
 
-    def __init__(
-        self, robot: CalibratedRobot, port: int, changed: Callable[[], None], *, heartbeat: bool = True
-    ) -> None:
+    def __init__(self, robot: CalibratedRobot, port: int, changed: Callable[[], None]) -> None:
         """Block until the link is open. Raises LinkError."""
         self.robot, self.now, self.target, self.depth_limit_mm = robot, RobotNow(), None, None
-        self._changed, self._heartbeat = changed, heartbeat
+        self._changed = changed
         self._recorder = Recorder()
         self._sending_shot = False
         self._commands: SimpleQueue[_Command] = SimpleQueue()
@@ -89,7 +87,7 @@ class RobotSession:
         self._over = False  # commands are no longer carried out
         self._told_to_stop = False  # since the last command
         self._stops = ThreadPoolExecutor(_STOPS, "stop")  # threads of its own, so that STOP waits for no other work
-        self._client = RobotClient(port=port, heartbeat=heartbeat)
+        self._client = RobotClient(port=port)
         self._client.listeners.append(self._heard)
         self.imaged_q = self._client.joints()[0]
         self._thread = threading.Thread(target=self._run, name="robot session", daemon=True)
@@ -255,10 +253,7 @@ class RobotSession:
                         state = status.text.split(";")[0] or status.error_name
                         self._put(state=state, text=status.text, fault=int(status.subcode))
                         asked_s = time.monotonic()
-                    if self._heartbeat:
-                        self._client.stream(contract.MEASURED_JS)  # hears all streams, and sends heartbeats meanwhile
-                    else:
-                        self._end.wait(_IDLE_S)
+                    self._end.wait(_IDLE_S)
         except Exception as error:
             self._put(lost=True, last_error=sentence_of(error), activity="")
             if not isinstance(error, LinkError):

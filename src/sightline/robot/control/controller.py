@@ -185,6 +185,9 @@ class Controller:
             return
         if self.machine.insertion is None:
             raise _no(Code.NOT_READY, "there is no target; send TARGETING and TGT_ first")
+        if TRANSITIONS[self.machine.state, trigger] is State.DRILL and self.machine.lease.unwatched:
+            text = f"announce {contract.HAS_HEARTBEAT} and send a heartbeat every {1e3 * contract.HEARTBEAT_S:.0f} ms"
+            raise _no(Code.NOT_READY, f"{text}: without it the wire goes on for seconds when the network is lost")
         if not now_s <= self.machine.insertion.expires_s:
             raise _no(Code.CONFIGURATION, "the plan has expired; take new images and plan again")
 

@@ -34,17 +34,26 @@ class LoopClock:
 
 
 class Lease:
-    """One client, by its number, may hold the lease. Only clients that announced heartbeats are watched for silence."""
+    """One client, by its number, may hold the lease. Only clients that announced heartbeats are watched for silence.
+
+    `watches`: False in virtual time, which passes faster than a client's heartbeats can come.
+    """
 
     def __init__(self) -> None:
         self.holder: int | None = None
+        self.watches = True
         self._heard_s: dict[int, float] = {}
 
     def heard(self, client: int, now_s: float, heartbeat: bool) -> None:
         """Record a message: a `heartbeat`, their announcement, or one that counts only for clients that announced
         them."""
-        if heartbeat or client in self._heard_s:
+        if self.watches and (heartbeat or client in self._heard_s):
             self._heard_s[client] = now_s
+
+    @property
+    def unwatched(self) -> bool:
+        """Whether the loss of the holder's network would be noticed only by TCP, after seconds."""
+        return self.watches and self.holder not in self._heard_s
 
     def take(self, client: int) -> bool:
         """Acquire the lease if it is free. Returns whether this client holds it now."""

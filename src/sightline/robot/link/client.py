@@ -36,9 +36,9 @@ class RobotClient(Exchange, Closing):
 
     Every call raises LinkError if no answer comes in time or the connection is lost, and RobotRefusedError with the
     robot's reason if it refuses. While a call waits, a separate process sends heartbeats; if a call hangs for a second
-    they end, and the robot stops. `latest` holds the newest message of each device name; `listeners` are called with
-    every message. Use one thread; only `stop` and
-    `emergency` may be called from others. They have a connection of their own and fall back to the main one.
+    they end, and the robot stops. Without `heartbeat` a robot does not drill for this client. `latest` holds the newest
+    message of each device name; `listeners` are called with every message. Use one thread; only `stop` and `emergency`
+    may be called from others. They have a connection of their own and fall back to the main one.
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT, *, heartbeat: bool = True, streams: bool = True) -> None:
@@ -55,10 +55,10 @@ class RobotClient(Exchange, Closing):
         except LinkError:
             self.close()
             raise
-        if contract.HAS_HEARTBEAT in self.capabilities:
+        if self.knows_ours:
             self._stopping.keep_connection()
-            if heartbeat:
-                self.connection.keep_alive()
+        if heartbeat and contract.HAS_HEARTBEAT in self.capabilities:
+            self.connection.keep_alive()
 
     def close(self) -> None:
         """Close all connections. A robot of ours whose lease this client holds stops and clears its registration and

@@ -56,7 +56,7 @@ UNDERSTOOD = (
 )
 _ACTIVITIES = (Trigger.DRILL, Trigger.GUIDE, Trigger.RETRACT)
 PHASES = tuple(command.value for command in COMMANDS if command not in _ACTIVITIES)  # of the 2013 convention
-OFFERED = (contract.HAS_HEARTBEAT, contract.HAS_TELEMETRY, contract.HAS_DRILLING, contract.HAS_PLAN, contract.HAS_RESET)
+OFFERED = (contract.HAS_TELEMETRY, contract.HAS_DRILLING, contract.HAS_PLAN, contract.HAS_RESET)
 
 
 @dataclass
@@ -150,7 +150,8 @@ class Dialogue:
         return bodies
 
     def _capability(self) -> NamedBody:
-        here = OFFERED + ((contract.IS_SIMULATED,) if self.simulated else ())
+        watches = (contract.HAS_HEARTBEAT,) if self._machine.lease.watches else ()
+        here = OFFERED + watches + ((contract.IS_SIMULATED,) if self.simulated else ())
         return "", Capability(UNDERSTOOD + here)
 
     def _of_transform(self, client: int, message: Message, now_s: float) -> list[NamedBody]:

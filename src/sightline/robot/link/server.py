@@ -50,8 +50,8 @@ _AFTER_REQUEST = 20  # cycles that virtual time runs on after a request
 class Simulation:
     """How a simulated plant is run. `advance(dt_s)` advances its time, which stands still while this program does not.
 
-    With `virtual`, time runs as fast as possible while something moves and stands still otherwise: for trials, with
-    clients that send no heartbeats. `truth`: text for simulated imaging devices (robot/link/record.py).
+    With `virtual`, time runs as fast as possible while something moves and stands still otherwise: for trials.
+    Heartbeats are then not watched. `truth`: text for simulated imaging devices (robot/link/record.py).
     """
 
     advance: Callable[[float], None]
@@ -102,6 +102,7 @@ class RobotServer(Closing):
         prefer = None if virtual else lambda: prefer_this_thread(PRIORITY - 2)
         self._checker = ThreadPoolExecutor(1, "collision check", prefer)
         controller.check_executor = self._checker.submit
+        controller.machine.lease.watches = not virtual
 
     def __enter__(self) -> Self:
         self._link.start()
