@@ -7,14 +7,18 @@ import numpy as np
 import pytest
 from tests.robot.rig import END_MM, ENTRY_MM, served
 from tests.robot.scripted_robot import old_robot, scripted
+from tests.robot.test_robot_server import at_mid_motion, ready, still
 from typer.testing import CliRunner
 
 from sightline.case.interop.plan_file import sealed
 from sightline.cli import commands
+from sightline.errors import RobotRefusedError
 from sightline.frame import Frame
 from sightline.rehearsal.operation import SimulatedTheatre
 from sightline.rehearsal.rehearsal import Rehearsal
+from sightline.robot.control.states import State
 from sightline.robot.link.client import RobotClient
+from sightline.robot.transport import BlockingClient
 from sightline.twin.xray.setup import hip_of
 
 
@@ -200,6 +204,24 @@ def test_a_bad_robot_s_findings_are_printed_for_people_and_for_machines():
     said = json.loads(done.stdout)
     assert said["conforms"] is False
     assert next(f["name"] for f in said["findings"] if f["verdict"] == "FAIL").startswith("survives")
+
+
+def test_a_robot_is_stopped_however_many_clients_say_nothing():
+    with served(virtual=True, halted=State.ALIGN) as server, RobotClient(port=server.port) as robot:
+        ready(robot)
+        mute, said = [BlockingClient(port=server.port) for _ in range(12)], []
+        stopping = at_mid_motion(server, lambda: said.append(run("stop", f"127.0.0.1:{server.port}", "--json")))
+        with pytest.raises(RobotRefusedError, match="stopped by a client's STOP"):
+            robot.align()
+        stopping.join()
+        assert said[0].exit_code == 0, said[0].output
+        assert json.loads(said[0].stdout) == {"text": "stands still"}
+        assert still(server)
+        for client in mute:
+            client.close()
+    late = run("stop", f"127.0.0.1:{server.port}")
+    assert late.exit_code == 2
+    assert "use the red button" in late.stderr
 
 
 def test_reset_after_a_fault():

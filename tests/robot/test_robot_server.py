@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 from tests.robot.rig import (
-    BUSY_S,
     END_MM,
     ENTRY_MM,
     IMAGED,
@@ -321,19 +320,6 @@ def test_a_simulated_robot_stands_still_while_its_program_does(simulated, monkey
     else:
         assert rig.state is State.STOP
     assert server.dialogue.cycles.worst_s == pytest.approx(5.0)
-
-
-def test_a_stop_s_place_is_kept_however_many_say_nothing(virtual, robot):
-    robot.start_up()
-    mute = [BlockingClient(port=virtual.port) for _ in range(12)]
-    with BlockingClient(port=virtual.port) as raw:
-        raw.send(Message(String("STOP"), "CMD_1"))
-        assert raw.receive(BUSY_S).device_name == "ACK_1"
-    wait_for(lambda: virtual.dialogue.controller.machine.state is State.STOP)
-    assert robot.status().error_name == "STOP"
-    for client in mute:
-        client.close()
-    wait_for(lambda: len(virtual._connections) <= 2)
 
 
 def test_a_robot_that_says_nothing_is_noticed(monkeypatch):

@@ -276,6 +276,20 @@ def _pose_errors(stood: "Registration") -> tuple[float, float]:
     return float(length_quantile(covariance[3:, 3:])), float(np.rad2deg(angle))
 
 
+@command(app, "stop", "sightline robot stop 127.0.0.1:18936")
+def stop(output: Output, address: Address) -> None:
+    """Stop a robot, whoever commands it.
+
+    Works also where other programs hold all of its places. It is not an emergency stop: use the red button where it
+    matters.
+    """
+    from sightline.robot.link.exchange import stop_robot
+
+    ended = stop_robot(*parse_address(address)).refuse_unless_ok()
+    output.say(f"the robot confirms the stop: {ended.text or 'no text'}")
+    output.result({"text": ended.text})
+
+
 @command(app, "reset", "sightline robot reset 127.0.0.1:18936")
 def reset(output: Output, address: Address) -> None:
     """Reset a robot after a fault.

@@ -2,7 +2,7 @@
 reported wire is from its target."""
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from itertools import count
 from threading import Event, Lock, Thread
@@ -24,6 +24,7 @@ _UNDERSTOOD = ("STRING", "STATUS", "TRANSFORM", "CAPABILITY", "RTS_COMMAND", "ND
 # A stop that is not acknowledged on its own connection by then is also sent over the main one: our robots acknowledge
 # in 10 ms.
 STOP_ACK_S = contract.SILENCE_S
+STOP_TRIES = 3  # of a program that only stops: another client may take its place before the STOP arrives [ours]
 PROBE_S = ACK_S  # period of probes whether the stop connection still answers
 
 
@@ -230,6 +231,19 @@ def matrix_of(echo: Message) -> np.ndarray:
     if not isinstance(echo.body, Transform):
         raise RobotRefusedError(f"the robot acknowledged a TRANSFORM by a {echo.type_name}")
     return echo.body.matrix
+
+
+def stop_robot(host: str, port: int) -> RequestResult:
+    """Stop a robot, whoever commands it. The first message is the STOP, which has a place however many clients there
+    are. Raises LinkError if none of three connections is answered."""
+    why = ""
+    for _ in range(STOP_TRIES):
+        try:
+            with closing(SharedConnection(host, port)) as connection:
+                return Exchange(connection).command(Trigger.STOP.value)
+        except LinkError as error:
+            why = str(error)
+    raise LinkError(f"use the red button: the robot did not confirm that it stopped: {why}")
 
 
 class StopChannel:
