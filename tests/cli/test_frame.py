@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from sightline.cli import commands
-from sightline.frame import Frame
+from sightline.frame import Frame, Tolerances
 
 
 def run(*arguments: str, code: int = 0) -> str:
@@ -59,6 +59,23 @@ def test_new_takes_measured_balls(tmp_path):
     assert document["tolerances"] is None
     assert document["tolerances_from"] == "the covariance in the frame file"
     assert "the covariance in the frame file" in run("show", str(tmp_path / "m.json"))
+
+
+def test_new_states_tolerances_and_copies_a_file_with_them(tmp_path):
+    block, copy, plates = (str(tmp_path / name) for name in ("block.json", "copy.json", "plates.json"))
+    assert "from the frame file: bead 0.1 mm\n" in run("new", block, "--like", "block60", "--bead-sd", "0.1")
+    run("new", copy, "--like", block, "--bead-sd", "0.08", "--quiet")
+    assert (Frame.load(copy).solid, Frame.load(copy).tolerances.bead_mm) == (Frame.load("block60").solid, 0.08)
+    told = run("new", plates, "--plate-sd", "0.1,0.7", "--arm-sd", "0.15,1")
+    assert "its datum balls are not those of gamma" in told
+    assert Frame.load(plates).tolerances == Tolerances(0.02, 0.1, 0.7e-3, 0.15, 1e-3)
+    for options, words in (
+        (("--like", block, "--plate-sd", "0.1,1"), "a block has no plates"),
+        (("--like", block, "--rows", "7"), "is copied"),
+        (("--plate-sd", "0,1,7"), "MM,MRAD"),
+        (("--bead-sd", "0"), "--bead-sd"),
+    ):
+        assert words in run("new", str(tmp_path / "f.json"), *options, code=2)
 
 
 def test_show_says_where_tolerances_come_from_and_draws_the_plates(tmp_path):

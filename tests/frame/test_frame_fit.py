@@ -1,5 +1,6 @@
 """Measured balls become a frame file, with their covariance; wrong measurements are refused."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.stats import chi2
 
 from sightline.common.geometry.rigid import rigid_fit
 from sightline.errors import FrameError
-from sightline.frame import Frame
+from sightline.frame import Frame, Tolerances
 from sightline.frame.measured.fit import Circumstances, FittedFrame, fit_frame
 from sightline.frame.tables import Series
 
@@ -213,6 +214,22 @@ def test_a_ball_that_sits_wrong_is_taken_once_two_series_see_it():
     assert "ps5" in failing(fit_frame(FRAME, [measured(true, rng)], STILL))["measured deviation"]
     twice = fit_frame(FRAME, [measured(true, rng, name) for name in "ab"], STILL)
     np.testing.assert_allclose(positions(twice), in_gauge(true), atol=5 * SD_MM)
+
+
+def test_a_frame_made_less_exactly_than_its_file_says_is_told_its_tolerance_and_a_wrong_number_apart_from_it():
+    rng = np.random.default_rng(23)
+    true = BLOCK.xyz_mm + 0.08 * rng.standard_normal(BLOCK.xyz_mm.shape)
+    once, again = (measured(true, rng, name, sd_mm=0.02, ids=BLOCK.solid.ids) for name in "ab")
+    ((name, sentence),) = failing(fit_frame(BLOCK, [once], STILL)).items()
+    assert name == "measured tolerance" and "frame new NEW.json --like block60 --bead-sd 0.0" in sentence
+    told = float(sentence.partition("--bead-sd ")[2].partition(",")[0])
+    assert told == pytest.approx(0.08, rel=0.5)  # of the median of 16 balls: 17 % s.d. over 100 seeds
+    stated = replace(BLOCK, tolerances=Tolerances(bead_mm=told))
+    assert fit_frame(stated, [once], STILL).frame is not None
+    assert fit_frame(BLOCK, [once, again], STILL).frame is not None  # a second series confirms the places
+    wrong = failing(fit_frame(BLOCK, [displaced(once, "b7", (1.0, 0.0, 0.0))], STILL))
+    assert set(wrong) == {"measured tolerance", "measured deviation"}
+    assert re.search(r"in brackets\): b7 \([\d.]+\)\. A number is wrong", wrong["measured deviation"])
 
 
 def test_of_three_series_the_wrong_one_is_left_out_and_of_two_neither_is_used():

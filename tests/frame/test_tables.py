@@ -111,6 +111,18 @@ def test_files_that_are_no_table(tmp_path, read, data):
         read(tmp_path / "none.csv")
 
 
+def test_a_table_of_a_spreadsheet_has_semicolons_or_tabs_and_decimal_commas(table):
+    header, rows = "id,x_mm,y_mm,z_mm,sd_mm", [*ROWS, "px3,-.5,1.5e-3,0,0.01"]
+    (expected,) = read_measurements(table(header, *rows))
+    for mark in ";\t":
+        other = [line.replace(",", mark).replace(".", ",") for line in (header, *rows)]
+        (series,) = read_measurements(table(*other))
+        np.testing.assert_array_equal(series.xyz_mm, expected.xyz_mm)
+        np.testing.assert_array_equal(series.covariance_mm2, expected.covariance_mm2)
+    with pytest.raises(FrameError, match=r"1,5 has a decimal comma and 0\.01 a point; write all numbers alike"):
+        read_measurements(table(header.replace(",", ";"), "a;1,5;2;3;0.01"))
+
+
 @pytest.mark.parametrize("header", ["id,x_mm,y_mm,z_mm,sd_mm", "ID,x,y,z,sd_mm", "id, X [mm] ,Y (mm),z mm,sd_mm"])
 def test_measurements_are_read_whatever_their_header_is_called(table, header):
     (series,) = read_measurements(table(header, *ROWS))

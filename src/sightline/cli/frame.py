@@ -46,15 +46,18 @@ class DesignOptions:
         return {name: value for name, value in values.items() if value is not None}
 
     def frame(self, name: str, like: str) -> "Frame":
-        """Return a frame like a built-in one. Raises FrameError."""
+        """Return a frame like a built-in one, or a copy of a block or of a file. Raises FrameError."""
         from sightline.errors import FrameError
         from sightline.frame import Frame
-        from sightline.frame.designs import SOLIDS, WITH_PLATE, builtin_design, patterns_for
+        from sightline.frame.designs import BUILTIN, builtin_design, patterns_for
 
-        if like in SOLIDS or like in WITH_PLATE:
+        if like not in BUILTIN:
+            copied = Frame.load(like)
             if self.stated:
-                raise FrameError(f"{like} is a block without plates; leave out their values, and edit its balls")
-            return replace(Frame.load(like), name=name)
+                raise FrameError(
+                    f"{like} is copied; rows, pitch, distances and datums are of {', '.join(BUILTIN)} alone"
+                )
+            return replace(copied, name=name)
         values = {"datums": 6, **self.stated}
         datums = values.pop("datums")
         design = replace(builtin_design(like), name=name, **values)
@@ -62,15 +65,81 @@ class DesignOptions:
         return Frame.from_design(replace(design, patterns=patterns))
 
 
-@command(app, "new", "sightline frame new mine.json --like gamma --rows 7 --pitch-mm 22")
+_MAX_SD = 10.0  # mm or mrad [ours]: more is a wrong unit
+
+
+@dataclass(frozen=True)
+class ToleranceOptions:
+    """How well a frame is made or known, 1 s.d. per axis."""
+
+    bead_sd: Annotated[
+        float | None,
+        typer.Option(
+            min=1e-4,
+            max=_MAX_SD,
+            metavar="MM",
+            help="How far a ball may be from its place, 1 s.d. per axis, mm: 0.02 milled, 0.1 to 0.2 printed.",
+        ),
+    ] = None
+    plate_sd: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MM,MRAD", help="The same of a plate as a whole: shift, mm, and rotation, mrad: 0.05,0.2."
+        ),
+    ] = None
+    arm_sd: Annotated[
+        str | None, typer.Option(metavar="MM,MRAD", help="The same of both plates of a view together.")
+    ] = None
+
+    def on(self, frame: "Frame") -> "Frame":
+        """Return the frame with these tolerances; where one is not given, the frame's own, or the default.
+
+        Raises BadParameter, and FrameError for a frame that states its errors otherwise or has no plates.
+        """
+        from sightline.errors import FrameError
+
+        plates = {"plate": _pair(self.plate_sd, "--plate-sd"), "arm": _pair(self.arm_sd, "--arm-sd")}
+        given = {} if self.bead_sd is None else {"bead_mm": self.bead_sd}
+        for name, (mm, mrad) in ((name, pair) for name, pair in plates.items() if pair is not None):
+            given |= {f"{name}_mm": mm, f"{name}_rad": 1e-3 * mrad}
+        if not given:
+            return frame
+        if frame.covariance_mm2 is not None:
+            raise FrameError("the balls' errors are stated already, as they were measured; leave the tolerances out")
+        if frame.solid is not None and any(plates.values()):
+            raise FrameError("a block has no plates and no arms; give --bead-sd alone")
+        return replace(frame, tolerances=replace(frame.effective_tolerances, **given))
+
+
+def _pair(text: str | None, option: str) -> tuple[float, float] | None:
+    """Return the numbers of 'MM,MRAD'. Raises BadParameter."""
+    if text is None:
+        return None
+    try:
+        mm, mrad = (float(part) for part in text.split(","))
+    except ValueError:
+        mm = mrad = -1.0
+    if not (0 <= mm <= _MAX_SD and 0 <= mrad <= _MAX_SD):
+        raise typer.BadParameter(
+            f"{text!r} is not MM,MRAD, each from 0 to {_MAX_SD:g}; write for example 0.1,0.7", param_hint=option
+        )
+    return mm, mrad
+
+
+@command(app, "new", "sightline frame new mine.json --like block60 --bead-sd 0.1")
 def new(
     output: Output,
     *,
     file: Annotated[Path, typer.Argument(help="The frame file to write.")],
     like: Annotated[
-        str, typer.Option(help="Built-in frame that gives the beams and every value not stated here, or a block.")
+        str,
+        typer.Option(
+            help="Built-in frame that gives the beams and every value not stated here; or a block or a frame file, "
+            "whose balls are copied."
+        ),
     ] = "gamma",
     design: DesignOptions,
+    tolerances: ToleranceOptions,
     csv: Annotated[
         Path | None,
         typer.Option(
@@ -92,6 +161,7 @@ def new(
     """
     from sightline.errors import FrameError
     from sightline.frame.check import check_frame
+    from sightline.frame.designs import BUILTIN
     from sightline.frame.tables import frame_from_csv
 
     refuse_existing(file)
@@ -104,12 +174,17 @@ def new(
             frame = design.frame(file.stem, like)
         else:
             frame = frame_from_csv(csv, file.stem, diameter_mm, units)
+    frame = tolerances.on(frame)
     checks = check_frame(frame)
     sound = not failed(checks)
     if sound:
         frame.save(file)
     output.say(f"written: {file}" if sound else f"{file} was not written: a check failed")
-    output.result({"file": file if sound else None, **_frame_document(frame)}, checks)
+    if csv is None and like in BUILTIN:
+        output.say(f"its datum balls are not those of {like}: make it from `sightline frame draw {file}`")
+    document = _frame_document(frame)
+    _show_tolerances(output, frame, document)
+    output.result({"file": file if sound else None, **document}, checks)
 
 
 @command(app, "show", "sightline frame show gamma --picture out/plates.png")
@@ -309,19 +384,23 @@ def _show_frame(output: Output, frame: "Frame", document: dict[str, Any]) -> Non
             )
     else:
         _show_frame_plates(output, title, document)
-    output.say(f"tolerances (1 s.d.): from {document['tolerances_from']}")
+    _show_tolerances(output, frame, document)
     if (use := frame.in_use) is not None:
         output.say(
             f"handling adds (1 s.d.): {use.warmer_k:g} K of heat, {100 * use.water_share:g} % of water, "
             f"{use.drape_n:g} N of drapes"
         )
-    if (sd := document["tolerances"]) is not None:
-        rows = [
-            ("bead", sd.bead_mm, None),
-            ("plate", sd.plate_mm, 1e3 * sd.plate_rad),
-            ("arm", sd.arm_mm, 1e3 * sd.arm_rad),
-        ]
-        output.table("Tolerances", ("of", "shift mm", "rotation mrad"), rows if frame.solid is None else rows[:1])
+
+
+def _show_tolerances(output: Output, frame: "Frame", document: dict[str, Any]) -> None:
+    """Print the tolerances in a line, and where they are from."""
+    sd, known = document["tolerances"], ""
+    if sd is not None:
+        known = f": bead {sd.bead_mm:g} mm"
+        if frame.solid is None:
+            plate, arm = ((mm, 1e3 * rad) for mm, rad in ((sd.plate_mm, sd.plate_rad), (sd.arm_mm, sd.arm_rad)))
+            known += f"; plate {plate[0]:g} mm, {plate[1]:g} mrad; arm {arm[0]:g} mm, {arm[1]:g} mrad"
+    output.say(f"tolerances (1 s.d. per axis), from {document['tolerances_from']}{known}")
 
 
 def _show_frame_plates(output: Output, title: str, document: dict[str, Any]) -> None:

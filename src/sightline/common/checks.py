@@ -124,6 +124,7 @@ class CheckCode(StrEnum):
     MEASURED_DIAMETERS = "measured-diameters"
     MEASURED_SERIES = "measured-series"
     MEASUREMENTS_LEFT_OUT = "measurements-left-out"
+    MEASURED_TOLERANCE = "measured-tolerance"
     MEASURED_DEVIATION = "measured-deviation"
     IMAGE_MOVEMENT = "image-movement"
     SELF_CHECK_CHI_SQUARE = "self-check-chi-square"

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from math import isfinite
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.common.atomic import write_whole
-from sightline.common.bounded import MAX_TEXT_BYTES, read_text, regular_file
+from sightline.common.bounded import MAX_TEXT_BYTES, read_csv, regular_file
 from sightline.detection.labelling import label
 from sightline.detection.results import Detections, Observations
 from sightline.errors import ObservationsError
@@ -34,7 +35,7 @@ def read_observations(path: str | Path) -> dict[str, Observations]:
     name = Path(path).name
     reader = csv.reader(
         io.StringIO(
-            read_text(Path(path), MAX_TEXT_BYTES, ObservationsError, "give the beads of one pair of images as CSV")
+            read_csv(Path(path), MAX_TEXT_BYTES, ObservationsError, "give the beads of one pair of images as CSV")
         ),
         strict=True,
     )
@@ -115,7 +116,7 @@ def are_detections(path: Path) -> bool:
             header = stream.readline(4096).decode("utf-8-sig", "replace")
     except OSError:
         return False  # reading the file reports the error
-    columns = [cell.strip() for cell in header.split(",")]
+    columns = [cell.strip() for cell in re.split("[,;\\t]", header)]
     return "u_px" in columns and "id" not in columns
 
 
@@ -134,7 +135,7 @@ def label_csv(
 
 def read_detections(path: Path) -> tuple[Detections, bool]:
     """Return the detections of a file, and whether it states the errors of their centres. Raises ObservationsError."""
-    text = read_text(path, MAX_TEXT_BYTES, ObservationsError, "give one image's beads as CSV")
+    text = read_csv(path, MAX_TEXT_BYTES, ObservationsError, "give one image's beads as CSV")
     try:
         if not text:
             raise ObservationsError(f"{path.name} is empty; give one image's beads as CSV")

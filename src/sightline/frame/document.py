@@ -17,7 +17,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from sightline.common.bounded import MAX_JSON_BYTES, read_bounded, read_text
+from sightline.common.bounded import MAX_JSON_BYTES, read_bounded, read_csv
 from sightline.common.strict import explain, read_strictly
 from sightline.errors import FrameError
 from sightline.frame.designs import FRAME_NAMES, SMALL_MM
@@ -272,7 +272,7 @@ def read_cube(path: Path, diameter_mm: float = DIAMETER_MM, unit: str | None = N
 
     `unit`: mm or cm; None: by the size of the object.
     """
-    text = read_text(path, MAX_JSON_BYTES, FrameError, "give a frame specification of XMALab")
+    text = read_csv(path, MAX_JSON_BYTES, FrameError, "give a frame specification of XMALab")
     try:
         return FrameDocument.model_validate(cube_document(text, path.stem, diameter_mm, unit))
     except ValidationError as error:

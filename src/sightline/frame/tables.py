@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 from scipy.linalg import block_diag
 
-from sightline.common.bounded import MAX_JSON_BYTES, read_text
+from sightline.common.bounded import MAX_JSON_BYTES, read_csv
 from sightline.common.strict import explain
 from sightline.errors import FrameError
 from sightline.frame.document import ADVICE, DIAMETER_MM, FrameDocument, read_cube
@@ -118,7 +118,7 @@ def frame_from_csv(path: str | Path, name: str, diameter_mm: float | None = None
     `unit`, mm or cm (default: by its size), hold for that alone.
     """
     file = Path(path)
-    text = read_text(file, MAX_JSON_BYTES, FrameError, "give a table of measured balls as CSV")
+    text = read_csv(file, MAX_JSON_BYTES, FrameError, "give a table of measured balls as CSV")
     columns = {cell.strip() for cell in text.partition("\n")[0].split(",")}
     if not columns & {*_PLATE, *_BALL, *_OPTIONAL}:
         cube = read_cube(file, DIAMETER_MM if diameter_mm is None else diameter_mm, unit)
@@ -243,7 +243,7 @@ def read_measurements(path: str | Path, covariance: str | Path | None = None) ->
 
 
 def _text(file: Path) -> str:
-    return read_text(file, MAX_JSON_BYTES, FrameError, "give a table of balls as CSV")
+    return read_csv(file, MAX_JSON_BYTES, FrameError, "give a table of balls as CSV")
 
 
 def _column(name: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from sightline.calibration import CalibratedView
-from sightline.common.bounded import MAX_TEXT_BYTES, read_text
+from sightline.common.bounded import MAX_TEXT_BYTES, read_csv
 from sightline.common.checks import Check
 from sightline.common.geometry.covariance import length_quantile
 from sightline.detection import Detections, Observations
@@ -45,7 +45,7 @@ def read_points(path: str | Path) -> MeasuredPoints:
     Raises UnusableInputError, which names the line.
     """
     file = Path(path)
-    text = read_text(file, MAX_TEXT_BYTES, UnusableInputError, "give a table of test points as CSV")
+    text = read_csv(file, MAX_TEXT_BYTES, UnusableInputError, "give a table of test points as CSV")
     try:
         rows = list(csv.reader(io.StringIO(text), strict=True))
     except csv.Error:

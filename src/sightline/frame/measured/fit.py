@@ -4,11 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import betaincinv, chdtri
 
 from sightline.common.checks import FALSE_ALARM, Check, failed
 from sightline.common.geometry.rigid import displacement
 from sightline.errors import FrameError
+from sightline.frame.designs import SOLIDS
 from sightline.frame.measured.adjust import Adjusted, adjust
 from sightline.frame.measured.identify import Identified, identify
 from sightline.frame.model import Frame
@@ -21,6 +22,7 @@ MIN_PER_PLATE = 4  # as in a frame file
 MAX_DIAMETER_ERROR_MM = 0.3  # [ours] a ball of another size differs by more, a probe's measurement by less
 MAX_DEVIATION_SIGMA = float(np.sqrt(chdtri(3, FALSE_ALARM / 226)))  # once in 10,000 frames of the built-in kind
 MIN_SERIES = 2  # series that must confirm a ball's deviation beyond its tolerance
+MAX_BEAD_MM = 2.0  # [ours] largest scatter of a frame's balls that is estimated; a hand-held drill does better
 # [ours] prior s.d., mm, of a rigid motion of the whole frame, which is not an error of a plate.
 WHOLE_FRAME_MM = 10.0
 
@@ -171,7 +173,8 @@ class FittedFrame:
 
     Where the ids or diameters are wrong, `adjusted` and the fields after it are empty. `deviation_mm` (N, 3): measured
     minus nominal places of the balls `adjusted.ids`, CFCS, with the whole frame aligned to the nominal one; `sigma`
-    (N,): distance of each from its prediction by all others and the file's tolerances, in standard deviations.
+    (N,): distance of each from its prediction by all others and the tolerances, in standard deviations. The tolerances
+    are the file's, or where most balls contradict them, those that these balls show.
     `missing`: balls that were not measured and are predicted from the others.
     """
 
@@ -198,7 +201,11 @@ def fit_frame(frame: Frame, series: Sequence[Series], circumstances: Circumstanc
     rows = np.array([place[ball][0] for ball in adjusted.ids])
     deviation = adjusted.xyz_mm - np.array([place[ball][1] for ball in adjusted.ids])
     whole = complete(frame, rows, deviation, adjusted.covariance_mm2)
-    checks += (*_agreement(adjusted), _deviation(adjusted, series, whole.sigma))
+    counts = _series_by_ball(adjusted, series)
+    scatter, bead_mm = _scatter(frame, whole.sigma, (rows, deviation, adjusted.covariance_mm2), counts)
+    if bead_mm is not None:
+        whole = complete(_with_bead(frame, bead_mm), rows, deviation, adjusted.covariance_mm2)
+    checks += (*_agreement(adjusted), scatter, _deviation(adjusted, counts, whole.sigma))
     return FittedFrame(
         frame=None if failed(checks) else _measured(frame, whole, circumstances),
         checks=checks,
@@ -333,12 +340,66 @@ def _agreement(adjusted: Adjusted) -> list[Check]:
     return checks
 
 
-def _deviation(adjusted: Adjusted, series: Sequence[Series], sigma: np.ndarray) -> Check:
-    """Return the check that every ball beyond its tolerance was confirmed by a second series."""
+def _series_by_ball(adjusted: Adjusted, series: Sequence[Series]) -> list[int]:
+    """Return how many series measured each ball, without those left out."""
     left_out = set(adjusted.left_out)
-    measured = {b: sum(b in each.ids and (each.name, b) not in left_out for each in series) for b in adjusted.ids}
+    return [sum(b in each.ids and (each.name, b) not in left_out for each in series) for b in adjusted.ids]
+
+
+def _with_bead(frame: Frame, bead_mm: float) -> Frame:
+    return replace(frame, tolerances=replace(frame.effective_tolerances, bead_mm=bead_mm))
+
+
+def _scatter(
+    frame: Frame, sigma: np.ndarray, measured: tuple[np.ndarray, np.ndarray, np.ndarray], counts: Sequence[int]
+) -> tuple[Check, float | None]:
+    """Return the check that most balls lie within the tolerances, and the bead tolerance that most balls show.
+
+    The median is judged, which a wrong number does not move. `measured`: arguments of `complete` after the frame;
+    `counts`: series by ball. The tolerance is None where the file's holds, or states a covariance instead.
+    """
+    half = (len(sigma) + 1) / 2
+    usual = chdtri(3, 0.5)
+    # The median of N values is a beta variate of their distribution.
+    limit = float(np.sqrt(chdtri(3, betaincinv(half, half, FALSE_ALARM)) / usual))
+    ratio = float(np.median(sigma) / np.sqrt(usual))
+    name, most = "measured tolerance", None
+    if ratio <= limit:
+        return Check(name, True, ratio, limit, "times", "The median ball lies within the file's tolerances."), None
+    stated = "its covariance"
+    remedy = ""
+    if frame.covariance_mm2 is None:
+        most = _bead_of_most(frame, measured)
+        stated = f"its tolerance ({frame.effective_tolerances.bead_mm:g} mm)"
+        like = frame.name if frame.name in SOLIDS else "FILE"
+        remedy = f": sightline frame new NEW.json --like {like} --bead-sd {most:g}, and fit to NEW.json"
+    shown = f": they are {most:g} mm off per axis, 1 s.d." if most else "."
+    start = f"The balls lie {ratio:.1f} times as far from the frame file as {stated} and the instrument explain{shown}"
+    if min(counts) >= MIN_SERIES:
+        return Check(name, True, ratio, None, "times", f"{start} Two series confirm their measured places."), most
+    sentence = (
+        f"{start} If the frame was made no better, state that{remedy}. If it was, the measurement is in error: measure "
+        "a second series."
+    )
+    return Check(name, False, ratio, limit, "times", sentence), most
+
+
+def _bead_of_most(frame: Frame, measured: tuple[np.ndarray, np.ndarray, np.ndarray]) -> float:
+    """Return the bead tolerance, mm, with which the median ball lies as far off as expected; two digits, rounded up."""
+    low, high = max(frame.effective_tolerances.bead_mm, 1e-4), MAX_BEAD_MM
+    while high > 1.02 * low:
+        middle = float(np.sqrt(low * high))
+        far = np.median(complete(_with_bead(frame, middle), *measured).sigma) > np.sqrt(chdtri(3, 0.5))
+        low, high = (middle, high) if far else (low, middle)
+    digit = 10.0 ** (np.floor(np.log10(high)) - 1)
+    return float(f"{np.ceil(high / digit) * digit:.2g}")
+
+
+def _deviation(adjusted: Adjusted, counts: Sequence[int], sigma: np.ndarray) -> Check:
+    """Return the check that every ball beyond its tolerance was confirmed by a second series. `counts`: series by
+    ball."""
     far = [k for k in np.argsort(-sigma) if sigma[k] > MAX_DEVIATION_SIGMA]
-    doubtful = [k for k in far if measured[adjusted.ids[k]] < MIN_SERIES]
+    doubtful = [k for k in far if counts[k] < MIN_SERIES]
     worst = doubtful[0] if doubtful else int(np.argmax(sigma))
     names = _some([f"{adjusted.ids[k]} ({sigma[k]:.1f})" for k in (doubtful or far)])
     if doubtful:
@@ -352,5 +413,5 @@ def _deviation(adjusted: Adjusted, series: Sequence[Series], sigma: np.ndarray) 
             f"Balls beyond their tolerance, confirmed by a second series: {names}. Their measured places are used."
         )
     else:
-        sentence = "Every ball lies within the tolerances of the frame file."
+        sentence = "No ball lies further from the others than tolerances and instrument explain."
     return Check("measured deviation", not doubtful, float(sigma[worst]), MAX_DEVIATION_SIGMA, "s.d.", sentence)
