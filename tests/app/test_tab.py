@@ -454,6 +454,16 @@ def test_a_notice_that_is_repeated_is_told_again(opened: Page) -> None:
     assert opened.tab.notices == 2
 
 
+def test_stop_says_what_to_do_where_the_robot_s_link_is_lost(opened: Page) -> None:
+    drilling: Any = opened.tab.session.drilling
+    drilling.session = SimpleNamespace(now=SimpleNamespace(lost=False))
+    top._stop(opened.tab)()
+    assert texts.LINKS["open"] in opened.sentences()
+    drilling.session.now.lost = True
+    top._stop(opened.tab)()
+    assert "link lost: use the red button" in opened.sentences()
+
+
 # The ruler in both images: in space where they show the same places, else in each image alone.
 
 PLANNING: Any = SimpleNamespace(seen={view.name: SimpleNamespace(view=view) for view in bone.views()}.get)

@@ -148,7 +148,7 @@ TIME_TOLD = {
     "done": "The images were {sent} min old when the plan was sent; the wire is drilled.",
     "unknown": "The time left is known once both images and their times are.",
 }
-LINKS = {"none": "no robot", "open": "connected", "lost": "link lost"}
+LINKS = {"none": "no robot", "open": "connected", "lost": "link lost: use the red button"}
 DETAILS = "Details"
 SHARES_OF = {"entry": "entry", "end": "tip", "direction": "direction"}
 STATE_UNKNOWN = "Getting ready"
