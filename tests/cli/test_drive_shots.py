@@ -4,7 +4,7 @@ The images show the block and soft tissue. Wire and landmarks are picked, with n
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +26,10 @@ from sightline.frame import Frame
 from sightline.imaging import write_dicom
 from sightline.planning.check.shot import ALIGNED, PAUSED
 from sightline.rehearsal.operation import SimulatedTheatre, registered
-from sightline.robot.kinematics.manipulator import FEED
+from sightline.rehearsal.rehearsal import Rehearsal
+from sightline.robot.kinematics.manipulator import FEED, YAW
 from sightline.robot.kinematics.target import RobotTarget
+from sightline.robot.plant import Reading
 from sightline.studies.scenes import VIEWS
 from sightline.twin import Scene, SetUp, draw_setup, render
 from sightline.twin.objects.things import BoneMotion, SoftTissue, draw_motion, frame_scene
@@ -124,9 +126,11 @@ def test_both_shots_say_go_are_recorded_and_the_depth_moves_the_robot_s_end(plan
     """At the pause the images show the tip 0.6 mm deeper than the encoders do: the robot drills by that less."""
     along = (planned.wire_mm[1] - planned.wire_mm[0]) / np.linalg.norm(planned.wire_mm[1] - planned.wire_mm[0])
     before, deeper = len(shots(planned)), 0.6 * along
-    done = drive(planned, f"y\ny\n{planned.shot(ALIGNED)}y\n{planned.shot(PAUSED, deeper)}y\n")
-    assert done.exit_code == 0, done.output
-    assert done.told["state"] == "DONE"
+    done = drive(planned, f"y\ny\n{planned.shot(ALIGNED)}y\n{planned.shot(PAUSED, deeper)}y\none.dcm\n'open\n")
+    assert done.exit_code == 4, done.output
+    assert (done.told["state"], done.told["verified"], done.told["check_shot"]) == ("DONE", False, None)
+    assert "check shot: not measured: give the files of two images" in done.said
+    assert "check shot: not measured: a quotation mark is left open" in done.said
     told = done.told["shots"]
     assert {state: one["decision"] for state, one in told.items()} == {ALIGNED: "GO", PAUSED: "GO"}
     assert told[PAUSED]["depth_mm"] == pytest.approx(SHORT_MM[PAUSED] + 0.6, abs=4 * told[PAUSED]["depth_sd_mm"])
@@ -201,7 +205,74 @@ def test_a_frame_on_the_patient_serves_measured_shots_only(tmp_path: Path) -> No
 
 
 def test_with_a_frame_that_turned_away_it_says_so(tmp_path: Path) -> None:
-    """A plan without a block: no shot is asked for, with a case or without."""
-    done = robot("drive", written(tmp_path / "plan.json"), "--case", tmp_path / "none", say="y\nn\n")
+    """A plan without a block: no shot is asked for while it drills."""
+    done = robot("drive", written(tmp_path / "plan.json"), say="y\nn\n")
     assert done.exit_code == 0, done.output
     assert "ALIGNED: This shot cannot be measured: the frame has turned away" in " ".join(done.stderr.split())
+
+
+@pytest.fixture(scope="module")
+def rehearsed(run, worked, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a plan on the images of the demo's patient and its case."""
+    folder = tmp_path_factory.mktemp("rehearsed")
+    images = [worked.demo / f"demo_{view}.dcm" for view in VIEWS]
+    entry, end = (
+        " ".join(f"{view}:{u},{v}" for view, (u, v) in zip(VIEWS, worked.wire_px[:, k].tolist(), strict=True))
+        for k in range(2)
+    )
+    given = ("--procedure", "free-wire", "--side", "right", "--entry", entry, "--end", end)
+    ran = run("plan", *images, *given, "--out", folder / "plan", "--case", folder / "case")
+    assert ran.code == 0, ran.err
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("slipped_deg", "code"), [(0.0, 0), (0.5, 3)], ids=["as planned", "an encoder slipped"])
+def test_the_check_shot_judges_where_the_robot_says_all_is_right(
+    run, rehearsed: Path, monkeypatch, slipped_deg: float, code: int
+) -> None:
+    """An encoder that slips after the images shows the robot at its target, and the wire lies millimetres aside."""
+    theatre = Rehearsal.theatre
+
+    def slips(self: Rehearsal) -> SimulatedTheatre:
+        made = theatre(self)
+        sample = made.plant._sample
+
+        def read(*given: bool) -> Reading:
+            reading = sample(*given)
+            return replace(reading, encoders=reading.encoders + np.deg2rad(slipped_deg) * (np.arange(5) == YAW))
+
+        made.plant._sample = read
+        return made
+
+    monkeypatch.setattr(Rehearsal, "theatre", slips)
+    done = robot("drive", rehearsed / "plan", "--rehearse", "9", "--yes", "--case", rehearsed / "case", "--json")
+    assert done.exit_code == code, done.output
+    told = json.loads(done.stdout)
+    assert told["state"] == "DONE"
+    assert told["verified"] is (code == 0)
+    assert told["check_shot"]["landmarks"] == 3
+    off = told["check_shot"]["deviation"]["tip_mm"]
+    assert off == pytest.approx(np.linalg.norm(told["true_wire_mm"][1] - np.array(told["end_mm"])), abs=0.5)
+    assert (off > 3.0) is (code == 3)
+    report = run("case", "report", rehearsed / "case", "--out", rehearsed / f"report-{code}")
+    assert report.code == 0, report.err
+    page = (rehearsed / f"report-{code}" / "report.html").read_text()
+    assert (">NOT CONFIRMED: " in page) is (code == 3)
+    assert (">CONFIRMED: " in page) is (code == 0)
+
+
+@pytest.mark.slow
+def test_a_wire_without_a_check_shot_is_not_verified(run, rehearsed: Path) -> None:
+    """By the last line, the exit code and the report; with --yes too, which gives no images."""
+    for given, why in (
+        ((), "not verified: no check shot shows where the wire lies; give --case"),
+        (("--case", rehearsed / "case"), "not verified: --yes gives no check images"),
+    ):
+        done = robot("drive", rehearsed / "plan", "--yes", *given)
+        assert done.exit_code == 4, done.output
+        assert done.stdout.splitlines()[-1].startswith(why)
+    assert run("case", "report", rehearsed / "case", "--out", rehearsed / "report").code == 0
+    page = (rehearsed / "report" / "report.html").read_text()
+    assert ">NOT VERIFIED: " in page
+    assert "no check shot was measured" in page

@@ -86,7 +86,7 @@ def test_calibrate_register_and_drive(robot_file, plan, images):
         address = f"127.0.0.1:{port}"
         register(robot_file, address, images)
         done = run("drive", plan, address, "--registration", robot_file, "--json", say="y\n" * 5)
-        assert done.exit_code == 0, done.output
+        assert done.exit_code == 4, done.output  # without a check shot
         assert np.allclose(json.loads(done.stdout.splitlines()[-1])["tip_mm"], END_MM, atol=0.01)
         assert [one for one in peer.commands if one in ("MOVE_TO_TARGET", "DRILL", "RETRACT")] == [
             "MOVE_TO_TARGET", "RETRACT", "MOVE_TO_TARGET", "DRILL", "DRILL",
@@ -222,7 +222,7 @@ def test_a_robot_of_2013_is_told_once_and_asked_for(robot_file, plan, images):
         }
         robot_file.write_text(json.dumps(document))
         done = run("drive", plan, f"127.0.0.1:{port}", "--registration", robot_file, say="y\n")
-        assert done.exit_code == 0, done.output
+        assert done.exit_code == 4, done.output
         assert "convention of 2013" in done.stderr
         assert peer.commands.count("MOVE_TO_TARGET") == 1
 

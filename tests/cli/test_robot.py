@@ -68,7 +68,7 @@ def test_drive_a_rehearsal_s_plan_into_its_bone(tmp_path):
     done = run(
         "drive", written(tmp_path / "plan.json", trajectory=trajectory(wire)), "--rehearse", "9", "--yes", "--json"
     )
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == 4, done.output
     said = json.loads(done.stdout)
     assert said["state"] == "DONE"
     off = np.array(said["true_wire_mm"])[1] - wire[1]
@@ -91,7 +91,7 @@ def test_a_plan_made_with_a_block_is_driven_by_the_robot_that_held_it(tmp_path):
     assert refused.exit_code == 3
     assert "made with the block block60/#" in refused.stderr
     done = run("drive", file, "--frame", "block60", "--json", say="y\ny\ny\ny\n")
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == 4, done.output
     assert "Take the block off" in done.stderr
     said = json.loads(done.stdout[done.stdout.index("{") :])
     assert said["state"] == "DONE"
@@ -175,7 +175,7 @@ def test_the_plans_own_limits_and_depth_are_those_of_the_robot(tmp_path):
     assert "above its limit of 0.30 mm" in done.stderr
     past = {"position_mm": 1.0, "direction_deg": 0.6, "beyond_mm": 4.0}
     done = run("drive", written(tmp_path / "plan.json", limits=past), "--yes", "--json")
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == 4, done.output
     tip = END_MM + 4.0 * (END_MM - ENTRY_MM) / np.linalg.norm(END_MM - ENTRY_MM)
     assert np.allclose(json.loads(done.stdout)["tip_mm"], tip, atol=0.05)
 

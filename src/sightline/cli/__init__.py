@@ -63,7 +63,8 @@ def _sightline(
 ) -> None:
     """Two ordinary C-arm images of a bead frame become a planned guide-wire trajectory with its error bound.
 
-    Every command takes --json and --quiet. Exit codes: 0 done; 2 unusable arguments or files; 3 refused by a check.
+    Every command takes --json and --quiet. Exit codes: 0 done; 2 unusable arguments or files; 3 refused by a
+    check; 4 done, but not verified.
     Research software, not a medical device.
     """
 

@@ -200,7 +200,7 @@ if TYPE_CHECKING:
 
 # Typer turns these into exit codes itself.
 _PASSED_ON = (typer.Exit, typer.Abort, typer.BadParameter, BrokenPipeError)
-_REFUSED, _BUG = 3, 1
+_REFUSED, _NOT_VERIFIED, _BUG = 3, 4, 1
 _INTERRUPTED, _TERMINATED = 130, 143  # 128 + SIGINT, 128 + SIGTERM, as shells expect
 
 
@@ -219,7 +219,7 @@ class Output:
     def __init__(self, *, json: bool, quiet: bool) -> None:
         self._json, self._quiet = json, quiet
         self._document: str | None = None
-        self._refused = False
+        self._code = 0
 
     def __enter__(self) -> Self:
         return self
@@ -278,10 +278,11 @@ class Output:
         if self._json:
             typer.echo(as_json(document))
 
-    def result(self, document: dict[str, Any], checks: Iterable[Check] = ()) -> None:
-        """The result of the command, once. With a failed check the command ends with exit code 3."""
+    def result(self, document: dict[str, Any], checks: Iterable[Check] = (), *, verified: bool = True) -> None:
+        """The result of the command, once. With a failed check it ends with exit code 3; with 4 where the work is done
+        but nothing shows that it is right."""
         checks = tuple(checks)
-        self._refused = bool(failed(checks))
+        self._code = _REFUSED if failed(checks) else 0 if verified else _NOT_VERIFIED
         if checks:
             self.table(
                 "Checks",
@@ -296,8 +297,8 @@ class Output:
         if error is None or isinstance(error, typer.Exit):
             if self._json and (self._document or error is None):
                 typer.echo(self._document or "{}")
-            if self._refused:
-                raise typer.Exit(_REFUSED)
+            if self._code:
+                raise typer.Exit(self._code)
         elif isinstance(error, Terminated):
             self._fail("Interrupted", "stopped by a signal (SIGTERM)", _TERMINATED)
         elif isinstance(error, KeyboardInterrupt):

@@ -54,11 +54,10 @@ def check_shot(
     result is recorded. Exit code 3 if a check fails or the wire is not found.
     """
     files = both_or_none(pa, lateral)
-    from sightline.case.contents import CheckRequest
     from sightline.case.journal import Case, Kind
-    from sightline.case.picks import CHECK_NAMES, Picks
+    from sightline.case.picks import Picks
     from sightline.case.replay import Recomputed
-    from sightline.case.stages import frame_of, record_verified
+    from sightline.case.stages import frame_of
     from sightline.errors import CaseError
 
     with Case.open(case) as opened:
@@ -67,23 +66,10 @@ def check_shot(
             raise CaseError("the case holds no plan; make one with `sightline plan --case`")
         entry = _of_wire(entry, again.of_all_wires(entry), wire)
         given = Picks() if picks is None else Picks.read(picks)
-        landmarks = landmarks_of(given, entry)
         frame = frame_of(opened, opened.entry(entry.rests_on[0]).settings["frame"])
-        with output.step("computing the plan again"):
-            made = again.plan(entry)
         known = {"source_detector_mm": distances.sid, "pixel_mm": distances.pixel}
         taken = NewImages(files, frame, given.mirrored, known, entry.number, invert)
-        request = CheckRequest(made.kind.wire_mm, landmarks)
-        shot, views, kept = measure_shot(output, (opened, again, entry), request, taken, record_verified)
-        _show(output, shot)
-        relations = _relations(output, again, entry)
-        output.say(
-            f"case {opened.number}: the check shot is entry {kept.number}, against the plan of entry {entry.number}"
-        )
-        numbers = {"number": opened.number, "plan": entry.number, "entry": kept.number}
-        numbers |= {"images": image_numbers(opened, views, CHECK_NAMES)}
-        document = {key: value for key, value in shot.document().items() if key != "checks"}
-        output.result({**document, "case": numbers}, (*shot.checks, *relations))
+        output.result(*measure_check(output, (opened, again, entry), given, taken))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +86,32 @@ class NewImages:
     known: Mapping[str, float | None]
     after: int
     invert: bool = False
+
+
+def measure_check(
+    output: Output, of: "tuple[Case, Recomputed, Entry]", picks: "Picks", new: NewImages
+) -> "tuple[dict[str, Any], tuple[Check, ...]]":
+    """Measure, record and print a check shot; return its document, and its checks with the relations between wires.
+
+    `of`, and what is raised: as of `measure_shot`.
+    """
+    from sightline.case.contents import CheckRequest
+    from sightline.case.picks import CHECK_NAMES
+    from sightline.case.stages import record_verified
+
+    case, again, plan = of
+    landmarks = landmarks_of(picks, plan)
+    with output.step("computing the plan again"):
+        made = again.plan(plan)
+    request = CheckRequest(made.kind.wire_mm, landmarks)
+    shot, views, kept = measure_shot(output, of, request, new, record_verified)
+    _show(output, shot)
+    relations = _relations(output, again, plan)
+    output.say(f"case {case.number}: the check shot is entry {kept.number}, against the plan of entry {plan.number}")
+    numbers = {"number": case.number, "plan": plan.number, "entry": kept.number}
+    numbers |= {"images": image_numbers(case, views, CHECK_NAMES)}
+    document = {key: value for key, value in shot.document().items() if key != "checks"}
+    return {**document, "case": numbers}, (*shot.checks, *relations)
 
 
 def measure_shot(

@@ -3,7 +3,7 @@
 import shlex
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.base import Output, WireKey, command, parse_address
-from sightline.cli.check_shot import NewImages, landmarks_of, measure_shot
+from sightline.cli.check_shot import NewImages, landmarks_of, measure_check, measure_shot
 from sightline.cli.robot import (
     SERIAL,
     Simulator,
@@ -30,14 +30,18 @@ if TYPE_CHECKING:
     from sightline.case.journal import Case, Entry
     from sightline.case.picks import Picks
     from sightline.case.replay import Recomputed
+    from sightline.common.checks import Check
     from sightline.frame import Frame
     from sightline.planning.check.shot import DrillShot
+    from sightline.rehearsal.rehearsal import Rehearsal
     from sightline.robot.kinematics.measured import RobotFile
     from sightline.robot.kinematics.target import Registration, RobotTarget
     from sightline.robot.link.client import RobotClient
+    from sightline.robot.link.record import DrillingRecord
 
 
 FROM_CASE = "case"  # instead of files
+RETAKES = 3  # [ours] pairs of check images that the twin takes: a bead may hide the tip in one
 
 
 @dataclass(frozen=True)
@@ -47,8 +51,8 @@ class MeasuredShots:
     case: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the case with this plan: with a block or --patient-frame, the shots at the skin and at the "
-            "pause are measured against it while the robot waits, and recorded.",
+            help="Folder of the case with this plan, for the check shot at the end; with a block or --patient-frame "
+            "the shots at the skin and at the pause are measured too, while the robot waits. All are recorded.",
             show_default=False,
         ),
     ] = None
@@ -90,23 +94,22 @@ def drive(
 ) -> None:
     """Drive a planned wire into the bone.
 
-    Align, confirm, drill, pause, confirm, drill. A person confirms each motion. A real robot first makes a dry run
-    without the wire. A shot that says STOP ends it.
+    Align, confirm, drill, pause, confirm, drill, check shot. A person confirms each motion. A real robot first makes a
+    dry run without the wire. A shot that says STOP ends it. Exit code 4 if no check shot shows where the wire lies.
     """
     from sightline.robot.kinematics.measured import RobotFile
+    from sightline.robot.link.record import Recorder
     from sightline.robot.link.server import tune_process
 
     tune_process()
     known = read_plan(plan, wire)
     on_patient = measured.frame_on_patient
     block = known.of_solid and on_patient is None  # that a person puts back on its mount for the shots
-    measurable = block or on_patient is not None
-    case = measured.case if measurable else None
-    planned = 0 if case is None else planned_in(case, known)
+    planned = 0 if measured.case is None else planned_in(measured.case, known)
     stood = None if registration is None else RobotFile.read(registration)
     _refuse_contradictions(address, stood, simulator)
     with ExitStack() as stack:
-        robot, held = _connected(output, stack, address, simulator, known)
+        robot, held, patient = _connected(output, stack, address, simulator, known)
         refuse_yes(robot.simulated, yes)
         with output.step("sending the plan"):
             name = known.identifier(plan.stem)
@@ -115,39 +118,91 @@ def drive(
             else:
                 target = _send_registered(robot, known, name, stood)
         _show(output, target, robot)
-        shots = None if case is None or yes else DriveShots(output, case, planned, robot, target, on_patient)
-        for step in _steps(robot, target, block=known.of_solid, put_back=block):
-            if step.state_before:
-                _shot(output, robot, step.state_before, shots, measurable=measurable)
-            if not agreed(robot.simulated, yes, step.question):
-                robot.stop()
-                output.note(f"stopped before: {step.name}")
-                break
-            with output.step(step.name):
-                step.start()
+        recorder = Recorder()
+        robot.listeners.append(recorder.heard)
+        shots = None if measured.case is None else DriveShots(output, measured.case, planned, robot, target, on_patient)
+        steps = _steps(robot, target, block=known.of_solid, put_back=block)
+        asked = Asked(yes=yes, measurable=block or on_patient is not None)
+        try:
+            stopped = _carry_out(output, robot, steps, shots, asked)
+        finally:
+            if shots is not None:
+                shots.record_drilled(recorder.record)
         state, tip_mm = robot.status().text.split(";")[0], robot.position().translation
         output.say(f"state of the robot: {state}")
-        document = {"state": state, "tip_mm": tip_mm, "end_mm": known.points_mm[1]}
+        document: dict[str, Any] = {"state": state, "tip_mm": tip_mm, "end_mm": known.points_mm[1]}
         if shots is not None:
             document["shots"] = shots.document()
-        if simulator.rehearse is not None:
+        if patient is not None:
             document["true_wire_mm"] = robot.simulated_wire().axis_mm
-        output.result(document)
+        if stopped is not None and not stopped.drills_on:
+            output.result(document)  # no wire is in the bone
+            return
+        checked = _check_shot(shots, patient, known, yes=yes) if stopped is None else UNFINISHED
+        if isinstance(checked, str):
+            output.say(f"not verified: {checked}")
+            output.result({**document, "verified": False, "check_shot": None}, verified=False)
+        else:
+            shot, checks = checked
+            output.result({**document, "verified": not failed(checks), "check_shot": shot}, checks)
+
+
+UNFINISHED = "the wire is in the bone and was not drilled to its end"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """How a person is asked: `yes` answers every question; `measurable`: shots while drilling can be measured."""
+
+    yes: bool
+    measurable: bool
+
+
+def _carry_out(
+    output: Output, robot: "RobotClient", steps: "list[_Step]", shots: "DriveShots | None", asked: Asked
+) -> "_Step | None":
+    """Carry out the steps; return the one before which a person stopped, None where all are done."""
+    for step in steps:
+        if step.state_before:
+            _shot(output, robot, step.state_before, None if asked.yes else shots, measurable=asked.measurable)
+        if not agreed(robot.simulated, asked.yes, step.question):
+            robot.stop()
+            output.note(f"stopped before: {step.name}")
+            return step
+        with output.step(step.name):
+            step.start()
+    return None
+
+
+def _check_shot(
+    shots: "DriveShots | None", patient: "Rehearsal | None", plan: "PlanFile", *, yes: bool
+) -> "tuple[dict[str, Any], tuple[Check, ...]] | str":
+    """Return the check shot of the drilled wire and its checks, or why there is none."""
+    from sightline.planning.procedures.procedure import ProcedureKey
+
+    if shots is None:
+        return (
+            "no check shot shows where the wire lies; give --case, the case with this plan, and two images at the end"
+        )
+    if patient is not None:
+        return shots.check_rehearsed(patient, ProcedureKey.of(plan.document.kind or "").wire)
+    return "--yes gives no check images; take two, and run `sightline check-shot`" if yes else shots.ask_for_check()
 
 
 def _connected(
     output: Output, stack: ExitStack, address: str | None, simulator: Simulator, plan: "PlanFile"
-) -> "tuple[RobotClient, Simulator]":
-    """Return the robot at an address, or one that is simulated until the stack ends, and what it holds."""
+) -> "tuple[RobotClient, Simulator, Rehearsal | None]":
+    """Return the robot at an address, or one that is simulated until the stack ends, what it holds, and its patient."""
     from sightline.robot.link.client import RobotClient
 
     if address is not None:
-        return stack.enter_context(RobotClient(*parse_address(address))), simulator
+        return stack.enter_context(RobotClient(*parse_address(address))), simulator, None
     with output.step("starting a simulator"):
-        theatre = simulator.theatre(plan.side or "", plan.procedure)
+        patient = simulator.patient(plan.side or "", plan.procedure)
+        theatre = simulator.in_air(plan.side or "") if patient is None else patient.theatre()
     server = stack.enter_context(theatre.server(virtual=True))
     robot = stack.enter_context(RobotClient(port=server.port))
-    return robot, replace(simulator, frame_serial=theatre.setup.frame_serial)
+    return robot, replace(simulator, frame_serial=theatre.setup.frame_serial), patient
 
 
 def _refuse_contradictions(address: str | None, stood: "RobotFile | None", simulator: Simulator) -> None:
@@ -187,12 +242,13 @@ def _shot(output: Output, robot: "RobotClient", state: str, shots: "DriveShots |
 @dataclass(frozen=True)
 class _Step:
     """A motion: the question that a person must answer first, the call that starts it, and the robot's state at the
-    shot before it, if there is one."""
+    shot before it, if there is one. `drills_on`: the wire is in the bone before it."""
 
     name: str
     question: str
     start: Callable[[], object]
     state_before: str = ""
+    drills_on: bool = False
 
 
 def _steps(robot: "RobotClient", target: "RobotTarget", *, block: bool, put_back: bool) -> list[_Step]:
@@ -237,6 +293,7 @@ def _steps(robot: "RobotClient", target: "RobotTarget", *, block: bool, put_back
             f"{again_off}Does the second shot, 10 mm short of the tip, show the wire on the plan?",
             robot.drill,
             PAUSED,
+            drills_on=True,
         ),
     )
     first = [off] if block else []
@@ -356,18 +413,12 @@ class DriveShots:
 
         with_it = "put the block on its mount" if self.on_patient is None else "leave the frame on the patient"
         while True:
-            given = typer.prompt(
-                f"Shot at {state}: {with_it}, take two images, and give both files and one of picks, 'PA LATERAL "
-                f"PICKS', or '{FROM_CASE} PICKS' for the newest images of the case; with nothing you decide by eye",
-                default="",
-                show_default=False,
-                err=True,
-            )
-            if not given.strip():
+            given = _prompted(f"Shot at {state}: {with_it}, take two images", "with nothing you decide by eye")
+            if not given:
                 _answer(f"{state}: no shot was given; the decision is yours")
                 return
             try:
-                shot = self._measure(state, shlex.split(given))
+                shot = self._measure(state, given)
             except SightlineError as refused:
                 _answer(f"{state}: not measured: {refused}")
                 continue
@@ -381,40 +432,107 @@ class DriveShots:
                     _answer("the depth was sent to the robot")
                 return
 
+    def ask_for_check(self) -> "tuple[dict[str, Any], tuple[Check, ...]] | str":
+        """Measure the check shot that a person gives, its document and checks; or return that none was given."""
+        from sightline.errors import SightlineError
+
+        while True:
+            given = ""
+            with suppress(typer.Abort):  # the input ended
+                given = _prompted(
+                    "Check shot: take two images of the plan's views with its frame in them", "with nothing it ends"
+                )
+            if not given:
+                return "no check images were given; take two, and run `sightline check-shot`"
+            try:
+                paths, picks = _read(given)
+                return self._check(paths, picks)
+            except SightlineError as refused:
+                _answer(f"check shot: not measured: {refused}")
+
+    def check_rehearsed(self, patient: "Rehearsal", wire: str) -> "tuple[dict[str, Any], tuple[Check, ...]] | str":
+        """Measure the check shot whose images the twin takes, with the landmarks as a person picks them.
+
+        `wire`: its key, "" for the first. Return its document and checks, or why it was refused.
+        """
+        from sightline.case.picks import Landmark, Picks
+        from sightline.case.views import CHECK_NAMES, NAMES
+        from sightline.common.atomic import scratch_folder
+        from sightline.errors import RefusedError
+        from sightline.imaging import write_dicom
+
+        true, why, sd_px = self.robot.simulated_wire(), "", Picks().pick_sd_px
+        marks = patient.landmarks.values()
+        for retake in range(RETAKES):
+            rng = patient.generator("picks", retake + 1)
+            with self.output.step("taking two check images"):
+                taken = patient.check_images(true, wire, retake=retake)
+            again = taken.landmarks_px(tuple(patient.landmarks), sd_px, rng).swapaxes(0, 1)
+            pixels = [map(tuple, [*before.tolist(), *then.tolist()]) for before, then in zip(marks, again, strict=True)]
+            found = [Landmark.model_validate(dict(zip((*NAMES, *CHECK_NAMES), uv, strict=True))) for uv in pixels]
+            with scratch_folder() as folder:
+                files = [write_dicom(taken.images[name], folder / f"{name}.dcm") for name in NAMES]
+                try:
+                    return self._check(tuple(files), Picks(landmarks=tuple(found)))
+                except RefusedError as refused:
+                    why = str(refused)
+                    self.output.note(f"check shot: not measured: {refused}")
+        return f"the check shot was refused: {why}"
+
+    def record_drilled(self, record: "DrillingRecord") -> None:
+        """Record in the case what was drilled, if the wire has met the bone."""
+        from sightline.case.journal import Actor, Case, Kind
+
+        if record.events or (record.depth_mm > 0).any():
+            with Case.open(self.folder) as case:
+                case.record(Kind.DRILLED, {"record": record.document()}, by=Actor.ROBOT, rests_on=[self.planned])
+
     def document(self) -> dict[str, Any]:
         """Return the shots as JSON types, by state."""
         return {state: shot.document() for state, shot in self.taken.items()}
 
-    def _measure(self, state: str, files: list[str]) -> "DrillShot":
+    def _measure(self, state: str, given: str) -> "DrillShot":
         """Read, calibrate and measure two images, and record them with the result. Raises SightlineError."""
         from sightline.case.journal import Case
-        from sightline.case.picks import Picks
         from sightline.case.replay import Recomputed
-        from sightline.case.stages import frame_of, record_shot
-        from sightline.errors import UnusableInputError
+        from sightline.case.stages import record_shot
 
-        images, rest = ([], files[1:]) if files[0] == FROM_CASE else (files[:2], files[2:])
-        if len(images) == 1 or len(rest) > 1:
-            raise UnusableInputError(
-                f"give the files of two images, PA first, or '{FROM_CASE}', and at most one file of picks"
-            )
-        picks, paths = Picks.read(Path(rest[0])) if rest else Picks(), tuple(map(Path, images)) or None
+        paths, picks = _read(given)
         with Case.open(self.folder) as case:
-            plan, again = case.entry(self.planned), Recomputed(case)
-            frame = self.on_patient or frame_of(case, case.entry(plan.rests_on[0]).settings["frame"])
-            request = self._request(state, again, plan, picks)
-            before = again.images(plan)[:2]
-            arm = before[0].view.c_arm
-            known = {} if arm is None else {"source_detector_mm": arm.source_detector_mm, "pixel_mm": arm.pixel_mm}
-            mirrored = [image.name for image in before if image.view.mirrored_display]
-            new = NewImages(paths, frame, mirrored, known, self._newest(case))
-            return measure_shot(self.output, (case, again, plan), request, new, record_shot)[0]
+            of = case, Recomputed(case), case.entry(self.planned)
+            request = self._request(state, of[1], of[2], picks)
+            return measure_shot(self.output, of, request, self._new(of, paths, self.on_patient), record_shot)[0]
 
-    def _newest(self, case: "Case") -> int:
-        """Return the number of the last entry that is older than the images of this moment."""
+    def _check(self, paths: tuple[Path, ...] | None, picks: "Picks") -> "tuple[dict[str, Any], tuple[Check, ...]]":
+        """Measure, record and print a check shot. Raises SightlineError."""
+        from sightline.case.journal import Case
+        from sightline.case.replay import Recomputed
+
+        with Case.open(self.folder) as case:
+            of = case, Recomputed(case), case.entry(self.planned)
+            return measure_check(self.output, of, picks, self._new(of, paths))
+
+    def _new(
+        self,
+        of: "tuple[Case, Recomputed, Entry]",
+        paths: tuple[Path, ...] | None,
+        frame: "Frame | None" = None,
+    ) -> NewImages:
+        """Return two more images of the plan's views, displayed as those of the plan; `frame`: by default the plan's.
+
+        Without files they are the newest, taken after all shots and motions so far.
+        """
         from sightline.case.journal import Kind
+        from sightline.case.stages import frame_of
 
-        return max([self.planned, *(entry.number for entry in case.entries(Kind.SHOT, self.planned))])
+        case, again, plan = of
+        before = again.images(plan)[:2]
+        arm = before[0].view.c_arm
+        known = {} if arm is None else {"source_detector_mm": arm.source_detector_mm, "pixel_mm": arm.pixel_mm}
+        mirrored = [image.name for image in before if image.view.mirrored_display]
+        shown = frame or frame_of(case, case.entry(plan.rests_on[0]).settings["frame"])
+        since = [entry.number for kind in (Kind.SHOT, Kind.DRILLED) for entry in case.entries(kind, plan.number)]
+        return NewImages(paths, shown, mirrored, known, max([plan.number, *since]))
 
     def _request(self, state: str, again: "Recomputed", plan: "Entry", picks: "Picks") -> "DrillShotRequest":
         """Return the request with what a person picked, and with what the robot's encoders say.
@@ -441,6 +559,35 @@ class DriveShots:
         middle_mm = again.plan(plan).trajectory.points.xyz_mm.mean(axis=0)
         movement, covariance = stood.robot.frame_moved(stood.q, q, middle_mm)
         return DrillShotRequest(check, tip_mm, straight, movement.as_matrix(), covariance, picked)
+
+
+def _prompted(request: str, without: str) -> str:
+    """Return what a person answers to the request for two images."""
+    text = (
+        f"{request}, and give both files and one of picks, 'PA LATERAL PICKS', or '{FROM_CASE} PICKS' for the newest "
+        f"images of the case; {without}"
+    )
+    return str(typer.prompt(text, default="", show_default=False, err=True)).strip()
+
+
+def _read(given: str) -> "tuple[tuple[Path, ...] | None, Picks]":
+    """Return the files of two images in an answer, None for those of the case, and what was picked in them.
+
+    Raises UnusableInputError.
+    """
+    from sightline.case.picks import Picks
+    from sightline.errors import UnusableInputError
+
+    try:
+        files = shlex.split(given)
+    except ValueError as error:
+        raise UnusableInputError(f"a quotation mark is left open ({error}); give the files again") from error
+    images, rest = ([], files[1:]) if files[0] == FROM_CASE else (files[:2], files[2:])
+    if len(images) == 1 or len(rest) > 1:
+        raise UnusableInputError(
+            f"give the files of two images, PA first, or '{FROM_CASE}', and at most one file of picks"
+        )
+    return tuple(map(Path, images)) or None, Picks.read(Path(rest[0])) if rest else Picks()
 
 
 def _answer(text: str) -> None:

@@ -13,6 +13,7 @@ from sightline.cli.base import FrameName, Output, Rehearsed, Side, as_json, comm
 if TYPE_CHECKING:
     from sightline.case.interop.plan_file import PlanFile
     from sightline.rehearsal.operation import SimulatedTheatre
+    from sightline.rehearsal.rehearsal import Rehearsal
     from sightline.robot.kinematics.measured import RobotFile
     from sightline.robot.kinematics.target import Registration
     from sightline.robot.link.server import RobotServer
@@ -39,17 +40,27 @@ class Simulator:
     frame: FrameName = "gamma"
 
     def theatre(self, side: str, procedure: str) -> "SimulatedTheatre":
-        """Return a robot in air, or at the patient of a procedure's rehearsal; of a file of the user's, at a hip
-        screw's.
+        """Return a robot in air, or at the rehearsed patient. Raises UnusableInputError, SetUpError."""
+        patient = self.patient(side, procedure)
+        return self.in_air(side) if patient is None else patient.theatre()
+
+    def in_air(self, side: str) -> "SimulatedTheatre":
+        """Return a robot without a patient. Raises SetUpError."""
+        from sightline.frame import Frame
+        from sightline.rehearsal.operation import SimulatedTheatre
+
+        return SimulatedTheatre.in_air(side, self.frame_serial or SERIAL, Frame.load(self.frame))
+
+    def patient(self, side: str, procedure: str) -> "Rehearsal | None":
+        """Return the patient of a procedure's rehearsal; of a file of the user's, a hip screw's. None without one.
 
         Raises UnusableInputError, SetUpError.
         """
         from sightline.errors import UnusableInputError
         from sightline.frame import Frame
-        from sightline.rehearsal.operation import SimulatedTheatre
 
         if self.rehearse is None:
-            return SimulatedTheatre.in_air(side, self.frame_serial or SERIAL, Frame.load(self.frame))
+            return None
         if self.frame_serial is not None:
             raise UnusableInputError("--rehearse uses the serial of its own frame; leave out --frame-serial")
         from sightline.rehearsal.patient import AT_HIP, BONE_OF, NAILED
@@ -60,7 +71,7 @@ class Simulator:
                 f"--rehearse simulates no robot for {procedure!r}, of which the plan is: leave it out"
             )
         known = procedure if procedure in (*AT_HIP, NAILED) else "hip-screw"
-        return Rehearsal.draw(self.rehearse, Frame.load(self.frame), side, known).theatre()
+        return Rehearsal.draw(self.rehearse, Frame.load(self.frame), side, known)
 
 
 @dataclass(frozen=True)

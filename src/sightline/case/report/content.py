@@ -218,11 +218,12 @@ def report_of(case: Case) -> Report:
 
 
 def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
-    """Return the last drilling record and the last check shot since the plan; None if there is neither."""
+    """Return the last drilling record and the last check shot after it; None if there is neither since the plan."""
     drilled = case.entries(Kind.DRILLED, plan.number)
     own = [entry for entry in drilled if not entry.rests_on or plan.number in entry.rests_on]  # not of another wire
     records = [entry.content["record"] for entry in own if "record" in entry.content]
-    verified = [entry for entry in case.entries(Kind.VERIFIED, plan.number) if plan.number in entry.rests_on]
+    since = max([plan.number, *(entry.number for entry in own)])
+    verified = [entry for entry in case.entries(Kind.VERIFIED, since) if plan.number in entry.rests_on]
     shots = [entry for entry in verified if "asked" in entry.content]  # earlier versions did not record the request
     drilling = {entry.content["asked"]["straight"]: entry for entry in case.entries(Kind.SHOT, plan.number)}
     if not records and not shots and not drilling:

@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from sightline.case.report.charts import WIDTH, force_trace
+from sightline.common.checks import failed
 from sightline.planning.check.shot import PAUSED, CheckShot, DrillShot
 from sightline.robot.kinematics.target import RobotTarget
 from sightline.robot.link.record import DrillingRecord
@@ -139,6 +140,19 @@ def _shot_sentence(state: str, shot: DrillShot | str) -> str:
         return f"The shot at {state} was refused: {shot}."
     depth = f" The tip was {shot.depth_mm:.2f} mm deep (s.d. {shot.depth_sd_mm:.2f} mm)." if state == PAUSED else ""
     return f"The shot at {state} says {shot.decision}.{depth}"
+
+
+def outcome(drilled: Drilled | None) -> "tuple[str, str, str, tuple[Check, ...]] | None":
+    """Return the verdict on a drilled wire: its state, word, sentence and failed checks; None while none is drilled."""
+    if drilled is None or (drilled.record is None and drilled.check is None):
+        return None
+    if not isinstance(drilled.check, CheckShot):
+        why = f"the check shot was refused: {drilled.check}" if drilled.check else "no check shot was measured"
+        return "incomplete", "NOT VERIFIED", f"The wire was drilled, but {why}.", ()
+    if not drilled.check.passed:
+        sentence = "The check shot does not confirm the wire where it was planned."
+        return "no-go", "NOT CONFIRMED", sentence, failed(drilled.check.checks)
+    return "go", "CONFIRMED", "The check shot shows the wire where it was planned, within the limits.", ()
 
 
 def check_sentence(check: CheckShot | str | None) -> str:
