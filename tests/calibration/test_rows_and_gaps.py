@@ -38,6 +38,16 @@ def test_a_torn_image_is_found_with_its_row_and_shift(method, shift_px):
     assert ("along" if shift_px[0] else "across") in check.sentence
 
 
+def test_balls_beside_their_places_are_not_a_torn_image():
+    """Half of a plate is 0.5 mm aside: a tear would explain a part of it."""
+    seen = Camera.pa(bend=0.03).observe(GAMMA, np.random.default_rng(3))
+    aside = [0.5 * (f.id.startswith("pa-x") and f.xyz_mm[1] > 20) for f in GAMMA.fiducials]
+    wrong = GAMMA.with_beads_at(GAMMA.xyz_mm + np.outer(aside, [1.0, 0.0, 0.0]))
+    checks = {check.name: check for check in calibrate(seen, wrong).checks}
+    assert not checks["chi-square"].passed and "another frame" in checks["chi-square"].sentence
+    assert checks["image rows"].passed
+
+
 def near(view, uv_px=POINT_PX) -> float:
     used, hidden, shown = view.lines_of_sight(uv_px).beads_near[0]
     assert hidden == 0  # unknown what else was detected

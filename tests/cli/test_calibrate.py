@@ -60,6 +60,13 @@ def test_people_read_the_focal_point_the_residuals_and_the_checks(run, beads_csv
         assert text in ran.out
 
 
+def test_the_frame_is_said_first_and_the_balls_tell_another(run, beads_csv: Path, pair) -> None:
+    assert run("calibrate", beads_csv, "--view", "pa").out.startswith("frame: gamma (assumed; --frame names another)\n")
+    ran = run("calibrate", pair["pa"], "--frame", "biplane")
+    assert ran.code == 3 and ran.out.startswith("frame: biplane\n")
+    assert "the image shows the frame gamma, not biplane: give --frame gamma. With biplane: " in ran.said
+
+
 def test_datum_markers_given_by_hand_tell_the_beads_apart(run, pair, setup, frame) -> None:
     """The person gives those that can be seen: some lie behind other balls."""
     seen = np.array([bead["uv_px"] for bead in run("detect", pair["pa"], "--json").document["beads"]])

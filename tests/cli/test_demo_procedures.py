@@ -98,7 +98,8 @@ def test_the_demo_with_a_block_is_ten_times_as_accurate_as_the_paper(run, tmp_pa
     report = (tmp_path / "demo/report.html").read_text()
     assert all(words in report for words in ("registered by images", "The shot at PAUSED says GO", "second shot, PA"))
     plan = run("calibrate", tmp_path / "demo/demo_pa.dcm", "--frame", "block60", "--json")
-    assert plan.code != 0 and "name the view" in plan.out
+    assert plan.code != 0 and "say which view the image is, --view" in plan.out
+    assert "as many as a block has" in run("calibrate", tmp_path / "demo/demo_pa.dcm").said
 
 
 @pytest.mark.slow

@@ -62,15 +62,31 @@ def noise_checks(fit: JointFit) -> list[Check]:
             f"No covariance of the beads was given; their noise, estimated from the residuals, is {noise_px:.2f} px"
         ) + ("." if passed else f", limit {MAX_NOISE_PX:g} px: check labels and frame, or acquire a sharper image.")
         return [Check("measurement noise", passed, noise_px, MAX_NOISE_PX, "px", sentence)]
-    freedom = len(fit.data_mm) - fit.solution.theta.shape[0]
     return [
         chi_square_check(
-            float(fit.data_mm @ fit.solution.dual[:, 0]),
-            freedom,
+            *_misfit(fit),
             "The residuals agree with the stated noise and tolerances.",
-            "The residuals are larger than the stated noise and tolerances explain: check labels and frame.",
+            "The residuals are larger than the stated noise and tolerances explain: the frame is not as its file says "
+            "(another frame, balls beside their places, too small tolerances), or the image is blurred or torn.",
         )
     ]
+
+
+def _misfit(fit: JointFit) -> tuple[float, int]:
+    """Return the sum of squared residuals over their expected variances, and its degrees of freedom."""
+    return float(fit.data_mm @ fit.solution.dual[:, 0]), len(fit.data_mm) - fit.solution.theta.shape[0]
+
+
+def beyond_misfit(sigma: float, square: float, freedom: int) -> float:
+    """Return the significance of one more parameter; where the residuals are too large, against what it leaves of them.
+
+    Where the frame's file is wrong, many a parameter explains a little of that, and none is the cause.
+
+    `sigma`: its estimate over its s.d.; `square`, `freedom`: of the residuals without it.
+    """
+    if square <= chdtri(freedom, FALSE_ALARM):
+        return sigma
+    return sigma / float(np.sqrt(max(1.0, (square - sigma**2) / (freedom - 1))))
 
 
 def chi_square_check(square: float, freedom: int, agrees: str, disagrees: str) -> Check:
@@ -110,8 +126,9 @@ def handedness_check(upright: bool, mirrored_display: bool | None) -> Check:
 def row_check(fit: JointFit) -> Check:
     """Return the check that the image is not torn: that no part below a row is shifted against the part above.
 
-    A shift of the lower part, along or across the rows, is one more parameter of the image model. It is tested midway
-    between beads that follow each other in v, wherever at least `MIN_BESIDE_ROW` beads lie on either side.
+    A shift of the lower part, along or across the rows, is one more parameter of the image model, judged by
+    `beyond_misfit`. It is tested midway between beads that follow each other in v, wherever at least `MIN_BESIDE_ROW`
+    beads lie on either side.
     """
     uv, slopes = fit.beads.uv_px, fit.map.jacobian(fit.beads.uv_px)
     order = np.argsort(uv[:, 1])
@@ -122,7 +139,10 @@ def row_check(fit: JointFit) -> Check:
     shifts_px, sds_px = (np.concatenate(values) for values in zip(*scores, strict=True))
     sigma = np.abs(shifts_px) / sds_px
     worst = int(sigma.argmax())
-    largest, limit = float(sigma[worst]), float(np.sqrt(chdtri(1, FALSE_ALARM / len(sigma))))
+    largest, limit = (
+        beyond_misfit(float(sigma[worst]), *_misfit(fit)),
+        float(np.sqrt(chdtri(1, FALSE_ALARM / len(sigma)))),
+    )
     if passed := largest <= limit:
         sentence = "The image is not torn at any row."
     else:

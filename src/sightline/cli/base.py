@@ -107,6 +107,12 @@ FrameIndex = Annotated[
     int | None, typer.Option("--frame-index", help="Which image of a multi-frame file, from 0.", show_default=False)
 ]
 FrameName = Annotated[str, typer.Option("--frame", help="A frame file, gamma, biplane, stereo or block60.")]
+ImagesFrame = Annotated[
+    str | None,
+    typer.Option(
+        "--frame", help="The frame in the image: a frame file, gamma, biplane, stereo or block60.", show_default="gamma"
+    ),
+]
 MethodName = Literal["smooth", "localized", "polynomial"]
 Method = Annotated[MethodName, typer.Option("--method", help="Calibration method; localized is the paper's.")]
 Mirrored = Annotated[
@@ -141,7 +147,7 @@ class Distances:
 class LabellingOptions:
     """How the beads of one image are found and labelled."""
 
-    frame: FrameName = "gamma"
+    frame: ImagesFrame = None
     view: Annotated[
         str | None,
         typer.Option(
@@ -176,6 +182,15 @@ FrameSource = Annotated[
 Rehearsed = Literal["hip-screw", "cannulated-hip-screws", "free-wire", "distal-interlocking"]
 
 
+def frame_of_images(output: "Output", given: str | None) -> "Frame":
+    """Return the frame in the images, and say first which it is; gamma where none is given. Raises FrameError."""
+    from sightline.frame import Frame
+
+    frame = Frame.load(given or "gamma")
+    output.say(f"frame: {frame.name}" if given else "frame: gamma (assumed; --frame names another)")
+    return frame
+
+
 def refuse_existing(file: Path | None) -> None:
     """Raise UnusableInputError for a file to be written that exists."""
     from sightline.errors import UnusableInputError
@@ -197,6 +212,8 @@ def parse_address(text: str) -> tuple[str, int]:
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
+
+    from sightline.frame import Frame
 
 # Typer turns these into exit codes itself.
 _PASSED_ON = (typer.Exit, typer.Abort, typer.BadParameter, BrokenPipeError)

@@ -18,6 +18,7 @@ from sightline.cli.base import (
     as_json,
     command,
     commands,
+    frame_of_images,
 )
 
 if TYPE_CHECKING:
@@ -55,10 +56,9 @@ def calibrate(
     from sightline.case.views import view_document
     from sightline.common.atomic import write_whole
     from sightline.detection.csv_files import write_observations
-    from sightline.frame import Frame
     from sightline.from_images.pipeline import known_arm
 
-    frame = Frame.load(labelling.frame)
+    frame = frame_of_images(output, labelling.frame)
     with output.step("finding and labelling the beads"):
         seen = see(image, frame, labelling)
     if csv is not None:
@@ -97,11 +97,10 @@ def undistort(
     from sightline.calibration import calibrate
     from sightline.calibration.maps.undistort import undistort as resample
     from sightline.errors import UnusableInputError
-    from sightline.frame import Frame
 
     if image.suffix.lower() == ".csv":
         raise UnusableInputError("a CSV file has no pixels to resample; give the image")
-    frame = Frame.load(labelling.frame)
+    frame = frame_of_images(output, labelling.frame)
     frame.refuse_solid("its images come from flat panels, which have no distortion to remove")
     with output.step("finding and labelling the beads"):
         seen = see(image, frame, labelling)

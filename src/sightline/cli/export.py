@@ -9,7 +9,7 @@ import typer
 
 from sightline.cli.base import (
     FrameIndex,
-    FrameName,
+    ImagesFrame,
     Invert,
     LabellingOptions,
     OutFolder,
@@ -17,6 +17,7 @@ from sightline.cli.base import (
     Side,
     Spacing,
     command,
+    frame_of_images,
     group,
 )
 from sightline.cli.calibrate import see
@@ -39,7 +40,7 @@ class ImageOptions:
 
     pa: Annotated[Path, typer.Argument(help="Image of one view, or observations as CSV.")]
     lateral: Annotated[Path | None, typer.Argument(help="Image of the other view.", show_default=False)] = None
-    frame: FrameName = "gamma"
+    frame: ImagesFrame = None
     invert: Invert = False
 
 
@@ -227,9 +228,8 @@ def _calibrate(output: Output, images: ImageOptions, *, pixels: bool) -> "list[t
     from sightline.calibration import calibrate
     from sightline.case.views import see_pair
     from sightline.errors import UnusableInputError
-    from sightline.frame import Frame
 
-    frame = Frame.load(images.frame)
+    frame = frame_of_images(output, images.frame)
     with output.step("finding and labelling the beads"):
         if images.lateral is None:
             seen = [see(images.pa, frame, LabellingOptions(invert=images.invert))]

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.base import FrameName, FrameSource, Invert, Output, command, group, refuse_existing
+from sightline.cli.base import (
+    FrameSource,
+    ImagesFrame,
+    Invert,
+    Output,
+    command,
+    frame_of_images,
+    group,
+    refuse_existing,
+)
 from sightline.common.checks import failed
 
 if TYPE_CHECKING:
@@ -596,7 +605,7 @@ def self_check(
     images: Annotated[
         list[Path], typer.Argument(help="4 or more images, or observations as CSV, with the C-arm moved between them.")
     ],
-    frame: FrameName = "gamma",
+    frame: ImagesFrame = None,
     distance: Annotated[
         str | None,
         typer.Option(metavar="ID,ID,MM,SD", help="Of a block: a measured distance between two balls' centres, 1 s.d."),
@@ -611,10 +620,9 @@ def self_check(
     """
     from sightline.calibration.plates.self_check import self_check as adjust
     from sightline.calibration.solids.self_check import SolidSelfCheck, self_check_solid
-    from sightline.frame import Frame
 
     refuse_existing(out)
-    known = Frame.load(frame)
+    known = frame_of_images(output, frame)
     measured = None if known.solid is None else _distance(distance)
     seen: list[ObservedView] = []
     with output.progress("finding and labelling the beads", len(images)) as advance:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.base import Distances, Invert, Method, Output, Side, command, commands
+from sightline.cli.base import Distances, Invert, Method, Output, Side, command, commands, frame_of_images
 from sightline.common.checks import failed
 
 if TYPE_CHECKING:
@@ -349,7 +349,6 @@ class PlanImages:
         from sightline.case.journal import Case
         from sightline.case.stages import frame_in_use, frame_of
         from sightline.case.views import ALL_NAMES, NAMES
-        from sightline.frame import Frame
 
         files = both_or_none(self.pa, self.lateral)
         if files is None and self.case is None:
@@ -363,7 +362,8 @@ class PlanImages:
         if self.case is not None and (files is None or Case.exists(self.case)):
             case = stack.enter_context(Case.open(self.case))
         in_use = None if case is None or self.frame is not None else frame_in_use(case)
-        frame = Frame.load(self.frame or "gamma") if case is None or in_use is None else frame_of(case, in_use)
+        known = None if case is None or in_use is None else frame_of(case, in_use)
+        frame = known or frame_of_images(output, self.frame)
         with output.step("finding and labelling the beads"):
             return PlanningImages(case, frame, names, images_of(output, case, files, frame, names, invert=self.invert))
 

@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.base import FrameName, Invert, Method, Mirrored, Output, as_json, command, commands
+from sightline.cli.base import (
+    ImagesFrame,
+    Invert,
+    Method,
+    Mirrored,
+    Output,
+    as_json,
+    command,
+    commands,
+    frame_of_images,
+)
 
 if TYPE_CHECKING:
     from sightline.case.views import CalibratedImage
@@ -76,7 +86,7 @@ class PairOptions:
 
     pa: Annotated[Path, typer.Argument(help="The PA image, or observations as CSV.")]
     lateral: Annotated[Path, typer.Argument(help="The lateral image, or observations as CSV (may be the same file).")]
-    frame: FrameName = "gamma"
+    frame: ImagesFrame = None
     method: Method = "smooth"
     mirrored: Mirrored = None
     invert: Invert = False
@@ -98,11 +108,10 @@ def assess(
     Exit code 3: the errors are larger than predicted.
     """
     from sightline.case.views import calibrate_pair, see_pair, view_document
-    from sightline.frame import Frame
     from sightline.studies.assess import assess as reconstruct_points
     from sightline.studies.assess import read_points
 
-    frame, points = Frame.load(pair.frame), read_points(truth)
+    frame, points = frame_of_images(output, pair.frame), read_points(truth)
     with output.step("finding and labelling the beads"):
         seen = see_pair(pair.pa, pair.lateral, frame, invert=pair.invert)
     with output.step(f"calibrating both views ({pair.method})"):

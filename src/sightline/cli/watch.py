@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.base import FrameName, Invert, Output, WireKey, command, commands
+from sightline.cli.base import ImagesFrame, Invert, Output, WireKey, command, commands, frame_of_images
 
 if TYPE_CHECKING:
     from sightline.calibration import BeadView
@@ -31,7 +31,7 @@ class LiveOptions:
         int | None,
         typer.Option(metavar="SEED", help="Watch a simulated C-arm drawn from this seed; it is bumped after 6 s."),
     ] = None
-    frame: FrameName = "gamma"
+    frame: ImagesFrame = None
     invert: Invert = False
 
 
@@ -58,9 +58,8 @@ def watch(
     """
     from sightline.case.watch.analyser import BLIND_TO
     from sightline.case.watch.live import Watch
-    from sightline.frame import Frame
 
-    frame = Frame.load(live.frame)
+    frame = frame_of_images(output, live.frame)
     frame.refuse_solid("a live image is watched by the plates of a frame")
     images, drawn = _opened(live, frame, output)
     drawn = drawn if plan is None else _planned(plan, wire, frame, output)

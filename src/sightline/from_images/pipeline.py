@@ -21,6 +21,7 @@ from sightline.detection.causes import cause_of
 from sightline.detection.wire import ProjectedWire, WireShadow, find_wire
 from sightline.errors import DetectionRefusedError, LabellingRefusedError, OutsideRegionError, WireRefusedError
 from sightline.frame import Frame
+from sightline.frame.designs import BUILTIN, SOLIDS
 from sightline.frame.plate import Fiducial
 from sightline.imaging import GeometryTags, Radiograph, as_radiograph, image_checks
 from sightline.planning import Plan, reconstruct
@@ -46,6 +47,7 @@ _SQUARE = 1e-3  # [ours] share by which a pixel's sides may differ: makers round
 DATUM_BEADS = 5.0  # a datum counts as so many beads: without it an image may not be labelled [ours]
 _OUTSIDE_MM = 100.0  # [ours] of a wire of 200 mm outside the entry, which hides beads too
 _STEP_MM = 0.5
+MIN_BLOCK, MAX_BLOCK = 9, 40  # balls of a block, some of them hidden, or with false ones [ours]; plates show 60 or more
 
 
 @one_blas_thread
@@ -73,7 +75,7 @@ def calibrate_image(
     """
     frame = Frame.of(frame)
     image, beads = find_beads(as_radiograph(image, white))
-    observations = label_beads(image, beads, frame, view, datums)
+    observations = label_first(image, beads, frame, view, datums)
     return view_of(observations, image, frame, method, c_arm or known_arm(image), mirrored_display=mirrored_display)
 
 
@@ -228,6 +230,37 @@ def label_beads(
         why = cause_of(image, np.column_stack([beads.uv_px, beads.radius_px]), beads.rejected)
         raise LabellingRefusedError(f"{why} ({refused})" if why else str(refused)) from None
     return look_again(image, beads, observations, frame)
+
+
+def label_first(
+    image: Radiograph,
+    beads: Detections,
+    frame: Frame,
+    view: str | None = None,
+    datums: Mapping[str, tuple[float, float]] | None = None,
+) -> Observations:
+    """Return what `label_beads` returns; a refusal also says which other frame's balls the image shows.
+
+    That takes a second, so it is for images given one by one.
+    """
+    try:
+        return label_beads(image, beads, frame, view, datums)
+    except LabellingRefusedError as refused:
+        raise LabellingRefusedError(f"{_of_another_frame(beads, frame)}{refused}") from None
+
+
+def _of_another_frame(beads: Detections, frame: Frame) -> str:
+    """Return a sentence on the built-in frame that the beads are of; empty where none is known."""
+    for name in BUILTIN:
+        with suppress(LabellingRefusedError):
+            if name != frame.name and len(label(beads, name)):
+                return f"the image shows the frame {name}, not {frame.name}: give --frame {name}. With {frame.name}: "
+    if frame.solid is None and MIN_BLOCK <= len(beads) <= MAX_BLOCK:
+        return (
+            f"{len(beads)} balls are seen, as many as a block has, and {frame.name} has two plates in each view: if a "
+            f"block is in the image, give its file, or --frame {' or '.join(SOLIDS)}. With {frame.name}: "
+        )
+    return ""
 
 
 def known_arm(

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from sightline.calibration.bead_checks import (
+    beyond_misfit,
     chi_square_check,
     count_check,
     leave_one_out_check,
@@ -66,7 +67,8 @@ def _distortion(fit: SolidAdjustment, image: int) -> Check:
     direction = np.zeros(len(fit.residual))
     cubic = off * (off**2).sum(axis=1, keepdims=True) / camera.focal_px**2
     direction[fit.rows_of(image)] = (own.whiten @ cubic[..., None]).ravel()
-    sigma, limit = abs(fit.score(direction)), float(np.sqrt(chdtri(1, FALSE_ALARM)))
+    sigma, limit = abs(float(fit.score(direction))), float(np.sqrt(chdtri(1, FALSE_ALARM)))
+    sigma = beyond_misfit(sigma, fit.chi_square, fit.freedom)
     sentence = (
         "The image shows no distortion, as a flat panel's."
         if sigma <= limit

@@ -118,7 +118,8 @@ def _of_solid(detections: Detections, usable: np.ndarray, frame: Frame, view: st
     """Return the labels of a solid, and of the plate on the detector. Raises LabellingRefusedError."""
     if view is None:
         raise LabellingRefusedError(
-            "a solid looks alike in every view, so its image does not tell which view it is; name the view, as 'pa'"
+            "a block looks alike in every view: say which view the image is, --view pa, lateral or oblique (in Python: "
+            "view='pa')"
         )
     # Here: a frame with plates does not need what solids take, 6 MB of scipy.spatial above all.
     from sightline.detection.labelling.cloud import label_cloud, label_plate
