@@ -24,6 +24,7 @@ from rich.console import Console
 from scipy.spatial.transform import RigidTransform
 
 from campaigns.campaign import Finished
+from sightline.cli.robot import SERIAL
 from sightline.errors import SightlineError
 from sightline.rehearsal.operation import calibrated_robot
 from sightline.robot.control.states import State
@@ -86,7 +87,7 @@ def robot_in_air() -> Iterator[int]:
 
 def dry_run() -> list[str]:
     """Return the steps of a dry run that failed."""
-    with robot_in_air() as port, Examination("127.0.0.1", port) as robot:
+    with robot_in_air() as port, Examination("127.0.0.1", port, SERIAL) as robot:
         return [f"{s.name}: {s.seen}" for s in robot.dry_run() if s.verdict is not ConformanceVerdict.PASSED]
 
 

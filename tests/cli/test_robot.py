@@ -181,14 +181,36 @@ def test_the_plans_own_limits_and_depth_are_those_of_the_robot(tmp_path):
 
 
 @pytest.mark.slow
-def test_check_a_robot():
-    with scripted() as port:
-        done = run("check", f"127.0.0.1:{port}", "--yes", "--json")
+def test_check_a_robot(monkeypatch):
+    monkeypatch.setattr("sightline.robot.link.conformance.poses.HOLD_S", 0.6)
+    with scripted(steps=25) as port:
+        done = run("check", f"127.0.0.1:{port}", "--frame-serial", "SN-7", "--yes", "--json")
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
     assert said["conforms"] is True
     assert {"name": "unknown command: 12", "verdict": "pass"}.items() <= said["findings"][3].items()
     assert said["findings"][-1]["name"].startswith("dry run")
+
+
+def test_what_could_not_be_asked_is_not_passed():
+    """No person agreed to the dry run, the frame's serial is another one, or another client holds the lease."""
+    plans, motions = 8, 12
+    with scripted() as port, RobotClient(port=port) as client:
+        address = f"127.0.0.1:{port}"
+        for serial, least in (("SN-7", motions), ("SN-8", motions + plans), ("SN-7", motions + plans + 10)):
+            done = run("check", address, "--frame-serial", serial, "--json", "--no-dry-run")
+            assert done.exit_code == 5, done.output
+            said = json.loads(done.stdout)
+            assert said["conforms"] is None
+            unasked = sum(finding["verdict"] == "not asked" for finding in said["findings"])
+            assert unasked >= least
+            assert (unasked == least) is (least <= motions + plans)
+            if serial == "SN-8":
+                client.start_up()
+    with scripted() as port:
+        done = run("check", f"127.0.0.1:{port}", "--frame-serial", "SN-7", say="n\n")
+    assert done.exit_code == 5
+    assert "12 of 55 questions were not asked" in " ".join(done.stderr.split())
 
 
 @pytest.mark.slow

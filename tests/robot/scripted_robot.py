@@ -8,7 +8,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -42,7 +42,9 @@ STEP_S = 0.01  # of a motion
 SILENCE_S = 0.5  # of the client, while this robot itself runs
 REACH_MM = 600.0  # of its tip, from where it stands at first
 HOME = np.array([[0.0, 0.0, 1.0, 250.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 300.0], [0.0, 0.0, 0.0, 1.0]])  # MCS
-SHORT_MM = 60.0  # before the target's tip a robot of ours stands aligned
+SHORT_MM = 20.0  # before the entry point a robot of ours stands aligned
+SIDE, SERIAL = "right", "SN-7"
+DRIFT_MM_S = 0.4
 LAID_ASIDE_MM = 15.0
 
 
@@ -127,6 +129,9 @@ class ScriptedRobot:
         self.late: np.ndarray | None = None  # where it is once it has answered that
         self.joints_at: np.ndarray | None = None
         self.length_mm = 95.0  # from entry to tip
+        self.depth_mm = -SHORT_MM
+        self.expires_s = np.inf
+        self.aligned = False
         self.deeper_mm = 0.0  # by which it drills deeper than it says
         self.types = OURS if simulated else OURS[:-1]
         self.commands: list[str] = []
@@ -153,6 +158,7 @@ class ScriptedRobot:
                 self.phase = "UNDEFINED" if "keeps a lost client" not in self.flaws else self.phase
             if "keeps a lost client" not in self.flaws:
                 self.registration = self.target = None
+                self.aligned = False
 
     # Commands.
 
@@ -207,8 +213,8 @@ class ScriptedRobot:
             peer.transport.close()
         if "answers a wrong CRC with text" in self.flaws:
             peer.transport.write(b"ERROR: the checksum does not match\n" * 9)
-        if "obeys a wrong CRC" in self.flaws and self.phase != "UNDEFINED":
-            self.phase = "PLANNING"
+        if "ignores CRCs" in self.flaws and event.header.type_name == "STRING":
+            self.heard(peer, Message(String(event.text), event.header.device_name))
 
     def command(self, peer: Peer, number: str, text: str) -> None:
         if text == "STOP" and "deaf to STOP" in self.flaws:
@@ -275,7 +281,12 @@ class ScriptedRobot:
         if text == "MOVE_TO_TARGET":
             if self.phase == "MANUAL":
                 return 1 if "moves in MANUAL" in self.flaws else 14
+            if time.monotonic() > self.expires_s and "moves by an expired plan" not in self.flaws:
+                return 10
             return 1 if self.target is not None or "moves without a target" in self.flaws else 13
+        if text == "DRILL" and self.ours:
+            ready = self.aligned or "drills unaligned" in self.flaws
+            return 1 if ready and (peer.promised or "drills without heartbeats" in self.flaws) else 13
         return 1
 
     def obey(self, peer: Peer, text: str) -> None:
@@ -284,13 +295,14 @@ class ScriptedRobot:
         if text == "STOP" and ignored:
             return
         if text in ("MOVE_TO_TARGET", "DRILL"):
-            if self.target is not None and self.phase != "MANUAL":
+            if self.target is not None:
                 self.halt(13)
                 self.phase = "MOVE_TO_TARGET"
                 self.moving = asyncio.get_running_loop().create_task(self.move(peer, text), name=text)
                 self.mover = peer
             return
         self.halt(13)
+        self.aligned = False
         self.phase = "PLANNING" if text == "RETRACT" else text
         if text == "START_UP":
             self.registration = self.target = None
@@ -310,7 +322,9 @@ class ScriptedRobot:
         self.target = None
         if good and pose.fault is None and self.registration is not None:
             self.target = np.linalg.inv(self.registration) @ pose.matrix
-        self.length_mm = float(said.get("length_mm", 95.0))
+        with suppress(ValueError):
+            self.length_mm = float(said.get("length_mm", 95.0))
+        self.expires_s = time.monotonic() + float(said.get("valid_s", "inf")) if good else np.inf
         self.plans += [said["plan"]] if "plan" in said else []
         peer.send("TARGET", Status(1 if good else 10))
         if good:
@@ -336,14 +350,31 @@ class ScriptedRobot:
             return True
         if any(key not in said for key in contract.PLAN_KEYS):
             return "takes half a plan" in self.flaws
-        return said["go"] == "yes" or "takes NO-GO" in self.flaws
+        return self.fault_of(said) in ("", *self.flaws)
+
+    def fault_of(self, said) -> str:
+        """The flaw of a robot that takes this plan; '' where it is in order."""
+        limit, valid = (_number(said[key]) for key in ("depth_limit_mm", "valid_s"))
+        if not np.isfinite(length := _number(said["length_mm"])):
+            return "takes any depth"
+        faults = {
+            "takes NO-GO": said["go"] != "yes",
+            "takes any side": said["side"] != SIDE,
+            "takes any serial": said["frame_serial"] != SERIAL,
+            "takes any depth limit": not 0.2 <= limit - length <= 30.0,
+            "takes an expired plan": valid <= 0.0,
+            "takes a plan for ever": not valid <= 600.0,
+        }
+        return next((flaw for flaw, wrong in faults.items() if wrong), "")
 
     # What it does and says.
 
     async def move(self, peer: Peer, text: str) -> None:
         target = self.aside(self.target, "lays it aside")
         target = self.aside(target, "would lay it aside")
-        short = SHORT_MM if self.ours and text == "MOVE_TO_TARGET" else 0.0
+        short = 0.0
+        if self.ours and text == "MOVE_TO_TARGET":
+            short = 10.0 if "aligns in the bone" in self.flaws else self.length_mm + SHORT_MM
         end = target[:3, 3] + (self.deeper_mm * (text == "DRILL") - short) * target[:3, 2]
         start = self.tip[:3, 3].copy()
         for step in range(1, self.steps + 1):
@@ -356,9 +387,10 @@ class ScriptedRobot:
             self.tip = target.copy()
             self.tip[:3, 3] = start + step / self.steps * (end - start)
             peer.send("CURRENT_POSITION", self.position())
-        self.moving = None
+        self.moving, self.aligned = None, True
+        self.depth_mm = self.length_mm - short
         if self.ours:
-            peer.send(contract.DEPTH, Sensor(np.array([self.length_mm - short])))
+            peer.send(contract.DEPTH, Sensor(np.array([self.depth_mm])))
         peer.send(text, Status(1, "", "DONE" if text == "DRILL" else ""))
         peer.send("CURRENT_POSITION", self.position())
 
@@ -404,9 +436,23 @@ class ScriptedRobot:
         """The streams."""
         while True:
             await asyncio.sleep(contract.TELEMETRY_S)
+            passed_s = self.own.tick(time.monotonic())
+            if "drifts while it holds" in self.flaws and self.aligned:
+                self.tip[0, 3] += passed_s * DRIFT_MM_S
             for peer in [peer for peer in self.peers if peer.telemetry]:
                 peer.send(contract.MEASURED_CP, Transform(self.tip))
                 peer.send(contract.MEASURED_JS, self.joints())
+                if self.target is not None:
+                    peer.send(contract.DEPTH_SD, Sensor(np.array([0.5])))
+                    wrong = np.nan if "NaN as depth" in self.flaws else 0.0
+                    peer.send(contract.DEPTH, Sensor(np.array([self.depth_mm + wrong])))
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
 
 
 def _kind(fault: str) -> str:

@@ -1,8 +1,8 @@
 """The conformance test finds ours conforming, tells an old robot from a bad one, and our client drives them all."""
 
 import pytest
-from tests.robot.rig import served
-from tests.robot.scripted_robot import ScriptedRobot, scripted, serving
+from tests.robot.rig import IMAGED, served
+from tests.robot.scripted_robot import SERIAL, ScriptedRobot, scripted, serving
 
 from sightline.robot.link.conformance.examination import QUESTIONS, ConformanceVerdict, Examination
 from sightline.robot.link.conformance.poses import MOTIONS
@@ -19,23 +19,32 @@ def unjudged(findings) -> set[str]:
 
 @pytest.mark.slow
 def test_ours_passes_everything_and_stands_after_the_dry_run():
-    with served(ideal=True) as server, Examination("127.0.0.1", server.port) as robot:
+    with served(ideal=True) as server, Examination("127.0.0.1", server.port, SERIAL) as robot:
+        robot.draw_back()
         findings = robot.examine() + robot.dry_run()
         bad = {f.name: f.seen for f in findings if f.verdict is not ConformanceVerdict.PASSED}
         assert not bad
         assert {f.name for f in findings} == {"every message can be read", *QUESTIONS, *MOTIONS}
         depth = server.dialogue.controller.machine.snapshot().depth_mm
         assert depth is None or depth < -15.0  # it stood at its stand-off
+        assert server._plant.q[:4] == pytest.approx(IMAGED[:4], abs=0.01)  # on the line where it was found
 
 
+PLANS = {
+    "takes NO-GO": "plan that is NO-GO: 10", "takes half a plan": "plan that leaves out a key: 10",
+    "takes any side": "plan of the other side: 10", "takes any serial": "plan of another frame: 10",
+    "takes an expired plan": "plan that has expired: 10", "takes a plan for ever": "plan that is valid too long: 10",
+    "takes any depth limit": "plan without a depth limit: 10", "takes any depth": "plan whose depth is no number: 10",
+}  # fmt: skip
 OURS_ALONE = {
     "a repeated command acts once", "an identifier used for another command: 10",
     "dry run: a repeated command moves nothing",
-    "target in metres: 10", "target in another frame: 10", "target in another unit: 10", "plan that is NO-GO: 10",
-    "plan that leaves out its side: 10", "STOP on a second connection", "one client holds the lease",
+    "target in metres: 10", "target in another frame: 10", "target in another unit: 10",
+    *PLANS.values(), "STOP on a second connection", "one client holds the lease",
     "forgets a lost client", "streams", "EMERGENCY waits for a reset", "a reset names its fault",
     "dry run: STOP while moving, on a second connection", "dry run: silence stops motion",
-    "dry run: a lost client's motion stops",
+    "dry run: a lost client's motion stops", "dry run: MOVE_TO_TARGET by an expired plan: 10",
+    "dry run: DRILL without alignment: 13", "dry run: DRILL without heartbeats: 13", "dry run: states its depth",
 }  # fmt: skip
 
 
@@ -44,7 +53,7 @@ def test_a_robot_of_2013_is_asked_what_it_knows_over_one_connection():
     """It takes one client, whose STATUS or second connection it would not expect, and ends with it."""
     peer = ScriptedRobot(ours=False, clients=1, says_reachable=False)
     came = []
-    with serving(peer) as port, Examination("127.0.0.1", port) as robot:
+    with serving(peer) as port, Examination("127.0.0.1", port, SERIAL) as robot:
         came += peer.peers
         findings = robot.examine() + robot.dry_run()
         assert peer.peers == came
@@ -64,7 +73,6 @@ FAULTS: list[tuple[str, str | set[str]]] = [
     ("no PLANNING from START_UP", "PLANNING from START_UP"),
     ("TARGETING without calibration", "TARGETING without calibration: 13"),
     ("moves without a target", "MOVE_TO_TARGET without target: 13"),
-    ("moves in MANUAL", "MOVE_TO_TARGET in MANUAL: 14 or 13"),
     ("acts on a repeat", "a repeated command acts once"),
     ("refuses a repeat", "a repeated command acts once"),
     ("takes an identifier twice", "an identifier used for another command: 10"),
@@ -80,11 +88,10 @@ FAULTS: list[tuple[str, str | set[str]]] = [
     ("takes metres", "target in metres: 10"),
     ("takes any frame", "target in another frame: 10"),
     ("takes any unit", "target in another unit: 10"),
-    ("takes NO-GO", "plan that is NO-GO: 10"),
-    ("takes half a plan", "plan that leaves out its side: 10"),
+    *PLANS.items(),
     ("ignores STOP while standing", {"STOP is obeyed in every phase", "STOP on a second connection"}),
     ("stops for its own client only", "STOP on a second connection"),
-    ("obeys a wrong CRC", "a command with a wrong CRC is not obeyed"),
+    ("ignores CRCs", "a command with a wrong CRC is not obeyed"),
     ("hangs up on a wrong CRC", "survives a wrong CRC"),
     ("answers a wrong CRC with text", "survives a wrong CRC"),
     ("hangs up on unknown types", "survives an unknown type"),
@@ -105,21 +112,39 @@ FAULTS_IN_MOTION = [
     ("moves on a repeat", {"dry run: a repeated command moves nothing"}),
     ("never notices silence", {"dry run: silence stops motion"}),
     ("goes on without its client", {"dry run: a lost client's motion stops"}),
+    ("moves in MANUAL", {"dry run: MOVE_TO_TARGET in MANUAL: 14 or 13"}),
+    ("moves by an expired plan", {"dry run: MOVE_TO_TARGET by an expired plan: 10"}),
+    ("drills unaligned", {"dry run: DRILL without alignment: 13"}),
+    ("drills without heartbeats", {"dry run: DRILL without heartbeats: 13"}),
+    ("drifts while it holds", {"dry run: holds still when aligned"}),
+    ("NaN as depth", {"dry run: states its depth"}),
+    ("aligns in the bone", {"dry run: aligns, and stands"}),
 ]
+# Steps of a motion that must not have ended before it is judged.
+LONG = {"never notices silence": 300}
+LONG |= dict.fromkeys(
+    ("ignores STOP while moving", "deaf to others while moving", "moves on a repeat", "goes on without its client"), 150
+)
+
+
+@pytest.fixture(autouse=True)
+def short_hold(monkeypatch):
+    monkeypatch.setattr("sightline.robot.link.conformance.poses.HOLD_S", 0.6)
 
 
 # Faults that do not touch each other: one robot has several, and fails the line of each.
 TOGETHER = [
-    ("another ACK text", "echoes another registration", "takes metres", "NaN in its joints", "moves in MANUAL"),
+    ("another ACK text", "echoes another registration", "takes metres", "NaN in its joints", "takes any side"),
     ("acts on a repeat", "takes any frame", "takes a registration that is not rigid", "any reset",
-     "hangs up on unknown types"),
+     "hangs up on unknown types", "takes any serial"),
     ("takes an identifier twice", "takes any unit", "takes a registration that is not finite", "five rows of joints",
-     "hangs up on a wrong CRC"),
-    ("refuses a repeat", "echoes another target", "takes NO-GO", "no lease", "TARGETING without calibration"),
+     "hangs up on a wrong CRC", "takes an expired plan"),
+    ("refuses a repeat", "echoes another target", "takes NO-GO", "no lease", "TARGETING without calibration",
+     "takes a plan for ever"),
     ("would lay it aside", "takes half a plan", "takes a target that is not rigid", "stops for its own client only",
-     "takes a target out of reach"),
+     "takes a target out of reach", "takes any depth"),
     ("takes a target that is not finite", "sends wrong CRCs", "obeys in EMERGENCY", "moves without a target",
-     "obeys a wrong CRC"),
+     "ignores CRCs", "takes any depth limit"),
 ]  # fmt: skip
 LINES = {flaw: {lines} if isinstance(lines, str) else lines for flaw, lines in FAULTS}
 GROUPED = {flaw for group in TOGETHER for flaw in group}
@@ -137,7 +162,7 @@ WAITED_FOR = {"late ACK", "keeps a lost client", "ignores unknown commands", "de
     ids=", ".join,
 )
 def test_a_bad_robot_fails_the_line_of_each_of_its_faults(flaws):
-    with scripted(*flaws) as port, Examination("127.0.0.1", port) as robot:
+    with scripted(*flaws) as port, Examination("127.0.0.1", port, SERIAL) as robot:
         assert failed(robot.examine()) == set().union(*(LINES[flaw] for flaw in flaws))
 
 
@@ -146,8 +171,8 @@ def test_a_bad_robot_fails_the_line_of_each_of_its_faults(flaws):
     [pytest.param(*one, id=one[0], marks=[pytest.mark.slow] if k else []) for k, one in enumerate(FAULTS_IN_MOTION)],
 )
 def test_a_robot_that_is_bad_in_motion_fails_its_own_line(flaw, questions):
-    with scripted(flaw, steps=25 if flaw == "lays it aside" else 400) as port:
-        with Examination("127.0.0.1", port) as robot:
+    with scripted(flaw, steps=LONG.get(flaw, 25)) as port:
+        with Examination("127.0.0.1", port, SERIAL) as robot:
             found = robot.dry_run()
         assert failed(found) == questions
 
@@ -160,5 +185,5 @@ def test_every_question_has_its_bad_robot():
 
 @pytest.mark.slow
 def test_a_motion_that_ends_by_itself_is_not_taken_for_a_stop():
-    with scripted("ignores STOP while moving", steps=1) as port, Examination("127.0.0.1", port) as robot:
+    with scripted("ignores STOP while moving", steps=1) as port, Examination("127.0.0.1", port, SERIAL) as robot:
         assert "dry run: STOP while moving" in unjudged(robot.dry_run())

@@ -64,7 +64,7 @@ def _sightline(
     """Two ordinary C-arm images of a bead frame become a planned guide-wire trajectory with its error bound.
 
     Every command takes --json and --quiet. Exit codes: 0 done; 2 unusable arguments or files; 3 refused by a
-    check; 4 done, but not verified.
+    check; 4 done, but not verified; 5 not all asked.
     Research software, not a medical device.
     """
 

@@ -8,6 +8,7 @@ from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import Code
 from sightline.robot.igtl import Message, NDArray, String, encode
+from sightline.robot.igtl.wire import HEADER_BYTES
 from sightline.robot.link.conformance.conversation import (
     IDENTIFIERS,
     SEVERAL,
@@ -17,10 +18,9 @@ from sightline.robot.link.conformance.conversation import (
     UnsupportedError,
     expect,
     expect_code,
+    registered,
 )
 from sightline.robot.link.exchange import pose_of
-
-_NOT_READY = (Code.NOT_READY,)
 
 
 def _acknowledges(talk: Conversation) -> str:
@@ -69,15 +69,15 @@ def _unknown_command(talk: Conversation) -> str:
     return expect_code(answer, Code.UNKNOWN)
 
 
-def _refused_after(*before: str, command: str, codes: tuple[Code, ...]) -> Question:
-    def question(talk: Conversation) -> str:
-        talk.bring(*before)
-        try:
-            return expect_code(talk.command(command), *codes)
-        finally:
-            talk.command("STOP")
+def _no_targeting(talk: Conversation) -> str:
+    talk.bring("START_UP")
+    return talk.refused("TARGETING", Code.NOT_READY)
 
-    return question
+
+def _no_motion_without_target(talk: Conversation) -> str:
+    registered(talk)
+    talk.bring("TARGETING")
+    return talk.refused("MOVE_TO_TARGET", Code.NOT_READY)
 
 
 def _acts_once(talk: Conversation) -> str:
@@ -110,11 +110,8 @@ COMMANDS: dict[str, Question] = {
     "unknown command: 12": _unknown_command,
     "the phase is told": _tells_its_phase,
     "PLANNING from START_UP": _plans_from_start_up,
-    "TARGETING without calibration: 13": _refused_after("START_UP", command="TARGETING", codes=_NOT_READY),
-    "MOVE_TO_TARGET without target: 13": _refused_after("START_UP", command="MOVE_TO_TARGET", codes=_NOT_READY),
-    "MOVE_TO_TARGET in MANUAL: 14 or 13": _refused_after(
-        "START_UP", "MANUAL", command="MOVE_TO_TARGET", codes=(Code.MANUAL, Code.NOT_READY)
-    ),
+    "TARGETING without calibration: 13": _no_targeting,
+    "MOVE_TO_TARGET without target: 13": _no_motion_without_target,
     "a repeated command acts once": _acts_once,
     "an identifier used for another command: 10": _refuses_a_used_identifier,
 }
@@ -169,7 +166,8 @@ def _reads_pieces(message: bytes) -> Question:
 
 
 def _altered(data: bytes) -> bytes:
-    return data[:-1] + bytes([data[-1] ^ 1])
+    """Return a message with another CRC: otherwise it is as it should be, so that who ignores the CRC obeys it."""
+    return data[: HEADER_BYTES - 1] + bytes([data[HEADER_BYTES - 1] ^ 1]) + data[HEADER_BYTES:]
 
 
 _STATE = Message(String(contract.CURRENT_STATUS), contract.CURRENT_STATUS)

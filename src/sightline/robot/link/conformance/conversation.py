@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from time import monotonic, sleep
+from uuid import uuid4
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -12,6 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import HEARTBEAT_S, Code
+from sightline.robot.control.insertion import BARE_LENGTH_MM, DEPTH_SLACK_MM
 from sightline.robot.control.timing import LoopClock
 from sightline.robot.igtl import Message, Status, String, Transform
 from sightline.robot.link.client import RobotClient
@@ -25,12 +27,21 @@ _ENTERED_IS_DONE = ("PLANNING", "CALIBRATION")  # phases that robots of 2013 con
 
 # A registration for tests of refusals, where any will do: 500 mm from base to hip, as many robots stand.
 REGISTRATION = RigidTransform.from_translation([500.0, 0.0, 0.0])
-# Target in air: distances ahead of the wire, mm, of which the first reachable one is used, and the distance aside.
+# Target in air: distances ahead of home, mm, of which the first reachable one is used, and the distance aside.
 AHEAD_MM, ASIDE_MM = (130.0, 100.0, 60.0, 30.0), 3.0
 HIP_AHEAD_MM = 150.0  # ahead of the wire in its sleeve, as our frame is held; CFCS upright, its +X towards the robot
 # Why questions are not for robots of the 2013 convention.
 SEVERAL = "a robot of the 2013 convention accepts one client"
 IDENTIFIERS = "the 2013 convention does not define repeated identifiers"
+
+
+@dataclass
+class Workplace:
+    """Where a robot is tested. `frame_serial`: of the frame on its flange. `home`: the wire as the test found it, in
+    MCS, or in CFCS for a robot without streams."""
+
+    frame_serial: str
+    home: RigidTransform | None = None
 
 
 class NotAskedError(Exception):
@@ -57,8 +68,8 @@ class Response:
 class Conversation:
     """A conversation with the robot over one client."""
 
-    def __init__(self, robot: RobotClient) -> None:
-        self.robot = robot
+    def __init__(self, robot: RobotClient, workplace: Workplace) -> None:
+        self.robot, self.workplace = robot, workplace
         self._streams = contract.HAS_TELEMETRY in robot.capabilities
 
     def require(self, capability: str, why: str = "") -> None:
@@ -75,7 +86,7 @@ class Conversation:
     def second(self) -> Generator["Conversation"]:
         """Open a second connection to the robot, without heartbeats."""
         with RobotClient(self.robot.host, self.robot.port, heartbeat=False) as other:
-            yield Conversation(other)
+            yield Conversation(other, self.workplace)
 
     def bring(self, *commands: str) -> None:
         """Send commands in sequence. Raises NotAskedError if one is not done."""
@@ -99,6 +110,15 @@ class Conversation:
         number = number or self.robot.next_number()
         send = partial(self.robot.connection.send, String(name), contract.COMMAND + number)
         return self.exchange(send, number, name, whole=whole, within_s=within_s)
+
+    def refused(self, name: str, *codes: Code) -> str:
+        """Send a command that must be refused and return its answer; stop what a faulty robot begins.
+
+        Raises RobotRefusedError."""
+        try:
+            return expect_code(self.command(name), *codes)
+        finally:
+            self.command("STOP")
 
     def pose(self, prefix: str, matrix: np.ndarray, metadata: Mapping[str, str] | None = None) -> Response:
         """Send a registration or a target and return its response."""
@@ -172,6 +192,17 @@ class Conversation:
             return pose_of(self.robot.connection.fresh(contract.MEASURED_CP))
         return self.robot.position()
 
+    def moves(self, first: RigidTransform, within_s: float = STILL_S) -> str:
+        """Return the movement from `first` within a time as text; '' if the wire stands still."""
+        began, seen = monotonic(), 0
+        while monotonic() - began < within_s or seen < STILL_POSES:
+            mm, rad = _apart(first, self.tip())
+            if mm > STILL_MM or rad > STILL_RAD:
+                return f"{mm:.2f} mm, {np.rad2deg(rad):.2f}°"
+            seen += 1
+            sleep(STILL_S / STILL_POSES)
+        return ""
+
     @contextmanager
     def moving(self, number: str | None = None) -> Generator["Motion"]:
         """Start a motion to the robot's target and wait until it has begun. Raises NotAskedError if it does not
@@ -203,7 +234,7 @@ class Motion:
         answer = stop()
         expect(answer.code == Code.OK, f"STOP was answered by {answer.code} {answer.text}")
         at_once = self.watch.tip()
-        off = self._moves(at_once)
+        off = self.watch.moves(at_once)
         expect(not off, f"STOP was acknowledged, but the wire moved on by {off}")
         if self._mail.holds(_arrived):
             raise NotAskedError("the motion had ended by itself before it could be stopped")
@@ -212,7 +243,7 @@ class Motion:
 
     def must_not_begin_again(self, answer: Response) -> str:
         """Raise RobotRefusedError if the wire, which stood still, moves again after this response."""
-        off = self._moves(self.watch.tip())
+        off = self.watch.moves(self.watch.tip())
         expect(not off, f"the repeated MOVE_TO_TARGET moved the wire again, by {off}")
         expect(answer.code is not None, "the repeated MOVE_TO_TARGET was not answered")
         return f"the first answer again: {answer.code} {answer.text}"
@@ -222,24 +253,13 @@ class Motion:
         self._clock.tick(monotonic())
         began_s, off = self._clock.now_s, "nothing"
         while (seen_s := self._clock.now_s - began_s) < within_s:
-            off = self._moves(self.watch.tip())
+            off = self.watch.moves(self.watch.tip())
+            self._clock.tick(monotonic())
             if self._mail.holds(_arrived):
                 raise NotAskedError("the motion had ended by itself before it could be judged")
             if not off:
                 return f"stands after {seen_s:.2f} s at most"
         raise RobotRefusedError(f"after {within_s:g} s the wire still moves, by {off}")
-
-    def _moves(self, first: RigidTransform) -> str:
-        """Return the movement from `first` within the observation time as text; '' if it stands still."""
-        began, seen = monotonic(), 0
-        while monotonic() - began < STILL_S or seen < STILL_POSES:
-            self._clock.tick(monotonic())
-            mm, rad = _apart(first, self.watch.tip())
-            if mm > STILL_MM or rad > STILL_RAD:
-                return f"{mm:.2f} mm, {np.rad2deg(rad):.2f}°"
-            seen += 1
-            sleep(STILL_S / STILL_POSES)
-        return ""
 
 
 def _arrived(message: Message) -> bool:
@@ -255,35 +275,49 @@ def _apart(first: RigidTransform, second: RigidTransform) -> tuple[float, float]
 Question = Callable[[Conversation], str]  # returns what was observed; raises if it breaks the contract
 
 
-def target_in_air(talk: Conversation) -> tuple[np.ndarray, Message | None]:
-    """Send a target ahead of the wire that the robot accepts; return it, (4, 4) CFCS, and its REACHABLE_TARGET, if any.
-
-    Raises NotAskedError.
-    """
+def registered(talk: Conversation) -> RigidTransform:
+    """Start up, send a registration that the robot accepts, and return the wire's home in it, CFCS. Raises
+    NotAskedError."""
     talk.bring("START_UP")
-    registration = REGISTRATION
-    if contract.HAS_TELEMETRY in talk.robot.capabilities:
-        T_mcs_wire = pose_of(talk.robot.connection.fresh(contract.MEASURED_CP))
-        hip = T_mcs_wire.apply([0.0, 0.0, HIP_AHEAD_MM])
+    registration, place = REGISTRATION, talk.workplace
+    streams = contract.HAS_TELEMETRY in talk.robot.capabilities
+    if streams:
+        if place.home is None:
+            place.home = pose_of(talk.robot.connection.fresh(contract.MEASURED_CP))
+        hip = place.home.apply([0.0, 0.0, HIP_AHEAD_MM])
         registration = RigidTransform.from_components(hip, Rotation.from_rotvec([0.0, 0.0, np.pi]))
     talk.bring("CALIBRATION")
     answer = talk.pose(contract.CALIBRATION, registration.inv().as_matrix())
     if answer.code != Code.OK:
         raise NotAskedError(f"no registration was accepted: {answer.text or answer.code}")
-    now, why = talk.robot.position(), ""
+    if place.home is None:
+        place.home = talk.robot.position()
+    return registration.inv() * place.home if streams else place.home
+
+
+def target_in_air(talk: Conversation, *, at_home: bool = False) -> tuple[np.ndarray, Message | None]:
+    """Send a target ahead of home that the robot accepts; return it, (4, 4) CFCS, and its REACHABLE_TARGET, if any.
+
+    It is to the other side of home than the arm stands, unless `at_home`. Raises NotAskedError.
+    """
+    home, why = registered(talk), ""
+    stands_mm = (home.inv() * talk.robot.position()).translation[1]
+    here = float(np.copysign(ASIDE_MM, stands_mm))
+    asides = [aside for aside in (-here, here, 3.0 * here) if abs(aside - stands_mm) > ASIDE_MM / 2]
     talk.bring("TARGETING")
-    for ahead in AHEAD_MM:
-        target = (now * RigidTransform.from_translation([0.0, ASIDE_MM, ahead])).as_matrix()
-        answer, reachable = talk.target(target)
-        if answer.code == Code.OK:
-            return target, reachable
-        why = why or answer.text
+    for aside in [0.0, *asides] if at_home else asides:
+        for ahead in AHEAD_MM:
+            target = (home * RigidTransform.from_translation([0.0, aside, ahead])).as_matrix()
+            answer, reachable = talk.target(target)
+            if answer.code == Code.OK:
+                return target, reachable
+            why = why or answer.text
     raise NotAskedError(f"no target ahead of the wire is reachable: {why or 'no reason given'}")
 
 
-def verified_target(talk: Conversation) -> np.ndarray:
+def verified_target(talk: Conversation, *, at_home: bool = False) -> np.ndarray:
     """Send a target that the robot accepts and will reach, and return it, (4, 4) CFCS. Raises NotAskedError."""
-    target, reachable = target_in_air(talk)
+    target, reachable = target_in_air(talk, at_home=at_home)
     if reachable is not None:
         try:
             WireDeviation.of(pose_of(reachable), RigidTransform.from_matrix(target)).refuse_large(
@@ -292,6 +326,32 @@ def verified_target(talk: Conversation) -> np.ndarray:
         except RobotRefusedError as error:
             raise NotAskedError(str(error)) from error
     return target
+
+
+def plan_name() -> str:
+    """Return the identifier of a plan that was not sent before."""
+    return f"conformance {uuid4()}"
+
+
+def accepted_plan(talk: Conversation, **stated: str) -> tuple[np.ndarray, dict[str, str]]:
+    """Send a target in air with the identity of a plan that the robot accepts; return it, (4, 4) CFCS, and the plan's
+    metadata. `stated`: metadata other than usual. Raises UnsupportedError, NotAskedError."""
+    talk.require(contract.HAS_PLAN)
+    target, _ = target_in_air(talk)
+    talk.bring("TARGETING")
+    refused: list[str] = []
+    for side in ("right", "left"):
+        plan = {
+            contract.PLAN: plan_name(), contract.SIDE: side,
+            contract.FRAME_SERIAL: talk.workplace.frame_serial, contract.GO: contract.YES, contract.UNITS: contract.MM,
+            contract.COORDINATES: contract.CFCS, contract.LENGTH_MM: repr(BARE_LENGTH_MM),
+            contract.DEPTH_LIMIT_MM: repr(BARE_LENGTH_MM + DEPTH_SLACK_MM), contract.VALID_S: "60",
+        } | stated  # fmt: skip
+        answer = talk.pose(contract.TARGET, target, plan)
+        if answer.code == Code.OK:
+            return target, plan
+        refused.append(f"{side}: {answer.text or answer.code}")
+    raise NotAskedError(f"no plan was accepted: {'; '.join(refused)}")
 
 
 def expect(condition: bool, seen: str) -> None:

@@ -1,7 +1,8 @@
 """Questions about registrations and targets, and the dry run: does motion stop on commands, silence and lost
 connections, and end at its target?"""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from time import sleep
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -9,6 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from sightline.errors import RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import Code
+from sightline.robot.control.insertion import BARE_LENGTH_MM
+from sightline.robot.igtl import Message, Sensor
 from sightline.robot.link.client import MOTION_S
 from sightline.robot.link.conformance.conversation import (
     IDENTIFIERS,
@@ -18,12 +21,15 @@ from sightline.robot.link.conformance.conversation import (
     NotAskedError,
     Question,
     UnsupportedError,
+    accepted_plan,
+    expect,
     expect_code,
     expect_echo,
+    plan_name,
     target_in_air,
     verified_target,
 )
-from sightline.robot.link.exchange import WireDeviation, pose_of
+from sightline.robot.link.exchange import TIP_LIMIT_MM, WireDeviation, pose_of
 
 
 def _takes_a_registration(talk: Conversation) -> str:
@@ -56,7 +62,7 @@ def _no_target(change: Callable[[np.ndarray], np.ndarray]) -> Question:
     return question
 
 
-def _no_plan(**metadata: str) -> Question:
+def _not_here(**metadata: str) -> Question:
     """Return the question whether metadata are refused, for a pose that was accepted without them."""
 
     def question(talk: Conversation) -> str:
@@ -66,6 +72,34 @@ def _no_plan(**metadata: str) -> Question:
         return expect_code(talk.pose(contract.TARGET, good, metadata), Code.CONFIGURATION)
 
     return question
+
+
+def _no_plan(*faults: dict[str, str]) -> Question:
+    """Return the question whether a plan with one of these faults is refused; without it, it was accepted. A fault is
+    what the metadata say instead, "" where they leave it out."""
+
+    def question(talk: Conversation) -> str:
+        return _refused_plans(talk, *accepted_plan(talk), faults)
+
+    return question
+
+
+def _other_side(talk: Conversation) -> str:
+    good, plan = accepted_plan(talk)
+    return _refused_plans(talk, good, plan, [{contract.SIDE: "left" if plan[contract.SIDE] == "right" else "right"}])
+
+
+def _refused_plans(talk: Conversation, good: np.ndarray, plan: dict[str, str], faults: Iterable[dict[str, str]]) -> str:
+    """Send a plan once with each fault and return the last refusal. Raises RobotRefusedError if one is accepted."""
+    seen = ""
+    for fault in faults:
+        talk.bring("TARGETING")
+        new = {contract.PLAN: plan_name()}  # a plan that is sent again keeps its first validity
+        answer = talk.pose(contract.TARGET, good, {key: value for key, value in (plan | new | fault).items() if value})
+        what = ", ".join(f"{key} {value or 'left out'}" for key, value in fault.items())
+        expect(answer.code == Code.CONFIGURATION, f"with {what}: code {answer.code} {answer.text}; wanted 10")
+        seen = answer.text
+    return f"refused: {seen}"
 
 
 def _in_metres(talk: Conversation) -> str:
@@ -109,12 +143,10 @@ def _scaled(pose: np.ndarray) -> np.ndarray:
 
 _GENERAL = _moved(np.eye(4), np.array([500.0, 0.0, 0.0]))
 _NAN = np.full(3, np.nan)
-_PLAN = {
-    contract.PLAN: "conformance", contract.SIDE: "right", contract.FRAME_SERIAL: "none", contract.GO: contract.NO,
-    contract.UNITS: contract.MM, contract.COORDINATES: contract.CFCS, contract.LENGTH_MM: "90",
-    contract.DEPTH_LIMIT_MM: "91", contract.VALID_S: "60",
-}  # fmt: skip
-_WITHOUT_SIDE = {key: value for key, value in (_PLAN | {contract.GO: contract.YES}).items() if key != contract.SIDE}
+
+
+def _limits(key: str, *values: float | str) -> list[dict[str, str]]:
+    return [{key: str(value)} for value in values]
 
 
 QUESTIONS: dict[str, Question] = {
@@ -128,10 +160,18 @@ QUESTIONS: dict[str, Question] = {
     "target of NaN: 10": _no_target(lambda good: _moved(good, _NAN)),
     "target out of reach: 10": _no_target(lambda good: _moved(good, good[:3, 3] + 5000.0)),
     "target in metres: 10": _in_metres,
-    "target in another frame: 10": _no_plan(coordinates="RAS"),
-    "target in another unit: 10": _no_plan(units="m"),
-    "plan that is NO-GO: 10": _no_plan(**_PLAN),
-    "plan that leaves out its side: 10": _no_plan(**_WITHOUT_SIDE),
+    "target in another frame: 10": _not_here(coordinates="RAS"),
+    "target in another unit: 10": _not_here(units="m"),
+    "plan that is NO-GO: 10": _no_plan({contract.GO: contract.NO}),
+    "plan that leaves out a key: 10": _no_plan(*({key: ""} for key in contract.PLAN_KEYS if key != contract.PLAN)),
+    "plan of the other side: 10": _other_side,
+    "plan of another frame: 10": _no_plan({contract.FRAME_SERIAL: "conformance test"}),
+    "plan that has expired: 10": _no_plan(*_limits(contract.VALID_S, 0, -1)),
+    "plan that is valid too long: 10": _no_plan(*_limits(contract.VALID_S, 601, "inf", "nan")),
+    "plan without a depth limit: 10": _no_plan(
+        *_limits(contract.DEPTH_LIMIT_MM, BARE_LENGTH_MM - 1, BARE_LENGTH_MM, BARE_LENGTH_MM + 31, "inf", "nan")
+    ),
+    "plan whose depth is no number: 10": _no_plan(*_limits(contract.LENGTH_MM, "nan", "inf", "deep")),
 }
 
 
@@ -139,6 +179,9 @@ QUESTIONS: dict[str, Question] = {
 # contract's 0.2 s because a busy test computer observes it late; the observed time is reported. The second is short, so
 # that the motion's own end is not mistaken for it.
 SILENT_S, LOST_S = 1.5, 0.5
+# Validity of the plan that expires; and for how long an aligned wire is watched: 0.1 mm within it are 0.3 mm within the
+# half minute that a shot takes [ours].
+VALID_S, HOLD_S = 0.5, 10.0
 
 
 def _stops_while_moving(talk: Conversation) -> str:
@@ -195,12 +238,81 @@ def _stops_for_a_lost_client(talk: Conversation) -> str:
             other.command("STOP")
 
 
+def _moves_nothing_in_manual(talk: Conversation) -> str:
+    verified_target(talk)
+    talk.bring("MANUAL")
+    return talk.refused("MOVE_TO_TARGET", Code.MANUAL, Code.NOT_READY)
+
+
+def _moves_nothing_expired(talk: Conversation) -> str:
+    accepted_plan(talk, **{contract.VALID_S: repr(VALID_S)})
+    sleep(3 * VALID_S)  # a simulator's clock may be slower
+    return talk.refused("MOVE_TO_TARGET", Code.CONFIGURATION)
+
+
+def _drills_nothing_unaligned(talk: Conversation) -> str:
+    talk.require(contract.HAS_DRILLING)
+    verified_target(talk)
+    return talk.refused("DRILL", Code.NOT_READY)
+
+
+def _drills_nothing_unwatched(talk: Conversation) -> str:
+    talk.require(contract.HAS_DRILLING)
+    talk.require(contract.HAS_HEARTBEAT)
+    talk.robot.close()
+    with talk.second() as quiet:
+        _aligned(quiet)
+        return quiet.refused("DRILL", Code.NOT_READY)
+
+
+def _aligned(talk: Conversation, *, at_home: bool = False) -> np.ndarray:
+    """Align and return the target, (4, 4) CFCS. Raises NotAskedError."""
+    target = verified_target(talk, at_home=at_home)
+    answer = talk.command("MOVE_TO_TARGET", within_s=MOTION_S)
+    if answer.code != Code.OK:
+        raise NotAskedError(f"it did not align: {answer.text or answer.code}")
+    return target
+
+
+def _holds_still(talk: Conversation) -> str:
+    _aligned(talk)
+    off = talk.moves(talk.tip(), HOLD_S)
+    talk.command("STOP")
+    expect(not off, f"the aligned wire drifts: {off} within {HOLD_S:g} s")
+    return f"for {HOLD_S:g} s"
+
+
+def _states_its_depth(talk: Conversation) -> str:
+    talk.require(contract.HAS_DRILLING)
+    talk.require(contract.HAS_TELEMETRY)
+    target = _aligned(talk)
+    depth_mm, sd_mm = (_value(talk.robot.connection.fresh(name)) for name in (contract.DEPTH, contract.DEPTH_SD))
+    off = WireDeviation.of(talk.robot.position(), RigidTransform.from_matrix(target))
+    talk.command("STOP")
+    there_mm = BARE_LENGTH_MM + off.along_mm
+    seen = f"{contract.DEPTH} {depth_mm:.2f} mm, s.d. {sd_mm:.2f} mm; by the pose {there_mm:.2f} mm"
+    expect(abs(depth_mm - there_mm) <= TIP_LIMIT_MM and 0 < sd_mm < np.inf, seen)
+    return seen
+
+
+def _value(message: Message) -> float:
+    """Return the number in a SENSOR. Raises RobotRefusedError."""
+    body = message.body
+    if not (isinstance(body, Sensor) and body.values.shape == (1,)):
+        raise RobotRefusedError(f"{message.device_name} is not a SENSOR of one number")
+    return float(body.values[0])
+
+
 def _aligns(talk: Conversation) -> str:
-    target = verified_target(talk)
+    target = verified_target(talk, at_home=True)
     expect_code(talk.command("MOVE_TO_TARGET", within_s=MOTION_S), Code.OK)
     off = WireDeviation.of(talk.robot.position(), RigidTransform.from_matrix(target))
     talk.command("STOP")
     WireDeviation(off.aside_mm, 0.0, off.angle_rad).refuse_large("the aligned wire lies")
+    before_mm = BARE_LENGTH_MM if contract.HAS_DRILLING in talk.robot.capabilities else 0.0
+    beyond_mm = off.along_mm + before_mm
+    what = "entry point" if before_mm else "end point"
+    expect(beyond_mm <= TIP_LIMIT_MM, f"the tip of the aligned wire is {beyond_mm:.2f} mm beyond its {what}")
     return f"{off.aside_mm:.2f} mm beside its line, {-off.along_mm:.0f} mm before its end"
 
 
@@ -210,5 +322,11 @@ MOTIONS: dict[str, Question] = {
     "dry run: a repeated command moves nothing": _moves_once,
     "dry run: silence stops motion": _notices_silence,
     "dry run: a lost client's motion stops": _stops_for_a_lost_client,
+    "dry run: MOVE_TO_TARGET in MANUAL: 14 or 13": _moves_nothing_in_manual,
+    "dry run: MOVE_TO_TARGET by an expired plan: 10": _moves_nothing_expired,
+    "dry run: DRILL without alignment: 13": _drills_nothing_unaligned,
+    "dry run: DRILL without heartbeats: 13": _drills_nothing_unwatched,
+    "dry run: holds still when aligned": _holds_still,
+    "dry run: states its depth": _states_its_depth,
     "dry run: aligns, and stands": _aligns,
 }
