@@ -53,8 +53,11 @@ def test_every_scalar_type_becomes_an_image(kind: type) -> None:
     np.testing.assert_array_equal(image.pixels, values)
     assert image.white >= values.max()
     if np.issubdtype(kind, np.signedinteger) and kind is not np.int32:
-        below = radiograph_of(Image(values[None] - kind(50), np.eye(4)))
-        np.testing.assert_array_equal(below.pixels.astype(int) - below.pixels.min(), values.astype(int) - values.min())
+        lowest = np.iinfo(kind).min
+        below = radiograph_of(Image(values[None] + kind(lowest), np.eye(4)))
+        np.testing.assert_array_equal(below.pixels, values)
+        with pytest.raises(ImageError, match="negative"):
+            radiograph_of(Image(values[None] - kind(50), np.eye(4)))
 
 
 def test_what_is_no_single_image_is_refused() -> None:

@@ -89,7 +89,7 @@ def test_writing_outside_the_field_and_a_line_along_the_border_are_not_field() -
         np.full((64, 64), 255, np.uint8),
         np.zeros((16, 16), np.float32),
         np.eye(17, dtype=np.uint16) * 65535,
-        -np.ones((40, 4000), np.float32),
+        np.ones((40, 4000), np.float32),
     ],
 )
 def test_a_degenerate_image_gives_a_mask_of_its_shape(pixels: np.ndarray) -> None:

@@ -1,22 +1,30 @@
 """DICOM files as C-arms and archives write them: every transfer syntax, pixel layout and polarity."""
 
+import logging
 import subprocess
 import sys
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
+from threading import Event
+from typing import Any
 
+import cv2
 import gdcm
 import numpy as np
 import pydicom
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydicom.encaps import encapsulate
+from pydicom.encaps import encapsulate, generate_frames
 from pydicom.uid import RLELossless
 from tests.imaging.transcoding import transcoded
 
 from sightline.errors import ImageError
-from sightline.imaging import GeometryTags, Radiograph, read_image, write_dicom
+from sightline.imaging import GeometryTags, Radiograph, as_radiograph, frames_in, read_image, taken_at, write_dicom
+from sightline.imaging.dicom import fill
 
 PATIENT = "Doe^Jane^Secret"
 
@@ -153,14 +161,145 @@ def test_a_window_for_the_eye_does_not_change_the_stored_values(tmp_path: Path) 
     np.testing.assert_array_equal(read_image(saved(out, tmp_path)).pixels, scene())
 
 
-@pytest.mark.parametrize(("lowest", "shift", "white"), [(0, 0, 2047), (-1500, 2048, 4095)])
-def test_signed_pixels_become_unsigned(tmp_path: Path, lowest: int, shift: int, white: int) -> None:
-    stored = (scene(10).astype(np.int16) + lowest).astype(np.int16)
+def _signed(case: str) -> tuple[np.ndarray, np.ndarray, int, int]:
+    """Return signed values, those that are read, and bits stored and read."""
+    pixels = scene(10).astype(np.int16)
+    changed = pixels.copy()
+    if case == "one":
+        changed[3, 4] = -1
+    elif case == "noise about black":
+        changed -= 5
+    elif case == "edges":
+        changed[3, :9] = np.arange(-90, 0, 10)
+    elif case == "padding":
+        changed[:12] = -2000
+        changed[30:] -= 5
+    return changed, np.maximum(changed, 0), 16, 15
+
+
+@pytest.mark.parametrize("case", ["none", "one", "noise about black", "edges", "padding"])
+def test_signed_pixels_become_unsigned(tmp_path: Path, case: str) -> None:
+    """Zero stays black, whatever is below it."""
+    changed, expected, bits, read = _signed(case)
+    out = dataset(scene(16), bits, tmp_path)
+    out.PixelRepresentation, out.PixelData = 1, changed.tobytes()
+    np.save(tmp_path / "image.npy", changed)
+    (tmp_path / "image.tif").write_bytes(cv2.imencode(".tiff", changed)[1].tobytes())
+    for source in (saved(out, tmp_path), changed, tmp_path / "image.npy", tmp_path / "image.tif"):
+        image = as_radiograph(source)
+        np.testing.assert_array_equal(image.pixels, expected)
+        assert image.white == 2**read - 1
+    np.testing.assert_array_equal(as_radiograph(changed.astype(float), 1023.0).pixels, expected)
+
+
+def test_signed_pixels_that_fill_their_range_begin_at_its_lowest_value_and_others_have_no_black(tmp_path: Path) -> None:
     out = dataset(scene(12), 12, tmp_path)
-    out.PixelRepresentation, out.PixelData = 1, stored.tobytes()
+    out.PixelRepresentation, out.PixelData = 1, (scene(12).astype(np.int16) - 2048).tobytes()
     image = read_image(saved(out, tmp_path))
-    np.testing.assert_array_equal(image.pixels, stored + shift)
-    assert image.white == white
+    np.testing.assert_array_equal(image.pixels, scene(12))
+    assert image.white == 4095
+    out.PixelData = (scene(10).astype(np.int16) - 512).tobytes()
+    with pytest.raises(ImageError, match=r"% of the values of image\.dcm are negative, down to -4"):
+        read_image(saved(out, tmp_path))
+
+
+@pytest.mark.parametrize("signed", [0, 1])
+@pytest.mark.parametrize("syntax", ["native", *LOSSLESS])
+def test_values_are_read_at_the_bits_where_they_are_stored(tmp_path: Path, syntax: str, signed: int) -> None:
+    """12 bits that end at bit 15; compressed values that begin at bit 0 whatever High Bit says, as their codes say."""
+    pixels = scene(12) // (1 + signed)
+    out = dataset(pixels << 4, 16, tmp_path)
+    path = saved(out, tmp_path)
+    if syntax != "native":
+        path = transcoded(path, LOSSLESS[syntax], tmp_path / "coded.dcm")
+    out = pydicom.dcmread(path)
+    out.BitsStored, out.HighBit, out.PixelRepresentation = 12, 15, signed
+    np.testing.assert_array_equal(read_image(saved(out, tmp_path)).pixels, pixels)
+    if "JPEG" in syntax:
+        out = pydicom.dcmread(transcoded(saved(dataset(pixels, 12, tmp_path), tmp_path), LOSSLESS[syntax], path))
+        out.HighBit = 15
+        np.testing.assert_array_equal(read_image(saved(out, tmp_path)).pixels, pixels)
+
+
+def test_an_overlay_above_the_values_is_not_part_of_them(tmp_path: Path) -> None:
+    pixels = scene(12)
+    out = dataset(pixels, 12, tmp_path)
+    out.PixelData = (pixels | (np.indices(pixels.shape).sum(axis=0) % 9 == 5).astype(np.uint16) << 12).tobytes()
+    np.testing.assert_array_equal(read_image(saved(out, tmp_path)).pixels, pixels)
+
+
+@pytest.mark.parametrize("syntax", ["explicit", "implicit", "big endian"])
+@pytest.mark.parametrize("lacks", ["preamble", "preamble and magic", "file meta", "all", "transfer syntax"])
+def test_a_file_without_its_first_parts_is_read(tmp_path: Path, lacks: str, syntax: str) -> None:
+    out = dataset(scene(), 12, tmp_path)
+    out.AcquisitionDateTime = "20260304050607+0000"
+    path = saved(out, tmp_path)
+    if syntax != "explicit":
+        path = transcoded(path, LOSSLESS[syntax], tmp_path / "coded.dcm")
+    whole = path.read_bytes()
+    meta = 144 + int.from_bytes(whole[140:144], "little")
+    at = whole.index(b"\2\0\x10\0UI")
+    cut = {
+        "preamble": whole[128:],
+        "preamble and magic": whole[132:],
+        "file meta": whole[:132] + whole[meta:],
+        "all": whole[meta:],
+        "transfer syntax": whole[:at] + whole[at + 8 + whole[at + 6] :],
+    }[lacks]
+    (tmp_path / "cut").write_bytes(cut)
+    np.testing.assert_array_equal(read_image(tmp_path / "cut").pixels, scene())
+    assert (frames_in(tmp_path / "cut"), taken_at(tmp_path / "cut")) == (1, datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC))
+
+
+def test_compressed_pixels_without_a_transfer_syntax_are_refused(tmp_path: Path) -> None:
+    out = dataset(scene(), 12, tmp_path)
+    out.compress(RLELossless)
+    data = saved(out, tmp_path).read_bytes()
+    (tmp_path / "cut").write_bytes(data[144 + int.from_bytes(data[140:144], "little") :])
+    with pytest.raises(ImageError, match="transfer syntax is missing"):
+        read_image(tmp_path / "cut")
+
+
+def test_an_enhanced_object_states_its_geometry_for_each_frame(tmp_path: Path) -> None:
+    def group(**sequences: dict) -> pydicom.Dataset:
+        return fill(pydicom.Dataset(), **{key: [fill(pydicom.Dataset(), **of)] for key, of in sequences.items()})
+
+    frames = np.stack([scene(seed=k) for k in range(2)])
+    out = dataset(frames[0], 12, tmp_path)
+    out.NumberOfFrames, out.PixelData = 2, frames.tobytes()
+    out.SharedFunctionalGroupsSequence = [
+        group(
+            XRayGeometrySequence={"DistanceSourceToDetector": 1000.0},
+            FramePixelDataPropertiesSequence={"ImagerPixelSpacing": [0.2, 0.3], "PixelIntensityRelationshipSign": -1},
+        )
+    ]
+    out.PerFrameFunctionalGroupsSequence = [
+        group(PositionerPositionSequence={"PositionerPrimaryAngle": 5.0, "PositionerSecondaryAngle": -7.0}),
+        group(XRayGeometrySequence={"DistanceSourceToDetector": 1100.0}),
+    ]
+    path = saved(out, tmp_path)
+    assert read_image(path, 0).tags == GeometryTags(1000.0, (0.2, 0.3), None, 5.0, -7.0)
+    assert read_image(path, 1).tags == GeometryTags(1100.0, (0.2, 0.3))
+    np.testing.assert_array_equal(read_image(path, 1).pixels, 4095 - frames[1])
+
+
+@pytest.mark.parametrize(("bits", "first", "falls"), [(8, 0, False), (16, 0, False), (16, 3, True), (8, -4, True)])
+def test_a_palette_in_grey_is_applied_and_one_in_colour_refused(
+    tmp_path: Path, bits: int, first: int, falls: bool
+) -> None:
+    entries = np.arange(256)[:: -1 if falls else 1]
+    out = dataset(scene(8), 8, tmp_path)
+    out.PhotometricInterpretation = "PALETTE COLOR"
+    for colour in ("Red", "Green", "Blue"):
+        out.add_new(f"{colour}PaletteColorLookupTableDescriptor", "SS" if first < 0 else "US", [256, first, bits])
+        data = entries.astype("u1") if bits == 8 else (entries * 257).astype("<u2")
+        out.add_new(f"{colour}PaletteColorLookupTableData", "OW", data.tobytes())
+    image = read_image(saved(out, tmp_path))
+    np.testing.assert_array_equal(image.pixels, entries[np.clip(scene(8).astype(int) - first, 0, 255)])
+    assert image.white == 255
+    out.BluePaletteColorLookupTableData = bytes(len(data.tobytes()))
+    with pytest.raises(ImageError, match="colour"):
+        read_image(saved(out, tmp_path))
 
 
 @pytest.mark.parametrize("coded", [False, True])
@@ -180,11 +319,22 @@ def test_a_run_gives_the_frame_that_is_named_and_is_refused_without(tmp_path: Pa
             read_image(path, index)
 
 
+def test_frames_that_are_not_counted_are_refused_and_bytes_after_a_frame_are_not(tmp_path: Path) -> None:
+    coded = transcoded(saved(dataset(scene(8), 8, tmp_path), tmp_path), LOSSLESS["JPEG lossless"], tmp_path / "a.dcm")
+    out = pydicom.dcmread(coded)
+    frame = next(generate_frames(out.PixelData, number_of_frames=1))
+    out.PixelData = encapsulate([frame + bytes(300)])
+    np.testing.assert_array_equal(read_image(saved(out, tmp_path)).pixels, scene(8))
+    out.PixelData = encapsulate([frame] * 3)
+    with pytest.raises(ImageError, match="holds 3 times the pixels of a frame, but its Number of Frames says 1"):
+        read_image(saved(out, tmp_path))
+
+
 @pytest.mark.parametrize("grey", [True, False])
 def test_a_colour_image_is_read_where_it_is_grey(tmp_path: Path, grey: bool) -> None:
     colours = np.repeat(scene(8)[..., None], 3, axis=2)
     if not grey:
-        colours[5, 5, 0] ^= 1
+        colours[5, 5, 0] ^= 4
     out = dataset(scene(8), 8, tmp_path)
     out.SamplesPerPixel, out.PhotometricInterpretation, out.PlanarConfiguration = 3, "RGB", 0
     out.PixelData = colours.tobytes()
@@ -204,11 +354,15 @@ def test_a_colour_image_is_read_where_it_is_grey(tmp_path: Path, grey: bool) -> 
         ({"Rows": 8}, "at least 16"),
         ({"BitsAllocated": 32, "BitsStored": 32, "HighBit": 31}, "8 to 16 bits"),
         ({"BitsStored": 4, "HighBit": 3}, "8 to 16 bits"),
-        ({"PhotometricInterpretation": "PALETTE COLOR"}, "colour"),
+        ({"PhotometricInterpretation": "PALETTE COLOR"}, "palette"),
         ({"Rows": 4800}, "damaged"),
         ({"Columns": 63}, "holds more pixels than it states"),
         ({"Rows": 47}, "holds more pixels than it states"),
-        ({"BitsAllocated": 8, "BitsStored": 8, "HighBit": 7}, "holds more pixels than it states"),
+        ({"BitsAllocated": 8, "BitsStored": 8, "HighBit": 7}, "holds 2 times the pixels"),
+        ({"Rows": 16}, "holds 3 times the pixels"),
+        ({"HighBit": 10}, "High Bit"),
+        ({"HighBit": 15}, "all are below 4096"),
+        ({"BitsStored": 10, "HighBit": 9}, "above its 10 bits"),
     ],
 )
 def test_a_header_that_promises_what_is_not_there_is_refused(tmp_path: Path, change: dict, says: str) -> None:
@@ -222,7 +376,7 @@ def test_a_header_that_promises_what_is_not_there_is_refused(tmp_path: Path, cha
 def test_a_file_without_pixels_is_refused(tmp_path: Path) -> None:
     out = dataset(scene(), 12, tmp_path)
     del out.PixelData
-    with pytest.raises(ImageError, match=r"image\.dcm are damaged"):
+    with pytest.raises(ImageError, match=r"image\.dcm holds no pixel data"):
         read_image(saved(out, tmp_path))
 
 
@@ -314,6 +468,48 @@ def test_the_patient_reaches_neither_our_types_nor_the_log(tmp_path: Path) -> No
     )
     done = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True)  # noqa: S603
     assert "Secr" not in done.stdout + done.stderr
+
+
+def _library_state() -> list[Any]:
+    """Return what a host program may have set of the libraries that read images."""
+    logs = [logging.getLogger(name) for name in ("pydicom", "pydicom.pixels.utils", "pynetdicom", "PIL")]
+    return [[log.disabled, log.propagate, log.level, *log.filters, *log.handlers] for log in logs] + [*warnings.filters]
+
+
+def test_threads_that_read_leave_a_host_program_its_log_and_its_warnings(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    out = dataset(scene(), 12, tmp_path)
+    out.NumberOfFrames = 0  # pydicom warns of it
+    path = saved(out, tmp_path)
+    (tmp_path / "image.png").write_bytes(cv2.imencode(".png", scene())[1].tobytes())
+    before, log = _library_state(), logging.getLogger("pydicom")
+    done = Event()
+
+    def read() -> None:
+        for _ in range(20):
+            read_image(path)
+            read_image(tmp_path / "image.png")
+
+    def host() -> int:
+        said = 0
+        while not done.is_set():
+            log.warning("of the host")
+            with pytest.raises(UserWarning):  # warnings are errors here
+                warnings.warn("of the host", stacklevel=1)
+            said += 1
+        return said
+
+    with caplog.at_level(logging.DEBUG, "pydicom"), ThreadPoolExecutor(5) as pool:
+        hosted, readers = pool.submit(host), [pool.submit(read) for _ in range(4)]
+        try:
+            for reader in readers:
+                reader.result()
+        finally:
+            done.set()
+        assert {record.getMessage() for record in caplog.records} == {"of the host"}
+        assert len(caplog.records) >= hosted.result() > 0
+    assert _library_state() == before
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from pydicom.uid import generate_uid
 from sightline import __version__
 from sightline.common.atomic import scratch_folder
 from sightline.imaging import read_image, write_dicom
+from sightline.imaging.bare import complete
 from sightline.imaging.dicom import file_bytes, fill, quiet
 from sightline.imaging.formats import ReadBy, damaged, format_of_file
 
@@ -77,8 +78,8 @@ def _source(file: Path) -> dict[str, Any]:
     if known is None or known.reader is not ReadBy.DICOM:
         return dict.fromkeys([*_UIDS, "BurnedInAnnotation"])
     try:
-        with quiet():
-            elements = dcmread(file, stop_before_pixels=True, specific_tags=[*_UIDS, "BurnedInAnnotation"])
+        with quiet(), complete(file) as whole:
+            elements = dcmread(whole, stop_before_pixels=True, specific_tags=[*_UIDS, "BurnedInAnnotation"])
             texts = {keyword: str(elements.get(keyword) or "") or None for keyword in (*_UIDS, "BurnedInAnnotation")}
     except Exception:  # as in `imaging.dicom`: pydicom's messages may quote the patient
         raise damaged(file.name) from None

@@ -11,6 +11,7 @@ import struct
 import subprocess
 import sys
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from threading import Lock, Timer
 from typing import IO
@@ -18,6 +19,7 @@ from typing import IO
 import numpy as np
 
 from sightline.common.bounded import MAX_FILE_BYTES
+from sightline.imaging.formats import refuse_longer
 
 DEADLINE_S = 30.0  # [ours] a frame of 2^25 pixels takes 2 s; includes the helper's start
 MEMORY_BYTES = 4 * MAX_FILE_BYTES  # address space: the largest file, its largest frame twice, libraries
@@ -99,6 +101,7 @@ def _read_answer(stream: IO[bytes]) -> np.ndarray:
 def main() -> None:
     """Run the helper: for each line `[file, frame]`, write a line `{shape, dtype}` and the values, or `null`."""
     import gdcm
+    from pydicom import dcmread
     from pydicom.pixels.utils import pixel_array
 
     with suppress(ImportError, ValueError):  # Windows has no such limits
@@ -111,7 +114,9 @@ def main() -> None:
     for line in sys.stdin.buffer:
         file, index = json.loads(line)
         try:
-            values = np.ascontiguousarray(pixel_array(file, index=index))
+            # All allocated bits: with fewer, gdcm drops those above.
+            bits = dcmread(file, stop_before_pixels=True, specific_tags=["BitsAllocated"]).BitsAllocated
+            values = np.ascontiguousarray(pixel_array(file, index=index, bits_stored=int(bits)))
         except Exception:  # pydicom raises any exception on damaged data
             stdout.write(b"null\n")
         else:
@@ -131,13 +136,23 @@ _RLE_SEGMENTS = 6  # PS3.5, G.3: two bytes of three colours
 _RLE_HEADER = 64  # bytes
 
 
-def unpacks_to(coded: bytes, syntax: str, shape: tuple[int, int]) -> bool:
-    """Return whether a frame's header states `shape` (H, W), with three components and two bytes at most."""
+def starts_image(fragment: bytes, syntax: str) -> bool:
+    """Return whether a fragment of compressed data begins a frame; RLE has one frame in each (PS3.5, A.4.2)."""
+    from pydicom.uid import RLELossless
+
+    return syntax == RLELossless or fragment.startswith((b"\xff\xd8", _J2K_SIZE, _JP2))
+
+
+def unpacks_to(coded: bytes, syntax: str, shape: tuple[int, int], name: str) -> bool:
+    """Return whether a frame's header states `shape` (H, W), with three components and two bytes at most.
+
+    `name`: of the file, for messages. Raises ImageError for RLE of at least a row or a column more.
+    """
     # Here, because other formats are read without pydicom.
     from pydicom.uid import JPEG2000TransferSyntaxes, JPEGLSTransferSyntaxes, JPEGTransferSyntaxes, RLELossless
 
     if syntax == RLELossless:
-        return _rle_fits(coded, shape[0] * shape[1])
+        return _rle_fits(coded, shape, name)
     if syntax in JPEGTransferSyntaxes or syntax in JPEGLSTransferSyntaxes:
         return jpeg_shape(coded) == shape
     return syntax in JPEG2000TransferSyntaxes and _j2k_shape(coded) == shape
@@ -167,13 +182,29 @@ def _j2k_shape(coded: bytes) -> tuple[int, int] | None:
     return (bottom - top, right - left) if components <= 3 else None
 
 
-def _rle_fits(coded: bytes, pixels: int) -> bool:
-    """Return whether a frame is no longer than its pixels at their worst (PS3.5, G.3).
+def _rle_fits(coded: bytes, shape: tuple[int, int], name: str) -> bool:
+    """Return whether each segment of a frame holds all pixels, in at most two bytes for each (PS3.5, G.3).
 
-    A byte of a segment unpacks to 64 at most, so this bounds the result; the helper process limits its memory.
+    Raises ImageError where a segment holds at least a row or a column more; less than that is padding.
     """
+    pixels = shape[0] * shape[1]
     if len(coded) < _RLE_HEADER:
         return False
-    (segments,) = struct.unpack_from("<I", coded)
-    worst = _RLE_HEADER + segments * (pixels + pixels // 64 + 2)
-    return 0 < segments <= _RLE_SEGMENTS and len(coded) <= worst
+    segments, *starts = struct.unpack_from("<16I", coded)
+    if not 0 < segments <= _RLE_SEGMENTS or len(coded) > _RLE_HEADER + segments * 2 * (pixels + max(shape)):
+        return False
+    bounds = [*starts[:segments], len(coded)]
+    held = [_rle_length(coded[start:end]) for start, end in pairwise(bounds)]
+    refuse_longer(pixels, max(held), *shape, name)
+    return min(held) >= pixels
+
+
+def _rle_length(segment: bytes) -> int:
+    """Return how many bytes a segment unpacks to."""
+    at = length = 0
+    while at < len(segment) - 1:
+        code = segment[at]
+        count = 0 if code == 128 else code + 1 if code < 128 else 257 - code
+        length += min(count, len(segment) - at - 1) if code < 128 else count
+        at += 1 + (count if code < 128 else code > 128)
+    return length

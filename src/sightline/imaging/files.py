@@ -17,6 +17,7 @@ from sightline.imaging.formats import (
     check_size,
     format_of_file,
     grey,
+    non_negative,
 )
 from sightline.imaging.radiograph import Radiograph
 
@@ -44,7 +45,8 @@ def as_radiograph(image: Radiograph | np.ndarray | str | Path, white: float | No
     (4095 for 12), so that saturated pixels are known. Raises ImageError, UnusableInputError.
     """
     if isinstance(image, np.ndarray):
-        return Radiograph(image, _full_scale(image) if white is None else float(white))
+        full, stored = _full_scale(image) if white is None else float(white), grey(image, "the image")
+        return _signed(stored, "the image", white) if stored.dtype in (np.int8, np.int16) else Radiograph(stored, full)
     if white is not None:
         raise UnusableInputError("white= belongs to an array; a Radiograph and a file state theirs")
     if isinstance(image, Radiograph):
@@ -54,6 +56,13 @@ def as_radiograph(image: Radiograph | np.ndarray | str | Path, white: float | No
     raise UnusableInputError(
         f"an image is a Radiograph, an array (H, W) or the path of a file, not {type(image).__name__}"
     )
+
+
+def _signed(stored: np.ndarray, name: str, white: float | None = None) -> Radiograph:
+    """Return a radiograph of int8 or int16; `white`: where it is known, and with it that 0 is black."""
+    bits = 8 * stored.dtype.itemsize
+    values, full = non_negative(stored.astype(np.int32), None if white else bits, name)
+    return Radiograph(values.astype(f"u{stored.dtype.itemsize}"), full if white is None else float(white))
 
 
 def _full_scale(pixels: np.ndarray) -> float:
@@ -132,9 +141,10 @@ def _format(file: Path) -> ImageFormat | None:
 
 def _numpy(data: bytes, name: str) -> np.ndarray:
     def look(shape: tuple[int, ...], dtype: np.dtype) -> None:
-        if len(shape) not in (2, 3) or 0 in shape or dtype.hasobject:
+        ones = next((k for k, side in enumerate(shape[:-2]) if side != 1), max(len(shape) - 2, 0))
+        if len(shape) - ones not in (2, 3) or 0 in shape or dtype.hasobject:
             raise ImageError(f"{name} holds no image: shape {shape}, type {dtype}; save one (H, W) array of numbers")
-        check_size(shape[0], shape[1], name)
+        check_size(shape[ones], shape[ones + 1], name)
 
     try:
         return npy_array(data, look)
@@ -144,7 +154,9 @@ def _numpy(data: bytes, name: str) -> np.ndarray:
 
 def _radiograph(pixels: np.ndarray, name: str) -> Radiograph:
     pixels = grey(pixels, name)
-    if pixels.dtype.kind in "iu" and pixels.dtype.itemsize <= 2:  # of wider ones the type does not tell the white
+    if pixels.dtype in (np.int8, np.int16):
+        return _signed(pixels, name)
+    if pixels.dtype in (np.uint8, np.uint16):  # of wider ones the type does not tell the white
         return Radiograph(pixels, _full_scale(pixels))
     if pixels.dtype.kind == "f":
         with np.errstate(over="ignore"):  # values too large for float32 are refused as not finite

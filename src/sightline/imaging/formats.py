@@ -1,4 +1,4 @@
-"""The image formats that are read, one table for readers, acquisition, app and messages; limits on their size."""
+"""The image formats that are read, one table for readers, acquisition, app and messages; limits on size and values."""
 
 from dataclasses import dataclass
 from enum import Enum, auto
@@ -11,6 +11,14 @@ from sightline.errors import ImageError
 
 MIN_SIDE = 16  # as `Radiograph`
 HEADER_BYTES = 132  # tell the format: DICOM's preamble of 128 bytes and its magic number
+_FIRST_BYTES = 2**10  # [ours] of the first value of a DICOM data set: a character set, an image type
+# Largest difference of the channels of a grey image after a colour conversion, levels of 255: chroma that is off by one
+# level moves red by 1.4, green by 1.1 and blue by 1.8, each rounded (ITU-R BT.601) [calc].
+_CHROMA = 3
+# Negative values [ours]: of noise about black, size against the brightest; of filters at edges, share of the pixels.
+# The focal point of the demo's image moves by 0.01 mm for an offset of a tenth of its range.
+_FAINT, _FEW = 0.01, 0.01
+_APART = 0.05  # of the range of the other values: padding is further below them [ours]
 
 
 class ReadBy(Enum):
@@ -61,7 +69,17 @@ SUFFIXES = tuple(suffix for known in FORMATS for suffix in known.suffixes)
 
 def format_of(start: bytes) -> ImageFormat | None:
     """Return the format of an image that begins with these HEADER_BYTES; None for other files."""
-    return next((known for known in FORMATS if start[known.magic_at :].startswith(known.magic)), None)
+    known = next((known for known in FORMATS if start[known.magic_at :].startswith(known.magic)), None)
+    return FORMATS[0] if known is None and _is_bare_dicom(start) else known
+
+
+def _is_bare_dicom(start: bytes) -> bool:
+    """Return whether these are the first bytes of a DICOM file without its preamble (see `imaging.bare`)."""
+    explicit = start[4:6].isalpha() and start[4:6].isupper()
+    length = int.from_bytes(start[4:8], "little")
+    implicit = start[:2] == b"\x08\0" and length < _FIRST_BYTES and length % 2 == 0
+    is_group = start[:2] in (b"\2\0", b"\x08\0", b"\0\x08") and len(start) == HEADER_BYTES
+    return start[:4] == b"DICM" or (is_group and (explicit or implicit))
 
 
 def format_of_file(file: Path) -> ImageFormat | None:
@@ -101,10 +119,50 @@ def damaged(name: str) -> ImageError:
 
 
 def grey(pixels: np.ndarray, name: str) -> np.ndarray:
-    """Return (H, W) of an array (H, W) or (H, W, channels) with equal colours. Raises ImageError on true colour."""
+    """Return (H, W) of (H, W), (1, H, W), or (H, W, channels) with equal colours.
+
+    Colours that differ as after a colour conversion become their luma. Raises ImageError on true colour.
+    """
+    while pixels.ndim > 2 and pixels.shape[0] == 1:
+        pixels = pixels[0]
     if pixels.ndim == 2:
         return pixels
-    colours = pixels[..., : 3 if pixels.shape[-1] >= 3 else 1]
-    if pixels.ndim != 3 or pixels.shape[-1] > 4 or (colours != colours[..., :1]).any():
+    if pixels.ndim != 3 or pixels.shape[-1] > 4:
+        raise ImageError(f"{name} has the shape {pixels.shape}; give one image (H, W)")
+    if pixels.shape[-1] < 3:  # the second is opacity
+        return np.ascontiguousarray(pixels[..., 0])
+    red, green, blue = (pixels[..., k] for k in range(3))
+    if (red == green).all() and (red == blue).all():
+        return np.ascontiguousarray(red)
+    colours = pixels[..., :3].astype(np.float64)
+    is_whole = pixels.dtype.kind in "iu"
+    if not np.ptp(colours, axis=2).max() <= _CHROMA / 255 * max(float(colours.max()), 255.0 * is_whole):
         raise ImageError(f"{name} is a colour image; export the X-ray image itself in grey, without drawings on it")
-    return np.ascontiguousarray(colours[..., 0])
+    luma = colours @ [0.299, 0.587, 0.114]
+    return (np.rint(luma) if is_whole else luma).astype(pixels.dtype)
+
+
+def non_negative(values: np.ndarray, bits: int | None, name: str) -> tuple[np.ndarray, float]:
+    """Return signed values (H, W) without negative ones, and their white; `bits`: None where the range is not known.
+
+    Negative X-rays do not exist. Padding, which is one value apart from all others, becomes black. Noise about black,
+    and few values as a filter leaves them at edges, are clipped to 0. Where values fill the range's negative half, its
+    lowest value is black. Raises ImageError on others: their black is not known.
+    """
+    lowest, brightest = values.min(), values.max()
+    half = 2.0 ** (bits - 1) if bits else np.inf
+    if lowest >= 0:
+        return values, half - 1
+    second = values[values > lowest].min(initial=brightest)
+    if second >= 0 or second - lowest > _APART * (brightest - second):
+        values, lowest = np.where(values == lowest, min(second, 0), values), min(second, 0)
+    share = (values < 0).mean()
+    fills_range = bits is not None and brightest >= half / 2
+    if -lowest <= _FAINT * brightest or (share <= _FEW and not fills_range):
+        return np.maximum(values, 0), half - 1
+    if lowest <= -half / 2:
+        return values + int(half), 2 * half - 1
+    raise ImageError(
+        f"{100 * share:.2g} % of the values of {name} are negative, down to {lowest:g}, so it is not known which value "
+        "is black; export it without an offset, a subtraction or a normalisation"
+    )

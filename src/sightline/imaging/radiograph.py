@@ -10,6 +10,7 @@ from sightline.common.show import Plotted
 from sightline.errors import ImageError
 from sightline.imaging.burnt_in import burnt_in
 from sightline.imaging.collimation import field_mask
+from sightline.imaging.formats import non_negative
 
 _STRETCH = (0.5, 99.5)  # [ours] percentiles that become black and white: dead pixels and writing do not set the range
 
@@ -36,7 +37,8 @@ class Radiograph(Plotted):
     `pixels` (H, W): uint8, uint16 or float32, read-only; larger values are brighter and mean more X-rays at the
     detector (MONOCHROME1 has been inverted). `white`: the largest value that the source can store, so
     `pixels >= white` are saturated. `lossy`: the file was compressed with loss. `is_inverted`: the pixels are the
-    negative of the file's. Raises ImageError on anything but a finite two-dimensional array.
+    negative of the file's. Raises ImageError on anything but a finite two-dimensional array, and on negative
+    values but padding, noise about black, and few.
 
     >>> image = sl.Radiograph(np.full((512, 512), 900, np.uint16), white=4095.0)
     >>> image
@@ -58,6 +60,7 @@ class Radiograph(Plotted):
             pixels = pixels.astype(np.float32)
             if not np.isfinite(pixels).all():
                 raise ImageError("the image holds values that are not finite; export it again without them")
+            pixels, _ = non_negative(pixels, None, "the image")
         pixels = pixels.view()
         pixels.flags.writeable = False
         object.__setattr__(self, "pixels", pixels)

@@ -1,6 +1,5 @@
 """Read PNG, TIFF, BMP and JPEG with Pillow, which refuses truncated and damaged files."""
 
-import warnings
 from io import BytesIO
 from typing import Any
 
@@ -12,9 +11,9 @@ from PIL.ImageFile import ImageFile
 from sightline.common.bounded import MAX_PIXELS
 from sightline.errors import ImageError
 from sightline.imaging.formats import check_size, damaged, refuse_longer
+from sightline.imaging.quiet import Quiet
 
-# Pillow warns of huge images and of inconsistent headers, before it reads a pixel. Both are refused.
-warnings.filterwarnings("error", module=r"PIL\b")
+_strict = Quiet("error", "PIL")  # Pillow warns of huge images and of inconsistent headers, before it reads a pixel
 
 _BITS, _STRIP_BYTES, _TILE_WIDTH, _TILE_HEIGHT = 258, 279, 322, 323  # tags of TIFF
 # Pillow's names of lossless compressions of TIFF. JPEG and fax in a TIFF are refused.
@@ -27,10 +26,10 @@ def read_raster(data: bytes, format_name: str, name: str) -> np.ndarray:
     Pillow reduces colour of 16 bits to 8. OpenCV reads those pixels, after Pillow has found the file whole.
     """
     try:
-        with Image.open(BytesIO(data), formats=(format_name,)) as image:
+        with _strict(), Image.open(BytesIO(data), formats=(format_name,)) as image:
             check_size(image.height, image.width, name)
             image.verify()  # the checksums of a PNG; then it must be opened again
-        with Image.open(BytesIO(data), formats=(format_name,)) as image:
+        with _strict(), Image.open(BytesIO(data), formats=(format_name,)) as image:
             _check_layout(image, data, name)
             wide_colour = len(image.getbands()) > 1 and ";16" in str(image.tile)
             image.load()
@@ -45,6 +44,7 @@ def read_raster(data: bytes, format_name: str, name: str) -> np.ndarray:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         if pixels is None:
             raise damaged(name)
+        pixels = pixels[..., [2, 1, 0, *range(3, pixels.shape[2])]]  # blue is OpenCV's first
     return pixels
 
 

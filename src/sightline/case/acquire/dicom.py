@@ -1,10 +1,8 @@
 """A DICOM receiver: C-STORE of images from known peers into a case, and C-ECHO (pynetdicom behind our own limits)."""
 
-import logging
 import socket
-import warnings
 from collections.abc import Generator, Iterable
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from socketserver import TCPServer
 from threading import Thread
@@ -38,6 +36,7 @@ from pynetdicom.transport import ThreadedAssociationServer
 from sightline.case.acquire.acquirer import Acquirer, News, Tell, news_of
 from sightline.case.acquire.guard import PDU_BYTES, GuardedSocket, PeerLimits
 from sightline.errors import CaseError, ImageError, LinkError, UnusableInputError
+from sightline.imaging.quiet import Quiet
 from sightline.robot.transport.connection import MESSAGE_S
 
 AET = "SIGHTLINE"
@@ -73,6 +72,7 @@ _SYNTAXES: list[UID] = [
     RLELossless,
 ]
 _SUCCESS, _OUT_OF_RESOURCES, _CANNOT_UNDERSTAND, _PROCESSING_FAILURE = 0x0000, 0xA700, 0xC000, 0x0110  # PS3.4, B.2.3
+_quiet = Quiet("ignore", "pydicom", "pynetdicom", all_threads=True)
 # Result, source, reason (PS3.8, 9.3.4): permanent, calling AE title not recognised; transient, local limit exceeded.
 _UNKNOWN, _BUSY = (0x01, 0x01, 0x03), (0x02, 0x03, 0x02)
 
@@ -104,7 +104,7 @@ class DicomReceiver:
     A C-STORE is answered with success only once the image is in the case and on the disk. Status A7xx means that the
     image could not be written, C000 that it cannot be read; then nothing of it is kept. A peer that is unknown, exceeds
     a limit or falls silent is disconnected and reported; the receiver goes on. Logs and warnings of pydicom and
-    pynetdicom quote headers, so they are switched off for the whole process.
+    pynetdicom quote headers, so all are dropped while a receiver is open.
     Raises UnusableInputError without a peer or with an invalid AE title, LinkError if the port cannot be opened.
     """
 
@@ -126,11 +126,9 @@ class DicomReceiver:
         self._host, self._wanted_port, self._limits = host, port, limits or PeerLimits()
         self._ae = _application(aet, idle_s)
         self._server: _Server | None = None
+        self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        logging.getLogger("pynetdicom").propagate = False
-        logging.getLogger("pydicom").propagate = False
-        warnings.filterwarnings("ignore", module=r"(pydicom|pynetdicom)(\.|$)")
         handlers: list[evt.EventHandlerType] = [
             (evt.EVT_REQUESTED, self._admit),
             (evt.EVT_REJECTED, self._rejected),
@@ -149,6 +147,8 @@ class DicomReceiver:
         server.limits = self._limits
         server.addresses = frozenset(address for peer in self._peers for address in peer.addresses)
         self._server = server
+        self._open.enter_context(_quiet())
+        self._open.callback(server.server_close)
         return self
 
     @contextmanager
@@ -166,8 +166,7 @@ class DicomReceiver:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._server is not None:
-            self._server.server_close()
+        self._open.close()
 
     @property
     def port(self) -> int:

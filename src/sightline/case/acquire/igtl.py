@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sightline.errors import ImageError, LinkError, SourceError
-from sightline.imaging import Radiograph, SourceFrame
+from sightline.imaging import Radiograph, SourceFrame, as_radiograph
 from sightline.imaging.formats import check_size, grey
 from sightline.robot.igtl import Image, Message, Rejected, Stream
 from sightline.robot.transport import LOOPBACK
@@ -131,9 +131,10 @@ class ImageLink:
 
 
 def radiograph_of(image: Image) -> Radiograph:
-    """Return one slice as a radiograph: 8 and 16 bits unchanged, signed ones shifted to be positive, others as floats.
+    """Return one slice as a radiograph: 8 and 16 bits unchanged, others as floats.
 
-    Raises ImageError for a part of an image, a volume, a colour image, and values that a 32-bit float cannot hold.
+    Raises ImageError for a part of an image, a volume, a colour image, negative values (but see
+    `imaging.formats.non_negative`), and values that a 32-bit float cannot hold.
     """
     slices, height, width = image.pixels.shape[:3]
     if image.size != (width, height, slices) or any(image.offset):
@@ -142,11 +143,8 @@ def radiograph_of(image: Image) -> Radiograph:
         raise ImageError(f"it is a volume of {slices} slices; let the peer send single images")
     check_size(height, width, "the image")
     pixels = grey(image.pixels[0], "the image")
-    if pixels.dtype in (np.int8, np.int16):
-        low, kind = np.iinfo(pixels.dtype).min, np.uint8 if pixels.dtype == np.int8 else np.uint16
-        pixels = (pixels.astype(np.int32) - (low if pixels.min() < 0 else 0)).astype(kind)
-    if pixels.dtype in (np.uint8, np.uint16):
-        return Radiograph(pixels, float(np.iinfo(pixels.dtype).max))
+    if pixels.dtype.kind in "iu" and pixels.dtype.itemsize <= 2:
+        return as_radiograph(pixels)
     floats = pixels.astype(np.float32)
     if not np.isfinite(floats).all() or (pixels.dtype.kind in "iu" and (floats.astype(np.float64) != pixels).any()):
         raise ImageError("its values do not fit into 32-bit floats; let the peer send 16 bits")
