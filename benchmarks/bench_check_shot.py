@@ -71,7 +71,7 @@ def _errors(seed: int) -> dict[str, tuple[float, float, float, float]]:
     shot = _draw(rng, DIAMETERS_MM[seed % len(DIAMETERS_MM)])
     views = calibrated_views(shot.planned, measure(rng, shot.planned, BEAD_PX))
     ends = np.array([shot.planned.views[name].project(shot.hip.wire_mm) for name in VIEWS])
-    made = plan(views, ends[:, 0], ends[:, 1], kind=kind("free-wire"))
+    made = plan(views, ends[:, 0], ends[:, 1], procedure=kind("free-wire"))
     seen = [_in_image(rng, shot, name, made) for name in VIEWS]
     errors = {}
     for name, sd in LANDMARK_PX.items():

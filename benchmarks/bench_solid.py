@@ -263,7 +263,7 @@ def _planned(
     seen = _labelled(setup, images)
     scene = TargetScene.of(setup, seen, points)
     views, uv = calibrated_views(setup, seen), scene.target_px + noise
-    made = sl.plan(views, uv[:, 0], uv[:, 1], pick_sd_px=PICK_PX, landmarks_uv_px=uv[:, 2:], kind="free-wire")
+    made = sl.plan(views, uv[:, 0], uv[:, 1], pick_sd_px=PICK_PX, landmarks_uv_px=uv[:, 2:], procedure="free-wire")
     wire, data = np.array([made.trajectory.entry_mm, made.trajectory.end_mm]), scene.seen(pick_covariance(2, 1)[:, 0])
     return {
         "wire": np.linalg.norm(wire - points[:2], axis=1),

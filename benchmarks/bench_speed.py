@@ -268,7 +268,7 @@ def _planning(runs: int) -> Rows:
     scene = draw_scene(np.random.default_rng(3), told, 0.1, targets=4)
     views = [sl.calibrate(seen, told) for seen in scene.observations.values()]
     uv, landmarks = (np.array([view.project(points) for view in views]) for points in (LINE_MM, LANDMARKS_MM))
-    rng, free = np.random.default_rng(4), partial(plan, views, kind=kind("free-wire"))
+    rng, free = np.random.default_rng(4), partial(plan, views, procedure=kind("free-wire"))
     made = free(uv[:, 0], uv[:, 1])
 
     def dragged() -> np.ndarray:

@@ -70,7 +70,7 @@ def _ended(case: tuple[str, int]) -> tuple[str, str]:
     try:
         calibrated = calibrate_together(seen, frame, c_arms(scene.setup)[: len(seen)])
         made = sl.plan(calibrated, uv[:, 0], uv[:, 1], pick_sd_px=PICK_PX, landmarks_uv_px=uv[:, 2:],
-                       kind=kind("free-wire"))  # fmt: skip
+                       procedure=kind("free-wire"))  # fmt: skip
     except SightlineError as refusal:
         return "refused", type(refusal).__name__
     if not made.verdict.go:

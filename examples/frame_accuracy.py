@@ -58,7 +58,7 @@ def ends_of(frame: Frame, rng: np.random.Generator) -> dict[str, list[tuple[floa
     found = {}
     for what, sd_px in PICKS.items():
         picks = pixels + sd_px * noise
-        wire = sl.plan(views, picks[:, 0], picks[:, 1], pick_sd_px=sd_px, kind="free-wire").trajectory
+        wire = sl.plan(views, picks[:, 0], picks[:, 1], pick_sd_px=sd_px, procedure="free-wire").trajectory
         errors = np.linalg.norm([wire.entry_mm - WIRE_ENDS_MM[0], wire.end_mm - WIRE_ENDS_MM[1]], axis=1)
         with suppress(sl.SightlineError):  # no error is stated where the lines of sight do not intersect
             found[what] = list(zip(errors.tolist(), (wire.entry_error_95_mm, wire.end_error_95_mm), strict=True))

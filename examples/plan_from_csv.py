@@ -19,7 +19,7 @@ def main(path: str) -> None:
     seen = read_observations(path)
     views = [sl.calibrate(seen[name], frame) for name in ("pa", "lateral")]
     entry_px, end_px = (pair_of_picks(views, uv) for uv in ([560.0, 580.0], [440.0, 430.0]))
-    made = plan(views, entry_px, end_px, snapped=True, kind=kind("free-wire"))
+    made = plan(views, entry_px, end_px, snapped=True, procedure=kind("free-wire"))
     wire = made.trajectory
     print("GO" if made.verdict.go else "NO-GO")
     for check in failed(made.verdict.checks):  # snapped picks alone do not show whether the patient moved

@@ -29,7 +29,7 @@ def picture(folder: Path) -> str:
     truth = json.loads((folder / "truth.json").read_text())["views"]
     views = [sl.calibrate(seen[name], frame) for name in NAMES]
     ends = [np.array([truth[name][f"{point}_uv_px"] for name in NAMES]) for point in ("entry", "end")]
-    made = plan(views, *ends, snapped=True, kind=kind("free-wire"))
+    made = plan(views, *ends, snapped=True, procedure=kind("free-wire"))
     panels = [_panel(folder, k, view, made) for k, view in enumerate(views)]
     style = (files("sightline.case.report") / "templates" / "report.css").read_text("utf-8")
     body = svg.element("style", style.replace("</", "<\\/"))

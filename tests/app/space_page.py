@@ -49,7 +49,7 @@ def scene() -> tuple[dict, list]:
         groups["rays"] += sight_objects(view, uv_px)
         moved += sight_objects(view, uv_px[:1])
         picks.append(uv_px)
-    planned = plan(shown, np.stack(picks)[:, 0], np.stack(picks)[:, 1], snapped=True, kind=kind("free-wire"))
+    planned = plan(shown, np.stack(picks)[:, 0], np.stack(picks)[:, 1], snapped=True, procedure=kind("free-wire"))
     robot, q = nominal_manipulator(), np.zeros(5)
     q[YAW] = imaging_yaw("right")
     entry, tip = wire_mm + np.array([3.0, 0.0, 2.0])

@@ -58,7 +58,7 @@ def test_a_movement_of_the_bone_is_told_in_mm_with_its_limit(moved_mm: float) ->
     moved = [np.zeros(3), np.array([0.0, moved_mm, 0.0])]
     uv = np.array([view.project(marks + shift) for view, shift in zip(pair, moved, strict=True)])
     ends = np.array([view.project(np.array([ENTRY_MM, CENTRE_MM])) for view in pair])
-    made = plan(pair, ends[:, 0], ends[:, 1], kind="free-wire", side="right", landmarks_uv_px=uv)
+    made = plan(pair, ends[:, 0], ends[:, 1], procedure="free-wire", side="right", landmarks_uv_px=uv)
     seen = made.seen
     assert seen.shift_mm is not None and seen.shift_sd_mm is not None
     said = _said(SimpleNamespace(plan=made), "free-wire")[3]

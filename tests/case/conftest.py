@@ -44,7 +44,7 @@ def report(frame, setup, pair, truth) -> Report:
     picks = truth.uv_px + np.random.default_rng(2).normal(0.0, 0.5, (2, 2, 2))
     marks = np.stack([setup.views[name].project(LANDMARKS_MM) for name in NAMES])
     views = [image.view for image in images]
-    planned = plan(views, picks[:, 0], picks[:, 1], snapped=True, landmarks_uv_px=marks, kind=kind("free-wire"))
+    planned = plan(views, picks[:, 0], picks[:, 1], snapped=True, landmarks_uv_px=marks, procedure=kind("free-wire"))
     return Report(
         title="A plan & its report",
         frame=frame,

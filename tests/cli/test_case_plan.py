@@ -23,7 +23,7 @@ def kinds(folder: Path) -> list[str]:
 
 def test_a_plan_is_recorded_in_a_case_and_comes_out_the_same(run, beads_csv: Path, setup, tmp_path: Path) -> None:
     picks = picks_file(tmp_path, wires={"wire": wire(setup, WIRE_MM)}, pick_sd_px=0.1)
-    plan = ["plan", beads_csv, beads_csv, "--picks", picks, "--kind", "free-wire", "--case", tmp_path / "case"]
+    plan = ["plan", beads_csv, beads_csv, "--picks", picks, "--procedure", "free-wire", "--case", tmp_path / "case"]
     first, second = run(*plan, "--json"), run(*plan, "--side", "right")
     assert (first.code, second.code) == (0, 0), second.err
     assert first.document["case"]["images"] == {"pa": 1, "lateral": 1}

@@ -19,7 +19,7 @@ TARGETS_MM = np.array([[11.3, -7.9, 4.1], [-20.7, 15.2, -9.9]])
 def planned(run, pair, setup, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out, folder = tmp_path_factory.mktemp("planned"), tmp_path_factory.mktemp("picks")
     picks = picks_file(folder, pick_sd_px=0.1)
-    given = (*typed(setup), "--picks", picks, "--kind", "free-wire", "--side", "left", "--out", out)
+    given = (*typed(setup), "--picks", picks, "--procedure", "free-wire", "--side", "left", "--out", out)
     ran = run("plan", *pair.values(), *given)
     assert ran.code in (0, 3), ran.err
     return out

@@ -15,7 +15,7 @@ from sightline.rehearsal.patient import draw_patient
 from sightline.studies.scenes import measure
 from sightline.twin.anatomy.bone_model import SphereAid, drawn_aids
 
-FREE = ("--kind", "free-wire")
+FREE = ("--procedure", "free-wire")
 
 
 @pytest.fixture(scope="module")
@@ -92,11 +92,12 @@ def test_a_depth_is_a_place_on_the_curve(run, beads_csv: Path, wire_px) -> None:
 
 def test_on_no_go_the_failures_come_first_and_no_error_stands_beside_the_points(run, beads_csv: Path, setup) -> None:
     of_other_points = typed(setup, shift_px=25.0)
-    said = run("plan", beads_csv, beads_csv, *of_other_points, "--kind", "interlocking").out
+    said = run("plan", beads_csv, beads_csv, *of_other_points, "--procedure", "interlocking").out
     assert "entry (near hole)" in said and "end (far hole)" in said  # as the procedure calls them
     ran = run("plan", beads_csv, beads_csv, *of_other_points, *FREE)
     assert ran.code == 3
-    lines = ran.out.splitlines()
+    frame, procedure, *lines = ran.out.splitlines()
+    assert (frame, procedure) == ("frame: gamma (assumed; --frame names another)", "procedure: free-wire")
     count = sum(line.startswith("FAIL ") for line in lines)
     assert lines[0].startswith(f"NO-GO: {count} checks failed")
     assert all(line.startswith("FAIL ") for line in lines[1 : count + 1])
@@ -105,6 +106,14 @@ def test_on_no_go_the_failures_come_first_and_no_error_stands_beside_the_points(
     assert rows.keys() == {"entry", "end"}
     assert all(row[3] == "-" for row in rows.values())
     assert "No error is stated: the gap of a point contradicts it." in ran.out
+
+
+def test_an_assumed_procedure_is_said_and_the_others_are_listed_where_it_asks_for_more(run, beads_csv, setup) -> None:
+    said = run("plan", beads_csv, beads_csv, *typed(setup)).out
+    assert "procedure: hip-screw (assumed; --procedure names another)\nINCOMPLETE: " in said
+    assert "add --procedure KEY: cannulated-hip-screws (cannulated hip screws); " in said and "pedicle-screw" in said
+    named = run("plan", beads_csv, beads_csv, *typed(setup), "--procedure", "hip-screw", "--frame", "gamma").out
+    assert named.startswith("frame: gamma\nprocedure: hip-screw\nINCOMPLETE: ") and "add --procedure" not in named
 
 
 CENTRE_MM, RADIUS_MM = WIRE_MM[1] + 15.0 * (WIRE_MM[0] - WIRE_MM[1]) / np.linalg.norm(WIRE_MM[0] - WIRE_MM[1]), 23.0

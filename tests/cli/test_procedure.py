@@ -74,7 +74,7 @@ def _old(content: dict[str, Any]) -> dict[str, Any]:
     return old
 
 
-@pytest.mark.parametrize("flag", ["--kind", "--procedure"])
+@pytest.mark.parametrize("flag", ["--procedure", "--procedure"])
 def test_interlocking_of_old_cases_and_flags_is_distal_interlocking(run, beads_csv, wire, tmp_path, flag) -> None:
     case = tmp_path / "case"
     given = ["plan", beads_csv, beads_csv, *wire, flag, "interlocking", "--case", case, "--json"]

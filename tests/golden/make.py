@@ -39,7 +39,7 @@ def answers(picks_px: np.ndarray) -> dict[str, Any]:
         for method in ("smooth", "polynomial", "localized")
     }
     planned = plan(
-        views["smooth"], picks_px[:, 0], picks_px[:, 1], pick_sd_px=0.5, snapped=False, kind=kind("free-wire")
+        views["smooth"], picks_px[:, 0], picks_px[:, 1], pick_sd_px=0.5, snapped=False, procedure=kind("free-wire")
     )
     return {
         "detect": {"uv_px": beads.uv_px[order], "radius_px": beads.radius_px[order]},

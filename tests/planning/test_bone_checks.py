@@ -163,7 +163,7 @@ def test_a_wire_that_no_plate_or_screw_fits_is_no_go():
     short = plan(
         bone.views(),
         *np.swapaxes([view.project(np.stack([bone.ENTRY_MM, bone.END_MM])) for view in bone.views()], 0, 1),
-        kind=hip_screw_with("wire length", high=80.0),
+        procedure=hip_screw_with("wire length", high=80.0),
     )
     (check,) = (check for check in short.verdict.checks if check.name == "wire length")
     assert (check.limit, check.passed) == (80.0, False)
@@ -228,6 +228,6 @@ def test_how_far_a_point_may_be_wrong_along_its_line_of_sight_is_what_the_checks
         assert any(passes)
     assert "error of up to" in made.along_sentences()[0]
     uv = np.array([view.project(wire) for view in views])
-    free = plan(views, uv[:, 0], uv[:, 1], kind="free-wire", curve=_one_curve)
+    free = plan(views, uv[:, 0], uv[:, 1], procedure="free-wire", curve=_one_curve)
     assert free.noticed_mm == (None, None)
     assert all(sentence.startswith("No check covers") for sentence in free.along_sentences())

@@ -87,7 +87,7 @@ def case(seed: int, wire: np.ndarray, bow_mm: float = 0.0) -> Case:
     )
     return Case(
         first,
-        plan(views[0], ends[:, 0], ends[:, 1], kind=kind("free-wire")),
+        plan(views[0], ends[:, 0], ends[:, 1], procedure=kind("free-wire")),
         *views,
         [wire_in(rng, second, name, curve) for name in VIEWS],
         Landmarks(*marks, MARK_PX),
@@ -151,7 +151,7 @@ def test_a_plan_on_three_views_is_checked_against_all_its_picks(one):
 
     def checked(third_px: np.ndarray) -> CheckShot:
         uv = np.concatenate([ends, third_px[None]])
-        made = plan([*one.before, oblique], uv[:, 0], uv[:, 1], kind=kind("free-wire"))
+        made = plan([*one.before, oblique], uv[:, 0], uv[:, 1], procedure=kind("free-wire"))
         return check_shot(made.to_check(), one.after, one.wires, landmarks=one.landmarks)
 
     two, without = one.result(), checked(np.full((2, 2), np.nan))

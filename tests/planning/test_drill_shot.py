@@ -111,7 +111,7 @@ def taken(
     landmarks, straight = Landmarks(*found, MARK_PX), state == ALIGNED
     moved = Beforehand(arm, np.diag(ENCODERS_SD**2), straight=straight)
     return Taken(
-        plan(views[0], picks[:, 0], picks[:, 1], kind=kind("free-wire")),
+        plan(views[0], picks[:, 0], picks[:, 1], procedure=kind("free-wire")),
         *views,
         [wire_in(rng, second, name, curve) for name in VIEWS],
         landmarks,

@@ -32,7 +32,7 @@ def test_an_error_of_zero_is_refused():
 
 def test_snapped_picks_on_exact_views():
     views = [sl.view_from_matrix(PA, 0.0 * COVARIANCE), sl.view_from_matrix(LATERAL, 0.0 * COVARIANCE)]
-    trajectory = plan(views, UV_PX[:, 0], UV_PX[:, 1], kind=kind("free-wire"), snapped=True).trajectory
+    trajectory = plan(views, UV_PX[:, 0], UV_PX[:, 1], procedure=kind("free-wire"), snapped=True).trajectory
     np.testing.assert_allclose(trajectory.points.xyz_mm, TARGETS_MM, atol=1e-3)
     assert not trajectory.points.gap_tested.any()
 

@@ -192,7 +192,7 @@ def test_one_view_is_not_enough_and_none_counts_twice():
 
 
 def _planned(views: list[StandInView], uv: np.ndarray, **given: object) -> SpacePoints:
-    return plan(views, uv[:, 0], uv[:, 1], landmarks_uv_px=uv[:, 2:], kind=kind("free-wire"), **given)
+    return plan(views, uv[:, 0], uv[:, 1], landmarks_uv_px=uv[:, 2:], procedure=kind("free-wire"), **given)
 
 
 def test_a_plan_takes_a_third_view_and_may_lack_its_picks():

@@ -48,7 +48,7 @@ def _plan(procedure: Procedure, aids: Aids | None = None, side: str | None = "ri
         bone.views(),
         uv[:, 0],
         uv[:, 1],
-        kind=procedure,
+        procedure=procedure,
         side=side,
         aids=replace(bone.aids(bone.pixels(bone.views())), outline=_outline()) if aids is None else aids,
         landmarks_uv_px=np.array([view.project(bone.LESSER_MM[None]) for view in bone.views()]),
@@ -116,7 +116,7 @@ def test_metrics_are_not_judged_on_an_unknown_side_or_with_exchanged_ends():
     uv = np.array([view.project(WIRE_MM[::-1]) for view in bone.views()])
     aids = bone.aids(bone.pixels(bone.views()))
     other = plan(
-        bone.views(), uv[:, 0], uv[:, 1], kind=asked, side="right", aids=aids, curve=lambda *_: bone.curve_once()
+        bone.views(), uv[:, 0], uv[:, 1], procedure=asked, side="right", aids=aids, curve=lambda *_: bone.curve_once()
     )
     assert "tip-apex distance" not in {check.name for check in other.verdict.checks}
 

@@ -39,7 +39,7 @@ def test_the_proposal_is_what_the_rule_says(with_neck, rule):
     turned = np.cross(wire, bone.SHAFT) / np.linalg.norm(np.cross(wire, bone.SHAFT))
     across = np.cross(bone.NECK, bone.SHAFT) / np.linalg.norm(np.cross(bone.NECK, bone.SHAFT))
     assert (abs(turned @ across) > 1 - 1e-9) == with_neck
-    again = plan(views, made.entry_uv_px, made.end_uv_px, kind=kind("free-wire"))
+    again = plan(views, made.entry_uv_px, made.end_uv_px, procedure=kind("free-wire"))
     np.testing.assert_allclose(again.trajectory.entry_mm, made.entry_mm, atol=1e-6)
     np.testing.assert_allclose(again.trajectory.end_mm, made.end_mm, atol=1e-6)
     assert f"{length:.0f} mm long" in made.sentence
@@ -93,7 +93,7 @@ def test_a_kinds_limits_judge_its_plan():
     near, far = np.array([10.0, 20.0, 3.0]), np.array([-1.0, 20.5, 2.0])  # two holes of a nail
     uv = np.array([view.project(np.stack([near, far])) for view in VIEWS])
     strict, loose = (
-        {c.name: c for c in plan(VIEWS, uv[:, 0], uv[:, 1], kind=kind(key)).verdict.checks}
+        {c.name: c for c in plan(VIEWS, uv[:, 0], uv[:, 1], procedure=kind(key)).verdict.checks}
         for key in ("hip-screw", "interlocking")
     )
     assert strict["direction error"].limit == pytest.approx(0.6)

@@ -31,7 +31,7 @@ def _scene(rng: np.random.Generator) -> tuple[SetUp, tuple[BeadView, ...], np.nd
 
 
 def _planned(views: Sequence[BeadView], uv: np.ndarray) -> Plan:
-    return plan(views, uv[:, 0], uv[:, 1], landmarks_uv_px=uv[:, 2:], kind=kind("free-wire"))
+    return plan(views, uv[:, 0], uv[:, 1], landmarks_uv_px=uv[:, 2:], procedure=kind("free-wire"))
 
 
 def _off_mm(made: Plan, ends_mm: np.ndarray) -> float:

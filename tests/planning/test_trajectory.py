@@ -152,7 +152,7 @@ def test_a_views_failed_check_and_an_unknown_error_are_no_go():
 @pytest.mark.parametrize("snapped", [False, True])
 def test_plan_fromwire_px(snapped):
     entry, end = np.swapaxes(wire_px(VIEWS), 0, 1)
-    made = plan(VIEWS, entry, end, kind=kind("free-wire"), snapped=snapped)
+    made = plan(VIEWS, entry, end, procedure=kind("free-wire"), snapped=snapped)
     np.testing.assert_allclose(made.trajectory.entry_mm, ENTRY_MM, atol=0.02)
     np.testing.assert_allclose(made.trajectory.end_mm, END_MM, atol=0.02)
     assert made.verdict.go != snapped
@@ -172,7 +172,7 @@ def _planned(views: list[StandInView], moved_mm: np.ndarray, landmarks: int = 2,
     there = [np.zeros(3), moved_mm]
     uv = np.array([v.project(np.stack([ENTRY_MM, END_MM]) + m) for v, m in zip(views, there, strict=True)])
     marks = np.array([v.project(LANDMARKS_MM[:landmarks] + m) for v, m in zip(views, there, strict=True)])
-    return plan(views, uv[:, 0], uv[:, 1], snapped=True, landmarks_uv_px=marks, kind=kind("free-wire"), **options)
+    return plan(views, uv[:, 0], uv[:, 1], snapped=True, landmarks_uv_px=marks, procedure=kind("free-wire"), **options)
 
 
 def test_landmarks_that_agree_make_a_snapped_plan_go_and_change_nothing_else():
@@ -218,10 +218,14 @@ def test_landmarks_need_finite_pixels_in_both_views_and_a_known_error():
     entry, end = np.swapaxes(wire_px(VIEWS), 0, 1)
     for bad in (np.zeros((2, 2)), np.zeros((1, 2, 2)), np.full((2, 2, 2), np.nan)):
         with pytest.raises(UnusableInputError, match="landmarks"):
-            plan(VIEWS, entry, end, kind=kind("free-wire"), landmarks_uv_px=bad)
+            plan(VIEWS, entry, end, procedure=kind("free-wire"), landmarks_uv_px=bad)
     blind = [VIEWS[0], replace(VIEWS[1], factors=None)]
     made = plan(
-        blind, entry, end, kind=kind("free-wire"), landmarks_uv_px=np.array([v.project(LANDMARKS_MM) for v in VIEWS])
+        blind,
+        entry,
+        end,
+        procedure=kind("free-wire"),
+        landmarks_uv_px=np.array([v.project(LANDMARKS_MM) for v in VIEWS]),
     )
     assert (made.seen.shift_mm, made.seen.shift_sd_mm) == (None, None)
     assert made.landmarks_document()[0]["gap_sigma"] is None
@@ -241,7 +245,7 @@ def test_plan_refuses_badwire_px(bad):
 
 def test_one_point_may_be_snapped_and_the_other_free():
     entry, end = np.swapaxes(wire_px(VIEWS), 0, 1)
-    made = plan(VIEWS, entry, end, kind=kind("free-wire"), snapped=(True, False))
+    made = plan(VIEWS, entry, end, procedure=kind("free-wire"), snapped=(True, False))
     assert made.trajectory.points.gap_tested.tolist() == [False, True]
 
 

@@ -49,7 +49,7 @@ def _procedure(required: bool = False) -> Procedure:
 def _plan(views: list[StandInView], side: str | None = "right", required: bool = False) -> Plan:
     uv = np.array([view.project(WIRE_MM) for view in views])
     known = _procedure(required)
-    return plan(views, uv[:, 0], uv[:, 1], kind=known, side=side, curve=lambda *_: bone.curve_once())
+    return plan(views, uv[:, 0], uv[:, 1], procedure=known, side=side, curve=lambda *_: bone.curve_once())
 
 
 def test_angles_are_those_of_the_procedures_page():
@@ -151,7 +151,7 @@ class Bone:
             side=side,
             aids=Aids.clicked({aid.key: aid.type for aid in asked.aids}, clicked, 0.5),
             curve=lambda *_: bone.curve_once(),
-            **{"kind": asked, **given},
+            **{"procedure": asked, **given},
         )
 
 
@@ -219,8 +219,8 @@ def test_the_stated_error_of_a_direction_is_that_of_the_clicks(name: str):
         assert made.anatomy is not None
         return Located(exact, made.views, made.anatomy, made.landmark_names, "right").beams([0, 1])
 
-    true, errors = beams(seen.plan(kind=exact))
-    off = np.array([beams(seen.plan(sd_px=0.5, seed=k, kind=exact))[0] - true for k in range(60)])
+    true, errors = beams(seen.plan(procedure=exact))
+    off = np.array([beams(seen.plan(sd_px=0.5, seed=k, procedure=exact))[0] - true for k in range(60)])
     largest = [np.sqrt(np.linalg.eigvalsh(np.cov(off[:, k].T))[-1]) for k in (0, 1)]
     assert 1.96 * np.array(largest) == pytest.approx(errors, rel=0.3)
 

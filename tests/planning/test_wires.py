@@ -75,7 +75,7 @@ def test_three_parallel_wires_are_go_and_each_is_the_plan_of_its_wire_alone():
     for key, picks in _picks(WIRES_MM).items():
         wire = Procedure.of(_document(), key)
         once = {"curve": lambda *_: curve_once()}
-        alone = plan(views(), picks.entry_uv_px, picks.end_uv_px, kind=wire, side="right", **once)
+        alone = plan(views(), picks.entry_uv_px, picks.end_uv_px, procedure=wire, side="right", **once)
         np.testing.assert_array_equal(alone.trajectory.points.xyz_mm, made.plans[key].trajectory.points.xyz_mm)
         np.testing.assert_array_equal(alone.trajectory.covariance_mm2, made.plans[key].trajectory.covariance_mm2)
         assert (*alone.verdict.checks, *made.relations) == made.plans[key].verdict.checks
@@ -243,7 +243,7 @@ def _first(below_mm: float = 7.9, document: ProcedureDocument | None = None, out
     return plan(
         views(),
         *(np.array([view.project(end[None])[0] for view in views()]) for end in ends),
-        kind=Procedure.of(document or _document(of_bone=True), "inferior"),
+        procedure=Procedure.of(document or _document(of_bone=True), "inferior"),
         side="right",
         aids=replace(bone.aids(bone.pixels(views())), outline=tuple(map(neck_borders, views())) if outline else None),
         curve=lambda *_: curve_once(),

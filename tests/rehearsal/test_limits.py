@@ -123,7 +123,7 @@ def test_each_limit_in_a_file_is_that_of_every_consumer(
 ):
     views = [stand_in("pa", 0.4, 0.05), stand_in("lateral", -0.2, 0.05)]
     uv = np.array([view.project(POINTS) for view in views])
-    made = plan(views, uv[:, 0], uv[:, 1], kind=kind(str(_file(tmp_path, changed))), side="right")
+    made = plan(views, uv[:, 0], uv[:, 1], procedure=kind(str(_file(tmp_path, changed))), side="right")
     wanted = {"position_mm": 1.0, "direction_deg": 0.6, "beyond_mm": 0.0, "before_mm": 0.0} | changed
     assert made.kind.limits.direction_rad == radians(wanted["direction_deg"])
     for name, by_consumer in _seen(made, views, tmp_path, monkeypatch).items():

@@ -62,7 +62,7 @@ def test_a_proposal_on_right_drawings_is_go(procedure: str, seed: int) -> None:
         snapped=True,
         landmarks_uv_px=asked.landmarks_uv_px,
         landmark_names=asked.landmark_names,
-        kind=_kind(patient),
+        procedure=_kind(patient),
         side=patient.side,
         aids=aids,
     )

@@ -134,7 +134,7 @@ class PlanRequest:
             picks.entry_uv_px,
             picks.end_uv_px,
             snapped=picks.snapped,
-            kind=self.known_kind,
+            procedure=self.known_kind,
             side=self.side,
             **self._shared(len(views), curve),
         )

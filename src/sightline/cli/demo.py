@@ -232,7 +232,7 @@ def _compare(planned: "DemoPlan", images: "dict[Method, Pair]") -> "list[Compare
                 continue
             views = [image.view for image in images[method]]
             try:
-                made = plan(views, uv[:, 0], uv[:, 1], pick_sd_px=sd, snapped=snapped, kind=kind("free-wire"))
+                made = plan(views, uv[:, 0], uv[:, 1], pick_sd_px=sd, snapped=snapped, procedure=kind("free-wire"))
                 compared.append(Compared(method, how, made.trajectory, first))
             except RefusedError as error:
                 compared.append(Refused(method, how, str(error)))

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sightline.planning import Plan, WirePlans
 
 Point = dict[str, tuple[float, ...]]
+_ASSUMED = "hip-screw"  # the procedure where none is named
 _POINTS = ({"pa": 2, "lateral": 2}, {"pa": 2, "depth": 1})  # how many numbers each name has, in either way to write
 
 
@@ -63,17 +64,21 @@ class Wires:
         ),
     ] = False
     procedure: Annotated[
-        str,
+        str | None,
         typer.Option(
-            "--procedure",
-            "--kind",
-            help="Procedure: a key of `sightline procedure list`, or a file (docs/procedures.md); of several wires "
-            "KEY, or KEY:WIRE for one of them alone. Sets what is needed, checks and limits.",
+            help="What the wire is for: a key of `sightline procedure list`, or a file (docs/procedures.md); of "
+            "several wires KEY, or KEY:WIRE for one of them alone. Sets what is needed, checks and limits.",
+            show_default=_ASSUMED,
         ),
-    ] = "hip-screw"
+    ] = None
     side: Annotated[
         Side | None, typer.Option(help="Side of the patient, as both images show it.", show_default=False)
     ] = None
+
+    @property
+    def named(self) -> str:
+        """The procedure, as given or assumed."""
+        return self.procedure or _ASSUMED
 
     def read(self) -> "tuple[Picks, list[Point], str]":
         """Return the picks of the file, none without one, entry and end as typed, if they are, and the procedure.
@@ -88,19 +93,20 @@ class Wires:
         typed = {"--entry": self.entry, "--end": self.end}
         points = [parse_point(text, option) for option, text in typed.items() if text is not None]
         if len(points) == 1:
-            raise UnusableInputError("give --entry and --end together")
+            (missing,) = (option for option, text in typed.items() if text is None)
+            raise UnusableInputError(f"{missing} is missing: a wire has an entry and an end; give both, written alike")
         if points and (picks.wires or picks.nail is not None):
             raise UnusableInputError("the file of picks holds wires, or a nail; leave --entry and --end out")
-        procedure = current_key(self.procedure) if points else self.procedure
+        procedure = current_key(self.named) if points else self.named
         if points and len(wires_of(procedure)) > 1:
             raise UnusableInputError(
-                f"{self.procedure} has several wires: give entry and end of each in --picks, or plan one of them alone "
-                f"with --procedure {self.procedure}:WIRE"
+                f"{self.named} has several wires: give entry and end of each in --picks, or plan one of them alone "
+                f"with --procedure {self.named}:WIRE"
             )
         if points and self.propose:
             raise UnusableInputError("--entry and --end give the wire; leave --propose out")
         if not points:
-            refuse_unusable(picks, self.procedure, propose=self.propose)
+            refuse_unusable(picks, self.named, propose=self.propose)
         return picks, points, procedure
 
 
@@ -199,10 +205,16 @@ def planned_document(planned: "Plan | WirePlans", images: "Images", frame: "Fram
     }
 
 
-def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], remarks: Sequence[str] = ()) -> None:
+def show(
+    output: Output,
+    planned: "Plan | WirePlans",
+    document: dict[str, Any],
+    remarks: Sequence[str] = (),
+    first: Sequence[str] = (),
+) -> None:
     """Print the plan for people: verdict and what failed, relations, trajectories, and where it is kept (`document`).
 
-    `remarks`: sentences on proposed wires and on aids that were not fitted.
+    `remarks`: sentences on proposed wires and on aids that were not fitted; `first`: after what failed.
 
     Where a gap contradicts the stated error, no error is shown beside the coordinates.
     """
@@ -211,6 +223,8 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], 
     verdict, plans = planned.verdict, each_of(planned)
     output.say(SAID[verdict.state].format(counted(len(failed(verdict.checks)), "check")))
     output.failures(verdict.checks)
+    for sentence in first:
+        output.say(sentence)
     for check in (relation for relation in planned.relations if relation.passed):
         output.say(f"{check.name}: {check.sentence}")
     for sentence in remarks:
@@ -218,8 +232,8 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], 
     rows = [row for plan in plans.values() for row in _rows(plan, alone="" in plans)]
     output.table("Trajectory in CFCS, mm (no robot is known)", ("point", "x", "y", "z", "95 % error"), rows)
     sentences_of = {key: _sentences(plan) for key, plan in plans.items()}
-    first, *rest = sentences_of.values()
-    common = [sentence for sentence in first if all(sentence in others for others in rest)]
+    own, *rest = sentences_of.values()
+    common = [sentence for sentence in own if all(sentence in others for others in rest)]
     for key, sentences in sentences_of.items():
         for sentence in sentences:
             if sentence not in common:
@@ -233,6 +247,19 @@ def show(output: Output, planned: "Plan | WirePlans", document: dict[str, Any], 
         for wire, entry in (entries or {"": document["case"].get("entry")}).items():
             output.say(f"case {number}: the plan{f' of the wire {wire}' if wire else ''} is entry {entry}")
     output.written(document.get("files", ()))
+
+
+def _other_procedures(planned: "Plan | WirePlans") -> list[str]:
+    """Return what else the images may be of, for an assumed procedure that asks for what was not given."""
+    from sightline.planning.procedures.procedure import shipped
+
+    if planned.verdict.state != "incomplete":
+        return []
+    others = "; ".join(f"{key} ({document.name})" for key, document in shipped().items() if key != _ASSUMED)
+    return [
+        f"All this is asked of a hip screw, which was assumed. For another wire add --procedure KEY: {others}. A free "
+        "wire is not checked against the bone."
+    ]
 
 
 def _rows(planned: "Plan", *, alone: bool) -> list[tuple[str | None, ...]]:
@@ -363,7 +390,9 @@ class PlanImages:
             case = stack.enter_context(Case.open(self.case))
         in_use = None if case is None or self.frame is not None else frame_in_use(case)
         known = None if case is None or in_use is None else frame_of(case, in_use)
-        frame = known or frame_of_images(output, self.frame)
+        frame = frame_of_images(output, self.frame) if known is None else known
+        if known is not None:
+            output.say(f"frame: {known.name} (that of the case)")
         with output.step("finding and labelling the beads"):
             return PlanningImages(case, frame, names, images_of(output, case, files, frame, names, invert=self.invert))
 
@@ -458,6 +487,7 @@ def plan(
         from sightline.case.views import calibrate_images
 
         taken = images.taken(output, stack, picks)
+        output.say(f"procedure: {procedure}" + ("" if wires.procedure else " (assumed; --procedure names another)"))
         with output.step(f"calibrating the views ({images.method})"):
             known = {"source_detector_mm": distances.sid, "pixel_mm": distances.pixel}
             calibrated = calibrate_images(taken.seen.seen, taken.frame, images.method, picks.mirrored, **known)
@@ -477,5 +507,6 @@ def plan(
             with output.step("writing the report"):
                 pages = reports(planned, calibrated, taken.frame, asked)
                 document["files"] = write(out, planned, pages, document, asked.picks)
-        show(output, planned, document, [*chain.from_iterable(asked.unfitted.values()), *asked.proposals])
+        remarks = [*chain.from_iterable(asked.unfitted.values()), *asked.proposals]
+        show(output, planned, document, remarks, [] if wires.procedure else _other_procedures(planned))
         output.result(document, planned.verdict.checks)

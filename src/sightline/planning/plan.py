@@ -289,7 +289,7 @@ def plan(
     *,
     snapped: bool | Sequence[bool] = False,
     hole: Hole | None = None,
-    kind: Procedure | str = "hip-screw",
+    procedure: Procedure | str = "hip-screw",
     side: str | None = None,
     **shared: Unpack[SharedInputs],
 ) -> Plan:
@@ -299,8 +299,9 @@ def plan(
     `snapped`: whether the second view's picks are snapped to the image-matching curves of the first view's: one flag,
     or (entry, end). Picks in further views are free, NaN where a view does not show the point. A plan with snapped
     picks needs two landmarks for a GO (`judge`). `hole`: entry and end are those of a measured hole
-    (`WirePicks.of_hole`); its errors replace those of the picks, and its checks enter the verdict. `kind`: a procedure,
-    its key or its file; sets the limits and the inputs asked for. `side` ("right", "left") and `aids`: the wire is
+    (`WirePicks.of_hole`); its errors replace those of the picks, and its checks enter the verdict. `procedure`: what
+    the wire is for: a key of `sl.planning.procedures()`, a file, or a Procedure; sets the limits and the inputs asked
+    for. "free-wire" asks for nothing of the bone. `side` ("right", "left") and `aids`: the wire is
     checked against them where the procedure has checks of the bone; without them the plan is incomplete. `shared`: the
     fields of `PlanInputs`.
     Raises UnusableInputError, and what `reconstruct`, `matching_curve` and `snap` raise.
@@ -311,7 +312,7 @@ def plan(
     'incomplete'
     >>> ax = plan.plot()
     """
-    inputs, kind = PlanInputs(**shared), kind_of(kind) if isinstance(kind, str) else kind
+    inputs, kind = PlanInputs(**shared), kind_of(procedure) if isinstance(procedure, str) else procedure
     if len(views) < 2:
         raise UnusableInputError(f"{len(views)} views given; give two or more to plan on")
     each = (snapped, snapped) if isinstance(snapped, bool) else tuple(snapped)

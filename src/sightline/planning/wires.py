@@ -153,7 +153,7 @@ def plan_wires(
             wires[key].end_uv_px,
             snapped=wires[key].snapped,
             hole=wires[key].hole,
-            kind=Procedure.of(document, key),
+            procedure=Procedure.of(document, key),
             side=side,
             **shared,
         )
@@ -295,7 +295,9 @@ def propose_wires(
         first = f"give entry and end of the {lowest} wire first" if lowest else "pick entry and end"
         raise ReconstructionRefusedError(f"the procedure {document.key} states no rule for a proposal: {first}")
     picks, kind = given[lowest], Procedure.of(document, lowest)
-    planned = plan(views, picks.entry_uv_px, picks.end_uv_px, snapped=picks.snapped, kind=kind, side=side, aids=aids)
+    planned = plan(
+        views, picks.entry_uv_px, picks.end_uv_px, snapped=picks.snapped, procedure=kind, side=side, aids=aids
+    )
     return {key: wire for key, wire in propose_others(planned).items() if key in missing}
 
 

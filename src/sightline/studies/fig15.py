@@ -47,7 +47,7 @@ class PlannedInsertion:
         entry, end, *marks = np.moveaxis(self.picks, 1, 0)
         known = [mark for mark in marks if _sees(views, mark)]
         landmarks = np.stack(known, axis=1) if known else None
-        return plan(views, entry, end, pick_sd_px=CAREFUL_PX, landmarks_uv_px=landmarks, kind=kind("free-wire"))
+        return plan(views, entry, end, pick_sd_px=CAREFUL_PX, landmarks_uv_px=landmarks, procedure=kind("free-wire"))
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def _planned(phantom: str, rng: np.random.Generator) -> Values:
         exact = np.array([setup.views[name].project(hip.wire_mm) for name in VIEWS])
         sd = PICKS_PX[phantom]
         uv = exact + sd * rng.standard_normal(exact.shape)
-        made = plan(views, uv[:, 0], uv[:, 1], pick_sd_px=sd, kind=kind("free-wire"))
+        made = plan(views, uv[:, 0], uv[:, 1], pick_sd_px=sd, procedure=kind("free-wire"))
     except SightlineError as error:
         return {"ended": "refused", "why": type(error).__name__}
     path, wire = made.trajectory, hip.wire_mm

@@ -395,7 +395,7 @@ def plan_of(
         wire[:, 1],
         landmarks_uv_px=pixels["landmarks"],
         landmark_names=[landmark.key for landmark in procedure.landmarks],
-        kind=procedure,
+        procedure=procedure,
         side=side,
         aids=Aids.clicked(types, clicked),
         curve=_no_curve,

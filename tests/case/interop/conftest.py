@@ -26,7 +26,7 @@ def plan_folder(pair, frame, setup, tmp_path_factory: pytest.TempPathFactory) ->
         end,
         pick_sd_px=0.1,
         landmarks_uv_px=landmarks,
-        kind=kind("free-wire"),
+        procedure=kind("free-wire"),
         side="right",
     )
     taken, files = bundle(planned, images, frame)
