@@ -22,8 +22,11 @@ from sightline.twin import HipScene, SetUp, bead_images
 from sightline.twin.anatomy.femur import draw_femur
 from sightline.twin.objects.things import Scene
 from sightline.twin.scenes.hip_scene import shown_setup
+from sightline.twin.xray.setup import shadow_radius_px
 
 BEAD_PX = 0.1  # physics.md, Centroid limit
+# How much larger balls look, log, in an image: mean and s.d. over images; s.d. over balls [twin].
+LARGER, EACH_LARGER = (0.010, 0.005), 0.02
 UNSEEN = 2.0  # s.d.: a smaller difference is not evidence
 WEAK = 5.0  # s.d.: more must be refused; checks fail at 3.3, one false alarm in a thousand, and share the evidence
 
@@ -50,7 +53,7 @@ class World:
         femur = draw_femur(rng)
         setup, head = shown_setup(rng, frame, side, femur)
         hip = HipScene.of(Scene(), Scene(), femur, side, head)
-        seen = measure(rng, setup, BEAD_PX)
+        seen = {name: _with_radii(rng, setup, beads) for name, beads in measure(rng, setup, BEAD_PX).items()}
         if not noise:
             exact = {name: bead_images(setup, name, deepcopy(rng), sd_px=0.0) for name in VIEWS}
             seen = {n: Observations(n, ids, uv, seen[n].covariance_px2) for n, (ids, uv) in exact.items()}
@@ -91,9 +94,9 @@ class World:
     def keep_beads(self, name: str, kept: np.ndarray) -> None:
         """Keep only some beads (N,) bool."""
         seen = self.observations[name]
-        assert seen.covariance_px2 is not None
         ids = tuple(np.array(seen.ids)[kept].tolist())
-        self.change_beads(name, ids=ids, uv_px=seen.uv_px[kept], covariance_px2=seen.covariance_px2[kept])
+        fields = {key: getattr(seen, key)[kept] for key in ("uv_px", "covariance_px2", "radius_px")}
+        self.change_beads(name, ids=ids, **fields)
 
     def move_wire(self, view: int, point: int, by_px: np.ndarray) -> None:
         """Move one click. `point`: 0 entry, 1 end."""
@@ -104,6 +107,14 @@ class World:
     def reclick(self, hip: HipScene, rng: np.random.Generator, **at: HipScene) -> None:
         """Click on another hip, or on one that moved at the image of a view."""
         self.clicks = Clicks.on(self.setup, hip, rng, at, noise=self.noise)
+
+
+def _with_radii(rng: np.random.Generator, setup: SetUp, seen: Observations) -> Observations:
+    """Return beads with the radii of their shadows as images of the twin give them (calibration/lengths.py)."""
+    known = {bead.id: bead for bead in setup.true_frame.fiducials_of(seen.view)}
+    xyz, diameter = (np.array([getattr(known[i], what) for i in seen.ids]) for what in ("xyz_mm", "diameter_mm"))
+    larger = np.exp(rng.normal(*LARGER) + EACH_LARGER * rng.standard_normal(len(seen)))
+    return replace(seen, radius_px=larger * shadow_radius_px(setup.views[seen.view], xyz, diameter / 2))
 
 
 Change = Callable[[World, np.random.Generator], None]
@@ -288,8 +299,8 @@ def mirrored_frame(world: World, _: np.random.Generator) -> None:
 
 
 def scaled_frame(world: World, rng: np.random.Generator) -> None:
-    """Scale the frame file by 0.2 to 3 %."""
-    factor = 1 + rng.choice([-1, 1]) * rng.uniform(0.002, 0.03)
+    """Scale the frame file by 0.2 to 6 %; its balls are as stated."""
+    factor = 1 + rng.choice([-1, 1]) * rng.uniform(0.002, 0.06)
     world.told = altered(world.told, lambda bead: tuple(factor * c for c in bead.xyz_mm))
 
 

@@ -4,9 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.worked import Worked
 
+import sightline as sl
 from sightline.calibration import CArm, calibrate
-from sightline.calibration.lengths import MAX_FLEX, FocalLength
+from sightline.calibration.lengths import MAX_FLEX, BallSize, FocalLength, ball_size_check
+from sightline.calibration.solids.calibrate_together import calibrate_together
 from sightline.detection import Observations
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
@@ -31,9 +34,9 @@ def measured(setup: SetUp, name: str = "pa", seed: int = 0, larger: float = BIAS
     """Beads with 0.05 px noise, radii with 2 % of scatter: as seen, but where nothing tells what was rejected."""
     rng = np.random.default_rng(seed)
     ids, uv = bead_images(setup, name, rng, 0.05)
-    beads = [setup.true_frame.view(name).by_id[i] for i in ids]
-    xyz, mm = np.array([b.xyz_mm for b in beads]), np.array([b.diameter_mm / 2 for b in beads])
-    radius = shadow_radius_px(setup.views[name], xyz, mm) * larger * np.exp(0.02 * rng.standard_normal(len(ids)))
+    known = {bead.id: bead for bead in setup.true_frame.fiducials_of(name)}
+    xyz, mm = (np.array([getattr(known[i], what) for i in ids]) for what in ("xyz_mm", "diameter_mm"))
+    radius = shadow_radius_px(setup.views[name], xyz, mm / 2) * larger * np.exp(0.02 * rng.standard_normal(len(ids)))
     covariance = np.repeat(0.0025 * np.eye(2)[None], len(ids), axis=0)
     shape = setup.views[name].chain.shape
     return Observations(name, tuple(ids), uv, covariance, image_shape=shape, radius_px=radius)
@@ -61,13 +64,42 @@ def check(view, name: str):
 @pytest.mark.parametrize("method", ["smooth", "localized"])
 @pytest.mark.parametrize(
     ("factor", "passes"),
-    [(0.5, False), (0.92, False), (0.97, True), (1.03, True), (1.08, False)],
+    [(0.5, False), (0.957, False), (0.97, True), (1.04, True), (1.08, False)],
 )
 def test_the_balls_tell_a_frame_file_of_another_scale(panel, method, factor, passes):
     found = check(calibrate(measured(panel), told(factor), method=method), "ball size")
     assert found.passed is passes
     assert found.figure == pytest.approx(100 * np.log(factor * BIAS), abs=0.8)  # 3 s.d. of the median
     assert ("larger" in found.sentence) == (factor * BIAS > 1)
+
+
+def test_balls_that_look_smaller_in_both_images_are_better_evidence_than_in_one():
+    """A harder beam makes them smaller in one image; blur and a display's curve enlarge them in all."""
+    for larger, one, both in ((-0.024, True, False), (-0.021, True, True), (0.05, True, True), (0.065, False, False)):
+        size = BallSize(larger, 0.0)
+        assert [ball_size_check([size]).passed, ball_size_check([size, size]).passed] == [one, both]
+    assert ball_size_check([BallSize(-0.027, 0.0), BallSize(-0.01, 0.0)]).passed
+
+
+@pytest.mark.parametrize(("factor", "go"), [(1.0, True), (0.957, False)])
+def test_rendered_balls_tell_a_file_that_is_4_percent_too_small(worked: Worked, factor, go):
+    views = [calibrate(view.inputs.observations, told(factor)) for view in worked.views]
+    first, second = (sl.Circle.through(rim) for rim in worked.rehearsal.head_rim)
+    plan = sl.plan(views, *worked.wire_px.swapaxes(0, 1), kind="free-wire", aids=sl.Aids(head=(first, second)))
+    sizes = [one.passed for one in plan.verdict.checks if one.name == "ball size"]
+    assert sizes == 3 * [go]  # in each image, and in both together
+
+
+def test_the_balls_of_a_solid_tell_its_scale():
+    block = Frame.load("block60")
+    setup = draw_setup(np.random.default_rng(3), block)
+    seen = [measured(setup, name) for name in setup.views]
+    for factor, passes in ((1.0, True), (0.95, False)):
+        scaled = block.with_beads_at(factor * block.xyz_mm)
+        for view in calibrate_together(seen, scaled):
+            found = check(view, "ball size")
+            assert found.passed is passes
+            assert found.figure == pytest.approx(100 * np.log(factor * BIAS), abs=2.5)  # 3 s.d. of the median of 16
 
 
 def test_a_tilted_detector_and_distortion_do_not_change_the_balls_size(tube):

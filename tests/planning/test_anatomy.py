@@ -6,8 +6,23 @@ import numpy as np
 import pytest
 
 from sightline.errors import UnusableInputError
-from sightline.planning import Aids, Circle, Line, Pick, locate, matching_curve, metrics, outline, reconstruct, snap
+from sightline.planning import (
+    Aids,
+    Circle,
+    Line,
+    Pick,
+    locate,
+    matching_curve,
+    metrics,
+    outline,
+    plan,
+    reconstruct,
+    snap,
+)
+from sightline.planning.bone.anatomy import Drawings
 from sightline.planning.points.picks import stack
+from sightline.planning.points.reconstruct import points_of
+from sightline.planning.points.results import MAX_GAP_SIGMA, SpacePoints
 
 from . import bone
 from .standin import estimates, pair
@@ -58,6 +73,43 @@ def test_all_covariances_by_sampling():
     np.testing.assert_allclose(spread, 1.0, atol=4 * np.sqrt(2 / draws))
     # Nine clicks on the rim less four numbers of the sphere.
     assert np.mean(agreements) == pytest.approx(5.0, abs=4 * np.sqrt(2 * 5.0 / draws))
+
+
+def _at_rest(views, uv_px) -> tuple[SpacePoints, SpacePoints]:
+    """What entry and end show of a movement: alone, and with the head."""
+    picks = bone.picks(uv_px)
+    drawn = Drawings.of(views, Aids(head=bone.aids(uv_px).head), picks)
+    seen = points_of(drawn.solve(stack(picks).regular(), "weighted"))
+    return seen, drawn.with_head(seen)
+
+
+def test_shift_and_chi_square_of_points_and_head_by_sampling():
+    rng, uv, draws = np.random.default_rng(13), bone.pixels(VIEWS), 100
+    found = []
+    for _ in range(draws):
+        clicked = {name: [each + rng.normal(0.0, 0.5, each.shape) for each in both] for name, both in uv.items()}
+        seen = _at_rest(estimates(VIEWS, rng), clicked)[1]
+        assert seen.head_tested
+        found.append((seen.shift_mm / seen.shift_sd_mm, seen.gap_chi2))
+    shift, chi2 = np.array(found).T
+    assert np.mean(chi2) == pytest.approx(3.0, abs=4 * np.sqrt(6.0 / draws))
+    assert np.mean(shift**2) == pytest.approx(1.0, abs=4 * np.sqrt(2.0 / draws))
+
+
+def test_points_and_head_together_show_a_movement_that_each_alone_does_not():
+    """Along the common normal of the beams, Y, before the second image."""
+    views, uv = bone.views(), bone.pixels(bone.views())
+    by_px = np.diff(views[1].project(bone.CENTRE_MM + np.array([[0.0, 0.0, 0.0], [0.0, 0.22, 0.0]])), axis=0)
+    moved = {name: [each[0], *(one + by_px for one in each[1:])] for name, each in uv.items()}
+    alone, together = _at_rest(views, moved)
+    assert alone.shift_mm < MAX_GAP_SIGMA * alone.shift_sd_mm
+    assert locate(views, bone.aids(moved)).head.agreement.passed
+    assert together.shift_mm > MAX_GAP_SIGMA * together.shift_sd_mm
+    assert together.shift_mm == pytest.approx(0.22, abs=0.02)
+    entry, end = np.swapaxes(moved["wire"], 0, 1)
+    made = plan(views, entry, end, kind="free-wire", aids=bone.aids(moved))
+    (check,) = (one for one in made.verdict.checks if one.name == "movement")
+    assert not check.passed and "moved by 0.22" in check.sentence
 
 
 @pytest.mark.parametrize("snapped", [False, True])

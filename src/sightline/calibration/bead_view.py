@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from sightline.calibration.bead_checks import MIN_STRIP, Support, handedness_check, strip_check
-from sightline.calibration.lengths import CArm, FocalLength, steady_check
+from sightline.calibration.lengths import (
+    BallSize,
+    CArm,
+    FocalLength,
+    ball_size_check,
+    pixel_solid_angle,
+    steady_check,
+)
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.maps.polynomial import Affine
 from sightline.calibration.plates.classical import PlateName
@@ -165,6 +172,30 @@ class BeadView(Plotted):
             if self.hull.contains(middle[None])[0]:
                 return FocalLength.of(self.joint, middle)
         return FocalLength.of(self.joint, self.joint.beads.uv_px.mean(axis=0))
+
+    @cached_property
+    def ball_size(self) -> BallSize | None:
+        """How large the used balls look; None where their radii were not measured, or too few are used."""
+        seen, fit = None if self.inputs is None else self.inputs.observations, self.joint
+        if seen is None or seen.radius_px is None or (fit is None and self.method != SOLID):
+            return None
+        radius_px = dict(zip(seen.ids, seen.radius_px.tolist(), strict=True))
+        known, used = {one.id: one for one in self.fiducials}, self.residuals.used
+        shown = [known[i] for i, taken in zip(self.residuals.ids, used, strict=True) if taken]
+        plane_map, plane, focal = (
+            (self.plane_map, self.plane, self.focal_point_mm)
+            if fit is None
+            else (fit.map, fit.beads.plane, fit.pencil.focal_point_mm)
+        )
+        distance = np.linalg.norm(np.array([one.xyz_mm for one in shown]) - focal, axis=1)
+        angle = pixel_solid_angle(plane_map, plane, focal, self.residuals.uv_px[used])
+        return BallSize.of(np.array([radius_px[one.id] for one in shown]), np.sqrt(angle) * distance, shown)
+
+    def with_balls_measured(self) -> Self:
+        """Return the view with the check of its balls' size, where it can be made."""
+        if self.ball_size is None:
+            return self
+        return replace(self, checks=(*self.checks, ball_size_check([self.ball_size])))
 
     def taken_by(self, c_arm: CArm) -> Self:
         """Return the view with the checks against the C-arm's known dimensions."""

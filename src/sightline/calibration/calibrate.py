@@ -7,7 +7,7 @@ import numpy as np
 
 from sightline.calibration.bead_checks import noise_checks, row_check, view_checks
 from sightline.calibration.bead_view import BeadView, CalibrationInputs
-from sightline.calibration.lengths import CArm, ball_size_check
+from sightline.calibration.lengths import CArm
 from sightline.calibration.maps.fit_map import Method, refuse_unknown_method
 from sightline.calibration.maps.hull import Hull
 from sightline.calibration.maps.localized import LocalizedMap
@@ -74,7 +74,7 @@ def calibrate(
     rejected_px = None if rejected is None else np.reshape(np.array(rejected, dtype=np.float64), (-1, 2))
     inputs = CalibrationInputs(observations, frame, degree, plate)
     fitted = replace(fitted, image_shape=observations.image_shape, rejected_px=rejected_px, inputs=inputs)
-    fitted = fitted.said_to_be(mirrored_display).with_strip_sought()
+    fitted = fitted.said_to_be(mirrored_display).with_strip_sought().with_balls_measured()
     return fitted if c_arm is None else fitted.taken_by(c_arm)
 
 
@@ -135,7 +135,7 @@ def _mirrored(beads: Beads, to_plane: Affine, focal_point_mm: np.ndarray) -> boo
 
 
 def _joint_checks(fit: JointFit) -> list[Check]:
-    return [*noise_checks(fit), row_check(fit), *ball_size_check(fit)]
+    return [*noise_checks(fit), row_check(fit)]
 
 
 def _classical_checks(misfit_mm2: float, joint: JointFit | None, noise_px: float | None) -> list[Check]:

@@ -324,7 +324,7 @@ def plan(
     refuse_repeated(at_rest)
     drawings = Drawings.of(at_rest, inputs.aids or Aids(), (entry, end, *free))
     solution = drawings.solve(checked_picks(len(views), *stack([entry, end, *free])), inputs.method)
-    seen = points_of(solution) if hole is None else hole.located(points_of(solution))
+    seen = drawings.with_head(points_of(solution)) if hole is None else hole.located(points_of(solution))
     asked = inputs.aids is not None or bool(kind.checks)
     anatomy = located(drawings, lambda: solution, bool(kind.document.directions)) if asked else None
     made = Plan(

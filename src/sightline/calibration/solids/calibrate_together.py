@@ -163,7 +163,7 @@ def calibrate_together(
         replace(
             _view(_InOne(fit, k, adjustment), centred[k], frame, c_arm, (left[k], checks)),
             inputs=CalibrationInputs(seen, frame),
-        )
+        ).with_balls_measured()
         for k, (seen, c_arm) in enumerate(zip(observations, known, strict=True))
     )
 

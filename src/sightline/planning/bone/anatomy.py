@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -14,12 +14,13 @@ from sightline.common.geometry.covariance import response
 from sightline.common.geometry.lines import nearest_approach
 from sightline.errors import OutsideRegionError, ReconstructionRefusedError, SightlineError, UnusableInputError
 from sightline.planning.bone.aids import Aids, Line
-from sightline.planning.bone.directions import caudal
+from sightline.planning.bone.directions import caudal, unit
 from sightline.planning.bone.drawings import Axis, find_axis, find_drawing
-from sightline.planning.bone.head import Sphere, find_head
+from sightline.planning.bone.head import Redundant, Sphere, find_head, redundant_of_head
 from sightline.planning.points.lines_of_sight import Drawn, Sights, block_diagonal
 from sightline.planning.points.picks import Pick, PickArrays, stack
-from sightline.planning.points.solution import Method, Solution, solve
+from sightline.planning.points.results import SpacePoints
+from sightline.planning.points.solution import Method, Solution, inverse, solve
 
 NOT_PLACED = {
     "head": "the head is not drawn: draw a circle over it in both images",
@@ -250,6 +251,50 @@ class Drawings:
         counts = picks.seen.sum(axis=1)
         lines = [sight.first(int(count)) for sight, count in zip(self.sights.lines, counts, strict=True)]
         return solve(lines, picks, method)
+
+    def with_head(self, seen: SpacePoints) -> SpacePoints:
+        """Return the points of `solve` with shift and chi-square by all that two images show of the bone's movement:
+        their gaps and that of the head, which share the errors of the views."""
+        covariance, circles = self.sights.covariance, self.aids.head
+        if len(self.views) > 2 or seen.shift_mm is None or "head" in self.absent:
+            return seen
+        if circles is None or covariance is None:
+            return seen
+        try:
+            rims = redundant_of_head(self.views, circles)
+        except ReconstructionRefusedError:  # the reason is in `Anatomy.absent`
+            return seen
+        names = [name for name in ("wire", "landmarks") if name in self.sights.rows[0]]
+        parts = {name: self._gaps(name) for name in names}
+        normals = np.concatenate([part.by_shift for part in parts.values()])
+        own = covariance[np.ix_(self.sights.index("head"), self.sights.index("head"))]
+        parts["head"] = rims.along(unit(normals[seen.gap_tested].mean(axis=0)), own)
+        kept = np.append(seen.gap_tested, True)
+        values = np.concatenate([part.values for part in parts.values()])[kept]
+        by_z, first = np.zeros((len(kept), len(covariance))), 0
+        for name, part in parts.items():
+            by_z[first : first + len(part.values), self.sights.index(name)] = part.by_z
+            first += len(part.values)
+        information = inverse((by_z @ covariance @ by_z.T)[np.ix_(kept, kept)])
+        weights = information.sum(axis=0)
+        return replace(
+            seen,
+            shift_mm=float(weights @ values / weights.sum()),
+            shift_sd_mm=float(1.0 / np.sqrt(weights.sum())),
+            gap_chi2=float(values @ information @ values),
+            head_tested=True,
+        )
+
+    def _gaps(self, name: str) -> Redundant:
+        """Return the signed gaps of picks, which are the shift of the bone along the common normals of their lines."""
+
+        def apart(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            (focal, a), (other, b) = self.sights.rays(name, z)
+            return unit(np.cross(a - focal, b - other)), other - focal
+
+        at = self.sights.values[self.sights.index(name)]
+        values, by_z = response(lambda z: np.multiply(*apart(z)).sum(axis=-1), at)
+        return Redundant(values, by_z, apart(at[None])[0][0])
 
 
 def _sights(views: Sequence[CalibratedView], drawn: list[dict[str, Drawn]], absent: dict[str, str]) -> Sights:

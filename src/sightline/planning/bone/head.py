@@ -42,6 +42,29 @@ class Sphere:
     agreement: Check | None
 
 
+@dataclass(frozen=True, eq=False)
+class Redundant:
+    """R numbers of a drawing on two images whose mean is zero for a bone at rest: `values` (R,), mm; their derivatives
+    `by_z` (R, n) by the drawing's numbers, and `by_shift` (R, 3) by a shift of the bone between the images, CFCS."""
+
+    values: np.ndarray
+    by_z: np.ndarray
+    by_shift: np.ndarray
+
+    def along(self, normal: np.ndarray, covariance: np.ndarray) -> "Redundant":
+        """Return the one number that estimates a shift along a unit vector (3,) best; `covariance` (n, n) of the
+        drawing's numbers."""
+        shown = self.by_shift @ normal
+        weights = np.linalg.solve(self.by_z @ covariance @ self.by_z.T, shown)
+        gain = (weights / (weights @ shown))[None]
+        return Redundant(gain @ self.values, gain @ self.by_z, gain @ self.by_shift)
+
+
+def redundant_of_head(views: Sequence[CalibratedView], circles: tuple[Circle, Circle]) -> Redundant:
+    """Return what no sphere explains of the drawn rims of `find_head`. Raises ReconstructionRefusedError."""
+    return _found(tuple(views), _as_bytes(circles))[3]
+
+
 def find_head(
     views: Sequence[CalibratedView], circles: tuple[Circle, Circle]
 ) -> tuple[np.ndarray, np.ndarray, Check | None]:
@@ -52,14 +75,17 @@ def find_head(
     It does not depend on anything else that is drawn, and is kept for the next call. Raises
     ReconstructionRefusedError.
     """
-    drawn = [(circle.uv_px.tobytes(), circle.covariance_px2.tobytes(), circle.summary.tobytes()) for circle in circles]
-    return _found(tuple(views), tuple(drawn))
+    return _found(tuple(views), _as_bytes(circles))[:3]
+
+
+def _as_bytes(circles: tuple[Circle, Circle]) -> tuple[tuple[bytes, bytes, bytes], ...]:
+    return tuple((one.uv_px.tobytes(), one.covariance_px2.tobytes(), one.summary.tobytes()) for one in circles)
 
 
 @lru_cache(maxsize=CACHED)
 def _found(
     views: tuple[CalibratedView, ...], drawn: tuple[tuple[bytes, bytes, bytes], ...]
-) -> tuple[np.ndarray, np.ndarray, Check | None]:
+) -> tuple[np.ndarray, np.ndarray, Check | None, Redundant]:
     arrays = [[np.frombuffer(part) for part in circle] for circle in drawn]
     sights = Sights.of(views, [{"head": (uv.reshape(-1, 2), own.reshape(len(uv), -1))} for uv, own, _ in arrays])
     covariance, at = sights.covariance, sights.values
@@ -74,7 +100,14 @@ def _found(
     residual = summary @ _distances(rays, sphere)[0]
     square = float(residual @ weights @ residual)
     agreement = None if covariance is None else _agreement(square, len(summary) - len(sphere))
-    return sphere, own, agreement
+    unexplained = np.linalg.svd(summary @ _by_sphere(rays, sphere))[0][:, len(sphere) :].T @ summary
+    moved = [np.zeros((rays[0][1].shape[1], 3)), -unit(_to_centre(*rays[1], sphere)[0])]
+    left = Redundant(
+        unexplained @ _distances(rays, sphere)[0],
+        unexplained @ _by_z(sights, at, sphere),
+        unexplained @ np.concatenate(moved),
+    )
+    return sphere, own, agreement, left
 
 
 def _fitted(rays: Rays, summary: np.ndarray, weights: np.ndarray, sphere: np.ndarray) -> np.ndarray:

@@ -54,7 +54,7 @@ class SpacePoints(Plotted):
     sight, and its standard deviation; a patient who moves between the views causes such a shift. None with more than
     two views. `movement`: what more than two views show of such shifts; None with two. `gap_chi2`: chi-square of all
     tested gaps, with as many degrees of freedom as tested points, or `movement.redundancy`. All are None where no point
-    is tested or a view's error is unknown.
+    is tested or a view's error is unknown. `head_tested`: they include the gap of the drawn head.
 
     `inside_hull` (N,) bool: within the convex hull of the beads in every view that shows the point. `upright`: whether
     a view shows the frame file's beads not mirrored (`LinesOfSight.upright`); None where no view tells. `beads_near`:
@@ -80,6 +80,7 @@ class SpacePoints(Plotted):
     upright: bool | None = None
     beads_near: dict[str, np.ndarray] | None = None
     movement: Movement | None = None
+    head_tested: bool = False
 
     def __post_init__(self) -> None:
         arrays = [getattr(self, name) for name in ("xyz_mm", "gap_mm", "gap_tested", "inside_hull")]

@@ -5,6 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from sightline.calibration.bead_view import BeadView
+from sightline.calibration.lengths import ball_size_check
 from sightline.calibration.view import CalibratedView
 from sightline.common.checks import Check, Limits, at_most, error_check
 from sightline.common.geometry.covariance import ellipsoid_factor
@@ -33,7 +35,7 @@ def judge(
     the sentences; by default they are numbered.
     """
     limits, seen = limits or Limits(), seen or trajectory.points
-    checks = [check for view in views for check in _named(view)]
+    checks = [check for view in views for check in _named(view)] + _ball_sizes(views)
     named = [f"the {name} point" for name in _POINTS]
     checks += [error_known(trajectory.points), *seen.frame_checks(), *trajectory.points.bead_checks(named)]
     if trajectory.error_stated:
@@ -42,6 +44,12 @@ def judge(
         checks += [*_gaps(seen, landmarks), *_spread(seen), _movement(seen, [view.name for view in views])]
     checks.append(_inside_hull(trajectory, views))
     return Verdict(tuple(checks))
+
+
+def _ball_sizes(views: Sequence[CalibratedView]) -> list[Check]:
+    """Return the check of the frame file's scale by the balls of all images together."""
+    sizes = [view.ball_size for view in views if isinstance(view, BeadView) and view.ball_size is not None]
+    return [ball_size_check(sizes)] if len(sizes) > 1 else []
 
 
 @lru_cache(maxsize=CACHED)
@@ -79,19 +87,24 @@ def _gaps(points: SpacePoints, landmarks: Sequence[str]) -> tuple[Check, ...]:
 
 
 def _spread(points: SpacePoints) -> list[Check]:
-    """Return the check that the picks are as accurate as stated, from the gaps of all free points together."""
+    """Return the check that the picks are as accurate as stated, from all free points and the head together."""
     count = int(points.gap_tested.sum())
     if points.gap_chi2 is None or count < MIN_FREE_POINTS:
         return []
-    freedom = count if points.movement is None else points.movement.redundancy
+    freedom = count + points.head_tested if points.movement is None else points.movement.redundancy
     limit = ellipsoid_factor(CONFIDENCE, freedom) ** 2
     times = float(np.sqrt(points.gap_chi2 / freedom))
-    states = f"The gaps of {count} free points together are {times:.1f} times what picks and views explain"
+    states = f"{_gaps_of(points)} together are {times:.1f} times what picks and views explain"
     otherwise = (
         "; the picks are less accurate than stated, or the patient moved: pick all points again, or state a "
         "larger error of the picks, which increases the plan's own error."
     )
     return [at_most("pick spread", points.gap_chi2, limit, "χ²", states, otherwise=otherwise)]
+
+
+def _gaps_of(points: SpacePoints) -> str:
+    """Return what shift and chi-square come from, in words."""
+    return f"The gaps of {points.gap_tested.sum()} free points" + " and the head" * points.head_tested
 
 
 def _movement(points: SpacePoints, views: Sequence[str]) -> Check:
@@ -110,7 +123,7 @@ def _movement(points: SpacePoints, views: Sequence[str]) -> Check:
     if passed:
         noticed = (MAX_GAP_SIGMA + _POWER_SIGMA) * sd
         sentence = (
-            f"The lines of sight of {free} free points pass {shift:.2f} mm apart on average; a movement of "
+            f"{_gaps_of(points)} show a shift of {shift:.2f} mm on average; a movement of "
             f"{noticed:.1f} mm along the common normal of the beams would be detected, one in their plane would not."
         )
     else:
