@@ -351,7 +351,8 @@ def accepted_plan(talk: Conversation, **stated: str) -> tuple[np.ndarray, dict[s
         if answer.code == Code.OK:
             return target, plan
         refused.append(f"{side}: {answer.text or answer.code}")
-    raise NotAskedError(f"no plan was accepted: {'; '.join(refused)}")
+    serial = talk.workplace.frame_serial
+    raise NotAskedError(f"no plan for the frame {serial!r} (--frame-serial) was accepted: {'; '.join(refused)}")
 
 
 def expect(condition: bool, seen: str) -> None:
