@@ -330,7 +330,8 @@ class ScriptedRobot:
         if good:
             peer.send("TARGET", pose)
             if self.says_reachable:
-                peer.send("REACHABLE_TARGET", Transform(self.aside(pose.matrix, "would lay it aside")))
+                reached = self.aside(self.aside(pose.matrix, "would lay it aside"), "would lay it deeper")
+                peer.send("REACHABLE_TARGET", Transform(reached))
 
     def takes(self, pose: Transform, said) -> bool:
         if pose.fault is not None:
@@ -429,7 +430,7 @@ class ScriptedRobot:
     def aside(self, matrix: np.ndarray, flaw: str) -> np.ndarray:
         out = matrix.copy()
         if flaw in self.flaws:
-            out[:3, 3] += LAID_ASIDE_MM * out[:3, 0]
+            out[:3, 3] += LAID_ASIDE_MM * out[:3, 2 if "deeper" in flaw else 0]
         return out
 
     async def tell(self) -> None:

@@ -84,6 +84,10 @@ def test_an_echo_is_what_was_sent_to_32_bits():
     ("flaw", "why"),
     [
         ("would lay it aside", "would lay the wire elsewhere than planned: the tip 15.00 mm aside"),
+        (
+            "would lay it deeper",
+            r"would lay the wire elsewhere than planned: the tip 0\.00 mm aside and \+15\.00 mm along",
+        ),
         ("echoes another target", "another target than was sent"),
         ("echoes another registration", "another registration than was sent"),
     ],
@@ -99,13 +103,19 @@ def test_a_robot_that_means_another_target_is_not_told_to_move(ours, flaw, why):
         assert not {"MOVE_TO_TARGET", "DRILL", "GUIDE"} & set(peer.commands)
 
 
-@pytest.mark.parametrize("ours", [True, False], ids=["ours", "2013"])
-def test_a_robot_that_lays_the_wire_elsewhere_than_it_said_is_found_out_at_the_end(ours):
-    with serving(ScriptedRobot("lays it aside", ours=ours, steps=5)) as port, RobotClient(port=port) as robot:
+@pytest.mark.parametrize(
+    ("flaw", "ours", "why"),
+    [
+        ("lays it aside", True, r"from the entry point, the aligned wire lies elsewhere than planned: the tip 15\.00"),
+        ("lays it aside", False, r"the wire lies elsewhere than planned: the tip 15\.00"),
+        ("aligns in the bone", True, r"from the entry point, .* 0\.00 mm aside and \+85\.00 mm along"),
+    ],
+)
+def test_a_robot_that_aligns_the_wire_elsewhere_than_it_said_is_found_out(flaw, ours, why):
+    with serving(ScriptedRobot(flaw, ours=ours, steps=5)) as port, RobotClient(port=port) as robot:
         told(robot)
-        with pytest.raises(RobotRefusedError, match="the wire lies elsewhere than planned"):
-            for step in (robot.align, robot.drill):
-                step()
+        with pytest.raises(RobotRefusedError, match=why):
+            robot.align()
 
 
 @pytest.mark.parametrize(

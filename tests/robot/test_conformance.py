@@ -82,6 +82,7 @@ FAULTS: list[tuple[str, str | set[str]]] = [
     ("takes a registration that is not finite", "registration of NaN: 10"),
     ("echoes another target", "ACK echoes a target"),
     ("would lay it aside", "REACHABLE_TARGET is the target"),
+    ("would lay it deeper", "REACHABLE_TARGET is the target"),
     ("takes a target that is not rigid", "target that is no rotation: 10"),
     ("takes a target that is not finite", "target of NaN: 10"),
     ("takes a target out of reach", "target out of reach: 10"),

@@ -12,6 +12,7 @@ from sightline.common.closing import Closing
 from sightline.errors import LinkError, RobotRefusedError
 from sightline.robot import contract
 from sightline.robot.contract import ACK_S, STATUS_S
+from sightline.robot.control.insertion import BARE_LENGTH_MM
 from sightline.robot.control.states import State, Trigger
 from sightline.robot.igtl import Get, Message, NDArray, Sensor, Status, String, Transform
 from sightline.robot.kinematics.target import CONTACT_WEIGHT, MAX_ZERO_SHIFT_MM, SHOT_SD_MM, RobotTarget
@@ -141,11 +142,16 @@ class RobotClient(Exchange, Closing):
 
     def align(self) -> None:
         """Move to the aligned pose and wait there for the confirmation shot. A robot of the 2013 convention goes to the
-        target itself; its position is then compared with the plan, as after `drill`."""
+        target itself; its position is then compared with the plan, as after `drill`.
+
+        Raises RobotRefusedError also if the wire, by the robot's own position, is off its line or beyond the entry
+        point."""
         self._refuse_doubted()
         self.command(Trigger.MOVE_TO_TARGET.value, MOTION_S).refuse_unless_ok()
         if contract.HAS_DRILLING not in self.capabilities:
             self.wire_deviation()
+        else:
+            self._refuse_beyond(self._length_mm or BARE_LENGTH_MM, "from the entry point, the aligned wire lies")
 
     def drill(self) -> str:
         """Confirm and drill: first to the pause before the end point, then to the end point. Returns the state at the
@@ -156,6 +162,8 @@ class RobotClient(Exchange, Closing):
         where = self._go_on(Trigger.DRILL.value)
         if where == State.DONE.value or contract.HAS_DRILLING not in self.capabilities:
             self.wire_deviation()
+        else:
+            self._refuse_beyond(0.0, "at the pause the wire lies")
         return where
 
     def guide(self) -> None:
@@ -233,6 +241,12 @@ class RobotClient(Exchange, Closing):
         """Return the true pose of a simulated robot's wire, for simulated images. Raises RobotRefusedError from a real
         robot."""
         return SimulatedWire.of(self.order(contract.SIMULATED_WIRE, ""))
+
+    def _refuse_beyond(self, before_mm: float, what: str) -> None:
+        """Raise RobotRefusedError if the wire is off its line, or its tip beyond a point `before_mm` before the end."""
+        if self._target is not None:
+            off = WireDeviation.of(self.position(), self._target)
+            replace(off, along_mm=max(off.along_mm + before_mm, 0.0)).refuse_large(what)
 
     def _go_on(self, name: str) -> str:
         """Send the next step by its own name, or as MOVE_TO_TARGET of the 2013 convention. Returns the text at its
