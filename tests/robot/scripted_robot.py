@@ -136,6 +136,7 @@ class ScriptedRobot:
         self.types = OURS if simulated else OURS[:-1]
         self.commands: list[str] = []
         self.plans: list[str] = []  # that it was sent, by their identifiers
+        self.ends_s: dict[str, float] = {}  # of these
         self.turned_away = 0
         self.unexpected: list[str] = []  # what a robot of 2013 does not know
 
@@ -312,6 +313,8 @@ class ScriptedRobot:
         if fault is not None and f"takes a registration that is {_kind(fault)}" in self.flaws:
             fault = None
         good = fault is None and self.phase == "CALIBRATION" and "takes no registration" not in self.flaws
+        metres = self.ours and np.linalg.norm(pose.matrix[:3, 3]) < 10.0
+        good = good and ("takes a registration in metres" in self.flaws or not metres)
         self.registration = pose.matrix if good and pose.fault is None else None
         peer.send(f"ACK_{number}", self.echo(pose, "registration"))
         peer.send("CALIBRATION", Status(1 if good else 10))
@@ -319,13 +322,16 @@ class ScriptedRobot:
     def aim(self, peer: Peer, number: str, pose: Transform, said) -> None:
         peer.send(f"ACK_{number}", self.echo(pose, "target"))
         good = self.phase == "TARGETING" and self.takes(pose, said)
-        self.target = None
+        if "keeps a refused target" not in self.flaws:
+            self.target = None
         if good and pose.fault is None and self.registration is not None:
             self.target = np.linalg.inv(self.registration) @ pose.matrix
         with suppress(ValueError):
             self.length_mm = float(said.get("length_mm", 95.0))
         self.expires_s = time.monotonic() + float(said.get("valid_s", "inf")) if good else np.inf
-        self.plans += [said["plan"]] if "plan" in said else []
+        if "plan" in said:
+            self.plans.append(said["plan"])
+            self.ends_s[said["plan"]] = min(self.ends_s.get(said["plan"], np.inf), self.expires_s)
         peer.send("TARGET", Status(1 if good else 10))
         if good:
             peer.send("TARGET", pose)
@@ -364,6 +370,7 @@ class ScriptedRobot:
             "takes any serial": said["frame_serial"] != SERIAL,
             "takes any depth limit": not 0.2 <= limit - length <= 30.0,
             "takes an expired plan": valid <= 0.0,
+            "takes an old plan anew": time.monotonic() > self.ends_s.get(said["plan"], np.inf),
             "takes a plan for ever": not valid <= 600.0,
         }
         return next((flaw for flaw, wrong in faults.items() if wrong), "")

@@ -102,10 +102,22 @@ def _refused_plans(talk: Conversation, good: np.ndarray, plan: dict[str, str], f
     return f"refused: {seen}"
 
 
+def _registration_in_metres(talk: Conversation) -> str:
+    talk.require(contract.HAS_PLAN)
+    return _no_registration(_moved(_GENERAL, 1e-3 * _GENERAL[:3, 3]))(talk)
+
+
 def _in_metres(talk: Conversation) -> str:
     """Ask whether a target in metres is refused; robots of the 2013 convention cannot detect it."""
     talk.require(contract.HAS_PLAN)
     return _no_target(lambda good: _moved(good, 1e-3 * good[:3, 3]))(talk)
+
+
+def _keeps_its_first_validity(talk: Conversation) -> str:
+    good, plan = accepted_plan(talk, **{contract.VALID_S: repr(VALID_S)})
+    sleep(3 * VALID_S)
+    talk.bring("TARGETING")
+    return expect_code(talk.pose(contract.TARGET, good, plan | {contract.VALID_S: "60"}), Code.CONFIGURATION)
 
 
 def _echoes_a_target(talk: Conversation) -> str:
@@ -154,6 +166,7 @@ QUESTIONS: dict[str, Question] = {
     "ACK echoes a registration": _echoes_a_registration,
     "registration that is no rotation: 10": _no_registration(_scaled(_GENERAL)),
     "registration of NaN: 10": _no_registration(_moved(_GENERAL, _NAN)),
+    "registration in metres: 10": _registration_in_metres,
     "ACK echoes a target": _echoes_a_target,
     "REACHABLE_TARGET is the target": _reaches_what_it_takes,
     "target that is no rotation: 10": _no_target(_scaled),
@@ -167,6 +180,7 @@ QUESTIONS: dict[str, Question] = {
     "plan of the other side: 10": _other_side,
     "plan of another frame: 10": _no_plan({contract.FRAME_SERIAL: "conformance test"}),
     "plan that has expired: 10": _no_plan(*_limits(contract.VALID_S, 0, -1)),
+    "plan that is sent again after it expired: 10": _keeps_its_first_validity,
     "plan that is valid too long: 10": _no_plan(*_limits(contract.VALID_S, 601, "inf", "nan")),
     "plan without a depth limit: 10": _no_plan(
         *_limits(contract.DEPTH_LIMIT_MM, BARE_LENGTH_MM - 1, BARE_LENGTH_MM, BARE_LENGTH_MM + 31, "inf", "nan")
@@ -250,6 +264,14 @@ def _moves_nothing_expired(talk: Conversation) -> str:
     return talk.refused("MOVE_TO_TARGET", Code.CONFIGURATION)
 
 
+def _moves_nothing_refused(talk: Conversation) -> str:
+    target = verified_target(talk)
+    talk.bring("TARGETING")
+    if talk.pose(contract.TARGET, _scaled(target)).code == Code.OK:
+        raise NotAskedError("a target that is no rotation was accepted")
+    return talk.refused("MOVE_TO_TARGET", Code.NOT_READY)
+
+
 def _drills_nothing_unaligned(talk: Conversation) -> str:
     talk.require(contract.HAS_DRILLING)
     verified_target(talk)
@@ -324,6 +346,7 @@ MOTIONS: dict[str, Question] = {
     "dry run: a lost client's motion stops": _stops_for_a_lost_client,
     "dry run: MOVE_TO_TARGET in MANUAL: 14 or 13": _moves_nothing_in_manual,
     "dry run: MOVE_TO_TARGET by an expired plan: 10": _moves_nothing_expired,
+    "dry run: MOVE_TO_TARGET after a refused target: 13": _moves_nothing_refused,
     "dry run: DRILL without alignment: 13": _drills_nothing_unaligned,
     "dry run: DRILL without heartbeats: 13": _drills_nothing_unwatched,
     "dry run: holds still when aligned": _holds_still,
