@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -271,6 +272,9 @@ def test_jpeg_is_read_and_says_that_it_was_compressed(tmp_path: Path) -> None:
     assert (image.lossy, image.white) == (True, 255.0)
     followed = encoded(smooth, ".jpg", cv2.IMWRITE_JPEG_QUALITY, 95) + bytes(512)
     np.testing.assert_array_equal(read_image(named(tmp_path, followed)).pixels, image.pixels)
+    for mode in ("CMYK", "YCbCr"):  # of which the first shows ink, not light
+        PIL.Image.fromarray(smooth).convert("RGB").convert(mode).save(tmp_path / "ink", "TIFF")
+        assert np.abs(read_image(tmp_path / "ink").pixels.astype(int) - smooth).max() <= 2
     assert [check.name for check in image_checks(image)] == ["clipped pixels", "compression"]
     stored = read_image(named(tmp_path, encoded(smooth, ".png"), "other"))
     assert [check.name for check in image_checks(stored)] == ["clipped pixels"]

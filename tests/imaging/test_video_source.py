@@ -1,5 +1,7 @@
 """Video sources: cameras that hang or are unplugged, files, fields, averages, a live view."""
 
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -122,6 +124,24 @@ def test_a_picture_in_colour_and_a_crop_beyond_it_are_refused() -> None:
     assert next(iter(source(Camera([slightly] * 9)))).image.pixels[40, 40] in (80, 81, 82)
     with pytest.raises(ImageError, match="beyond the 384 x 288"):
         next(iter(source(Camera([picture(1)] * 9), crop=(300, 0, 100, 100))))
+
+
+def test_no_thread_is_within_opencv_once_a_source_is_closed_or_python_exits(tmp_path: Path) -> None:
+    """Python aborts if it exits while a thread is there, as after a picture in colour."""
+    video = source(Camera([picture(50)] * 99))
+    next(iter(video))
+    video.close()
+    assert not video._reader._thread.is_alive()
+    file = tmp_path / "blue.avi"
+    writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (640, 480))
+    for _ in range(60):
+        writer.write(np.full((480, 640, 3), (200, 20, 20), np.uint8))
+    writer.release()
+    script = "import sys; from sightline.imaging.sources import VideoSource; next(iter(VideoSource(sys.argv[1])))"
+    program = [sys.executable, "-c", script, str(file)]
+    ran = subprocess.run(program, check=False, capture_output=True, text=True)  # noqa: S603
+    assert ran.returncode == 1
+    assert ran.stderr.rstrip().endswith("choose the input that the C-arm's monitor has")
 
 
 def test_every_frame_of_a_file_comes_and_then_it_ends(tmp_path: Path) -> None:

@@ -51,6 +51,8 @@ def read_raster(data: bytes, format_name: str, name: str) -> np.ndarray:
 def _pixels(image: ImageFile) -> np.ndarray:
     if image.mode in ("1", "P"):
         return np.asarray(image.convert("L" if image.mode == "1" else "RGBA"))
+    if image.mode in ("CMYK", "YCbCr", "LAB"):  # their first channels are not red, green and blue
+        return np.asarray(image.convert("RGB"))
     pixels = np.asarray(image)
     signed = image.mode == "I" and _tag(image, _BITS) == (16,)
     return pixels.astype(np.int16) if signed else pixels

@@ -3,6 +3,7 @@
 OpenCV reads video (frame grabber, capture card, file, stream) in a thread that may hang.
 """
 
+import atexit
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -117,8 +118,8 @@ class VideoSource:
             yield SourceFrame(image, self._number, stamped_s, "video", pixel_aspect=self._reader.pixel_aspect)
 
     def close(self) -> None:
-        """Release the source."""
-        self._reader.stop()
+        """Release the source; wait for a picture that is being read."""
+        self._reader.stop(DEADLINE_S)
 
     def _opened(self) -> "_Reader":
         reader = _Reader(self._opener, self._place, self._live)
@@ -168,14 +169,19 @@ def luma(pixels: np.ndarray) -> np.ndarray:
 
 
 class _Reader:
-    """A thread that opens and reads a capture; `stop` does not wait for it."""
+    """A thread that opens and reads a capture.
+
+    Python aborts if it exits while a thread is within OpenCV; so it waits for the thread, if the driver does not hang.
+    """
 
     def __init__(self, opener: Opener, place: int | str, live: bool) -> None:
         self.pixel_aspect: float | None = None
         self._live = live
         self._frames: Queue[tuple[np.ndarray, float]] = Queue(_WAITING)
         self._is_open, self._over, self._stop = Event(), Event(), Event()
-        Thread(target=self._run, args=(opener, place), name="video", daemon=True).start()
+        self._thread = Thread(target=self._run, args=(opener, place), name="video", daemon=True)
+        atexit.register(self.stop, DEADLINE_S)
+        self._thread.start()
 
     @property
     def ended(self) -> bool:
@@ -200,9 +206,10 @@ class _Reader:
                     return None
         return None
 
-    def stop(self) -> None:
-        """Ask the thread to end; it does so after its next picture."""
+    def stop(self, wait_s: float = 0.0) -> None:
+        """Ask the thread to end, which it does after its next picture; wait for it for at most `wait_s`."""
         self._stop.set()
+        self._thread.join(wait_s)
 
     def _run(self, opener: Opener, place: int | str) -> None:
         capture = None
@@ -223,6 +230,7 @@ class _Reader:
             self._over.set()
             if capture is not None:
                 capture.release()
+            atexit.unregister(self.stop)
 
     def _put(self, picture: tuple[np.ndarray, float]) -> None:
         """Queue a picture: a live source drops the oldest one, a file waits."""
