@@ -25,6 +25,14 @@ def _image(hardness: float) -> Radiograph:
     return Radiograph(np.rint(8000 + 20000 * row + noise).astype(np.uint16), 65535.0)
 
 
+@pytest.mark.parametrize("off_px", [-19.0, 9.0, 19.0])
+def test_a_stroke_a_third_of_the_width_beside_its_edge_finds_it(off_px):
+    """8 pixels of a flat panel's image are 2.5 on a screen that shows it whole."""
+    stroke, inside = np.array([[LEFT_PX + off_px, 10.0], [LEFT_PX + off_px, 170.0]]), np.array([100.0, 90.0])
+    found = find_outline(_image(1.0), stroke, inside, MetalTube(DIAMETER_PX, BORE_PX, MM_PER_PX, "titanium", 1.0))
+    assert abs(float(np.mean(found.uv_px[:, 0])) - LEFT_PX) < 0.1
+
+
 @pytest.mark.parametrize("hardness", [0.7, 1.0])
 def test_the_hardness_that_fits_best_is_near_the_true_one(hardness):
     stroke, inside = np.array([[72.1, 10.0], [68.8, 170.0]]), np.array([100.0, 90.0])

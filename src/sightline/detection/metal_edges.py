@@ -26,10 +26,13 @@ OUTLINE_COMMON_PX, RIM_COMMON_PX = 0.15, 0.15
 _MODEL_PX = 0.1  # s.d. of each point without noise: structure beside the edge [twin]
 # Variance of a fit over that of independent samples, 0.5 px apart: of an outline's piece, and of a rim's point [twin].
 _CORRELATED, _CORRELATED_RIM = 4.0, 20.0
-_OUTLINE_REACH, _OUTLINE_WINDOW = 8.0, 8.0  # px: how far a stroke may be off, and what is fitted to either side
+_OUTLINE_WINDOW = 8.0  # px: what is fitted to either side
+# How far a stroke may be off: px, and where no edge is there, diameters of the tube, as a hand aims at a whole image on
+# a screen, whose pixels are several of the image's. Beyond half of it begins the other edge [ours].
+_OUTLINE_REACH_PX, _OUTLINE_REACH = 8.0, 0.35
 _PIECE_PX = 16.0  # length of edge for each point
 _MIN_PIECES = 5
-_DRAW = "draw it along the edge, within 8 px"
+_DRAW = "draw it along the edge, nearer than a third of the nail's width"
 _FAR_OFF = 4.0  # s.d. from the parabola through an outline's points
 _CLEAR_PX = 2.0  # from an edge to light that it does not shape
 # Fall of the light across an outline, over its mean and over the s.d. on either side, medians of all pieces: nails in
@@ -104,11 +107,23 @@ def transmission(metal_mm: np.ndarray, material: str, hardness: float) -> np.nda
 
 
 def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray, tube: MetalTube) -> MetalEdge:
-    """Return the edge of a tube along a stroke of two clicks (2, 2), at most 8 px away; the tube lies towards
-    `inside_px` (2,).
+    """Return the edge of a tube along a stroke of two clicks (2, 2), at most a third of the tube's diameter away; the
+    tube lies towards `inside_px` (2,).
 
-    Raises UnusableInputError; WireRefusedError where there is no edge.
+    An edge within 8 px takes precedence. Raises UnusableInputError; WireRefusedError where there is no edge.
     """
+    try:
+        return _outline_within(_OUTLINE_REACH_PX, image, stroke_px, inside_px, tube)
+    except WireRefusedError:
+        wide = _OUTLINE_REACH * tube.diameter_px
+        if wide <= _OUTLINE_REACH_PX:
+            raise
+        return _outline_within(wide, image, stroke_px, inside_px, tube)
+
+
+def _outline_within(
+    reach_px: float, image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray, tube: MetalTube
+) -> MetalEdge:
     first, last = np.asarray(stroke_px, dtype=np.float64)
     length = float(np.linalg.norm(last - first))
     pieces = int(length / _PIECE_PX)
@@ -121,7 +136,7 @@ def find_outline(image: Radiograph, stroke_px: np.ndarray, inside_px: np.ndarray
     normal = np.array([-along[1], along[0]])
     normal *= np.sign((np.asarray(inside_px) - first) @ normal)
     s = (np.arange(pieces) + 0.5) * length / pieces
-    reach = _OUTLINE_REACH + _OUTLINE_WINDOW + 2.0
+    reach = reach_px + _OUTLINE_WINDOW + 2.0
     t = np.arange(-reach, reach + _STEP_PX / 2, _STEP_PX)
     beside = np.arange(-_PIECE_PX / 2 + 0.5, _PIECE_PX / 2)
     at = first + (s[:, None] + beside)[:, :, None, None] * along + t[:, None] * normal

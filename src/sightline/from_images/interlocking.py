@@ -67,8 +67,8 @@ def find_nail(
 ) -> FoundNail:
     """Return a nail's outlines along strokes (2, 2, 2, 2): for each of two views, for each edge, two clicks (u, v).
 
-    The strokes are at most 8 px from the edges, and both reach past the hole that is clicked next. Raises
-    UnusableInputError, WireRefusedError, ReconstructionRefusedError, OutsideRegionError.
+    The strokes are at most a third of the nail's width from the edges, and both reach past the hole that is clicked
+    next. Raises UnusableInputError, WireRefusedError, ReconstructionRefusedError, OutsideRegionError.
     """
     nail, strokes = nail or Nail(), np.asarray(strokes_px, dtype=np.float64)
     if len(views) != 2 or len(images) != 2 or strokes.shape != (2, 2, 2, 2) or not np.isfinite(strokes).all():
