@@ -163,6 +163,17 @@ def settle(page: Page) -> None:
     page.wait_for_function("!sightlineSpace.asked")
 
 
+def test_it_opens_on_wire_and_bone(page: Page) -> None:
+    """Fails for a view of the whole frame, in which the wire is a dot."""
+    settle(page)
+    ends = ask(
+        page,
+        "core.objects.wire.filter(({ kind, style }) => kind === 'cylinder' && style === 'wire')"
+        ".flatMap(({ from, to }) => [core.toScreen(from), core.toScreen(to)])",
+    )
+    assert np.linalg.norm(np.subtract(*ends)) > 0.3 * 560.0  # type: ignore[arg-type, misc]
+
+
 def test_it_draws_when_something_changes_and_not_otherwise(page: Page) -> None:
     before = ask(page, "core.renders")
     page.evaluate(  # thirty frames of the page

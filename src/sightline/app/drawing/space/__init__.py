@@ -120,9 +120,9 @@ def wire_objects(trajectory: Trajectory, diameter_mm: float, name: str = "") -> 
 
 
 def drilled_objects(entry_mm: np.ndarray, tip_mm: np.ndarray, diameter_mm: float) -> list[Object]:
-    """Return a drilled wire, found by a check or known from the robot, between two points (3,)."""
+    """Return a drilled wire as a check measured it, between two points (3,)."""
     middle = (np.asarray(entry_mm) + np.asarray(tip_mm)) / 2  # where the planned wire has no label
-    return [_cylinder(entry_mm, tip_mm, diameter_mm / 2, "drilled"), _label(middle, "drilled", "drilled")]
+    return [_cylinder(entry_mm, tip_mm, diameter_mm / 2, "drilled"), _label(middle, "measured", "drilled")]
 
 
 def bone_objects(volume: "Volume") -> list[Object]:

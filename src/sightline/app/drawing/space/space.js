@@ -16,6 +16,7 @@ import { dispose, make } from "space_objects";
 const FIELD_DEG = 30;
 const TURN = Math.PI / 36; // of an arrow key
 const NEARER = 1.15;
+const HIDDEN = new Set(["views", "sights"]); // at first, because they hide wire and bone
 const MAX_LINES = 4; // largest distance of a label from its place, in lines of text
 /** @type {Reach[]} */
 const REACHES = ["hip", "frame", "room"]; // each includes those before it
@@ -174,7 +175,7 @@ export class SpaceCore {
     if (!this.renderer) return;
     const before = this.groups.get(name);
     const group = new THREE.Group();
-    group.visible = before ? before.visible : true;
+    group.visible = before ? before.visible : !HIDDEN.has(name);
     for (const object of objects) if (object.kind !== "note") group.add(make(object));
     if (before) {
       this.scene.remove(before);
@@ -184,7 +185,7 @@ export class SpaceCore {
     this.scene.add(group);
     this.drawLegend();
     this.drawNotes();
-    if (!this.touched) this.fit("frame");
+    if (!this.touched) this.fitFirst();
     this.draw();
   }
 
@@ -244,10 +245,15 @@ export class SpaceCore {
     this.draw();
   }
 
-  /** Fits the view to the objects of the hip, the frame or the whole room.
+  // Fits the view to wire and bone; before there are any, to the frame.
+  fitFirst() {
+    if (!this.fit("hip")) this.fit("frame");
+  }
+
+  /** Fits the view to the objects of the hip, the frame or the whole room. Returns false where there are none.
    * @param {Reach} reach */
   fit(reach) {
-    if (!this.renderer) return;
+    if (!this.renderer) return false;
     const within = REACHES.slice(0, REACHES.indexOf(reach) + 1);
     const bounds = new THREE.Box3();
     for (const group of this.groups.values()) {
@@ -256,7 +262,7 @@ export class SpaceCore {
         if (made.userData.reach && within.includes(made.userData.reach)) bounds.expandByObject(made);
       }
     }
-    if (bounds.isEmpty()) return;
+    if (bounds.isEmpty()) return false;
     const ball = bounds.getBoundingSphere(new THREE.Sphere());
     const half = ((FIELD_DEG / 2) * Math.PI) / 180;
     const narrow = Math.min(1, this.camera.aspect);
@@ -266,6 +272,7 @@ export class SpaceCore {
     this.camera.position.copy(ball.center).addScaledVector(from, distance);
     this.controls.update();
     this.draw();
+    return true;
   }
 
   /** @param {KeyboardEvent} event */
@@ -311,7 +318,7 @@ export class SpaceCore {
     this.labels.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    if (!this.touched) this.fit("frame");
+    if (!this.touched) this.fitFirst();
     this.draw();
   }
 
