@@ -5,6 +5,8 @@ import pytest
 from sightline.app import texts
 from sightline.app.panels.section import checks_html
 from sightline.app.panels.steps import StepStatus, judged
+from sightline.app.panels.verdict import _number
+from sightline.case.views import NAMES
 from sightline.common.checks import Check
 from sightline.planning.points.results import Verdict
 
@@ -39,9 +41,30 @@ def test_the_names_of_views_are_those_of_the_page(sentence: str, said: str) -> N
     assert f">{said}</div>" in checks_html([check], testid="checks") and texts.sentence(check) == said
 
 
-@pytest.mark.parametrize(("value", "said"), [(-0.04, "0.0"), (0.04, "0.0"), (-0.06, "-0.1"), (12.34, "12.3")])
-def test_a_zero_has_no_sign(value: float, said: str) -> None:
-    assert texts.tenths(value) == said
+def test_what_is_said_alike_of_several_views_is_said_once() -> None:
+    alike = [Check("frame tolerances", True, 0.05, None, "mm", f"{view}: assumed.", view=view) for view in NAMES]
+    other = Check("frame tolerances", True, 0.06, None, "mm", "pa: assumed.", view="pa")
+    html = checks_html([*alike, other], testid="checks", kind="hip-screw")
+    assert (html.count("PA and lateral: assumed."), html.count("<li")) == (1, 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("-0.0", "0.0"),
+        ("-0", "0"),
+        ("off by -0.00 mm, then -0.0.", "off by 0.00 mm, then 0.0."),
+        ("-0.1, -0.05 and 2-0.0 or 1e-0", "-0.1, -0.05 and 2-0.0 or 1e-0"),
+    ],
+)
+def test_a_zero_has_no_sign(text: str, said: str) -> None:
+    assert texts.unsigned(text) == said
+    assert f">{said}</div>" in checks_html([Check("bead count", True, None, None, "", text)], testid="checks")
+
+
+def test_a_check_s_value_that_is_zero_has_no_sign() -> None:
+    assert '<div class="check-figure">0 mm' in checks_html([Check("head", True, -0.0, None, "mm", ".")], testid="x")
+    assert "-" not in _number(-1e-9, "mm", 2)
 
 
 def test_what_is_not_placed_is_left_to_do_and_needs_no_attention() -> None:

@@ -14,16 +14,17 @@ from markupsafe import Markup
 from nicegui import Client, ui
 from nicegui.events import GenericEventArguments
 from nicegui.page import page
-from tests.app.given import marked
+from tests.app.given import mark, marked
 from tests.planning import bone
 from tests.planning.standin import stand_in
+from tests.planning.test_wires import KEYS, WIRES_MM
 
 from sightline.app import texts
 from sightline.app.drawing import shapes
 from sightline.app.drawing.xray import Window, XrayPicture, XrayView
-from sightline.app.panels import plan, top
+from sightline.app.panels import plan, top, verdict
 from sightline.app.panels.section import Section, note
-from sightline.app.plan.decisions import Mark, Side
+from sightline.app.plan.decisions import Decisions, Mark, Side
 from sightline.app.session.jobs import WorkerProcess
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
@@ -36,6 +37,7 @@ from sightline.case.watch.analyser import STALE_S
 from sightline.errors import UnusableInputError
 
 SIZE = 4096
+AT_PX = np.array([[900.0, 700.0], [800.0, 600.0]])  # anywhere
 VIEWS = dict(zip(NAMES, (stand_in("pa", 0.4, 0.3), stand_in("lateral", -0.2, 0.3)), strict=True))
 
 
@@ -65,7 +67,7 @@ class Page:
 
     def add_image(self, name: str, number: int) -> None:
         """An image that is calibrated, under a name."""
-        acquired: Any = SimpleNamespace(number=number, at=None)
+        acquired: Any = SimpleNamespace(number=number, at=None, by=None)
         image: Any = None
         view: Any = VIEWS[name.removeprefix("check-")]
         self.planning.lightbox._images[number] = SeenImage(acquired, image, view=view)
@@ -442,6 +444,49 @@ def test_the_guide_follows_from_the_decisions(opened: Page) -> None:
     assert asked() is None
     opened.planning.history.undo()
     assert asked() == ("entry", "pa")
+
+
+def test_a_landmark_more_than_two_is_skipped_unless_something_is_measured_from_it(opened: Page) -> None:
+    """Fails for a page that insists on all of them, and for one that gives up what the verdict needs."""
+    tab, planning = opened.tab, opened.planning
+
+    def optional(kind: str, *placed: str) -> str:
+        planning.edit(marked(Decisions(images=planning.decisions.images, kind=kind), dict.fromkeys(placed, AT_PX)))
+        return "" if tab.optional is None else tab.optional.of
+
+    wire = ("entry", "end")
+    assert not optional("hip-screw", *wire) and not optional("hip-screw", *wire, "landmark-head-centre")
+    hip = (*wire, "landmark-head-centre", "landmark-lesser-trochanter")
+    assert optional("hip-screw", *hip) == "greater-trochanter"
+    assert "Greater trochanter" in verdict.left(tab)
+    tab.skip()
+    assert (tab.goal, tab.optional) == (None, None) and "Greater trochanter" not in verdict.left(tab)
+    assert optional("free-wire", *wire) == "landmark-1"
+    tab.skip()
+    assert tab.goal is not None and tab.goal.spec.of == "landmark-2" and tab.optional is None  # two are needed
+    tab.place([spec for spec in planning.specs if spec.of == "landmark-1"])
+    assert tab.goal.spec.of == "landmark-1"
+
+
+@pytest.mark.parametrize(
+    ("placed", "said"), [(1, "Propose the other wires"), (2, "Next: posterior wire"), (3, "Place femoral head")]
+)
+def test_the_big_button_is_the_next_thing_to_do_for_three_screws(
+    opened: Page, monkeypatch: pytest.MonkeyPatch, placed: int, said: str
+) -> None:
+    views: Any = tuple(bone.views())
+    monkeypatch.setattr(opened.planning, "views", lambda names=None: views)
+    monkeypatch.setattr(top, "_done", lambda tab: False)
+    monkeypatch.setattr(top, "waits_for", lambda session, step: None)
+    at = {f"landmark-{key}": AT_PX for key in ("head-centre", "lesser-trochanter", "greater-trochanter")}
+    decisions = Decisions(images=opened.planning.decisions.images, kind=f"cannulated-hip-screws:{KEYS[0]}")
+    for key, wire in zip(KEYS[:placed], WIRES_MM, strict=False):
+        ends = [mark([view.project(end[None])[0] for view in views]) for end in wire]
+        decisions = decisions.with_ends(f"cannulated-hip-screws:{key}", dict(zip(("entry", "end"), ends, strict=True)))
+    opened.planning.edit(marked(decisions, at))
+    assert opened.tab.goal is None
+    top._lead(opened.tab)
+    assert [one.text for one in opened.elements() if isinstance(one, ui.button)] == [said]
 
 
 def test_a_notice_that_is_repeated_is_told_again(opened: Page) -> None:

@@ -404,7 +404,10 @@ def test_the_arrow_of_a_wire_lies_over_its_drilled_part(view: View) -> None:
     view.do("dim")
     view.do("wire")
     arrow = view.grey()
+    legend = view.root.get_by_test_id("legend")
+    expect(legend).to_be_hidden()
     view.do("drilled")
+    expect(legend).to_have_text("as seen")
     x, y = view.screen((500.0, 700.0))  # the middle of the wire, where the head's tip is
     tip = np.s_[round(y) - 2 : round(y) + 3, round(x) + 2 : round(x) + 7]
     white = arrow[tip] > 230.0  # the head's colour, whole

@@ -245,7 +245,9 @@ COMMANDS: dict[str, Callable[[XrayView], None]] = {
     "dim": lambda view: change(view, points=[point | {"uv": None} for point in POINTS]),
     "hide": lambda view: draw(view, "gallery", None),
     "wire": lambda view: draw(view, "wire", WIRE),
-    "drilled": lambda view: draw(view, "drilled", [{"shape": "line", "points": WIRE_PX, "style": "found"}]),
+    "drilled": lambda view: draw(
+        view, "drilled", [{"shape": "line", "points": WIRE_PX, "style": "found", "legend": "as seen"}]
+    ),
     "stale": say_again(0.0),
     "fresh": say_again(600.0),
     "fresh-shortly": say_again(0.5),

@@ -149,6 +149,7 @@ window.addEventListener("DOMContentLoaded", () => {
   };
   new ResizeObserver(measure).observe(document.body);
   const changed = new MutationObserver(() => {
+    for (const tip of document.querySelectorAll("body > [id^=q-portal--tooltip]")) tip.ariaLive = "polite"; // it is read aloud
     measure();
     keepFocus();
     followStep();

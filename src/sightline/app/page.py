@@ -92,7 +92,7 @@ def _planning(tab: Tab) -> bool:
 
 def _leave_question() -> ui.dialog:
     """Return the dialog that asks for confirmation before a person leaves the page with the browser's back button."""
-    with ui.dialog() as dialog, ui.card().classes("question"):
+    with ui.dialog().props('aria-label="Leave this page?"') as dialog, ui.card().classes("question"):
         ui.label("Leave this page? The plan stays in the case, but STOP is not available without the page.").classes(
             "question-text"
         ).props("data-testid=leave-question")

@@ -1,12 +1,14 @@
 """Texts of the page that are used in more than one place, or chosen by a key; and how values are written."""
 
 import re
+from collections.abc import Sequence
 
 from sightline.case.views import ImageSlot, spoken
 from sightline.common.checks import Check, CheckCode
 from sightline.planning.procedures import kind as kind_of
 
 _PA = re.compile(r"\bpa\b")  # in the sentence of a check
+_NEGATIVE_ZERO = re.compile(r"(?<![\w.])-(0(?:\.0*)?)(?!\.?\d)")
 _IMAGE_OF = {"": "image", "check": "check image", "shot": "shot"}  # by what an image is taken for
 STEPS = {"images": "Images", "calibrate": "Calibrate", "plan": "Plan", "drill": "Drill", "verify": "Verify"}
 DROP_LABELS = {"pa": "PA image", "lateral": "Lateral image", "oblique": "Oblique image (optional)"}
@@ -28,7 +30,7 @@ XRAY = {
     "restore": "Show both images",
     "point": "{name}: column {u}, row {v}",
     "snapped": "on the matching curve",
-    "placing": "Click to place: {name}, or steer by arrow keys and press Enter. Escape cancels.",
+    "placing": "Click to place: {name}, or arrow keys and Enter. Escape cancels.",
     "mirrored": "mirrored",
     "rotated": "rotated by {degrees}°",
     "head_up": "head up",
@@ -41,8 +43,9 @@ XRAY = {
     "readout": "column {u}, row {v}: {value}",
     "outside": "–",
     "off_field": "Click inside the X-ray field.",
-    "ticks": "mm along the line of sight of the other image, a tick every 10 mm",
 }
+TICKS = "mm along the line of sight of the other image, a tick every 10 mm"
+MEASURED = "Green: the wire as far as this image shows it, and its tip. Dashed: the plan."
 ORIENTATION = {
     "right": "Right side: +Y of the frame points to the feet.",
     "left": "Left side: +Y of the frame points to the head.",
@@ -65,7 +68,7 @@ SPACE_GROUPS = {
     "points": "landmarks",
     "bone": "bone",
     "wire": "planned wire",
-    "drilled": "drilled wire",
+    "drilled": "measured wire",
     "robot": "robot",
     "sides": "sides",
 }
@@ -82,14 +85,17 @@ ROBOT_NEXT = {  # what to do next, by the robot's state; of the others the state
 }
 ONLY_GO = "Complete the plan first: only a plan that is GO can be sent."
 SIDE_HEADING = "Patient's side"
+IDENTITY, SIDE_UNKNOWN = "{side} · {case}", "Side?"
 DISPLAY_AND = " and "
 POINT_GROUPS = {
     "wire": "Wire",
     "landmark": "Landmarks: did the bone move?",
     "aid": "Aids",
-    "robot": "Where is the robot?",
 }
 PLACE_WHAT = "Place {what}"
+PROPOSE_OTHERS = "Propose the other wires"
+SKIP = "Skip"
+SKIP_TITLE = "A plan needs two landmarks, a check shot of the drilled wire three."
 WIRE_STATES = {  # of a wire, by its verdict and by what was done
     "missing": "not placed",
     "go": "GO",
@@ -205,18 +211,19 @@ CASES = "Cases"
 CASE_OPEN = "Open"
 
 
-def sentence(check: Check, kind: str = "") -> str:
-    """Return the sentence of a check, with the names of its views as a person writes them: "PA" for "pa". That of one
-    view begins with the view as the procedure `kind`, if given, calls it."""
-    of_view = ""
-    if check.view:
-        of_view = titled(spoken(check.view, kind_of(kind) if kind else None)) + ": "
-    return of_view + _PA.sub("PA", check.sentence.removeprefix(f"{check.view}: "))
+def sentence(check: Check, kind: str = "", views: Sequence[str] = ()) -> str:
+    """Return the sentence of a check, with the names of its views as a person writes them: "PA" for "pa", and zeros
+    without a sign. It begins with the `views` that it is said of, by default its own, as the procedure `kind`, if
+    given, calls them."""
+    of = views or ((check.view,) if check.view else ())
+    names = [spoken(view, kind_of(kind) if kind else None) for view in of]
+    of_view = titled(DISPLAY_AND.join(names)) + ": " if names else ""
+    return of_view + _PA.sub("PA", unsigned(check.sentence.removeprefix(f"{check.view}: ")))
 
 
-def tenths(value: float) -> str:
-    """Return a value with one decimal, as text; zero without a sign."""
-    return f"{round(value, 1) + 0.0:.1f}"
+def unsigned(text: str) -> str:
+    """Return a text whose zeros have no sign: "0.0" for "-0.0"."""
+    return _NEGATIVE_ZERO.sub(r"\1", text)
 
 
 def titled(text: str) -> str:

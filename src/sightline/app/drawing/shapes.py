@@ -86,7 +86,7 @@ def _curve(name: str, curve: MatchingCurve) -> list[Shape]:
         }
     )
     if ticks:
-        drawn.append({"shape": "ticks", "points": ticks, "style": "tick", "label": depths})
+        drawn.append({"shape": "ticks", "points": ticks, "style": "tick", "label": depths, "legend": texts.TICKS})
     for shape in drawn:
         shape["of"] = name
     return drawn
@@ -275,7 +275,7 @@ def found(session: Session, image: str) -> list[Shape]:
                 arrows = [{key: value for key, value in arrow.items() if key != "label"} for arrow in arrows]
             drawn += arrows
             drawn += [
-                {**line, "title": "the wire as this image shows it"},
+                {**line, "title": "the wire as this image shows it", "legend": texts.MEASURED},
                 {"shape": "cross", "points": [wire.tip_uv_px.tolist()], "style": "found", "title": "its tip"},
             ]
     return drawn

@@ -35,11 +35,13 @@ class Menu:
 
     def __init__(self, tab: Tab, open_case: OpenCase) -> None:
         self._tab, self._open_case = tab, open_case
-        with ui.dialog() as self._shortcuts, ui.card().classes("question").props("data-testid=shortcuts-sheet"):
+        sheet = ui.dialog().props('aria-label="Keyboard and mouse"')
+        with sheet as self._shortcuts, ui.card().classes("question").props("data-testid=shortcuts-sheet"):
             heading("Keyboard and mouse")
             table(("to", "do"), _SHORTCUTS, testid="shortcuts-table")
             action(texts.CLOSE, self._shortcuts.close, testid="shortcuts-close", kind="primary")
-        with ui.dialog() as self._cases, ui.card().classes("question wide").props("data-testid=cases-sheet"):
+        sheet = ui.dialog().props(f'aria-label="{texts.CASES}"')
+        with sheet as self._cases, ui.card().classes("question wide").props("data-testid=cases-sheet"):
             self._listed = ui.element("div")
             action(texts.CLOSE, self._cases.close, testid="cases-close", kind="primary")
 

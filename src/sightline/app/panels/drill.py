@@ -193,7 +193,7 @@ def _depth(tab: Tab) -> Markup:
 
     ticks = (filled('<b style="left:{}%">{}</b>', percent(mm), name[:1].upper()) for name, mm in at.items())
     rows = (
-        filled("<div><b>{}</b> {} <span>{} mm</span></div>", name[:1].upper(), name, texts.tenths(mm))
+        filled("<div><b>{}</b> {} <span>{} mm</span></div>", name[:1].upper(), name, texts.unsigned(f"{mm:.1f}"))
         for name, mm in at.items()
     )
     depth = now.depth_mm
@@ -383,7 +383,11 @@ def _force(tab: Tab) -> None:
             table(
                 ("event", "depth", "thrust"),
                 [
-                    (event.name, f"{texts.tenths(event.depth_mm)} mm", f"{texts.tenths(event.force_n)} N")
+                    (
+                        event.name,
+                        f"{texts.unsigned(f'{event.depth_mm:.1f}')} mm",
+                        f"{texts.unsigned(f'{event.force_n:.1f}')} N",
+                    )
                     for event in record.events
                 ],
                 testid="events-table",

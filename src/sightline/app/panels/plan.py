@@ -25,7 +25,7 @@ from sightline.app.panels.section import (
 )
 from sightline.app.panels.steps import aid_labels
 from sightline.app.plan.decisions import HEAD, NECK, SHAFT, FittedAxis
-from sightline.app.plan.marks import MarkSpec
+from sightline.app.plan.marks import MarkSpec, label_of
 from sightline.app.plan.planner import (
     Planned,
     has_borders,
@@ -174,11 +174,11 @@ def _points(tab: Tab) -> None:
     decisions = tab.planning.decisions
     for group, listed in groupby(tab.planning.specs, key=lambda spec: spec.group):
         with ui.element("div").classes(f"group {group}"):
-            if group != "nail":  # named by its choice above
+            if group in texts.POINT_GROUPS:  # a nail is named by its choice above, the robot's wire by its row
                 heading(texts.POINT_GROUPS[group])
             if group == "aid" and lowest_wire(kind_of(decisions.kind).document) is not None:
                 others = tab.doing(tab.planning.propose_others)
-                action("Propose the other wires", others, testid="propose-others", kind="small")
+                action(texts.PROPOSE_OTHERS, others, testid="propose-others", kind="small")
             if group == "aid" and kind_of(decisions.kind).proposal is not None:
                 action("Propose wire", tab.doing(lambda: _propose(tab)), testid="propose", kind="small").props(
                     'title="Propose a wire from the drawn aids"'
@@ -194,7 +194,7 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
     """Build the row of one point, or of one aid's clicks. Its buttons persist, so that a refresh does not lose
     clicks."""
     first, names = same[0], tuple(spec.name for spec in same)
-    label = first.label if len(same) == 1 else first.label.rsplit(" ", 1)[0]
+    label = label_of(same)
 
     def images_of(t: Tab) -> tuple[str, ...]:
         return tuple(image for image in t.planning.names if first.shown_in(image))
@@ -216,10 +216,10 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
             ui.label(f"{'●' if whole else '○'} {image_short(image, t.planning.decisions.kind)}{part}").classes(
                 "placed" if whole else "missing"
             )
-        place.props(f'aria-label="{texts.PLACE_WHAT.format(what=label)}"')
 
     with ui.element("div").classes("pick").props(f"data-testid=row-{first.of}") as row:
-        with action("", lambda: tab.place(same), testid=f"place-{first.of}", kind="pick-place") as place:
+        with action("", lambda: tab.place(same), testid=f"place-{first.of}", kind="pick-place"):
+            ui.label(texts.PLACE_WHAT.format(what="")).classes("unseen")
             ui.label(label).classes("pick-name")
             status = ui.element("div")
             ui.tooltip(first.sentence).props('anchor="center left" self="center right"')
@@ -295,7 +295,7 @@ def metrics_html(tab: Tab) -> Markup:
             space = "" if metric.unit == "°" else " "
             sd = "" if metric.sd is None else f" ± {TWO_SIDED_95 * metric.sd:.1f}"
             mark = {True: "✓", False: "!", None: ""}[metric.within]
-            rows.append((metric.name, f"{metric.value:.1f}{sd}{space}{metric.unit}", mark))
+            rows.append((metric.name, texts.unsigned(f"{metric.value:.1f}") + f"{sd}{space}{metric.unit}", mark))
     table = table_html(("", "± 95 %", ""), rows, testid="metrics")
     return joined(heading_html("Measurements"), *notes, table)
 

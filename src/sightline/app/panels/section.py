@@ -62,8 +62,13 @@ def card(state: str, word: str, sentence: str, more: str = "", *, testid: str) -
 
 
 def checks_html(listed: Sequence[Check], *, testid: str, kind: str = "") -> Markup:
-    """Return checks with value, limit and sentence, the failed ones first. `kind`: as of `texts.sentence`."""
-    items = (_check(check, kind) for check in sorted(listed, key=lambda check: check.passed))
+    """Return checks with value, limit and sentence, the failed ones first; what is said alike of several views once.
+    `kind`: as of `texts.sentence`."""
+    alike: dict[tuple[object, ...], list[Check]] = {}
+    for check in sorted(listed, key=lambda check: check.passed):
+        said = check.sentence.removeprefix(f"{check.view}: ")
+        alike.setdefault((check.passed, check.name, _figure(check), said, bool(check.view)), []).append(check)
+    items = (_check(same[0], kind, tuple(one.view for one in same if one.view)) for same in alike.values())
     return filled('<ul class="checks"{}>{}</ul>', _testid(testid), joined(*items))
 
 
@@ -93,9 +98,9 @@ def _row(cells: Sequence[str]) -> Markup:
 
 
 @lru_cache(maxsize=256)  # most checks stay as they are when a point moves
-def _check(check: Check, kind: str) -> Markup:
+def _check(check: Check, kind: str, views: tuple[str, ...]) -> Markup:
     state, sign = ("passed", "✓") if check.passed else ("failed", "✕")
-    return filled(_CHECK, state, sign, check.name, _figure(check), texts.sentence(check, kind), state)
+    return filled(_CHECK, state, sign, check.name, _figure(check), texts.sentence(check, kind, views), state)
 
 
 def _figure(check: Check) -> str:
@@ -128,7 +133,7 @@ def apart(
 
 
 def _quantity(value: float, unit: str, digits: int) -> str:
-    return f"{value:.{digits}g}{'' if unit == '°' else ' '}{unit}".strip()
+    return texts.unsigned(f"{value:.{digits}g}{'' if unit == '°' else ' '}{unit}".strip())
 
 
 Key = Callable[[Tab], Hashable]
@@ -346,7 +351,7 @@ def confirmed_action(
     def ask() -> None:
         # On the page, not in this section: the question stays when the robot's state rebuilds the section. A command
         # that no longer fits is refused by what it calls.
-        with ui.context.client, ui.dialog() as dialog, ui.card().classes("question"):
+        with ui.context.client, ui.dialog().props(f'aria-label="{text}"') as dialog, ui.card().classes("question"):
             ui.label(question).classes("question-text")
             if what:
                 ui.label(what)

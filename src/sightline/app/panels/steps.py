@@ -10,7 +10,7 @@ from nicegui import ui
 
 from sightline.app import texts
 from sightline.app.panels.section import PersistentSection, Section, action, note
-from sightline.app.plan.planner import Planned
+from sightline.app.plan.planner import Planned, lowest_wire
 from sightline.app.session.planning import Planning
 from sightline.app.session.seen import SeenImage
 from sightline.app.session.session import Session
@@ -173,14 +173,16 @@ def _plan(session: Session) -> _Found:
         wire = [spec for spec in decisions.specs if spec.group in ("wire", "nail")]
         left = [spec.label for spec in wire if not decisions.complete([spec.name])]
         return StepStatus.OPEN, "Place in both images: " + ", ".join(left) + "."
-    return _judged(known, session.readiness.verdict)
+    return _judged(session.planning, known, session.readiness.verdict)
 
 
-def _judged(known: Planned, verdict: Verdict | None) -> _Found:
-    """Return `judged`, and of a plan that only lacks aids which ones to draw."""
+def _judged(planning: Planning, known: Planned, verdict: Verdict | None) -> _Found:
+    """Return `judged`, and of a plan that only lacks wires and aids which ones to place."""
     status, reason = judged(verdict)
-    aids = () if verdict is None or status is not StepStatus.OPEN else needed_aids(known, verdict)
-    return status, texts.LEFT.format(what=", ".join(aid_labels(known.kind, aids))) if aids else reason
+    if verdict is None or status is not StepStatus.OPEN:
+        return status, reason
+    left = (*missing_labels(planning), *aid_labels(known.kind, needed_aids(known, verdict)))
+    return status, texts.LEFT.format(what=", ".join(left)) if left else reason
 
 
 def judged(verdict: Verdict | None) -> _Found:
@@ -338,15 +340,44 @@ def next_wire(tab: Tab) -> str | None:
     return next((kind for kind in kinds if kind not in planning.all_drilled), None)
 
 
+def missing_wires(planning: Planning) -> tuple[str, ...]:
+    """Return the kinds of the other wires that are not placed; none before the current one is planned, and through
+    the holes of a nail, which are all asked for together."""
+    known = planning.planned
+    if known is None or known.plan is None or planning.decisions.of_nail:
+        return ()
+    return tuple(kind for kind in planning.kinds if kind not in known.plans)
+
+
+def missing_labels(planning: Planning) -> tuple[str, ...]:
+    """Return the names of `missing_wires`."""
+    return tuple(texts.titled(kind_of(kind).wire.name) for kind in missing_wires(planning))
+
+
+def build_missing_wire(tab: Tab) -> None:
+    """Build the button that places the other wires beside the lowest one, or leads to the next one to place."""
+    planning = tab.planning
+    lowest, missing = lowest_wire(kind_of(planning.decisions.kind).document), missing_wires(planning)
+    known = planning.planned
+    if known is not None and [kind_of(kind).wire.key for kind in known.plans] == [lowest]:
+        action(texts.PROPOSE_OTHERS, tab.doing(planning.propose_others), testid="propose-next", kind="primary")
+    else:
+        _lead_to(tab, missing[0])
+
+
+def _lead_to(tab: Tab, kind: str, step: ProcedureStep = ProcedureStep.PLAN) -> None:
+    """Build the button that leads to another wire, on a step."""
+
+    async def follow() -> None:
+        await tab.choose(tab.planning.decisions.with_kind(kind))
+        if tab.step is not step:
+            tab.go_to(step)
+
+    action(f"Next: {kind_of(kind).wire.name}", follow, testid="next-wire", kind="primary")
+
+
 def build_next_wire(tab: Tab) -> None:
     """Build the button that leads to the wire to drill next."""
     after = next_wire(tab)
     assert after is not None  # noqa: S101 - it is asked before
-
-    async def follow() -> None:
-        await tab.choose(tab.planning.decisions.with_kind(after))
-        if tab.step is not ProcedureStep.DRILL:
-            tab.go_to(ProcedureStep.DRILL)
-
-    text = f"Next: {kind_of(after).wire.name}"
-    action(text, follow, testid="next-wire", kind="primary")
+    _lead_to(tab, after, ProcedureStep.DRILL)

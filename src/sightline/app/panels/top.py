@@ -10,8 +10,8 @@ from nicegui import ui
 from sightline.app import texts
 from sightline.app.panels import drill, plan, verify
 from sightline.app.panels.section import LONG, LONGER, HtmlSection, PersistentSection, Section, action, filled
-from sightline.app.panels.steps import needed_aids, steps, waits_for
-from sightline.app.plan.marks import MarkSpec
+from sightline.app.panels.steps import build_missing_wire, missing_wires, needed_aids, steps, waits_for
+from sightline.app.plan.marks import MarkSpec, label_of
 from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.robot.kinematics.target import LIFETIME_S
@@ -24,8 +24,10 @@ def build(tab: Tab) -> None:
     with ui.element("div").classes("guide"):
         with ui.element("nav").props('aria-label="Steps" data-went=0') as nav:
             PersistentSection(tab, lambda t: (steps(t.session), t.step), _steps, classes="steps")
-        with ui.element("div").classes("say").props("role=status"):
-            HtmlSection(tab, _said, _say, drag=False)
+        with ui.element("div").classes("say"):
+            with ui.element("div").props("role=status"):
+                HtmlSection(tab, _said, _say, drag=False)
+            Section(tab, lambda t: t.optional, _skip)
     ui.on("step", lambda event: _follow(tab, nav, event.args))
     with ui.element("div").classes("tools"):
         _time(tab)
@@ -89,6 +91,12 @@ def _say(tab: Tab) -> Markup:
         image,
         what,
     )
+
+
+def _skip(tab: Tab) -> None:
+    """Build the button that passes over a point that the plan can do without; nothing for another one."""
+    if tab.optional is not None:
+        action(texts.SKIP, tab.skip, testid="skip", kind="small").props(f'title="{texts.SKIP_TITLE}"')
 
 
 def size_of(text: str) -> str:
@@ -182,11 +190,17 @@ def build_lead(tab: Tab) -> None:
 
 def _lead_key(tab: Tab) -> Hashable:
     of = {ProcedureStep.DRILL: drill.key, ProcedureStep.VERIFY: verify.key}.get(tab.step)
-    return tab.step, _done(tab), waits_for(tab.session, tab.step), _needed(tab), None if of is None else of(tab)
+    steps_on = (tab.step, _done(tab), waits_for(tab.session, tab.step), _needed(tab), _missing_wires(tab))
+    return (*steps_on, None if of is None else of(tab))
 
 
 def _done(tab: Tab) -> bool:
     return next(each.status == "done" for each in steps(tab.session) if each.step is tab.step)
+
+
+def _missing_wires(tab: Tab) -> tuple[str, ...]:
+    """Return the wires that are not placed, once all else that is asked for is."""
+    return missing_wires(tab.planning) if tab.step is ProcedureStep.PLAN and tab.goal is None else ()
 
 
 def _needed(tab: Tab) -> tuple[MarkSpec, ...]:
@@ -202,8 +216,10 @@ def _lead(tab: Tab) -> None:
     if before is not None:
         text = f"Back to {texts.STEPS[before]}"
         action(text, lambda: tab.go_to(before), testid="back", kind="primary")
+    elif _missing_wires(tab):
+        build_missing_wire(tab)
     elif needed:
-        label = needed[0].label if len(needed) == 1 else needed[0].label.rsplit(" ", 1)[0]
+        label = label_of(needed)
         text = texts.PLACE_WHAT.format(what=label[:1].lower() + label[1:])
         action(text, lambda: tab.place(needed), testid="place-needed", kind="primary")
     elif tab.step is ProcedureStep.DRILL and not (done and tab.planning.sent_is_current):

@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 from markupsafe import Markup
@@ -16,9 +17,11 @@ from sightline.app.panels.section import (
     heading_html,
     joined,
     limit_said,
+    note_html,
     table_html,
 )
-from sightline.app.panels.steps import aid_labels, needed_aids, refusals
+from sightline.app.panels.steps import aid_labels, missing_labels, needed_aids, refusals
+from sightline.app.plan.marks import label_of
 from sightline.app.tab.tab import Tab
 from sightline.common.checks import Check, CheckCode, failed
 from sightline.errors import SightlineError
@@ -123,7 +126,8 @@ def _figure_html(figure: _Figure) -> Markup:
 
 
 def _number(value: float, unit: str, digits: int) -> str:
-    return f"{value:.{digits if abs(value) < 10 else digits - 1}f}{unit if unit == '°' else f' {unit}'}"
+    number = texts.unsigned(f"{value:.{digits if abs(value) < 10 else digits - 1}f}")
+    return f"{number}{unit if unit == '°' else f' {unit}'}"
 
 
 SOURCES = {  # sources of error, with their colours (colours.js)
@@ -147,11 +151,13 @@ def left(tab: Tab) -> tuple[str, ...]:
     decisions, known, verdict = tab.planning.decisions, tab.planning.planned, tab.session.readiness.verdict
     if known is None:
         return ("two calibrated images",)
-    asked = [spec for spec in tab.planning.asked if not decisions.complete([spec.name])]
+    left_out = {spec.name for spec in tab.skipped}
+    asked = [spec for spec in tab.planning.asked if not decisions.complete([spec.name]) and spec.name not in left_out]
     confirmed = (("patient's side", decisions.side), ("frame's serial", decisions.serial))
     aids = () if verdict is None else needed_aids(known, verdict)
     return (
-        *(spec.label for spec in asked),
+        *(label_of(tuple(same)) for _, same in groupby(asked, key=lambda spec: spec.of)),
+        *missing_labels(tab.planning),
         *(what for what, value in confirmed if value is None),
         *aid_labels(known.kind, aids),
     )
@@ -246,13 +252,14 @@ def _shares(tab: Tab) -> Markup:
     whole = ("together", *(_part(share, 100.0) for share in shares.values()))
     return joined(
         heading_html("Where the error comes from"),
+        note_html("Root mean squares, smaller than the 95 % errors, and shares of their squares.", kind="quiet"),
         filled('<div aria-hidden="true">{}</div>', joined(*map(_bar, together))),
         table_html(
             ("source", *columns),
             [*rows, whole],
             testid="shares",
             classes="shares",
-            label="Root mean square of each source, and its share of the mean square",
+            label="Root mean square of each source, and its share",
         ),
     )
 

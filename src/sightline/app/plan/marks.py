@@ -1,5 +1,6 @@
 """The marks that a person may place for a procedure, in the order in which the page asks for them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -14,8 +15,8 @@ Group = Literal["wire", "nail", "landmark", "aid", "guide", "robot"]
 ENTRY, END = "entry", "end"
 _EDGES = {"a": "One edge of the nail", "b": "Other edge of the nail"}
 _STROKE = {  # the two clicks of a stroke
-    1: "Click on it, above all holes to be drilled, at most 8 pixels beside the edge.",
-    2: "Click on it, below all holes to be drilled, at most 8 pixels beside the edge.",
+    1: "Click on it, above all holes to be drilled.",
+    2: "Click on it, below all holes to be drilled.",
 }
 # How an axis is drawn by both borders of the bone, in place of the procedure's own sentence.
 _BORDERS = "Two clicks on one border of the bone, two on the other, beside each other where both are straight."
@@ -128,6 +129,11 @@ def hole_mark(wire: str) -> str:
 def images_of(known: Procedure, aid: AidAsked) -> tuple[str, ...]:
     """Return the images that an aid is drawn in: those in the places of its views among the procedure's."""
     return tuple(image for image, view in zip(NAMES, known.document.views, strict=False) if view.name in aid.views)
+
+
+def label_of(same: Sequence[MarkSpec]) -> str:
+    """Return the label of one mark, or of several clicks together: without their numbers."""
+    return same[0].label if len(same) == 1 else same[0].label.rsplit(" ", 1)[0]
 
 
 def _titled(name: str) -> str:

@@ -11,6 +11,9 @@ from sightline.app.session.planning import Planning
 from sightline.app.session.shots import Shots
 from sightline.case.views import CHECK_NAMES, NAMES, OBLIQUE, SHOT_NAMES
 from sightline.planning.check.shot import ALIGNED
+from sightline.planning.procedures import kind as kind_of
+from sightline.planning.procedures.document import CHECKS
+from sightline.planning.verdict.plan_checks import MIN_FREE_POINTS
 
 
 class ProcedureStep(StrEnum):
@@ -47,6 +50,7 @@ class Placing:
     def __init__(self, planning: Planning, shots: Shots) -> None:
         self._planning, self._shots = planning, shots
         self._chosen: tuple[Goal, ...] | None = None  # None: the goals of the step
+        self.skipped: tuple[MarkSpec, ...] = ()
 
     def goal(self, step: ProcedureStep) -> Goal | None:
         """Return the next goal; None if there is none."""
@@ -56,6 +60,25 @@ class Placing:
         """Return the number of the next goal, from 1, and the number of all."""
         wanted, goal = self._wanted(step), self.goal(step)
         return (len(wanted) if goal is None else wanted.index(goal) + 1), len(wanted)
+
+    def optional(self, step: ProcedureStep) -> MarkSpec | None:
+        """Return the mark of the next goal, if the step's plan can do without it: a landmark that leaves enough
+        others, and that nothing is measured from."""
+        goal = self.goal(step)
+        if goal is None or self._chosen is not None or step is not ProcedureStep.PLAN:
+            return None
+        landmarks = [spec for spec in self._asked if spec.group == "landmark"]
+        spare = goal.spec in landmarks and len(landmarks) > MIN_FREE_POINTS
+        return goal.spec if spare and goal.spec.of not in _measured_from(self._planning.decisions.kind) else None
+
+    def skip(self, step: ProcedureStep) -> None:
+        """Ask no more for the mark of the next goal, if it is optional."""
+        spec = self.optional(step)
+        self.skipped = self.skipped if spec is None else (*self.skipped, spec)
+
+    @property
+    def _asked(self) -> list[MarkSpec]:
+        return [spec for spec in self._planning.asked if spec not in self.skipped]
 
     def _wanted(self, step: ProcedureStep) -> tuple[Goal, ...]:
         return self._requested_by(step) if self._chosen is None else self._chosen
@@ -78,21 +101,31 @@ class Placing:
 
     def _requested_by(self, step: ProcedureStep) -> tuple[Goal, ...]:
         planning = self._planning
-        specs = planning.decisions.specs
         if step is ProcedureStep.VERIFY and planning.views(CHECK_NAMES) is not None:
             return _goals(planning.landmarks, CHECK_NAMES)
         if step is ProcedureStep.DRILL and self._shots.shown and planning.views(SHOT_NAMES) is not None:
             guide = GUIDE if self._shots.shown == ALIGNED else ()
             return _goals([*guide, *planning.landmarks], SHOT_NAMES)
         if step is ProcedureStep.PLAN and planning.planned is not None and not planning.lacking:
-            pair = _goals(planning.asked, NAMES)
-            third = [spec for spec in specs if spec.group == "landmark" and OBLIQUE in planning.names]
+            pair = _goals(self._asked, NAMES)
+            third = [spec for spec in self._asked if spec.group == "landmark" and OBLIQUE in planning.names]
             return (*pair, *_goals(third, (OBLIQUE,)))
         return ()
 
 
+def _measured_from(kind: str) -> set[str]:
+    """Return the keys of the landmarks and aids that a procedure's checks and directions are made of."""
+    known = kind_of(kind)
+    checks = (key for rule in known.checks for keys in CHECKS[rule.check].needs for key in keys)
+    directions = (key for one in known.document.directions for key in (*one.from_, *one.to))
+    return {*checks, *directions}
+
+
 def _goals(listed: Iterable[MarkSpec], images: tuple[str, ...]) -> tuple[Goal, ...]:
-    """Return the goals in order: wire and aids image by image, first PA, then lateral; then each landmark in all."""
+    """Return the goals in order: wire and aids image by image, first PA, then lateral; then each landmark in all; last
+    the robot's own wire, which no verdict needs."""
     listed = tuple(listed)
-    wire = [Goal(a, image) for image in images for a in listed if a.group != "landmark" and a.shown_in(image)]
-    return (*wire, *(Goal(a, image) for a in listed if a.group == "landmark" for image in images))
+    each = [Goal(a, image) for image in images for a in listed if a.group != "landmark" and a.shown_in(image)]
+    landmarks = [Goal(a, image) for a in listed if a.group == "landmark" for image in images]
+    last = [goal for goal in each if goal.spec.group == "robot"]
+    return (*(goal for goal in each if goal not in last), *landmarks, *last)

@@ -107,6 +107,21 @@ class Tab:
         return self._placing.progress(self.step)
 
     @property
+    def optional(self) -> MarkSpec | None:
+        """The mark that is asked for, if the plan can do without it."""
+        return self._placing.optional(self.step)
+
+    @property
+    def skipped(self) -> tuple[MarkSpec, ...]:
+        """The marks that the person passed over."""
+        return self._placing.skipped
+
+    def skip(self) -> None:
+        """Pass over the mark that is asked for; a click in the checklist asks for it again."""
+        self._placing.skip(self.step)
+        self.refresh()
+
+    @property
     def known(self) -> Planned | None:
         """The plan shown: the preview of a dragged point, else the current plan."""
         preview = self.dragging.preview

@@ -181,7 +181,14 @@ class Views:
             {"wire": [] if watched.corridor is None else shapes.band(watched.corridor)},
             notice=texts.STALE.format(age=watched.age_s) if watched.stale else None,
             head=head,
+            identity=self._identity,
         )
+
+    @property
+    def _identity(self) -> str:
+        """The patient's side and the case, which an image shows wherever it is seen."""
+        case, side = self._planning.case.number, self._planning.decisions.side
+        return texts.IDENTITY.format(side=texts.SIDE_UNKNOWN if side is None else side.title(), case=case)
 
     def _shown(self, image: str, step: ProcedureStep, goal: Goal | None, preview: Preview | None) -> XrayContent:
         """Return the content of an image's view."""
@@ -209,6 +216,7 @@ class Views:
             f"{planning.case.number} {image} {seen.acquired.number} {planning.history.revision}",
             self._matching() if image == NAMES[1] and step is ProcedureStep.PLAN else None,
             head,
+            self._identity,
         )
 
     def _head(self, image: str, view: BeadView | None) -> int | None:

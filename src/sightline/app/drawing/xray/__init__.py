@@ -28,7 +28,7 @@ TEXT_KEYS = (
     *PRESETS,
     *("head_up", "head_right", "head_down", "head_left"),
     *("point", "snapped", "placing", "mirrored", "rotated", "stale", "readout", "outside", "edit_lost", "load_failed"),
-    *("off_field", "ticks"),
+    "off_field",
 )
 """Texts that a view needs. Their fields: point {name} {u} {v}, placing {name}, rotated {degrees}, readout {u} {v}
 {value}, edit_lost {name}."""
@@ -113,7 +113,8 @@ class XrayContent:
     `revision`: of the plan; an edit that was not acknowledged is sent again only for the same revision. `matching`:
     {"from": name, "title": text with {name}, "sights": [address, address]}: the view whose points' image-matching
     curves are drawn here while they move, and the addresses of the maps (`sight`) of both, its first. `head`: direction
-    of the patient's head in the image, degrees clockwise from up: 0, 90, 180 or 270; None: unknown.
+    of the patient's head in the image, degrees clockwise from up: 0, 90, 180 or 270; None: unknown. `identity`: whose
+    image it is, under its title.
     """
 
     label: str
@@ -126,6 +127,7 @@ class XrayContent:
     revision: str = ""
     matching: Mapping[str, Any] | None = None
     head: int | None = None
+    identity: str = ""
 
     def document(self, before: "XrayContent | None" = None) -> dict[str, Any]:
         """Return the content as JSON types; with `before` only what differs from it, and for each layer that is the
@@ -137,7 +139,7 @@ class XrayContent:
         }
 
 
-_MEMBERS = ("label", "picture", "display", "points", "placing", "notice", "revision", "matching", "head")
+_MEMBERS = ("label", "picture", "display", "points", "placing", "notice", "revision", "matching", "head", "identity")
 
 
 def _as_json(value: Any) -> Any:

@@ -9,7 +9,8 @@ export interface Window {
   width: number;
 }
 
-/** A shape of a layer (image pixels). `of`: the point that a curve belongs to; `from`: depth of a band's first sample. */
+/** A shape of a layer (image pixels). `of`: the point that a curve belongs to; `from`: depth of a band's first sample;
+ * `legend`: a line at the foot of the view while the shape is shown. */
 export interface Shape {
   shape: string;
   style: string;
@@ -17,6 +18,7 @@ export interface Shape {
   of?: string;
   title?: string;
   label?: string | string[];
+  legend?: string;
   radius?: number | number[];
   value?: number;
   halfWidth?: number | number[];
@@ -84,6 +86,7 @@ export interface Word {
   revision: string;
   matching: Matching | null;
   head: number | null;
+  identity: string;
 }
 
 /** A message: what is another content than in the message before, and all layers. */

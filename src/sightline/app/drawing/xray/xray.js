@@ -50,6 +50,7 @@ const NOTHING = {
   revision: "",
   matching: null,
   head: null,
+  identity: "",
 };
 
 export class XrayCore {
@@ -136,6 +137,7 @@ export class XrayCore {
     if (news.version <= this.word.version) return false;
     const word = (this.word = { ...this.word, ...news });
     this.chrome.setLabel(word.label);
+    this.chrome.showText(this.chrome.identity, word.identity);
     this.chrome.showLine(this.chrome.notice, word.notice);
     this.#showPicture(word.picture, freshMs);
     this.#showLayers(word.layers);
@@ -184,8 +186,7 @@ export class XrayCore {
       if (faults.length) this.report(`layer ${name}: ${faults[0]}`);
       this.state.layers.set(name, { shapes: faults.length ? shapes.filter((shape) => !shapeFault(shape)) : shapes });
     }
-    const ticks = this.#layerShapes.some(({ shape }) => shape === "ticks");
-    this.chrome.showLine(this.chrome.legend, ticks ? this.texts.ticks : "");
+    this.chrome.showLine(this.chrome.legend, this.#layerShapes.find(({ legend }) => legend)?.legend ?? "");
     this.canvas.invalidate("overlay");
   }
 

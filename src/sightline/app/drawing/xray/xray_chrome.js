@@ -62,7 +62,7 @@ const SHEET = `
 .xray-foot { position: absolute; left: 0.6em; right: 0.6em; bottom: 0.6em; display: flex; flex-direction: column; align-items: flex-start; gap: 0.3em; pointer-events: none; font-variant-numeric: tabular-nums; color: var(--text); font-size: 0.93em; }
 .xray-row { display: flex; align-self: stretch; justify-content: space-between; align-items: flex-end; gap: 0.6em; }
 .xray-foot .xray-panel { padding: 0.3em 0.7em; white-space: pre; overflow: hidden; text-overflow: ellipsis; }
-.xray-turned { font-weight: 400; } .xray-turned.unusual { color: var(--orange); font-weight: 650; } .xray-turned:not(:empty) { margin-left: 0.7em; }
+.xray-identity { font-weight: 400; font-size: 0.87em; line-height: 1.15; } .xray-turned { font-weight: 400; } .xray-turned.unusual { color: var(--orange); font-weight: 650; } .xray-turned:not(:empty) { margin-left: 0.7em; }
 .xray-tip { position: absolute; left: 0; top: 0; max-width: 22em; padding: 0.4em 0.7em; pointer-events: none; white-space: pre-line; overflow-wrap: anywhere;
   background: rgba(12, 16, 20, 0.95); border: 1px solid var(--line); }
 .xray-live { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); white-space: nowrap; }
@@ -133,6 +133,7 @@ export class Chrome {
     this.readout = element("div", "xray-panel", { "data-testid": "readout" });
     this.state = element("div", "xray-panel", { "data-testid": "state" });
     this.title = element("span", "");
+    this.identity = element("div", "xray-identity", { "data-testid": "identity" });
     this.turned = element("span", "xray-turned", { "data-testid": "turned" });
     this.legend = element("div", "xray-panel xray-legend", { "data-testid": "legend", hidden: "" });
     this.tip = element("div", "xray-panel xray-tip", { role: "tooltip", "data-testid": "tip", hidden: "" });
@@ -176,7 +177,7 @@ export class Chrome {
   /** @param {import("./xray_settings.js").Settings["actions"]} actions */
   #head({ preset, ...actions }) {
     const head = element("div", "xray-head");
-    this.name.append(this.title, this.turned);
+    this.name.append(this.title, this.turned, this.identity);
     const notices = element("div", "xray-notices");
     notices.append(this.fault, this.lost, this.notice, this.stale, this.measured);
     for (const [action, act] of Object.entries(actions)) this.tools.append(this.#button(action, act));

@@ -8,6 +8,9 @@ import { STYLES } from "./xray_paint.js";
 /** @typedef {import("./types").Placed} Placed */
 /** @typedef {import("./types").Move} Move */
 
+// Where the focus follows the request to its image from: the other image, and what asks for a point.
+const ASKED_FROM = ".xray, .pick, .lead, .say";
+
 export class Edits {
   /** `keep(move | null)` gets the newest edit that the server has not acknowledged.
    * @param {import("./xray.js").XrayCore} core
@@ -52,6 +55,7 @@ export class Edits {
     core.state.placing = id;
     core.crosshair.end();
     if (id === null) core.lens = null;
+    else if (document.activeElement?.closest(ASKED_FROM)) core.stage.focus({ preventScroll: true });
     const { chrome, texts } = core;
     chrome.showLine(chrome.hint, id === null ? "" : texts.placing.replace("{name}", this.#nameOf(id)));
     core.gestures.showCursor();

@@ -9,6 +9,10 @@ import { shapeDistance, STYLES } from "./xray_paint.js";
 const TIP_REACH = 8; // CSS pixels
 const HEAD = ["head_up", "head_right", "head_down", "head_left"]; // texts, by quarter turns clockwise
 
+/** A number with one decimal; zero without a sign.
+ * @param {number} value */
+const tenths = (value) => (Math.round(10 * value) / 10 + 0).toFixed(1);
+
 export class Reading {
   /** @param {import("./xray.js").XrayCore} core */
   constructor(core) {
@@ -23,7 +27,7 @@ export class Reading {
     if (uv === null || value === null) {
       core.chrome.showText(core.chrome.readout, core.texts.outside);
     } else {
-      const [u, v] = uv.map((number) => number.toFixed(1));
+      const [u, v] = uv.map(tenths);
       core.chrome.showText(
         core.chrome.readout,
         core.texts.readout.replace("{u}", u).replace("{v}", v).replace("{value}", String(value)),
@@ -99,7 +103,7 @@ export class Reading {
   /** @param {Placed} point */
   describe(point) {
     const { texts } = this.core;
-    const [u, v] = point.uv.map((value) => value.toFixed(1));
+    const [u, v] = point.uv.map(tenths);
     const place = texts.point.replace("{name}", point.label).replace("{u}", u).replace("{v}", v);
     return point.snapped ? `${place}, ${texts.snapped}` : place;
   }
