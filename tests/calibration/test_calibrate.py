@@ -264,7 +264,6 @@ def first(count):
         (SEEN, {"method": "polynomial", "degree": 9}, UnusableInputError, "1 to 7"),
         (replace(SEEN, view="oblique"), {}, FrameError, "pa, lateral"),
         (replace(SEEN, ids=("nobody", *SEEN.ids[1:])), {}, ObservationsError, "'nobody'"),
-        (replace(SEEN, covariance_px2=0 * SEEN.covariance_px2), {}, ObservationsError, "positive definite"),
         (replace(SEEN, covariance_px2=1e9 * SEEN.covariance_px2), {}, ObservationsError, "between 1e-06 and 1000 px"),
         (replace(SEEN, covariance_px2=1e-12 * SEEN.covariance_px2), {}, ObservationsError, "between 1e-06 and 1000 px"),
         (choose(SEEN, lambda i: False), {}, CalibrationRefusedError, "none of the"),

@@ -1,11 +1,13 @@
 """Detection against images with known truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bead_images import Bead, grid, normalised, quanta, radiograph
 
-from sightline.detection import Detections, detect
-from sightline.errors import DetectionRefusedError
+from sightline.detection import Detections, Observations, detect
+from sightline.errors import DetectionRefusedError, ObservationsError
 
 SIZE = 320
 
@@ -155,3 +157,11 @@ def test_an_image_without_beads_is_refused(level: float, seed: int | None) -> No
     rng = None if seed is None else np.random.default_rng(seed)
     with pytest.raises(DetectionRefusedError, match=None if rng is None else "no bead was found"):
         detect(radiograph(flat(level), rng))
+
+
+def test_results_do_not_hold_covariances_that_are_not_positive_definite() -> None:
+    found = detect(radiograph(quanta([Bead(160.2, 159.7, 8.0)], flat()), np.random.default_rng(8)))
+    for covariance in (np.zeros((2, 2)), np.array([[0.01, 0.02], [0.02, 0.01]]), -np.eye(2), [[1.0, 0.0], [1.0, 1.0]]):
+        for make in (lambda c: replace(found, covariance_px2=c), lambda c: Observations("pa", ("a",), found.uv_px, c)):
+            with pytest.raises(ObservationsError, match="1 of 1 beads are not positive definite"):
+                make(np.array([covariance]))

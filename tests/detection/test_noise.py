@@ -132,6 +132,20 @@ def test_clipped_blocks_do_not_count_and_what_lies_outside_the_mask_does_not_mat
     assert (again.offset, again.slope) == (noise.offset, noise.slope)
 
 
+def test_areas_of_one_grey_level_do_not_count_also_with_a_stray_level_here_and_there() -> None:
+    """As bars of a video have, and what compression leaves of its edges."""
+    image = log_counts(vignetting(400.0), 0.9, np.random.default_rng(5))
+    image[:, : SIZE // 2] = np.log(255.0)
+    image[5::32, 5:256:32] = np.log(256.0)
+    mask = everywhere(image)
+    mask[:, : SIZE // 2] = False
+    noise, own = found(image), found(image, mask)
+    assert (noise.offset, noise.slope) == (own.offset, own.slope)
+    designs = [sharpen.design(image, where, noise) for where in (everywhere(image), mask)]
+    assert designs[0].gain == designs[1].gain
+    assert np.fft.rfft(np.concatenate([designs[0].correlation, designs[0].correlation[:0:-1]])).real.min() > 0
+
+
 @pytest.mark.parametrize("side", [15, 16, 60])
 def test_too_small_a_field_has_no_noise_to_measure(side: int) -> None:
     """An estimate needs at least eight blocks; every second one counts, so 60 px hold four."""

@@ -90,7 +90,7 @@ def test_a_bone_edge_beyond_the_tip_of_a_drill_is_not_part_of_its_background():
 
 def detections(uv_px: np.ndarray, radius_px: np.ndarray) -> Detections:
     n = len(uv_px)
-    return Detections(uv_px, radius_px, np.zeros((n, 2, 2)), ("ball",) * n, np.zeros(n), (SIZE, SIZE))
+    return Detections(uv_px, radius_px, np.tile(0.01 * np.eye(2), (n, 1, 1)), ("ball",) * n, np.zeros(n), (SIZE, SIZE))
 
 
 def test_beads_over_the_wire_are_left_out():

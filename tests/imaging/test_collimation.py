@@ -82,6 +82,33 @@ def test_writing_outside_the_field_and_a_line_along_the_border_are_not_field() -
     assert_edge_within(Radiograph(pixels, 4095.0).field_mask, ROUND, 3)
 
 
+@pytest.mark.parametrize("level", [280, 1900, 3500, 4095])
+@pytest.mark.parametrize("name", FIELDS)
+def test_a_surround_of_one_grey_level_is_not_field_whatever_its_level_and_shape(name: str, level: int) -> None:
+    """A mask around the field, in black bars of a video with writing, compressed or not.
+
+    The picture with its bars is twice as wide as the field, and an edge changes all levels of a block of 8 px of JPEG.
+    """
+    truth = np.pad(FIELDS[name], ((0, 0), (200, 240)))
+    bars = np.pad(np.where(FIELDS[name], exposed(WHOLE), level), ((0, 0), (200, 240)), constant_values=280)
+    bars[20:26, 20:180] = 4095
+    assert_edge_within(Radiograph(bars.astype(np.uint16), 4095.0).field_mask, truth, 7)
+    byte = cv2.imencode(".jpg", (bars / 16).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 60])[1]
+    mask = Radiograph(cv2.imdecode(byte, cv2.IMREAD_GRAYSCALE), 255.0).field_mask
+    assert_edge_within(mask, truth, 10)
+
+
+def test_clipped_air_is_field_beside_bone_and_around_beads() -> None:
+    light = cv2.GaussianBlur(np.where(U + 0.2 * V > 380, 4500.0, 2000.0), (0, 0), 1.5) + np.random.default_rng(
+        4
+    ).normal(0, 20, (H, W))
+    assert Radiograph(np.minimum(light, 4095).astype(np.uint16), 4095.0).field_mask.all()
+    for u in range(390, W, 40):
+        for v in range(20, H, 40):
+            light[np.hypot(U - u, V - v) < 7] = 800
+    assert Radiograph(np.minimum(light, 4095).astype(np.uint16), 4095.0).field_mask.all()
+
+
 @pytest.mark.parametrize(
     "pixels",
     [

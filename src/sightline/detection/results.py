@@ -30,6 +30,19 @@ def _frozen(array: np.ndarray, shape: tuple[int, ...], what: str) -> np.ndarray:
     return frozen
 
 
+def _stated(covariance_px2: np.ndarray, n: int) -> np.ndarray:
+    """Return `_frozen` covariances (N, 2, 2). Raises ObservationsError where one is not positive definite."""
+    frozen = _frozen(covariance_px2, (n, 2, 2), "covariance_px2")
+    u_px, v_px = np.sqrt(np.maximum(frozen[:, (0, 1), (0, 1)], 0.0)).T
+    unknown = np.count_nonzero(np.abs(frozen[:, (0, 1), (1, 0)]).max(axis=1, initial=0.0) >= u_px * v_px)
+    if unknown:
+        raise ObservationsError(
+            f"the covariances of {unknown} of {n} beads are not positive definite: their errors are not known; if you "
+            "state them, give variances above zero, in px²; if `detect` did, export the image as the C-arm stores it"
+        )
+    return frozen
+
+
 @dataclass(frozen=True)
 class RejectedCandidate:
     """A candidate that is not a bead, or a detection that was not labelled, and why."""
@@ -66,13 +79,9 @@ class Detections(Plotted):
 
     def __post_init__(self) -> None:
         n = len(np.atleast_2d(self.uv_px)) if np.size(self.uv_px) else 0
-        for name, shape in (
-            ("uv_px", (n, 2)),
-            ("radius_px", (n,)),
-            ("covariance_px2", (n, 2, 2)),
-            ("contrast", (n,)),
-        ):
+        for name, shape in (("uv_px", (n, 2)), ("radius_px", (n,)), ("contrast", (n,))):
             object.__setattr__(self, name, _frozen(np.reshape(getattr(self, name), shape), shape, name))
+        object.__setattr__(self, "covariance_px2", _stated(np.reshape(self.covariance_px2, (n, 2, 2)), n))
 
     def __len__(self) -> int:
         return len(self.uv_px)
@@ -112,7 +121,8 @@ class Observations(Plotted):
     shadows, which distortion shifts from the images of the centres; None where these are known. `rejected`: detections
     that were not labelled, with reasons; None where only labelled beads are known. `pixels` (H, W): the image for
     plots, or None.
-    Raises ObservationsError on wrong shapes, values that are not finite, and duplicate ids.
+    Raises ObservationsError on wrong shapes, values that are not finite, covariances that are not positive definite,
+    and duplicate ids.
 
     >>> sl.Observations("pa", ("pa-x-d1", "pa-x-d2"), [[512.0, 388.5], [700.2, 390.1]])
     Observations of view pa: 2 beads labelled in an image of unknown size
@@ -137,7 +147,7 @@ class Observations(Plotted):
             raise ObservationsError(f"fiducials observed twice in one view: {', '.join(twice)}")
         object.__setattr__(self, "uv_px", _frozen(self.uv_px, (n, 2), "uv_px"))
         if self.covariance_px2 is not None:
-            object.__setattr__(self, "covariance_px2", _frozen(self.covariance_px2, (n, 2, 2), "covariance_px2"))
+            object.__setattr__(self, "covariance_px2", _stated(self.covariance_px2, n))
         if self.radius_px is not None:
             object.__setattr__(self, "radius_px", _frozen(self.radius_px, (n,), "radius_px"))
 

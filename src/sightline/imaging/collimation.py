@@ -14,6 +14,16 @@ _ON_CIRCLE = 1.5  # px of the reduced image, from the circle
 _STOPS = 60  # points on the outline where its depth is measured
 _BLUR_PX = 4  # a wider slope at the edge is a penumbra, which belongs to the field
 _ARCS = 0.3  # share of a round field's outline that lies on the circle
+# Of a surround, which a program fills with one grey level.
+_CORNER = 8  # px, side of the square at an image's corner that is constant; also the step of samples
+_CONSTANT = 0.3  # of the median difference of neighbours in the middle: the noise of a video, or of compression
+_LEFT = 0.1  # of the convex hull of the rest: clipped air, which is bright, surrounds beads
+_SMALLEST = 12  # px; a smaller part of the rest in a bright surround is noise; in a dark one parts may be writing
+_BLOCK = 8  # px, side of a block of JPEG, in which an edge changes all levels
+_SHARP = (
+    0.6  # of the levels' range within a block of an edge, between two neighbours: a blur of 0.9 px leaves 0.44 [calc]
+)
+_LAYERS = 3  # bars of a video, the border of its window, and blanking
 
 
 def field_mask(pixels: np.ndarray) -> np.ndarray:
@@ -22,12 +32,71 @@ def field_mask(pixels: np.ndarray) -> np.ndarray:
     `pixels` (H, W): of a `Radiograph`. Every collimation (round, octagonal, rectangular, blades within a round field)
     is convex, so the field is the convex hull of the bright pixels. Dark anatomy and metal at its rim are bridged, in a
     round field by the circle's arc. The edge is accurate to 1 % of the field's radius, to 5 % where it is bridged;
-    penumbra belongs to the field.
+    penumbra belongs to the field. A surround of one grey level, dark or bright, lies outside: bars of a video, a
+    window's border, a mask.
     """
-    outline = _outline(pixels)
-    mask = np.ones(pixels.shape, dtype=bool) if outline is None else _drawn(*outline, pixels.shape)
+    mask = np.ones(pixels.shape, dtype=bool)
+    part, inside = pixels, mask  # both smaller with each layer of surrounds
+    for _ in range(_LAYERS):
+        surround = _surround(part)
+        outline = _outline(part if surround is None else np.where(surround, min(part.min(), 0), part), surround)
+        if outline is None:
+            break
+        inside[:] = _drawn(*outline, part.shape)
+        if surround is not None:
+            inside &= ~surround
+        left, top, width, height = cv2.boundingRect(inside.view(np.uint8))
+        part, inside = (whole[top : top + height, left : left + width] for whole in (part, inside))
+        if min(height, width) <= 2 * _CORNER or not inside[[2, 2, -3, -3], [2, -3, 2, -3]].all():
+            break  # there is no layer inside a field that is not a rectangle
     mask.flags.writeable = False
     return mask
+
+
+def _surround(pixels: np.ndarray) -> np.ndarray | None:
+    """Return (H, W) bool: what is filled with one level from the corners; None without, and where that is dark.
+
+    Everything outside a convex field is connected to a corner. In the dark, `_outline` finds the field.
+    """
+    height, width = pixels.shape
+    middle = pixels[height // 4 : -height // 4 : _CORNER, width // 4 : -width // 4].astype(np.float32)
+    tolerance = _CONSTANT * float(np.median(np.abs(middle[:, 1:] - middle[:, :-1])))
+    dark = _LEVEL * float(np.quantile(pixels[::_CORNER, ::_CORNER], _BRIGHT))
+    surround = np.zeros(pixels.shape, dtype=bool)
+    for u, v in ((0, 0), (0, height - 1), (width - 1, 0), (width - 1, height - 1)):
+        around = pixels[max(v - _CORNER, 0) : v + _CORNER, max(u - _CORNER, 0) : u + _CORNER].astype(np.float32)
+        level = float(np.median(around))
+        if level > dark and not surround[v, u] and np.abs(around - level).max() <= tolerance:
+            surround |= _filled_from(pixels, level, tolerance, (u, v))
+    return surround if surround.any() else None
+
+
+def _filled_from(pixels: np.ndarray, level: float, tolerance: float, corner: tuple[int, int]) -> np.ndarray:
+    """Return (H, W) bool: what is filled with `level` around a corner (u, v); all False where it is image content."""
+    near = cv2.inRange(pixels, level - tolerance, level + tolerance)
+    cv2.floodFill(near, None, corner, 1, flags=8)
+    filled = cv2.morphologyEx((near == 1).view(np.uint8), cv2.MORPH_OPEN, np.ones((_STROKE, _STROKE), np.uint8))
+    others = pixels[::_CORNER, ::_CORNER][filled[::_CORNER, ::_CORNER] == 0]
+    least = _SMALLEST if others.size and level > np.median(others) else _PART * pixels.size
+    rest = cv2.findContours(1 - filled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    rest = [part for part in rest if cv2.contourArea(part) >= least]
+    hull = np.zeros(pixels.shape, np.uint8)
+    if rest:
+        cv2.fillConvexPoly(hull, cv2.convexHull(np.concatenate(rest)), 1)
+    size = np.count_nonzero(hull)
+    outside = size > 0 and np.count_nonzero(np.logical_and(filled, hull)) <= _LEFT * size
+    return filled.view(bool) & (outside and (level < pixels.max() or _ends_sharply(pixels, filled)))
+
+
+def _ends_sharply(pixels: np.ndarray, filled: np.ndarray) -> bool:
+    """Return whether what is `filled` ends from one pixel to the next; clipped air beside a bone does not."""
+    jump = np.zeros_like(pixels)
+    cv2.absdiff(pixels[:, 1:], pixels[:, :-1], jump[:, 1:])
+    jump[1:] = cv2.max(jump[1:], cv2.absdiff(pixels[1:], pixels[:-1]))
+    near = np.ones((2 * _BLOCK + 1,) * 2, np.uint8)
+    edge = cv2.dilate(filled, np.ones((3, 3), np.uint8)) > filled
+    steps, lowest = cv2.dilate(jump, near)[edge], cv2.erode(pixels, near)[edge]
+    return bool(np.median(steps / np.maximum(float(pixels.max()) - lowest, 1e-9)) > _SHARP)
 
 
 def _drawn(corners_px: np.ndarray, depth_px: float, shape: tuple[int, ...]) -> np.ndarray:
@@ -44,18 +113,18 @@ def _drawn(corners_px: np.ndarray, depth_px: float, shape: tuple[int, ...]) -> n
     return mask.view(bool)
 
 
-def _outline(pixels: np.ndarray) -> tuple[np.ndarray, float] | None:
+def _outline(pixels: np.ndarray, surround: np.ndarray | None = None) -> tuple[np.ndarray, float] | None:
     """Return the corners (N, 2), px, of the illuminated area, and the depth of the field's edge inside it.
 
-    None where the image is not collimated.
+    `surround` (H, W) bool: known to lie outside, and filled with the lowest level. None where the image is not
+    collimated.
     """
     small = pixels
     while max(small.shape) > 2**0.5 * _SMALL_SIDE:  # halving twice takes a third of the time of one reduction by four
         small = cv2.resize(small, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     height, width = small.shape
-    outside = sorted(_corner_levels(small))[
-        1
-    ]  # second lowest: one dark corner is anatomy, one bright corner may be writing
+    # Second lowest: one dark corner is anatomy, one bright corner may be writing.
+    outside = sorted(_corner_levels(small))[1] if surround is None else float(min(pixels.min(), 0))
     sample = np.sort(small[::4, ::4], axis=None)
     level = outside + _LEVEL * (float(sample[int(_BRIGHT * (len(sample) - 1))]) - outside)
     reached = sample[np.searchsorted(sample, level, side="right") :]

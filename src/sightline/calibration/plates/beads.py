@@ -272,10 +272,6 @@ def _refuse_stated(covariance_px2: np.ndarray) -> None:
     middle, apart = (u2 + v2) / 2, np.hypot((u2 - v2) / 2, uv)
     smallest = float((middle - apart).min(initial=np.inf))
     largest = float((middle + apart).max(initial=0.0))
-    if not smallest > 0:
-        raise ObservationsError(
-            "a bead's covariance is not positive definite; give a covariance with variances above zero, in px²"
-        )
     if smallest < MIN_SD_PX**2 or largest > MAX_SD_PX**2:
         raise ObservationsError(
             f"a bead's stated error is not between {MIN_SD_PX:g} and {MAX_SD_PX:g} px in every direction; "

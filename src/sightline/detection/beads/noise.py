@@ -18,6 +18,7 @@ _QUIET = 0.3  # this share of the blocks, the quietest, is taken as free of stru
 _MIN_BLOCKS = 8
 _MIN_BROAD = 0.1  # lower limit of `broad`: the sum of estimated correlations may even be negative [ours]
 MIN_FIELD_PX = _MIN_BLOCKS * (2 * BLOCK) ** 2  # every second block along either axis counts
+_MIN_CHANGES = 7  # neighbours in a row of a block that differ, of 240: fewer are stray levels in a constant area [ours]
 _ENOUGH_BLOCKS = 24  # with fewer unclipped blocks, clipped ones are used too [ours]
 
 
@@ -67,8 +68,8 @@ def estimate_noise(log_image: np.ndarray, mask: np.ndarray) -> NoiseModel | None
 
 def _clean_variograms(log_image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return `_variograms` of blocks with noise; blocks with clipped pixels are left out if enough others remain."""
-    level, brightest, gamma = _variograms(log_image, mask)
-    noisy = (gamma[:, 0] > 0) & (gamma[:, -1] > 0)
+    level, brightest, changes, gamma = _variograms(log_image, mask)
+    noisy = (changes >= _MIN_CHANGES) & (gamma[:, 0] > 0) & (gamma[:, -1] > 0)
     clean = noisy & (brightest < brightest.max(initial=-np.inf))
     keep = clean if np.count_nonzero(clean) >= _ENOUGH_BLOCKS else noisy
     return level[keep], gamma[keep]
@@ -101,15 +102,16 @@ def _quiet_line(level: np.ndarray, log_variance: np.ndarray) -> tuple[float, flo
 
 
 @kernel(nogil=True)
-def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return each block's mean level, largest value, and half mean squared difference at lags 1..LAGS and the sill.
+def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return each block's mean level, largest value, number of neighbours along its rows that differ, and half mean
+    squared difference at lags 1..LAGS and the sill.
 
     A plane is subtracted from each block before differences are taken. Every second block along either axis counts,
     if it lies inside the mask.
     """
     step = 2 * BLOCK
     rows, columns = (image.shape[0] + BLOCK) // step, (image.shape[1] + BLOCK) // step
-    level, brightest = np.empty(rows * columns), np.empty(rows * columns)
+    level, brightest, changes = np.empty(rows * columns), np.empty(rows * columns), np.zeros(rows * columns)
     gamma = np.empty((rows * columns, LAGS + 1))
     block, transposed, sums = np.empty(AREA, np.float32), np.empty(AREA, np.float32), np.empty((3, BLOCK), np.float32)
     n = 0
@@ -121,6 +123,8 @@ def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nda
             values, row = image[top + i, left : left + BLOCK], block[BLOCK * i : BLOCK * i + BLOCK]
             for j in range(len(values)):
                 row[j] = values[j]
+            for j in range(1, BLOCK):
+                changes[n] += row[j] != row[j - 1]
         level[n], brightest[n] = flatten(block, transposed, sums), sums[2, 0]
         for j in range(1, BLOCK):
             brightest[n] = max(brightest[n], sums[2, j])
@@ -129,7 +133,7 @@ def _variograms(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nda
             gamma[n, k] = _squares(block, BLOCK * lag, sums[0]) + _squares(transposed, BLOCK * lag, sums[0])
             gamma[n, k] /= 4.0 * BLOCK * (BLOCK - lag)
         n += 1
-    return level[:n], brightest[:n], gamma[:n]
+    return level[:n], brightest[:n], changes[:n], gamma[:n]
 
 
 @kernel()

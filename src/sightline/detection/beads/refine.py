@@ -22,6 +22,7 @@ AFTER_LAGS = 3  # px, of the noise correlation after sharpening
 _LEFT_PX = 0.5  # sigma of the remaining blur: less would amplify electronic and rounding noise [calc]
 _WHITE = 0.004  # assumed share of white noise along one axis, the regularisation of the filter [calc]
 _MIN_BLOCKS = 16
+_NOISY = 0.1  # smallest variance after sharpening, over the noise's: constant areas have less, by rounding [ours]
 _MAX_BLUR_PX = 1.6  # more correlation comes from structure, or from a filter that cannot be undone [ours]
 
 
@@ -47,7 +48,7 @@ def design(log_image: np.ndarray, mask: np.ndarray, noise: NoiseModel) -> Sharpe
     else:
         taps, left = _taps(blur), _LEFT_PX
     gamma = _correlations_after(log_image, mask, noise, taps)
-    gamma = gamma[gamma[:, 0] > 0]
+    gamma = gamma[gamma[:, 0] > _NOISY]
     if len(gamma) < _MIN_BLOCKS:
         return Sharpening(taps, left**2 - blur**2, *_of_gaussian_noise(taps, blur))
     # Selecting the quiet blocks lowers the estimate by 8 %; residual structure makes up for it [twin].
