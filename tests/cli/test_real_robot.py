@@ -4,6 +4,7 @@ is not this robot's, this frame's or of these images is refused."""
 import json
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,12 +14,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.cli.test_robot import run, trajectory, written
-from tests.robot.rig import END_MM, IMAGED
+from tests.robot.rig import END_MM, IMAGED, wait_for
 from tests.robot.scripted_robot import ScriptedRobot, serving
 from tests.robot.test_measured import measurements, true_robot
 
 from sightline.case.journal.originals import anonymous_name
+from sightline.cli.drive import DriveShots
+from sightline.errors import UnusableInputError
 from sightline.frame import Frame
+from sightline.robot import contract
+from sightline.robot.igtl import Message, Transform, encode
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plant_template.py"
 GAMMA, BLOCK = (replace(Frame.load(name), serial="SN-7") for name in ("gamma", "block30"))
@@ -98,6 +103,46 @@ def test_calibrate_register_and_drive(robot_file, plan, images):
             moved = [one for one in peer.commands[before:] if one in ("MOVE_TO_TARGET", "DRILL", "RETRACT")]
             assert len(moved) == agreed
         assert run("drive", plan, address, "--registration", robot_file, "--yes").exit_code == 3
+
+
+@pytest.mark.parametrize("late_s", [1, 20, pytest.param(300, marks=pytest.mark.slow)])
+def test_every_prompt_may_be_answered_late(robot_file, plan, images, tmp_path, monkeypatch, late_s):
+    """The robot streams meanwhile, as it does while a shot is measured: a client that does not read it is given up."""
+    peer, waits, given = (
+        real_robot(),
+        0,
+        iter(("pa.npy lateral.npy", "", "pa.npy lateral.npy", "", "pa.npy lateral.npy")),
+    )
+    streams = (Message(Transform(peer.tip), contract.MEASURED_CP), Message(peer.joints(), contract.MEASURED_JS))
+    second = b"".join(map(encode, streams)) * round(1 / contract.TELEMETRY_S)
+
+    def pass_time(*_: object, **__: object) -> bool:
+        nonlocal waits
+        waits += 1
+        client, sent = peer.peers[0], threading.Event()
+        client.write(late_s * second)
+        client.loop.call_soon_threadsafe(sent.set)
+        wait_for(lambda: sent.is_set() and client.transport.get_write_buffer_size() == 0)
+        return True
+
+    def not_seen(*_: object) -> None:
+        pass_time()
+        raise UnusableInputError("no wire is seen")
+
+    monkeypatch.setattr("sightline.cli.drive.planned_in", lambda *_: 1)
+    monkeypatch.setattr(DriveShots, "_measure", not_seen)
+    monkeypatch.setattr(DriveShots, "_check", lambda *_: ({}, ()) if pass_time() else None)
+    monkeypatch.setattr(DriveShots, "record_drilled", lambda *_: None)
+    with serving(peer) as port:
+        address = f"127.0.0.1:{port}"
+        register(robot_file, address, images)
+        monkeypatch.setattr("typer.confirm", pass_time)
+        monkeypatch.setattr("typer.prompt", lambda *_, **__: next(given) if pass_time() else None)
+        shots = ("--case", tmp_path, "--patient-frame", "block40")
+        done = run("drive", plan, address, "--registration", robot_file, *shots)
+    assert done.exit_code == 0, done.output
+    assert waits == 5 + 5 + 3  # motions, prompts for images, and measurements
+    assert peer.commands.count("DRILL") == 2
 
 
 def test_what_is_not_this_robot_s_is_refused(robot_file, plan, images, tmp_path):

@@ -248,16 +248,24 @@ def test_a_stop_s_connection_that_dies_is_made_anew(monkeypatch):
         assert peer.phase == "STOP"
 
 
-def test_a_person_may_think_for_as_long_as_they_like():
-    """More streams than sockets hold, while no call is made: a robot gives up a client that reads none."""
-    peer = ScriptedRobot()
+@pytest.mark.parametrize(("times", "size", "messages"), [(1, 1000, 400), (500, 5, 500)], ids=["20 MB", "500 times"])
+def test_a_person_may_think_for_as_long_as_they_like(times, size, messages):
+    """More streams than sockets hold, or those of ten seconds 500 times, while no call is made: a robot gives up a
+    client that reads none."""
+    peer, arrived = ScriptedRobot(steps=1), 0
+
+    def count(message: Message) -> None:
+        nonlocal arrived
+        arrived += message.device_name == "minutes"
+
     with serving(peer) as port, RobotClient(port=port) as robot:
         told(robot)
-        arrived: list[str] = []
-        robot.listeners.append(lambda message: arrived.append(message.device_name))
-        minutes = encode(Message(NDArray(np.zeros((6, 1000))), "minutes")) * 400  # 20 MB
-        peer.peers[0].write(minutes)
-        wait_for(lambda: arrived.count("minutes") == 400)
+        robot.listeners.append(count)
+        streamed = encode(Message(NDArray(np.zeros((6, size))), "minutes")) * messages
+        for k in range(times):
+            peer.peers[0].write(streamed)
+            wait_for(lambda due=(k + 1) * messages: arrived == due)
+            assert robot.status().code == 1
         robot.align()
 
 

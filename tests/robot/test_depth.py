@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from tests.robot.rig import END_MM, ENTRY_MM, SETUP, IdealPlant, Rig, code, metadata, wire
+from tests.robot.rig import CLIENT, END_MM, ENTRY_MM, SETUP, IdealPlant, Rig, code, metadata, wire
 
 from sightline.errors import RobotRefusedError
 from sightline.robot.contract import DEPTH, DEPTH_SD
@@ -75,17 +75,21 @@ class Layers(IdealPlant):
 
 def targeted(plant: IdealPlant, said: dict[str, str], length_mm: float = LENGTH_MM) -> tuple[Rig, list[Message]]:
     """In TARGETING, with the answers to a target into bone."""
-    entry_mm = END_MM + length_mm / LENGTH_MM * (ENTRY_MM - END_MM)
-    plan = metadata(length_mm=repr(length_mm), depth_limit_mm=repr(length_mm + 1.0), **said)
     rig = Rig(moved=plant, setup=replace(SETUP, into_bone=True))
     rig.reach(State.CALIBRATION)
     rig.go(("CLB", "TARGETING"))
-    return rig, rig.send("TGT_1", Transform.of(wire(entry_mm, END_MM)), version=2, metadata=plan)
+    return rig, aimed(rig, said, length_mm)
 
 
-def through(forces: dict[float, float], said: dict[str, str] = THROUGH, length_mm: float = LENGTH_MM) -> Rig:
+def aimed(rig: Rig, said: dict[str, str], length_mm: float, end_mm: np.ndarray = END_MM) -> list[Message]:
+    entry_mm = end_mm + length_mm / LENGTH_MM * (ENTRY_MM - END_MM)
+    plan = metadata(length_mm=repr(length_mm), depth_limit_mm=repr(length_mm + 1.0), **said)
+    return rig.send("TGT_1", Transform.of(wire(entry_mm, end_mm)), version=2, metadata=plan)
+
+
+def through(bone: dict[float, float] | Layers, said: dict[str, str] = THROUGH, length_mm: float = LENGTH_MM) -> Rig:
     """In DRILL, before layers at depths beyond the planned entry point."""
-    plant = Layers(forces)
+    plant = bone if isinstance(bone, Layers) else Layers(bone)
     rig, answers = targeted(plant, said, length_mm)
     assert code(answers, "TARGET") == 1
     rig.go(("MOVE_TO_TARGET", State.ALIGNED))
@@ -191,12 +195,94 @@ def test_a_target_that_says_what_cannot_be_is_refused(said):
     assert code(targeted(IdealPlant(), said)[1], "TARGET") == 10
 
 
-def test_a_hole_begun_anew_begins_with_the_plan_s_zero():
-    planned, rig = drilling(1.1).controller.machine.drilling.zero, deepcopy(_paused(1.1))
-    rig.command("STOP")
+class Holed(Layers):
+    """Keeps the hole that was drilled into it, unless the bone has moved since."""
+
+    def __init__(self, forces: dict[float, float]) -> None:
+        super().__init__(forces)
+        self.bottom_mm, self.moved = -np.inf, False
+
+    def advance(self, dt_s: float) -> None:
+        super().advance(dt_s)
+        self.bottom_mm = max(self.bottom_mm, self.q[FEED] - self.zero_mm)
+
+    def read(self):
+        open_here = self.q[FEED] - self.zero_mm < self.bottom_mm - 0.05 and not self.moved
+        return replace(super().read(), force_n=0.0) if open_here else super().read()
+
+
+def stopped(why: str) -> tuple[Rig, DepthZero]:
+    """Stopped 6 mm deep in bone that begins 1.1 mm beyond the entry, and with the zero of depth then."""
+    rig = through(Holed({1.1: CORTEX_N}), {}, SHORT_MM)
+    rig.run_until_depth(6.0)
+    zero = rig.controller.machine.drilling.zero
+    if why == "STOP":
+        rig.command("STOP")
+    elif why == "client lost":
+        rig.dialogue.left(CLIENT, rig.now_s)
+    else:
+        rig.reads(force_n=200.0)
+        rig.run_until(State.EMERGENCY)
+        rig.reads()
+        rig.panel.reset()
     rig.run(0.5)
-    rig.command("MOVE_TO_TARGET")
-    assert rig.controller.machine.drilling.zero == planned
+    return rig, zero
+
+
+def told_again(rig: Rig, end_mm: np.ndarray = END_MM) -> str:
+    """Register and send the target, align and begin to drill; return what the robot says of the target."""
+    rig.go(("START_UP", "CALIBRATION", "CLB", "TARGETING"))
+    said = aimed(rig, {}, SHORT_MM, end_mm)
+    assert code(said, "TARGET") == 1
+    rig.go(("MOVE_TO_TARGET", State.ALIGNED, "DRILL"))
+    return next(m.body.text for m in said if isinstance(m.body, Status))
+
+
+@pytest.mark.parametrize("why", ["STOP", "client lost", "fault"])
+def test_a_hole_left_unfinished_is_finished_from_its_bottom(why):
+    """Its zero holds, contact is not sought, and both parts are recorded."""
+    rig, zero = stopped(why)
+    told = told_again(rig).split()
+    assert (told[:2], told[3]) == (["open", "hole;"], "mm")
+    assert float(told[2]) == pytest.approx(6.0, abs=0.1)
+    rig.run_until(State.PAUSED)
+    rig.command("DRILL")
+    rig.run_until(State.DONE)
+    assert rig.controller.machine.drilling.zero == zero
+    assert zero.sd_mm < PLAN_SD_MM
+    assert rig.plant.q[FEED] == pytest.approx(zero.feed_mm + SHORT_MM, abs=0.02)
+    noted = [(one.event.value, one.depth_mm) for one in rig.controller.machine.drilling.noted]
+    assert noted[:2] == [("open hole", pytest.approx(6.0, abs=0.1)), ("contact", pytest.approx(6.0, abs=0.2))]
+
+
+def test_after_a_stop_the_same_target_is_drilled_on_without_being_sent_again():
+    rig = through(Holed({1.1: CORTEX_N}), {}, SHORT_MM)
+    rig.go((State.PAUSED, "DRILL"))
+    rig.run_until_depth(SHORT_MM - 5.0)
+    zero = rig.controller.machine.drilling.zero
+    rig.go(("STOP", "MOVE_TO_TARGET", State.ALIGNED, "DRILL"))
+    rig.run_until(State.PAUSED)  # in the hole: a second shot comes before the rest
+    assert rig.controller.machine.snapshot().depth_mm == pytest.approx(SHORT_MM - 10.0, abs=0.02)
+    rig.command("DRILL")
+    rig.run_until(State.DONE)
+    assert rig.controller.machine.drilling.zero == zero
+
+
+def test_bone_in_an_open_hole_stops_and_another_target_has_none():
+    rig, _ = stopped("STOP")
+    rig.plant.moved = True
+    assert told_again(rig)
+    said = rig.run_until(State.STOP)
+    assert any("in the hole that it drilled to 6.0 mm: bone or robot has moved" in text for text in texts(said))
+    assert rig.plant.q[FEED] - rig.plant.zero_mm < 1.5
+    rig.plant.moved = False
+    assert told_again(rig, END_MM + np.array([0.1, 0.0, 0.0])) == ""
+    said = rig.run_until(State.STOP)
+    assert any("no bone was met" in text and "a hole that this robot does not know" in text for text in texts(said))
+
+
+def texts(said: list[Message]) -> list[str]:
+    return [message.body.text for message in said if isinstance(message.body, Status)]
 
 
 def test_depth_travels_with_its_error_and_is_recorded_with_it():

@@ -5,7 +5,7 @@ import pytest
 
 from sightline.robot import contract
 from sightline.robot.igtl import Message, Sensor, String
-from sightline.robot.link.record import DrillingEvent, Recorder
+from sightline.robot.link.record import DrillingEvent, DrillingRecord, Recorder, last_hole
 
 
 def test_depth_goes_with_the_force_before_it_and_events_keep_their_order():
@@ -22,6 +22,21 @@ def test_depth_goes_with_the_force_before_it_and_events_keep_their_order():
     assert record.events == (DrillingEvent("contact", 0.12, 1.4), DrillingEvent("break-through", 5.31, -0.4))
     assert record.document()["events"][1] == {"name": "break-through", "depth_mm": 5.31, "force_n": -0.4}
     assert record.depth_sd_mm is record.document()["depth_sd_mm"] is None  # the robot states no error
+
+
+def test_a_hole_that_was_drilled_in_two_is_one_record_and_another_is_not():
+    first, other = (
+        DrillingRecord(np.array([depth]), np.array([3.0]), (DrillingEvent("contact", 0.1, 1.2),), np.array([0.4]))
+        for depth in (30.0, 5.0)
+    )
+    rest = DrillingRecord(np.array([80.0]), np.array([0.2]), (DrillingEvent("open hole", 30.0, 0.0),), np.array([0.4]))
+    assert last_hole([]) is None
+    assert last_hole([rest, other]) is other
+    whole = last_hole([other, first, rest])
+    assert whole is not None
+    assert (whole.depth_mm.tolist(), whole.force_n.tolist()) == ([30.0, 80.0], [3.0, 0.2])
+    assert [event.name for event in whole.events] == ["contact", "open hole"]
+    assert whole.depth_sd_mm is not None and len(whole.depth_sd_mm) == 2
 
 
 @pytest.mark.parametrize(

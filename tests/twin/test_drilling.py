@@ -110,6 +110,21 @@ def test_drawn_out_it_is_free_and_straight_again():
     assert np.allclose(wire.tip_mm[:2], 0.0, atol=1e-6)
 
 
+@pytest.mark.parametrize(("aside_mm", "felt_n"), [(0.0, 0.0), (0.2, 0.0), (0.6, 3.0), (1.0, 10.0), (3.0, 30.0)])
+def test_a_hole_that_it_was_drawn_out_of_stays_open(aside_mm, felt_n):
+    """Fed again it feels nothing down to the bottom, and beside the hole what is left of the bone."""
+    wire = Wire(block())
+    drill(wire, 15.0)
+    drill(wire, -8.0, from_mm=15.0, feed_mm_s=-2.0)
+    again = drill(wire, 14.0, from_mm=-8.0, through=(aside_mm, 0.0, 0.0))
+    assert again.thrust_n.max() >= felt_n
+    assert (again.thrust_n.max() > 0.0) == (felt_n > 0.0)
+    if felt_n == 0.0:
+        at_bottom = drill(wire, 20.0, from_mm=14.0, through=(aside_mm, 0.0, 0.0))
+        assert at_bottom.thrust_n[-1] == pytest.approx(35.0, rel=0.01)
+        assert at_bottom.at_mm[np.argmax(at_bottom.thrust_n > 1.0)] == pytest.approx(15.0, abs=0.5)
+
+
 @pytest.fixture(scope="module")
 def plastic():
     """The paper's femur with its bore of 8 mm: bone, entry and end point, tool axes."""

@@ -3,7 +3,7 @@
 import shlex
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -135,19 +135,12 @@ def drive(
             document["shots"] = shots.document()
         if patient is not None:
             document["true_wire_mm"] = robot.simulated_wire().axis_mm
-        if stopped is not None and not stopped.drills_on:
-            output.result(document)  # no wire is in the bone
-            return
-        checked = _check_shot(shots, patient, known, yes=yes) if stopped is None else UNFINISHED
-        if isinstance(checked, str):
-            output.say(f"not verified: {checked}")
-            output.result({**document, "verified": False, "check_shot": None}, verified=False)
+        if stopped is None:
+            _say_verified(output, document, _check_shot(shots, patient, known, yes=yes))
+        elif stopped.drills_on:
+            _say_verified(output, document, UNFINISHED)
         else:
-            shot, checks = checked
-            output.result({**document, "verified": not failed(checks), "check_shot": shot}, checks)
-
-
-UNFINISHED = "the wire is in the bone and was not drilled to its end"
+            output.result(document)  # no wire is in the bone
 
 
 @dataclass(frozen=True)
@@ -172,6 +165,23 @@ def _carry_out(
         with output.step(step.name):
             step.start()
     return None
+
+
+UNFINISHED = (
+    "the wire is in the bone and was not drilled to its end; drive this plan again, while it is valid, to drill it on"
+)
+
+
+def _say_verified(
+    output: Output, document: dict[str, Any], checked: "tuple[dict[str, Any], tuple[Check, ...]] | str"
+) -> None:
+    """Print the result with the check shot and its checks, or that the wire is not verified and why."""
+    if isinstance(checked, str):
+        output.say(f"not verified: {checked}")
+        output.result({**document, "verified": False, "check_shot": None}, verified=False)
+        return
+    shot, checks = checked
+    output.result({**document, "verified": not failed(checks), "check_shot": shot}, checks)
 
 
 def _check_shot(
@@ -369,6 +379,11 @@ def _show(output: Output, target: "RobotTarget", robot: "RobotClient") -> None:
         f"95 % errors: entry {target.entry_error_95_mm:.2f} mm, tip {target.end_error_95_mm:.2f} mm; side "
         f"{target.identity.side}, frame {target.identity.frame_serial}"
     )
+    if robot.open_hole_mm is not None:
+        output.say(
+            f"this hole was drilled to {robot.open_hole_mm:.1f} mm before: the robot drills on there, and stops "
+            "if it meets bone before"
+        )
 
 
 def planned_in(folder: Path, plan: "PlanFile") -> int:
@@ -437,11 +452,13 @@ class DriveShots:
         from sightline.errors import SightlineError
 
         while True:
-            given = ""
-            with suppress(typer.Abort):  # the input ended
+            try:
                 given = _prompted(
                     "Check shot: take two images of the plan's views with its frame in them", "with nothing it ends"
                 )
+            except typer.Abort:
+                _answer("")  # the input ended: go to the next line
+                given = ""
             if not given:
                 return "no check images were given; take two, and run `sightline check-shot`"
             try:

@@ -19,7 +19,7 @@ from sightline.planning import Plan, Trajectory, WirePlans
 from sightline.planning.check.result import CheckShot
 from sightline.planning.check.shot import ALIGNED, PAUSED
 from sightline.planning.procedures import Procedure
-from sightline.robot.link.record import DrillingRecord
+from sightline.robot.link.record import DrillingRecord, last_hole
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +230,7 @@ def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:
         return None
     return Drilled(
         target=None,
-        record=DrillingRecord.of(records[-1]) if records else None,
+        record=last_hole([DrillingRecord.of(record) for record in records]),
         check=again.shot(shots[-1]) if shots else None,
         shots={ALIGNED if straight else PAUSED: again.drill_shot(entry) for straight, entry in drilling.items()},
     )

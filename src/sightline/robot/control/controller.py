@@ -222,7 +222,8 @@ class Controller:
         check.result.result()
         self.machine.insertion, self._checked_from = check.insertion, check.start
         if check.trigger is None:
-            return Answer(Code.OK)
+            hole = self.machine.open_hole(check.insertion)
+            return Answer(Code.OK, "" if hole is None else f"{contract.OPEN_HOLE}; {hole.bottom_mm:.2f} mm")
         if now_s - check.begun_s > MAX_CHECK_S or self._needs_check(check.trigger):
             text = f"looking for collisions took {now_s - check.begun_s:.1f} s, or the robot was moved meanwhile"
             raise _no(Code.NOT_READY, f"{text}; command it again")

@@ -23,12 +23,17 @@ POINT_MM = 3.0
 class Drilling:
     """One hole, with its pause. `resume` starts it and continues after the pause. `zero`: the current zero of depth.
     `into_bone`: bone is expected at the planned entry, and contact with it corrects the zero. Where bone begins
-    somewhere before the entry (`Limits.before_mm`), a cortex must be met on the way, and the zero stays."""
+    somewhere before the entry (`Limits.before_mm`), a cortex must be met on the way, and the zero stays.
 
-    def __init__(self, manipulator: Manipulator, insertion: Insertion, into_bone: bool) -> None:
+    `before`: the same hole, left unfinished. Its zero and what was met hold on; bone is not sought again, and bone met
+    before its bottom shows that the wire is not in it."""
+
+    def __init__(
+        self, manipulator: Manipulator, insertion: Insertion, into_bone: bool, before: "Drilling | None" = None
+    ) -> None:
         self.noted: list[SupervisionEvent] = []
-        self.zero = DepthZero(float(insertion.q[FEED]))
-        self._manipulator, self._insertion = manipulator, insertion
+        self.zero = DepthZero(float(insertion.q[FEED])) if before is None else before.zero
+        self._manipulator, self.insertion = manipulator, insertion
         self.position = self._at(-insertion.standoff_mm)
         self._supervision: Supervision
         self._sampled_s = -np.inf
@@ -38,20 +43,28 @@ class Drilling:
         self._contact_mm = contact_range(self._before_mm)
         self._paused = self._touched = False
         self._seeks_bone = into_bone
+        self._bottom_feed_mm: float | None = None  # of the hole; None before bone was met
+        self._open_mm: float | None = None
+        if before is not None:
+            self._end_mm, self._seeks_bone = before._end_mm, before._seeks_bone
+            self._bottom_feed_mm, self._open_mm = before._bottom_feed_mm, before.bottom_mm
+
+    @property
+    def bottom_mm(self) -> float | None:
+        """Depth of the hole, mm; None while the wire has met nothing."""
+        return None if self._bottom_feed_mm is None else self.zero.depth_mm(self._bottom_feed_mm)
 
     def resume(self) -> None:
         """Start or continue from the wire's current position."""
-        self._supervision = Supervision(
-            self._insertion.length_mm, self._insertion.depth_limit_mm, touched=self._touched
-        )
+        self._supervision = Supervision(self.insertion.length_mm, self.insertion.depth_limit_mm, touched=self._touched)
         self._begin()
 
     def correct_depth(self, feed_mm: float, depth_mm: float, sd_mm: float) -> None:
         """Correct the zero of depth: at `feed_mm` the tip was measured at `depth_mm`, standard deviation `sd_mm`.
         Raises RobotRefusedError if the correction is too large or leaves too little feed."""
         zero = self.zero.corrected(feed_mm, depth_mm, sd_mm)
-        end = self._insertion.at_depth(self._insertion.length_mm)
-        end[FEED] += zero.feed_mm - self._insertion.q[FEED]
+        end = self.insertion.at_depth(self.insertion.length_mm)
+        end[FEED] += zero.feed_mm - self.insertion.q[FEED]
         beyond = float(self._manipulator.beyond_limits(end)[FEED])
         if beyond > 0:
             raise RobotRefusedError(f"the feed would end {beyond:.1f} mm before the end point; plan a shorter wire")
@@ -71,7 +84,7 @@ class Drilling:
 
     def _at(self, depth_mm: float) -> np.ndarray:
         """Return the joints (5,) with the tip at a depth."""
-        q = self._insertion.q.copy()
+        q = self.insertion.q.copy()
         q[FEED] = self.zero.feed_mm + depth_mm
         return q
 
@@ -95,6 +108,8 @@ class Drilling:
             noted = self._supervision.step(reading.time_s, depth, reading.force_n)
         except UnusableInputError as error:
             return _stop(Trigger.FAULT, str(error))
+        if self._open_mm is not None and not self.noted:
+            noted = (SupervisionEvent(EventKind.OPEN_HOLE, reading.time_s, self._open_mm, 0.0), *noted)
         self.noted += noted
         for event in noted:
             stopped = self._on_contact(feed, depth) if event.event is EventKind.CONTACT else self._on_event(event)
@@ -102,13 +117,21 @@ class Drilling:
                 return stopped
         if self._seeks_bone and depth > self._contact_mm[1]:
             what = "no cortex" if self._touched else "no bone"
-            return _stop(Trigger.HALT, f"{what} was met up to {_place(depth)}: {_ASTRAY}")
+            return _stop(Trigger.HALT, f"{what} was met up to {_place(depth)}: {_NOT_MET}")
+        if self._touched or self._bottom_feed_mm is not None:
+            self._bottom_feed_mm = max(feed, self._bottom_feed_mm or feed)
         return None
 
     def _on_contact(self, feed_mm: float, depth_mm: float) -> Step | None:
         """Contact: continue with drilling feed; if bone was expected at the entry, correct the zero of depth."""
         self._touched = True
         earliest, latest = self._contact_mm
+        if self._open_mm is not None and depth_mm < self._open_mm - NEAR_MM:
+            return _stop(
+                Trigger.HALT,
+                f"the wire met something {_place(depth_mm)}, in the hole that it drilled to {self._open_mm:.1f} mm: "
+                "bone or robot has moved since; take a shot, and plan again on new images",
+            )
         if self._seeks_bone and not earliest <= depth_mm <= latest:
             return _stop(Trigger.HALT, f"the wire met something {_place(depth_mm)}: {_ASTRAY}")
         if self._seeks_bone and self._before_mm == 0:
@@ -126,7 +149,7 @@ class Drilling:
             return _stop(Trigger.FAULT, text.format(force=noted.force_n, depth=noted.depth_mm))
         if noted.event is EventKind.CORTEX:
             self._seeks_bone = False
-        length, beyond = self._insertion.length_mm, self._insertion.limits.beyond_mm
+        length, beyond = self.insertion.length_mm, self.insertion.limits.beyond_mm
         if noted.event is EventKind.BREAK_THROUGH and noted.depth_mm > FAR_SHARE * length:
             if beyond > 0 and noted.depth_mm >= length - beyond:  # the far cortex, which is what the drill is to reach
                 self._end_mm = min(noted.depth_mm + POINT_MM, length)
@@ -138,6 +161,10 @@ class Drilling:
 
 
 _ASTRAY = "the plan is not where this patient's bone is, or something is in the way; take a shot, and plan again"
+_NOT_MET = (
+    "the plan is not where this patient's bone is, or the wire went into a hole that this robot does not know, of "
+    "another plan or from before it was started. Take a shot, and plan again, or finish that hole by hand"
+)
 
 
 def _place(depth_mm: float) -> str:

@@ -100,6 +100,15 @@ class Insertion:
         """Distance before the entry point at which the wire waits for the confirmation shot."""
         return STANDOFF_MM + self.limits.before_mm
 
+    def is_same(self, other: "Insertion") -> bool:
+        """Return whether the other has this registration and target, number for number."""
+        ours, theirs = ((one.T_mcs_cfcs.as_matrix(), one.sent.matrix) for one in (self, other))
+        return (
+            all(map(np.array_equal, ours, theirs))
+            and (self.length_mm, self.limits) == (other.length_mm, other.limits)
+            and np.array_equal(self.q, other.q)
+        )
+
     def at_depth(self, depth_mm: float) -> np.ndarray:
         """Return the joints (5,) with the tip at this depth beyond the entry point."""
         return fed(self.q, depth_mm)

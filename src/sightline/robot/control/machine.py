@@ -6,7 +6,7 @@ from math import isfinite
 
 import numpy as np
 
-from sightline.robot.contract import Code
+from sightline.robot.contract import MAX_KEPT, Code
 from sightline.robot.control.course import MOVING_LIMIT, STANDING_LIMIT, Activity, align, retract
 from sightline.robot.control.drilling import Drilling
 from sightline.robot.control.insertion import Insertion, LinkRegistration, Setup
@@ -100,6 +100,7 @@ class Machine:
         self.registration: LinkRegistration | None = None
         self.insertion: Insertion | None = None
         self.drilling: Drilling | None = None
+        self._holes: deque[Drilling] = deque(maxlen=MAX_KEPT)  # since the start, the newest last
         self.lease, self.outcomes = Lease(), Outcomes()
         self._clock = LoopClock()
         self._unread_s = 0.0
@@ -183,8 +184,10 @@ class Machine:
             self._activity = retract(manipulator, q)
         elif self.state is State.ALIGN and insertion is not None:
             self._activity = align(manipulator, insertion, q)
-            self.drilling = Drilling(manipulator, insertion, self.setup.into_bone)
+            self.drilling = Drilling(manipulator, insertion, self.setup.into_bone, self.open_hole(insertion))
         elif self.state is State.DRILL and self.drilling is not None:
+            if self.drilling not in self._holes:
+                self._holes.append(self.drilling)
             self.drilling.resume()
             self._activity = self.drilling
         if self._activity is None:
@@ -225,8 +228,13 @@ class Machine:
         self.fault = None
         self._enter(Trigger.RESET)
 
+    def open_hole(self, insertion: Insertion) -> Drilling | None:
+        """Return the hole of this insertion, where it was begun; a stop, a fault or a lost client does not close it."""
+        begun = (hole for hole in reversed(self._holes) if hole.bottom_mm is not None)
+        return next((hole for hole in begun if hole.insertion.is_same(insertion)), None)
+
     def forget(self) -> None:
-        """Clear registration, target and hole."""
+        """Clear registration, target and the hole in progress."""
         self.registration = self.insertion = self.drilling = None
 
     # Supervision.
@@ -279,7 +287,7 @@ class Machine:
             self._halt(now_s)
             self._enter(step.trigger)
             if retracted:
-                self.insertion = None  # a hole that was drilled or given up must not be drilled again
+                self.insertion = None  # nothing is drilled again before its target is sent again
             self._end_motion(Code.OK, self.state.value)
 
     def _halt_by_itself(self, reason: str, now_s: float) -> None:

@@ -9,6 +9,7 @@ from enum import Enum
 from math import exp, isfinite, sqrt
 
 from sightline.errors import RobotRefusedError, UnusableInputError
+from sightline.robot.contract import OPEN_HOLE
 from sightline.robot.plant import WATCHDOG_S
 
 # Noise of a force sample, 1 s.d.: proportional to the force, with a floor in N [physics.md, Drilling].
@@ -31,6 +32,7 @@ MAX_GAP_S = WATCHDOG_S  # between samples; a longer gap was not supervised
 class EventKind(Enum):
     """Kinds of events in drilling."""
 
+    OPEN_HOLE = OPEN_HOLE
     CONTACT = "contact"
     CORTEX = "cortex"
     BREAK_THROUGH = "break-through"

@@ -1,6 +1,7 @@
 """Navigation's end of the link: a blocking client with one call per step; each call returns or raises in time."""
 
 import math
+import re
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,6 +30,7 @@ from sightline.robot.link.record import SimulatedWire
 from sightline.robot.link.shared_connection import LateError, SharedConnection
 from sightline.robot.transport import LOOPBACK, PORT
 
+_OPEN_HOLE = re.compile(contract.OPEN_HOLE + r"; (-?\d{1,4}\.\d{1,3}) mm")
 MOTION_S = 300.0  # time limit of the longest motion, 250 mm at 1 mm/s, with a margin [calc]
 
 
@@ -38,14 +40,16 @@ class RobotClient(Exchange, Closing):
     Every call raises LinkError if no answer comes in time or the connection is lost, and RobotRefusedError with the
     robot's reason if it refuses. While a call waits, a separate process sends heartbeats; if a call hangs for a second
     they end, and the robot stops. Without `heartbeat` a robot does not drill for this client. `latest` holds the newest
-    message of each device name; `listeners` are called with every message. Use one thread; only `stop` and `emergency`
-    may be called from others. They have a connection of their own and fall back to the main one.
+    message of each device name; `listeners` are called with every message. `open_hole_mm`: depth of the target's hole
+    where it was begun before, else None. Use one thread; only `stop` and `emergency` may be called from others. They
+    have a connection of their own and fall back to the main one.
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT, *, heartbeat: bool = True, streams: bool = True) -> None:
         self.host, self.port = host, port
         self._target: RigidTransform | None = None
         self._length_mm: float | None = None
+        self.open_hole_mm: float | None = None
         self._beyond_mm = self._zero_shift_mm = 0.0  # the latter: of the robot's zero of depth, at most
         self._doubts: dict[str, str] = {}  # "registration" or "target": why the robot may not move by it
         super().__init__(SharedConnection(host, port))
@@ -105,7 +109,7 @@ class RobotClient(Exchange, Closing):
 
         Raises RobotRefusedError also if the robot acknowledges another target, or would put the wire elsewhere; motion
         commands are then refused here."""
-        self._target = None
+        self._target = self.open_hole_mm = None
         self.command(Trigger.TARGETING.value).refuse_unless_ok()
         with self.connection.mailbox() as mail:
             answer, echo = self.send_pose(
@@ -128,6 +132,9 @@ class RobotClient(Exchange, Closing):
         # A drill through something before the bone, or beyond its end, is not corrected by contact.
         by_contact = self._beyond_mm == float(said_mm.get(contract.BEFORE_MM, 0.0)) == 0.0
         self._zero_shift_mm = CONTACT_WEIGHT * MAX_ZERO_SHIFT_MM * by_contact
+        if (hole := _OPEN_HOLE.match(answer.text)) is not None:
+            # Its zero holds on, which a shot may have moved.
+            self.open_hole_mm, self._zero_shift_mm = float(hole[1]), MAX_ZERO_SHIFT_MM
         return reached
 
     def aim_plan(self, target: RobotTarget, now_s: float, depth_limit_mm: float) -> RigidTransform:

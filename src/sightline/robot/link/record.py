@@ -1,7 +1,7 @@
 """Record of drilling, with depth, force and events as sent over the link; and the true wire that a simulator sends."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from json import JSONDecodeError, dumps, loads
 from typing import Any
@@ -35,6 +35,21 @@ class DrillingRecord:
     events: tuple[DrillingEvent, ...]
     depth_sd_mm: np.ndarray | None = None
 
+    @property
+    def continues(self) -> bool:
+        """Whether it is of a hole that was begun before."""
+        return any(event.name == contract.OPEN_HOLE for event in self.events)
+
+    def after(self, before: "DrillingRecord") -> "DrillingRecord":
+        """Return the record of both parts of a hole."""
+        (depth, sd, force), (depth_2, sd_2, force_2) = (
+            (part.depth_mm, part.depth_sd_mm, part.force_n) for part in (before, self)
+        )
+        both_sd = None if sd is None or sd_2 is None else np.append(sd, sd_2)
+        return DrillingRecord(
+            np.append(depth, depth_2), np.append(force, force_2), before.events + self.events, both_sd
+        )
+
     def document(self) -> dict[str, Any]:
         """Return the record as JSON types."""
         events = [vars(event) for event in self.events]
@@ -56,6 +71,14 @@ class DrillingRecord:
             tuple(DrillingEvent(**event) for event in document["events"]),
             None if sd is None else np.array(sd),
         )
+
+
+def last_hole(records: Sequence[DrillingRecord]) -> DrillingRecord | None:
+    """Return the record of the last hole, with all its parts where it was drilled in several."""
+    hole = None
+    for record in records:
+        hole = record.after(hole) if hole is not None and record.continues else record
+    return hole
 
 
 class Recorder:

@@ -91,7 +91,8 @@ class Wire:
 
     Axially: a spring from chuck to tip, whose tip cuts at the rate that the thrust allows. Laterally: a cantilever from
     the guide's mouth, pushed down the slope of the bone it touches; once bone surrounds the tip, the wire is pinned at
-    its entry and the tip advances along its own slope. Quasi-static: no vibration, no side-cutting, no heat. Metal that
+    its entry and the tip advances along its own slope. A hole that it was drawn out of stays open. Quasi-static: no
+    vibration, no side-cutting, no heat. Metal that
     the tip's rim touches is not cut and does not guide: the thrust rises with the feed, until supervision stops it.
     """
 
@@ -108,6 +109,8 @@ class Wire:
         self._offset = np.zeros(3)  # of the tip from the axis, while the wire is free
         self._squeeze_mm = 0.0  # compression of the axial spring
         self._deepest_mm = 0.0  # beyond the entry point
+        self._bottom_mm = np.zeros(3)  # the deepest tip in the bone
+        self._holes: list[tuple[np.ndarray, np.ndarray]] = []  # entry and bottom of those it was drawn out of
         self._last: np.ndarray | None = None  # last tip of the straight wire
         self._samples, self._weights = _density_samples(self.radius_mm)
         _squeezed(1.0, 1.0, 1.0)  # compile now, not in a control loop at first contact
@@ -129,7 +132,7 @@ class Wire:
         free = max(free_mm, MIN_FREE_MM)
         if self.entry_mm is None:
             self.tip_mm = straight_mm - self._squeeze_mm * along + self._offset
-        density = self.bone.density(self.tip_mm + self._samples @ axes)
+        density = self._density(self.tip_mm + self._samples @ axes)
         front, x, y, axial = (self._weights @ density).tolist()
         before = self._squeeze_mm
         if self.bone.metal is not None and self.bone.is_metal(self.tip_mm + self.radius_mm * _RIM @ axes):
@@ -141,12 +144,25 @@ class Wire:
             self._skive(x * axes[0] + y * axes[1], axial, axes, free if free_mm > 0 else 0.0)
             self.tip_mm = straight_mm - self._squeeze_mm * along + self._offset
             if density[-_AROUND:].min() > HELD_SHARE * CORTICAL_G_CM3:
-                self.entry_mm, self._deepest_mm = self.tip_mm, 0.0
+                self.entry_mm = self._bottom_mm = self.tip_mm
+                self._deepest_mm = 0.0
                 grips = 0.0 < free_mm < GRIP_MM
                 self._gripped = (1.5 * self._offset / free, self._offset) if grips else None
         else:
             self._follow(self.entry_mm, straight_mm, along, free, advance)
         return self.thrust_n
+
+    def _density(self, xyz_mm: np.ndarray) -> np.ndarray:
+        """Return the density (N,) of what is left of the bone at points (N, 3)."""
+        density = self.bone.density(xyz_mm)
+        for entry, bottom in self._holes:
+            length = float(np.linalg.norm(bottom - entry))
+            axis, off = (bottom - entry) / max(length, 1e-9), xyz_mm - entry
+            along = off @ axis
+            aside = np.linalg.norm(off - along[:, None] * axis, axis=1)
+            # An oblique surface lies before the point at which bone held the wire.
+            density[(along > -GRIP_MM) & (along < length) & (aside <= self.radius_mm)] = 0.0
+        return density
 
     def _in_own_hole(self, along: np.ndarray) -> bool:
         return self.entry_mm is not None and float((self.tip_mm - self.entry_mm) @ along) < self._deepest_mm - 0.02
@@ -195,8 +211,10 @@ class Wire:
             self.slope = slope + (across - offset) / SLEEVE_LENGTH_MM
         self.tip_mm = self.tip_mm + advance_mm * (along + self.slope)
         inside += advance_mm
-        self._deepest_mm = max(self._deepest_mm, inside)
+        if inside > self._deepest_mm:
+            self._deepest_mm, self._bottom_mm = inside, self.tip_mm
         if inside < 0.0:  # pulled out
+            self._holes.append((entry, self._bottom_mm))
             self.entry_mm = None
             offset = self.tip_mm - straight_mm
             self._offset = offset - (offset @ along) * along
