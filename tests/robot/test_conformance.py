@@ -60,6 +60,7 @@ def test_a_robot_of_2013_is_asked_what_it_knows_over_one_connection():
         assert peer.peers == came
     assert failed(findings) == set()
     assert unjudged(findings) == OURS_ALONE | {"REACHABLE_TARGET is the target"}
+    assert ConformanceVerdict.NOT_ASKED not in {finding.verdict for finding in findings}
     assert peer.turned_away == 0
     assert not peer.unexpected
 

@@ -6,6 +6,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from itertools import count
 from threading import Event, Lock, Thread
+from time import monotonic, sleep
 from typing import Self
 
 import numpy as np
@@ -24,7 +25,6 @@ _UNDERSTOOD = ("STRING", "STATUS", "TRANSFORM", "CAPABILITY", "RTS_COMMAND", "ND
 # A stop that is not acknowledged on its own connection by then is also sent over the main one: our robots acknowledge
 # in 10 ms.
 STOP_ACK_S = contract.SILENCE_S
-STOP_TRIES = 3  # of a program that only stops: another client may take its place before the STOP arrives [ours]
 PROBE_S = ACK_S  # period of probes whether the stop connection still answers
 
 
@@ -235,15 +235,17 @@ def matrix_of(echo: Message) -> np.ndarray:
 
 def stop_robot(host: str, port: int) -> RequestResult:
     """Stop a robot, whoever commands it. The first message is the STOP, which has a place however many clients there
-    are. Raises LinkError if none of three connections is answered."""
-    why = ""
-    for _ in range(STOP_TRIES):
+    are; another client may take that place before the STOP arrives. Raises LinkError if no connection is answered."""
+    end_s = monotonic() + ACK_S
+    while True:
         try:
             with closing(SharedConnection(host, port)) as connection:
                 return Exchange(connection).command(Trigger.STOP.value)
         except LinkError as error:
-            why = str(error)
-    raise LinkError(f"use the red button: the robot did not confirm that it stopped: {why}")
+            if monotonic() > end_s:
+                text = f"use the red button: the robot did not confirm that it stopped: {error}"
+                raise LinkError(text) from error
+        sleep(STOP_ACK_S)
 
 
 class StopChannel:
