@@ -97,7 +97,7 @@ def test_figures_verdict_and_notes_are_those_of_the_plan(report, page) -> None:
         "The error of registering a robot is not included",
         "states no tolerances",
         "not a medical device",
-        "in CFCS",
+        "In CFCS",
     ):
         assert words in page.text
     text = " ".join(page.text.split())  # what two images cannot show stands beside the bound
@@ -117,6 +117,27 @@ def test_no_go_gives_the_reasons_and_the_view(report) -> None:
     assert "✗ NO-GO" in text
     assert "bead count (lateral view): Too few beads; move the frame." in text
     assert f"1 of {len(verdict.checks)} checks" in text
+
+
+def test_a_record_has_every_check_with_its_direction_the_side_what_was_confirmed_and_landmarks_by_name(report) -> None:
+    confirmed = Check("side confirmed", True, None, None, "", "A person confirmed that this is the right side.")
+    old = Check("plan age", False, 4000.0, 3600.0, "s", "Take new images.", missing=True)
+    plan = replace(report.plan, side="right", landmark_names=("head-centre", ""))
+    text = " ".join(Page(render(replace(report, plan=plan, confirmed=(confirmed, old)))).text.split())
+    count = len(plan.verdict.checks) + 2
+    for words in (
+        f"INCOMPLETE 1 of {count} checks could not be made",
+        f"Checks: {count - 1} of {count} passed",
+        "Side right",
+        f"Confirmed by a person {confirmed.sentence}",
+        "4000 s",
+        "at most 3600 s",
+        "at least 24 beads",
+        "at most 1 mm",
+        "head-centre",
+        "landmark 2",
+    ):
+        assert words in text
 
 
 def test_a_method_that_refused_says_why(report) -> None:

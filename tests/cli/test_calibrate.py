@@ -54,7 +54,7 @@ def test_an_image_that_cuts_the_plates_says_what_to_move(run, pair, tmp_path: Pa
 
 
 def test_people_read_the_focal_point_the_residuals_and_the_checks(run, beads_csv: Path) -> None:
-    ran = run("calibrate", beads_csv, "--view", "pa")
+    ran = run("calibrate", beads_csv, "--view", "pa", "--all")
     assert ran.code == 0, ran.err
     for text in ("view pa", "focal point", "leave-one-out", "bead coverage"):
         assert text in ran.out

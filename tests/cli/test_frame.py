@@ -88,7 +88,8 @@ def test_show_says_where_tolerances_come_from_and_draws_the_plates(tmp_path):
 
 
 def test_check_passes_a_good_frame_and_refuses_what_is_none(tmp_path):
-    assert "plate-twin" in run("check", "gamma")
+    assert run("check", "gamma") == "14 checks passed; --all lists them\n"
+    assert "\npass plate-beads: 49 beads, at least 16 beads, pa, XRII plate: " in run("check", "gamma", "--all")
     (tmp_path / "f.json").write_text('{"units": "cm"}')
     assert "f.json: " in run("check", str(tmp_path / "f.json"), code=2)
 

@@ -50,6 +50,9 @@ def _of_every_command(
             "--quiet", callback=_keep, expose_value=False, help="Print nothing but errors and what --json asks for."
         ),
     ] = False,
+    every: Annotated[
+        bool, typer.Option("--all", callback=_keep, expose_value=False, help="List the checks that passed, too.")
+    ] = False,
 ) -> None: ...
 
 
@@ -59,7 +62,7 @@ _OF_EVERY_COMMAND = typer.main.get_command(_alone).params
 
 
 class JsonCommand(TyperCommand):
-    """A command that takes --json and --quiet, as every command takes --help."""
+    """A command that takes --json, --quiet and --all, as every command takes --help."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters of the command, and those that every command has."""
@@ -85,7 +88,7 @@ def command(app: typer.Typer, name: str, *examples: str) -> Callable[[Callable[.
             spread += [member.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[member.name]) for member in members]
 
         def run(context: typer.Context, **given: Any) -> None:
-            with Output(json=context.meta["json"], quiet=context.meta["quiet"]) as output:
+            with Output(**{name: context.meta[name] for name in ("json", "quiet", "every")}) as output:
                 for key, group in groups.items():
                     given[key] = group(**{field.name: given.pop(field.name) for field in fields(group)})
                 body(output, **given)
@@ -218,6 +221,7 @@ if TYPE_CHECKING:
 # Typer turns these into exit codes itself.
 _PASSED_ON = (typer.Exit, typer.Abort, typer.BadParameter, BrokenPipeError)
 _REFUSED, _NOT_VERIFIED, _BUG = 3, 4, 1
+_PIPE_COLUMNS = 1000  # [ours] more than any row has
 _INTERRUPTED, _TERMINATED = 130, 143  # 128 + SIGINT, 128 + SIGTERM, as shells expect
 
 
@@ -233,8 +237,9 @@ class Output:
     asks for a report (exit code 1; SIGHTLINE_DEBUG=1 shows the traceback).
     """
 
-    def __init__(self, *, json: bool, quiet: bool) -> None:
-        self._json, self._quiet = json, quiet
+    def __init__(self, *, json: bool, quiet: bool, every: bool = False) -> None:
+        self._json, self._quiet, self._every = json, quiet, every
+        self._told: set[Check] = set()
         self._document: str | None = None
         self._code = 0
 
@@ -275,9 +280,11 @@ class Output:
             _console().print(_table(title, columns, rows))
 
     def failures(self, checks: Iterable[Check]) -> None:
-        """Print the failed checks, for people, before any table: each with what it means and what to do."""
+        """Print the failed checks once, for people, before any table: each with what it means and what to do."""
         for check in failed(checks):
-            self.say(f"FAIL {check.name}: {check.sentence}")
+            if check not in self._told:
+                self.say(f"FAIL {check.name}: {check.sentence}")
+                self._told.add(check)
 
     @contextmanager
     def live(self, title: str, columns: Sequence[str]) -> Generator[Callable[[Iterable[Sequence[object]]], None]]:
@@ -297,15 +304,25 @@ class Output:
 
     def result(self, document: dict[str, Any], checks: Iterable[Check] = (), *, verified: bool = True) -> None:
         """The result of the command, once. With a failed check it ends with exit code 3; with 4 where the work is done
-        but nothing shows that it is right."""
+        but nothing shows that it is right.
+
+        People see what failed, unless it was shown before, what informs, and how many passed; with --all every check.
+        """
         checks = tuple(checks)
         self._code = _REFUSED if failed(checks) else 0 if verified else _NOT_VERIFIED
-        if checks:
-            self.table(
-                "Checks",
-                ("check", "", "value", "limit", "what it means"),
-                [_row(check) for check in sorted(checks, key=lambda check: check.passed)],  # failed ones first
-            )
+        if self._every:
+            for check in checks:
+                figures = "".join(f"{text}, " for text in (check.value_text, check.limit_text) if text)
+                self.say(f"{'pass' if check.passed else 'FAIL'} {check.name}: {figures}{check.sentence}")
+        elif checks:
+            self.failures(checks)
+            told = [(check.name, check.sentence.removeprefix(f"{check.view}: ")) for check in checks if check.informs]
+            for name, sentence in dict.fromkeys(told):  # once where both views say it
+                self.say(f"note {name}: {sentence}")
+            passed = len(checks) - len(failed(checks))
+            of_all = "" if passed == len(checks) else f"of {len(checks)} "
+            of_all = f"{passed} {of_all}check{'s' if len(checks) > 1 else ''}"
+            self.say(f"{of_all} passed; --all lists them")
         self._document = as_json({**document, "checks": checks} if checks else document)
 
     def __exit__(
@@ -401,12 +418,10 @@ class _Step:
 
 
 def _console(*, stderr: bool = False) -> "Console":
-    """Return a console on the current stream; tests replace the streams."""
+    """Return a console on the current stream; tests replace the streams. In a pipe a row of a table stays one line."""
     from rich.console import Console
 
-    return Console(stderr=stderr)
-
-
-def _row(check: Check) -> tuple[str, ...]:
-    value, limit = ("" if v is None else f"{v:.4g} {check.unit}".strip() for v in (check.figure, check.limit))
-    return check.name, "pass" if check.passed else "FAIL", value or "not measured", limit, check.sentence
+    console = Console(stderr=stderr)
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = _PIPE_COLUMNS
+    return console

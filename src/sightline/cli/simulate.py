@@ -20,10 +20,6 @@ AS_MADE = "frame-as-made.json"
 _ACCESSORIES = 1  # stream of the accessories, beside that of set-up and noise
 
 
-# Those of `twin.xray.presets`, which is slow to import.
-Preset = Literal["9in-1k", "9in-pal", "17cm-1k", "flat-panel", "flat-panel-0.1", "flat-panel-0.2", "flat-panel-0.3"]
-
-
 @dataclass(frozen=True)
 class SceneOptions:
     """What lies in the beam, and the machine in front of it."""
@@ -37,7 +33,12 @@ class SceneOptions:
         ),
     ] = "hip"
     preset: Annotated[
-        Preset | None, typer.Option(help="Image chain. By default 9in-1k, for a solid flat-panel.", show_default=False)
+        str | None,
+        typer.Option(
+            help="Image chain: 9in-1k (the default), 9in-pal, 17cm-1k; flat panels: flat-panel (the default for a "
+            "solid), flat-panel-0.1, flat-panel-0.2, flat-panel-0.3.",
+            show_default=False,
+        ),
     ] = None
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 1
     frame: FrameName = "gamma"

@@ -168,6 +168,28 @@ class Check:
     def __post_init__(self) -> None:
         object.__setattr__(self, "code", CheckCode(code_key(self.name)))
 
+    @property
+    def value_text(self) -> str:
+        """The value with its unit; empty where the check is not a measurement, "not measured" where it could not be."""
+        if self.figure is None:
+            return "" if self.passed else "not measured"
+        return _with_unit(self.figure, self.unit)
+
+    @property
+    def informs(self) -> bool:
+        """Whether a value without a limit is stated for information, such as what was left out or assumed."""
+        return self.passed and self.limit is None and self.figure is not None
+
+    @property
+    def limit_text(self) -> str:
+        """The limit with its unit and its direction, "at most" or "at least"; empty without one."""
+        if self.limit is None:
+            return ""
+        limit = _with_unit(self.limit, self.unit)
+        if self.figure is None or (self.figure == self.limit and self.limit):
+            return limit  # either direction may be meant
+        return f"{'at most' if self.passed == (self.figure <= self.limit) else 'at least'} {limit}"
+
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Self:
         """Return the check of a JSON document; those of version 0.1.0 lack `code`, `missing` and `view`."""
@@ -176,6 +198,10 @@ class Check:
     def of_view(self, view: str) -> Self:
         """Return the check as that of a view, which its sentence then names."""
         return replace(self, view=view, sentence=f"{view}: {self.sentence}")
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return f"{value:.{3 if abs(value) < 1000 else 6}g}{'' if unit in {'', '°'} else ' '}{unit}"
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,13 @@ from sightline.case.replay import Recomputed
 from sightline.case.report.drilled import Drilled
 from sightline.case.stages import acquired_of, frame_of
 from sightline.case.views import CalibratedImage, spoken
+from sightline.common.checks import Check
 from sightline.errors import CaseError
 from sightline.frame import Frame
 from sightline.planning import Plan, Trajectory, WirePlans
 from sightline.planning.check.result import CheckShot
 from sightline.planning.check.shot import ALIGNED, PAUSED
+from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import Procedure
 from sightline.robot.link.record import DrillingRecord, last_hole
 
@@ -168,7 +170,8 @@ class Report:
     `images`: PA, lateral and any third, with the views that `plan` was made on. `localized`: both views calibrated with
     the paper's method, for its triangles. `compared`, `truth`: only if the truth is known. `drilled`: once a robot has
     carried out the plan. `exposures`: the known exposures of the procedure. `provenance`: how to reproduce the report,
-    in words. `wires`: the plans of all wires of the procedure, where `plan` is one of several; `measured`: the check
+    in words. `confirmed`: checks of what a person confirmed, which enter the verdict. `wires`: the plans of all wires
+    of the procedure, where `plan` is one of several; `measured`: the check
     shots of these wires, by key.
     """
 
@@ -184,15 +187,22 @@ class Report:
     drilled: Drilled | None = None
     wires: WirePlans | None = None
     measured: Mapping[str, CheckShot] = field(default_factory=dict)
+    confirmed: Sequence[Check] = field(default=())
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on the plan, with what a person confirmed."""
+        return self.plan.verdict.joined(Verdict(tuple(self.confirmed)))
 
     def spoken(self, view: str) -> str:
         """Return a view's name as the procedure has it."""
         return spoken(view, self.plan.kind)
 
 
-def report_of(case: Case) -> Report:
+def report_of(case: Case, confirmed: Sequence[Check] = ()) -> Report:
     """Return the report of the last plan and its drilling, recomputed from the originals, which name the images.
 
+    `confirmed`: as of `Report`.
     Raises CaseError if the case holds no plan; also raises the errors of the recomputed stages.
     """
     entry = case.latest(Kind.PLANNED)
@@ -209,6 +219,7 @@ def report_of(case: Case) -> Report:
         measured=again.measured(entry),
         exposures=exposures_of_case(case, entry, made.kind),
         drilled=_drilled(case, entry, again),
+        confirmed=confirmed,
         provenance={
             "case": f"{case.number}, entry {entry.number} of {case.last}",
             "planned": f"{entry.at:%Y-%m-%d %H:%M} UTC, by {entry.by}",

@@ -30,7 +30,7 @@ def render(report: Report) -> str:
     return page.render(
         version=__version__,
         css=Markup((templates / "report.css").read_text("utf-8")),  # noqa: S704 - a file of this package
-        script=Markup((templates / "space.js").read_text("utf-8")),  # noqa: S704 - a file of this package
+        script=Markup((templates / "report.js").read_text("utf-8")),  # noqa: S704 - a file of this package
         title=report.title,
         provenance={**report.provenance, "software": _versions()}.items(),
         **tables.tables(report),

@@ -138,7 +138,7 @@ def pick(chosen: Pick, name: str) -> str:
     """Draw a cross-hair that is open at the picked point."""
     u, v = chosen.uv_px
     path = f"M{u - 14:.2f} {v:.2f}h9m10 0h9M{u:.2f} {v - 14:.2f}v9m0 10v9"
-    return svg.element("path", svg.hint(f"pick: {name}"), d=path, class_="pick")
+    return svg.element("path", svg.hint(f"pick: {name}"), d=path, class_=f"pick {name}")
 
 
 def landmarks(plan: Plan, k: int) -> str:

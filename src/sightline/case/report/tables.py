@@ -27,7 +27,7 @@ MEANINGS = {
 def tables(report: Report) -> dict[str, Any]:
     """Return the part of the template context that is not drawn."""
     return {
-        "subtitle": _subtitle(report),
+        "head": _head(report),
         "verdict": _verdict(report),
         "tiles": _tiles(report),
         "notes": list(_notes(report)),
@@ -43,18 +43,25 @@ def tables(report: Report) -> dict[str, Any]:
     }
 
 
-def _subtitle(report: Report) -> str:
-    serial = f", serial {report.frame.serial}" if report.frame.serial else ""
+def _head(report: Report) -> list[tuple[str, str]]:
+    """Return what the report is of, by name."""
+    plan, frame = report.plan, report.frame
     sources = " and ".join(dict.fromkeys(image.seen.source for image in report.images))
-    procedure = f"{report.plan.kind.name} ({report.plan.kind.fingerprint})"
-    return (
-        f"Frame {report.frame.name}{serial}; {sources}; calibrated with the method {report.images[0].view.method}; "
-        f"procedure: {procedure}"
-    )
+    confirmed = [check.sentence for check in report.confirmed if check.passed]
+    for image in report.images:
+        if (mirrored := image.view.mirrored_display) is not None:
+            confirmed.append(f"The {report.spoken(image.name)} display is {'' if mirrored else 'not '}mirrored.")
+    return [
+        ("Side", plan.side or "not stated"),
+        ("Procedure", f"{plan.kind.name} ({plan.kind.fingerprint})"),
+        ("Frame", frame.name + (f", serial {frame.serial}" if frame.serial else "")),
+        ("Images", f"{sources} (named by their content, so that no patient's name is passed on)"),
+        ("Confirmed by a person", " ".join(confirmed) or "not known here: the app asks for it"),
+    ]
 
 
 def _verdict(report: Report) -> dict[str, Any]:
-    verdict = report.plan.verdict
+    verdict = report.verdict
     against = failed(verdict.checks)
     count = len(verdict.checks)
     sentence = {
@@ -62,12 +69,14 @@ def _verdict(report: Report) -> dict[str, Any]:
         "no-go": f"{len(against)} of {count} checks stand against this plan:",
         "incomplete": f"{len(against)} of {count} checks could not be made because something is missing:",
     }[verdict.state]
-    state, word = verdict.state, verdict.state.upper()
-    of_wire = drilled.outcome(report.drilled) if verdict.go else None
-    if of_wire is not None:
-        sentence = f"{of_wire[2]} The plan: {word}. {sentence}"
-        state, word, _, against = of_wire
-    return {"state": state, "word": word, "sentence": sentence, "reasons": [_reason(c, report) for c in against]}
+    return {
+        "state": verdict.state,
+        "word": verdict.state.upper(),
+        "sentence": sentence,
+        "count": count,
+        "passed": count - len(against),
+        "reasons": [_reason(c, report) for c in against],
+    }
 
 
 def _reason(check: Check, report: Report) -> dict[str, str]:
@@ -91,9 +100,17 @@ def _tiles(report: Report) -> list[dict[str, str]]:
         ("Direction", CheckCode.DIRECTION_ERROR, f"{np.rad2deg(path.direction_error_95_rad):.2f}°", "°"),
     )
     return [
-        {"name": f"{name}, 95 % bound", "value": value, "note": f"limit {limits[code]:.2g}{unit}"}
+        {"name": f"{name}, 95 % bound", "value": value, "note": f"at most {limits[code]:.2g}{unit}"}
         for name, code, value, unit in errors
-    ] + [length]
+    ] + [_own(report) or length]
+
+
+def _own(report: Report) -> dict[str, str] | None:
+    """Return the tile of the procedure's own metric, where it has one that was measured."""
+    made = {check.code: check for check in report.plan.verdict.checks if check.figure is not None}
+    if (check := made.get(CheckCode.TIP_APEX_DISTANCE)) is None:
+        return None
+    return {"name": "Tip-apex distance", "value": check.value_text, "note": check.limit_text}
 
 
 # Errors that two images of one frame cannot reveal; docs/safety.md bounds each.
@@ -105,11 +122,7 @@ UNSEEN = (
 
 
 def _notes(report: Report) -> Iterable[str]:
-    yield UNSEEN
-    yield (
-        "All coordinates are in CFCS, the coordinates of the calibration frame. The error of registering a robot is "
-        "not included."
-    )
+    yield f"{UNSEEN} The error of registering a robot is not included."
     if report.frame.tolerances is None and report.frame.covariance_mm2 is None:
         sd = report.frame.effective_tolerances
         yield (
@@ -126,7 +139,8 @@ def _notes(report: Report) -> Iterable[str]:
 def _points(report: Report) -> list[dict[str, Any]]:
     """Return the rows of entry, tip and landmarks."""
     space, residual_px = report.plan.seen, np.linalg.norm(report.plan.residuals_px[-1], axis=1)
-    names = [*POINTS, *(f"landmark {k + 1}" for k in range(len(space.xyz_mm) - len(POINTS)))]
+    landmarks = (name or f"landmark {k}" for k, name in enumerate(report.plan.landmark_names, 1))
+    names = [*POINTS, *landmarks]
     rows = []
     for i, name in enumerate(names):
         sds = np.sqrt(np.diag(space.covariance_mm2[i])) if space.error_stated[i] else (None,) * 3
@@ -244,20 +258,20 @@ def _row(compared: Compared | Refused, report: Report) -> dict[str, Any]:
 
 
 def _checks(report: Report) -> list[dict[str, Any]]:
-    """Return the checks by subject: each view after calibration, the plan, the drilling."""
+    """Return the checks by subject: each view after calibration, the plan, the confirmations, the drilling."""
     views = {image.name: image.view.checks for image in report.images}
     blocks = [(f"Calibration of the {report.spoken(name)} view", checks) for name, checks in views.items()]
     blocks.append(("The plan", tuple(c for c in report.plan.verdict.checks if not c.view)))
+    blocks.append(("What a person confirmed", tuple(report.confirmed)))
     blocks += drilled.checks(report.drilled)
     return [{"title": title, "rows": [_check(c) for c in checks]} for title, checks in blocks if checks]
 
 
 def _check(check: Check) -> dict[str, Any]:
-    shown = ["not measured" if v is None else f"{v:.3g} {check.unit}".strip() for v in (check.figure, check.limit)]
     return {
         "name": check.name,
-        "value": shown[0],
-        "limit": shown[1] if check.limit is not None else "",
+        "value": check.value_text,
+        "limit": check.limit_text,
         "passed": check.passed,
         "sentence": check.sentence,
     }

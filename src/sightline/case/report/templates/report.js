@@ -1,4 +1,9 @@
-// Rotates the drawing of the set-up by dragging or with the arrow keys. Same projection as drawing/scene.py.
+// On paper nothing is folded.
+let folded = [];
+addEventListener("beforeprint", () => { folded = [...document.querySelectorAll("details:not([open])")]; folded.forEach((one) => { one.open = true; }); });
+addEventListener("afterprint", () => folded.forEach((one) => { one.open = false; }));
+
+// Rotates the drawing of the set-up by dragging or with the arrow keys. Same projection as report/scene.py.
 for (const picture of document.querySelectorAll("svg.space")) {
   let [azimuth, elevation, scale] = picture.dataset.view.split(",").map(Number);
   const parts = [...picture.querySelectorAll("[data-xyz]")].map((node) => ({
