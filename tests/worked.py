@@ -103,7 +103,7 @@ class Worked:
 
     @cached_property
     def plan(self) -> sl.Plan:
-        first, second = (sl.Circle.through(rim) for rim in self.rehearsal.head_rim)
+        types = {aid.key: aid.type for aid in self.rehearsal.document.aids}
         return sl.plan(
             self.views,
             self.wire_px[:, 0],
@@ -111,7 +111,7 @@ class Worked:
             landmarks_uv_px=self.landmarks_px,
             landmark_names=["-".join(name.split()) for name in self.rehearsal.landmarks],
             side=self.rehearsal.side,
-            aids=sl.Aids(head=(first, second)),
+            aids=sl.Aids.clicked(types, self.rehearsal.aids_px),
         )
 
     @cached_property

@@ -44,7 +44,8 @@ def tables(document: ProcedureDocument) -> Iterable[tuple[str, Sequence[str], li
         for one in document.directions
     ]
     checks = [
-        (f"{one.check}{' (required)' if one.required else ''}", within(one), one.source) for one in document.checks
+        (one.check, within(one), one.source + (f"; optional: {one.optional}" if one.optional else ""))
+        for one in document.checks
     ]
     yield (
         "Limits, relations and checks, with their sources",

@@ -43,8 +43,14 @@ async def plan_and_send(session: Session, patient: Rehearsal) -> None:
     await planning.start()
     wire, rim = patient.pixels(patient.hip.wire_mm), patient.head_rim
     places = {"entry": wire[:, 0], "end": wire[:, 1]} | {f"head-{k + 1}": rim[:, k] for k in range(3)}
+    for key in ("neck", "shaft"):
+        uv = np.array(patient.aids_px[key])
+        places |= {f"{key}-{k + 1}": uv[:, k] for k in range(2)}
     named = zip(patient.landmark_keys, patient.landmarks.values(), strict=True)
     place(session, places | {f"landmark-{key}": uv for key, uv in named}, NAMES)
+    cortex = patient.aids_px["cortex"][0]
+    assert cortex is not None
+    place(session, {"cortex-1": cortex}, NAMES[:1])
     planning.decide(side="right")
     planning.confirm_serial("none")
     known = planning.planned

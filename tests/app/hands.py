@@ -14,6 +14,7 @@ from sightline.rehearsal.rehearsal import Rehearsal
 SEED = 9
 KIND = "hip-screw"
 LANDMARKS = ("head centre", "lesser trochanter", "greater trochanter")  # as the twin names the kind's, in its order
+AIDS = ("neck", "shaft", "cortex")  # what is drawn besides the head
 PATIENCE_MS = 120_000  # for images that are taken and calibrated on a busy machine
 Pixels = dict[str, tuple[float, float]]
 
@@ -30,7 +31,17 @@ def truth() -> dict[str, Pixels]:
     found = {name: patient.pixels(patient.hip.wire_mm)[:, k] for k, name in enumerate(("entry", "end"))}
     asked = [one.name for one in marks_of(KIND) if one.group == "landmark"]
     found |= {name: patient.landmarks[known] for name, known in zip(asked, LANDMARKS, strict=True)}
-    return by_image(found | _rim(patient))
+    return by_image(found | _rim(patient)) | aids(patient)
+
+
+def aids(patient: Rehearsal) -> dict[str, Pixels]:
+    """Where the clicks on neck, shaft and cortex belong, by image."""
+    drawn = {key: dict(zip(NAMES, patient.aids_px[key], strict=True)) for key in AIDS}
+    return {
+        f"{key}-{k + 1}": {view: tuple(uv[k].tolist()) for view, uv in each.items() if uv is not None}
+        for key, each in drawn.items()
+        for k in range(len(next(uv for uv in each.values() if uv is not None)))
+    }
 
 
 def by_image(uv_px: dict[str, np.ndarray]) -> dict[str, Pixels]:
@@ -136,8 +147,9 @@ class Hands:
                 self.place(name, view, known[name][view])
         expect(self.see("row-greater-trochanter").locator(".placed")).to_have_count(2)
         if head:
-            self.aid("head", known)
-            expect(self.see("figures")).to_contain_text("(95 %)")  # from the tip to the joint
+            for key in ("head", *AIDS):
+                self.aid(key, known)
+            expect(self.see("figures")).to_contain_text("±")  # the tip-apex distance with its error
 
     def aid(self, key: str, known: dict[str, Pixels]) -> None:
         """The clicks of an aid: all in the first image, then in the other."""

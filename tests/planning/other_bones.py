@@ -36,6 +36,12 @@ class Drawn:
     aids: dict[str, Aid]
     uv_px: dict[str, list[np.ndarray | None]]
 
+    @property
+    def marks_mm(self) -> dict[str, np.ndarray]:
+        """The landmarks (3,) of a right side, CFCS, by their keys."""
+        named = self.bone.landmarks_mm.items()
+        return {name.replace(" ", "-"): to_cfcs(at, "right", self.origin_mm) for name, at in named}
+
     def found(self, wire_mm: np.ndarray, uv_px: dict, sd_px: float, seen: list[StandInView] | None = None) -> Anatomy:
         """What is located from clicks on the aids, and on the true picks of a wire."""
         seen = seen or views(self.name)

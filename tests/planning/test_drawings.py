@@ -17,8 +17,8 @@ from .other_bones import PROCEDURES, drawn, views
 from .standin import StandInView, estimates
 
 METRICS = {
-    "vertebra": ("wire in pedicle", "entry to pedicle", "tip behind front", "tip to endplates"),
-    "pelvis": ("wire in sacral corridor", "tip in sacral corridor"),
+    "vertebra": ("wire in pedicle", "entry to pedicle", "tip behind front", "tip short of front", "tip to endplates"),
+    "pelvis": ("wire in sacral corridor", "tip in sacral corridor", "entry to cortex"),
     "growing-femur": ("wire to growth plate", "wire off middle of growth plate", "tip beyond growth plate"),
 }
 AXIS = np.array([-0.62, 0.71, 0.33]) / np.linalg.norm([-0.62, 0.71, 0.33])

@@ -22,6 +22,7 @@ NAMES = (
     "calcar tip-apex distance",
     "tip to bone along wire",
     "tip to bone nearest",
+    "wire off neck axis",
     "position AP",
     "position lateral",
 )
@@ -55,6 +56,10 @@ def test_metrics_follow_their_definitions():
     tad = sum(_flat(bone.END_MM - apex, view) for view in VIEWS)
     assert found["tip-apex distance"].value == pytest.approx(tad, abs=1e-6)
     assert found["tip to bone nearest"].value == pytest.approx(bone.RADIUS_MM - np.linalg.norm(tip), abs=1e-6)
+    neck = locate(VIEWS, bone.aids(bone.pixels(VIEWS))).neck
+    assert neck is not None
+    off = neck.ends_mm.mean(axis=0) - bone.ENTRY_MM
+    assert found["wire off neck axis"].value == pytest.approx(np.linalg.norm(np.cross(off, wire)), abs=1e-6)
     ahead = found["tip to bone along wire"].value
     assert np.linalg.norm(tip + ahead * wire) == pytest.approx(bone.RADIUS_MM, abs=1e-6)
     assert ahead > 0

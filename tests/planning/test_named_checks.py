@@ -99,19 +99,22 @@ def test_each_limit_in_a_file_decides_the_verdict(name: str, limit: str):
         ("wire to shaft", "shaft"),
     ],
 )
-def test_a_required_check_without_its_aid_is_missing_and_another_is_left_out(name: str, without: str):
+def test_a_check_without_its_aid_is_missing_and_an_optional_one_is_said_to_be_left_out(name: str, without: str):
     uv = bone.pixels(bone.views())
     aids = Aids(**{part: value for part, value in vars(bone.aids(uv)).items() if part != without})
     asked = {limit: _WIDE[limit] for limit in CHECKS[name].limits}
-    required = _plan(_procedure(**{name: {**asked, "required": True}}), aids)
+    required = _plan(_procedure(**{name: asked}), aids)
     assert required.verdict.state == "incomplete"
     (said,) = (one for one in required.verdict.missing if name in one)
     assert without in said and ("draw" in said or "click" in said)
-    assert name not in {check.name for check in _plan(_procedure(**{name: asked}), aids).verdict.checks}
+    optional = _plan(_procedure(**{name: {**asked, "optional": "it is a test"}}), aids)
+    assert name not in {check.name for check in optional.verdict.checks}
+    (said,) = (one for one in optional.sentences() if name in one)
+    assert without in said and said.endswith("A plan may do without it: it is a test.")
 
 
 def test_metrics_are_not_judged_on_an_unknown_side_or_with_exchanged_ends():
-    asked = _procedure(**{"tip-apex distance": {"required": True}})
+    asked = _procedure(**{"tip-apex distance": {}})
     assert "tip-apex distance" in {check.name for check in _plan(asked, side=None).verdict.unmade}
     uv = np.array([view.project(WIRE_MM[::-1]) for view in bone.views()])
     aids = bone.aids(bone.pixels(bone.views()))

@@ -11,7 +11,7 @@ from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.planning import Anatomy, Procedure, kind
 from sightline.planning.bone.metrics import metric
 from sightline.planning.points.results import Verdict
-from sightline.planning.procedures.document import CHECKS
+from sightline.planning.procedures.document import CHECKS, CheckRule
 from sightline.planning.procedures.procedure import copy_text, document_from_json
 from sightline.planning.verdict.bone_checks import judge_in_bone, measures, metric_measures, noticed_beyond_mm
 from sightline.twin.anatomy.bone_model import wrong_wires
@@ -25,6 +25,7 @@ SD_PX = 0.5
 MOVES = {
     "wire in pedicle": [-1.0, 0.0, 0.0],
     "tip behind front": [0.0, 0.0, 1.0],
+    "tip short of front": None,
     "tip to endplates": [0.0, -1.0, 0.0],
     "wire in sacral corridor": [0.0, -0.3, 1.0],
     "tip in sacral corridor": [-1.0, 0.0, 0.0],
@@ -36,7 +37,12 @@ MOVES = {
 
 def _judged(bone: Drawn, wire: np.ndarray, clicked: dict | None = None) -> Verdict:
     found = bone.found(wire, clicked or bone.uv_px, SD_PX)
-    return judge_in_bone(found, kind(PROCEDURES[bone.name]).checks, "right", {})
+    return judge_in_bone(found, _rules(bone.name), "right", bone.marks_mm)
+
+
+def _rules(name: str) -> tuple[CheckRule, ...]:
+    """The checks but for the side, which the directions of the bone show."""
+    return tuple(rule for rule in kind(PROCEDURES[name]).checks if rule.check != "side")
 
 
 def _clicked(bone: Drawn, rng: np.random.Generator) -> dict:
@@ -151,9 +157,9 @@ def test_the_corridor_is_not_taken_for_much_wider_than_it_is():
 def test_without_drawings_the_plan_is_incomplete_and_says_what_to_draw(name: str):
     bone = drawn(name, 2)
     known = kind(PROCEDURES[name])
-    verdict = judge_in_bone(bone.found(bone.wire_mm, {"none": []}, SD_PX), known.checks, "right", {})
+    verdict = judge_in_bone(bone.found(bone.wire_mm, {"none": []}, SD_PX), _rules(name), "right", {})
     assert verdict.state == "incomplete"
-    required = {rule.check for rule in known.checks if rule.required and rule.check in METRICS[name]}
+    required = {rule.check for rule in known.checks if rule.optional is None and rule.check in METRICS[name]}
     assert required and required <= {check.name for check in verdict.unmade}
     assert all("draw it as the procedure says" in c.sentence for c in verdict.unmade if c.name in METRICS[name])
 
@@ -184,7 +190,7 @@ def test_each_limit_of_these_checks_decides(name: str):
 def test_how_far_a_point_may_be_wrong_along_its_line_of_sight_counts_the_drawn_borders(name: str):
     """Moved by 1 mm more than is stated either way along either line of sight, some check fails; by 1 mm less, in one
     way none does. The error of a check changes a little with the wire. Without borders the figure would be 60 mm."""
-    bone, rules = drawn(name, 4), kind(PROCEDURES[name]).checks
+    bone, rules = drawn(name, 4), _rules(name)
     found = bone.found(bone.wire_mm, bone.uv_px, SD_PX)
     known = found, rules, "right", {}
     stated = noticed_beyond_mm((*measures(*known), *metric_measures(*known)), found)

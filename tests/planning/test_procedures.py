@@ -53,7 +53,7 @@ def test_the_three_earlier_kinds_have_the_limits_that_they_had():
     assert holes.limits == Limits(0.5, atan2(1.0, 11.0), 15.0, 30.0)  # to the last bit
     assert hip.proposal == ProposalRule(wire="guide-wire") and free.proposal is None
     assert (hip.wire_mm, holes.wire_mm, free.wire_mm) == (2.5, 4.0, 2.5)
-    assert hip.ends_before_joint and not holes.checks and not free.checks
+    assert hip.ends_before_joint and not free.checks
     assert kind("interlocking") is holes
 
 
@@ -91,11 +91,11 @@ CAUDAL = {"from": ["head"], "to": ["shaft"], "orbit_deg": 0, "tilt_deg": -90, "s
         (("aids", 0, "key"), "skull", "is the sphere 'skull'; the aids that are located are head (sphere)"),
         (("aids", 0, "views"), ["lateral"], "the aid 'head' is drawn in lateral; name views from the first on"),
         (("aids", 0, "type"), "blob", "aids[0].type"),
-        (("landmarks", 1, "key"), "lesser", "requires the check 'lateral of lesser trochanter', which needs lesser-t"),
+        (("checks", 8, "required"), False, "is not required; say in 'optional' why a plan may do without it"),
         (("relations",), [{"relation": "parallel", "wires": ["a", "b"], "high": 1, "source": "ours"}], "the wire 'a'"),
         (("relations",), [{"relation": "parallel", "wires": ["a", "b"], "source": "ours"}], "which takes high"),
         (("catalogue", "lengths_mm"), [60, 50], "lengths_mm must ascend"),
-        (("aids",), [], "needs"),
+        (("aids",), [], "needs head: add it to aids or landmarks, or say in 'optional' why a plan may do without"),
         (("directions",), [CAUDAL], "two or three, at large angles"),
         (("directions",), [CAUDAL, {**CAUDAL, "tilt_deg": -70}], "two or three, at large angles"),
         (("directions",), [CAUDAL, {**CAUDAL, "to": ["knee"]}], "a direction names 'knee'; name 'entry'"),

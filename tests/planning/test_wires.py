@@ -255,7 +255,9 @@ def test_the_other_wires_are_proposed_within_the_neck_and_all_are_go_by_the_ship
     proposed = propose_others(first)
     assert list(proposed) == ["anterior", "posterior"]
     picks = {key: WirePicks(one.entry_uv_px, one.end_uv_px) for key, one in proposed.items()}
+    lesser = {"landmarks_uv_px": [view.project(bone.LESSER_MM[None]) for view in views()]}
     given = {"aids": first.arguments["aids"], "side": "right", "curve": lambda *_: curve_once()}
+    given |= {**lesser, "landmark_names": ["lesser-trochanter"]}
     own = WirePicks(first.arguments["entry_uv_px"], first.arguments["end_uv_px"])
     made = _planned_of(picks | {"inferior": own}, _document(of_bone=True), **given)
     assert made.verdict.go, made.verdict.summary()

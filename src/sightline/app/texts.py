@@ -136,6 +136,7 @@ FIGURES = {  # by the check that states them; of a procedure's own ones the firs
     CheckCode.ENTRY_ERROR: "Entry, 95 % error",
     CheckCode.END_ERROR: "Tip, 95 % error",
     CheckCode.DIRECTION_ERROR: "Direction, 95 % error",
+    CheckCode.TIP_APEX_DISTANCE: "Tip-apex distance",
     CheckCode.TIP_IN_HEAD: "Tip to joint",
     CheckCode.TIP_BEHIND_FRONT: "Tip to front",
     CheckCode.TIP_IN_SACRAL_CORRIDOR: "Tip in corridor",

@@ -225,6 +225,8 @@ def show(
     output.failures(verdict.checks)
     for sentence in first:
         output.say(sentence)
+    for key, plan in plans.items():
+        _say_beside_verdict(output, plan, "" if "" in plans else f"{plan.kind.wire.name}: ")
     for check in (relation for relation in planned.relations if relation.passed):
         output.say(f"{check.name}: {check.sentence}")
     for sentence in remarks:
@@ -260,6 +262,17 @@ def _other_procedures(planned: "Plan | WirePlans") -> list[str]:
         f"All this is asked of a hip screw, which was assumed. For another wire add --procedure KEY: {others}. A free "
         "wire is not checked against the bone."
     ]
+
+
+def _say_beside_verdict(output: Output, planned: "Plan", wire: str) -> None:
+    """Print what belongs beside the verdict: errors that no check notices, and the tip-apex distance with its error."""
+    from sightline.common.checks import CheckCode
+
+    if planned.unnoticed:
+        output.say(wire + planned.unnoticed)
+    for check in planned.verdict.checks:
+        if check.code is CheckCode.TIP_APEX_DISTANCE and check.passed:
+            output.say(wire + check.sentence)
 
 
 def _rows(planned: "Plan", *, alone: bool) -> list[tuple[str | None, ...]]:

@@ -63,11 +63,15 @@ class CheckCode(StrEnum):
     TIP_TO_BONE_ALONG_WIRE = "tip-to-bone-along-wire"
     TIP_TO_BONE_NEAREST = "tip-to-bone-nearest"
     WIRE_IN_NECK = "wire-in-neck"
+    WIRE_OFF_NECK_AXIS = "wire-off-neck-axis"
     WIRE_IN_SACRAL_CORRIDOR = "wire-in-sacral-corridor"
     TIP_IN_SACRAL_CORRIDOR = "tip-in-sacral-corridor"
+    TIP_PAST_PROMONTORY = "tip-past-promontory"
     WIRE_IN_PEDICLE = "wire-in-pedicle"
     ENTRY_TO_PEDICLE = "entry-to-pedicle"
+    ENTRY_TO_CORTEX = "entry-to-cortex"
     TIP_BEHIND_FRONT = "tip-behind-front"
+    TIP_SHORT_OF_FRONT = "tip-short-of-front"
     TIP_TO_ENDPLATES = "tip-to-endplates"
     WIRE_TO_GROWTH_PLATE = "wire-to-growth-plate"
     WIRE_OFF_MIDDLE_OF_GROWTH_PLATE = "wire-off-middle-of-growth-plate"
@@ -152,7 +156,8 @@ class Check:
     `name` is a key of docs/refusals.md; `figure` (the value) and `limit` are in `unit`. `figure` is None where the
     check is not a measurement, or the value could not be measured; in the latter case the check fails. `missing`: the
     check failed because an input is missing that a person can give. `view`: of the image that the check is about, ""
-    for others. `code`: what the check is about, for programs.
+    for others. `error_95`: the 95 % error of the value, where the check judges the value with it. `code`: what the
+    check is about, for programs.
     """
 
     name: str
@@ -163,6 +168,7 @@ class Check:
     sentence: str
     missing: bool = False
     view: str = ""
+    error_95: float | None = None
     code: CheckCode = field(init=False)
 
     def __post_init__(self) -> None:

@@ -39,6 +39,7 @@ class CheckDocument(OpenDocument):
     code: Text | None = Field(default=None, description="What the check is about, for programs; not in version 0.1.0.")
     missing: bool = Field(default=False, description="The check failed because an input is missing.")
     view: Text = Field(default="", description="The view that the check is about.")
+    error_95: float | None = Field(default=None, description="95 % error of the value, where it is judged with it.")
 
 
 class ErrorBounds(OpenDocument):

@@ -28,7 +28,13 @@ from sightline.planning.points.solution import Method
 from sightline.planning.points.trajectory import Trajectory
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
-from sightline.planning.verdict.bone_checks import judge_in_bone, measures, metric_measures, noticed_beyond_mm
+from sightline.planning.verdict.bone_checks import (
+    judge_in_bone,
+    left_out,
+    measures,
+    metric_measures,
+    noticed_beyond_mm,
+)
 from sightline.planning.verdict.implant import Implant, fitting
 from sightline.planning.verdict.plan_checks import judge
 from sightline.planning.verdict.view_directions import Located, assumed_axes, rules_of_bone
@@ -141,12 +147,16 @@ class Plan(Plotted):
         return None if catalogue is None else fitting(catalogue, length_mm, self.anatomy, self.side)
 
     def sentences(self) -> list[str]:
-        """Return what else a reader must know: errors that no check shows, other wires, and the implant that fits."""
+        """Return what else a reader must know besides `unnoticed`: movements that no check shows, checks that were left
+        out, other wires, and the implant that fits."""
         fits, pair = self.implant, [_PAIR] if len(self.views) == 2 else []
         axes = [assumed_axes(self.kind, self.views)]
         if self.anatomy is not None:
-            axes.append(Located(self.kind, self.views, self.anatomy, self.landmark_names, self.side).unknown_directions)
-        sentences = [*self.along_sentences(), *pair, *self._alone(), *([] if fits is None else [fits.sentence])]
+            rules, marks = rules_of_bone(self.kind, self.views), _landmarks_mm(self.landmark_names, self.seen)
+            axes += left_out(self.anatomy, rules, self.side, marks)
+            lying = Located(self.kind, self.views, self.anatomy, self.landmark_names, self.side)
+            axes += [said for said in [lying.unknown_directions] if said not in self.verdict.missing]
+        sentences = [*pair, *self._alone(), *([] if fits is None else [fits.sentence])]
         if self.hole is not None:
             sentences += [self.hole.sentence, *(turn.sentence for turn in perfect_circles(self.hole, self.views))]
         return [*sentences, *(sentence for sentence in axes if sentence)]
@@ -168,19 +178,18 @@ class Plan(Plotted):
         """Return what is not checked of other wires; nothing where the relations to them are."""
         return [] if self.relations else self.kind.sentences()
 
-    def along_sentences(self) -> list[str]:
-        """Return for entry and end a sentence on errors along their lines of sight that no check would show."""
+    @property
+    def unnoticed(self) -> str:
+        """How far entry and end can be wrong along a line of sight without a failed check, as a sentence that belongs
+        beside their errors; "" where a third pick or a measured hole shows it."""
         if self.hole is not None:  # a cylinder of known size, whose place along a line of sight its rims show
-            return []
-        return [
-            f"No check covers the {name} point along its lines of sight: a pick that is wrong along its image-matching "
-            "curve does not show."
-            if reach is None
-            else f"Along its lines of sight the {name} point is checked against the bone only: an error of up to "
-            f"{reach:.1f} mm there would not be noticed."
+            return ""
+        reaches = [
+            f"{'of any size' if reach is None else f'of up to {reach:.1f} mm'} of the {name} point"
             for name, reach, picks in zip(("entry", "end"), self.noticed_mm, self.picks, strict=True)
             if np.isfinite([pick.uv_px[0] for pick in picks]).sum() == 2  # a third pick shows such an error by its gap
         ]
+        return f"No check notices an error along a line of sight {' or '.join(reaches)}." if reaches else ""
 
     @property
     def residuals_px(self) -> np.ndarray:

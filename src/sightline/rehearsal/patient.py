@@ -38,7 +38,7 @@ from sightline.twin.xray.render import render_views
 ATTEMPTS = 200
 MARGIN_PX = 20.0  # minimum distance of wire and landmarks from the edge of the field
 # Each has its own generator; add new parts at the end.
-PARTS = (*VIEWS, "robot", "check", "picks", "ALIGNED", "PAUSED", "oblique")
+PARTS = (*VIEWS, "robot", "check", "picks", "ALIGNED", "PAUSED", "oblique", "aids")
 LANDMARK_MARGIN_PX = 30.0  # [ours] landmarks nearer to the edge of a field are not picked, since it may hide a part
 RIM_ANGLES_RAD = np.array([0.3, 2.4, 4.5])  # about a third of the outline apart
 # Where a person draws [ours]: on the round rim of a cap that a plane cuts off, from its top; along the part of a hip's
@@ -254,6 +254,11 @@ class RehearsedPatient:
         }
 
     @property
+    def drawn_apart(self) -> tuple[str, ...]:
+        """Keys of the aids whose noise has a generator of its own."""
+        return ()
+
+    @property
     def _aids(self) -> Mapping[str, Aid]:
         bone = self.bone
         if isinstance(bone, BoneScene):
@@ -283,8 +288,12 @@ class RehearsedPatient:
         picks = self.pixels(wires[0]) + sd_px * rng.standard_normal((2, 2, 2))
         landmarks_px = np.stack(list(self.landmarks.values()), axis=1)
         landmarks_px = landmarks_px + sd_px * rng.standard_normal(landmarks_px.shape)
+        own = self.generator("aids")
         drawn_px = {
-            key: [None if uv is None else uv + sd_px * rng.standard_normal(uv.shape) for uv in each]
+            key: [
+                None if uv is None else uv + sd_px * (own if key in self.drawn_apart else rng).standard_normal(uv.shape)
+                for uv in each
+            ]
             for key, each in self.aids_px.items()
         }
         others = {}

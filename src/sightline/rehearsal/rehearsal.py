@@ -97,11 +97,15 @@ class Rehearsal(RehearsedPatient):
 
     @cached_property
     def aids_px(self) -> AidClicks:
-        """Clicks on the aids that are drawn, as of other patients; of those of a single wire the head."""
-        if len(self.document.wires) > 1:
+        """Clicks on the aids that are drawn, as of other patients; of a single wire the head first, and always."""
+        if len(self.document.wires) > 1 or "head" not in {aid.key for aid in self.document.aids}:
             return super().aids_px
-        asked = {aid.key for aid in self.document.aids}
-        return {"head": list(self.head_rim)} if "head" in asked else {}
+        return {"head": list(self.head_rim)} | {key: uv for key, uv in super().aids_px.items() if key != "head"}
+
+    @property
+    def drawn_apart(self) -> tuple[str, ...]:
+        """Keys of the aids whose noise has a generator of its own: earlier versions did not draw these."""
+        return () if len(self.document.wires) > 1 else ("neck", "shaft", "cortex")
 
     def surface_mm(self, key: str) -> np.ndarray:
         """Return the point (3,), CFCS, at which the ideal wire of this key would leave the femoral head."""

@@ -22,6 +22,7 @@ from sightline.planning import Aids, MatchingCurve, Plan, Procedure, kind, plan
 from sightline.planning.bone.directions import across, anatomical, unit
 from sightline.planning.procedures.document import WantedView
 from sightline.planning.procedures.procedure import ProcedureKey
+from sightline.planning.verdict.bone_checks import AT_CORTEX
 from sightline.planning.verdict.view_directions import frame_axes
 from sightline.rehearsal.patient import RehearsedPatient, draw_patient
 from sightline.studies.runs.plots import Span, spans
@@ -82,8 +83,9 @@ class WrongPlans:
         views = dict.fromkeys(drawn.pixels, calibrated_views(setup, measure(rng, setup, BEAD_PX)))
         if drawn.turned is not None:
             views["wrong"] = calibrated_views(drawn.turned, measure(rng, drawn.turned, BEAD_PX))
+        wrong = of.side(side), of.undrawn
         ended = {
-            name: _ended(views[name], jittered(px, rng), asked, of.side(side) if name == "wrong" else side, of)
+            name: _ended(views[name], jittered(px, rng), asked, *(wrong if name == "wrong" else (side, ())))
             for name, px in drawn.pixels.items()
         }
         return {"frame": frame, "kind": of.name, "times": drawn.times, "hidden": drawn.unseen, **ended}
@@ -171,16 +173,7 @@ class PlanShares(EstimateGroup):
 
 def verdict_name(check: str) -> str:
     """Return the name in a verdict of a check of a procedure's file."""
-    return "entry at cortex" if check in _AT_CORTEX else check
-
-
-_AT_CORTEX = (
-    "head to entry",
-    "lateral of lesser trochanter",
-    "anterior of lesser trochanter",
-    "entry below cortex",
-    "entry outside cortex",
-)
+    return "entry at cortex" if check in AT_CORTEX else check
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,11 +281,15 @@ def _exact(setup: SetUp) -> Sequence[CalibratedView]:
 
 
 def _ended(
-    views: Sequence[CalibratedView], pixels: dict[str, np.ndarray], asked: Procedure, side: str, of: WrongKind
+    views: Sequence[CalibratedView],
+    pixels: dict[str, np.ndarray],
+    asked: Procedure,
+    side: str,
+    undrawn: Collection[str],
 ) -> Values:
     """Return how a plan ends, and the checks that failed."""
     try:
-        made: Plan = plan_of(views, pixels, asked, side, of.undrawn)
+        made: Plan = plan_of(views, pixels, asked, side, undrawn)
     except SightlineError as error:
         return {"ended": "refused", "why": [type(error).__name__]}
     ended = {"go": "GO", "no-go": "NO-GO"}.get(made.verdict.state, made.verdict.state)

@@ -253,14 +253,19 @@ def tilted(bone: Any, wire_mm: np.ndarray, amount: float) -> np.ndarray:
 
 deeper_end, shorter_end = along_itself(0.0, 1.0), along_itself(0.0, -1.0)
 deeper_entry, entry_in_air = along_itself(1.0, 0.0), along_itself(-1.0, 0.0)
+_IN_WINDOW = ("tip to bone nearest", "tip to bone along wire")
 KINDS = (
     WrongKind("entry and end exchanged", HIP_SCREW, "entry and end", exchanged=True),
     WrongKind("the other side", HIP_SCREW, "side", also=("view directions",), other_side=True),
-    WrongKind("tip through the joint's surface", HIP_SCREW, "tip in head", deeper_end),
-    WrongKind("tip too near to the joint", CANNULATED, "tip to bone nearest", deeper_end),
-    WrongKind("tip too far from the apex", HIP_SCREW, "tip-apex distance", shorter_end),
+    WrongKind("tip through the joint's surface", HIP_SCREW, "tip in head", deeper_end, also=_IN_WINDOW),
+    WrongKind("tip too near to the joint", CANNULATED, "tip to bone nearest", deeper_end, also=_IN_WINDOW[1:]),
+    WrongKind("tip too far from the apex", HIP_SCREW, "tip-apex distance", shorter_end, also=_IN_WINDOW),
     WrongKind(
-        "shorter than any implant", HIP_SCREW, "wire length", shorter_end, also=("tip-apex distance", "tip in head")
+        "shorter than any implant",
+        HIP_SCREW,
+        "wire length",
+        shorter_end,
+        also=("tip-apex distance", "tip in head", *_IN_WINDOW),
     ),
     WrongKind(
         "entry inside the bone",
@@ -274,6 +279,7 @@ KINDS = (
         HIP_SCREW,
         "lateral of lesser trochanter",
         deeper_entry,
+        also=("entry below cortex", "entry outside cortex"),
         undrawn=("cortex",),
     ),
     WrongKind("entry in air", HIP_SCREW, "entry outside cortex", entry_in_air),
@@ -282,9 +288,15 @@ KINDS = (
         HIP_SCREW,
         "anterior of lesser trochanter",
         shifted(1.0, 0.0, -ANTERIOR),
-        also=("entry outside cortex",),
+        also=("entry outside cortex", "wire off neck axis"),
     ),
-    WrongKind("flatter than any plate", HIP_SCREW, "wire to shaft", flatter, also=("entry outside cortex",)),
+    WrongKind(
+        "flatter than any plate",
+        HIP_SCREW,
+        "wire to shaft",
+        flatter,
+        also=("entry outside cortex", "wire off neck axis"),
+    ),
     WrongKind("screw leaves the neck", CANNULATED, "wire in neck", beside_neck),
     WrongKind("screw leaves the pedicle towards the canal", PEDICLE, "wire in pedicle", aside(-LATERAL)),
     WrongKind("screw leaves the pedicle downwards", PEDICLE, "wire in pedicle", aside(CAUDAL)),
@@ -339,6 +351,35 @@ KINDS = (
         "hip: view from a wrong direction", HIP_SCREW, "view directions", also=("angle between views",), turned=True
     ),
     WrongKind("vertebra: longer than any implant", PEDICLE, "wire length", entry_in_air, also=("entry to pedicle",)),
+    WrongKind("hip screw: tip too near to the joint", HIP_SCREW, "tip to bone nearest", deeper_end, also=_IN_WINDOW),
+    WrongKind("hip screw: tip too deep under the joint", HIP_SCREW, "tip to bone along wire", shorter_end),
+    WrongKind(
+        "hip screw: tip too deep under the joint, no neck drawn",
+        HIP_SCREW,
+        "tip to bone along wire",
+        shorter_end,
+        also=("tip-apex distance", "wire off neck axis", "view directions"),
+        undrawn=("neck",),
+    ),
+    WrongKind(
+        "hip screw leaves the neck in front",
+        HIP_SCREW,
+        "wire off neck axis",
+        shifted(1.0, 0.0, ANTERIOR),
+        also=("anterior of lesser trochanter", "entry outside cortex"),
+    ),
+    WrongKind("cannulated: tip too deep under the joint", CANNULATED, "tip to bone along wire", shorter_end),
+    WrongKind(
+        "cannulated: entry below the lesser trochanter",
+        CANNULATED,
+        "above lesser trochanter",
+        shifted(1.0, 0.0, CAUDAL),
+        also=("wire in neck", "wire to shaft", "entry below cortex", "entry outside cortex"),
+    ),
+    WrongKind("vertebra: tip hardly in the body", PEDICLE, "tip short of front", shorter_end, also=("wire length",)),
+    WrongKind("sacrum: tip short of the body of S1", SACRAL, "tip past promontory", shorter_end),
+    WrongKind("sacrum: entry inside the ilium", SACRAL, "entry to cortex", deeper_entry),
+    WrongKind("sacrum: entry off the ilium", SACRAL, "entry to cortex", entry_in_air, also=("wire length",)),
 )
 
 

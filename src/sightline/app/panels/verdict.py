@@ -46,7 +46,7 @@ _NO_BAR = Markup('<div class="figure-bar" aria-hidden="true"></div>')  # while t
 
 @dataclass(frozen=True)
 class _Figure:
-    """`value`: None while it is not known; then `words` stand in its place."""
+    """`value`: None while it is not known; then `words` stand in its place. `error`: its 95 % error, where shown."""
 
     code: CheckCode
     value: float | None
@@ -54,14 +54,17 @@ class _Figure:
     unit: str
     passed: bool | None = None
     words: str = "–"
+    error: float | None = None
 
 
 def figures_html(tab: Tab) -> Markup:
-    """Return the four figures as HTML; before there is a plan without values."""
+    """Return the four figures as HTML, and below them which errors no check notices; before there is a plan without
+    values."""
     plan = None if tab.known is None else tab.known.plan
     return filled(
-        '<div class="figure-grid" data-testid="figures">{}</div>',
+        '<div class="figure-grid" data-testid="figures">{}</div>{}',
         joined(*map(_figure_html, _figures(kind_of(tab.planning.decisions.kind), plan))),
+        Markup() if plan is None or not plan.unnoticed else note_html(plan.unnoticed, kind="warn", testid="unnoticed"),
     )
 
 
@@ -93,7 +96,7 @@ def _own(kind: Procedure, made: Iterable[CheckCode]) -> CheckCode:
 def _filled(figure: _Figure, check: Check | None) -> _Figure:
     if check is None:
         return figure
-    return _Figure(figure.code, check.figure, check.limit, check.unit, check.passed)
+    return _Figure(figure.code, check.figure, check.limit, check.unit, check.passed, error=check.error_95)
 
 
 def _of_movement(figure: _Figure, plan: Plan) -> _Figure:
@@ -122,6 +125,8 @@ def _figure_html(figure: _Figure) -> Markup:
     share, at = (f"{min(max(100 * x / whole, 0), 100):.0f}" for x in (value, limit))
     shown, bound = apart(value, limit, figure.unit, _number, _DIGITS, passed=bool(figure.passed))
     text = limit_said(figure.code, bound, most=(value <= limit) == figure.passed)
+    if figure.error is not None:
+        shown = f"{shown.removesuffix(figure.unit).strip()} ± {_number(figure.error, figure.unit, 1)}"
     return filled(_FIGURE, state, name, shown, sign, filled(_BAR, share, at), text)
 
 

@@ -130,6 +130,7 @@ def _notes(report: Report) -> Iterable[str]:
             f"plate {sd.plate_mm:g} mm and {sd.plate_rad * 1e3:g} mrad, arm {sd.arm_mm:g} mm and {sd.arm_rad * 1e3:g} "
             "mrad). Measure your frame: the bounds are only as good as these tolerances."
         )
+    yield report.plan.unnoticed
     yield from report.plan.sentences()
     for image in report.images:
         if image.view.mirrored:

@@ -189,6 +189,10 @@ class _Parts:
         self._anatomy.refuse_side(self.side)
         return self._axis("shaft", caudal(self.side))
 
+    @property
+    def middle_of_neck(self) -> np.ndarray:
+        return (self._of("neck") + self._of("neck", 3)) / 2
+
     def beam(self, view: int) -> np.ndarray:
         """Return the ray of a view (0: PA, 1: lateral) through the head's centre."""
         return unit(self.centre - self._of("focal", 3 * view))
@@ -327,6 +331,15 @@ _DEFINITIONS = (
         asked=True,
     ),
     _Definition(
+        "wire off neck axis",
+        ("wire", "neck"),
+        lambda parts: across(parts.middle_of_neck - parts.entry, parts.wire),
+        "mm",
+        "At the middle of the drawn neck axis the wire passes {} from it.",
+        _BY_DEFINITION,
+        asked=True,
+    ),
+    _Definition(
         "wire in sacral corridor",
         ("wire", "s1-corridor"),
         lambda parts: wire_in_tube(parts.entry, parts.tip, parts.tube("s1-corridor"), "corridor"),
@@ -368,6 +381,24 @@ _DEFINITIONS = (
         lambda parts: _behind(parts, "front"),
         "mm",
         "The tip lies {} behind the front of the vertebral body.",
+        _BY_DEFINITION,
+        asked=True,
+    ),
+    _Definition(
+        "tip short of front",
+        ("wire", "front"),
+        lambda parts: _behind(parts, "front"),
+        "mm",
+        "To the front of the vertebral body the tip lacks {}.",
+        _BY_DEFINITION,
+        asked=True,
+    ),
+    _Definition(
+        "entry to cortex",
+        ("wire", "entry-cortex"),
+        lambda parts: _to_surface(parts, "entry-cortex"),
+        "mm",
+        "Along the wire the entry lies {} from the drawn surface of the bone.",
         _BY_DEFINITION,
         asked=True,
     ),
@@ -439,6 +470,13 @@ def _behind(parts: _Parts, name: str) -> np.ndarray:
     """Return how far the tip lies before a plane, seen along the wire."""
     point, normal = parts.plane(name)
     return ((point - parts.tip) * normal).sum(axis=-1)
+
+
+def _to_surface(parts: _Parts, name: str) -> np.ndarray:
+    """Return the vector (K, 3) along the wire from the entry to a plane."""
+    point, normal = parts.plane(name)
+    way = ((point - parts.entry) * normal).sum(axis=-1) / (parts.wire * normal).sum(axis=-1)
+    return way[:, None] * parts.wire
 
 
 def _between(parts: _Parts, *names: str) -> np.ndarray:

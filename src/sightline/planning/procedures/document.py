@@ -14,7 +14,7 @@ from sightline.planning.bone.aids import CLICKS
 from sightline.planning.bone.directions import anatomical
 from sightline.planning.procedures.proposal import RULES
 
-HEAD_CENTRE, LESSER = "head-centre", "lesser-trochanter"
+LANDMARKS = HEAD_CENTRE, LESSER, PROMONTORY = "head-centre", "lesser-trochanter", "promontory"  # that checks need
 
 # [ours] beyond any length (mm) or angle (°) of a wire in a bone
 Limit = Annotated[float, Field(allow_inf_nan=False, ge=-1e3, le=1e3)]
@@ -71,6 +71,7 @@ CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
         "tip in head": _known("", "mm", "head"),
         "lateral of lesser trochanter": _known("low high", "mm", LESSER),
         "anterior of lesser trochanter": _known("low high", "mm", LESSER),
+        "above lesser trochanter": _known("low", "mm", LESSER),
         "wire to shaft": _known("low high", "°", "shaft"),
         "entry below cortex": _known("high", "mm", "head shaft cortex", f"{HEAD_CENTRE} shaft cortex"),
         "entry outside cortex": _known("high", "mm", "head shaft cortex", f"{HEAD_CENTRE} shaft cortex"),
@@ -81,11 +82,15 @@ CHECKS: Mapping[str, KnownCheck] = MappingProxyType(
         "tip to bone along wire": _known("low high", "mm", "head"),
         "tip to bone nearest": _known("low", "mm", "head"),
         "wire in neck": _known("low", "mm", "outline"),
+        "wire off neck axis": _known("high", "mm", "neck"),
         "wire in sacral corridor": _known("low", "mm", "s1-corridor", side=False),
         "tip in sacral corridor": _known("low", "mm", "s1-corridor", side=False),
+        "tip past promontory": _known("low", "mm", PROMONTORY, side=False),
+        "entry to cortex": _known("high", "mm", "entry-cortex", side=False),
         "wire in pedicle": _known("low", "mm", "pedicle", side=False),
         "entry to pedicle": _known("low high", "mm", "pedicle", side=False),
         "tip behind front": _known("low", "mm", "front", side=False),
+        "tip short of front": _known("high", "mm", "front", side=False),
         "tip to endplates": _known("low", "mm", "upper-endplate lower-endplate", side=False),
         "wire to growth plate": _known("high", "°", "growth-plate", side=False),
         "wire off middle of growth plate": _known("high", "mm", "growth-plate", side=False),
@@ -119,14 +124,16 @@ class CheckRule(Strict):
 
     The checks named like a metric of the implant judge the metric's 95 % interval, which must lie within the limits.
 
-    `required`: without what it needs the plan is incomplete; otherwise the check is left out. `of`: what the limits are
-    those of, in the sentence of a wire's length.
+    `optional`: why a plan may be GO where the check lacks what it needs; of the others such a plan is incomplete.
+    `required`: of earlier versions, where it said the same of a check. `of`: what the limits are those of, in the
+    sentence of a wire's length.
     """
 
     check: str
     low: Limit | None = None
     high: Limit | None = None
-    required: bool = False
+    required: bool | None = None
+    optional: Text | None = None
     of: Annotated[str, Field(min_length=1, max_length=80)] = "the implants"
     source: Text
 
@@ -137,7 +144,14 @@ class CheckRule(Strict):
         _refuse_others(self, f"check {self.check!r}", ("low", "high"), CHECKS[self.check].limits)
         if not self.range[0] < self.range[1]:
             raise ValueError(f"has the limits {self.low:g} to {self.high:g}; give a lower limit below the upper one")
+        if self.required is not None and self.required == (self.optional is not None):
+            raise ValueError("is not required; say in 'optional' why a plan may do without it, and remove 'required'")
         return self
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what is not given."""
+        return {key: value for key, value in write(self).items() if value is not None}
 
     @property
     def code(self) -> CheckCode | None:
@@ -413,10 +427,11 @@ class ProcedureDocument(Strict):
         for rule in self.checks:
             needs = CHECKS[rule.check].needs
             by_bone = rule.check == "side" and len(self.directions) == 3
-            if rule.required and needs and not by_bone and not any(keys <= set(self.given) for keys in needs):
+            if rule.optional is None and needs and not by_bone and not any(keys <= set(self.given) for keys in needs):
                 wanted = ", or ".join(" and ".join(sorted(keys)) for keys in needs)
                 raise ValueError(
-                    f"requires the check {rule.check!r}, which needs {wanted}: add it to aids or landmarks"
+                    f"requires the check {rule.check!r}, which needs {wanted}: add it to aids or landmarks, or say in "
+                    "'optional' why a plan may do without the check"
                 )
         needed = -inf if self.corridor is None else self.corridor.implant_mm / 2 + self.corridor.margin_mm
         for rule in self.checks:

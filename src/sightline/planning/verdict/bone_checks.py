@@ -1,6 +1,6 @@
 """Checks of a planned wire against the bone: side, order of entry and end, depth of the tip below the surface."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,9 +12,20 @@ from sightline.planning.bone.anatomy import NOT_PLACED, Anatomy
 from sightline.planning.bone.directions import ANTERIOR, MEDIAL, caudal, lies
 from sightline.planning.bone.metrics import Metric, metric, metric_of_wires, tip_depth
 from sightline.planning.points.results import Verdict
-from sightline.planning.procedures.document import CHECKS, HEAD_CENTRE, LESSER, CheckRule
+from sightline.planning.procedures.document import CHECKS, HEAD_CENTRE, LANDMARKS, LESSER, PROMONTORY, CheckRule
 
 _LATERAL = -MEDIAL
+_OF_HEAD = {"entry and end", "tip in head"}  # checks that ask for the head, for all that need it
+# Names in a verdict of the checks that have another one in a procedure's file.
+AT_CORTEX = (
+    "head to entry",
+    "lateral of lesser trochanter",
+    "anterior of lesser trochanter",
+    "above lesser trochanter",
+    "entry below cortex",
+    "entry outside cortex",
+)
+_NAMES = dict.fromkeys(AT_CORTEX, "entry at cortex")
 # Range and step of the trial shifts of a point along a line of sight [ours]: farther, a point is outside the bone;
 # the step is that of a plan's error.
 MAX_SHIFT_MM, _STEP_MM = 60.0, 0.5
@@ -72,6 +83,25 @@ class _Bone:
         entry, end = self.anatomy.part("wire").reshape(2, 3)
         return self.centre_mm is not None and not bool(_order(self.centre_mm).passes(entry[None], end[None])[0])
 
+    def lacking(self, rule: CheckRule, said: Collection[str] = ()) -> tuple[list[str], list[str]]:
+        """Return what a check lacks, each with what to do: what was not drawn, picked or stated, and what was drawn
+        but cannot be located. Of alternatives those of the first count. `said`: what need not be named again."""
+        known, check = {*self.anatomy.at, *self.landmarks_mm}, CHECKS[rule.check]
+        if any(needs <= known for needs in check.needs):
+            parts = []
+        else:
+            parts = sorted(set(*check.needs[:1]) - known - set(said))
+        unpicked = [f"the landmark '{part}' is not picked: pick it in both images" for part in parts if part in LANDMARKS]
+        parts = [part for part in parts if part not in LANDMARKS]
+        why = {part: self.anatomy.why_absent(part) for part in parts}
+        waits = {part for part, said in why.items() if self.anatomy.undrawn(part) or said in NOT_PLACED.values()}
+        undrawn = unpicked + [why[part] for part in parts if part in waits]  # itself, or what it is located by
+        refused = [why[part] for part in parts if part not in waits]
+        with_side = check.side and (rule.check not in MEASURES or rule.check == "above lesser trochanter")
+        if self.side is None and with_side and "side" not in said:
+            undrawn.append("the side is not given")
+        return undrawn, refused
+
 
 def judge_in_bone(
     anatomy: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
@@ -80,15 +110,14 @@ def judge_in_bone(
 
     `landmarks_mm`: (3,) by their keys in the procedure. Raises UnusableInputError for an unknown side.
     """
-    checks = _missing(anatomy, rules, side, landmarks_mm)
+    bone = _Bone(anatomy, side, landmarks_mm)
+    checks = _unmade(bone, rules)
     if anatomy.head_agreement is not None:
         checks.append(anatomy.head_agreement)
     if "wire" in anatomy.at:
         entry, end = anatomy.part("wire").reshape(2, 3)
         checks += [measure.check(entry, end) for measure in measures(anatomy, rules, side, landmarks_mm)]
-        checks += _of_metrics(_Bone(anatomy, side, landmarks_mm), rules)
-    if "head" not in anatomy.at and anatomy.absent["head"] != NOT_PLACED["head"]:
-        checks.append(Check("head", False, None, None, "", f"The head is not known: {anatomy.absent['head']}."))
+        checks += _of_metrics(bone, rules)
     return Verdict(tuple(checks))
 
 
@@ -117,7 +146,7 @@ def _of_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
         move = _MOVE.get(name, "move the end point, or draw the aids more accurately")
         advice = f"with its error it must lie {_within(low, high, unit)}: {move}"
         sentence += "." if passed else f"; {advice}."
-        checks.append(Check(name, passed, known.value, float(limit), unit, sentence))
+        checks.append(Check(name, passed, known.value, float(limit), unit, sentence, error_95=error))
     return checks
 
 
@@ -126,8 +155,7 @@ def _known_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[tuple[CheckR
     return [
         (rule, metric(bone.anatomy, rule.check, bone.side))
         for rule in rules
-        if rule.check not in MEASURES and not bone.exchanged and not _undrawn(bone.anatomy, rule)
-        if bone.side is not None or not CHECKS[rule.check].side
+        if rule.check not in MEASURES and not bone.exchanged and not bone.lacking(rule)[0]
     ]
 
 
@@ -171,12 +199,6 @@ def _within(low: float, high: float, unit: str) -> str:
     return f"above {low:g} {unit}" if not np.isfinite(high) else f"between {low:g} and {high:g} {unit}"
 
 
-def _undrawn(anatomy: Anatomy, rule: CheckRule) -> list[str]:
-    """Return the aids that a check needs and that are not drawn, of the first of its alternatives."""
-    (needs, *_) = (*CHECKS[rule.check].needs, frozenset())
-    return sorted(part for part in needs if part not in (HEAD_CENTRE, LESSER) and anatomy.undrawn(part))
-
-
 def noticed_beyond_mm(checked: Sequence[Measure], anatomy: Anatomy) -> tuple[float | None, float | None]:
     """Return how far entry and end can be wrong along a line of sight before a measure fails; None where none does
     within MAX_SHIFT_MM.
@@ -199,33 +221,51 @@ def noticed_beyond_mm(checked: Sequence[Measure], anatomy: Anatomy) -> tuple[flo
     return entry, end
 
 
-def _missing(
+def left_out(
     anatomy: Anatomy, rules: Sequence[CheckRule], side: str | None, landmarks_mm: Mapping[str, np.ndarray]
-) -> list[Check]:
-    """Return the required checks that lack an input, with what they need."""
-    required = {rule.check for rule in rules if rule.required}
-    wanted = {}
-    if "side" in required and side is None:
-        wanted["side"] = "The side is not given: look at both images and state whether it is the right or the left one."
-    if required & {"entry and end", "tip in head"} and anatomy.absent.get("head") == NOT_PLACED["head"]:
-        wanted["head"] = (
+) -> list[str]:
+    """Return for each check that is not made, and that the file says a plan may do without, a sentence that says so."""
+    bone = _Bone(anatomy, side, landmarks_mm)
+    without = [(rule, bone.lacking(rule)) for rule in rules if rule.optional is not None]
+    return [
+        f"Not checked: {rule.check} ({'; '.join(undrawn)}). A plan may do without it: {rule.optional}."
+        for rule, (undrawn, _) in without
+        if undrawn
+    ]
+
+
+def _unmade(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
+    """Return a failed check for each of the rules that cannot be made: missing where a person can give what it needs.
+
+    The head and the side are asked for once, whichever checks need them.
+    """
+    anatomy, asked, unmade = bone.anatomy, {rule.check for rule in rules}, list[Check]()
+
+    def wanting(name: str, sentence: str, *, missing: bool = True) -> None:
+        unmade.append(Check(name, False, None, None, "", sentence, missing=missing))
+
+    if "side" in asked and bone.side is None:
+        wanting("side", "The side is not given: look at both images and state whether it is the right or the left one.")
+    if _OF_HEAD & asked and anatomy.absent.get("head") == NOT_PLACED["head"]:
+        wanting(
+            "head",
             "The head is not drawn: draw its outline in both images. Without it neither the order of the wire's ends "
-            "nor the tip's depth in the bone can be checked."
+            "nor the tip's depth in the bone can be checked.",
         )
-    by_entry = required & {"lateral of lesser trochanter", "entry below cortex"}
-    if by_entry and LESSER not in landmarks_mm and not {"shaft", "cortex"} <= anatomy.at.keys():
-        wanted["entry at cortex"] = (
-            "The entry cannot be checked: it may lie at the lateral cortex or inside the neck. Pick the tip of the "
-            "lesser trochanter in both images, or draw the shaft axis and click on the lateral cortex."
-        )
+    elif "head" not in anatomy.at and anatomy.absent["head"] != NOT_PLACED["head"]:
+        wanting("head", f"The head is not known: {anatomy.absent['head']}.", missing=False)
+    said = ({"head"} if any(check.name == "head" for check in unmade) else set()) | ({"side"} & asked)
+    of_name: dict[str, tuple[list[str], list[str]]] = {}
     for rule in rules:
-        if rule.required and (rule.check == "wire to shaft" or rule.check not in MEASURES):
-            lacking = [anatomy.why_absent(part) for part in _undrawn(anatomy, rule)]
-            without_side = side is None and rule.check not in MEASURES and CHECKS[rule.check].side
-            lacking += ["the side is not given"] if without_side else []
-            if lacking:
-                wanted[rule.check] = f"The {rule.check} cannot be checked: {'; '.join(lacking)}."
-    return [Check(name, False, None, None, "", sentence, missing=True) for name, sentence in wanted.items()]
+        undrawn, refused = bone.lacking(rule, said)
+        if rule.check not in MEASURES:
+            refused = []  # which the metric's own check says
+        if refused or (undrawn and rule.optional is None):
+            of_name.setdefault(rule.check, (undrawn, refused))
+    for check, (undrawn, refused) in of_name.items():
+        why = "; ".join(dict.fromkeys([*refused, *undrawn]))
+        wanting(_NAMES.get(check, check), f"The check '{check}' cannot be made: {why}.", missing=not refused)
+    return unmade
 
 
 def _order(centre: np.ndarray) -> Measure:
@@ -328,6 +368,36 @@ def _from_lesser(lesser: np.ndarray, rule: CheckRule) -> Measure:
         f"below {low:.0f} mm it lies {where} the bone, above {high:.0f} mm off the bone: pick the entry or the "
         "trochanter again; one may be wrong along its line of sight",
         ("lateral of", "medial of") if lateral else ("anterior of", "posterior of"),
+    )
+
+
+def _above_lesser(lesser: np.ndarray, side: str, low: float) -> Measure:
+    return Measure(
+        "entry at cortex",
+        lambda entry, end: (lesser - entry) @ caudal(side),
+        low,
+        np.inf,
+        "mm",
+        "The entry lies {} the lesser trochanter's tip",
+        f"more than {-low:.0f} mm below it, the femur may break below the trochanters: enter higher",
+        ("above", "below"),
+    )
+
+
+def _past_promontory(promontory: np.ndarray, low: float) -> Measure:
+    def value(entry: np.ndarray, end: np.ndarray) -> np.ndarray:
+        return ((end - promontory) * (end - entry)).sum(axis=-1) / _distance(entry, end)
+
+    return Measure(
+        "tip past promontory",
+        value,
+        low,
+        np.inf,
+        "mm",
+        "Along the wire the tip lies {} the promontory, the middle of S1",
+        f"it must lie {low:.0f} mm or more past it, where the screw holds in the body of S1: move the end point, or "
+        "pick the promontory again",
+        ("past", "short of"),
     )
 
 
@@ -444,6 +514,14 @@ MEASURES: dict[str, _Make] = {
     "tip in head": lambda bone, rule: [] if bone.anatomy.head is None else [_tip(bone.anatomy)],
     "lateral of lesser trochanter": _lesser,
     "anterior of lesser trochanter": _lesser,
+    "above lesser trochanter": lambda bone, rule: (
+        [_above_lesser(bone.landmarks_mm[LESSER], bone.side, rule.range[0])]
+        if bone.side is not None and LESSER in bone.landmarks_mm
+        else []
+    ),
+    "tip past promontory": lambda bone, rule: (
+        [_past_promontory(bone.landmarks_mm[PROMONTORY], rule.range[0])] if PROMONTORY in bone.landmarks_mm else []
+    ),
     "wire to shaft": lambda bone, rule: (
         [] if bone.anatomy.shaft is None else [_to_shaft(bone.anatomy.shaft.direction, *rule.range)]
     ),

@@ -205,7 +205,7 @@ class Located:
         rule = next((asked for asked in self.procedure.checks if asked.check == _NAME), None)
         if rule is None:
             return Verdict(())
-        return _known(_NAME, "°", self.unknown_directions, lambda: self.worst_view().check(), required=rule.required)
+        return _known(_NAME, "°", self.unknown_directions, lambda: self.worst_view().check(), required=rule.optional is None)
 
     def worst_view(self) -> "JudgedView":
         """Return the view that is farthest beyond its tolerance, with its error. Raises ReconstructionRefusedError."""
@@ -250,8 +250,8 @@ class Located:
         stated_before = self.side is None and rule in rules_of_bone(self.procedure, self.views)
         if rule is None or len(document.directions) < 3 or stated_before:
             return Verdict(())
-        by_frame = _axes_of_frame(self.views) and not {"head", HEAD_CENTRE}.isdisjoint(document.given)
-        return _known("side", "mm", self.unknown_side, self._side_check, required=rule.required and not by_frame)
+        by_frame = _side_by_frame(document, self.views)
+        return _known("side", "mm", self.unknown_side, self._side_check, required=rule.optional is None and not by_frame)
 
     def _side_check(self) -> Check:
         """Return the check that the third direction of the bone points as on the stated side."""
@@ -328,9 +328,14 @@ def _axes_of_frame(views: Sequence[CalibratedView]) -> bool:
     return all(sight.frame_key is not None and sight.adjustment is None for sight in map(no_lines, views))
 
 
+def _side_by_frame(document: ProcedureDocument, views: Sequence[CalibratedView]) -> bool:
+    """Return True where a hip's side follows from its head and the axes of the views' frame."""
+    return _axes_of_frame(views) and not {"head", HEAD_CENTRE}.isdisjoint(document.given)
+
+
 def rules_of_bone(procedure: Procedure, views: Sequence[CalibratedView]) -> tuple[CheckRule, ...]:
     """Return the procedure's rules without that of the side, where only directions of the bone show it."""
-    by_bone = len(procedure.document.directions) == 3 and not _axes_of_frame(views)
+    by_bone = len(procedure.document.directions) == 3 and not _side_by_frame(procedure.document, views)
     return tuple(rule for rule in procedure.checks if rule.check != "side" or not by_bone)
 
 
