@@ -554,6 +554,7 @@ def test_a_point_cannot_leave_the_field(view: View) -> None:
     view.drag(start, corner)
     (dropped,) = view.heard("drop")
     assert near(dropped["uv"], (SIDE / 2, SIDE / 2)) == pytest.approx(FIELD_PX, abs=1.0)
+    expect(view.root.get_by_test_id("lost")).to_have_text(TEXTS["held_in_field"])
     view.do("place")
     view.mouse.click(*corner)
     expect(view.root.get_by_test_id("lost")).to_have_text(TEXTS["off_field"])

@@ -353,7 +353,7 @@ function edited(sent) {
     canvas: { invalidate: nothing },
     crosshair: { end: nothing },
     gestures: { showCursor: nothing },
-    texts: { placing: "{name}", off_field: "", edit_lost: "{name}" },
+    texts: { placing: "{name}", off_field: "", held_in_field: "", edit_lost: "{name}" },
     emit: (event) => said.push(event),
     point: (id) => core.state.points.get(id) ?? null,
     select: nothing,

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.common.checks import Check, failed
+from sightline.common.checks import OF_BONE, Check, CheckCode, advised, failed
 from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning import Aids, Circle, Line, MatchingCurve, Pick, Plan, Procedure, kind, plan
 from sightline.planning.points.results import Verdict
+from sightline.planning.procedures.procedure import shipped
 
 from . import bone
 from .standin import StandInView
@@ -141,9 +142,7 @@ def test_the_tip_must_stay_under_the_heads_surface_by_more_than_its_error(short_
     inside = np.sqrt(bone.RADIUS_MM**2 - np.linalg.norm(np.cross(through - bone.CENTRE_MM, along)) ** 2)
     end = through + (inside - (through - bone.CENTRE_MM) @ along - short_mm) * along
     wire = np.stack([through - 74.0 * along, end])
-    verdict = _planned(
-        wire, lesser_mm=_lesser(wire, "right"), aids=_all_drawn(bone.CENTRE_MM, wire[0])
-    ).verdict
+    verdict = _planned(wire, lesser_mm=_lesser(wire, "right"), aids=_all_drawn(bone.CENTRE_MM, wire[0])).verdict
     (check,) = (check for check in verdict.checks if check.name == "tip in head")
     depth = bone.RADIUS_MM - np.linalg.norm(end - bone.CENTRE_MM)
     assert check.figure == pytest.approx(depth, abs=0.02)
@@ -215,6 +214,20 @@ def test_missing_and_wrong_together_are_no_go_and_both_are_said():
     assert Verdict((right, wanting)).state == "incomplete"
     both = Verdict((right, wanting, wrong))
     assert (both.state, both.missing, both.go) == ("no-go", ("side.",), False)
+
+
+def test_the_first_advice_is_about_the_bone():
+    """A wire through the joint, whose picks also miss each other by 20 px."""
+    wrong = _planned(
+        np.stack([bone.ENTRY_MM, WIRE_MM[1] - 0.2 * (bone.ENTRY_MM - WIRE_MM[1])]), side=None, noise_px=20.0
+    )
+    codes = [check.code for check in advised(wrong.verdict.checks)]
+    of_bone = [code in OF_BONE for code in codes]
+    wanted = [code for code in codes if code == CheckCode.SIDE]
+    assert codes[0] == CheckCode.TIP_IN_HEAD and CheckCode.GAP in codes and codes[-1:] == wanted
+    assert of_bone[: of_bone.index(False)] and not any(of_bone[of_bone.index(False) : -1])
+    judged = {rule.code or CheckCode.ENTRY_AT_CORTEX for one in shipped().values() for rule in one.checks}
+    assert judged - OF_BONE == {CheckCode.VIEW_DIRECTIONS, CheckCode.ANGLE_BETWEEN_VIEWS}  # of the images
 
 
 @pytest.mark.parametrize("names", [("patella",), ("lesser-trochanter", "head-centre"), ("", "")])

@@ -43,6 +43,7 @@ XRAY = {
     "readout": "column {u}, row {v}: {value}",
     "outside": "–",
     "off_field": "Click inside the X-ray field.",
+    "held_in_field": "Outside the X-ray field: the point was put on its edge. Drag it to its place.",
 }
 TICKS = "mm along the line of sight of the other image, a tick every 10 mm"
 MEASURED = "Green: the wire as far as this image shows it, and its tip. Dashed: the plan."

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_type_hints
 import typer
 from typer.core import TyperCommand
 
-from sightline.common.checks import Check, failed
+from sightline.common.checks import Check, advised, failed
 from sightline.errors import SightlineError, UnusableInputError
 
 commands = typer.Typer(
@@ -280,8 +280,9 @@ class Output:
             _console().print(_table(title, columns, rows))
 
     def failures(self, checks: Iterable[Check]) -> None:
-        """Print the failed checks once, for people, before any table: each with what it means and what to do."""
-        for check in failed(checks):
+        """Print the failed checks once, for people, before any table: each with what it means and what to do. First
+        those of the bone, last what is missing."""
+        for check in advised(checks):
             if check not in self._told:
                 self.say(f"FAIL {check.name}: {check.sentence}")
                 self._told.add(check)

@@ -225,7 +225,7 @@ def show(
     output.failures(verdict.checks)
     for sentence in first:
         output.say(sentence)
-    for key, plan in plans.items():
+    for plan in plans.values():
         _say_beside_verdict(output, plan, "" if "" in plans else f"{plan.kind.wire.name}: ")
     for check in (relation for relation in planned.relations if relation.passed):
         output.say(f"{check.name}: {check.sentence}")

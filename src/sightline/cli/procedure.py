@@ -131,7 +131,12 @@ def _show(output: Output, document: "ProcedureDocument") -> None:
         for item in document.directions
     ]
     checks = [
-        (f"check {item.check}", "required" if item.optional is None else "optional", _range(item), f"{item.source}{'' if item.optional is None else f'; optional: {item.optional}'}")
+        (
+            f"check {item.check}",
+            "required" if item.optional is None else "optional",
+            _range(item),
+            f"{item.source}{'' if item.optional is None else f'; optional: {item.optional}'}",
+        )
         for item in document.checks
     ]
     output.table(

@@ -235,6 +235,45 @@ def failed(checks: Iterable[Check]) -> tuple[Check, ...]:
     return tuple(check for check in checks if not check.passed)
 
 
+# Checks of where the wire lies in the bone [ours]: what a surgeon corrects first.
+OF_BONE = frozenset(
+    {
+        CheckCode.SIDE,
+        CheckCode.HEAD,
+        CheckCode.HEAD_AGREEMENT,
+        CheckCode.ENTRY_AND_END,
+        CheckCode.TIP_IN_HEAD,
+        CheckCode.ENTRY_AT_CORTEX,
+        CheckCode.ENTRY_TO_CORTEX,
+        CheckCode.WIRE_LENGTH,
+        CheckCode.TIP_APEX_DISTANCE,
+        CheckCode.CALCAR_TIP_APEX_DISTANCE,
+        CheckCode.TIP_TO_BONE_ALONG_WIRE,
+        CheckCode.TIP_TO_BONE_NEAREST,
+        CheckCode.WIRE_IN_NECK,
+        CheckCode.WIRE_OFF_NECK_AXIS,
+        CheckCode.WIRE_TO_SHAFT,
+        CheckCode.WIRE_IN_SACRAL_CORRIDOR,
+        CheckCode.TIP_IN_SACRAL_CORRIDOR,
+        CheckCode.TIP_PAST_PROMONTORY,
+        CheckCode.WIRE_IN_PEDICLE,
+        CheckCode.ENTRY_TO_PEDICLE,
+        CheckCode.TIP_BEHIND_FRONT,
+        CheckCode.TIP_SHORT_OF_FRONT,
+        CheckCode.TIP_TO_ENDPLATES,
+        CheckCode.WIRE_TO_GROWTH_PLATE,
+        CheckCode.WIRE_OFF_MIDDLE_OF_GROWTH_PLATE,
+        CheckCode.TIP_BEYOND_GROWTH_PLATE,
+    }
+)
+
+
+def advised(checks: Iterable[Check]) -> tuple[Check, ...]:
+    """Return the failed checks in the order in which a person acts on them: what is wrong before what is missing, and
+    of either the wire in the bone before beads and errors."""
+    return tuple(sorted(failed(checks), key=lambda check: (check.missing, check.code not in OF_BONE)))
+
+
 def at_most(name: str, value: float, limit: float, unit: str, states: str, *, otherwise: str) -> Check:
     """Return the check that a value is at most its limit. Its sentence `states` the value; where the check fails it
     goes on with `otherwise`, which says what to do."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sightline.common.checks import Check, failed
+from sightline.common.checks import Check, advised
 from sightline.errors import UnusableInputError
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ def centre_sd(covariance_px2: np.ndarray | None) -> str:
 
 def checks_lines(checks: Sequence[Check], most: int) -> list[str]:
     """Return how many checks passed, then the sentence of each that failed, `most` of them."""
-    bad = failed(checks)
+    bad = advised(checks)
     counts = f"  checks: {len(checks) - len(bad)} of {len(checks)} passed"
     lines = [_cut(f"  failed: {check.name}: {check.sentence}") for check in bad[:most]]
     more = [f"  ... and {counted(len(bad) - most, 'failed check')} more"] if len(bad) > most else []

@@ -18,7 +18,7 @@ from sightline.app.tab.placing import ProcedureStep
 from sightline.app.tab.tab import Tab
 from sightline.app.texts import image_name
 from sightline.case.views import CHECK_NAMES, NAMES
-from sightline.common.checks import CheckCode, failed
+from sightline.common.checks import CheckCode, advised, failed
 from sightline.planning.points.results import Verdict
 from sightline.planning.procedures import Procedure
 from sightline.planning.procedures import kind as kind_of
@@ -187,7 +187,7 @@ def _judged(planning: Planning, known: Planned, verdict: Verdict | None) -> _Fou
 
 def judged(verdict: Verdict | None) -> _Found:
     """Return the status by the checks: what is not placed is left to do, only a check that failed needs attention."""
-    wrong = [] if verdict is None else sorted(failed(verdict.checks), key=lambda check: check.missing)
+    wrong = () if verdict is None else advised(verdict.checks)
     if verdict is None or not wrong:
         return StepStatus.DONE, "GO: every check passed."
     return StepStatus.OPEN if wrong[0].missing else StepStatus.ATTENTION, texts.sentence(wrong[0])

@@ -23,7 +23,7 @@ from sightline.app.panels.section import (
 from sightline.app.panels.steps import aid_labels, missing_labels, needed_aids, refusals
 from sightline.app.plan.marks import label_of
 from sightline.app.tab.tab import Tab
-from sightline.common.checks import Check, CheckCode, failed
+from sightline.common.checks import Check, CheckCode, advised, failed
 from sightline.errors import SightlineError
 from sightline.planning import Plan
 from sightline.planning.points.results import MAX_GAP_SIGMA
@@ -204,7 +204,7 @@ def html(tab: Tab) -> Markup:
         more = len(others)
     else:
         kind = tab.planning.decisions.kind
-        wrong = [check for check in failed(verdict.checks) if not check.missing]
+        wrong = [check for check in advised(verdict.checks) if not check.missing]
         told = texts.sentence(wrong[0], kind) if wrong else "Every check passed. A person decides."
         more = len(wrong) - 1
     more_text = texts.MORE.format(count=more) if more > 0 else ""

@@ -91,10 +91,12 @@ class _Bone:
             parts = []
         else:
             parts = sorted(set(*check.needs[:1]) - known - set(said))
-        unpicked = [f"the landmark '{part}' is not picked: pick it in both images" for part in parts if part in LANDMARKS]
+        unpicked = [
+            f"the landmark '{part}' is not picked: pick it in both images" for part in parts if part in LANDMARKS
+        ]
         parts = [part for part in parts if part not in LANDMARKS]
         why = {part: self.anatomy.why_absent(part) for part in parts}
-        waits = {part for part, said in why.items() if self.anatomy.undrawn(part) or said in NOT_PLACED.values()}
+        waits = {part for part, text in why.items() if self.anatomy.undrawn(part) or text in NOT_PLACED.values()}
         undrawn = unpicked + [why[part] for part in parts if part in waits]  # itself, or what it is located by
         refused = [why[part] for part in parts if part not in waits]
         with_side = check.side and (rule.check not in MEASURES or rule.check == "above lesser trochanter")

@@ -205,7 +205,9 @@ class Located:
         rule = next((asked for asked in self.procedure.checks if asked.check == _NAME), None)
         if rule is None:
             return Verdict(())
-        return _known(_NAME, "°", self.unknown_directions, lambda: self.worst_view().check(), required=rule.optional is None)
+        return _known(
+            _NAME, "°", self.unknown_directions, lambda: self.worst_view().check(), required=rule.optional is None
+        )
 
     def worst_view(self) -> "JudgedView":
         """Return the view that is farthest beyond its tolerance, with its error. Raises ReconstructionRefusedError."""
@@ -251,7 +253,9 @@ class Located:
         if rule is None or len(document.directions) < 3 or stated_before:
             return Verdict(())
         by_frame = _side_by_frame(document, self.views)
-        return _known("side", "mm", self.unknown_side, self._side_check, required=rule.optional is None and not by_frame)
+        return _known(
+            "side", "mm", self.unknown_side, self._side_check, required=rule.optional is None and not by_frame
+        )
 
     def _side_check(self) -> Check:
         """Return the check that the third direction of the bone points as on the stated side."""

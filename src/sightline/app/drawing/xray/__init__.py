@@ -28,7 +28,7 @@ TEXT_KEYS = (
     *PRESETS,
     *("head_up", "head_right", "head_down", "head_left"),
     *("point", "snapped", "placing", "mirrored", "rotated", "stale", "readout", "outside", "edit_lost", "load_failed"),
-    "off_field",
+    *("off_field", "held_in_field"),
 )
 """Texts that a view needs. Their fields: point {name} {u} {v}, placing {name}, rotated {degrees}, readout {u} {v}
 {value}, edit_lost {name}."""

@@ -19,6 +19,8 @@ export class Edits {
     this.core = core;
     this.moves = new Moves(core.emit, keep);
     this.undone = nothingUndone();
+    /** @type {string | null} */
+    this.clamped = null; // the point that the last move held at the edge of the field
   }
 
   /** The action of this number is acknowledged.
@@ -33,6 +35,8 @@ export class Edits {
   /** Discards unacknowledged actions. */
   giveUp() {
     this.undone = nothingUndone();
+    /** @type {string | null} */
+    this.clamped = null; // the point that the last move held at the edge of the field
   }
 
   /** The points of the newest message; a point being dragged, or moved and not acknowledged, keeps its position. */
@@ -71,9 +75,12 @@ export class Edits {
     const point = core.point(id);
     if (!point || !this.#onItsImage) return core.release();
     const onCurve = point.slides || (point.snapped && type !== "place");
-    point.uv = core.display.clamp(onCurve ? core.following.slid(id, uv) : uv);
+    const wanted = onCurve ? core.following.slid(id, uv) : uv;
+    point.uv = core.display.clamp(wanted);
+    if (type !== "drop") this.clamped = core.display.contains(wanted) ? null : id; // a drop is where the drag held it
     this.undone.points.set(id, this.moves.push(type, id, point.uv, core.shownUrl));
     if (type !== "drag") this.#settled(/** @type {Placed} */ (point));
+    if (this.clamped === id) core.chrome.showLine(core.chrome.lost, core.texts.held_in_field);
     core.canvas.invalidate("overlay");
     for (const follower of core.following.followers) follower.follow(id);
   }

@@ -302,6 +302,7 @@ export class Gestures {
     this.now = null;
     const point = this.core.point(drag.id);
     if (point) point.uv = drag.start;
+    this.core.edits.clamped = null;
     this.#drop(drag.moved ? "drop" : null, drag);
   }
 
