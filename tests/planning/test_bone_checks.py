@@ -57,7 +57,7 @@ def _planned(
 
 def _all_drawn(centre_mm: np.ndarray, entry_mm: np.ndarray = bone.ENTRY_MM) -> Aids:
     """Neck and shaft of a hip of any side, and the lateral cortex at the entry."""
-    shaft = entry_mm + [[-15.0, -5.0, 0.0], [-15.0, 5.0, 0.0]]
+    shaft = entry_mm + np.array([[-15.0, -5.0, 0.0], [-15.0, 5.0, 0.0]])
     neck = np.stack([entry_mm, centre_mm])
     return Aids(
         neck=(Line(VIEWS[0].project(neck)), Line(VIEWS[1].project(neck))),

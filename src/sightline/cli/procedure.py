@@ -131,12 +131,7 @@ def _show(output: Output, document: "ProcedureDocument") -> None:
         for item in document.directions
     ]
     checks = [
-        (
-            f"check {item.check}",
-            "required" if item.optional is None else "optional",
-            _range(item),
-            f"{item.source}{'' if item.optional is None else f'; optional: {item.optional}'}",
-        )
+        (f"check {item.check}", "required" if item.optional is None else "optional", _range(item), _why(item))
         for item in document.checks
     ]
     output.table(
@@ -150,6 +145,11 @@ def _show(output: Output, document: "ProcedureDocument") -> None:
             f"{catalogue.implants}: {len(lengths)} lengths of {lengths[0]:g} to {lengths[-1]:g} mm, diameter "
             f"{', '.join(f'{mm:g}' for mm in catalogue.diameters_mm)} mm ({catalogue.source})"
         )
+
+
+def _why(rule: "CheckRule") -> str:
+    """Return the source of a check's limits, and why a plan may do without it."""
+    return rule.source if rule.optional is None else f"{rule.source}; optional: {rule.optional}"
 
 
 def _range(limited: "CheckRule | Relation") -> str:
