@@ -143,7 +143,8 @@ def _of_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
             continue
         error = TWO_SIDED_95 * known.sd
         passed = low <= known.value - error and known.value + error <= high
-        limit = high if not np.isfinite(low) or known.value + error > high else low
+        nearer_high = high - known.value < known.value - low
+        limit = high if np.isfinite(high) and (low <= 0.0 or nearer_high) else low  # zero bounds no distance
         sentence = f"The {name} is {known.value:.1f} {unit}, with 95 % probability within {error:.1f} {unit}"
         move = _MOVE.get(name, "move the end point, or draw the aids more accurately")
         advice = f"with its error it must lie {_within(low, high, unit)}: {move}"
