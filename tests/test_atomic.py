@@ -175,6 +175,33 @@ def test_what_the_body_raises_is_passed_on_and_nothing_is_written(tmp_path: Path
 
 
 @needs_posix
+@needs_posix
+@pytest.mark.parametrize("sign", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_second_signal_while_a_half_written_result_is_removed_leaves_nothing(tmp_path: Path, sign: str) -> None:
+    script = f"""
+import os, shutil, signal, sys
+from sightline import cli
+from sightline.common.atomic import whole_folder
+end, remove = (lambda: os.kill(os.getpid(), signal.{sign})), shutil.rmtree
+def interrupted(*given, **options):
+    shutil.rmtree = remove
+    end()
+    remove(*given, **options)
+def command():
+    with whole_folder(sys.argv[1]) as scratch:
+        (scratch / "a").touch()
+        shutil.rmtree = interrupted
+        end()
+cli.commands = command
+cli.main()
+"""
+    program = [sys.executable, "-c", script, str(tmp_path / "out")]
+    ran = subprocess.run(program, check=False, capture_output=True, text=True)  # noqa: S603
+    assert ran.returncode != 0
+    assert ("Terminated" in ran.stderr) == (sign != "SIGINT")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_is_not_a_regular_file_is_not_replaced(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "folder").mkdir()

@@ -115,8 +115,8 @@ def test_a_bug_is_one_line_and_its_traceback_is_for_who_asks(monkeypatch: pytest
     assert "secret detail" in invoke(body).stderr
 
 
-@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt, 130), (Terminated, 143)])
-def test_a_signal_ends_a_command_cleanly(error: type[BaseException], code: int) -> None:
+@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt, 130), (Terminated, 143), (Terminated(1), 129)])
+def test_a_signal_ends_a_command_cleanly(error: type[BaseException] | BaseException, code: int) -> None:
     def body(_: Output) -> None:
         raise error
 

@@ -82,16 +82,26 @@ def main() -> None:
     """Entry point of `sightline`."""
     for name in _BLAS_THREADS:
         os.environ.setdefault(name, "1")  # read when numpy is first imported, which no command file does at its top
-    for stream in (sys.stdout, sys.stderr):
+    for stream in (sys.stdin, sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            # A pipe on Windows has no "°" or "σ": that is no reason to fail when all files are written.
+            # A pipe on Windows has no "°" or "σ": that is no reason to fail when all files are written. Every command
+            # prints to these streams, by `Output` and typer; files are written in UTF-8.
             stream.reconfigure(errors="replace")
     # A shell without job control starts background jobs with SIGINT ignored, and Python would leave it ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, _terminate)
+    for number in _ends():
+        signal.signal(number, _terminate)
     commands()
 
 
-def _terminate(*_: object) -> None:
-    """End a command on SIGTERM, from a service manager or at a shutdown, as Ctrl-C does."""
-    raise Terminated
+def _ends() -> list[signal.Signals]:
+    """Return the signals of service managers and shutdowns, and of a closed terminal unless nohup ignores it."""
+    names = [name for name in ("SIGHUP", "SIGBREAK") if hasattr(signal, name)]  # of POSIX, of Windows
+    closed = [number for number in map(signal.Signals.__getitem__, names) if signal.getsignal(number) != signal.SIG_IGN]
+    return [signal.SIGTERM, *closed]
+
+
+def _terminate(number: int, _: object) -> None:
+    """End a command as Ctrl-C does, once: a second signal must not interrupt the removal of what is half written."""
+    signal.signal(number, signal.SIG_IGN)
+    raise Terminated(number)

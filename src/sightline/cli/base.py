@@ -1,6 +1,7 @@
 """The command line `commands`, how a function becomes one of its commands, and the options that several share."""
 
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Generator, Iterable, Sequence
@@ -222,11 +223,14 @@ if TYPE_CHECKING:
 _PASSED_ON = (typer.Exit, typer.Abort, typer.BadParameter, BrokenPipeError)
 _REFUSED, _NOT_VERIFIED, _BUG = 3, 4, 1
 _PIPE_COLUMNS = 1000  # [ours] more than any row has
-_INTERRUPTED, _TERMINATED = 130, 143  # 128 + SIGINT, 128 + SIGTERM, as shells expect
+_SIGNALLED = 128  # plus the signal's number, as shells expect
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM, handled wherever Ctrl-C is."""
+    """A signal that ends the program, handled wherever Ctrl-C is."""
+
+    def __init__(self, number: int = signal.SIGTERM) -> None:
+        self.signal = signal.Signals(number)
 
 
 class Output:
@@ -335,9 +339,9 @@ class Output:
             if self._code:
                 raise typer.Exit(self._code)
         elif isinstance(error, Terminated):
-            self._fail("Interrupted", "stopped by a signal (SIGTERM)", _TERMINATED)
+            self._fail("Interrupted", f"stopped by a signal ({error.signal.name})", _SIGNALLED + error.signal)
         elif isinstance(error, KeyboardInterrupt):
-            self._fail("Interrupted", "stopped by the keyboard", _INTERRUPTED)
+            self._fail("Interrupted", "stopped by the keyboard", _SIGNALLED + signal.SIGINT)
         elif isinstance(error, SightlineError):
             self._fail(type(error).__name__, str(error), error.exit_code)
         elif isinstance(error, OSError) and (message := _disk_error(error)):

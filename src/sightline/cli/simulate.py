@@ -146,7 +146,7 @@ def simulate(
     with whole_folder(out) as scratch:
         stated = tags if tags is not None else frame.solid is not None
         files = _write(scratch, images, drawn, png=png, tags=stated)
-        (scratch / "truth.json").write_text(as_json({**truth, **drawn.truth}))
+        (scratch / "truth.json").write_text(as_json({**truth, **drawn.truth}), "utf-8")
         if made is not None:
             made.save(scratch / AS_MADE)
     if not drawn.shown:

@@ -96,13 +96,13 @@ def whole_folder(path: str | Path, units: Collection[str] = ()) -> Generator[Pat
         yield scratch
         with _refusing_os_errors(what):
             names = [*sorted(_items(scratch, units)), *(f"{unit}/" for unit in units)]
-            (scratch / MANIFEST).write_text(json.dumps({"files": names}, indent=1))
+            (scratch / MANIFEST).write_text(json.dumps({"files": names}, indent=1), "utf-8")
             _sync(scratch)
             _refuse_foreign(target)
             _replace(target, scratch)
             sync_folder(target.parent)
     finally:
-        shutil.rmtree(place, ignore_errors=True)
+        _remove(place)
 
 
 @contextmanager
@@ -115,7 +115,7 @@ def scratch_folder() -> Generator[Path]:
     try:
         yield place
     finally:
-        shutil.rmtree(place, ignore_errors=True)
+        _remove(place)
 
 
 def sync_folder(folder: Path) -> None:
@@ -164,7 +164,16 @@ def _discard(folder: Path) -> None:
     """Remove a folder. It is hidden first, so that a kill leaves no part of it under its name."""
     hidden = Path(mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
     folder.rename(hidden / folder.name)
-    shutil.rmtree(hidden, ignore_errors=True)
+    _remove(hidden)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder as far as possible, also where a second Ctrl-C interrupts that."""
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    except KeyboardInterrupt:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 def _replace(target: Path, new: Path) -> None:
