@@ -417,7 +417,7 @@ def test_floating_point_pixels_are_scaled_for_the_eye() -> None:
     eight = Radiograph(np.arange(256, dtype=np.uint8).reshape(16, 16), 255.0)
     pixels = as_u16(eight)
     assert pixels.dtype == np.uint16 and pixels.max() == 255
-    pixels = as_u16(Radiograph(np.linspace(-3.0, 5.0, 256, dtype=np.float32).reshape(16, 16), 5.1))
+    pixels = as_u16(Radiograph(np.linspace(1.0, 9.0, 256, dtype=np.float32).reshape(16, 16), 9.1))
     assert (pixels.min(), pixels.max()) == (0, 65535)
     assert (as_u16(Radiograph(np.ones((16, 16), np.float32), 2.0)) == 0).all()
 
