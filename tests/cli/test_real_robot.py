@@ -4,7 +4,6 @@ is not this robot's, this frame's or of these images is refused."""
 import json
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,7 +22,8 @@ from sightline.cli.drive import DriveShots
 from sightline.errors import UnusableInputError
 from sightline.frame import Frame
 from sightline.robot import contract
-from sightline.robot.igtl import Message, Transform, encode
+from sightline.robot.igtl import Message, encode
+from sightline.robot.link.record import Recorder
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plant_template.py"
 GAMMA, BLOCK = (replace(Frame.load(name), serial="SN-7") for name in ("gamma", "block30"))
@@ -113,22 +113,25 @@ def test_every_prompt_may_be_answered_late(robot_file, plan, images, tmp_path, m
         0,
         iter(("pa.npy lateral.npy", "", "pa.npy lateral.npy", "", "pa.npy lateral.npy")),
     )
-    streams = (Message(Transform(peer.tip), contract.MEASURED_CP), Message(peer.joints(), contract.MEASURED_JS))
-    second = b"".join(map(encode, streams)) * round(1 / contract.TELEMETRY_S)
+    second = encode(Message(peer.joints(), "late")) * round(2 / contract.TELEMETRY_S)  # twice for pose and joints
+    read = 0
+
+    def heard(_: Recorder, message: Message) -> None:
+        nonlocal read
+        read += message.device_name == "late"
 
     def pass_time(*_: object, **__: object) -> bool:
         nonlocal waits
         waits += 1
-        client, sent = peer.peers[0], threading.Event()
-        client.write(late_s * second)
-        client.loop.call_soon_threadsafe(sent.set)
-        wait_for(lambda: sent.is_set() and client.transport.get_write_buffer_size() == 0)
+        peer.peers[0].write(late_s * second)
+        wait_for(lambda: read == waits * late_s * 100)
         return True
 
     def not_seen(*_: object) -> None:
         pass_time()
         raise UnusableInputError("no wire is seen")
 
+    monkeypatch.setattr(Recorder, "heard", heard)
     monkeypatch.setattr("sightline.cli.drive.planned_in", lambda *_: 1)
     monkeypatch.setattr(DriveShots, "_measure", not_seen)
     monkeypatch.setattr(DriveShots, "_check", lambda *_: ({}, ()) if pass_time() else None)

@@ -281,6 +281,15 @@ def test_bone_in_an_open_hole_stops_and_another_target_has_none():
     assert any("no bone was met" in text and "a hole that this robot does not know" in text for text in texts(said))
 
 
+def test_a_hole_that_ended_in_a_cortex_must_have_one_behind_its_bottom():
+    """A wire that slipped back in its chuck would go on by that much too far: the robot stops behind the bottom."""
+    rig, _ = stopped("STOP")
+    rig.plant.bottom_mm += 5.0
+    told_again(rig)
+    said = rig.run_until(State.STOP)
+    assert any("no bone was met up to 9.0 mm beyond" in text and "a cortex at 6.0 mm" in text for text in texts(said))
+
+
 def texts(said: list[Message]) -> list[str]:
     return [message.body.text for message in said if isinstance(message.body, Status)]
 

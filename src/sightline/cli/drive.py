@@ -454,7 +454,8 @@ class DriveShots:
         while True:
             try:
                 given = _prompted(
-                    "Check shot: take two images of the plan's views with its frame in them", "with nothing it ends"
+                    "Check shot: take two images of the plan's views with its frame in them",
+                    "with nothing the wire is not verified",
                 )
             except typer.Abort:
                 _answer("")  # the input ended: go to the next line
@@ -499,10 +500,15 @@ class DriveShots:
     def record_drilled(self, record: "DrillingRecord") -> None:
         """Record in the case what was drilled, if the wire has met the bone."""
         from sightline.case.journal import Actor, Case, Kind
+        from sightline.errors import CaseError
 
-        if record.events or (record.depth_mm > 0).any():
+        if not record.events and not (record.depth_mm > 0).any():
+            return
+        try:
             with Case.open(self.folder) as case:
                 case.record(Kind.DRILLED, {"record": record.document()}, by=Actor.ROBOT, rests_on=[self.planned])
+        except CaseError as error:  # what the robot says, and where the wire lies, matters more
+            _answer(f"the drilling was not recorded: {error}")
 
     def document(self) -> dict[str, Any]:
         """Return the shots as JSON types, by state."""

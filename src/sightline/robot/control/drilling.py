@@ -6,9 +6,16 @@ from sightline.errors import RobotRefusedError, UnusableInputError
 from sightline.robot.control.course import Course, Leg, Step, limit_feed
 from sightline.robot.control.insertion import Insertion
 from sightline.robot.control.states import Trigger
-from sightline.robot.control.supervision import EventKind, Supervision, SupervisionEvent
+from sightline.robot.control.supervision import CORTEX_N, EventKind, Supervision, SupervisionEvent
 from sightline.robot.kinematics.manipulator import FEED, JOINTS, Manipulator
-from sightline.robot.kinematics.target import CONTACT_LEAD_MM, CONTACT_SD_MM, DepthZero, contact_range, pause_depth
+from sightline.robot.kinematics.target import (
+    CONTACT_LEAD_MM,
+    CONTACT_SD_MM,
+    MAX_ZERO_SHIFT_MM,
+    DepthZero,
+    contact_range,
+    pause_depth,
+)
 from sightline.robot.plant import Reading
 
 # Feed towards the entry point, and the distance before it at which drilling feed begins: twice its 95 % error [ours].
@@ -45,7 +52,9 @@ class Drilling:
         self._seeks_bone = into_bone
         self._bottom_feed_mm: float | None = None  # of the hole; None before bone was met
         self._open_mm: float | None = None
+        self._ended_in_cortex = False
         if before is not None:
+            self._ended_in_cortex = before._ended_in_cortex or before._supervision.force_n > CORTEX_N
             self._end_mm, self._seeks_bone = before._end_mm, before._seeks_bone
             self._bottom_feed_mm, self._open_mm = before._bottom_feed_mm, before.bottom_mm
 
@@ -118,6 +127,14 @@ class Drilling:
         if self._seeks_bone and depth > self._contact_mm[1]:
             what = "no cortex" if self._touched else "no bone"
             return _stop(Trigger.HALT, f"{what} was met up to {_place(depth)}: {_NOT_MET}")
+        if self._open_mm is not None and depth > self._open_mm + MAX_ZERO_SHIFT_MM and self._ended_in_cortex:
+            self._ended_in_cortex = False
+            if not self._touched:
+                return _stop(
+                    Trigger.HALT,
+                    f"no bone was met up to {_place(depth)}, and the hole ended in a cortex at {self._open_mm:.1f} mm: "
+                    "the wire has moved in its chuck, or bone or robot has moved since; take a shot",
+                )
         if self._touched or self._bottom_feed_mm is not None:
             self._bottom_feed_mm = max(feed, self._bottom_feed_mm or feed)
         return None
