@@ -11,11 +11,13 @@ import pytest
 
 from sightline.case.report.content import NOTE, KeptExposure, Refused
 from sightline.case.report.document import ReportDocument, report_document, schema_text
+from sightline.case.report.drilled import Drilled
 from sightline.case.report.page import render
 from sightline.case.report.tables import tables
 from sightline.case.views import view_document
 from sightline.common.checks import Check
 from sightline.planning import Verdict
+from sightline.robot.link.record import DrillingRecord
 
 SCHEMA = Path(__file__).parents[2] / "docs" / "report.schema.json"
 VOID = {"meta", "link", "img", "br"}
@@ -234,3 +236,13 @@ def test_exposures_are_in_page_and_document(report) -> None:
         assert {"image": f"{k:012d}.dcm", "used": f"use {k}", "at": None, "frames": k} in document["exposures"]
     assert NOTE in " ".join(page.split())
     assert "neither is the dose" in schema_text()
+
+
+def test_a_drilled_wire_has_the_verdict_s_place(report) -> None:
+    """GO of its plan is no longer what a reader asks for."""
+    drilled = DrillingRecord(np.array([30.0]), np.array([1.0]), ())
+    for check, why in ((None, "no check shot was measured"), ("no wire is seen", "refused: no wire is seen")):
+        text = Page(render(replace(report, drilled=Drilled(None, drilled, check)))).text
+        assert "✓ GO" not in text
+        assert "○ NOT VERIFIED" in text
+        assert why in text

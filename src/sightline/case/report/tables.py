@@ -69,14 +69,13 @@ def _verdict(report: Report) -> dict[str, Any]:
         "no-go": f"{len(against)} of {count} checks stand against this plan:",
         "incomplete": f"{len(against)} of {count} checks could not be made because something is missing:",
     }[verdict.state]
-    return {
-        "state": verdict.state,
-        "word": verdict.state.upper(),
-        "sentence": sentence,
-        "count": count,
-        "passed": count - len(against),
-        "reasons": [_reason(c, report) for c in against],
-    }
+    state, word, passed = verdict.state, verdict.state.upper(), count - len(against)
+    of_wire = drilled.outcome(report.drilled) if verdict.go else None
+    if of_wire is not None:
+        sentence = f"{of_wire[2]} The plan: {word}. {sentence}"
+        state, word, _, against = of_wire
+    reasons = [_reason(check, report) for check in against]
+    return {"state": state, "word": word, "sentence": sentence, "count": count, "passed": passed, "reasons": reasons}
 
 
 def _reason(check: Check, report: Report) -> dict[str, str]:
