@@ -46,7 +46,7 @@ XRAY = {
     "held_in_field": "Outside the X-ray field: the point was put on its edge. Drag it to its place.",
 }
 TICKS = "mm along the line of sight of the other image, a tick every 10 mm"
-MEASURED = "Green: the wire as far as this image shows it, and its tip. Dashed: the plan."
+MEASURED = "Green: the wire where this image shows it, and its tip. Dashed: the plan."
 ORIENTATION = {
     "right": "Right side: +Y of the frame points to the feet.",
     "left": "Left side: +Y of the frame points to the head.",

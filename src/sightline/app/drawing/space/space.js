@@ -22,7 +22,7 @@ const MAX_LINES = 4; // largest distance of a label from its place, in lines of 
 const REACHES = ["hip", "frame", "room"]; // each includes those before it
 // Viewing directions for a left hip, with the feet towards -Y; for a right one they are towards +Y.
 /** @type {Record<string, Xyz>} */
-const FROM = { feet: [0, -1, 0], side: [1, 0, 0], above: [0, -0.001, 1], aslant: [0.441, -0.83, 0.342] };
+const FROM = { feet: [0, -1, 0], side: [1, 0, 0], above: [0, -0.001, 1], aslant: [0.3, -0.45, 0.841] };
 
 const CSS = `
 .space { position: absolute; inset: 0; overflow: hidden; font: 500 clamp(13px, 9px + 0.32vw, 22px) system-ui, sans-serif; background: var(--ground); }
@@ -266,7 +266,8 @@ export class SpaceCore {
     const ball = bounds.getBoundingSphere(new THREE.Sphere());
     const half = ((FIELD_DEG / 2) * Math.PI) / 180;
     const narrow = Math.min(1, this.camera.aspect);
-    const distance = (0.9 * Math.max(ball.radius, 10)) / Math.sin(half) / narrow;
+    const fill = reach === "hip" ? 0.7 : 0.9; // of the ball around the box, which bone and wire do not fill
+    const distance = (fill * Math.max(ball.radius, 10)) / Math.sin(half) / narrow;
     const from = this.camera.position.clone().sub(this.controls.target).normalize();
     this.controls.target.copy(ball.center);
     this.camera.position.copy(ball.center).addScaledVector(from, distance);

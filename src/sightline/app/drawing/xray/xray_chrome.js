@@ -62,7 +62,7 @@ const SHEET = `
 .xray-foot { position: absolute; left: 0.6em; right: 0.6em; bottom: 0.6em; display: flex; flex-direction: column; align-items: flex-start; gap: 0.3em; pointer-events: none; font-variant-numeric: tabular-nums; color: var(--text); font-size: 0.93em; }
 .xray-row { display: flex; align-self: stretch; justify-content: space-between; align-items: flex-end; gap: 0.6em; }
 .xray-foot .xray-panel { padding: 0.3em 0.7em; white-space: pre; overflow: hidden; text-overflow: ellipsis; }
-.xray-identity { font-weight: 400; font-size: 0.87em; line-height: 1.15; } .xray-turned { font-weight: 400; } .xray-turned.unusual { color: var(--orange); font-weight: 650; } .xray-turned:not(:empty) { margin-left: 0.7em; }
+.xray-identity { font-weight: 400; font-size: 0.87em; line-height: 1.15; } .xray-foot .xray-legend { white-space: normal; } .xray-turned { font-weight: 400; } .xray-turned.unusual { color: var(--orange); font-weight: 650; } .xray-turned:not(:empty) { margin-left: 0.7em; }
 .xray-tip { position: absolute; left: 0; top: 0; max-width: 22em; padding: 0.4em 0.7em; pointer-events: none; white-space: pre-line; overflow-wrap: anywhere;
   background: rgba(12, 16, 20, 0.95); border: 1px solid var(--line); }
 .xray-live { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); white-space: nowrap; }
