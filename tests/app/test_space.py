@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from tests.app.browser import Server, Tab
 from tests.app.space_page import GROUPS, HOSTILE
 
+from sightline.app.drawing import space
 from sightline.app.drawing.space import (
     CELL_MM,
     bone_objects,
@@ -21,8 +22,11 @@ from sightline.app.drawing.space import (
     view_objects,
     wire_objects,
 )
+from sightline.app.session.rehearsing import Patient
 from sightline.frame import Frame
 from sightline.imaging import Radiograph
+from sightline.rehearsal.patient import NAILED
+from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.robot.kinematics.manipulator import FEED, PITCH, YAW, nominal_manipulator
 from sightline.twin.anatomy.femur import Femur, voxelise
 from sightline.twin.objects.volumes import Volume
@@ -136,6 +140,16 @@ def test_a_femur_is_light_enough_to_send() -> None:
     head = np.linalg.norm(vertices - [3.0, -4.0, 5.0], axis=1)
     assert abs(np.percentile(head, 1) - femur.head_radius_mm) < CELL_MM
     assert enclosed_mm3(vertices, triangles) > 0
+
+
+def test_a_bone_with_a_nail_is_shown_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fails for a scene that asks every patient for a hip."""
+    patient = Patient(2, procedure=NAILED)
+    grid = np.linalg.norm(np.indices((24, 24, 24)) - 11.7, axis=0)
+    volume = Volume((grid < 8.0).astype(np.float32), np.zeros(3), np.full(3, 3.0))
+    rehearsed = Rehearsal(2, None, SimpleNamespace(bone=SimpleNamespace(volumes=(volume,))), NAILED)  # type: ignore[arg-type]
+    monkeypatch.setattr(space, "rehearsal_of", lambda _: rehearsed)
+    assert [one["kind"] for one in space.rehearsed_bone(patient)] == ["mesh"]
 
 
 @pytest.fixture(scope="module")

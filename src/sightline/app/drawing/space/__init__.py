@@ -144,8 +144,8 @@ def bone_objects(volume: "Volume") -> list[Object]:
 
 
 def rehearsed_bone(patient: Patient) -> list[Object]:
-    """Return the femur of a rehearsed patient; takes seconds, so run it in the worker process."""
-    return [bone for volume in rehearsal_of(patient).hip.bone.volumes for bone in bone_objects(volume)]
+    """Return the bone of a rehearsed patient; takes seconds, so run it in the worker process."""
+    return [bone for volume in rehearsal_of(patient).bone.bone.volumes for bone in bone_objects(volume)]
 
 
 def robot_objects(robot: Manipulator, q: np.ndarray, T_mcs_cfcs: RigidTransform) -> list[Object]:
