@@ -232,7 +232,7 @@ def warped(world: World, rng: np.random.Generator) -> None:
 def views_exchanged(world: World, _: np.random.Generator) -> None:
     """Exchange the clicks of the images."""
     c = world.clicks
-    world.clicks = replace(c, wire=c.wire[::-1], landmarks=c.landmarks[::-1], head=c.head[::-1])
+    world.clicks = replace(c, wire=c.wire[::-1], landmarks=c.landmarks[::-1], head=c.head[::-1], lines=c.lines[::-1])
     world.never_go = True
 
 
@@ -240,7 +240,9 @@ def row_column(world: World, _: np.random.Generator) -> None:
     """Give (v, u) instead of (u, v)."""
     c = world.clicks
     head = np.concatenate([c.head[:, 1::-1], c.head[:, 2:]], axis=1)
-    world.clicks = replace(c, wire=c.wire[..., ::-1], landmarks=c.landmarks[..., ::-1], head=head)
+    world.clicks = replace(
+        c, wire=c.wire[..., ::-1], landmarks=c.landmarks[..., ::-1], head=head, lines=c.lines[..., ::-1]
+    )
 
 
 def points_for_views(world: World, _: np.random.Generator) -> None:
