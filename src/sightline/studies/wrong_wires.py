@@ -366,7 +366,7 @@ KINDS = (
         HIP_SCREW,
         "wire off neck axis",
         shifted(1.0, 0.0, ANTERIOR),
-        also=("anterior of lesser trochanter", "entry outside cortex"),
+        also=("anterior of lesser trochanter", "entry below cortex", "entry outside cortex"),
     ),
     WrongKind("cannulated: tip too deep under the joint", CANNULATED, "tip to bone along wire", shorter_end),
     WrongKind(
