@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from sightline.case.contents import CheckRequest
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.replay import ReplayOutcome, replay
 from sightline.cli import demo as demo_module
+from sightline.cli.base import Output
 from sightline.detection.csv_files import read_observations
 from sightline.errors import CaseError
+from sightline.rehearsal.wire import TakenShot
 
 DOCUMENTS = ("detections", "observations", "views", "trajectory", "comparison", "drilling", "truth")
 IMAGES = {"demo_pa.dcm", "demo_lateral.dcm"}
@@ -147,9 +150,23 @@ def test_the_wire_was_drilled_and_the_check_shot_agrees_with_the_physics(demo_fo
 
 
 def test_without_mujoco_the_rest_is_made_and_the_reason_said(monkeypatch, capsys) -> None:
-    from sightline.cli import demo as demo_robot
-    from sightline.cli.base import Output
-
-    monkeypatch.setattr(demo_robot, "find_spec", lambda name: None)
-    assert demo_robot.drill(Output(json=False, quiet=False), None, None, None) is None
+    monkeypatch.setattr(demo_module, "find_spec", lambda name: None)
+    assert demo_module.drill(Output(json=False, quiet=False), None, None, None) is None
     assert "sightline[robot]" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("results", "taken"), [(("hidden", "hidden", None), 3), ((None,), 1), (("hidden",) * 3, 3)])
+def test_check_images_that_are_refused_are_taken_again(monkeypatch, capsys, results, taken) -> None:
+    left, retakes = list(results), []
+    monkeypatch.setattr(TakenShot, "of", staticmethod(lambda *_: TakenShot(None, None, left.pop(0))))
+    planned = SimpleNamespace(
+        of_wire="", plan=SimpleNamespace(kind=SimpleNamespace(wire_mm=2.5)), found_again=lambda *_: None
+    )
+
+    def take(retake: int) -> SimpleNamespace:
+        retakes.append(retake)
+        return SimpleNamespace(images={})
+
+    shot = demo_module._check(Output(json=False, quiet=False), planned, take, np.random.default_rng(0))
+    assert (shot.result, retakes) == (results[-1], list(range(taken)))
+    assert capsys.readouterr().err.count("others are taken: hidden") == taken - 1

@@ -107,7 +107,7 @@ def test_beads_over_the_wire_are_left_out():
 
 def test_a_piece_is_held_against_the_others_not_against_itself():
     s, x = 30.0 * np.arange(9.0), np.random.default_rng(11).standard_normal(9)
-    fits = [WireFit(np.array([offset]), np.zeros(0), np.zeros(0), 1.0, 1.0, True) for offset in x]
+    fits = [WireFit(np.array([offset]), np.zeros(0), np.zeros(0), 1.0, 1.0, True, np.zeros(0)) for offset in x]
     pieces = [_Piece(float(place), np.zeros(0), fit) for place, fit in zip(s, fits, strict=True)]
     for k, off in enumerate(_left_out_residuals(pieces)):
         others = np.polynomial.Polynomial.fit(np.delete(s, k), np.delete(x, k), BEND)
@@ -159,12 +159,38 @@ def test_the_shadow_of_two_wires_is_not_that_of_one(aside_mm):
     assert find_wire(alone, expected(WIRE), 2.5, others=[expected(other)]).hidden < 0.2
 
 
+def ball(at_px: np.ndarray, radius_px: float) -> np.ndarray:
+    """Return the light that a steel ball lets through."""
+    return np.exp(-4 * np.sqrt(np.clip(1 - ((U - at_px[0]) ** 2 + (V - at_px[1]) ** 2) / radius_px**2, 0.0, None)))
+
+
+def test_a_bead_over_the_tip_is_fitted_with_it():
+    """Where the view expects it to a third of a pixel. Stated errors allow for images of bone."""
+    rng, radius, squares = np.random.default_rng(41), 10.0, []
+    for seed in range(8):
+        along, across, *off = np.append(rng.uniform([-14.0, -8.0], [10.0, 8.0]), rng.normal(0.0, 0.3, 2))
+        at = np.array(WIRE.tip_px) + along * WIRE.along + across * ACROSS
+        known = replace(expected(WIRE), beads_px=np.array([[*(at + off), radius]]))
+        seen = find_wire(drawn(WIRE, seed=seed, metal=ball(at, radius)), known, 2.5)
+        squares.append(at_tip(seen, WIRE) ** 2 / seen.tip_variance_px2)
+    assert max(squares) < 3.3**2
+    assert np.mean(squares) < 1.8
+
+
+def test_something_else_than_a_ball_over_the_tip_is_refused():
+    """A disc with a hole; and nothing where the view expects a ball."""
+    away = np.hypot(U - WIRE.tip_px[0], V - WIRE.tip_px[1])
+    known = replace(expected(WIRE), beads_px=np.array([[*WIRE.tip_px, 10.0]]))
+    for metal in (np.where((away < 10) & (away > 4), 0.2, 1.0), 1.0):
+        with pytest.raises(WireRefusedError, match="tip is hidden"):
+            find_wire(drawn(WIRE, metal=metal), known, 2.5)
+
+
 @pytest.mark.parametrize(("along_px", "across_px"), [(-15.0, 12.0)])
 def test_a_bead_that_touches_the_tip_is_left_out_where_the_view_knows_it(along_px, across_px):
     """Detection misses a bead that a wire touches. Unknown, it moved the tip by 5 px and more, with a small error."""
     at, radius = np.array(WIRE.tip_px) + along_px * WIRE.along + across_px * ACROSS, 9.0
-    chord = np.sqrt(np.clip(1 - ((U - at[0]) ** 2 + (V - at[1]) ** 2) / radius**2, 0.0, None))
-    image = drawn(WIRE, metal=np.exp(-4 * chord))
+    image = drawn(WIRE, metal=ball(at, radius))
     known = replace(expected(WIRE), beads_px=np.array([[*at, radius]]))
     seen = find_wire(image, known, 2.5)
     assert abs(at_tip(seen, WIRE)) < 1.2  # three standard deviations

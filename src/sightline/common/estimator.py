@@ -39,6 +39,8 @@ CHANGES = {
     17: "calibration computes with NumPy what kernels did, which rounds differently; the handedness of a solid's image "
     "is decided by the adjustment itself, with the errors of its balls, before by a camera of its own; "
     "sums of a bead's fit are added in one stated order, so that the last digits of centres and errors differ",
+    18: "the tip of a wire that known beads hide is fitted together with them, before it was refused; a detected bead "
+    "at the place of a known one hides no more of a wire than that one",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)

@@ -119,7 +119,8 @@ def find_wire(  # noqa: PLR0917
 ) -> WireShadow:
     """Return the wire within `corridor_mm` and 5° of its expected place.
 
-    `beads` that were detected and the expected ones are left out, because detection misses a bead that a wire touches.
+    `beads` that were detected and the expected ones are left out, because detection misses a bead that a wire touches;
+    where they hide the tip, the expected ones are fitted with it.
     `point_mm`: length of the conical (trocar) point, by default 1.5 diameters; 0: a plain end. `others`: where other
     wires are expected that may be in the image too: they are told from this one by their places and left out, and this
     one must have its own width over half of its length. `covered_px`: polygons (M, 2) in which other metal lies over
@@ -134,23 +135,24 @@ def find_wire(  # noqa: PLR0917
     noise = estimate_noise(logs, mask)
     if noise is None:
         raise WireRefusedError("the image has no area in which its noise can be measured; give a larger image")
-    discs = expected.beads_px
-    if beads is not None:
-        discs = np.concatenate([np.column_stack([beads.uv_px, beads.radius_px]), discs])
-    usable = mask & (image.pixels < image.white) & ~in_discs(mask.shape, discs + np.array([0.0, 0.0, _ROUND_BEAD_PX]))
-    usable &= ~_in_polygons(mask.shape, covered_px)
+    usable = mask & (image.pixels < image.white) & ~_in_polygons(mask.shape, covered_px)
+    usable &= ~_in_beads(mask.shape, _unknown(beads, expected.beads_px))
+    under_beads = _in_beads(mask.shape, expected.beads_px) & usable
+    usable &= ~under_beads
     shown = _shown(path, mask)
     path, scale, stretch, sine = ImagePath.through(path.uv_px[shown]), scale[shown], stretch[shown], sine[shown]
     radii = scale * diameter_mm / 2
     coarse = search(logs, usable, path, radii, scale, [other.uv_px for other in others], corridor_mm)
     radius = float(np.median(radii))
-    usable &= ~_in_bands(mask.shape, coarse.others, radius + 2 * _RIM_PX)
+    beside = ~_in_bands(mask.shape, coarse.others, radius + 2 * _RIM_PX)
+    usable, under_beads = usable & beside, under_beads & beside
     here = int(np.clip(coarse.expected_tip_s_px, 0, len(scale) - 1))
     wire = SteelWire(diameter_mm, point, float(sine[here]), float(stretch[here]))
     end = coarse.tip_s_px - wire.point_px - radius
     strip = _Strip.about(logs, usable, noise, coarse.path, (wire, radii))
     pieces = strip.pieces(end)
-    strip = _Strip.about(logs, usable & ~strip.outliers(pieces), noise, _through(coarse.path, pieces), (wire, radii))
+    usable, path = usable & ~strip.outliers(pieces), _through(coarse.path, pieces)
+    strip = _Strip.about(logs, usable, noise, path, (wire, radii))
     pieces = strip.pieces(end)
     if others:
         pieces = _alone(pieces, strip)
@@ -163,7 +165,10 @@ def find_wire(  # noqa: PLR0917
             f"the line found is {width_mm:.1f} mm wide, the wire {diameter_mm:.1f} mm: it is something else, or "
             "another wire is in; give the right diameter"
         )
-    return _measured(strip, pieces, coarse.tip_s_px, width_mm, max(1 - len(pieces) / looked_at, 0.0))
+    over = _beads_over(strip, expected.beads_px, coarse.tip_s_px)
+    whole = _Strip.about(logs, usable | under_beads, noise, path, (wire, radii)) if len(over) else strip
+    tip = _tip(_End(strip, pieces), (strip, whole), over, coarse.tip_s_px)
+    return _measured(strip, pieces, tip, width_mm, max(1 - len(pieces) / looked_at, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,10 +319,12 @@ class _Strip:
         return float((_products_by_lag(field) * correlation).sum())
 
 
-def _measured(strip: _Strip, pieces: list[_Piece], near_px: float, width_mm: float, hidden: float) -> WireShadow:
-    """Return the wire of pieces whose tip lies near s = `near_px`. Raises WireRefusedError."""
+def _measured(
+    strip: _Strip, pieces: list[_Piece], tip: tuple[float, float, float], width_mm: float, hidden: float
+) -> WireShadow:
+    """Return the wire of pieces with its `tip`: s, x, and the variance of s."""
     correlation = strip.correlation(pieces)
-    tip_s, tip_x, tip_variance = _tip(strip, pieces, near_px, correlation)
+    tip_s, tip_x, tip_variance = tip
     on, along, normal = strip.path.at(np.array([piece.s_px for piece in pieces]))
     tip_on, _, tip_normal = strip.path.at(np.array([tip_s]))
     variance = [strip.variance(piece.pixels, piece.fit.influence[0], correlation) for piece in pieces]
@@ -405,35 +412,89 @@ def _through(path: ImagePath, pieces: list[_Piece]) -> ImagePath:
     return path.moved(offset)
 
 
-def _tip(strip: _Strip, pieces: list[_Piece], near_px: float, correlation: np.ndarray) -> tuple[float, float, float]:
-    """Return s and x of the tip, and the variance of s. Raises WireRefusedError.
+class _End:
+    """The end of a wire whose pieces in a strip are measured."""
 
-    The error of the model grows with the light that it leaves unexplained, beside that along the wire.
-    """
-    wider, blur = np.median([(p.fit.values[1] / strip.radius_at(p.s_px), p.fit.values[2]) for p in pieces[-6:]], axis=0)
-    spread, point_px = strip.spread(strip.smoothed(strip.residuals(pieces))), strip.wire.point_px
-    for _ in range(_MAX_MOVES):
-        radius = wider * strip.radius_at(near_px)
-        pixels = strip.within(near_px - point_px - _TIP_BEHIND * radius, near_px + _BESIDE_PX)
-        s, x, light, noise = (a[pixels] for a in (strip.s, strip.x, strip.light, strip.noise))
-        about = np.count_nonzero((np.abs(s - near_px) < radius) & (np.abs(x) < radius))
-        if about < _MIN_TIP_VISIBLE * 4 * radius**2:
-            break
-        fit = fit_tip(s, x, light, noise, (near_px, 0.0), strip.wire, (radius, blur))
-        moved, near_px = float(fit.values[0]) - near_px, float(fit.values[0])
-        if fit.converged and abs(moved) < 1.0:
-            rest = np.full(len(strip.s), np.nan)
-            rest[pixels] = (light - fit.model) / noise
-            shown = (np.abs(x) < 1.5 * radius) & (s > near_px - point_px - 2 * radius) & (s < near_px + radius)
-            misfit = float(np.sqrt(np.mean(strip.smoothed(rest)[pixels][shown] ** 2))) / spread
-            if misfit > _MAX_TIP_MISFIT or not strip.shows(near_px, float(fit.values[1])):
-                break
-            variance = strip.variance(pixels, fit.influence[0], correlation)
-            return near_px, float(fit.values[1]), variance + (_MODEL_TIP_PX * max(misfit, 1.0)) ** 2
-    raise WireRefusedError(
-        "the wire's tip is hidden by a bead or other metal, or cannot be distinguished from its background; move the "
-        "C-arm a little and take the image again"
-    )
+    def __init__(self, strip: _Strip, pieces: list[_Piece]) -> None:
+        self.wider, self.blur = np.median(
+            [(p.fit.values[1] / strip.radius_at(p.s_px), p.fit.values[2]) for p in pieces[-6:]], axis=0
+        )
+        self.spread, self.correlation = strip.spread(strip.smoothed(strip.residuals(pieces))), strip.correlation(pieces)
+
+    def tip(self, strip: _Strip, beads: np.ndarray, starts: Sequence[float]) -> tuple[float, float, float] | None:
+        """Return s and x of the tip, and the variance of s; None where it is not seen.
+
+        `strip` with the pixels under `beads` (K, 3: s, x, radius), which are fitted too. The error of the model grows
+        with the light that it leaves unexplained, beside that along the wire. Of the fits from several starts that
+        with the least unexplained light counts.
+        """
+        fits = [fit for start in starts if (fit := self._from(strip, beads, start)) is not None]
+        if not fits:
+            return None
+        _, s, x, variance = min(fits)
+        return s, x, variance
+
+    def _from(self, strip: _Strip, beads: np.ndarray, near_px: float) -> tuple[float, float, float, float] | None:
+        """Return the unexplained light, s and x of the tip and the variance of s."""
+        point_px = strip.wire.point_px
+        for _ in range(_MAX_MOVES):
+            radius = self.wider * strip.radius_at(near_px)
+            pixels = strip.within(near_px - point_px - _TIP_BEHIND * radius, near_px + _BESIDE_PX)
+            s, x, light, noise = (a[pixels] for a in (strip.s, strip.x, strip.light, strip.noise))
+            about = np.count_nonzero((np.abs(s - near_px) < radius) & (np.abs(x) < radius))
+            if about < _MIN_TIP_VISIBLE * 4 * radius**2:
+                return None
+            fit = fit_tip(s, x, light, noise, (near_px, 0.0), strip.wire, (radius, self.blur), beads)
+            moved, near_px = float(fit.values[0]) - near_px, float(fit.values[0])
+            if fit.converged and abs(moved) < 1.0:
+                rest = np.full(len(strip.s), np.nan)
+                rest[pixels] = (light - fit.model) / noise
+                shown = (np.abs(x) < 1.5 * radius) & (s > near_px - point_px - 2 * radius) & (s < near_px + radius)
+                misfit = float(np.sqrt(np.mean(strip.smoothed(rest)[pixels][shown] ** 2))) / self.spread
+                if misfit > _MAX_TIP_MISFIT or not strip.shows(near_px, float(fit.values[1])):
+                    return None
+                variance = strip.variance(pixels, fit.influence[0], self.correlation) + float(fit.by_prior[0])
+                variance += (_MODEL_TIP_PX * max(misfit, 1.0)) ** 2
+                return misfit, near_px, float(fit.values[1]), variance
+        return None
+
+
+def _tip(end: _End, strips: tuple[_Strip, _Strip], over: np.ndarray, near_px: float) -> tuple[float, float, float]:
+    """Return s and x of the tip near s = `near_px`, and the variance of s: beside the beads `over` it (K, 3), or else
+    with them; `strips`: without and with the pixels under them. Raises WireRefusedError."""
+    tip = end.tip(strips[0], np.zeros((0, 3)), [near_px])
+    if tip is None and len(over):
+        s, _, reach = over[np.abs(over[:, 0] - near_px).argmin()]
+        tip = end.tip(strips[1], over, [near_px, s - reach, s, s + reach])
+    if tip is None:
+        raise WireRefusedError(
+            "the wire's tip is hidden by a bead or other metal, or cannot be distinguished from its background; move "
+            "the C-arm a little and take the image again"
+        )
+    return tip
+
+
+def _beads_over(strip: _Strip, beads_px: np.ndarray, tip_s_px: float) -> np.ndarray:
+    """Return s, x and radius (K, 3) of the known beads near a wire's tip that lie over its fitted strip."""
+    s, x = strip.path.places(beads_px[:, :2])
+    radius = beads_px[:, 2]
+    behind = tip_s_px - strip.wire.point_px - (_TIP_BEHIND + 2) * strip.radius_at(tip_s_px)
+    near = (s + 2 * radius > behind) & (s - 3 * radius < tip_s_px + _BESIDE_PX)
+    return np.stack([s, x, radius], axis=-1)[near & (np.abs(x) < strip.radius_px + _BESIDE_PX + radius)]
+
+
+def _unknown(beads: Detections | None, known_px: np.ndarray) -> np.ndarray:
+    """Return the discs (N, 3) of detected beads whose centre lies in none of the known ones (K, 3)."""
+    if beads is None:
+        return np.zeros((0, 3))
+    found = np.column_stack([beads.uv_px, beads.radius_px])
+    apart = np.linalg.norm(found[:, None, :2] - known_px[:, :2], axis=-1)
+    return found[~(apart < known_px[:, 2]).any(axis=1)]
+
+
+def _in_beads(shape: tuple[int, ...], discs: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: which pixels lie in discs (N, 3) or their blurred rims."""
+    return in_discs(shape, discs + np.array([0.0, 0.0, _ROUND_BEAD_PX]))
 
 
 def _prepared(

@@ -23,6 +23,8 @@ _MAX_ITERATIONS = 12
 _CONVERGED = 0.005  # px
 _MIN_BLUR, _MAX_BLUR = 0.3, 0.7  # px; radii
 BEND = 3  # degree of a wire's curve about the expected path, as in check_shot
+# S.d. of a known bead's place about the one that its view predicts, px: frame, map and the bead's own error [twin].
+_BEAD_SD_PX = 0.4
 _MAX_WIDTH_RATIO = 1.7  # limit of the fitted over the expected radius, either way; beyond, the fit has lost the wire
 
 
@@ -72,7 +74,8 @@ class WireFit:
     """A least-squares fit of a wire's shadow.
 
     `values` (P,): the parameters; `influence` (P, N): their derivatives by each pixel's light, in units of its noise;
-    `model` (N,): fitted light; `shadow`, `beside`: fitted light in the shadow and beside it.
+    `model` (N,): fitted light; `shadow`, `beside`: fitted light in the shadow and beside it. `by_prior` (P,): variance
+    from what was known beforehand.
     """
 
     values: np.ndarray
@@ -81,6 +84,7 @@ class WireFit:
     shadow: float
     beside: float
     converged: bool
+    by_prior: np.ndarray
 
     @property
     def contrast(self) -> float:
@@ -160,33 +164,51 @@ def fit_tip(  # noqa: PLR0917
     start: tuple[float, float],
     wire: SteelWire,
     appearance: tuple[float, float],
+    beads: np.ndarray,
 ) -> WireFit:
-    """Fit where a wire ends along the path, and its offset there, px; `appearance`: its radius and blur, px."""
+    """Fit where a wire ends along the path, and its offset there, px; `appearance`: its radius and blur, px.
+
+    `beads` (K, 3): s, x and radius, px, of steel balls over it, whose places are fitted too, about the given ones.
+    """
     reach, half = float(np.abs(x_px).max()), float(np.ptp(s_px)) / 2
     along, across = (s_px - s_px.mean()) / half, x_px / reach
     powers = [(a, b) for a in range(4) for b in range(4 - a)]
     background = np.stack([across**a * along**b for a, b in powers], axis=-1)
-    template, corner = _tip_template(wire, *appearance, reach)
+    whole = float(_absorbed(np.array(wire.depth_mm)))
+    mm_per_px = wire.diameter_mm / 2 / appearance[0]
+    templates = [_tip_template(wire, *appearance, reach)]
+    templates += [_ball_template(float(radius), appearance[1], mm_per_px) for radius in beads[:, 2]]
 
     def shape(p: np.ndarray) -> np.ndarray:
-        at = np.stack([s_px - p[0], x_px - p[1]]) / _CELL - corner[:, None]
-        return map_coordinates(template, at, order=1, mode="nearest")
+        passes = np.ones(len(s_px))
+        for (template, corner), (s, x) in zip(templates, p.reshape(-1, 2), strict=True):
+            at = np.stack([s_px - s, x_px - x]) / _CELL - corner[:, None]
+            passes = passes * (1.0 - map_coordinates(template, at, order=1, mode="nearest"))
+        return (1.0 - passes) / whole
 
     def keep(p: np.ndarray, step: np.ndarray) -> np.ndarray:
         return p + np.clip(step, -3.0, 3.0)
 
-    return _fitted(shape, keep, np.array(start), background, light, noise)
+    sd = np.append([np.inf, np.inf], np.full(2 * len(beads), _BEAD_SD_PX))
+    return _fitted(shape, keep, np.append(start, beads[:, :2]), background, light, noise, sd)
 
 
 def _tip_template(wire: SteelWire, radius: float, blur: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the shadow of a wire's end, sampled over s and x with the tip at s = 0, and its first cell (2,)."""
+    """Return the share of light that a wire's end absorbs, over s and x with the tip at s = 0, and its first cell."""
     behind = 4 * radius + wire.point_px + 5 * blur + reach
     corner = np.round(np.array([-behind, -reach - 5 * blur - 4.0]) / _CELL)
     s = _CELL * (corner[0] + np.arange(round((behind + radius + 5 * blur + 4.0) / _CELL)))
     x = _CELL * (corner[1] + np.arange(1 - 2 * round(corner[1])))
     chord = _chord_mm(wire, s * wire.sine / wire.px_per_mm, x * wire.diameter_mm / 2 / radius)
-    share = _absorbed(chord) / _absorbed(np.array(wire.depth_mm))
-    return gaussian_filter(share, blur / _CELL, mode="nearest"), corner
+    return gaussian_filter(_absorbed(chord), blur / _CELL, mode="nearest"), corner
+
+
+def _ball_template(radius: float, blur: float, mm_per_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of light that a steel ball absorbs, over s and x from its centre, and its first cell (2,)."""
+    reach = round((radius + 5 * blur) / _CELL)
+    rho2 = (_CELL / radius * np.arange(-reach, reach + 1)) ** 2
+    chord = 2 * radius * mm_per_px * np.sqrt(np.clip(1.0 - rho2[:, None] - rho2, 0.0, None))
+    return gaussian_filter(_absorbed(chord), blur / _CELL), np.array([-reach, -reach])
 
 
 def _chord_mm(wire: SteelWire, s_mm: np.ndarray, x_mm: np.ndarray) -> np.ndarray:
@@ -210,21 +232,31 @@ def _fitted(  # noqa: PLR0917
     background: np.ndarray,
     light: np.ndarray,
     noise: np.ndarray,
+    prior_sd: np.ndarray | None = None,
 ) -> WireFit:
-    """Fit the parameters of `shape` by Gauss-Newton, jointly with background and scatter, which are linear."""
+    """Fit the parameters of `shape` by Gauss-Newton, jointly with background and scatter, which are linear.
+
+    `prior_sd` (P,): of the parameters about `start`; without it nothing is known of them.
+    """
     p, converged = start, False
+    known = np.zeros(len(p)) if prior_sd is None else 1.0 / prior_sd
     for _ in range(_MAX_ITERATIONS):
         model, linear, columns = _linearised(shape, p, background, light, noise)
-        step = np.linalg.lstsq(columns, (light - model) / noise)[0][: len(p)]
+        rows = np.pad(np.diag(known), ((0, 0), (0, columns.shape[1] - len(p))))
+        off = np.append((light - model) / noise, known * (start - p))
+        step = np.linalg.lstsq(np.vstack([columns, rows]), off)[0][: len(p)]
         moved = keep(p, step)
         converged = bool(np.abs(moved - p)[0] < _CONVERGED)
         p = moved
         if converged:
             break
     model, linear, columns = _linearised(shape, p, background, light, noise)
-    influence = np.linalg.pinv(columns)[: len(p)]
-    beside = float(linear[0])
-    return WireFit(p, influence, model, (1 - _ABSORBED) * beside + float(linear[-1]), beside, converged)
+    rows = np.pad(np.diag(known), ((0, 0), (0, columns.shape[1] - len(p))))
+    influence = np.linalg.pinv(np.vstack([columns, rows]))[: len(p)]
+    beside, count = float(linear[0]), len(light)
+    by_prior = (influence[:, count:] ** 2).sum(axis=1)
+    shadow = (1 - _ABSORBED) * beside + float(linear[-1])
+    return WireFit(p, influence[:, :count], model, shadow, beside, converged, by_prior)
 
 
 def _linearised(

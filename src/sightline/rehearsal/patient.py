@@ -347,12 +347,13 @@ class RehearsedPatient:
             pixels[k] = view.project(nearer + touching * around @ across)
         return pixels
 
-    def shown_again(self, wires_mm: Mapping[str, np.ndarray]) -> CheckImages:
+    def shown_again(self, wires_mm: Mapping[str, np.ndarray], *, retake: int = 0) -> CheckImages:
         """Render two more images with wires (2, 3) in the bone, by key, the newest last; CFCS of the planning images.
 
-        The C-arm is set up again and the frame put back as repeatably as a block on its mount. Raises SetUpError.
+        The C-arm is set up again and the frame put back as repeatably as a block on its mount. `retake`: how often
+        these images were taken before. Raises SetUpError.
         """
-        rng = self.generator("check", len(wires_mm) - 1)
+        rng = retaken(self.generator("check", len(wires_mm) - 1), retake)
         motion = RigidTransform.from_exp_coords(REMOUNT_SD * rng.standard_normal(6))
         return self._check_images(wires_mm, motion, rng)
 
@@ -394,6 +395,11 @@ class RehearsedPatient:
         place = BONES[BONES_OF[self.procedure]].place if self.procedure in BONES_OF else None
         variation = Variation(place=place, tube=self.setup.tube)
         return draw_setup(rng, frame, side=side, chain=chain, variation=variation, views=views or beams)
+
+
+def retaken(rng: np.random.Generator, times: int) -> np.random.Generator:
+    """Return the generator of images that were taken so many times before."""
+    return rng.spawn(times)[-1] if times else rng
 
 
 def draw_patient(

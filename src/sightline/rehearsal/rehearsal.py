@@ -31,6 +31,7 @@ from sightline.rehearsal.patient import (
     CheckImages,
     RehearsedPatient,
     anatomical_wires,
+    retaken,
 )
 from sightline.robot.kinematics.calibrated import REMOUNT_SD, CalibratedRobot
 from sightline.robot.kinematics.manipulator import Manipulator, imaging_yaw
@@ -168,9 +169,7 @@ class Rehearsal(RehearsedPatient):
         mount; the bone with the wires stays. `retake`: how often these images were taken before; each time C-arm and
         arm stand a little differently. Raises SetUpError.
         """
-        rng = self.generator("check", len(before_mm))
-        if retake:
-            rng = rng.spawn(retake)[-1]
+        rng = retaken(self.generator("check", len(before_mm)), retake)
         true, imaged = self._at_images
         play = self.robot.manipulator.backlash / 2 * rng.uniform(-1, 1, 5)
         then = true.T_mcs_cfcs(imaged + play)
