@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from tests.cli.picked import VIEWS, WIRE_MM, marks_of, picks_file, wire
 
+from sightline.app.session.session import report_files
 from sightline.case.journal import Case, Kind
+from sightline.common.checks import Check
 from sightline.imaging import write_dicom
 from sightline.twin import hip_scene, render
 from sightline.twin.objects.things import guide_wire
@@ -32,6 +34,11 @@ def test_a_plan_is_recorded_in_a_case_and_comes_out_the_same(run, beads_csv: Pat
     assert kinds(tmp_path / "case") == ["acquired", *2 * ["labelled", "calibrated"], "planned", "planned"]
     outcomes = run("case", "replay", tmp_path / "case", "--json").document["entries"]
     assert {one["outcome"] for one in outcomes} == {"same to the bit"}
+    old = Check("plan age", False, 4000.0, 3600.0, "s", "Take new images.")
+    (page,) = report_files(tmp_path / "case", (old,)).values()  # as the app does, with what it shows beside the plan
+    assert b"NO-GO" in page and b"Take new images." in page
+    assert [file.read_bytes() for file in (tmp_path / "case" / "report").glob("*.html")] == [page]
+    assert run("case", "check", tmp_path / "case").code == 0
 
 
 @pytest.fixture(scope="module")

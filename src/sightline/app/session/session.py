@@ -1,6 +1,7 @@
 """A session: one procedure from the first image to the check shot, assembled from its parts; its report, and the cases
 beside it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -16,6 +17,8 @@ from sightline.app.session.verifying import Verifying
 from sightline.case import stages
 from sightline.case.journal import Actor, Case, Kind
 from sightline.case.journal.case import JOURNAL
+from sightline.common.atomic import write_folder
+from sightline.common.checks import Check
 from sightline.errors import SightlineError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning.procedures.procedure import document_of, each_wire
@@ -96,17 +99,20 @@ class CaseInFolder:
     reached: Kind
 
 
-def report_files(folder: Path) -> dict[str, bytes]:
-    """Return the report of a case's last plan as a page, by file name. Runs in the worker.
+def report_files(folder: Path, confirmed: Sequence[Check]) -> dict[str, bytes]:
+    """Write the report of a case's last plan, as a page, into the case's folder `report`, and return it by file name.
 
-    Raises CaseError if the case holds no plan; also raises the errors of the recomputed stages.
+    `confirmed`: as of `Report`. Runs in the worker. Raises CaseError if the case holds no plan; also raises the errors
+    of the recomputed stages.
     """
     from sightline.case.report.content import report_of
     from sightline.case.report.page import render
 
     with Case.open(folder, read_only=True) as case:
-        made, name = report_of(case), f"report-{case.number}"
-    return {f"{name}.html": render(made).encode()}
+        made, name = report_of(case, confirmed), f"report-{case.number}"
+    files = {f"{name}.html": render(made).encode()}
+    write_folder(folder / "report", files)
+    return files
 
 
 def cases_beside(folder: Path) -> list[CaseInFolder]:

@@ -206,14 +206,19 @@ class Tab:
         self.refresh()
 
     async def save_report(self) -> None:
-        """Keep the plan shown in the case, and send its report to the browser, as a page. Raises SightlineError."""
+        """Keep the plan shown in the case, and write its report, as a page, into the case's folder and to the browser.
+
+        Raises SightlineError.
+        """
         planning = self.planning
         planning.keep_plan()
         files = await planning.jobs.during(
-            "writing the report", lambda: planning.worker.do(report_files, planning.case.folder)
+            "writing the report",
+            lambda: planning.worker.do(report_files, planning.case.folder, self.session.readiness.confirmations),
         )
         for name, data in files.items():
             ui.download.content(data, name)
+            self.notify(f"The report is saved in the case, as report/{name}, and was sent to this browser.", good=True)
 
     async def choose(self, decisions: Decisions) -> None:
         """Plan another procedure, another wire of it, or through the holes of another nail, and ask for its points."""
