@@ -291,6 +291,9 @@ def test_the_plant_template_is_a_robot(robot_file, images):
     """It is registered and checked like any other."""
     with example(robot_file) as address:
         register(robot_file, address, images)
-        done = run("check", address, "--no-dry-run", "--json")
-        assert done.exit_code == 0, done.output
+        done = run("check", address, "--no-dry-run", "--frame-serial", "SN-7", "--json")
+        assert done.exit_code == 5, done.output  # nobody was there for the dry run
+        findings = [(one["name"], one["verdict"]) for one in json.loads(done.stdout)["findings"]]
+        assert all(name.startswith("dry run: ") for name, verdict in findings if verdict == "not asked"), findings
+        assert "FAIL" not in dict(findings).values()
         assert json.loads(robot_file.read_text())["images"]["pa"]["q"] == pytest.approx(IMAGED.tolist())
