@@ -126,7 +126,7 @@ def _figure_html(figure: _Figure) -> Markup:
     shown, bound = apart(value, limit, figure.unit, _number, _DIGITS, passed=bool(figure.passed))
     text = limit_said(figure.code, bound, most=(value <= limit) == figure.passed)
     if figure.error is not None:
-        shown = f"{shown.removesuffix(figure.unit).strip()} ± {_number(figure.error, figure.unit, 1)}"
+        text = f"± {figure.error:.1f}, {text.removesuffix(figure.unit).strip()}"
     return filled(_FIGURE, state, name, shown, sign, filled(_BAR, share, at), text)
 
 
