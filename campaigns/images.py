@@ -15,7 +15,7 @@ import sightline as sl
 from campaigns.campaign import Campaign, Damage, Ended
 from campaigns.person import Clicks, Shown, judged
 from sightline.frame import Frame
-from sightline.from_images.pipeline import label_beads
+from sightline.from_images.pipeline import label_beads, view_of
 from sightline.imaging import Radiograph
 from sightline.rehearsal.rehearsal import Rehearsal
 from sightline.studies.scenes import VIEWS
@@ -42,7 +42,7 @@ def planned(images: dict[str, Radiograph], rehearsal: Rehearsal, clicks: Clicks)
     frame, views = rehearsal.setup.frame, []
     for name in VIEWS:
         beads = sl.detect(images[name])
-        views.append(sl.calibrate(label_beads(images[name], beads, frame, name), frame, view=name))
+        views.append(view_of(label_beads(images[name], beads, frame, name), images[name], frame))
     return judged(clicks.plan(views), rehearsal.hip.wire_mm)
 
 
@@ -186,6 +186,29 @@ def ghosted(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
     return (pixels + shifted(pixels, shift)) / 2, lambda uv: uv + shift / 2
 
 
+def shone_through(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Add an earlier frame, from which all has moved since: lag, or a filter over time."""
+    share, way, angle = rng.uniform(0.1, 0.5), rng.uniform(2, 6), rng.uniform(0, 2 * np.pi)
+    return (1 - share) * pixels + share * shifted(pixels, way * np.array([np.cos(angle), np.sin(angle)]))
+
+
+def surrounded(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
+    """Lay the image into bars of any grey level, blank its corners, and store it with the black of a video."""
+    grey, black = rng.uniform(0, 1, 2) * [1, 0.1]
+    v, u = np.indices(pixels.shape) - (np.array(pixels.shape)[:, None, None] - 1) / 2
+    blanked = np.where(np.hypot(u, v) > 0.49 * len(pixels), black, black + (1 - black) * pixels)
+    wide = rng.integers(0, len(pixels) // 2, 4)
+    bars = np.pad(blanked, (wide[:2], wide[2:]), constant_values=grey)
+    return bars, lambda uv: uv + np.array([wide[2], wide[0]])
+
+
+def captured(pixels: np.ndarray, rng: np.random.Generator) -> Picture:
+    """Capture from a video of 576 lines, 8 bits, compressed; sometimes with another ratio of the sides."""
+    factor = 576 / len(pixels)
+    small, shown = scaled(pixels, factor * float(rng.choice([1.0, 1.0, 1.25])), factor, cv2.INTER_AREA)
+    return jpeg(small, rng), shown
+
+
 def smeared(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Blur by motion during the exposure."""
     way = rng.uniform(2, 12) * np.array([np.cos(a := rng.uniform(0, np.pi)), np.sin(a)])
@@ -290,6 +313,9 @@ CLASSES: dict[str, Damage] = {
     "fields shifted": damage(rows_shifted(odd, 0.5, 10), "interlace", "fields", "rows"),
     "local warp": damage(bulged),
     "two exposures averaged": damage(ghosted, "blur", "mov", "double"),
+    "an earlier frame shines through": plain(shone_through, "copy", "blur", "mov"),
+    "surrounded": damage(surrounded, white=255),
+    "captured with 576 lines": damage(captured, "few pixels", "not square", white=255),
     "smeared by motion": plain(smeared, "blur", "mov"),
     "out of focus": plain(lambda pixels, rng: cv2.GaussianBlur(pixels, (0, 0), rng.uniform(1.0, 6.0)), "blur"),
     "inverted": inverted(),
@@ -312,7 +338,7 @@ CLASSES: dict[str, Damage] = {
     "both mirrored": damage(mirrored, both=True),
     "one mirrored": damage(mirrored),
     "resized": damage(resized),
-    "not square": damage(stretched),
+    "not square": damage(stretched, "not square"),
     "views exchanged": unlike(lambda i, *_: {"pa": i["lateral"], "lateral": i["pa"]}, "swapped", "lateral", "other"),
     "one view twice": unlike(lambda i, *_: {"pa": i["pa"], "lateral": i["pa"]}, "view", "plates"),
     "another patient's image": unlike(of_another, "patient", "moved", "gap"),

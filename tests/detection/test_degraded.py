@@ -2,17 +2,20 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from degraded_images import banded, blocks, in_8_bits, interlaced, jpeg, levels, torn
 from tests.detection.bead_images import normalised
-from tests.detection.frame_images import FRAME, beads, image
+from tests.detection.frame_images import FRAME, SIZE, beads, image
 
+from sightline.common.checks import failed
 from sightline.detection import Observations, detect, label, look_again
 from sightline.detection.beads.noise import LAGS, NoiseModel
 from sightline.detection.causes import cause_of
+from sightline.detection.common_shape import MAX_BLUR_PX, MAX_COPY_PX, CommonShape, common_shape
 from sightline.errors import DetectionRefusedError, LabellingRefusedError, SightlineError
 from sightline.from_images.pipeline import find_beads, label_beads
 from sightline.imaging import Radiograph, image_checks
@@ -159,6 +162,85 @@ def test_noise_blur_and_stripes_are_not_taken_for_movement() -> None:
     stripes = np.clip(blur * (1 + 0.2 * np.sin(np.arange(len(blur)) / 2))[:, None], 0, 255).astype(np.uint8)
     for pixels in (blur, noise, stripes):
         assert "smeared" not in refusal(pixels)
+
+
+def moved(shift: tuple[float, float], share: float) -> np.ndarray:
+    """Return an image through which an earlier frame shines, `shift` away, with its own noise."""
+    earlier = in_8_bits(image({i: replace(b, u=b.u + shift[0], v=b.v + shift[1]) for i, b in TRUTH.items()}, 7))
+    return np.rint((1 - share) * CLEAN.astype(float) + share * earlier).astype(np.uint8)
+
+
+def shape_of(pixels: np.ndarray) -> CommonShape:
+    one = Radiograph(pixels, 255.0)
+    found = detect(one)
+    shape = common_shape(one, found.uv_px, found.radius_px)
+    assert shape is not None
+    return shape
+
+
+@pytest.mark.parametrize(("share", "shift"), [(0.1, (3.0, 0.0)), (0.15, (-2.1, 1.4)), (0.3, (2.0, -2.2))])
+def test_an_earlier_frame_that_shines_through_fails_a_check_that_says_how_strong_and_where(
+    share: float, shift: tuple[float, float]
+) -> None:
+    shape = shape_of(moved(shift, share))
+    assert next(check.name for check in failed(shape.checks())) == "double image"
+    apart = np.arctan2(*shape.copy_px) - np.arctan2(*shift)
+    assert abs((apart + np.pi) % (2 * np.pi) - np.pi) < np.deg2rad(20)
+    assert 0.5 * share < shape.copy_share < 3 * share  # a copy at a listed shift stands for one between two of these
+
+
+@pytest.mark.parametrize(("share", "shift"), [(0.5, (2.2, 0.0)), (0.5, (-2.0, 2.0)), (0.4, (-3.0, 2.0))])
+def test_two_nearly_equal_exposures_fail_a_check_that_names_the_direction(
+    share: float, shift: tuple[float, float]
+) -> None:
+    shape = shape_of(moved(shift, share))
+    assert "movement blur" in [check.name for check in failed(shape.checks())]
+    assert abs((shape.blur_deg - np.rad2deg(np.arctan2(shift[1], shift[0])) + 90) % 180 - 90) < 15
+
+
+@pytest.mark.parametrize("change", [lambda p: p, lambda p: cv2.GaussianBlur(p, (0, 0), 1.0), lambda p: jpeg(p, 50)])
+def test_one_exposure_has_neither_copies_nor_a_blur_of_one_direction(
+    change: Callable[[np.ndarray], np.ndarray],
+) -> None:
+    for seed in range(20, 26):
+        shape = shape_of(change(in_8_bits(image(TRUTH, seed))))
+        assert shape.copy_moves_px < 0.5 * MAX_COPY_PX
+        assert shape.blur_px < 0.8 * MAX_BLUR_PX
+
+
+@pytest.mark.parametrize("aspect", [0.75, 0.9, 1.12, 1.33])
+def test_pixels_that_are_not_square_are_named_with_their_sides(aspect: float) -> None:
+    said = cause_of_detected(cv2.resize(CLEAN, None, fx=aspect, fy=1.0, interpolation=cv2.INTER_AREA))
+    assert said is not None
+    found = re.search(r"pixels are not square: its beads are (\S+) times as wide as high", said)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(aspect, rel=0.03)
+
+
+def test_an_image_of_too_few_pixels_is_named_as_such() -> None:
+    said = cause_of_detected(cv2.resize(CLEAN, None, fx=0.42, fy=0.42, interpolation=cv2.INTER_AREA))
+    assert said is not None and "too few pixels" in said
+
+
+def cause_of_detected(pixels: np.ndarray) -> str | None:
+    one = Radiograph(pixels, 255.0)
+    try:
+        found = detect(one)
+    except DetectionRefusedError as refused:
+        return str(refused)
+    return cause_of(one, np.column_stack([found.uv_px, found.radius_px]), found.rejected)
+
+
+def test_edges_of_other_images_are_not_taken_for_smeared_beads() -> None:
+    """Strokes of two directions, one more often than the other, of which 0.3 are common."""
+    rng, strokes = np.random.default_rng(6), np.full((SIZE, SIZE), 150, np.uint8)
+    for k, (u, v) in enumerate(rng.uniform(40, SIZE - 40, (120, 2))):
+        along = np.deg2rad(rng.normal(20 if k % 3 else 110, 25))
+        cv2.line(
+            strokes, (int(u), int(v)), (int(u + 24 * np.cos(along)), int(v + 24 * np.sin(along))), 90, 6, cv2.LINE_AA
+        )
+    noisy = np.clip(cv2.GaussianBlur(strokes, (0, 0), 1.2) + rng.normal(0, 3, strokes.shape), 0, 255).astype(np.uint8)
+    assert "smeared" not in refusal(noisy)
 
 
 @pytest.mark.parametrize("gain", [3, 6, 20])

@@ -250,6 +250,7 @@ def detect(
     Gives centres with covariance, radii, and why candidates were rejected.
     """
     from sightline.detection import detect as find
+    from sightline.detection.common_shape import shape_checks
     from sightline.imaging import image_checks, read_image
 
     radiograph = read_image(image, frame_index, invert=invert)
@@ -260,7 +261,8 @@ def detect(
     if picture is not None:
         _write_picture(radiograph, beads, picture)
     _show_beads(output, beads)
-    output.result(_document(beads), image_checks(radiograph))
+    checks = (*image_checks(radiograph), *shape_checks(radiograph, beads.uv_px, beads.radius_px))
+    output.result(_document(beads), checks)
 
 
 def _document(beads: "Detections") -> dict[str, Any]:

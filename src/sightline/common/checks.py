@@ -38,6 +38,8 @@ class CheckCode(StrEnum):
     CLIPPED_PIXELS = "clipped-pixels"
     COMPRESSION = "compression"
     INVERSION = "inversion"
+    DOUBLE_IMAGE = "double-image"
+    MOVEMENT_BLUR = "movement-blur"
     ERROR_KNOWN = "error-known"
     ENTRY_ERROR = "entry-error"
     END_ERROR = "end-error"

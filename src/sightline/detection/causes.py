@@ -6,11 +6,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from sightline.detection.common_shape import common_shape
 from sightline.detection.results import RejectedCandidate
 from sightline.imaging import Radiograph
 from sightline.imaging.defects import MAX_CLIPPED, clipped_share, torn
 
 NO_RIM = "no rim"  # start of this reason
+TOO_SMALL = "its radius is below 2 px"
+_FEW_PX = (
+    3.0  # radius of beads that are hard to fit: half of the promised ones above 2 px are lost in compression [ours]
+)
 # Spots for a statement about the image, or for a direction of motion, which fewer show by chance; and at most, which
 # take a second [ours].
 _MIN_SPOTS, _MAX_SPOTS = 5, 400
@@ -23,6 +28,9 @@ _OWN = 0.5
 # Refused images with motion of 2-12 px, or with two exposures, have 0.09 and more; images refused for another reason
 # have 0.06 and less [twin: `campaigns/images.py`, two seeds].
 DIRECTED = 0.075
+# Of the spots, what a common direction needs: share within 60° of it, and its size in standard errors. Smeared beads
+# have 0.74 and 8 and more, textures and edges of other images 0.53 and 2 and less [gVirtualXray, 20 images of files].
+_ALIGNED, _CERTAIN = 0.65, 5.0
 
 
 def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[RejectedCandidate]) -> str | None:
@@ -36,6 +44,9 @@ def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[RejectedCa
             f"the image is saturated: {share:.0f} % of its field is clipped; expose less, or export it without a window"
         )
     others = np.array([(*candidate.uv_px, candidate.radius_px) for candidate in rejected]).reshape(-1, 3)
+    shaped = _too_small(beads, rejected) or _not_square(image, np.concatenate([beads, others]))
+    if shaped is not None:
+        return shaped
     moved = smear(image, beads, others)
     if moved is not None:
         return (
@@ -51,6 +62,21 @@ def cause_of(image: Radiograph, beads: np.ndarray, rejected: Sequence[RejectedCa
     if soft >= max(_MIN_SPOTS, len(beads) / 2):
         return f"the image is blurred: {soft} spots fade out without a rim, {len(beads)} have one; focus, or hold still"
     return None
+
+
+def _too_small(beads: np.ndarray, rejected: Sequence[RejectedCandidate]) -> str | None:
+    small = np.count_nonzero(beads[:, 2] < _FEW_PX) + sum(candidate.reason == TOO_SMALL for candidate in rejected)
+    if small < max(_MIN_SPOTS, len(beads) / 2):
+        return None
+    return (
+        f"the image has too few pixels: the radius of {small} beads is below {_FEW_PX:g} px; export it in full size, "
+        "or show a smaller field"
+    )
+
+
+def _not_square(image: Radiograph, spots: np.ndarray) -> str | None:
+    shape = common_shape(image, spots[:, :2], spots[:, 2])
+    return None if shape is None else shape.not_square
 
 
 @dataclass(frozen=True)
@@ -76,13 +102,20 @@ def smear(image: Radiograph, beads: np.ndarray, others: np.ndarray) -> Smear | N
     sets = [every, of_beads] if len(of_beads) >= _MIN_SPOTS else [every]
     if len(every) < _MIN_SPOTS:
         return None
-    common = [np.median(vector, axis=0) for vector in sets]
+    common = [np.median(vectors, axis=0) for vectors in sets]
     weakest = min(common, key=lambda vector: float(np.hypot(*vector)))
     directed = float(np.hypot(*weakest))
-    if directed < DIRECTED:
+    if directed < DIRECTED or not _agree(every, common[0]):
         return None
     strongest_deg = np.rad2deg(np.arctan2(weakest[1], weakest[0])) / 2
     return Smear(directed, float((strongest_deg + 90.0) % 180.0))
+
+
+def _agree(vectors: np.ndarray, median: np.ndarray) -> bool:
+    """Return whether vectors (N, 2) have their median (2,) in common: most point its way, and it is certain."""
+    size, sizes = np.hypot(*median), np.hypot(*vectors.T)
+    error = 1.86 * np.median(np.hypot(*(vectors - median).T)) / np.sqrt(len(vectors))  # of a median [calc]
+    return bool(np.mean(vectors @ median > 0.5 * size * sizes) > _ALIGNED and size > _CERTAIN * error)
 
 
 def _gradients(image: Radiograph) -> np.ndarray:

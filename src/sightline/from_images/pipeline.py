@@ -18,6 +18,7 @@ from sightline.calibration.view import CalibratedView
 from sightline.common.threads import one_blas_thread
 from sightline.detection import Detections, Observations, detect, is_inverted, label, look_again
 from sightline.detection.causes import cause_of
+from sightline.detection.common_shape import shape_checks
 from sightline.detection.wire import ProjectedWire, WireShadow, find_wire
 from sightline.errors import DetectionRefusedError, LabellingRefusedError, OutsideRegionError, WireRefusedError
 from sightline.frame import Frame
@@ -289,7 +290,8 @@ def view_of(
     Raises what `calibrate` raises.
     """
     view = calibrate(observations, frame, method=method, c_arm=c_arm)
-    view = view if image is None else view.checked(image_checks(image))
+    if image is not None:
+        view = view.checked((*image_checks(image), *shape_checks(image, observations.uv_px, observations.radius_px)))
     return view.said_to_be(mirrored_display)
 
 
