@@ -25,7 +25,7 @@ AT_CORTEX = (
     "entry below cortex",
     "entry outside cortex",
 )
-_NAMES = dict.fromkeys(AT_CORTEX, "entry at cortex")
+_NAMES: dict[str, str] = dict.fromkeys(AT_CORTEX, "entry at cortex")
 # Range and step of the trial shifts of a point along a line of sight [ours]: farther, a point is outside the bone;
 # the step is that of a plan's error.
 MAX_SHIFT_MM, _STEP_MM = 60.0, 0.5
