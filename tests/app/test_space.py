@@ -178,8 +178,12 @@ def settle(page: Page) -> None:
 
 
 def test_it_opens_on_wire_and_bone(page: Page) -> None:
-    """Fails for a view of the whole frame, in which the wire is a dot."""
+    """Fails for a view of the whole frame, in which the wire is a dot, or behind it."""
     settle(page)
+    assert ask(page, "['frame', 'views', 'bone', 'wire'].map((name) => core.groups.get(name).visible)") == [
+        *(False, False),
+        *(True, True),
+    ]
     ends = ask(
         page,
         "core.objects.wire.filter(({ kind, style }) => kind === 'cylinder' && style === 'wire')"

@@ -213,7 +213,7 @@ export class SpaceCore {
     const focused = this.legend.contains(active) ? active?.dataset.testid : null;
     this.legend.replaceChildren();
     for (const [name, visible] of shown) {
-      const made = this.button(this.legend, this.names[name], `space-show-${name}`, () => this.show(name, !visible));
+      const made = this.button(this.legend, this.names[name], `space-show-${name}`, () => this.chosen(() => this.show(name, !visible)));
       made.setAttribute("aria-pressed", String(visible));
       if (made.dataset.testid === focused) made.focus();
     }
@@ -245,9 +245,13 @@ export class SpaceCore {
     this.draw();
   }
 
-  // Fits the view to wire and bone; before there are any, to the frame.
+  // Fits the view to wire and bone, without the frame, which stands before them; before there are any, to the frame.
   fitFirst() {
-    if (!this.fit("hip")) this.fit("frame");
+    const hip = this.fit("hip");
+    const frame = this.groups.get("frame");
+    if (frame) frame.visible = !hip;
+    if (!hip) this.fit("frame");
+    this.drawLegend();
   }
 
   /** Fits the view to the objects of the hip, the frame or the whole room. Returns false where there are none.
