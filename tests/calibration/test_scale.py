@@ -85,7 +85,7 @@ def test_balls_that_look_smaller_in_both_images_are_better_evidence_than_in_one(
 def test_rendered_balls_tell_a_file_that_is_4_percent_too_small(worked: Worked, factor, go):
     views = [calibrate(view.inputs.observations, told(factor)) for view in worked.views]
     first, second = (sl.Circle.through(rim) for rim in worked.rehearsal.head_rim)
-    plan = sl.plan(views, *worked.wire_px.swapaxes(0, 1), kind="free-wire", aids=sl.Aids(head=(first, second)))
+    plan = sl.plan(views, *worked.wire_px.swapaxes(0, 1), procedure="free-wire", aids=sl.Aids(head=(first, second)))
     sizes = [one.passed for one in plan.verdict.checks if one.name == "ball size"]
     assert sizes == 3 * [go]  # in each image, and in both together
 

@@ -107,7 +107,7 @@ def test_points_and_head_together_show_a_movement_that_each_alone_does_not():
     assert together.shift_mm > MAX_GAP_SIGMA * together.shift_sd_mm
     assert together.shift_mm == pytest.approx(0.22, abs=0.02)
     entry, end = np.swapaxes(moved["wire"], 0, 1)
-    made = plan(views, entry, end, kind="free-wire", aids=bone.aids(moved))
+    made = plan(views, entry, end, procedure="free-wire", aids=bone.aids(moved))
     (check,) = (one for one in made.verdict.checks if one.name == "movement")
     assert not check.passed and "moved by 0.22" in check.sentence
 
