@@ -74,7 +74,10 @@ class Clicks:
         def at(points: np.ndarray) -> np.ndarray:
             return np.stack([shown.get(name, lambda uv: uv)(points[k]) for k, name in enumerate(VIEWS)])
 
-        head = np.concatenate([at(self.head[:, None, :2])[:, 0], self.head[:, 2:]], axis=1)
+        middle = self.head[:, None, :2]
+        rim = middle + self.head[:, 2, None, None] * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+        radius = np.linalg.norm(at(rim) - at(middle), axis=2).mean(axis=1, keepdims=True)
+        head = np.concatenate([at(middle)[:, 0], radius], axis=1)
         return replace(self, wire=at(self.wire), landmarks=at(self.landmarks), head=head, lines=at(self.lines))
 
     def plan(self, views: Sequence[CalibratedView], pick_sd_px: float = PICK_PX) -> Plan:
