@@ -165,6 +165,7 @@ def points(given: dict[str, Any]) -> SpacePoints:
         inside_hull=np.array(given["inside_hull"], dtype=bool),
         beads_near=None if near is None else {name: array(n, (count, 3), name).astype(int) for name, n in near.items()},
         movement=None if given.get("movement") is None else _movement(given["movement"]),
+        head_tested=given.get("head_tested", False),
         **{name: given[name] for name in ("method", "shift_mm", "shift_sd_mm", "gap_chi2", "upright")},
     )
 

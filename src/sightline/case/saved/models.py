@@ -129,6 +129,7 @@ class PointsDocument(BaseModel):
     shift_mm: Number | None
     shift_sd_mm: Number | None
     gap_chi2: Number | None
+    head_tested: bool = False
     upright: bool | None
     beads_near: dict[str, tuple[tuple[int, int, int], ...]] | None
     movement: MovementDocument | None = None
