@@ -40,7 +40,9 @@ CHANGES = {
     "is decided by the adjustment itself, with the errors of its balls, before by a camera of its own; "
     "sums of a bead's fit are added in one stated order, so that the last digits of centres and errors differ",
     18: "the tip of a wire that known beads hide is fitted together with them, before it was refused; a detected bead "
-    "at the place of a known one hides no more of a wire than that one",
+    "at the place of a known one hides no more of a wire than that one; "
+    "a surround of any grey level lies outside the field, and areas of one level do not count as noise; "
+    "a view is checked for an earlier frame that shines through, and for a blur of one direction",
 }
 FIRST = 1
 ESTIMATOR = max(CHANGES)
