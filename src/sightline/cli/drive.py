@@ -98,7 +98,6 @@ def drive(
     dry run without the wire. A shot that says STOP ends it. Exit code 4 if no check shot shows where the wire lies.
     """
     from sightline.robot.kinematics.measured import RobotFile
-    from sightline.robot.link.record import Recorder
     from sightline.robot.link.server import tune_process
 
     tune_process()
@@ -118,21 +117,10 @@ def drive(
             else:
                 target = _send_registered(robot, known, name, stood)
         _show(output, target, robot)
-        recorder = Recorder()
-        robot.listeners.append(recorder.heard)
         shots = None if measured.case is None else DriveShots(output, measured.case, planned, robot, target, on_patient)
         steps = _steps(robot, target, block=known.of_solid, put_back=block)
-        asked = Asked(yes=yes, measurable=block or on_patient is not None)
-        try:
-            stopped = _carry_out(output, robot, steps, shots, asked)
-        finally:
-            if shots is not None:
-                shots.record_drilled(recorder.record)
-        state, tip_mm = robot.status().text.split(";")[0], robot.position().translation
-        output.say(f"state of the robot: {state}")
-        document: dict[str, Any] = {"state": state, "tip_mm": tip_mm, "end_mm": known.points_mm[1]}
-        if shots is not None:
-            document["shots"] = shots.document()
+        stopped = _carry_out(output, robot, steps, shots, Asked(yes=yes, measurable=block or on_patient is not None))
+        document = _ended(output, robot, known, shots)
         if patient is not None:
             document["true_wire_mm"] = robot.simulated_wire().axis_mm
         if stopped is None:
@@ -154,17 +142,36 @@ class Asked:
 def _carry_out(
     output: Output, robot: "RobotClient", steps: "list[_Step]", shots: "DriveShots | None", asked: Asked
 ) -> "_Step | None":
-    """Carry out the steps; return the one before which a person stopped, None where all are done."""
-    for step in steps:
-        if step.state_before:
-            _shot(output, robot, step.state_before, None if asked.yes else shots, measurable=asked.measurable)
-        if not agreed(robot.simulated, asked.yes, step.question):
-            robot.stop()
-            output.note(f"stopped before: {step.name}")
-            return step
-        with output.step(step.name):
-            step.start()
-    return None
+    """Carry out the steps; return the one before which a person stopped, None where all are done.
+
+    What was drilled is recorded in the case of the shots, however the steps end.
+    """
+    from sightline.robot.link.record import Recorder
+
+    recorder = Recorder()
+    robot.listeners.append(recorder.heard)
+    try:
+        for step in steps:
+            if step.state_before:
+                _shot(output, robot, step.state_before, None if asked.yes else shots, measurable=asked.measurable)
+            if not agreed(robot.simulated, asked.yes, step.question):
+                robot.stop()
+                output.note(f"stopped before: {step.name}")
+                return step
+            with output.step(step.name):
+                step.start()
+        return None
+    finally:
+        if shots is not None:
+            shots.record_drilled(recorder.record)
+
+
+def _ended(output: Output, robot: "RobotClient", plan: "PlanFile", shots: "DriveShots | None") -> dict[str, Any]:
+    """Print the robot's state and return it as a document, with where the tip lies and the shots that were measured."""
+    state, tip_mm = robot.status().text.split(";")[0], robot.position().translation
+    output.say(f"state of the robot: {state}")
+    document: dict[str, Any] = {"state": state, "tip_mm": tip_mm, "end_mm": plan.points_mm[1]}
+    return document if shots is None else {**document, "shots": shots.document()}
 
 
 UNFINISHED = (
