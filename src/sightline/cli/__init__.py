@@ -1,6 +1,6 @@
 """The command line, one file per command or group of commands.
 
-A command lives in a file that `_FILES` below names, and is a function with this decorator:
+A command lives in a file that `_FILES` below names ("frame.make" is frame/make.py), and is a function decorated so:
 
     @command(commands, "plan", "sightline plan ...")      # the lines are the example in its help
     def plan(output: Output, pa: Annotated[Path, typer.Argument(help=...)], options: PlanOptions) -> None:
@@ -37,7 +37,8 @@ _FILES = (  # in the order in which `sightline --help` lists their commands
     "check_shot",
     "simulate",
     "study",
-    "frame",
+    "frame.make",
+    "frame.measured",
     "procedure",
     "robot",
     "drive",

@@ -1,0 +1,1 @@
+"""Commands that make, measure, draw and check frames."""
