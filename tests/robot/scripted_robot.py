@@ -204,6 +204,10 @@ class ScriptedRobot:
                 right = text == str(self.fault) or "any reset" in self.flaws
                 self.phase = "UNDEFINED" if right and self.phase == "EMERGENCY" else self.phase
                 peer.send(event.device_name, CommandReply(number, "" if right else "refused", ""))
+            case Command(number, contract.SHOT_DEPTH, text):
+                numbers = np.isfinite([*map(float, text.split())]).all()
+                flaw = "takes a shot at any time" if numbers else "takes any shot"
+                peer.send(event.device_name, CommandReply(number, "" if flaw in self.flaws else "refused", ""))
 
     def unread(self, peer: Peer, event: Rejected) -> None:
         if event.fault.value == "unknown type" and "hangs up on unknown types" in self.flaws:

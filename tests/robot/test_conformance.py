@@ -39,6 +39,7 @@ PLANS = {
 }  # fmt: skip
 OURS_ALONE = {
     "a repeated command acts once", "an identifier used for another command: 10",
+    "SHOT_DEPTH outside PAUSED is refused", "SHOT_DEPTH of NaN is refused",
     "dry run: a repeated command moves nothing",
     "registration in metres: 10", "target in metres: 10", "target in another frame: 10", "target in another unit: 10",
     *PLANS.values(), "STOP on a second connection", "one client holds the lease",
@@ -78,6 +79,8 @@ FAULTS: list[tuple[str, str | set[str]]] = [
     ("acts on a repeat", "a repeated command acts once"),
     ("refuses a repeat", "a repeated command acts once"),
     ("takes an identifier twice", "an identifier used for another command: 10"),
+    ("takes a shot at any time", "SHOT_DEPTH outside PAUSED is refused"),
+    ("takes any shot", "SHOT_DEPTH of NaN is refused"),
     ("takes no registration", "takes a registration"),
     ("echoes another registration", "ACK echoes a registration"),
     ("takes a registration that is not rigid", "registration that is no rotation: 10"),
@@ -139,11 +142,12 @@ def short_hold(monkeypatch):
 
 # Faults that do not touch each other: one robot has several, and fails the line of each.
 TOGETHER = [
-    ("another ACK text", "echoes another registration", "takes metres", "NaN in its joints", "takes any side"),
+    ("another ACK text", "echoes another registration", "takes metres", "NaN in its joints", "takes any side",
+     "takes any shot"),
     ("acts on a repeat", "takes any frame", "takes a registration that is not rigid", "any reset",
      "hangs up on unknown types", "takes any serial"),
     ("takes an identifier twice", "takes any unit", "takes a registration that is not finite", "five rows of joints",
-     "hangs up on a wrong CRC", "takes an expired plan", "takes an old plan anew"),
+     "takes a shot at any time", "hangs up on a wrong CRC", "takes an expired plan", "takes an old plan anew"),
     ("refuses a repeat", "echoes another target", "takes NO-GO", "no lease", "TARGETING without calibration",
      "takes a plan for ever", "takes a registration in metres"),
     ("would lay it aside", "takes half a plan", "takes a target that is not rigid", "stops for its own client only",

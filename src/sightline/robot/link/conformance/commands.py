@@ -103,6 +103,23 @@ def _refuses_a_used_identifier(talk: Conversation) -> str:
     return text
 
 
+def _refuses_a_shot(*texts: str) -> Question:
+    """Return the question whether these depths of a shot are refused. In START_UP all are, so nothing has to move."""
+
+    def question(talk: Conversation) -> str:
+        talk.require(contract.HAS_DRILLING)
+        talk.bring("START_UP")
+        for text in texts:
+            try:
+                talk.robot.order(contract.SHOT_DEPTH, text)
+            except RobotRefusedError:
+                continue
+            raise RobotRefusedError(f"{contract.SHOT_DEPTH} of {text!r} was taken in START_UP")
+        return "refused"
+
+    return question
+
+
 COMMANDS: dict[str, Question] = {
     "commands are acknowledged in time": _acknowledges,
     "ACK carries the command's text": _repeats_the_command,
@@ -114,6 +131,8 @@ COMMANDS: dict[str, Question] = {
     "MOVE_TO_TARGET without target: 13": _no_motion_without_target,
     "a repeated command acts once": _acts_once,
     "an identifier used for another command: 10": _refuses_a_used_identifier,
+    "SHOT_DEPTH outside PAUSED is refused": _refuses_a_shot("30 0.2"),
+    "SHOT_DEPTH of NaN is refused": _refuses_a_shot("nan", "nan 0.2", "30 nan", "inf", "30 inf"),
 }
 
 
