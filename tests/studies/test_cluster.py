@@ -1,7 +1,9 @@
 """The same runner on a Dask cluster."""
 
+import logging
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from itertools import count
 from pathlib import Path
 
@@ -69,11 +71,16 @@ def test_workers_with_threads_of_linear_algebra_are_refused(
 
 
 def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what Dask logs elsewhere in a host program stays as it was."""
+    import_module("distributed")  # it sets its loggers itself
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "tornado.application")]
+    before = [(log.level, log.disabled, list(log.filters)) for log in loggers]
     monkeypatch.setattr(run_module, "PATIENCE_S", 0.5)
     run = StudyRun.open(SmallStudy(), N, SEED, tmp_path)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
         with pytest.raises(UnusableInputError, match=f"no scheduler answers at {address}"):
             run.do(address)
+    assert [(log.level, log.disabled, list(log.filters)) for log in loggers] == before
 
 
 def test_a_scheduler_without_workers_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,6 @@
 """Run a study: do the missing trials, record each when it finishes, summarise all."""
 
 import json
-import logging
 import os
 import signal
 import threading
@@ -21,11 +20,13 @@ import numpy as np
 
 import sightline
 from sightline.errors import RefusedError, UnusableInputError
+from sightline.imaging.quiet import Quiet
 from sightline.studies.runs.study import Study, Summary, Values
 
 # Matrices are small, so threads of the linear algebra cost more than they save.
 _LINEAR_ALGEBRA = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _THREADS = (*_LINEAR_ALGEBRA, "NUMBA_NUM_THREADS")
+_quiet = Quiet("ignore", "distributed", "tornado", all_threads=True)  # our messages replace Dask's tracebacks
 PATIENCE_S = 10.0  # time limit for a scheduler's answer, and for its first worker [ours]
 
 
@@ -64,20 +65,19 @@ def cluster_workers(address: str) -> Generator[Workers]:
             "--scheduler needs the package distributed: pip install 'sightline[studies]'; without it, leave "
             "--scheduler out and the processes of this machine do the work"
         ) from None
-    for name in ("distributed", "distributed.client", "tornado.application"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # our messages replace its tracebacks
-    try:
-        client = Client(address, timeout=PATIENCE_S, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise UnusableInputError(
-            f"no scheduler answers at {address} ({type(error).__name__}); start one with `dask scheduler`, and give "
-            "the address that it prints"
-        ) from error
-    try:
-        number = _refuse_other_code(client, address)
-        yield Workers(client.get_executor(), number, (KilledWorker,))
-    finally:
-        client.close(timeout=PATIENCE_S)
+    with _quiet():
+        try:
+            client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise UnusableInputError(
+                f"no scheduler answers at {address} ({type(error).__name__}); start one with `dask scheduler`, and "
+                "give the address that it prints"
+            ) from error
+        try:
+            number = _refuse_other_code(client, address)
+            yield Workers(client.get_executor(), number, (KilledWorker,))
+        finally:
+            client.close(timeout=PATIENCE_S)
 
 
 def _refuse_other_code(client, address: str) -> int:
