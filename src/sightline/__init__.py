@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     # Declared, not imported: rooms below `case.saved` take `__version__` from here, and must not reach up to it.
     load: Callable[..., Any]
+    report: Callable[[Plan, str | Path], Path]
     save: Callable[[Any, str | Path], Path]
 
 __version__ = "0.1.0"
@@ -70,6 +71,7 @@ _HOMES = {
     "read_view": "calibration.exchange.formats",
     "plan": "planning",
     "reconstruct": "planning",
+    "report": "case.report.page",
     "save": "case.saved",
     "view_from_matrix": "calibration",
 }
@@ -87,6 +89,7 @@ __all__ = [  # noqa: RUF022 - the order a reader meets them in
     "fit_map",
     "view_from_matrix",
     "read_view",
+    "report",
     "save",
     "load",
     "Radiograph",

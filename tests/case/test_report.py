@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import sightline as sl
 from sightline.case.report.content import NOTE, KeptExposure, Refused
 from sightline.case.report.document import ReportDocument, report_document, schema_text
 from sightline.case.report.drilled import Drilled
@@ -104,9 +105,31 @@ def test_figures_verdict_and_notes_are_those_of_the_plan(report, page) -> None:
         assert words in page.text
     text = " ".join(page.text.split())  # what two images cannot show stands beside the bound
     bound = text.index("95 % bound")
+    assert bound < text.index(report.plan.unnoticed) < text.index("Two images cannot reveal")
     assert bound < text.index("Two images cannot reveal") < bound + 800
     for words in ("a scale error", "a shifted plate", "along its line of sight", "in the plane of both beams"):
         assert words in text
+
+
+def test_a_plan_made_in_python_has_the_same_page(worked, tmp_path) -> None:
+    page = Page(sl.report(worked.plan, tmp_path / "plan.html").read_text())
+    for words in (
+        f"✓ {worked.plan.verdict.state.upper()}",
+        f"{worked.plan.trajectory.end_error_95_mm:.2f} mm",
+        "Images not named here",
+        "head-centre",
+    ):
+        assert words in " ".join(page.text.split())
+    assert [a["id"] for a in page.all("image")] == ["radiograph-pa", "radiograph-lateral"]
+    assert len([a for a in page.all("g") if a.get("class") == "beads"]) == 2
+    matrix = sl.view_from_matrix(np.array([[5000.0, 0, 512, 3e5], [0, 5000, 512, 3e5], [0, 0, 1, 600]]), name="pa")
+    for given, why in (
+        (replace(worked.plan, views=(matrix, worked.views[1])), "none of view pa are known"),
+        (worked.views[0], "not of a BeadView"),
+    ):
+        with pytest.raises(sl.SightlineError, match=why):
+            sl.report(given, tmp_path / "refused.html")
+    assert not (tmp_path / "refused.html").exists()
 
 
 def test_no_go_gives_the_reasons_and_the_view(report) -> None:

@@ -6,16 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from sightline.calibration import BeadView
+from sightline.calibration import BeadView, CalibratedView
 from sightline.case.journal import Case, Entry, Kind
 from sightline.case.journal.originals import short
 from sightline.case.replay import Recomputed
 from sightline.case.report.drilled import Drilled
 from sightline.case.stages import acquired_of, frame_of
-from sightline.case.views import CalibratedImage, spoken
+from sightline.case.views import CalibratedImage, ObservedView, spoken
 from sightline.common.checks import Check
-from sightline.errors import CaseError
+from sightline.errors import CaseError, UnusableInputError
 from sightline.frame import Frame
+from sightline.imaging import Radiograph
 from sightline.planning import Plan, Trajectory, WirePlans
 from sightline.planning.check.result import CheckShot
 from sightline.planning.check.shot import ALIGNED, PAUSED
@@ -226,6 +227,35 @@ def report_of(case: Case, confirmed: Sequence[Check] = ()) -> Report:
             "journal": f"the hash chain is {entry.chain[:16]} at entry {entry.number}",
         },
     )
+
+
+def report_of_plan(plan: Plan) -> Report:
+    """Return the report of a plan alone, with the images that its views hold; their files are not known.
+
+    Raises UnusableInputError for a plan on a view without beads.
+    """
+    images, frames = zip(*(_image_and_frame(view) for view in plan.views), strict=True)
+    return Report(
+        title="Planned guide wire",
+        frame=frames[0],
+        images=images,
+        plan=plan,
+        exposures=exposures_of_images(images, PLANNING, plan.kind),
+        provenance={"picks": "given in Python"},
+    )
+
+
+def _image_and_frame(view: CalibratedView) -> tuple[CalibratedImage, Frame]:
+    """Return a view with the image that it holds, if it holds one, and its frame. Raises UnusableInputError."""
+    if not isinstance(view, BeadView) or view.inputs is None:
+        raise UnusableInputError(
+            f"a report shows the beads of each view, and none of view {view.name} are known; plan on views of "
+            "`calibrate_image` or `calibrate`"
+        )
+    seen, image = view.inputs.observations, None
+    if seen.pixels is not None and seen.radius_px is not None:
+        image = Radiograph(seen.pixels, float(seen.pixels.max()))  # the figures' grey alone needs its white
+    return CalibratedImage(ObservedView("", seen, image), view), view.inputs.frame
 
 
 def _drilled(case: Case, plan: Entry, again: Recomputed) -> Drilled | None:

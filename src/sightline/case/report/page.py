@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from importlib.metadata import version
 from importlib.resources import files
+from pathlib import Path
 from platform import python_version
 from typing import Any
 
@@ -14,9 +15,11 @@ from sightline import __version__
 from sightline.calibration.maps.localized import LocalizedMap
 from sightline.case.report import radiographs, scene, tables
 from sightline.case.report.charts import budget
-from sightline.case.report.content import Report
+from sightline.case.report.content import Report, report_of_plan
 from sightline.case.report.tables import POINTS, bars, budget_rows
 from sightline.case.views import CalibratedImage
+from sightline.common.atomic import write_whole
+from sightline.errors import UnusableInputError
 from sightline.imaging import Radiograph
 from sightline.planning import Pick, Plan
 
@@ -36,6 +39,23 @@ def render(report: Report) -> str:
         **tables.tables(report),
         **figures(report),
     )
+
+
+def report(plan: Plan, path: str | Path) -> Path:
+    """Write the report of a plan, one HTML page that needs no other file, and return its path.
+
+    It shows the verdict, the wire in the images, the errors with their sources, the beads and all checks. A plan from
+    `load` has no images. Of several wires give each of `WirePlans.plans`.
+    Raises UnusableInputError for other objects, for a plan on a matrix's view, and where `path` cannot be written.
+
+    >>> pa, lateral = sl.load("out/demo/views.json")
+    >>> plan = sl.plan([pa, lateral], [[162, 689], [684, 692]], [[818, 366], [378, 276]], side="right")
+    >>> sl.report(plan, "report.html").name
+    'report.html'
+    """
+    if not isinstance(plan, Plan):
+        raise UnusableInputError(f"a report is of a Plan, not of a {type(plan).__name__}; give a Plan")
+    return write_whole(path, render(report_of_plan(plan)).encode())
 
 
 def _versions() -> str:
@@ -140,8 +160,8 @@ def _budget(report: Report) -> dict[str, Any] | None:
 
 def _radii(image: CalibratedImage, uv_px: np.ndarray) -> np.ndarray:
     """Return the radii (N,) of the nearest detections."""
-    beads = image.seen.beads
-    assert beads is not None  # noqa: S101 - only images are shown
+    beads = image.seen.beads or image.seen.observations
+    assert beads.radius_px is not None  # noqa: S101 - only images are shown
     return beads.radius_px[np.linalg.norm(uv_px[:, None] - beads.uv_px, axis=2).argmin(axis=1)]
 
 
@@ -161,10 +181,12 @@ def _bead_figures(report: Report) -> dict[str, Any]:
 
 
 def _beads_of(report: Report, image: CalibratedImage, top_mm: float) -> dict[str, Any]:
-    beads = image.seen.beads
-    assert image.seen.image is not None and beads is not None  # noqa: S101 - only images are shown
+    beads = image.seen.beads or image.seen.observations
+    assert image.seen.image is not None  # noqa: S101 - only images are shown
     # Without candidates at a bead that was found with another size
-    refused = [c for c in beads.rejected if (np.linalg.norm(beads.uv_px - c.uv_px, axis=1) > beads.radius_px).all()]
+    refused = [
+        c for c in beads.rejected or () if (np.linalg.norm(beads.uv_px - c.uv_px, axis=1) > beads.radius_px).all()
+    ]
     residuals = image.view.residuals
     words = (
         f"{report.spoken(image.name)} image: {len(residuals.ids)} beads labelled, residual {residuals.rms_mm:.3f} mm "

@@ -30,6 +30,7 @@ def tables(report: Report) -> dict[str, Any]:
         "head": _head(report),
         "verdict": _verdict(report),
         "tiles": _tiles(report),
+        "unnoticed": report.plan.unnoticed,
         "notes": list(_notes(report)),
         "points": _points(report),
         "wires": _wires(report),
@@ -46,7 +47,8 @@ def tables(report: Report) -> dict[str, Any]:
 def _head(report: Report) -> list[tuple[str, str]]:
     """Return what the report is of, by name."""
     plan, frame = report.plan, report.frame
-    sources = " and ".join(dict.fromkeys(image.seen.source for image in report.images))
+    sources = " and ".join(dict.fromkeys(image.seen.source for image in report.images if image.seen.source))
+    named = f"{sources} (named by their content, so that no patient's name is passed on)"
     confirmed = [check.sentence for check in report.confirmed if check.passed]
     for image in report.images:
         if (mirrored := image.view.mirrored_display) is not None:
@@ -55,7 +57,7 @@ def _head(report: Report) -> list[tuple[str, str]]:
         ("Side", plan.side or "not stated"),
         ("Procedure", f"{plan.kind.name} ({plan.kind.fingerprint})"),
         ("Frame", frame.name + (f", serial {frame.serial}" if frame.serial else "")),
-        ("Images", f"{sources} (named by their content, so that no patient's name is passed on)"),
+        ("Images", named if sources else "not named here"),
         ("Confirmed by a person", " ".join(confirmed) or "not known here: the app asks for it"),
     ]
 
@@ -129,7 +131,6 @@ def _notes(report: Report) -> Iterable[str]:
             f"plate {sd.plate_mm:g} mm and {sd.plate_rad * 1e3:g} mrad, arm {sd.arm_mm:g} mm and {sd.arm_rad * 1e3:g} "
             "mrad). Measure your frame: the bounds are only as good as these tolerances."
         )
-    yield report.plan.unnoticed
     yield from report.plan.sentences()
     for image in report.images:
         if image.view.mirrored:
