@@ -18,6 +18,7 @@ At its top a command file imports the standard library, typer and `sightline.cli
 plain text: Rich would take `[...]` for markup.
 """
 
+import codecs
 import os
 import signal
 import sys
@@ -83,16 +84,31 @@ def main() -> None:
     """Entry point of `sightline`."""
     for name in _BLAS_THREADS:
         os.environ.setdefault(name, "1")  # read when numpy is first imported, which no command file does at its top
+    codecs.register_error(_spell_out.__name__, _spell_out)
     for stream in (sys.stdin, sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            # A pipe on Windows has no "°" or "σ": that is no reason to fail when all files are written. Every command
-            # prints to these streams, by `Output` and typer; files are written in UTF-8.
-            stream.reconfigure(errors="replace")
+            # A pipe on Windows has no "σ", another no "°": that is no reason to fail when all files are written. Every
+            # command prints to these streams, by `Output` and typer; files are written in UTF-8.
+            stream.reconfigure(errors=_spell_out.__name__)
     # A shell without job control starts background jobs with SIGINT ignored, and Python would leave it ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in _ends():
         signal.signal(number, _terminate)
     commands()
+
+
+# What the messages use beyond ASCII, for streams that lack it: units would be lost as "?" [ours].
+_SPELT = {
+    "°": "deg", "σ": "s.d.", "χ": "chi", "Γ": "gamma", "µ": "u", "ø": "diameter ", "±": "+/-", "·": "*", "×": "x",
+    "²": "^2", "³": "^3", "⁴": "^4", "⁻": "^-", "¹": "1", "–": "-", "…": "...", "“": '"', "”": '"',
+}  # fmt: skip
+
+
+def _spell_out(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Spell a character that the stream's encoding lacks, as an error handler of `codecs`; others become "?"."""
+    if isinstance(error, UnicodeEncodeError):
+        return "".join(_SPELT.get(character, "?") for character in error.object[error.start : error.end]), error.end
+    return codecs.replace_errors(error)
 
 
 def _ends() -> list[signal.Signals]:

@@ -281,7 +281,8 @@ class Output:
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
         """Print a table of the result, for people; None is shown as a dash."""
         if not self._silent:
-            _console().print(_table(title, columns, rows))
+            self.say(title)  # Rich would break it at the width of the table
+            _console().print(_table("", columns, rows))
 
     def failures(self, checks: Iterable[Check]) -> None:
         """Print the failed checks once, for people, before any table: each with what it means and what to do. First
@@ -392,7 +393,7 @@ def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]])
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE)
+    table = Table(title=Text(title) if title else None, title_justify="left", box=box.SIMPLE)
     for column in columns:
         table.add_column(Text(column))
     for row in rows:
