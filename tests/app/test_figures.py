@@ -88,7 +88,7 @@ def test_the_error_of_a_distance_does_not_read_like_a_clearance() -> None:
     that is enough, "at least 0.22 mm"."""
     check = Check("tip in head", True, 5.01, 0.22, "mm", "")
     tad = Check("tip-apex distance", True, 17.12, 25.0, "mm", "", error_95=0.61)
-    unnoticed = "No check notices an error along a line of sight of up to 36.0 mm of the entry point."
+    unnoticed = "No check notices an error along a line of sight: of the entry point up to 36.0 mm."
 
     def fourth(*checks: Check) -> str:
         made = SimpleNamespace(verdict=SimpleNamespace(checks=checks), seen=None, unnoticed=unnoticed)

@@ -185,11 +185,11 @@ class Plan(Plotted):
         if self.hole is not None:  # a cylinder of known size, whose place along a line of sight its rims show
             return ""
         reaches = [
-            f"{'of any size' if reach is None else f'of up to {reach:.1f} mm'} of the {name} point"
+            f"of the {name} point {'however large' if reach is None else f'up to {reach:.1f} mm'}"
             for name, reach, picks in zip(("entry", "end"), self.noticed_mm, self.picks, strict=True)
             if np.isfinite([pick.uv_px[0] for pick in picks]).sum() == 2  # a third pick shows such an error by its gap
         ]
-        return f"No check notices an error along a line of sight {' or '.join(reaches)}." if reaches else ""
+        return f"No check notices an error along a line of sight: {', '.join(reaches)}." if reaches else ""
 
     @property
     def residuals_px(self) -> np.ndarray:
