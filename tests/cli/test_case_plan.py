@@ -1,14 +1,18 @@
 """`sightline plan --case` and `check-shot`: images, plan and inserted wire in the journal of a case."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
+from pydicom import dcmread
 from tests.cli.picked import VIEWS, WIRE_MM, marks_of, picks_file, wire
 
-from sightline.app.session.session import report_files
+import sightline as sl
+from sightline.app.session.session import export_files, report_files
 from sightline.case.journal import Case, Kind
 from sightline.common.checks import Check
 from sightline.imaging import write_dicom
@@ -47,16 +51,42 @@ def planned(run: Callable[..., Any], pair, setup, tmp_path_factory: pytest.TempP
     folder = tmp_path_factory.mktemp("planned")
     (folder / "in").mkdir()
     for name in VIEWS:
-        (folder / "in" / f"{name}.dcm").write_bytes(pair[name].read_bytes())
+        image = dcmread(pair[name])
+        image.PatientName, image.PatientID = "DOE^JANE", "ID-4711-0815"
+        image.save_as(folder / "in" / f"{name}.dcm")
     np.save(folder / "in" / "z.npy", np.full((64, 64), 900, np.uint16))
     assert run("acquire", "folder", folder / "in", "--case", folder / "case").code == 0
     hip = hip_scene(setup, np.random.default_rng(8))
     wires = {"guide-wire": wire(setup, hip.wire_mm)}
     picks = picks_file(folder, wires=wires, landmarks=marks_of(setup, hip), pick_sd_px=0.1)
     ran = run("plan", "--case", folder / "case", "--picks", picks, "--side", "right")
-    assert "INCOMPLETE: 1 check could" in ran.out, ran.err  # the head is not drawn
+    assert "INCOMPLETE: 6 checks could" in ran.out, ran.err  # the bone is not drawn
     assert "image of entry 3 skipped" in ran.err
     return folder / "case"
+
+
+def test_what_is_handed_on_is_the_same_plan_and_names_nobody(run, planned: Path, tmp_path: Path) -> None:
+    (planned / "picks.json").write_bytes((planned.parent / "picks-0.json").read_bytes())  # as the app keeps them
+    export, written_in = export_files(planned, ())
+    assert written_in == ()
+    ((name, data),) = export.items()
+    assert (planned / "export" / name).read_bytes() == data
+    (tmp_path / name).write_bytes(data)
+    with ZipFile(tmp_path / name) as packed:
+        packed.extractall(tmp_path)
+    (folder,) = (each for each in tmp_path.iterdir() if each.is_dir())
+    files = {file.name: file.read_bytes() for file in folder.iterdir()}
+    plan_files = {"plan.json", "picks.json", "frame.json", "pa-plate.png", "lateral-plate.png"}
+    assert files.keys() == {"report.html", "report.json", "pa.dcm", "lateral.dcm", *plan_files}
+    assert not [name for name, data in files.items() if b"DOE^JANE" in data or b"4711-0815" in data]
+    assert b"DOE^JANE" in b"".join(file.read_bytes() for file in (planned / "originals").iterdir())
+    plan = sl.load(folder / "plan.json", sl.Plan)
+    assert plan.trajectory.end_mm.tolist() == json.loads(files["report.json"])["trajectory"]["end_mm"]
+    for view in VIEWS:
+        handed, taken = (sl.read_image(place / f"{view}.dcm").pixels for place in (folder, planned.parent / "in"))
+        assert (handed == taken).all()
+    assert run("export", "plan", folder / "plan.json", "--to", "csv,slicer,dicom", "--out", tmp_path / "out").code == 0
+    assert run("case", "check", planned).code == 0
 
 
 def test_the_newest_images_of_a_case_are_planned_on(run, planned: Path) -> None:

@@ -209,6 +209,11 @@ NO_ROBOT = (
 CHANGED_AFTER_SENDING = "Send the plan again, or undo the change: it was changed after it was sent."
 CLOSE = "Close"
 REPORT = "Save the report"
+EXPORT = "Export"
+EXPORTED = (
+    "{file} is in the case and was sent to this browser: report, plan, picks, frame and images, without the patient's "
+    "name. Look at the images before you hand it on: writing in them stays{found}."
+)
 CASES = "Cases"
 CASE_OPEN = "Open"
 

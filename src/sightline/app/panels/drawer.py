@@ -46,10 +46,11 @@ class Menu:
             action(texts.CLOSE, self._cases.close, testid="cases-close", kind="primary")
 
     def build(self) -> None:
-        """Build the buttons that open the dialogs and save the report."""
+        """Build the buttons that save the report, export the plan and open the dialogs."""
         save = self._tab.doing(self._tab.save_report)
         with ui.element("div").classes("choice"):
             action(texts.REPORT, save, testid="report", kind="small")
+            action(texts.EXPORT, self._tab.doing(self._tab.export), testid="export", kind="small")
             action(texts.CASES, self._tab.doing(self._show_cases), testid="cases", kind="small")
             action("Shortcuts (?)", self.show_shortcuts, testid="shortcuts", kind="small")
 

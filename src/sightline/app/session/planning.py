@@ -52,6 +52,7 @@ _DRAW_FIRST = {
     NECK: "click two points on each border of the neck in both calibrated images first, from the head past its "
     "narrowest place",
 }
+PICKS = "picks.json"  # beside the journal
 
 
 class Planning:
@@ -328,9 +329,9 @@ class Planning:
         """Write `picks.json` beside the journal: the picks of a plan, as `sightline plan --picks` takes them. Raises
         CaseError."""
         try:
-            (self.case.folder / "picks.json").write_text(picks_of(decisions, self.names).text, "utf-8")
+            (self.case.folder / PICKS).write_text(picks_of(decisions, self.names).text, "utf-8")
         except OSError as error:
-            raise CaseError(f"picks.json cannot be written beside the journal: {error.strerror}") from error
+            raise CaseError(f"{PICKS} cannot be written beside the journal: {error.strerror}") from error
 
     # Opening of a case.
 

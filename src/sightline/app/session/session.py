@@ -1,15 +1,18 @@
 """A session: one procedure from the first image to the check shot, assembled from its parts; its report, and the cases
 beside it."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
+from zipfile import ZIP_DEFLATED, ZipFile
 
 from sightline.app.plan.decisions import Decisions
 from sightline.app.session.drilling_workflow import DrillingWorkflow
 from sightline.app.session.jobs import Jobs, WorkerProcess
-from sightline.app.session.planning import Planning
+from sightline.app.session.planning import PICKS, Planning
 from sightline.app.session.readiness import PlanAge, Readiness
 from sightline.app.session.rehearsing import Patient
 from sightline.app.session.shots import Live, Shots
@@ -22,6 +25,9 @@ from sightline.common.checks import Check
 from sightline.errors import SightlineError, UnusableInputError
 from sightline.frame import Frame
 from sightline.planning.procedures.procedure import document_of, each_wire
+
+if TYPE_CHECKING:
+    from sightline.case.deidentify import Deidentified
 
 
 class Session:
@@ -113,6 +119,57 @@ def report_files(folder: Path, confirmed: Sequence[Check]) -> dict[str, bytes]:
     files = {f"{name}.html": render(made).encode()}
     write_folder(folder / "report", files)
     return files
+
+
+def export_files(folder: Path, confirmed: Sequence[Check]) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """Write what is handed on of a case's last plan, as a zip, into the case's folder `export`, and return it by file
+    name, with the views in whose images writing was found.
+
+    It names no patient and holds no original: report, plan of each wire with the undistorted images, picks, frame file,
+    and the plan's images de-identified. Runs in the worker. Raises what `report_files` raises, and ImageError.
+    """
+    from sightline.calibration.exchange.reading import json_bytes
+    from sightline.case.interop.plan_file import bundle
+    from sightline.case.report.content import report_of
+    from sightline.case.report.document import report_document
+    from sightline.case.report.page import render
+    from sightline.case.saved import document
+
+    with Case.open(folder, read_only=True) as case:
+        made, images, number = report_of(case, confirmed), _without_identity(case), case.number
+    plans = {"plan": made.plan} if made.wires is None else {f"plan-{k}": plan for k, plan in made.wires.plans.items()}
+    bundled = {name: bundle(plan, made.images, made.frame) for name, plan in plans.items()}
+    files = {
+        "report.html": render(made).encode(),
+        "report.json": report_document(made, number).model_dump_json(indent=1).encode(),
+        "frame.json": made.frame.to_json(),
+        **{f"{name}.json": json_bytes(document(plan, **bundled[name][0])) for name, plan in plans.items()},
+        **{file: data for _, undistorted in bundled.values() for file, data in undistorted.items()},
+        **{f"{view}.dcm": image.data for view, image in images.items()},
+    }
+    if (picks := folder / PICKS).is_file():
+        files[PICKS] = picks.read_bytes()
+    whole, name = io.BytesIO(), f"export-{number}"
+    with ZipFile(whole, "w", ZIP_DEFLATED) as packed:
+        for file, data in files.items():
+            packed.writestr(f"{name}/{file}", data)
+    write_folder(folder / "export", {f"{name}.zip": whole.getvalue()})
+    written_in = (view for view, image in images.items() if image.burnt_in_stated or image.burnt_in_found)
+    return {f"{name}.zip": whole.getvalue()}, tuple(written_in)
+
+
+def _without_identity(case: Case) -> "dict[str, Deidentified]":
+    """Return the images of the last plan without the patient's identity, by view; a table of beads has none."""
+    from sightline.case.deidentify import Deidentifier
+
+    planned, cleaner = case.latest(Kind.PLANNED), Deidentifier()
+    views = [] if planned is None else [case.entry(number) for number in planned.rests_on]
+    taken = {view.content["view"]: stages.acquired_of(case, view) for view in views}
+    return {
+        view: cleaner.clean(case.original(entry.content["original"]), entry.settings["frame_index"])
+        for view, entry in taken.items()
+        if not entry.content["original"].endswith(stages.TABLE)
+    }
 
 
 def cases_beside(folder: Path) -> list[CaseInFolder]:

@@ -15,7 +15,7 @@ from sightline.app.plan.marks import MarkSpec
 from sightline.app.plan.planner import Planned
 from sightline.app.session.jobs import failure_of, report
 from sightline.app.session.planning import Planning
-from sightline.app.session.session import Session, report_files
+from sightline.app.session.session import Session, export_files, report_files
 from sightline.app.tab.placing import Goal, Placing, ProcedureStep
 from sightline.app.tab.views import Dragging, Views
 from sightline.errors import SightlineError
@@ -219,6 +219,22 @@ class Tab:
         for name, data in files.items():
             ui.download.content(data, name)
             self.notify(f"The report is saved in the case, as report/{name}, and was sent to this browser.", good=True)
+
+    async def export(self) -> None:
+        """Keep the plan shown in the case, and write what may be handed on of it into the case's folder and to the
+        browser. Raises SightlineError.
+        """
+        planning = self.planning
+        planning.keep_plan()
+        files, written_in = await planning.jobs.during(
+            "writing the export",
+            lambda: planning.worker.do(export_files, planning.case.folder, self.session.readiness.confirmations),
+        )
+        views = texts.DISPLAY_AND.join(texts.image_label(view, planning.decisions.kind) for view in written_in)
+        found = f"; it was found in: {views}" if views else ""
+        for name, data in files.items():
+            ui.download.content(data, name)
+            self.notify(texts.EXPORTED.format(file=f"export/{name}", found=found), good=True)
 
     async def choose(self, decisions: Decisions) -> None:
         """Plan another procedure, another wire of it, or through the holes of another nail, and ask for its points."""
