@@ -68,7 +68,7 @@ def test_white_is_the_type_s_largest_value_unless_given() -> None:
         (lambda im, b: sl.detect(np.zeros((32, 32))), UnusableInputError, "give white="),
         (lambda im, b: sl.detect(np.zeros((32, 32), bool)), UnusableInputError, "give white="),
         (lambda im, b: sl.detect([[1, 2], [3, 4]]), UnusableInputError, "not list"),
-        (lambda im, b: sl.detect(np.zeros((32, 32, 3), np.uint8)), ImageError, "two dimensions"),
+        (lambda im, b: sl.detect(np.zeros((2, 32, 32, 3), np.uint8)), ImageError, r"give one image \(H, W\)"),
         (lambda im, b: sl.detect(im, white=4095), UnusableInputError, "belongs to an array"),
         (lambda im, b: sl.label(im, "gamma"), UnusableInputError, "Detections of `detect`, not Radiograph"),
         (lambda im, b: sl.label(b, "delta"), FrameError, "delta"),

@@ -229,7 +229,7 @@ def test_label_takes_a_frame_with_a_solid() -> None:
 
 def test_label_refuses_what_a_solid_cannot_tell() -> None:
     scene = block_scene(0)
-    with pytest.raises(LabellingRefusedError, match="name the view"):
+    with pytest.raises(LabellingRefusedError, match="say which view the image is"):
         label(scene.detections, BLOCK)
     with pytest.raises(ObservationsError, match="no datum markers"):
         label(scene.detections, BLOCK, "pa", {"b1": (3.0, 4.0)})

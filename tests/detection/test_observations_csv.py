@@ -57,7 +57,7 @@ def test_a_spreadsheet_s_byte_order_mark_and_empty_lines_do_no_harm(tmp_path: Pa
     [
         ("", "line 1"),
         (HEADER, "no observations"),
-        ("view;id;u_px;v_px\npa;b1;1;2\n", "line 1"),
+        ("view;id;u_px;v_px\npa;b1;1,5;2.5\n", "write all numbers alike"),
         ("view,id,u,v\npa,b1,1,2\n", "u_px"),
         (HEADER + "pa,b1,1\n", "line 2: 3 values"),
         (HEADER + "pa,b1,1,2\npa,b2,nan,2\n", "line 3.*finite"),

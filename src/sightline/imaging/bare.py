@@ -8,7 +8,7 @@ from pathlib import Path
 from sightline.common.atomic import scratch_folder
 from sightline.common.bounded import MAX_FILE_BYTES, read_bounded, regular_file
 from sightline.errors import ImageError
-from sightline.imaging.formats import HEADER_BYTES
+from sightline.imaging.formats import HEADER_BYTES, damaged
 
 _MAGIC = b"DICM"
 _START = bytes(HEADER_BYTES - len(_MAGIC)) + _MAGIC
@@ -21,7 +21,8 @@ _IMPLICIT, _EXPLICIT, _BIG_ENDIAN = b"1.2.840.10008.1.2", b"1.2.840.10008.1.2.1"
 def complete(file: Path) -> Generator[Path]:
     """Yield a DICOM file, or a copy that has the preamble, file meta information and transfer syntax that it lacks.
 
-    The first element of the data set tells an uncompressed transfer syntax (PS3.5, 7.1). Raises OSError.
+    The first element of the data set tells an uncompressed transfer syntax (PS3.5, 7.1). Raises OSError, and
+    ImageError for a file that ends within the first element.
     """
     with regular_file(file) as stream:
         start = stream.read(HEADER_BYTES + _META_BYTES)
@@ -30,6 +31,8 @@ def complete(file: Path) -> Generator[Path]:
     if meta == HEADER_BYTES and syntax:
         yield file
         return
+    if len(start) < body + 8:  # of an element's tag and length
+        raise damaged(file.name)
     added = b"" if syntax else _syntax_element(start[body : body + 6])
     data = read_bounded(file, MAX_FILE_BYTES, ImageError, "export single images")
     with scratch_folder() as folder:

@@ -78,8 +78,8 @@ def _is_bare_dicom(start: bytes) -> bool:
     explicit = start[4:6].isalpha() and start[4:6].isupper()
     length = int.from_bytes(start[4:8], "little")
     implicit = start[:2] == b"\x08\0" and length < _FIRST_BYTES and length % 2 == 0
-    is_group = start[:2] in (b"\2\0", b"\x08\0", b"\0\x08") and len(start) == HEADER_BYTES
-    return start[:4] == b"DICM" or (is_group and (explicit or implicit))
+    is_group = start[:2] in (b"\2\0", b"\x08\0", b"\0\x08")
+    return len(start) == HEADER_BYTES and (start[:4] == b"DICM" or (is_group and (explicit or implicit)))
 
 
 def format_of_file(file: Path) -> ImageFormat | None:
