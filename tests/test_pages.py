@@ -17,7 +17,12 @@ from typer.testing import CliRunner
 from sightline.cli import commands
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs" / "procedures").glob("*.md")),
+]
 # Run whole: their Python reads what their commands write.
 WALKED = (
     "tour.md",
@@ -128,6 +133,18 @@ def test_every_command_of_a_page_exists_and_takes_its_options(page: Path) -> Non
         command, rest = told([word for word in words if word not in ("...", "|")] if "|" not in words else words[:1])
         options = {word.rstrip(".,;:").split("=")[0] for word in rest if word.startswith("--")}
         assert options <= options_of(command), f"`sightline {' '.join(words)}`"
+
+
+@pytest.mark.parametrize("name", ["frame-file.md", "procedures.md", "undistort.md"])
+def test_the_quick_commands_of_a_page_run_one_after_another(name: str, place: Path) -> None:
+    """Those that need no table of measurements of the reader's own, nor his images."""
+    ran = 0
+    for words in commands_in("\n".join(blocks(ROOT / "docs" / name, "sh"))):
+        if words[0] in ("frame", "procedure", "undistort") and words[1] != "draw" and "csv" not in " ".join(words):
+            done = CliRunner().invoke(commands, words)
+            assert done.exit_code == 0, f"sightline {' '.join(words)}: {done.stderr}"
+            ran += 1
+    assert ran
 
 
 @pytest.mark.slow
