@@ -70,14 +70,14 @@ def test_a_movement_of_the_bone_is_told_in_mm_with_its_limit(moved_mm: float) ->
 def test_a_movement_between_three_images_is_told_in_words(passed: bool) -> None:
     check = Check("movement", passed, 21.3, 22.5 if passed else 20.5, "χ²", "")
     seen = SimpleNamespace(movement=object(), shift_mm=None, shift_sd_mm=None)
-    known = SimpleNamespace(plan=SimpleNamespace(verdict=SimpleNamespace(checks=(check,)), seen=seen, unnoticed=""))
+    known = SimpleNamespace(plan=SimpleNamespace(verdict=SimpleNamespace(checks=(check,)), seen=seen))
     said = _said(known, "free-wire")[3]
     assert texts.FIGURE_MOVED[passed] in said and "χ²" not in said and "21" not in said
 
 
 def test_a_failed_value_never_reads_like_its_limit() -> None:
     checks = (Check("entry error", False, 1.0004, 1.0, "mm", ""), Check("end error", True, 0.9996, 1.0, "mm", ""))
-    known = SimpleNamespace(plan=SimpleNamespace(verdict=SimpleNamespace(checks=checks), seen=None, unnoticed=""))
+    known = SimpleNamespace(plan=SimpleNamespace(verdict=SimpleNamespace(checks=checks), seen=None))
     entry, tip, *_ = _said(known, KINDS[0])
     assert "1.0004 mm" in entry and "at most 1.0000 mm" in entry
     assert "1.00 mm" in tip and "at most 1.00 mm" in tip
@@ -88,14 +88,12 @@ def test_the_error_of_a_distance_does_not_read_like_a_clearance() -> None:
     that is enough, "at least 0.22 mm"."""
     check = Check("tip in head", True, 5.01, 0.22, "mm", "")
     tad = Check("tip-apex distance", True, 17.12, 25.0, "mm", "", error_95=0.61)
-    unnoticed = "No check notices an error along a line of sight: of the entry point up to 36.0 mm."
 
     def fourth(*checks: Check) -> str:
-        made = SimpleNamespace(verdict=SimpleNamespace(checks=checks), seen=None, unnoticed=unnoticed)
+        made = SimpleNamespace(verdict=SimpleNamespace(checks=checks), seen=None)
         return _said(SimpleNamespace(plan=made), KIND)[3]
 
     said = fourth(check)
-    assert unnoticed in said  # below the last figure
     assert "17.1 mm" in fourth(check, tad) and "± 0.6, at most 25.0" in fourth(check, tad)
     assert "5.01 mm" in said and "± 0.22 mm (95 %)" in said and "at least" not in said
     assert "5.01 mm, ± 0.22 mm (95 %)" in checks_html([check], testid="")

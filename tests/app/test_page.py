@@ -408,6 +408,7 @@ def test_points_are_placed_where_they_are_clicked_until_the_plan_is_go(
         for view in where:
             assert np.hypot(*np.subtract(hands.placed(name, view), where[view])) < 2 * SEEN_PX, (name, view)
     expect(hands.see("verdict").locator(".verdict-word")).to_have_text("GO")
+    expect(hands.see("verdict").get_by_test_id("unnoticed")).to_contain_text("along a line of sight")
     assert not wrong(hands.page, scrolls=False)
     shoot(hands.page, "planned")
     with Case.open(folder, read_only=True) as case:
@@ -421,8 +422,11 @@ def test_points_are_placed_where_they_are_clicked_until_the_plan_is_go(
 
 def test_a_plan_expires_by_itself_and_is_go_again_with_its_time(hands: Hands, place: Path) -> None:
     _planned(hands)
+    at = hands.see("figures").bounding_box()
     program.set_ahead(place, LIFETIME_S + 1.0)
     expect(hands.see("verdict")).to_contain_text("NO-GO")
+    expect(hands.see("unnoticed")).to_have_count(0)
+    assert hands.see("figures").bounding_box() == at  # nothing moves under the hand
     expect(hands.see("age")).to_contain_text("expired")
     program.set_ahead(place, 0.0)
     expect(hands.see("verdict")).not_to_contain_text("NO-GO")
@@ -521,6 +525,7 @@ def test_the_head_is_fitted_with_its_error_and_a_wire_proposed_by_the_rule(hands
     stated = re.search(r"radius ([\d.]+) ± ([\d.]+)", words)
     assert stated is not None and "kept as drawn" not in words
     assert abs(float(stated[1]) - rehearsal().hip.femur.head_radius_mm) <= float(stated[2]) + 0.05  # as rounded
+    assert not wrong(hands.page, scrolls=False)
     hands.page.keyboard.press("Control+z")
     expect(hands.see("head-fitted")).to_have_count(0)
     hands.details()

@@ -30,7 +30,7 @@ _SHOWN, _MORE = 3, 4
 LONG, LONGER = 110, 190  # [ours] characters from which a card's text or an instruction is written smaller, to fit
 _CARD = (
     '<div class="verdict {}" data-testid="{}"><div class="verdict-word">{}</div>'
-    '<div class="verdict-sentence {}">{} <span class="verdict-more">{}</span></div></div>'
+    '<div class="verdict-sentence {}">{} <span class="verdict-more">{}</span></div>{}</div>'
 )
 
 
@@ -55,10 +55,10 @@ def note_html(text: str, *, kind: str = "", testid: str = "") -> Markup:
     return filled('<div class="note {}"{}>{}</div>', kind, _testid(testid), text)
 
 
-def card(state: str, word: str, sentence: str, more: str = "", *, testid: str) -> Markup:
-    """Return a card with a verdict; `state`: go, no-go or incomplete."""
+def card(state: str, word: str, sentence: str, more: str = "", *, testid: str, note: str = "") -> Markup:
+    """Return a card with a verdict; `state`: go, no-go or incomplete; `note`: below its sentence."""
     size = "long" if len(sentence) + len(more) > LONG else ""
-    return filled(_CARD, state, testid, word, size, sentence, more)
+    return filled(_CARD, state, testid, word, size, sentence, more, note)
 
 
 def checks_html(listed: Sequence[Check], *, testid: str, kind: str = "") -> Markup:

@@ -58,13 +58,11 @@ class _Figure:
 
 
 def figures_html(tab: Tab) -> Markup:
-    """Return the four figures as HTML, and below them which errors no check notices; before there is a plan without
-    values."""
+    """Return the four figures as HTML; before there is a plan without values."""
     plan = None if tab.known is None else tab.known.plan
     return filled(
-        '<div class="figure-grid" data-testid="figures">{}</div>{}',
+        '<div class="figure-grid" data-testid="figures">{}</div>',
         joined(*map(_figure_html, _figures(kind_of(tab.planning.decisions.kind), plan))),
-        Markup() if plan is None or not plan.unnoticed else note_html(plan.unnoticed, kind="warn", testid="unnoticed"),
     )
 
 
@@ -148,7 +146,8 @@ SOURCES = {  # sources of error, with their colours (colours.js)
 def key(tab: Tab) -> Hashable:
     """Key of the verdict."""
     listed, lacking = _listed(tab), tab.planning.lacking
-    return len(listed), tuple(check.sentence for check in failed(listed)), left(tab), _refused(tab), lacking
+    wrong = tuple(check.sentence for check in failed(listed))
+    return len(listed), wrong, left(tab), _refused(tab), lacking, _unnoticed(tab)
 
 
 def left(tab: Tab) -> tuple[str, ...]:
@@ -188,9 +187,15 @@ def _listed(tab: Tab) -> tuple[Check, ...]:
     return () if verdict is None else verdict.checks
 
 
+def _unnoticed(tab: Tab) -> str:
+    """Return which errors no check notices, as a sentence, of a plan that is GO; "" of any other."""
+    plan, verdict = None if tab.known is None else tab.known.plan, tab.session.readiness.verdict_of(tab.known)
+    return "" if plan is None or verdict is None or not verdict.go else plan.unnoticed
+
+
 def html(tab: Tab) -> Markup:
-    """Return the verdict as HTML: of a plan that is NO-GO the first thing to do, of an incomplete one what is left, or
-    what the patient does not have."""
+    """Return the verdict as HTML: of a plan that is GO which errors no check notices, of one that is NO-GO the first
+    thing to do, of an incomplete one what is left, or what the patient does not have."""
     if lacking := tab.planning.lacking:
         state, (told, _) = "incomplete", texts.LACKS[lacking]
         return card(state, texts.VERDICTS[state], told, "", testid="verdict")
@@ -207,8 +212,9 @@ def html(tab: Tab) -> Markup:
         wrong = [check for check in advised(verdict.checks) if not check.missing]
         told = texts.sentence(wrong[0], kind) if wrong else "Every check passed. A person decides."
         more = len(wrong) - 1
-    more_text = texts.MORE.format(count=more) if more > 0 else ""
-    return card(state, texts.VERDICTS[state], told, more_text, testid="verdict")
+    more_text, unnoticed = texts.MORE.format(count=more) if more > 0 else "", _unnoticed(tab)
+    note = note_html(unnoticed, kind="warn", testid="unnoticed") if unnoticed else ""
+    return card(state, texts.VERDICTS[state], told, more_text, testid="verdict", note=note)
 
 
 def build_details(tab: Tab) -> None:
