@@ -2,6 +2,7 @@
 
 import pickle
 import struct
+import warnings
 import zlib
 from contextlib import suppress
 from pathlib import Path
@@ -63,6 +64,18 @@ def test_colour_is_read_where_it_is_grey_and_refused_where_it_is_not(tmp_path: P
     colours[3, 4, 1] ^= 4 if kind == ".bmp" else 2**11
     with pytest.raises(ImageError, match="colour"):
         read_image(named(tmp_path, encoded(colours, kind)))
+
+
+def test_a_warning_of_another_program_refuses_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = PIL.Image.open
+
+    def warning(*given: object, **named: object) -> object:
+        warnings.warn("of the host", DeprecationWarning, stacklevel=1)
+        return opened(*given, **named)
+
+    monkeypatch.setattr(PIL.Image, "open", warning)
+    with pytest.warns(DeprecationWarning, match="of the host"):
+        np.testing.assert_array_equal(read_image(named(tmp_path, encoded(GREY8, ".png"))).pixels, GREY8)
 
 
 def test_grey_after_a_colour_conversion_is_read(tmp_path: Path) -> None:

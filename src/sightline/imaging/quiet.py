@@ -15,12 +15,13 @@ from typing import Any, Literal
 class Quiet(Filter):
     """`with quiet():` drops log records of `packages`, and ignores warnings or raises them as errors (`action`).
 
-    Of the calling thread alone; with `all_threads` of every thread, but only warnings that `packages` issue.
+    Of the calling thread alone; with `all_threads` of every thread. Errors, and warnings of every thread, are only
+    those that `packages` issue.
     """
 
     def __init__(self, action: Literal["ignore", "error"], *packages: str, all_threads: bool = False) -> None:
         super().__init__()
-        self._packages, self._all = packages, all_threads
+        self._packages, self._all, self._raises = packages, all_threads, action == "error"
         self._entry: Any = (action, None, Warning, self, 0)  # of `warnings.filters`; `self` is the module's pattern
         self._thread, self._lock, self._users = local(), Lock(), 0
         self._changed: list[Any] = []  # loggers, and lists of warning filters: a host may replace its own meanwhile
@@ -52,14 +53,15 @@ class Quiet(Filter):
 
     def match(self, module: str) -> bool:
         """Return whether a warning that this module issues is ignored, as a pattern of `warnings.filters` does."""
-        return module.partition(".")[0] in self._packages if self._all else self._is_mine
+        of_package = module.partition(".")[0] in self._packages
+        return of_package if self._all else self._is_mine and (of_package or not self._raises)
 
     def _add(self) -> None:
         filters: Any = warnings.filters
         if self._entry not in filters:
             filters.insert(0, self._entry)
             self._changed.append(filters)
-        known = (name for name in root.manager.loggerDict if name.partition(".")[0] in self._packages)
+        known = (name for name in list(root.manager.loggerDict) if name.partition(".")[0] in self._packages)
         for log in map(getLogger, {*self._packages, *known}):
             if self not in log.filters:
                 log.addFilter(self)
