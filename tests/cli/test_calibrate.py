@@ -1,5 +1,6 @@
 """`sightline calibrate` from an image and from observations, on a set-up whose truth is known."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -65,6 +66,14 @@ def test_the_frame_is_said_first_and_the_balls_tell_another(run, beads_csv: Path
     ran = run("calibrate", pair["pa"], "--frame", "biplane")
     assert ran.code == 3 and ran.out.startswith("frame: biplane\n")
     assert "the image shows the frame gamma, not biplane: give --frame gamma. With biplane: " in ran.said
+
+
+def test_exchanged_images_of_a_measured_frame_are_not_called_another_frame(run, pair, frame, tmp_path: Path) -> None:
+    own = tmp_path / "own.json"
+    own.write_text(replace(frame, name="own").to_json())
+    ran = run("calibrate", pair["pa"], "--frame", own, "--view", "lateral")
+    assert ran.code == 3 and "are the two images exchanged" in ran.said
+    assert "give --frame" not in ran.said
 
 
 def test_datum_markers_given_by_hand_tell_the_beads_apart(run, pair, setup, frame) -> None:

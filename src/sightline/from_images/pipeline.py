@@ -252,10 +252,13 @@ def label_first(
 
 def _of_another_frame(beads: Detections, frame: Frame) -> str:
     """Return a sentence on the built-in frame that the beads are of; empty where none is known."""
-    for name in BUILTIN:
+    for known in (frame, *map(Frame.load, BUILTIN)):
         with suppress(LabellingRefusedError):
-            if name != frame.name and len(label(beads, name)):
-                return f"the image shows the frame {name}, not {frame.name}: give --frame {name}. With {frame.name}: "
+            label(beads, known)
+            if known.name == frame.name:  # the view that was stated is wrong, or the datums
+                return ""
+            shown = f"the image shows the frame {known.name}, not {frame.name}"
+            return f"{shown}: give --frame {known.name}. With {frame.name}: "
     if frame.solid is None and MIN_BLOCK <= len(beads) <= MAX_BLOCK:
         return (
             f"{len(beads)} balls are seen, as many as a block has, and {frame.name} has two plates in each view: if a "
