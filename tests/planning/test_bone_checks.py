@@ -12,6 +12,7 @@ from sightline.errors import OutsideRegionError, UnusableInputError
 from sightline.planning import Aids, Circle, Line, MatchingCurve, Pick, Plan, Procedure, kind, plan
 from sightline.planning.points.results import Verdict
 from sightline.planning.procedures.procedure import shipped
+from sightline.planning.verdict.bone_checks import judge_in_bone
 
 from . import bone
 from .standin import StandInView
@@ -186,6 +187,19 @@ def test_a_wire_that_no_plate_or_screw_fits_is_no_go():
     (check,) = (check for check in short.verdict.checks if check.name == "wire length")
     assert (check.limit, check.passed) == (80.0, False)
     assert length.verdict.go
+
+
+@pytest.mark.parametrize(("name", "side"), [("tip-apex distance", 1), ("tip to bone nearest", -1)])
+def test_a_value_nearer_to_its_limit_than_its_error_is_told_on_which_side_the_limit_lies(name: str, side: int):
+    """Such a value fails although it lies within the limit, so the limit must say which side of it is right."""
+    made = _planned(WIRE_MM)
+    (check,) = (check for check in made.verdict.checks if check.name == name)
+    limit = check.figure + side * check.error_95 / 2
+    rules = hip_screw_with(name, **({"high": limit} if side > 0 else {"low": limit})).checks
+    (check,) = (check for check in judge_in_bone(made.anatomy, rules, "right", {}).checks if check.name == name)
+    assert not check.passed
+    assert check.limit_text.startswith("at most" if side > 0 else "at least")
+    assert check.bounds_below == (side < 0)
 
 
 def test_outlines_that_fit_no_head_are_no_go_and_not_merely_missing():

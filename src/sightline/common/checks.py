@@ -158,8 +158,8 @@ class Check:
     `name` is a key of docs/refusals.md; `figure` (the value) and `limit` are in `unit`. `figure` is None where the
     check is not a measurement, or the value could not be measured; in the latter case the check fails. `missing`: the
     check failed because an input is missing that a person can give. `view`: of the image that the check is about, ""
-    for others. `error_95`: the 95 % error of the value, where the check judges the value with it. `code`: what the
-    check is about, for programs.
+    for others. `error_95`: the 95 % error of the value, where the check judges the value with it; `is_minimum`: whether
+    the limit is then a lower one, which value and verdict do not tell. `code`: what the check is about, for programs.
     """
 
     name: str
@@ -171,6 +171,7 @@ class Check:
     missing: bool = False
     view: str = ""
     error_95: float | None = None
+    is_minimum: bool | None = None
     code: CheckCode = field(init=False)
 
     def __post_init__(self) -> None:
@@ -194,9 +195,16 @@ class Check:
         if self.limit is None:
             return ""
         limit = _with_unit(self.limit, self.unit)
-        if self.figure is None or (self.figure == self.limit and self.limit):
+        if self.is_minimum is None and (self.figure is None or (self.figure == self.limit and self.limit)):
             return limit  # either direction may be meant
-        return f"{'at most' if self.passed == (self.figure <= self.limit) else 'at least'} {limit}"
+        return f"{'at least' if self.bounds_below else 'at most'} {limit}"
+
+    @property
+    def bounds_below(self) -> bool:
+        """Whether the limit is a lower one; without `is_minimum` value and verdict tell."""
+        if self.is_minimum is not None or self.figure is None or self.limit is None:
+            return bool(self.is_minimum)
+        return self.passed != (self.figure <= self.limit)
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Self:

@@ -40,6 +40,7 @@ class CheckDocument(OpenDocument):
     missing: bool = Field(default=False, description="The check failed because an input is missing.")
     view: Text = Field(default="", description="The view that the check is about.")
     error_95: float | None = Field(default=None, description="95 % error of the value, where it is judged with it.")
+    is_minimum: bool | None = Field(default=None, description="Whether the limit is a lower one, where that is stated.")
 
 
 class ErrorBounds(OpenDocument):

@@ -109,9 +109,8 @@ def _figure(check: Check) -> str:
         return ""
     if check.limit is None:
         return _quantity(check.figure, check.unit, _SHOWN)
-    most = (check.figure <= check.limit) == check.passed
     value, bound = apart(check.figure, check.limit, check.unit, _quantity, _SHOWN, passed=check.passed)
-    return f"{value}, {limit_said(check.code, bound, most=most)}"
+    return f"{value}, {limit_said(check.code, bound, most=not check.bounds_below)}"
 
 
 def limit_said(code: CheckCode, bound: str, *, most: bool) -> str:

@@ -55,6 +55,7 @@ class _Figure:
     passed: bool | None = None
     words: str = "–"
     error: float | None = None
+    bounds_below: bool = False  # as of `Check`
 
 
 def figures_html(tab: Tab) -> Markup:
@@ -94,7 +95,9 @@ def _own(kind: Procedure, made: Iterable[CheckCode]) -> CheckCode:
 def _filled(figure: _Figure, check: Check | None) -> _Figure:
     if check is None:
         return figure
-    return _Figure(figure.code, check.figure, check.limit, check.unit, check.passed, error=check.error_95)
+    return _Figure(
+        figure.code, check.figure, check.limit, check.unit, check.passed, "–", check.error_95, check.bounds_below
+    )
 
 
 def _of_movement(figure: _Figure, plan: Plan) -> _Figure:
@@ -122,7 +125,7 @@ def _figure_html(figure: _Figure) -> Markup:
     whole = _ROOM * max(abs(value), abs(limit), 1e-9)
     share, at = (f"{min(max(100 * x / whole, 0), 100):.0f}" for x in (value, limit))
     shown, bound = apart(value, limit, figure.unit, _number, _DIGITS, passed=bool(figure.passed))
-    text = limit_said(figure.code, bound, most=(value <= limit) == figure.passed)
+    text = limit_said(figure.code, bound, most=not figure.bounds_below)
     if figure.error is not None:
         text = f"± {figure.error:.1f}, {text.removesuffix(figure.unit).strip()}"
     return filled(_FIGURE, state, name, shown, sign, filled(_BAR, share, at), text)

@@ -144,12 +144,15 @@ def _of_metrics(bone: _Bone, rules: Sequence[CheckRule]) -> list[Check]:
         error = TWO_SIDED_95 * known.sd
         passed = low <= known.value - error and known.value + error <= high
         nearer_high = high - known.value < known.value - low
-        limit = high if np.isfinite(high) and (low <= 0.0 or nearer_high) else low  # zero bounds no distance
+        unbounded = passed and low == 0.0 and np.isfinite(high)  # zero bounds no distance
+        limit = high if nearer_high or unbounded else low
         sentence = f"The {name} is {known.value:.1f} {unit}, with 95 % probability within {error:.1f} {unit}"
         move = _MOVE.get(name, "move the end point, or draw the aids more accurately")
         advice = f"with its error it must lie {_within(low, high, unit)}: {move}"
         sentence += "." if passed else f"; {advice}."
-        checks.append(Check(name, passed, known.value, float(limit), unit, sentence, error_95=error))
+        checks.append(
+            Check(name, passed, known.value, float(limit), unit, sentence, error_95=error, is_minimum=limit == low)
+        )
     return checks
 
 
