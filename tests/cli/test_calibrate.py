@@ -70,7 +70,7 @@ def test_the_frame_is_said_first_and_the_balls_tell_another(run, beads_csv: Path
 
 def test_exchanged_images_of_a_measured_frame_are_not_called_another_frame(run, pair, frame, tmp_path: Path) -> None:
     own = tmp_path / "own.json"
-    own.write_text(replace(frame, name="own").to_json())
+    own.write_bytes(replace(frame, name="own").to_json())
     ran = run("calibrate", pair["pa"], "--frame", own, "--view", "lateral")
     assert ran.code == 3 and "are the two images exchanged" in ran.said
     assert "give --frame" not in ran.said

@@ -6,16 +6,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sightline.detection.common_shape import common_shape
+from sightline.detection.common_shape import common_shape, logs_of_white
 from sightline.detection.results import RejectedCandidate
 from sightline.imaging import Radiograph
 from sightline.imaging.defects import MAX_CLIPPED, clipped_share, torn
 
 NO_RIM = "no rim"  # start of this reason
 TOO_SMALL = "its radius is below 2 px"
-_FEW_PX = (
-    3.0  # radius of beads that are hard to fit: half of the promised ones above 2 px are lost in compression [ours]
-)
+# Radius of beads that are hard to fit: half of the promised ones above 2 px are lost in compression [ours].
+_FEW_PX = 3.0
 # Spots for a statement about the image, or for a direction of motion, which fewer show by chance; and at most, which
 # take a second [ours].
 _MIN_SPOTS, _MAX_SPOTS = 5, 400
@@ -120,7 +119,7 @@ def _agree(vectors: np.ndarray, median: np.ndarray) -> bool:
 
 def _gradients(image: Radiograph) -> np.ndarray:
     """Return gu² - gv², 2 gu gv and gu² + gv² (3, H, W) of the log intensity, so that the exposure cancels."""
-    logs = np.log(np.maximum(image.pixels.astype(np.float32) / np.float32(image.white), 1e-4))
+    logs = logs_of_white(image)
     logs = cv2.GaussianBlur(logs, (0, 0), 1.0)
     gu, gv = (cv2.Sobel(logs, cv2.CV_32F, du, 1 - du, ksize=3) for du in (1, 0))
     return np.stack([gu * gu - gv * gv, 2 * gu * gv, gu * gu + gv * gv])

@@ -87,7 +87,7 @@ def shape_checks(image: Radiograph, uv_px: np.ndarray, radius_px: np.ndarray | N
 
 def common_shape(image: Radiograph, uv_px: np.ndarray, radius_px: np.ndarray) -> CommonShape | None:
     """Return what the shadows at `uv_px` (N, 2), of radii (N,), have in common; None with too few isolated ones."""
-    logs = np.log(np.maximum(image.pixels.astype(np.float32) / np.float32(image.white), 1e-4))
+    logs = logs_of_white(image)
     discs = _isolated(image, uv_px, radius_px)
     if len(discs) < _MIN_BEADS:
         return None
@@ -96,6 +96,11 @@ def common_shape(image: Radiograph, uv_px: np.ndarray, radius_px: np.ndarray) ->
         return shape
     square = _common([_Shadow.of(*_polar(logs, disc, shape.aspect)) for disc in discs])
     return replace(square, aspect=shape.aspect, aspect_spread=shape.aspect_spread)
+
+
+def logs_of_white(image: Radiograph) -> np.ndarray:
+    """Return the natural logarithm (H, W) float32 of the pixels over the white, at least that of 1e-4."""
+    return np.log(np.maximum(image.pixels.astype(np.float32) / np.float32(image.white), 1e-4))
 
 
 def _common(shadows: list["_Shadow"]) -> CommonShape:
@@ -154,9 +159,8 @@ class _Shadow:
         mean = logs.mean(axis=1)
         background = mean[-4:].mean()
         contrast = mean[: max(len(r) - int(_REACH_PX / _STEP_PX), 4) // 2].mean() - background
-        contrast = (
-            contrast if abs(contrast) > _MIN_CONTRAST else _MIN_CONTRAST
-        )  # spots that are not beads may have none
+        if abs(contrast) <= _MIN_CONTRAST:  # of spots that are not beads
+            contrast = _MIN_CONTRAST
         disc, mean = (logs - background) / contrast, (mean - background) / contrast
         opposite = np.roll(disc, _ANGLES // 2, axis=1)
         angle = 2 * np.pi * np.arange(_ANGLES) / _ANGLES

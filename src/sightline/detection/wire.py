@@ -157,14 +157,7 @@ def find_wire(  # noqa: PLR0917
     if others:
         pieces = _alone(pieces, strip)
     looked_at = max(int((end - _covered_px(strip.path, covered_px)) / strip.piece_px), 1)
-    if len(pieces) < max(_MIN_PIECES, _MIN_MEASURED * looked_at):
-        raise WireRefusedError(_FEW_PIECES.format(f"{len(pieces)} of {looked_at}"))
-    width_mm = 2 * float(np.median([piece.fit.values[1] for piece in pieces])) / float(np.median(scale))
-    if abs(width_mm / diameter_mm - 1) > _MAX_WIDTH_ERROR:
-        raise WireRefusedError(
-            f"the line found is {width_mm:.1f} mm wide, the wire {diameter_mm:.1f} mm: it is something else, or "
-            "another wire is in; give the right diameter"
-        )
+    width_mm = _width_mm(pieces, looked_at, float(np.median(scale)), diameter_mm)
     over = _beads_over(strip, expected.beads_px, coarse.tip_s_px)
     whole = _Strip.about(logs, usable | under_beads, noise, path, (wire, radii)) if len(over) else strip
     tip = _tip(_End(strip, pieces), (strip, whole), over, coarse.tip_s_px)
@@ -481,6 +474,19 @@ def _beads_over(strip: _Strip, beads_px: np.ndarray, tip_s_px: float) -> np.ndar
     behind = tip_s_px - strip.wire.point_px - (_TIP_BEHIND + 2) * strip.radius_at(tip_s_px)
     near = (s + 2 * radius > behind) & (s - 3 * radius < tip_s_px + _BESIDE_PX)
     return np.stack([s, x, radius], axis=-1)[near & (np.abs(x) < strip.radius_px + _BESIDE_PX + radius)]
+
+
+def _width_mm(pieces: list[_Piece], looked_at: int, px_per_mm: float, diameter_mm: float) -> float:
+    """Return the measured width. Raises WireRefusedError with too few pieces of those `looked_at`, or another width."""
+    if len(pieces) < max(_MIN_PIECES, _MIN_MEASURED * looked_at):
+        raise WireRefusedError(_FEW_PIECES.format(f"{len(pieces)} of {looked_at}"))
+    width_mm = 2 * float(np.median([piece.fit.values[1] for piece in pieces])) / px_per_mm
+    if abs(width_mm / diameter_mm - 1) > _MAX_WIDTH_ERROR:
+        raise WireRefusedError(
+            f"the line found is {width_mm:.1f} mm wide, the wire {diameter_mm:.1f} mm: it is something else, or "
+            "another wire is in; give the right diameter"
+        )
+    return width_mm
 
 
 def _unknown(beads: Detections | None, known_px: np.ndarray) -> np.ndarray:

@@ -20,9 +20,8 @@ _CONSTANT = 0.3  # of the median difference of neighbours in the middle: the noi
 _LEFT = 0.1  # of the convex hull of the rest: clipped air, which is bright, surrounds beads
 _SMALLEST = 12  # px; a smaller part of the rest in a bright surround is noise; in a dark one parts may be writing
 _BLOCK = 8  # px, side of a block of JPEG, in which an edge changes all levels
-_SHARP = (
-    0.6  # of the levels' range within a block of an edge, between two neighbours: a blur of 0.9 px leaves 0.44 [calc]
-)
+# Of the levels' range within a block of an edge, between two neighbours: a blur of 0.9 px leaves 0.44 [calc].
+_SHARP = 0.6
 _LAYERS = 3  # bars of a video, the border of its window, and blanking
 
 

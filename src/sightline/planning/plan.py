@@ -308,11 +308,10 @@ def plan(
     `snapped`: whether the second view's picks are snapped to the image-matching curves of the first view's: one flag,
     or (entry, end). Picks in further views are free, NaN where a view does not show the point. A plan with snapped
     picks needs two landmarks for a GO (`judge`). `hole`: entry and end are those of a measured hole
-    (`WirePicks.of_hole`); its errors replace those of the picks, and its checks enter the verdict. `procedure`: what
-    the wire is for: a key of `sl.planning.procedures()`, a file, or a Procedure; sets the limits and the inputs asked
-    for. "free-wire" asks for nothing of the bone. `side` ("right", "left") and `aids`: the wire is
-    checked against them where the procedure has checks of the bone; without them the plan is incomplete. `shared`: the
-    fields of `PlanInputs`.
+    (`WirePicks.of_hole`); its errors replace those of the picks, and its checks enter the verdict. `procedure`: a key
+    of `sl.planning.procedures()`, a file, or a Procedure; sets the limits and the inputs asked for. `side` ("right",
+    "left") and `aids`: the wire is checked against them where the procedure has checks of the bone; without them the
+    plan is incomplete. `shared`: the fields of `PlanInputs`.
     Raises UnusableInputError, and what `reconstruct`, `matching_curve` and `snap` raise.
 
     >>> pa, lateral = sl.load("out/demo/views.json")
