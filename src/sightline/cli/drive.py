@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
 
 FROM_CASE = "case"  # instead of files
-RETAKES = 3  # [ours] pairs of check images that the twin takes: a bead may hide the tip in one
 
 
 @dataclass(frozen=True)
@@ -485,10 +484,11 @@ class DriveShots:
         from sightline.common.atomic import scratch_folder
         from sightline.errors import RefusedError
         from sightline.imaging import write_dicom
+        from sightline.rehearsal.patient import MAX_TAKES
 
         true, why, sd_px = self.robot.simulated_wire(), "", Picks().pick_sd_px
         marks = patient.landmarks.values()
-        for retake in range(RETAKES):
+        for retake in range(MAX_TAKES):
             rng = patient.generator("picks", retake + 1)
             with self.output.step("taking two check images"):
                 taken = patient.check_images(true, wire, retake=retake)
