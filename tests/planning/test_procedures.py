@@ -198,9 +198,11 @@ def test_of_several_wires_one_is_planned_and_this_is_said(tmp_path: Path):
     lower = kind(f"{file}:lower")
     assert (lower.key, lower.wire_mm) == ("pair:lower", 3.2)
     assert kept(lower.key, keeping(lower)).wire_mm == 3.2
-    (said,) = lower.sentences()
+    (_, said) = lower.sentences()  # the first: that it has no checks
     assert "one wire of 2" in said and "parallel" in said
     assert kind("hip-screw").sentences() == []
+    (said,) = kind("free-wire").sentences()
+    assert "nothing tells whether its ends are exchanged" in said
 
 
 def test_the_page_names_what_is_shipped_and_what_files_may_name():

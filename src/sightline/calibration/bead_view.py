@@ -235,7 +235,7 @@ class BeadView(Plotted):
         """Return the pixels (N, 2) of points (N, 3), CFCS. Raises OutsideRegionError."""
         xyz = np.asarray(xyz_mm, dtype=np.float64)
         uv = self.plane_map.to_image(self.plane.central_projection(self.focal_point_mm, xyz))
-        self.hull.refuse_far(uv)  # the same region as that of `lines_of_sight`
+        self.hull.refuse_far(uv, self.name)  # the same region as that of `lines_of_sight`
         return uv
 
     def project_seen(self, xyz_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -276,7 +276,7 @@ class BeadView(Plotted):
         uv = np.asarray(uv_px, dtype=np.float64)
         if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
             raise UnusableInputError(f"give finite pixels of the shape (N, 2); got the shape {uv.shape}")
-        self.hull.refuse_far(uv)
+        self.hull.refuse_far(uv, self.name)
         errors = cache(lambda: self.posterior.line_errors(uv))
         xy, jacobian = self.plane_map.linearised(uv)
         return LinesOfSight(

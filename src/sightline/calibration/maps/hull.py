@@ -61,14 +61,16 @@ class Hull:
         """Return (N,) bool: whether pixels (N, 2) lie inside or near enough for the map to be evaluated."""
         return self.distance_px(uv_px) <= MAX_OUTSIDE * self.radius_px
 
-    def refuse_far(self, uv_px: np.ndarray) -> None:
-        """Raise OutsideRegionError for pixels (N, 2) too far outside."""
+    def refuse_far(self, uv_px: np.ndarray, view: str) -> None:
+        """Raise OutsideRegionError for pixels (N, 2) of a view too far outside."""
         far = ~self.is_near(uv_px)
         if far.any():
             where = ", ".join(f"({u:.0f}, {v:.0f})" for u, v in uv_px[far][:3])
+            (u_0, v_0), (u_1, v_1) = self.corners_px.min(axis=0), self.corners_px.max(axis=0)
             raise OutsideRegionError(
-                f"{far.sum()} pixels lie far outside the beads' convex hull ({where}), where nothing is calibrated; "
-                "choose points nearer to the beads, or move the frame so that its beads surround them"
+                f"{view}: {far.sum()} of {len(far)} pixels lie far outside the beads' convex hull: {where}; it spans u "
+                f"{u_0:.0f} to {u_1:.0f}, v {v_0:.0f} to {v_1:.0f}, and nothing is calibrated beyond; choose points "
+                "nearer to the beads, or move the frame so that its beads surround them"
             )
 
 

@@ -215,7 +215,7 @@ def _check_alone(problem: Problem, best: Labelling) -> None:
     if other is not None and _is_certain(other):
         raise LabellingRefusedError(
             f"two solids of this kind are in the image: {len(best.rows)} beads show one, {len(other.rows)} another; "
-            "remove one of them"
+            "remove one of them, or cut a picture of two images in two"
         )
 
 

@@ -169,12 +169,17 @@ class Procedure:
         return ProposalRule(radians(given.angle_deg or 0.0), given.under_surface_mm or 0.0, given.rule, self.wire.key)
 
     def sentences(self) -> list[str]:
-        """Return what a reader of a plan must know: of several wires, that the others are not in it."""
-        if not self.several:
-            return []
-        relations = ", ".join(dict.fromkeys(relation.relation for relation in self.document.relations))
-        alone = f"This is the plan of one wire of {len(self.document.wires)}."
-        return [f"{alone} The relations between them ({relations or 'none'}) are not checked: plan all wires together."]
+        """Return what a reader of a plan must know: that the bone is not looked at, that other wires are left out."""
+        said: list[str] = []
+        if not self.document.checks:
+            said += [
+                f"No {self.document.name} is compared with the bone: nothing tells whether its ends are exchanged."
+            ]
+        if self.several:
+            relations = ", ".join(dict.fromkeys(relation.relation for relation in self.document.relations)) or "none"
+            alone = f"This is the plan of one wire of {len(self.document.wires)}."
+            said += [f"{alone} The relations between them ({relations}) are not checked: plan all wires together."]
+        return said
 
     def written(self) -> dict[str, Any]:
         """Return the file's content as JSON types."""
