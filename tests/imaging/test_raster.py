@@ -66,6 +66,16 @@ def test_colour_is_read_where_it_is_grey_and_refused_where_it_is_not(tmp_path: P
         read_image(named(tmp_path, encoded(colours, kind)))
 
 
+@pytest.mark.parametrize("kind", ["u2", "i2"])
+def test_the_byte_order_of_an_array_changes_nothing(tmp_path: Path, kind: str) -> None:
+    """Signed ones fill the negative half, so the lowest value is black."""
+    pixels = (GREY16.astype(np.int32) - (2**15 if kind == "i2" else 0)).astype(f">{kind}")
+    np.save(tmp_path / "image.npy", pixels)
+    for image in (as_radiograph(pixels), read_image(tmp_path / "image.npy")):
+        assert (image.pixels.dtype, image.white) == (np.uint16, 65535.0)
+        np.testing.assert_array_equal(image.pixels, GREY16)
+
+
 def test_a_warning_of_another_program_refuses_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = PIL.Image.open
 

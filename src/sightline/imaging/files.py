@@ -45,8 +45,7 @@ def as_radiograph(image: Radiograph | np.ndarray | str | Path, white: float | No
     (4095 for 12), so that saturated pixels are known. Raises ImageError, UnusableInputError.
     """
     if isinstance(image, np.ndarray):
-        full, stored = _full_scale(image) if white is None else float(white), grey(image, "the image")
-        return _signed(stored, "the image", white) if stored.dtype in (np.int8, np.int16) else Radiograph(stored, full)
+        return _of_array(grey(image, "the image"), "the image", white)
     if white is not None:
         raise UnusableInputError("white= belongs to an array; a Radiograph and a file state theirs")
     if isinstance(image, Radiograph):
@@ -58,11 +57,17 @@ def as_radiograph(image: Radiograph | np.ndarray | str | Path, white: float | No
     )
 
 
-def _signed(stored: np.ndarray, name: str, white: float | None = None) -> Radiograph:
-    """Return a radiograph of int8 or int16; `white`: where it is known, and with it that 0 is black."""
-    bits = 8 * stored.dtype.itemsize
-    values, full = non_negative(stored.astype(np.int32), None if white else bits, name)
-    return Radiograph(values.astype(f"u{stored.dtype.itemsize}"), full if white is None else float(white))
+def _of_array(stored: np.ndarray, name: str, white: float | None) -> Radiograph:
+    """Return a radiograph of pixels (H, W); `white`: where it is known, and with it that 0 is black.
+
+    Raises ImageError; UnusableInputError where neither `white` nor the type tells the largest value.
+    """
+    full = _full_scale(stored) if white is None else float(white)
+    if stored.dtype not in (np.int8, np.int16):
+        return Radiograph(stored, full)
+    bits = 8 * stored.dtype.itemsize if white is None else None
+    values, shifted = non_negative(stored.astype(np.int32), bits, name)
+    return Radiograph(values.astype(f"u{stored.dtype.itemsize}"), shifted if white is None else full)
 
 
 def _full_scale(pixels: np.ndarray) -> float:
@@ -154,10 +159,8 @@ def _numpy(data: bytes, name: str) -> np.ndarray:
 
 def _radiograph(pixels: np.ndarray, name: str) -> Radiograph:
     pixels = grey(pixels, name)
-    if pixels.dtype in (np.int8, np.int16):
-        return _signed(pixels, name)
-    if pixels.dtype in (np.uint8, np.uint16):  # of wider ones the type does not tell the white
-        return Radiograph(pixels, _full_scale(pixels))
+    if pixels.dtype.kind in "iu" and pixels.dtype.itemsize <= 2:  # of wider ones the type does not tell the white
+        return _of_array(pixels, name, None)
     if pixels.dtype.kind == "f":
         with np.errstate(over="ignore"):  # values too large for float32 are refused as not finite
             pixels = pixels.astype(np.float32)

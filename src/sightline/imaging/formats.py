@@ -119,10 +119,11 @@ def damaged(name: str) -> ImageError:
 
 
 def grey(pixels: np.ndarray, name: str) -> np.ndarray:
-    """Return (H, W) of (H, W), (1, H, W), or (H, W, channels) with equal colours.
+    """Return (H, W) of (H, W), (1, H, W), or (H, W, channels) with equal colours, in this machine's byte order.
 
     Colours that differ as after a colour conversion become their luma. Raises ImageError on true colour.
     """
+    pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
     while pixels.ndim > 2 and pixels.shape[0] == 1:
         pixels = pixels[0]
     if pixels.ndim == 2:

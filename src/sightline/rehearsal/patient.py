@@ -53,9 +53,8 @@ WIDER_SCREW_MM = 8.3
 CANNULATED_BEAMS = {"pa": beam_at(np.deg2rad(-20.0)), "lateral": beam_at(np.deg2rad(100.0))}
 AidClicks: TypeAlias = Mapping[str, Sequence[np.ndarray | None]]
 NAILED = "distal-interlocking"
-MAX_TAKES = (
-    3  # [ours] pairs of check images until one is not refused, as a person takes others: a bead may hide the tip
-)
+# Pairs of check images until one is not refused, as a person takes others: a bead may hide the tip [ours].
+MAX_TAKES = 3
 NAIL_CLICK_PX = 2.0  # [ours] s.d. of a click on a nail's edge or in its hole, per axis: twice that of an ordinary click
 BONE_OF = {"slipped-epiphysis-pin": "growing-femur", "iliosacral-screw": "pelvis", "pedicle-screw": "vertebra"}
 BONES_OF = {**BONE_OF, NAILED: "nailed-femur"}
