@@ -1,8 +1,9 @@
 """Step 3, Plan: placing points, metrics of plan and implant, proposal."""
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
@@ -24,7 +25,7 @@ from sightline.app.panels.section import (
     table_html,
 )
 from sightline.app.panels.steps import aid_labels
-from sightline.app.plan.decisions import HEAD, NECK, SHAFT, FittedAxis
+from sightline.app.plan.decisions import HEAD, NECK, SHAFT
 from sightline.app.plan.marks import MarkSpec, label_of
 from sightline.app.plan.planner import (
     Planned,
@@ -41,7 +42,6 @@ from sightline.app.texts import image_short, in_image
 from sightline.case.views import NAMES, OBLIQUE
 from sightline.common.geometry.covariance import TWO_SIDED_95
 from sightline.errors import UnusableInputError
-from sightline.planning.bone.drawings import Axis
 from sightline.planning.nail.files import known_nails
 from sightline.planning.nail.result import perfect_circles
 from sightline.planning.procedures import kind as kind_of
@@ -53,8 +53,7 @@ def build(tab: Tab) -> None:
     Section(tab, lambda t: (t.planning.decisions.kind, t.planning.decisions.nail, t.planning.implanted), _nail)
     Section(tab, _points_key, _points, classes="checklist")
     HtmlSection(tab, lambda t: t.known, _turns_html)
-    HtmlSection(tab, lambda t: t.known, _fitted_html)
-    HtmlSection(tab, lambda t: t.known, _fitted_axes_html)
+    HtmlSection(tab, lambda t: t.known, _kept_html)
 
 
 def build_details(tab: Tab) -> None:
@@ -70,6 +69,7 @@ def build_details(tab: Tab) -> None:
     shown_or_not(tab, "Show the beads", "show_beads")
     if kind_of(tab.planning.decisions.kind).proposal is not None:
         Section(tab, _missing, _lacking)
+    HtmlSection(tab, lambda t: t.known, _fitted_html)
     HtmlSection(tab, lambda t: t.known, metrics_html)
 
 
@@ -95,38 +95,54 @@ def _turns_html(tab: Tab) -> Markup:
     return note_html("Perfect circle, turn the C-arm: " + "; ".join(turns) + ".", kind="quiet", testid="turns")
 
 
-def _fitted_html(tab: Tab) -> Markup:
-    """Return the fitted head with its 95 % error, and which image's circle was kept and why; empty without a fit."""
-    known = tab.known
-    fitted = None if known is None or not has_head(known.decisions) else known.decisions.fitted_head
-    head = None if known is None or fitted is None else known.anatomy.head
-    if fitted is None or head is None or head.covariance_mm2 is None:
-        return Markup()
-    centre = TWO_SIDED_95 * float(np.sqrt(np.linalg.eigvalsh(head.covariance_mm2[:3, :3])[-1]))
-    radius = TWO_SIDED_95 * float(np.sqrt(head.covariance_mm2[3, 3]))
-    sentences = [(f"Head fitted: radius {head.radius_mm:.1f} ± {radius:.1f} mm, centre ± {centre:.1f} mm (95 %).")]
-    sentences += kept_as_drawn(fitted.kept)
-    return note_html(" ".join(sentences), kind="quiet", testid="head-fitted")
+class _Fit(NamedTuple):
+    """An aid that was fitted to edges; `error`: as in its row; `kept`: why an image's drawing was kept, by view."""
+
+    key: str
+    error: str
+    sentence: str
+    kept: Mapping[str, str]
 
 
-def _fitted_axes_html(tab: Tab) -> Markup:
-    """Return the 95 % errors of fitted shaft and neck, and which image's line was kept and why; empty without a fit."""
-    known = tab.known
+def _fits(known: Planned | None) -> list[_Fit]:
+    """Return the aids that are fitted, with their 95 % errors."""
     if known is None:
-        return Markup()
-    axes = ((SHAFT, known.anatomy.shaft, "Shaft"), (NECK, known.anatomy.neck, "Neck"))
-    return Markup().join(_fitted_axis_html(key, known.fitted_axis(key), axis, text) for key, axis, text in axes)
+        return []
+    fits: list[_Fit] = []
+    fitted = known.decisions.fitted_head if has_head(known.decisions) else None
+    head = None if fitted is None else known.anatomy.head
+    if fitted is not None and head is not None and head.covariance_mm2 is not None:
+        centre, radius = _worst(head.covariance_mm2[:3, :3]), _worst(head.covariance_mm2[3:, 3:])
+        told = f"Head fitted: radius {head.radius_mm:.1f} ± {radius:.1f} mm, centre ± {centre:.1f} mm (95 %)."
+        fits.append(_Fit(HEAD, f"± {centre:.1f} mm", told, fitted.kept))
+    for key, text in ((SHAFT, "Shaft"), (NECK, "Neck")):
+        lines = known.fitted_axis(key)
+        axis = None if lines is None else known.anatomy.shaft if key == SHAFT else known.anatomy.neck
+        if lines is None or axis is None:
+            continue
+        turned, offset = axis.direction_covariance_rad2, axis.offset_covariance_mm2
+        if turned is None or offset is None:
+            continue
+        error = f"± {np.rad2deg(_worst(turned)):.1f}°"
+        told = f"{text} fitted: {error}, ± {_worst(offset):.1f} mm (95 %)."
+        fits.append(_Fit(key, error, told, lines.kept))
+    return fits
 
 
-def _fitted_axis_html(key: str, fitted: FittedAxis | None, axis: Axis | None, text: str) -> Markup:
-    if fitted is None or axis is None or axis.direction_covariance_rad2 is None or axis.offset_covariance_mm2 is None:
-        return Markup()
-    turned, offset = (
-        TWO_SIDED_95 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
-        for covariance in (axis.direction_covariance_rad2, axis.offset_covariance_mm2)
-    )
-    sentences = [f"{text} ± {np.rad2deg(turned):.1f}°, ± {offset:.1f} mm (95 %).", *kept_as_drawn(fitted.kept)]
-    return note_html(" ".join(sentences), kind="quiet", testid=f"{key}-fitted")
+def _worst(covariance: np.ndarray) -> float:
+    """Return the 95 % error in the direction in which it is largest."""
+    return TWO_SIDED_95 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+
+
+def _fitted_html(tab: Tab) -> Markup:
+    """Return the fitted aids with their 95 % errors as HTML; empty without a fit."""
+    return joined(*(note_html(fit.sentence, kind="quiet", testid=f"{fit.key}-fitted") for fit in _fits(tab.known)))
+
+
+def _kept_html(tab: Tab) -> Markup:
+    """Return which image's drawing of a fitted aid was kept, and why, as HTML; empty where all were fitted."""
+    kept = (sentence for fit in _fits(tab.known) for sentence in kept_as_drawn(fit.kept))
+    return joined(*(note_html(sentence, kind="quiet", testid="kept") for sentence in kept))
 
 
 def _nail(tab: Tab) -> None:
@@ -207,9 +223,14 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
     def current(t: Tab) -> bool:
         return t.goal is not None and t.goal.spec.name in names
 
+    def fitted(t: Tab) -> str:
+        return next((fit.error for fit in _fits(t.known) if fit.key == first.of), "")
+
     def show(t: Tab) -> None:
         row.classes(add="current" if current(t) else "", remove="" if current(t) else "current")
         remove.set_visibility(any(placed(t)))
+        if error := fitted(t):
+            ui.label(error).classes("placed")
         for image, count in zip(images_of(t), placed(t), strict=True):
             whole = count == len(same)
             part = f" {count}/{len(same)}" if 0 < count < len(same) else ""
@@ -236,7 +257,7 @@ def _row(tab: Tab, same: tuple[MarkSpec, ...]) -> None:
         remove = action("✕", tab.doing(lambda: tab.planning.remove(names)), testid=f"remove-{first.of}", kind="small")
         remove.props(f'aria-label="{f"Remove {label}"}"')
     with status:
-        Section(tab, lambda t: (placed(t), current(t)), show, classes="pick-status")
+        Section(tab, lambda t: (placed(t), current(t), fitted(t)), show, classes="pick-status")
 
 
 def _propose(tab: Tab) -> None:
